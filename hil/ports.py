@@ -1,0 +1,70 @@
+"""The ports of the house: what the tick needs, and nothing of how it is provided."""
+
+from typing import NamedTuple, Protocol
+
+from firmware_protocol.framing import Frame
+from hil.types import Applied, Gains, PoseFix, Reference, State, WheelCommand
+
+
+class Received(NamedTuple):
+    """A frame and the time at which it was received, on the clock of the link."""
+
+    frame: Frame
+    stamp_ns: int
+
+
+class Clock(Protocol):
+    """Robot time passes only here: by the wall in real time, by STEP in lockstep."""
+
+    def now_ns(self) -> int:
+        """Return the time since the clock was made."""
+
+    def wait_until(self, t_ns: int) -> int:
+        """Return at ``t_ns`` or later, with the lateness [ns]."""
+
+
+class Link(Protocol):
+    """A way for frames to reach the other side; bytes that are not a valid frame are counted, never raised."""
+
+    def send(self, frame: Frame) -> None:
+        """Send one frame. Raises LinkError when the link is lost."""
+
+    def receive(self, timeout_ns: int) -> Received | None:
+        """Return the next valid frame, or None after ``timeout_ns``; 0 never waits. Raises LinkError when lost."""
+
+    def rejected(self) -> dict[str, int]:
+        """Return how many received frames were dropped so far, by cause."""
+
+    def close(self) -> None:
+        """Release the link. Closing twice is allowed."""
+
+
+class Controller(Protocol):
+    """A control law: pure, no clock, no link, no plant."""
+
+    @property
+    def gains(self) -> Gains:
+        """Gains of the last update, for telemetry; NO_GAINS where the law has none."""
+
+    def reset(self, state: State, reference: Reference) -> None:
+        """Forget everything and start from this state and reference."""
+
+    def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
+        """Return the command for this tick."""
+
+
+class PoseSource(Protocol):
+    """Ground truth or external localisation; never travels on the wheel link."""
+
+    def poll(self) -> PoseFix | None:
+        """Return the newest fix, or None when there is none yet. Raises DeviceError when the source is lost."""
+
+    def close(self) -> None:
+        """Release the source."""
+
+
+class Sink(Protocol):
+    """Takes samples; in real time it never blocks, and counts what it had to drop."""
+
+    def put(self, row: tuple[float, ...]) -> None:
+        """Take one row in the order of ``hil.signals.SIGNALS``."""

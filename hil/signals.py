@@ -1,0 +1,160 @@
+"""The one vocabulary of signals: expectations, recordings and exports all use these names.
+
+A sample is one row of floats in the order of ``SIGNALS``. The names and their order come from the fields of the
+groups below, so that a signal is defined once; the unit is the end of its name.
+"""
+
+from itertools import chain
+from typing import NamedTuple
+
+from hil.types import WHEEL_NAMES, Gains, Pose, Twist, Wheels
+
+
+class LoopSignals(NamedTuple):
+    t_s: float
+    tick: float
+    lateness_us: float
+    tick_us: float
+    deadline_misses: float
+
+
+class ReferenceSignals(NamedTuple):
+    x_m: float
+    y_m: float
+    heading_rad: float
+    vx_m_s: float
+    vy_m_s: float
+    yaw_rate_rad_s: float
+
+
+class ErrorSignals(NamedTuple):
+    x_m: float
+    y_m: float
+    heading_rad: float
+    planar_m: float
+
+
+class RobotSignals(NamedTuple):
+    time_s: float
+    state: float
+    command_age_ms: float
+    yaw_rate_rad_s: float
+
+
+class GuardSignals(NamedTuple):
+    saturated: float
+
+
+class LinkSignals(NamedTuple):
+    sent: float
+    received: float
+    rejected: float
+    feedback_age_ms: float
+
+
+class Sample(NamedTuple):
+    """Everything that one tick leaves behind; ``row`` flattens it. NaN stands for what was not there."""
+
+    loop: LoopSignals
+    reference: ReferenceSignals
+    pose: Pose
+    twist: Twist
+    truth: Pose
+    error: ErrorSignals
+    gain: Gains
+    wheel_speed: Wheels
+    wheel_speed_command: Wheels
+    wheel_torque_command: Wheels
+    wheel_current: Wheels
+    robot: RobotSignals
+    guard: GuardSignals
+    link: LinkSignals
+
+    def row(self) -> tuple[float, ...]:
+        """Return the sample as floats in the order of ``SIGNALS``."""
+        return tuple(chain.from_iterable(self))
+
+
+class Signal(NamedTuple):
+    """A name of the vocabulary: dotted, with its unit at the end."""
+
+    name: str
+    unit: str
+    meaning: str
+
+
+_MEANING = {
+    "loop.t_s": "time since the first ACTIVE tick, the scenario's time",
+    "loop.tick": "number of the tick",
+    "loop.lateness_us": "how late the tick began; 0 in lockstep",
+    "loop.tick_us": "wall-clock time that the previous tick's work took",
+    "loop.deadline_misses": "ticks skipped so far because the one before ran over",
+    "reference.*": "where the robot should be, world frame",
+    "pose.*": "pose that the controller acts on, world frame",
+    "twist.*": "twist that the controller acts on, world frame",
+    "truth.*": "true pose, by a path of its own; no value without one",
+    "error.*": "truth minus reference; no value without truth",
+    "error.planar_m": "distance between truth and reference; no value without truth",
+    "gain.*": "gain in force; no value where the law has none",
+    "wheel.*.speed_rad_s": "wheel speed as the firmware estimates it",
+    "wheel.*.speed_command_rad_s": "speed set point after the guard; no value in torque mode",
+    "wheel.*.torque_command_n_m": "torque set point or feedforward after the guard",
+    "wheel.*.current_a": "motor current",
+    "robot.time_s": "robot time of the newest feedback since its connection",
+    "robot.state": "state of the firmware (DBC TICK.state)",
+    "robot.command_age_ms": "age of the command in force when the feedback was sampled",
+    "robot.yaw_rate_rad_s": "gyro",
+    "guard.saturated": "1 when the guard scaled the four wheels at a limit",
+    "link.sent": "frames sent so far",
+    "link.received": "valid frames received so far",
+    "link.rejected": "frames dropped so far, all causes",
+    "link.feedback_age_ms": "age of the newest feedback snapshot at the tick",
+}
+
+_WHEEL_GROUPS = {
+    "wheel_speed": "speed_rad_s",
+    "wheel_speed_command": "speed_command_rad_s",
+    "wheel_torque_command": "torque_command_n_m",
+    "wheel_current": "current_a",
+}
+
+# Longest ending first: "rad_s" must win over "s".
+_UNITS = (
+    ("_m_s2", "m/s²"),
+    ("_rad_s", "rad/s"),
+    ("_m_s", "m/s"),
+    ("_n_m", "N·m"),
+    ("_1_s", "1/s"),
+    ("_rad", "rad"),
+    ("_us", "µs"),
+    ("_ms", "ms"),
+    ("_m", "m"),
+    ("_s", "s"),
+    ("_a", "A"),
+)
+
+
+def unit_of(name: str) -> str:
+    """Return the unit that ends a name, or ``""`` for a count or a state."""
+    return next((unit for ending, unit in _UNITS if name.endswith(ending)), "")
+
+
+def _meaning_of(name: str) -> str:
+    parts = name.split(".")
+    patterns = (name, ".".join([parts[0], *["*"] * (len(parts) - 2), parts[-1]]), f"{parts[0]}.*")
+    return next(_MEANING[p] for p in patterns if p in _MEANING)
+
+
+def _names() -> list[str]:
+    names: list[str] = []
+    for group, kind in Sample.__annotations__.items():
+        if group in _WHEEL_GROUPS:
+            names += [f"wheel.{wheel}.{_WHEEL_GROUPS[group]}" for wheel in WHEEL_NAMES]
+        else:
+            names += [f"{group}.{field}" for field in kind._fields]
+    return names
+
+
+SIGNALS: tuple[Signal, ...] = tuple(Signal(n, unit_of(n), _meaning_of(n)) for n in _names())
+SIGNAL_NAMES: tuple[str, ...] = tuple(s.name for s in SIGNALS)
+INDEX: dict[str, int] = {name: i for i, name in enumerate(SIGNAL_NAMES)}
