@@ -1,0 +1,36 @@
+"""Messages to frames and back: the typed side of the wire, the same for serial and CAN.
+
+The messages are the classes of ``firmware_protocol.generated.messages``, in the units of wheel.dbc.
+"""
+
+from typing import Literal
+
+from firmware_protocol.framing import Frame
+from firmware_protocol.generated.messages import LENGTHS, MESSAGES, NAMES, Message
+
+__all__ = ["LENGTHS", "MESSAGES", "NAMES", "Message", "Refusal", "decode", "encode", "refusal"]
+
+Refusal = Literal["unknown_id", "length", "range"]
+"""Why a frame is not a message."""
+
+
+def encode(message: Message) -> Frame:
+    """Return the frame of a message.
+
+    Raises ValueError naming message, field, value and range when a value cannot be sent.
+    """
+    return Frame(message.ID, message.encode())
+
+
+def decode(frame: Frame) -> Message | None:
+    """Return the message of a frame, or None when it is not one; ``refusal`` then tells why. Never raises."""
+    kind = MESSAGES.get(frame.id)
+    return None if kind is None else kind.decode(frame.payload)
+
+
+def refusal(frame: Frame) -> Refusal:
+    """Return why ``decode`` gave None for this frame; asked for the counters only."""
+    length = LENGTHS.get(frame.id)
+    if length is None:
+        return "unknown_id"
+    return "length" if len(frame.payload) != length else "range"

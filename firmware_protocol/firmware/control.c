@@ -1,0 +1,74 @@
+#include "control.h"
+
+#include <stddef.h>
+
+#define TWO_PI 6.28318530717958647692f
+
+static float magnitude(float x) {
+    return x < 0.0f ? -x : x;
+}
+
+/* Floor without libm, for the few hundred counts that a wheel turns in a tick. */
+static int32_t whole_part(float x) {
+    const int32_t n = (int32_t)x;
+    return (float)n > x ? n - 1 : n;
+}
+
+static void tracker_advance(wheel_tracker *tracker, float counts) {
+    const float position = tracker->fraction + counts;
+    const int32_t whole = whole_part(position);
+    tracker->whole = (uint16_t)(tracker->whole + (uint32_t)whole);
+    tracker->fraction = position - (float)whole;
+}
+
+float wheel_tracker_update(wheel_tracker *tracker, uint16_t count, const wheel_parameters *parameters) {
+    if (!tracker->running) {
+        tracker->whole = count;
+        tracker->fraction = 0.5f;
+        tracker->rate_counts_s = 0.0f;
+        tracker->running = true;
+    }
+    tracker_advance(tracker, tracker->rate_counts_s * WHEEL_TICK_S);
+    /* The true position lies within the count, on average half way. */
+    const int16_t behind = (int16_t)(uint16_t)(count - tracker->whole);
+    const float error = (float)behind + 0.5f - tracker->fraction;
+    const float bandwidth = parameters->tracking_bandwidth_rad_s;
+    tracker_advance(tracker, 2.0f * bandwidth * WHEEL_TICK_S * error);
+    tracker->rate_counts_s += bandwidth * bandwidth * WHEEL_TICK_S * error;
+    return tracker->rate_counts_s * (TWO_PI / parameters->counts_per_revolution);
+}
+
+bool wheel_scale_to_limit(float value[WHEEL_COUNT], float limit) {
+    float largest = 0.0f;
+    for (size_t i = 0; i < WHEEL_COUNT; i++) {
+        largest = magnitude(value[i]) > largest ? magnitude(value[i]) : largest;
+    }
+    if (largest <= limit) {
+        return false;
+    }
+    for (size_t i = 0; i < WHEEL_COUNT; i++) {
+        /* First the ratio, which is at most 1: the product then cannot round beyond the limit. */
+        value[i] = limit * (value[i] / largest);
+    }
+    return true;
+}
+
+bool wheel_speed_loop_update(wheel_speed_loop *loop, const float target_rad_s[WHEEL_COUNT],
+                             const float speed_rad_s[WHEEL_COUNT], const float feedforward_n_m[WHEEL_COUNT],
+                             const wheel_parameters *parameters, float torque_n_m[WHEEL_COUNT]) {
+    float step_n_m[WHEEL_COUNT];
+    for (size_t i = 0; i < WHEEL_COUNT; i++) {
+        const float error = target_rad_s[i] - speed_rad_s[i];
+        step_n_m[i] = parameters->speed_ki_n_m_rad * error * WHEEL_TICK_S;
+        torque_n_m[i] = parameters->speed_kp_n_m_s_rad * error + loop->integral_n_m[i] + feedforward_n_m[i];
+    }
+    const bool limited = wheel_scale_to_limit(torque_n_m, parameters->torque_limit_n_m);
+    for (size_t i = 0; i < WHEEL_COUNT; i++) {
+        const bool winds_up = limited && step_n_m[i] * loop->integral_n_m[i] > 0.0f;
+        if (!winds_up) {
+            loop->integral_n_m[i] += step_n_m[i];
+        }
+    }
+    (void)wheel_scale_to_limit(loop->integral_n_m, parameters->torque_limit_n_m);
+    return limited;
+}

@@ -1,0 +1,146 @@
+/* The firmware core: one structure an instance, no statics, no I/O, no allocation; time is passed in as
+ * ticks.
+ *
+ * A port (a board, or the host library) does three things from one context:
+ *   wheel_node_receive   for each valid frame that arrives,
+ *   wheel_node_sense     at the beginning of each 1 kHz tick, with what was sampled then,
+ *   wheel_node_drive     right after it, for the set points that hold during the tick,
+ * and sends what wheel_node_transmit hands out.
+ */
+#ifndef WHEEL_NODE_H
+#define WHEEL_NODE_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "control.h"
+#include "framing.h"
+#include "parameters.h"
+#include "plant_port.h"
+#include "states.h"
+
+#define WHEEL_CAPABILITY_POWER_STAGE 0x0001u /* motors are behind the drives */
+#define WHEEL_CAPABILITY_LOCKSTEP 0x0002u    /* robot time comes from STEP */
+#define WHEEL_CAPABILITY_SPEED 0x0004u
+#define WHEEL_CAPABILITY_TORQUE 0x0008u
+#define WHEEL_CAPABILITY_FEEDFORWARD 0x0010u
+#define WHEEL_CAPABILITY_CURRENTS 0x0020u
+#define WHEEL_CAPABILITY_GYRO 0x0040u
+
+#define WHEEL_SEQUENCE_WINDOW 32u     /* forward distances 1..32 of 256 are accepted */
+#define WHEEL_ARM_TIMEOUT_TICKS 1000u /* ARMED without a command */
+#define WHEEL_STOP_LIMIT_TICKS 1000u  /* after the ramp the wheels are held for at most so long */
+#define WHEEL_STATUS_PERIOD_TICKS 100u
+#define WHEEL_SLOW_PART_PERIOD_TICKS 5u /* CURRENTS and GYRO at 200 Hz at most */
+#define WHEEL_TRANSMIT_QUEUE 16u
+
+typedef struct {
+    uint16_t capabilities;
+    uint8_t board; /* 0 is the host library */
+    uint8_t version[3];
+    uint32_t build; /* first 32 bits of the source hash, 0 when unknown */
+} wheel_identity;
+
+/* Frames that were valid on the wire and refused here, by cause. */
+typedef struct {
+    uint32_t length;
+    uint32_t unknown_id;
+    uint32_t range;
+    uint32_t session;
+    uint32_t stale;
+    uint32_t state;
+    uint32_t feedforward_unmatched;
+} wheel_rejections;
+
+/* What the transport dropped before the core saw it; the port keeps it current, LINK_COUNTERS reports it. */
+typedef struct {
+    uint32_t cobs;
+    uint32_t crc;
+    uint32_t length;
+    uint32_t unknown_id;
+} wheel_transport_rejections;
+
+/* An accepted command, held until the next one. */
+typedef struct {
+    float target[WHEEL_COUNT]; /* rad/s in speed mode, N m in torque mode */
+    float feedforward_n_m[WHEEL_COUNT];
+    uint8_t sequence;
+    uint32_t age_ticks;
+} wheel_setting;
+
+typedef struct {
+    bool present;
+    uint8_t sequence;
+    float torque_n_m[WHEEL_COUNT];
+} wheel_staged;
+
+typedef struct {
+    wheel_parameters parameters;
+    wheel_identity identity;
+    uint32_t tick;
+    uint8_t state;
+    uint8_t mode;
+    uint8_t fault;
+    uint8_t stop_reason;
+    uint8_t arm_refusal;
+
+    uint16_t session_nonce; /* of the last session */
+    uint16_t burnt_nonce;   /* the last one seen when it could not be used */
+
+    wheel_setting setting;
+    wheel_staged staged;
+
+    wheel_tracker tracker[WHEEL_COUNT];
+    wheel_speed_loop speed_loop;
+    float speed_rad_s[WHEEL_COUNT];
+    float set_point_rad_s[WHEEL_COUNT]; /* what the speed loop follows; in torque mode the measured speed */
+    float ramp_from_rad_s[WHEEL_COUNT];
+    uint32_t state_ticks; /* since the state was entered */
+    uint32_t rest_ticks;  /* for how long all four wheels have stood still */
+
+    uint32_t limited_ticks;
+    uint8_t snapshot;
+    wheel_rejections rejections;
+    wheel_transport_rejections transport;
+
+    bool step_pending;
+    uint32_t step_ticks;
+
+    wheel_frame queue[WHEEL_TRANSMIT_QUEUE];
+    uint8_t queue_head;
+    uint8_t queue_count;
+    uint32_t transmit_overruns;
+} wheel_node;
+
+/* Starts in IDLE, or in FAULT when a parameter is out of its range. */
+void wheel_node_init(wheel_node *node, const wheel_parameters *parameters, const wheel_identity *identity);
+
+/* Takes one frame that passed the checks of its transport. Wrong content is dropped and counted. */
+void wheel_node_receive(wheel_node *node, const wheel_frame *frame);
+
+/* Begins a tick: estimates, supervises, and queues feedback. */
+void wheel_node_sense(wheel_node *node, const wheel_sense *sense);
+
+/* The set points that hold during this tick; ends the tick. */
+void wheel_node_drive(wheel_node *node, wheel_drive *drive);
+
+/* The drives or sensors failed: a fault, with the drives off. */
+void wheel_node_fail(wheel_node *node);
+
+/* Hands out the next frame to send; false when there is none. */
+bool wheel_node_transmit(wheel_node *node, wheel_frame *frame);
+
+/* True when a STEP asks for ticks; the port runs them and then calls wheel_node_step_done. */
+bool wheel_node_step_pending(const wheel_node *node, uint32_t *ticks);
+void wheel_node_step_done(wheel_node *node);
+
+/* Used between the files of the core. */
+void wheel_node_event(wheel_node *node, wheel_event event);
+void wheel_node_queue(wheel_node *node, uint16_t id, uint8_t length, const uint8_t *payload);
+void wheel_node_send_hello(wheel_node *node);
+void wheel_node_send_feedback(wheel_node *node, const wheel_sense *sense);
+void wheel_node_send_status(wheel_node *node);
+uint32_t wheel_ticks(float seconds);
+
+#endif

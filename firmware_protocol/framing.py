@@ -1,0 +1,143 @@
+"""Serial framing, without I/O: frames to bytes, and bytes, whatever they are, back to frames.
+
+On the wire a frame is ``COBS(id16 LE | sequence8 | payload | CRC16-CCITT-FALSE LE) 00`` (PROTOCOL.md, "Serial
+framing"). A zero byte ends a frame and occurs nowhere else, so that a receiver that was disturbed is back in
+step at the next zero.
+"""
+
+from binascii import crc_hqx
+from typing import NamedTuple
+
+from cobs import cobs
+
+from firmware_protocol.generated.messages import LENGTHS
+
+_HEADER = 3  # id16, sequence8
+_CRC = 2
+_CRC_START = 0xFFFF
+MAX_ENCODED = _HEADER + max(LENGTHS.values()) + _CRC + 1
+"""Bytes of the longest frame on the wire without its zero; COBS adds one byte to less than 254."""
+
+CAUSES = ("cobs", "crc", "length", "unknown_id", "overrun")
+"""Why a received frame is dropped: the keys of ``Deframer.rejected``."""
+
+
+class Frame(NamedTuple):
+    """An identifier of 11 bits and the payload of that message: what serial and CAN have in common."""
+
+    id: int
+    payload: bytes
+
+
+def crc16(data: bytes) -> int:
+    """Return the CRC-16/CCITT-FALSE of ``data`` (polynomial 1021, start FFFF, not reflected, no final XOR).
+
+    ``crc_hqx`` has the same polynomial and bit order and takes the start value: it is this CRC, compiled and
+    in the standard library.
+
+    >>> hex(crc16(b"123456789"))
+    '0x29b1'
+    """
+    return crc_hqx(data, _CRC_START)
+
+
+class Framer:
+    """The sending side of one serial line: counts the frames that it sends, modulo 256."""
+
+    def __init__(self) -> None:
+        self._sequence = 0
+
+    def encode(self, frame: Frame) -> bytes:
+        """Return the bytes for the wire, with the final zero.
+
+        Raises ValueError when no message has the frame's id, or when the payload has not the length that the
+        id asks for: the other side would drop it.
+        """
+        number, payload = frame
+        if LENGTHS.get(number) != len(payload):
+            raise ValueError(f"frame {number:#05x} with {len(payload)} bytes: expected {_expected(number)}")
+        body = (number | self._sequence << 16).to_bytes(_HEADER, "little") + payload
+        self._sequence = (self._sequence + 1) & 0xFF
+        encoded: bytes = cobs.encode(body + crc_hqx(body, _CRC_START).to_bytes(_CRC, "little"))
+        return encoded + b"\0"
+
+
+class Deframer:
+    """The receiving side of one serial line. No byte raises: what is no valid frame is dropped and counted.
+
+    ``rejected`` counts dropped frames by cause: ``cobs`` (not a COBS encoding), ``crc``, ``length`` (not the
+    length that the id asks for, or too short for a frame), ``unknown_id``, and ``overrun`` (more bytes
+    without a zero than the longest frame has). ``lost`` counts the frames that the sender counted and that
+    did not arrive whole; 128 and more in a row go unseen. ``bytes`` and ``frames`` count what arrived and
+    what was returned. Memory is bounded by one frame.
+    """
+
+    def __init__(self) -> None:
+        self.rejected: dict[str, int] = dict.fromkeys(CAUSES, 0)
+        self.bytes = 0
+        self.frames = 0
+        self.lost = 0
+        self._open = b""
+        self._overrun = False
+        self._expected_sequence: int | None = None
+
+    def feed(self, data: bytes) -> list[Frame]:
+        """Take the bytes that arrived, in pieces of any size, and return the frames that they complete."""
+        self.bytes += len(data)
+        *ended, rest = data.split(b"\0")
+        frames = []
+        for piece in ended:
+            self._append(piece)
+            if self._open:  # two zeros in a row are no error: a sender may begin with one to clear the line
+                frame = self._parse(self._open)
+                if frame is not None:
+                    frames.append(frame)
+            self._open = b""
+            self._overrun = False
+        self._append(rest)
+        return frames
+
+    def _append(self, piece: bytes) -> None:
+        if self._overrun:
+            return
+        self._open += piece[: MAX_ENCODED + 1]
+        if len(self._open) > MAX_ENCODED:
+            self.rejected["overrun"] += 1
+            self._overrun = True
+            self._open = b""
+
+    def _parse(self, encoded: bytes) -> Frame | None:
+        try:
+            body: bytes = cobs.decode(encoded)
+        except cobs.DecodeError:
+            self.rejected["cobs"] += 1
+            return None
+        cause = self._fault(body)
+        if cause is not None:
+            self.rejected[cause] += 1
+            return None
+        self.frames += 1
+        return Frame(int.from_bytes(body[:2], "little"), body[_HEADER:-_CRC])
+
+    def _fault(self, body: bytes) -> str | None:
+        if len(body) < _HEADER + _CRC:
+            return "length"
+        if crc_hqx(body[:-_CRC], _CRC_START) != int.from_bytes(body[-_CRC:], "little"):
+            return "crc"
+        self._count_lost(body[2])  # the CRC holds, so the sender sent it, whatever it is
+        length = LENGTHS.get(int.from_bytes(body[:2], "little"))
+        if length is None:
+            return "unknown_id"
+        return None if len(body) == _HEADER + length + _CRC else "length"
+
+    def _count_lost(self, sequence: int) -> None:
+        if self._expected_sequence is not None:
+            missing = (sequence - self._expected_sequence) & 0xFF
+            # Half the circle or more is a repeated frame or a sender that began anew: nothing was lost.
+            self.lost += missing if missing < 128 else 0
+        self._expected_sequence = (sequence + 1) & 0xFF
+
+
+def _expected(number: int) -> str:
+    length = LENGTHS.get(number)
+    return "the id of a message of wheel.dbc" if length is None else f"{length} bytes"

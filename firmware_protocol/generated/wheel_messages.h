@@ -1,0 +1,343 @@
+/* Generated from wheel.dbc by `python -m firmware_protocol.generate`; do not edit. */
+#ifndef WHEEL_MESSAGES_H
+#define WHEEL_MESSAGES_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#define WP_PROTOCOL_VERSION 1u
+#define WP_SCHEMA_HASH 0x2212B0EFu
+#define WP_PAYLOAD_MAX 8u
+
+enum wp_request {
+    WP_REQUEST_IDLE = 0,
+    WP_REQUEST_ARM = 1,
+    WP_REQUEST_CLEAR = 2,
+};
+
+enum wp_mode {
+    WP_MODE_SPEED = 0,
+    WP_MODE_TORQUE = 1,
+};
+
+enum wp_state {
+    WP_STATE_BOOT = 0,
+    WP_STATE_IDLE = 1,
+    WP_STATE_ARMED = 2,
+    WP_STATE_ACTIVE = 3,
+    WP_STATE_STOPPING = 4,
+    WP_STATE_FAULT = 5,
+    WP_STATE_ESTOP = 6,
+};
+
+enum wp_fault {
+    WP_FAULT_NONE = 0,
+    WP_FAULT_SENSOR = 1,
+    WP_FAULT_OVERSPEED = 2,
+    WP_FAULT_PARAMETERS = 3,
+};
+
+enum wp_stop_reason {
+    WP_STOP_REASON_NONE = 0,
+    WP_STOP_REASON_HOST_REQUEST = 1,
+    WP_STOP_REASON_COMMAND_TIMEOUT = 2,
+    WP_STOP_REASON_ARM_TIMEOUT = 3,
+    WP_STOP_REASON_ESTOP = 4,
+    WP_STOP_REASON_FAULT = 5,
+};
+
+enum wp_arm_refusal {
+    WP_ARM_REFUSAL_NONE = 0,
+    WP_ARM_REFUSAL_SCHEMA = 1,
+    WP_ARM_REFUSAL_PARAMETERS = 2,
+    WP_ARM_REFUSAL_NOT_IDLE = 3,
+    WP_ARM_REFUSAL_NONCE_USED = 4,
+    WP_ARM_REFUSAL_SESSION_USED = 5,
+    WP_ARM_REFUSAL_MODE = 6,
+};
+
+/* Payload bytes of the message with this id, or -1 when no message has it. */
+int wp_payload_length(uint16_t id);
+
+/* Encoders return false, with the payload untouched, when a value is out of its range or not finite.
+ * Decoders return false, with the message untouched, for a wrong length or a value out of its range. */
+
+#define WP_ESTOP_ID 0x010u
+#define WP_ESTOP_LENGTH 2u
+
+/* Stop driving at once and latch. Needs no session; sent on the event and repeated until STATUS
+ * answers ESTOP. */
+typedef struct {
+    uint8_t source;
+    uint8_t reason;
+} wp_estop;
+
+bool wp_estop_encode(const wp_estop *message, uint8_t *payload);
+bool wp_estop_decode(const uint8_t *payload, size_t length, wp_estop *message);
+
+#define WP_HOST_HEARTBEAT_ID 0x020u
+#define WP_HOST_HEARTBEAT_LENGTH 8u
+
+/* What the host wishes, sent at 10 Hz and on every change. ARM with a nonce first seen in IDLE arms;
+ * repeating it never re-arms. */
+typedef struct {
+    /* Session nonce; its low 4 bits are the session in every command. */
+    uint16_t nonce;
+    /* The host's schema hash; ARM is refused unless it equals the robot's. */
+    uint32_t schema_hash;
+    uint8_t request;
+    uint8_t mode;
+    /* Low 8 bits of the parameter hash that the host expects; ARM is refused unless it equals the robot's. */
+    uint8_t parameter_check;
+} wp_host_heartbeat;
+
+bool wp_host_heartbeat_encode(const wp_host_heartbeat *message, uint8_t *payload);
+bool wp_host_heartbeat_decode(const uint8_t *payload, size_t length, wp_host_heartbeat *message);
+
+#define WP_TORQUE_FEEDFORWARD_ID 0x030u
+#define WP_TORQUE_FEEDFORWARD_LENGTH 8u
+
+/* Torque feedforward, staged: applied only together with the WHEEL_COMMAND of the same session and
+ * sequence that follows it. */
+typedef struct {
+    float fl_n_m;
+    float fr_n_m;
+    float rr_n_m;
+    float rl_n_m;
+    uint8_t sequence;
+    uint8_t session;
+} wp_torque_feedforward;
+
+bool wp_torque_feedforward_encode(const wp_torque_feedforward *message, uint8_t *payload);
+bool wp_torque_feedforward_decode(const uint8_t *payload, size_t length, wp_torque_feedforward *message);
+
+#define WP_WHEEL_COMMAND_ID 0x040u
+#define WP_WHEEL_COMMAND_LENGTH 8u
+
+/* Wheel speed set points. In speed mode the only message that feeds the watchdog. */
+typedef struct {
+    float fl_rad_s;
+    float fr_rad_s;
+    float rr_rad_s;
+    float rl_rad_s;
+    uint8_t sequence;
+    uint8_t session;
+} wp_wheel_command;
+
+bool wp_wheel_command_encode(const wp_wheel_command *message, uint8_t *payload);
+bool wp_wheel_command_decode(const uint8_t *payload, size_t length, wp_wheel_command *message);
+
+#define WP_TORQUE_COMMAND_ID 0x041u
+#define WP_TORQUE_COMMAND_LENGTH 8u
+
+/* Wheel torque set points. In torque mode the only message that feeds the watchdog. */
+typedef struct {
+    float fl_n_m;
+    float fr_n_m;
+    float rr_n_m;
+    float rl_n_m;
+    uint8_t sequence;
+    uint8_t session;
+} wp_torque_command;
+
+bool wp_torque_command_encode(const wp_torque_command *message, uint8_t *payload);
+bool wp_torque_command_decode(const uint8_t *payload, size_t length, wp_torque_command *message);
+
+#define WP_TICK_ID 0x080u
+#define WP_TICK_LENGTH 8u
+
+/* Opens a feedback snapshot at the loop rate; the parts that it announces follow it. */
+typedef struct {
+    /* Robot time of the sampling instant, wrapping. */
+    uint32_t time_us;
+    /* Sequence of the command in force. */
+    uint8_t sequence;
+    /* Robot time since the newest accepted command; 255 means 255 or more, or none yet. */
+    uint8_t command_age_ms;
+    uint8_t state;
+    /* Parts that follow: bit 0 ENCODERS, bit 1 WHEEL_SPEEDS, bit 2 CURRENTS, bit 3 GYRO. */
+    uint8_t parts;
+    /* Counts snapshots, wrapping. */
+    uint8_t snapshot;
+} wp_tick;
+
+bool wp_tick_encode(const wp_tick *message, uint8_t *payload);
+bool wp_tick_decode(const uint8_t *payload, size_t length, wp_tick *message);
+
+#define WP_ENCODERS_ID 0x081u
+#define WP_ENCODERS_LENGTH 8u
+
+/* Encoder counts, wrapping. */
+typedef struct {
+    uint16_t fl_count;
+    uint16_t fr_count;
+    uint16_t rr_count;
+    uint16_t rl_count;
+} wp_encoders;
+
+bool wp_encoders_encode(const wp_encoders *message, uint8_t *payload);
+bool wp_encoders_decode(const uint8_t *payload, size_t length, wp_encoders *message);
+
+#define WP_WHEEL_SPEEDS_ID 0x082u
+#define WP_WHEEL_SPEEDS_LENGTH 8u
+
+/* Wheel speeds as the tracking filter estimates them. */
+typedef struct {
+    float fl_rad_s;
+    float fr_rad_s;
+    float rr_rad_s;
+    float rl_rad_s;
+} wp_wheel_speeds;
+
+bool wp_wheel_speeds_encode(const wp_wheel_speeds *message, uint8_t *payload);
+bool wp_wheel_speeds_decode(const uint8_t *payload, size_t length, wp_wheel_speeds *message);
+
+#define WP_CURRENTS_ID 0x083u
+#define WP_CURRENTS_LENGTH 8u
+
+/* Motor currents. */
+typedef struct {
+    float fl_a;
+    float fr_a;
+    float rr_a;
+    float rl_a;
+} wp_currents;
+
+bool wp_currents_encode(const wp_currents *message, uint8_t *payload);
+bool wp_currents_decode(const uint8_t *payload, size_t length, wp_currents *message);
+
+#define WP_GYRO_ID 0x091u
+#define WP_GYRO_LENGTH 8u
+
+/* Angular rates in the body frame, x forward, y left, z up. */
+typedef struct {
+    float x_rad_s;
+    float y_rad_s;
+    float z_rad_s;
+    /* Low 16 bits of the 1 kHz tick of the sample. */
+    uint16_t tick;
+} wp_gyro;
+
+bool wp_gyro_encode(const wp_gyro *message, uint8_t *payload);
+bool wp_gyro_decode(const uint8_t *payload, size_t length, wp_gyro *message);
+
+#define WP_STATUS_ID 0x100u
+#define WP_STATUS_LENGTH 8u
+
+/* State, and why the robot last stopped or refused to arm; 10 Hz and on every change of state. */
+typedef struct {
+    uint8_t state;
+    uint8_t mode;
+    uint8_t fault;
+    uint8_t stop_reason;
+    /* Nonce of the last session; 0 when there was none. */
+    uint16_t nonce;
+    uint8_t arm_refusal;
+    /* Ticks in which all four wheels were scaled at the torque limit, wrapping. */
+    uint16_t limited;
+} wp_status;
+
+bool wp_status_encode(const wp_status *message, uint8_t *payload);
+bool wp_status_decode(const uint8_t *payload, size_t length, wp_status *message);
+
+#define WP_LINK_COUNTERS_ID 0x103u
+#define WP_LINK_COUNTERS_LENGTH 8u
+
+/* Frames rejected, by cause, each wrapping; 10 Hz. */
+typedef struct {
+    uint8_t cobs;
+    uint8_t crc;
+    uint8_t length;
+    uint8_t unknown_id;
+    uint8_t range;
+    uint8_t session;
+    uint8_t stale;
+    uint8_t state;
+} wp_link_counters;
+
+bool wp_link_counters_encode(const wp_link_counters *message, uint8_t *payload);
+bool wp_link_counters_decode(const uint8_t *payload, size_t length, wp_link_counters *message);
+
+#define WP_STEP_ID 0x300u
+#define WP_STEP_LENGTH 6u
+
+/* Lockstep only. At this tick, run so many 1 ms ticks. Repeating it runs nothing twice; 0 substeps
+ * asks for the tick. */
+typedef struct {
+    uint32_t tick;
+    uint16_t substeps;
+} wp_step;
+
+bool wp_step_encode(const wp_step *message, uint8_t *payload);
+bool wp_step_decode(const uint8_t *payload, size_t length, wp_step *message);
+
+#define WP_STEP_DONE_ID 0x301u
+#define WP_STEP_DONE_LENGTH 4u
+
+/* Lockstep only. The tick reached; sent after the feedback of the step. */
+typedef struct {
+    uint32_t tick;
+} wp_step_done;
+
+bool wp_step_done_encode(const wp_step_done *message, uint8_t *payload);
+bool wp_step_done_decode(const uint8_t *payload, size_t length, wp_step_done *message);
+
+#define WP_HELLO_REQUEST_ID 0x700u
+#define WP_HELLO_REQUEST_LENGTH 1u
+
+/* Asks for the HELLO pages. Ids 1792-1807 and the layout of page 0 are frozen for ever. */
+typedef struct {
+    uint8_t protocol_version;
+} wp_hello_request;
+
+bool wp_hello_request_encode(const wp_hello_request *message, uint8_t *payload);
+bool wp_hello_request_decode(const uint8_t *payload, size_t length, wp_hello_request *message);
+
+#define WP_HELLO_IDENTITY_ID 0x701u
+#define WP_HELLO_IDENTITY_LENGTH 8u
+
+/* HELLO page 0. */
+typedef struct {
+    uint8_t protocol_version;
+    /* How many pages follow each other from this id on. */
+    uint8_t pages;
+    /* Bit 0 POWER_STAGE, 1 LOCKSTEP, 2 SPEED, 3 TORQUE, 4 FEEDFORWARD, 5 CURRENTS, 6 GYRO. */
+    uint16_t capabilities;
+    uint32_t schema_hash;
+} wp_hello_identity;
+
+bool wp_hello_identity_encode(const wp_hello_identity *message, uint8_t *payload);
+bool wp_hello_identity_decode(const uint8_t *payload, size_t length, wp_hello_identity *message);
+
+#define WP_HELLO_FIRMWARE_ID 0x702u
+#define WP_HELLO_FIRMWARE_LENGTH 8u
+
+/* HELLO page 1. */
+typedef struct {
+    uint8_t major;
+    uint8_t minor;
+    uint8_t patch;
+    /* 0 is the host library. */
+    uint8_t board;
+    /* First 32 bits of the build's source hash; 0 when unknown. */
+    uint32_t build;
+} wp_hello_firmware;
+
+bool wp_hello_firmware_encode(const wp_hello_firmware *message, uint8_t *payload);
+bool wp_hello_firmware_decode(const uint8_t *payload, size_t length, wp_hello_firmware *message);
+
+#define WP_HELLO_PARAMETERS_ID 0x703u
+#define WP_HELLO_PARAMETERS_LENGTH 8u
+
+/* HELLO page 2. */
+typedef struct {
+    uint32_t parameter_hash;
+    uint16_t watchdog_ms;
+    uint16_t feedback_period_ms;
+} wp_hello_parameters;
+
+bool wp_hello_parameters_encode(const wp_hello_parameters *message, uint8_t *payload);
+bool wp_hello_parameters_decode(const uint8_t *payload, size_t length, wp_hello_parameters *message);
+
+#endif

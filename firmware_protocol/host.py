@@ -1,0 +1,173 @@
+"""The firmware core of the host library, as one object: bytes or CAN frames in, bytes or CAN frames out.
+
+Time passes by ``run`` or by a STEP that arrives; the plant is a C function (``firmware/plant_port.h``), so that a
+tick costs no Python call.
+"""
+
+import functools
+import re
+import struct
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cffi
+
+from firmware_protocol.build import LIBRARY
+from firmware_protocol.framing import Frame
+from firmware_protocol.generated.messages import Fault, Mode, State, StopReason
+
+_HEADERS = ("firmware/plant_port.h", "firmware/parameters.h", "port/host/host.h")
+_SECTION = re.compile(r"/\* cffi: begin \*/(.*?)/\* cffi: end \*/", re.DOTALL)
+_BYTES = 1 << 17
+
+CAPABILITY_POWER_STAGE = 0x0001
+CAPABILITY_LOCKSTEP = 0x0002
+CAPABILITY_SPEED = 0x0004
+CAPABILITY_TORQUE = 0x0008
+CAPABILITY_FEEDFORWARD = 0x0010
+CAPABILITY_CURRENTS = 0x0020
+CAPABILITY_GYRO = 0x0040
+_CAN_DO = (
+    CAPABILITY_SPEED | CAPABILITY_TORQUE | CAPABILITY_FEEDFORWARD | CAPABILITY_CURRENTS | CAPABILITY_GYRO
+)
+
+
+@functools.cache
+def library() -> tuple[Any, Any]:
+    """Return cffi's (ffi, library), with the declarations taken from the C headers themselves.
+
+    Raises FileNotFoundError when the library was not built (``python -m firmware_protocol.build``).
+    """
+    if not LIBRARY.exists():
+        raise FileNotFoundError(f"{LIBRARY} is not built; run: python -m firmware_protocol.build")
+    ffi = cffi.FFI()
+    here = Path(__file__).parent
+    for header in _HEADERS:
+        for section in _SECTION.findall((here / header).read_text(encoding="utf-8")):
+            ffi.cdef(section)
+    ffi.cdef("extern const wheel_parameter_info wheel_parameter_table[];")
+    return ffi, ffi.dlopen(str(LIBRARY))
+
+
+class Parameter(NamedTuple):
+    """A row of the firmware's parameter table."""
+
+    name: str
+    minimum: float
+    maximum: float
+
+
+@functools.cache
+def parameters() -> tuple[Parameter, ...]:
+    """Return the firmware's parameters in the order of their hash."""
+    ffi, lib = library()
+    rows = (lib.wheel_parameter_table[i] for i in range(lib.WHEEL_PARAMETER_COUNT))
+    return tuple(Parameter(ffi.string(row.name).decode(), row.minimum, row.maximum) for row in rows)
+
+
+def parameter_hash(values: Mapping[str, float]) -> int:
+    """Return the CRC-32 that a robot with these parameters reports (DBC HELLO_PARAMETERS.parameter_hash).
+
+    Raises KeyError when a parameter is missing.
+    """
+    ordered = [values[p.name] for p in parameters()]
+    return zlib.crc32(struct.pack(f"<{len(ordered)}f", *ordered))
+
+
+class View(NamedTuple):
+    """A look inside the firmware, for tests, ground truth and reports; nothing of it crosses the wire."""
+
+    tick: int
+    state: State
+    mode: Mode
+    fault: Fault
+    stop_reason: StopReason
+    plant_failed: bool
+    set_point_rad_s: tuple[float, float, float, float]
+    torque_n_m: tuple[float, float, float, float]
+    rejected: dict[str, int]
+
+
+class HostNode:
+    """One robot's firmware on this machine.
+
+    ``exchange_address`` and ``context_address`` are the C function and its context that play the plant; their owner
+    keeps them alive as long as this object. ``values`` gives every parameter of ``parameters()``.
+
+    Raises ValueError when a parameter is unknown, missing or out of its range.
+    """
+
+    def __init__(
+        self, values: Mapping[str, float], exchange_address: int, context_address: int, *, lockstep: bool
+    ) -> None:
+        self._ffi, self._lib = library()
+        names = {p.name for p in parameters()}
+        if set(values) != names:
+            raise ValueError(f"firmware parameters {sorted(set(values) ^ names)} are missing or unknown")
+        block = self._ffi.new("wheel_parameters *", dict(values))
+        if (wrong := self._lib.wheel_parameters_invalid(block)) >= 0:
+            name, low, high = parameters()[wrong]
+            raise ValueError(f"firmware parameter {name} = {values[name]:g}: expected {low:g} to {high:g}")
+        self._memory = self._ffi.new("uint64_t[]", self._lib.wheel_host_size() // 8 + 1)
+        self._host = self._ffi.cast("wheel_host *", self._memory)
+        self._bytes = self._ffi.new("uint8_t[]", _BYTES)
+        self._buffer = self._ffi.buffer(self._bytes, _BYTES)
+        self._id = self._ffi.new("uint16_t *")
+        capabilities = _CAN_DO | (CAPABILITY_LOCKSTEP if lockstep else 0)
+        exchange = self._ffi.cast("wheel_plant_exchange", exchange_address)
+        context = self._ffi.cast("void *", context_address)
+        self._lib.wheel_host_init(self._host, block, capabilities, exchange, context)
+
+    def feed(self, data: bytes) -> None:
+        """Take bytes of a serial line."""
+        self._lib.wheel_host_feed(self._host, data, len(data))
+
+    def receive(self, frame: Frame) -> None:
+        """Take one CAN frame."""
+        self._lib.wheel_host_receive(self._host, frame.id, frame.payload, len(frame.payload))
+
+    def run(self, ticks: int) -> None:
+        """Let so many 1 ms ticks pass."""
+        self._lib.wheel_host_run(self._host, ticks)
+
+    def take_bytes(self) -> bytes:
+        """Return what the robot has to send, as bytes of a serial line."""
+        count = self._lib.wheel_host_take_bytes(self._host, self._bytes, _BYTES)
+        return bytes(self._buffer[:count])
+
+    def take_frames(self) -> list[Frame]:
+        """Return what the robot has to send, as frames."""
+        frames = []
+        while (length := self._lib.wheel_host_take_frame(self._host, self._id, self._bytes)) >= 0:
+            frames.append(Frame(self._id[0], bytes(self._buffer[:length])))
+        return frames
+
+    def look(self) -> View:
+        """Return the firmware's inner state."""
+        v = self._ffi.new("wheel_host_view *")
+        self._lib.wheel_host_look(self._host, v)
+        rejected = {
+            "cobs": v.rejected_cobs,
+            "crc": v.rejected_crc,
+            "length": v.rejected_length,
+            "unknown_id": v.rejected_unknown_id,
+            "range": v.rejected_range,
+            "session": v.rejected_session,
+            "stale": v.rejected_stale,
+            "state": v.rejected_state,
+            "feedforward_unmatched": v.feedforward_unmatched,
+            "transmit_overruns": v.transmit_overruns,
+        }
+        return View(
+            v.tick,
+            State(v.state),
+            Mode(v.mode),
+            Fault(v.fault),
+            StopReason(v.stop_reason),
+            v.plant_failed,
+            tuple(v.set_point_rad_s),
+            tuple(v.torque_n_m),
+            rejected,
+        )

@@ -1,0 +1,64 @@
+/* The host library: the firmware core behind a byte stream or a CAN bus, with a plant behind its drives.
+ *
+ * All of it runs in the caller's thread. A STEP that arrives is run at once, ticks and plant included, so
+ * that one call does all that a lockstep tick needs.
+ */
+#ifndef WHEEL_HOST_H
+#define WHEEL_HOST_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "../../firmware/node.h"
+
+#define WHEEL_HOST_QUEUE 4096u
+
+/* cffi: begin */
+typedef struct wheel_host wheel_host;
+
+typedef struct {
+    uint32_t tick;
+    uint8_t state;
+    uint8_t mode;
+    uint8_t fault;
+    uint8_t stop_reason;
+    bool plant_failed;
+    float set_point_rad_s[4]; /* what the speed loop follows; in torque mode the measured speed */
+    float torque_n_m[4];      /* the last torque set points given to the drives */
+    uint32_t rejected_cobs;
+    uint32_t rejected_crc;
+    uint32_t rejected_length;
+    uint32_t rejected_unknown_id;
+    uint32_t rejected_range;
+    uint32_t rejected_session;
+    uint32_t rejected_stale;
+    uint32_t rejected_state;
+    uint32_t feedforward_unmatched;
+    uint32_t transmit_overruns;
+} wheel_host_view;
+
+/* Bytes that wheel_host_init needs, with the alignment of malloc. */
+size_t wheel_host_size(void);
+
+/* Powers the robot on: samples the plant once and starts in IDLE. */
+void wheel_host_init(wheel_host *host, const wheel_parameters *parameters, uint16_t capabilities,
+                     wheel_plant_exchange exchange, void *context);
+
+/* Takes bytes of a serial line, or one CAN frame. */
+void wheel_host_feed(wheel_host *host, const uint8_t *bytes, size_t length);
+void wheel_host_receive(wheel_host *host, uint16_t id, const uint8_t *payload, size_t length);
+
+/* Lets robot time pass: so many 1 ms ticks. */
+void wheel_host_run(wheel_host *host, uint32_t ticks);
+
+/* Takes what the robot has to send, as bytes of a serial line; whole frames only. Returns their number. */
+size_t wheel_host_take_bytes(wheel_host *host, uint8_t *bytes, size_t capacity);
+
+/* Takes the next frame to send for CAN; returns its payload's length, or -1 when there is none. */
+int wheel_host_take_frame(wheel_host *host, uint16_t *id, uint8_t *payload);
+
+void wheel_host_look(const wheel_host *host, wheel_host_view *view);
+/* cffi: end */
+
+#endif

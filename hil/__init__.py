@@ -1,0 +1,25 @@
+"""Hardware-in-the-loop bridge for a four-wheel Mecanum robot.
+
+    >>> import hil
+    >>> result = hil.run("paper_circle", set={"loop.duration_s": 6.0})
+    >>> result.metrics["tracked_s"]
+    >>> result.frame()["error.planar_m"]
+
+Nothing heavy is imported until it is needed.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+__all__ = ["RunResult", "__version__", "run"]
+
+if TYPE_CHECKING:
+    from hil.assembly import RunResult, run
+
+
+def __getattr__(name: str) -> Any:
+    if name in ("run", "RunResult"):
+        from hil import assembly
+
+        return getattr(assembly, name)
+    raise AttributeError(f"module 'hil' has no attribute {name!r}")

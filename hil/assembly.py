@@ -1,0 +1,170 @@
+"""From a scenario to a finished run: the one place that puts the parts together."""
+
+import contextlib
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+from hil.bench import NS, Bench, start_pose
+from hil.controllers.registry import make_controller
+from hil.errors import DeviceError, HilError, LinkError
+from hil.estimator import make_estimator
+from hil.guard import Guard
+from hil.loop import Loop, Parts, Report
+from hil.model import RobotModel
+from hil.ports import Sink
+from hil.references import make_reference
+from hil.results import MemorySink, RunResult, expectations, tracking_figures
+from hil.scenario import Scenario, load
+from hil.telemetry import Recording, RecordingReport, check_recording_path
+from hil.telemetry.provenance import properties
+from hil.types import CommandMode
+
+__all__ = ["RunResult", "run", "run_scenario"]
+
+
+def run(
+    scenario: str | Path,
+    *,
+    set: Mapping[str, object] | Sequence[str] = (),  # noqa: A002 - the name of the option
+    robot: str | Path | None = None,
+    mode: str | None = None,
+    link: str | None = None,
+    seed: int | None = None,
+    truth: str | None = None,
+    record: str | Path | None = None,
+    allow_motion: bool = False,
+) -> RunResult:
+    """Run a scenario and return its result; the same as ``hil run``.
+
+    ``scenario`` is a shipped name or a path; ``set`` overrides any of its keys, ``robot`` merges a robot's own file.
+    ``truth`` is the URL of the truth socket of a robot in another process, ``record`` an ``.rrd`` file.
+
+    Raises BadInputError for a wrong scenario or option, LinkError or DeviceError when the robot cannot be reached or
+    does not arm. What fails later is in the result.
+    """
+    resolved = load(scenario, set=set, robot=robot, mode=mode, link=link, seed=seed)
+    path = Path(record) if record is not None else None
+    return run_scenario(resolved, truth=truth, record=path, allow_motion=allow_motion)
+
+
+Watch = Callable[[Loop], AbstractContextManager[object]]
+
+
+def run_scenario(
+    scenario: Scenario,
+    *,
+    truth: str | None = None,
+    record: Path | None = None,
+    live_port: int | None = None,
+    allow_motion: bool = False,
+    watch: Watch | None = None,
+) -> RunResult:
+    """Run a scenario that was loaded; ``watch`` is entered with the loop while it runs. Raises as ``run``."""
+    mode = CommandMode[scenario.controller.command.upper()]
+    model = RobotModel(**dict(scenario.robot))
+    table = scenario.controller
+    controller = make_controller(table.law, scenario.directory, model, mode, table.gains)
+    reference = make_reference(scenario.reference.kind, scenario.reference.options)
+    counts = scenario.firmware.counts_per_revolution
+    estimator = make_estimator(scenario.estimator.source, model, start_pose(scenario), counts)
+    if record is not None:
+        check_recording_path(record)
+    with contextlib.ExitStack() as resources:
+        bench = resources.enter_context(Bench(scenario, truth, allow_motion=allow_motion))
+        memory = MemorySink()
+        recording = None
+        if record is not None or live_port is not None:
+            blocking = scenario.loop.mode == "lockstep"
+            told = properties(scenario)
+            recording = resources.enter_context(
+                Recording(record, properties=told, blocking=blocking, live_port=live_port)
+            )
+        sink: Sink = memory if recording is None else _Both(memory, recording)
+        guard = Guard(model.speed_limit_rad_s, model.torque_limit_n_m)
+        parts = Parts(bench.clock, bench.device, bench.truth, estimator, reference, controller, guard, sink)
+        latency_s = scenario.link.command_latency_s + scenario.link.feedback_latency_s
+        loop = Loop(parts, mode, scenario.loop.period_ns, latency_s)
+        report = _drive(scenario, bench, loop, watch)
+        metrics = _figures(scenario, bench, memory, report, guard)
+        if recording is not None:
+            _close_recording(recording, metrics)
+    return RunResult(scenario, metrics, memory.signals(), report.failure)
+
+
+class _Both:
+    """Two sinks as one."""
+
+    def __init__(self, first: Sink, second: Sink) -> None:
+        self._first = first
+        self._second = second
+
+    def put(self, row: tuple[float, ...]) -> None:
+        self._first.put(row)
+        self._second.put(row)
+
+
+def _drive(scenario: Scenario, bench: Bench, loop: Loop, watch: Watch | None) -> Report:
+    """Connect, arm, run and stop. Raises when the robot does not get as far as ACTIVE."""
+    try:
+        bench.connect()
+        origin_ns = bench.device.start(bench.clock, scenario.loop.period_ns)
+    except (DeviceError, LinkError):
+        if bench.robot_failure is not None:
+            raise bench.robot_failure from None
+        raise
+    bench.faults.begin(origin_ns)
+    with watch(loop) if watch is not None else contextlib.nullcontext():
+        return loop.run(origin_ns, round(scenario.loop.duration_s * NS))
+
+
+def _figures(scenario: Scenario, bench: Bench, memory: MemorySink, report: Report, guard: Guard) -> dict[str, Any]:
+    signals = memory.signals()
+    figures, reasons = tracking_figures(signals)
+    outcomes = expectations(scenario.expect, signals)
+    applied = [
+        {"kind": row.kind, "target": row.target, "applied": count}
+        for row, count in zip(scenario.fault, bench.faults.applied, strict=True)
+    ]
+    held = all(outcome["passed"] for outcome in outcomes)
+    # A fault that never happened proves nothing.
+    faulted = all(row["applied"] for row in applied)
+    failure: HilError | None = bench.robot_failure or report.failure
+    realtime_factor = report.robot_s / report.wall_s if report.ticks else None
+    if realtime_factor is None:
+        reasons["realtime_factor"] = "the run has no ticks"
+    device = bench.device
+    return {
+        "passed": failure is None and held and faulted,
+        "scenario": scenario.name,
+        "law": scenario.controller.law,
+        "mode": scenario.loop.mode,
+        "link": scenario.link.url,
+        "seed": scenario.loop.seed,
+        **figures,
+        "realtime_factor": realtime_factor,
+        "frames": {"sent": device.sent, "received": device.received, "rejected": device.rejected()},
+        "wire_sha256": device.wire_sha256(),
+        "stopped": report.stopped,
+        "commands_refused": guard.refused,
+        "expect": outcomes,
+        "fault": applied,
+        "failure": str(failure) if failure is not None else None,
+        "recording": None,
+        "reasons": reasons | {"recording": "no recording was asked for"},
+    }
+
+
+def _close_recording(recording: Recording, metrics: dict[str, Any]) -> None:
+    """Finish the recording with the figures in it, and say in them what became of it."""
+    if recording.path is not None:
+        metrics["recording"] = str(recording.path)
+        del metrics["reasons"]["recording"]
+    report: RecordingReport = recording.finish(metrics)
+    metrics["recorded"] = {
+        "rows": report.rows_written,
+        "dropped": report.rows_dropped,
+        "lost": report.rows_lost,
+        "error": report.error,
+    }

@@ -1,0 +1,43 @@
+"""Clocks: robot time passes only here. A deadline is absolute; time is never accumulated from sleeps."""
+
+import time
+from collections.abc import Callable
+
+TICK_NS = 1_000_000  # the firmware's tick
+
+
+class WallClock:
+    """Real time, counted from when the clock was made."""
+
+    def __init__(self) -> None:
+        self._start_ns = time.monotonic_ns()
+
+    def now_ns(self) -> int:
+        return time.monotonic_ns() - self._start_ns
+
+    def wait_until(self, t_ns: int) -> int:
+        while (left_ns := t_ns - self.now_ns()) > 0:
+            time.sleep(left_ns * 1e-9)
+        return -left_ns
+
+
+class LockstepClock:
+    """Robot time that passes by STEP: waiting runs the robot, and is never late.
+
+    ``step`` lets so many firmware ticks pass and returns when the robot has answered.
+    """
+
+    def __init__(self, step: Callable[[int], None]) -> None:
+        self._step = step
+        self._now_ns = 0
+
+    def now_ns(self) -> int:
+        return self._now_ns
+
+    def wait_until(self, t_ns: int) -> int:
+        ticks = (t_ns - self._now_ns) // TICK_NS
+        if ticks > 0:
+            # What the robot sends during the step is stamped with the step's end.
+            self._now_ns += ticks * TICK_NS
+            self._step(ticks)
+        return 0

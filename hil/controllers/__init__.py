@@ -1,0 +1,1 @@
+"""Control laws: pure functions of reference, state and time step; no clock, no link, no plant."""

@@ -1,0 +1,36 @@
+"""Compiles the shim between the firmware's plant port and an FMU. Needs a C compiler and nothing else.
+
+``python -m hil.devices.build`` builds when a source is newer than the library. The library is loaded with
+cffi's ABI mode, so that neither Python's headers nor a compiler are needed where it runs.
+"""
+
+import sys
+from pathlib import Path
+
+from plant_fmu.build import SUFFIX, BuildError, compile_shared
+
+HERE = Path(__file__).parent
+PLANT_PORT = HERE.parents[1] / "firmware_protocol" / "firmware" / "plant_port.h"
+LIBRARY = HERE / f"libcosim{SUFFIX}"
+HEADERS = (PLANT_PORT, HERE / "cosim.h")
+SOURCES = (HERE / "cosim.c",)
+
+
+def build(library: Path = LIBRARY, cc: str | None = None) -> Path:
+    """Build the shim and return its path. Raises BuildError with the compiler's words."""
+    compile_shared(SOURCES, library, include=(HERE, PLANT_PORT.parent), cc=cc)
+    return library
+
+
+def is_fresh(library: Path = LIBRARY) -> bool:
+    """Tell whether the library is there and newer than every source and header."""
+    return library.exists() and all(
+        source.stat().st_mtime <= library.stat().st_mtime for source in (*SOURCES, *HEADERS)
+    )
+
+
+if __name__ == "__main__":
+    try:
+        print(LIBRARY if is_fresh() else build())
+    except BuildError as error:
+        sys.exit(f"hil.devices.build: {error}")

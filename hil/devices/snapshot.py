@@ -1,0 +1,93 @@
+"""Feedback as one snapshot a tick: TICK opens it, the parts that it announces follow, incomplete ones are dropped."""
+
+from typing import NamedTuple
+
+from firmware_protocol.codec import Message
+from firmware_protocol.generated.messages import Currents, Encoders, Gyro, State, Tick, WheelSpeeds
+from hil.types import NAN, NAN_WHEELS, Wheels
+
+_PARTS: dict[type, int] = {Encoders: 1, WheelSpeeds: 2, Currents: 4, Gyro: 8}
+
+
+class Feedback(NamedTuple):
+    """What the robot measured at one sampling instant.
+
+    ``robot_time_ns`` counts from the robot's power-on and does not wrap. ``current_a`` and ``yaw_rate_rad_s`` come
+    at a lower rate and hold their last value; NaN before the first.
+    """
+
+    robot_time_ns: int
+    state: State
+    command_sequence: int
+    command_age_ms: int
+    count: tuple[int, int, int, int]
+    speed_rad_s: Wheels
+    current_a: Wheels
+    yaw_rate_rad_s: float
+
+
+class SnapshotAssembler:
+    """Puts snapshots together; pure. ``incomplete`` counts what was dropped, ``lost`` gaps in their numbers."""
+
+    def __init__(self) -> None:
+        self._tick: Tick | None = None
+        self._missing = 0
+        self._pending: list[Message] = []
+        self._last_number: int | None = None
+        self._last_us: int | None = None
+        self._time_us = 0
+        self._count = (0, 0, 0, 0)
+        self._speed = NAN_WHEELS
+        self._current = NAN_WHEELS
+        self._yaw_rate = NAN
+        self.incomplete = 0
+        self.lost = 0
+
+    def feed(self, message: Message) -> Feedback | None:
+        """Take a message; return the snapshot that it completes, if it does."""
+        if isinstance(message, Tick):
+            self._open(message)
+        elif (part := _PARTS.get(type(message), 0)) & self._missing:
+            self._pending.append(message)
+            self._missing &= ~part
+            if not self._missing:
+                return self._commit()
+        return None
+
+    def _open(self, tick: Tick) -> None:
+        self.incomplete += self._missing != 0
+        if self._last_number is not None:
+            self.lost += (tick.snapshot - self._last_number - 1) & 0xFF
+        self._last_number = tick.snapshot
+        self._tick = tick
+        self._missing = tick.parts
+        self._pending.clear()
+
+    def _commit(self) -> Feedback | None:
+        tick = self._tick
+        if tick is None:
+            return None
+        for message in self._pending:
+            if isinstance(message, Encoders):
+                self._count = message
+            elif isinstance(message, WheelSpeeds):
+                self._speed = Wheels(*message)
+            elif isinstance(message, Currents):
+                self._current = Wheels(*message)
+            elif isinstance(message, Gyro):
+                self._yaw_rate = message.z_rad_s
+        if self._last_us is None:
+            self._time_us = tick.time_us
+        else:
+            self._time_us += (tick.time_us - self._last_us) & 0xFFFF_FFFF
+        self._last_us = tick.time_us
+        return Feedback(
+            self._time_us * 1000,
+            State(tick.state),
+            tick.sequence,
+            tick.command_age_ms,
+            self._count,
+            self._speed,
+            self._current,
+            self._yaw_rate,
+        )

@@ -1,0 +1,351 @@
+"""The host's side of the wheel-command protocol: handshake, arming, commands, feedback, lockstep.
+
+The robot behind the link may be a board with motors, a board with the plant, or the host library: nothing here
+can tell, except by what HELLO says.
+"""
+
+import hashlib
+import struct
+import time
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from firmware_protocol import codec
+from firmware_protocol.framing import Frame
+from firmware_protocol.generated import messages as m
+from hil.devices.snapshot import Feedback, SnapshotAssembler
+from hil.devices.wheel_map import WheelMap
+from hil.errors import BadInputError, DeviceError
+from hil.links.delay import DelayedLink
+from hil.ports import Clock
+from hil.types import ZERO_WHEELS, CommandMode, WheelCommand
+
+POWER_STAGE = 0x0001
+LOCKSTEP = 0x0002
+
+SILENCE_NS = 2_000_000_000  # wall-clock silence that ends a handshake or a step
+_RETRY_NS = 200_000_000
+_HEARTBEAT_NS = 100_000_000
+_START_LIMIT_NS = 4_000_000_000
+_FIRST_HELLO_ID = m.HelloRequest.ID
+_HEADER = struct.Struct("<HB")
+
+
+class RobotInfo(NamedTuple):
+    """What the robot said of itself in HELLO."""
+
+    capabilities: int
+    firmware: str
+    build: int
+    parameter_hash: int
+    watchdog_ms: int
+
+
+class Expected(NamedTuple):
+    """What the host holds the robot to, before anything moves."""
+
+    parameter_hash: int
+    lockstep: bool
+    allow_motion: bool
+
+
+class Stm32:
+    """A robot that speaks wheel.dbc, at the other end of a link.
+
+    ``nonces`` gives the session nonces to try, in order. Raises DeviceError when the robot does not answer, refuses
+    or stops; BadInputError when it is not the robot that the scenario describes.
+    """
+
+    def __init__(
+        self,
+        link: DelayedLink,
+        mode: CommandMode,
+        expected: Expected,
+        nonces: Iterator[int],
+        wheel_map: WheelMap,
+    ) -> None:
+        self._link = link
+        self._mode = mode
+        self._expected = expected
+        self._nonces = nonces
+        self._map = wheel_map
+        self._assembler = SnapshotAssembler()
+        self._clock: Clock | None = None
+        self._feedback: Feedback | None = None
+        self.tick = 0  # in lockstep: the firmware tick that the robot has reached
+        self._sequence = 0
+        self._nonce = next(nonces)
+        self._request = m.Request.IDLE
+        self._next_heartbeat_ns = 0
+        self._sent_hash = hashlib.sha256()
+        self._received_hash = hashlib.sha256()
+        self._robot_rejected: dict[str, int] = {}
+        self._last_counters: m.LinkCounters | None = None
+        self._out_of_range = 0
+        self.status: m.Status | None = None
+        self.sent = 0
+        self.received = 0
+
+    # Connecting
+
+    def connect(self) -> RobotInfo:
+        """Ask for HELLO and check the answer against what the scenario expects."""
+        pages = self._hello()
+        identity, firmware, held = pages
+        assert isinstance(identity, m.HelloIdentity)
+        assert isinstance(firmware, m.HelloFirmware)
+        assert isinstance(held, m.HelloParameters)
+        info = RobotInfo(
+            identity.capabilities,
+            f"{firmware.major}.{firmware.minor}.{firmware.patch}",
+            firmware.build,
+            held.parameter_hash,
+            held.watchdog_ms,
+        )
+        self._check(identity, info)
+        if self._expected.lockstep:
+            self.tick = self._exchange_step(m.Step(0, 0), None)
+        return info
+
+    def _hello(self) -> list[codec.Message]:
+        kinds = (m.HelloIdentity, m.HelloFirmware, m.HelloParameters)
+        pages: dict[type, codec.Message] = {}
+        deadline_ns = time.monotonic_ns() + SILENCE_NS
+        retry_ns = 0
+        while len(pages) < len(kinds):
+            now_ns = time.monotonic_ns()
+            if now_ns > deadline_ns:
+                raise DeviceError(
+                    "the robot did not answer HELLO within 2 s; check that it is powered, that the link is the "
+                    "right one, and its baud or bit rate"
+                )
+            if now_ns >= retry_ns:
+                self._send(m.HelloRequest(m.PROTOCOL_VERSION))
+                retry_ns = now_ns + _RETRY_NS
+            received = self._link.receive(_RETRY_NS)
+            message = codec.decode(received.frame) if received is not None else None
+            if isinstance(message, kinds):
+                pages[type(message)] = message
+        return [pages[kind] for kind in kinds]
+
+    def _check(self, identity: m.HelloIdentity, info: RobotInfo) -> None:
+        if identity.protocol_version != m.PROTOCOL_VERSION or identity.schema_hash != m.SCHEMA_HASH:
+            raise BadInputError(
+                f"the robot speaks protocol {identity.protocol_version} with schema {identity.schema_hash:08x}, this "
+                f"host {m.PROTOCOL_VERSION} with {m.SCHEMA_HASH:08x}; flash the firmware of this version, or install "
+                "the version of the firmware"
+            )
+        if info.capabilities & POWER_STAGE and not self._expected.allow_motion:
+            raise BadInputError(
+                "the robot reports a power stage: real motors would move; add --allow-motion when it may move"
+            )
+        if bool(info.capabilities & LOCKSTEP) != self._expected.lockstep:
+            ours, theirs = ("lockstep", "realtime") if self._expected.lockstep else ("realtime", "lockstep")
+            raise BadInputError(
+                f"this run is in mode {ours} and the robot in mode {theirs}; start both with the same --mode"
+            )
+        if info.parameter_hash != self._expected.parameter_hash:
+            raise BadInputError(
+                f"the robot's firmware parameters (hash {info.parameter_hash:08x}) are not the scenario's [firmware] "
+                f"(hash {self._expected.parameter_hash:08x}); start both from the same scenario and overrides"
+            )
+
+    # The way to ACTIVE and back
+
+    def start(self, clock: Clock, period_ns: int) -> int:
+        """Arm and begin with zero commands; return the clock's time of the first ACTIVE tick [ns].
+
+        The robot must be seen in IDLE first: arming is an edge.
+        """
+        self._clock = clock
+        begin_ns = clock.now_ns()
+        n = 0
+        while True:
+            now_ns = begin_ns + n * period_ns
+            if now_ns - begin_ns > _START_LIMIT_NS:
+                raise DeviceError(self._why_not_active())
+            self.wait_until(now_ns)
+            feedback = self.poll()
+            state = feedback.state if feedback is not None else None
+            if state is m.State.ACTIVE and self._request is m.Request.ARM:
+                return now_ns
+            if state is m.State.IDLE:
+                self._ask_to_arm()
+            elif state is m.State.ARMED and self._request is m.Request.ARM:
+                self.send(WheelCommand(self._mode, ZERO_WHEELS, ZERO_WHEELS))
+            elif state in (m.State.FAULT, m.State.ESTOP):
+                raise DeviceError(self._why_not_active())
+            n += 1
+
+    def _ask_to_arm(self) -> None:
+        if self._request is m.Request.IDLE:
+            self._wish(m.Request.ARM)
+            return
+        refusal = self.status.arm_refusal if self.status is not None else m.ArmRefusal.NONE
+        if refusal in (m.ArmRefusal.NONCE_USED, m.ArmRefusal.SESSION_USED, m.ArmRefusal.NOT_IDLE):
+            self.status = None
+            self._nonce = next(self._nonces)
+            self._wish(m.Request.ARM)
+        elif refusal != m.ArmRefusal.NONE:
+            raise DeviceError(f"the robot refused to arm: {m.ArmRefusal(refusal).name}; see the arming rules in PROTOCOL.md")
+
+    def _why_not_active(self) -> str:
+        if self._feedback is None:
+            return "the robot answered HELLO but sends no feedback; reset it and try again"
+        state = self._feedback.state
+        advice = {
+            m.State.ACTIVE: "another controller drives it; stop that one first",
+            m.State.ESTOP: "it is latched; release the e-stop and restart the robot",
+            m.State.FAULT: "it is latched; find the cause and restart the robot",
+        }.get(state, "restart the robot and look at its link counters")
+        fault = f", fault {m.Fault(self.status.fault).name}" if self.status is not None and self.status.fault else ""
+        return f"the robot did not become ACTIVE: it is {state.name}{fault}; {advice}"
+
+    def stop(self, period_ns: int, limit_ns: int) -> bool:
+        """Ask for IDLE and wait for it, at most ``limit_ns`` on the clock; return whether the robot got there."""
+        clock = self._clock
+        if clock is None:
+            return True
+        self._wish(m.Request.IDLE)
+        begin_ns = clock.now_ns()
+        n = 1
+        while n * period_ns <= limit_ns:
+            self.wait_until(begin_ns + n * period_ns)
+            feedback = self.poll()
+            if feedback is not None and feedback.state in (m.State.IDLE, m.State.FAULT, m.State.ESTOP):
+                return True
+            n += 1
+        return False
+
+    # One tick
+
+    def wait_until(self, t_ns: int) -> int:
+        """Let time pass on the clock; commands that the link delays go out on their way. Returns the lateness [ns]."""
+        clock = self._clock
+        assert clock is not None
+        self._link.service()
+        while (due_ns := self._link.next_due_ns()) is not None and due_ns < t_ns:
+            clock.wait_until(due_ns)
+            self._link.service()
+        late_ns = clock.wait_until(t_ns)
+        self._link.service()
+        return late_ns
+
+    def poll(self) -> Feedback | None:
+        """Take what has arrived; return the newest snapshot so far. Sends the heartbeat when it is due."""
+        while (received := self._link.receive(0)) is not None:
+            self._take(received.frame)
+        if self._clock is not None and self._clock.now_ns() >= self._next_heartbeat_ns:
+            self._wish(self._request)
+        return self._feedback
+
+    def send(self, command: WheelCommand) -> None:
+        """Send a command that the guard has passed. Raises ValueError for a value that cannot be sent."""
+        self._sequence = (self._sequence + 1) & 0xFF
+        session = self._nonce & 0xF
+        torque = self._map.to_wire(command.torque_n_m)
+        if command.mode is CommandMode.TORQUE:
+            self._send(m.TorqueCommand(*torque, self._sequence, session))
+            return
+        if any(torque):
+            self._send(m.TorqueFeedforward(*torque, self._sequence, session))
+        self._send(m.WheelCommand(*self._map.to_wire(command.speed_rad_s), self._sequence, session))
+
+    def step(self, ticks: int) -> None:
+        """Lockstep: let so many firmware ticks pass, and take what the robot sends meanwhile."""
+        reached = (self.tick + ticks) & 0xFFFF_FFFF
+        self.tick = self._exchange_step(m.Step(self.tick, ticks), reached)
+
+    def _exchange_step(self, step: m.Step, expected: int | None) -> int:
+        self._send(step)
+        begin_ns = sent_ns = time.monotonic_ns()
+        while True:
+            received = self._link.receive(_RETRY_NS)
+            message = self._take(received.frame) if received is not None else None
+            if isinstance(message, m.StepDone):
+                if expected is None or message.tick == expected:
+                    return message.tick
+                raise DeviceError(
+                    f"the robot is at tick {message.tick} where {expected} was expected; it was reset or is stepped "
+                    "by another host"
+                )
+            now_ns = time.monotonic_ns()
+            if now_ns - begin_ns > SILENCE_NS:
+                raise DeviceError("the robot did not answer STEP within 2 s of wall-clock time; it was lost")
+            if received is None and now_ns - sent_ns > _RETRY_NS:
+                # Idempotent, and outside the hash: how often it is repeated depends on the wall clock.
+                self._link.send(codec.encode(step))
+                sent_ns = now_ns
+
+    def stop_reason(self) -> str:
+        """Return why the robot last stopped, in words of the DBC (STATUS.stop_reason, STATUS.fault)."""
+        if self.status is None:
+            return "a reason that it has not told yet"
+        reason = m.StopReason(self.status.stop_reason).name
+        fault = m.Fault(self.status.fault)
+        return f"{reason} ({fault.name})" if fault else reason
+
+    # Frames
+
+    def _wish(self, request: m.Request) -> None:
+        self._request = request
+        if self._clock is not None:
+            self._next_heartbeat_ns = self._clock.now_ns() + _HEARTBEAT_NS
+        mode = m.Mode.TORQUE if self._mode is CommandMode.TORQUE else m.Mode.SPEED
+        check = self._expected.parameter_hash & 0xFF
+        self._send(m.HostHeartbeat(self._nonce, m.SCHEMA_HASH, request, mode, check))
+
+    def _send(self, message: codec.Message) -> None:
+        frame = codec.encode(message)
+        self._link.send(frame)
+        self.sent += 1
+        self._hash(self._sent_hash, frame)
+
+    def _take(self, frame: Frame) -> codec.Message | None:
+        message = codec.decode(frame)
+        if message is None:
+            self._out_of_range += 1
+            return None
+        self.received += 1
+        self._hash(self._received_hash, frame)
+        snapshot = self._assembler.feed(message)
+        if snapshot is not None:
+            self._feedback = self._map.feedback_from_wire(snapshot)
+        elif isinstance(message, m.Status):
+            self.status = message
+        elif isinstance(message, m.LinkCounters):
+            self._count_robot_rejections(message)
+        return message
+
+    @staticmethod
+    def _hash(digest: "hashlib._Hash", frame: Frame) -> None:
+        if frame.id < _FIRST_HELLO_ID:
+            digest.update(_HEADER.pack(frame.id, len(frame.payload)) + frame.payload)
+
+    def _count_robot_rejections(self, counters: m.LinkCounters) -> None:
+        last = self._last_counters
+        if last is not None:
+            for cause, new, old in zip(counters._fields, counters, last, strict=True):
+                self._robot_rejected[cause] = self._robot_rejected.get(cause, 0) + ((new - old) & 0xFF)
+        self._last_counters = counters
+
+    # Accounts
+
+    def wire_sha256(self) -> str:
+        """Return the hash of every frame of the session, both directions, in order; the same on every transport.
+
+        HELLO and repeated STEPs are left out: how many there are depends on the wall clock.
+        """
+        both = self._sent_hash.digest() + self._received_hash.digest()
+        return hashlib.sha256(both).hexdigest()
+
+    def rejected(self) -> dict[str, int]:
+        """Return the frames that this host dropped, by cause, and those that the robot reported (``robot_...``)."""
+        own = self._link.rejected() | {"range": self._out_of_range, "incomplete_snapshot": self._assembler.incomplete}
+        robot = {f"robot_{cause}": count for cause, count in self._robot_rejected.items()}
+        return {cause: count for cause, count in (own | robot).items() if count}
+
+    def close(self) -> None:
+        """Release the link."""
+        self._link.close()
+

@@ -1,0 +1,223 @@
+"""Ground truth by a path of its own: a loopback TCP socket, never the wheel link.
+
+The client sends one JSON line ``{"scenario": HASH, "reset": BOOL}``; the server answers one JSON line, ``{"ok": true}``
+or ``{"error": TEXT}``, and then sends records: robot time since power-on, pose, twist, set points and state.
+"""
+
+import contextlib
+import json
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+from urllib.parse import urlsplit
+
+from firmware_protocol.generated.messages import State
+from firmware_protocol.host import View
+from hil.errors import BadInputError, DeviceError
+from hil.types import Pose, PoseFix, Twist, Wheels
+
+_RECORD = struct.Struct("<q6d4dB")
+_HOST = "127.0.0.1"
+_ANSWER_S = 2.0
+
+
+class TruthRecord(NamedTuple):
+    """A fix with the firmware's set points [rad/s] and state at that time."""
+
+    fix: PoseFix
+    set_point_rad_s: Wheels
+    state: State
+
+
+def _unpack(data: bytes) -> TruthRecord:
+    time_ns, x, y, heading, vx, vy, yaw_rate, fl, fr, rr, rl, state = _RECORD.unpack(data)
+    fix = PoseFix(time_ns, Pose(x, y, heading), Twist(vx, vy, yaw_rate))
+    return TruthRecord(fix, Wheels(fl, fr, rr, rl), State(state))
+
+
+class _Client:
+    """A connected reader. Records are whole or missing: what does not fit into its buffer is dropped."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        self._connection = connection
+        self._connection.setblocking(False)
+        self._rest = b""
+
+    def send(self, record: bytes) -> bool:
+        """Send a record if there is room; return False when the reader has gone."""
+        data = self._rest or record
+        try:
+            self._rest = data[self._connection.send(data) :]
+        except BlockingIOError:
+            pass
+        except OSError:
+            self._connection.close()
+            return False
+        return True
+
+    def close(self) -> None:
+        self._connection.close()
+
+
+class TruthServer:
+    """Publishes the truth of a virtual robot on loopback. ``request_reset`` is told when a client wants the start.
+
+    ``port`` 0 takes any free port. Raises BadInputError when the port is taken.
+    """
+
+    wants_view = True
+
+    def __init__(self, scenario_hash: str, port: int = 0) -> None:
+        self._hash = scenario_hash
+        try:
+            self._listener = socket.create_server((_HOST, port))
+        except OSError as error:
+            raise BadInputError(f"truth port {port} cannot be opened ({error.strerror}); choose another") from error
+        self.url = f"tcp://{_HOST}:{self._listener.getsockname()[1]}"
+        self._clients: list[_Client] = []
+        self._newest: bytes | None = None
+        self._lock = threading.Lock()
+        self.request_reset: Callable[[Callable[[bool], None]], None] | None = None
+        threading.Thread(target=self._accept, name="truth", daemon=True).start()
+
+    def publish(self, fix: PoseFix, view: View | None) -> None:
+        """Send a record to every reader; never blocks."""
+        if view is None:
+            return
+        record = _RECORD.pack(fix.time_ns, *fix.pose, *fix.twist, *view.set_point_rad_s, view.state)
+        self._newest = record
+        if self._clients:
+            with self._lock:
+                self._clients = [client for client in self._clients if client.send(record)]
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                connection, _ = self._listener.accept()
+            except OSError:
+                return  # closed
+            with contextlib.suppress(OSError):  # a client that leaves while greeting is no client
+                self._greet(connection)
+
+    def _greet(self, connection: socket.socket) -> None:
+        connection.settimeout(_ANSWER_S)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        error = self._refusal(connection.makefile("rb").readline(4096))
+        connection.sendall(json.dumps({"error": error} if error else {"ok": True}).encode() + b"\n")
+        if error:
+            connection.close()
+            return
+        client = _Client(connection)
+        with self._lock:
+            if self._newest is not None:
+                client.send(self._newest)
+            self._clients = [*self._clients, client]
+
+    def _refusal(self, line: bytes) -> str | None:
+        try:
+            wish = json.loads(line)
+            scenario, reset = wish["scenario"], wish["reset"]
+        except (ValueError, KeyError, TypeError):
+            return "the request was not understood"
+        if scenario != self._hash:
+            return f"the robot runs another scenario (hash {self._hash[:12]}, asked for {str(scenario)[:12]})"
+        if reset and self.request_reset is not None:
+            answers: list[bool] = []
+            done = threading.Event()
+            self.request_reset(lambda was_done: (answers.append(was_done), done.set())[-1])
+            if not done.wait(_ANSWER_S):
+                return "the robot did not answer"
+            if not answers[0]:
+                return "the robot is armed or moves, and was not put back to its start; stop its controller first"
+        return None
+
+    def close(self) -> None:
+        """Stop listening and let the readers go."""
+        self._listener.close()
+        with self._lock:
+            for client in self._clients:
+                client.close()
+            self._clients = []
+
+
+class TruthClient:
+    """Reads the truth of a robot in another process: a PoseSource.
+
+    ``not_before`` gives, in lockstep, the robot time that the next fix must have; ``poll`` then waits for it.
+
+    Raises BadInputError for a URL that is none, DeviceError when nobody listens or the scenarios differ.
+    """
+
+    def __init__(
+        self, url: str, scenario_hash: str, *, reset: bool, not_before: Callable[[], int] | None = None
+    ) -> None:
+        self._url = url
+        self._not_before = not_before
+        self._data = bytearray()
+        self.newest: TruthRecord | None = None
+        host, port = self._address(url)
+        try:
+            self._connection = socket.create_connection((host, port), timeout=2 * _ANSWER_S)
+            self._connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._connection.sendall(json.dumps({"scenario": scenario_hash, "reset": reset}).encode() + b"\n")
+            answer = self._answer()
+        except OSError as error:
+            raise DeviceError(f"truth {url!r}: nobody answers ({error}); start hil device first") from error
+        if "error" in answer:
+            raise DeviceError(f"truth {url!r}: {answer['error']}; start both from the same scenario and overrides")
+
+    @staticmethod
+    def _address(url: str) -> tuple[str, int]:
+        parts = urlsplit(url)
+        try:
+            port = parts.port
+        except ValueError:
+            port = None
+        if parts.scheme != "tcp" or not parts.hostname or port is None:
+            raise BadInputError(f"truth {url!r} is no address; expected tcp://127.0.0.1:PORT as hil device prints it")
+        return parts.hostname, port
+
+    def _answer(self) -> dict[str, object]:
+        while b"\n" not in self._data:
+            chunk = self._connection.recv(4096)
+            if not chunk:
+                raise ConnectionError("the connection was closed")
+            self._data += chunk
+        line, _, self._data = self._data.partition(b"\n")
+        answer = json.loads(line)
+        return answer if isinstance(answer, dict) else {"error": "an answer that is none"}
+
+    def poll(self) -> PoseFix | None:
+        """Return the newest fix. Raises DeviceError when the robot's process has gone."""
+        self._read(blocking=False)
+        if self._not_before is not None:
+            wanted_ns = self._not_before()
+            deadline = time.monotonic() + _ANSWER_S
+            while self.newest is None or self.newest.fix.time_ns < wanted_ns:
+                if time.monotonic() > deadline:
+                    raise DeviceError(f"truth {self._url!r} is silent; the robot's process was lost")
+                self._read(blocking=True)
+        return self.newest.fix if self.newest is not None else None
+
+    def _read(self, *, blocking: bool) -> None:
+        self._connection.settimeout(_ANSWER_S if blocking else 0)
+        try:
+            chunk = self._connection.recv(65536)
+        except (BlockingIOError, TimeoutError):
+            chunk = None
+        except OSError as error:
+            raise DeviceError(f"truth {self._url!r} was lost: {error}") from error
+        if chunk == b"":
+            raise DeviceError(f"truth {self._url!r} was closed: the robot's process has ended")
+        self._data += chunk or b""
+        whole = len(self._data) // _RECORD.size * _RECORD.size
+        if whole:
+            self.newest = _unpack(bytes(self._data[whole - _RECORD.size : whole]))
+            del self._data[:whole]
+
+    def close(self) -> None:
+        """Leave."""
+        self._connection.close()

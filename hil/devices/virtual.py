@@ -1,0 +1,196 @@
+"""The virtual STM32: the firmware core of the host library in front of the plant FMU."""
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+from firmware_protocol.host import HostNode, View
+from hil.clock import TICK_NS
+from hil.devices.wheel_map import WheelMap
+from hil.links.wire import Wire
+from hil.errors import BadInputError, HilError
+from hil.plant import FmuPlant
+from hil.types import PoseFix
+
+# A stall of this machine is made up for in one burst up to here, as a robot would have moved on meanwhile. Beyond it
+# robot time slips, which is counted: a frozen machine is no robot any more.
+_CATCH_UP_TICKS = 50
+_POLL_NS = 20_000_000
+
+
+class VirtualRobot(NamedTuple):
+    """What a virtual robot is made of."""
+
+    fmu: Path
+    start: Mapping[str, float]
+    firmware: Mapping[str, float]
+    lockstep: bool
+    wheel_map: WheelMap
+
+
+class VirtualStm32:
+    """A robot on this machine: firmware and plant, one instance each.
+
+    Raises BadInputError when the FMU cannot be used, or a firmware parameter is out of its range.
+    """
+
+    def __init__(self, made_of: VirtualRobot) -> None:
+        self._made_of = made_of
+        self.plant = FmuPlant(made_of.fmu, made_of.start)
+        self.plant.wire(made_of.wheel_map.wheel_of_channel, made_of.wheel_map.sign_of_channel)
+        self.node = self._power_on()
+
+    def _power_on(self) -> HostNode:
+        plant, made_of = self.plant, self._made_of
+        try:
+            return HostNode(
+                made_of.firmware, plant.exchange_address, plant.context_address, lockstep=made_of.lockstep
+            )
+        except (ValueError, FileNotFoundError) as error:
+            raise BadInputError(f"the virtual robot cannot start: {error}") from error
+
+    def power_cycle(self) -> None:
+        """Put the plant back to its start and the firmware to its power-on state."""
+        self.plant.reset()
+        self.node = self._power_on()
+
+    def truth(self) -> PoseFix:
+        """Return where the robot really is."""
+        return self.plant.truth()
+
+    def close(self) -> None:
+        """Free the plant."""
+        self.plant.close()
+
+
+class TruthSink(Protocol):
+    """Whoever wants the truth: the loop in this process, or the truth socket."""
+
+    def publish(self, fix: PoseFix, view: View | None) -> None:
+        """Take the newest truth; never blocks."""
+
+    @property
+    def wants_view(self) -> bool:
+        """Whether the firmware's inner state is wanted too."""
+
+
+class VirtualServer:
+    """Runs a virtual robot on its end of a link: by STEP in lockstep, by the wall clock in real time.
+
+    ``slipped_ticks`` counts robot time lost to stalls of this machine.
+    """
+
+    def __init__(self, robot: VirtualStm32, wire: Wire, truth: TruthSink, *, lockstep: bool) -> None:
+        self._robot = robot
+        self._wire = wire
+        self._truth = truth
+        self._lockstep = lockstep
+        self._stopping = threading.Event()
+        self._start_ns = time.monotonic_ns()
+        self._ticks = 0
+        self._reset: Callable[[bool], None] | None = None
+        self.slipped_ticks = 0
+        self._publish()
+
+    def request_reset(self, answer: Callable[[bool], None]) -> None:
+        """Ask for a power cycle before the next exchange; ``answer`` is called with whether it was done.
+
+        It is refused while the robot is armed or moves.
+        """
+        self._reset = answer
+
+    def serve(self) -> None:
+        """Serve until ``stop``. Raises LinkError when the link is lost."""
+        while not self._stopping.is_set():
+            self.service(_POLL_NS)
+
+    def stop(self) -> None:
+        """Make ``serve`` return; may be called from another thread or a signal handler."""
+        self._stopping.set()
+
+    def service(self, timeout_ns: int) -> None:
+        """Do what is due, waiting at most ``timeout_ns`` for something to come."""
+        if self._reset is not None:
+            self._power_cycle()
+        if self._lockstep:
+            if self._wire.receive_into(self._robot.node, timeout_ns):
+                self._publish()
+                self._wire.send_from(self._robot.node)
+        else:
+            self._serve_real_time()
+
+    def _serve_real_time(self) -> None:
+        next_ns = self._start_ns + (self._ticks + 1) * TICK_NS
+        now_ns = time.monotonic_ns()
+        if now_ns < next_ns:
+            self._wire.receive_into(self._robot.node, next_ns - now_ns)
+            return
+        while self._wire.receive_into(self._robot.node, 0):
+            pass
+        due = (now_ns - self._start_ns) // TICK_NS - self._ticks
+        if due > _CATCH_UP_TICKS:
+            slipped = due - _CATCH_UP_TICKS
+            self._start_ns += slipped * TICK_NS
+            self.slipped_ticks += slipped
+            due = _CATCH_UP_TICKS
+        self._robot.node.run(due)
+        self._ticks += due
+        self._publish()
+        self._wire.send_from(self._robot.node)
+
+    def _publish(self) -> None:
+        view = self._robot.node.look() if self._truth.wants_view else None
+        self._truth.publish(self._robot.truth(), view)
+
+    def _power_cycle(self) -> None:
+        answer, self._reset = self._reset, None
+        at_rest = self._robot.node.look().state.name not in ("ARMED", "ACTIVE", "STOPPING")
+        if at_rest:
+            self._robot.power_cycle()
+            self._start_ns = time.monotonic_ns()
+            self._ticks = 0
+            self._publish()
+        if answer is not None:
+            answer(at_rest)
+
+
+class LocalTruth:
+    """Ground truth within one process: the newest fix, by a direct call."""
+
+    wants_view = False
+
+    def __init__(self) -> None:
+        self._fix: PoseFix | None = None
+
+    def publish(self, fix: PoseFix, view: View | None) -> None:  # noqa: ARG002
+        self._fix = fix
+
+    def poll(self) -> PoseFix | None:
+        """Return the newest fix."""
+        return self._fix
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+
+class ServerThread:
+    """A virtual robot that runs beside the controller in this process. ``failure`` holds what ended it early."""
+
+    def __init__(self, server: VirtualServer) -> None:
+        self._server = server
+        self.failure: HilError | None = None
+        self._thread = threading.Thread(target=self._run, name="virtual-stm32", daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        try:
+            self._server.serve()
+        except HilError as error:
+            self.failure = error
+
+    def close(self) -> None:
+        """Stop the robot and wait for its thread."""
+        self._server.stop()
+        self._thread.join()

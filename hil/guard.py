@@ -1,0 +1,57 @@
+"""The last thing before the wire: no command leaves beyond the limits, and none that is not a number."""
+
+import math
+
+from hil.errors import BadInputError
+from hil.types import ZERO_WHEELS, CommandMode, WheelCommand, Wheels
+
+
+class Guard:
+    """Limits the commands of a law; the only place on the host that does.
+
+    All four wheels are scaled by one factor: the direction of motion, or of force, is kept. The firmware has
+    limits of its own. ``refused`` counts commands that were not finite and were replaced by a stop. Raises
+    BadInputError for a limit that is not a finite number above zero.
+    """
+
+    def __init__(self, speed_limit_rad_s: float, torque_limit_n_m: float) -> None:
+        limits = {"speed_limit_rad_s": speed_limit_rad_s, "torque_limit_n_m": torque_limit_n_m}
+        for name, value in limits.items():
+            if not (math.isfinite(value) and value > 0.0):
+                raise BadInputError(f"robot.{name} = {value!r}: expected a finite number, more than zero")
+        self.speed_limit_rad_s = speed_limit_rad_s
+        self.torque_limit_n_m = torque_limit_n_m
+        self.refused = 0
+
+    def apply(self, command: WheelCommand) -> tuple[WheelCommand, bool]:
+        """Return the command within the limits, and whether it had to be scaled.
+
+        In SPEED mode set points and torque feedforward are scaled each by a factor of their own. In TORQUE
+        mode the speeds, which mean nothing there, are returned as zeros. A command with a NaN or an infinity
+        gives a stop (all zero) of the same mode.
+        """
+        mode, speed, torque = command
+        if mode is CommandMode.TORQUE:
+            speed = ZERO_WHEELS
+        # A sum is finite only if every term is; two infinities give NaN. Only large finite values need a look
+        # each.
+        if not math.isfinite(sum(speed) + sum(torque)) and not all(map(math.isfinite, speed + torque)):
+            self.refused += 1
+            return WheelCommand(mode, ZERO_WHEELS, ZERO_WHEELS), False
+        limited_speed = _scaled(speed, self.speed_limit_rad_s)
+        limited_torque = _scaled(torque, self.torque_limit_n_m)
+        if limited_speed is speed and limited_torque is torque:
+            return WheelCommand(mode, speed, torque), False
+        return WheelCommand(mode, limited_speed, limited_torque), True
+
+
+def _scaled(value: Wheels, limit: float) -> Wheels:
+    """Return the same object when no wheel is beyond the limit."""
+    fl, fr, rr, rl = value
+    largest = max(abs(fl), abs(fr), abs(rr), abs(rl))
+    if largest <= limit:
+        return value
+    # First the ratio, which is at most 1: the product then cannot round beyond the limit.
+    return Wheels(
+        limit * (fl / largest), limit * (fr / largest), limit * (rr / largest), limit * (rl / largest)
+    )

@@ -1,0 +1,44 @@
+"""A link over a byte stream: the serial framing in both directions."""
+
+import time
+from collections import deque
+
+from firmware_protocol.framing import Deframer, Frame, Framer
+from hil.links.streams import ByteStream
+from hil.ports import Received
+
+
+class StreamLink:
+    """Frames over a byte stream. Wrong bytes are dropped and counted by cause, never raised."""
+
+    def __init__(self, stream: ByteStream) -> None:
+        self._stream = stream
+        self._framer = Framer()
+        self._deframer = Deframer()
+        self._ready: deque[Received] = deque()
+
+    def send(self, frame: Frame) -> None:
+        self._stream.write(self._framer.encode(frame))
+
+    def receive(self, timeout_ns: int) -> Received | None:
+        if not self._ready:
+            self._fill(timeout_ns)
+        return self._ready.popleft() if self._ready else None
+
+    def _fill(self, timeout_ns: int) -> None:
+        deadline_ns = time.monotonic_ns() + timeout_ns if timeout_ns > 0 else 0
+        while True:
+            data = self._stream.read(timeout_ns)
+            if data:
+                stamp_ns = time.monotonic_ns()
+                self._ready.extend(Received(frame, stamp_ns) for frame in self._deframer.feed(data))
+            if self._ready or timeout_ns <= 0:
+                return
+            # Bytes came that completed no frame: wait on for what is left of the time.
+            timeout_ns = deadline_ns - time.monotonic_ns()
+
+    def rejected(self) -> dict[str, int]:
+        return dict(self._deframer.rejected) | {"lost": self._deframer.lost}
+
+    def close(self) -> None:
+        self._stream.close()

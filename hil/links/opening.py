@@ -1,0 +1,101 @@
+"""From a link's URL to its two ends: the host's, which is a Link, and the robot's, which is a Wire."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from hil.links.wire import CanWire, SerialWire, Wire
+from hil.errors import BadInputError
+from hil.links.framed import StreamLink
+from hil.links.streams import MemoryStream, memory_pair
+from hil.links.url import CanUrl, LinkUrl, MemoryUrl, SerialUrl
+from hil.ports import Link
+
+if TYPE_CHECKING:
+    from hil.links.can_bus import CanLink
+    from hil.links.pty import PtyStream
+    from hil.links.serial_port import SerialStream
+
+
+class Pair(NamedTuple):
+    """Both ends of a link in this process. ``memory`` is the host's stream where no descriptor is between them."""
+
+    link: Link
+    wire: Wire
+    memory: MemoryStream | None
+
+
+def is_within_process(url: LinkUrl) -> bool:
+    """Tell whether the robot is made inside this process: ``memory:``, ``serial:pty`` and ``can:virtual/...``."""
+    match url:
+        case MemoryUrl():
+            return True
+        case SerialUrl():
+            return url.is_pty
+        case CanUrl():
+            return url.interface == "virtual"
+
+
+def open_pair(url: LinkUrl) -> Pair:
+    """Open both ends of a link that stays within this process. Raises LinkError when that fails."""
+    match url:
+        case MemoryUrl():
+            host, robot = memory_pair()
+            return Pair(StreamLink(host), SerialWire(robot), host)
+        case SerialUrl():
+            pty = _pty_stream(url)
+            return Pair(StreamLink(_serial_stream(pty.port, url.baud)), SerialWire(pty), None)
+        case CanUrl():
+            return Pair(_can_link(url), CanWire(_can_link(url)), None)
+
+
+def open_host(url: LinkUrl) -> Link:
+    """Open the host's end of a link to a robot elsewhere. Raises LinkError or BadInputError when that fails."""
+    match url:
+        case SerialUrl():
+            return StreamLink(_serial_stream(url.port, url.baud))
+        case CanUrl():
+            return _can_link(url)
+        case MemoryUrl():
+            raise BadInputError("memory: has no other end outside this process; use serial:... or can:...")
+
+
+def open_robot(url: LinkUrl) -> tuple[Wire, str]:
+    """Open the robot's end of a link, and return it with the URL that a host uses to reach it."""
+    match url:
+        case SerialUrl() if url.is_pty:
+            pty = _pty_stream(url)
+            return SerialWire(pty), f"serial:{url.symlink or pty.port}"
+        case SerialUrl():
+            return SerialWire(_serial_stream(url.port, url.baud)), f"serial:{url.port}"
+        case CanUrl():
+            return CanWire(_can_link(url)), f"can:{url.interface}/{url.channel}"
+        case MemoryUrl():
+            raise BadInputError(
+                "memory: does not reach another process; use --link serial:pty, serial:PATH or can:INTERFACE/CHANNEL"
+            )
+
+
+# The transports are imported when they are needed: a machine may have only one of them, and pseudo-terminals are
+# POSIX's.
+
+
+def _serial_stream(port: str, baud: int) -> "SerialStream":
+    from hil.links.serial_port import SerialStream
+
+    return SerialStream(port, baud)
+
+
+def _pty_stream(url: SerialUrl) -> "PtyStream":
+    try:
+        from hil.links.pty import PtyStream
+    except ImportError as error:
+        raise BadInputError(
+            "serial:pty needs a POSIX system; on Windows use memory:, or a pair of virtual COM ports"
+        ) from error
+    return PtyStream(Path(url.symlink) if url.symlink else None)
+
+
+def _can_link(url: CanUrl) -> "CanLink":
+    from hil.links.can_bus import CanLink
+
+    return CanLink(url)

@@ -1,0 +1,76 @@
+"""The robot's end of a pseudo-terminal: a serial port that needs no hardware. POSIX only."""
+
+import os
+import select
+import tty
+from pathlib import Path
+
+from hil.errors import BadInputError, LinkError
+
+_CHUNK = 65536
+
+
+class PtyStream:
+    """The master side of a new pseudo-terminal; ``port`` names the other side for any serial program.
+
+    As on a UART, bytes that nobody reads are lost once the line's buffer is full; ``overrun_bytes`` counts them.
+    With ``symlink`` the port has a fixed name as well; a link that is left from an earlier process is replaced.
+
+    Raises BadInputError when the symlink cannot be made.
+    """
+
+    def __init__(self, symlink: Path | None = None) -> None:
+        self._master, slave = os.openpty()
+        # Held open, so that a client that leaves does not hang up the line.
+        self._slave = slave
+        tty.setraw(slave)
+        os.set_blocking(self._master, False)
+        self.port = os.ttyname(slave)
+        self.overrun_bytes = 0
+        self._symlink: Path | None = None
+        if symlink is not None:
+            self._make_symlink(symlink)
+
+    def _make_symlink(self, symlink: Path) -> None:
+        if symlink.exists() and not symlink.is_symlink():
+            self.close()
+            raise BadInputError(f"symlink {str(symlink)!r} exists and is no symbolic link; choose another path")
+        try:
+            symlink.unlink(missing_ok=True)
+            symlink.symlink_to(self.port)
+        except OSError as error:
+            self.close()
+            raise BadInputError(
+                f"symlink {str(symlink)!r} cannot be made ({error.strerror}); choose a folder that you may write to"
+            ) from error
+        self._symlink = symlink
+
+    def write(self, data: bytes) -> None:
+        left = memoryview(data)
+        while left:
+            try:
+                left = left[os.write(self._master, left) :]
+            except BlockingIOError:
+                self.overrun_bytes += len(left)
+                return
+            except OSError as error:
+                raise LinkError(f"pseudo-terminal {self.port!r} was lost: {error.strerror}") from error
+
+    def read(self, timeout_ns: int) -> bytes:
+        if timeout_ns > 0:
+            select.select([self._master], [], [], timeout_ns * 1e-9)
+        try:
+            return os.read(self._master, _CHUNK)
+        except BlockingIOError:
+            return b""
+        except OSError as error:
+            raise LinkError(f"pseudo-terminal {self.port!r} was lost: {error.strerror}") from error
+
+    def close(self) -> None:
+        if self._master < 0:
+            return
+        if self._symlink is not None and self._symlink.is_symlink() and str(self._symlink.readlink()) == self.port:
+            self._symlink.unlink()
+        os.close(self._master)
+        os.close(self._slave)
+        self._master = -1

@@ -1,0 +1,67 @@
+"""Byte streams: what a serial line is to the framing. The memory stream is one within a process."""
+
+import threading
+from collections.abc import Callable
+from typing import Protocol
+
+from hil.errors import LinkError
+
+
+class ByteStream(Protocol):
+    """A line of bytes with no boundaries."""
+
+    def write(self, data: bytes) -> None:
+        """Send bytes. Raises LinkError when the line is lost."""
+
+    def read(self, timeout_ns: int) -> bytes:
+        """Return what has arrived, waiting at most ``timeout_ns`` for the first byte. Raises LinkError when lost."""
+
+    def close(self) -> None:
+        """Release the line. Closing twice is allowed."""
+
+
+class MemoryStream:
+    """One end of a line within this process; made in pairs by ``memory_pair``.
+
+    Safe between two threads. ``on_starved``, where set, is called by a read that finds nothing, before it waits:
+    in lockstep the other end is served there, in the same thread.
+    """
+
+    def __init__(self) -> None:
+        self._received = bytearray()
+        self._arrived = threading.Condition()
+        self._peer: MemoryStream | None = None
+        self.on_starved: Callable[[], None] | None = None
+
+    def connect(self, peer: "MemoryStream") -> None:
+        """Make ``peer`` the other end."""
+        self._peer = peer
+
+    def write(self, data: bytes) -> None:
+        peer = self._peer
+        if peer is None:
+            raise LinkError("the memory link was closed; open a new one")
+        with peer._arrived:
+            peer._received += data
+            peer._arrived.notify()
+
+    def read(self, timeout_ns: int) -> bytes:
+        if not self._received and self.on_starved is not None:
+            self.on_starved()
+        with self._arrived:
+            if not self._received and timeout_ns > 0 and self.on_starved is None:
+                self._arrived.wait(timeout_ns * 1e-9)
+            data = bytes(self._received)
+            self._received.clear()
+        return data
+
+    def close(self) -> None:
+        self._peer = None
+
+
+def memory_pair() -> tuple[MemoryStream, MemoryStream]:
+    """Return the two ends of a line within this process."""
+    one, other = MemoryStream(), MemoryStream()
+    one.connect(other)
+    other.connect(one)
+    return one, other

@@ -1,0 +1,63 @@
+"""The robot's end of a link: bytes or CAN frames to and from the firmware core."""
+
+from typing import Protocol
+
+from firmware_protocol.host import HostNode
+from hil.links.streams import ByteStream
+from hil.ports import Link
+
+
+class Wire(Protocol):
+    """Connects a firmware core to a transport."""
+
+    def receive_into(self, node: HostNode, timeout_ns: int) -> bool:
+        """Hand over what has arrived, waiting at most ``timeout_ns``; return whether there was anything."""
+
+    def send_from(self, node: HostNode) -> None:
+        """Send what the robot has to send."""
+
+    def close(self) -> None:
+        """Release the transport."""
+
+
+class SerialWire:
+    """A byte stream; framing and its counters are the firmware's own."""
+
+    def __init__(self, stream: ByteStream) -> None:
+        self._stream = stream
+
+    def receive_into(self, node: HostNode, timeout_ns: int) -> bool:
+        data = self._stream.read(timeout_ns)
+        if data:
+            node.feed(data)
+        return bool(data)
+
+    def send_from(self, node: HostNode) -> None:
+        while data := node.take_bytes():
+            self._stream.write(data)
+
+    def close(self) -> None:
+        self._stream.close()
+
+
+class CanWire:
+    """A CAN bus."""
+
+    def __init__(self, link: Link) -> None:
+        self._link = link
+
+    def receive_into(self, node: HostNode, timeout_ns: int) -> bool:
+        received = self._link.receive(timeout_ns)
+        if received is None:
+            return False
+        while received is not None:
+            node.receive(received.frame)
+            received = self._link.receive(0)
+        return True
+
+    def send_from(self, node: HostNode) -> None:
+        for frame in node.take_frames():
+            self._link.send(frame)
+
+    def close(self) -> None:
+        self._link.close()

@@ -1,0 +1,209 @@
+"""The figures of a run, and its expectations, from its signals alone: a run and a review compute them alike.
+
+Pure: NumPy arrays in, plain numbers out. A figure that has no meaning for a run is None, with a reason.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+Series = npt.NDArray[np.float64]
+
+TRACKED_RATIO = 0.02
+TRACKED_DISTANCE_M = 0.010
+RESOLUTION_M = 0.001
+STEADY_WINDOW_S = 5.0
+
+
+class Percentiles(NamedTuple):
+    """Median and 99th percentile, in the unit of the signal."""
+
+    p50: float
+    p99: float
+
+
+class Tracking(NamedTuple):
+    """How fast and how well the truth came to the reference; None where ``reasons`` says why.
+
+    Attributes:
+        tracked_s: the first time from which the planar error stays below 2 % of its initial value.
+        t10_s: the first time from which it stays below 10 mm.
+        steady_rms_m: planar error over the last 5 s, root mean square.
+        steady_max_m: planar error over the last 5 s, largest.
+        reasons: for each figure that is None, one sentence.
+    """
+
+    tracked_s: float | None
+    t10_s: float | None
+    steady_rms_m: float | None
+    steady_max_m: float | None
+    reasons: dict[str, str]
+
+    def figures(self) -> dict[str, float | None]:
+        """Return the four figures by name, in this order."""
+        return {name: value for name, value in self._asdict().items() if name != "reasons"}
+
+
+class Expect(Protocol):
+    """A row of ``[[expect]]``: the signal stays within its bounds from one time to another, both included."""
+
+    @property
+    def signal(self) -> str: ...
+    @property
+    def from_s(self) -> float | None: ...
+    @property
+    def to_s(self) -> float | None: ...
+    @property
+    def below(self) -> float | None: ...
+    @property
+    def above(self) -> float | None: ...
+
+
+class Outcome(NamedTuple):
+    """What became of an expectation.
+
+    Attributes:
+        passed: whether it held; False also when there was nothing to hold for.
+        at_s: time of the first violation, or None.
+        value: the signal's value there (NaN for a gap), or None.
+        sentence: the whole story for a person.
+    """
+
+    passed: bool
+    at_s: float | None
+    value: float | None
+    sentence: str
+
+
+class _NoMeaningError(Exception):
+    """A figure has no meaning for this run; the text says why."""
+
+
+def tracking_metrics(t_s: Series, planar_m: Series) -> Tracking:
+    """Return the tracking figures of a run.
+
+    Args:
+        t_s: scenario time [s], ascending, shape (n,); rows before t = 0 do not count.
+        planar_m: distance [m] between truth and reference, shape (n,); NaN where there was no truth.
+    """
+    active = t_s >= 0.0
+    t_s, planar_m = t_s[active], planar_m[active]
+    computations: dict[str, Callable[[], float]] = {
+        "tracked_s": lambda: _tracked(t_s, planar_m),
+        "t10_s": lambda: _settled(t_s, planar_m, TRACKED_DISTANCE_M),
+        "steady_rms_m": lambda: float(np.sqrt(np.mean(_steady(t_s, planar_m) ** 2))),
+        "steady_max_m": lambda: float(np.max(_steady(t_s, planar_m))),
+    }
+    values: dict[str, float | None] = {}
+    reasons: dict[str, str] = {}
+    for name, compute in computations.items():
+        try:
+            values[name] = compute()
+        except _NoMeaningError as no_meaning:
+            values[name] = None
+            reasons[name] = str(no_meaning)
+    return Tracking(**values, reasons=reasons)
+
+
+def percentiles(series: Series) -> Percentiles | None:
+    """Return median and 99th percentile of the values that are there, or None when there are none."""
+    there = series[np.isfinite(series)]
+    if not len(there):
+        return None
+    p50, p99 = np.percentile(there, [50.0, 99.0])
+    return Percentiles(float(p50), float(p99))
+
+
+def check_expectation(expect: Expect, signals: Mapping[str, Series]) -> Outcome:
+    """Check one expectation against the signals of a run, ``loop.t_s`` among them.
+
+    It fails when there are no samples in its time, or when one of them is NaN: nothing was shown then. Raises
+    KeyError for a signal that is not there.
+    """
+    t_s, values = signals["loop.t_s"], signals[expect.signal]
+    start = -np.inf if expect.from_s is None else expect.from_s
+    stop = np.inf if expect.to_s is None else expect.to_s
+    inside = (t_s >= start) & (t_s <= stop)
+    t_s, values = t_s[inside], values[inside]
+    claim = f"{expect.signal} {_bounds(expect)} {_span(expect)}"
+    if not len(values):
+        return Outcome(False, None, None, f"{claim}: failed, the run has no samples there")
+
+    below = np.inf if expect.below is None else expect.below
+    above = -np.inf if expect.above is None else expect.above
+    # An absent bound holds for infinite values too; a NaN compares false with any bound.
+    holds = ((values < below) | (expect.below is None)) & ((values > above) | (expect.above is None))
+    holds &= ~np.isnan(values)
+    if holds.all():
+        return Outcome(True, None, None, f"{claim}: held over {len(values)} samples")
+    first = int(np.argmin(holds))
+    at_s, value = float(t_s[first]), float(values[first])
+    found = "no value" if np.isnan(value) else f"{value:.6g}"
+    return Outcome(False, at_s, value, f"{claim}: failed, {found} at t = {at_s:.6g} s")
+
+
+def _tracked(t_s: Series, planar_m: Series) -> float:
+    _require_truth(t_s, planar_m)
+    initial_m = float(planar_m[0])
+    if initial_m < RESOLUTION_M:
+        raise _NoMeaningError(
+            f"the run began {initial_m * 1e3:.3g} mm from the reference: 2 % of less than "
+            f"{RESOLUTION_M * 1e3:g} mm says nothing"
+        )
+    return _settled(t_s, planar_m, TRACKED_RATIO * initial_m)
+
+
+def _settled(t_s: Series, planar_m: Series, limit_m: float) -> float:
+    """Return the first time from which the error stays below a limit, to the end of the run."""
+    _require_truth(t_s, planar_m)
+    outside = np.flatnonzero(planar_m >= limit_m)
+    first = int(outside[-1]) + 1 if len(outside) else 0
+    if first == len(t_s):
+        raise _NoMeaningError(
+            f"the planar error did not stay below {limit_m * 1e3:.3g} mm: "
+            f"it was {planar_m[-1] * 1e3:.3g} mm at the end"
+        )
+    return float(t_s[first])
+
+
+def _steady(t_s: Series, planar_m: Series) -> Series:
+    """Return the errors of the last 5 s."""
+    if len(t_s) < 2:
+        raise _NoMeaningError("the run has fewer than two samples")
+    # n samples cover n periods; the window's own length must not be refused for half of one.
+    period_s = float(np.median(np.diff(t_s)))
+    covered_s = float(t_s[-1] - t_s[0]) + period_s
+    if covered_s < STEADY_WINDOW_S - period_s / 2:
+        raise _NoMeaningError(
+            f"the run lasted {covered_s:.3g} s, less than the window of {STEADY_WINDOW_S:g} s"
+        )
+    start = int(np.searchsorted(t_s, t_s[-1] - STEADY_WINDOW_S + period_s / 2))
+    _require_truth(t_s[start:], planar_m[start:])
+    return planar_m[start:]
+
+
+def _require_truth(t_s: Series, planar_m: Series) -> None:
+    if not len(t_s):
+        raise _NoMeaningError("the run has no samples")
+    gaps = np.flatnonzero(~np.isfinite(planar_m))
+    if len(gaps) == len(planar_m):
+        raise _NoMeaningError("the run has no ground truth")
+    if len(gaps):
+        raise _NoMeaningError(f"the ground truth is missing at t = {t_s[gaps[0]]:.6g} s")
+
+
+def _bounds(expect: Expect) -> str:
+    bounds = []
+    if expect.above is not None:
+        bounds.append(f"above {expect.above:g}")
+    if expect.below is not None:
+        bounds.append(f"below {expect.below:g}")
+    return " and ".join(bounds)
+
+
+def _span(expect: Expect) -> str:
+    start = "from the start" if expect.from_s is None else f"from {expect.from_s:g} s"
+    stop = "to the end" if expect.to_s is None else f"to {expect.to_s:g} s"
+    return f"{start} {stop}"

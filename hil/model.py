@@ -1,0 +1,105 @@
+"""What a controller believes of the robot: inverse dynamics of a rigid platform on four Mecanum wheels.
+
+    M q̈ + C + B ξ = B τ,    M = diag(m + k, m + k, I + k L²),    C = k θ̇ (ẏ, -ẋ, 0),    k = 4 Ib / r²
+
+in the world frame, q = (x, y, θ). Nguyen Minh et al. 2023, AFDSC, equation 15, prints m + k in place of k in
+C (and equation 14 ẋ in place of ẏ). That comes from Lagrange's equation on four wheel angles that are not
+independent. The rotating wheels alone give C: their momentum is fixed in the body frame, that of the mass m
+in the world frame. See I. Zeidis and K. Zimmermann, "Dynamics of a four-wheeled mobile robot with Mecanum
+wheels", ZAMM 99 (2019).
+"""
+
+import math
+from dataclasses import dataclass, field
+
+from hil.errors import BadInputError
+from hil.kinematics import BodyWrench, body_twist, to_body, to_world, wheel_speeds, wheel_torques
+from hil.types import Acceleration, Twist, Wheels
+
+GRAVITY_M_S2 = 9.81
+FRICTION_SPEED_RAD_S = 0.3
+"""Wheel speed over which sign(ω) is smoothed to tanh, so that compensated friction does not chatter."""
+
+_MAY_BE_ZERO = ("wheel_inertia_kg_m2", "friction_coefficient")
+
+
+@dataclass(frozen=True, slots=True)
+class RobotModel:
+    """The robot in numbers (scenario table ``[robot]``), and what follows from them.
+
+    ``half_length_m`` and ``half_width_m`` are the paper's l1 and l2, from the centre to a wheel's centre;
+    ``wheel_inertia_kg_m2`` is Ib, of one wheel with its drive; ``friction_coefficient`` is μ. Raises
+    BadInputError for a number that is not finite, negative, or zero where that makes no robot.
+    """
+
+    mass_kg: float
+    inertia_kg_m2: float
+    wheel_radius_m: float
+    half_length_m: float
+    half_width_m: float
+    wheel_inertia_kg_m2: float
+    friction_coefficient: float
+    torque_limit_n_m: float
+    speed_limit_rad_s: float
+    lever_m: float = field(init=False, repr=False, compare=False)
+    """L = l1 + l2 [m]."""
+    wheels_mass_kg: float = field(init=False, repr=False, compare=False)
+    """k = 4 Ib / r² [kg]: what the wheels' rotation adds to the mass."""
+    effective_mass_kg: float = field(init=False, repr=False, compare=False)
+    """m + k [kg]."""
+    effective_inertia_kg_m2: float = field(init=False, repr=False, compare=False)
+    """I + k L² [kg·m²]."""
+    wheel_friction_n_m: float = field(init=False, repr=False, compare=False)
+    """μ m g r / 4 [N·m]: friction torque of one wheel."""
+
+    def __post_init__(self) -> None:
+        for name in (f.name for f in self.__dataclass_fields__.values() if f.init):
+            value = getattr(self, name)
+            allowed = math.isfinite(value) and (value >= 0.0 if name in _MAY_BE_ZERO else value > 0.0)
+            if not allowed:
+                bound = "zero or more" if name in _MAY_BE_ZERO else "more than zero"
+                raise BadInputError(f"robot.{name} = {value!r}: expected a finite number, {bound}")
+        lever = self.half_length_m + self.half_width_m
+        k = 4.0 * self.wheel_inertia_kg_m2 / self.wheel_radius_m**2
+        friction = self.friction_coefficient * self.mass_kg * GRAVITY_M_S2 * self.wheel_radius_m / 4.0
+        object.__setattr__(self, "lever_m", lever)
+        object.__setattr__(self, "wheels_mass_kg", k)
+        object.__setattr__(self, "effective_mass_kg", self.mass_kg + k)
+        object.__setattr__(self, "effective_inertia_kg_m2", self.inertia_kg_m2 + k * lever**2)
+        object.__setattr__(self, "wheel_friction_n_m", friction)
+
+    def wheel_speeds(self, twist: Twist, heading_rad: float) -> Wheels:
+        """Return the wheel speeds [rad/s] of a world twist at this heading: ω = H Rᵀ q̇ / r."""
+        return wheel_speeds(to_body(twist, heading_rad), self.wheel_radius_m, self.lever_m)
+
+    def twist(self, wheel_speed_rad_s: Wheels, heading_rad: float) -> Twist:
+        """Return the world twist of wheel speeds [rad/s] at this heading."""
+        return to_world(body_twist(wheel_speed_rad_s, self.wheel_radius_m, self.lever_m), heading_rad)
+
+    def wheel_torques(
+        self, acceleration: Acceleration, twist: Twist, heading_rad: float, friction_speed_rad_s: Wheels
+    ) -> Wheels:
+        """Return the wheel torques [N·m] for a world acceleration, not limited: τ = B⁺ (M q̈ + C) + ξ.
+
+        ``twist`` is the world twist in C. Friction ξ = (μ m g r / 4) tanh(ω / 0.3 rad/s) is taken at
+        ``friction_speed_rad_s``: the intended wheel speeds, because measured ones would feed their noise
+        back.
+        """
+        ax, ay, yaw_acceleration = acceleration
+        vx, vy, yaw_rate = twist
+        mass, coupling = self.effective_mass_kg, self.wheels_mass_kg * yaw_rate
+        fx = mass * ax + coupling * vy
+        fy = mass * ay - coupling * vx
+        c, s = math.cos(heading_rad), math.sin(heading_rad)
+        wrench = BodyWrench(c * fx + s * fy, c * fy - s * fx, self.effective_inertia_kg_m2 * yaw_acceleration)
+        torque = wheel_torques(wrench, self.wheel_radius_m, self.lever_m)
+        friction = self.wheel_friction_n_m
+        if friction == 0.0:
+            return torque
+        fl, fr, rr, rl = friction_speed_rad_s
+        return Wheels(
+            torque.fl + friction * math.tanh(fl / FRICTION_SPEED_RAD_S),
+            torque.fr + friction * math.tanh(fr / FRICTION_SPEED_RAD_S),
+            torque.rr + friction * math.tanh(rr / FRICTION_SPEED_RAD_S),
+            torque.rl + friction * math.tanh(rl / FRICTION_SPEED_RAD_S),
+        )

@@ -1,0 +1,67 @@
+"""Options of a law or a reference: a mapping from a scenario, checked against a dataclass.
+
+The dataclass is the only definition: its fields are the names, its annotations the types, its defaults the
+defaults, and its ``__post_init__`` raises ValueError for what is out of range.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import MISSING, fields, is_dataclass
+from typing import Literal, TypeVar, get_args, get_origin, get_type_hints
+
+from hil.errors import BadInputError, nearest
+
+T = TypeVar("T")
+
+
+def build(kind: type[T], options: Mapping[str, object], where: str) -> T:
+    """Return ``kind(**options)``; ``where`` is the dotted scenario key of the table, for messages.
+
+    An int is taken for a float. Annotations other than float, int, bool, str and Literal are not checked
+    here. Raises BadInputError for an unknown or missing name, a wrong type, a number that is not finite, and
+    for a ValueError of the dataclass itself.
+    """
+    if not is_dataclass(kind):
+        raise BadInputError(f"{where}: {kind.__qualname__} that holds its defaults must be a dataclass")
+    known = {f.name: f for f in fields(kind) if f.init}
+    hints = get_type_hints(kind)
+    values: dict[str, object] = {}
+    for name, value in options.items():
+        if name not in known:
+            hint = nearest(name, known) or "; it takes none"
+            raise BadInputError(f"{where}: unknown option {name!r}{hint}")
+        values[name] = _checked(value, hints[name], f"{where}.{name}")
+    for name, f in known.items():
+        if name not in values and f.default is MISSING and f.default_factory is MISSING:
+            raise BadInputError(f"{where}.{name} is missing: it has no default, give it a value")
+    try:
+        return kind(**values)
+    except ValueError as error:
+        raise BadInputError(f"{where}: {error}") from error
+
+
+def require_positive(options: object, *names: str) -> None:
+    """Raise ValueError unless each named attribute is more than zero; for a ``__post_init__``."""
+    for name in names:
+        value = getattr(options, name)
+        if not (math.isfinite(value) and value > 0.0):
+            raise ValueError(f"{name} = {value!r}: expected a finite number, more than zero")
+
+
+def _checked(value: object, hint: object, where: str) -> object:
+    if get_origin(hint) is Literal:
+        choice = get_args(hint)
+        if value not in choice:
+            raise BadInputError(f"{where} = {value!r}: not one of the choices{nearest(str(value), choice)}")
+        return value
+    if hint is float:
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise BadInputError(f"{where} = {value!r}: expected a number")
+        if not math.isfinite(value):
+            raise BadInputError(f"{where} = {value!r}: expected a finite number")
+        return float(value)
+    expected = {int: "a whole number", bool: "true or false", str: "a string"}
+    for kind, name in expected.items():
+        if hint is kind and (not isinstance(value, kind) or (kind is int and isinstance(value, bool))):
+            raise BadInputError(f"{where} = {value!r}: expected {name}")
+    return value

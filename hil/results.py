@@ -1,0 +1,113 @@
+"""What a run leaves behind: signals as arrays, figures, expectations, and what they mean for the exit code."""
+
+import array
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hil.errors import HilError
+from hil.metrics import check_expectation, percentiles, tracking_metrics
+from hil.scenario import ExpectTable, Scenario
+from hil.signals import SIGNAL_NAMES
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Series = npt.NDArray[np.float64]
+
+
+class MemorySink:
+    """Keeps every row in memory."""
+
+    def __init__(self) -> None:
+        self._values = array.array("d")
+
+    def put(self, row: tuple[float, ...]) -> None:
+        """Take one row in the order of the signals."""
+        self._values.extend(row)
+
+    def signals(self) -> dict[str, Series]:
+        """Return every signal by name, each of shape (ticks,)."""
+        rows = np.frombuffer(self._values, dtype=np.float64).reshape(-1, len(SIGNAL_NAMES))
+        return {name: rows[:, i] for i, name in enumerate(SIGNAL_NAMES)}
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """A finished run.
+
+    Attributes:
+        scenario: what was run.
+        metrics: the figures, as ``hil run --json`` prints them; a figure without a meaning is None, with the reason
+            under ``reasons``.
+        signals: every signal of ``hil list signals`` by name, each of shape (ticks,).
+        failure: what ended the run early, or None.
+    """
+
+    scenario: Scenario
+    metrics: Mapping[str, Any]
+    signals: Mapping[str, Series]
+    failure: HilError | None
+
+    @property
+    def passed(self) -> bool:
+        """Whether the run ended as expected."""
+        return bool(self.metrics["passed"])
+
+    @property
+    def exit_code(self) -> int:
+        """0 as expected, 1 when an expectation failed, 3 when the link or the device failed."""
+        if self.failure is not None:
+            return self.failure.exit_code
+        return 0 if self.passed else 1
+
+    @cached_property
+    def _frame(self) -> "pd.DataFrame":
+        import pandas as pd
+
+        return pd.DataFrame(dict(self.signals)).set_index("loop.t_s", drop=False)
+
+    def frame(self) -> "pd.DataFrame":
+        """Return the signals as a pandas frame, one row a tick, indexed by ``loop.t_s``."""
+        return self._frame
+
+
+def tracking_figures(signals: Mapping[str, Series]) -> tuple[dict[str, Any], dict[str, str]]:
+    """Return the figures that follow from the signals alone, and for each None the reason."""
+    tracking = tracking_metrics(signals["loop.t_s"], signals["error.planar_m"])
+    reasons = dict(tracking.reasons)
+    tick = percentiles(signals["loop.tick_us"])
+    if tick is None:
+        reasons["tick_us"] = "the run has fewer than two ticks"
+    misses = signals["loop.deadline_misses"]
+    figures = {
+        "tracked_s": tracking.tracked_s,
+        "t10_s": tracking.t10_s,
+        "steady_rms_m": tracking.steady_rms_m,
+        "steady_max_m": tracking.steady_max_m,
+        "ticks": len(signals["loop.t_s"]),
+        "tick_us": {"p50": tick.p50, "p99": tick.p99} if tick is not None else None,
+        "deadline_misses": int(misses[-1]) if len(misses) else 0,
+    }
+    return figures, reasons
+
+
+def expectations(rows: Sequence[ExpectTable], signals: Mapping[str, Series]) -> list[dict[str, Any]]:
+    """Return each expectation with how it went, in words and numbers."""
+    outcomes = []
+    for row in rows:
+        outcome = check_expectation(row, signals)
+        outcomes.append(
+            {
+                "signal": row.signal,
+                "passed": outcome.passed,
+                "violation_s": outcome.at_s,
+                "violation_value": outcome.value,
+                "text": outcome.sentence,
+            }
+        )
+    return outcomes

@@ -1,0 +1,42 @@
+"""A run as data: a scenario in TOML, its layers stacked, validated and frozen.
+
+load("paper_circle", set=["robot.mass_kg=24"])    -> Scenario
+resolved(scenario)                                -> every value and where it came from
+shipped()                                         -> what can be loaded by name
+"""
+
+from hil.scenario.load import load, shipped
+from hil.scenario.run import Scenario, resolved
+from hil.scenario.tables import (
+    ControllerTable,
+    DeviceTable,
+    EstimatorTable,
+    ExpectTable,
+    FaultTable,
+    FirmwareTable,
+    LinkTable,
+    LoopTable,
+    PlantTable,
+    ReferenceTable,
+    RobotTable,
+)
+from hil.scenario.toml_text import format_value
+
+__all__ = [
+    "ControllerTable",
+    "DeviceTable",
+    "EstimatorTable",
+    "ExpectTable",
+    "FaultTable",
+    "FirmwareTable",
+    "LinkTable",
+    "LoopTable",
+    "PlantTable",
+    "ReferenceTable",
+    "RobotTable",
+    "Scenario",
+    "format_value",
+    "load",
+    "resolved",
+    "shipped",
+]

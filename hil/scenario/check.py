@@ -1,0 +1,84 @@
+"""Checking a stacked scenario: each table by itself, then the tables against each other."""
+
+import math
+import re
+from collections.abc import Iterator
+
+from pydantic import ValidationError
+
+from hil.errors import BadInputError
+from hil.references import make_reference
+from hil.scenario import layers
+from hil.scenario.layers import Given, Tree
+from hil.scenario.problems import complaint, describe, place
+from hil.scenario.tables import RATES_HZ, Tables
+
+WATCHDOG_PERIODS = 5
+_WATCHDOG_RULE = f"default: {WATCHDOG_PERIODS} command periods, within 0.02 to 0.1 s"
+_HALF_TURN_COUNTS = 2**15  # half the range of a count in DBC ENCODERS
+
+
+def derived(tree: Tree) -> Tree:
+    """Return the defaults that follow from other values: the watchdog from the command rate."""
+    loop, firmware = tree.get("loop"), tree.get("firmware")
+    rate = loop.get("rate_hz") if isinstance(loop, dict) else None
+    if not isinstance(rate, Given) or rate.value not in RATES_HZ or not isinstance(firmware, dict):
+        return {}
+    watchdog_s = min(max(WATCHDOG_PERIODS * (1000 // int(rate.value)) / 1000.0, 0.02), 0.1)
+    return {"firmware": {"watchdog_s": Given(watchdog_s, _WATCHDOG_RULE)}}
+
+
+def check(tree: Tree, scenario: str) -> Tables:
+    """Return the validated tables; ``scenario`` begins the messages about what was not given anywhere.
+
+    Raises BadInputError with one line for each problem.
+    """
+    try:
+        tables = Tables.model_validate(layers.plain(tree))
+    except ValidationError as error:
+        raise BadInputError("\n".join(describe(error, tree, scenario))) from None
+    contradictions = [
+        complaint(tree, tuple(key.split(".")), value, expected, scenario)
+        for key, value, expected in _contradictions(tables)
+    ]
+    if contradictions:
+        raise BadInputError("\n".join(contradictions))
+    try:
+        make_reference(tables.reference.kind, tables.reference.options)
+    except BadInputError as error:
+        raise BadInputError(f"{_place_of_reference(tree, str(error), scenario)}: {error}") from error
+    return tables
+
+
+def _place_of_reference(tree: Tree, message: str, scenario: str) -> str:
+    """Return where the key was given that a complaint about the reference names first."""
+    paths = [path for path, _ in layers.leaves(tree["reference"], ("reference",))]
+    named = [(m.start(), path) for path in paths for m in re.finditer(rf"\b{re.escape(path[-1])}\b", message)]
+    return place(tree, min(named)[1] if named else ("reference",), scenario)
+
+
+def _contradictions(tables: Tables) -> Iterator[tuple[str, object, str]]:
+    """Yield key, value and expectation of what cannot work together."""
+    firmware, loop, robot = tables.firmware, tables.loop, tables.robot
+    period_s = 1.0 / loop.rate_hz
+    if firmware.watchdog_s <= period_s:
+        yield (
+            "firmware.watchdog_s",
+            firmware.watchdog_s,
+            f"expected more than the command period of {period_s:g} s, or every command would come too late",
+        )
+    if firmware.overspeed_rad_s <= robot.speed_limit_rad_s:
+        yield (
+            "firmware.overspeed_rad_s",
+            firmware.overspeed_rad_s,
+            f"expected more than robot.speed_limit_rad_s = {robot.speed_limit_rad_s:g}, "
+            "or the robot would trip at a speed that it may be told",
+        )
+    turns = firmware.overspeed_rad_s * period_s / math.tau
+    if firmware.counts_per_revolution * turns >= _HALF_TURN_COUNTS:
+        yield (
+            "firmware.counts_per_revolution",
+            firmware.counts_per_revolution,
+            f"expected fewer than {_HALF_TURN_COUNTS / turns:.0f}, so that at overspeed a 16-bit count "
+            "cannot go half round between two feedbacks; or raise loop.rate_hz",
+        )

@@ -1,0 +1,137 @@
+"""Layers of a scenario: trees of values that remember where each was given, and how they are put together.
+
+Tables merge key by key, the later layer wins. Everything else, arrays of tables too, is replaced as a whole.
+A layer that names another ``controller.law`` or ``reference.kind`` drops the options of the one before: they
+belong to that law or kind.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import NamedTuple
+
+from hil.errors import BadInputError
+
+Path = tuple[str, ...]
+"""Keys from the root to a value; a row of an array of tables is its number as text."""
+
+
+class Given(NamedTuple):
+    """A value of a scenario, and where it was given."""
+
+    value: object
+    where: str
+
+
+Node = dict[str, "Node"] | list["Node"] | Given
+Tree = dict[str, Node]
+
+# table, the key that chooses, and the keys that do not belong to the choice
+_CHOICES = (("controller", "law", ("command",)), ("reference", "kind", ()))
+
+
+def dotted(path: Path) -> str:
+    """Return the path as it is written in messages, in --set and by `hil show`."""
+    return ".".join(path)
+
+
+def make_layer(raw: Mapping[str, object], where: Callable[[Path], str]) -> Tree:
+    """Return the layer for a parsed document; ``where`` tells where the value at a path was given."""
+    tree = {str(key): _annotate(value, where, (str(key),)) for key, value in raw.items()}
+    _flatten_start(tree)
+    return tree
+
+
+def stack(below: Tree, above: Tree) -> Tree:
+    """Return both layers as one, ``above`` winning. Neither is changed."""
+    kept = dict(below)
+    for table, key, common in _CHOICES:
+        old, new = below.get(table), above.get(table)
+        if isinstance(old, dict) and isinstance(new, dict) and _differs(old.get(key), new.get(key)):
+            kept[table] = {name: node for name, node in old.items() if name in common}
+    return merge(kept, above)
+
+
+def merge(below: Tree, above: Tree) -> Tree:
+    """Return ``below`` with the values of ``above``: tables merge, everything else is replaced."""
+    merged = dict(below)
+    for key, node in above.items():
+        old = merged.get(key)
+        merged[key] = merge(old, node) if isinstance(old, dict) and isinstance(node, dict) else node
+    return merged
+
+
+def assign(tree: Tree, key: str, value: object, where: str) -> Tree:
+    """Return the tree with one dotted key set, such as ``robot.mass_kg`` or ``expect.0.below``.
+
+    Raises BadInputError when the key is malformed or names a row that is not there.
+    """
+    path = tuple(key.split("."))
+    if not all(path):
+        raise BadInputError(f"{where} {key!r}: expected a dotted key such as robot.mass_kg")
+    rows = tree.get(path[0])
+    numbered = len(path) > 1 and path[1].isdecimal()
+    if len(path) == 1 or not (numbered or isinstance(rows, list)):
+        return stack(tree, make_layer(_nested(path, value), lambda _: where))
+    if not isinstance(rows, list):
+        rows = []
+    if not numbered or int(path[1]) >= len(rows):
+        if not rows:
+            raise BadInputError(f"{where} {key}: there is no [[{path[0]}]] to change; add one to a file")
+        raise BadInputError(
+            f"{where} {key}: expected {path[0]}.N.KEY with the row N from 0 to {len(rows) - 1}"
+        )
+    index = int(path[1])
+    row = rows[index]
+    above = make_layer(_nested(path[2:], value), lambda _: where) if len(path) > 2 else None
+    changed: Node = Given(value, where)
+    if above is not None:
+        changed = merge(row, above) if isinstance(row, dict) else above
+    return {**tree, path[0]: [*rows[:index], changed, *rows[index + 1 :]]}
+
+
+def leaves(node: Node, path: Path = ()) -> Iterator[tuple[Path, Given]]:
+    """Yield every value below a node with its path, in order."""
+    if isinstance(node, Given):
+        yield path, node
+        return
+    children = node.items() if isinstance(node, dict) else ((str(i), row) for i, row in enumerate(node))
+    for key, child in children:
+        yield from leaves(child, (*path, key))
+
+
+def plain(node: Node) -> object:
+    """Return the values alone: tables as dictionaries, arrays as tuples."""
+    if isinstance(node, Given):
+        return _frozen(node.value)
+    if isinstance(node, dict):
+        return {key: plain(child) for key, child in node.items()}
+    return tuple(plain(child) for child in node)
+
+
+def _annotate(value: object, where: Callable[[Path], str], path: Path) -> Node:
+    if isinstance(value, Mapping):
+        return {str(key): _annotate(child, where, (*path, str(key))) for key, child in value.items()}
+    if isinstance(value, list | tuple) and value and all(isinstance(row, Mapping) for row in value):
+        return [_annotate(row, where, (*path, str(i))) for i, row in enumerate(value)]
+    return Given(value, where(path))
+
+
+def _flatten_start(tree: Tree) -> None:
+    """Make ``wheel.fl.angle_rad = 1`` under ``[plant.start]`` the variable of that dotted name."""
+    plant = tree.get("plant")
+    if isinstance(plant, dict) and isinstance(plant.get("start"), dict):
+        start = plant["start"]
+        plant["start"] = {dotted(path): given for path, given in leaves(start)}
+
+
+def _differs(old: Node | None, new: Node | None) -> bool:
+    return isinstance(old, Given) and isinstance(new, Given) and old.value != new.value
+
+
+def _nested(path: Path, value: object) -> dict[str, object]:
+    for key in reversed(path[1:]):
+        value = {key: value}
+    return {path[0]: value}
+
+
+def _frozen(value: object) -> object:
+    return tuple(map(_frozen, value)) if isinstance(value, list | tuple) else value

@@ -1,0 +1,209 @@
+"""Loading a scenario: finding it, stacking its layers, validating the result.
+
+Layers, the later wins: built-in defaults, the chain of ``extends`` from its far end, the scenario's file, the
+robot's own file (--robot), the options of the command line (--mode, --link, --seed), --set.
+"""
+
+import numbers
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from hil.errors import BadInputError, nearest
+from hil.scenario import layers
+from hil.scenario.check import check, derived
+from hil.scenario.layers import Given, Tree
+from hil.scenario.run import Scenario, values
+from hil.scenario.tables import is_path
+from hil.scenario.toml_text import key_lines, parse, parse_value
+
+SHIPPED_DIRECTORY = Path(__file__).parent.parent / "scenarios"
+ROBOT_TABLES = ("robot", "firmware", "device", "link")
+"""What a robot's own file may hold, so that any scenario runs on it."""
+
+_SUFFIX = ".toml"
+_OPTIONS = {"mode": "loop.mode", "link": "link.url", "seed": "loop.seed"}
+_SET = "--set"
+_CHOICES = ("controller.law", "reference.kind")
+
+
+class _File(NamedTuple):
+    """A TOML file that was read: ``display`` is its name in messages, as the user wrote it."""
+
+    path: Path
+    display: str
+    document: dict[str, object]
+    lines: dict[layers.Path, int]
+
+    def layer(self) -> Tree:
+        """Return the file's tables as a layer; every value knows its file and line."""
+        tables = {key: value for key, value in self.document.items() if key != "extends"}
+        return layers.make_layer(tables, self.where)
+
+    def where(self, path: layers.Path) -> str:
+        """Return ``file:line`` for the value at a path; a value in an inline table has its table's line."""
+        for end in range(len(path), 0, -1):
+            if path[:end] in self.lines:
+                return f"{self.display}:{self.lines[path[:end]]}"
+        return self.display
+
+
+def shipped() -> dict[str, str]:
+    """Return the shipped scenarios by name, each with the first comment line of its file."""
+    return {
+        path.stem: path.read_text("utf-8").partition("\n")[0].lstrip("# ").rstrip()
+        for path in sorted(SHIPPED_DIRECTORY.glob(f"*{_SUFFIX}"))
+    }
+
+
+def load(
+    name_or_path: str | Path,
+    *,
+    set: Mapping[str, object] | Sequence[str] = (),  # noqa: A002 - the name of the option
+    robot: str | Path | None = None,
+    mode: str | None = None,
+    link: str | None = None,
+    seed: int | None = None,
+) -> Scenario:
+    """Return the scenario of a shipped name, or of a path (with a slash or ``.toml``), validated and frozen.
+
+    ``set`` takes dotted keys with values, or texts ``key=value`` whose value is read as TOML and, where that
+    fails, as text. Relative paths in a file start from its folder, those in ``set`` from the current one.
+    Raises BadInputError, with one line for each problem.
+    """
+    scenario = _open_scenario(name_or_path, None)
+    directory = scenario.path.parent
+    tree: Tree = {}
+    for file in _chain(scenario):
+        tree = layers.stack(tree, _rebase(file.layer(), file.path.parent, directory))
+    if robot is not None:
+        tree = layers.stack(tree, _robot_layer(Path(robot)))
+    for option, choice in (("mode", mode), ("link", link), ("seed", seed)):
+        if choice is not None:
+            tree = layers.assign(tree, _OPTIONS[option], choice, f"--{option}")
+    for key, value in _assignments(set):
+        tree = layers.assign(tree, key, value, _SET)
+    tree = layers.merge(derived(tree), _rebase(tree, Path.cwd(), directory, only=_SET))
+    tables = check(tree, f"scenario {scenario.display}")
+    where = {layers.dotted(path): given.where for path, given in layers.leaves(tree)}
+    return Scenario(
+        **dict(tables),
+        name=scenario.path.stem,
+        path=None if directory == SHIPPED_DIRECTORY else scenario.path,
+        directory=directory,
+        provenance={key: where.get(key, "default") for key, _ in values(tables)},
+    )
+
+
+def _open_scenario(name: str | Path, extended_by: _File | None) -> _File:
+    """Read a shipped scenario by name, or a file by its path, relative to the one that extends it."""
+    text = str(name)
+    prefix = f"scenario {text}" if extended_by is None else _extends(extended_by, text)
+    if isinstance(name, str) and not is_path(name):
+        if name not in shipped():
+            beside = f"; a file is meant? write {name}{_SUFFIX}" if Path(f"{name}{_SUFFIX}").is_file() else ""
+            hint = beside or f"{nearest(name, shipped())}; the path of a file ends in {_SUFFIX}"
+            raise BadInputError(f"{prefix}: no shipped scenario has this name{hint}")
+        return _read(SHIPPED_DIRECTORY / f"{name}{_SUFFIX}", f"{name}{_SUFFIX}", prefix)
+    if extended_by is None:
+        return _read(Path.cwd() / text, text, prefix)
+    return _read(extended_by.path.parent / text, str(Path(extended_by.display).parent / text), prefix)
+
+
+def _extends(file: _File, name: object) -> str:
+    return f"scenario {file.where(('extends',))}: extends = {name!r}"
+
+
+def _chain(scenario: _File) -> list[_File]:
+    """Return the scenario's file and all that it extends, the base first."""
+    chain = [scenario]
+    while (extends := chain[-1].document.get("extends")) is not None:
+        if not isinstance(extends, str) or not extends:
+            raise BadInputError(
+                f"{_extends(chain[-1], extends)}; expected a shipped name or the path of a file"
+            )
+        base = _open_scenario(extends, chain[-1])
+        if base.path.resolve() in [file.path.resolve() for file in chain]:
+            circle = " -> ".join(file.display for file in [*chain, base])
+            raise BadInputError(
+                f"{_extends(chain[-1], extends)} leads back to itself: {circle}; remove one of them"
+            )
+        chain.append(base)
+    return chain[::-1]
+
+
+def _robot_layer(path: Path) -> Tree:
+    file = _read(path, f"--robot {path}", f"--robot {path}")
+    for key in file.document:
+        if key not in ROBOT_TABLES:
+            tables = ", ".join(f"[{table}]" for table in ROBOT_TABLES)
+            raise BadInputError(
+                f"{file.display}: {key!r} has no place in a robot's file, which holds {tables}"
+                f"{nearest(key, ROBOT_TABLES)}"
+            )
+    return file.layer()
+
+
+def _read(path: Path, display: str, prefix: str) -> _File:
+    """Read and parse one file; ``prefix`` begins the message when that fails."""
+    try:
+        text = path.read_text("utf-8-sig")
+    except FileNotFoundError:
+        raise BadInputError(f"{prefix}: there is no file {str(path)!r}") from None
+    except OSError as error:
+        raise BadInputError(f"{prefix}: {str(path)!r} cannot be read: {error.strerror}") from error
+    except ValueError as error:  # not UTF-8, or a zero byte in the path
+        raise BadInputError(
+            f"{prefix}: {str(path)!r} cannot be read as TOML text in UTF-8: {error}"
+        ) from error
+    return _File(path, display, parse(text, prefix), key_lines(text))
+
+
+def _assignments(given: Mapping[str, object] | Sequence[str]) -> list[tuple[str, object]]:
+    """Return the keys and values of ``set``.
+
+    The choice of a law drops the gains of another, so it goes first, wherever it stands on the command line.
+    """
+    if isinstance(given, Mapping):
+        pairs = [(str(key), _plain_python(value)) for key, value in given.items()]
+    else:
+        pairs = [_key_and_value(text) for text in ([given] if isinstance(given, str) else given)]
+    for key, _ in pairs:
+        if key == "extends":
+            raise BadInputError(f"{_SET} extends: only a file can extend another; name that scenario instead")
+    return sorted(pairs, key=lambda pair: pair[0] not in _CHOICES)
+
+
+def _key_and_value(text: str) -> tuple[str, object]:
+    key, equals, value = text.partition("=")
+    if not equals or not key.strip():
+        raise BadInputError(f"{_SET} {text}: expected key=value, such as robot.mass_kg=24")
+    return key.strip(), parse_value(value.strip())
+
+
+def _plain_python(value: object) -> object:
+    """Return a value of a caller as TOML would hold it: paths as text, NumPy's numbers as Python's."""
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if isinstance(value, Mapping):
+        return {str(key): _plain_python(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain_python(item) for item in value]
+    if isinstance(value, bool) or not isinstance(value, numbers.Real):
+        return value
+    return int(value) if isinstance(value, numbers.Integral) else float(value)
+
+
+def _rebase(tree: Tree, source: Path, target: Path, only: str | None = None) -> Tree:
+    """Make relative paths of files absolute where they do not start from the scenario's own folder."""
+    if source == target:
+        return tree
+    for table, key, split in (("plant", "fmu", False), ("controller", "law", True)):
+        node = tree.get(table)
+        given = node.get(key) if isinstance(node, dict) else None
+        if isinstance(given, Given) and isinstance(given.value, str) and only in (None, given.where):
+            file, colon, name = given.value.rpartition(":") if split else (given.value, "", "")
+            if is_path(file) and (not split or file.endswith(".py")):
+                tree = layers.merge(tree, {table: {key: Given(f"{source / file}{colon}{name}", given.where)}})
+    return tree

@@ -1,0 +1,174 @@
+"""Sentences for what is wrong with a scenario: where it was given, the key, the value, what was expected."""
+
+import difflib
+from collections.abc import Iterator, Mapping
+from typing import Any, Literal, get_args, get_origin
+
+from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
+
+from hil.errors import nearest
+from hil.scenario.layers import Given, Node, Path, Tree, dotted, leaves
+from hil.scenario.tables import Table, Tables
+from hil.scenario.toml_text import format_value
+
+
+def describe(error: ValidationError, tree: Tree, scenario: str) -> list[str]:
+    """Return one sentence for each problem; ``scenario`` stands for the place of what was not given at all.
+
+    While a key is unknown nothing is said of missing ones: they are most likely the same mistake.
+    """
+    found = error.errors(include_url=False)
+    misspelt = any(problem["type"] == "extra_forbidden" for problem in found)
+    sentences = []
+    for problem in found:
+        path = tuple(str(part) for part in problem["loc"])
+        if problem["type"] == "missing":
+            if not misspelt:
+                sentences.append(f"{scenario}: {_missing(path)}")
+        elif problem["type"] == "extra_forbidden":
+            sentences.append(f"{place(tree, path, scenario)}: unknown key {dotted(path)}{did_you_mean(path)}")
+        else:
+            expected = _expected(problem, path)
+            sentences.append(complaint(tree, path, problem["input"], expected, scenario))
+    return sentences
+
+
+def complaint(tree: Tree, path: Path, value: object, expected: str, scenario: str) -> str:
+    """Return ``place: key = value; expected ...``, the value only if it is a single one."""
+    where = place(tree, path, scenario)
+    if isinstance(value, BaseModel | Mapping):
+        return f"{where}: {dotted(path)}: {expected}"
+    return f"{where}: {dotted(path)} = {format_value(value)}; {expected}"
+
+
+def place(tree: Tree, path: Path, scenario: str) -> str:
+    """Return where the value at a path, or the first one below it, was given."""
+    node: Node | None = tree
+    for key in path:
+        if isinstance(node, Given):
+            break
+        if isinstance(node, dict):
+            node = node.get(key)
+        elif isinstance(node, list) and key.isdigit() and int(key) < len(node):
+            node = node[int(key)]
+        else:
+            node = None
+    first = next(leaves(node), None) if node is not None else None
+    if first is None:
+        return scenario
+    where = first[1].where
+    return where if where.startswith("--") else f"scenario {where}"
+
+
+def did_you_mean(path: Path) -> str:
+    """Return the hint for an unknown key: its name in another table, or the nearest one here or anywhere."""
+    table, name = tuple(part for part in path[:-1] if not part.isdigit()), path[-1]
+    keys = _keys()
+    elsewhere = {key: dotted((*other, key)) for other, names in keys.items() for key in names if other}
+    here = keys.get(table, ())
+    if name in elsewhere:
+        return f"; did you mean {elsewhere[name]!r}?"
+    if not difflib.get_close_matches(name, here, n=1, cutoff=0.6):
+        found = difflib.get_close_matches(name, elsewhere, n=1, cutoff=0.6)
+        if found:
+            return f"; did you mean {elsewhere[found[0]]!r}?"
+    return nearest(name, here)
+
+
+def _keys() -> dict[Path, tuple[str, ...]]:
+    """Return the known keys of every table by its path; the root's keys are the tables."""
+
+    def below(model: type[BaseModel], path: Path) -> Iterator[tuple[Path, tuple[str, ...]]]:
+        yield path, tuple(model.model_fields)
+        for name, field in model.model_fields.items():
+            inner = _table(field)
+            if inner is not None:
+                yield from below(inner, (*path, name))
+
+    return dict(below(Tables, ()))
+
+
+def _table(field: FieldInfo) -> type[BaseModel] | None:
+    """Return the model of a table or of the rows of an array of tables."""
+    for kind in (field.annotation, *get_args(field.annotation)):
+        if isinstance(kind, type) and issubclass(kind, Table):
+            return kind
+    return None
+
+
+def _field(path: Path) -> FieldInfo | None:
+    model: type[BaseModel] | None = Tables
+    field: FieldInfo | None = None
+    for part in path:
+        if part.isdigit():
+            continue
+        if model is None:
+            return None
+        field = model.model_fields.get(part)
+        model = _table(field) if field is not None else None
+    return field
+
+
+def _missing(path: Path) -> str:
+    field = _field(path)
+    if field is not None and _table(field) is not None:
+        return f'the table [{dotted(path)}] is missing; write it, or start with extends = "paper_circle"'
+    return f"{dotted(path)} is missing; {_expected_of(field)}"
+
+
+def _expected(problem: Any, path: Path) -> str:
+    if problem["type"] == "value_error":
+        return str(problem["ctx"]["error"])
+    field, in_array = _field(path), path[-1].isdigit()
+    if in_array and field is not None:
+        choice = get_args(get_args(field.annotation)[0])
+        return f"expected {_either(choice)}" if choice else "expected a table"
+    if problem["type"] == "finite_number":
+        return _expected_of(field).replace("a number", "a finite number")
+    return _expected_of(field)
+
+
+def _expected_of(field: FieldInfo | None) -> str:
+    """Return what a field takes, from its type and its bounds."""
+    if field is None:  # an entry of a free-form table
+        return "expected a finite number"
+    kind, inner = field.annotation, _table(field)
+    if inner is not None:
+        many = get_origin(kind) is tuple
+        return "expected an array of tables: write [[...]], with two brackets" if many else "expected a table"
+    if get_origin(kind) is Literal:
+        return f"expected {_either(get_args(kind))}"
+    if get_origin(kind) is tuple:
+        return f"expected an array, each item {_either(get_args(get_args(kind)[0]))}"
+    if kind is str:
+        return "expected text in quotation marks"
+    if kind is bool:
+        return "expected true or false"
+    if kind not in (int, float) and float not in get_args(kind):
+        return "expected a table"
+    return f"expected a {'whole number' if kind is int else 'number'}{_range(field)}"
+
+
+def _either(choice: tuple[object, ...]) -> str:
+    *first, last = map(format_value, choice)
+    return f"{', '.join(first)} or {last}" if first else last
+
+
+def _range(field: FieldInfo) -> str:
+    bounds = {
+        name: f"{value:.12g}"
+        for name in ("gt", "ge", "le")
+        for value in (getattr(item, name, None) for item in field.metadata)
+        if value is not None
+    }
+    match bounds:
+        case {"gt": low, "le": high}:
+            return f" greater than {low} and at most {high}"
+        case {"gt": low}:
+            return f" greater than {low}"
+        case {"ge": low, "le": high}:
+            return f" from {low} to {high}"
+        case {"ge": low}:
+            return f" of at least {low}"
+    return ""

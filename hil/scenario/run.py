@@ -1,0 +1,74 @@
+"""The scenario itself: all tables validated and frozen, with its name, place, hash and provenance."""
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path, PurePath
+
+from pydantic import BaseModel, Field
+
+from hil.scenario.tables import Tables, is_path
+
+HASH_FORMAT = 1
+"""Counts changes of what the hash covers, so that two versions of this package do not agree by chance."""
+_ARRAYS_OF_TABLES = ("fault", "expect")
+
+
+class Scenario(Tables):
+    """A run as data. Built by ``hil.scenario.load``, which raises BadInputError for whatever is wrong."""
+
+    name: str
+    path: Path | None = Field(description="its file; None for a shipped one")
+    directory: Path = Field(description="what relative paths in it start from")
+    provenance: Mapping[str, str] = Field(description="where each dotted key was given, or 'default'")
+
+    @property
+    def fmu_path(self) -> Path | None:
+        """The FMU's file, or None when ``plant.fmu`` is the name of a shipped one."""
+        return self.directory / self.plant.fmu if is_path(self.plant.fmu) else None
+
+    @property
+    def hash(self) -> str:
+        """SHA-256, in hex, of what a controller and a device in two processes must agree on.
+
+        That is [robot], [plant], [firmware], the wheel map of [device], loop.rate_hz and loop.seed, resolved:
+        it does not matter in which file or order they were given. A path to an FMU counts by its last part.
+        The rest (link, mode, controller, reference, faults, expectations) concerns one process alone.
+        """
+        shared = {
+            "format": HASH_FORMAT,
+            "robot": dict(self.robot),
+            "plant": {"fmu": PurePath(self.plant.fmu).name, "start": dict(self.plant.start)},
+            "firmware": dict(self.firmware),
+            "device": {"wheels": self.device.wheels, "reversed": sorted(self.device.reversed)},
+            "loop": {"rate_hz": self.loop.rate_hz, "seed": self.loop.seed},
+        }
+        canonical = json.dumps(
+            shared, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False
+        )
+        return hashlib.sha256(canonical.encode("ascii")).hexdigest()
+
+
+def resolved(scenario: Scenario) -> list[tuple[str, object, str]]:
+    """Return every value of the scenario as (dotted key, value, where it was given), table by table.
+
+    Keys without a value (an expectation's unused ``above``) are left out.
+    """
+    return [(key, value, scenario.provenance[key]) for key, value in values(scenario)]
+
+
+def values(tables: Tables) -> Iterator[tuple[str, object]]:
+    """Yield every value that is there with its dotted key, in the order of the tables."""
+    for name in Tables.model_fields:
+        yield from _walk(getattr(tables, name), name)
+
+
+def _walk(value: object, key: str) -> Iterator[tuple[str, object]]:
+    if isinstance(value, BaseModel | Mapping):
+        for name, child in dict(value).items():
+            yield from _walk(child, f"{key}.{name}")
+    elif isinstance(value, tuple) and key in _ARRAYS_OF_TABLES:
+        for index, row in enumerate(value):
+            yield from _walk(row, f"{key}.{index}")
+    elif value is not None:
+        yield key, value

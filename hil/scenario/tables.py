@@ -1,0 +1,322 @@
+"""The tables of a scenario: every key once, with the unit in its name, its range, default and meaning.
+
+A key without a default has to be given: what describes the robot, its firmware and the run is never guessed.
+Ranges are physical sense and keep a value in the wrong unit out: a wheel radius of 75 is one in millimetres.
+The bounds of robot.speed_limit_rad_s, robot.torque_limit_n_m and firmware.overspeed_rad_s are what DBC
+WHEEL_COMMAND, TORQUE_COMMAND and WHEEL_SPEEDS can carry.
+"""
+
+import math
+import re
+from collections.abc import Mapping
+from pathlib import PurePath
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    PlainValidator,
+    field_validator,
+    model_validator,
+)
+
+from firmware_protocol.generated.messages import NAMES as MESSAGE_NAMES
+from hil.errors import BadInputError, nearest
+from hil.links.delay import FIRST_EXEMPT_ID
+from hil.links.url import parse_link
+from hil.signals import SIGNAL_NAMES
+from hil.types import WHEEL_NAMES
+
+TICKS_PER_SECOND = 1000  # the firmware loop
+LOWEST_RATE_HZ = 20  # two commands within the longest watchdog
+RATES_HZ = tuple(rate for rate in range(LOWEST_RATE_HZ, 1001) if TICKS_PER_SECOND % rate == 0)
+DRIVERS = ("stm32",)
+SHIPPED_FMUS = ("mecanum",)
+MUTABLE_MESSAGES = tuple(name for number, name in MESSAGE_NAMES.items() if number < FIRST_EXEMPT_ID)
+
+Scalar = float | int | bool | str
+OptionValue = Scalar | tuple[Scalar, ...]
+
+
+def is_path(name: str) -> bool:
+    """Return whether a name is a path to a file, and not the name of something shipped."""
+    return "/" in name or "\\" in name or PurePath(name).suffix != ""
+
+
+def _text(value: str) -> str:
+    if not value or re.search(r"[\x00-\x1f\x7f]", value):
+        raise ValueError("expected text of one line, not empty")
+    return value
+
+
+def _whole_milliseconds(value: float) -> float:
+    if abs(value * 1000.0 - round(value * 1000.0)) > 1e-6:
+        raise ValueError("expected a whole number of milliseconds, such as 0.025")
+    return value
+
+
+def _option(value: object) -> OptionValue:
+    """Accept what an option may be at all; its law or reference checks the names, types and ranges."""
+    if isinstance(value, tuple):
+        if not any(isinstance(item, tuple) for item in value):
+            return tuple(item for item in map(_option, value) if not isinstance(item, tuple))
+    elif isinstance(value, str | int) or (isinstance(value, float) and math.isfinite(value)):
+        return value
+    raise ValueError("expected a finite number, text, true or false, or an array of these")
+
+
+Text = Annotated[str, AfterValidator(_text)]
+Milliseconds = Annotated[float, AfterValidator(_whole_milliseconds)]
+Option = Annotated[Any, PlainValidator(_option)]
+Wheel = Literal["fl", "fr", "rr", "rl"]
+
+
+class Table(BaseModel):
+    """What all tables share: frozen, no unknown key, finite numbers, no conversion but int to float."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class RobotTable(Table):
+    """``[robot]``: what the controller believes; the letters are those of Nguyen Minh et al. 2023, AFDSC."""
+
+    mass_kg: float = Field(gt=0, le=10_000, description="mass with wheels")
+    inertia_kg_m2: float = Field(gt=0, le=100_000, description="yaw inertia of the whole robot, I")
+    wheel_radius_m: float = Field(gt=0, le=1, description="r")
+    half_length_m: float = Field(gt=0, le=10, description="centre to axle, forward, l1")
+    half_width_m: float = Field(gt=0, le=10, description="centre to wheel, sideways, l2")
+    wheel_inertia_kg_m2: float = Field(
+        ge=0, le=100, description="of one wheel and its motor about its axle, Ib"
+    )
+    friction_coefficient: float = Field(default=0.0, ge=0, le=2, description="rolling friction, mu in xi")
+    torque_limit_n_m: float = Field(gt=0, le=15.99609375, description="of one wheel")
+    speed_limit_rad_s: float = Field(gt=0, le=63.984375, description="of one wheel")
+
+
+class PlantTable(Table):
+    """``[plant]``: what stands behind the wire when no motors do."""
+
+    fmu: Text = Field(default="mecanum", description="a shipped name, or a path relative to this file")
+    start: Mapping[Text, float] = Field(
+        default_factory=dict,
+        description="FMU variables where the truth differs from [robot], or that only the plant has",
+    )
+
+    @field_validator("fmu")
+    @classmethod
+    def _known(cls, fmu: str) -> str:
+        if not is_path(fmu) and fmu not in SHIPPED_FMUS:
+            raise ValueError(f"expected a shipped FMU or a path to one{nearest(fmu, SHIPPED_FMUS)}")
+        return fmu
+
+
+class FirmwareTable(Table):
+    """``[firmware]``: what the firmware runs with. A real board's values are compared with these by hash."""
+
+    counts_per_revolution: int = Field(ge=1, le=65_536, description="encoder counts of one turn of a wheel")
+    torque_limit_n_m: float = Field(gt=0, le=100, description="of one wheel; all four are scaled together")
+    torque_constant_n_m_a: float = Field(gt=0, le=100, description="torque at the wheel for one ampere")
+    tracking_bandwidth_rad_s: float = Field(
+        default=150.0, ge=1, le=500, description="of the filter that estimates speed"
+    )
+    speed_kp_n_m_s_rad: float = Field(default=1.1, ge=0, le=100, description="speed loop, proportional")
+    speed_ki_n_m_rad: float = Field(default=25.0, ge=0, le=10_000, description="speed loop, integral")
+    watchdog_s: Milliseconds = Field(
+        default=0.1,
+        ge=0.02,
+        le=0.1,
+        description="silence that stops the wheels; by default 5 command periods",
+    )
+    ramp_s: Milliseconds = Field(default=0.2, ge=0, le=2, description="from the set point in force to zero")
+    overspeed_rad_s: float = Field(
+        default=100.0, gt=0, le=127.99609375, description="wheel speed that is a fault"
+    )
+
+
+class DeviceTable(Table):
+    """``[device]``: how the robot is reached and wired."""
+
+    driver: Text = Field(default="stm32", description="who speaks to the board")
+    wheels: tuple[Wheel, ...] = Field(
+        default=("fl", "fr", "rr", "rl"), description="the wheel at each motor output, in order"
+    )
+    reversed: tuple[Wheel, ...] = Field(default=(), description="wheels whose motor turns the other way")
+
+    @field_validator("driver")
+    @classmethod
+    def _known(cls, driver: str) -> str:
+        if driver not in DRIVERS:
+            raise ValueError(f"expected the name of a driver{nearest(driver, DRIVERS)}")
+        return driver
+
+    @field_validator("wheels")
+    @classmethod
+    def _all_four(cls, wheels: tuple[Wheel, ...]) -> tuple[Wheel, ...]:
+        if sorted(wheels) != sorted(WHEEL_NAMES):
+            raise ValueError('expected each of "fl", "fr", "rr" and "rl" once')
+        return wheels
+
+    @field_validator("reversed")
+    @classmethod
+    def _no_doubles(cls, wheels: tuple[Wheel, ...]) -> tuple[Wheel, ...]:
+        if len(set(wheels)) != len(wheels):
+            raise ValueError("expected each wheel at most once")
+        return wheels
+
+
+class LinkTable(Table):
+    """``[link]``: the wire, and the latency added to it, in robot time."""
+
+    url: Text = Field(default="memory:", description="memory:, serial:PATH or can:INTERFACE/CHANNEL")
+    command_latency_s: float = Field(default=0.0, ge=0, le=1, description="added on the way to the firmware")
+    feedback_latency_s: float = Field(default=0.0, ge=0, le=1, description="added on the way back")
+
+    @field_validator("url")
+    @classmethod
+    def _readable(cls, url: str) -> str:
+        try:
+            parse_link(url)
+        except BadInputError as error:
+            raise ValueError(str(error)) from error
+        return url
+
+
+class ControllerTable(Table):
+    """``[controller]``: the law. Its gains are its own and are checked against the law when it is made."""
+
+    law: Text = Field(description="a shipped name, ./my_law.py:MyLaw or package.module:Class")
+    command: Literal["speed", "torque"] = Field(
+        default="speed", description="what the wheels are told; fixed at arming"
+    )
+    gains: Mapping[Text, Option] = Field(default_factory=dict, description="the law's own numbers")
+
+
+class ReferenceTable(Table):
+    """``[reference]``: the path to follow. Keys other than ``kind`` are the kind's own; it checks them."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, Option] = Field(init=False)
+
+    kind: Text = Field(description="circle, hold, ...")
+
+    @property
+    def options(self) -> Mapping[str, OptionValue]:
+        """Every key but ``kind``."""
+        return dict(self.__pydantic_extra__)
+
+
+class EstimatorTable(Table):
+    """``[estimator]``: where the state that the controller acts on comes from."""
+
+    source: Literal["truth", "odometry"] = Field(
+        default="truth", description="true pose, or wheels and gyro alone"
+    )
+
+
+class LoopTable(Table):
+    """``[loop]``: the controller's tick."""
+
+    rate_hz: int = Field(description="a command period is a whole number of 1 ms firmware ticks")
+    duration_s: float = Field(gt=0, le=86_400, description="from the first ACTIVE tick")
+    mode: Literal["lockstep", "realtime"] = Field(default="lockstep", description="whose time passes")
+    seed: int = Field(default=1, ge=0, le=2**32 - 1, description="of everything random in the run")
+
+    @field_validator("rate_hz")
+    @classmethod
+    def _whole_ticks(cls, rate_hz: int) -> int:
+        if rate_hz not in RATES_HZ:
+            raise ValueError(
+                f"expected one of {', '.join(map(str, RATES_HZ))}, a whole number of ms a period"
+            )
+        return rate_hz
+
+    @property
+    def period_ns(self) -> int:
+        """Command period [ns]."""
+        return 1_000_000_000 // self.rate_hz
+
+    @property
+    def substeps(self) -> int:
+        """Firmware ticks of 1 ms in a command period (DBC STEP.substeps)."""
+        return TICKS_PER_SECOND // self.rate_hz
+
+
+class FaultTable(Table):
+    """``[[fault]]``: frames lost, doubled or silenced on the link, in the scenario's time.
+
+    ``drop`` and ``duplicate`` take the direction ``command`` or ``feedback`` and a probability a frame;
+    ``mute`` takes the name of a DBC message. The window is start_s <= t < end_s; by default the whole run.
+    """
+
+    kind: Literal["drop", "duplicate", "mute"]
+    target: Text = Field(description="command or feedback; for mute a message such as WHEEL_COMMAND")
+    start_s: float = Field(default=0.0, ge=0)
+    end_s: float = Field(default=math.inf, gt=0, allow_inf_nan=True)
+    value: float = Field(default=1.0, gt=0, le=1, description="probability")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "FaultTable":
+        known: tuple[str, ...] = ("command", "feedback")
+        if self.kind == "mute":
+            known = MUTABLE_MESSAGES
+            if self.value != 1.0:
+                raise ValueError("mute takes no value: it silences every frame of the message; remove value")
+        if self.target not in known:
+            what = "a message" if self.kind == "mute" else "a direction"
+            raise ValueError(
+                f"target = {self.target!r} is not {what} for {self.kind}{nearest(self.target, known)}"
+            )
+        if self.end_s <= self.start_s:
+            raise ValueError(f"end_s = {self.end_s} is not after start_s = {self.start_s}")
+        return self
+
+
+class ExpectTable(Table):
+    """``[[expect]]``: the signal stays below or above a value, or both, in from_s <= t <= to_s of the run."""
+
+    signal: Text = Field(description="a dotted name of the vocabulary")
+    from_s: float = Field(default=0.0, ge=0)
+    to_s: float = Field(default=math.inf, gt=0, allow_inf_nan=True)
+    below: float | None = None
+    above: float | None = None
+
+    @field_validator("signal")
+    @classmethod
+    def _known(cls, signal: str) -> str:
+        if signal not in SIGNAL_NAMES:
+            raise ValueError(f"expected the name of a signal{_nearest_signal(signal)}")
+        return signal
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "ExpectTable":
+        if self.below is None and self.above is None:
+            raise ValueError("needs below or above, or both")
+        if self.below is not None and self.above is not None and self.above >= self.below:
+            raise ValueError(f"above = {self.above} is not less than below = {self.below}: no value can pass")
+        if self.to_s < self.from_s:
+            raise ValueError(f"to_s = {self.to_s} is before from_s = {self.from_s}")
+        return self
+
+
+def _nearest_signal(signal: str) -> str:
+    """Return the nearest signal; the whole vocabulary is too long for a sentence."""
+    hint = nearest(signal, SIGNAL_NAMES)
+    return hint if "did you mean" in hint else "; `hil list signals` prints them all"
+
+
+class Tables(Table):
+    """All tables of a scenario, in the order in which they are written and shown."""
+
+    robot: RobotTable
+    plant: PlantTable = PlantTable()
+    firmware: FirmwareTable
+    device: DeviceTable = DeviceTable()
+    link: LinkTable = LinkTable()
+    controller: ControllerTable
+    reference: ReferenceTable
+    estimator: EstimatorTable = EstimatorTable()
+    loop: LoopTable
+    fault: tuple[FaultTable, ...] = ()
+    expect: tuple[ExpectTable, ...] = ()

@@ -1,0 +1,102 @@
+"""TOML as text: reading it with the line of every key, and writing one value."""
+
+import json
+import math
+import tomllib
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from hil.errors import BadInputError
+from hil.scenario.layers import Path
+
+
+def parse(text: str, name: str) -> dict[str, Any]:
+    """Return the parsed document. Raises BadInputError with its name, the line and what is wrong."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        last_line = text.rstrip().count("\n") + 1
+        what = str(error).replace("at end of document", f"at line {last_line}, the end of the document")
+        raise BadInputError(f"{name}: not valid TOML: {what}") from error
+    except RecursionError:
+        raise BadInputError(f"{name}: not readable: arrays or tables are nested too deeply") from None
+
+
+def parse_value(text: str) -> object:
+    """Return what ``text`` means as a TOML value (``24``, ``[1, 2]``), or the text itself (``memory:``)."""
+    try:
+        document = tomllib.loads(f"value = {text}")
+    except (tomllib.TOMLDecodeError, RecursionError):
+        return text
+    # A line break in the text would smuggle further keys in.
+    return document["value"] if len(document) == 1 else text
+
+
+def key_lines(text: str) -> dict[Path, int]:
+    """Return the line on which each key of a valid document is given.
+
+    The standard library's parser keeps no positions. But a statement of TOML ends with a line, and one of
+    several lines (an array, a text) is not valid before its last: so the document is parsed again, one
+    statement at a time.
+    """
+    lines: dict[Path, int] = {}
+    header: Path = ()
+    last_row: dict[Path, int] = {}
+    statement, first_line = "", 1
+    for number, line in enumerate(text.replace("\r\n", "\n").split("\n"), start=1):
+        if not statement:
+            first_line = number
+        statement += line + "\n"
+        try:
+            parsed = tomllib.loads(statement)
+        except tomllib.TOMLDecodeError:
+            continue
+        if statement.lstrip().startswith("["):
+            header = _header(parsed, last_row)
+        else:
+            lines.update({(*header, *path): first_line for path in _leaf_paths(parsed)})
+        statement = ""
+    return lines
+
+
+def format_value(value: object) -> str:
+    """Return a value as TOML writes it; what TOML has no word for as Python does."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, float):
+        return repr(value) if math.isfinite(value) else str(value)
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(format_value, value))}]"
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{key} = {format_value(item)}' for key, item in value.items())}}}"
+    return str(value)
+
+
+def _header(parsed: dict[str, Any], last_row: dict[Path, int]) -> Path:
+    """Return the path that ``[a.b]`` or ``[[a]]`` opens, counting the rows of arrays of tables."""
+    path: Path = ()
+    node: Any = parsed
+    while node:
+        key, node = next(iter(node.items()))
+        path = (*path, key)
+        if isinstance(node, list):
+            last_row[path] = last_row.get(path, -1) + 1
+            node = None
+        if path in last_row:
+            path = (*path, str(last_row[path]))
+    return path
+
+
+def _leaf_paths(node: Any, path: Path = ()) -> Iterator[Path]:
+    if isinstance(node, dict) and node:
+        children: Any = node.items()
+    elif isinstance(node, list) and node and all(isinstance(row, dict) for row in node):
+        children = ((str(i), row) for i, row in enumerate(node))
+    else:
+        if path:
+            yield path
+        return
+    for key, child in children:
+        yield from _leaf_paths(child, (*path, key))

@@ -1,0 +1,158 @@
+"""Where each signal lies in a recording: few entities, each a vector of signals of one kind.
+
+The number of entities, not of signals, drives a recording's size and cost. Which signals an entity holds is
+stored in the file, so that a reader needs no table of its own and an old file stays readable when the
+vocabulary grows.
+"""
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+from hil.types import WHEEL_NAMES
+
+Colour = tuple[int, int, int]
+
+REFERENCE_COLOUR: Colour = (244, 162, 58)
+TRUTH_COLOUR: Colour = (74, 163, 255)
+ESTIMATE_COLOUR: Colour = (97, 201, 122)
+X_COLOUR: Colour = (238, 102, 119)
+Y_COLOUR: Colour = (97, 201, 122)
+HEADING_COLOUR: Colour = (187, 134, 252)
+PLAIN_COLOUR: Colour = (220, 220, 220)
+ALARM_COLOUR: Colour = (235, 87, 87)
+_WHEEL_COLOURS: tuple[Colour, ...] = ((86, 180, 233), (230, 159, 0), (0, 190, 140), (214, 117, 176))
+_AXIS_COLOURS = (X_COLOUR, Y_COLOUR, HEADING_COLOUR)
+
+
+class Series(NamedTuple):
+    """One signal as it is drawn: its name in the vocabulary, in the legend, and its colour."""
+
+    signal: str
+    label: str
+    colour: Colour
+
+
+class Entity(NamedTuple):
+    """A path of the recording and the signals that it holds, in the order of its vector."""
+
+    path: str
+    series: tuple[Series, ...]
+    width_px: float = 1.5
+
+
+def _wheels(path: str, quantity: str) -> Entity:
+    series = (
+        Series(f"wheel.{wheel}.{quantity}", wheel.upper(), colour)
+        for wheel, colour in zip(WHEEL_NAMES, _WHEEL_COLOURS, strict=True)
+    )
+    return Entity(path, tuple(series))
+
+
+def _wide_wheels(path: str, quantity: str) -> Entity:
+    """Wheels drawn wide and dim, so that the same wheels of another entity show on top of them."""
+    series = (
+        one._replace(label=f"{one.label} cmd", colour=_dim(one.colour))
+        for one in _wheels(path, quantity).series
+    )
+    return Entity(path, tuple(series), width_px=5.0)
+
+
+def _dim(colour: Colour) -> Colour:
+    red, green, blue = (channel // 2 for channel in colour)
+    return red, green, blue
+
+
+def _axes(path: str, *signals: str) -> Entity:
+    """Three signals of x, y and heading."""
+    labels = ("x", "y", "heading")
+    return Entity(path, tuple(Series(*one) for one in zip(signals, labels, _AXIS_COLOURS, strict=True)))
+
+
+def _pose(path: str, group: str) -> Entity:
+    return _axes(path, f"{group}.x_m", f"{group}.y_m", f"{group}.heading_rad")
+
+
+def _twist(path: str, group: str) -> Entity:
+    return _axes(path, f"{group}.vx_m_s", f"{group}.vy_m_s", f"{group}.yaw_rate_rad_s")
+
+
+def _gains(path: str, gain: str) -> Entity:
+    return _axes(path, f"gain.{gain}_x_1_s", f"gain.{gain}_y_1_s", f"gain.{gain}_heading_1_s")
+
+
+_ENTITIES = (
+    Entity("/loop/clock", (Series("loop.t_s", "t", PLAIN_COLOUR), Series("loop.tick", "tick", PLAIN_COLOUR))),
+    Entity(
+        "/loop/timing",
+        (
+            Series("loop.tick_us", "work of a tick", TRUTH_COLOUR),
+            Series("loop.lateness_us", "lateness", REFERENCE_COLOUR),
+        ),
+    ),
+    Entity("/loop/deadline_misses", (Series("loop.deadline_misses", "deadline misses", ALARM_COLOUR),)),
+    _pose("/ctrl/pose/reference", "reference"),
+    _twist("/ctrl/twist/reference", "reference"),
+    _pose("/ctrl/pose/estimate", "pose"),
+    _twist("/ctrl/twist/estimate", "twist"),
+    _pose("/ctrl/pose/truth", "truth"),
+    Entity(
+        "/ctrl/error/position",
+        (
+            Series("error.x_m", "x", X_COLOUR),
+            Series("error.y_m", "y", Y_COLOUR),
+            Series("error.planar_m", "planar", PLAIN_COLOUR),
+        ),
+    ),
+    Entity("/ctrl/error/heading", (Series("error.heading_rad", "heading", HEADING_COLOUR),)),
+    _gains("/ctrl/gain/k1", "k1"),
+    _gains("/ctrl/gain/k2", "k2"),
+    # "command" sorts before "speed": the viewer draws in the order of the paths.
+    _wide_wheels("/ctrl/wheel/command/speed", "speed_command_rad_s"),
+    _wheels("/ctrl/wheel/speed", "speed_rad_s"),
+    _wheels("/ctrl/wheel/command/torque", "torque_command_n_m"),
+    _wheels("/ctrl/wheel/current", "current_a"),
+    Entity("/ctrl/guard", (Series("guard.saturated", "saturated", ALARM_COLOUR),)),
+    Entity("/robot/clock", (Series("robot.time_s", "robot time", PLAIN_COLOUR),)),
+    Entity("/robot/state_code", (Series("robot.state", "state", PLAIN_COLOUR),)),
+    Entity("/robot/gyro", (Series("robot.yaw_rate_rad_s", "yaw rate", HEADING_COLOUR),)),
+    Entity(
+        "/link/age",
+        (
+            Series("robot.command_age_ms", "command", REFERENCE_COLOUR),
+            Series("link.feedback_age_ms", "feedback", TRUTH_COLOUR),
+        ),
+    ),
+    Entity(
+        "/link/frames",
+        (
+            Series("link.sent", "sent", REFERENCE_COLOUR),
+            Series("link.received", "received", TRUTH_COLOUR),
+            Series("link.rejected", "rejected", ALARM_COLOUR),
+        ),
+    ),
+)
+
+
+def layout(signals: Sequence[str]) -> tuple[Entity, ...]:
+    """Return the entities that hold exactly these signals.
+
+    Signals that the table above does not place go to ``/more/GROUP``, one entity for each first part of a
+    name.
+    """
+    missing = dict.fromkeys(signals)
+    placed = []
+    for entity in _ENTITIES:
+        series = tuple(one for one in entity.series if one.signal in missing)
+        if series:
+            placed.append(entity._replace(series=series))
+            for one in series:
+                del missing[one.signal]
+    return (*placed, *_remaining(missing))
+
+
+def _remaining(signals: Iterable[str]) -> list[Entity]:
+    groups: dict[str, list[Series]] = {}
+    for signal in signals:
+        group, _, label = signal.partition(".")
+        groups.setdefault(group, []).append(Series(signal, label or signal, PLAIN_COLOUR))
+    return [Entity(f"/more/{group}", tuple(series)) for group, series in groups.items()]

@@ -1,0 +1,14 @@
+"""Names that the writer and the reader of a recording share."""
+
+APPLICATION = "mecanum-hil"
+RUN_PROPERTY = "run"
+SIGNALS_PROPERTY = "signals"
+SUMMARY_PROPERTY = "summary"
+RECORDER_PROPERTY = "recorder"
+
+
+def state_names() -> dict[int, str]:
+    """Return the names of the robot's states by number (DBC TICK.state)."""
+    from firmware_protocol.generated.messages import State
+
+    return {int(state): state.name for state in State}

@@ -1,0 +1,144 @@
+"""Ring of float rows between one producer and one consumer, in memory that two processes share.
+
+``head`` and ``tail`` count rows from the start and never wrap; only the producer writes ``head``, only the
+consumer writes ``tail``. Each is stored as one aligned 64-bit word, so that the other side sees the old or
+the new value. Python has no memory barrier: a consumer on a processor with weak ordering must not read a row
+the moment ``head`` covers it. The recorder reads up to the ``head`` of its previous poll, milliseconds old.
+"""
+
+import struct
+
+import numpy as np
+import numpy.typing as npt
+
+from hil.telemetry.memory import SharedBlock
+
+# Words of the header, 8 bytes each. What the two sides write lies in cache lines of its own.
+_CAPACITY, _WIDTH, _HEAD, _DROPPED, _TAIL, _SAVED = 0, 1, 8, 9, 16, 17
+_HEADER_BYTES = 192
+
+
+def ring_bytes(capacity: int, width: int) -> int:
+    """Return the size [byte] of a block that holds ``capacity`` rows of ``width`` floats."""
+    return _HEADER_BYTES + capacity * width * 8
+
+
+class RingWriter:
+    """The producer's side.
+
+    Raises ValueError for a capacity or width below one.
+    """
+
+    def __init__(self, block: SharedBlock, capacity: int, width: int) -> None:
+        if capacity < 1 or width < 1:
+            raise ValueError(f"ring of {capacity} rows of {width} floats: both must be at least 1")
+        self._words = block.buffer[:_HEADER_BYTES].cast("q")
+        self._rows = block.buffer[_HEADER_BYTES : ring_bytes(capacity, width)]
+        self._pack_into = struct.Struct(f"{width}d").pack_into
+        self._row_bytes = width * 8
+        self._capacity = capacity
+        self._head = 0
+        self._tail_seen = 0
+        self._words[_CAPACITY] = capacity
+        self._words[_WIDTH] = width
+
+    @property
+    def head(self) -> int:
+        """Rows put so far, without the dropped ones."""
+        return self._head
+
+    @property
+    def tail(self) -> int:
+        """Rows that the consumer is done with."""
+        return self._words[_TAIL]
+
+    @property
+    def saved(self) -> int:
+        """Rows that the consumer said are safe."""
+        return self._words[_SAVED]
+
+    @property
+    def dropped(self) -> int:
+        """Rows dropped because the ring was full."""
+        return self._words[_DROPPED]
+
+    def try_put(self, row: tuple[float, ...]) -> bool:
+        """Store one row; return False, and store and count nothing, when the ring is full.
+
+        Raises struct.error when the row has another width or holds something that is not a number.
+        """
+        head = self._head
+        if head - self._tail_seen >= self._capacity:
+            self._tail_seen = self._words[_TAIL]
+            if head - self._tail_seen >= self._capacity:
+                return False
+        self._pack_into(self._rows, head % self._capacity * self._row_bytes, *row)
+        self._head = self._words[_HEAD] = head + 1
+        return True
+
+    def count_dropped(self) -> None:
+        """Count one row that was given up."""
+        self._words[_DROPPED] += 1
+
+    def close(self) -> None:
+        """Release the views of the block, so that it can be closed."""
+        self._words.release()
+        self._rows.release()
+
+
+class RingReader:
+    """The consumer's side. Raises ValueError when the block is smaller than its header says."""
+
+    def __init__(self, block: SharedBlock) -> None:
+        self._words = block.buffer[:_HEADER_BYTES].cast("q")
+        self.capacity = self._words[_CAPACITY]
+        self.width = self._words[_WIDTH]
+        if self.capacity < 1 or self.width < 1 or len(block.buffer) < ring_bytes(self.capacity, self.width):
+            raise ValueError(f"ring of {self.capacity} rows of {self.width} floats does not fit its block")
+        self._rows = np.frombuffer(
+            block.buffer, dtype=np.float64, count=self.capacity * self.width, offset=_HEADER_BYTES
+        ).reshape(self.capacity, self.width)
+
+    @property
+    def head(self) -> int:
+        """Rows put so far; those from ``tail`` to here are in the ring."""
+        return self._words[_HEAD]
+
+    @property
+    def tail(self) -> int:
+        """Rows released so far."""
+        return self._words[_TAIL]
+
+    @property
+    def dropped(self) -> int:
+        """Rows that the producer dropped so far."""
+        return self._words[_DROPPED]
+
+    def rows(self, start: int, stop: int) -> npt.NDArray[np.float64]:
+        """Return a copy of the rows ``start`` to ``stop`` (exclusive), counted from the first ever put.
+
+        Raises IndexError for rows that are not in the ring.
+        """
+        if not self.tail <= start <= stop <= self.head:
+            raise IndexError(
+                f"rows {start} to {stop} are not in the ring, which holds {self.tail} to {self.head}"
+            )
+        return self._rows[np.arange(start, stop) % self.capacity]
+
+    def release(self, stop: int) -> None:
+        """Give the rows before ``stop`` back to the producer."""
+        self._words[_TAIL] = stop
+
+    @property
+    def saved(self) -> int:
+        """Rows that are safe."""
+        return self._words[_SAVED]
+
+    def mark_saved(self, count: int) -> None:
+        """Tell the producer that the first ``count`` rows are safe, whatever happens to this process."""
+        self._words[_SAVED] = count
+
+    def close(self) -> None:
+        """Release the views of the block, so that it can be closed."""
+        self._words.release()
+        del self._rows

@@ -1,0 +1,254 @@
+#include "instance.h"
+
+#include <stdarg.h>
+#include <stdio.h>
+#include <string.h>
+
+/* Past this many internal steps a communication step would look like a hang. */
+static const double MOST_INTERNAL_STEPS = 1e7;
+
+typedef enum { INPUT, OUTPUT, PARAMETER } causality;
+
+typedef struct {
+    const char *name;
+    plant_type type;
+    causality causality;
+    size_t offset; /* into plant_snapshot */
+    double start;
+    double min;
+    double max;
+} variable;
+
+#define ROW(reference, type_, causality_, member, start_, min_, max_, name_)                                 \
+    [reference] = {.name = name_,                                                                            \
+                   .type = PLANT_##type_,                                                                    \
+                   .causality = causality_,                                                                  \
+                   .offset = offsetof(plant_snapshot, member),                                               \
+                   .start = start_,                                                                          \
+                   .min = min_,                                                                              \
+                   .max = max_},
+static const variable VARIABLES[MECANUM_VARIABLE_COUNT] = {MECANUM_VARIABLES(ROW)};
+#undef ROW
+
+static void store(plant_snapshot *snapshot, const variable *v, double value) {
+    char *const place = (char *)snapshot + v->offset;
+    if (v->type == PLANT_REAL) {
+        memcpy(place, &value, sizeof value);
+    } else {
+        const int32_t integer = (int32_t)value;
+        memcpy(place, &integer, sizeof integer);
+    }
+}
+
+void plant_init(plant_instance *plant, void (*report)(void *owner, const char *text), void *owner) {
+    /* memset, not an initialiser: padding too, so that equal states are equal bytes. */
+    memset(plant, 0, sizeof *plant);
+    plant->report = report;
+    plant->owner = owner;
+    plant->now.mode = PLANT_INSTANTIATED;
+    plant->now.outputs_stale = true;
+    for (size_t i = 0; i < MECANUM_VARIABLE_COUNT; i++) {
+        store(&plant->now, &VARIABLES[i], VARIABLES[i].start);
+    }
+}
+
+bool plant_fail(plant_instance *plant, const char *format, ...) {
+    char text[256];
+    va_list arguments;
+    va_start(arguments, format);
+    vsnprintf(text, sizeof text, format, arguments);
+    va_end(arguments);
+    plant->now.mode = PLANT_ERROR;
+    plant->report(plant->owner, text);
+    return false;
+}
+
+static const char *mode_name(plant_mode mode) {
+    switch (mode) {
+    case PLANT_INSTANTIATED:
+        return "instantiated";
+    case PLANT_INITIALIZATION:
+        return "initialization mode";
+    case PLANT_STEP_COMPLETE:
+        return "step complete";
+    case PLANT_TERMINATED:
+        return "terminated";
+    default:
+        return "error";
+    }
+}
+
+bool plant_allows(plant_instance *plant, unsigned modes, const char *call) {
+    if (((unsigned)plant->now.mode & modes) != 0) {
+        return true;
+    }
+    return plant_fail(plant, "%s is not allowed in the state \"%s\"", call, mode_name(plant->now.mode));
+}
+
+bool plant_setup(plant_instance *plant, double start_s, bool stop_defined, double stop_s) {
+    if (!isfinite(start_s)) {
+        return plant_fail(plant, "setupExperiment: start time %g s; expected a finite number", start_s);
+    }
+    if (stop_defined && !(isfinite(stop_s) && stop_s >= start_s)) {
+        return plant_fail(plant, "setupExperiment: stop time %g s; expected the start time %g s or later",
+                          stop_s, start_s);
+    }
+    plant->now.experiment_defined = true;
+    plant->now.time_s = start_s;
+    plant->now.stop_defined = stop_defined;
+    plant->now.stop_s = stop_defined ? stop_s : 0.0;
+    return true;
+}
+
+bool plant_enter_initialization(plant_instance *plant) {
+    if (!plant->now.experiment_defined) {
+        return plant_fail(plant, "enterInitializationMode: setupExperiment must come first");
+    }
+    plant->now.mode = PLANT_INITIALIZATION;
+    return true;
+}
+
+bool plant_exit_initialization(plant_instance *plant) {
+    mecanum_start(&plant->now.parameters, plant->now.state);
+    plant->now.outputs_stale = true;
+    plant->now.mode = PLANT_STEP_COMPLETE;
+    return true;
+}
+
+bool plant_terminate(plant_instance *plant) {
+    plant->now.mode = PLANT_TERMINATED;
+    return true;
+}
+
+static const variable *find(plant_instance *plant, plant_type type, unsigned reference, const char *call) {
+    if (reference >= MECANUM_VARIABLE_COUNT || VARIABLES[reference].type != type) {
+        plant_fail(plant, "%s: no variable of this type has the value reference %u", call, reference);
+        return NULL;
+    }
+    return &VARIABLES[reference];
+}
+
+static void refresh_outputs(plant_snapshot *now) {
+    if (now->mode == PLANT_INITIALIZATION) {
+        /* The parameters may still change, and the start with them. */
+        mecanum_start(&now->parameters, now->state);
+    }
+    if (now->outputs_stale) {
+        mecanum_output(&now->parameters, &now->inputs, now->state, &now->outputs);
+        now->outputs_stale = false;
+    }
+}
+
+bool plant_get(plant_instance *plant, plant_type type, const unsigned references[], size_t count,
+               void *values) {
+    const size_t size = type == PLANT_REAL ? sizeof(double) : sizeof(int32_t);
+    refresh_outputs(&plant->now);
+    for (size_t i = 0; i < count; i++) {
+        const variable *const v = find(plant, type, references[i], "get");
+        if (v == NULL) {
+            return false;
+        }
+        memcpy((char *)values + i * size, (const char *)&plant->now + v->offset, size);
+    }
+    return true;
+}
+
+bool plant_set(plant_instance *plant, plant_type type, const unsigned references[], size_t count,
+               const void *values) {
+    for (size_t i = 0; i < count; i++) {
+        const variable *const v = find(plant, type, references[i], "set");
+        if (v == NULL) {
+            return false;
+        }
+        if (v->causality == OUTPUT || (v->causality == PARAMETER && plant->now.mode == PLANT_STEP_COMPLETE)) {
+            return plant_fail(plant, "set: %s cannot be set %s", v->name,
+                              v->causality == OUTPUT ? "because it is an output" : "after initialization");
+        }
+        const double value =
+            type == PLANT_REAL ? ((const double *)values)[i] : (double)((const int32_t *)values)[i];
+        if (!isfinite(value)) {
+            return plant_fail(plant, "%s = %g; expected a finite number", v->name, value);
+        }
+        if (value < v->min || value > v->max) {
+            return plant_fail(plant, "%s = %.10g; expected a number from %.10g to %.10g", v->name, value,
+                              v->min, v->max);
+        }
+        store(&plant->now, v, value);
+        plant->now.outputs_stale = true;
+    }
+    return true;
+}
+
+bool plant_step(plant_instance *plant, double from_s, double step_s) {
+    plant_snapshot *const now = &plant->now;
+    /* Room for rounding on both sides of the interface, far below any step. */
+    const double tolerance_s = 1e-9 * fmax(1.0, fabs(now->time_s));
+    if (!(fabs(from_s - now->time_s) <= tolerance_s)) {
+        return plant_fail(plant, "doStep: from %.10g s; the instance is at %.10g s", from_s, now->time_s);
+    }
+    if (!(step_s > 0.0 && isfinite(step_s))) {
+        return plant_fail(plant, "doStep: communication step %g s; expected a positive number", step_s);
+    }
+    if (now->stop_defined && from_s + step_s > now->stop_s + tolerance_s) {
+        return plant_fail(plant, "doStep: to %.10g s, past the stop time %.10g s", from_s + step_s,
+                          now->stop_s);
+    }
+    const double longest_s = mecanum_longest_step_s(&now->parameters);
+    const double steps = fmax(1.0, ceil(step_s / longest_s - 1e-9));
+    if (steps > MOST_INTERNAL_STEPS) {
+        return plant_fail(plant,
+                          "doStep: a communication step of %g s needs %.0f internal steps; expected at most "
+                          "%.0f, take shorter ones",
+                          step_s, steps, MOST_INTERNAL_STEPS);
+    }
+    double state[MECANUM_STATES];
+    memcpy(state, now->state, sizeof state);
+    for (long i = 0; i < (long)steps; i++) {
+        mecanum_step(&now->parameters, &now->inputs, step_s / steps, state);
+    }
+    if (!mecanum_is_finite(state)) {
+        return plant_fail(plant, "doStep: the state is no longer finite at %.10g s; look at the torques",
+                          from_s + step_s);
+    }
+    memcpy(now->state, state, sizeof state);
+    now->time_s = from_s + step_s; /* the importer's time, which it does not accumulate */
+    now->outputs_stale = true;
+    return true;
+}
+
+static const char HEADER[] = "plant " MECANUM_GUID;
+
+/* FNV-1a: tells a damaged state from a good one. */
+static uint64_t checksum(const char *bytes, size_t size) {
+    uint64_t hash = UINT64_C(14695981039346656037);
+    for (size_t i = 0; i < size; i++) {
+        hash = (hash ^ (unsigned char)bytes[i]) * UINT64_C(1099511628211);
+    }
+    return hash;
+}
+
+size_t plant_serialized_size(void) {
+    return sizeof HEADER + sizeof(plant_snapshot) + sizeof(uint64_t);
+}
+
+void plant_serialize(const plant_snapshot *snapshot, char *bytes) {
+    const size_t body = sizeof HEADER + sizeof *snapshot;
+    memcpy(bytes, HEADER, sizeof HEADER);
+    memcpy(bytes + sizeof HEADER, snapshot, sizeof *snapshot);
+    const uint64_t sum = checksum(bytes, body);
+    memcpy(bytes + body, &sum, sizeof sum);
+}
+
+bool plant_deserialize(plant_instance *plant, const char *bytes, size_t size, plant_snapshot *snapshot) {
+    const size_t body = sizeof HEADER + sizeof *snapshot;
+    uint64_t sum = 0;
+    if (size == plant_serialized_size()) {
+        memcpy(&sum, bytes + body, sizeof sum);
+    }
+    if (size != plant_serialized_size() || memcmp(bytes, HEADER, sizeof HEADER) != 0 ||
+        sum != checksum(bytes, body)) {
+        return plant_fail(plant, "deSerializeFMUstate: these %zu bytes are not a state of this model", size);
+    }
+    memcpy(snapshot, bytes + sizeof HEADER, sizeof *snapshot);
+    return true;
+}

@@ -1,0 +1,92 @@
+"""Reads variables.toml, the only definition of the plant's variables. Needs the standard library only."""
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).parent
+STRUCTURE = {"input": "inputs", "output": "outputs", "parameter": "parameters"}  # C member, by causality
+_VARIABILITY = {"input": "continuous", "output": "continuous", "parameter": "fixed"}
+
+
+class DefinitionError(Exception):
+    """variables.toml does not define a model; the message names the variable."""
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One scalar variable; its place in the list is its value reference."""
+
+    name: str
+    type: str
+    causality: str
+    variability: str
+    unit: str | None
+    start: float | int | None
+    minimum: float | int | None
+    maximum: float | int | None
+    description: str
+    depends_on: str | None
+    field: str  # the member of its C structure, without an index
+    wheel: int | None  # the index into that member
+
+    @property
+    def member(self) -> str:
+        """Where the value is in the snapshot of an instance, in C."""
+        index = "" if self.wheel is None else f"[{self.wheel}]"
+        return f"{STRUCTURE[self.causality]}.{self.field}{index}"
+
+
+@dataclass(frozen=True)
+class Definition:
+    """variables.toml, checked, with one entry a scalar variable."""
+
+    model: dict[str, Any]
+    wheels: dict[str, str]
+    units: dict[str, dict[str, int]]
+    enumerations: dict[str, dict[str, Any]]
+    variables: tuple[Variable, ...]
+
+
+def read(path: Path = HERE / "variables.toml") -> Definition:
+    """Read and check the definition. Raises DefinitionError, naming the variable."""
+    data = tomllib.loads(path.read_text(encoding="utf-8"))
+    variables: list[Variable] = []
+    for entry in data["variable"]:
+        wheels: list[str | None] = [*data["wheels"]] if "*" in entry["name"] else [None]
+        variables += [_variable(entry, wheel, data) for wheel in wheels]
+    names = [variable.name for variable in variables]
+    for variable in variables:
+        if names.count(variable.name) > 1:
+            raise DefinitionError(f"variable {variable.name!r} is defined twice")
+        if variable.depends_on is not None and variable.depends_on not in names:
+            raise DefinitionError(f"{variable.name}: depends_on names the unknown {variable.depends_on!r}")
+    return Definition(data["model"], data["wheels"], data["units"], data["enumerations"], tuple(variables))
+
+
+def _variable(entry: dict[str, Any], wheel: str | None, data: dict[str, Any]) -> Variable:
+    name, causality, kind = entry["name"], entry["causality"], entry.get("type", "Real")
+    if causality not in STRUCTURE:
+        raise DefinitionError(f"{name}: causality {causality!r}; expected one of {', '.join(STRUCTURE)}")
+    if entry.get("unit") is not None and entry["unit"] not in data["units"]:
+        raise DefinitionError(f"{name}: unit {entry['unit']!r} is not in [units]")
+    if (entry.get("start") is None) != (causality == "output"):
+        raise DefinitionError(f"{name}: an input or a parameter needs a start value, an output has none")
+    minimum, maximum = entry.get("min"), entry.get("max")
+    if kind == "Enumeration":
+        minimum, maximum = 1, len(data["enumerations"][name]["items"])
+    return Variable(
+        name=name.replace("*", wheel or ""),
+        type=kind,
+        causality=causality,
+        variability=entry.get("variability", _VARIABILITY[causality]),
+        unit=entry.get("unit"),
+        start=entry.get("start"),
+        minimum=minimum,
+        maximum=maximum,
+        description=entry["description"].format(wheel=data["wheels"].get(wheel, "")),
+        depends_on=entry["depends_on"].replace("*", wheel or "") if "depends_on" in entry else None,
+        field=name.replace(".*.", "_").replace(".", "_"),
+        wheel=None if wheel is None else list(data["wheels"]).index(wheel),
+    )

@@ -1,0 +1,92 @@
+"""The fuzzy block, against the inference that it stands for, and the paper's tables against their pattern."""
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hil.fuzzy import K1_1_S, K2_1_S, RULES, FuzzyBlock
+
+LEVELS = ["VS", "S", "M", "B", "VB"]
+PEAKS = [-1.0, -0.5, 0.0, 0.5, 1.0]  # NB, NS, Z, PS, PB, in units of the range
+tables = st.sampled_from(["printed", "corrected"])
+value = st.floats(-3.0, 3.0)
+span = st.floats(0.05, 5.0)
+
+
+def memberships(x: float) -> list[float]:
+    """Return how much x is NB, NS, Z, PS, PB: triangles half a range to each side, shoulders at the ends."""
+    x = min(max(x, -1.0), 1.0)
+    return [max(0.0, 1.0 - abs(x - peak) / 0.5) for peak in PEAKS]
+
+
+def inferred(which: str, error: float, rate: float) -> tuple[float, float]:
+    """Return (K1, K2) by product inference over the 25 rules and weighted average."""
+    k1_rules, k2_rules = RULES[which]
+    weight_sum = k1 = k2 = 0.0
+    for (j, of_rate), (i, of_error) in itertools.product(
+        enumerate(memberships(rate)), enumerate(memberships(error))
+    ):
+        weight = of_rate * of_error
+        weight_sum += weight
+        k1 += weight * K1_1_S[k1_rules[j][i]]
+        k2 += weight * K2_1_S[k2_rules[j][i]]
+    return k1 / weight_sum, k2 / weight_sum
+
+
+@given(tables, value, value, span, span)
+def test_look_up_is_product_inference_with_weighted_average(which, error, rate, error_range, rate_range):
+    block = FuzzyBlock.from_tables(which, error_range, rate_range)
+    expected = inferred(which, error / error_range, rate / rate_range)
+    assert block.gains(error, rate) == pytest.approx(expected, rel=1e-9)
+
+
+@given(tables, st.lists(st.tuples(value, value), min_size=1, max_size=20), span, span)
+def test_batch_and_single_agree_to_the_bit(which, points, error_range, rate_range):
+    block = FuzzyBlock.from_tables(which, error_range, rate_range)
+    error, rate = np.array(points).T
+    k1, k2 = block.gains_batch(error, rate)
+    assert list(zip(k1, k2, strict=True)) == [block.gains(e, r) for e, r in points]
+
+
+@given(tables, value, value)
+def test_signs_do_not_matter(which, error, rate):
+    block = FuzzyBlock.from_tables(which, 1.0, 2.0)
+    assert block.gains(-error, rate) == pytest.approx(block.gains(error, rate))
+    assert block.gains(error, -rate) == pytest.approx(block.gains(error, rate))
+
+
+@pytest.mark.parametrize("which", ["printed", "corrected"])
+def test_at_the_peaks_the_output_is_the_rule_s(which):
+    block = FuzzyBlock.from_tables(which, 0.2, 0.7)
+    for (j, rate), (i, error) in itertools.product(enumerate(PEAKS), enumerate(PEAKS)):
+        k1_rules, k2_rules = RULES[which]
+        expected = K1_1_S[k1_rules[j][i]], K2_1_S[k2_rules[j][i]]
+        assert block.gains(0.2 * error, 0.7 * rate) == pytest.approx(expected)
+
+
+def test_the_corrected_tables_follow_one_pattern():
+    """The level of K1 rises with the size of the error and falls with that of the rate; K2's the other way."""
+    k1_rules, k2_rules = RULES["corrected"]
+    for j, i in itertools.product(range(5), range(5)):
+        rise = abs(i - 2) - abs(j - 2)
+        assert k1_rules[j][i] == LEVELS[2 + rise]
+        assert k2_rules[j][i] == LEVELS[2 - rise]
+
+
+def test_the_printed_tables_differ_at_a_big_error_with_rate_zero_alone():
+    for printed, corrected in zip(RULES["printed"], RULES["corrected"], strict=True):
+        different = [
+            (j, i) for j, i in itertools.product(range(5), range(5)) if printed[j][i] != corrected[j][i]
+        ]
+        assert different == [(2, 0), (2, 4)]
+        assert {printed[2][0], corrected[2][0]} == {"VS", "VB"}
+
+
+def test_gains_stay_finite_for_what_is_not_a_number():
+    block = FuzzyBlock.from_tables("printed", 0.2, 0.7)
+    nan = float("nan")
+    assert block.gains(nan, nan) == block.gains(-9.0, -9.0)
+    assert block.gains(float("inf"), 0.0) == block.gains(9.0, 0.0)

@@ -1,0 +1,351 @@
+"""The firmware core: what makes it move, and above all what does not."""
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from firmware_protocol import codec
+from firmware_protocol.framing import Frame, Framer
+from firmware_protocol.generated import messages as m
+from firmware_protocol.host import HostNode, library, parameter_hash, parameters
+from tests.wheel_rig import PARAMETERS, WheelRig
+
+
+def test_drives_the_wheels_to_the_commanded_speed():
+    rig = WheelRig()
+    rig.activate()
+    rig.drive(10.0, 1500)
+    assert rig.speed_rad_s == pytest.approx([10.0] * 4, abs=0.05)
+    feedback = [x for x in rig.heard() if isinstance(x, m.WheelSpeeds)][-1]
+    assert feedback.fl_rad_s == pytest.approx(rig.speed_rad_s[0], abs=0.3)
+
+
+def test_starts_idle_and_does_not_move_on_commands_there():
+    rig = WheelRig()
+    assert rig.state is m.State.IDLE
+    rig.drive(10.0, 100)
+    assert rig.speed_rad_s == [0.0] * 4
+    assert rig.node.look().rejected["state"] == 20
+
+
+def test_first_command_must_be_zero():
+    rig = WheelRig()
+    rig.arm()
+    rig.command(1.0, 0)
+    assert rig.state is m.State.ARMED
+    rig.send(m.TorqueFeedforward(1.0, 1.0, 1.0, 1.0, 1, rig.nonce & 0xF))
+    rig.command(0.0, 1)
+    assert rig.state is m.State.ACTIVE
+    rig.run(10)
+    assert rig.speed_rad_s == [0.0] * 4
+
+
+def test_silence_ramps_the_set_point_to_zero_and_latches():
+    rig = WheelRig()
+    rig.activate()
+    sequence = rig.drive(10.0, 1000)
+    watchdog, ramp = 50, 200
+    rig.run(watchdog - 5 - 1)  # 5 ticks have passed since the last command
+    assert rig.state is m.State.ACTIVE
+    rig.run(1)
+    assert rig.state is m.State.STOPPING
+    rig.command(10.0, sequence)
+    rig.run(ramp)
+    view = rig.node.look()
+    assert view.set_point_rad_s == (0.0,) * 4
+    rig.run(1000)
+    view = rig.node.look()
+    assert (view.state, view.stop_reason) == (m.State.IDLE, m.StopReason.COMMAND_TIMEOUT)
+    rig.drive(10.0, 100, sequence + 1)
+    assert rig.state is m.State.IDLE
+    assert max(map(abs, rig.speed_rad_s)) < 0.5
+
+
+@pytest.mark.parametrize(
+    "feed",
+    [
+        lambda rig, n: rig.heartbeat(m.Request.ARM, rig.nonce),
+        lambda rig, n: rig.send(m.HelloRequest(1)),
+        lambda rig, n: rig.command(10.0, n, session=(rig.nonce + 1) & 0xF),
+        lambda rig, n: rig.command(10.0, 5),
+        lambda rig, n: rig.command(10.0, 5 - n),
+        lambda rig, n: rig.torque(1.0, n),
+        lambda rig, n: rig.send(m.TorqueFeedforward(1, 1, 1, 1, n & 0xFF, rig.nonce & 0xF)),
+        lambda rig, n: rig.node.receive(Frame(m.WheelCommand.ID, b"\0" * 7)),
+        lambda rig, n: rig.node.receive(Frame(m.WheelCommand.ID, b"\x00\x10" + bytes([0, 0, 0, 0, 0, n & 0xFF]))),
+    ],
+    ids=["heartbeat", "hello", "session", "same", "backward", "mode", "feedforward", "short", "out of range"],
+)
+def test_nothing_but_a_fresh_command_feeds_the_watchdog(feed):
+    rig = WheelRig()
+    rig.activate()
+    for sequence in range(1, 6):
+        rig.command(0.0, sequence)
+    for n in range(60):
+        feed(rig, n)
+        rig.run(1)
+    assert rig.state is m.State.STOPPING
+
+
+@given(distance=st.integers(0, 255))
+def test_sequence_window(distance):
+    rig = WheelRig()
+    rig.activate()
+    for last in range(0, 256, 32):
+        rig.command(0.0, last)
+    before = rig.node.look().rejected["stale"]
+    rig.command(0.0, 224 + distance)
+    assert (rig.node.look().rejected["stale"] == before) == (1 <= distance <= 32)
+
+
+def test_a_repeated_wish_never_rearms():
+    rig = WheelRig()
+    rig.activate()
+    rig.run(60)
+    assert rig.state is m.State.STOPPING
+    for _ in range(200):
+        rig.heartbeat(m.Request.ARM, rig.nonce)
+        rig.run(10)
+    assert rig.state is m.State.IDLE
+    assert rig.node.look().stop_reason is m.StopReason.COMMAND_TIMEOUT
+    rig.arm()
+    assert rig.state is m.State.ARMED
+
+
+def test_a_nonce_first_seen_outside_idle_is_burnt():
+    rig = WheelRig()
+    rig.activate()
+    rig.heartbeat(m.Request.ARM, 0x5555)
+    rig.heartbeat(m.Request.IDLE, rig.nonce)
+    rig.run(1300)
+    assert rig.state is m.State.IDLE
+    rig.heartbeat(m.Request.ARM, 0x5555)
+    rig.heartbeat(m.Request.ARM, rig.nonce)
+    assert rig.state is m.State.IDLE
+    rig.heartbeat(m.Request.ARM, 0x5557)
+    assert rig.state is m.State.ARMED
+
+
+@pytest.mark.parametrize(
+    ("change", "refusal"),
+    [
+        ({"schema_hash": m.SCHEMA_HASH ^ 1}, m.ArmRefusal.SCHEMA),
+        ({"parameter_check": (parameter_hash(PARAMETERS) + 1) & 0xFF}, m.ArmRefusal.PARAMETERS),
+    ],
+)
+def test_arming_is_refused_with_a_reason(change, refusal):
+    rig = WheelRig()
+    wish = m.HostHeartbeat(7, m.SCHEMA_HASH, m.Request.ARM, m.Mode.SPEED, parameter_hash(PARAMETERS) & 0xFF)
+    rig.send(wish._replace(**change))
+    assert rig.state is m.State.IDLE
+    assert [x for x in rig.heard() if isinstance(x, m.Status)][-1].arm_refusal == refusal
+
+
+def test_a_session_number_is_not_used_twice_in_a_row():
+    rig = WheelRig()
+    rig.heartbeat(m.Request.ARM, 0x0017)
+    rig.heartbeat(m.Request.IDLE, 0x0017)
+    rig.heartbeat(m.Request.ARM, 0x0027)
+    assert rig.state is m.State.IDLE
+    assert [x for x in rig.heard() if isinstance(x, m.Status)][-1].arm_refusal == m.ArmRefusal.SESSION_USED
+
+
+def test_armed_without_a_command_falls_back():
+    rig = WheelRig()
+    rig.arm()
+    rig.run(1001)
+    assert (rig.state, rig.node.look().stop_reason) == (m.State.IDLE, m.StopReason.ARM_TIMEOUT)
+
+
+@pytest.mark.parametrize("mode", [m.Mode.SPEED, m.Mode.TORQUE])
+def test_estop_brakes_at_once_and_latches(mode):
+    rig = WheelRig()
+    rig.activate(mode)
+    for sequence in range(1, 101):
+        if mode is m.Mode.SPEED:
+            rig.command(10.0, sequence)
+        else:
+            rig.torque(1.0, sequence)
+        rig.run(3)
+    assert min(rig.speed_rad_s) > 5.0
+    rig.send(m.Estop(0, 0))
+    rig.run(1)
+    assert rig.node.look().set_point_rad_s == (0.0,) * 4
+    rig.run(1200)
+    assert rig.state is m.State.ESTOP
+    assert max(map(abs, rig.speed_rad_s)) < 0.5
+    assert rig.node.look().torque_n_m == (0.0,) * 4
+    rig.heartbeat(m.Request.ARM, 0x777)
+    assert rig.state is m.State.ESTOP
+    rig.heartbeat(m.Request.CLEAR, 0x777)
+    assert rig.state is m.State.ESTOP, "the nonce was burnt by the ARM"
+    rig.heartbeat(m.Request.CLEAR, 0x778)
+    assert rig.state is m.State.IDLE
+
+
+def test_torque_mode_stops_by_the_speed_loop():
+    rig = WheelRig()
+    rig.activate(m.Mode.TORQUE)
+    for sequence in range(1, 51):
+        rig.torque(1.0, sequence)
+        rig.run(5)
+    speed = rig.speed_rad_s[0]
+    assert speed == pytest.approx(250 * 1e-3 / 0.033, rel=1e-3)
+    rig.run(50 + 200 + 300)
+    assert max(map(abs, rig.speed_rad_s)) < 0.5
+    assert rig.state is m.State.IDLE
+
+
+def test_feedforward_needs_the_command_of_its_sequence():
+    rig = WheelRig()
+    rig.activate()
+    session = rig.nonce & 0xF
+    rig.send(m.TorqueFeedforward(1.0, 0.5, -0.5, 0.25, 1, session))
+    rig.command(0.0, 1)
+    rig.run(1)
+    assert rig.torque_n_m == [1.0, 0.5, -0.5, 0.25]
+    rig.send(m.TorqueFeedforward(1.0, 1.0, 1.0, 1.0, 2, session))
+    rig.command(0.0, 3)
+    rig.run(1)
+    assert max(map(abs, rig.torque_n_m)) < 0.5
+    assert rig.node.look().rejected["feedforward_unmatched"] == 1
+
+
+def test_all_four_are_scaled_together_at_the_limit():
+    rig = WheelRig(torque_limit_n_m=2.0)
+    rig.activate(m.Mode.TORQUE)
+    rig.send(m.TorqueCommand(4.0, -2.0, 1.0, 0.0, 1, rig.nonce & 0xF))
+    rig.run(1)
+    assert rig.torque_n_m == [2.0, -1.0, 0.5, 0.0]
+
+
+def test_a_failed_plant_and_a_sensor_that_is_no_number_are_faults():
+    rig = WheelRig()
+    rig.activate()
+    rig.drive(5.0, 100)
+    rig.current_a = float("nan")
+    rig.run(1)
+    assert (rig.state, rig.node.look().fault) == (m.State.FAULT, m.Fault.SENSOR)
+    rig.run(1)
+    assert rig.node.look().torque_n_m == (0.0,) * 4
+
+    rig = WheelRig()
+    rig.activate()
+    rig.fail = True
+    rig.run(5)
+    assert (rig.state, rig.node.look().plant_failed) == (m.State.FAULT, True)
+
+
+def test_overspeed_is_a_fault():
+    rig = WheelRig(overspeed_rad_s=8.0)
+    rig.activate()
+    rig.drive(10.0, 1000)
+    assert (rig.state, rig.node.look().fault) == (m.State.FAULT, m.Fault.OVERSPEED)
+
+
+def test_step_is_idempotent_and_answers_after_the_feedback():
+    rig = WheelRig(lockstep=True)
+    rig.heard()
+    rig.send(m.Step(0, 5))
+    heard = rig.heard()
+    assert heard[-1] == m.StepDone(5)
+    assert any(isinstance(x, m.Tick) and x.time_us == 5000 for x in heard)
+    rig.send(m.Step(0, 5))
+    assert rig.heard() == [m.StepDone(5)]
+    assert rig.node.look().tick == 5
+
+
+def test_step_is_refused_outside_lockstep():
+    rig = WheelRig(lockstep=False)
+    rig.heard()
+    rig.send(m.Step(0, 5))
+    assert rig.heard() == []
+    assert rig.node.look().tick == 0
+
+
+def test_hello_reports_identity_and_parameter_hash():
+    rig = WheelRig()
+    rig.heard()
+    rig.send(m.HelloRequest(1))
+    identity, _firmware, held = rig.heard()
+    assert identity.schema_hash == m.SCHEMA_HASH
+    assert held == m.HelloParameters(parameter_hash(PARAMETERS), 50, 5)
+
+
+@pytest.mark.parametrize("name", [p.name for p in parameters()])
+def test_parameters_are_checked_and_named(name):
+    row = next(p for p in parameters() if p.name == name)
+    with pytest.raises(ValueError, match=name):
+        WheelRig(**{name: row.maximum * 2 + 1})
+    with pytest.raises(ValueError, match=name):
+        WheelRig(**{name: float("nan")})
+    with pytest.raises(ValueError, match=name):
+        HostNode({k: v for k, v in PARAMETERS.items() if k != name}, 0, 0, lockstep=False)
+
+
+def test_parameters_match_their_structure():
+    ffi, _ = library()
+    assert [name for name, _ in ffi.typeof("wheel_parameters").fields] == [p.name for p in parameters()]
+
+
+def test_wrapping_counters_of_the_link_reach_the_host():
+    rig = WheelRig()
+    rig.node.feed(b"\x05garbage\0\x01\x00")
+    rig.run(100)
+    counters = [x for x in rig.heard() if isinstance(x, m.LinkCounters)][-1]
+    assert counters.cobs + counters.crc + counters.length >= 1
+
+
+@settings(max_examples=300)
+@given(data=st.lists(st.binary(max_size=40), max_size=30))
+def test_no_bytes_move_a_wheel(data):
+    rig = WheelRig()
+    for chunk in data:
+        rig.node.feed(chunk)
+        rig.run(3)
+    assert rig.speed_rad_s == [0.0] * 4
+
+
+_PLAUSIBLE = st.builds(
+    Frame, st.sampled_from(sorted(set(m.LENGTHS) - {m.Step.ID})), st.binary(min_size=8, max_size=8)
+)
+
+
+@settings(max_examples=300)
+@given(frames=st.lists(_PLAUSIBLE, max_size=60))
+def test_no_stale_frames_keep_an_active_robot_going(frames):
+    """Valid frames with any content, none with a fresh command: the robot stops in time."""
+    rig = WheelRig()
+    rig.activate()
+    framer = Framer()
+    sequence = rig.drive(5.0, 200)
+    session = rig.nonce & 0xF
+    for frame in frames:
+        payload = frame.payload[: m.LENGTHS[frame.id]]
+        if frame.id in (m.WheelCommand.ID, m.TorqueCommand.ID):
+            fresh = m.WheelCommand.decode(payload) if frame.id == m.WheelCommand.ID else None
+            if fresh is not None and fresh.session == session:
+                continue
+        rig.node.feed(framer.encode(Frame(frame.id, payload)))
+        rig.run(5)
+    rig.run(50 + 200 + 1000)
+    assert rig.state in (m.State.IDLE, m.State.FAULT, m.State.ESTOP)
+    assert max(map(abs, rig.speed_rad_s)) < 0.5
+    assert sequence > 0
+
+
+def test_the_same_input_gives_the_same_bytes():
+    def run() -> bytes:
+        rig = WheelRig()
+        rig.activate()
+        rig.drive(7.0, 500)
+        return rig.node.take_bytes()
+
+    first = run()
+    assert first == run()
+    assert len(first) > 5000
+
+
+def test_codec_refuses_what_the_node_would():
+    with pytest.raises(ValueError, match="WHEEL_COMMAND"):
+        codec.encode(m.WheelCommand(64.0, 0.0, 0.0, 0.0, 0, 0))

@@ -1,0 +1,274 @@
+"""Loading: the order of the layers, provenance, relative paths, the hash, and the shipped scenarios."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import BaseModel, ValidationError
+
+from hil.controllers.registry import make_controller
+from hil.model import RobotModel
+from hil.references import make_reference
+from hil.scenario import Scenario, load, resolved, shipped
+from hil.scenario.tables import RATES_HZ, Tables
+from hil.types import CommandMode
+
+BASE = 'extends = "paper_circle"\n'
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty current folder."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def write(path: Path, text: str) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, "utf-8")
+    return path
+
+
+def where(scenario: Scenario, key: str) -> str:
+    return scenario.provenance[key]
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_a_shipped_scenario_can_be_built(name: str) -> None:
+    scenario = load(name)
+    assert scenario.name == name
+    assert scenario.path is None
+    assert scenario.expect
+    make_reference(scenario.reference.kind, scenario.reference.options)
+    make_controller(
+        scenario.controller.law,
+        scenario.directory,
+        RobotModel(**dict(scenario.robot)),
+        CommandMode[scenario.controller.command.upper()],
+        scenario.controller.gains,
+    )
+
+
+@pytest.mark.parametrize(("name", "line"), shipped().items())
+def test_a_shipped_scenario_says_what_it_is(name: str, line: str) -> None:
+    assert 20 < len(line) < 120, name
+
+
+def test_the_paper_circle_has_the_papers_numbers() -> None:
+    """Nguyen Minh et al. 2023, AFDSC, table V."""
+    scenario = load("paper_circle")
+    robot = scenario.robot
+    assert (robot.mass_kg, robot.inertia_kg_m2, robot.wheel_radius_m) == (20.0, 0.56, 0.075)
+    assert (robot.half_length_m, robot.half_width_m) == (0.3, 0.3)
+    assert (scenario.reference.options["radius_m"], scenario.loop.duration_s) == (1.0, 15.0)
+    assert load("paper_circle_dsc").controller.gains == {"k1_1_s": 15.0, "k2_1_s": 40.0, "filter_s": 0.0675}
+
+
+def test_each_layer_wins_over_the_one_before(here: Path) -> None:
+    write(here / "base.toml", BASE + "[robot]\nmass_kg = 21\n[loop]\nseed = 21\n")
+    write(here / "mine.toml", 'extends = "base.toml"\n[robot]\nmass_kg = 22\n[loop]\nseed = 22\n')
+    write(here / "robot.toml", "[robot]\nmass_kg = 23\n")
+    assert load("base.toml").robot.mass_kg == 21.0
+    assert load("mine.toml").robot.mass_kg == 22.0
+    assert load("mine.toml", robot="robot.toml").robot.mass_kg == 23.0
+    assert load("mine.toml", robot="robot.toml", set=["robot.mass_kg=24"]).robot.mass_kg == 24.0
+    assert load("mine.toml", seed=23).loop.seed == 23
+    assert load("mine.toml", seed=23, set=["loop.seed=24"]).loop.seed == 24
+
+
+def test_provenance_names_the_file_and_line_or_the_option(here: Path) -> None:
+    write(
+        here / "mine.toml", BASE + "\n[robot]\nmass_kg = 22\n\n[[expect]]\nsignal = 'pose.x_m'\nbelow = 3\n"
+    )
+    write(here / "robot.toml", "[link]\nurl = 'serial:pty'\n[firmware]\nramp_s = 0.1\n")
+    scenario = load(
+        "mine.toml",
+        robot="robot.toml",
+        mode="realtime",
+        seed=3,
+        set=["robot.inertia_kg_m2=1", "expect.0.above=1"],
+    )
+    assert where(scenario, "robot.mass_kg") == "mine.toml:4"
+    assert where(scenario, "robot.wheel_radius_m").startswith("paper_circle.toml:")
+    assert where(scenario, "robot.inertia_kg_m2") == "--set"
+    assert where(scenario, "link.url") == "--robot robot.toml:2"
+    assert where(scenario, "firmware.ramp_s") == "--robot robot.toml:4"
+    assert where(scenario, "firmware.watchdog_s").startswith("default: 5 command periods")
+    assert where(scenario, "loop.mode") == "--mode"
+    assert where(scenario, "loop.seed") == "--seed"
+    assert where(scenario, "expect.0.below") == "mine.toml:8"
+    assert where(scenario, "expect.0.above") == "--set"
+    assert where(scenario, "expect.0.from_s") == "default"
+
+
+def test_a_link_option_is_told_apart() -> None:
+    scenario = load("paper_circle", link="can:virtual/a%2Fb")
+    assert scenario.link.url == "can:virtual/a%2Fb"
+    assert where(scenario, "link.url") == "--link"
+
+
+def test_show_covers_every_value_once() -> None:
+    scenario = load(
+        "paper_circle", set=["fault=[{kind='mute', target='TICK'}]", "controller.gains.extra=[1, 2]"]
+    )
+
+    def count(value: object) -> int:
+        if isinstance(value, BaseModel | dict):
+            return sum(count(child) for child in dict(value).values())
+        if isinstance(value, tuple) and value and isinstance(value[0], BaseModel):
+            return sum(map(count, value))
+        return 0 if value is None else 1
+
+    rows = resolved(scenario)
+    keys = [key for key, _, _ in rows]
+    assert len(set(keys)) == len(keys) == sum(count(getattr(scenario, name)) for name in Tables.model_fields)
+    assert {"fault.0.target", "controller.gains.extra", "plant.start.start_x_m", "reference.radius_m"} <= {
+        *keys
+    }
+    assert all(origin for _, _, origin in rows)
+
+
+def test_what_show_prints_is_the_scenario(here: Path) -> None:
+    """Every shown value set on another scenario of the same shape gives the first one."""
+    first, second = load("circle_speed"), load("paper_circle_dsc")
+    again = load("paper_circle_dsc", set={key: value for key, value, _ in resolved(first)})
+    assert {key: value for key, value, _ in resolved(first)}.items() <= {
+        key: value for key, value, _ in resolved(again)
+    }.items()
+    assert again.hash == first.hash != second.hash
+
+
+def test_a_robots_own_file_runs_any_scenario(here: Path) -> None:
+    write(
+        here / "robot.toml",
+        "[robot]\nmass_kg = 8\n[device]\nwheels = ['fr', 'fl', 'rl', 'rr']\nreversed = ['fr']\n",
+    )
+    for name in shipped():
+        scenario = load(name, robot=here / "robot.toml")
+        assert scenario.robot.mass_kg == 8.0
+        assert scenario.device.wheels == ("fr", "fl", "rl", "rr")
+
+
+def test_another_law_needs_no_gains_of_the_one_before() -> None:
+    for order in (
+        ["controller.law=dsc", "controller.gains.k1_1_s=9"],
+        ["controller.gains.k1_1_s=9", "controller.law=dsc"],
+    ):
+        assert load("paper_circle", set=order).controller.gains == {"k1_1_s": 9}
+
+
+def test_set_takes_pythons_own_values() -> None:
+    scenario = load(
+        "paper_circle",
+        set={
+            "robot.mass_kg": np.float32(24),
+            "loop.rate_hz": np.int64(200),
+            "plant.start": {"start_x_m": np.float64(1.5)},
+            "plant.fmu": Path("/tmp/a.fmu"),
+            "device.reversed": ["fl", "rl"],
+        },
+    )
+    assert (scenario.robot.mass_kg, scenario.loop.rate_hz) == (24.0, 200)
+    assert type(scenario.plant.start["start_x_m"]) is float
+    assert scenario.plant.start == {"start_x_m": 1.5, "start_y_m": -0.2, "start_heading_rad": 0.0}
+    assert scenario.fmu_path == Path("/tmp/a.fmu")
+    assert scenario.device.reversed == ("fl", "rl")
+
+
+def test_paths_start_from_the_file_that_names_them(here: Path) -> None:
+    write(here / "lib" / "base.toml", BASE + '[plant]\nfmu = "my.fmu"\n[controller]\nlaw = "./law.py:Law"\n')
+    write(here / "runs" / "mine.toml", 'extends = "../lib/base.toml"\n')
+    base, mine = load("lib/base.toml"), load("runs/mine.toml")
+    assert base.controller.law == "./law.py:Law"
+    assert base.directory == here / "lib"
+    assert Path(mine.controller.law.removesuffix(":Law")).resolve() == here / "lib" / "law.py"
+    assert mine.fmu_path is not None
+    assert mine.fmu_path.resolve() == here / "lib" / "my.fmu"
+    assert where(mine, "plant.fmu").endswith("base.toml:3")
+    assert mine.hash == base.hash
+    given = load("runs/mine.toml", set=["controller.law=./other.py:Law"])
+    assert Path(given.controller.law.removesuffix(":Law")).resolve() == here / "other.py"
+    assert load("runs/mine.toml", set=["controller.law=package.law:Law"]).controller.law == "package.law:Law"
+
+
+def test_a_file_with_windows_line_ends_and_byte_order_mark(here: Path) -> None:
+    (here / "mine.toml").write_bytes(
+        b"\xef\xbb\xbf" + (BASE + "[robot]\nmass_kg = 22\n").replace("\n", "\r\n").encode()
+    )
+    scenario = load("mine.toml")
+    assert scenario.robot.mass_kg == 22.0
+    assert where(scenario, "robot.mass_kg") == "mine.toml:3"
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "watchdog_s"),
+    [(1000, 0.02), (500, 0.02), (250, 0.02), (200, 0.025), (125, 0.04), (100, 0.05), (50, 0.1), (20, 0.1)],
+)
+def test_the_watchdog_follows_the_command_rate(rate_hz: int, watchdog_s: float) -> None:
+    assert load("paper_circle", set=[f"loop.rate_hz={rate_hz}"]).firmware.watchdog_s == watchdog_s
+
+
+def test_a_period_is_a_whole_number_of_firmware_ticks() -> None:
+    for rate_hz in RATES_HZ:
+        loop = load("paper_circle", set={"loop.rate_hz": rate_hz}).loop
+        assert loop.substeps * 1_000_000 == loop.period_ns
+        assert loop.period_ns * rate_hz == 1_000_000_000
+
+
+def test_a_scenario_is_frozen() -> None:
+    scenario = load("paper_circle")
+    with pytest.raises(ValidationError, match="frozen"):
+        scenario.robot.mass_kg = 1.0  # type: ignore[misc]
+    with pytest.raises(ValidationError, match="frozen"):
+        scenario.name = "other"  # type: ignore[misc]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "link.url=serial:pty",
+        "link.command_latency_s=0.005",
+        "loop.mode=realtime",
+        "loop.duration_s=2",
+        "controller.law=dsc",
+        "reference.radius_m=2",
+        "expect=[]",
+        "fault=[{kind='drop', target='command', value=0.1}]",
+        "estimator.source=odometry",
+        "robot.mass_kg=20",
+        "firmware.watchdog_s=0.02",
+    ],
+)
+def test_the_hash_leaves_out_what_concerns_one_process(change: str) -> None:
+    assert load("paper_circle", set=[change]).hash == load("paper_circle").hash
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "robot.mass_kg=20.000000000000004",
+        "plant.start.start_x_m=0.81",
+        "plant.start.friction_coefficient=0.0",
+        "plant.fmu=./other.fmu",
+        "firmware.speed_kp_n_m_s_rad=1.2",
+        "firmware.watchdog_s=0.03",
+        "device.reversed=['fl']",
+        "loop.rate_hz=500",
+        "loop.seed=2",
+    ],
+)
+def test_the_hash_covers_what_both_processes_share(change: str) -> None:
+    assert load("paper_circle", set=[change]).hash != load("paper_circle").hash
+
+
+@given(st.permutations([(f"start_{i}", float(i)) for i in range(5)]))
+def test_the_hash_does_not_know_the_order(start: list[tuple[str, float]]) -> None:
+    ordered = load("paper_circle", set={"plant.start": dict(sorted(start))})
+    assert load("paper_circle", set={"plant.start": dict(start)}).hash == ordered.hash
+
+
+def test_the_hash_is_that_of_the_canonical_text() -> None:
+    """A golden value: when it changes, HASH_FORMAT has to change with it."""
+    assert load("paper_circle").hash == "GOLDEN"
