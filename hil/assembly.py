@@ -44,9 +44,9 @@ def run(
     Raises BadInputError for a wrong scenario or option, LinkError or DeviceError when the robot cannot be reached or
     does not arm. What fails later is in the result.
     """
-    resolved = load(scenario, set=set, robot=robot, mode=mode, link=link, seed=seed)
+    loaded = load(scenario, set=set, robot=robot, mode=mode, link=link, seed=seed)
     path = Path(record) if record is not None else None
-    return run_scenario(resolved, truth=truth, record=path, allow_motion=allow_motion)
+    return run_scenario(loaded, truth=truth, record=path, allow_motion=allow_motion)
 
 
 Watch = Callable[[Loop], AbstractContextManager[object]]
@@ -77,9 +77,8 @@ def run_scenario(
         recording = None
         if record is not None or live_port is not None:
             blocking = scenario.loop.mode == "lockstep"
-            told = properties(scenario)
             recording = resources.enter_context(
-                Recording(record, properties=told, blocking=blocking, live_port=live_port)
+                Recording(record, properties=properties(scenario), blocking=blocking, live_port=live_port)
             )
         sink: Sink = memory if recording is None else _Both(memory, recording)
         guard = Guard(model.speed_limit_rad_s, model.torque_limit_n_m)
@@ -89,7 +88,7 @@ def run_scenario(
         report = _drive(scenario, bench, loop, watch)
         metrics = _figures(scenario, bench, memory, report, guard)
         if recording is not None:
-            _close_recording(recording, metrics)
+            _close_recording(recording, record, metrics)
     return RunResult(scenario, metrics, memory.signals(), report.failure)
 
 
@@ -156,10 +155,10 @@ def _figures(scenario: Scenario, bench: Bench, memory: MemorySink, report: Repor
     }
 
 
-def _close_recording(recording: Recording, metrics: dict[str, Any]) -> None:
+def _close_recording(recording: Recording, path: Path | None, metrics: dict[str, Any]) -> None:
     """Finish the recording with the figures in it, and say in them what became of it."""
-    if recording.path is not None:
-        metrics["recording"] = str(recording.path)
+    if path is not None:
+        metrics["recording"] = str(path)
         del metrics["reasons"]["recording"]
     report: RecordingReport = recording.finish(metrics)
     metrics["recorded"] = {

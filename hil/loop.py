@@ -102,7 +102,8 @@ class Loop:
             raise
         wall_s = time.perf_counter() - begin
         stopped = failure is None and self._stop()
-        return Report(self._ticks, self._misses, self._ticks * self._dt_s, wall_s, stopped, failure)
+        robot_s = self.t_s + self._dt_s if self._ticks else 0.0
+        return Report(self._ticks, self._misses, robot_s, wall_s, stopped, failure)
 
     def _stop(self) -> bool:
         return self._parts.device.stop(self._period_ns, _STOP_LIMIT_NS)

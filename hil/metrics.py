@@ -4,7 +4,7 @@ Pure: NumPy arrays in, plain numbers out. A figure that has no meaning for a run
 """
 
 from collections.abc import Callable, Mapping
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -105,6 +105,27 @@ def tracking_metrics(t_s: Series, planar_m: Series) -> Tracking:
             values[name] = None
             reasons[name] = str(no_meaning)
     return Tracking(**values, reasons=reasons)
+
+
+def signal_figures(signals: Mapping[str, Series]) -> tuple[dict[str, Any], dict[str, str]]:
+    """Return the figures that follow from the signals alone, by name, and for each None the reason.
+
+    They are those of ``tracking_metrics``, ``ticks``, ``tick_us`` with ``p50`` and ``p99``, and
+    ``deadline_misses``. Raises KeyError for a signal that is not there.
+    """
+    tracking = tracking_metrics(signals["loop.t_s"], signals["error.planar_m"])
+    reasons = dict(tracking.reasons)
+    tick_us = percentiles(signals["loop.tick_us"])
+    if tick_us is None:
+        reasons["tick_us"] = "the run has fewer than two ticks"
+    misses = signals["loop.deadline_misses"]
+    figures = {
+        **tracking.figures(),
+        "ticks": len(signals["loop.t_s"]),
+        "tick_us": None if tick_us is None else tick_us._asdict(),
+        "deadline_misses": int(misses[-1]) if len(misses) else 0,
+    }
+    return figures, reasons
 
 
 def percentiles(series: Series) -> Percentiles | None:

@@ -83,7 +83,7 @@ class FmuPlant:
             resources.callback(shutil.rmtree, folder, ignore_errors=True)
             self._fmu, variables = _load(fmu, folder, folder / library)
             resources.callback(self._fmu.freeLibrary)
-            # A loaded library needs its file no more where files may go while in use; a killed run leaves nothing.
+            # Where a loaded library's file may go, it goes now: a killed run then leaves nothing behind.
             shutil.rmtree(folder, ignore_errors=True)
             self._connect(variables)
             self._start = _parameters(fmu, start, variables)

@@ -80,7 +80,7 @@ def compile_shared(
     cc: str | None = None,
     flags: Sequence[str] = (),
 ) -> None:
-    """Compile C sources into a shared library, whole or not at all. Raises BuildError with the compiler's words."""
+    """Compile C sources into a shared library, whole or not at all. Raises BuildError with what cc said."""
     unfinished = library.with_name(f"{library.name}.{os.getpid()}.tmp")
     windows = sys.platform == "win32"
     command = [*compiler(cc), *FLAGS, *flags, "-shared", *([] if windows else ["-fPIC"])]

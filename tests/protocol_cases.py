@@ -110,6 +110,22 @@ def any_values(number: int) -> st.SearchStrategy[dict[str, Any]]:
     )
 
 
+def out_of_range_payloads(number: int) -> list[tuple[str, bytes]]:
+    """Return, for each signal, payloads with its raw value just outside its limits, all others inside."""
+    bits = {s.name: (s.start, s.length) for s in DBC[number].signals}
+    good = sum(max(s.raw_minimum, 0) << bits[s.name][0] for s in limits(number))
+    found = []
+    for s in limits(number):
+        start, length = bits[s.name]
+        mask = (1 << length) - 1
+        lowest = -(1 << (length - 1)) if s.raw_minimum < 0 else 0
+        outside = (n for n in (s.raw_minimum - 1, s.raw_maximum + 1) if lowest <= n <= lowest + mask)
+        for raw in outside:
+            payload = (good & ~(mask << start)) | (raw & mask) << start
+            found.append((s.name, payload.to_bytes(DBC[number].length, "little")))
+    return found
+
+
 frames = st.sampled_from(IDS).flatmap(
     lambda number: st.binary(min_size=DBC[number].length, max_size=DBC[number].length).map(
         lambda payload: Frame(number, payload)

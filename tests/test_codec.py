@@ -5,14 +5,24 @@ from fractions import Fraction
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol import codec
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages
 from firmware_protocol.generated.messages import LENGTHS, MESSAGES, NAMES, WheelCommand
-from tests.protocol_cases import DBC, IDS, Limits, Vector, any_values, grid_values, limits, vectors
+from tests.protocol_cases import (
+    DBC,
+    IDS,
+    Limits,
+    Vector,
+    any_values,
+    grid_values,
+    limits,
+    out_of_range_payloads,
+    vectors,
+)
 
 by_id = pytest.mark.parametrize("number", IDS, ids=lambda n: DBC[n].name)
 
@@ -48,6 +58,7 @@ def test_the_enumerations_hold_the_value_tables(table: Any, message: str, signal
 
 
 @by_id
+@settings(max_examples=40)
 @given(data=st.data())
 def test_on_the_grid_decode_inverts_encode(number: int, data: st.DataObject) -> None:
     message = build(number, data.draw(grid_values(number)))
@@ -55,6 +66,7 @@ def test_on_the_grid_decode_inverts_encode(number: int, data: st.DataObject) -> 
 
 
 @by_id
+@settings(max_examples=40)
 @given(data=st.data())
 def test_off_the_grid_the_nearest_step_is_sent_halves_away_from_zero(
     number: int, data: st.DataObject
@@ -83,6 +95,7 @@ def test_halves_go_away_from_zero() -> None:
 
 
 @by_id
+@settings(max_examples=40)
 @given(data=st.data())
 def test_cantools_writes_and_reads_the_same_payload(number: int, data: st.DataObject) -> None:
     values = data.draw(grid_values(number))
@@ -136,6 +149,7 @@ def test_an_integer_field_takes_no_float(number: int) -> None:
 
 
 @by_id
+@settings(max_examples=40)
 @given(data=st.data())
 def test_any_payload_is_refused_or_has_one_meaning(number: int, data: st.DataObject) -> None:
     payload = data.draw(st.binary(min_size=LENGTHS[number], max_size=LENGTHS[number]))
@@ -150,6 +164,19 @@ def test_any_payload_is_refused_or_has_one_meaning(number: int, data: st.DataObj
         assert codec.refusal(frame) == "range"
     else:
         assert codec.encode(message) == frame
+
+
+@by_id
+def test_a_raw_value_just_outside_its_limits_is_refused(number: int) -> None:
+    for name, payload in out_of_range_payloads(number):
+        assert codec.decode(Frame(number, payload)) is None, name
+        assert codec.refusal(Frame(number, payload)) == "range"
+
+
+def test_every_signal_with_a_limit_of_its_own_is_tried_outside_it() -> None:
+    tried = {(DBC[n].name, name) for n in IDS for name, _ in out_of_range_payloads(n)}
+    assert {("WHEEL_COMMAND", "rl_rad_s"), ("TICK", "state"), ("STEP", "substeps")} < tried
+    assert ("ENCODERS", "fl_count") not in tried
 
 
 def raw_value(number: int, s: Limits, payload: bytes) -> int:

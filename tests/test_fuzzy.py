@@ -68,7 +68,7 @@ def test_at_the_peaks_the_output_is_the_rule_s(which):
 
 
 def test_the_corrected_tables_follow_one_pattern():
-    """The level of K1 rises with the size of the error and falls with that of the rate; K2's the other way."""
+    """The level of K1 rises with the size of the error and falls with that of the rate; K2's opposes it."""
     k1_rules, k2_rules = RULES["corrected"]
     for j, i in itertools.product(range(5), range(5)):
         rise = abs(i - 2) - abs(j - 2)

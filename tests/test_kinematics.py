@@ -29,7 +29,7 @@ angle = st.floats(-20.0, 20.0)
 
 
 def geometry(radius_m: float, half_length_m: float, half_width_m: float) -> np.ndarray:
-    """Return the 4 x 3 map from body twist to wheel speeds by equations 1 and 2 of the paper, wheel by wheel."""
+    """Return the 4 x 3 map from body twist to wheel speeds by the paper's equations 1 and 2."""
     rows = []
     for x, y, roller in ((1, 1, -45), (1, -1, 45), (-1, -1, -45), (-1, 1, 45)):
         contact = np.array([[1, 0, -y * half_width_m], [0, 1, x * half_length_m]])

@@ -1,4 +1,4 @@
-"""Link URLs: reading and writing are inverse, escapes are defined, and every mistake has a sentence of its own."""
+"""Link URLs: reading and writing are inverse, escapes are defined, and every mistake has its own sentence."""
 
 import string
 
@@ -38,10 +38,9 @@ def test_any_text_is_a_link_or_bad_input(text: str) -> None:
     for url in (text, f"serial:{text}", f"can:{text}", f"can:virtual/{text}", f"serial:pty?{text}"):
         try:
             link = parse_link(url)
-        except BadInputError as error:
-            assert repr(url) in str(error)
-        else:
-            assert parse_link(format_link(link)) == link
+        except BadInputError:
+            continue
+        assert parse_link(format_link(link)) == link
 
 
 @pytest.mark.parametrize(

@@ -11,13 +11,22 @@ from typing import Any
 import cffi
 import pytest
 from cobs import cobs
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol.framing import Deframer, Frame, Framer, crc16
 from firmware_protocol.generated import messages
 from firmware_protocol.generated.messages import LENGTHS, MESSAGES
-from tests.protocol_cases import DBC, IDS, PROTOCOL, VECTORS, any_values, frames, limits
+from tests.protocol_cases import (
+    DBC,
+    IDS,
+    PROTOCOL,
+    VECTORS,
+    any_values,
+    frames,
+    limits,
+    out_of_range_payloads,
+)
 
 FIRMWARE = PROTOCOL / "firmware"
 SOURCES = [
@@ -127,6 +136,7 @@ def test_the_constants_agree(c: tuple[Any, Any]) -> None:
 
 
 @by_id
+@settings(max_examples=40)
 @given(data=st.data())
 def test_c_and_python_encode_the_same_bits(c: tuple[Any, Any], number: int, data: st.DataObject) -> None:
     values = data.draw(any_values(number))
@@ -134,10 +144,17 @@ def test_c_and_python_encode_the_same_bits(c: tuple[Any, Any], number: int, data
 
 
 @by_id
+@settings(max_examples=40)
 @given(data=st.data())
 def test_c_and_python_decode_the_same_values(c: tuple[Any, Any], number: int, data: st.DataObject) -> None:
     payload = data.draw(st.binary(min_size=LENGTHS[number], max_size=LENGTHS[number]))
     assert c_decode(c, number, payload) == MESSAGES[number].decode(payload)
+
+
+@by_id
+def test_c_refuses_a_raw_value_just_outside_its_limits(c: tuple[Any, Any], number: int) -> None:
+    for name, payload in out_of_range_payloads(number):
+        assert c_decode(c, number, payload) is None, name
 
 
 def next_binary32(value: float, direction: int) -> float:
@@ -183,18 +200,36 @@ def test_crc_agrees(c: tuple[Any, Any], data: bytes) -> None:
     assert c[1].wheel_crc16(data, len(data)) == crc16(data)
 
 
-@given(data=st.one_of(st.binary(max_size=600), st.integers(250, 520).map(lambda n: b"\x01" * n)))
-def test_cobs_agrees_with_the_cobs_package(c: tuple[Any, Any], data: bytes) -> None:
+blocks = st.one_of(st.binary(max_size=40), st.integers(250, 520).map(lambda n: b"\x01" * n))
+
+
+@given(data=blocks)
+def test_cobs_encodes_as_the_cobs_package(c: tuple[Any, Any], data: bytes) -> None:
     ffi, lib = c
     encoded = ffi.new("uint8_t[]", len(data) + len(data) // 254 + 1)
     written = lib.wheel_cobs_encode(data, len(data), encoded)
     assert bytes(encoded)[:written] == cobs.encode(data)
-    # Any bytes: what the package refuses is refused, what it decodes is decoded alike.
-    length = ffi.new("size_t *", len(data))
-    in_place = ffi.new("uint8_t[]", data + b"\0")
+
+
+@given(
+    encoded=blocks.map(cobs.encode),
+    cut=st.integers(0, 3),
+    changes=st.lists(st.tuples(st.integers(0, 520), st.integers(0, 255)), max_size=2),
+)
+def test_cobs_decodes_and_refuses_as_the_cobs_package(
+    c: tuple[Any, Any], encoded: bytes, cut: int, changes: list[tuple[int, int]]
+) -> None:
+    ffi, lib = c
+    damaged = bytearray(encoded[: len(encoded) - cut])
+    for position, value in changes:
+        if damaged:
+            damaged[position % len(damaged)] = value
+    length = ffi.new("size_t *", len(damaged))
+    in_place = ffi.new("uint8_t[]", bytes(damaged) + b"\x55" * 8)
     accepted = lib.wheel_cobs_decode(in_place, length)
+    assert bytes(in_place)[len(damaged) : len(damaged) + 8] == b"\x55" * 8
     try:
-        expected = cobs.decode(data)
+        expected = cobs.decode(bytes(damaged))
     except cobs.DecodeError:
         assert not accepted
     else:
@@ -205,14 +240,20 @@ def test_cobs_agrees_with_the_cobs_package(c: tuple[Any, Any], data: bytes) -> N
 @given(frame=frames, sequence=st.integers(0, 255))
 def test_both_framers_write_the_same_bytes(c: tuple[Any, Any], frame: Frame, sequence: int) -> None:
     ffi, lib = c
-    framer = Framer()
-    framer._sequence = sequence
+    framer = framer_at(sequence)
     out = ffi.new("uint8_t[15]")
     block = ffi.new("wheel_frame *", {"id": frame.id, "length": len(frame.payload), "payload": frame.payload})
     written = lib.wheel_frame_encode(block, sequence, out)
     assert bytes(out)[:written] == framer.encode(frame)
     block.length += 1
     assert lib.wheel_frame_encode(block, sequence, out) == 0
+
+
+def framer_at(sequence: int) -> Framer:
+    framer = Framer()
+    for _ in range(sequence):
+        framer.encode(Frame(messages.Estop.ID, bytes(messages.Estop.LENGTH)))
+    return framer
 
 
 def disturb(pieces: list[tuple[bytes, int, int]]) -> bytes:
@@ -230,7 +271,7 @@ def disturb(pieces: list[tuple[bytes, int, int]]) -> bytes:
     stream=st.lists(
         st.tuples(
             st.one_of(
-                st.builds(lambda frame: Framer().encode(frame), frames),
+                st.builds(lambda frame, n: framer_at(n).encode(frame), frames, st.integers(0, 255)),
                 st.binary(max_size=20).map(lambda garbage: garbage + b"\0"),
             ),
             st.integers(0, 20),

@@ -1,5 +1,6 @@
 """Loading: the order of the layers, provenance, relative paths, the hash, and the shipped scenarios."""
 
+import hashlib
 from pathlib import Path
 
 import numpy as np
@@ -8,11 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel, ValidationError
 
+from firmware_protocol.host import Parameter, parameters
 from hil.controllers.registry import make_controller
 from hil.model import RobotModel
 from hil.references import make_reference
 from hil.scenario import Scenario, load, resolved, shipped
-from hil.scenario.tables import RATES_HZ, Tables
+from hil.scenario.tables import RATES_HZ, FirmwareTable, Tables
 from hil.types import CommandMode
 
 BASE = 'extends = "paper_circle"\n'
@@ -173,7 +175,7 @@ def test_set_takes_pythons_own_values() -> None:
     assert (scenario.robot.mass_kg, scenario.loop.rate_hz) == (24.0, 200)
     assert type(scenario.plant.start["start_x_m"]) is float
     assert scenario.plant.start == {"start_x_m": 1.5, "start_y_m": -0.2, "start_heading_rad": 0.0}
-    assert scenario.fmu_path == Path("/tmp/a.fmu")
+    assert scenario.directory / scenario.plant.fmu == Path("/tmp/a.fmu")
     assert scenario.device.reversed == ("fl", "rl")
 
 
@@ -184,8 +186,7 @@ def test_paths_start_from_the_file_that_names_them(here: Path) -> None:
     assert base.controller.law == "./law.py:Law"
     assert base.directory == here / "lib"
     assert Path(mine.controller.law.removesuffix(":Law")).resolve() == here / "lib" / "law.py"
-    assert mine.fmu_path is not None
-    assert mine.fmu_path.resolve() == here / "lib" / "my.fmu"
+    assert (mine.directory / mine.plant.fmu).resolve() == here / "lib" / "my.fmu"
     assert where(mine, "plant.fmu").endswith("base.toml:3")
     assert mine.hash == base.hash
     given = load("runs/mine.toml", set=["controller.law=./other.py:Law"])
@@ -217,12 +218,26 @@ def test_a_period_is_a_whole_number_of_firmware_ticks() -> None:
         assert loop.period_ns * rate_hz == 1_000_000_000
 
 
+@pytest.mark.parametrize("parameter", parameters(), ids=lambda parameter: parameter.name)
+def test_the_firmware_takes_whatever_the_scenario_allows(parameter: Parameter) -> None:
+    if parameter.name == "feedback_period_s":  # the period of the loop
+        allowed = [1.0 / max(RATES_HZ), 1.0 / min(RATES_HZ)]
+    else:
+        metadata = FirmwareTable.model_fields[parameter.name].metadata
+        allowed = [
+            getattr(item, name) for item in metadata for name in ("gt", "ge", "le") if hasattr(item, name)
+        ]
+        assert len(allowed) == 2
+    assert parameter.minimum <= np.float32(min(allowed))
+    assert np.float32(max(allowed)) <= parameter.maximum
+
+
 def test_a_scenario_is_frozen() -> None:
     scenario = load("paper_circle")
     with pytest.raises(ValidationError, match="frozen"):
-        scenario.robot.mass_kg = 1.0  # type: ignore[misc]
+        scenario.robot.mass_kg = 1.0
     with pytest.raises(ValidationError, match="frozen"):
-        scenario.name = "other"  # type: ignore[misc]
+        scenario.name = "other"
 
 
 @pytest.mark.parametrize(
@@ -269,6 +284,47 @@ def test_the_hash_does_not_know_the_order(start: list[tuple[str, float]]) -> Non
     assert load("paper_circle", set={"plant.start": dict(start)}).hash == ordered.hash
 
 
-def test_the_hash_is_that_of_the_canonical_text() -> None:
-    """A golden value: when it changes, HASH_FORMAT has to change with it."""
-    assert load("paper_circle").hash == "GOLDEN"
+def test_the_hash_is_that_of_the_canonical_text(here: Path) -> None:
+    """The text is written out here: when it changes, so has HASH_FORMAT to."""
+    write(
+        here / "small.toml",
+        """
+        [robot]
+        mass_kg = 20
+        inertia_kg_m2 = 0.5
+        wheel_radius_m = 0.1
+        half_length_m = 0.3
+        half_width_m = 0.2
+        wheel_inertia_kg_m2 = 0
+        torque_limit_n_m = 5
+        speed_limit_rad_s = 60
+        [plant]
+        fmu = "lib/other.fmu"
+        start.x_m = 1
+        [firmware]
+        counts_per_revolution = 4096
+        torque_limit_n_m = 5
+        torque_constant_n_m_a = 1.25
+        [device]
+        reversed = ["rr", "fl"]
+        [controller]
+        law = "dsc"
+        [reference]
+        kind = "hold"
+        [loop]
+        rate_hz = 200
+        duration_s = 1
+        """,
+    )
+    canonical = (
+        '{"device":{"reversed":["fl","rr"],"wheels":["fl","fr","rr","rl"]},'
+        '"firmware":{"counts_per_revolution":4096,"overspeed_rad_s":100.0,"ramp_s":0.2,"speed_ki_n_m_rad":25.0,'
+        '"speed_kp_n_m_s_rad":1.1,"torque_constant_n_m_a":1.25,"torque_limit_n_m":5.0,'
+        '"tracking_bandwidth_rad_s":150.0,"watchdog_s":0.025},'
+        '"format":1,"loop":{"rate_hz":200,"seed":1},'
+        '"plant":{"fmu":"other.fmu","start":{"x_m":1.0}},'
+        '"robot":{"friction_coefficient":0.0,"half_length_m":0.3,"half_width_m":0.2,"inertia_kg_m2":0.5,'
+        '"mass_kg":20.0,"speed_limit_rad_s":60.0,"torque_limit_n_m":5.0,"wheel_inertia_kg_m2":0.0,'
+        '"wheel_radius_m":0.1}}'
+    )
+    assert load("small.toml").hash == hashlib.sha256(canonical.encode()).hexdigest()

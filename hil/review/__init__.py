@@ -3,7 +3,8 @@
 from pathlib import Path
 from typing import Any
 
-from hil.metrics import percentiles, tracking_metrics
+from hil.errors import BadInputError
+from hil.metrics import signal_figures
 from hil.review.reader import Event, RecordedRun, read, to_frame
 
 __all__ = ["Event", "RecordedRun", "figures", "read", "review", "to_frame"]
@@ -38,20 +39,12 @@ def review(path: Path) -> dict[str, Any]:
 
 def figures(run: RecordedRun) -> dict[str, Any]:
     """Return the figures of a recording that was read; see ``review``."""
-    tracking = tracking_metrics(run.signals["loop.t_s"], run.signals["error.planar_m"])
-    reasons = dict(tracking.reasons)
-    found: dict[str, Any] = {**tracking.figures(), "recording": str(run.path)}
-
-    found["ticks"] = len(run.signals["loop.tick"]) + (run.rows_dropped or 0)
-    tick_us = percentiles(run.signals["loop.tick_us"])
-    found["tick_us"] = None if tick_us is None else tick_us._asdict()
-    if tick_us is None:
-        reasons["tick_us"] = "no tick has a time"
-    misses = run.signals["loop.deadline_misses"]
-    found["deadline_misses"] = int(misses[-1]) if len(misses) else None
-    if not len(misses):
-        reasons["deadline_misses"] = "the recording has no samples"
-
+    try:
+        found, reasons = signal_figures(run.signals)
+    except KeyError as missing:
+        raise BadInputError(f"{run.path}: it has no signal {missing}; no recording of a run") from missing
+    found["ticks"] += run.rows_dropped or 0
+    found["recording"] = str(run.path)
     summary = run.summary or {}
     for name in _FROM_SUMMARY:
         found[name] = summary.get(name)

@@ -88,18 +88,17 @@ def read(path: Path) -> RecordedRun:
     """
     check_is_recording(path)
     contents = _contents(path)
-    held = contents.properties.get(SIGNALS_PROPERTY)
+    held = _json(path, contents, SIGNALS_PROPERTY)
     if held is None:
         raise BadInputError(f"{path}: a recording of another program; expected {_EXPECTED}")
-    recorder = contents.properties.get(RECORDER_PROPERTY)
-    summary = contents.properties.get(SUMMARY_PROPERTY)
+    recorder = _json(path, contents, RECORDER_PROPERTY)
     return RecordedRun(
         path=path,
-        signals=_signals(path, json.loads(held["json"]), contents.parts),
+        signals=_signals(path, held, contents.parts),
         events=tuple(contents.events),
         properties=contents.properties.get(RUN_PROPERTY, {}),
-        summary=None if summary is None else json.loads(summary["json"]),
-        rows_dropped=None if recorder is None else int(json.loads(recorder["json"])["rows_dropped"]),
+        summary=_json(path, contents, SUMMARY_PROPERTY),
+        rows_dropped=None if recorder is None else recorder.get("rows_dropped"),
     )
 
 
@@ -138,6 +137,20 @@ def _contents(path: Path) -> _Contents:
     return contents
 
 
+def _json(path: Path, contents: _Contents, name: str) -> dict[str, Any] | None:
+    """Return a property that holds a JSON object, or None when the recording does not have it."""
+    texts = contents.properties.get(name)
+    if texts is None:
+        return None
+    try:
+        value = json.loads(texts["json"])
+    except (KeyError, ValueError):
+        value = None
+    if not isinstance(value, dict):
+        raise BadInputError(f"{path}: damaged: its property {name!r} is not readable")
+    return value
+
+
 def _take(entity: str, batch: "pa.RecordBatch", contents: _Contents) -> None:
     columns = {name: batch.column(name) for name in batch.schema.names}
     if entity.startswith(_PROPERTIES):
@@ -171,12 +184,14 @@ def _signals(path: Path, held: dict[str, list[str]], parts: dict[str, list[_Part
         width = entities[entity].values.shape[1]
         if width != len(names):
             raise BadInputError(f"{path}: damaged: {entity} has {width} values for {len(names)} signals")
-    # After a kill the last rows may have reached some entities only; after a repair any may lack some.
-    common = functools.reduce(np.intersect1d, [entity.ticks for entity in entities.values()])
+    ticks = [entity.ticks for entity in entities.values()]
+    if not all(np.array_equal(one, ticks[0]) for one in ticks):
+        # After a kill the last rows may have reached some entities only; after a repair any may lack some.
+        common = functools.reduce(np.intersect1d, ticks)
+        entities = {path: _only(part, common) for path, part in entities.items()}
     signals: dict[str, Series] = {}
     for entity, names in held.items():
-        rows = np.isin(entities[entity].ticks, common)
-        signals.update(zip(names, entities[entity].values[rows].T.copy(), strict=True))
+        signals.update(zip(names, entities[entity].values.T.copy(), strict=True))
     return signals
 
 
@@ -184,6 +199,11 @@ def _joined(parts: list[_Part]) -> _Part:
     row_ids, ticks, values = (np.concatenate(column) for column in zip(*parts, strict=True))
     order = np.lexsort((row_ids[:, 1], row_ids[:, 0]))
     return _Part(row_ids[order], ticks[order], values[order])
+
+
+def _only(part: _Part, ticks: npt.NDArray[np.int64]) -> _Part:
+    rows = np.isin(part.ticks, ticks)
+    return _Part(part.row_ids[rows], part.ticks[rows], part.values[rows])
 
 
 def _nothing(width: int) -> _Part:

@@ -1,6 +1,5 @@
 """Checking a stacked scenario: each table by itself, then the tables against each other."""
 
-import math
 import re
 from collections.abc import Iterator
 
@@ -15,7 +14,6 @@ from hil.scenario.tables import RATES_HZ, Tables
 
 WATCHDOG_PERIODS = 5
 _WATCHDOG_RULE = f"default: {WATCHDOG_PERIODS} command periods, within 0.02 to 0.1 s"
-_HALF_TURN_COUNTS = 2**15  # half the range of a count in DBC ENCODERS
 
 
 def derived(tree: Tree) -> Tree:
@@ -73,12 +71,4 @@ def _contradictions(tables: Tables) -> Iterator[tuple[str, object, str]]:
             firmware.overspeed_rad_s,
             f"expected more than robot.speed_limit_rad_s = {robot.speed_limit_rad_s:g}, "
             "or the robot would trip at a speed that it may be told",
-        )
-    turns = firmware.overspeed_rad_s * period_s / math.tau
-    if firmware.counts_per_revolution * turns >= _HALF_TURN_COUNTS:
-        yield (
-            "firmware.counts_per_revolution",
-            firmware.counts_per_revolution,
-            f"expected fewer than {_HALF_TURN_COUNTS / turns:.0f}, so that at overspeed a 16-bit count "
-            "cannot go half round between two feedbacks; or raise loop.rate_hz",
         )

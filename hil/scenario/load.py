@@ -13,9 +13,9 @@ from typing import NamedTuple
 from hil.errors import BadInputError, nearest
 from hil.scenario import layers
 from hil.scenario.check import check, derived
+from hil.scenario.fields import is_path
 from hil.scenario.layers import Given, Tree
 from hil.scenario.run import Scenario, values
-from hil.scenario.tables import is_path
 from hil.scenario.toml_text import key_lines, parse, parse_value
 
 SHIPPED_DIRECTORY = Path(__file__).parent.parent / "scenarios"

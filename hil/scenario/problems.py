@@ -8,8 +8,9 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from hil.errors import nearest
+from hil.scenario.fields import Table
 from hil.scenario.layers import Given, Node, Path, Tree, dotted, leaves
-from hil.scenario.tables import Table, Tables
+from hil.scenario.tables import Tables
 from hil.scenario.toml_text import format_value
 
 

@@ -7,7 +7,7 @@ from pathlib import Path, PurePath
 
 from pydantic import BaseModel, Field
 
-from hil.scenario.tables import Tables, is_path
+from hil.scenario.tables import Tables
 
 HASH_FORMAT = 1
 """Counts changes of what the hash covers, so that two versions of this package do not agree by chance."""
@@ -21,11 +21,6 @@ class Scenario(Tables):
     path: Path | None = Field(description="its file; None for a shipped one")
     directory: Path = Field(description="what relative paths in it start from")
     provenance: Mapping[str, str] = Field(description="where each dotted key was given, or 'default'")
-
-    @property
-    def fmu_path(self) -> Path | None:
-        """The FMU's file, or None when ``plant.fmu`` is the name of a shipped one."""
-        return self.directory / self.plant.fmu if is_path(self.plant.fmu) else None
 
     @property
     def hash(self) -> str:

@@ -2,30 +2,21 @@
 
 A key without a default has to be given: what describes the robot, its firmware and the run is never guessed.
 Ranges are physical sense and keep a value in the wrong unit out: a wheel radius of 75 is one in millimetres.
-The bounds of robot.speed_limit_rad_s, robot.torque_limit_n_m and firmware.overspeed_rad_s are what DBC
-WHEEL_COMMAND, TORQUE_COMMAND and WHEEL_SPEEDS can carry.
+The bounds of robot.speed_limit_rad_s and robot.torque_limit_n_m are what DBC WHEEL_COMMAND and TORQUE_COMMAND
+can carry; those of [firmware] are the firmware's own.
 """
 
 import math
-import re
 from collections.abc import Mapping
-from pathlib import PurePath
-from typing import Annotated, Any, Literal
+from typing import Literal
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
-    Field,
-    PlainValidator,
-    field_validator,
-    model_validator,
-)
+from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from firmware_protocol.generated.messages import NAMES as MESSAGE_NAMES
 from hil.errors import BadInputError, nearest
 from hil.links.delay import FIRST_EXEMPT_ID
 from hil.links.url import parse_link
+from hil.scenario.fields import Milliseconds, Option, OptionValue, Table, Text, is_path
 from hil.signals import SIGNAL_NAMES
 from hil.types import WHEEL_NAMES
 
@@ -36,47 +27,7 @@ DRIVERS = ("stm32",)
 SHIPPED_FMUS = ("mecanum",)
 MUTABLE_MESSAGES = tuple(name for number, name in MESSAGE_NAMES.items() if number < FIRST_EXEMPT_ID)
 
-Scalar = float | int | bool | str
-OptionValue = Scalar | tuple[Scalar, ...]
-
-
-def is_path(name: str) -> bool:
-    """Return whether a name is a path to a file, and not the name of something shipped."""
-    return "/" in name or "\\" in name or PurePath(name).suffix != ""
-
-
-def _text(value: str) -> str:
-    if not value or re.search(r"[\x00-\x1f\x7f]", value):
-        raise ValueError("expected text of one line, not empty")
-    return value
-
-
-def _whole_milliseconds(value: float) -> float:
-    if abs(value * 1000.0 - round(value * 1000.0)) > 1e-6:
-        raise ValueError("expected a whole number of milliseconds, such as 0.025")
-    return value
-
-
-def _option(value: object) -> OptionValue:
-    """Accept what an option may be at all; its law or reference checks the names, types and ranges."""
-    if isinstance(value, tuple):
-        if not any(isinstance(item, tuple) for item in value):
-            return tuple(item for item in map(_option, value) if not isinstance(item, tuple))
-    elif isinstance(value, str | int) or (isinstance(value, float) and math.isfinite(value)):
-        return value
-    raise ValueError("expected a finite number, text, true or false, or an array of these")
-
-
-Text = Annotated[str, AfterValidator(_text)]
-Milliseconds = Annotated[float, AfterValidator(_whole_milliseconds)]
-Option = Annotated[Any, PlainValidator(_option)]
 Wheel = Literal["fl", "fr", "rr", "rl"]
-
-
-class Table(BaseModel):
-    """What all tables share: frozen, no unknown key, finite numbers, no conversion but int to float."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
 class RobotTable(Table):
@@ -115,8 +66,10 @@ class PlantTable(Table):
 class FirmwareTable(Table):
     """``[firmware]``: what the firmware runs with. A real board's values are compared with these by hash."""
 
-    counts_per_revolution: int = Field(ge=1, le=65_536, description="encoder counts of one turn of a wheel")
-    torque_limit_n_m: float = Field(gt=0, le=100, description="of one wheel; all four are scaled together")
+    counts_per_revolution: int = Field(ge=4, le=32_768, description="encoder counts of one turn of a wheel")
+    torque_limit_n_m: float = Field(
+        gt=0, le=15.99609375, description="of one wheel; all four are scaled together"
+    )
     torque_constant_n_m_a: float = Field(gt=0, le=100, description="torque at the wheel for one ampere")
     tracking_bandwidth_rad_s: float = Field(
         default=150.0, ge=1, le=500, description="of the filter that estimates speed"
@@ -129,10 +82,10 @@ class FirmwareTable(Table):
         le=0.1,
         description="silence that stops the wheels; by default 5 command periods",
     )
-    ramp_s: Milliseconds = Field(default=0.2, ge=0, le=2, description="from the set point in force to zero")
-    overspeed_rad_s: float = Field(
-        default=100.0, gt=0, le=127.99609375, description="wheel speed that is a fault"
+    ramp_s: Milliseconds = Field(
+        default=0.2, ge=0.001, le=2, description="from the set point in force to zero"
     )
+    overspeed_rad_s: float = Field(default=100.0, ge=1, le=127, description="wheel speed that is a fault")
 
 
 class DeviceTable(Table):

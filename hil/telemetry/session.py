@@ -112,6 +112,11 @@ class Recording:
             raise DeviceError(f"the recorder did not start: {trouble}; run without a recording to go on")
 
     @property
+    def path(self) -> Path | None:
+        """The file, or None for a live view alone."""
+        return self._path
+
+    @property
     def pid(self) -> int:
         """Process id of the recorder."""
         return self._process.pid

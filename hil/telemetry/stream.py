@@ -42,6 +42,7 @@ _TRAILS: tuple[tuple[str, str, Colour, float], ...] = (
 )
 # The robot's symbol in the body frame, its nose forward; not to scale with a particular robot.
 _BODY_M = np.array([(-0.1, -0.08), (0.04, -0.08), (0.17, 0.0), (0.04, 0.08), (-0.1, 0.08), (-0.1, -0.08)])
+_LONGEST_CELL = 80
 _STATE_COLOURS = {
     "BOOT": 0x8D99AEFF,
     "IDLE": 0x6C8EBFFF,
@@ -131,7 +132,9 @@ class Stream:
         entities = layout(signals)
         held = {entity.path: [series.signal for series in entity.series] for entity in entities}
         self._rerun.send_property(SIGNALS_PROPERTY, rr.AnyValues(json=json.dumps(held)))
-        self._rerun.send_property(RUN_PROPERTY, rr.AnyValues(drop_untyped_nones=True, **self._properties))
+        if self._properties:
+            texts = rr.AnyValues(drop_untyped_nones=True, **self._properties)
+            self._rerun.send_property(RUN_PROPERTY, texts)
         if "scenario_name" in self._properties:
             self._rerun.send_recording_name(self._properties["scenario_name"])
         for entity in entities:
@@ -163,12 +166,11 @@ class Stream:
         self._page(None)
 
     def _page(self, summary: Mapping[str, object] | None) -> None:
-        short = {name: text for name, text in self._properties.items() if len(text) <= 80}
-        lines = ["| run | |", "|---|---|", *(f"| {name} | {text} |" for name, text in short.items())]
+        """Log the page that says what the run was and, in the end, what came of it."""
+        text = _table("run", self._properties)
         if summary is not None:
-            lines += ["", "| figure | |", "|---|---|"]
-            lines += [f"| {name} | {_cell(value)} |" for name, value in summary.items()]
-        page = rr.TextDocument("\n".join(lines), media_type=rr.MediaType.MARKDOWN)
+            text = _table("figure", summary) + "\n" + text
+        page = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
         self._rerun.log("/run", page, static=True)
 
     def _times(self, rows: Rows) -> npt.NDArray[np.float64]:
@@ -239,7 +241,16 @@ def _state_style(states: Mapping[int, str]) -> rr.StateConfiguration:
     )
 
 
+def _table(title: str, values: Mapping[str, object]) -> str:
+    """Return a Markdown table of the values that fit a line."""
+    cells = {name: _cell(value) for name, value in values.items() if value is not None}
+    rows = [f"| {name} | {cell} |" for name, cell in cells.items() if len(cell) <= _LONGEST_CELL]
+    return "\n".join([f"| {title} | |", "|---|---|", *rows, ""])
+
+
 def _cell(value: object) -> str:
     if isinstance(value, float):
         return f"{value:.4g}"
-    return json.dumps(value) if isinstance(value, Mapping | list) else str(value)
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name} {_cell(one)}" for name, one in value.items())
+    return str(value)

@@ -1,0 +1,244 @@
+"""The ``hil`` command. Each command parses, calls one function and prints; what it does is elsewhere.
+
+Exit codes: 0 the run ended as expected, 1 an expectation failed, 2 bad input, 3 a failed link or device, 130
+interrupted.
+"""
+
+import json
+import math
+import signal
+import sys
+from pathlib import Path
+from types import FrameType
+from typing import Annotated, Any
+
+import typer
+
+from hil.errors import BadInputError, HilError
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Test a Mecanum robot's controller against a plant FMU before the wheels touch the ground.",
+)
+fmu_app = typer.Typer(no_args_is_help=True, help="The plant: build, look at and check FMUs.")
+app.add_typer(fmu_app, name="fmu")
+
+ScenarioName = Annotated[str, typer.Argument(metavar="SCENARIO", help="a shipped name or a path to a .toml file")]
+Sets = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="override any key, for example robot.mass_kg=24")
+]
+RobotFile = Annotated[Path | None, typer.Option("--robot", metavar="FILE", help="merge a robot's own file")]
+Mode = Annotated[str | None, typer.Option(metavar="lockstep|realtime", help="whose time passes")]
+LinkUrl = Annotated[
+    str | None, typer.Option("--link", metavar="LINK", help="memory:, serial:PATH, serial:pty or can:INTERFACE/CHANNEL")
+]
+Seed = Annotated[int | None, typer.Option(metavar="N", help="of everything random in the run")]
+Json = Annotated[bool, typer.Option("--json", help="print one JSON object and nothing else")]
+
+
+@app.command()
+def run(
+    scenario: ScenarioName,
+    mode: Mode = None,
+    link: LinkUrl = None,
+    truth: Annotated[
+        str | None, typer.Option(metavar="URL", help="truth socket of hil device, tcp://127.0.0.1:PORT")
+    ] = None,
+    robot: RobotFile = None,
+    record: Annotated[
+        str | None, typer.Option(metavar="FILE|none", help="recording; by default runs/SCENARIO-TIME.rrd")
+    ] = None,
+    live: Annotated[bool, typer.Option("--live", help="serve the rerun viewer on 127.0.0.1 while it runs")] = False,
+    live_port: Annotated[int, typer.Option(metavar="PORT", help="for --live", min=1, max=65535)] = 9876,
+    seed: Seed = None,
+    sets: Sets = None,
+    allow_motion: Annotated[bool, typer.Option("--allow-motion", help="real motors may move")] = False,
+    as_json: Json = False,
+) -> None:
+    """Run a scenario and judge it."""
+    from hil import report
+    from hil.assembly import run_scenario
+    from hil.scenario import load
+
+    signal.signal(signal.SIGTERM, _interrupt)
+    resolved = load(scenario, set=sets or [], robot=robot, mode=mode, link=link, seed=seed)
+    path = report.recording_path(resolved.name, record)
+    watch = None if as_json or not sys.stderr.isatty() else report.progress(resolved.loop.duration_s)
+    if live and not as_json:
+        report.announce_live(live_port)
+    result = run_scenario(
+        resolved,
+        truth=truth,
+        record=path,
+        live_port=live_port if live else None,
+        allow_motion=allow_motion,
+        watch=watch,
+    )
+    if as_json:
+        _print_json(result.metrics)
+    else:
+        report.print_result(result)
+    if result.failure is not None:
+        print(f"hil: {result.failure}", file=sys.stderr)
+    raise typer.Exit(result.exit_code)
+
+
+@app.command()
+def device(
+    scenario: ScenarioName,
+    link: LinkUrl = None,
+    mode: Mode = None,
+    robot: RobotFile = None,
+    truth_port: Annotated[int, typer.Option(metavar="PORT", help="for the truth; 0 takes a free one")] = 0,
+    seed: Seed = None,
+    sets: Sets = None,
+) -> None:
+    """Be the scenario's virtual robot in a process of its own; print one line when ready."""
+    from hil.device_process import serve
+    from hil.scenario import load
+
+    resolved = load(scenario, set=sets or [], robot=robot, mode=mode, link=link, seed=seed)
+    serve(resolved, truth_port, lambda line: print(line, flush=True))
+
+
+@app.command()
+def show(
+    scenario: ScenarioName,
+    robot: RobotFile = None,
+    mode: Mode = None,
+    link: LinkUrl = None,
+    seed: Seed = None,
+    sets: Sets = None,
+    as_json: Json = False,
+) -> None:
+    """Print every value of a scenario and where it came from."""
+    from hil.scenario import format_value, load, resolved
+
+    rows = resolved(load(scenario, set=sets or [], robot=robot, mode=mode, link=link, seed=seed))
+    if as_json:
+        _print_json({key: {"value": value, "from": where} for key, value, where in rows})
+        return
+    width = max(len(key) for key, _, _ in rows)
+    shown = [(key, format_value(value), where) for key, value, where in rows]
+    value_width = max(len(value) for _, value, _ in shown)
+    for key, text, where in shown:
+        print(f"{key:<{width}}  {text:<{value_width}}  {where}")
+
+
+@app.command("list")
+def list_(
+    what: Annotated[str, typer.Argument(metavar="signals|laws|scenarios|links")],
+    as_json: Json = False,
+) -> None:
+    """Print the vocabulary of signals, the shipped laws and scenarios, or the forms of links."""
+    from hil import report
+
+    rows = report.listing(what)
+    if as_json:
+        _print_json({name: text for name, text in rows})
+        return
+    width = max(len(name) for name, _ in rows)
+    for name, text in rows:
+        print(f"{name:<{width}}  {text}")
+
+
+@app.command()
+def review(recording: Annotated[Path, typer.Argument(metavar="RUN.rrd")], as_json: Json = False) -> None:
+    """Read the figures of a run back from its recording alone."""
+    from hil import report
+    from hil.review import review as read_back
+
+    figures = read_back(recording)
+    if as_json:
+        _print_json(figures)
+    else:
+        report.print_figures(figures)
+
+
+@app.command()
+def view(
+    recording: Annotated[Path, typer.Argument(metavar="RUN.rrd")],
+    web: Annotated[bool, typer.Option("--web", help="in the browser, served on 127.0.0.1")] = False,
+) -> None:
+    """Open a recording in the rerun viewer."""
+    from hil.telemetry.view import view as open_viewer
+
+    open_viewer(recording, web=web)
+
+
+@fmu_app.command("build")
+def fmu_build(
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="by default the shipped place")] = None,
+) -> None:
+    """Compile the Mecanum plant and package it as an FMU."""
+    from plant_fmu.build import BuildError, build
+
+    try:
+        print(build(out))
+    except (BuildError, OSError) as error:
+        raise BadInputError(f"the FMU was not built: {error}") from error
+
+
+FmuName = Annotated[str, typer.Argument(metavar="FMU", help="a path, or the shipped name")]
+
+
+@fmu_app.command("info")
+def fmu_info(fmu: FmuName = "mecanum") -> None:
+    """Show what an FMU says of itself, and its variables with units."""
+    from hil import fmu_archive, report
+    from hil.fmu_tools import info
+
+    report.print_fmu(info(fmu_archive.locate(fmu, Path())))
+
+
+@fmu_app.command("check")
+def fmu_check(fmu: FmuName = "mecanum") -> None:
+    """Validate an FMU and run it through the FMI calling sequence; exit 1 when something is wrong."""
+    from hil import fmu_archive
+    from hil.fmu_tools import check
+
+    path = fmu_archive.locate(fmu, Path())
+    problems = check(path)
+    for problem in problems:
+        print(problem)
+    print(f"{path}: {len(problems)} problems" if problems else f"{path}: no problems")
+    raise typer.Exit(1 if problems else 0)
+
+
+def _interrupt(_number: int, _frame: FrameType | None) -> None:
+    """SIGTERM ends a run as Ctrl-C does: the robot is stopped and the recording closed."""
+    raise KeyboardInterrupt
+
+
+def _print_json(value: Any) -> None:
+    print(json.dumps(_json_safe(value), allow_nan=False, default=str))
+
+
+def _json_safe(value: Any) -> Any:
+    """JSON knows no NaN and no infinity: null stands for them."""
+    if isinstance(value, dict):
+        return {key: _json_safe(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_json_safe(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def main() -> None:
+    """Entry point: an error that a user is meant to read is one sentence on stderr, and its exit code."""
+    try:
+        app(prog_name="hil", standalone_mode=True)
+    except HilError as error:
+        print(f"hil: {error}", file=sys.stderr)
+        sys.exit(error.exit_code)
+    except KeyboardInterrupt:
+        print("hil: interrupted", file=sys.stderr)
+        sys.exit(130)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,33 @@
+"""``hil device``: the virtual robot as a process of its own, behind a link, with its truth on a socket."""
+
+import contextlib
+import signal
+from collections.abc import Callable
+
+from hil.bench import virtual_robot
+from hil.devices.truth import TruthServer
+from hil.devices.virtual import VirtualServer, VirtualStm32
+from hil.links.opening import open_robot
+from hil.links.url import parse_link
+from hil.scenario import Scenario
+
+
+def serve(scenario: Scenario, truth_port: int, say: Callable[[str], None]) -> None:
+    """Serve the scenario's virtual robot until SIGTERM or SIGINT.
+
+    ``say`` gets one line when the robot is ready: how to reach it. Raises BadInputError when a part cannot be made,
+    LinkError when the link is lost.
+    """
+    with contextlib.ExitStack() as resources:
+        robot = VirtualStm32(virtual_robot(scenario))
+        resources.callback(robot.close)
+        wire, reach = open_robot(parse_link(scenario.link.url))
+        resources.callback(wire.close)
+        truth = TruthServer(scenario.hash, truth_port)
+        resources.callback(truth.close)
+        server = VirtualServer(robot, wire, truth, lockstep=scenario.loop.mode == "lockstep")
+        truth.request_reset = server.request_reset
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda *_: server.stop())
+        say(f"ready link={reach} truth={truth.url} mode={scenario.loop.mode} scenario={scenario.name}")
+        server.serve()

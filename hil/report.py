@@ -1,0 +1,161 @@
+"""What the commands print for a person."""
+
+import sys
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hil.errors import BadInputError, nearest
+from hil.results import RunResult
+
+if TYPE_CHECKING:
+    from hil.assembly import Watch
+    from hil.fmu_tools import FmuInfo
+    from hil.loop import Loop
+
+_REFRESH_S = 0.1
+
+
+def recording_path(name: str, asked: str | None) -> Path | None:
+    """Return where to record: ``none`` for nowhere, by default a new file in ``runs/``, which is made."""
+    if asked == "none":
+        return None
+    if asked is not None:
+        return Path(asked)
+    folder = Path("runs")
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise BadInputError(
+            f"recording folder {folder.absolute()}: it cannot be made ({error.strerror}); name a file with --record, "
+            "or --record none"
+        ) from error
+    return folder / f"{name}-{datetime.now():%Y%m%d-%H%M%S-%f}.rrd"  # noqa: DTZ005 - the user's own time
+
+
+def progress(duration_s: float) -> "Watch":
+    """Return a watcher that shows a bar on stderr while a run goes on."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    @contextmanager
+    def watch(loop: "Loop") -> Iterator[None]:
+        columns = (TextColumn("{task.completed:6.2f} s of {task.total:g} s"), BarColumn(), TimeRemainingColumn())
+        done = threading.Event()
+        with Progress(*columns, console=Console(stderr=True), transient=True, auto_refresh=False) as bar:
+            task = bar.add_task("run", total=duration_s)
+
+            def follow() -> None:
+                while not done.wait(_REFRESH_S):
+                    bar.update(task, completed=loop.t_s, refresh=True)
+
+            follower = threading.Thread(target=follow, name="progress", daemon=True)
+            follower.start()
+            try:
+                yield
+            finally:
+                done.set()
+                follower.join()
+
+    def make(loop: "Loop") -> AbstractContextManager[object]:
+        return watch(loop)
+
+    return make
+
+
+def announce_live(port: int) -> None:
+    """Say on stderr how a viewer reaches the run."""
+    from hil.telemetry.view import live_hint
+
+    print(live_hint(port), file=sys.stderr)
+
+
+def print_result(result: RunResult) -> None:
+    """Print the figures of a run, its expectations, and what to do next."""
+    print_figures(result.metrics)
+    path = result.metrics["recording"]
+    print()
+    if path is not None:
+        print("Next:")
+        print(f"  hil view {path}                  # open it in the rerun viewer; --web in the browser")
+        print(f"  hil review {path}                # read the figures back from the recording alone")
+    print(f"  hil show {result.scenario.name}  # every value of the scenario and where it came from")
+
+
+def print_figures(metrics: Mapping[str, Any]) -> None:
+    """Print the figures of a run or of a recording, with the reason where there is none."""
+    reasons = metrics.get("reasons", {})
+    for label, name, unit, scale in _FIGURES:
+        value = metrics.get(name)
+        if value is not None:
+            print(f"  {label:<22} {value * scale:.5g} {unit}")
+        elif name in reasons:
+            print(f"  {label:<22} -      {reasons[name]}")
+    tick = metrics.get("tick_us")
+    if tick is not None:
+        print(f"  {'tick p50, p99':<22} {tick['p50']:.1f}, {tick['p99']:.1f} µs")
+    frames = metrics.get("frames")
+    if frames is not None:
+        rejected = ", ".join(f"{cause} {count}" for cause, count in frames["rejected"].items()) or "none"
+        print(f"  {'frames':<22} {frames['sent']} sent, {frames['received']} received, rejected: {rejected}")
+    for row in metrics.get("fault") or ():
+        print(f"  {'fault':<22} {row['kind']} {row['target']}: applied {row['applied']} times")
+    for row in metrics.get("expect") or ():
+        print(f"  {'expect':<22} {row['text']}")
+    recorded = metrics.get("recorded")
+    if recorded is not None and (recorded["error"] or recorded["dropped"] or recorded["lost"]):
+        lost = f"{recorded['dropped']} rows dropped, {recorded['lost']} lost"
+        print(f"  {'recording':<22} incomplete: {lost}; {recorded['error'] or 'the recorder was too slow'}")
+    if (passed := metrics.get("passed")) is not None:
+        print(f"  {'passed':<22} {'yes' if passed else 'no'}")
+
+
+_FIGURES = (
+    ("tracked after", "tracked_s", "s", 1.0),
+    ("within 10 mm after", "t10_s", "s", 1.0),
+    ("steady error rms", "steady_rms_m", "mm", 1e3),
+    ("steady error max", "steady_max_m", "mm", 1e3),
+    ("ticks", "ticks", "", 1),
+    ("deadline misses", "deadline_misses", "", 1),
+    ("times real time", "realtime_factor", "", 1.0),
+)
+
+
+def listing(what: str) -> list[tuple[str, str]]:
+    """Return the rows of ``hil list``. Raises BadInputError for a list that there is not."""
+    if what == "signals":
+        from hil.signals import SIGNALS
+
+        return [(s.name, f"{s.unit or '-':<6} {s.meaning}") for s in SIGNALS]
+    if what == "laws":
+        from hil.controllers.registry import laws
+
+        return list(laws().items())
+    if what == "scenarios":
+        from hil.scenario import shipped
+
+        return list(shipped().items())
+    if what == "links":
+        from hil.links.url import LINK_FORMS
+
+        return list(LINK_FORMS.items())
+    raise BadInputError(f"there is no list of {what!r}{nearest(what, ('signals', 'laws', 'scenarios', 'links'))}")
+
+
+def print_fmu(info: "FmuInfo") -> None:
+    """Print an FMU's description and its variables."""
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    console.print(f"{info.path}  sha256 {info.sha256[:16]}…{'  (shipped)' if info.shipped else ''}", highlight=False)
+    console.print(f"{info.model_name}, FMI {info.fmi_version}: {info.description or ''}", highlight=False)
+    table = Table("name", "causality", "variability", "type", "unit", "start", "description")
+    for v in info.variables:
+        table.add_row(
+            v.name, v.causality, v.variability, v.type, v.unit or "", "" if v.start is None else v.start, v.description or ""
+        )
+    console.print(table)

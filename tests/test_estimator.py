@@ -1,0 +1,151 @@
+"""Odometry against exact motion along arcs; truth against what it was given."""
+
+import math
+from typing import NamedTuple
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hil.errors import BadInputError
+from hil.estimator import OdometryEstimator, TruthEstimator, make_estimator
+from hil.kinematics import BodyTwist, to_world, wheel_speeds
+from hil.model import RobotModel
+from hil.types import NAN, NAN_POSE, ZERO_WHEELS, Pose, PoseFix, Twist, Wheels
+
+ROBOT = RobotModel(20.0, 0.56, 0.075, 0.3, 0.3, 0.005, 0.0, 5.0, 60.0)
+COUNTS = 4096
+START = Pose(0.8, -0.2, 0.4)
+TICK_NS = 5_000_000
+
+body_twists = st.builds(BodyTwist, st.floats(-1.5, 1.5), st.floats(-1.5, 1.5), st.floats(-3.0, 3.0))
+
+
+class Measured(NamedTuple):
+    robot_time_ns: int
+    count: tuple[int, int, int, int] | None
+    speed_rad_s: Wheels
+    yaw_rate_rad_s: float = NAN
+
+
+def arc(start: Pose, body: BodyTwist, t_s: float) -> Pose:
+    """Return where a constant body twist leads: exact, by the screw motion about a fixed centre."""
+    forward, left, rate = body
+    turned = rate * t_s
+    along = math.sin(turned) / rate if abs(rate) > 1e-9 else t_s
+    aside = (1.0 - math.cos(turned)) / rate if abs(rate) > 1e-9 else 0.0
+    dx, dy = forward * along - left * aside, forward * aside + left * along
+    c, s = math.cos(start.heading_rad), math.sin(start.heading_rad)
+    return Pose(start.x_m + c * dx - s * dy, start.y_m + s * dx + c * dy, start.heading_rad + turned)
+
+
+def drive(
+    body: BodyTwist, ticks: int, *, counts: bool = True, gyro: float = NAN, offset: int = 0
+) -> list[Measured]:
+    """Return what ideal wheels measure at each tick; ``offset`` is where the encoders stand at the start."""
+    speed = wheel_speeds(body, ROBOT.wheel_radius_m, ROBOT.lever_m)
+    rows = []
+    for n in range(ticks + 1):
+        angles = [w * n * TICK_NS * 1e-9 for w in speed]
+        fl, fr, rr, rl = ((offset + math.floor(a * COUNTS / math.tau)) & 0xFFFF for a in angles)
+        rows.append(Measured(n * TICK_NS, (fl, fr, rr, rl) if counts else None, speed, gyro))
+    return rows
+
+
+def odometry() -> OdometryEstimator:
+    return OdometryEstimator(ROBOT, START, COUNTS)
+
+
+@given(body_twists, st.integers(0, 0xFFFF), st.booleans())
+def test_odometry_follows_an_arc(body, offset, with_gyro):
+    """Within the encoders' resolution (0.12 mm a count) and the midpoint rule's error at 200 Hz."""
+    estimator = odometry()
+    gyro = body.yaw_rate_rad_s if with_gyro else NAN
+    for measured in drive(body, 200, gyro=gyro, offset=offset):
+        state = estimator.update(measured, None)
+    expected = arc(START, body, 1.0)
+    assert state.pose[:2] == pytest.approx(expected[:2], abs=1e-3)
+    assert state.pose.heading_rad == pytest.approx(expected.heading_rad, abs=1e-3)
+    assert state.twist == pytest.approx(to_world(body, expected.heading_rad), abs=5e-3)
+
+
+@given(body_twists)
+def test_without_counts_the_speeds_are_integrated(body):
+    estimator = odometry()
+    for measured in drive(body, 200, counts=False):
+        state = estimator.update(measured, None)
+    assert state.pose == pytest.approx(arc(START, body, 1.0), abs=2e-4)
+
+
+def test_the_midpoint_rule_is_of_second_order():
+    body = BodyTwist(1.0, 0.5, 3.0)
+    speed = wheel_speeds(body, ROBOT.wheel_radius_m, ROBOT.lever_m)
+    error = []
+    for ticks in (50, 100):
+        estimator = odometry()
+        for n in range(ticks + 1):
+            state = estimator.update(Measured(n * 1_000_000_000 // ticks, None, speed), None)
+        error.append(math.dist(state.pose, arc(START, body, 1.0)))
+    assert error[0] / error[1] == pytest.approx(4.0, rel=0.02)
+
+
+@given(body_twists, st.integers(1, 199))
+def test_a_gap_in_the_counts_is_not_counted_twice(body, gap):
+    estimator = odometry()
+    for n, measured in enumerate(drive(body, 200)):
+        state = estimator.update(measured._replace(count=None) if n == gap else measured, None)
+    assert state.pose == pytest.approx(arc(START, body, 1.0), abs=2e-3)
+
+
+def test_the_first_measurement_is_at_the_start_wherever_the_encoders_stand():
+    state = odometry().update(Measured(7, (1, 2, 3, 65535), ZERO_WHEELS), None)
+    assert state == (START, (0.0, 0.0, 0.0))
+
+
+@given(body_twists)
+def test_the_same_or_an_older_measurement_moves_nothing(body):
+    estimator = odometry()
+    first, second, third = drive(body, 2)
+    estimator.update(first, None)
+    state = estimator.update(third, None)
+    assert estimator.update(third, None) == state
+    assert estimator.update(second, None) == state
+
+
+def test_the_gyro_decides_the_heading():
+    """Wheels that slip in a turn: they claim 1 rad/s, the gyro says 0.8."""
+    estimator = odometry()
+    for measured in drive(BodyTwist(0.0, 0.0, 1.0), 200, gyro=0.8):
+        state = estimator.update(measured, None)
+    assert state.pose.heading_rad == pytest.approx(START.heading_rad + 0.8)
+    assert state.twist.yaw_rate_rad_s == 0.8
+
+
+def test_truth_is_unknown_until_the_first_fix_and_stands_until_the_next():
+    estimator = TruthEstimator(ROBOT)
+    measured = Measured(0, None, ZERO_WHEELS)
+    fix = PoseFix(0, Pose(1.0, 2.0, 3.0), Twist(0.1, 0.2, 0.3))
+    assert estimator.update(measured, None) is None
+    assert estimator.update(measured, fix) == (fix.pose, fix.twist)
+    assert estimator.update(measured, None) == (fix.pose, fix.twist)
+    assert estimator.update(measured, fix._replace(pose=NAN_POSE)) == (fix.pose, fix.twist)
+
+
+def test_a_fix_without_twist_takes_it_from_wheels_and_gyro():
+    measured = drive(BodyTwist(1.0, 0.0, 0.5), 0, gyro=0.4)[0]
+    fix = PoseFix(0, Pose(0.0, 0.0, math.pi / 2), Twist(NAN, NAN, NAN))
+    state = TruthEstimator(ROBOT).update(measured, fix)
+    assert state.twist == pytest.approx((0.0, 1.0, 0.4))
+
+
+def test_sources_by_name():
+    assert isinstance(make_estimator("truth", ROBOT, START, COUNTS), TruthEstimator)
+    assert isinstance(make_estimator("odometry", ROBOT, START, COUNTS), OdometryEstimator)
+    with pytest.raises(
+        BadInputError, match=r"estimator.source = 'odometer': unknown; did you mean 'odometry'\?"
+    ):
+        make_estimator("odometer", ROBOT, START, COUNTS)
+    with pytest.raises(BadInputError, match=r"estimator\.source = 'odometer': .*did you mean 'odometry'"):
+        make_estimator("odometer", ROBOT, START, COUNTS)
+    with pytest.raises(BadInputError, match=r"firmware\.counts_per_revolution = 0: expected"):
+        make_estimator("odometry", ROBOT, START, 0)
