@@ -94,13 +94,20 @@ class HostNode:
     """One robot's firmware on this machine.
 
     ``exchange_address`` and ``context_address`` are the C function and its context that play the plant; their owner
-    keeps them alive as long as this object. ``values`` gives every parameter of ``parameters()``.
+    keeps them alive as long as this object. ``values`` gives every parameter of ``parameters()``. ``power_stage``
+    makes it report motors, as a board with motors does; it then refuses STEP.
 
     Raises ValueError when a parameter is unknown, missing or out of its range.
     """
 
     def __init__(
-        self, values: Mapping[str, float], exchange_address: int, context_address: int, *, lockstep: bool
+        self,
+        values: Mapping[str, float],
+        exchange_address: int,
+        context_address: int,
+        *,
+        lockstep: bool,
+        power_stage: bool = False,
     ) -> None:
         self._ffi, self._lib = library()
         names = {p.name for p in parameters()}
@@ -116,6 +123,7 @@ class HostNode:
         self._buffer = self._ffi.buffer(self._bytes, _BYTES)
         self._id = self._ffi.new("uint16_t *")
         capabilities = _CAN_DO | (CAPABILITY_LOCKSTEP if lockstep else 0)
+        capabilities |= CAPABILITY_POWER_STAGE if power_stage else 0
         exchange = self._ffi.cast("wheel_plant_exchange", exchange_address)
         context = self._ffi.cast("void *", context_address)
         self._lib.wheel_host_init(self._host, block, capabilities, exchange, context)

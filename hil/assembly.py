@@ -118,7 +118,9 @@ def _drive(scenario: Scenario, bench: Bench, loop: Loop, watch: Watch | None) ->
         return loop.run(origin_ns, round(scenario.loop.duration_s * NS))
 
 
-def _figures(scenario: Scenario, bench: Bench, memory: MemorySink, report: Report, guard: Guard) -> dict[str, Any]:
+def _figures(
+    scenario: Scenario, bench: Bench, memory: MemorySink, report: Report, guard: Guard
+) -> dict[str, Any]:
     signals = memory.signals()
     figures, reasons = tracking_figures(signals)
     outcomes = expectations(scenario.expect, signals)
@@ -129,13 +131,15 @@ def _figures(scenario: Scenario, bench: Bench, memory: MemorySink, report: Repor
     held = all(outcome["passed"] for outcome in outcomes)
     # A fault that never happened proves nothing.
     faulted = all(row["applied"] for row in applied)
+    # Neither does a run in which the law gave no number and the robot was held still.
+    lawful = guard.refused == 0
     failure: HilError | None = bench.robot_failure or report.failure
     realtime_factor = report.robot_s / report.wall_s if report.ticks else None
     if realtime_factor is None:
         reasons["realtime_factor"] = "the run has no ticks"
     device = bench.device
     return {
-        "passed": failure is None and held and faulted,
+        "passed": failure is None and held and faulted and lawful,
         "scenario": scenario.name,
         "law": scenario.controller.law,
         "mode": scenario.loop.mode,

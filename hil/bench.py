@@ -82,6 +82,7 @@ class Bench:
 
     def __init__(self, scenario: Scenario, truth: str | None, *, allow_motion: bool) -> None:
         self._scenario = scenario
+        self.device: Stm32
         self._thread: ServerThread | None = None
         lockstep = scenario.loop.mode == "lockstep"
         url = parse_link(scenario.link.url)
@@ -102,7 +103,9 @@ class Bench:
                     resources.callback(self.truth.close)
                 link = open_host(url)
                 resources.callback(link.close)
-            self.clock: Clock = LockstepClock(lambda ticks: self.device.step(ticks)) if lockstep else WallClock()
+            self.clock: Clock = (
+                LockstepClock(lambda ticks: self.device.step(ticks)) if lockstep else WallClock()
+            )
             self.faults = FaultLink(link, self.clock, _faults(scenario.fault), scenario.loop.seed)
             delayed = DelayedLink(
                 self.faults,

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 
 import typer
 
-from hil.errors import BadInputError, HilError
+from hil.errors import BadInputError, HilError, RunInterruptedError
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -26,14 +26,18 @@ app = typer.Typer(
 fmu_app = typer.Typer(no_args_is_help=True, help="The plant: build, look at and check FMUs.")
 app.add_typer(fmu_app, name="fmu")
 
-ScenarioName = Annotated[str, typer.Argument(metavar="SCENARIO", help="a shipped name or a path to a .toml file")]
+ScenarioName = Annotated[
+    str, typer.Argument(metavar="SCENARIO", help="a shipped name or a path to a .toml file")
+]
 Sets = Annotated[
-    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="override any key, for example robot.mass_kg=24")
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="override any key, for example robot.mass_kg=24"),
 ]
 RobotFile = Annotated[Path | None, typer.Option("--robot", metavar="FILE", help="merge a robot's own file")]
 Mode = Annotated[str | None, typer.Option(metavar="lockstep|realtime", help="whose time passes")]
 LinkUrl = Annotated[
-    str | None, typer.Option("--link", metavar="LINK", help="memory:, serial:PATH, serial:pty or can:INTERFACE/CHANNEL")
+    str | None,
+    typer.Option("--link", metavar="LINK", help="memory:, serial:PATH, serial:pty or can:INTERFACE/CHANNEL"),
 ]
 Seed = Annotated[int | None, typer.Option(metavar="N", help="of everything random in the run")]
 Json = Annotated[bool, typer.Option("--json", help="print one JSON object and nothing else")]
@@ -51,7 +55,9 @@ def run(
     record: Annotated[
         str | None, typer.Option(metavar="FILE|none", help="recording; by default runs/SCENARIO-TIME.rrd")
     ] = None,
-    live: Annotated[bool, typer.Option("--live", help="serve the rerun viewer on 127.0.0.1 while it runs")] = False,
+    live: Annotated[
+        bool, typer.Option("--live", help="serve the rerun viewer on 127.0.0.1 while it runs")
+    ] = False,
     live_port: Annotated[int, typer.Option(metavar="PORT", help="for --live", min=1, max=65535)] = 9876,
     seed: Seed = None,
     sets: Sets = None,
@@ -69,14 +75,18 @@ def run(
     watch = None if as_json or not sys.stderr.isatty() else report.progress(resolved.loop.duration_s)
     if live and not as_json:
         report.announce_live(live_port)
-    result = run_scenario(
-        resolved,
-        truth=truth,
-        record=path,
-        live_port=live_port if live else None,
-        allow_motion=allow_motion,
-        watch=watch,
-    )
+    try:
+        result = run_scenario(
+            resolved,
+            truth=truth,
+            record=path,
+            live_port=live_port if live else None,
+            allow_motion=allow_motion,
+            watch=watch,
+        )
+    except KeyboardInterrupt:
+        kept = f"; recorded until then: {path}" if path is not None and path.exists() else ""
+        raise RunInterruptedError(f"interrupted; the robot was told to stop{kept}") from None
     if as_json:
         _print_json(result.metrics)
     else:
@@ -115,17 +125,14 @@ def show(
     as_json: Json = False,
 ) -> None:
     """Print every value of a scenario and where it came from."""
+    from hil import report
     from hil.scenario import format_value, load, resolved
 
     rows = resolved(load(scenario, set=sets or [], robot=robot, mode=mode, link=link, seed=seed))
     if as_json:
         _print_json({key: {"value": value, "from": where} for key, value, where in rows})
         return
-    width = max(len(key) for key, _, _ in rows)
-    shown = [(key, format_value(value), where) for key, value, where in rows]
-    value_width = max(len(value) for _, value, _ in shown)
-    for key, text, where in shown:
-        print(f"{key:<{width}}  {text:<{value_width}}  {where}")
+    report.print_table([(key, format_value(value), where) for key, value, where in rows])
 
 
 @app.command("list")
@@ -136,13 +143,11 @@ def list_(
     """Print the vocabulary of signals, the shipped laws and scenarios, or the forms of links."""
     from hil import report
 
-    rows = report.listing(what)
+    header, rows = report.listing(what)
     if as_json:
-        _print_json({name: text for name, text in rows})
-        return
-    width = max(len(name) for name, _ in rows)
-    for name, text in rows:
-        print(f"{name:<{width}}  {text}")
+        _print_json([dict(zip(header, row, strict=True)) for row in rows])
+    else:
+        report.print_table(rows)
 
 
 @app.command()
@@ -235,9 +240,6 @@ def main() -> None:
     except HilError as error:
         print(f"hil: {error}", file=sys.stderr)
         sys.exit(error.exit_code)
-    except KeyboardInterrupt:
-        print("hil: interrupted", file=sys.stderr)
-        sys.exit(130)
 
 
 if __name__ == "__main__":

@@ -30,6 +30,12 @@ class DeviceError(HilError):
     exit_code = 3
 
 
+class RunInterruptedError(HilError):
+    """Somebody ended the run with Ctrl-C or SIGTERM (exit code 130, as shells have it)."""
+
+    exit_code = 130
+
+
 def nearest(word: str, known: Iterable[str]) -> str:
     """Return ``"; did you mean 'x'?"`` for the known word nearest to ``word``, or the choice itself.
 

@@ -26,7 +26,7 @@ class Measurement(Protocol):
         """Robot time of the sample; does not wrap."""
 
     @property
-    def count(self) -> Counts | None:
+    def encoder_count(self) -> Counts | None:
         """Encoder counts, or None where there are none."""
 
     @property
@@ -114,9 +114,9 @@ class OdometryEstimator:
 
     def _wheel_angles(self, last: Measurement, now: Measurement, dt_s: float) -> Wheels:
         """Return how far each wheel turned [rad]."""
-        if last.count is not None and now.count is not None:
+        if last.encoder_count is not None and now.encoder_count is not None:
             scale = self._rad_per_count
-            return Wheels(*(scale * _forward(a, b) for a, b in zip(last.count, now.count, strict=True)))
+            return Wheels(*(scale * _forward(a, b) for a, b in zip(last.encoder_count, now.encoder_count, strict=True)))
         return Wheels(*(0.5 * (a + b) * dt_s for a, b in zip(last.speed_rad_s, now.speed_rad_s, strict=True)))
 
 

@@ -10,6 +10,7 @@ import sys
 import tempfile
 import xml.etree.ElementTree as ET
 import zipfile
+import zlib
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
@@ -21,6 +22,8 @@ _MOST_BYTES = 512 * 1024 * 1024  # unpacked; large FMUs with resources stay belo
 _MOST_DESCRIPTION_BYTES = 64 * 1024 * 1024
 _MOST_ENTRIES = 20_000
 _LIBRARY_SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
+# Damaged, encrypted, or packed by a method that Python lacks.
+_UNREADABLE = (zipfile.BadZipFile, zlib.error, RuntimeError, NotImplementedError)
 
 
 class Header(NamedTuple):
@@ -72,7 +75,7 @@ def read_header(fmu: Path) -> Header:
             )
         try:
             root = ET.fromstring(archive.read("modelDescription.xml"))
-        except (ET.ParseError, zipfile.BadZipFile) as error:
+        except (ET.ParseError, LookupError, *_UNREADABLE) as error:
             raise BadInputError(f"FMU {fmu}: its modelDescription.xml cannot be read ({error})") from error
     interfaces = [root.find(name) for name in ("CoSimulation", "ModelExchange")]
     co_simulation, model_exchange = (
@@ -111,7 +114,7 @@ def extract(fmu: Path) -> Path:
         folder = Path(tempfile.mkdtemp(prefix="hil_fmu_"))
         try:
             archive.extractall(folder)
-        except (zipfile.BadZipFile, OSError, NotImplementedError, RuntimeError) as error:
+        except (OSError, *_UNREADABLE) as error:
             shutil.rmtree(folder, ignore_errors=True)
             raise BadInputError(f"FMU {fmu}: it cannot be unpacked ({error})") from error
     return folder
@@ -128,8 +131,10 @@ def _open(fmu: Path) -> zipfile.ZipFile:
         raise BadInputError(f"FMU {fmu} does not exist; give the path of an .fmu file, or {SHIPPED!r}")
     try:
         archive = zipfile.ZipFile(fmu)
-    except (zipfile.BadZipFile, OSError) as error:
+    except zipfile.BadZipFile as error:
         raise BadInputError(f"FMU {fmu}: not a zip archive ({error}), so it is no FMU") from error
+    except OSError as error:
+        raise BadInputError(f"FMU {fmu}: it cannot be read ({error.strerror})") from error
     if problem := _unsafe(archive):
         archive.close()
         raise BadInputError(f"FMU {fmu}: {problem}; it is not opened")

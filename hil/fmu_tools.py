@@ -81,8 +81,7 @@ def check(fmu: Path, longest_s: float = _LONGEST_CHECK_S) -> list[str]:
     """Return every problem found, none for a good FMU, one sentence each.
 
     First FMPy's validator on the description; then, for FMI 2.0 co-simulation with a library for this
-    platform, a run of every call and claim (``hil.fmu_conformance``). Raises BadInputError when the file is no
-    FMU.
+    platform, a run of every call and claim (``hil.fmu_conformance``). Raises BadInputError when it is no FMU.
     """
     fmu_archive.read_header(fmu)
     from fmpy.validation import validate_fmu

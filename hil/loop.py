@@ -7,7 +7,7 @@ from typing import NamedTuple
 from firmware_protocol.generated.messages import State as RobotState
 from hil.devices.snapshot import Feedback
 from hil.devices.stm32 import Stm32
-from hil.errors import DeviceError, LinkError
+from hil.errors import DeviceError, HilError, LinkError
 from hil.estimator import Estimator
 from hil.guard import Guard
 from hil.ports import Clock, Controller, PoseSource, Sink
@@ -62,7 +62,7 @@ class Report(NamedTuple):
     robot_s: float
     wall_s: float
     stopped: bool
-    failure: DeviceError | LinkError | None
+    failure: HilError | None
 
 
 class Loop:
@@ -89,19 +89,20 @@ class Loop:
     def run(self, origin_ns: int, duration_ns: int) -> Report:
         """Run from the first ACTIVE tick at ``origin_ns`` on the clock, then stop the robot.
 
-        A lost link or device ends the run and is reported; a KeyboardInterrupt stops the robot and goes on.
+        What ends the run early is reported: a lost link or device, or a law that fails. Whatever it is, the robot is
+        stopped while it can be reached.
         """
         begin = time.perf_counter()
-        failure: DeviceError | LinkError | None = None
+        failure: HilError | None = None
         try:
             self._run(origin_ns, duration_ns)
-        except (DeviceError, LinkError) as error:
+        except HilError as error:
             failure = error
-        except KeyboardInterrupt:
+        except BaseException:
             self._stop()
             raise
         wall_s = time.perf_counter() - begin
-        stopped = failure is None and self._stop()
+        stopped = not isinstance(failure, DeviceError | LinkError) and self._stop()
         robot_s = self.t_s + self._dt_s if self._ticks else 0.0
         return Report(self._ticks, self._misses, robot_s, wall_s, stopped, failure)
 

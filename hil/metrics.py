@@ -183,8 +183,7 @@ def _settled(t_s: Series, planar_m: Series, limit_m: float) -> float:
     first = int(outside[-1]) + 1 if len(outside) else 0
     if first == len(t_s):
         raise _NoMeaningError(
-            f"the planar error did not stay below {limit_m * 1e3:.3g} mm: "
-            f"it was {planar_m[-1] * 1e3:.3g} mm at the end"
+            f"the planar error did not stay below {limit_m * 1e3:.3g} mm: it was {planar_m[-1] * 1e3:.3g} mm at the end"
         )
     return float(t_s[first])
 
@@ -197,9 +196,7 @@ def _steady(t_s: Series, planar_m: Series) -> Series:
     period_s = float(np.median(np.diff(t_s)))
     covered_s = float(t_s[-1] - t_s[0]) + period_s
     if covered_s < STEADY_WINDOW_S - period_s / 2:
-        raise _NoMeaningError(
-            f"the run lasted {covered_s:.3g} s, less than the window of {STEADY_WINDOW_S:g} s"
-        )
+        raise _NoMeaningError(f"the run lasted {covered_s:.3g} s, less than the window of {STEADY_WINDOW_S:g} s")
     start = int(np.searchsorted(t_s, t_s[-1] - STEADY_WINDOW_S + period_s / 2))
     _require_truth(t_s[start:], planar_m[start:])
     return planar_m[start:]

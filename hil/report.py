@@ -2,7 +2,7 @@
 
 import sys
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from datetime import datetime
 from pathlib import Path
@@ -43,7 +43,11 @@ def progress(duration_s: float) -> "Watch":
 
     @contextmanager
     def watch(loop: "Loop") -> Iterator[None]:
-        columns = (TextColumn("{task.completed:6.2f} s of {task.total:g} s"), BarColumn(), TimeRemainingColumn())
+        columns = (
+            TextColumn("{task.completed:6.2f} s of {task.total:g} s"),
+            BarColumn(),
+            TimeRemainingColumn(),
+        )
         done = threading.Event()
         with Progress(*columns, console=Console(stderr=True), transient=True, auto_refresh=False) as bar:
             task = bar.add_task("run", total=duration_s)
@@ -78,11 +82,14 @@ def print_result(result: RunResult) -> None:
     print_figures(result.metrics)
     path = result.metrics["recording"]
     print()
+    print("Next:")
+    hints = [
+        (f"  hil show {result.scenario.path or result.scenario.name}", "# every value and where it came from")
+    ]
     if path is not None:
-        print("Next:")
-        print(f"  hil view {path}                  # open it in the rerun viewer; --web in the browser")
-        print(f"  hil review {path}                # read the figures back from the recording alone")
-    print(f"  hil show {result.scenario.name}  # every value of the scenario and where it came from")
+        hints.insert(0, (f"  hil view {path}", "# see it in the rerun viewer; --web for a browser"))
+        hints.insert(1, (f"  hil review {path}", "# the figures again, from the recording alone"))
+    print_table(hints)
 
 
 def print_figures(metrics: Mapping[str, Any]) -> None:
@@ -124,38 +131,50 @@ _FIGURES = (
 )
 
 
-def listing(what: str) -> list[tuple[str, str]]:
-    """Return the rows of ``hil list``. Raises BadInputError for a list that there is not."""
+def listing(what: str) -> tuple[tuple[str, ...], Sequence[tuple[str, ...]]]:
+    """Return the column names and the rows of ``hil list``. Raises BadInputError for a list that there is not."""
     if what == "signals":
         from hil.signals import SIGNALS
 
-        return [(s.name, f"{s.unit or '-':<6} {s.meaning}") for s in SIGNALS]
+        return SIGNALS[0]._fields, [(s.name, s.unit, s.meaning) for s in SIGNALS]
     if what == "laws":
         from hil.controllers.registry import laws
 
-        return list(laws().items())
+        return ("law", "meaning"), list(laws().items())
     if what == "scenarios":
         from hil.scenario import shipped
 
-        return list(shipped().items())
+        return ("scenario", "meaning"), list(shipped().items())
     if what == "links":
         from hil.links.url import LINK_FORMS
 
-        return list(LINK_FORMS.items())
-    raise BadInputError(f"there is no list of {what!r}{nearest(what, ('signals', 'laws', 'scenarios', 'links'))}")
+        return ("link", "meaning"), list(LINK_FORMS.items())
+    raise BadInputError(
+        f"there is no list of {what!r}{nearest(what, ('signals', 'laws', 'scenarios', 'links'))}"
+    )
+
+
+def print_table(rows: Sequence[Sequence[str]]) -> None:
+    """Print rows in columns; the last column is not padded. Nothing is cut, so that names can be copied."""
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]) - 1)]
+    for row in rows:
+        padded = [text.ljust(width) for text, width in zip(row, widths, strict=False)]
+        print("  ".join([*padded, row[-1]]).rstrip())
 
 
 def print_fmu(info: "FmuInfo") -> None:
     """Print an FMU's description and its variables."""
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console()
-    console.print(f"{info.path}  sha256 {info.sha256[:16]}…{'  (shipped)' if info.shipped else ''}", highlight=False)
-    console.print(f"{info.model_name}, FMI {info.fmi_version}: {info.description or ''}", highlight=False)
-    table = Table("name", "causality", "variability", "type", "unit", "start", "description")
-    for v in info.variables:
-        table.add_row(
-            v.name, v.causality, v.variability, v.type, v.unit or "", "" if v.start is None else v.start, v.description or ""
-        )
-    console.print(table)
+    print(f"{info.path}{' (shipped)' if info.shipped else ''}")
+    print(f"{info.model_name}: {info.description or 'no description'}")
+    kinds = {"co-simulation": info.co_simulation, "model exchange": info.model_exchange}
+    print(f"FMI {info.fmi_version}, {' and '.join(kind for kind, name in kinds.items() if name)}")
+    print(f"platforms: {', '.join(info.platforms) or 'none'}")
+    print(f"capabilities: {', '.join(info.capabilities) or 'none'}")
+    print(f"sha256: {info.sha256}")
+    print()
+    rows = [("name", "causality", "type", "unit", "start", "description")]
+    rows += [
+        (v.name, v.causality, v.type, v.unit or "", v.start or "", v.description or "")
+        for v in info.variables
+    ]
+    print_table(rows)

@@ -1,6 +1,7 @@
 """What the tests of the plant share: the built FMU, FMPy's own instances of it, and an independent model."""
 
 import contextlib
+import ctypes
 import shutil
 import subprocess
 import sys
@@ -62,6 +63,13 @@ def initialise(fmu: FMU2Slave, start: dict[str, float]) -> None:
         fmu.setReal([REFERENCE[name]], [value])
     fmu.enterInitializationMode()
     fmu.exitInitializationMode()
+
+
+def last_successful_time_s(fmu: FMU2Slave) -> float:
+    """Return the time that the instance itself has reached (FMI 2.0 section 4.2.3)."""
+    value = ctypes.c_double()
+    fmu.fmi2GetRealStatus(fmu.component, 2, ctypes.byref(value))
+    return value.value
 
 
 ROBOT = {

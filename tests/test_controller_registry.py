@@ -134,8 +134,8 @@ def test_a_law_without_options_takes_none(write, constructor):
         ("my_law.py", "controller.law = 'my_law.py': name the class too, as in 'my_law.py:MyLaw'"),
         (
             "no_such_package.law:Law",
-            "controller.law = 'no_such_package.law:Law': no module 'no_such_package'; install it, or name a file "
-            "as in './my_law.py:MyLaw'",
+            "controller.law = 'no_such_package.law:Law': no module 'no_such_package'; install it, or name a "
+            "file as in './my_law.py:MyLaw'",
         ),
         (
             "hil.controllers.dsc:Dcs",

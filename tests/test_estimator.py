@@ -23,7 +23,7 @@ body_twists = st.builds(BodyTwist, st.floats(-1.5, 1.5), st.floats(-1.5, 1.5), s
 
 class Measured(NamedTuple):
     robot_time_ns: int
-    count: tuple[int, int, int, int] | None
+    encoder_count: tuple[int, int, int, int] | None
     speed_rad_s: Wheels
     yaw_rate_rad_s: float = NAN
 
@@ -93,7 +93,7 @@ def test_the_midpoint_rule_is_of_second_order():
 def test_a_gap_in_the_counts_is_not_counted_twice(body, gap):
     estimator = odometry()
     for n, measured in enumerate(drive(body, 200)):
-        state = estimator.update(measured._replace(count=None) if n == gap else measured, None)
+        state = estimator.update(measured._replace(encoder_count=None) if n == gap else measured, None)
     assert state.pose == pytest.approx(arc(START, body, 1.0), abs=2e-3)
 
 

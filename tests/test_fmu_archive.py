@@ -13,7 +13,6 @@ from hil.fmu_tools import check, info
 from hil.plant import FmuPlant
 from tests.plant_testbed import FMU
 
-
 Change = Callable[[str, bytes], bytes | None]
 
 
@@ -74,6 +73,10 @@ CASES: list[tuple[Callable[[Path], Path], str]] = [
         lambda path: repack(path, in_description("</fmiModelDescription>", "")),
         "cannot be read (no element found",
     ),
+    (
+        lambda path: repack(path, in_description('encoding="UTF-8"', 'encoding="none"')),
+        "its modelDescription.xml cannot be read (unknown encoding",
+    ),
     (lambda path: repack(path, **{"../outside": b""}), "its entry '../outside' leads out of the archive"),
     (lambda path: repack(path, **{"/etc/outside": b""}), "its entry '/etc/outside' leads out"),
     (lambda path: repack(path, **{"a\\..\\outside": b""}), "leads out of the archive"),
@@ -104,7 +107,7 @@ def test_a_plant_is_made_of_nothing_else(make: Callable[[Path], Path], words: st
     assert "\n" not in text
 
 
-@pytest.mark.parametrize(("make", "words"), CASES[:9], ids=[words[:40] for _, words in CASES[:9]])
+@pytest.mark.parametrize(("make", "words"), CASES[:10], ids=[words[:40] for _, words in CASES[:10]])
 @pytest.mark.parametrize("tool", [info, check])
 def test_the_tools_refuse_what_is_no_fmu(
     tool: Callable[[Path], object], make: Callable[[Path], Path], words: str, tmp_path: Path

@@ -7,7 +7,15 @@ import pytest
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import FMU2Slave
 
-from tests.plant_testbed import DESCRIPTION, MOTION, REFERENCE, TORQUES, initialise, slave
+from tests.plant_testbed import (
+    DESCRIPTION,
+    MOTION,
+    REFERENCE,
+    TORQUES,
+    initialise,
+    last_successful_time_s,
+    slave,
+)
 
 TORQUE, MASS, X = TORQUES[0], REFERENCE["mass_kg"], REFERENCE["pose.x_m"]
 COUNT, CORIOLIS = REFERENCE["wheel.fl.count"], REFERENCE["coriolis"]
@@ -41,7 +49,7 @@ CALLS: dict[str, tuple[str, Callable[[FMU2Slave], object]]] = {
     "setString": ("ins", lambda f: f.setString([], [])),
     "doStep": ("s", lambda f: f.doStep(0.0, 1e-3)),
     "getFMUstate": ("inste", lambda f: f.freeFMUstate(f.getFMUstate())),
-    "getRealStatus": ("ste", lambda f: real_status(f)),
+    "getRealStatus": ("ste", last_successful_time_s),
 }
 STATES: dict[str, Callable[[FMU2Slave], object]] = {
     "i": lambda f: f.setupExperiment(startTime=0.0),
@@ -50,14 +58,6 @@ STATES: dict[str, Callable[[FMU2Slave], object]] = {
     "t": lambda f: (initialise(f, {}), f.terminate()),
     "e": lambda f: (initialise(f, {}), refused(lambda: f.doStep(0.0, -1.0))),
 }
-
-
-def real_status(fmu: FMU2Slave) -> float:
-    from ctypes import byref, c_double
-
-    value = c_double()
-    fmu.fmi2GetRealStatus(fmu.component, 2, byref(value))
-    return value.value
 
 
 def refused(call: Callable[[], object]) -> None:
@@ -220,5 +220,5 @@ def test_the_stop_time_is_kept() -> None:
         fmu.exitInitializationMode()
         for n in range(10):
             fmu.doStep(1.0 + n / 1000, 1e-3)
-        assert real_status(fmu) == pytest.approx(1.01)
+        assert last_successful_time_s(fmu) == pytest.approx(1.01)
         refused(lambda: fmu.doStep(1.01, 1e-3))

@@ -13,7 +13,7 @@ import pytest
 from hil.errors import BadInputError, DeviceError
 from hil.plant import FmuPlant
 from hil.types import Wheels
-from tests.plant_testbed import DESCRIPTION, FMU, REFERENCE, TORQUES, WHEELS, slave
+from tests.plant_testbed import DESCRIPTION, FMU, REFERENCE, TORQUES, WHEELS, last_successful_time_s, slave
 
 START = {"friction_coefficient": 0.05, "viscous_n_m_s_rad": 0.01, "start_heading_rad": 0.3}
 ZERO = Wheels(0.0, 0.0, 0.0, 0.0)
@@ -75,6 +75,7 @@ def test_equals_fmpy_bit_for_bit(plant: FmuPlant) -> None:
             )
             assert port.sense.tick == n + 1
     assert plant.truth().time_ns == 1_000_000_000
+    assert last_successful_time_s(plant._fmu) == pytest.approx(1.0, abs=1e-12)
     assert max(abs(value) for value in plant.truth().pose) > 0.01, "the robot did not move"
 
 

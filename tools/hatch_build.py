@@ -9,7 +9,7 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 class CustomBuildHook(BuildHookInterface[Any]):
     """Builds the firmware host library, the plant FMU and its shim with this machine's C compiler."""
 
-    def initialize(self, version: str, build_data: dict[str, Any]) -> None:  # noqa: ARG002 - the hook's signature
+    def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Build, and mark the wheel as one for this platform; the libraries do not depend on the Python version."""
         sys.path.insert(0, self.root)
         try:

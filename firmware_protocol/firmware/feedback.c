@@ -50,7 +50,8 @@ static void send_link_counters(wheel_node *node) {
 static void send_snapshot(wheel_node *node, const wheel_sense *sense, bool slow_parts) {
     const uint8_t parts = slow_parts ? PART_ENCODERS | PART_WHEEL_SPEEDS | PART_CURRENTS | PART_GYRO
                                      : PART_ENCODERS | PART_WHEEL_SPEEDS;
-    SEND(node, TICK, tick, .time_us = node->tick * 1000u, .sequence = node->setting.sequence,
+    const uint32_t time_us = node->tick * 1000u; /* wraps, as it does on the wire */
+    SEND(node, TICK, tick, .time_us = time_us, .sequence = node->setting.sequence,
          .command_age_ms = at_most_255(node->setting.age_ticks * WHEEL_TICK_MS), .state = node->state,
          .parts = parts, .snapshot = node->snapshot++);
     SEND(node, ENCODERS, encoders, .fl_count = sense->count[0], .fr_count = sense->count[1],
@@ -68,7 +69,7 @@ static void send_snapshot(wheel_node *node, const wheel_sense *sense, bool slow_
          .rl_a = clamp(sense->current_a[3], 31.9990234375f));
     SEND(node, GYRO, gyro, .x_rad_s = clamp(sense->gyro_rad_s[0], 31.9990234375f),
          .y_rad_s = clamp(sense->gyro_rad_s[1], 31.9990234375f),
-         .z_rad_s = clamp(sense->gyro_rad_s[2], 31.9990234375f), .tick = (uint16_t)node->tick);
+         .z_rad_s = clamp(sense->gyro_rad_s[2], 31.9990234375f), .tick = (uint16_t)(time_us / 1000u));
 }
 
 void wheel_node_send_feedback(wheel_node *node, const wheel_sense *sense) {

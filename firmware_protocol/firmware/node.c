@@ -16,6 +16,7 @@ void wheel_node_init(wheel_node *node, const wheel_parameters *parameters, const
     node->parameters = *parameters;
     node->identity = *identity;
     node->state = WP_STATE_BOOT;
+    node->setting.age_ticks = UINT32_MAX;
     if (wheel_parameters_invalid(parameters) >= 0) {
         node->fault = WP_FAULT_PARAMETERS;
         wheel_node_event(node, WHEEL_EVENT_FAULT);
@@ -26,6 +27,7 @@ void wheel_node_init(wheel_node *node, const wheel_parameters *parameters, const
 
 static void begin_session(wheel_node *node) {
     memset(&node->setting, 0, sizeof node->setting);
+    node->setting.age_ticks = UINT32_MAX; /* no command yet */
     memset(&node->speed_loop, 0, sizeof node->speed_loop);
     node->staged.present = false;
     node->stop_reason = WP_STOP_REASON_NONE;

@@ -726,7 +726,7 @@ class _GyroFields(NamedTuple):
 
 class Gyro(_GyroFields):
     """GYRO: Angular rates in the body frame, x forward, y left, z up.
-    tick: Low 16 bits of the 1 kHz tick of the sample.
+    tick: Low 16 bits of TICK.time_us / 1000 of the snapshot that this part belongs to.
     """
 
     __slots__ = ()

@@ -215,7 +215,7 @@ typedef struct {
     float x_rad_s;
     float y_rad_s;
     float z_rad_s;
-    /* Low 16 bits of the 1 kHz tick of the sample. */
+    /* Low 16 bits of TICK.time_us / 1000 of the snapshot that this part belongs to. */
     uint16_t tick;
 } wp_gyro;
 

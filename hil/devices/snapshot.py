@@ -1,4 +1,8 @@
-"""Feedback as one snapshot a tick: TICK opens it, the parts that it announces follow, incomplete ones are dropped."""
+"""Feedback as one snapshot a tick: TICK opens it, the parts that it announces follow in the order of their ids.
+
+A part out of its turn means that something was lost: the snapshot is dropped whole, so that parts of two sampling
+instants are not mixed.
+"""
 
 from typing import NamedTuple
 
@@ -20,7 +24,7 @@ class Feedback(NamedTuple):
     state: State
     command_sequence: int
     command_age_ms: int
-    count: tuple[int, int, int, int]
+    encoder_count: tuple[int, int, int, int]
     speed_rad_s: Wheels
     current_a: Wheels
     yaw_rate_rad_s: float
@@ -47,12 +51,22 @@ class SnapshotAssembler:
         """Take a message; return the snapshot that it completes, if it does."""
         if isinstance(message, Tick):
             self._open(message)
-        elif (part := _PARTS.get(type(message), 0)) & self._missing:
-            self._pending.append(message)
-            self._missing &= ~part
-            if not self._missing:
-                return self._commit()
-        return None
+            return None
+        part = _PARTS.get(type(message))
+        if part is None or not self._missing:
+            return None
+        if part != self._missing & -self._missing or not self._belongs(message):
+            self._missing = 0
+            self.incomplete += 1
+            return None
+        self._pending.append(message)
+        self._missing &= ~part
+        return None if self._missing else self._commit()
+
+    def _belongs(self, message: Message) -> bool:
+        """The gyro's part says itself when it was sampled."""
+        tick = self._tick
+        return tick is None or not isinstance(message, Gyro) or message.tick == tick.time_us // 1000 & 0xFFFF
 
     def _open(self, tick: Tick) -> None:
         self.incomplete += self._missing != 0

@@ -187,7 +187,9 @@ class Stm32:
             self._nonce = next(self._nonces)
             self._wish(m.Request.ARM)
         elif refusal != m.ArmRefusal.NONE:
-            raise DeviceError(f"the robot refused to arm: {m.ArmRefusal(refusal).name}; see the arming rules in PROTOCOL.md")
+            raise DeviceError(
+                f"the robot refused to arm: {m.ArmRefusal(refusal).name}; see the arming rules in PROTOCOL.md"
+            )
 
     def _why_not_active(self) -> str:
         if self._feedback is None:
@@ -198,7 +200,11 @@ class Stm32:
             m.State.ESTOP: "it is latched; release the e-stop and restart the robot",
             m.State.FAULT: "it is latched; find the cause and restart the robot",
         }.get(state, "restart the robot and look at its link counters")
-        fault = f", fault {m.Fault(self.status.fault).name}" if self.status is not None and self.status.fault else ""
+        fault = (
+            f", fault {m.Fault(self.status.fault).name}"
+            if self.status is not None and self.status.fault
+            else ""
+        )
         return f"the robot did not become ACTIVE: it is {state.name}{fault}; {advice}"
 
     def stop(self, period_ns: int, limit_ns: int) -> bool:
@@ -341,11 +347,13 @@ class Stm32:
 
     def rejected(self) -> dict[str, int]:
         """Return the frames that this host dropped, by cause, and those that the robot reported (``robot_...``)."""
-        own = self._link.rejected() | {"range": self._out_of_range, "incomplete_snapshot": self._assembler.incomplete}
+        own = self._link.rejected() | {
+            "range": self._out_of_range,
+            "incomplete_snapshot": self._assembler.incomplete,
+        }
         robot = {f"robot_{cause}": count for cause, count in self._robot_rejected.items()}
         return {cause: count for cause, count in (own | robot).items() if count}
 
     def close(self) -> None:
         """Release the link."""
         self._link.close()
-

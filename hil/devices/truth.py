@@ -6,6 +6,7 @@ or ``{"error": TEXT}``, and then sends records: robot time since power-on, pose,
 
 import contextlib
 import json
+import queue
 import socket
 import struct
 import threading
@@ -75,7 +76,9 @@ class TruthServer:
         try:
             self._listener = socket.create_server((_HOST, port))
         except OSError as error:
-            raise BadInputError(f"truth port {port} cannot be opened ({error.strerror}); choose another") from error
+            raise BadInputError(
+                f"truth port {port} cannot be opened ({error.strerror}); choose another"
+            ) from error
         self.url = f"tcp://{_HOST}:{self._listener.getsockname()[1]}"
         self._clients: list[_Client] = []
         self._newest: bytes | None = None
@@ -125,12 +128,13 @@ class TruthServer:
         if scenario != self._hash:
             return f"the robot runs another scenario (hash {self._hash[:12]}, asked for {str(scenario)[:12]})"
         if reset and self.request_reset is not None:
-            answers: list[bool] = []
-            done = threading.Event()
-            self.request_reset(lambda was_done: (answers.append(was_done), done.set())[-1])
-            if not done.wait(_ANSWER_S):
+            answers: queue.Queue[bool] = queue.Queue()
+            self.request_reset(answers.put)
+            try:
+                at_start = answers.get(timeout=_ANSWER_S)
+            except queue.Empty:
                 return "the robot did not answer"
-            if not answers[0]:
+            if not at_start:
                 return "the robot is armed or moves, and was not put back to its start; stop its controller first"
         return None
 
@@ -167,7 +171,9 @@ class TruthClient:
         except OSError as error:
             raise DeviceError(f"truth {url!r}: nobody answers ({error}); start hil device first") from error
         if "error" in answer:
-            raise DeviceError(f"truth {url!r}: {answer['error']}; start both from the same scenario and overrides")
+            raise DeviceError(
+                f"truth {url!r}: {answer['error']}; start both from the same scenario and overrides"
+            )
 
     @staticmethod
     def _address(url: str) -> tuple[str, int]:
@@ -177,7 +183,9 @@ class TruthClient:
         except ValueError:
             port = None
         if parts.scheme != "tcp" or not parts.hostname or port is None:
-            raise BadInputError(f"truth {url!r} is no address; expected tcp://127.0.0.1:PORT as hil device prints it")
+            raise BadInputError(
+                f"truth {url!r} is no address; expected tcp://127.0.0.1:PORT as hil device prints it"
+            )
         return parts.hostname, port
 
     def _answer(self) -> dict[str, object]:

@@ -9,8 +9,8 @@ from typing import NamedTuple, Protocol
 from firmware_protocol.host import HostNode, View
 from hil.clock import TICK_NS
 from hil.devices.wheel_map import WheelMap
-from hil.links.wire import Wire
 from hil.errors import BadInputError, HilError
+from hil.links.wire import Wire
 from hil.plant import FmuPlant
 from hil.types import PoseFix
 
@@ -164,7 +164,7 @@ class LocalTruth:
     def __init__(self) -> None:
         self._fix: PoseFix | None = None
 
-    def publish(self, fix: PoseFix, view: View | None) -> None:  # noqa: ARG002
+    def publish(self, fix: PoseFix, view: View | None) -> None:
         self._fix = fix
 
     def poll(self) -> PoseFix | None:

@@ -33,10 +33,10 @@ class WheelMap:
         """Return feedback with the channels sorted into wheels."""
         if self.is_identity:
             return feedback
-        count = tuple(self.sign_of_channel[c] * feedback.count[c] & 0xFFFF for c in self._channel_of_wheel)
+        count = tuple(self.sign_of_channel[c] * feedback.encoder_count[c] & 0xFFFF for c in self._channel_of_wheel)
         fl, fr, rr, rl = count
         return feedback._replace(
-            count=(fl, fr, rr, rl),
+            encoder_count=(fl, fr, rr, rl),
             speed_rad_s=self.from_wire(feedback.speed_rad_s),
             current_a=self.from_wire(feedback.current_a),
         )

@@ -3,11 +3,11 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from hil.links.wire import CanWire, SerialWire, Wire
 from hil.errors import BadInputError
 from hil.links.framed import StreamLink
 from hil.links.streams import MemoryStream, memory_pair
 from hil.links.url import CanUrl, LinkUrl, MemoryUrl, SerialUrl
+from hil.links.wire import CanWire, SerialWire, Wire
 from hil.ports import Link
 
 if TYPE_CHECKING:

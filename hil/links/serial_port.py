@@ -15,7 +15,7 @@ def _open_failure(port: str, error: Exception) -> LinkError:
     """Say what is the matter with a port and what to do about it."""
     number = getattr(error, "errno", None)
     text = str(error)
-    if number == errno.ENOENT or "could not open port" in text and "FileNotFoundError" in text:
+    if number == errno.ENOENT or ("could not open port" in text and "FileNotFoundError" in text):
         return LinkError(
             f"serial port {port!r} does not exist; list the ports with: python -m serial.tools.list_ports"
         )
@@ -27,7 +27,9 @@ def _open_failure(port: str, error: Exception) -> LinkError:
     if number in (errno.EAGAIN, errno.EBUSY, errno.EWOULDBLOCK) or "exclusively lock" in text:
         return LinkError(f"serial port {port!r} is busy: another program holds it; close that program")
     if number == errno.ENOTTY or "Could not configure port" in text:
-        return LinkError(f"{port!r} is not a serial port ({text}); expected a device such as /dev/ttyACM0 or COM3")
+        return LinkError(
+            f"{port!r} is not a serial port ({text}); expected a device such as /dev/ttyACM0 or COM3"
+        )
     return LinkError(f"serial port {port!r} could not be opened: {text}")
 
 
@@ -82,7 +84,9 @@ class SerialStream:
         return first + bytes(self._port.read(_CHUNK)) if first else first
 
     def _lost(self, error: Exception) -> LinkError:
-        return LinkError(f"serial port {self._name!r} was lost ({error}); check the cable and the robot's power")
+        return LinkError(
+            f"serial port {self._name!r} was lost ({error}); check the cable and the robot's power"
+        )
 
     def close(self) -> None:
         self._port.close()

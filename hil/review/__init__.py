@@ -49,7 +49,5 @@ def figures(run: RecordedRun) -> dict[str, Any]:
     for name in _FROM_SUMMARY:
         found[name] = summary.get(name)
         if found[name] is None:
-            reasons[name] = (
-                _NO_SUMMARY if run.summary is None else summary.get("reasons", {}).get(name, _UNSAID)
-            )
+            reasons[name] = _NO_SUMMARY if run.summary is None else summary.get("reasons", {}).get(name, _UNSAID)
     return {**{name: found[name] for name in _ORDER}, "reasons": reasons}

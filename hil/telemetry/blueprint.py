@@ -20,9 +20,7 @@ def blueprint(*, live: bool) -> rrb.Blueprint:
                     rrb.TextDocumentView(origin="/run", name="Run"),
                     rrb.TextLogView(origin="/events", name="Events"),
                 ),
-                rrb.StateTimelineView(
-                    origin="/robot", contents="/robot/state", name="Robot state", time_ranges=window
-                ),
+                rrb.StateTimelineView(origin="/robot", contents="/robot/state", name="Robot state", time_ranges=window),
                 row_shares=[6, 3, 1.3],
             ),
             rrb.Vertical(
@@ -69,9 +67,7 @@ def _window(*, live: bool) -> rrb.VisibleTimeRange:
             start=rrb.TimeRangeBoundary.cursor_relative(seconds=-LIVE_WINDOW_S),
             end=rrb.TimeRangeBoundary.cursor_relative(),
         )
-    return rrb.VisibleTimeRange(
-        "t", start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.infinite()
-    )
+    return rrb.VisibleTimeRange("t", start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.infinite())
 
 
 def _plot(

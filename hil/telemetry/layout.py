@@ -50,10 +50,7 @@ def _wheels(path: str, quantity: str) -> Entity:
 
 def _wide_wheels(path: str, quantity: str) -> Entity:
     """Wheels drawn wide and dim, so that the same wheels of another entity show on top of them."""
-    series = (
-        one._replace(label=f"{one.label} cmd", colour=_dim(one.colour))
-        for one in _wheels(path, quantity).series
-    )
+    series = (one._replace(label=f"{one.label} cmd", colour=_dim(one.colour)) for one in _wheels(path, quantity).series)
     return Entity(path, tuple(series), width_px=5.0)
 
 

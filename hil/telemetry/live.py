@@ -25,9 +25,7 @@ _CLOSE_TIMEOUT_S = 2.0
 class LiveServer:
     """A gRPC server on 127.0.0.1 with the run's rows at 100 Hz. Raises OSError for a port that is in use."""
 
-    def __init__(
-        self, port: int, *, recording_id: str, signals: Sequence[str], properties: Mapping[str, str]
-    ) -> None:
+    def __init__(self, port: int, *, recording_id: str, signals: Sequence[str], properties: Mapping[str, str]) -> None:
         _check_port(port)
         self._stream = Stream(
             rr.GrpcServerSink(HOST, port, server_memory_limit=_MEMORY_LIMIT),

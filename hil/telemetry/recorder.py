@@ -47,6 +47,8 @@ class Recorder:
         self._ring = ring
         self._file = None if config["path"] is None else _open_file(config)
         self._live = None if config["live_port"] is None else _open_live(config)
+        # A run that waits for room must not wait for a batch that its ring cannot hold.
+        self._batch_rows = min(BATCH_ROWS, (ring.capacity + 1) // 2)
         self._head_seen = 0
         self._passed_on = 0
         self._batch_since = time.monotonic()
@@ -60,7 +62,7 @@ class Recorder:
         now = time.monotonic()
         if waiting == 0:
             self._batch_since = now
-        elif waiting >= BATCH_ROWS or now - self._batch_since >= BATCH_AGE_S:
+        elif waiting >= self._batch_rows or now - self._batch_since >= BATCH_AGE_S:
             self._take(settled)
             self._batch_since = now
 

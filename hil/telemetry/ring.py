@@ -94,6 +94,7 @@ class RingReader:
         self.capacity = self._words[_CAPACITY]
         self.width = self._words[_WIDTH]
         if self.capacity < 1 or self.width < 1 or len(block.buffer) < ring_bytes(self.capacity, self.width):
+            self._words.release()
             raise ValueError(f"ring of {self.capacity} rows of {self.width} floats does not fit its block")
         self._rows = np.frombuffer(
             block.buffer, dtype=np.float64, count=self.capacity * self.width, offset=_HEADER_BYTES
@@ -120,9 +121,7 @@ class RingReader:
         Raises IndexError for rows that are not in the ring.
         """
         if not self.tail <= start <= stop <= self.head:
-            raise IndexError(
-                f"rows {start} to {stop} are not in the ring, which holds {self.tail} to {self.head}"
-            )
+            raise IndexError(f"rows {start} to {stop} are not in the ring, which holds {self.tail} to {self.head}")
         return self._rows[np.arange(start, stop) % self.capacity]
 
     def release(self, stop: int) -> None:

@@ -15,6 +15,7 @@ from typing import Any, Self
 from hil.errors import BadInputError, DeviceError
 from hil.signals import SIGNAL_NAMES
 from hil.telemetry.channel import LineReader, LineWriter, Patience
+from hil.telemetry.child import child_environment, module_command
 from hil.telemetry.memory import SharedBlock
 from hil.telemetry.ring import RingWriter, ring_bytes
 
@@ -121,6 +122,11 @@ class Recording:
         """Process id of the recorder."""
         return self._process.pid
 
+    @property
+    def rows_saved(self) -> int:
+        """Rows that are safe in the file by now."""
+        return self._ring.saved
+
     def put(self, row: tuple[float, ...]) -> None:
         """Take one row in the order of the signals. Raises struct.error when its length is another."""
         if not self._ring.try_put(row) and not (self._waits and self._put_later(row)):
@@ -222,30 +228,23 @@ def check_recording_path(path: Path) -> None:
     elif not directory.is_dir():
         problem = f"there is no directory {directory}; make it, or choose another path"
     elif not os.access(path if path.exists() else directory, os.W_OK):
-        problem = (
-            f"{'it' if path.exists() else directory} is not writable; choose another path, or no recording"
-        )
+        problem = f"{'it' if path.exists() else directory} is not writable; choose another path, or no recording"
     else:
         return
     raise BadInputError(f"recording {path}: {problem}")
 
 
 def _start(block: SharedBlock, stderr: Any) -> "subprocess.Popen[bytes]":
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("RERUN")}
-    root = str(Path(__file__).resolve().parents[2])
-    environment["PYTHONPATH"] = os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH")]))
-    environment["RUST_LOG"] = "error"
     options: dict[str, Any] = {"pass_fds": block.pass_fds, "start_new_session": True}
     if sys.platform == "win32":
         options = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
     return subprocess.Popen(
-        # -P: a file of the user's in the working directory must not shadow a module.
-        [sys.executable, "-P", "-m", "hil.telemetry.recorder"],
+        module_command("hil.telemetry.recorder"),
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=stderr,
         bufsize=0,
-        env=environment,
+        env=child_environment(),
         **options,
     )
 

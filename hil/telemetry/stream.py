@@ -77,8 +77,7 @@ class Stream:
     ) -> None:
         self._column = {name: i for i, name in enumerate(signals)}
         self._entities = [
-            (entity.path, [self._column[series.signal] for series in entity.series])
-            for entity in layout(signals)
+            (entity.path, [self._column[series.signal] for series in entity.series]) for entity in layout(signals)
         ]
         self._states = state_names()
         self._state_seen: str | None = None
@@ -96,9 +95,7 @@ class Stream:
         times = self._times(rows)
         indexes = _indexes(times)
         for path, columns in self._entities:
-            self._rerun.send_columns(
-                path, indexes=indexes, columns=rr.Scalars.columns(scalars=rows[:, columns])
-            )
+            self._rerun.send_columns(path, indexes=indexes, columns=rr.Scalars.columns(scalars=rows[:, columns]))
         self._state_changes(rows, times)
         keep = self._trail_decimator.keep(times[:, 0])
         if len(keep):
@@ -149,9 +146,7 @@ class Stream:
         self._rerun.log("/xy", rr.Transform3D(scale=[1.0, -1.0, 1.0]), static=True)
         for order, (path, _, colour, width_px) in enumerate(_TRAILS):
             # A negative radius is in pixels, whatever the zoom.
-            trail = rr.LineStrips2D.from_fields(
-                colors=[colour], radii=[-width_px / 2], draw_order=30.0 + order
-            )
+            trail = rr.LineStrips2D.from_fields(colors=[colour], radii=[-width_px / 2], draw_order=30.0 + order)
             self._rerun.log(path, trail, static=True)
         body = rr.LineStrips2D.from_fields(colors=[TRUTH_COLOUR], radii=[-1.5], draw_order=40.0)
         self._rerun.log("/xy/robot", body, static=True)
@@ -236,9 +231,7 @@ def _indexes(times: npt.NDArray[np.float64]) -> list[rr.TimeColumn]:
 
 def _state_style(states: Mapping[int, str]) -> rr.StateConfiguration:
     names = list(states.values())
-    return rr.StateConfiguration(
-        values=names, colors=[_STATE_COLOURS.get(name, 0xB0B0B0FF) for name in names]
-    )
+    return rr.StateConfiguration(values=names, colors=[_STATE_COLOURS.get(name, 0xB0B0B0FF) for name in names])
 
 
 def _table(title: str, values: Mapping[str, object]) -> str:

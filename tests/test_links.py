@@ -1,0 +1,199 @@
+"""Links: what goes in comes out, wrong bytes are counted, and each way of not opening says what to do."""
+
+import contextlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import can
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_protocol.framing import Frame, Framer
+from firmware_protocol.generated import messages as m
+from hil.errors import BadInputError, LinkError
+from hil.links.can_bus import CanLink
+from hil.links.framed import StreamLink
+from hil.links.opening import open_host, open_pair, open_robot
+from hil.links.serial_port import SerialStream
+from hil.links.streams import memory_pair
+from hil.links.url import CanUrl, parse_link
+
+pty = pytest.importorskip("hil.links.pty", reason="pseudo-terminals need a POSIX system")
+
+WAIT_NS = 2_000_000_000
+FRAMES = [
+    Frame(m.Step.ID, bytes(6)),
+    Frame(m.WheelCommand.ID, bytes(range(8))),
+    Frame(m.HelloRequest.ID, b"\1"),
+]
+
+
+@given(chunks=st.lists(st.binary(max_size=20)))
+def test_memory_stream_keeps_the_bytes(chunks):
+    one, other = memory_pair()
+    for chunk in chunks:
+        one.write(chunk)
+    assert other.read(0) == b"".join(chunks)
+    assert other.read(0) == b""
+
+
+def test_closed_memory_stream_is_lost():
+    one, _ = memory_pair()
+    one.close()
+    with pytest.raises(LinkError, match="closed"):
+        one.write(b"x")
+
+
+def received_all(link):
+    return [link.receive(WAIT_NS).frame for _ in FRAMES]
+
+
+def test_frames_over_memory_and_wrong_bytes_between_them():
+    one, other = memory_pair()
+    link = StreamLink(other)
+    framer = Framer()
+    for frame in FRAMES:
+        one.write(b"\x07wrong\0" + framer.encode(frame))
+    assert received_all(link) == FRAMES
+    assert sum(link.rejected().values()) == 3
+    assert link.receive(0) is None
+
+
+def test_frames_over_a_pseudo_terminal_both_ways():
+    master = pty.PtyStream()
+    with (
+        contextlib.closing(master),
+        contextlib.closing(StreamLink(SerialStream(master.port, 921_600))) as link,
+    ):
+        robot = StreamLink(master)
+        for frame in FRAMES:
+            link.send(frame)
+        assert received_all(robot) == FRAMES
+        for frame in FRAMES:
+            robot.send(frame)
+        assert received_all(link) == FRAMES
+        assert link.receive(1_000_000) is None
+
+
+def test_pseudo_terminal_loses_what_nobody_reads_as_a_uart_does():
+    master = pty.PtyStream()
+    with contextlib.closing(master):
+        master.write(bytes(1 << 20))
+        assert master.overrun_bytes > 0
+
+
+def test_a_line_that_hangs_up_is_lost():
+    master = pty.PtyStream()
+    link = StreamLink(SerialStream(master.port, 921_600))
+    master.close()
+    with contextlib.closing(link), pytest.raises(LinkError, match="lost"):
+        link.receive(WAIT_NS)
+
+
+def test_symlink_is_made_replaced_and_removed(tmp_path: Path):
+    name = tmp_path / "robot"
+    name.symlink_to("/nowhere")
+    master = pty.PtyStream(name)
+    assert str(name.readlink()) == master.port
+    master.close()
+    assert not name.is_symlink()
+
+
+def test_symlink_never_replaces_a_file(tmp_path: Path):
+    name = tmp_path / "robot"
+    name.write_text("precious")
+    with pytest.raises(BadInputError, match="no symbolic link"):
+        pty.PtyStream(name)
+    assert name.read_text() == "precious"
+    with pytest.raises(BadInputError, match="cannot be made"):
+        pty.PtyStream(tmp_path / "missing" / "robot")
+
+
+def test_serial_port_that_does_not_exist():
+    with pytest.raises(LinkError, match=r"'/dev/ttyNOPE' does not exist; list the ports"):
+        open_host(parse_link("serial:/dev/ttyNOPE"))
+
+
+def test_serial_port_that_is_busy():
+    master = pty.PtyStream()
+    with (
+        contextlib.closing(master),
+        contextlib.closing(SerialStream(master.port, 921_600)),
+        pytest.raises(LinkError, match="is busy: another program holds it"),
+    ):
+        SerialStream(master.port, 921_600)
+
+
+def test_serial_port_that_is_a_file(tmp_path: Path):
+    file = tmp_path / "port"
+    file.write_text("")
+    with pytest.raises(LinkError, match="is not a serial port"):
+        SerialStream(str(file), 921_600)
+
+
+def test_serial_port_that_is_forbidden():
+    master = pty.PtyStream()
+    with contextlib.closing(master):
+        Path(master.port).chmod(0o600 if os.geteuid() == 0 else 0)
+        # Root may open anything, so it first becomes a user who may not.
+        program = (
+            "import os\nfrom hil.links.serial_port import SerialStream\n"
+            f"os.geteuid() == 0 and os.seteuid(65534)\nSerialStream({master.port!r}, 9600)"
+        )
+        done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert "permission denied" in done.stderr.splitlines()[-1]
+    assert "dialout" in done.stderr.splitlines()[-1]
+
+
+@pytest.mark.parametrize("fd", [False, True])
+def test_frames_over_a_can_bus_and_foreign_traffic(fd):
+    url = CanUrl("virtual", f"test_links_{fd}", fd=fd)
+    with contextlib.closing(CanLink(url)) as one, contextlib.closing(CanLink(url)) as other:
+        with can.Bus(interface="virtual", channel=url.channel) as stranger:
+            stranger.send(can.Message(arbitration_id=0x40, is_extended_id=True, data=bytes(8)))
+            stranger.send(can.Message(arbitration_id=0x7FF, is_extended_id=False, data=bytes(8)))
+            stranger.send(can.Message(arbitration_id=0x40, is_extended_id=False, data=bytes(7)))
+            stranger.send(can.Message(arbitration_id=0x40, is_extended_id=False, is_remote_frame=True))
+            stranger.send(can.Message(is_error_frame=True))
+        for frame in FRAMES:
+            one.send(frame)
+        assert received_all(other) == FRAMES
+        assert other.rejected() == {"foreign": 2, "error_frame": 1, "unknown_id": 1, "length": 1}
+        assert other.receive(1_000_000) is None
+
+
+def test_unknown_can_interface_names_the_nearest():
+    with pytest.raises(BadInputError, match="did you mean 'socketcan'"):
+        open_host(parse_link("can:socketcna/can0"))
+
+
+def test_can_interface_that_is_not_there():
+    """Without CAN in the kernel, or with it and no such interface: one sentence either way."""
+    with pytest.raises(LinkError, match=r"modprobe can_raw|does not exist") as caught:
+        open_host(parse_link("can:socketcan/nope0"))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "url", ["can:slcan/%2Fdev%2FttyNOPE", "can:slcan//dev/ttyNOPE", "can:pcan/PCAN_USBBUS1"]
+)
+def test_can_adapter_that_is_not_there(url):
+    with pytest.raises(LinkError, match="CAN interface"):
+        open_host(parse_link(url))
+
+
+def test_memory_has_no_end_in_another_process():
+    for opening in (open_host, open_robot):
+        with pytest.raises(BadInputError, match="memory:"):
+            opening(parse_link("memory:"))
+
+
+@pytest.mark.parametrize("url", ["memory:", "serial:pty", "can:virtual/test_links_pair"])
+def test_a_pair_connects_host_and_robot(url):
+    pair = open_pair(parse_link(url))
+    with contextlib.closing(pair.link), contextlib.closing(pair.wire):
+        pair.link.send(FRAMES[0])
+        assert pair.link.receive(0) is None

@@ -1,0 +1,159 @@
+"""Figures of a run and expectations: laws, cases worked by hand, and figures without a meaning."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hil.metrics import check_expectation, percentiles, signal_figures, tracking_metrics
+
+NAN = float("nan")
+
+
+class Row(NamedTuple):
+    signal: str = "error.planar_m"
+    from_s: float | None = None
+    to_s: float | None = None
+    below: float | None = None
+    above: float | None = None
+
+
+def seconds(count: int, period_s: float = 0.01) -> np.ndarray:
+    return np.arange(count) * period_s
+
+
+def test_an_exponential_settles_when_its_equation_says() -> None:
+    t_s = seconds(10_000, 0.001)
+    planar_m = 0.3 * np.exp(-5.0 * t_s)
+    tracking = tracking_metrics(t_s, planar_m)
+    assert tracking.tracked_s == pytest.approx(math.log(50) / 5, abs=0.001)
+    assert tracking.t10_s == pytest.approx(math.log(30) / 5, abs=0.001)
+    assert tracking.steady_max_m == planar_m[5000]
+    assert tracking.steady_rms_m == pytest.approx(0.3 * math.exp(-25) / math.sqrt(50), rel=0.01)
+    assert tracking.reasons == {}
+
+
+@given(
+    st.lists(st.floats(0.0, 1.0), min_size=1, max_size=50),
+    st.floats(0.001, 1.0),
+)
+def test_settling_times_obey_their_definition(errors: list[float], initial_m: float) -> None:
+    planar_m = np.array([initial_m, *errors])
+    t_s = seconds(len(planar_m))
+    tracking = tracking_metrics(t_s, planar_m)
+    for name, limit_m in (("tracked_s", 0.02 * initial_m), ("t10_s", 0.010)):
+        settled = getattr(tracking, name)
+        if settled is None:
+            assert planar_m[-1] >= limit_m
+            assert "did not stay below" in tracking.reasons[name]
+        else:
+            after = t_s >= settled
+            assert (planar_m[after] < limit_m).all()
+            assert after.all() or planar_m[~after][-1] >= limit_m
+
+
+@given(st.integers(500, 1500))
+def test_rms_is_never_above_the_maximum_and_both_see_only_the_last_five_seconds(count: int) -> None:
+    planar_m = np.random.default_rng(count).uniform(0.0, 1.0, count)
+    tracking = tracking_metrics(seconds(count), planar_m)
+    last = planar_m[-500:]
+    assert tracking.steady_max_m == last.max()
+    assert tracking.steady_rms_m == pytest.approx(float(np.sqrt((last**2).mean())))
+
+
+def test_time_before_the_start_does_not_count() -> None:
+    t_s = seconds(1200) - 2.0
+    planar_m = np.where(t_s < 0, 50.0, 0.1 * np.exp(-3 * t_s))
+    with_approach = tracking_metrics(t_s, planar_m)
+    without = tracking_metrics(t_s[t_s >= 0], planar_m[t_s >= 0])
+    assert with_approach == without
+
+
+@pytest.mark.parametrize(
+    ("planar_m", "names", "reason"),
+    [
+        (np.full(600, NAN), ("tracked_s", "t10_s", "steady_rms_m", "steady_max_m"), "no ground truth"),
+        (np.empty(0), ("tracked_s", "t10_s"), "no samples"),
+        (np.empty(0), ("steady_rms_m", "steady_max_m"), "fewer than two samples"),
+        (np.zeros(600), ("tracked_s",), "began 0 mm from the reference"),
+        (np.full(600, 0.5), ("tracked_s", "t10_s"), "did not stay below 10 mm: it was 500 mm at the end"),
+        (np.full(499, 0.001), ("steady_rms_m", "steady_max_m"), "lasted 4.99 s, less than the window of 5 s"),
+    ],
+)
+def test_a_figure_without_a_meaning_has_a_reason(planar_m: np.ndarray, names: tuple[str, ...], reason: str) -> None:
+    tracking = tracking_metrics(seconds(len(planar_m)), planar_m)
+    for name in names:
+        assert getattr(tracking, name) is None
+    assert reason in tracking.reasons[names[-1]]
+
+
+def test_a_gap_spoils_only_the_figures_that_it_touches() -> None:
+    planar_m = 0.3 * np.exp(-5.0 * seconds(1000))
+    planar_m[123] = NAN
+    tracking = tracking_metrics(seconds(1000), planar_m)
+    assert tracking.reasons["tracked_s"] == tracking.reasons["t10_s"] == "the ground truth is missing at t = 1.23 s"
+    assert tracking.steady_rms_m is not None
+    planar_m[900] = NAN
+    assert tracking_metrics(seconds(1000), planar_m).steady_rms_m is None
+
+
+def test_a_run_of_exactly_the_window_has_steady_figures() -> None:
+    assert tracking_metrics(seconds(5000, 0.001), np.full(5000, 0.002)).steady_max_m == 0.002
+
+
+def test_percentiles_leave_gaps_out() -> None:
+    values = np.array([NAN, *range(101), NAN], dtype=np.float64)
+    assert percentiles(values) == (50.0, 99.0)
+    assert percentiles(np.array([NAN])) is None
+
+
+def test_signal_figures_of_a_run_of_one_tick_name_what_is_missing() -> None:
+    one = {"loop.t_s": 0.0, "error.planar_m": 0.2, "loop.tick_us": NAN, "loop.deadline_misses": 0.0}
+    figures, reasons = signal_figures({name: np.array([value]) for name, value in one.items()})
+    assert figures["ticks"] == 1
+    assert {name for name, value in figures.items() if value is None} == set(reasons)
+
+
+def signals(values: list[float]) -> dict[str, np.ndarray]:
+    return {"loop.t_s": np.arange(len(values), dtype=np.float64), "error.planar_m": np.array(values)}
+
+
+def test_bounds_hold_over_the_time_that_is_meant_ends_included() -> None:
+    run = signals([9.0, 0.1, 0.2, 0.1, 9.0])
+    assert check_expectation(Row(from_s=1, to_s=3, below=0.5, above=0.0), run).passed
+    assert not check_expectation(Row(from_s=0, to_s=3, below=0.5), run).passed
+    assert not check_expectation(Row(from_s=1, to_s=4, below=0.5), run).passed
+    assert not check_expectation(Row(from_s=1, to_s=3, below=0.2), run).passed
+
+
+def test_the_first_violation_is_reported() -> None:
+    outcome = check_expectation(Row(below=0.5), signals([0.1, 0.7, 0.9]))
+    assert outcome == (
+        False,
+        1.0,
+        0.7,
+        "error.planar_m below 0.5 from the start to the end: failed, 0.7 at t = 1 s",
+    )
+
+
+def test_nothing_to_hold_for_fails() -> None:
+    outcome = check_expectation(Row(from_s=10, to_s=15, below=1.0), signals([0.1, 0.1]))
+    assert not outcome.passed
+    assert "no samples" in outcome.sentence
+
+
+@pytest.mark.parametrize("row", [Row(below=math.inf), Row(above=-math.inf), Row(below=1.0), Row(above=0.0)], ids=str)
+def test_a_gap_fails_whatever_the_bounds(row: Row) -> None:
+    outcome = check_expectation(row, signals([0.1, NAN, 0.1]))
+    assert not outcome.passed
+    assert outcome.at_s == 1.0
+    assert "no value at t = 1 s" in outcome.sentence
+
+
+@given(st.lists(st.floats(allow_nan=False), min_size=1), st.floats(-10, 10), st.floats(-10, 10))
+def test_an_expectation_is_what_its_words_say(values: list[float], below: float, above: float) -> None:
+    outcome = check_expectation(Row(below=below, above=above), signals(values))
+    assert outcome.passed == all(above < value < below for value in values)

@@ -1,0 +1,54 @@
+"""Where signals lie in a recording, and how series are thinned."""
+
+import subprocess
+import sys
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hil.signals import SIGNAL_NAMES, unit_of
+from hil.telemetry.decimate import Decimator
+from hil.telemetry.layout import layout
+
+
+def test_every_signal_of_the_vocabulary_has_a_place_of_its_own() -> None:
+    placed = [series.signal for entity in layout(SIGNAL_NAMES) for series in entity.series]
+    assert sorted(placed) == sorted(SIGNAL_NAMES)
+    assert not [entity.path for entity in layout(SIGNAL_NAMES) if entity.path.startswith("/more/")]
+
+
+@given(st.lists(st.sampled_from([*SIGNAL_NAMES, "arm.angle_rad", "arm.speed_rad_s", "plain"]), unique=True))
+def test_any_vocabulary_is_placed_completely(signals: list[str]) -> None:
+    entities = layout(signals)
+    assert sorted(series.signal for entity in entities for series in entity.series) == sorted(signals)
+    assert len({entity.path for entity in entities}) == len(entities)
+
+
+def test_the_paths_that_one_panel_draws_have_one_unit() -> None:
+    for entity in layout(SIGNAL_NAMES):
+        if entity.path.startswith(("/ctrl/error", "/ctrl/gain", "/ctrl/wheel", "/loop/timing", "/link/age")):
+            assert len({unit_of(series.signal) for series in entity.series}) == 1
+
+
+@given(
+    periods=st.lists(st.integers(0, 30), min_size=1, max_size=80).map(sorted),
+    cuts=st.lists(st.integers(0, 80), max_size=4).map(sorted),
+)
+def test_thinning_keeps_the_first_row_of_each_period_however_it_is_cut(periods: list[int], cuts: list[int]) -> None:
+    t_s = np.array(periods) * 0.004
+    decimator = Decimator(0.01)
+    kept: list[float] = []
+    for piece in np.split(t_s, [cut for cut in cuts if cut <= len(t_s)]):
+        kept += list(piece[decimator.keep(piece)])
+    first: dict[int, float] = {}
+    for time in t_s:
+        first.setdefault(int(time * 1e9 + 0.5) // 10_000_000, time)
+    assert kept == list(first.values())
+
+
+def test_the_run_s_side_imports_nothing_heavy() -> None:
+    heavy = "{'rerun', 'pyarrow', 'pandas', 'fmpy'} & set(sys.modules)"
+    code = f"import hil.telemetry, hil.telemetry.view, hil.review, hil.metrics, sys; sys.exit(str({heavy} or 0))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stderr.strip() == "0"

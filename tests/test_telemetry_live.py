@@ -1,0 +1,140 @@
+"""Live viewing: served on this machine only, thinned, and never at the cost of the run."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hil.errors import BadInputError
+from hil.review import read
+from hil.telemetry import Recording
+from hil.telemetry.view import (
+    free_port,
+    has_display,
+    live_address,
+    live_hint,
+    show_live,
+    view,
+    viewer_executable,
+)
+from tests.recorded_circle import circle_rows
+
+linux_only = pytest.mark.skipif(sys.platform != "linux", reason="needs /proc")
+_LISTENING = "0A"
+
+
+def listening_addresses(port: int) -> set[str]:
+    """IPv4 and IPv6 addresses, as the kernel writes them, that listen on a port."""
+    found = set()
+    for table in ("/proc/net/tcp", "/proc/net/tcp6"):
+        for line in Path(table).read_text().splitlines()[1:]:
+            fields = line.split()
+            address, hexadecimal = fields[1].split(":")
+            if fields[3] == _LISTENING and int(hexadecimal, 16) == port:
+                found.add(address)
+    return found
+
+
+LOOPBACK = {"0100007F"}
+
+
+@linux_only
+def test_a_run_is_served_thinned_on_the_loopback_interface_alone(tmp_path: Path) -> None:
+    port, received = free_port(), tmp_path / "received.rrd"
+    with Recording(None, properties={}, blocking=True, live_port=port) as recording:
+        for row in circle_rows(2000):
+            recording.put(row)
+        report = recording.finish({"passed": True}, keep_live=True)
+        assert (report.rows_put, report.rows_lost, report.error) == (2000, 0, None)
+        assert listening_addresses(port) == LOOPBACK
+        ports = ["--bind", "127.0.0.1", "--port", str(free_port())]
+        viewer = subprocess.Popen(
+            [str(viewer_executable()), *ports, "--save", str(received), live_address(port)],
+            env={**os.environ, "RUST_LOG": "off"},
+        )
+        try:
+            summary = None
+            deadline = time.monotonic() + 60.0
+            while summary is None:
+                assert time.monotonic() < deadline, "nothing was received for 60 s"
+                try:
+                    summary = read(received).summary
+                except BadInputError:
+                    time.sleep(0.02)
+        finally:
+            viewer.terminate()
+            viewer.wait()
+    assert summary == {"passed": True}
+    t_s = read(received).signals["loop.t_s"]
+    assert len(t_s) == 200
+    np.testing.assert_allclose(np.diff(t_s), 0.01, atol=1e-9)
+    assert listening_addresses(port) == set()
+
+
+def test_a_port_in_use_is_refused() -> None:
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        with pytest.raises(BadInputError, match=f"live port {port}: .*choose another port"):
+            Recording(None, properties={}, blocking=True, live_port=port)
+
+
+def test_the_hint_is_the_command_that_attaches() -> None:
+    assert live_hint(9876) == "live view: run 'rerun rerun+http://127.0.0.1:9876/proxy' on this machine"
+
+
+@linux_only
+def test_without_a_display_the_browser_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    path = tmp_path / "run.rrd"
+    path.write_bytes(b"RRF2")
+    assert not has_display()
+    assert not show_live(9876)
+    with pytest.raises(BadInputError, match="--web"):
+        view(path, web=False)
+
+
+def test_what_is_no_recording_is_not_opened(tmp_path: Path) -> None:
+    for name, content in {"empty.rrd": b"", "text.rrd": b"text"}.items():
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(BadInputError, match=name):
+            view(tmp_path / name, web=True)
+    with pytest.raises(BadInputError, match="No such file"):
+        view(tmp_path / "missing.rrd", web=True)
+
+
+_VIEW_IN_A_BROWSER = """
+import sys
+from pathlib import Path
+from hil.telemetry.view import view
+view(Path(sys.argv[1]), web=True, say=lambda text: print(text, flush=True))
+"""
+
+
+@linux_only
+def test_a_browser_is_served_on_the_loopback_interface_until_interrupted(tmp_path: Path) -> None:
+    path = tmp_path / "run.rrd"
+    with Recording(path, properties={}, blocking=True) as recording:
+        recording.finish({})
+    command = [sys.executable, "-c", _VIEW_IN_A_BROWSER, str(path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True, text=True) as viewer:
+        assert viewer.stdout is not None
+        sentence = viewer.stdout.readline()
+        address = next(word for word in sentence.split() if word.startswith("http://127.0.0.1:"))
+        page_port = int(address.split(":")[2].split("/")[0])
+        data_port = int(address.split("%3A")[2].split("%2F")[0])
+        assert listening_addresses(page_port) == listening_addresses(data_port) == LOOPBACK
+        with urllib.request.urlopen(f"http://127.0.0.1:{page_port}/") as page:
+            assert b"<html" in page.read().lower()
+        os.killpg(viewer.pid, signal.SIGINT)
+        assert viewer.wait() == 0
+    assert listening_addresses(page_port) == listening_addresses(data_port) == set()

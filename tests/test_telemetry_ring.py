@@ -1,0 +1,104 @@
+"""Laws of the ring between the run and the recorder, over real shared memory."""
+
+import struct
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hil.telemetry.memory import SharedBlock
+from hil.telemetry.ring import RingReader, RingWriter, ring_bytes
+
+
+@contextmanager
+def ring(capacity: int, width: int) -> Iterator[tuple[RingWriter, RingReader]]:
+    block = SharedBlock.create(ring_bytes(capacity, width))
+    writer = RingWriter(block, capacity, width)
+    reader = RingReader(block)
+    yield writer, reader
+    reader.close()
+    writer.close()
+    block.close()
+
+
+@given(
+    capacity=st.integers(1, 7),
+    width=st.integers(1, 5),
+    steps=st.lists(st.one_of(st.just("put"), st.integers(0, 9)), max_size=60),
+)
+def test_rows_come_out_in_order_and_what_is_full_refuses(capacity: int, width: int, steps: list[str | int]) -> None:
+    model: deque[tuple[float, ...]] = deque()
+    with ring(capacity, width) as (writer, reader):
+        for number, step in enumerate(steps):
+            if step == "put":
+                row = tuple(number + 0.25 * i for i in range(width))
+                fits = len(model) < capacity
+                assert writer.try_put(row) is fits
+                if fits:
+                    model.append(row)
+                else:
+                    writer.count_dropped()
+            else:
+                assert isinstance(step, int)
+                count = min(step, reader.head - reader.tail)
+                rows = reader.rows(reader.tail, reader.tail + count)
+                reader.release(reader.tail + count)
+                assert [tuple(row) for row in rows] == [model.popleft() for _ in range(count)]
+            assert reader.head - reader.tail == len(model)
+        puts = steps.count("put")
+        assert writer.head + writer.dropped == puts
+        assert reader.dropped == writer.dropped
+
+
+@given(st.lists(st.floats(width=64), min_size=3, max_size=3))
+def test_a_row_keeps_every_bit(row: list[float]) -> None:
+    with ring(2, 3) as (writer, reader):
+        writer.try_put(tuple(row))
+        assert reader.rows(0, 1).tobytes() == np.array([row]).tobytes()
+
+
+def test_reading_returns_a_copy() -> None:
+    with ring(1, 1) as (writer, reader):
+        writer.try_put((1.0,))
+        rows = reader.rows(0, 1)
+        reader.release(1)
+        writer.try_put((2.0,))
+        assert rows[0, 0] == 1.0
+
+
+def test_a_row_of_another_width_raises_and_stores_nothing() -> None:
+    with ring(4, 3) as (writer, reader):
+        for row in ((1.0, 2.0), (1.0, 2.0, 3.0, 4.0)):
+            with pytest.raises(struct.error):
+                writer.try_put(row)
+        assert reader.head == 0
+
+
+def test_rows_that_are_not_in_the_ring_raise() -> None:
+    with ring(4, 1) as (writer, reader):
+        writer.try_put((1.0,))
+        reader.release(1)
+        for start, stop in ((0, 1), (1, 2)):
+            with pytest.raises(IndexError, match="not in the ring"):
+                reader.rows(start, stop)
+
+
+def test_a_block_smaller_than_its_header_says_is_refused() -> None:
+    block = SharedBlock.create(ring_bytes(4, 3))
+    writer = RingWriter(block, 400, 3)
+    with pytest.raises(ValueError, match="does not fit"):
+        RingReader(block)
+    writer.close()
+    block.close()
+
+
+@pytest.mark.parametrize(("capacity", "width"), [(0, 3), (3, 0)])
+def test_an_empty_ring_is_refused(capacity: int, width: int) -> None:
+    block = SharedBlock.create(ring_bytes(4, 3))
+    with pytest.raises(ValueError, match="at least 1"):
+        RingWriter(block, capacity, width)
+    block.close()
