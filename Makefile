@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 NATIVE_SOURCES := $(wildcard firmware_protocol/firmware/*.[ch] firmware_protocol/port/host/*.[ch] \
 	firmware_protocol/generated/*.[ch] plant_fmu/*.[ch] plant_fmu/*.toml plant_fmu/generated/*.h \
-	plant_fmu/documentation/* hil/devices/*.[ch])
+	plant_fmu/documentation/* hil/plant/*.[ch])
 
 .PHONY: demo test check format native clean setup
 
@@ -42,9 +42,9 @@ native: .venv/native
 .venv/native: .venv/installed $(NATIVE_SOURCES)
 	$(BIN)/python -m firmware_protocol.build
 	$(BIN)/python -m plant_fmu.build
-	$(BIN)/python -m hil.devices.build
+	$(BIN)/python -m hil.plant.build
 	@touch $@
 
 clean:
 	rm -rf .venv build dist runs
-	rm -f firmware_protocol/*.so plant_fmu/*.fmu hil/devices/*.so
+	rm -f firmware_protocol/*.so plant_fmu/*.fmu hil/plant/*.so

@@ -8,7 +8,7 @@ from types import TracebackType
 from typing import Self
 
 from firmware_protocol.host import parameter_hash, parameters
-from hil import fmu_archive
+from hil.plant import archive
 from hil.clock import LockstepClock, WallClock
 from hil.devices.stm32 import Expected, RobotInfo, Stm32
 from hil.devices.truth import TruthClient
@@ -58,7 +58,7 @@ def start_pose(scenario: Scenario) -> Pose:
 def virtual_robot(scenario: Scenario) -> VirtualRobot:
     """Return what the scenario's virtual robot is made of. Raises BadInputError when its FMU is missing."""
     return VirtualRobot(
-        fmu_archive.locate(scenario.plant.fmu, scenario.directory),
+        archive.locate(scenario.plant.fmu, scenario.directory),
         plant_start(scenario),
         firmware_values(scenario),
         scenario.loop.mode == "lockstep",

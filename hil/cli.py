@@ -193,19 +193,20 @@ FmuName = Annotated[str, typer.Argument(metavar="FMU", help="a path, or the ship
 @fmu_app.command("info")
 def fmu_info(fmu: FmuName = "mecanum") -> None:
     """Show what an FMU says of itself, and its variables with units."""
-    from hil import fmu_archive, report
-    from hil.fmu_tools import info
+    from hil import report
+    from hil.plant import archive
+    from hil.plant.tools import info
 
-    report.print_fmu(info(fmu_archive.locate(fmu, Path())))
+    report.print_fmu(info(archive.locate(fmu, Path())))
 
 
 @fmu_app.command("check")
 def fmu_check(fmu: FmuName = "mecanum") -> None:
     """Validate an FMU and run it through the FMI calling sequence; exit 1 when something is wrong."""
-    from hil import fmu_archive
-    from hil.fmu_tools import check
+    from hil.plant import archive
+    from hil.plant.tools import check
 
-    path = fmu_archive.locate(fmu, Path())
+    path = archive.locate(fmu, Path())
     problems = check(path)
     for problem in problems:
         print(problem)

@@ -13,7 +13,7 @@ from hil.results import RunResult
 
 if TYPE_CHECKING:
     from hil.assembly import Watch
-    from hil.fmu_tools import FmuInfo
+    from hil.plant.tools import FmuInfo
     from hil.loop import Loop
 
 _REFRESH_S = 0.1

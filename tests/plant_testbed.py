@@ -14,12 +14,12 @@ from fmpy import extract, read_model_description
 from fmpy.fmi2 import FMU2Slave
 from scipy.integrate import solve_ivp
 
-import hil.devices.build
+import hil.plant.build
 import plant_fmu.build
 
 FMU = plant_fmu.build.build()
-if not hil.devices.build.is_fresh():
-    hil.devices.build.build()
+if not hil.plant.build.is_fresh():
+    hil.plant.build.build()
 
 DESCRIPTION = read_model_description(str(FMU))
 REFERENCE = {variable.name: variable.valueReference for variable in DESCRIPTION.modelVariables}

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from hil import fmu_archive
+from hil.plant import archive
 from hil.errors import BadInputError
-from hil.fmu_tools import check, info
-from hil.plant import FmuPlant
+from hil.plant.tools import check, info
+from hil.plant.fmu import FmuPlant
 from tests.plant_testbed import FMU
 
 Change = Callable[[str, bytes], bytes | None]
@@ -119,7 +119,7 @@ def test_the_tools_refuse_what_is_no_fmu(
 
 def test_nothing_is_written_outside(tmp_path: Path) -> None:
     with pytest.raises(BadInputError):
-        fmu_archive.extract(repack(tmp_path / "a.fmu", **{"../outside": b""}))
+        archive.extract(repack(tmp_path / "a.fmu", **{"../outside": b""}))
     assert not (tmp_path / "outside").exists()
 
 
@@ -133,24 +133,24 @@ def test_a_damaged_member_is_refused_and_leaves_nothing(
     scratch.mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(scratch))
     with pytest.raises(BadInputError, match="cannot be unpacked"):
-        fmu_archive.extract(fmu)
+        archive.extract(fmu)
     assert list(scratch.iterdir()) == []
 
 
 def test_a_copy_of_the_shipped_fmu_is_the_shipped_fmu(tmp_path: Path) -> None:
     copy = tmp_path / "copy.fmu"
     copy.write_bytes(FMU.read_bytes())
-    assert fmu_archive.is_shipped(copy)
+    assert archive.is_shipped(copy)
     with FmuPlant(copy, {}) as plant:
         assert plant.truth().time_ns == 0
 
 
 def test_locate(tmp_path: Path) -> None:
-    assert fmu_archive.locate("mecanum", tmp_path) == FMU
+    assert archive.locate("mecanum", tmp_path) == FMU
     (tmp_path / "mine.fmu").write_bytes(b"")
-    assert fmu_archive.locate("mine.fmu", tmp_path) == tmp_path / "mine.fmu"
+    assert archive.locate("mine.fmu", tmp_path) == tmp_path / "mine.fmu"
     with pytest.raises(BadInputError, match=r"FMU 'mecanun' does not exist at .*; did you mean 'mecanum'\?"):
-        fmu_archive.locate("mecanun", tmp_path)
+        archive.locate("mecanun", tmp_path)
 
 
 def test_info() -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from fmpy.validation import validate_fmu
 
-import hil.devices.build
+import hil.plant.build
 import plant_fmu
 from plant_fmu import build, generate, variables
 from tests.plant_testbed import FMU
@@ -98,8 +98,8 @@ def test_the_packed_sources_and_the_shim_pass_the_sanitizers(tmp_path: Path) -> 
     """What is in sources/ is complete, compiles without a warning, and does nothing undefined."""
     with zipfile.ZipFile(FMU) as archive:
         archive.extractall(tmp_path)
-    sources = [*(tmp_path / "sources").glob("*.c"), *hil.devices.build.SOURCES]
-    include = [tmp_path / "sources", *(header.parent for header in hil.devices.build.HEADERS)]
+    sources = [*(tmp_path / "sources").glob("*.c"), *hil.plant.build.SOURCES]
+    include = [tmp_path / "sources", *(header.parent for header in hil.plant.build.HEADERS)]
     program = tmp_path / "driver"
     command = [*build.compiler(), *STRICT, *SANITIZE, *(f"-I{folder}" for folder in include)]
     driver = Path(__file__).with_name("plant_driver.c")

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.fmu_tools import check
+from hil.plant.tools import check
 from tests.plant_testbed import FMU, patched_fmu
 from tests.test_fmu_archive import Change, in_description, repack, without
 

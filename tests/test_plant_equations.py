@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hil.plant import FmuPlant
+from hil.plant.fmu import FmuPlant
 from hil.types import Wheels
 from tests.plant_testbed import FMU, MOTION, ROBOT, TORQUES, Oracle, slave
 

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from hil.errors import BadInputError, DeviceError
-from hil.plant import FmuPlant
+from hil.plant.fmu import FmuPlant
 from hil.types import Wheels
 from tests.plant_testbed import DESCRIPTION, FMU, REFERENCE, TORQUES, WHEELS, last_successful_time_s, slave
 

@@ -14,12 +14,12 @@ class CustomBuildHook(BuildHookInterface[Any]):
         sys.path.insert(0, self.root)
         try:
             import firmware_protocol.build
-            import hil.devices.build
+            import hil.plant.build
             import plant_fmu.build
         finally:
             sys.path.remove(self.root)
         firmware_protocol.build.build()
         plant_fmu.build.build()
-        hil.devices.build.build()
+        hil.plant.build.build()
         build_data["pure_python"] = False
         build_data["infer_tag"] = True

@@ -11,7 +11,7 @@ from hil.clock import TICK_NS
 from hil.devices.wheel_map import WheelMap
 from hil.errors import BadInputError, HilError
 from hil.links.wire import Wire
-from hil.plant import FmuPlant
+from hil.plant.fmu import FmuPlant
 from hil.types import PoseFix
 
 # A stall of this machine is made up for in one burst up to here, as a robot would have moved on meanwhile. Beyond it

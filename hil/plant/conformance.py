@@ -1,6 +1,6 @@
-"""Runs an unpacked FMI 2.0 co-simulation FMU through every call and claim; the child of ``hil.fmu_tools``.
+"""Runs an unpacked FMI 2.0 co-simulation FMU through every call and claim; the child of ``hil.plant.tools``.
 
-``python -m hil.fmu_conformance FOLDER RESULTS`` appends one JSON line to RESULTS when a part begins and one a
+``python -m hil.plant.conformance FOLDER RESULTS`` appends one JSON line to RESULTS when a part begins and one a
 problem, so that a crash tells where it happened.
 """
 

@@ -1,6 +1,6 @@
 """Compiles the shim between the firmware's plant port and an FMU. Needs a C compiler and nothing else.
 
-``python -m hil.devices.build`` builds when a source is newer than the library. The library is loaded with
+``python -m hil.plant.build`` builds when a source is newer than the library. The library is loaded with
 cffi's ABI mode, so that neither Python's headers nor a compiler are needed where it runs.
 """
 
@@ -33,4 +33,4 @@ if __name__ == "__main__":
     try:
         print(LIBRARY if is_fresh() else build())
     except BuildError as error:
-        sys.exit(f"hil.devices.build: {error}")
+        sys.exit(f"hil.plant.build: {error}")

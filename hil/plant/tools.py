@@ -12,7 +12,7 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from hil import fmu_archive
+from hil.plant import archive
 from hil.errors import BadInputError
 
 _LONGEST_CHECK_S = 120.0
@@ -50,7 +50,7 @@ class FmuInfo:
 
 def info(fmu: Path) -> FmuInfo:
     """Return what the FMU says of itself. Raises BadInputError when the file is no readable FMU."""
-    header = fmu_archive.read_header(fmu)
+    header = archive.read_header(fmu)
     from fmpy import read_model_description, supported_platforms
 
     try:
@@ -61,8 +61,8 @@ def info(fmu: Path) -> FmuInfo:
     claims = ("canHandleVariableCommunicationStepSize", "canGetAndSetFMUstate", "canSerializeFMUstate")
     return FmuInfo(
         path=fmu,
-        sha256=fmu_archive.sha256(fmu),
-        shipped=fmu_archive.is_shipped(fmu),
+        sha256=archive.sha256(fmu),
+        shipped=archive.is_shipped(fmu),
         fmi_version=header.fmi_version,
         model_name=description.modelName,
         description=description.description,
@@ -81,25 +81,25 @@ def check(fmu: Path, longest_s: float = _LONGEST_CHECK_S) -> list[str]:
     """Return every problem found, none for a good FMU, one sentence each.
 
     First FMPy's validator on the description; then, for FMI 2.0 co-simulation with a library for this
-    platform, a run of every call and claim (``hil.fmu_conformance``). Raises BadInputError when it is no FMU.
+    platform, a run of every call and claim (``hil.plant.conformance``). Raises BadInputError when it is no FMU.
     """
-    fmu_archive.read_header(fmu)
+    archive.read_header(fmu)
     from fmpy.validation import validate_fmu
 
     problems = [f"modelDescription.xml: {' '.join(problem.split())}" for problem in validate_fmu(str(fmu))]
     try:
-        fmu_archive.library_of(fmu)
+        archive.library_of(fmu)
     except BadInputError as error:
         return [*problems, f"not run: {error}"]
     return problems + _run(fmu, longest_s)
 
 
 def _run(fmu: Path, longest_s: float) -> list[str]:
-    folder = fmu_archive.extract(fmu)
+    folder = archive.extract(fmu)
     with tempfile.TemporaryDirectory(prefix="hil_fmu_check_") as scratch:
         results = Path(scratch) / "results"
         results.touch()
-        command = [sys.executable, "-m", "hil.fmu_conformance", str(folder), str(results)]
+        command = [sys.executable, "-m", "hil.plant.conformance", str(folder), str(results)]
         try:
             done = subprocess.run(
                 command, capture_output=True, text=True, errors="replace", timeout=longest_s, check=False

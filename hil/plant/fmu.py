@@ -1,6 +1,6 @@
 """The plant FMU in this process, stepped from C through the firmware's plant port.
 
-FMPy reads the description, loads and initialises the FMU. From then on the shim ``devices/cosim.c`` calls the
+FMPy reads the description, loads and initialises the FMU. From then on the shim ``plant/cosim.c`` calls the
 FMU's functions by their addresses: one C call a tick, where FMPy's own methods cost about 30 times as much.
 """
 
@@ -18,8 +18,8 @@ from typing import Any, Self
 
 import cffi
 
-from hil import fmu_archive
-from hil.devices.build import HEADERS, LIBRARY
+from hil.plant import archive
+from hil.plant.build import HEADERS, LIBRARY
 from hil.errors import BadInputError, DeviceError, nearest
 from hil.types import WHEEL_NAMES, Pose, PoseFix, Twist, Wheels
 
@@ -46,7 +46,7 @@ _LOADING = threading.Lock()  # FMPy changes the working directory while it loads
 def _shim() -> tuple[Any, Any]:
     """Return cffi's (ffi, library) of the shim, with the declarations taken from the C headers themselves."""
     if not LIBRARY.exists():
-        raise BadInputError(f"{LIBRARY} is not built; run: python -m hil.devices.build")
+        raise BadInputError(f"{LIBRARY} is not built; run: python -m hil.plant.build")
     ffi = cffi.FFI()
     for header in HEADERS:
         for section in _SECTION.findall(header.read_text(encoding="utf-8")):
@@ -66,11 +66,11 @@ class FmuPlant:
     """
 
     def __init__(self, fmu: Path, start: Mapping[str, float], step_ns: int = 1_000_000) -> None:
-        library = fmu_archive.library_of(fmu)
-        if not fmu_archive.is_shipped(fmu):
+        library = archive.library_of(fmu)
+        if not archive.is_shipped(fmu):
             raise BadInputError(
                 f"FMU {fmu} is not the shipped one; only that runs inside this process so far, "
-                f"set plant.fmu = {fmu_archive.SHIPPED!r}"
+                f"set plant.fmu = {archive.SHIPPED!r}"
             )
         if step_ns <= 0:
             raise BadInputError(f"plant step {step_ns} ns; expected a positive number")
@@ -79,7 +79,7 @@ class FmuPlant:
         self._context = ffi.new("cosim *", {"step_ns": step_ns})
         self.wire((0, 1, 2, 3), (1, 1, 1, 1))
         with contextlib.ExitStack() as resources:
-            folder = fmu_archive.extract(fmu)
+            folder = archive.extract(fmu)
             resources.callback(shutil.rmtree, folder, ignore_errors=True)
             self._fmu, variables = _load(fmu, folder, folder / library)
             resources.callback(self._fmu.freeLibrary)
