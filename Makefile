@@ -4,13 +4,13 @@ PYTHON ?= python3
 BIN := .venv/bin
 NATIVE_SOURCES := $(wildcard firmware_protocol/firmware/*.[ch] firmware_protocol/port/host/*.[ch] \
 	firmware_protocol/generated/*.[ch] plant_fmu/*.[ch] plant_fmu/*.toml plant_fmu/generated/*.h \
-	plant_fmu/documentation/* hil/plant/*.[ch])
+	plant_fmu/documentation/* plant_fmu/documentation/licenses/* hil/plant/*.[ch])
 
-.PHONY: demo test check format native clean setup
+
+.PHONY: demo test check picture format native clean setup
 
 demo: setup
-	@mkdir -p runs
-	$(BIN)/hil run paper_circle --record runs/paper_circle.rrd
+	$(BIN)/hil run paper_circle
 
 test: setup
 	$(BIN)/python -m pytest
@@ -22,6 +22,11 @@ check: setup
 	$(BIN)/lint-imports
 	$(BIN)/clang-format --dry-run -Werror $$(git ls-files '*.c' '*.h')
 	$(BIN)/python -m firmware_protocol.generate --check
+	$(BIN)/python -m plant_fmu.generate --check
+
+picture: setup
+	$(BIN)/hil run paper_circle --record runs/picture.rrd
+	$(BIN)/python tools/screenshot.py runs/picture.rrd tools/pictures/paper_circle.png
 
 format: setup
 	$(BIN)/ruff check --fix
@@ -47,4 +52,4 @@ native: .venv/native
 
 clean:
 	rm -rf .venv build dist runs
-	rm -f firmware_protocol/*.so plant_fmu/*.fmu hil/plant/*.so
+	rm -f plant_fmu/*.fmu $(foreach s,so dylib dll,firmware_protocol/*.$(s) hil/plant/*.$(s))

@@ -41,9 +41,7 @@ def compiler() -> str:
     for name in names:
         if found := shutil.which(name):
             return found
-    raise BuildError(
-        f"no C compiler found (tried {', '.join(names)}); install one, for example gcc, or set CC"
-    )
+    raise BuildError(f"no C compiler found (tried {', '.join(names)}); install one, for example gcc, or set CC")
 
 
 def build(library: Path = LIBRARY) -> Path:

@@ -165,9 +165,7 @@ def _decode(m: Message, form: str) -> Iterator[str]:
         yield "        ):"
         yield "            return None"
     yield "        return cls("
-    yield from (
-        f"            {s.name} * {s.scale!r}," if s.scaled else f"            {s.name}," for s in m.signals
-    )
+    yield from (f"            {s.name} * {s.scale!r}," if s.scaled else f"            {s.name}," for s in m.signals)
     yield "        )"
 
 

@@ -59,8 +59,7 @@ def _message_table(m: Message) -> Iterator[str]:
         step = f"1/{2**-s.exponent}" if s.exponent < 0 else str(2**s.exponent)
         limits = f"{s.minimum!r} to {s.maximum!r}"
         yield (
-            f"| {s.start}-{s.start + s.length - 1} | {s.name} | {step} | {limits} | {s.unit or '-'} "
-            f"| {_meaning(s)} |"
+            f"| {s.start}-{s.start + s.length - 1} | {s.name} | {step} | {limits} | {s.unit or '-'} | {_meaning(s)} |"
         )
 
 
@@ -71,9 +70,7 @@ def _meaning(s: Signal) -> str:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; returns its exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m firmware_protocol.generate", description=__doc__.splitlines()[0]
-    )
+    parser = argparse.ArgumentParser(prog="python -m firmware_protocol.generate", description=__doc__.splitlines()[0])
     parser.add_argument("--check", action="store_true", help="write nothing; exit 1 when a file is stale")
     check = parser.parse_args(arguments).check
     try:

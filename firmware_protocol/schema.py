@@ -178,14 +178,10 @@ def _signal(message: str, dbc: DbcSignal) -> Signal:
         raise SchemaError(f"{where}: expected little-endian (@1), an integer type and offset 0")
     mantissa, exponent = math.frexp(dbc.scale)
     if mantissa != 0.5:
-        raise SchemaError(
-            f"{where}: scale {dbc.scale} is not a power of two, which C and Python would round alike"
-        )
+        raise SchemaError(f"{where}: scale {dbc.scale} is not a power of two, which C and Python would round alike")
     exponent -= 1
     if dbc.is_signed != (exponent != 0):
-        raise SchemaError(
-            f"{where}: expected an unsigned integer with scale 1, or a signed one with another scale"
-        )
+        raise SchemaError(f"{where}: expected an unsigned integer with scale 1, or a signed one with another scale")
     longest = 24 if dbc.is_signed else 32  # 24 bits are exact in binary32
     if dbc.length > longest:
         raise SchemaError(f"{where}: {dbc.length} bits, at most {longest} are supported")
@@ -194,9 +190,7 @@ def _signal(message: str, dbc: DbcSignal) -> Signal:
     low, high = math.ldexp(dbc.minimum, -exponent), math.ldexp(dbc.maximum, -exponent)
     floor = -(1 << (dbc.length - 1)) if dbc.is_signed else 0
     if not (low.is_integer() and high.is_integer() and floor <= low <= high < floor + (1 << dbc.length)):
-        raise SchemaError(
-            f"{where}: limits [{dbc.minimum}|{dbc.maximum}] are not raw values of {dbc.length} bits"
-        )
+        raise SchemaError(f"{where}: limits [{dbc.minimum}|{dbc.maximum}] are not raw values of {dbc.length} bits")
     values = tuple(sorted((int(number), str(name)) for number, name in (dbc.choices or {}).items()))
     if values and [number for number, _ in values] != list(range(int(low), int(high) + 1)):
         raise SchemaError(f"{where}: VAL_ must name every value from {int(low)} to {int(high)}, and no other")
@@ -218,9 +212,7 @@ def _named_values(messages: tuple[Message, ...]) -> dict[str, tuple[tuple[int, s
     for m in messages:
         for s in m.signals:
             if s.values and tables.setdefault(s.name, s.values) != s.values:
-                raise SchemaError(
-                    f"{m.name}.{s.name}: its VAL_ table differs from another message's {s.name}"
-                )
+                raise SchemaError(f"{m.name}.{s.name}: its VAL_ table differs from another message's {s.name}")
     return tables
 
 
@@ -228,6 +220,4 @@ def _check_frozen(messages: tuple[Message, ...]) -> None:
     layout = {m.id: [(s.name, s.start, s.length) for s in m.signals] for m in messages}
     for number, frozen in FROZEN.items():
         if layout.get(number) != frozen:
-            raise SchemaError(
-                f"id {number:#x}: its layout is frozen for ever as {frozen}, found {layout.get(number)}"
-            )
+            raise SchemaError(f"id {number:#x}: its layout is frozen for ever as {frozen}, found {layout.get(number)}")

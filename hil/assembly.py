@@ -4,7 +4,7 @@ import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from hil.bench import NS, Bench, start_pose
 from hil.controllers.registry import make_controller
@@ -62,17 +62,13 @@ def run_scenario(
     watch: Watch | None = None,
 ) -> RunResult:
     """Run a scenario that was loaded; ``watch`` is entered with the loop while it runs. Raises as ``run``."""
-    mode = CommandMode[scenario.controller.command.upper()]
-    model = RobotModel(**dict(scenario.robot))
-    table = scenario.controller
-    controller = make_controller(table.law, scenario.directory, model, mode, table.gains)
-    reference = make_reference(scenario.reference.kind, scenario.reference.options)
-    counts = scenario.firmware.counts_per_revolution
-    estimator = make_estimator(scenario.estimator.source, model, start_pose(scenario), counts)
     if record is not None:
         check_recording_path(record)
+    make_loop = _loop_of(scenario)
     with contextlib.ExitStack() as resources:
         bench = resources.enter_context(Bench(scenario, truth, allow_motion=allow_motion))
+        # First the robot, then the recorder: a robot that is not there leaves no empty recording behind.
+        robot = _reach(bench, bench.connect)
         memory = MemorySink()
         recording = None
         if record is not None or live_port is not None:
@@ -80,16 +76,50 @@ def run_scenario(
             recording = resources.enter_context(
                 Recording(record, properties=properties(scenario), blocking=blocking, live_port=live_port)
             )
-        sink: Sink = memory if recording is None else _Both(memory, recording)
-        guard = Guard(model.speed_limit_rad_s, model.torque_limit_n_m)
-        parts = Parts(bench.clock, bench.device, bench.truth, estimator, reference, controller, guard, sink)
-        latency_s = scenario.link.command_latency_s + scenario.link.feedback_latency_s
-        loop = Loop(parts, mode, scenario.loop.period_ns, latency_s)
-        report = _drive(scenario, bench, loop, watch)
-        metrics = _figures(scenario, bench, memory, report, guard)
+            recording.event(0.0, "info", f"robot: {robot.describe()}")
+        loop = make_loop(bench, memory if recording is None else _Both(memory, recording))
+        origin_ns = _reach(bench, lambda: bench.device.start(bench.clock, scenario.loop.period_ns))
+        bench.faults.begin(origin_ns)
+        with watch(loop) if watch is not None else contextlib.nullcontext():
+            report = loop.run(origin_ns, round(scenario.loop.duration_s * NS))
+        failure = bench.robot_failure or report.failure
+        metrics = _figures(scenario, bench, memory, report, failure, loop.commands_refused)
         if recording is not None:
+            _note_events(recording, loop, metrics)
             _close_recording(recording, record, metrics)
-    return RunResult(scenario, metrics, memory.signals(), report.failure)
+    return RunResult(scenario, metrics, memory.signals(), failure)
+
+
+def _loop_of(scenario: Scenario) -> Callable[[Bench, Sink], Loop]:
+    """Make what a tick needs of the scenario alone, so that bad input is found before anything is opened."""
+    mode = CommandMode[scenario.controller.command.upper()]
+    model = RobotModel(**dict(scenario.robot))
+    table = scenario.controller
+    controller = make_controller(table.law, scenario.directory, model, mode, table.gains)
+    reference = make_reference(scenario.reference.kind, scenario.reference.options)
+    counts = scenario.firmware.counts_per_revolution
+    estimator = make_estimator(scenario.estimator.source, model, start_pose(scenario), counts)
+    guard = Guard(model.speed_limit_rad_s, model.torque_limit_n_m)
+    latency_s = scenario.link.command_latency_s + scenario.link.feedback_latency_s
+
+    def make(bench: Bench, sink: Sink) -> Loop:
+        parts = Parts(bench.clock, bench.device, bench.truth, estimator, reference, controller, guard, sink)
+        return Loop(parts, mode, scenario.loop.period_ns, latency_s)
+
+    return make
+
+
+T = TypeVar("T")
+
+
+def _reach(bench: Bench, step: Callable[[], T]) -> T:
+    """Take a step towards ACTIVE. When it fails because the robot in this process did, say that instead."""
+    try:
+        return step()
+    except (DeviceError, LinkError):
+        if bench.robot_failure is not None:
+            raise bench.robot_failure from None
+        raise
 
 
 class _Both:
@@ -104,22 +134,13 @@ class _Both:
         self._second.put(row)
 
 
-def _drive(scenario: Scenario, bench: Bench, loop: Loop, watch: Watch | None) -> Report:
-    """Connect, arm, run and stop. Raises when the robot does not get as far as ACTIVE."""
-    try:
-        bench.connect()
-        origin_ns = bench.device.start(bench.clock, scenario.loop.period_ns)
-    except (DeviceError, LinkError):
-        if bench.robot_failure is not None:
-            raise bench.robot_failure from None
-        raise
-    bench.faults.begin(origin_ns)
-    with watch(loop) if watch is not None else contextlib.nullcontext():
-        return loop.run(origin_ns, round(scenario.loop.duration_s * NS))
-
-
 def _figures(
-    scenario: Scenario, bench: Bench, memory: MemorySink, report: Report, guard: Guard
+    scenario: Scenario,
+    bench: Bench,
+    memory: MemorySink,
+    report: Report,
+    failure: HilError | None,
+    commands_refused: int,
 ) -> dict[str, Any]:
     signals = memory.signals()
     figures, reasons = tracking_figures(signals)
@@ -132,8 +153,7 @@ def _figures(
     # A fault that never happened proves nothing.
     faulted = all(row["applied"] for row in applied)
     # Neither does a run in which the law gave no number and the robot was held still.
-    lawful = guard.refused == 0
-    failure: HilError | None = bench.robot_failure or report.failure
+    lawful = commands_refused == 0
     realtime_factor = report.robot_s / report.wall_s if report.ticks else None
     if realtime_factor is None:
         reasons["realtime_factor"] = "the run has no ticks"
@@ -150,13 +170,25 @@ def _figures(
         "frames": {"sent": device.sent, "received": device.received, "rejected": device.rejected()},
         "wire_sha256": device.wire_sha256(),
         "stopped": report.stopped,
-        "commands_refused": guard.refused,
+        "commands_refused": commands_refused,
         "expect": outcomes,
         "fault": applied,
         "failure": str(failure) if failure is not None else None,
         "recording": None,
         "reasons": reasons | {"recording": "no recording was asked for"},
     }
+
+
+def _note_events(recording: Recording, loop: Loop, metrics: Mapping[str, Any]) -> None:
+    """Put into the event log what became of the run, at the time to which it belongs."""
+    for row in metrics["fault"]:
+        level = "info" if row["applied"] else "error"
+        recording.event(loop.t_s, level, f"fault {row['kind']} {row['target']}: applied {row['applied']} times")
+    for row in metrics["expect"]:
+        at_s = loop.t_s if row["violation_s"] is None else row["violation_s"]
+        recording.event(at_s, "info" if row["passed"] else "error", row["text"])
+    if metrics["failure"] is not None:
+        recording.event(loop.t_s, "error", metrics["failure"])
 
 
 def _close_recording(recording: Recording, path: Path | None, metrics: dict[str, Any]) -> None:

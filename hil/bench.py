@@ -8,7 +8,6 @@ from types import TracebackType
 from typing import Self
 
 from firmware_protocol.host import parameter_hash, parameters
-from hil.plant import archive
 from hil.clock import LockstepClock, WallClock
 from hil.devices.stm32 import Expected, RobotInfo, Stm32
 from hil.devices.truth import TruthClient
@@ -19,6 +18,7 @@ from hil.links.delay import DelayedLink
 from hil.links.faults import Fault, FaultLink
 from hil.links.opening import is_within_process, open_host, open_pair
 from hil.links.url import parse_link
+from hil.plant import archive
 from hil.ports import Clock, Link, PoseSource
 from hil.scenario import FaultTable, Scenario
 from hil.types import CommandMode, Pose
@@ -103,9 +103,7 @@ class Bench:
                     resources.callback(self.truth.close)
                 link = open_host(url)
                 resources.callback(link.close)
-            self.clock: Clock = (
-                LockstepClock(lambda ticks: self.device.step(ticks)) if lockstep else WallClock()
-            )
+            self.clock: Clock = LockstepClock(lambda ticks: self.device.step(ticks)) if lockstep else WallClock()
             self.faults = FaultLink(link, self.clock, _faults(scenario.fault), scenario.loop.seed)
             delayed = DelayedLink(
                 self.faults,

@@ -26,9 +26,7 @@ app = typer.Typer(
 fmu_app = typer.Typer(no_args_is_help=True, help="The plant: build, look at and check FMUs.")
 app.add_typer(fmu_app, name="fmu")
 
-ScenarioName = Annotated[
-    str, typer.Argument(metavar="SCENARIO", help="a shipped name or a path to a .toml file")
-]
+ScenarioName = Annotated[str, typer.Argument(metavar="SCENARIO", help="a shipped name or a path to a .toml file")]
 Sets = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="override any key, for example robot.mass_kg=24"),
@@ -55,9 +53,7 @@ def run(
     record: Annotated[
         str | None, typer.Option(metavar="FILE|none", help="recording; by default runs/SCENARIO-TIME.rrd")
     ] = None,
-    live: Annotated[
-        bool, typer.Option("--live", help="serve the rerun viewer on 127.0.0.1 while it runs")
-    ] = False,
+    live: Annotated[bool, typer.Option("--live", help="serve the rerun viewer on 127.0.0.1 while it runs")] = False,
     live_port: Annotated[int, typer.Option(metavar="PORT", help="for --live", min=1, max=65535)] = 9876,
     seed: Seed = None,
     sets: Sets = None,

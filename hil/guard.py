@@ -52,6 +52,4 @@ def _scaled(value: Wheels, limit: float) -> Wheels:
     if largest <= limit:
         return value
     # First the ratio, which is at most 1: the product then cannot round beyond the limit.
-    return Wheels(
-        limit * (fl / largest), limit * (fr / largest), limit * (rr / largest), limit * (rl / largest)
-    )
+    return Wheels(limit * (fl / largest), limit * (fr / largest), limit * (rr / largest), limit * (rl / largest))

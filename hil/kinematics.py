@@ -42,9 +42,7 @@ def wrap_angle(angle_rad: float) -> float:
 def to_body(twist: Twist, heading_rad: float) -> BodyTwist:
     """Turn a world twist into the body frame of a robot with this heading (equation 9)."""
     c, s = math.cos(heading_rad), math.sin(heading_rad)
-    return BodyTwist(
-        c * twist.vx_m_s + s * twist.vy_m_s, c * twist.vy_m_s - s * twist.vx_m_s, twist.yaw_rate_rad_s
-    )
+    return BodyTwist(c * twist.vx_m_s + s * twist.vy_m_s, c * twist.vy_m_s - s * twist.vx_m_s, twist.yaw_rate_rad_s)
 
 
 def to_world(body: BodyTwist, heading_rad: float) -> Twist:

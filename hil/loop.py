@@ -106,6 +106,11 @@ class Loop:
         robot_s = self.t_s + self._dt_s if self._ticks else 0.0
         return Report(self._ticks, self._misses, robot_s, wall_s, stopped, failure)
 
+    @property
+    def commands_refused(self) -> int:
+        """Commands of the law that were no numbers, each replaced by a stop."""
+        return self._parts.guard.refused
+
     def _stop(self) -> bool:
         return self._parts.device.stop(self._period_ns, _STOP_LIMIT_NS)
 

@@ -56,9 +56,7 @@ class Hold:
 
     def at(self, t_s: float) -> Reference:
         """Return the pose, at rest."""
-        return Reference(
-            Pose(self.x_m, self.y_m, self.heading_rad), Twist(0.0, 0.0, 0.0), Acceleration(0.0, 0.0, 0.0)
-        )
+        return Reference(Pose(self.x_m, self.y_m, self.heading_rad), Twist(0.0, 0.0, 0.0), Acceleration(0.0, 0.0, 0.0))
 
 
 KINDS: dict[str, type[Circle] | type[Hold]] = {"circle": Circle, "hold": Hold}

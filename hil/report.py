@@ -13,8 +13,8 @@ from hil.results import RunResult
 
 if TYPE_CHECKING:
     from hil.assembly import Watch
-    from hil.plant.tools import FmuInfo
     from hil.loop import Loop
+    from hil.plant.tools import FmuInfo
 
 _REFRESH_S = 0.1
 
@@ -83,9 +83,7 @@ def print_result(result: RunResult) -> None:
     path = result.metrics["recording"]
     print()
     print("Next:")
-    hints = [
-        (f"  hil show {result.scenario.path or result.scenario.name}", "# every value and where it came from")
-    ]
+    hints = [(f"  hil show {result.scenario.path or result.scenario.name}", "# every value and where it came from")]
     if path is not None:
         hints.insert(0, (f"  hil view {path}", "# see it in the rerun viewer; --web for a browser"))
         hints.insert(1, (f"  hil review {path}", "# the figures again, from the recording alone"))
@@ -149,9 +147,7 @@ def listing(what: str) -> tuple[tuple[str, ...], Sequence[tuple[str, ...]]]:
         from hil.links.url import LINK_FORMS
 
         return ("link", "meaning"), list(LINK_FORMS.items())
-    raise BadInputError(
-        f"there is no list of {what!r}{nearest(what, ('signals', 'laws', 'scenarios', 'links'))}"
-    )
+    raise BadInputError(f"there is no list of {what!r}{nearest(what, ('signals', 'laws', 'scenarios', 'links'))}")
 
 
 def print_table(rows: Sequence[Sequence[str]]) -> None:
@@ -173,8 +169,5 @@ def print_fmu(info: "FmuInfo") -> None:
     print(f"sha256: {info.sha256}")
     print()
     rows = [("name", "causality", "type", "unit", "start", "description")]
-    rows += [
-        (v.name, v.causality, v.type, v.unit or "", v.start or "", v.description or "")
-        for v in info.variables
-    ]
+    rows += [(v.name, v.causality, v.type, v.unit or "", v.start or "", v.description or "") for v in info.variables]
     print_table(rows)

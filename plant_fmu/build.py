@@ -107,9 +107,7 @@ def build(out: Path | None = None, cc: str | None = None) -> Path:
         raise BuildError(f"{stale[0].name} is stale; run python -m plant_fmu.generate")
     with tempfile.TemporaryDirectory(prefix="plant_fmu_") as folder:
         library = Path(folder) / f"mecanum{SUFFIX}"
-        compile_shared(
-            SOURCES, library, include=(HERE, HERE / "generated"), cc=cc, flags=("-fvisibility=hidden",)
-        )
+        compile_shared(SOURCES, library, include=(HERE, HERE / "generated"), cc=cc, flags=("-fvisibility=hidden",))
         members = {f"binaries/{binaries_folder()}/{library.name}": library.read_bytes(), **_text_members()}
     try:
         _pack(members, out, inputs)
@@ -173,9 +171,7 @@ def _pack(members: dict[str, bytes], out: Path, inputs: str) -> None:
 
 def main() -> None:
     """Build the FMU and print its path."""
-    parser = argparse.ArgumentParser(
-        prog="plant_fmu.build", description="Build the plant's FMU for this machine."
-    )
+    parser = argparse.ArgumentParser(prog="plant_fmu.build", description="Build the plant's FMU for this machine.")
     parser.add_argument("--out", type=Path, help="the FMU to write; the package's own by default")
     try:
         print(build(parser.parse_args().out))

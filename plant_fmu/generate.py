@@ -193,10 +193,7 @@ def html_table(definition: Definition) -> str:
     """Return the table of documentation/index.html."""
     heads = ("variable", "causality", "unit", "start", "range", "meaning")
     lines = ["<table>", "<tr>" + "".join(f"<th>{head}</th>" for head in heads) + "</tr>"]
-    lines += [
-        "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>"
-        for row in _rows(definition)
-    ]
+    lines += ["<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in _rows(definition)]
     return "\n".join([*lines, "</table>"])
 
 
@@ -205,9 +202,7 @@ def _rows(definition: Definition) -> list[tuple[str, ...]]:
     for variable in definition.variables:
         limits = f"{variable.minimum:g} to {variable.maximum:g}" if variable.minimum is not None else ""
         start = "" if variable.start is None else f"{variable.start:g}"
-        rows.append(
-            (variable.name, variable.causality, variable.unit or "", start, limits, variable.description)
-        )
+        rows.append((variable.name, variable.causality, variable.unit or "", start, limits, variable.description))
     return rows
 
 
@@ -240,9 +235,7 @@ def stale(definition: Definition | None = None) -> list[Path]:
 
 def main() -> None:
     """Write the files, or with ``--check`` name the stale ones and exit 1."""
-    parser = argparse.ArgumentParser(
-        prog="plant_fmu.generate", description=__doc__.splitlines()[0] if __doc__ else ""
-    )
+    parser = argparse.ArgumentParser(prog="plant_fmu.generate", description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--check", action="store_true", help="write nothing; exit 1 when a file is stale")
     check = parser.parse_args().check
     try:

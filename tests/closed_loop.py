@@ -70,9 +70,7 @@ def each_wheel_by_itself(limit_n_m: float) -> Limit:
     """Return a limit as of four motors that know nothing of each other: the force changes its direction."""
 
     def limited(command: WheelCommand) -> WheelCommand:
-        return command._replace(
-            torque_n_m=Wheels(*(min(max(t, -limit_n_m), limit_n_m) for t in command.torque_n_m))
-        )
+        return command._replace(torque_n_m=Wheels(*(min(max(t, -limit_n_m), limit_n_m) for t in command.torque_n_m)))
 
     return limited
 

@@ -44,9 +44,7 @@ def slave(start: dict[str, float] | None = None, *, initialised: bool = True) ->
     """Give an instance through FMPy's own class, from a fresh extraction."""
     with tempfile.TemporaryDirectory() as folder:
         extract(str(FMU), folder)
-        fmu = FMU2Slave(
-            guid=DESCRIPTION.guid, unzipDirectory=folder, modelIdentifier="mecanum", instanceName="test"
-        )
+        fmu = FMU2Slave(guid=DESCRIPTION.guid, unzipDirectory=folder, modelIdentifier="mecanum", instanceName="test")
         fmu.instantiate()
         try:
             if initialised:
@@ -111,9 +109,7 @@ class Oracle:
         omega = self.jacobian @ [forward, left, yaw_rate]
         robot = self.robot
         coulomb = robot["friction_coefficient"] * robot["mass_kg"] * 9.81 * robot["wheel_radius_m"] / 4
-        friction = (
-            coulomb * np.tanh(omega / robot["friction_speed_rad_s"]) + robot["viscous_n_m_s_rad"] * omega
-        )
+        friction = coulomb * np.tanh(omega / robot["friction_speed_rad_s"]) + robot["viscous_n_m_s_rad"] * omega
         force = self.jacobian.T @ (torque - friction)
         force += robot["mass_kg"] * yaw_rate * np.array([left, -forward, 0.0])  # the body frame turns
         c, s = np.cos(heading), np.sin(heading)

@@ -34,7 +34,9 @@ def test_the_same_run_in_two_processes_gives_equal_figures_and_bytes(tmp_path: P
     two = run_json("paper_circle", "--mode", "lockstep", cwd=tmp_path)
     other = run_json("paper_circle", "--mode", "lockstep", "--seed", "2", "--record", "none", cwd=tmp_path)
     wall_clock = {"tick_us", "realtime_factor", "recording", "recorded", "reasons"}
-    assert {k: v for k, v in one.items() if k not in wall_clock} == {k: v for k, v in two.items() if k not in wall_clock}
+    assert {k: v for k, v in one.items() if k not in wall_clock} == {
+        k: v for k, v in two.items() if k not in wall_clock
+    }
     assert one["wire_sha256"] != other["wire_sha256"]
     assert set(one) >= FIGURES
     assert one["passed"] is True
@@ -82,7 +84,12 @@ def write(tmp_path: Path, text: str) -> Path:
         ("", ("--set", "controller.gains.filtr_s=1"), 2, ["filtr_s", "filter_s"]),
         ("", ("--set", "reference.kind=cirle"), 2, ["cirle", "circle"]),
         ("", ("--link", "seral:/dev/ttyACM0"), 2, ["seral", "serial"]),
-        ("", ("--link", "serial:/dev/ttyNOPE", "--set", "estimator.source=odometry"), 3, ["/dev/ttyNOPE", "does not exist"]),
+        (
+            "",
+            ("--link", "serial:/dev/ttyNOPE", "--set", "estimator.source=odometry"),
+            3,
+            ["/dev/ttyNOPE", "does not exist"],
+        ),
         ("", ("--link", "can:socketcna/can0", "--set", "estimator.source=odometry"), 2, ["socketcna", "socketcan"]),
         ("", ("--link", "can:socketcan/nope0", "--set", "estimator.source=odometry"), 3, ["socketcan", "nope0"]),
         ("", ("--record", "/proc/nowhere/run.rrd"), 2, ["/proc/nowhere"]),
@@ -193,7 +200,9 @@ def test_import_is_lean():
 
 
 def test_no_file_names_a_package_registry():
-    tracked = subprocess.run(["git", "ls-files"], capture_output=True, text=True, check=True, cwd=ROOT).stdout.split("\n")
+    tracked = subprocess.run(["git", "ls-files"], capture_output=True, text=True, check=True, cwd=ROOT).stdout.split(
+        "\n"
+    )
     hosts = ["pypi" + ".org", "python" + "hosted", "npmjs" + ".org", "deb." + "debian"]
     for name in filter(None, tracked):
         path = ROOT / name

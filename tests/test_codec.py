@@ -68,9 +68,7 @@ def test_on_the_grid_decode_inverts_encode(number: int, data: st.DataObject) -> 
 @by_id
 @settings(max_examples=40)
 @given(data=st.data())
-def test_off_the_grid_the_nearest_step_is_sent_halves_away_from_zero(
-    number: int, data: st.DataObject
-) -> None:
+def test_off_the_grid_the_nearest_step_is_sent_halves_away_from_zero(number: int, data: st.DataObject) -> None:
     values = data.draw(any_values(number))
     decoded = codec.decode(codec.encode(build(number, values)))
     assert decoded is not None
@@ -156,8 +154,7 @@ def test_any_payload_is_refused_or_has_one_meaning(number: int, data: st.DataObj
     frame = Frame(number, payload)
     message = codec.decode(frame)
     in_range = all(
-        s.raw_minimum <= raw <= s.raw_maximum
-        for s, raw in ((s, raw_value(number, s, payload)) for s in limits(number))
+        s.raw_minimum <= raw <= s.raw_maximum for s, raw in ((s, raw_value(number, s, payload)) for s in limits(number))
     )
     assert (message is not None) == in_range
     if message is None:

@@ -208,18 +208,13 @@ def test_a_file_that_fails_on_import(write, text, place_and_error):
     ],
 )
 def test_a_class_that_is_no_law(write, text, message):
-    assert f"controller.law = 'my_law.py:Law': {message}" in message_of(
-        load_law, "my_law.py:Law", write(text)
-    )
+    assert f"controller.law = 'my_law.py:Law': {message}" in message_of(load_law, "my_law.py:Law", write(text))
 
 
 def test_a_constructor_that_takes_something_else(write):
     base = write(bare("def __init__(self, model, mode, options): pass"))
     message = message_of(make, "my_law.py:Law", base)
-    assert (
-        "found Law(model, mode, options), expected __init__(self, model, mode); for options, define"
-        in message
-    )
+    assert "found Law(model, mode, options), expected __init__(self, model, mode); for options, define" in message
 
 
 @pytest.mark.parametrize(
@@ -234,8 +229,7 @@ def test_a_constructor_that_takes_something_else(write):
         ({"update": "pass"}, "update returned None, expected a WheelCommand"),
         (
             {"update": "return applied.command"},
-            "update returned a command of mode <CommandMode.TORQUE: 1>, expected SPEED, the mode that it was "
-            "made with",
+            "update returned a command of mode <CommandMode.TORQUE: 1>, expected SPEED, the mode that it was made with",
         ),
     ],
 )

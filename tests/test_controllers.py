@@ -65,8 +65,7 @@ def test_at_the_start_the_robot_accelerates_as_asked(law, state, reference):
     error = [a - b for a, b in zip(state.pose, reference.pose, strict=True)]
     error[2] = math.atan2(math.sin(error[2]), math.cos(error[2]))
     expected = [
-        -c2 * (v - v_d + c1 * e)
-        for c1, c2, e, v, v_d in zip(k1, k2, error, state.twist, reference.twist, strict=True)
+        -c2 * (v - v_d + c1 * e) for c1, c2, e, v, v_d in zip(k1, k2, error, state.twist, reference.twist, strict=True)
     ]
     found = derivative(PAPER_ROBOT, (*state.pose, *state.twist), torque)[3:]
     assert found == pytest.approx(expected, rel=1e-9, abs=1e-6)
@@ -183,9 +182,7 @@ def test_each_axis_has_a_fuzzy_block_with_its_range():
     reference = PAPER_CIRCLE.at(0.0)
     pose, twist = reference.pose, reference.twist
     state = State(
-        Pose(
-            pose.x_m + options.error_range_m, pose.y_m, pose.heading_rad - options.heading_error_range_rad / 4
-        ),
+        Pose(pose.x_m + options.error_range_m, pose.y_m, pose.heading_rad - options.heading_error_range_rad / 4),
         Twist(twist.vx_m_s, twist.vy_m_s + options.error_rate_range_m_s, 0.0),
     )
     law.reset(state, reference)

@@ -39,9 +39,7 @@ def arc(start: Pose, body: BodyTwist, t_s: float) -> Pose:
     return Pose(start.x_m + c * dx - s * dy, start.y_m + s * dx + c * dy, start.heading_rad + turned)
 
 
-def drive(
-    body: BodyTwist, ticks: int, *, counts: bool = True, gyro: float = NAN, offset: int = 0
-) -> list[Measured]:
+def drive(body: BodyTwist, ticks: int, *, counts: bool = True, gyro: float = NAN, offset: int = 0) -> list[Measured]:
     """Return what ideal wheels measure at each tick; ``offset`` is where the encoders stand at the start."""
     speed = wheel_speeds(body, ROBOT.wheel_radius_m, ROBOT.lever_m)
     rows = []
@@ -141,9 +139,7 @@ def test_a_fix_without_twist_takes_it_from_wheels_and_gyro():
 def test_sources_by_name():
     assert isinstance(make_estimator("truth", ROBOT, START, COUNTS), TruthEstimator)
     assert isinstance(make_estimator("odometry", ROBOT, START, COUNTS), OdometryEstimator)
-    with pytest.raises(
-        BadInputError, match=r"estimator.source = 'odometer': unknown; did you mean 'odometry'\?"
-    ):
+    with pytest.raises(BadInputError, match=r"estimator.source = 'odometer': unknown; did you mean 'odometry'\?"):
         make_estimator("odometer", ROBOT, START, COUNTS)
     with pytest.raises(BadInputError, match=r"estimator\.source = 'odometer': .*did you mean 'odometry'"):
         make_estimator("odometer", ROBOT, START, COUNTS)

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from hil.plant import archive
 from hil.errors import BadInputError
-from hil.plant.tools import check, info
+from hil.plant import archive
 from hil.plant.fmu import FmuPlant
+from hil.plant.tools import check, info
 from tests.plant_testbed import FMU
 
 Change = Callable[[str, bytes], bytes | None]
@@ -123,9 +123,7 @@ def test_nothing_is_written_outside(tmp_path: Path) -> None:
     assert not (tmp_path / "outside").exists()
 
 
-def test_a_damaged_member_is_refused_and_leaves_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_damaged_member_is_refused_and_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     data = bytearray(FMU.read_bytes())
     data[data.index(b"\x7fELF" if b"\x7fELF" in data else b"mecanum.") + 100] ^= 1
     fmu, scratch = tmp_path / "damaged.fmu", tmp_path / "scratch"

@@ -34,9 +34,7 @@ def test_a_stale_file_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) 
         "index.html",
     }
     monkeypatch.setattr(generate, "stale", lambda: stale)
-    with pytest.raises(
-        build.BuildError, match=r"modelDescription\.xml is stale; run python -m plant_fmu\.generate"
-    ):
+    with pytest.raises(build.BuildError, match=r"modelDescription\.xml is stale; run python -m plant_fmu\.generate"):
         build.build(tmp_path / "x.fmu")
 
 
@@ -123,9 +121,7 @@ def test_sources_take_the_prefix_of_the_standard(tmp_path: Path) -> None:
 def test_without_a_compiler_one_sentence_says_so(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("CC", raising=False)
-    with pytest.raises(
-        build.BuildError, match=r"^no C compiler found \(tried cc, gcc, clang\); install one.*CC$"
-    ):
+    with pytest.raises(build.BuildError, match=r"^no C compiler found \(tried cc, gcc, clang\); install one.*CC$"):
         build.build(tmp_path / "x.fmu")
     with pytest.raises(build.BuildError, match=r"tried nowhere-cc"):
         build.build(tmp_path / "x.fmu", cc="nowhere-cc -O2")
@@ -148,9 +144,7 @@ def test_a_compiler_that_fails_is_quoted(tmp_path: Path) -> None:
 def test_as_a_program(tmp_path: Path) -> None:
     out = tmp_path / "x.fmu"
     command = [sys.executable, "-m", "plant_fmu.build", "--out", str(out)]
-    done = subprocess.run(
-        command, cwd=plant_fmu.path().parents[1], capture_output=True, text=True, check=True
-    )
+    done = subprocess.run(command, cwd=plant_fmu.path().parents[1], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == str(out)
     check = [sys.executable, "-m", "plant_fmu.generate", "--check"]
     subprocess.run(check, cwd=plant_fmu.path().parents[1], check=True)

@@ -125,9 +125,7 @@ def test_wrong_calls_are_refused(name: str, call: Callable[[FMU2Slave], object])
         assert drive(fmu, 0, 3) == first
 
 
-@pytest.mark.parametrize(
-    ("name", "value"), [("mass_kg", 0.0), ("half_width_m", 11.0), ("wheel_radius_m", -0.1)]
-)
+@pytest.mark.parametrize(("name", "value"), [("mass_kg", 0.0), ("half_width_m", 11.0), ("wheel_radius_m", -0.1)])
 def test_a_parameter_out_of_its_range_is_refused(name: str, value: float) -> None:
     with slave(initialised=False) as fmu:
         refused(lambda: fmu.setReal([REFERENCE[name]], [value]))

@@ -26,9 +26,7 @@ def inferred(which: str, error: float, rate: float) -> tuple[float, float]:
     """Return (K1, K2) by product inference over the 25 rules and weighted average."""
     k1_rules, k2_rules = RULES[which]
     weight_sum = k1 = k2 = 0.0
-    for (j, of_rate), (i, of_error) in itertools.product(
-        enumerate(memberships(rate)), enumerate(memberships(error))
-    ):
+    for (j, of_rate), (i, of_error) in itertools.product(enumerate(memberships(rate)), enumerate(memberships(error))):
         weight = of_rate * of_error
         weight_sum += weight
         k1 += weight * K1_1_S[k1_rules[j][i]]
@@ -78,9 +76,7 @@ def test_the_corrected_tables_follow_one_pattern():
 
 def test_the_printed_tables_differ_at_a_big_error_with_rate_zero_alone():
     for printed, corrected in zip(RULES["printed"], RULES["corrected"], strict=True):
-        different = [
-            (j, i) for j, i in itertools.product(range(5), range(5)) if printed[j][i] != corrected[j][i]
-        ]
+        different = [(j, i) for j, i in itertools.product(range(5), range(5)) if printed[j][i] != corrected[j][i]]
         assert different == [(2, 0), (2, 4)]
         assert {printed[2][0], corrected[2][0]} == {"VS", "VB"}
 

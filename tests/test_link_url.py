@@ -10,9 +10,7 @@ from hil.errors import BadInputError
 from hil.links.url import LINK_FORMS, CanUrl, LinkUrl, MemoryUrl, SerialUrl, format_link, parse_link
 
 # Reserved characters and percent signs far more often than chance would have them.
-addresses = st.text(
-    st.one_of(st.sampled_from("%?&/=:# "), st.characters(exclude_categories=["Cc", "Cs"])), min_size=1
-)
+addresses = st.text(st.one_of(st.sampled_from("%?&/=:# "), st.characters(exclude_categories=["Cc", "Cs"])), min_size=1)
 serial_urls = st.one_of(
     st.builds(SerialUrl, addresses, st.integers(1_200, 12_000_000)),
     st.builds(SerialUrl, st.just("pty"), st.just(921_600), st.none() | addresses),

@@ -177,9 +177,7 @@ def test_can_interface_that_is_not_there():
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    "url", ["can:slcan/%2Fdev%2FttyNOPE", "can:slcan//dev/ttyNOPE", "can:pcan/PCAN_USBBUS1"]
-)
+@pytest.mark.parametrize("url", ["can:slcan/%2Fdev%2FttyNOPE", "can:slcan//dev/ttyNOPE", "can:pcan/PCAN_USBBUS1"])
 def test_can_adapter_that_is_not_there(url):
     with pytest.raises(LinkError, match="CAN interface"):
         open_host(parse_link(url))

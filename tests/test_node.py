@@ -72,9 +72,7 @@ def test_silence_ramps_the_set_point_to_zero_and_latches():
         lambda rig, n: rig.torque(1.0, n),
         lambda rig, n: rig.send(m.TorqueFeedforward(1, 1, 1, 1, n & 0xFF, rig.nonce & 0xF)),
         lambda rig, n: rig.node.receive(Frame(m.WheelCommand.ID, b"\0" * 7)),
-        lambda rig, n: rig.node.receive(
-            Frame(m.WheelCommand.ID, b"\x00\x10" + bytes([0, 0, 0, 0, 0, n & 0xFF]))
-        ),
+        lambda rig, n: rig.node.receive(Frame(m.WheelCommand.ID, b"\x00\x10" + bytes([0, 0, 0, 0, 0, n & 0xFF]))),
     ],
     ids=["heartbeat", "hello", "session", "same", "backward", "mode", "feedforward", "short", "out of range"],
 )
@@ -308,9 +306,7 @@ def test_no_bytes_move_a_wheel(data):
     assert rig.speed_rad_s == [0.0] * 4
 
 
-_PLAUSIBLE = st.builds(
-    Frame, st.sampled_from(sorted(set(m.LENGTHS) - {m.Step.ID})), st.binary(min_size=8, max_size=8)
-)
+_PLAUSIBLE = st.builds(Frame, st.sampled_from(sorted(set(m.LENGTHS) - {m.Step.ID})), st.binary(min_size=8, max_size=8))
 
 
 @settings(max_examples=300)

@@ -95,9 +95,7 @@ def test_constant_torque_accelerates_evenly(torque: tuple[int, ...], axis: int, 
     np.testing.assert_allclose(speeds, [t * lever * acceleration / R for t in torque], rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("coriolis", "ratio"), [(1, K / (M + K)), (2, 1.0)], ids=["rigid", "as printed in the paper"]
-)
+@pytest.mark.parametrize(("coriolis", "ratio"), [(1, K / (M + K)), (2, 1.0)], ids=["rigid", "as printed in the paper"])
 def test_coasting_in_a_turn(coriolis: int, ratio: float) -> None:
     """The velocity of a coasting robot turns at k / (m + k) of its yaw rate: the README's analytic case."""
     yaw_rate, v, t = 2.0, 1.5, 2.0

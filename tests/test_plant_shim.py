@@ -117,12 +117,8 @@ def test_wiring_permutes_and_reverses() -> None:
             assert other.exchange([s * torque[w] for w, s in zip(wheels, signs, strict=True)]) == 0
         assert wired.truth() == plain.truth()
         assert wired.wheel_speeds() == plain.wheel_speeds()
-        assert list(other.sense.current_a) == [
-            s * one.sense.current_a[w] for w, s in zip(wheels, signs, strict=True)
-        ]
-        assert list(other.sense.count) == [
-            s * one.sense.count[w] & 0xFFFF for w, s in zip(wheels, signs, strict=True)
-        ]
+        assert list(other.sense.current_a) == [s * one.sense.current_a[w] for w, s in zip(wheels, signs, strict=True)]
+        assert list(other.sense.count) == [s * one.sense.count[w] & 0xFFFF for w, s in zip(wheels, signs, strict=True)]
         wired.reset()
         assert other.exchange([s * torque[w] for w, s in zip(wheels, signs, strict=True)]) == 0
         plain.reset()
@@ -130,9 +126,7 @@ def test_wiring_permutes_and_reverses() -> None:
         assert wired.truth() == plain.truth(), "a reset must keep the wiring"
 
 
-@pytest.mark.parametrize(
-    "bad", [((0, 1, 2, 2), (1, 1, 1, 1)), ((0, 1, 2, 3), (1, 0, 1, 1)), ((0, 1), (1, 1))]
-)
+@pytest.mark.parametrize("bad", [((0, 1, 2, 2), (1, 1, 1, 1)), ((0, 1, 2, 3), (1, 0, 1, 1)), ((0, 1), (1, 1))])
 def test_bad_wiring_is_refused(plant: FmuPlant, bad: tuple[tuple[int, ...], tuple[int, ...]]) -> None:
     with pytest.raises(BadInputError, match="each of 0 to 3 once"):
         plant.wire(*bad)
@@ -143,9 +137,7 @@ def test_a_failure_says_why_and_stays_until_reset(plant: FmuPlant) -> None:
     start = plant.truth()
     plant.step(Wheels(0.5, 0.5, 0.5, 0.5), 10)
     good = plant.truth()
-    with pytest.raises(
-        DeviceError, match=r"at 0\.01 s: wheel\.rr\.torque_n_m = nan; expected a finite number"
-    ):
+    with pytest.raises(DeviceError, match=r"at 0\.01 s: wheel\.rr\.torque_n_m = nan; expected a finite number"):
         plant.step(Wheels(0.0, 0.0, math.nan, 0.0))
     assert port.exchange([0.0] * 4) != 0
     assert "wheel.rr.torque_n_m" in plant.message, "the first reason is kept"

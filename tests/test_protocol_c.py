@@ -120,9 +120,7 @@ def test_the_c_needs_no_library_and_no_writable_data(cc: str, tmp_path: Path) ->
         symbols = subprocess.run([nm, target], capture_output=True, text=True, check=True).stdout
         kinds = {line.split()[-1].lstrip("_"): line.split()[-2] for line in symbols.splitlines()}
         assert not [name for name, kind in kinds.items() if kind in "bBdDC"], "no statics"
-        needed = {
-            name for name, kind in kinds.items() if kind == "U" and not name.startswith(("wheel_", "wp_"))
-        }
+        needed = {name for name, kind in kinds.items() if kind == "U" and not name.startswith(("wheel_", "wp_"))}
         assert needed <= {"memcpy", "memset"}, source.name
 
 

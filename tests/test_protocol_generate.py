@@ -32,9 +32,7 @@ def test_check_names_the_stale_files_and_writes_nothing(
     root = tmp_path / "firmware_protocol"
     root.mkdir()
     (root / "wheel.dbc").write_text(DBC, encoding="utf-8")
-    (root / "PROTOCOL.md").write_text(
-        "before\n<!-- generated -->\n<!-- /generated -->\nafter\n", encoding="utf-8"
-    )
+    (root / "PROTOCOL.md").write_text("before\n<!-- generated -->\n<!-- /generated -->\nafter\n", encoding="utf-8")
     monkeypatch.setattr(generate, "ROOT", root)
     assert generate.main([]) == 0
     assert generate.main(["--check"]) == 0
@@ -112,15 +110,11 @@ def test_what_the_codecs_do_not_support_is_refused(tmp_path: Path, old: str, new
         ('2 "OVERSPEED"', '2 "TOO_FAST"', True),
     ],
 )
-def test_the_schema_hash_covers_meaning_and_nothing_else(
-    tmp_path: Path, old: str, new: str, changes: bool
-) -> None:
+def test_the_schema_hash_covers_meaning_and_nothing_else(tmp_path: Path, old: str, new: str, changes: bool) -> None:
     path = edited(tmp_path, old, new)
     if "STATUS" in old:  # comments and value tables follow the id
         text = path.read_text(encoding="utf-8")
-        path.write_text(
-            re.sub(r"^(VAL_|CM_ BO_|CM_ SG_) 256 ", r"\1 257 ", text, flags=re.MULTILINE), encoding="utf-8"
-        )
+        path.write_text(re.sub(r"^(VAL_|CM_ BO_|CM_ SG_) 256 ", r"\1 257 ", text, flags=re.MULTILINE), encoding="utf-8")
     assert (read_schema(path).hash() != SCHEMA_HASH) == changes
 
 

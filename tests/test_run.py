@@ -163,9 +163,7 @@ def test_faults_report_how_often_they_were_applied():
     result = run(fault=rows)
     assert result.passed
     assert all(row["applied"] > 20 for row in result.metrics["fault"])
-    assert result.metrics["frames"]["rejected"]["robot_stale"] > 100, (
-        "the robot refused the repeated commands"
-    )
+    assert result.metrics["frames"]["rejected"]["robot_stale"] > 100, "the robot refused the repeated commands"
     assert result.metrics["wire_sha256"] == run(fault=rows).metrics["wire_sha256"]
 
 

@@ -79,9 +79,7 @@ def test_what_is_assigned_is_there(document: dict[str, object], path: list[str],
 
 
 def test_another_law_drops_the_gains_of_the_one_before_but_not_the_command() -> None:
-    below = layer(
-        {"controller": {"law": "afdsc", "command": "torque", "gains": {"tables": "printed"}}}, "below"
-    )
+    below = layer({"controller": {"law": "afdsc", "command": "torque", "gains": {"tables": "printed"}}}, "below")
     above = layer({"controller": {"law": "dsc", "gains": {"k1_1_s": 8.0}}}, "above")
     expected = {"controller": {"law": "dsc", "command": "torque", "gains": {"k1_1_s": 8.0}}}
     assert plain(stack(below, above)) == expected
@@ -164,9 +162,7 @@ deep = 3
     assert key_lines(text.replace("\n", "\r\n")) == key_lines(text)
 
 
-@given(
-    st.integers(-(2**63), 2**63 - 1) | st.booleans() | st.floats(allow_nan=False) | st.lists(st.integers())
-)
+@given(st.integers(-(2**63), 2**63 - 1) | st.booleans() | st.floats(allow_nan=False) | st.lists(st.integers()))
 def test_a_written_value_reads_back(value: object) -> None:
     assert parse_value(format_value(value)) == value
 

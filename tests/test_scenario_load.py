@@ -81,9 +81,7 @@ def test_each_layer_wins_over_the_one_before(here: Path) -> None:
 
 
 def test_provenance_names_the_file_and_line_or_the_option(here: Path) -> None:
-    write(
-        here / "mine.toml", BASE + "\n[robot]\nmass_kg = 22\n\n[[expect]]\nsignal = 'pose.x_m'\nbelow = 3\n"
-    )
+    write(here / "mine.toml", BASE + "\n[robot]\nmass_kg = 22\n\n[[expect]]\nsignal = 'pose.x_m'\nbelow = 3\n")
     write(here / "robot.toml", "[link]\nurl = 'serial:pty'\n[firmware]\nramp_s = 0.1\n")
     scenario = load(
         "mine.toml",
@@ -112,9 +110,7 @@ def test_a_link_option_is_told_apart() -> None:
 
 
 def test_show_covers_every_value_once() -> None:
-    scenario = load(
-        "paper_circle", set=["fault=[{kind='mute', target='TICK'}]", "controller.gains.extra=[1, 2]"]
-    )
+    scenario = load("paper_circle", set=["fault=[{kind='mute', target='TICK'}]", "controller.gains.extra=[1, 2]"])
 
     def count(value: object) -> int:
         if isinstance(value, BaseModel | dict):
@@ -126,9 +122,7 @@ def test_show_covers_every_value_once() -> None:
     rows = resolved(scenario)
     keys = [key for key, _, _ in rows]
     assert len(set(keys)) == len(keys) == sum(count(getattr(scenario, name)) for name in Tables.model_fields)
-    assert {"fault.0.target", "controller.gains.extra", "plant.start.start_x_m", "reference.radius_m"} <= {
-        *keys
-    }
+    assert {"fault.0.target", "controller.gains.extra", "plant.start.start_x_m", "reference.radius_m"} <= {*keys}
     assert all(origin for _, _, origin in rows)
 
 
@@ -224,9 +218,7 @@ def test_the_firmware_takes_whatever_the_scenario_allows(parameter: Parameter) -
         allowed = [1.0 / max(RATES_HZ), 1.0 / min(RATES_HZ)]
     else:
         metadata = FirmwareTable.model_fields[parameter.name].metadata
-        allowed = [
-            getattr(item, name) for item in metadata for name in ("gt", "ge", "le") if hasattr(item, name)
-        ]
+        allowed = [getattr(item, name) for item in metadata for name in ("gt", "ge", "le") if hasattr(item, name)]
         assert len(allowed) == 2
     assert parameter.minimum <= np.float32(min(allowed))
     assert np.float32(max(allowed)) <= parameter.maximum

@@ -10,9 +10,7 @@ from hil.types import WHEEL_NAMES, Wheels
 
 
 def snapshot(number, parts=15, time_us=None):
-    tick = m.Tick(
-        number * 5000 if time_us is None else time_us, number & 0xFF, 0, m.State.ACTIVE, parts, number & 0xFF
-    )
+    tick = m.Tick(number * 5000 if time_us is None else time_us, number & 0xFF, 0, m.State.ACTIVE, parts, number & 0xFF)
     rest = [m.Encoders(number & 0xFFFF, 2, 3, 4), m.WheelSpeeds(float(number % 100), 2.0, 3.0, 4.0)]
     if parts == 15:
         rest += [m.Currents(1.0, 2.0, 3.0, 4.0), m.Gyro(0.0, 0.0, 0.5, tick.time_us // 1000 & 0xFFFF)]

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from hil.errors import BadInputError
-from hil.review import read, review
+from hil.review import figures, read
+from hil.review.decode import decode
 from hil.signals import SIGNAL_NAMES
 from hil.telemetry import Recording, RecordingReport, check_recording_path
 from tests.recorded_circle import circle_rows, circle_table
@@ -40,7 +41,7 @@ def has_ended(pid: int) -> bool:
 
 def assert_same_bits(path: Path, count: int) -> None:
     """The recording holds exactly the first ``count`` rows of the circle, bit for bit."""
-    signals = read(path).signals
+    _, signals = decode(path)
     expected = circle_table(count)
     for i, name in enumerate(SIGNAL_NAMES):
         assert signals[name].tobytes() == np.ascontiguousarray(expected[:, i]).tobytes(), name
@@ -79,7 +80,7 @@ def test_real_time_drops_what_a_stopped_recorder_has_no_room_for(tmp_path: Path)
         0,
     )
     assert_same_bits(tmp_path / "run.rrd", 256)
-    assert review(tmp_path / "run.rrd")["ticks"] == 1000
+    assert figures(read(tmp_path / "run.rrd"))["ticks"] == 1000
 
 
 @posix_only
@@ -100,7 +101,7 @@ def test_the_run_goes_on_when_the_recorder_is_killed(tmp_path: Path, blocking: b
     assert report.rows_written + report.rows_lost + report.rows_dropped == 4000
     assert report.rows_written >= 1000
     assert report.rows_dropped > 0
-    found = len(read(tmp_path / "run.rrd").signals["loop.t_s"])
+    found = decode(tmp_path / "run.rrd")[0]["rows"]
     assert found >= report.rows_written
     assert_same_bits(tmp_path / "run.rrd", found)
 
@@ -141,9 +142,9 @@ def test_the_recorder_finishes_the_file_of_a_run_that_was_killed(tmp_path: Path,
     run = read(path)
     assert run.summary is None
     assert [event.text for event in run.events] == ["last words"]
-    figures = review(path)
-    assert figures["passed"] is None
-    assert "did not come to its end" in figures["reasons"]["passed"]
+    reviewed = figures(run)
+    assert reviewed["passed"] is None
+    assert "did not come to its end" in reviewed["reasons"]["passed"]
 
 
 @posix_only
@@ -187,7 +188,7 @@ def test_a_full_disk_costs_rows_and_not_the_run(tmp_path: Path) -> None:
     assert report.rows_dropped == 0
     assert 0 < report.rows_written < 4000
     assert report.rows_written + report.rows_lost == 4000
-    found = len(read(tmp_path / "run.rrd").signals["loop.t_s"])
+    found = decode(tmp_path / "run.rrd")[0]["rows"]
     assert found >= report.rows_written
     assert_same_bits(tmp_path / "run.rrd", found)
 

@@ -45,9 +45,7 @@ class Afdsc:
     def __init__(self, model: RobotModel, mode: CommandMode, options: Options) -> None:
         self._surface = DynamicSurface(model, mode, options.filter_s)
         self._torque = mode is CommandMode.TORQUE
-        self._planar = FuzzyBlock.from_tables(
-            options.tables, options.error_range_m, options.error_rate_range_m_s
-        )
+        self._planar = FuzzyBlock.from_tables(options.tables, options.error_range_m, options.error_rate_range_m_s)
         self._heading = FuzzyBlock.from_tables(
             options.tables, options.heading_error_range_rad, options.heading_rate_range_rad_s
         )

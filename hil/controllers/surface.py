@@ -79,9 +79,7 @@ class DynamicSurface:
         heading = state.pose.heading_rad
         wanted = _virtual_control(reference.twist, error, gains)
         # Friction at the speeds of the reference: known beforehand, so no noise comes back through it.
-        friction_at = (
-            model.wheel_speeds(reference.twist, heading) if model.wheel_friction_n_m > 0.0 else ZERO_WHEELS
-        )
+        friction_at = model.wheel_speeds(reference.twist, heading) if model.wheel_friction_n_m > 0.0 else ZERO_WHEELS
         if not self._torque:
             feedforward = model.wheel_torques(reference.acceleration, reference.twist, heading, friction_at)
             return WheelCommand(CommandMode.SPEED, model.wheel_speeds(wanted, heading), feedforward)

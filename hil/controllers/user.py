@@ -28,10 +28,8 @@ def find_class(spec: str, base: Path) -> type:
     place), and when the class lacks ``reset`` or ``update`` or they do not take what the tick gives them.
     """
     location, _, name = spec.rpartition(":")
-    if location.endswith(".py"):
-        module = _import_file(spec, base / location)
-    else:
-        module = _import_module(spec, location)
+    is_file = location.endswith(".py")
+    module = _import_file(spec, base / location) if is_file else _import_module(spec, location)
     law = getattr(module, name, None)
     if not isinstance(law, type):
         own = [v for v in vars(module).values() if isinstance(v, type) and v.__module__ == module.__name__]
@@ -124,8 +122,7 @@ def _import_module(spec: str, name: str) -> ModuleType:
             # Only when the module asked for, or a package around it, is what is missing.
             if error.name and (name == error.name or name.startswith(f"{error.name}.")):
                 raise BadInputError(
-                    f"{_named(spec)}: no module {error.name!r}; install it, or name a file as in "
-                    "'./my_law.py:MyLaw'"
+                    f"{_named(spec)}: no module {error.name!r}; install it, or name a file as in './my_law.py:MyLaw'"
                 ) from error
             raise
 
@@ -160,9 +157,7 @@ def _failures_of(spec: str, doing: str) -> Iterator[None]:
 
 
 def _failure(spec: str, doing: str, error: BaseException) -> BadInputError:
-    return BadInputError(
-        f"{_named(spec)}: {doing} failed at {_place(error)}: {type(error).__name__}: {error}"
-    )
+    return BadInputError(f"{_named(spec)}: {doing} failed at {_place(error)}: {type(error).__name__}: {error}")
 
 
 def _place(error: BaseException) -> str:

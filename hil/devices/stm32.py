@@ -40,6 +40,13 @@ class RobotInfo(NamedTuple):
     parameter_hash: int
     watchdog_ms: int
 
+    def describe(self) -> str:
+        """Return the same in words."""
+        return (
+            f"firmware {self.firmware} (build {self.build:08x}), capabilities {self.capabilities:#06x}, parameters "
+            f"{self.parameter_hash:08x}, watchdog {self.watchdog_ms} ms"
+        )
+
 
 class Expected(NamedTuple):
     """What the host holds the robot to, before anything moves."""
@@ -200,11 +207,7 @@ class Stm32:
             m.State.ESTOP: "it is latched; release the e-stop and restart the robot",
             m.State.FAULT: "it is latched; find the cause and restart the robot",
         }.get(state, "restart the robot and look at its link counters")
-        fault = (
-            f", fault {m.Fault(self.status.fault).name}"
-            if self.status is not None and self.status.fault
-            else ""
-        )
+        fault = f", fault {m.Fault(self.status.fault).name}" if self.status is not None and self.status.fault else ""
         return f"the robot did not become ACTIVE: it is {state.name}{fault}; {advice}"
 
     def stop(self, period_ns: int, limit_ns: int) -> bool:

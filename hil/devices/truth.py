@@ -76,9 +76,7 @@ class TruthServer:
         try:
             self._listener = socket.create_server((_HOST, port))
         except OSError as error:
-            raise BadInputError(
-                f"truth port {port} cannot be opened ({error.strerror}); choose another"
-            ) from error
+            raise BadInputError(f"truth port {port} cannot be opened ({error.strerror}); choose another") from error
         self.url = f"tcp://{_HOST}:{self._listener.getsockname()[1]}"
         self._clients: list[_Client] = []
         self._newest: bytes | None = None
@@ -171,9 +169,7 @@ class TruthClient:
         except OSError as error:
             raise DeviceError(f"truth {url!r}: nobody answers ({error}); start hil device first") from error
         if "error" in answer:
-            raise DeviceError(
-                f"truth {url!r}: {answer['error']}; start both from the same scenario and overrides"
-            )
+            raise DeviceError(f"truth {url!r}: {answer['error']}; start both from the same scenario and overrides")
 
     @staticmethod
     def _address(url: str) -> tuple[str, int]:
@@ -183,9 +179,7 @@ class TruthClient:
         except ValueError:
             port = None
         if parts.scheme != "tcp" or not parts.hostname or port is None:
-            raise BadInputError(
-                f"truth {url!r} is no address; expected tcp://127.0.0.1:PORT as hil device prints it"
-            )
+            raise BadInputError(f"truth {url!r} is no address; expected tcp://127.0.0.1:PORT as hil device prints it")
         return parts.hostname, port
 
     def _answer(self) -> dict[str, object]:

@@ -45,9 +45,7 @@ class VirtualStm32:
     def _power_on(self) -> HostNode:
         plant, made_of = self.plant, self._made_of
         try:
-            return HostNode(
-                made_of.firmware, plant.exchange_address, plant.context_address, lockstep=made_of.lockstep
-            )
+            return HostNode(made_of.firmware, plant.exchange_address, plant.context_address, lockstep=made_of.lockstep)
         except (ValueError, FileNotFoundError) as error:
             raise BadInputError(f"the virtual robot cannot start: {error}") from error
 

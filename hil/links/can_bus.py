@@ -24,9 +24,7 @@ def _failure(url: CanUrl, error: Exception) -> LinkError:
     if number == errno.EAFNOSUPPORT or "Address family not supported" in text:
         return LinkError(f"{where}: this system's kernel has no CAN; load it with: modprobe can_raw")
     if number == errno.ENOBUFS or "No buffer space" in text:
-        return LinkError(
-            f"{where}: the transmit queue is full; nobody acknowledges, check bit rate and cable"
-        )
+        return LinkError(f"{where}: the transmit queue is full; nobody acknowledges, check bit rate and cable")
     return LinkError(f"{where} failed: {text}")
 
 

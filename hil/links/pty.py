@@ -34,9 +34,7 @@ class PtyStream:
     def _make_symlink(self, symlink: Path) -> None:
         if symlink.exists() and not symlink.is_symlink():
             self.close()
-            raise BadInputError(
-                f"symlink {str(symlink)!r} exists and is no symbolic link; choose another path"
-            )
+            raise BadInputError(f"symlink {str(symlink)!r} exists and is no symbolic link; choose another path")
         try:
             symlink.unlink(missing_ok=True)
             symlink.symlink_to(self.port)
@@ -71,11 +69,7 @@ class PtyStream:
     def close(self) -> None:
         if self._master < 0:
             return
-        if (
-            self._symlink is not None
-            and self._symlink.is_symlink()
-            and str(self._symlink.readlink()) == self.port
-        ):
+        if self._symlink is not None and self._symlink.is_symlink() and str(self._symlink.readlink()) == self.port:
             self._symlink.unlink()
         os.close(self._master)
         os.close(self._slave)

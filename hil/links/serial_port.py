@@ -16,9 +16,7 @@ def _open_failure(port: str, error: Exception) -> LinkError:
     number = getattr(error, "errno", None)
     text = str(error)
     if number == errno.ENOENT or ("could not open port" in text and "FileNotFoundError" in text):
-        return LinkError(
-            f"serial port {port!r} does not exist; list the ports with: python -m serial.tools.list_ports"
-        )
+        return LinkError(f"serial port {port!r} does not exist; list the ports with: python -m serial.tools.list_ports")
     if number == errno.EACCES or "PermissionError" in text:
         return LinkError(
             f"serial port {port!r} may not be opened (permission denied); on Linux add yourself to its group, "
@@ -27,9 +25,7 @@ def _open_failure(port: str, error: Exception) -> LinkError:
     if number in (errno.EAGAIN, errno.EBUSY, errno.EWOULDBLOCK) or "exclusively lock" in text:
         return LinkError(f"serial port {port!r} is busy: another program holds it; close that program")
     if number == errno.ENOTTY or "Could not configure port" in text:
-        return LinkError(
-            f"{port!r} is not a serial port ({text}); expected a device such as /dev/ttyACM0 or COM3"
-        )
+        return LinkError(f"{port!r} is not a serial port ({text}); expected a device such as /dev/ttyACM0 or COM3")
     return LinkError(f"serial port {port!r} could not be opened: {text}")
 
 
@@ -84,9 +80,7 @@ class SerialStream:
         return first + bytes(self._port.read(_CHUNK)) if first else first
 
     def _lost(self, error: Exception) -> LinkError:
-        return LinkError(
-            f"serial port {self._name!r} was lost ({error}); check the cable and the robot's power"
-        )
+        return LinkError(f"serial port {self._name!r} was lost ({error}); check the cable and the robot's power")
 
     def close(self) -> None:
         self._port.close()

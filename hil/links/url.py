@@ -193,9 +193,7 @@ def _check_range(name: str, value: int, low: int, high: int) -> None:
 
 def _check_text(name: str, text: str) -> None:
     if not text:
-        raise BadInputError(
-            f"{name} is missing; write a link such as {_EXAMPLES['serial']} or {_EXAMPLES['can']}"
-        )
+        raise BadInputError(f"{name} is missing; write a link such as {_EXAMPLES['serial']} or {_EXAMPLES['can']}")
     if re.search(r"[\x00-\x1f\x7f]", text):
         raise BadInputError(f"{name} = {text!r}; a control character has no place in it")
 

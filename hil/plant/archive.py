@@ -52,9 +52,7 @@ def sha256(fmu: Path) -> str:
     try:
         return hashlib.sha256(fmu.read_bytes()).hexdigest()
     except OSError as error:
-        raise BadInputError(
-            f"FMU {fmu} cannot be read ({error.strerror}); give the path of an .fmu file"
-        ) from error
+        raise BadInputError(f"FMU {fmu} cannot be read ({error.strerror}); give the path of an .fmu file") from error
 
 
 def is_shipped(fmu: Path) -> bool:
@@ -70,9 +68,7 @@ def read_header(fmu: Path) -> Header:
         except KeyError as error:
             raise BadInputError(f"FMU {fmu}: it has no modelDescription.xml, so it is no FMU") from error
         if size > _MOST_DESCRIPTION_BYTES:
-            raise BadInputError(
-                f"FMU {fmu}: its modelDescription.xml claims {size} bytes; that is no description"
-            )
+            raise BadInputError(f"FMU {fmu}: its modelDescription.xml claims {size} bytes; that is no description")
         try:
             root = ET.fromstring(archive.read("modelDescription.xml"))
         except (ET.ParseError, LookupError, *_UNREADABLE) as error:
@@ -91,18 +87,14 @@ def library_of(fmu: Path) -> str:
     """
     header = read_header(fmu)
     if header.fmi_version != "2.0":
-        raise BadInputError(
-            f"FMU {fmu}: FMI version {header.fmi_version}; expected 2.0, export it for FMI 2.0"
-        )
+        raise BadInputError(f"FMU {fmu}: FMI version {header.fmi_version}; expected 2.0, export it for FMI 2.0")
     if header.co_simulation is None:
         raise BadInputError(f"FMU {fmu}: it is for model exchange only; export it for co-simulation")
     library = f"binaries/{_platform()}/{header.co_simulation}{_LIBRARY_SUFFIX}"
     with _open(fmu) as archive:
         names = archive.namelist()
     if library not in names:
-        folders = sorted(
-            {PurePosixPath(n).parts[1] for n in names if n.startswith("binaries/") and n.count("/") > 1}
-        )
+        folders = sorted({PurePosixPath(n).parts[1] for n in names if n.startswith("binaries/") and n.count("/") > 1})
         there = f"it has binaries for {', '.join(folders)}" if folders else "it has no binaries"
         raise BadInputError(f"FMU {fmu}: no {library} for this platform; {there}")
     return library

@@ -18,9 +18,9 @@ from typing import Any, Self
 
 import cffi
 
+from hil.errors import BadInputError, DeviceError, nearest
 from hil.plant import archive
 from hil.plant.build import HEADERS, LIBRARY
-from hil.errors import BadInputError, DeviceError, nearest
 from hil.types import WHEEL_NAMES, Pose, PoseFix, Twist, Wheels
 
 _TORQUES = tuple(f"wheel.{wheel}.torque_n_m" for wheel in WHEEL_NAMES)
@@ -223,9 +223,7 @@ def _load(fmu: Path, folder: Path, library: Path) -> tuple[Any, dict[str, Any]]:
         # FMPy raises a plain Exception for this; asked first, the loader tells what is wrong.
         probe = ctypes.CDLL(str(library))
     except OSError as error:
-        raise BadInputError(
-            f"FMU {fmu}: its library cannot be loaded ({error}); run: hil fmu build"
-        ) from error
+        raise BadInputError(f"FMU {fmu}: its library cannot be loaded ({error}); run: hil fmu build") from error
     description = read_model_description(folder, validate=False)
     with _LOADING:
         slave = FMU2Slave(
@@ -242,17 +240,13 @@ def _references(variables: Mapping[str, Any], names: Iterable[str]) -> list[int]
     return [variables[name].valueReference for name in names]
 
 
-def _parameters(
-    fmu: Path, start: Mapping[str, float], variables: Mapping[str, Any]
-) -> list[tuple[int, int | float]]:
+def _parameters(fmu: Path, start: Mapping[str, float], variables: Mapping[str, Any]) -> list[tuple[int, int | float]]:
     """Return value references and values of the start; integers for Integer and Enumeration."""
     parameters = {name: v for name, v in variables.items() if v.causality == "parameter"}
     values: list[tuple[int, int | float]] = []
     for name, value in start.items():
         if name not in parameters:
-            raise BadInputError(
-                f"plant.start.{name}: {fmu.name} has no such parameter{nearest(name, parameters)}"
-            )
+            raise BadInputError(f"plant.start.{name}: {fmu.name} has no such parameter{nearest(name, parameters)}")
         if not math.isfinite(value):
             raise BadInputError(f"plant.start.{name} = {value}; expected a finite number")
         variable = parameters[name]

@@ -12,8 +12,8 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from hil.plant import archive
 from hil.errors import BadInputError
+from hil.plant import archive
 
 _LONGEST_CHECK_S = 120.0
 

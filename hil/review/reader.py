@@ -14,14 +14,13 @@ import numpy.typing as npt
 
 from hil.errors import BadInputError
 from hil.telemetry.child import child_environment, module_command
+from hil.telemetry.files import EXPECTED_FILE, check_is_recording
 
 if TYPE_CHECKING:
     import pandas as pd
 
 Series = npt.NDArray[np.float64]
 
-_MAGIC = b"RRF2"
-_EXPECTED = "an .rrd file made by 'hil run --record'"
 _REPAIR = "'rerun rrd optimize --continue-on-error' may recover what is whole"
 
 
@@ -71,7 +70,7 @@ def read(path: Path) -> RecordedRun:
     line, _, values = answer.stdout.partition(b"\n")
     head: dict[str, Any] = json.loads(line) if line else {"damage": "damaged: its content makes no sense"}
     if "damage" in head:
-        raise BadInputError(f"{path}: {head['damage']}; expected {_EXPECTED}; {_REPAIR}")
+        raise BadInputError(f"{path}: {head['damage']}; expected {EXPECTED_FILE}; {_REPAIR}")
     table = np.frombuffer(values, dtype=np.float64).reshape(len(head["signals"]), head["rows"])
     return RecordedRun(
         path=path,
@@ -81,19 +80,6 @@ def read(path: Path) -> RecordedRun:
         summary=head["summary"],
         rows_dropped=head["rows_dropped"],
     )
-
-
-def check_is_recording(path: Path) -> None:
-    """Raise BadInputError unless the path is a file that begins like a recording."""
-    try:
-        with path.open("rb") as file:
-            start = file.read(len(_MAGIC))
-    except OSError as error:
-        raise BadInputError(f"{path}: {error.strerror}; expected {_EXPECTED}") from error
-    if not start:
-        raise BadInputError(f"{path}: the file is empty; expected {_EXPECTED}")
-    if start != _MAGIC:
-        raise BadInputError(f"{path}: not a recording; expected {_EXPECTED}")
 
 
 def to_frame(run: RecordedRun) -> "pd.DataFrame":

@@ -76,9 +76,7 @@ def assign(tree: Tree, key: str, value: object, where: str) -> Tree:
     if not numbered or int(path[1]) >= len(rows):
         if not rows:
             raise BadInputError(f"{where} {key}: there is no [[{path[0]}]] to change; add one to a file")
-        raise BadInputError(
-            f"{where} {key}: expected {path[0]}.N.KEY with the row N from 0 to {len(rows) - 1}"
-        )
+        raise BadInputError(f"{where} {key}: expected {path[0]}.N.KEY with the row N from 0 to {len(rows) - 1}")
     index = int(path[1])
     row = rows[index]
     above = make_layer(_nested(path[2:], value), lambda _: where) if len(path) > 2 else None

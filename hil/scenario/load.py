@@ -120,15 +120,11 @@ def _chain(scenario: _File) -> list[_File]:
     chain = [scenario]
     while (extends := chain[-1].document.get("extends")) is not None:
         if not isinstance(extends, str) or not extends:
-            raise BadInputError(
-                f"{_extends(chain[-1], extends)}; expected a shipped name or the path of a file"
-            )
+            raise BadInputError(f"{_extends(chain[-1], extends)}; expected a shipped name or the path of a file")
         base = _open_scenario(extends, chain[-1])
         if base.path.resolve() in [file.path.resolve() for file in chain]:
             circle = " -> ".join(file.display for file in [*chain, base])
-            raise BadInputError(
-                f"{_extends(chain[-1], extends)} leads back to itself: {circle}; remove one of them"
-            )
+            raise BadInputError(f"{_extends(chain[-1], extends)} leads back to itself: {circle}; remove one of them")
         chain.append(base)
     return chain[::-1]
 
@@ -154,9 +150,7 @@ def _read(path: Path, display: str, prefix: str) -> _File:
     except OSError as error:
         raise BadInputError(f"{prefix}: {str(path)!r} cannot be read: {error.strerror}") from error
     except ValueError as error:  # not UTF-8, or a zero byte in the path
-        raise BadInputError(
-            f"{prefix}: {str(path)!r} cannot be read as TOML text in UTF-8: {error}"
-        ) from error
+        raise BadInputError(f"{prefix}: {str(path)!r} cannot be read as TOML text in UTF-8: {error}") from error
     return _File(path, display, parse(text, prefix), key_lines(text))
 
 

@@ -38,9 +38,7 @@ class Scenario(Tables):
             "device": {"wheels": self.device.wheels, "reversed": sorted(self.device.reversed)},
             "loop": {"rate_hz": self.loop.rate_hz, "seed": self.loop.seed},
         }
-        canonical = json.dumps(
-            shared, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False
-        )
+        canonical = json.dumps(shared, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
         return hashlib.sha256(canonical.encode("ascii")).hexdigest()
 
 

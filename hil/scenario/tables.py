@@ -38,9 +38,7 @@ class RobotTable(Table):
     wheel_radius_m: float = Field(gt=0, le=1, description="r")
     half_length_m: float = Field(gt=0, le=10, description="centre to axle, forward, l1")
     half_width_m: float = Field(gt=0, le=10, description="centre to wheel, sideways, l2")
-    wheel_inertia_kg_m2: float = Field(
-        ge=0, le=100, description="of one wheel and its motor about its axle, Ib"
-    )
+    wheel_inertia_kg_m2: float = Field(ge=0, le=100, description="of one wheel and its motor about its axle, Ib")
     friction_coefficient: float = Field(default=0.0, ge=0, le=2, description="rolling friction, mu in xi")
     torque_limit_n_m: float = Field(gt=0, le=15.99609375, description="of one wheel")
     speed_limit_rad_s: float = Field(gt=0, le=63.984375, description="of one wheel")
@@ -67,9 +65,7 @@ class FirmwareTable(Table):
     """``[firmware]``: what the firmware runs with. A real board's values are compared with these by hash."""
 
     counts_per_revolution: int = Field(ge=4, le=32_768, description="encoder counts of one turn of a wheel")
-    torque_limit_n_m: float = Field(
-        gt=0, le=15.99609375, description="of one wheel; all four are scaled together"
-    )
+    torque_limit_n_m: float = Field(gt=0, le=15.99609375, description="of one wheel; all four are scaled together")
     torque_constant_n_m_a: float = Field(gt=0, le=100, description="torque at the wheel for one ampere")
     tracking_bandwidth_rad_s: float = Field(
         default=150.0, ge=1, le=500, description="of the filter that estimates speed"
@@ -82,9 +78,7 @@ class FirmwareTable(Table):
         le=0.1,
         description="silence that stops the wheels; by default 5 command periods",
     )
-    ramp_s: Milliseconds = Field(
-        default=0.2, ge=0.001, le=2, description="from the set point in force to zero"
-    )
+    ramp_s: Milliseconds = Field(default=0.2, ge=0.001, le=2, description="from the set point in force to zero")
     overspeed_rad_s: float = Field(default=100.0, ge=1, le=127, description="wheel speed that is a fault")
 
 
@@ -163,9 +157,7 @@ class ReferenceTable(Table):
 class EstimatorTable(Table):
     """``[estimator]``: where the state that the controller acts on comes from."""
 
-    source: Literal["truth", "odometry"] = Field(
-        default="truth", description="true pose, or wheels and gyro alone"
-    )
+    source: Literal["truth", "odometry"] = Field(default="truth", description="true pose, or wheels and gyro alone")
 
 
 class LoopTable(Table):
@@ -180,9 +172,7 @@ class LoopTable(Table):
     @classmethod
     def _whole_ticks(cls, rate_hz: int) -> int:
         if rate_hz not in RATES_HZ:
-            raise ValueError(
-                f"expected one of {', '.join(map(str, RATES_HZ))}, a whole number of ms a period"
-            )
+            raise ValueError(f"expected one of {', '.join(map(str, RATES_HZ))}, a whole number of ms a period")
         return rate_hz
 
     @property
@@ -218,9 +208,7 @@ class FaultTable(Table):
                 raise ValueError("mute takes no value: it silences every frame of the message; remove value")
         if self.target not in known:
             what = "a message" if self.kind == "mute" else "a direction"
-            raise ValueError(
-                f"target = {self.target!r} is not {what} for {self.kind}{nearest(self.target, known)}"
-            )
+            raise ValueError(f"target = {self.target!r} is not {what} for {self.kind}{nearest(self.target, known)}")
         if self.end_s <= self.start_s:
             raise ValueError(f"end_s = {self.end_s} is not after start_s = {self.start_s}")
         return self

@@ -1,5 +1,6 @@
 """Telemetry: one tap, in another process. ``session`` is the run's side."""
 
-from hil.telemetry.session import Recording, RecordingReport, check_recording_path
+from hil.telemetry.files import check_is_recording, check_recording_path
+from hil.telemetry.session import Recording, RecordingReport
 
-__all__ = ["Recording", "RecordingReport", "check_recording_path"]
+__all__ = ["Recording", "RecordingReport", "check_is_recording", "check_recording_path"]

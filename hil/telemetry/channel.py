@@ -25,10 +25,11 @@ class LineWriter:
         if sys.platform != "win32":
             os.set_blocking(fd, False)
 
-    def send(self, record: Mapping[str, object]) -> None:
-        """Write one record, or keep it back, or count it as lost."""
+    def send(self, record: Mapping[str, object], *, always: bool = False) -> None:
+        """Write one record, or keep it back, or count it as lost; ``always`` keeps it back whatever its size."""
         line = json.dumps(record).encode() + b"\n"
-        if self._broken or len(self._kept_back) + len(line) > KEPT_BACK_BYTES:
+        full = len(self._kept_back) + len(line) > KEPT_BACK_BYTES
+        if self._broken or (full and not always):
             self.lost += 1
             return
         self._kept_back += line

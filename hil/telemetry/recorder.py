@@ -117,6 +117,7 @@ class Recorder:
 
 def main() -> int:
     """Record until told to finish, or until the run has gone; 0 when the file was finished."""
+    _step_back()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     inbox: Inbox = queue.SimpleQueue()
     signal.signal(signal.SIGTERM, lambda _number, _frame: inbox.put(None))
@@ -140,6 +141,14 @@ def main() -> int:
     _serve(recorder, inbox, replies, config["parent_pid"])
     recorder.close()
     return 0
+
+
+def _step_back() -> None:
+    """Take a lower priority than the run, whose loop may have a real-time one for us to inherit."""
+    if sys.platform == "linux":
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    if sys.platform != "win32":
+        os.nice(5)
 
 
 def _serve(recorder: Recorder, inbox: Inbox, replies: LineWriter, parent_pid: int) -> None:

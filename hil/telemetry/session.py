@@ -16,6 +16,7 @@ from hil.errors import BadInputError, DeviceError
 from hil.signals import SIGNAL_NAMES
 from hil.telemetry.channel import LineReader, LineWriter, Patience
 from hil.telemetry.child import child_environment, module_command
+from hil.telemetry.files import check_recording_path
 from hil.telemetry.memory import SharedBlock
 from hil.telemetry.ring import RingWriter, ring_bytes
 
@@ -102,7 +103,8 @@ class Recording:
                 "block": self._block.token,
                 "block_bytes": ring_bytes(capacity, len(signals)),
                 "parent_pid": os.getpid(),
-            }
+            },
+            always=True,
         )
         reply = self._reply()
         if "ready" not in reply:
@@ -143,7 +145,7 @@ class Recording:
         """
         if self._report is None:
             keep_live = keep_live and self._live_port is not None
-            self._lines.send({"finish": dict(summary), "keep_live": keep_live})
+            self._lines.send({"finish": dict(summary), "keep_live": keep_live}, always=True)
             reply = self._reply()
             self._report = self._make_report(reply)
             if not keep_live:
@@ -216,22 +218,6 @@ class Recording:
         self._stderr.seek(0)
         words = self._stderr.read().decode(errors="replace").strip().splitlines()
         return words[-1] if words else f"exit status {status}"
-
-
-def check_recording_path(path: Path) -> None:
-    """Raise BadInputError unless a recording can be written to ``path``; touches nothing."""
-    directory = path.absolute().parent
-    if path.suffix != ".rrd":
-        problem = "its name must end in .rrd, by which viewers know it"
-    elif path.is_dir():
-        problem = "it is a directory; name a file in it"
-    elif not directory.is_dir():
-        problem = f"there is no directory {directory}; make it, or choose another path"
-    elif not os.access(path if path.exists() else directory, os.W_OK):
-        problem = f"{'it' if path.exists() else directory} is not writable; choose another path, or no recording"
-    else:
-        return
-    raise BadInputError(f"recording {path}: {problem}")
 
 
 def _start(block: SharedBlock, stderr: Any) -> "subprocess.Popen[bytes]":

@@ -12,7 +12,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from hil.errors import BadInputError, DeviceError
-from hil.review.reader import check_is_recording
+from hil.telemetry.files import check_is_recording
 
 HOST = "127.0.0.1"
 _START_TIMEOUT_S = 60.0
