@@ -12,12 +12,13 @@ from hil.errors import DeviceError, HilError, LinkError
 from hil.estimator import make_estimator
 from hil.guard import Guard
 from hil.loop import Loop, Parts, Report
+from hil.metrics import signal_figures
 from hil.model import RobotModel
 from hil.ports import Sink
 from hil.references import make_reference
-from hil.results import MemorySink, RunResult, expectations, tracking_figures
+from hil.results import MemorySink, RunResult, expectations
 from hil.scenario import Scenario, load
-from hil.telemetry import Recording, RecordingReport, check_recording_path
+from hil.telemetry import Recording, check_recording_path
 from hil.telemetry.provenance import properties
 from hil.types import CommandMode
 
@@ -60,8 +61,13 @@ def run_scenario(
     live_port: int | None = None,
     allow_motion: bool = False,
     watch: Watch | None = None,
+    linger: Callable[[], None] | None = None,
 ) -> RunResult:
-    """Run a scenario that was loaded; ``watch`` is entered with the loop while it runs. Raises as ``run``."""
+    """Run a scenario that was loaded. Raises as ``run``.
+
+    ``live_port`` serves live viewers on 127.0.0.1. ``watch`` is entered with the loop while it runs; ``linger`` is
+    called when all is done and recorded, while the viewers are still served.
+    """
     if record is not None:
         check_recording_path(record)
     make_loop = _loop_of(scenario)
@@ -86,7 +92,9 @@ def run_scenario(
         metrics = _figures(scenario, bench, memory, report, failure, loop.commands_refused)
         if recording is not None:
             _note_events(recording, loop, metrics)
-            _close_recording(recording, record, metrics)
+            _close_recording(recording, metrics, keep_live=linger is not None)
+            if linger is not None:
+                linger()
     return RunResult(scenario, metrics, memory.signals(), failure)
 
 
@@ -143,7 +151,7 @@ def _figures(
     commands_refused: int,
 ) -> dict[str, Any]:
     signals = memory.signals()
-    figures, reasons = tracking_figures(signals)
+    figures, reasons = signal_figures(signals)
     outcomes = expectations(scenario.expect, signals)
     applied = [
         {"kind": row.kind, "target": row.target, "applied": count}
@@ -191,12 +199,12 @@ def _note_events(recording: Recording, loop: Loop, metrics: Mapping[str, Any]) -
         recording.event(loop.t_s, "error", metrics["failure"])
 
 
-def _close_recording(recording: Recording, path: Path | None, metrics: dict[str, Any]) -> None:
+def _close_recording(recording: Recording, metrics: dict[str, Any], *, keep_live: bool) -> None:
     """Finish the recording with the figures in it, and say in them what became of it."""
-    if path is not None:
-        metrics["recording"] = str(path)
+    if recording.path is not None:
+        metrics["recording"] = str(recording.path)
         del metrics["reasons"]["recording"]
-    report: RecordingReport = recording.finish(metrics)
+    report = recording.finish(metrics, keep_live=keep_live)
     metrics["recorded"] = {
         "rows": report.rows_written,
         "dropped": report.rows_dropped,

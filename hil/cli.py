@@ -69,8 +69,10 @@ def run(
     resolved = load(scenario, set=sets or [], robot=robot, mode=mode, link=link, seed=seed)
     path = report.recording_path(resolved.name, record)
     watch = None if as_json or not sys.stderr.isatty() else report.progress(resolved.loop.duration_s)
-    if live and not as_json:
+    linger = None
+    if live:
         report.announce_live(live_port)
+        linger = report.linger if sys.stderr.isatty() and not as_json else None
     try:
         result = run_scenario(
             resolved,
@@ -79,6 +81,7 @@ def run(
             live_port=live_port if live else None,
             allow_motion=allow_motion,
             watch=watch,
+            linger=linger,
         )
     except KeyboardInterrupt:
         kept = f"; recorded until then: {path}" if path is not None and path.exists() else ""

@@ -3,7 +3,7 @@
 import sys
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -71,10 +71,19 @@ def progress(duration_s: float) -> "Watch":
 
 
 def announce_live(port: int) -> None:
-    """Say on stderr how a viewer reaches the run."""
-    from hil.telemetry.view import live_hint
+    """Say on stderr how a viewer reaches the run, and open one when a person watches and there is a display."""
+    from hil.telemetry.view import live_hint, show_live
 
     print(live_hint(port), file=sys.stderr)
+    if sys.stderr.isatty():
+        show_live(port)
+
+
+def linger() -> None:
+    """Wait for Ctrl-C: a run in lockstep is over before a viewer has opened."""
+    print("done; live viewers are served until Ctrl-C", file=sys.stderr)
+    with suppress(KeyboardInterrupt):
+        threading.Event().wait()
 
 
 def print_result(result: RunResult) -> None:

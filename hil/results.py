@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.errors import HilError
-from hil.metrics import check_expectation, percentiles, tracking_metrics
+from hil.metrics import check_expectation
 from hil.scenario import ExpectTable, Scenario
 from hil.signals import SIGNAL_NAMES
 
@@ -74,26 +74,6 @@ class RunResult:
     def frame(self) -> "pd.DataFrame":
         """Return the signals as a pandas frame, one row a tick, indexed by ``loop.t_s``."""
         return self._frame
-
-
-def tracking_figures(signals: Mapping[str, Series]) -> tuple[dict[str, Any], dict[str, str]]:
-    """Return the figures that follow from the signals alone, and for each None the reason."""
-    tracking = tracking_metrics(signals["loop.t_s"], signals["error.planar_m"])
-    reasons = dict(tracking.reasons)
-    tick = percentiles(signals["loop.tick_us"])
-    if tick is None:
-        reasons["tick_us"] = "the run has fewer than two ticks"
-    misses = signals["loop.deadline_misses"]
-    figures = {
-        "tracked_s": tracking.tracked_s,
-        "t10_s": tracking.t10_s,
-        "steady_rms_m": tracking.steady_rms_m,
-        "steady_max_m": tracking.steady_max_m,
-        "ticks": len(signals["loop.t_s"]),
-        "tick_us": {"p50": tick.p50, "p99": tick.p99} if tick is not None else None,
-        "deadline_misses": int(misses[-1]) if len(misses) else 0,
-    }
-    return figures, reasons
 
 
 def expectations(rows: Sequence[ExpectTable], signals: Mapping[str, Series]) -> list[dict[str, Any]]:

@@ -13,6 +13,7 @@ from firmware_protocol.host import Parameter, parameters
 from hil.controllers.registry import make_controller
 from hil.model import RobotModel
 from hil.references import make_reference
+from hil.scenario.load import SHIPPED_DIRECTORY
 from hil.scenario import Scenario, load, resolved, shipped
 from hil.scenario.tables import RATES_HZ, FirmwareTable, Tables
 from hil.types import CommandMode
@@ -95,7 +96,6 @@ def test_provenance_names_the_file_and_line_or_the_option(here: Path) -> None:
     assert where(scenario, "robot.inertia_kg_m2") == "--set"
     assert where(scenario, "link.url") == "--robot robot.toml:2"
     assert where(scenario, "firmware.ramp_s") == "--robot robot.toml:4"
-    assert where(scenario, "firmware.watchdog_s").startswith("default: 5 command periods")
     assert where(scenario, "loop.mode") == "--mode"
     assert where(scenario, "loop.seed") == "--seed"
     assert where(scenario, "expect.0.below") == "mine.toml:8"
@@ -201,8 +201,12 @@ def test_a_file_with_windows_line_ends_and_byte_order_mark(here: Path) -> None:
     ("rate_hz", "watchdog_s"),
     [(1000, 0.02), (500, 0.02), (250, 0.02), (200, 0.025), (125, 0.04), (100, 0.05), (50, 0.1), (20, 0.1)],
 )
-def test_the_watchdog_follows_the_command_rate(rate_hz: int, watchdog_s: float) -> None:
-    assert load("paper_circle", set=[f"loop.rate_hz={rate_hz}"]).firmware.watchdog_s == watchdog_s
+def test_the_watchdog_follows_the_command_rate(here: Path, rate_hz: int, watchdog_s: float) -> None:
+    paper_circle = (SHIPPED_DIRECTORY / "paper_circle.toml").read_text(encoding="utf-8")
+    write(here / "mine.toml", "\n".join(x for x in paper_circle.splitlines() if "watchdog_s" not in x))
+    scenario = load("mine.toml", set=[f"loop.rate_hz={rate_hz}"])
+    assert scenario.firmware.watchdog_s == watchdog_s
+    assert where(scenario, "firmware.watchdog_s").startswith("default: 5 command periods")
 
 
 def test_a_period_is_a_whole_number_of_firmware_ticks() -> None:
@@ -245,7 +249,7 @@ def test_a_scenario_is_frozen() -> None:
         "fault=[{kind='drop', target='command', value=0.1}]",
         "estimator.source=odometry",
         "robot.mass_kg=20",
-        "firmware.watchdog_s=0.02",
+        "firmware.watchdog_s=0.1",
     ],
 )
 def test_the_hash_leaves_out_what_concerns_one_process(change: str) -> None:

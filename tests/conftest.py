@@ -1,0 +1,26 @@
+"""In CI a skipped test is a failure, unless .ci/run names it; on a user's machine it says what to install."""
+
+import os
+
+import pytest
+
+_CI = os.environ.get("HIL_CI") == "1"
+_MAY_SKIP = tuple(filter(None, os.environ.get("HIL_CI_MAY_SKIP", "").split()))
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    if _CI:
+        for name in _unwanted(terminalreporter):
+            terminalreporter.write_line(f"skipped in CI, which is a failure: {name}", red=True)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
+    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+    if _CI and exitstatus == 0 and reporter is not None and _unwanted(reporter):
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
+def _unwanted(reporter: pytest.TerminalReporter) -> list[str]:
+    skipped = [report.nodeid for report in reporter.stats.get("skipped", [])]
+    return [nodeid for nodeid in skipped if not nodeid.endswith(_MAY_SKIP or ("\0",))]
