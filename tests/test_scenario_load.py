@@ -13,8 +13,8 @@ from firmware_protocol.host import Parameter, parameters
 from hil.controllers.registry import make_controller
 from hil.model import RobotModel
 from hil.references import make_reference
-from hil.scenario.load import SHIPPED_DIRECTORY
 from hil.scenario import Scenario, load, resolved, shipped
+from hil.scenario.load import SHIPPED_DIRECTORY
 from hil.scenario.tables import RATES_HZ, FirmwareTable, Tables
 from hil.types import CommandMode
 

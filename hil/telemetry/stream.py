@@ -55,6 +55,9 @@ _STATE_COLOURS = {
 _LEVELS = {"debug": "DEBUG", "info": "INFO", "warning": "WARN", "error": "ERROR"}
 
 
+_FLUSH_TIMEOUT_S = 10.0
+
+
 class Stream:
     """A rerun stream into one sink. Raises RuntimeError (from rerun) when the sink cannot be opened.
 
@@ -88,7 +91,7 @@ class Stream:
         self._rerun = rr.RecordingStream(APPLICATION, recording_id=recording_id)
         self._rerun.set_sinks(sink, default_blueprint=blueprint(live=live))
         self._describe(signals)
-        self._rerun.flush()
+        self.flush()
 
     def rows(self, rows: Rows) -> None:
         """Write rows of shape (n, signals) at full rate, and what is drawn from them."""
@@ -118,11 +121,12 @@ class Stream:
 
     def flush(self) -> None:
         """Hand everything to the operating system. Raises RuntimeError when that fails (a full disk)."""
-        self._rerun.flush()
+        # Without a limit, rerun 0.41 now and then waits for ever for a file whose writer has failed.
+        self._rerun.flush(timeout_sec=_FLUSH_TIMEOUT_S)
 
     def close(self) -> None:
         """Flush, and close the sink: a file gets its footer. Raises RuntimeError when the flush fails."""
-        self._rerun.flush()
+        self.flush()
         self._rerun.disconnect()
 
     def _describe(self, signals: Sequence[str]) -> None:
