@@ -16,6 +16,7 @@ from hil.review import figures, read
 from hil.review.decode import decode
 from hil.signals import SIGNAL_NAMES
 from hil.telemetry import Recording, RecordingReport, check_recording_path
+from tests.processes import wait_for
 from tests.recorded_circle import circle_rows, circle_table
 
 posix_only = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
@@ -164,6 +165,7 @@ def test_a_recorder_that_is_told_to_end_finishes_the_file(tmp_path: Path) -> Non
         for row in circle_rows(100):
             recording.put(row)
         os.kill(recording.pid, signal.SIGTERM)
+        wait_for(lambda: has_ended(recording.pid))
         report = recording.finish({})
     assert report.rows_written == 100
     assert "ended before the run" in str(report.error)

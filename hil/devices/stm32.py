@@ -83,7 +83,8 @@ class Stm32:
         self._sequence = 0
         self._nonce = next(nonces)
         self._request = m.Request.IDLE
-        self._next_heartbeat_ns = 0
+        # None until something was asked for: a host that only looks must not disarm another one's robot.
+        self._next_heartbeat_ns: int | None = None
         self._sent_hash = hashlib.sha256()
         self._received_hash = hashlib.sha256()
         self._robot_rejected: dict[str, int] = {}
@@ -244,7 +245,8 @@ class Stm32:
         """Take what has arrived; return the newest snapshot so far. Sends the heartbeat when it is due."""
         while (received := self._link.receive(0)) is not None:
             self._take(received.frame)
-        if self._clock is not None and self._clock.now_ns() >= self._next_heartbeat_ns:
+        due_ns = self._next_heartbeat_ns
+        if due_ns is not None and self._clock is not None and self._clock.now_ns() >= due_ns:
             self._wish(self._request)
         return self._feedback
 

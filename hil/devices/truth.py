@@ -23,6 +23,7 @@ from hil.types import Pose, PoseFix, Twist, Wheels
 _RECORD = struct.Struct("<q6d4dB")
 _HOST = "127.0.0.1"
 _ANSWER_S = 2.0
+_LONGEST_ANSWER = 65536
 
 
 class TruthRecord(NamedTuple):
@@ -168,6 +169,8 @@ class TruthClient:
             answer = self._answer()
         except OSError as error:
             raise DeviceError(f"truth {url!r}: nobody answers ({error}); start hil device first") from error
+        except ValueError as error:
+            raise DeviceError(f"truth {url!r}: something else listens there; use the URL of hil device") from error
         if "error" in answer:
             raise DeviceError(f"truth {url!r}: {answer['error']}; start both from the same scenario and overrides")
 
@@ -184,13 +187,17 @@ class TruthClient:
 
     def _answer(self) -> dict[str, object]:
         while b"\n" not in self._data:
+            if len(self._data) > _LONGEST_ANSWER:
+                raise ValueError("no line")
             chunk = self._connection.recv(4096)
             if not chunk:
                 raise ConnectionError("the connection was closed")
             self._data += chunk
         line, _, self._data = self._data.partition(b"\n")
         answer = json.loads(line)
-        return answer if isinstance(answer, dict) else {"error": "an answer that is none"}
+        if not isinstance(answer, dict):
+            raise ValueError("no object")
+        return answer
 
     def poll(self) -> PoseFix | None:
         """Return the newest fix. Raises DeviceError when the robot's process has gone."""

@@ -1,0 +1,139 @@
+"""The host's side against real firmware: what it refuses, and what it leaves alone."""
+
+import itertools
+import socket
+import threading
+
+import pytest
+
+from firmware_protocol.generated import messages as m
+from firmware_protocol.host import parameter_hash
+from hil.clock import LockstepClock
+from hil.devices.stm32 import Expected, Stm32
+from hil.devices.truth import TruthClient
+from hil.devices.wheel_map import WheelMap
+from hil.errors import BadInputError, DeviceError
+from hil.links.delay import DelayedLink
+from hil.links.framed import StreamLink
+from hil.links.streams import MemoryStream, memory_pair
+from hil.links.wire import SerialWire
+from hil.types import ZERO_WHEELS, CommandMode, WheelCommand
+from tests.wheel_rig import PARAMETERS, WheelRig
+
+PERIOD_NS = 5_000_000
+
+
+def plug_in(rig: WheelRig) -> MemoryStream:
+    """A line to the rig's firmware, served whenever the host waits."""
+    host, robot = memory_pair()
+    wire = SerialWire(robot)
+
+    def serve() -> None:
+        if wire.receive_into(rig.node, 0):
+            wire.send_from(rig.node)
+
+    host.on_starved = serve
+    return host
+
+
+def driver(rig: WheelRig, *, lockstep: bool = True, allow_motion: bool = False, values=PARAMETERS, nonces=None):
+    link = StreamLink(plug_in(rig))
+    expected = Expected(parameter_hash(values), lockstep, allow_motion)
+    nonces = itertools.count(0x2341) if nonces is None else iter(nonces)
+    clock = LockstepClock(lambda ticks: device.step(ticks))
+    device = Stm32(DelayedLink(link, clock, 0, 0), CommandMode.SPEED, expected, nonces, WheelMap())
+    return device, clock
+
+
+def test_connects_arms_and_stops():
+    rig = WheelRig(lockstep=True)
+    device, clock = driver(rig)
+    info = device.connect()
+    assert info.watchdog_ms == 50
+    device.start(clock, PERIOD_NS)
+    assert rig.state is m.State.ACTIVE
+    assert device.stop(PERIOD_NS, 2_000_000_000)
+    assert rig.state is m.State.IDLE
+    assert device.stop_reason() == "HOST_REQUEST"
+
+
+def test_a_power_stage_needs_a_yes():
+    refused, _ = driver(WheelRig(power_stage=True), lockstep=False)
+    with pytest.raises(BadInputError, match="--allow-motion"):
+        refused.connect()
+    allowed, _ = driver(WheelRig(power_stage=True), lockstep=False, allow_motion=True)
+    assert allowed.connect().capabilities & 1
+
+
+def test_other_parameters_are_refused_with_both_hashes():
+    other = PARAMETERS | {"speed_kp_n_m_s_rad": 1.0}
+    device, _ = driver(WheelRig(lockstep=True), values=other)
+    with pytest.raises(BadInputError, match=f"{parameter_hash(PARAMETERS):08x}.*{parameter_hash(other):08x}"):
+        device.connect()
+
+
+def test_the_modes_must_agree():
+    device, _ = driver(WheelRig(lockstep=True), lockstep=False)
+    with pytest.raises(BadInputError, match="same --mode"):
+        device.connect()
+
+
+def test_nonces_that_were_used_are_followed_by_others():
+    rig = WheelRig(lockstep=True)
+    first, clock = driver(rig, nonces=[0x1111, 0x2222])
+    first.connect()
+    first.start(clock, PERIOD_NS)
+    first.stop(PERIOD_NS, 2_000_000_000)
+    # The nonce itself, and another with the same low bits, are refused; the third is not.
+    second, clock = driver(rig, nonces=[0x1111, 0x3331, 0x4445])
+    second.connect()
+    second.start(clock, PERIOD_NS)
+    assert rig.state is m.State.ACTIVE
+
+
+def test_a_second_host_does_not_disarm_the_first_ones_robot():
+    rig = WheelRig(lockstep=True)
+    first, clock = driver(rig)
+    first.connect()
+    first.start(clock, PERIOD_NS)
+    second, _ = driver(rig)
+    second.connect()
+
+    class WhileTheFirstDrives:
+        """Time passes as the first host commands it."""
+
+        def now_ns(self) -> int:
+            return clock.now_ns()
+
+        def wait_until(self, t_ns: int) -> int:
+            while clock.now_ns() < t_ns:
+                first.poll()
+                first.send(WheelCommand(CommandMode.SPEED, ZERO_WHEELS, ZERO_WHEELS))
+                first.wait_until(clock.now_ns() + PERIOD_NS)
+            return 0
+
+    with pytest.raises(DeviceError):
+        second.start(WhileTheFirstDrives(), PERIOD_NS)
+    assert rig.state is m.State.ACTIVE
+
+
+def test_latched_states_are_said_with_what_to_do():
+    rig = WheelRig(lockstep=True)
+    rig.send(m.Estop(0, 0))
+    device, clock = driver(rig)
+    device.connect()
+    with pytest.raises(DeviceError, match="ESTOP; it is latched"):
+        device.start(clock, PERIOD_NS)
+
+
+def test_a_truth_socket_of_something_else():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def greet() -> None:
+            connection, _ = server.accept()
+            with connection:
+                connection.sendall(b"SSH-2.0-OpenSSH_9.2\r\n")
+
+        threading.Thread(target=greet, daemon=True).start()
+        with pytest.raises(DeviceError, match="something else listens there"):
+            TruthClient(f"tcp://127.0.0.1:{server.getsockname()[1]}", "0" * 64, reset=False)
