@@ -3,9 +3,9 @@
 PYTHON ?= python3
 BIN := .venv/bin
 NATIVE_SOURCES := $(wildcard firmware_protocol/firmware/*.[ch] firmware_protocol/port/host/*.[ch] \
-	firmware_protocol/generated/*.[ch] plant_fmu/*.[ch] plant_fmu/*.toml plant_fmu/generated/*.h \
-	plant_fmu/documentation/* plant_fmu/documentation/licenses/* hil/plant/*.[ch])
-
+	firmware_protocol/generated/*.[ch] plant_fmu/*.[ch] plant_fmu/*.toml plant_fmu/generated/* plant_fmu/*.py \
+	plant_fmu/documentation/* plant_fmu/documentation/licenses/* hil/plant/*.[ch] hil/plant/build.py \
+	firmware_protocol/build.py)
 
 .PHONY: demo test check picture format native clean setup
 

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import cffi
 
 from firmware_protocol.build import LIBRARY
+from firmware_protocol.capabilities import Capability
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated.messages import Fault, Mode, State, StopReason
 
@@ -22,14 +23,7 @@ _HEADERS = ("firmware/plant_port.h", "firmware/parameters.h", "port/host/host.h"
 _SECTION = re.compile(r"/\* cffi: begin \*/(.*?)/\* cffi: end \*/", re.DOTALL)
 _BYTES = 1 << 17
 
-CAPABILITY_POWER_STAGE = 0x0001
-CAPABILITY_LOCKSTEP = 0x0002
-CAPABILITY_SPEED = 0x0004
-CAPABILITY_TORQUE = 0x0008
-CAPABILITY_FEEDFORWARD = 0x0010
-CAPABILITY_CURRENTS = 0x0020
-CAPABILITY_GYRO = 0x0040
-_CAN_DO = CAPABILITY_SPEED | CAPABILITY_TORQUE | CAPABILITY_FEEDFORWARD | CAPABILITY_CURRENTS | CAPABILITY_GYRO
+_CAN_DO = Capability.SPEED | Capability.TORQUE | Capability.FEEDFORWARD | Capability.CURRENTS | Capability.GYRO
 
 
 @functools.cache
@@ -120,8 +114,8 @@ class HostNode:
         self._bytes = self._ffi.new("uint8_t[]", _BYTES)
         self._buffer = self._ffi.buffer(self._bytes, _BYTES)
         self._id = self._ffi.new("uint16_t *")
-        capabilities = _CAN_DO | (CAPABILITY_LOCKSTEP if lockstep else 0)
-        capabilities |= CAPABILITY_POWER_STAGE if power_stage else 0
+        capabilities = _CAN_DO | (Capability.LOCKSTEP if lockstep else 0)
+        capabilities |= Capability.POWER_STAGE if power_stage else 0
         exchange = self._ffi.cast("wheel_plant_exchange", exchange_address)
         context = self._ffi.cast("void *", context_address)
         self._lib.wheel_host_init(self._host, block, capabilities, exchange, context)

@@ -11,7 +11,7 @@ from hil.controllers.registry import make_controller
 from hil.errors import DeviceError, HilError, LinkError
 from hil.estimator import make_estimator
 from hil.guard import Guard
-from hil.loop import Loop, Parts, Report
+from hil.loop import Loop, Parts, Report, Timing
 from hil.metrics import signal_figures
 from hil.model import RobotModel
 from hil.ports import Sink
@@ -108,11 +108,16 @@ def _loop_of(scenario: Scenario) -> Callable[[Bench, Sink], Loop]:
     counts = scenario.firmware.counts_per_revolution
     estimator = make_estimator(scenario.estimator.source, model, start_pose(scenario), counts)
     guard = Guard(model.speed_limit_rad_s, model.torque_limit_n_m)
-    latency_s = scenario.link.command_latency_s + scenario.link.feedback_latency_s
+    timing = Timing(
+        scenario.loop.period_ns,
+        round(scenario.link.command_latency_s * NS),
+        round(scenario.link.feedback_latency_s * NS),
+        round(scenario.firmware.watchdog_s * NS),
+    )
 
     def make(bench: Bench, sink: Sink) -> Loop:
         parts = Parts(bench.clock, bench.device, bench.truth, estimator, reference, controller, guard, sink)
-        return Loop(parts, mode, scenario.loop.period_ns, latency_s)
+        return Loop(parts, mode, timing)
 
     return make
 
@@ -179,6 +184,8 @@ def _figures(
         "wire_sha256": device.wire_sha256(),
         "stopped": report.stopped,
         "commands_refused": commands_refused,
+        "stale_ticks": report.stale,
+        "robot_slipped_ticks": bench.slipped_ticks,
         "expect": outcomes,
         "fault": applied,
         "failure": str(failure) if failure is not None else None,

@@ -27,9 +27,15 @@ NS = 1_000_000_000
 
 
 def firmware_values(scenario: Scenario) -> dict[str, float]:
-    """Return the firmware's parameters by the names of its own table."""
+    """Return the firmware's parameters by the names of its own table.
+
+    Raises BadInputError when the host library is not built.
+    """
     given = dict(scenario.firmware) | {"feedback_period_s": scenario.loop.period_ns / NS}
-    return {p.name: float(given[p.name]) for p in parameters()}
+    try:
+        return {p.name: float(given[p.name]) for p in parameters()}
+    except FileNotFoundError as error:
+        raise BadInputError(str(error)) from error
 
 
 def plant_start(scenario: Scenario) -> dict[str, float]:
@@ -83,6 +89,8 @@ class Bench:
     def __init__(self, scenario: Scenario, truth: str | None, *, allow_motion: bool) -> None:
         self._scenario = scenario
         self.device: Stm32
+        self._robot: VirtualStm32 | None = None
+        self._server: VirtualServer | None = None
         self._thread: ServerThread | None = None
         lockstep = scenario.loop.mode == "lockstep"
         url = parse_link(scenario.link.url)
@@ -122,13 +130,13 @@ class Bench:
 
     def _open_within(self, resources: contextlib.ExitStack) -> Link:
         lockstep = self._scenario.loop.mode == "lockstep"
-        robot = VirtualStm32(virtual_robot(self._scenario))
+        self._robot = robot = VirtualStm32(virtual_robot(self._scenario))
         resources.callback(robot.close)
         pair = open_pair(parse_link(self._scenario.link.url))
         resources.callback(pair.wire.close)
         resources.callback(pair.link.close)
         self.truth = truth = LocalTruth()
-        server = VirtualServer(robot, pair.wire, truth, lockstep=lockstep)
+        self._server = server = VirtualServer(robot, pair.wire, truth, lockstep=lockstep)
         if lockstep and pair.memory is not None:
             # No thread is needed: the robot is served when the host waits for it.
             pair.memory.on_starved = lambda: server.service(0)
@@ -151,7 +159,14 @@ class Bench:
     @property
     def robot_failure(self) -> HilError | None:
         """What ended the robot in this process, if something did."""
-        return self._thread.failure if self._thread is not None else None
+        if self._thread is not None and self._thread.failure is not None:
+            return self._thread.failure
+        return self._robot.failure() if self._robot is not None else None
+
+    @property
+    def slipped_ticks(self) -> int:
+        """Robot time that the virtual robot in this process lost to stalls of this machine, in ms."""
+        return self._server.slipped_ticks if self._server is not None else 0
 
     def close(self) -> None:
         """Close everything. Closing twice is allowed."""

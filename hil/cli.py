@@ -14,7 +14,7 @@ from typing import Annotated, Any
 
 import typer
 
-from hil.errors import BadInputError, HilError, RunInterruptedError
+from hil.errors import BadInputError, DeviceError, HilError, LinkError, RunInterruptedError
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -86,6 +86,10 @@ def run(
     except KeyboardInterrupt:
         kept = f"; recorded until then: {path}" if path is not None and path.exists() else ""
         raise RunInterruptedError(f"interrupted; the robot was told to stop{kept}") from None
+    except (LinkError, DeviceError) as error:
+        if as_json:
+            _print_json({"passed": False, "failure": str(error)})
+        raise
     if as_json:
         _print_json(result.metrics)
     else:

@@ -15,8 +15,9 @@ from hil.scenario import Scenario
 def serve(scenario: Scenario, truth_port: int, say: Callable[[str], None]) -> None:
     """Serve the scenario's virtual robot until SIGTERM or SIGINT.
 
-    ``say`` gets one line when the robot is ready: how to reach it. Raises BadInputError when a part cannot be made,
-    LinkError when the link is lost.
+    ``say`` gets one line when the robot is ready: how to reach it; and one at the end if this machine's stalls cost
+    robot time. Raises BadInputError when a part cannot be made, LinkError when the link is lost, DeviceError when the
+    plant fails.
     """
     with contextlib.ExitStack() as resources:
         robot = VirtualStm32(virtual_robot(scenario))
@@ -30,4 +31,8 @@ def serve(scenario: Scenario, truth_port: int, say: Callable[[str], None]) -> No
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: server.stop())
         say(f"ready link={reach} truth={truth.url} mode={scenario.loop.mode} scenario={scenario.name}")
-        server.serve()
+        try:
+            server.serve()
+        finally:
+            if server.slipped_ticks:
+                say(f"this machine stalled: the robot lost {server.slipped_ticks} ms of its time")

@@ -1,7 +1,9 @@
 """The tick: sense, estimate, refer, control, guard, command, tell. The same loop in lockstep and in real time."""
 
+import contextlib
 import math
 import time
+from collections import deque
 from typing import NamedTuple
 
 from firmware_protocol.generated.messages import State as RobotState
@@ -37,7 +39,7 @@ from hil.types import (
 )
 
 _NAN_TWIST = Twist(NAN, NAN, NAN)
-_STALE_NS = 250_000_000  # feedback older than this is no feedback
+_LOST_NS = 250_000_000  # silence that ends the run
 _STOP_LIMIT_NS = 5_000_000_000
 
 
@@ -54,11 +56,26 @@ class Parts(NamedTuple):
     sink: Sink
 
 
+class Timing(NamedTuple):
+    """The loop's times [ns]. Latencies are the link's, per direction; older than ``stale_ns`` drives nothing."""
+
+    period_ns: int
+    command_latency_ns: int
+    feedback_latency_ns: int
+    stale_ns: int
+
+    @property
+    def latency_s(self) -> float:
+        """From the sampling instant to the first firmware tick that uses the command."""
+        return (self.command_latency_ns + self.feedback_latency_ns) * 1e-9
+
+
 class Report(NamedTuple):
-    """How the loop went. ``failure`` is what ended it early, or None."""
+    """How the loop went. ``stale`` counts ticks that rested on old feedback or truth, ``failure`` is what ended it."""
 
     ticks: int
     deadline_misses: int
+    stale: int
     robot_s: float
     wall_s: float
     stopped: bool
@@ -68,29 +85,32 @@ class Report(NamedTuple):
 class Loop:
     """Runs the tick at a fixed period for a given time.
 
-    ``t`` = 0 is the first ACTIVE tick. A tick that would begin after the next one is due is skipped and counted,
-    never made up in a burst.
+    ``t`` = 0 is the first ACTIVE tick, and a tick's ``t`` is its sampling instant: with a feedback latency it is
+    worked out so much later, when what was sampled then has arrived. A tick that would begin after the next one is
+    due is skipped and counted, never made up in a burst.
     """
 
-    def __init__(self, parts: Parts, mode: CommandMode, period_ns: int, latency_s: float) -> None:
+    def __init__(self, parts: Parts, mode: CommandMode, timing: Timing) -> None:
         self._parts = parts
-        self._mode = mode
-        self._period_ns = period_ns
-        self._dt_s = period_ns * 1e-9
-        self._latency_s = latency_s
+        self._timing = timing
+        self._rest = WheelCommand(mode, ZERO_WHEELS, ZERO_WHEELS)
+        self._fixes: deque[tuple[int, PoseFix | None]] = deque()
+        self._fix: PoseFix | None = None
+        self._newest_ns = 0
+        self._heard_ns: int | None = None
+        self._age_ms = 0.0
         self._misses = 0
         self._ticks = 0
-        self._tick_us = NAN
-        self._robot_offset_ns: int | None = None
-        self._age_ms = 0.0
+        self._stale = 0
         self._rejected = 0
+        self._tick_us = NAN
         self.t_s = 0.0
 
     def run(self, origin_ns: int, duration_ns: int) -> Report:
         """Run from the first ACTIVE tick at ``origin_ns`` on the clock, then stop the robot.
 
         What ends the run early is reported: a lost link or device, or a law that fails. Whatever it is, the robot is
-        stopped while it can be reached.
+        told to stop while it can be reached.
         """
         begin = time.perf_counter()
         failure: HilError | None = None
@@ -99,12 +119,22 @@ class Loop:
         except HilError as error:
             failure = error
         except BaseException:
-            self._stop()
+            self._parts.device.disarm()
+            with contextlib.suppress(HilError):
+                self._stop()
             raise
         wall_s = time.perf_counter() - begin
-        stopped = not isinstance(failure, DeviceError | LinkError) and self._stop()
-        robot_s = self.t_s + self._dt_s if self._ticks else 0.0
-        return Report(self._ticks, self._misses, robot_s, wall_s, stopped, failure)
+        stopped = False
+        try:
+            if isinstance(failure, DeviceError | LinkError):
+                self._parts.device.disarm()
+            else:
+                stopped = self._stop()
+                failure = failure or (None if stopped else DeviceError("the robot did not come to rest within 5 s"))
+        except HilError as error:
+            failure = failure or error
+        robot_s = self.t_s + self._timing.period_ns * 1e-9 if self._ticks else 0.0
+        return Report(self._ticks, self._misses, self._stale, robot_s, wall_s, stopped, failure)
 
     @property
     def commands_refused(self) -> int:
@@ -112,40 +142,68 @@ class Loop:
         return self._parts.guard.refused
 
     def _stop(self) -> bool:
-        return self._parts.device.stop(self._period_ns, _STOP_LIMIT_NS)
+        return self._parts.device.stop(self._timing.period_ns, _STOP_LIMIT_NS)
 
     def _run(self, origin_ns: int, duration_ns: int) -> None:
-        clock, device = self._parts.clock, self._parts.device
-        rest = WheelCommand(self._mode, ZERO_WHEELS, ZERO_WHEELS)
-        applied = Applied(rest, False, self._latency_s)
+        device, timing = self._parts.device, self._timing
+        applied = Applied(self._rest, False, timing.latency_s)
         started = False
-        number = 0
-        while number * self._period_ns < duration_ns:
-            late_ns = device.wait_until(origin_ns + number * self._period_ns)
+        number, before = 0, -1
+        for instant in range(timing.feedback_latency_ns // timing.period_ns):
+            # What is sampled now is not here yet; the robot is kept armed meanwhile.
+            self._sample(origin_ns, instant)
+            device.poll()
+            device.send(self._rest)
+        while number * timing.period_ns < duration_ns:
+            late_ns = self._wait(origin_ns, number)
             begin_ns = time.perf_counter_ns()
-            self.t_s = number * self._dt_s
+            self.t_s = number * timing.period_ns * 1e-9
             feedback = self._feedback()
-            fix = self._parts.truth.poll() if self._parts.truth is not None else None
+            fix = self._fix_of(number)
             state = self._parts.estimator.update(feedback, fix)
             reference = self._parts.reference.at(self.t_s)
-            if state is None:
-                command, saturated = rest, False
+            if state is None or self._is_stale(feedback, fix):
+                command, saturated = self._rest, False
+                self._stale += state is not None
             else:
                 if not started:
                     self._parts.controller.reset(state, reference)
                     started = True
-                wanted = self._parts.controller.update(reference, state, applied, self._dt_s)
+                dt_s = (number - before) * timing.period_ns * 1e-9
+                wanted = self._parts.controller.update(reference, state, applied, dt_s)
                 command, saturated = self._parts.guard.apply(wanted)
             device.send(command)
-            applied = Applied(command, saturated, self._latency_s)
+            applied = Applied(command, saturated, timing.latency_s)
             self._ticks += 1
             self._tell(number, late_ns, feedback, fix, state, reference, applied)
             self._tick_us = (time.perf_counter_ns() - begin_ns) * 1e-3
-            number = self._next(number, clock.now_ns() - origin_ns)
+            before, number = number, self._next(number, origin_ns)
 
-    def _next(self, number: int, elapsed_ns: int) -> int:
+    def _sample(self, origin_ns: int, instant: int) -> int:
+        """Wait for a sampling instant and take the truth there; what the link brings of it comes later."""
+        late_ns = self._parts.device.wait_until(origin_ns + instant * self._timing.period_ns)
+        self._fixes.append((instant, self._parts.truth.poll() if self._parts.truth is not None else None))
+        return late_ns
+
+    def _wait(self, origin_ns: int, number: int) -> int:
+        """Wait until what was sampled at the tick's instant has arrived; return the lateness [ns]."""
+        periods, rest_ns = divmod(self._timing.feedback_latency_ns, self._timing.period_ns)
+        late_ns = self._sample(origin_ns, number + periods)
+        if rest_ns:
+            due_ns = origin_ns + number * self._timing.period_ns + self._timing.feedback_latency_ns
+            late_ns = self._parts.device.wait_until(due_ns)
+        return late_ns
+
+    def _fix_of(self, number: int) -> PoseFix | None:
+        """Return the truth of the tick's sampling instant, or of the last one before it when ticks were skipped."""
+        while self._fixes and self._fixes[0][0] <= number:
+            self._fix = self._fixes.popleft()[1]
+        return self._fix
+
+    def _next(self, number: int, origin_ns: int) -> int:
         """Return the next tick that can still begin on time."""
-        following = max(number + 1, -(-elapsed_ns // self._period_ns))
+        elapsed_ns = self._parts.clock.now_ns() - origin_ns - self._timing.feedback_latency_ns
+        following = max(number + 1, -(-elapsed_ns // self._timing.period_ns))
         self._misses += following - number - 1
         return following
 
@@ -154,19 +212,25 @@ class Loop:
         now_ns = self._parts.clock.now_ns()
         if feedback is None:
             raise DeviceError("the robot sends no feedback")
-        # The quickest way seen so far stands for no delay: the age is relative to it.
-        offset_ns = now_ns - feedback.robot_time_ns
-        if self._robot_offset_ns is None or offset_ns < self._robot_offset_ns:
-            self._robot_offset_ns = offset_ns
-        age_ns = offset_ns - self._robot_offset_ns
-        self._age_ms = age_ns * 1e-6
+        if self._heard_ns is None or feedback.robot_time_ns != self._newest_ns:
+            self._newest_ns, self._heard_ns = feedback.robot_time_ns, now_ns
+        silent_ns = now_ns - self._heard_ns
+        self._age_ms = (silent_ns + self._timing.feedback_latency_ns) * 1e-6
         if feedback.state is not RobotState.ACTIVE:
             raise DeviceError(self._why_stopped(feedback.state))
-        if age_ns > _STALE_NS:
+        if silent_ns > _LOST_NS:
             raise LinkError(
-                f"no feedback for {self._age_ms:.0f} ms at t = {self.t_s:.3f} s: the link or the robot was lost"
+                f"no feedback for {silent_ns * 1e-6:.0f} ms at t = {self.t_s:.3f} s: the link or the robot was lost"
             )
         return feedback
+
+    def _is_stale(self, feedback: Feedback, fix: PoseFix | None) -> bool:
+        """Nothing is driven by what is older than the firmware's own patience with us."""
+        limit_ns = self._timing.stale_ns
+        latency_ms = self._timing.feedback_latency_ns * 1e-6
+        if (self._age_ms - latency_ms) * 1e6 > limit_ns:
+            return True
+        return fix is not None and feedback.robot_time_ns - fix.time_ns > limit_ns
 
     def _why_stopped(self, state: RobotState) -> str:
         reason = self._parts.device.stop_reason()

@@ -60,7 +60,7 @@ class RunResult:
 
     @property
     def exit_code(self) -> int:
-        """0 as expected, 1 when an expectation failed, 3 when the link or the device failed."""
+        """0 as expected, 1 when an expectation failed, 2 when the law failed, 3 when the link or the device did."""
         if self.failure is not None:
             return self.failure.exit_code
         return 0 if self.passed else 1

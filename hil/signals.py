@@ -100,15 +100,15 @@ _MEANING = {
     "wheel.*.speed_command_rad_s": "speed set point after the guard; no value in torque mode",
     "wheel.*.torque_command_n_m": "torque set point or feedforward after the guard",
     "wheel.*.current_a": "motor current",
-    "robot.time_s": "robot time of the newest feedback since its connection",
+    "robot.time_s": "sampling instant of the newest feedback, on the robot's own clock",
     "robot.state": "state of the firmware (DBC TICK.state)",
     "robot.command_age_ms": "age of the command in force when the feedback was sampled",
     "robot.yaw_rate_rad_s": "gyro",
     "guard.saturated": "1 when the guard scaled the four wheels at a limit",
     "link.sent": "frames sent so far",
     "link.received": "valid frames received so far",
-    "link.rejected": "frames dropped so far, all causes",
-    "link.feedback_age_ms": "age of the newest feedback snapshot at the tick",
+    "link.rejected": "frames dropped so far, all causes; looked up every 100 ticks",
+    "link.feedback_age_ms": "age of the newest feedback at the tick: time since it arrived, and the link's latency",
 }
 
 _WHEEL_GROUPS = {

@@ -78,11 +78,13 @@ def test_firmware_estimates_the_speed_that_the_wheels_have(circle):
 
 
 def test_every_link_carries_the_same_frames():
-    results = {link: run(link=link) for link in LINKS}
+    results = {link: hil.run("paper_circle", link=link) for link in LINKS}
     hashes = {link: result.metrics["wire_sha256"] for link, result in results.items()}
     assert len(set(hashes.values())) == 1, hashes
     first = results["memory:"]
     for result in results.values():
+        assert result.passed
+        assert result.metrics["steady_rms_m"] < 0.003
         assert np.array_equal(result.signals["truth.x_m"], first.signals["truth.x_m"])
 
 
@@ -95,32 +97,43 @@ def test_seed_changes_the_wire_and_nothing_else():
 
 @pytest.mark.parametrize("link", ["memory:", "serial:pty", "can:virtual/test_run_rt"])
 def test_real_time_in_one_process(link):
-    short = {"loop.rate_hz": 200, "loop.duration_s": 7.0, "expect": []}
-    result = hil.run("paper_circle", set=short, mode="realtime", link=link)
+    result = hil.run("paper_circle", set={"loop.duration_s": 7.0, "expect": []}, mode="realtime", link=link)
     assert result.failure is None
     assert result.metrics["steady_rms_m"] < 0.003
     assert result.metrics["realtime_factor"] == pytest.approx(1.0, abs=0.02)
 
 
-def test_latency_is_from_the_sampling_instant_to_the_tick_that_uses_the_command():
-    def ages(command_s, feedback_s):
-        result = run(
-            "circle_speed",
-            link__command_latency_s=command_s,
-            link__feedback_latency_s=feedback_s,
-            loop__rate_hz=100,
-        )
-        s = result.signals
-        return s["robot.command_age_ms"][10:50], s["robot.time_s"] - s["loop.t_s"]
+@pytest.mark.parametrize(
+    ("command_ms", "feedback_ms"), [(0, 0), (3, 0), (0, 2), (3, 2), (7, 0), (0, 10), (4, 23), (12, 9)]
+)
+def test_latency_is_from_the_sampling_instant_to_the_tick_that_uses_the_command(command_ms, feedback_ms):
+    """At 100 Hz: the wheels answer to the first moving command after exactly the two latencies together."""
+    result = run(
+        "circle_speed",
+        link__command_latency_s=command_ms * 1e-3,
+        link__feedback_latency_s=feedback_ms * 1e-3,
+        loop__rate_hz=100,
+        firmware__watchdog_s=0.1,
+    )
+    assert result.failure is None
+    s = result.signals
+    # What the tick acts on, feedback and truth alike, was sampled at its t.
+    origin = s["robot.time_s"][0] - s["loop.t_s"][0]
+    assert np.allclose(s["robot.time_s"] - s["loop.t_s"], origin)
+    assert np.array_equal(s["pose.x_m"], s["truth.x_m"])
+    assert np.allclose(s["link.feedback_age_ms"], feedback_ms)
+    # The age of the command in force at the sampling instants says when it arrived: latency after the sample that
+    # it answers, in steps of a period.
+    expected = 10 - (command_ms + feedback_ms) % 10
+    assert set(s["robot.command_age_ms"][20:]) == {expected}
 
-    # A command sent at the sampling instant is in force for all ten ticks of the period, 3 ms late for seven.
-    without, origin = ages(0.0, 0.0)
-    late, _ = ages(0.003, 0.0)
-    assert set(without) == {10}
-    assert set(late) == {7}
-    _, delayed = ages(0.0, 0.002)
-    assert delayed[10] - delayed[0] == pytest.approx(0.0)
-    assert np.ptp(origin) == pytest.approx(0.0, abs=1e-9)
+
+def test_feedback_latency_shows_in_the_motion():
+    positions = {
+        ms: run("circle_speed", link__feedback_latency_s=ms * 1e-3, link__command_latency_s=0.0).signals["truth.x_m"]
+        for ms in (0, 4)
+    }
+    assert not np.array_equal(positions[0][100:], positions[4][100:])
 
 
 def test_odometry_drifts_little_on_a_plant_without_slip():
@@ -245,6 +258,40 @@ class Bad:
     result = run(controller__law=f"{tmp_path}/bad.py:Bad", controller__command="torque")
     assert np.all(result.signals["truth.x_m"] == 0.8)
     assert result.metrics["commands_refused"] == 1000
+    assert not result.passed
+
+
+@pytest.mark.parametrize(
+    ("result", "words"),
+    [
+        ("WheelCommand(CommandMode.TORQUE, Wheels(0, 0, 0, 0), Wheels(0, 0, 0, None))", "four numbers"),
+        ("WheelCommand(CommandMode.TORQUE, Wheels(0, 0, 0, 0), [1.0, 2.0, 3.0])", "four numbers"),
+        ("WheelCommand(CommandMode.SPEED, Wheels(0, 0, 0, 0), Wheels(0, 0, 0, 0))", "expected TORQUE"),
+        ("1 / 0", "ZeroDivisionError"),
+        ("None", "expected a WheelCommand"),
+    ],
+)
+def test_a_law_that_fails_ends_the_run_with_the_robot_stopped(tmp_path, result, words):
+    (tmp_path / "bad.py").write_text(
+        f"""
+from hil.types import CommandMode, Wheels, WheelCommand
+
+class Bad:
+    def reset(self, state, reference):
+        pass
+
+    def update(self, reference, state, applied, dt_s):
+        return {result}
+"""
+    )
+    ended = run(controller__law=f"{tmp_path}/bad.py:Bad", controller__command="torque")
+    assert (ended.exit_code, ended.metrics["stopped"]) == (2, True)
+    assert words in str(ended.failure)
+
+
+def test_a_robot_that_cannot_stop_does_not_pass():
+    """The steps of the stop phase are answered, but its IDLE request and every STATUS and TICK are muted."""
+    result = run(fault=[{"kind": "mute", "target": "TICK", "start_s": 0.9995, "end_s": 100.0}])
     assert not result.passed
 
 

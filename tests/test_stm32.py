@@ -6,6 +6,8 @@ import threading
 
 import pytest
 
+from firmware_protocol import codec
+from firmware_protocol.framing import Framer
 from firmware_protocol.generated import messages as m
 from firmware_protocol.host import parameter_hash
 from hil.clock import LockstepClock
@@ -23,9 +25,11 @@ from tests.wheel_rig import PARAMETERS, WheelRig
 PERIOD_NS = 5_000_000
 
 
-def plug_in(rig: WheelRig) -> MemoryStream:
+def plug_in(rig: WheelRig, robot_end: list[MemoryStream] | None = None) -> MemoryStream:
     """A line to the rig's firmware, served whenever the host waits."""
     host, robot = memory_pair()
+    if robot_end is not None:
+        robot_end.append(robot)
     wire = SerialWire(robot)
 
     def serve() -> None:
@@ -36,8 +40,10 @@ def plug_in(rig: WheelRig) -> MemoryStream:
     return host
 
 
-def driver(rig: WheelRig, *, lockstep: bool = True, allow_motion: bool = False, values=PARAMETERS, nonces=None):
-    link = StreamLink(plug_in(rig))
+def driver(
+    rig: WheelRig, *, lockstep=True, allow_motion=False, values=PARAMETERS, nonces=None, robot_end=None
+) -> tuple[Stm32, LockstepClock]:
+    link = StreamLink(plug_in(rig, robot_end))
     expected = Expected(parameter_hash(values), lockstep, allow_motion)
     nonces = itertools.count(0x2341) if nonces is None else iter(nonces)
     clock = LockstepClock(lambda ticks: device.step(ticks))
@@ -115,6 +121,34 @@ def test_a_second_host_does_not_disarm_the_first_ones_robot():
     with pytest.raises(DeviceError):
         second.start(WhileTheFirstDrives(), PERIOD_NS)
     assert rig.state is m.State.ACTIVE
+
+
+def test_the_second_answer_to_a_step_sent_twice_is_ignored():
+    def run(twice: bool) -> str:
+        rig, ends = WheelRig(lockstep=True), []
+        device, _ = driver(rig, robot_end=ends)
+        device.connect()
+        for tick in range(0, 50, 5):
+            device.step(5)
+            if twice:
+                ends[0].write(Framer().encode(codec.encode(m.StepDone(tick + 5))))
+                device.poll()
+            assert device.tick == tick + 5
+            if twice:
+                ends[0].write(Framer().encode(codec.encode(m.StepDone(tick + 5))))
+        return device.wire_sha256()
+
+    assert run(twice=True) == run(twice=False)
+
+
+def test_a_robot_that_was_reset_is_noticed():
+    rig, ends = WheelRig(lockstep=True), []
+    device, _ = driver(rig, robot_end=ends)
+    device.connect()
+    device.step(5)
+    rig.node = WheelRig(lockstep=True).node
+    with pytest.raises(DeviceError, match="was reset"):
+        device.step(5)
 
 
 def test_latched_states_are_said_with_what_to_do():

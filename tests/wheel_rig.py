@@ -32,6 +32,7 @@ class WheelRig:
         self.torque_n_m = [0.0] * 4
         self.fail = False
         self.current_a = 0.0
+        self.held = False  # the wheels are blocked
         ffi, _ = library()
         self._exchange = ffi.callback("wheel_plant_exchange", self._plant)
         address = int(ffi.cast("uintptr_t", self._exchange))
@@ -43,7 +44,7 @@ class WheelRig:
         if drive:
             self.torque_n_m = list(drive.torque_n_m)
             for i in range(4):
-                self.speed_rad_s[i] += self.torque_n_m[i] / INERTIA_KG_M2 * 1e-3
+                self.speed_rad_s[i] += 0.0 if self.held else self.torque_n_m[i] / INERTIA_KG_M2 * 1e-3
                 self.angle_rad[i] += self.speed_rad_s[i] * 1e-3
         for i in range(4):
             sense.count[i] = math.floor(self.angle_rad[i] / math.tau * 4096) & 0xFFFF
@@ -70,8 +71,10 @@ class WheelRig:
         check = parameter_hash(self.values) & 0xFF
         self.send(m.HostHeartbeat(nonce, m.SCHEMA_HASH, request, mode, check))
 
-    def arm(self, mode: m.Mode = m.Mode.SPEED) -> None:
-        self.nonce = next(self.nonces)
+    def arm(self, mode: m.Mode = m.Mode.SPEED, nonce: int | None = None) -> None:
+        """Announce a nonce and arm with it."""
+        self.nonce = next(self.nonces) if nonce is None else nonce
+        self.heartbeat(m.Request.IDLE, self.nonce, mode)
         self.heartbeat(m.Request.ARM, self.nonce, mode)
 
     def command(self, value: float, sequence: int, session: int | None = None) -> None:

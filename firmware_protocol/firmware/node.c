@@ -33,10 +33,21 @@ static void begin_session(wheel_node *node) {
     node->stop_reason = WP_STOP_REASON_NONE;
 }
 
+static float magnitude(float x) {
+    return x < 0.0f ? -x : x;
+}
+
+/* A stop begins at the set point or at the speed that the wheel really has, whichever is nearer to zero, and
+ * with an empty integral: what was wound up against an obstacle must not drive the robot once that gives way.
+ */
 static void begin_stop(wheel_node *node) {
     node->staged.present = false;
+    memset(&node->speed_loop, 0, sizeof node->speed_loop);
     for (size_t i = 0; i < WHEEL_COUNT; i++) {
-        node->ramp_from_rad_s[i] = node->set_point_rad_s[i];
+        const float target = node->set_point_rad_s[i];
+        const float speed = node->speed_rad_s[i];
+        const bool nearer = magnitude(speed) < magnitude(target);
+        node->ramp_from_rad_s[i] = target * speed <= 0.0f ? 0.0f : (nearer ? speed : target);
     }
 }
 
@@ -45,8 +56,12 @@ void wheel_node_event(wheel_node *node, wheel_event event) {
     if (next == node->state) {
         return;
     }
+    /* Drives that were off stay off. */
+    node->braking =
+        next == WP_STATE_ESTOP && (node->state == WP_STATE_ACTIVE || node->state == WP_STATE_STOPPING);
     node->state = next;
     node->state_ticks = 0;
+    node->announced_nonce = 0u;
     switch (next) {
     case WP_STATE_ARMED:
         begin_session(node);
@@ -64,12 +79,20 @@ void wheel_node_event(wheel_node *node, wheel_event event) {
     wheel_node_send_status(node);
 }
 
-static void fault(wheel_node *node, uint8_t cause) {
-    if (node->state != WP_STATE_FAULT) {
-        node->fault = cause;
-        node->stop_reason = WP_STOP_REASON_FAULT;
+/* An event that ends driving; the reason is kept only where the event does something. */
+void wheel_node_stop(wheel_node *node, wheel_event event, uint8_t reason) {
+    if (wheel_next_state(node->state, event) != node->state) {
+        node->stop_reason = reason;
     }
-    wheel_node_event(node, WHEEL_EVENT_FAULT);
+    wheel_node_event(node, event);
+}
+
+static void fault(wheel_node *node, uint8_t cause) {
+    if (node->fault == WP_FAULT_NONE) {
+        node->fault = cause;
+    }
+    node->braking = false;
+    wheel_node_stop(node, WHEEL_EVENT_FAULT, WP_STOP_REASON_FAULT);
 }
 
 void wheel_node_fail(wheel_node *node) {
@@ -94,7 +117,7 @@ static bool sense_is_finite(const wheel_sense *sense) {
 static float largest_speed(const wheel_node *node) {
     float largest = 0.0f;
     for (size_t i = 0; i < WHEEL_COUNT; i++) {
-        const float speed = node->speed_rad_s[i] < 0.0f ? -node->speed_rad_s[i] : node->speed_rad_s[i];
+        const float speed = magnitude(node->speed_rad_s[i]);
         largest = speed > largest ? speed : largest;
     }
     return largest;
@@ -110,12 +133,10 @@ static void supervise(wheel_node *node) {
     }
     if (node->state == WP_STATE_ACTIVE &&
         node->setting.age_ticks >= wheel_ticks(node->parameters.watchdog_s)) {
-        node->stop_reason = WP_STOP_REASON_COMMAND_TIMEOUT;
-        wheel_node_event(node, WHEEL_EVENT_TIMEOUT);
+        wheel_node_stop(node, WHEEL_EVENT_TIMEOUT, WP_STOP_REASON_COMMAND_TIMEOUT);
     }
     if (node->state == WP_STATE_ARMED && node->state_ticks >= WHEEL_ARM_TIMEOUT_TICKS) {
-        node->stop_reason = WP_STOP_REASON_ARM_TIMEOUT;
-        wheel_node_event(node, WHEEL_EVENT_TIMEOUT);
+        wheel_node_stop(node, WHEEL_EVENT_TIMEOUT, WP_STOP_REASON_ARM_TIMEOUT);
     }
     if (node->state == WP_STATE_STOPPING) {
         const uint32_t ramp = wheel_ticks(node->parameters.ramp_s);
@@ -181,11 +202,9 @@ void wheel_node_drive(wheel_node *node, wheel_drive *drive) {
         break;
     case WP_STATE_ESTOP:
         memset(node->set_point_rad_s, 0, sizeof node->set_point_rad_s);
-        if (node->state_ticks < WHEEL_STOP_LIMIT_TICKS && !at_rest(node)) {
+        node->braking = node->braking && node->state_ticks < WHEEL_STOP_LIMIT_TICKS && !at_rest(node);
+        if (node->braking) {
             limited = drive_by_speed(node, none, drive);
-        } else {
-            /* Once the drives are off they stay off. */
-            node->state_ticks = WHEEL_STOP_LIMIT_TICKS;
         }
         break;
     default:

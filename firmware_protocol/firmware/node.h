@@ -85,8 +85,9 @@ typedef struct {
     uint8_t stop_reason;
     uint8_t arm_refusal;
 
-    uint16_t session_nonce; /* of the last session */
-    uint16_t burnt_nonce;   /* the last one seen when it could not be used */
+    uint16_t session_nonce;   /* of the last session */
+    uint16_t announced_nonce; /* by an IDLE request heard in IDLE; 0 when none waits for its ARM */
+    uint16_t cleared_nonce;   /* of the last CLEAR */
 
     wheel_setting setting;
     wheel_staged staged;
@@ -97,6 +98,7 @@ typedef struct {
     float set_point_rad_s[WHEEL_COUNT]; /* what the speed loop follows; in torque mode the measured speed */
     float ramp_from_rad_s[WHEEL_COUNT];
     uint32_t state_ticks; /* since the state was entered */
+    bool braking;         /* ESTOP: the drives still work, to stop the wheels */
     uint32_t rest_ticks;  /* for how long all four wheels have stood still */
 
     uint32_t limited_ticks;
@@ -137,6 +139,7 @@ void wheel_node_step_done(wheel_node *node);
 
 /* Used between the files of the core. */
 void wheel_node_event(wheel_node *node, wheel_event event);
+void wheel_node_stop(wheel_node *node, wheel_event event, uint8_t reason);
 void wheel_node_queue(wheel_node *node, uint16_t id, uint8_t length, const uint8_t *payload);
 void wheel_node_send_hello(wheel_node *node);
 void wheel_node_send_feedback(wheel_node *node, const wheel_sense *sense);

@@ -106,11 +106,15 @@ static bool on_torque_feedforward(wheel_node *node, const wheel_frame *frame) {
 }
 
 static uint8_t arm_refusal(const wheel_node *node, const wp_host_heartbeat *m) {
-    if (m->nonce == node->session_nonce || m->nonce == node->burnt_nonce) {
+    if (m->nonce == node->session_nonce) {
         return WP_ARM_REFUSAL_NONCE_USED;
     }
     if (node->state != WP_STATE_IDLE) {
         return WP_ARM_REFUSAL_NOT_IDLE;
+    }
+    if (m->nonce != node->announced_nonce) {
+        /* A wish that was held through a stop, a fault or a reset of this node. */
+        return WP_ARM_REFUSAL_NOT_ANNOUNCED;
     }
     if (node->session_nonce != 0u && session_of(m->nonce) == session_of(node->session_nonce)) {
         /* Commands of the old session still on their way would pass for new ones. */
@@ -126,41 +130,36 @@ static uint8_t arm_refusal(const wheel_node *node, const wp_host_heartbeat *m) {
     return (node->identity.capabilities & needed) != 0u ? WP_ARM_REFUSAL_NONE : WP_ARM_REFUSAL_MODE;
 }
 
-/* Arming is an edge: a nonce arms only when it is new and seen first in IDLE. Refused, it is burnt. */
+/* Arming is an edge: the nonce was announced by an IDLE request in IDLE, and arms once. */
 static void on_arm_request(wheel_node *node, const wp_host_heartbeat *m) {
     if (takes_commands(node) && m->nonce == node->session_nonce) {
         return; /* the heartbeat of the session in force */
     }
     const uint8_t refusal = arm_refusal(node, m);
-    const bool repeated = node->arm_refusal == refusal && m->nonce == node->burnt_nonce;
+    const bool news = node->arm_refusal != refusal;
     node->arm_refusal = refusal;
+    node->announced_nonce = 0u;
     if (refusal == WP_ARM_REFUSAL_NONE) {
         node->session_nonce = m->nonce;
         node->mode = m->mode;
         wheel_node_event(node, WHEEL_EVENT_ARM);
-        return;
-    }
-    if (refusal != WP_ARM_REFUSAL_NONCE_USED) {
-        node->burnt_nonce = m->nonce;
-    }
-    if (!repeated) {
+    } else if (news) {
         wheel_node_send_status(node);
     }
 }
 
-static void on_idle_request(wheel_node *node) {
-    if (takes_commands(node)) {
-        node->stop_reason = WP_STOP_REASON_HOST_REQUEST;
+static void on_idle_request(wheel_node *node, uint16_t nonce) {
+    wheel_node_stop(node, WHEEL_EVENT_DISARM, WP_STOP_REASON_HOST_REQUEST);
+    if (node->state == WP_STATE_IDLE) {
+        node->announced_nonce = nonce;
     }
-    wheel_node_event(node, WHEEL_EVENT_DISARM);
 }
 
 /* CLEAR is an edge as arming is: a repeated wish does not clear the next fault. */
 static void on_clear_request(wheel_node *node, uint16_t nonce) {
-    const bool used = nonce == node->burnt_nonce || nonce == node->session_nonce;
-    const bool clearable = wheel_parameters_invalid(&node->parameters) < 0;
-    node->burnt_nonce = used ? node->burnt_nonce : nonce;
-    if (!used && clearable) {
+    const bool is_new = nonce != node->cleared_nonce;
+    node->cleared_nonce = nonce;
+    if (is_new && wheel_parameters_invalid(&node->parameters) < 0) {
         wheel_node_event(node, WHEEL_EVENT_CLEAR);
     }
 }
@@ -178,7 +177,7 @@ static bool on_heartbeat(wheel_node *node, const wheel_frame *frame) {
         on_clear_request(node, m.nonce);
         break;
     default:
-        on_idle_request(node);
+        on_idle_request(node, m.nonce);
         break;
     }
     return true;
@@ -189,10 +188,7 @@ static bool on_estop(wheel_node *node, const wheel_frame *frame) {
     if (!wp_estop_decode(frame->payload, frame->length, &m)) {
         return false;
     }
-    if (node->state != WP_STATE_ESTOP) {
-        node->stop_reason = WP_STOP_REASON_ESTOP;
-    }
-    wheel_node_event(node, WHEEL_EVENT_ESTOP);
+    wheel_node_stop(node, WHEEL_EVENT_ESTOP, WP_STOP_REASON_ESTOP);
     return true;
 }
 

@@ -24,7 +24,7 @@ def _out_of_range(message: str, values: Sequence[float], ranges: Sequence[_Range
 
 
 PROTOCOL_VERSION = 1
-SCHEMA_HASH = 0x2212B0EF
+SCHEMA_HASH = 0x169BB7E5
 
 
 class Request(IntEnum):
@@ -84,6 +84,7 @@ class ArmRefusal(IntEnum):
     NONCE_USED = 4
     SESSION_USED = 5
     MODE = 6
+    NOT_ANNOUNCED = 7
 
 
 _ESTOP = Struct("<BB")
@@ -149,9 +150,10 @@ class _HostHeartbeatFields(NamedTuple):
 
 
 class HostHeartbeat(_HostHeartbeatFields):
-    """HOST_HEARTBEAT: What the host wishes, sent at 10 Hz and on every change. ARM with a nonce first seen
-    in IDLE arms; repeating it never re-arms.
-    nonce: Session nonce; its low 4 bits are the session in every command.
+    """HOST_HEARTBEAT: What the host wishes, sent at 10 Hz and on every change. IDLE announces a nonce, ARM
+    with that nonce arms once; repeating it never re-arms.
+    nonce: With IDLE: the nonce that the next ARM will have. With ARM: the session nonce, whose low 4 bits
+        are the session in every command. With CLEAR: a new one for each.
     schema_hash: The host's schema hash; ARM is refused unless it equals the robot's.
     parameter_check: Low 8 bits of the parameter hash that the host expects; ARM is refused unless it equals
         the robot's.
@@ -779,7 +781,7 @@ _STATUS_RANGES: tuple[_Range, ...] = (
     ("fault", 0, 3, ""),
     ("stop_reason", 0, 5, ""),
     ("nonce", 0, 65535, ""),
-    ("arm_refusal", 0, 6, ""),
+    ("arm_refusal", 0, 7, ""),
     ("limited", 0, 65535, ""),
 )
 
@@ -813,7 +815,7 @@ class Status(_StatusFields):
             and 0 <= fault <= 3
             and 0 <= stop_reason <= 5
             and 0 <= nonce <= 65535
-            and 0 <= arm_refusal <= 6
+            and 0 <= arm_refusal <= 7
             and 0 <= limited <= 65535
         ):
             raise _out_of_range(self.NAME, self, _STATUS_RANGES)
@@ -844,7 +846,7 @@ class Status(_StatusFields):
             and mode <= 1
             and fault <= 3
             and stop_reason <= 5
-            and arm_refusal <= 6
+            and arm_refusal <= 7
         ):
             return None
         return cls(
@@ -883,7 +885,9 @@ class _LinkCountersFields(NamedTuple):
 
 
 class LinkCounters(_LinkCountersFields):
-    """LINK_COUNTERS: Frames rejected, by cause, each wrapping; 10 Hz."""
+    """LINK_COUNTERS: Frames rejected, by cause, each wrapping; 10 Hz.
+    length: Frames of a wrong length, overruns of the serial line included.
+    """
 
     __slots__ = ()
     ID: ClassVar[int] = 0x103

@@ -549,7 +549,7 @@ bool wp_status_encode(const wp_status *message, uint8_t *payload) {
     if (message->stop_reason > 5u) {
         return false;
     }
-    if (message->arm_refusal > 6u) {
+    if (message->arm_refusal > 7u) {
         return false;
     }
     uint64_t bits = 0;
@@ -588,7 +588,7 @@ bool wp_status_decode(const uint8_t *payload, size_t length, wp_status *message)
     if (raw_stop_reason > 5u) {
         return false;
     }
-    if (raw_arm_refusal > 6u) {
+    if (raw_arm_refusal > 7u) {
         return false;
     }
     message->state = (uint8_t)raw_state;

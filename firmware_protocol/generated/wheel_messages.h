@@ -7,7 +7,7 @@
 #include <stdint.h>
 
 #define WP_PROTOCOL_VERSION 1u
-#define WP_SCHEMA_HASH 0x2212B0EFu
+#define WP_SCHEMA_HASH 0x169BB7E5u
 #define WP_PAYLOAD_MAX 8u
 
 enum wp_request {
@@ -55,6 +55,7 @@ enum wp_arm_refusal {
     WP_ARM_REFUSAL_NONCE_USED = 4,
     WP_ARM_REFUSAL_SESSION_USED = 5,
     WP_ARM_REFUSAL_MODE = 6,
+    WP_ARM_REFUSAL_NOT_ANNOUNCED = 7,
 };
 
 /* Payload bytes of the message with this id, or -1 when no message has it. */
@@ -79,10 +80,11 @@ bool wp_estop_decode(const uint8_t *payload, size_t length, wp_estop *message);
 #define WP_HOST_HEARTBEAT_ID 0x020u
 #define WP_HOST_HEARTBEAT_LENGTH 8u
 
-/* What the host wishes, sent at 10 Hz and on every change. ARM with a nonce first seen in IDLE arms;
- * repeating it never re-arms. */
+/* What the host wishes, sent at 10 Hz and on every change. IDLE announces a nonce, ARM with that nonce
+ * arms once; repeating it never re-arms. */
 typedef struct {
-    /* Session nonce; its low 4 bits are the session in every command. */
+    /* With IDLE: the nonce that the next ARM will have. With ARM: the session nonce, whose low 4 bits are
+     * the session in every command. With CLEAR: a new one for each. */
     uint16_t nonce;
     /* The host's schema hash; ARM is refused unless it equals the robot's. */
     uint32_t schema_hash;
@@ -248,6 +250,7 @@ bool wp_status_decode(const uint8_t *payload, size_t length, wp_status *message)
 typedef struct {
     uint8_t cobs;
     uint8_t crc;
+    /* Frames of a wrong length, overruns of the serial line included. */
     uint8_t length;
     uint8_t unknown_id;
     uint8_t range;

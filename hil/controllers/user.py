@@ -13,7 +13,7 @@ from types import ModuleType
 from typing import Any
 
 from hil.errors import BadInputError, nearest
-from hil.types import NO_GAINS, Applied, CommandMode, Gains, Reference, State, WheelCommand
+from hil.types import NO_GAINS, Applied, CommandMode, Gains, Reference, State, WheelCommand, Wheels
 
 _METHODS = {
     "reset": ("self", "state", "reference"),
@@ -68,8 +68,7 @@ class UserLaw:
         if not self._has_gains:
             return NO_GAINS
         with _failures_of(self._spec, "gains"):
-            gains: Gains = self._law.gains
-        return gains
+            return Gains(*map(float, self._law.gains))
 
     def reset(self, state: State, reference: Reference) -> None:
         """Pass it on."""
@@ -91,7 +90,14 @@ class UserLaw:
                 f"{_named(self._spec)}: update returned a command of mode {command.mode!r}, "
                 f"expected {self._mode.name}, the mode that it was made with"
             )
-        return command
+        try:
+            speed, torque = Wheels(*map(float, command.speed_rad_s)), Wheels(*map(float, command.torque_n_m))
+        except (TypeError, ValueError) as error:
+            raise BadInputError(
+                f"{_named(self._spec)}: update returned {command!r}, expected four numbers in speed_rad_s and four in "
+                f"torque_n_m ({error})"
+            ) from error
+        return WheelCommand(command.mode, speed, torque)
 
 
 def _import_file(spec: str, path: Path) -> ModuleType:

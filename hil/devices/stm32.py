@@ -4,6 +4,7 @@ The robot behind the link may be a board with motors, a board with the plant, or
 can tell, except by what HELLO says.
 """
 
+import contextlib
 import hashlib
 import struct
 import time
@@ -11,23 +12,28 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from firmware_protocol import codec
+from firmware_protocol.capabilities import Capability
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m
 from hil.devices.snapshot import Feedback, SnapshotAssembler
 from hil.devices.wheel_map import WheelMap
-from hil.errors import BadInputError, DeviceError
+from hil.errors import BadInputError, DeviceError, HilError
 from hil.links.delay import DelayedLink
 from hil.ports import Clock
 from hil.types import ZERO_WHEELS, CommandMode, WheelCommand
-
-POWER_STAGE = 0x0001
-LOCKSTEP = 0x0002
 
 SILENCE_NS = 2_000_000_000  # wall-clock silence that ends a handshake or a step
 _RETRY_NS = 200_000_000
 _HEARTBEAT_NS = 100_000_000
 _START_LIMIT_NS = 4_000_000_000
+_PAGES = (m.HelloIdentity, m.HelloFirmware, m.HelloParameters)
 _FIRST_HELLO_ID = m.HelloRequest.ID
+_ANOTHER_NONCE_HELPS = (
+    m.ArmRefusal.NONCE_USED,
+    m.ArmRefusal.SESSION_USED,
+    m.ArmRefusal.NOT_IDLE,
+    m.ArmRefusal.NOT_ANNOUNCED,
+)
 _HEADER = struct.Struct("<HB")
 
 
@@ -98,29 +104,10 @@ class Stm32:
 
     def connect(self) -> RobotInfo:
         """Ask for HELLO and check the answer against what the scenario expects."""
-        pages = self._hello()
-        identity, firmware, held = pages
-        assert isinstance(identity, m.HelloIdentity)
-        assert isinstance(firmware, m.HelloFirmware)
-        assert isinstance(held, m.HelloParameters)
-        info = RobotInfo(
-            identity.capabilities,
-            f"{firmware.major}.{firmware.minor}.{firmware.patch}",
-            firmware.build,
-            held.parameter_hash,
-            held.watchdog_ms,
-        )
-        self._check(identity, info)
-        if self._expected.lockstep:
-            self.tick = self._exchange_step(m.Step(0, 0), None)
-        return info
-
-    def _hello(self) -> list[codec.Message]:
-        kinds = (m.HelloIdentity, m.HelloFirmware, m.HelloParameters)
         pages: dict[type, codec.Message] = {}
         deadline_ns = time.monotonic_ns() + SILENCE_NS
         retry_ns = 0
-        while len(pages) < len(kinds):
+        while len(pages) < len(_PAGES):
             now_ns = time.monotonic_ns()
             if now_ns > deadline_ns:
                 raise DeviceError(
@@ -132,22 +119,37 @@ class Stm32:
                 retry_ns = now_ns + _RETRY_NS
             received = self._link.receive(_RETRY_NS)
             message = codec.decode(received.frame) if received is not None else None
-            if isinstance(message, kinds):
+            if isinstance(message, m.HelloIdentity):
+                # Page 0 is frozen for ever; the others may differ in a robot of another version.
+                self._check_version(message)
+            if isinstance(message, _PAGES):
                 pages[type(message)] = message
-        return [pages[kind] for kind in kinds]
+        identity, firmware, held = (pages[kind] for kind in _PAGES)
+        assert isinstance(identity, m.HelloIdentity)
+        assert isinstance(firmware, m.HelloFirmware)
+        assert isinstance(held, m.HelloParameters)
+        version = f"{firmware.major}.{firmware.minor}.{firmware.patch}"
+        info = RobotInfo(identity.capabilities, version, firmware.build, held.parameter_hash, held.watchdog_ms)
+        self._check(info)
+        if self._expected.lockstep:
+            self.tick = self._exchange_step(m.Step(0, 0))
+        return info
 
-    def _check(self, identity: m.HelloIdentity, info: RobotInfo) -> None:
+    @staticmethod
+    def _check_version(identity: m.HelloIdentity) -> None:
         if identity.protocol_version != m.PROTOCOL_VERSION or identity.schema_hash != m.SCHEMA_HASH:
             raise BadInputError(
                 f"the robot speaks protocol {identity.protocol_version} with schema {identity.schema_hash:08x}, this "
                 f"host {m.PROTOCOL_VERSION} with {m.SCHEMA_HASH:08x}; flash the firmware of this version, or install "
                 "the version of the firmware"
             )
-        if info.capabilities & POWER_STAGE and not self._expected.allow_motion:
+
+    def _check(self, info: RobotInfo) -> None:
+        if info.capabilities & Capability.POWER_STAGE and not self._expected.allow_motion:
             raise BadInputError(
                 "the robot reports a power stage: real motors would move; add --allow-motion when it may move"
             )
-        if bool(info.capabilities & LOCKSTEP) != self._expected.lockstep:
+        if bool(info.capabilities & Capability.LOCKSTEP) != self._expected.lockstep:
             ours, theirs = ("lockstep", "realtime") if self._expected.lockstep else ("realtime", "lockstep")
             raise BadInputError(
                 f"this run is in mode {ours} and the robot in mode {theirs}; start both with the same --mode"
@@ -166,7 +168,19 @@ class Stm32:
         The robot must be seen in IDLE first: arming is an edge.
         """
         self._clock = clock
-        begin_ns = clock.now_ns()
+        try:
+            return self._start(clock.now_ns(), period_ns)
+        except BaseException:
+            self.disarm()
+            raise
+
+    def disarm(self) -> None:
+        """Wish for IDLE if anything else was wished for; at best effort, for use when something has failed already."""
+        if self._request is not m.Request.IDLE:
+            with contextlib.suppress(HilError):
+                self._wish(m.Request.IDLE)
+
+    def _start(self, begin_ns: int, period_ns: int) -> int:
         n = 0
         while True:
             now_ns = begin_ns + n * period_ns
@@ -187,17 +201,21 @@ class Stm32:
 
     def _ask_to_arm(self) -> None:
         if self._request is m.Request.IDLE:
-            self._wish(m.Request.ARM)
+            self._announce_and_arm()
             return
         refusal = self.status.arm_refusal if self.status is not None else m.ArmRefusal.NONE
-        if refusal in (m.ArmRefusal.NONCE_USED, m.ArmRefusal.SESSION_USED, m.ArmRefusal.NOT_IDLE):
+        if refusal in _ANOTHER_NONCE_HELPS:
             self.status = None
             self._nonce = next(self._nonces)
-            self._wish(m.Request.ARM)
+            self._announce_and_arm()
         elif refusal != m.ArmRefusal.NONE:
             raise DeviceError(
                 f"the robot refused to arm: {m.ArmRefusal(refusal).name}; see the arming rules in PROTOCOL.md"
             )
+
+    def _announce_and_arm(self) -> None:
+        self._wish(m.Request.IDLE)
+        self._wish(m.Request.ARM)
 
     def _why_not_active(self) -> str:
         if self._feedback is None:
@@ -264,22 +282,25 @@ class Stm32:
 
     def step(self, ticks: int) -> None:
         """Lockstep: let so many firmware ticks pass, and take what the robot sends meanwhile."""
-        reached = (self.tick + ticks) & 0xFFFF_FFFF
-        self.tick = self._exchange_step(m.Step(self.tick, ticks), reached)
+        self.tick = self._exchange_step(m.Step(self.tick, ticks))
 
-    def _exchange_step(self, step: m.Step, expected: int | None) -> int:
+    def _exchange_step(self, step: m.Step) -> int:
+        """Send a STEP and take what comes until its answer; return the tick reached. 0 substeps only ask for it."""
+        expected = (step.tick + step.substeps) & 0xFFFF_FFFF if step.substeps else None
         self._send(step)
         begin_ns = sent_ns = time.monotonic_ns()
         while True:
             received = self._link.receive(_RETRY_NS)
             message = self._take(received.frame) if received is not None else None
-            if isinstance(message, m.StepDone):
-                if expected is None or message.tick == expected:
-                    return message.tick
-                raise DeviceError(
-                    f"the robot is at tick {message.tick} where {expected} was expected; it was reset or is stepped "
-                    "by another host"
-                )
+            if isinstance(message, m.StepDone) and (expected is None or message.tick != step.tick):
+                if expected not in (None, message.tick):
+                    raise DeviceError(
+                        f"the robot is at tick {message.tick} where {expected} was expected; it was reset or is "
+                        "stepped by another host"
+                    )
+                self._hash(self._received_hash, codec.encode(message))
+                return message.tick
+            # An answer with the tick where this step begins is the second one to a step that was sent twice.
             now_ns = time.monotonic_ns()
             if now_ns - begin_ns > SILENCE_NS:
                 raise DeviceError("the robot did not answer STEP within 2 s of wall-clock time; it was lost")
@@ -318,7 +339,8 @@ class Stm32:
             self._out_of_range += 1
             return None
         self.received += 1
-        self._hash(self._received_hash, frame)
+        if frame.id != m.StepDone.ID:  # hashed once, by the step that it answers
+            self._hash(self._received_hash, frame)
         snapshot = self._assembler.feed(message)
         if snapshot is not None:
             self._feedback = self._map.feedback_from_wire(snapshot)
@@ -356,6 +378,7 @@ class Stm32:
             "range": self._out_of_range,
             "incomplete_snapshot": self._assembler.incomplete,
         }
+        # Between the first and the last LINK_COUNTERS of the session.
         robot = {f"robot_{cause}": count for cause, count in self._robot_rejected.items()}
         return {cause: count for cause, count in (own | robot).items() if count}
 

@@ -4,7 +4,6 @@ The client sends one JSON line ``{"scenario": HASH, "reset": BOOL}``; the server
 or ``{"error": TEXT}``, and then sends records: robot time since power-on, pose, twist, set points and state.
 """
 
-import contextlib
 import json
 import queue
 import socket
@@ -101,10 +100,16 @@ class TruthServer:
                 connection, _ = self._listener.accept()
             except OSError:
                 return  # closed
-            with contextlib.suppress(OSError):  # a client that leaves while greeting is no client
-                self._greet(connection)
+            # Each in a thread of its own: one that says nothing keeps no other waiting.
+            threading.Thread(target=self._greet, args=(connection,), name="truth client", daemon=True).start()
 
     def _greet(self, connection: socket.socket) -> None:
+        try:
+            self._answer(connection)
+        except OSError:
+            connection.close()  # it left while greeting
+
+    def _answer(self, connection: socket.socket) -> None:
         connection.settimeout(_ANSWER_S)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         error = self._refusal(connection.makefile("rb").readline(4096))
@@ -122,10 +127,13 @@ class TruthServer:
         try:
             wish = json.loads(line)
             scenario, reset = wish["scenario"], wish["reset"]
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, RecursionError):
             return "the request was not understood"
         if scenario != self._hash:
-            return f"the robot runs another scenario (hash {self._hash[:12]}, asked for {str(scenario)[:12]})"
+            return (
+                f"the robot runs another scenario (hash {self._hash[:12]}, asked for {str(scenario)[:12]}); start both "
+                "from the same scenario and overrides"
+            )
         if reset and self.request_reset is not None:
             answers: queue.Queue[bool] = queue.Queue()
             self.request_reset(answers.put)
@@ -160,6 +168,7 @@ class TruthClient:
         self._url = url
         self._not_before = not_before
         self._data = bytearray()
+        self._whole = b""
         self.newest: TruthRecord | None = None
         host, port = self._address(url)
         try:
@@ -172,7 +181,7 @@ class TruthClient:
         except ValueError as error:
             raise DeviceError(f"truth {url!r}: something else listens there; use the URL of hil device") from error
         if "error" in answer:
-            raise DeviceError(f"truth {url!r}: {answer['error']}; start both from the same scenario and overrides")
+            raise DeviceError(f"truth {url!r}: {answer['error']}")
 
     @staticmethod
     def _address(url: str) -> tuple[str, int]:
@@ -211,20 +220,29 @@ class TruthClient:
                 self._read(blocking=True)
         return self.newest.fix if self.newest is not None else None
 
+    @property
+    def taken(self) -> list[TruthRecord]:
+        """Every record that the last poll took, the newest last."""
+        return [_unpack(self._whole[at : at + _RECORD.size]) for at in range(0, len(self._whole), _RECORD.size)]
+
     def _read(self, *, blocking: bool) -> None:
+        """Take all that has arrived; with ``blocking``, wait for something first."""
         self._connection.settimeout(_ANSWER_S if blocking else 0)
         try:
-            chunk = self._connection.recv(65536)
+            while chunk := self._connection.recv(65536):
+                self._data += chunk
+                self._connection.settimeout(0)
         except (BlockingIOError, TimeoutError):
-            chunk = None
+            pass
         except OSError as error:
             raise DeviceError(f"truth {self._url!r} was lost: {error}") from error
-        if chunk == b"":
+        else:
             raise DeviceError(f"truth {self._url!r} was closed: the robot's process has ended")
-        self._data += chunk or b""
+        self._whole = b""
         whole = len(self._data) // _RECORD.size * _RECORD.size
         if whole:
-            self.newest = _unpack(bytes(self._data[whole - _RECORD.size : whole]))
+            self._whole = bytes(self._data[:whole])
+            self.newest = _unpack(self._whole[-_RECORD.size :])
             del self._data[:whole]
 
     def close(self) -> None:

@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol
 from firmware_protocol.host import HostNode, View
 from hil.clock import TICK_NS
 from hil.devices.wheel_map import WheelMap
-from hil.errors import BadInputError, HilError
+from hil.errors import BadInputError, DeviceError, HilError
 from hil.links.wire import Wire
 from hil.plant.fmu import FmuPlant
 from hil.types import PoseFix
@@ -53,6 +53,12 @@ class VirtualStm32:
         """Put the plant back to its start and the firmware to its power-on state."""
         self.plant.reset()
         self.node = self._power_on()
+
+    def failure(self) -> DeviceError | None:
+        """Return why the plant failed, in the FMU's words, or None while it has not."""
+        if not self.node.look().plant_failed:
+            return None
+        return DeviceError(f"the plant failed at {self.node.look().tick} ms: {self.plant.message}")
 
     def truth(self) -> PoseFix:
         """Return where the robot really is."""
@@ -100,7 +106,7 @@ class VirtualServer:
         self._reset = answer
 
     def serve(self) -> None:
-        """Serve until ``stop``. Raises LinkError when the link is lost."""
+        """Serve until ``stop``. Raises LinkError when the link is lost, DeviceError when the plant fails."""
         while not self._stopping.is_set():
             self.service(_POLL_NS)
 
@@ -141,6 +147,8 @@ class VirtualServer:
     def _publish(self) -> None:
         view = self._robot.node.look() if self._truth.wants_view else None
         self._truth.publish(self._robot.truth(), view)
+        if view is not None and view.plant_failed and (failure := self._robot.failure()) is not None:
+            raise failure
 
     def _power_cycle(self) -> None:
         answer, self._reset = self._reset, None

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from hil.errors import BadInputError
 from hil.links.framed import StreamLink
 from hil.links.streams import MemoryStream, memory_pair
-from hil.links.url import CanUrl, LinkUrl, MemoryUrl, SerialUrl
+from hil.links.url import CanUrl, LinkUrl, MemoryUrl, SerialUrl, format_link
 from hil.links.wire import CanWire, SerialWire, Wire
 from hil.ports import Link
 
@@ -64,14 +64,15 @@ def open_robot(url: LinkUrl) -> tuple[Wire, str]:
     match url:
         case SerialUrl() if url.is_pty:
             pty = _pty_stream(url)
-            return SerialWire(pty), f"serial:{url.symlink or pty.port}"
+            return SerialWire(pty), format_link(SerialUrl(url.symlink or pty.port, url.baud))
         case SerialUrl():
-            return SerialWire(_serial_stream(url.port, url.baud)), f"serial:{url.port}"
-        case CanUrl():
-            return CanWire(_can_link(url)), f"can:{url.interface}/{url.channel}"
-        case MemoryUrl():
+            return SerialWire(_serial_stream(url.port, url.baud)), format_link(url)
+        case CanUrl() if url.interface != "virtual":
+            return CanWire(_can_link(url)), format_link(url)
+        case _:
             raise BadInputError(
-                "memory: does not reach another process; use --link serial:pty, serial:PATH or can:INTERFACE/CHANNEL"
+                f"{format_link(url)} does not reach another process; use --link serial:pty, serial:PATH or "
+                "can:INTERFACE/CHANNEL"
             )
 
 

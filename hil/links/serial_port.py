@@ -9,6 +9,7 @@ import serial
 from hil.errors import LinkError
 
 _CHUNK = 65536
+_WRITE_TIMEOUT_S = 1.0  # a line that takes no byte for so long is lost
 
 
 def _open_failure(port: str, error: Exception) -> LinkError:
@@ -38,7 +39,9 @@ class SerialStream:
     def __init__(self, port: str, baud: int) -> None:
         self._name = port
         try:
-            self._port: Any = serial.serial_for_url(port, baudrate=baud, timeout=0, do_not_open=True)
+            self._port: Any = serial.serial_for_url(
+                port, baudrate=baud, timeout=0, write_timeout=_WRITE_TIMEOUT_S, do_not_open=True
+            )
             if "://" not in port:
                 self._port.exclusive = True
             self._port.open()

@@ -211,7 +211,7 @@ def _escape(text: str) -> str:
     def percent(match: re.Match[str]) -> str:
         return "".join(f"%{byte:02X}" for byte in match.group().encode("utf-8", "surrogateescape"))
 
-    return re.sub("[%?&\\udc80-\\udcff]", percent, text)
+    return re.sub("[%?& \\udc80-\\udcff]", percent, text)
 
 
 def _unescape(text: str) -> str:

@@ -117,8 +117,8 @@ class LinkTable(Table):
     """``[link]``: the wire, and the latency added to it, in robot time."""
 
     url: Text = Field(default="memory:", description="memory:, serial:PATH or can:INTERFACE/CHANNEL")
-    command_latency_s: float = Field(default=0.0, ge=0, le=1, description="added on the way to the firmware")
-    feedback_latency_s: float = Field(default=0.0, ge=0, le=1, description="added on the way back")
+    command_latency_s: Milliseconds = Field(default=0.0, ge=0, le=1, description="added on the way to the firmware")
+    feedback_latency_s: Milliseconds = Field(default=0.0, ge=0, le=1, description="added on the way back")
 
     @field_validator("url")
     @classmethod

@@ -54,9 +54,9 @@ void wheel_host_run(wheel_host *host, uint32_t ticks) {
         wheel_drive drive;
         wheel_node_drive(&host->node, &drive);
         memcpy(host->torque_n_m, drive.torque_n_m, sizeof host->torque_n_m);
-        if (!host->plant_failed && host->exchange(host->context, &drive, &host->sense) != 0) {
-            host->plant_failed = true;
-            wheel_node_fail(&host->node);
+        host->plant_failed = host->plant_failed || host->exchange(host->context, &drive, &host->sense) != 0;
+        if (host->plant_failed) {
+            wheel_node_fail(&host->node); /* at every tick: a plant that is gone is not cleared */
         }
         wheel_node_sense(&host->node, &host->sense);
         collect(host);
@@ -81,7 +81,7 @@ void wheel_host_feed(wheel_host *host, const uint8_t *bytes, size_t length) {
         const bool complete = wheel_deframer_feed(&host->deframer, bytes[i], &frame);
         counts->cobs = host->deframer.cobs;
         counts->crc = host->deframer.crc;
-        counts->length = host->deframer.length_errors;
+        counts->length = host->deframer.length_errors + host->deframer.overruns;
         counts->unknown_id = host->deframer.unknown_id;
         if (complete) {
             take(host, &frame);
