@@ -16,8 +16,8 @@ _PARTS: dict[type, int] = {Encoders: 1, WheelSpeeds: 2, Currents: 4, Gyro: 8}
 class Feedback(NamedTuple):
     """What the robot measured at one sampling instant.
 
-    ``robot_time_ns`` is the robot's own clock (TICK.time_us) and does not wrap from the first snapshot on. ``current_a`` and ``yaw_rate_rad_s`` come
-    at a lower rate and hold their last value; NaN before the first.
+    ``robot_time_ns`` is the robot's own clock (TICK.time_us) and does not wrap from the first snapshot on.
+    ``current_a`` and ``yaw_rate_rad_s`` come at a lower rate and hold their last value; NaN before the first.
     """
 
     robot_time_ns: int
