@@ -67,6 +67,8 @@ def test_killed_controller_leaves_stopped_wheels_and_a_recording_that_opens(tmp_
             seen.extend(watcher.taken)
             return seen[-1]
 
+        wait_for(watcher.poll)
+        seen.extend(watcher.taken)
         wait_for(lambda: newest().state is State.ACTIVE and max(map(abs, seen[-1].set_point_rad_s)) > 3.0)
         begun_ns = seen[-1].fix.time_ns
         wait_for(lambda: newest().fix.time_ns > begun_ns + 1_500_000_000)
