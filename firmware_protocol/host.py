@@ -77,6 +77,7 @@ class View(NamedTuple):
     fault: Fault
     stop_reason: StopReason
     plant_failed: bool
+    command_age_ticks: int
     set_point_rad_s: tuple[float, float, float, float]
     torque_n_m: tuple[float, float, float, float]
     rejected: dict[str, int]
@@ -167,6 +168,7 @@ class HostNode:
             Fault(v.fault),
             StopReason(v.stop_reason),
             v.plant_failed,
+            v.command_age_ticks,
             tuple(v.set_point_rad_s),
             tuple(v.torque_n_m),
             rejected,

@@ -74,15 +74,16 @@ def test_killed_controller_leaves_stopped_wheels_and_a_recording_that_opens(tmp_
         wait_for(lambda: newest().fix.time_ns > begun_ns + 1_500_000_000)
         controller.send_signal(signal.SIGKILL)
         controller.wait()
-        # By now the controller is dead: no command was sent later than this robot time.
-        dead_ns = newest().fix.time_ns
         wait_for(lambda: newest().state is State.IDLE)
         watcher.close()
-    stopping_ns = next(r.fix.time_ns for r in seen if r.fix.time_ns > begun_ns and r.state is State.STOPPING)
-    zero_ns = next(r.fix.time_ns for r in seen if r.fix.time_ns > stopping_ns and not any(r.set_point_rad_s))
-    firmware = scenario.firmware
-    assert stopping_ns - dead_ns <= firmware.watchdog_s * 1e9
-    assert zero_ns - stopping_ns <= firmware.ramp_s * 1e9 + 1e6
+    # In robot time, by the firmware's own count since the last command: never ACTIVE beyond the watchdog, and no set
+    # point left beyond watchdog and ramp. Each record is one; how this machine stalled between them does not matter.
+    watchdog_ms, ramp_ms = scenario.firmware.watchdog_s * 1e3, scenario.firmware.ramp_s * 1e3
+    after = [r for r in seen if r.fix.time_ns > begun_ns]
+    assert {State.ACTIVE, State.STOPPING, State.IDLE} == {r.state for r in after}
+    assert all(r.command_age_ms < watchdog_ms for r in after if r.state is State.ACTIVE)
+    assert all(not any(r.set_point_rad_s) for r in after if r.command_age_ms >= watchdog_ms + ramp_ms)
+    assert any(any(r.set_point_rad_s) for r in after if r.state is State.STOPPING)
     assert math.hypot(seen[-1].fix.twist.vx_m_s, seen[-1].fix.twist.vy_m_s) < 0.05
     run = wait_for(lambda: finished(recording))
     assert len(run.signals["loop.t_s"]) > 200

@@ -1,7 +1,8 @@
 """Ground truth by a path of its own: a loopback TCP socket, never the wheel link.
 
 The client sends one JSON line ``{"scenario": HASH, "reset": BOOL}``; the server answers one JSON line, ``{"ok": true}``
-or ``{"error": TEXT}``, and then sends records: robot time since power-on, pose, twist, set points and state.
+or ``{"error": TEXT}``, and then sends records: robot time since power-on, pose, twist, set points, age of the newest
+command and state.
 """
 
 import json
@@ -19,24 +20,25 @@ from firmware_protocol.host import View
 from hil.errors import BadInputError, DeviceError
 from hil.types import Pose, PoseFix, Twist, Wheels
 
-_RECORD = struct.Struct("<q6d4dB")
+_RECORD = struct.Struct("<q6d4dIB")
 _HOST = "127.0.0.1"
 _ANSWER_S = 2.0
 _LONGEST_ANSWER = 65536
 
 
 class TruthRecord(NamedTuple):
-    """A fix with the firmware's set points [rad/s] and state at that time."""
+    """A fix with the firmware's set points, the age of its newest command and its state at that time."""
 
     fix: PoseFix
     set_point_rad_s: Wheels
+    command_age_ms: int
     state: State
 
 
 def _unpack(data: bytes) -> TruthRecord:
-    time_ns, x, y, heading, vx, vy, yaw_rate, fl, fr, rr, rl, state = _RECORD.unpack(data)
+    time_ns, x, y, heading, vx, vy, yaw_rate, fl, fr, rr, rl, age_ms, state = _RECORD.unpack(data)
     fix = PoseFix(time_ns, Pose(x, y, heading), Twist(vx, vy, yaw_rate))
-    return TruthRecord(fix, Wheels(fl, fr, rr, rl), State(state))
+    return TruthRecord(fix, Wheels(fl, fr, rr, rl), age_ms, State(state))
 
 
 class _Client:
@@ -88,7 +90,9 @@ class TruthServer:
         """Send a record to every reader; never blocks."""
         if view is None:
             return
-        record = _RECORD.pack(fix.time_ns, *fix.pose, *fix.twist, *view.set_point_rad_s, view.state)
+        record = _RECORD.pack(
+            fix.time_ns, *fix.pose, *fix.twist, *view.set_point_rad_s, view.command_age_ticks, view.state
+        )
         self._newest = record
         if self._clients:
             with self._lock:

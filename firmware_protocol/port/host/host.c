@@ -136,6 +136,7 @@ void wheel_host_look(const wheel_host *host, wheel_host_view *view) {
     view->fault = node->fault;
     view->stop_reason = node->stop_reason;
     view->plant_failed = host->plant_failed;
+    view->command_age_ticks = node->setting.age_ticks;
     memcpy(view->set_point_rad_s, node->set_point_rad_s, sizeof view->set_point_rad_s);
     memcpy(view->torque_n_m, host->torque_n_m, sizeof view->torque_n_m);
     view->rejected_cobs = node->transport.cobs;

@@ -24,8 +24,9 @@ typedef struct {
     uint8_t fault;
     uint8_t stop_reason;
     bool plant_failed;
-    float set_point_rad_s[4]; /* what the speed loop follows; in torque mode the measured speed */
-    float torque_n_m[4];      /* the last torque set points given to the drives */
+    uint32_t command_age_ticks; /* since the newest accepted command; UINT32_MAX when there was none */
+    float set_point_rad_s[4];   /* what the speed loop follows; in torque mode the measured speed */
+    float torque_n_m[4];        /* the last torque set points given to the drives */
     uint32_t rejected_cobs;
     uint32_t rejected_crc;
     uint32_t rejected_length;
