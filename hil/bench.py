@@ -9,7 +9,8 @@ from typing import Self
 
 from firmware_protocol.host import parameter_hash, parameters
 from hil.clock import LockstepClock, WallClock
-from hil.devices.stm32 import Expected, RobotInfo, Stm32
+from hil.devices.handshake import Expected, RobotInfo
+from hil.devices.stm32 import Stm32
 from hil.devices.truth import TruthClient
 from hil.devices.virtual import LocalTruth, ServerThread, VirtualRobot, VirtualServer, VirtualStm32
 from hil.devices.wheel_map import WheelMap

@@ -98,7 +98,7 @@ class Loop:
         self._fix: PoseFix | None = None
         self._newest_ns = 0
         self._heard_ns: int | None = None
-        self._age_ms = 0.0
+        self._silent_ns = 0
         self._misses = 0
         self._ticks = 0
         self._stale = 0
@@ -214,23 +214,20 @@ class Loop:
             raise DeviceError("the robot sends no feedback")
         if self._heard_ns is None or feedback.robot_time_ns != self._newest_ns:
             self._newest_ns, self._heard_ns = feedback.robot_time_ns, now_ns
-        silent_ns = now_ns - self._heard_ns
-        self._age_ms = (silent_ns + self._timing.feedback_latency_ns) * 1e-6
+        self._silent_ns = now_ns - self._heard_ns
         if feedback.state is not RobotState.ACTIVE:
             raise DeviceError(self._why_stopped(feedback.state))
-        if silent_ns > _LOST_NS:
+        if self._silent_ns > _LOST_NS:
             raise LinkError(
-                f"no feedback for {silent_ns * 1e-6:.0f} ms at t = {self.t_s:.3f} s: the link or the robot was lost"
+                f"no feedback for {self._silent_ns * 1e-6:.0f} ms at t = {self.t_s:.3f} s: the link or the robot was "
+                "lost"
             )
         return feedback
 
     def _is_stale(self, feedback: Feedback, fix: PoseFix | None) -> bool:
         """Nothing is driven by what is older than the firmware's own patience with us."""
-        limit_ns = self._timing.stale_ns
-        latency_ms = self._timing.feedback_latency_ns * 1e-6
-        if (self._age_ms - latency_ms) * 1e6 > limit_ns:
-            return True
-        return fix is not None and feedback.robot_time_ns - fix.time_ns > limit_ns
+        behind_ns = feedback.robot_time_ns - fix.time_ns if fix is not None else 0
+        return max(self._silent_ns, behind_ns) > self._timing.stale_ns
 
     def _why_stopped(self, state: RobotState) -> str:
         reason = self._parts.device.stop_reason()
@@ -250,6 +247,7 @@ class Loop:
         if number % 100 == 0:
             self._rejected = sum(device.rejected().values())
         command = applied.command
+        age_ms = (self._silent_ns + self._timing.feedback_latency_ns) * 1e-6
         truth = fix.pose if fix is not None else NAN_POSE
         self._parts.sink.put(
             Sample(
@@ -271,7 +269,7 @@ class Loop:
                     feedback.yaw_rate_rad_s,
                 ),
                 GuardSignals(applied.saturated),
-                LinkSignals(device.sent, device.received, self._rejected, self._age_ms),
+                LinkSignals(device.sent, device.received, self._rejected, age_ms),
             ).row()
         )
 

@@ -11,7 +11,8 @@ from firmware_protocol.framing import Framer
 from firmware_protocol.generated import messages as m
 from firmware_protocol.host import parameter_hash
 from hil.clock import LockstepClock
-from hil.devices.stm32 import Expected, Stm32
+from hil.devices.handshake import Expected
+from hil.devices.stm32 import Stm32
 from hil.devices.truth import TruthClient
 from hil.devices.wheel_map import WheelMap
 from hil.errors import BadInputError, DeviceError

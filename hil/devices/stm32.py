@@ -9,15 +9,15 @@ import hashlib
 import struct
 import time
 from collections.abc import Iterator
-from typing import NamedTuple
 
 from firmware_protocol import codec
-from firmware_protocol.capabilities import Capability
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m
+from hil.devices import handshake
+from hil.devices.handshake import Expected, RobotInfo
 from hil.devices.snapshot import Feedback, SnapshotAssembler
 from hil.devices.wheel_map import WheelMap
-from hil.errors import BadInputError, DeviceError, HilError
+from hil.errors import DeviceError, HilError
 from hil.links.delay import DelayedLink
 from hil.ports import Clock
 from hil.types import ZERO_WHEELS, CommandMode, WheelCommand
@@ -26,7 +26,6 @@ SILENCE_NS = 2_000_000_000  # wall-clock silence that ends a handshake or a step
 _RETRY_NS = 200_000_000
 _HEARTBEAT_NS = 100_000_000
 _START_LIMIT_NS = 4_000_000_000
-_PAGES = (m.HelloIdentity, m.HelloFirmware, m.HelloParameters)
 _FIRST_HELLO_ID = m.HelloRequest.ID
 _ANOTHER_NONCE_HELPS = (
     m.ArmRefusal.NONCE_USED,
@@ -35,31 +34,6 @@ _ANOTHER_NONCE_HELPS = (
     m.ArmRefusal.NOT_ANNOUNCED,
 )
 _HEADER = struct.Struct("<HB")
-
-
-class RobotInfo(NamedTuple):
-    """What the robot said of itself in HELLO."""
-
-    capabilities: int
-    firmware: str
-    build: int
-    parameter_hash: int
-    watchdog_ms: int
-
-    def describe(self) -> str:
-        """Return the same in words."""
-        return (
-            f"firmware {self.firmware} (build {self.build:08x}), capabilities {self.capabilities:#06x}, parameters "
-            f"{self.parameter_hash:08x}, watchdog {self.watchdog_ms} ms"
-        )
-
-
-class Expected(NamedTuple):
-    """What the host holds the robot to, before anything moves."""
-
-    parameter_hash: int
-    lockstep: bool
-    allow_motion: bool
 
 
 class Stm32:
@@ -104,61 +78,11 @@ class Stm32:
 
     def connect(self) -> RobotInfo:
         """Ask for HELLO and check the answer against what the scenario expects."""
-        pages: dict[type, codec.Message] = {}
-        deadline_ns = time.monotonic_ns() + SILENCE_NS
-        retry_ns = 0
-        while len(pages) < len(_PAGES):
-            now_ns = time.monotonic_ns()
-            if now_ns > deadline_ns:
-                raise DeviceError(
-                    "the robot did not answer HELLO within 2 s; check that it is powered, that the link is the "
-                    "right one, and its baud or bit rate"
-                )
-            if now_ns >= retry_ns:
-                self._send(m.HelloRequest(m.PROTOCOL_VERSION))
-                retry_ns = now_ns + _RETRY_NS
-            received = self._link.receive(_RETRY_NS)
-            message = codec.decode(received.frame) if received is not None else None
-            if isinstance(message, m.HelloIdentity):
-                # Page 0 is frozen for ever; the others may differ in a robot of another version.
-                self._check_version(message)
-            if isinstance(message, _PAGES):
-                pages[type(message)] = message
-        identity, firmware, held = (pages[kind] for kind in _PAGES)
-        assert isinstance(identity, m.HelloIdentity)
-        assert isinstance(firmware, m.HelloFirmware)
-        assert isinstance(held, m.HelloParameters)
-        version = f"{firmware.major}.{firmware.minor}.{firmware.patch}"
-        info = RobotInfo(identity.capabilities, version, firmware.build, held.parameter_hash, held.watchdog_ms)
-        self._check(info)
+        info = handshake.greet(self._link, self._send)
+        handshake.check(info, self._expected)
         if self._expected.lockstep:
             self.tick = self._exchange_step(m.Step(0, 0))
         return info
-
-    @staticmethod
-    def _check_version(identity: m.HelloIdentity) -> None:
-        if identity.protocol_version != m.PROTOCOL_VERSION or identity.schema_hash != m.SCHEMA_HASH:
-            raise BadInputError(
-                f"the robot speaks protocol {identity.protocol_version} with schema {identity.schema_hash:08x}, this "
-                f"host {m.PROTOCOL_VERSION} with {m.SCHEMA_HASH:08x}; flash the firmware of this version, or install "
-                "the version of the firmware"
-            )
-
-    def _check(self, info: RobotInfo) -> None:
-        if info.capabilities & Capability.POWER_STAGE and not self._expected.allow_motion:
-            raise BadInputError(
-                "the robot reports a power stage: real motors would move; add --allow-motion when it may move"
-            )
-        if bool(info.capabilities & Capability.LOCKSTEP) != self._expected.lockstep:
-            ours, theirs = ("lockstep", "realtime") if self._expected.lockstep else ("realtime", "lockstep")
-            raise BadInputError(
-                f"this run is in mode {ours} and the robot in mode {theirs}; start both with the same --mode"
-            )
-        if info.parameter_hash != self._expected.parameter_hash:
-            raise BadInputError(
-                f"the robot's firmware parameters (hash {info.parameter_hash:08x}) are not the scenario's [firmware] "
-                f"(hash {self._expected.parameter_hash:08x}); start both from the same scenario and overrides"
-            )
 
     # The way to ACTIVE and back
 

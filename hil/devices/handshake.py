@@ -1,0 +1,100 @@
+"""The handshake: HELLO and its pages, and what a host holds a robot to before anything moves."""
+
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+from firmware_protocol import codec
+from firmware_protocol.capabilities import Capability
+from firmware_protocol.generated import messages as m
+from hil.errors import BadInputError, DeviceError
+from hil.ports import Link
+
+SILENCE_NS = 2_000_000_000
+_RETRY_NS = 200_000_000
+_PAGES = (m.HelloIdentity, m.HelloFirmware, m.HelloParameters)
+
+
+class RobotInfo(NamedTuple):
+    """What the robot said of itself in HELLO."""
+
+    capabilities: int
+    firmware: str
+    build: int
+    parameter_hash: int
+    watchdog_ms: int
+
+    def describe(self) -> str:
+        """Return the same in words."""
+        return (
+            f"firmware {self.firmware} (build {self.build:08x}), capabilities {self.capabilities:#06x}, parameters "
+            f"{self.parameter_hash:08x}, watchdog {self.watchdog_ms} ms"
+        )
+
+
+class Expected(NamedTuple):
+    """What the host holds the robot to, before anything moves."""
+
+    parameter_hash: int
+    lockstep: bool
+    allow_motion: bool
+
+
+def greet(link: Link, send: Callable[[codec.Message], None]) -> RobotInfo:
+    """Ask for the HELLO pages until all have come.
+
+    Raises DeviceError when the robot does not answer within 2 s, BadInputError when it speaks another version.
+    """
+    pages: dict[type, codec.Message] = {}
+    deadline_ns = time.monotonic_ns() + SILENCE_NS
+    retry_ns = 0
+    while len(pages) < len(_PAGES):
+        now_ns = time.monotonic_ns()
+        if now_ns > deadline_ns:
+            raise DeviceError(
+                "the robot did not answer HELLO within 2 s; check that it is powered, that the link is the right one, "
+                "and its baud or bit rate"
+            )
+        if now_ns >= retry_ns:
+            send(m.HelloRequest(m.PROTOCOL_VERSION))
+            retry_ns = now_ns + _RETRY_NS
+        received = link.receive(_RETRY_NS)
+        message = codec.decode(received.frame) if received is not None else None
+        if isinstance(message, m.HelloIdentity):
+            # Page 0 is frozen for ever; the others may differ in a robot of another version.
+            _check_version(message)
+        if isinstance(message, _PAGES):
+            pages[type(message)] = message
+    identity, firmware, held = (pages[kind] for kind in _PAGES)
+    assert isinstance(identity, m.HelloIdentity)
+    assert isinstance(firmware, m.HelloFirmware)
+    assert isinstance(held, m.HelloParameters)
+    version = f"{firmware.major}.{firmware.minor}.{firmware.patch}"
+    return RobotInfo(identity.capabilities, version, firmware.build, held.parameter_hash, held.watchdog_ms)
+
+
+def _check_version(identity: m.HelloIdentity) -> None:
+    if identity.protocol_version != m.PROTOCOL_VERSION or identity.schema_hash != m.SCHEMA_HASH:
+        raise BadInputError(
+            f"the robot speaks protocol {identity.protocol_version} with schema {identity.schema_hash:08x}, this host "
+            f"{m.PROTOCOL_VERSION} with {m.SCHEMA_HASH:08x}; flash the firmware of this version, or install this "
+            "package in the firmware's version"
+        )
+
+
+def check(info: RobotInfo, expected: Expected) -> None:
+    """Raise BadInputError unless the robot is the one that the scenario describes, and may move."""
+    if info.capabilities & Capability.POWER_STAGE and not expected.allow_motion:
+        raise BadInputError(
+            "the robot reports a power stage: real motors would move; add --allow-motion when it may move"
+        )
+    if bool(info.capabilities & Capability.LOCKSTEP) != expected.lockstep:
+        ours, theirs = ("lockstep", "realtime") if expected.lockstep else ("realtime", "lockstep")
+        raise BadInputError(
+            f"this run is in mode {ours} and the robot in mode {theirs}; start both with the same --mode"
+        )
+    if info.parameter_hash != expected.parameter_hash:
+        raise BadInputError(
+            f"the robot's firmware parameters (hash {info.parameter_hash:08x}) are not the scenario's [firmware] "
+            f"(hash {expected.parameter_hash:08x}); start both from the same scenario and overrides"
+        )
