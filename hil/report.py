@@ -1,5 +1,6 @@
 """What the commands print for a person."""
 
+import shutil
 import sys
 import threading
 from collections.abc import Iterator, Mapping, Sequence
@@ -92,11 +93,18 @@ def print_result(result: RunResult) -> None:
     path = result.metrics["recording"]
     print()
     print("Next:")
-    hints = [(f"  hil show {result.scenario.path or result.scenario.name}", "# every value and where it came from")]
+    hil = _command()
+    hints = [(f"  {hil} show {result.scenario.path or result.scenario.name}", "# every value and where it came from")]
     if path is not None:
-        hints.insert(0, (f"  hil view {path}", "# see it in the rerun viewer; --web for a browser"))
-        hints.insert(1, (f"  hil review {path}", "# the figures again, from the recording alone"))
+        hints.insert(0, (f"  {hil} view {path}", "# see it in the rerun viewer; --web for a browser"))
+        hints.insert(1, (f"  {hil} review {path}", "# the figures again, from the recording alone"))
     print_table(hints)
+
+
+def _command() -> str:
+    """Return how this user reaches the command: by name, or by the path of a virtual environment not activated."""
+    called = Path(sys.argv[0])
+    return "hil" if shutil.which("hil") or called.name != "hil" else str(called)
 
 
 def print_figures(metrics: Mapping[str, Any]) -> None:
