@@ -105,7 +105,9 @@ def device(
     link: LinkUrl = None,
     mode: Mode = None,
     robot: RobotFile = None,
-    truth_port: Annotated[int, typer.Option(metavar="PORT", help="for the truth; 0 takes a free one")] = 0,
+    truth_port: Annotated[
+        int, typer.Option(metavar="PORT", help="for the truth; 0 takes a free one", min=0, max=65535)
+    ] = 0,
     seed: Seed = None,
     sets: Sets = None,
 ) -> None:

@@ -99,6 +99,12 @@ def write(tmp_path: Path, text: str) -> Path:
         ("", ("--set", "link.command_latency_s=0.0025"), 2, ["command_latency_s", "whole number of milliseconds"]),
         ("", ("--mode", "lockstpe"), 2, ["lockstpe", "lockstep"]),
         ("", ("--truth", "tcp://127.0.0.1:1"), 2, ["--truth", "leave"]),
+        (
+            "",
+            ("--truth", "tcp://[::1", "--link", "serial:/dev/null"),
+            2,
+            ["tcp://[::1", "expected tcp://127.0.0.1:PORT"],
+        ),
     ],
 )
 def test_bad_input_is_one_sentence(tmp_path: Path, scenario, options, code, words):

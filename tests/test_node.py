@@ -8,6 +8,7 @@ from firmware_protocol import codec
 from firmware_protocol.framing import Frame, Framer
 from firmware_protocol.generated import messages as m
 from firmware_protocol.host import HostNode, library, parameter_hash, parameters
+from hil.devices.snapshot import SnapshotAssembler
 from tests.wheel_rig import PARAMETERS, WheelRig
 
 
@@ -255,12 +256,30 @@ def test_a_plant_that_is_gone_is_not_cleared():
     assert rig.state is m.State.FAULT
 
 
-def test_an_ignored_event_keeps_the_reason_of_the_stop():
+def test_estop_of_a_faulty_robot_latches_and_keeps_its_reason():
     rig = WheelRig(overspeed_rad_s=8.0)
     rig.activate()
     rig.drive(10.0, 1000)
-    rig.send(m.Estop(0, 0))
     assert (rig.state, rig.node.look().stop_reason) == (m.State.FAULT, m.StopReason.FAULT)
+    rig.send(m.Estop(0, 0))
+    rig.current_a = float("nan")
+    for _ in range(10):
+        rig.run(1)
+        assert rig.torque_n_m == [0.0] * 4
+    assert (rig.state, rig.node.look().stop_reason) == (m.State.ESTOP, m.StopReason.ESTOP)
+
+
+def test_a_sensor_fault_is_still_told():
+    rig = WheelRig()
+    rig.activate()
+    rig.drive(5.0, 100)
+    rig.heard()
+    rig.current_a = float("nan")
+    rig.run(20)
+    assembler = SnapshotAssembler()
+    heard = [f for x in rig.heard() if (f := assembler.feed(x)) is not None]
+    assert heard[-1].state is m.State.FAULT
+    assert assembler.incomplete == 0
 
 
 def test_torque_mode_stops_by_the_speed_loop():

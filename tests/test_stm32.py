@@ -152,6 +152,45 @@ def test_a_robot_that_was_reset_is_noticed():
         device.step(5)
 
 
+def test_another_hosts_session_is_not_taken_for_ours():
+    rig = WheelRig(lockstep=True)
+    device, clock = driver(rig)
+    device.connect()
+
+    class WhileAnotherArms:
+        """Between our looking and our arming, another host arms the robot and drives it."""
+
+        sequence = 0
+
+        def now_ns(self) -> int:
+            return clock.now_ns()
+
+        def wait_until(self, t_ns: int) -> int:
+            if rig.state is m.State.IDLE and self.sequence == 0:
+                rig.arm(nonce=0x7771)
+            rig.command(0.0, self.sequence)
+            self.sequence += 1
+            return clock.wait_until(t_ns)
+
+    with pytest.raises(DeviceError, match="another controller drives it"):
+        device.start(WhileAnotherArms(), PERIOD_NS)
+    assert rig.state is m.State.ACTIVE
+
+
+def test_a_stop_does_not_wait_for_the_links_latency():
+    rig = WheelRig(lockstep=True)
+    link = StreamLink(plug_in(rig))
+    clock = LockstepClock(lambda ticks: device.step(ticks))
+    expected = Expected(parameter_hash(PARAMETERS), lockstep=True, allow_motion=False)
+    delayed = DelayedLink(link, clock, 20_000_000, 0)
+    device = Stm32(delayed, CommandMode.SPEED, expected, itertools.count(0x2341), WheelMap())
+    device.connect()
+    device.start(clock, PERIOD_NS)
+    device.disarm()
+    link.receive(0)
+    assert rig.state is m.State.STOPPING
+
+
 def test_latched_states_are_said_with_what_to_do():
     rig = WheelRig(lockstep=True)
     rig.send(m.Estop(0, 0))

@@ -129,6 +129,21 @@ def test_sigterm_stops_the_robot_and_closes_the_recording(tmp_path: Path):
     assert len(read(recording).signals["loop.t_s"]) > 0
 
 
+def test_an_abandoned_lockstep_robot_is_put_back_to_its_start():
+    """Its host was killed: time stands still, so only silence tells that nobody drives it any more."""
+    lockstep = ("paper_circle", "--mode", "lockstep")
+    with device(*lockstep, "--link", "serial:pty") as robot:
+        there = ("--link", robot.link, "--truth", robot.truth, "--record", "none")
+        controller = subprocess.Popen([*HIL, "run", *lockstep, *there], env=environment())
+        watcher = TruthClient(robot.truth, load("paper_circle").hash, reset=False)
+        wait_for(lambda: watcher.poll() and watcher.newest.state is State.ACTIVE)
+        controller.kill()
+        controller.wait()
+        watcher.close()
+        again = wait_for(lambda: run if (run := hil("run", *lockstep, *there, "--json")).returncode == 0 else None)
+    assert '"passed": true' in again.stdout
+
+
 def test_lost_robot_ends_the_run_with_exit_code_3():
     with device("paper_circle", "--mode", "realtime", "--link", "serial:pty", *RATE) as robot:
         controller = subprocess.Popen(

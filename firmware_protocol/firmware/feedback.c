@@ -75,8 +75,11 @@ static void send_snapshot(wheel_node *node, const wheel_sense *sense, bool slow_
 void wheel_node_send_feedback(wheel_node *node, const wheel_sense *sense) {
     const uint32_t period = wheel_ticks(node->parameters.feedback_period_s);
     if (period > 0u && node->tick % period == 0u) {
-        const bool slow_parts =
+        const bool due =
             period >= WHEEL_SLOW_PART_PERIOD_TICKS || node->tick % WHEEL_SLOW_PART_PERIOD_TICKS == 0u;
+        /* A value that is no number cannot be sent: its part is not announced, so that the rest still counts.
+         */
+        const bool slow_parts = due && wheel_sense_is_finite(sense);
         send_snapshot(node, sense, slow_parts);
     }
     if (node->tick % WHEEL_STATUS_PERIOD_TICKS == 0u) {

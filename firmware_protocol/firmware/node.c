@@ -103,7 +103,7 @@ static bool is_finite(float x) {
     return x - x == 0.0f;
 }
 
-static bool sense_is_finite(const wheel_sense *sense) {
+bool wheel_sense_is_finite(const wheel_sense *sense) {
     bool finite = true;
     for (size_t i = 0; i < WHEEL_COUNT; i++) {
         finite = finite && is_finite(sense->current_a[i]);
@@ -152,7 +152,7 @@ void wheel_node_sense(wheel_node *node, const wheel_sense *sense) {
         node->speed_rad_s[i] = wheel_tracker_update(&node->tracker[i], sense->count[i], &node->parameters);
     }
     node->rest_ticks = largest_speed(node) < STANDSTILL_RAD_S ? node->rest_ticks + 1u : 0u;
-    if (!sense_is_finite(sense)) {
+    if (!wheel_sense_is_finite(sense)) {
         fault(node, WP_FAULT_SENSOR);
     }
     supervise(node);

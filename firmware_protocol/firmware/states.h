@@ -26,7 +26,7 @@ typedef struct {
     uint8_t to;
 } wheel_transition;
 
-#define WHEEL_TRANSITION_COUNT 19
+#define WHEEL_TRANSITION_COUNT 20
 extern const wheel_transition wheel_transitions[WHEEL_TRANSITION_COUNT];
 
 /* The state that follows, or the same state when the table does not know the event there. */

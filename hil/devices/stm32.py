@@ -103,6 +103,7 @@ class Stm32:
         if self._request is not m.Request.IDLE:
             with contextlib.suppress(HilError):
                 self._wish(m.Request.IDLE)
+                self._link.flush()
 
     def _start(self, begin_ns: int, period_ns: int) -> int:
         n = 0
@@ -113,11 +114,13 @@ class Stm32:
             self.wait_until(now_ns)
             feedback = self.poll()
             state = feedback.state if feedback is not None else None
-            if state is m.State.ACTIVE and self._request is m.Request.ARM:
+            # STATUS tells whose session it is: another host may have armed the robot meanwhile.
+            ours = self.status is not None and self.status.nonce == self._nonce
+            if state is m.State.ACTIVE and ours:
                 return now_ns
             if state is m.State.IDLE:
                 self._ask_to_arm()
-            elif state is m.State.ARMED and self._request is m.Request.ARM:
+            elif state is m.State.ARMED and ours:
                 self.send(WheelCommand(self._mode, ZERO_WHEELS, ZERO_WHEELS))
             elif state in (m.State.FAULT, m.State.ESTOP):
                 raise DeviceError(self._why_not_active())

@@ -77,8 +77,8 @@ class TruthServer:
         self._hash = scenario_hash
         try:
             self._listener = socket.create_server((_HOST, port))
-        except OSError as error:
-            raise BadInputError(f"truth port {port} cannot be opened ({error.strerror}); choose another") from error
+        except (OSError, OverflowError) as error:
+            raise BadInputError(f"truth port {port} cannot be opened ({error}); choose another") from error
         self.url = f"tcp://{_HOST}:{self._listener.getsockname()[1]}"
         self._clients: list[_Client] = []
         self._newest: bytes | None = None
@@ -189,11 +189,11 @@ class TruthClient:
 
     @staticmethod
     def _address(url: str) -> tuple[str, int]:
-        parts = urlsplit(url)
         try:
+            parts = urlsplit(url)
             port = parts.port
         except ValueError:
-            port = None
+            parts, port = urlsplit(""), None
         if parts.scheme != "tcp" or not parts.hostname or port is None:
             raise BadInputError(f"truth {url!r} is no address; expected tcp://127.0.0.1:PORT as hil device prints it")
         return parts.hostname, port

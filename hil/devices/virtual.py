@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
+from firmware_protocol.generated.messages import State
 from firmware_protocol.host import HostNode, View
 from hil.clock import TICK_NS
 from hil.devices.wheel_map import WheelMap
@@ -18,6 +19,7 @@ from hil.types import PoseFix
 # robot time slips, which is counted: a frozen machine is no robot any more.
 _CATCH_UP_TICKS = 50
 _POLL_NS = 20_000_000
+_ABANDONED_NS = 2_000_000_000
 
 
 class VirtualRobot(NamedTuple):
@@ -93,6 +95,7 @@ class VirtualServer:
         self._lockstep = lockstep
         self._stopping = threading.Event()
         self._start_ns = time.monotonic_ns()
+        self._heard_ns = self._start_ns
         self._ticks = 0
         self._reset: Callable[[bool], None] | None = None
         self.slipped_ticks = 0
@@ -101,7 +104,7 @@ class VirtualServer:
     def request_reset(self, answer: Callable[[bool], None]) -> None:
         """Ask for a power cycle before the next exchange; ``answer`` is called with whether it was done.
 
-        It is refused while the robot is armed or moves.
+        It is refused while the robot is armed or moves, unless in lockstep its host has been silent for 2 s.
         """
         self._reset = answer
 
@@ -120,6 +123,7 @@ class VirtualServer:
             self._power_cycle()
         if self._lockstep:
             if self._wire.receive_into(self._robot.node, timeout_ns):
+                self._heard_ns = time.monotonic_ns()
                 self._publish()
                 self._wire.send_from(self._robot.node)
         else:
@@ -152,7 +156,10 @@ class VirtualServer:
 
     def _power_cycle(self) -> None:
         answer, self._reset = self._reset, None
-        at_rest = self._robot.node.look().state.name not in ("ARMED", "ACTIVE", "STOPPING")
+        at_rest = self._robot.node.look().state not in (State.ARMED, State.ACTIVE, State.STOPPING)
+        # In lockstep time stands still without a host, and the watchdog with it: one that has gone left the robot so.
+        abandoned = self._lockstep and time.monotonic_ns() - self._heard_ns > _ABANDONED_NS
+        at_rest = at_rest or abandoned
         if at_rest:
             self._robot.power_cycle()
             self._start_ns = time.monotonic_ns()

@@ -48,6 +48,11 @@ class DelayedLink:
         while self._outgoing and self._outgoing[0][0] <= now_ns:
             self._link.send(self._outgoing.popleft()[1])
 
+    def flush(self) -> None:
+        """Hand over everything that is held, in order: nobody will wait for it to be due."""
+        while self._outgoing:
+            self._link.send(self._outgoing.popleft()[1])
+
     def receive(self, timeout_ns: int) -> Received | None:
         if not self._feedback_latency_ns:
             return self._link.receive(timeout_ns)
