@@ -20,7 +20,6 @@ from hil.results import MemorySink, RunResult, expectations
 from hil.scenario import Scenario, load
 from hil.telemetry import Recording, check_recording_path
 from hil.telemetry.provenance import properties
-from hil.types import CommandMode
 
 __all__ = ["RunResult", "run", "run_scenario"]
 
@@ -100,24 +99,23 @@ def run_scenario(
 
 def _loop_of(scenario: Scenario) -> Callable[[Bench, Sink], Loop]:
     """Make what a tick needs of the scenario alone, so that bad input is found before anything is opened."""
-    mode = CommandMode[scenario.controller.command.upper()]
     model = RobotModel(**dict(scenario.robot))
     table = scenario.controller
-    controller = make_controller(table.law, scenario.directory, model, mode, table.gains)
+    controller = make_controller(table.law, scenario.directory, model, table.mode, table.gains)
     reference = make_reference(scenario.reference.kind, scenario.reference.options)
     counts = scenario.firmware.counts_per_revolution
     estimator = make_estimator(scenario.estimator.source, model, start_pose(scenario), counts)
     guard = Guard(model.speed_limit_rad_s, model.torque_limit_n_m)
     timing = Timing(
         scenario.loop.period_ns,
-        round(scenario.link.command_latency_s * NS),
-        round(scenario.link.feedback_latency_s * NS),
+        scenario.link.command_latency_ns,
+        scenario.link.feedback_latency_ns,
         round(scenario.firmware.watchdog_s * NS),
     )
 
     def make(bench: Bench, sink: Sink) -> Loop:
         parts = Parts(bench.clock, bench.device, bench.truth, estimator, reference, controller, guard, sink)
-        return Loop(parts, mode, timing)
+        return Loop(parts, table.mode, timing)
 
     return make
 

@@ -22,7 +22,7 @@ from hil.links.url import parse_link
 from hil.plant import archive
 from hil.ports import Clock, Link, PoseSource
 from hil.scenario import FaultTable, Scenario
-from hil.types import CommandMode, Pose
+from hil.types import Pose
 
 NS = 1_000_000_000
 
@@ -114,15 +114,11 @@ class Bench:
                 resources.callback(link.close)
             self.clock: Clock = LockstepClock(lambda ticks: self.device.step(ticks)) if lockstep else WallClock()
             self.faults = FaultLink(link, self.clock, _faults(scenario.fault), scenario.loop.seed)
-            delayed = DelayedLink(
-                self.faults,
-                self.clock,
-                round(scenario.link.command_latency_s * NS),
-                round(scenario.link.feedback_latency_s * NS),
-            )
+            latencies = (scenario.link.command_latency_ns, scenario.link.feedback_latency_ns)
+            delayed = DelayedLink(self.faults, self.clock, *latencies)
             self.device = Stm32(
                 delayed,
-                CommandMode[scenario.controller.command.upper()],
+                scenario.controller.mode,
                 Expected(parameter_hash(firmware_values(scenario)), lockstep, allow_motion),
                 _nonces(scenario.loop.seed if lockstep else None),
                 wheel_map(scenario),

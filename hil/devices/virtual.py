@@ -58,9 +58,8 @@ class VirtualStm32:
 
     def failure(self) -> DeviceError | None:
         """Return why the plant failed, in the FMU's words, or None while it has not."""
-        if not self.node.look().plant_failed:
-            return None
-        return DeviceError(f"the plant failed at {self.node.look().tick} ms: {self.plant.message}")
+        view = self.node.look()
+        return DeviceError(f"the plant failed at {view.tick} ms: {self.plant.message}") if view.plant_failed else None
 
     def truth(self) -> PoseFix:
         """Return where the robot really is."""

@@ -18,7 +18,7 @@ from hil.links.delay import FIRST_EXEMPT_ID
 from hil.links.url import parse_link
 from hil.scenario.fields import Milliseconds, Option, OptionValue, Table, Text, is_path
 from hil.signals import SIGNAL_NAMES
-from hil.types import WHEEL_NAMES
+from hil.types import WHEEL_NAMES, CommandMode
 
 TICKS_PER_SECOND = 1000  # the firmware loop
 LOWEST_RATE_HZ = 20  # two commands within the longest watchdog
@@ -129,6 +129,16 @@ class LinkTable(Table):
             raise ValueError(str(error)) from error
         return url
 
+    @property
+    def command_latency_ns(self) -> int:
+        """Latency on the way to the firmware [ns]."""
+        return round(self.command_latency_s * 1e9)
+
+    @property
+    def feedback_latency_ns(self) -> int:
+        """Latency on the way back [ns]."""
+        return round(self.feedback_latency_s * 1e9)
+
 
 class ControllerTable(Table):
     """``[controller]``: the law. Its gains are its own and are checked against the law when it is made."""
@@ -138,6 +148,11 @@ class ControllerTable(Table):
         default="speed", description="what the wheels are told; fixed at arming"
     )
     gains: Mapping[Text, Option] = Field(default_factory=dict, description="the law's own numbers")
+
+    @property
+    def mode(self) -> CommandMode:
+        """``command`` as the tick and the wire have it."""
+        return CommandMode[self.command.upper()]
 
 
 class ReferenceTable(Table):
