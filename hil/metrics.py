@@ -223,5 +223,5 @@ def _bounds(expect: Expect) -> str:
 
 def _span(expect: Expect) -> str:
     start = "from the start" if expect.from_s is None else f"from {expect.from_s:g} s"
-    stop = "to the end" if expect.to_s is None else f"to {expect.to_s:g} s"
+    stop = "to the end" if expect.to_s is None or np.isinf(expect.to_s) else f"to {expect.to_s:g} s"
     return f"{start} {stop}"
