@@ -51,7 +51,7 @@ def plant_start(scenario: Scenario) -> dict[str, float]:
         "wheel_inertia_kg_m2": robot.wheel_inertia_kg_m2,
         "friction_coefficient": robot.friction_coefficient,
         "counts_per_revolution": float(firmware.counts_per_revolution),
-        "torque_constant_n_m_a": firmware.torque_constant_n_m_a,
+        "motor_constant_n_m_a": firmware.torque_constant_n_m_a,
     }
     return believed | dict(scenario.plant.start)
 

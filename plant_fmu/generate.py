@@ -110,7 +110,7 @@ def _add_variables(root: ET.Element, definition: Definition) -> None:
     parts = ET.SubElement(structure, "Outputs")
     for variable in outputs:
         # An output without depends_on follows from the states alone: it has no direct feedthrough.
-        feedthrough = "" if variable.depends_on is None else index[variable.depends_on]
+        feedthrough = " ".join(index[name] for name in variable.depends_on)
         ET.SubElement(parts, "Unknown", index=index[variable.name], dependencies=feedthrough)
     parts = ET.SubElement(structure, "InitialUnknowns")
     for variable in outputs:
@@ -165,7 +165,8 @@ def c_header(definition: Definition) -> str:
 
 def _c_row(v: Variable) -> str:
     numbers = f"{_c_number(v, v.start, 0)}, {_c_number(v, v.minimum, -1)}, {_c_number(v, v.maximum, 1)}"
-    return f'{_C_TYPE[v.type]}, {v.causality.upper()}, {v.member}, {numbers}, "{v.name}"'
+    causality = "TUNABLE" if v.variability == "tunable" else v.causality.upper()
+    return f'{_C_TYPE[v.type]}, {causality}, {v.member}, {numbers}, "{v.name}"'
 
 
 _C_TYPE = {"Real": "REAL", "Integer": "INTEGER", "Enumeration": "INTEGER"}

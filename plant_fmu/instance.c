@@ -7,7 +7,8 @@
 /* Past this many internal steps a communication step would look like a hang. */
 static const double MOST_INTERNAL_STEPS = 1e7;
 
-typedef enum { INPUT, OUTPUT, PARAMETER } causality;
+/* A tunable parameter may also be set between steps. */
+typedef enum { INPUT, OUTPUT, PARAMETER, TUNABLE } causality;
 
 typedef struct {
     const char *name;

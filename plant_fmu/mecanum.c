@@ -66,7 +66,7 @@ void mecanum_derivative(const mecanum_parameters *p, const mecanum_inputs *u,
     for (int i = 0; i < MECANUM_WHEELS; i++) {
         double torque_n_m = u->wheel_torque_n_m[i] - p->viscous_n_m_s_rad * speed_rad_s[i];
         if (friction_n_m > 0.0) {
-            torque_n_m -= friction_n_m * tanh(speed_rad_s[i] / p->friction_speed_rad_s);
+            torque_n_m -= friction_n_m * tanh(speed_rad_s[i] / 0.1);
         }
         forward += H[i][0] * torque_n_m;
         left += H[i][1] * torque_n_m;
@@ -95,7 +95,7 @@ double mecanum_longest_step_s(const mecanum_parameters *p) {
      * the faster of the two; 0.1 keeps its error a step below 1e-7. */
     const double r = p->wheel_radius_m;
     const double k = wheel_mass_kg(p);
-    const double slope = p->viscous_n_m_s_rad + friction_torque_n_m(p) / p->friction_speed_rad_s;
+    const double slope = p->viscous_n_m_s_rad + friction_torque_n_m(p) / 0.1;
     const double translation = 1.0 / (p->mass_kg + k);
     const double rotation = 1.0 / (p->inertia_kg_m2 / (lever_m(p) * lever_m(p)) + k);
     const double rate_1_s = 4.0 * slope / (r * r) * fmax(translation, rotation);
@@ -152,7 +152,7 @@ void mecanum_output(const mecanum_parameters *p, const mecanum_inputs *u, const 
         const double angle_rad = state[MECANUM_WHEEL_ANGLE_RAD + i];
         out->wheel_angle_rad[i] = angle_rad;
         out->wheel_count[i] = count(p, angle_rad);
-        out->wheel_current_a[i] = u->wheel_torque_n_m[i] / p->torque_constant_n_m_a;
+        out->wheel_current_a[i] = u->wheel_torque_n_m[i] / p->motor_constant_n_m_a;
     }
 }
 

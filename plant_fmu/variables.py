@@ -27,7 +27,7 @@ class Variable:
     minimum: float | int | None
     maximum: float | int | None
     description: str
-    depends_on: str | None
+    depends_on: tuple[str, ...]  # inputs with direct feedthrough
     field: str  # the member of its C structure, without an index
     wheel: int | None  # the index into that member
 
@@ -60,8 +60,8 @@ def read(path: Path = HERE / "variables.toml") -> Definition:
     for variable in variables:
         if names.count(variable.name) > 1:
             raise DefinitionError(f"variable {variable.name!r} is defined twice")
-        if variable.depends_on is not None and variable.depends_on not in names:
-            raise DefinitionError(f"{variable.name}: depends_on names the unknown {variable.depends_on!r}")
+        if unknown := set(variable.depends_on) - set(names):
+            raise DefinitionError(f"{variable.name}: depends_on names the unknown {min(unknown)!r}")
     return Definition(data["model"], data["wheels"], data["units"], data["enumerations"], tuple(variables))
 
 
@@ -86,7 +86,7 @@ def _variable(entry: dict[str, Any], wheel: str | None, data: dict[str, Any]) ->
         minimum=minimum,
         maximum=maximum,
         description=entry["description"].format(wheel=data["wheels"].get(wheel, "")),
-        depends_on=entry["depends_on"].replace("*", wheel or "") if "depends_on" in entry else None,
+        depends_on=tuple(name.replace("*", wheel or "") for name in entry.get("depends_on", ())),
         field=name.replace(".*.", "_").replace(".", "_"),
         wheel=None if wheel is None else list(data["wheels"]).index(wheel),
     )
