@@ -15,7 +15,7 @@ from pathlib import Path
 
 from plant_fmu.variables import HERE, STRUCTURE, Definition, DefinitionError, Variable, read
 
-SOURCE_FILES = ("fmi2.c", "instance.c", "mecanum.c")
+SOURCE_FILES = ("fmi2.c", "instance.c", "mecanum.c", "model.c", "motor.c", "contact.c", "friction.c", "sensors.c")
 BEGIN, END = "<!-- variables: begin -->", "<!-- variables: end -->"
 
 _INITIAL = {"input": None, "output": "calculated", "parameter": "exact"}  # FMI 2.0 section 2.2.7

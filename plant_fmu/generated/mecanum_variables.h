@@ -6,7 +6,7 @@
 #include <stdint.h>
 
 #define MECANUM_MODEL_NAME "mecanum"
-#define MECANUM_GUID "{07e56a38-359e-18e2-2fe5-b741846fba17}"
+#define MECANUM_GUID "{96ba4df1-2ad7-ae5e-0c8e-241a8d442b00}"
 #define MECANUM_WHEELS 4
 #define MECANUM_VARIABLE_COUNT 111
 
