@@ -36,7 +36,7 @@ DOCUMENTS = (HERE / "documentation" / "index.html", HERE / "documentation" / "li
 # Without fused multiply-add the same sources give the same numbers on every machine that rounds by IEEE 754.
 FLAGS = (
     "-std=c11",
-    "-O2",
+    "-O3",
     "-ffp-contract=off",
     "-Wall",
     "-Wextra",
