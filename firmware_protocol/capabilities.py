@@ -13,3 +13,7 @@ class Capability(IntFlag):
     FEEDFORWARD = 0x0010
     CURRENTS = 0x0020
     GYRO = 0x0040
+    ACCELEROMETER = 0x0080
+    POWER = 0x0100
+    TEMPERATURES = 0x0200
+    STORAGE = 0x0400

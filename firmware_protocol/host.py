@@ -17,13 +17,14 @@ import cffi
 from firmware_protocol.build import LIBRARY
 from firmware_protocol.capabilities import Capability
 from firmware_protocol.framing import Frame
-from firmware_protocol.generated.messages import Fault, Mode, State, StopReason
+from firmware_protocol.generated.messages import Fault, FaultWheel, Mode, State, StopReason, Type
 
 _HEADERS = ("firmware/plant_port.h", "firmware/parameters.h", "port/host/host.h")
 _SECTION = re.compile(r"/\* cffi: begin \*/(.*?)/\* cffi: end \*/", re.DOTALL)
 _BYTES = 1 << 17
 
-_CAN_DO = Capability.SPEED | Capability.TORQUE | Capability.FEEDFORWARD | Capability.CURRENTS | Capability.GYRO
+# The host library has no power stage of its own, and whether time comes from STEP is its user's choice.
+_CAN_DO = ~(Capability.POWER_STAGE | Capability.LOCKSTEP)
 
 
 @functools.cache
@@ -44,9 +45,10 @@ def library() -> tuple[Any, Any]:
 
 
 class Parameter(NamedTuple):
-    """A row of the firmware's parameter table."""
+    """A row of the firmware's parameter table; ``type`` is that of the value on the wire."""
 
     name: str
+    type: Type
     minimum: float
     maximum: float
 
@@ -56,7 +58,7 @@ def parameters() -> tuple[Parameter, ...]:
     """Return the firmware's parameters in the order of their hash."""
     ffi, lib = library()
     rows = (lib.wheel_parameter_table[i] for i in range(lib.WHEEL_PARAMETER_COUNT))
-    return tuple(Parameter(ffi.string(row.name).decode(), row.minimum, row.maximum) for row in rows)
+    return tuple(Parameter(ffi.string(row.name).decode(), Type(row.type), row.minimum, row.maximum) for row in rows)
 
 
 def parameter_hash(values: Mapping[str, float]) -> int:
@@ -75,11 +77,13 @@ class View(NamedTuple):
     state: State
     mode: Mode
     fault: Fault
+    fault_wheel: FaultWheel
     stop_reason: StopReason
     plant_failed: bool
     command_age_ticks: int
     set_point_rad_s: tuple[float, float, float, float]
     torque_n_m: tuple[float, float, float, float]
+    duty: tuple[float, float, float, float]
     rejected: dict[str, int]
 
 
@@ -88,9 +92,10 @@ class HostNode:
 
     ``exchange_address`` and ``context_address`` are the C function and its context that play the plant; their owner
     keeps them alive as long as this object. ``values`` gives every parameter of ``parameters()``. ``power_stage``
-    makes it report motors, as a board with motors does; it then refuses STEP.
+    makes it report motors, as a board with motors does; it then refuses STEP. ``stored`` is what ``stored()`` of an
+    earlier life gave: parameters kept across a reset, which a damaged copy does not change.
 
-    Raises ValueError when a parameter is unknown, missing or out of its range.
+    Raises ValueError when a parameter is unknown, missing or out of its range, or ``stored`` has a wrong length.
     """
 
     def __init__(
@@ -101,6 +106,7 @@ class HostNode:
         *,
         lockstep: bool,
         power_stage: bool = False,
+        stored: bytes | None = None,
     ) -> None:
         self._ffi, self._lib = library()
         names = {p.name for p in parameters()}
@@ -108,7 +114,7 @@ class HostNode:
             raise ValueError(f"firmware parameters {sorted(set(values) ^ names)} are missing or unknown")
         block = self._ffi.new("wheel_parameters *", dict(values))
         if (wrong := self._lib.wheel_parameters_invalid(block)) >= 0:
-            name, low, high = parameters()[wrong]
+            name, _, low, high = parameters()[wrong]
             raise ValueError(f"firmware parameter {name} = {values[name]:g}: expected {low:g} to {high:g}")
         self._memory = self._ffi.new("uint64_t[]", self._lib.wheel_host_size() // 8 + 1)
         self._host = self._ffi.cast("wheel_host *", self._memory)
@@ -119,7 +125,10 @@ class HostNode:
         capabilities |= Capability.POWER_STAGE if power_stage else 0
         exchange = self._ffi.cast("wheel_plant_exchange", exchange_address)
         context = self._ffi.cast("void *", context_address)
-        self._lib.wheel_host_init(self._host, block, capabilities, exchange, context)
+        if stored is not None and len(stored) != self._lib.wheel_host_stored_size():
+            raise ValueError(f"{len(stored)} stored bytes; expected {self._lib.wheel_host_stored_size()}")
+        kept = self._ffi.NULL if stored is None else self._ffi.new("uint8_t[]", stored)
+        self._lib.wheel_host_init(self._host, block, kept, capabilities, exchange, context)
 
     def feed(self, data: bytes) -> None:
         """Take bytes of a serial line."""
@@ -128,6 +137,16 @@ class HostNode:
     def receive(self, frame: Frame) -> None:
         """Take one CAN frame."""
         self._lib.wheel_host_receive(self._host, frame.id, frame.payload, len(frame.payload))
+
+    def set_clock(self, now_us: int) -> None:
+        """Set the robot's clock between two ticks [µs], for the time stamps of what arrives and leaves."""
+        self._lib.wheel_host_set_clock(self._host, now_us & 0xFFFF_FFFF)
+
+    def stored(self) -> bytes | None:
+        """Return what the robot keeps across a reset: the newest STORE, or None."""
+        size = self._lib.wheel_host_stored_size()
+        block = self._ffi.new("uint8_t[]", size)
+        return bytes(self._ffi.buffer(block, size)) if self._lib.wheel_host_stored(self._host, block) else None
 
     def run(self, ticks: int) -> None:
         """Let so many 1 ms ticks pass."""
@@ -166,10 +185,12 @@ class HostNode:
             State(v.state),
             Mode(v.mode),
             Fault(v.fault),
+            FaultWheel(v.fault_wheel),
             StopReason(v.stop_reason),
             v.plant_failed,
             v.command_age_ticks,
             tuple(v.set_point_rad_s),
             tuple(v.torque_n_m),
+            tuple(v.duty),
             rejected,
         )

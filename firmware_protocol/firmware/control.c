@@ -3,6 +3,8 @@
 #include <stddef.h>
 
 #define TWO_PI 6.28318530717958647692f
+/* Part of the current loop's proportional action that the integral gains in a tick. */
+#define CURRENT_INTEGRAL 0.05f
 
 static float magnitude(float x) {
     return x < 0.0f ? -x : x;
@@ -55,20 +57,66 @@ bool wheel_scale_to_limit(float value[WHEEL_COUNT], float limit) {
 
 bool wheel_speed_loop_update(wheel_speed_loop *loop, const float target_rad_s[WHEEL_COUNT],
                              const float speed_rad_s[WHEEL_COUNT], const float feedforward_n_m[WHEEL_COUNT],
-                             const wheel_parameters *parameters, float torque_n_m[WHEEL_COUNT]) {
+                             const wheel_parameters *parameters, float limit_n_m,
+                             float torque_n_m[WHEEL_COUNT]) {
     float step_n_m[WHEEL_COUNT];
     for (size_t i = 0; i < WHEEL_COUNT; i++) {
         const float error = target_rad_s[i] - speed_rad_s[i];
         step_n_m[i] = parameters->speed_ki_n_m_rad * error * WHEEL_TICK_S;
         torque_n_m[i] = parameters->speed_kp_n_m_s_rad * error + loop->integral_n_m[i] + feedforward_n_m[i];
     }
-    const bool limited = wheel_scale_to_limit(torque_n_m, parameters->torque_limit_n_m);
+    const bool limited = wheel_scale_to_limit(torque_n_m, limit_n_m);
     for (size_t i = 0; i < WHEEL_COUNT; i++) {
         const bool winds_up = limited && step_n_m[i] * loop->integral_n_m[i] > 0.0f;
         if (!winds_up) {
             loop->integral_n_m[i] += step_n_m[i];
         }
     }
-    (void)wheel_scale_to_limit(loop->integral_n_m, parameters->torque_limit_n_m);
+    (void)wheel_scale_to_limit(loop->integral_n_m, limit_n_m);
     return limited;
+}
+
+float wheel_exp_minus(float x) {
+    /* A Pade approximant is good for small x; the rest is squaring. Beyond 20 it is zero for all that
+     * matters. */
+    if (x >= 20.0f) {
+        return 0.0f;
+    }
+    const float small = x * (1.0f / 32.0f);
+    const float square = small * small * (1.0f / 12.0f);
+    float result = (1.0f - 0.5f * small + square) / (1.0f + 0.5f * small + square);
+    for (unsigned i = 0; i < 5u; i++) {
+        result *= result;
+    }
+    return result;
+}
+
+/* 1 - exp(-x), also for an x so small that the difference would be nothing but rounding. */
+static float rise(float x) {
+    return x < 0.01f ? x * (1.0f - 0.5f * x) : 1.0f - wheel_exp_minus(x);
+}
+
+void wheel_current_loop_update(wheel_current_loop *loop, const float target_a[WHEEL_COUNT],
+                               const float current_a[WHEEL_COUNT], const float speed_rad_s[WHEEL_COUNT],
+                               float battery_v, const wheel_parameters *parameters, float duty[WHEEL_COUNT]) {
+    const float resistance = parameters->motor_resistance_ohm;
+    /* Within a tick the current goes a part of the way to where the voltage pulls it, and the loop wants it
+     * to go another part of the way to the target. */
+    const float part = rise(resistance * WHEEL_TICK_S / parameters->motor_inductance_h);
+    const float wanted = rise(parameters->current_bandwidth_rad_s * WHEEL_TICK_S);
+    const float gain = resistance * wanted / part;
+    for (size_t i = 0; i < WHEEL_COUNT; i++) {
+        const float error = target_a[i] - current_a[i];
+        const float voltage = resistance * current_a[i] + gain * error + loop->integral_v[i] +
+                              parameters->torque_constant_n_m_a * speed_rad_s[i];
+        if (!(battery_v > 0.0f)) {
+            duty[i] = 0.0f;
+            continue;
+        }
+        const float wish = voltage / battery_v;
+        duty[i] = wish > 1.0f ? 1.0f : (wish < -1.0f ? -1.0f : wish);
+        if (duty[i] == wish) {
+            loop->integral_v[i] += CURRENT_INTEGRAL * gain * error;
+        }
+    }
 }

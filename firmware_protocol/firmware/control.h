@@ -33,7 +33,24 @@ typedef struct {
  * The integrals stand still while the limit is reached, unless the error brings them back. */
 bool wheel_speed_loop_update(wheel_speed_loop *loop, const float target_rad_s[WHEEL_COUNT],
                              const float speed_rad_s[WHEEL_COUNT], const float feedforward_n_m[WHEEL_COUNT],
-                             const wheel_parameters *parameters, float torque_n_m[WHEEL_COUNT]);
+                             const wheel_parameters *parameters, float limit_n_m,
+                             float torque_n_m[WHEEL_COUNT]);
+
+/* Current loop of the four motors, decoupled: the back-EMF is fed forward, and what the winding does within a
+ * tick of constant voltage is solved exactly, L di/dt = u - R i - k w. The integral takes up what the model
+ * does not know. */
+typedef struct {
+    float integral_v[WHEEL_COUNT];
+} wheel_current_loop;
+
+/* Writes the duties of this tick, -1 to 1, from currents and speeds at its beginning; zero without a battery.
+ */
+void wheel_current_loop_update(wheel_current_loop *loop, const float target_a[WHEEL_COUNT],
+                               const float current_a[WHEEL_COUNT], const float speed_rad_s[WHEEL_COUNT],
+                               float battery_v, const wheel_parameters *parameters, float duty[WHEEL_COUNT]);
+
+/* exp(-x) for x >= 0, to 1e-6. */
+float wheel_exp_minus(float x);
 
 /* Scales all four by one factor so that none is beyond the limit: the direction of the force is kept. */
 bool wheel_scale_to_limit(float value[WHEEL_COUNT], float limit);

@@ -1,7 +1,15 @@
 /* What the robot tells: HELLO, the feedback snapshot, STATUS and LINK_COUNTERS. */
 #include "node.h"
 
-enum { PART_ENCODERS = 1, PART_WHEEL_SPEEDS = 2, PART_CURRENTS = 4, PART_GYRO = 8 };
+enum {
+    PART_ENCODERS = 1,
+    PART_WHEEL_SPEEDS = 2,
+    PART_CURRENTS = 4,
+    PART_ACCELEROMETER = 8,
+    PART_GYRO = 16,
+    PARTS_FAST = PART_ENCODERS | PART_WHEEL_SPEEDS,
+    PARTS_SLOW = PART_CURRENTS | PART_ACCELEROMETER | PART_GYRO,
+};
 
 /* Encodes one message and queues it. A message that its own encoder refuses is not sent. */
 #define SEND(node, NAME, name, ...)                                                                          \
@@ -22,7 +30,7 @@ static uint8_t at_most_255(uint32_t x) {
 }
 
 void wheel_node_send_hello(wheel_node *node) {
-    SEND(node, HELLO_IDENTITY, hello_identity, .protocol_version = WP_PROTOCOL_VERSION, .pages = 3u,
+    SEND(node, HELLO_IDENTITY, hello_identity, .protocol_version = WP_PROTOCOL_VERSION, .pages = 4u,
          .capabilities = node->identity.capabilities, .schema_hash = WP_SCHEMA_HASH);
     SEND(node, HELLO_FIRMWARE, hello_firmware, .major = node->identity.version[0],
          .minor = node->identity.version[1], .patch = node->identity.version[2],
@@ -30,60 +38,115 @@ void wheel_node_send_hello(wheel_node *node) {
     SEND(node, HELLO_PARAMETERS, hello_parameters, .parameter_hash = wheel_parameters_hash(&node->parameters),
          .watchdog_ms = (uint16_t)wheel_ticks(node->parameters.watchdog_s),
          .feedback_period_ms = (uint16_t)wheel_ticks(node->parameters.feedback_period_s));
+    SEND(node, HELLO_GEOMETRY, hello_geometry, .wheel_radius_m = node->parameters.wheel_radius_m,
+         .half_length_m = node->parameters.half_length_m, .half_width_m = node->parameters.half_width_m,
+         .counts_per_revolution = (uint16_t)node->parameters.counts_per_revolution);
 }
 
 void wheel_node_send_status(wheel_node *node) {
     SEND(node, STATUS, status, .state = node->state, .mode = node->mode, .fault = node->fault,
-         .stop_reason = node->stop_reason, .nonce = node->session_nonce, .arm_refusal = node->arm_refusal,
-         .limited = (uint16_t)node->limited_ticks);
+         .fault_wheel = node->fault_wheel, .stop_reason = node->stop_reason, .nonce = node->session_nonce,
+         .arm_refusal = node->arm_refusal, .limited = (uint16_t)node->limited_ticks);
 }
 
-static void send_link_counters(wheel_node *node) {
+static void send_counters(wheel_node *node) {
     const wheel_rejections *own = &node->rejections;
-    const wheel_transport_rejections *transport = &node->transport;
+    const wheel_transport_counters *transport = &node->transport;
     SEND(node, LINK_COUNTERS, link_counters, .cobs = (uint8_t)transport->cobs, .crc = (uint8_t)transport->crc,
          .length = (uint8_t)(transport->length + own->length),
          .unknown_id = (uint8_t)(transport->unknown_id + own->unknown_id), .range = (uint8_t)own->range,
          .session = (uint8_t)own->session, .stale = (uint8_t)own->stale, .state = (uint8_t)own->state);
+    SEND(node, PORT_COUNTERS, port_counters, .overrun = (uint8_t)transport->overrun,
+         .feedforward_unmatched = (uint8_t)own->feedforward_unmatched,
+         .transmit_overrun = (uint8_t)node->transmit_overruns, .serial_lost = (uint8_t)transport->serial_lost,
+         .can_errors = (uint8_t)transport->can_errors, .bus_off = (uint8_t)transport->bus_off);
 }
 
-static void send_snapshot(wheel_node *node, const wheel_sense *sense, bool slow_parts) {
-    const uint8_t parts = slow_parts ? PART_ENCODERS | PART_WHEEL_SPEEDS | PART_CURRENTS | PART_GYRO
-                                     : PART_ENCODERS | PART_WHEEL_SPEEDS;
+static void send_power(wheel_node *node) {
+    const wheel_sense *sense = &node->sense;
+    const uint16_t capabilities = node->identity.capabilities;
+    if ((capabilities & WHEEL_CAPABILITY_POWER) != 0u) {
+        SEND(node, POWER, power, .battery_v = clamp(sense->battery_v, 255.9921875f),
+             .battery_a = clamp(sense->battery_a, 255.9921875f));
+    }
+    if ((capabilities & WHEEL_CAPABILITY_TEMPERATURES) != 0u) {
+        SEND(node, TEMPERATURES, temperatures, .fl_degc = clamp(sense->temperature_degc[0], 255.9921875f),
+             .fr_degc = clamp(sense->temperature_degc[1], 255.9921875f),
+             .rr_degc = clamp(sense->temperature_degc[2], 255.9921875f),
+             .rl_degc = clamp(sense->temperature_degc[3], 255.9921875f));
+    }
+}
+
+static void send_absolute(wheel_node *node) {
+    SEND(node, ABSOLUTE_FRONT, absolute_front, .fl_count = node->absolute_count[0],
+         .fr_count = node->absolute_count[1]);
+    SEND(node, ABSOLUTE_REAR, absolute_rear, .rr_count = node->absolute_count[2],
+         .rl_count = node->absolute_count[3]);
+}
+
+static void send_slow_parts(wheel_node *node, uint8_t parts, uint16_t tick) {
+    const wheel_sense *sense = &node->sense;
+    if ((parts & PART_CURRENTS) != 0u) {
+        SEND(node, CURRENTS, currents, .fl_a = clamp(sense->current_a[0], 31.9990234375f),
+             .fr_a = clamp(sense->current_a[1], 31.9990234375f),
+             .rr_a = clamp(sense->current_a[2], 31.9990234375f),
+             .rl_a = clamp(sense->current_a[3], 31.9990234375f));
+    }
+    if ((parts & PART_ACCELEROMETER) != 0u) {
+        SEND(node, ACCELEROMETER, accelerometer, .x_m_s2 = clamp(sense->acceleration_m_s2[0], 127.99609375f),
+             .y_m_s2 = clamp(sense->acceleration_m_s2[1], 127.99609375f),
+             .z_m_s2 = clamp(sense->acceleration_m_s2[2], 127.99609375f), .tick = tick);
+    }
+    if ((parts & PART_GYRO) != 0u) {
+        SEND(node, GYRO, gyro, .x_rad_s = clamp(sense->gyro_rad_s[0], 31.9990234375f),
+             .y_rad_s = clamp(sense->gyro_rad_s[1], 31.9990234375f),
+             .z_rad_s = clamp(sense->gyro_rad_s[2], 31.9990234375f), .tick = tick);
+    }
+}
+
+/* The parts for which this robot has sensors. */
+static uint8_t slow_parts(const wheel_node *node) {
+    const uint16_t capabilities = node->identity.capabilities;
+    uint8_t parts = 0;
+    parts |= (capabilities & WHEEL_CAPABILITY_CURRENTS) != 0u ? PART_CURRENTS : 0u;
+    parts |= (capabilities & WHEEL_CAPABILITY_ACCELEROMETER) != 0u ? PART_ACCELEROMETER : 0u;
+    parts |= (capabilities & WHEEL_CAPABILITY_GYRO) != 0u ? PART_GYRO : 0u;
+    return parts;
+}
+
+static void send_snapshot(wheel_node *node, bool slow) {
+    const uint8_t parts = (uint8_t)(PARTS_FAST | (slow ? slow_parts(node) : 0));
     const uint32_t time_us = node->tick * 1000u; /* wraps, as it does on the wire */
     SEND(node, TICK, tick, .time_us = time_us, .sequence = node->setting.sequence,
          .command_age_ms = at_most_255(node->setting.age_ticks * WHEEL_TICK_MS), .state = node->state,
          .parts = parts, .snapshot = node->snapshot++);
-    SEND(node, ENCODERS, encoders, .fl_count = sense->count[0], .fr_count = sense->count[1],
-         .rr_count = sense->count[2], .rl_count = sense->count[3]);
+    const uint16_t *count = node->sense.count;
+    SEND(node, ENCODERS, encoders, .fl_count = count[0], .fr_count = count[1], .rr_count = count[2],
+         .rl_count = count[3]);
     SEND(node, WHEEL_SPEEDS, wheel_speeds, .fl_rad_s = clamp(node->speed_rad_s[0], 127.99609375f),
          .fr_rad_s = clamp(node->speed_rad_s[1], 127.99609375f),
          .rr_rad_s = clamp(node->speed_rad_s[2], 127.99609375f),
          .rl_rad_s = clamp(node->speed_rad_s[3], 127.99609375f));
-    if (!slow_parts) {
-        return;
-    }
-    SEND(node, CURRENTS, currents, .fl_a = clamp(sense->current_a[0], 31.9990234375f),
-         .fr_a = clamp(sense->current_a[1], 31.9990234375f),
-         .rr_a = clamp(sense->current_a[2], 31.9990234375f),
-         .rl_a = clamp(sense->current_a[3], 31.9990234375f));
-    SEND(node, GYRO, gyro, .x_rad_s = clamp(sense->gyro_rad_s[0], 31.9990234375f),
-         .y_rad_s = clamp(sense->gyro_rad_s[1], 31.9990234375f),
-         .z_rad_s = clamp(sense->gyro_rad_s[2], 31.9990234375f), .tick = (uint16_t)(time_us / 1000u));
+    send_slow_parts(node, parts, (uint16_t)(time_us / 1000u));
 }
 
-void wheel_node_send_feedback(wheel_node *node, const wheel_sense *sense) {
+void wheel_node_send_feedback(wheel_node *node) {
     const uint32_t period = wheel_ticks(node->parameters.feedback_period_s);
+    /* A value that is no number cannot be sent: its part is not announced, so that the rest still counts. */
+    const bool finite = wheel_sense_is_finite(&node->sense);
     if (period > 0u && node->tick % period == 0u) {
         const bool due =
             period >= WHEEL_SLOW_PART_PERIOD_TICKS || node->tick % WHEEL_SLOW_PART_PERIOD_TICKS == 0u;
-        /* A value that is no number cannot be sent: its part is not announced, so that the rest still counts.
-         */
-        const bool slow_parts = due && wheel_sense_is_finite(sense);
-        send_snapshot(node, sense, slow_parts);
+        send_snapshot(node, due && finite);
     }
     if (node->tick % WHEEL_STATUS_PERIOD_TICKS == 0u) {
         wheel_node_send_status(node);
-        send_link_counters(node);
+        send_counters(node);
+        if (finite) {
+            send_power(node);
+        }
+    }
+    if (node->tick % WHEEL_ABSOLUTE_PERIOD_TICKS == 0u) {
+        send_absolute(node);
     }
 }

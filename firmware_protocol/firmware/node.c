@@ -2,22 +2,26 @@
 
 #include <string.h>
 
-/* Below this a wheel counts as standing still; about one encoder count in ten ticks. */
-#define STANDSTILL_RAD_S 0.2f
-/* For so long, so that the estimate's passing through zero does not count. */
-#define STANDSTILL_TICKS 50u
-
 uint32_t wheel_ticks(float seconds) {
     return (uint32_t)(seconds * 1000.0f + 0.5f);
 }
 
-void wheel_node_init(wheel_node *node, const wheel_parameters *parameters, const wheel_identity *identity) {
+float wheel_magnitude(float x) {
+    return x < 0.0f ? -x : x;
+}
+
+void wheel_node_init(wheel_node *node, const wheel_parameters *built_in, const uint8_t *stored,
+                     const wheel_identity *identity) {
     memset(node, 0, sizeof *node);
-    node->parameters = *parameters;
+    node->built_in = *built_in;
+    node->parameters = *built_in;
+    if (stored != NULL) {
+        (void)wheel_parameters_load(&node->parameters, stored);
+    }
     node->identity = *identity;
     node->state = WP_STATE_BOOT;
     node->setting.age_ticks = UINT32_MAX;
-    if (wheel_parameters_invalid(parameters) >= 0) {
+    if (wheel_parameters_invalid(&node->parameters) >= 0) {
         node->fault = WP_FAULT_PARAMETERS;
         wheel_node_event(node, WHEEL_EVENT_FAULT);
     } else {
@@ -29,12 +33,10 @@ static void begin_session(wheel_node *node) {
     memset(&node->setting, 0, sizeof node->setting);
     node->setting.age_ticks = UINT32_MAX; /* no command yet */
     memset(&node->speed_loop, 0, sizeof node->speed_loop);
+    memset(&node->current_loop, 0, sizeof node->current_loop);
+    memset(node->encoder, 0, sizeof node->encoder);
     node->staged.present = false;
     node->stop_reason = WP_STOP_REASON_NONE;
-}
-
-static float magnitude(float x) {
-    return x < 0.0f ? -x : x;
 }
 
 /* A stop begins at the set point or at the speed that the wheel really has, whichever is nearer to zero, and
@@ -46,7 +48,7 @@ static void begin_stop(wheel_node *node) {
     for (size_t i = 0; i < WHEEL_COUNT; i++) {
         const float target = node->set_point_rad_s[i];
         const float speed = node->speed_rad_s[i];
-        const bool nearer = magnitude(speed) < magnitude(target);
+        const bool nearer = wheel_magnitude(speed) < wheel_magnitude(target);
         node->ramp_from_rad_s[i] = target * speed <= 0.0f ? 0.0f : (nearer ? speed : target);
     }
 }
@@ -72,6 +74,7 @@ void wheel_node_event(wheel_node *node, wheel_event event) {
         break;
     case WP_STATE_IDLE:
         node->fault = WP_FAULT_NONE;
+        node->fault_wheel = WP_FAULT_WHEEL_NONE;
         break;
     default:
         break;
@@ -87,76 +90,30 @@ void wheel_node_stop(wheel_node *node, wheel_event event, uint8_t reason) {
     wheel_node_event(node, event);
 }
 
-static void fault(wheel_node *node, uint8_t cause) {
+void wheel_node_fault(wheel_node *node, uint8_t cause, uint8_t wheel) {
     if (node->fault == WP_FAULT_NONE) {
         node->fault = cause;
+        node->fault_wheel = wheel;
     }
     node->braking = false;
     wheel_node_stop(node, WHEEL_EVENT_FAULT, WP_STOP_REASON_FAULT);
 }
 
 void wheel_node_fail(wheel_node *node) {
-    fault(node, WP_FAULT_SENSOR);
-}
-
-static bool is_finite(float x) {
-    return x - x == 0.0f;
-}
-
-bool wheel_sense_is_finite(const wheel_sense *sense) {
-    bool finite = true;
-    for (size_t i = 0; i < WHEEL_COUNT; i++) {
-        finite = finite && is_finite(sense->current_a[i]);
-    }
-    for (size_t i = 0; i < 3u; i++) {
-        finite = finite && is_finite(sense->gyro_rad_s[i]);
-    }
-    return finite;
-}
-
-static float largest_speed(const wheel_node *node) {
-    float largest = 0.0f;
-    for (size_t i = 0; i < WHEEL_COUNT; i++) {
-        const float speed = magnitude(node->speed_rad_s[i]);
-        largest = speed > largest ? speed : largest;
-    }
-    return largest;
-}
-
-static bool at_rest(const wheel_node *node) {
-    return node->rest_ticks >= STANDSTILL_TICKS;
-}
-
-static void supervise(wheel_node *node) {
-    if (largest_speed(node) > node->parameters.overspeed_rad_s) {
-        fault(node, WP_FAULT_OVERSPEED);
-    }
-    if (node->state == WP_STATE_ACTIVE &&
-        node->setting.age_ticks >= wheel_ticks(node->parameters.watchdog_s)) {
-        wheel_node_stop(node, WHEEL_EVENT_TIMEOUT, WP_STOP_REASON_COMMAND_TIMEOUT);
-    }
-    if (node->state == WP_STATE_ARMED && node->state_ticks >= WHEEL_ARM_TIMEOUT_TICKS) {
-        wheel_node_stop(node, WHEEL_EVENT_TIMEOUT, WP_STOP_REASON_ARM_TIMEOUT);
-    }
-    if (node->state == WP_STATE_STOPPING) {
-        const uint32_t ramp = wheel_ticks(node->parameters.ramp_s);
-        if (node->state_ticks >= ramp &&
-            (at_rest(node) || node->state_ticks >= ramp + WHEEL_STOP_LIMIT_TICKS)) {
-            wheel_node_event(node, WHEEL_EVENT_STOPPED);
-        }
-    }
+    wheel_node_fault(node, WP_FAULT_SENSOR, WP_FAULT_WHEEL_NONE);
 }
 
 void wheel_node_sense(wheel_node *node, const wheel_sense *sense) {
     for (size_t i = 0; i < WHEEL_COUNT; i++) {
+        const uint32_t turned = (uint32_t)(uint16_t)(sense->count[i] - node->sense.count[i]);
+        if (node->tracker[i].running) {
+            node->absolute_count[i] += turned < 0x8000u ? turned : turned - 0x10000u;
+        }
         node->speed_rad_s[i] = wheel_tracker_update(&node->tracker[i], sense->count[i], &node->parameters);
     }
-    node->rest_ticks = largest_speed(node) < STANDSTILL_RAD_S ? node->rest_ticks + 1u : 0u;
-    if (!wheel_sense_is_finite(sense)) {
-        fault(node, WP_FAULT_SENSOR);
-    }
-    supervise(node);
-    wheel_node_send_feedback(node, sense);
+    node->sense = *sense;
+    wheel_node_supervise(node);
+    wheel_node_send_feedback(node);
 }
 
 /* The set point ramps to zero from where it was, whatever the wheels do. */
@@ -171,9 +128,18 @@ static void ramp_set_point(wheel_node *node) {
     }
 }
 
+/* What a wheel may drive with: the torque limit, or the current limit as far as the windings' heat leaves it.
+ */
+static float torque_limit_n_m(const wheel_node *node) {
+    const wheel_parameters *p = &node->parameters;
+    const float by_current = p->torque_constant_n_m_a * p->current_limit_a * wheel_node_derating(node);
+    return by_current < p->torque_limit_n_m ? by_current : p->torque_limit_n_m;
+}
+
 static bool drive_by_speed(wheel_node *node, const float feedforward_n_m[WHEEL_COUNT], wheel_drive *drive) {
     return wheel_speed_loop_update(&node->speed_loop, node->set_point_rad_s, node->speed_rad_s,
-                                   feedforward_n_m, &node->parameters, drive->torque_n_m);
+                                   feedforward_n_m, &node->parameters, torque_limit_n_m(node),
+                                   drive->torque_n_m);
 }
 
 static bool drive_active(wheel_node *node, wheel_drive *drive) {
@@ -184,26 +150,44 @@ static bool drive_active(wheel_node *node, wheel_drive *drive) {
     /* A stop that follows begins at the speed that the wheels have. */
     memcpy(node->set_point_rad_s, node->speed_rad_s, sizeof node->set_point_rad_s);
     memcpy(drive->torque_n_m, node->setting.target, sizeof drive->torque_n_m);
-    return wheel_scale_to_limit(drive->torque_n_m, node->parameters.torque_limit_n_m);
+    return wheel_scale_to_limit(drive->torque_n_m, torque_limit_n_m(node));
+}
+
+/* The duties that drive these torques through motors without a current loop of their own. */
+static void drive_currents(wheel_node *node, wheel_drive *drive) {
+    float target_a[WHEEL_COUNT];
+    if (drive->enabled == 0u) {
+        memset(&node->current_loop, 0, sizeof node->current_loop);
+        return;
+    }
+    for (size_t i = 0; i < WHEEL_COUNT; i++) {
+        target_a[i] = drive->torque_n_m[i] / node->parameters.torque_constant_n_m_a;
+    }
+    wheel_current_loop_update(&node->current_loop, target_a, node->sense.current_a, node->speed_rad_s,
+                              node->sense.battery_v, &node->parameters, drive->duty);
 }
 
 void wheel_node_drive(wheel_node *node, wheel_drive *drive) {
     static const float none[WHEEL_COUNT] = {0.0f, 0.0f, 0.0f, 0.0f};
     bool limited = false;
+    memset(drive, 0, sizeof *drive);
     drive->tick = node->tick;
-    memset(drive->torque_n_m, 0, sizeof drive->torque_n_m);
     switch (node->state) {
     case WP_STATE_ACTIVE:
+        drive->enabled = 1u;
         limited = drive_active(node, drive);
         break;
     case WP_STATE_STOPPING:
+        drive->enabled = 1u;
         ramp_set_point(node);
         limited = drive_by_speed(node, none, drive);
         break;
     case WP_STATE_ESTOP:
         memset(node->set_point_rad_s, 0, sizeof node->set_point_rad_s);
-        node->braking = node->braking && node->state_ticks < WHEEL_STOP_LIMIT_TICKS && !at_rest(node);
+        node->braking =
+            node->braking && node->state_ticks < WHEEL_STOP_LIMIT_TICKS && !wheel_node_at_rest(node);
         if (node->braking) {
+            drive->enabled = 1u;
             limited = drive_by_speed(node, none, drive);
         }
         break;
@@ -211,6 +195,8 @@ void wheel_node_drive(wheel_node *node, wheel_drive *drive) {
         memset(node->set_point_rad_s, 0, sizeof node->set_point_rad_s);
         break;
     }
+    drive_currents(node, drive);
+    memcpy(node->torque_n_m, drive->torque_n_m, sizeof node->torque_n_m);
     node->limited_ticks += limited ? 1u : 0u;
     node->setting.age_ticks += node->setting.age_ticks < UINT32_MAX ? 1u : 0u;
     node->state_ticks += node->state_ticks < UINT32_MAX ? 1u : 0u;
@@ -229,13 +215,26 @@ void wheel_node_queue(wheel_node *node, uint16_t id, uint8_t length, const uint8
     node->queue_count++;
 }
 
-bool wheel_node_transmit(wheel_node *node, wheel_frame *frame) {
+/* The answer to a TIME_SYNC_REQUEST tells how long it waited here. */
+static void stamp(const wheel_node *node, wheel_frame *frame, uint32_t now_us) {
+    wp_time_sync_response m;
+    if (wp_time_sync_response_decode(frame->payload, frame->length, &m)) {
+        const uint32_t held_us = now_us - node->sync_received_us;
+        m.held_us = held_us > 0xFFFFu ? 0xFFFFu : (uint16_t)held_us;
+        (void)wp_time_sync_response_encode(&m, frame->payload);
+    }
+}
+
+bool wheel_node_transmit(wheel_node *node, wheel_frame *frame, uint32_t now_us) {
     if (node->queue_count == 0) {
         return false;
     }
     *frame = node->queue[node->queue_head];
     node->queue_head = (uint8_t)((node->queue_head + 1u) % WHEEL_TRANSMIT_QUEUE);
     node->queue_count--;
+    if (frame->id == WP_TIME_SYNC_RESPONSE_ID) {
+        stamp(node, frame, now_us);
+    }
     return true;
 }
 

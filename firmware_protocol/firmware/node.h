@@ -27,13 +27,18 @@
 #define WHEEL_CAPABILITY_FEEDFORWARD 0x0010u
 #define WHEEL_CAPABILITY_CURRENTS 0x0020u
 #define WHEEL_CAPABILITY_GYRO 0x0040u
+#define WHEEL_CAPABILITY_ACCELEROMETER 0x0080u
+#define WHEEL_CAPABILITY_POWER 0x0100u
+#define WHEEL_CAPABILITY_TEMPERATURES 0x0200u
+#define WHEEL_CAPABILITY_STORAGE 0x0400u /* parameters are kept across a reset */
 
 #define WHEEL_SEQUENCE_WINDOW 32u     /* forward distances 1..32 of 256 are accepted */
 #define WHEEL_ARM_TIMEOUT_TICKS 1000u /* ARMED without a command */
 #define WHEEL_STOP_LIMIT_TICKS 1000u  /* after the ramp the wheels are held for at most so long */
 #define WHEEL_STATUS_PERIOD_TICKS 100u
-#define WHEEL_SLOW_PART_PERIOD_TICKS 5u /* CURRENTS and GYRO at 200 Hz at most */
-#define WHEEL_TRANSMIT_QUEUE 16u
+#define WHEEL_ABSOLUTE_PERIOD_TICKS 1000u
+#define WHEEL_SLOW_PART_PERIOD_TICKS 5u /* CURRENTS, ACCELEROMETER and GYRO at 200 Hz at most */
+#define WHEEL_TRANSMIT_QUEUE 32u
 
 typedef struct {
     uint16_t capabilities;
@@ -53,13 +58,25 @@ typedef struct {
     uint32_t feedforward_unmatched;
 } wheel_rejections;
 
-/* What the transport dropped before the core saw it; the port keeps it current, LINK_COUNTERS reports it. */
+/* What the transport dropped or lost before the core saw it; the port keeps it current, LINK_COUNTERS and
+ * PORT_COUNTERS report it. */
 typedef struct {
     uint32_t cobs;
     uint32_t crc;
     uint32_t length;
     uint32_t unknown_id;
-} wheel_transport_rejections;
+    uint32_t overrun;
+    uint32_t serial_lost;
+    uint32_t can_errors;
+    uint32_t bus_off;
+} wheel_transport_counters;
+
+/* What the supervision of a wheel's encoder remembers. */
+typedef struct {
+    uint32_t still_ticks;    /* for how long it stood still while it should turn */
+    uint32_t backward_ticks; /* for how long it ran away against the torque */
+    float slowest_rad_s;     /* least speed since then */
+} wheel_encoder_watch;
 
 /* An accepted command, held until the next one. */
 typedef struct {
@@ -82,6 +99,7 @@ typedef struct {
     uint8_t state;
     uint8_t mode;
     uint8_t fault;
+    uint8_t fault_wheel; /* 1 to 4, 0 for none */
     uint8_t stop_reason;
     uint8_t arm_refusal;
 
@@ -94,6 +112,13 @@ typedef struct {
 
     wheel_tracker tracker[WHEEL_COUNT];
     wheel_speed_loop speed_loop;
+    wheel_current_loop current_loop;
+    wheel_sense sense;             /* of this tick */
+    float torque_n_m[WHEEL_COUNT]; /* given to the drives in the last tick */
+    uint32_t absolute_count[WHEEL_COUNT];
+    wheel_encoder_watch encoder[WHEEL_COUNT];
+    uint32_t overcurrent_ticks;
+    uint32_t undervoltage_ticks;
     float speed_rad_s[WHEEL_COUNT];
     float set_point_rad_s[WHEEL_COUNT]; /* what the speed loop follows; in torque mode the measured speed */
     float ramp_from_rad_s[WHEEL_COUNT];
@@ -104,10 +129,17 @@ typedef struct {
     uint32_t limited_ticks;
     uint8_t snapshot;
     wheel_rejections rejections;
-    wheel_transport_rejections transport;
+    wheel_transport_counters transport;
 
     bool step_pending;
     uint32_t step_ticks;
+
+    wheel_parameters built_in; /* what RESTORE goes back to */
+    bool store_pending;
+    wp_parameter_request store_request;
+
+    uint32_t now_us; /* when the frame in hand arrived */
+    uint32_t sync_received_us;
 
     wheel_frame queue[WHEEL_TRANSMIT_QUEUE];
     uint8_t queue_head;
@@ -115,11 +147,15 @@ typedef struct {
     uint32_t transmit_overruns;
 } wheel_node;
 
-/* Starts in IDLE, or in FAULT when a parameter is out of its range. */
-void wheel_node_init(wheel_node *node, const wheel_parameters *parameters, const wheel_identity *identity);
+/* Starts in IDLE, or in FAULT when a parameter is out of its range. `built_in` are the parameters of the
+ * build; `stored` what the port kept across the reset, WHEEL_STORED_SIZE bytes, or NULL. Bytes that are
+ * damaged, or of another firmware, leave the built-in ones in force; the parameter hash tells. */
+void wheel_node_init(wheel_node *node, const wheel_parameters *built_in, const uint8_t *stored,
+                     const wheel_identity *identity);
 
-/* Takes one frame that passed the checks of its transport. Wrong content is dropped and counted. */
-void wheel_node_receive(wheel_node *node, const wheel_frame *frame);
+/* Takes one frame that passed the checks of its transport. Wrong content is dropped and counted. `now_us` is
+ * the robot's clock, that of TICK.time_us, when the frame was complete. */
+void wheel_node_receive(wheel_node *node, const wheel_frame *frame, uint32_t now_us);
 
 /* Begins a tick: estimates, supervises, and queues feedback. */
 void wheel_node_sense(wheel_node *node, const wheel_sense *sense);
@@ -130,21 +166,32 @@ void wheel_node_drive(wheel_node *node, wheel_drive *drive);
 /* The drives or sensors failed: a fault, with the drives off. */
 void wheel_node_fail(wheel_node *node);
 
-/* Hands out the next frame to send; false when there is none. */
-bool wheel_node_transmit(wheel_node *node, wheel_frame *frame);
+/* Hands out the next frame to send at `now_us`; false when there is none. */
+bool wheel_node_transmit(wheel_node *node, wheel_frame *frame, uint32_t now_us);
 
 /* True when a STEP asks for ticks; the port runs them and then calls wheel_node_step_done. */
 bool wheel_node_step_pending(const wheel_node *node, uint32_t *ticks);
 void wheel_node_step_done(wheel_node *node);
 
+/* True when a STORE asks to keep `bytes`; the port writes them and then calls wheel_node_stored. */
+bool wheel_node_store_pending(const wheel_node *node, uint8_t bytes[WHEEL_STORED_SIZE]);
+void wheel_node_stored(wheel_node *node, bool kept);
+
 /* Used between the files of the core. */
 void wheel_node_event(wheel_node *node, wheel_event event);
 void wheel_node_stop(wheel_node *node, wheel_event event, uint8_t reason);
+void wheel_node_fault(wheel_node *node, uint8_t cause, uint8_t wheel);
+void wheel_node_supervise(wheel_node *node);
+bool wheel_node_at_rest(const wheel_node *node);
+float wheel_node_derating(const wheel_node *node);
+bool wheel_node_on_time_sync(wheel_node *node, const wheel_frame *frame);
+bool wheel_node_on_parameter(wheel_node *node, const wheel_frame *frame);
 void wheel_node_queue(wheel_node *node, uint16_t id, uint8_t length, const uint8_t *payload);
 void wheel_node_send_hello(wheel_node *node);
-void wheel_node_send_feedback(wheel_node *node, const wheel_sense *sense);
+void wheel_node_send_feedback(wheel_node *node);
 void wheel_node_send_status(wheel_node *node);
 bool wheel_sense_is_finite(const wheel_sense *sense);
 uint32_t wheel_ticks(float seconds);
+float wheel_magnitude(float x);
 
 #endif

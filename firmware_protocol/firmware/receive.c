@@ -220,16 +220,19 @@ static bool on_hello_request(wheel_node *node, const wheel_frame *frame) {
     return true;
 }
 
-void wheel_node_receive(wheel_node *node, const wheel_frame *frame) {
+void wheel_node_receive(wheel_node *node, const wheel_frame *frame, uint32_t now_us) {
+    node->now_us = now_us;
     static const struct {
         uint16_t id;
         bool (*take)(wheel_node *, const wheel_frame *);
     } handlers[] = {
         {WP_ESTOP_ID, on_estop},
+        {WP_TIME_SYNC_REQUEST_ID, wheel_node_on_time_sync},
         {WP_HOST_HEARTBEAT_ID, on_heartbeat},
         {WP_TORQUE_FEEDFORWARD_ID, on_torque_feedforward},
         {WP_WHEEL_COMMAND_ID, on_wheel_command},
         {WP_TORQUE_COMMAND_ID, on_torque_command},
+        {WP_PARAMETER_REQUEST_ID, wheel_node_on_parameter},
         {WP_STEP_ID, on_step},
         {WP_HELLO_REQUEST_ID, on_hello_request},
     };

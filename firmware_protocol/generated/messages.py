@@ -24,7 +24,7 @@ def _out_of_range(message: str, values: Sequence[float], ranges: Sequence[_Range
 
 
 PROTOCOL_VERSION = 1
-SCHEMA_HASH = 0x169BB7E5
+SCHEMA_HASH = 0xAEC5BC86
 
 
 class Request(IntEnum):
@@ -61,6 +61,21 @@ class Fault(IntEnum):
     SENSOR = 1
     OVERSPEED = 2
     PARAMETERS = 3
+    OVERCURRENT = 4
+    OVERTEMPERATURE = 5
+    UNDERVOLTAGE = 6
+    ENCODER_STUCK = 7
+    WRONG_DIRECTION = 8
+
+
+class FaultWheel(IntEnum):
+    """Values of STATUS.fault_wheel."""
+
+    NONE = 0
+    FL = 1
+    FR = 2
+    RR = 3
+    RL = 4
 
 
 class StopReason(IntEnum):
@@ -85,6 +100,34 @@ class ArmRefusal(IntEnum):
     SESSION_USED = 5
     MODE = 6
     NOT_ANNOUNCED = 7
+
+
+class Operation(IntEnum):
+    """Values of PARAMETER_REQUEST.operation and PARAMETER_RESPONSE.operation."""
+
+    READ = 0
+    READ_MINIMUM = 1
+    READ_MAXIMUM = 2
+    WRITE = 3
+    STORE = 4
+    RESTORE = 5
+
+
+class Result(IntEnum):
+    """Values of PARAMETER_RESPONSE.result."""
+
+    OK = 0
+    PARAMETER = 1
+    RANGE = 2
+    STATE = 3
+    STORAGE = 4
+
+
+class Type(IntEnum):
+    """Values of PARAMETER_RESPONSE.type."""
+
+    FLOAT32 = 0
+    UINT32 = 1
 
 
 _ESTOP = Struct("<BB")
@@ -454,7 +497,7 @@ _TICK_RANGES: tuple[_Range, ...] = (
     ("sequence", 0, 255, ""),
     ("command_age_ms", 0, 255, " ms"),
     ("state", 0, 6, ""),
-    ("parts", 0, 15, ""),
+    ("parts", 0, 31, ""),
     ("snapshot", 0, 255, ""),
 )
 
@@ -473,7 +516,8 @@ class Tick(_TickFields):
     time_us: Robot time of the sampling instant, wrapping.
     sequence: Sequence of the command in force.
     command_age_ms: Robot time since the newest accepted command; 255 means 255 or more, or none yet.
-    parts: Parts that follow: bit 0 ENCODERS, bit 1 WHEEL_SPEEDS, bit 2 CURRENTS, bit 3 GYRO.
+    parts: Parts that follow: bit 0 ENCODERS, bit 1 WHEEL_SPEEDS, bit 2 CURRENTS, bit 3 ACCELEROMETER, bit 4
+        GYRO.
     snapshot: Counts snapshots, wrapping.
     """
 
@@ -489,7 +533,7 @@ class Tick(_TickFields):
             and 0 <= sequence <= 255
             and 0 <= command_age_ms <= 255
             and 0 <= state <= 6
-            and 0 <= parts <= 15
+            and 0 <= parts <= 31
             and 0 <= snapshot <= 255
         ):
             raise _out_of_range(self.NAME, self, _TICK_RANGES)
@@ -498,7 +542,7 @@ class Tick(_TickFields):
             | _index(sequence) << 32
             | _index(command_age_ms) << 40
             | _index(state) << 48
-            | _index(parts) << 52
+            | _index(parts) << 51
             | _index(snapshot) << 56
         ).to_bytes(8, "little")
 
@@ -510,8 +554,8 @@ class Tick(_TickFields):
         time_us = bits & 0xFFFFFFFF
         sequence = bits >> 32 & 0xFF
         command_age_ms = bits >> 40 & 0xFF
-        state = bits >> 48 & 0xF
-        parts = bits >> 52 & 0xF
+        state = bits >> 48 & 0x7
+        parts = bits >> 51 & 0x1F
         snapshot = bits >> 56 & 0xFF
         if not (
             state <= 6
@@ -710,6 +754,72 @@ class Currents(_CurrentsFields):
         )
 
 
+_ACCELEROMETER = Struct("<hhhH")
+_ACCELEROMETER_RANGES: tuple[_Range, ...] = (
+    ("x_m_s2", -127.99609375, 127.99609375, " m/s2"),
+    ("y_m_s2", -127.99609375, 127.99609375, " m/s2"),
+    ("z_m_s2", -127.99609375, 127.99609375, " m/s2"),
+    ("tick", 0, 65535, ""),
+)
+
+
+class _AccelerometerFields(NamedTuple):
+    x_m_s2: float
+    y_m_s2: float
+    z_m_s2: float
+    tick: int
+
+
+class Accelerometer(_AccelerometerFields):
+    """ACCELEROMETER: Acceleration of the robot's centre without gravity's, in the body frame: at rest z is
+    9.81 m/s2.
+    tick: As in GYRO.
+    """
+
+    __slots__ = ()
+    ID: ClassVar[int] = 0x090
+    LENGTH: ClassVar[int] = 8
+    NAME: ClassVar[str] = "ACCELEROMETER"
+
+    def encode(self) -> bytes:
+        x_m_s2, y_m_s2, z_m_s2, tick = self
+        if not (
+            -127.99609375 <= x_m_s2 <= 127.99609375
+            and -127.99609375 <= y_m_s2 <= 127.99609375
+            and -127.99609375 <= z_m_s2 <= 127.99609375
+            and 0 <= tick <= 65535
+        ):
+            raise _out_of_range(self.NAME, self, _ACCELEROMETER_RANGES)
+        # Half of a truncated double: the nearest step, halves away from zero.
+        x_m_s2_twice = int(x_m_s2 * 512.0)
+        y_m_s2_twice = int(y_m_s2 * 512.0)
+        z_m_s2_twice = int(z_m_s2 * 512.0)
+        return _ACCELEROMETER.pack(
+            (x_m_s2_twice + (x_m_s2_twice > 0) >> 1),
+            (y_m_s2_twice + (y_m_s2_twice > 0) >> 1),
+            (z_m_s2_twice + (z_m_s2_twice > 0) >> 1),
+            _index(tick),
+        )
+
+    @classmethod
+    def decode(cls, payload: bytes) -> Self | None:
+        if len(payload) != 8:
+            return None
+        x_m_s2, y_m_s2, z_m_s2, tick = _ACCELEROMETER.unpack(payload)
+        if not (
+            -32767 <= x_m_s2
+            and -32767 <= y_m_s2
+            and -32767 <= z_m_s2
+        ):
+            return None
+        return cls(
+            x_m_s2 * 0.00390625,
+            y_m_s2 * 0.00390625,
+            z_m_s2 * 0.00390625,
+            tick,
+        )
+
+
 _GYRO = Struct("<hhhH")
 _GYRO_RANGES: tuple[_Range, ...] = (
     ("x_rad_s", -31.9990234375, 31.9990234375, " rad/s"),
@@ -778,7 +888,8 @@ class Gyro(_GyroFields):
 _STATUS_RANGES: tuple[_Range, ...] = (
     ("state", 0, 6, ""),
     ("mode", 0, 1, ""),
-    ("fault", 0, 3, ""),
+    ("fault", 0, 8, ""),
+    ("fault_wheel", 0, 4, ""),
     ("stop_reason", 0, 5, ""),
     ("nonce", 0, 65535, ""),
     ("arm_refusal", 0, 7, ""),
@@ -790,6 +901,7 @@ class _StatusFields(NamedTuple):
     state: int
     mode: int
     fault: int
+    fault_wheel: int
     stop_reason: int
     nonce: int
     arm_refusal: int
@@ -798,8 +910,10 @@ class _StatusFields(NamedTuple):
 
 class Status(_StatusFields):
     """STATUS: State, and why the robot last stopped or refused to arm; 10 Hz and on every change of state.
+    fault_wheel: Wheel of the fault, 1 to 4 for FL, FR, RR, RL; 0 when it is not one wheel's.
     nonce: Nonce of the last session; 0 when there was none.
-    limited: Ticks in which all four wheels were scaled at the torque limit, wrapping.
+    limited: Ticks in which all four wheels were scaled at a limit of torque, current or temperature,
+        wrapping.
     """
 
     __slots__ = ()
@@ -808,11 +922,12 @@ class Status(_StatusFields):
     NAME: ClassVar[str] = "STATUS"
 
     def encode(self) -> bytes:
-        state, mode, fault, stop_reason, nonce, arm_refusal, limited = self
+        state, mode, fault, fault_wheel, stop_reason, nonce, arm_refusal, limited = self
         if not (
             0 <= state <= 6
             and 0 <= mode <= 1
-            and 0 <= fault <= 3
+            and 0 <= fault <= 8
+            and 0 <= fault_wheel <= 4
             and 0 <= stop_reason <= 5
             and 0 <= nonce <= 65535
             and 0 <= arm_refusal <= 7
@@ -823,6 +938,7 @@ class Status(_StatusFields):
             _index(state)
             | _index(mode) << 4
             | _index(fault) << 8
+            | _index(fault_wheel) << 13
             | _index(stop_reason) << 16
             | _index(nonce) << 24
             | _index(arm_refusal) << 40
@@ -836,7 +952,8 @@ class Status(_StatusFields):
         bits = int.from_bytes(payload, "little")
         state = bits & 0xF
         mode = bits >> 4 & 0xF
-        fault = bits >> 8 & 0xFF
+        fault = bits >> 8 & 0x1F
+        fault_wheel = bits >> 13 & 0x7
         stop_reason = bits >> 16 & 0xFF
         nonce = bits >> 24 & 0xFFFF
         arm_refusal = bits >> 40 & 0xFF
@@ -844,7 +961,8 @@ class Status(_StatusFields):
         if not (
             state <= 6
             and mode <= 1
-            and fault <= 3
+            and fault <= 8
+            and fault_wheel <= 4
             and stop_reason <= 5
             and arm_refusal <= 7
         ):
@@ -853,10 +971,129 @@ class Status(_StatusFields):
             state,
             mode,
             fault,
+            fault_wheel,
             stop_reason,
             nonce,
             arm_refusal,
             limited,
+        )
+
+
+_POWER = Struct("<hh")
+_POWER_RANGES: tuple[_Range, ...] = (
+    ("battery_v", -255.9921875, 255.9921875, " V"),
+    ("battery_a", -255.9921875, 255.9921875, " A"),
+)
+
+
+class _PowerFields(NamedTuple):
+    battery_v: float
+    battery_a: float
+
+
+class Power(_PowerFields):
+    """POWER: Battery; 10 Hz.
+    battery_a: Out of the battery; negative while braking charges it.
+    """
+
+    __slots__ = ()
+    ID: ClassVar[int] = 0x101
+    LENGTH: ClassVar[int] = 4
+    NAME: ClassVar[str] = "POWER"
+
+    def encode(self) -> bytes:
+        battery_v, battery_a = self
+        if not (
+            -255.9921875 <= battery_v <= 255.9921875
+            and -255.9921875 <= battery_a <= 255.9921875
+        ):
+            raise _out_of_range(self.NAME, self, _POWER_RANGES)
+        # Half of a truncated double: the nearest step, halves away from zero.
+        battery_v_twice = int(battery_v * 256.0)
+        battery_a_twice = int(battery_a * 256.0)
+        return _POWER.pack(
+            (battery_v_twice + (battery_v_twice > 0) >> 1),
+            (battery_a_twice + (battery_a_twice > 0) >> 1),
+        )
+
+    @classmethod
+    def decode(cls, payload: bytes) -> Self | None:
+        if len(payload) != 4:
+            return None
+        battery_v, battery_a = _POWER.unpack(payload)
+        if not (
+            -32767 <= battery_v
+            and -32767 <= battery_a
+        ):
+            return None
+        return cls(
+            battery_v * 0.0078125,
+            battery_a * 0.0078125,
+        )
+
+
+_TEMPERATURES = Struct("<hhhh")
+_TEMPERATURES_RANGES: tuple[_Range, ...] = (
+    ("fl_degc", -255.9921875, 255.9921875, " degC"),
+    ("fr_degc", -255.9921875, 255.9921875, " degC"),
+    ("rr_degc", -255.9921875, 255.9921875, " degC"),
+    ("rl_degc", -255.9921875, 255.9921875, " degC"),
+)
+
+
+class _TemperaturesFields(NamedTuple):
+    fl_degc: float
+    fr_degc: float
+    rr_degc: float
+    rl_degc: float
+
+
+class Temperatures(_TemperaturesFields):
+    """TEMPERATURES: Temperatures of the motors' windings; 10 Hz."""
+
+    __slots__ = ()
+    ID: ClassVar[int] = 0x102
+    LENGTH: ClassVar[int] = 8
+    NAME: ClassVar[str] = "TEMPERATURES"
+
+    def encode(self) -> bytes:
+        fl_degc, fr_degc, rr_degc, rl_degc = self
+        if not (
+            -255.9921875 <= fl_degc <= 255.9921875
+            and -255.9921875 <= fr_degc <= 255.9921875
+            and -255.9921875 <= rr_degc <= 255.9921875
+            and -255.9921875 <= rl_degc <= 255.9921875
+        ):
+            raise _out_of_range(self.NAME, self, _TEMPERATURES_RANGES)
+        # Half of a truncated double: the nearest step, halves away from zero.
+        fl_degc_twice = int(fl_degc * 256.0)
+        fr_degc_twice = int(fr_degc * 256.0)
+        rr_degc_twice = int(rr_degc * 256.0)
+        rl_degc_twice = int(rl_degc * 256.0)
+        return _TEMPERATURES.pack(
+            (fl_degc_twice + (fl_degc_twice > 0) >> 1),
+            (fr_degc_twice + (fr_degc_twice > 0) >> 1),
+            (rr_degc_twice + (rr_degc_twice > 0) >> 1),
+            (rl_degc_twice + (rl_degc_twice > 0) >> 1),
+        )
+
+    @classmethod
+    def decode(cls, payload: bytes) -> Self | None:
+        if len(payload) != 8:
+            return None
+        fl_degc, fr_degc, rr_degc, rl_degc = _TEMPERATURES.unpack(payload)
+        if not (
+            -32767 <= fl_degc
+            and -32767 <= fr_degc
+            and -32767 <= rr_degc
+            and -32767 <= rl_degc
+        ):
+            return None
+        return cls(
+            fl_degc * 0.0078125,
+            fr_degc * 0.0078125,
+            rr_degc * 0.0078125,
+            rl_degc * 0.0078125,
         )
 
 
@@ -886,7 +1123,7 @@ class _LinkCountersFields(NamedTuple):
 
 class LinkCounters(_LinkCountersFields):
     """LINK_COUNTERS: Frames rejected, by cause, each wrapping; 10 Hz.
-    length: Frames of a wrong length, overruns of the serial line included.
+    length: Frames of a wrong length.
     """
 
     __slots__ = ()
@@ -932,6 +1169,393 @@ class LinkCounters(_LinkCountersFields):
             session,
             stale,
             state,
+        )
+
+
+_ABSOLUTE_FRONT = Struct("<II")
+_ABSOLUTE_FRONT_RANGES: tuple[_Range, ...] = (
+    ("fl_count", 0, 4294967295, ""),
+    ("fr_count", 0, 4294967295, ""),
+)
+
+
+class _AbsoluteFrontFields(NamedTuple):
+    fl_count: int
+    fr_count: int
+
+
+class AbsoluteFront(_AbsoluteFrontFields):
+    """ABSOLUTE_FRONT: Encoder counts since power-on in two's complement: whole turns that ENCODERS no longer
+    tells; 1 Hz.
+    """
+
+    __slots__ = ()
+    ID: ClassVar[int] = 0x104
+    LENGTH: ClassVar[int] = 8
+    NAME: ClassVar[str] = "ABSOLUTE_FRONT"
+
+    def encode(self) -> bytes:
+        fl_count, fr_count = self
+        if not (
+            0 <= fl_count <= 4294967295
+            and 0 <= fr_count <= 4294967295
+        ):
+            raise _out_of_range(self.NAME, self, _ABSOLUTE_FRONT_RANGES)
+        return _ABSOLUTE_FRONT.pack(
+            _index(fl_count),
+            _index(fr_count),
+        )
+
+    @classmethod
+    def decode(cls, payload: bytes) -> Self | None:
+        if len(payload) != 8:
+            return None
+        fl_count, fr_count = _ABSOLUTE_FRONT.unpack(payload)
+        return cls(
+            fl_count,
+            fr_count,
+        )
+
+
+_ABSOLUTE_REAR = Struct("<II")
+_ABSOLUTE_REAR_RANGES: tuple[_Range, ...] = (
+    ("rr_count", 0, 4294967295, ""),
+    ("rl_count", 0, 4294967295, ""),
+)
+
+
+class _AbsoluteRearFields(NamedTuple):
+    rr_count: int
+    rl_count: int
+
+
+class AbsoluteRear(_AbsoluteRearFields):
+    """ABSOLUTE_REAR: As ABSOLUTE_FRONT."""
+
+    __slots__ = ()
+    ID: ClassVar[int] = 0x105
+    LENGTH: ClassVar[int] = 8
+    NAME: ClassVar[str] = "ABSOLUTE_REAR"
+
+    def encode(self) -> bytes:
+        rr_count, rl_count = self
+        if not (
+            0 <= rr_count <= 4294967295
+            and 0 <= rl_count <= 4294967295
+        ):
+            raise _out_of_range(self.NAME, self, _ABSOLUTE_REAR_RANGES)
+        return _ABSOLUTE_REAR.pack(
+            _index(rr_count),
+            _index(rl_count),
+        )
+
+    @classmethod
+    def decode(cls, payload: bytes) -> Self | None:
+        if len(payload) != 8:
+            return None
+        rr_count, rl_count = _ABSOLUTE_REAR.unpack(payload)
+        return cls(
+            rr_count,
+            rl_count,
+        )
+
+
+_PORT_COUNTERS = Struct("<BBBBBB")
+_PORT_COUNTERS_RANGES: tuple[_Range, ...] = (
+    ("overrun", 0, 255, ""),
+    ("feedforward_unmatched", 0, 255, ""),
+    ("transmit_overrun", 0, 255, ""),
+    ("serial_lost", 0, 255, ""),
+    ("can_errors", 0, 255, ""),
+    ("bus_off", 0, 255, ""),
+)
+
+
+class _PortCountersFields(NamedTuple):
+    overrun: int
+    feedforward_unmatched: int
+    transmit_overrun: int
+    serial_lost: int
+    can_errors: int
+    bus_off: int
+
+
+class PortCounters(_PortCountersFields):
+    """PORT_COUNTERS: What the robot's ports lost, each wrapping; 10 Hz.
+    overrun: Serial frames too long, and bytes that the port could not take in time.
+    feedforward_unmatched: Torque feedforwards without their command.
+    transmit_overrun: Frames that the robot could not send in time.
+    serial_lost: Frames of the host that are missing in its line count.
+    can_errors: CAN error frames seen by the robot's controller.
+    bus_off: Times that the robot's controller went off the bus and came back.
+    """
+
+    __slots__ = ()
+    ID: ClassVar[int] = 0x106
+    LENGTH: ClassVar[int] = 6
+    NAME: ClassVar[str] = "PORT_COUNTERS"
+
+    def encode(self) -> bytes:
+        overrun, feedforward_unmatched, transmit_overrun, serial_lost, can_errors, bus_off = self
+        if not (
+            0 <= overrun <= 255
+            and 0 <= feedforward_unmatched <= 255
+            and 0 <= transmit_overrun <= 255
+            and 0 <= serial_lost <= 255
+            and 0 <= can_errors <= 255
+            and 0 <= bus_off <= 255
+        ):
+            raise _out_of_range(self.NAME, self, _PORT_COUNTERS_RANGES)
+        return _PORT_COUNTERS.pack(
+            _index(overrun),
+            _index(feedforward_unmatched),
+            _index(transmit_overrun),
+            _index(serial_lost),
+            _index(can_errors),
+            _index(bus_off),
+        )
+
+    @classmethod
+    def decode(cls, payload: bytes) -> Self | None:
+        if len(payload) != 6:
+            return None
+        overrun, feedforward_unmatched, transmit_overrun, serial_lost, can_errors, bus_off = _PORT_COUNTERS.unpack(payload)
+        return cls(
+            overrun,
+            feedforward_unmatched,
+            transmit_overrun,
+            serial_lost,
+            can_errors,
+            bus_off,
+        )
+
+
+_TIME_SYNC_REQUEST = Struct("<B")
+_TIME_SYNC_REQUEST_RANGES: tuple[_Range, ...] = (
+    ("sequence", 0, 255, ""),
+)
+
+
+class _TimeSyncRequestFields(NamedTuple):
+    sequence: int
+
+
+class TimeSyncRequest(_TimeSyncRequestFields):
+    """TIME_SYNC_REQUEST: Asks for the robot's clock; 4 Hz."""
+
+    __slots__ = ()
+    ID: ClassVar[int] = 0x180
+    LENGTH: ClassVar[int] = 1
+    NAME: ClassVar[str] = "TIME_SYNC_REQUEST"
+
+    def encode(self) -> bytes:
+        sequence, = self
+        if not (
+            0 <= sequence <= 255
+        ):
+            raise _out_of_range(self.NAME, self, _TIME_SYNC_REQUEST_RANGES)
+        return _TIME_SYNC_REQUEST.pack(
+            _index(sequence),
+        )
+
+    @classmethod
+    def decode(cls, payload: bytes) -> Self | None:
+        if len(payload) != 1:
+            return None
+        sequence, = _TIME_SYNC_REQUEST.unpack(payload)
+        return cls(
+            sequence,
+        )
+
+
+_TIME_SYNC_RESPONSE = Struct("<IHB")
+_TIME_SYNC_RESPONSE_RANGES: tuple[_Range, ...] = (
+    ("received_us", 0, 4294967295, " us"),
+    ("held_us", 0, 65535, " us"),
+    ("sequence", 0, 255, ""),
+)
+
+
+class _TimeSyncResponseFields(NamedTuple):
+    received_us: int
+    held_us: int
+    sequence: int
+
+
+class TimeSyncResponse(_TimeSyncResponseFields):
+    """TIME_SYNC_RESPONSE: Answers TIME_SYNC_REQUEST.
+    received_us: The robot's clock, that of TICK.time_us, when the request arrived.
+    held_us: Time from then until this answer was handed to the port; 65535 or more is 65535.
+    """
+
+    __slots__ = ()
+    ID: ClassVar[int] = 0x181
+    LENGTH: ClassVar[int] = 7
+    NAME: ClassVar[str] = "TIME_SYNC_RESPONSE"
+
+    def encode(self) -> bytes:
+        received_us, held_us, sequence = self
+        if not (
+            0 <= received_us <= 4294967295
+            and 0 <= held_us <= 65535
+            and 0 <= sequence <= 255
+        ):
+            raise _out_of_range(self.NAME, self, _TIME_SYNC_RESPONSE_RANGES)
+        return _TIME_SYNC_RESPONSE.pack(
+            _index(received_us),
+            _index(held_us),
+            _index(sequence),
+        )
+
+    @classmethod
+    def decode(cls, payload: bytes) -> Self | None:
+        if len(payload) != 7:
+            return None
+        received_us, held_us, sequence = _TIME_SYNC_RESPONSE.unpack(payload)
+        return cls(
+            received_us,
+            held_us,
+            sequence,
+        )
+
+
+_PARAMETER_REQUEST = Struct("<BBBI")
+_PARAMETER_REQUEST_RANGES: tuple[_Range, ...] = (
+    ("parameter", 0, 255, ""),
+    ("operation", 0, 5, ""),
+    ("transaction", 0, 255, ""),
+    ("value", 0, 4294967295, ""),
+)
+
+
+class _ParameterRequestFields(NamedTuple):
+    parameter: int
+    operation: int
+    transaction: int
+    value: int
+
+
+class ParameterRequest(_ParameterRequestFields):
+    """PARAMETER_REQUEST: Reads or changes one of the firmware's parameters; STORE and RESTORE concern all.
+    operation: WRITE, STORE and RESTORE are done in IDLE only. RESTORE takes the values that the firmware was
+        built with.
+    transaction: Comes back in the answer.
+    value: WRITE: the bits of the value, by its type. Otherwise 0.
+    """
+
+    __slots__ = ()
+    ID: ClassVar[int] = 0x200
+    LENGTH: ClassVar[int] = 7
+    NAME: ClassVar[str] = "PARAMETER_REQUEST"
+
+    def encode(self) -> bytes:
+        parameter, operation, transaction, value = self
+        if not (
+            0 <= parameter <= 255
+            and 0 <= operation <= 5
+            and 0 <= transaction <= 255
+            and 0 <= value <= 4294967295
+        ):
+            raise _out_of_range(self.NAME, self, _PARAMETER_REQUEST_RANGES)
+        return _PARAMETER_REQUEST.pack(
+            _index(parameter),
+            _index(operation),
+            _index(transaction),
+            _index(value),
+        )
+
+    @classmethod
+    def decode(cls, payload: bytes) -> Self | None:
+        if len(payload) != 7:
+            return None
+        parameter, operation, transaction, value = _PARAMETER_REQUEST.unpack(payload)
+        if not (
+            operation <= 5
+        ):
+            return None
+        return cls(
+            parameter,
+            operation,
+            transaction,
+            value,
+        )
+
+
+_PARAMETER_RESPONSE_RANGES: tuple[_Range, ...] = (
+    ("parameter", 0, 255, ""),
+    ("operation", 0, 5, ""),
+    ("transaction", 0, 255, ""),
+    ("result", 0, 4, ""),
+    ("type", 0, 1, ""),
+    ("value", 0, 4294967295, ""),
+)
+
+
+class _ParameterResponseFields(NamedTuple):
+    parameter: int
+    operation: int
+    transaction: int
+    result: int
+    type: int
+    value: int
+
+
+class ParameterResponse(_ParameterResponseFields):
+    """PARAMETER_RESPONSE: Answers PARAMETER_REQUEST.
+    result: PARAMETER: no such one. RANGE: not from its minimum to its maximum. STATE: not in IDLE. STORAGE:
+        could not be kept.
+    value: The bits of the value, or of a limit, as it is now; after STORE and RESTORE the parameter hash.
+    """
+
+    __slots__ = ()
+    ID: ClassVar[int] = 0x280
+    LENGTH: ClassVar[int] = 8
+    NAME: ClassVar[str] = "PARAMETER_RESPONSE"
+
+    def encode(self) -> bytes:
+        parameter, operation, transaction, result, type, value = self
+        if not (
+            0 <= parameter <= 255
+            and 0 <= operation <= 5
+            and 0 <= transaction <= 255
+            and 0 <= result <= 4
+            and 0 <= type <= 1
+            and 0 <= value <= 4294967295
+        ):
+            raise _out_of_range(self.NAME, self, _PARAMETER_RESPONSE_RANGES)
+        return (
+            _index(parameter)
+            | _index(operation) << 8
+            | _index(transaction) << 16
+            | _index(result) << 24
+            | _index(type) << 28
+            | _index(value) << 32
+        ).to_bytes(8, "little")
+
+    @classmethod
+    def decode(cls, payload: bytes) -> Self | None:
+        if len(payload) != 8:
+            return None
+        bits = int.from_bytes(payload, "little")
+        parameter = bits & 0xFF
+        operation = bits >> 8 & 0xFF
+        transaction = bits >> 16 & 0xFF
+        result = bits >> 24 & 0xF
+        type = bits >> 28 & 0xF
+        value = bits >> 32 & 0xFFFFFFFF
+        if not (
+            operation <= 5
+            and result <= 4
+            and type <= 1
+        ):
+            return None
+        return cls(
+            parameter,
+            operation,
+            transaction,
+            result,
+            type,
+            value,
         )
 
 
@@ -1080,7 +1704,8 @@ class _HelloIdentityFields(NamedTuple):
 class HelloIdentity(_HelloIdentityFields):
     """HELLO_IDENTITY: HELLO page 0.
     pages: How many pages follow each other from this id on.
-    capabilities: Bit 0 POWER_STAGE, 1 LOCKSTEP, 2 SPEED, 3 TORQUE, 4 FEEDFORWARD, 5 CURRENTS, 6 GYRO.
+    capabilities: Bit 0 POWER_STAGE, 1 LOCKSTEP, 2 SPEED, 3 TORQUE, 4 FEEDFORWARD, 5 CURRENTS, 6 GYRO, 7
+        ACCELEROMETER, 8 POWER, 9 TEMPERATURES, 10 STORAGE.
     """
 
     __slots__ = ()
@@ -1226,6 +1851,72 @@ class HelloParameters(_HelloParametersFields):
         )
 
 
+_HELLO_GEOMETRY = Struct("<hhhH")
+_HELLO_GEOMETRY_RANGES: tuple[_Range, ...] = (
+    ("wheel_radius_m", -3.9998779296875, 3.9998779296875, " m"),
+    ("half_length_m", -3.9998779296875, 3.9998779296875, " m"),
+    ("half_width_m", -3.9998779296875, 3.9998779296875, " m"),
+    ("counts_per_revolution", 0, 65535, ""),
+)
+
+
+class _HelloGeometryFields(NamedTuple):
+    wheel_radius_m: float
+    half_length_m: float
+    half_width_m: float
+    counts_per_revolution: int
+
+
+class HelloGeometry(_HelloGeometryFields):
+    """HELLO_GEOMETRY: HELLO page 3: the robot's size, as its firmware knows it.
+    half_length_m: From the centre to an axle.
+    half_width_m: From the centre to a wheel.
+    """
+
+    __slots__ = ()
+    ID: ClassVar[int] = 0x704
+    LENGTH: ClassVar[int] = 8
+    NAME: ClassVar[str] = "HELLO_GEOMETRY"
+
+    def encode(self) -> bytes:
+        wheel_radius_m, half_length_m, half_width_m, counts_per_revolution = self
+        if not (
+            -3.9998779296875 <= wheel_radius_m <= 3.9998779296875
+            and -3.9998779296875 <= half_length_m <= 3.9998779296875
+            and -3.9998779296875 <= half_width_m <= 3.9998779296875
+            and 0 <= counts_per_revolution <= 65535
+        ):
+            raise _out_of_range(self.NAME, self, _HELLO_GEOMETRY_RANGES)
+        # Half of a truncated double: the nearest step, halves away from zero.
+        wheel_radius_m_twice = int(wheel_radius_m * 16384.0)
+        half_length_m_twice = int(half_length_m * 16384.0)
+        half_width_m_twice = int(half_width_m * 16384.0)
+        return _HELLO_GEOMETRY.pack(
+            (wheel_radius_m_twice + (wheel_radius_m_twice > 0) >> 1),
+            (half_length_m_twice + (half_length_m_twice > 0) >> 1),
+            (half_width_m_twice + (half_width_m_twice > 0) >> 1),
+            _index(counts_per_revolution),
+        )
+
+    @classmethod
+    def decode(cls, payload: bytes) -> Self | None:
+        if len(payload) != 8:
+            return None
+        wheel_radius_m, half_length_m, half_width_m, counts_per_revolution = _HELLO_GEOMETRY.unpack(payload)
+        if not (
+            -32767 <= wheel_radius_m
+            and -32767 <= half_length_m
+            and -32767 <= half_width_m
+        ):
+            return None
+        return cls(
+            wheel_radius_m * 0.0001220703125,
+            half_length_m * 0.0001220703125,
+            half_width_m * 0.0001220703125,
+            counts_per_revolution,
+        )
+
+
 Message: TypeAlias = (
     Estop
     | HostHeartbeat
@@ -1236,15 +1927,26 @@ Message: TypeAlias = (
     | Encoders
     | WheelSpeeds
     | Currents
+    | Accelerometer
     | Gyro
     | Status
+    | Power
+    | Temperatures
     | LinkCounters
+    | AbsoluteFront
+    | AbsoluteRear
+    | PortCounters
+    | TimeSyncRequest
+    | TimeSyncResponse
+    | ParameterRequest
+    | ParameterResponse
     | Step
     | StepDone
     | HelloRequest
     | HelloIdentity
     | HelloFirmware
     | HelloParameters
+    | HelloGeometry
 )
 
 MESSAGES: dict[int, type[Message]] = {
@@ -1257,15 +1959,26 @@ MESSAGES: dict[int, type[Message]] = {
     0x081: Encoders,
     0x082: WheelSpeeds,
     0x083: Currents,
+    0x090: Accelerometer,
     0x091: Gyro,
     0x100: Status,
+    0x101: Power,
+    0x102: Temperatures,
     0x103: LinkCounters,
+    0x104: AbsoluteFront,
+    0x105: AbsoluteRear,
+    0x106: PortCounters,
+    0x180: TimeSyncRequest,
+    0x181: TimeSyncResponse,
+    0x200: ParameterRequest,
+    0x280: ParameterResponse,
     0x300: Step,
     0x301: StepDone,
     0x700: HelloRequest,
     0x701: HelloIdentity,
     0x702: HelloFirmware,
     0x703: HelloParameters,
+    0x704: HelloGeometry,
 }
 LENGTHS: dict[int, int] = {number: message.LENGTH for number, message in MESSAGES.items()}
 NAMES: dict[int, str] = {number: message.NAME for number, message in MESSAGES.items()}

@@ -58,12 +58,32 @@ int wp_payload_length(uint16_t id) {
         return (int)WP_WHEEL_SPEEDS_LENGTH;
     case WP_CURRENTS_ID:
         return (int)WP_CURRENTS_LENGTH;
+    case WP_ACCELEROMETER_ID:
+        return (int)WP_ACCELEROMETER_LENGTH;
     case WP_GYRO_ID:
         return (int)WP_GYRO_LENGTH;
     case WP_STATUS_ID:
         return (int)WP_STATUS_LENGTH;
+    case WP_POWER_ID:
+        return (int)WP_POWER_LENGTH;
+    case WP_TEMPERATURES_ID:
+        return (int)WP_TEMPERATURES_LENGTH;
     case WP_LINK_COUNTERS_ID:
         return (int)WP_LINK_COUNTERS_LENGTH;
+    case WP_ABSOLUTE_FRONT_ID:
+        return (int)WP_ABSOLUTE_FRONT_LENGTH;
+    case WP_ABSOLUTE_REAR_ID:
+        return (int)WP_ABSOLUTE_REAR_LENGTH;
+    case WP_PORT_COUNTERS_ID:
+        return (int)WP_PORT_COUNTERS_LENGTH;
+    case WP_TIME_SYNC_REQUEST_ID:
+        return (int)WP_TIME_SYNC_REQUEST_LENGTH;
+    case WP_TIME_SYNC_RESPONSE_ID:
+        return (int)WP_TIME_SYNC_RESPONSE_LENGTH;
+    case WP_PARAMETER_REQUEST_ID:
+        return (int)WP_PARAMETER_REQUEST_LENGTH;
+    case WP_PARAMETER_RESPONSE_ID:
+        return (int)WP_PARAMETER_RESPONSE_LENGTH;
     case WP_STEP_ID:
         return (int)WP_STEP_LENGTH;
     case WP_STEP_DONE_ID:
@@ -76,6 +96,8 @@ int wp_payload_length(uint16_t id) {
         return (int)WP_HELLO_FIRMWARE_LENGTH;
     case WP_HELLO_PARAMETERS_ID:
         return (int)WP_HELLO_PARAMETERS_LENGTH;
+    case WP_HELLO_GEOMETRY_ID:
+        return (int)WP_HELLO_GEOMETRY_LENGTH;
     default:
         return -1;
     }
@@ -329,7 +351,7 @@ bool wp_tick_encode(const wp_tick *message, uint8_t *payload) {
     if (message->state > 6u) {
         return false;
     }
-    if (message->parts > 15u) {
+    if (message->parts > 31u) {
         return false;
     }
     uint64_t bits = 0;
@@ -337,7 +359,7 @@ bool wp_tick_encode(const wp_tick *message, uint8_t *payload) {
     bits |= (uint64_t)message->sequence << 32;
     bits |= (uint64_t)message->command_age_ms << 40;
     bits |= (uint64_t)message->state << 48;
-    bits |= (uint64_t)message->parts << 52;
+    bits |= (uint64_t)message->parts << 51;
     bits |= (uint64_t)message->snapshot << 56;
     store(payload, WP_TICK_LENGTH, bits);
     return true;
@@ -351,8 +373,8 @@ bool wp_tick_decode(const uint8_t *payload, size_t length, wp_tick *message) {
     const uint32_t raw_time_us = field(bits, 0, 32);
     const uint32_t raw_sequence = field(bits, 32, 8);
     const uint32_t raw_command_age_ms = field(bits, 40, 8);
-    const uint32_t raw_state = field(bits, 48, 4);
-    const uint32_t raw_parts = field(bits, 52, 4);
+    const uint32_t raw_state = field(bits, 48, 3);
+    const uint32_t raw_parts = field(bits, 51, 5);
     const uint32_t raw_snapshot = field(bits, 56, 8);
     if (raw_state > 6u) {
         return false;
@@ -492,6 +514,50 @@ bool wp_currents_decode(const uint8_t *payload, size_t length, wp_currents *mess
     return true;
 }
 
+bool wp_accelerometer_encode(const wp_accelerometer *message, uint8_t *payload) {
+    if (!within(message->x_m_s2, -127.99609375f, 127.99609375f)) {
+        return false;
+    }
+    if (!within(message->y_m_s2, -127.99609375f, 127.99609375f)) {
+        return false;
+    }
+    if (!within(message->z_m_s2, -127.99609375f, 127.99609375f)) {
+        return false;
+    }
+    uint64_t bits = 0;
+    bits |= (uint64_t)(nearest(message->x_m_s2 * 512.0f) & 0xFFFFu);
+    bits |= (uint64_t)(nearest(message->y_m_s2 * 512.0f) & 0xFFFFu) << 16;
+    bits |= (uint64_t)(nearest(message->z_m_s2 * 512.0f) & 0xFFFFu) << 32;
+    bits |= (uint64_t)message->tick << 48;
+    store(payload, WP_ACCELEROMETER_LENGTH, bits);
+    return true;
+}
+
+bool wp_accelerometer_decode(const uint8_t *payload, size_t length, wp_accelerometer *message) {
+    if (length != WP_ACCELEROMETER_LENGTH) {
+        return false;
+    }
+    const uint64_t bits = load(payload, length);
+    const int32_t raw_x_m_s2 = signed_field(bits, 0, 16);
+    const int32_t raw_y_m_s2 = signed_field(bits, 16, 16);
+    const int32_t raw_z_m_s2 = signed_field(bits, 32, 16);
+    const uint32_t raw_tick = field(bits, 48, 16);
+    if (raw_x_m_s2 < -32767) {
+        return false;
+    }
+    if (raw_y_m_s2 < -32767) {
+        return false;
+    }
+    if (raw_z_m_s2 < -32767) {
+        return false;
+    }
+    message->x_m_s2 = (float)raw_x_m_s2 * 0.00390625f;
+    message->y_m_s2 = (float)raw_y_m_s2 * 0.00390625f;
+    message->z_m_s2 = (float)raw_z_m_s2 * 0.00390625f;
+    message->tick = (uint16_t)raw_tick;
+    return true;
+}
+
 bool wp_gyro_encode(const wp_gyro *message, uint8_t *payload) {
     if (!within(message->x_rad_s, -31.9990234375f, 31.9990234375f)) {
         return false;
@@ -543,7 +609,10 @@ bool wp_status_encode(const wp_status *message, uint8_t *payload) {
     if (message->mode > 1u) {
         return false;
     }
-    if (message->fault > 3u) {
+    if (message->fault > 8u) {
+        return false;
+    }
+    if (message->fault_wheel > 4u) {
         return false;
     }
     if (message->stop_reason > 5u) {
@@ -556,6 +625,7 @@ bool wp_status_encode(const wp_status *message, uint8_t *payload) {
     bits |= (uint64_t)message->state;
     bits |= (uint64_t)message->mode << 4;
     bits |= (uint64_t)message->fault << 8;
+    bits |= (uint64_t)message->fault_wheel << 13;
     bits |= (uint64_t)message->stop_reason << 16;
     bits |= (uint64_t)message->nonce << 24;
     bits |= (uint64_t)message->arm_refusal << 40;
@@ -571,7 +641,8 @@ bool wp_status_decode(const uint8_t *payload, size_t length, wp_status *message)
     const uint64_t bits = load(payload, length);
     const uint32_t raw_state = field(bits, 0, 4);
     const uint32_t raw_mode = field(bits, 4, 4);
-    const uint32_t raw_fault = field(bits, 8, 8);
+    const uint32_t raw_fault = field(bits, 8, 5);
+    const uint32_t raw_fault_wheel = field(bits, 13, 3);
     const uint32_t raw_stop_reason = field(bits, 16, 8);
     const uint32_t raw_nonce = field(bits, 24, 16);
     const uint32_t raw_arm_refusal = field(bits, 40, 8);
@@ -582,7 +653,10 @@ bool wp_status_decode(const uint8_t *payload, size_t length, wp_status *message)
     if (raw_mode > 1u) {
         return false;
     }
-    if (raw_fault > 3u) {
+    if (raw_fault > 8u) {
+        return false;
+    }
+    if (raw_fault_wheel > 4u) {
         return false;
     }
     if (raw_stop_reason > 5u) {
@@ -594,10 +668,93 @@ bool wp_status_decode(const uint8_t *payload, size_t length, wp_status *message)
     message->state = (uint8_t)raw_state;
     message->mode = (uint8_t)raw_mode;
     message->fault = (uint8_t)raw_fault;
+    message->fault_wheel = (uint8_t)raw_fault_wheel;
     message->stop_reason = (uint8_t)raw_stop_reason;
     message->nonce = (uint16_t)raw_nonce;
     message->arm_refusal = (uint8_t)raw_arm_refusal;
     message->limited = (uint16_t)raw_limited;
+    return true;
+}
+
+bool wp_power_encode(const wp_power *message, uint8_t *payload) {
+    if (!within(message->battery_v, -255.9921875f, 255.9921875f)) {
+        return false;
+    }
+    if (!within(message->battery_a, -255.9921875f, 255.9921875f)) {
+        return false;
+    }
+    uint64_t bits = 0;
+    bits |= (uint64_t)(nearest(message->battery_v * 256.0f) & 0xFFFFu);
+    bits |= (uint64_t)(nearest(message->battery_a * 256.0f) & 0xFFFFu) << 16;
+    store(payload, WP_POWER_LENGTH, bits);
+    return true;
+}
+
+bool wp_power_decode(const uint8_t *payload, size_t length, wp_power *message) {
+    if (length != WP_POWER_LENGTH) {
+        return false;
+    }
+    const uint64_t bits = load(payload, length);
+    const int32_t raw_battery_v = signed_field(bits, 0, 16);
+    const int32_t raw_battery_a = signed_field(bits, 16, 16);
+    if (raw_battery_v < -32767) {
+        return false;
+    }
+    if (raw_battery_a < -32767) {
+        return false;
+    }
+    message->battery_v = (float)raw_battery_v * 0.0078125f;
+    message->battery_a = (float)raw_battery_a * 0.0078125f;
+    return true;
+}
+
+bool wp_temperatures_encode(const wp_temperatures *message, uint8_t *payload) {
+    if (!within(message->fl_degc, -255.9921875f, 255.9921875f)) {
+        return false;
+    }
+    if (!within(message->fr_degc, -255.9921875f, 255.9921875f)) {
+        return false;
+    }
+    if (!within(message->rr_degc, -255.9921875f, 255.9921875f)) {
+        return false;
+    }
+    if (!within(message->rl_degc, -255.9921875f, 255.9921875f)) {
+        return false;
+    }
+    uint64_t bits = 0;
+    bits |= (uint64_t)(nearest(message->fl_degc * 256.0f) & 0xFFFFu);
+    bits |= (uint64_t)(nearest(message->fr_degc * 256.0f) & 0xFFFFu) << 16;
+    bits |= (uint64_t)(nearest(message->rr_degc * 256.0f) & 0xFFFFu) << 32;
+    bits |= (uint64_t)(nearest(message->rl_degc * 256.0f) & 0xFFFFu) << 48;
+    store(payload, WP_TEMPERATURES_LENGTH, bits);
+    return true;
+}
+
+bool wp_temperatures_decode(const uint8_t *payload, size_t length, wp_temperatures *message) {
+    if (length != WP_TEMPERATURES_LENGTH) {
+        return false;
+    }
+    const uint64_t bits = load(payload, length);
+    const int32_t raw_fl_degc = signed_field(bits, 0, 16);
+    const int32_t raw_fr_degc = signed_field(bits, 16, 16);
+    const int32_t raw_rr_degc = signed_field(bits, 32, 16);
+    const int32_t raw_rl_degc = signed_field(bits, 48, 16);
+    if (raw_fl_degc < -32767) {
+        return false;
+    }
+    if (raw_fr_degc < -32767) {
+        return false;
+    }
+    if (raw_rr_degc < -32767) {
+        return false;
+    }
+    if (raw_rl_degc < -32767) {
+        return false;
+    }
+    message->fl_degc = (float)raw_fl_degc * 0.0078125f;
+    message->fr_degc = (float)raw_fr_degc * 0.0078125f;
+    message->rr_degc = (float)raw_rr_degc * 0.0078125f;
+    message->rl_degc = (float)raw_rl_degc * 0.0078125f;
     return true;
 }
 
@@ -636,6 +793,200 @@ bool wp_link_counters_decode(const uint8_t *payload, size_t length, wp_link_coun
     message->session = (uint8_t)raw_session;
     message->stale = (uint8_t)raw_stale;
     message->state = (uint8_t)raw_state;
+    return true;
+}
+
+bool wp_absolute_front_encode(const wp_absolute_front *message, uint8_t *payload) {
+    uint64_t bits = 0;
+    bits |= (uint64_t)message->fl_count;
+    bits |= (uint64_t)message->fr_count << 32;
+    store(payload, WP_ABSOLUTE_FRONT_LENGTH, bits);
+    return true;
+}
+
+bool wp_absolute_front_decode(const uint8_t *payload, size_t length, wp_absolute_front *message) {
+    if (length != WP_ABSOLUTE_FRONT_LENGTH) {
+        return false;
+    }
+    const uint64_t bits = load(payload, length);
+    const uint32_t raw_fl_count = field(bits, 0, 32);
+    const uint32_t raw_fr_count = field(bits, 32, 32);
+    message->fl_count = raw_fl_count;
+    message->fr_count = raw_fr_count;
+    return true;
+}
+
+bool wp_absolute_rear_encode(const wp_absolute_rear *message, uint8_t *payload) {
+    uint64_t bits = 0;
+    bits |= (uint64_t)message->rr_count;
+    bits |= (uint64_t)message->rl_count << 32;
+    store(payload, WP_ABSOLUTE_REAR_LENGTH, bits);
+    return true;
+}
+
+bool wp_absolute_rear_decode(const uint8_t *payload, size_t length, wp_absolute_rear *message) {
+    if (length != WP_ABSOLUTE_REAR_LENGTH) {
+        return false;
+    }
+    const uint64_t bits = load(payload, length);
+    const uint32_t raw_rr_count = field(bits, 0, 32);
+    const uint32_t raw_rl_count = field(bits, 32, 32);
+    message->rr_count = raw_rr_count;
+    message->rl_count = raw_rl_count;
+    return true;
+}
+
+bool wp_port_counters_encode(const wp_port_counters *message, uint8_t *payload) {
+    uint64_t bits = 0;
+    bits |= (uint64_t)message->overrun;
+    bits |= (uint64_t)message->feedforward_unmatched << 8;
+    bits |= (uint64_t)message->transmit_overrun << 16;
+    bits |= (uint64_t)message->serial_lost << 24;
+    bits |= (uint64_t)message->can_errors << 32;
+    bits |= (uint64_t)message->bus_off << 40;
+    store(payload, WP_PORT_COUNTERS_LENGTH, bits);
+    return true;
+}
+
+bool wp_port_counters_decode(const uint8_t *payload, size_t length, wp_port_counters *message) {
+    if (length != WP_PORT_COUNTERS_LENGTH) {
+        return false;
+    }
+    const uint64_t bits = load(payload, length);
+    const uint32_t raw_overrun = field(bits, 0, 8);
+    const uint32_t raw_feedforward_unmatched = field(bits, 8, 8);
+    const uint32_t raw_transmit_overrun = field(bits, 16, 8);
+    const uint32_t raw_serial_lost = field(bits, 24, 8);
+    const uint32_t raw_can_errors = field(bits, 32, 8);
+    const uint32_t raw_bus_off = field(bits, 40, 8);
+    message->overrun = (uint8_t)raw_overrun;
+    message->feedforward_unmatched = (uint8_t)raw_feedforward_unmatched;
+    message->transmit_overrun = (uint8_t)raw_transmit_overrun;
+    message->serial_lost = (uint8_t)raw_serial_lost;
+    message->can_errors = (uint8_t)raw_can_errors;
+    message->bus_off = (uint8_t)raw_bus_off;
+    return true;
+}
+
+bool wp_time_sync_request_encode(const wp_time_sync_request *message, uint8_t *payload) {
+    uint64_t bits = 0;
+    bits |= (uint64_t)message->sequence;
+    store(payload, WP_TIME_SYNC_REQUEST_LENGTH, bits);
+    return true;
+}
+
+bool wp_time_sync_request_decode(const uint8_t *payload, size_t length, wp_time_sync_request *message) {
+    if (length != WP_TIME_SYNC_REQUEST_LENGTH) {
+        return false;
+    }
+    const uint64_t bits = load(payload, length);
+    const uint32_t raw_sequence = field(bits, 0, 8);
+    message->sequence = (uint8_t)raw_sequence;
+    return true;
+}
+
+bool wp_time_sync_response_encode(const wp_time_sync_response *message, uint8_t *payload) {
+    uint64_t bits = 0;
+    bits |= (uint64_t)message->received_us;
+    bits |= (uint64_t)message->held_us << 32;
+    bits |= (uint64_t)message->sequence << 48;
+    store(payload, WP_TIME_SYNC_RESPONSE_LENGTH, bits);
+    return true;
+}
+
+bool wp_time_sync_response_decode(const uint8_t *payload, size_t length, wp_time_sync_response *message) {
+    if (length != WP_TIME_SYNC_RESPONSE_LENGTH) {
+        return false;
+    }
+    const uint64_t bits = load(payload, length);
+    const uint32_t raw_received_us = field(bits, 0, 32);
+    const uint32_t raw_held_us = field(bits, 32, 16);
+    const uint32_t raw_sequence = field(bits, 48, 8);
+    message->received_us = raw_received_us;
+    message->held_us = (uint16_t)raw_held_us;
+    message->sequence = (uint8_t)raw_sequence;
+    return true;
+}
+
+bool wp_parameter_request_encode(const wp_parameter_request *message, uint8_t *payload) {
+    if (message->operation > 5u) {
+        return false;
+    }
+    uint64_t bits = 0;
+    bits |= (uint64_t)message->parameter;
+    bits |= (uint64_t)message->operation << 8;
+    bits |= (uint64_t)message->transaction << 16;
+    bits |= (uint64_t)message->value << 24;
+    store(payload, WP_PARAMETER_REQUEST_LENGTH, bits);
+    return true;
+}
+
+bool wp_parameter_request_decode(const uint8_t *payload, size_t length, wp_parameter_request *message) {
+    if (length != WP_PARAMETER_REQUEST_LENGTH) {
+        return false;
+    }
+    const uint64_t bits = load(payload, length);
+    const uint32_t raw_parameter = field(bits, 0, 8);
+    const uint32_t raw_operation = field(bits, 8, 8);
+    const uint32_t raw_transaction = field(bits, 16, 8);
+    const uint32_t raw_value = field(bits, 24, 32);
+    if (raw_operation > 5u) {
+        return false;
+    }
+    message->parameter = (uint8_t)raw_parameter;
+    message->operation = (uint8_t)raw_operation;
+    message->transaction = (uint8_t)raw_transaction;
+    message->value = raw_value;
+    return true;
+}
+
+bool wp_parameter_response_encode(const wp_parameter_response *message, uint8_t *payload) {
+    if (message->operation > 5u) {
+        return false;
+    }
+    if (message->result > 4u) {
+        return false;
+    }
+    if (message->type > 1u) {
+        return false;
+    }
+    uint64_t bits = 0;
+    bits |= (uint64_t)message->parameter;
+    bits |= (uint64_t)message->operation << 8;
+    bits |= (uint64_t)message->transaction << 16;
+    bits |= (uint64_t)message->result << 24;
+    bits |= (uint64_t)message->type << 28;
+    bits |= (uint64_t)message->value << 32;
+    store(payload, WP_PARAMETER_RESPONSE_LENGTH, bits);
+    return true;
+}
+
+bool wp_parameter_response_decode(const uint8_t *payload, size_t length, wp_parameter_response *message) {
+    if (length != WP_PARAMETER_RESPONSE_LENGTH) {
+        return false;
+    }
+    const uint64_t bits = load(payload, length);
+    const uint32_t raw_parameter = field(bits, 0, 8);
+    const uint32_t raw_operation = field(bits, 8, 8);
+    const uint32_t raw_transaction = field(bits, 16, 8);
+    const uint32_t raw_result = field(bits, 24, 4);
+    const uint32_t raw_type = field(bits, 28, 4);
+    const uint32_t raw_value = field(bits, 32, 32);
+    if (raw_operation > 5u) {
+        return false;
+    }
+    if (raw_result > 4u) {
+        return false;
+    }
+    if (raw_type > 1u) {
+        return false;
+    }
+    message->parameter = (uint8_t)raw_parameter;
+    message->operation = (uint8_t)raw_operation;
+    message->transaction = (uint8_t)raw_transaction;
+    message->result = (uint8_t)raw_result;
+    message->type = (uint8_t)raw_type;
+    message->value = raw_value;
     return true;
 }
 
@@ -774,5 +1125,49 @@ bool wp_hello_parameters_decode(const uint8_t *payload, size_t length, wp_hello_
     message->parameter_hash = raw_parameter_hash;
     message->watchdog_ms = (uint16_t)raw_watchdog_ms;
     message->feedback_period_ms = (uint16_t)raw_feedback_period_ms;
+    return true;
+}
+
+bool wp_hello_geometry_encode(const wp_hello_geometry *message, uint8_t *payload) {
+    if (!within(message->wheel_radius_m, -3.9998779296875f, 3.9998779296875f)) {
+        return false;
+    }
+    if (!within(message->half_length_m, -3.9998779296875f, 3.9998779296875f)) {
+        return false;
+    }
+    if (!within(message->half_width_m, -3.9998779296875f, 3.9998779296875f)) {
+        return false;
+    }
+    uint64_t bits = 0;
+    bits |= (uint64_t)(nearest(message->wheel_radius_m * 16384.0f) & 0xFFFFu);
+    bits |= (uint64_t)(nearest(message->half_length_m * 16384.0f) & 0xFFFFu) << 16;
+    bits |= (uint64_t)(nearest(message->half_width_m * 16384.0f) & 0xFFFFu) << 32;
+    bits |= (uint64_t)message->counts_per_revolution << 48;
+    store(payload, WP_HELLO_GEOMETRY_LENGTH, bits);
+    return true;
+}
+
+bool wp_hello_geometry_decode(const uint8_t *payload, size_t length, wp_hello_geometry *message) {
+    if (length != WP_HELLO_GEOMETRY_LENGTH) {
+        return false;
+    }
+    const uint64_t bits = load(payload, length);
+    const int32_t raw_wheel_radius_m = signed_field(bits, 0, 16);
+    const int32_t raw_half_length_m = signed_field(bits, 16, 16);
+    const int32_t raw_half_width_m = signed_field(bits, 32, 16);
+    const uint32_t raw_counts_per_revolution = field(bits, 48, 16);
+    if (raw_wheel_radius_m < -32767) {
+        return false;
+    }
+    if (raw_half_length_m < -32767) {
+        return false;
+    }
+    if (raw_half_width_m < -32767) {
+        return false;
+    }
+    message->wheel_radius_m = (float)raw_wheel_radius_m * 0.0001220703125f;
+    message->half_length_m = (float)raw_half_length_m * 0.0001220703125f;
+    message->half_width_m = (float)raw_half_width_m * 0.0001220703125f;
+    message->counts_per_revolution = (uint16_t)raw_counts_per_revolution;
     return true;
 }

@@ -7,7 +7,7 @@
 #include <stdint.h>
 
 #define WP_PROTOCOL_VERSION 1u
-#define WP_SCHEMA_HASH 0x169BB7E5u
+#define WP_SCHEMA_HASH 0xAEC5BC86u
 #define WP_PAYLOAD_MAX 8u
 
 enum wp_request {
@@ -36,6 +36,19 @@ enum wp_fault {
     WP_FAULT_SENSOR = 1,
     WP_FAULT_OVERSPEED = 2,
     WP_FAULT_PARAMETERS = 3,
+    WP_FAULT_OVERCURRENT = 4,
+    WP_FAULT_OVERTEMPERATURE = 5,
+    WP_FAULT_UNDERVOLTAGE = 6,
+    WP_FAULT_ENCODER_STUCK = 7,
+    WP_FAULT_WRONG_DIRECTION = 8,
+};
+
+enum wp_fault_wheel {
+    WP_FAULT_WHEEL_NONE = 0,
+    WP_FAULT_WHEEL_FL = 1,
+    WP_FAULT_WHEEL_FR = 2,
+    WP_FAULT_WHEEL_RR = 3,
+    WP_FAULT_WHEEL_RL = 4,
 };
 
 enum wp_stop_reason {
@@ -56,6 +69,28 @@ enum wp_arm_refusal {
     WP_ARM_REFUSAL_SESSION_USED = 5,
     WP_ARM_REFUSAL_MODE = 6,
     WP_ARM_REFUSAL_NOT_ANNOUNCED = 7,
+};
+
+enum wp_operation {
+    WP_OPERATION_READ = 0,
+    WP_OPERATION_READ_MINIMUM = 1,
+    WP_OPERATION_READ_MAXIMUM = 2,
+    WP_OPERATION_WRITE = 3,
+    WP_OPERATION_STORE = 4,
+    WP_OPERATION_RESTORE = 5,
+};
+
+enum wp_result {
+    WP_RESULT_OK = 0,
+    WP_RESULT_PARAMETER = 1,
+    WP_RESULT_RANGE = 2,
+    WP_RESULT_STATE = 3,
+    WP_RESULT_STORAGE = 4,
+};
+
+enum wp_type {
+    WP_TYPE_FLOAT32 = 0,
+    WP_TYPE_UINT32 = 1,
 };
 
 /* Payload bytes of the message with this id, or -1 when no message has it. */
@@ -158,7 +193,8 @@ typedef struct {
     /* Robot time since the newest accepted command; 255 means 255 or more, or none yet. */
     uint8_t command_age_ms;
     uint8_t state;
-    /* Parts that follow: bit 0 ENCODERS, bit 1 WHEEL_SPEEDS, bit 2 CURRENTS, bit 3 GYRO. */
+    /* Parts that follow: bit 0 ENCODERS, bit 1 WHEEL_SPEEDS, bit 2 CURRENTS, bit 3 ACCELEROMETER, bit 4
+     * GYRO. */
     uint8_t parts;
     /* Counts snapshots, wrapping. */
     uint8_t snapshot;
@@ -209,6 +245,21 @@ typedef struct {
 bool wp_currents_encode(const wp_currents *message, uint8_t *payload);
 bool wp_currents_decode(const uint8_t *payload, size_t length, wp_currents *message);
 
+#define WP_ACCELEROMETER_ID 0x090u
+#define WP_ACCELEROMETER_LENGTH 8u
+
+/* Acceleration of the robot's centre without gravity's, in the body frame: at rest z is 9.81 m/s2. */
+typedef struct {
+    float x_m_s2;
+    float y_m_s2;
+    float z_m_s2;
+    /* As in GYRO. */
+    uint16_t tick;
+} wp_accelerometer;
+
+bool wp_accelerometer_encode(const wp_accelerometer *message, uint8_t *payload);
+bool wp_accelerometer_decode(const uint8_t *payload, size_t length, wp_accelerometer *message);
+
 #define WP_GYRO_ID 0x091u
 #define WP_GYRO_LENGTH 8u
 
@@ -232,16 +283,45 @@ typedef struct {
     uint8_t state;
     uint8_t mode;
     uint8_t fault;
+    /* Wheel of the fault, 1 to 4 for FL, FR, RR, RL; 0 when it is not one wheel's. */
+    uint8_t fault_wheel;
     uint8_t stop_reason;
     /* Nonce of the last session; 0 when there was none. */
     uint16_t nonce;
     uint8_t arm_refusal;
-    /* Ticks in which all four wheels were scaled at the torque limit, wrapping. */
+    /* Ticks in which all four wheels were scaled at a limit of torque, current or temperature, wrapping. */
     uint16_t limited;
 } wp_status;
 
 bool wp_status_encode(const wp_status *message, uint8_t *payload);
 bool wp_status_decode(const uint8_t *payload, size_t length, wp_status *message);
+
+#define WP_POWER_ID 0x101u
+#define WP_POWER_LENGTH 4u
+
+/* Battery; 10 Hz. */
+typedef struct {
+    float battery_v;
+    /* Out of the battery; negative while braking charges it. */
+    float battery_a;
+} wp_power;
+
+bool wp_power_encode(const wp_power *message, uint8_t *payload);
+bool wp_power_decode(const uint8_t *payload, size_t length, wp_power *message);
+
+#define WP_TEMPERATURES_ID 0x102u
+#define WP_TEMPERATURES_LENGTH 8u
+
+/* Temperatures of the motors' windings; 10 Hz. */
+typedef struct {
+    float fl_degc;
+    float fr_degc;
+    float rr_degc;
+    float rl_degc;
+} wp_temperatures;
+
+bool wp_temperatures_encode(const wp_temperatures *message, uint8_t *payload);
+bool wp_temperatures_decode(const uint8_t *payload, size_t length, wp_temperatures *message);
 
 #define WP_LINK_COUNTERS_ID 0x103u
 #define WP_LINK_COUNTERS_LENGTH 8u
@@ -250,7 +330,7 @@ bool wp_status_decode(const uint8_t *payload, size_t length, wp_status *message)
 typedef struct {
     uint8_t cobs;
     uint8_t crc;
-    /* Frames of a wrong length, overruns of the serial line included. */
+    /* Frames of a wrong length. */
     uint8_t length;
     uint8_t unknown_id;
     uint8_t range;
@@ -261,6 +341,115 @@ typedef struct {
 
 bool wp_link_counters_encode(const wp_link_counters *message, uint8_t *payload);
 bool wp_link_counters_decode(const uint8_t *payload, size_t length, wp_link_counters *message);
+
+#define WP_ABSOLUTE_FRONT_ID 0x104u
+#define WP_ABSOLUTE_FRONT_LENGTH 8u
+
+/* Encoder counts since power-on in two's complement: whole turns that ENCODERS no longer tells; 1 Hz. */
+typedef struct {
+    uint32_t fl_count;
+    uint32_t fr_count;
+} wp_absolute_front;
+
+bool wp_absolute_front_encode(const wp_absolute_front *message, uint8_t *payload);
+bool wp_absolute_front_decode(const uint8_t *payload, size_t length, wp_absolute_front *message);
+
+#define WP_ABSOLUTE_REAR_ID 0x105u
+#define WP_ABSOLUTE_REAR_LENGTH 8u
+
+/* As ABSOLUTE_FRONT. */
+typedef struct {
+    uint32_t rr_count;
+    uint32_t rl_count;
+} wp_absolute_rear;
+
+bool wp_absolute_rear_encode(const wp_absolute_rear *message, uint8_t *payload);
+bool wp_absolute_rear_decode(const uint8_t *payload, size_t length, wp_absolute_rear *message);
+
+#define WP_PORT_COUNTERS_ID 0x106u
+#define WP_PORT_COUNTERS_LENGTH 6u
+
+/* What the robot's ports lost, each wrapping; 10 Hz. */
+typedef struct {
+    /* Serial frames too long, and bytes that the port could not take in time. */
+    uint8_t overrun;
+    /* Torque feedforwards without their command. */
+    uint8_t feedforward_unmatched;
+    /* Frames that the robot could not send in time. */
+    uint8_t transmit_overrun;
+    /* Frames of the host that are missing in its line count. */
+    uint8_t serial_lost;
+    /* CAN error frames seen by the robot's controller. */
+    uint8_t can_errors;
+    /* Times that the robot's controller went off the bus and came back. */
+    uint8_t bus_off;
+} wp_port_counters;
+
+bool wp_port_counters_encode(const wp_port_counters *message, uint8_t *payload);
+bool wp_port_counters_decode(const uint8_t *payload, size_t length, wp_port_counters *message);
+
+#define WP_TIME_SYNC_REQUEST_ID 0x180u
+#define WP_TIME_SYNC_REQUEST_LENGTH 1u
+
+/* Asks for the robot's clock; 4 Hz. */
+typedef struct {
+    uint8_t sequence;
+} wp_time_sync_request;
+
+bool wp_time_sync_request_encode(const wp_time_sync_request *message, uint8_t *payload);
+bool wp_time_sync_request_decode(const uint8_t *payload, size_t length, wp_time_sync_request *message);
+
+#define WP_TIME_SYNC_RESPONSE_ID 0x181u
+#define WP_TIME_SYNC_RESPONSE_LENGTH 7u
+
+/* Answers TIME_SYNC_REQUEST. */
+typedef struct {
+    /* The robot's clock, that of TICK.time_us, when the request arrived. */
+    uint32_t received_us;
+    /* Time from then until this answer was handed to the port; 65535 or more is 65535. */
+    uint16_t held_us;
+    uint8_t sequence;
+} wp_time_sync_response;
+
+bool wp_time_sync_response_encode(const wp_time_sync_response *message, uint8_t *payload);
+bool wp_time_sync_response_decode(const uint8_t *payload, size_t length, wp_time_sync_response *message);
+
+#define WP_PARAMETER_REQUEST_ID 0x200u
+#define WP_PARAMETER_REQUEST_LENGTH 7u
+
+/* Reads or changes one of the firmware's parameters; STORE and RESTORE concern all. */
+typedef struct {
+    uint8_t parameter;
+    /* WRITE, STORE and RESTORE are done in IDLE only. RESTORE takes the values that the firmware was built
+     * with. */
+    uint8_t operation;
+    /* Comes back in the answer. */
+    uint8_t transaction;
+    /* WRITE: the bits of the value, by its type. Otherwise 0. */
+    uint32_t value;
+} wp_parameter_request;
+
+bool wp_parameter_request_encode(const wp_parameter_request *message, uint8_t *payload);
+bool wp_parameter_request_decode(const uint8_t *payload, size_t length, wp_parameter_request *message);
+
+#define WP_PARAMETER_RESPONSE_ID 0x280u
+#define WP_PARAMETER_RESPONSE_LENGTH 8u
+
+/* Answers PARAMETER_REQUEST. */
+typedef struct {
+    uint8_t parameter;
+    uint8_t operation;
+    uint8_t transaction;
+    /* PARAMETER: no such one. RANGE: not from its minimum to its maximum. STATE: not in IDLE. STORAGE:
+     * could not be kept. */
+    uint8_t result;
+    uint8_t type;
+    /* The bits of the value, or of a limit, as it is now; after STORE and RESTORE the parameter hash. */
+    uint32_t value;
+} wp_parameter_response;
+
+bool wp_parameter_response_encode(const wp_parameter_response *message, uint8_t *payload);
+bool wp_parameter_response_decode(const uint8_t *payload, size_t length, wp_parameter_response *message);
 
 #define WP_STEP_ID 0x300u
 #define WP_STEP_LENGTH 6u
@@ -305,7 +494,8 @@ typedef struct {
     uint8_t protocol_version;
     /* How many pages follow each other from this id on. */
     uint8_t pages;
-    /* Bit 0 POWER_STAGE, 1 LOCKSTEP, 2 SPEED, 3 TORQUE, 4 FEEDFORWARD, 5 CURRENTS, 6 GYRO. */
+    /* Bit 0 POWER_STAGE, 1 LOCKSTEP, 2 SPEED, 3 TORQUE, 4 FEEDFORWARD, 5 CURRENTS, 6 GYRO, 7
+     * ACCELEROMETER, 8 POWER, 9 TEMPERATURES, 10 STORAGE. */
     uint16_t capabilities;
     uint32_t schema_hash;
 } wp_hello_identity;
@@ -342,5 +532,21 @@ typedef struct {
 
 bool wp_hello_parameters_encode(const wp_hello_parameters *message, uint8_t *payload);
 bool wp_hello_parameters_decode(const uint8_t *payload, size_t length, wp_hello_parameters *message);
+
+#define WP_HELLO_GEOMETRY_ID 0x704u
+#define WP_HELLO_GEOMETRY_LENGTH 8u
+
+/* HELLO page 3: the robot's size, as its firmware knows it. */
+typedef struct {
+    float wheel_radius_m;
+    /* From the centre to an axle. */
+    float half_length_m;
+    /* From the centre to a wheel. */
+    float half_width_m;
+    uint16_t counts_per_revolution;
+} wp_hello_geometry;
+
+bool wp_hello_geometry_encode(const wp_hello_geometry *message, uint8_t *payload);
+bool wp_hello_geometry_decode(const uint8_t *payload, size_t length, wp_hello_geometry *message);
 
 #endif

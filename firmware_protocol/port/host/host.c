@@ -8,8 +8,11 @@ struct wheel_host {
     wheel_plant_exchange exchange;
     void *context;
     wheel_sense sense;
-    float torque_n_m[WHEEL_COUNT];
+    wheel_drive drive;
     bool plant_failed;
+    uint32_t now_us;
+    bool has_stored;
+    uint8_t stored[WHEEL_STORED_SIZE];
     uint8_t serial_sequence;
     wheel_frame queue[WHEEL_HOST_QUEUE];
     size_t queue_head;
@@ -19,7 +22,7 @@ struct wheel_host {
 
 static void collect(wheel_host *host) {
     wheel_frame frame;
-    while (wheel_node_transmit(&host->node, &frame)) {
+    while (wheel_node_transmit(&host->node, &frame, host->now_us)) {
         if (host->queue_count == WHEEL_HOST_QUEUE) {
             host->overruns++;
             continue;
@@ -33,14 +36,18 @@ size_t wheel_host_size(void) {
     return sizeof(wheel_host);
 }
 
-void wheel_host_init(wheel_host *host, const wheel_parameters *parameters, uint16_t capabilities,
-                     wheel_plant_exchange exchange, void *context) {
+void wheel_host_init(wheel_host *host, const wheel_parameters *parameters, const uint8_t *stored,
+                     uint16_t capabilities, wheel_plant_exchange exchange, void *context) {
     const wheel_identity identity = {.capabilities = capabilities, .version = {0, 1, 0}};
     memset(host, 0, sizeof *host);
     host->exchange = exchange;
     host->context = context;
     wheel_deframer_init(&host->deframer);
-    wheel_node_init(&host->node, parameters, &identity);
+    if (stored != NULL) {
+        memcpy(host->stored, stored, sizeof host->stored);
+        host->has_stored = true;
+    }
+    wheel_node_init(&host->node, parameters, stored, &identity);
     if (exchange(context, NULL, &host->sense) != 0) {
         host->plant_failed = true;
         wheel_node_fail(&host->node);
@@ -51,10 +58,10 @@ void wheel_host_init(wheel_host *host, const wheel_parameters *parameters, uint1
 
 void wheel_host_run(wheel_host *host, uint32_t ticks) {
     for (uint32_t i = 0; i < ticks; i++) {
-        wheel_drive drive;
-        wheel_node_drive(&host->node, &drive);
-        memcpy(host->torque_n_m, drive.torque_n_m, sizeof host->torque_n_m);
-        host->plant_failed = host->plant_failed || host->exchange(host->context, &drive, &host->sense) != 0;
+        wheel_node_drive(&host->node, &host->drive);
+        host->plant_failed =
+            host->plant_failed || host->exchange(host->context, &host->drive, &host->sense) != 0;
+        host->now_us = host->node.tick * 1000u;
         if (host->plant_failed) {
             wheel_node_fail(&host->node); /* at every tick: a plant that is gone is not cleared */
         }
@@ -63,9 +70,28 @@ void wheel_host_run(wheel_host *host, uint32_t ticks) {
     }
 }
 
+void wheel_host_set_clock(wheel_host *host, uint32_t now_us) {
+    host->now_us = now_us;
+}
+
+size_t wheel_host_stored_size(void) {
+    return WHEEL_STORED_SIZE;
+}
+
+bool wheel_host_stored(const wheel_host *host, uint8_t *bytes) {
+    if (host->has_stored) {
+        memcpy(bytes, host->stored, sizeof host->stored);
+    }
+    return host->has_stored;
+}
+
 static void take(wheel_host *host, const wheel_frame *frame) {
     uint32_t ticks = 0;
-    wheel_node_receive(&host->node, frame);
+    wheel_node_receive(&host->node, frame, host->now_us);
+    if (wheel_node_store_pending(&host->node, host->stored)) {
+        host->has_stored = true;
+        wheel_node_stored(&host->node, true);
+    }
     collect(host);
     if (wheel_node_step_pending(&host->node, &ticks)) {
         wheel_host_run(host, ticks);
@@ -76,12 +102,14 @@ static void take(wheel_host *host, const wheel_frame *frame) {
 
 void wheel_host_feed(wheel_host *host, const uint8_t *bytes, size_t length) {
     wheel_frame frame;
-    wheel_transport_rejections *counts = &host->node.transport;
+    wheel_transport_counters *counts = &host->node.transport;
     for (size_t i = 0; i < length; i++) {
         const bool complete = wheel_deframer_feed(&host->deframer, bytes[i], &frame);
         counts->cobs = host->deframer.cobs;
         counts->crc = host->deframer.crc;
-        counts->length = host->deframer.length_errors + host->deframer.overruns;
+        counts->length = host->deframer.length_errors;
+        counts->overrun = host->deframer.overruns;
+        counts->serial_lost = host->deframer.lost;
         counts->unknown_id = host->deframer.unknown_id;
         if (complete) {
             take(host, &frame);
@@ -134,14 +162,16 @@ void wheel_host_look(const wheel_host *host, wheel_host_view *view) {
     view->state = node->state;
     view->mode = node->mode;
     view->fault = node->fault;
+    view->fault_wheel = node->fault_wheel;
     view->stop_reason = node->stop_reason;
     view->plant_failed = host->plant_failed;
     view->command_age_ticks = node->setting.age_ticks;
     memcpy(view->set_point_rad_s, node->set_point_rad_s, sizeof view->set_point_rad_s);
-    memcpy(view->torque_n_m, host->torque_n_m, sizeof view->torque_n_m);
+    memcpy(view->torque_n_m, host->drive.torque_n_m, sizeof view->torque_n_m);
+    memcpy(view->duty, host->drive.duty, sizeof view->duty);
     view->rejected_cobs = node->transport.cobs;
     view->rejected_crc = node->transport.crc;
-    view->rejected_length = node->transport.length + own->length;
+    view->rejected_length = node->transport.length + node->transport.overrun + own->length;
     view->rejected_unknown_id = node->transport.unknown_id + own->unknown_id;
     view->rejected_range = own->range;
     view->rejected_session = own->session;

@@ -22,11 +22,13 @@ typedef struct {
     uint8_t state;
     uint8_t mode;
     uint8_t fault;
+    uint8_t fault_wheel;
     uint8_t stop_reason;
     bool plant_failed;
     uint32_t command_age_ticks; /* since the newest accepted command; UINT32_MAX when there was none */
     float set_point_rad_s[4];   /* what the speed loop follows; in torque mode the measured speed */
     float torque_n_m[4];        /* the last torque set points given to the drives */
+    float duty[4];              /* and the duties */
     uint32_t rejected_cobs;
     uint32_t rejected_crc;
     uint32_t rejected_length;
@@ -42,9 +44,18 @@ typedef struct {
 /* Bytes that wheel_host_init needs, with the alignment of malloc. */
 size_t wheel_host_size(void);
 
-/* Powers the robot on: samples the plant once and starts in IDLE. */
-void wheel_host_init(wheel_host *host, const wheel_parameters *parameters, uint16_t capabilities,
-                     wheel_plant_exchange exchange, void *context);
+/* Powers the robot on: samples the plant once and starts in IDLE. `stored` is what an earlier STORE kept, of
+ * `wheel_host_stored_size` bytes, or NULL. */
+void wheel_host_init(wheel_host *host, const wheel_parameters *parameters, const uint8_t *stored,
+                     uint16_t capabilities, wheel_plant_exchange exchange, void *context);
+
+/* Sets the robot's clock between two ticks [us], for the time stamps of what arrives and leaves. Without it
+ * the clock stands still within a tick. */
+void wheel_host_set_clock(wheel_host *host, uint32_t now_us);
+
+/* What the robot keeps across a reset: the bytes of the newest STORE. Returns false when there was none. */
+size_t wheel_host_stored_size(void);
+bool wheel_host_stored(const wheel_host *host, uint8_t *bytes);
 
 /* Takes bytes of a serial line, or one CAN frame. */
 void wheel_host_feed(wheel_host *host, const uint8_t *bytes, size_t length);

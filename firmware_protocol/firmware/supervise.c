@@ -1,0 +1,184 @@
+/* What ends driving without a command to do so: sensors, speed, current, heat, voltage, encoders, silence. */
+#include "node.h"
+
+/* Below this a wheel counts as standing still; about one encoder count in ten ticks. */
+#define STANDSTILL_RAD_S 0.2f
+/* For so long, so that the estimate's passing through zero does not count. */
+#define STANDSTILL_TICKS 50u
+
+/* A measured current beyond the limit by this factor, for so long, is none that the current loop asked for.
+ */
+#define OVERCURRENT_FACTOR 1.5f
+#define OVERCURRENT_TICKS 5u
+#define UNDERVOLTAGE_TICKS 20u
+/* All four wheels drive with less and less over so many degrees before the limit. */
+#define DERATING_DEGC 15.0f
+
+/* A wheel is expected to turn when its set point and the three others both say so. */
+#define EXPECTED_RAD_S 2.0f
+/* A wheel runs away when it gains so much against a torque of at least this part of the limit. */
+#define RUNAWAY_RAD_S 3.0f
+#define RUNAWAY_TORQUE 0.2f
+
+static bool is_finite(float x) {
+    return x - x == 0.0f;
+}
+
+bool wheel_sense_is_finite(const wheel_sense *sense) {
+    bool finite = is_finite(sense->battery_v) && is_finite(sense->battery_a);
+    for (size_t i = 0; i < WHEEL_COUNT; i++) {
+        finite = finite && is_finite(sense->current_a[i]) && is_finite(sense->temperature_degc[i]);
+    }
+    for (size_t i = 0; i < 3u; i++) {
+        finite = finite && is_finite(sense->gyro_rad_s[i]) && is_finite(sense->acceleration_m_s2[i]);
+    }
+    return finite;
+}
+
+static float largest_speed(const wheel_node *node) {
+    float largest = 0.0f;
+    for (size_t i = 0; i < WHEEL_COUNT; i++) {
+        const float speed = wheel_magnitude(node->speed_rad_s[i]);
+        largest = speed > largest ? speed : largest;
+    }
+    return largest;
+}
+
+bool wheel_node_at_rest(const wheel_node *node) {
+    return node->rest_ticks >= STANDSTILL_TICKS;
+}
+
+static bool is_driving(const wheel_node *node) {
+    return node->state == WP_STATE_ACTIVE || node->state == WP_STATE_STOPPING || node->braking;
+}
+
+static uint8_t hottest_wheel(const wheel_node *node) {
+    uint8_t hottest = 0;
+    for (uint8_t i = 1; i < WHEEL_COUNT; i++) {
+        if (node->sense.temperature_degc[i] > node->sense.temperature_degc[hottest]) {
+            hottest = i;
+        }
+    }
+    return hottest;
+}
+
+float wheel_node_derating(const wheel_node *node) {
+    const float left =
+        node->parameters.temperature_limit_degc - node->sense.temperature_degc[hottest_wheel(node)];
+    return left >= DERATING_DEGC ? 1.0f : (left > 0.0f ? left / DERATING_DEGC : 0.0f);
+}
+
+static void check_speed(wheel_node *node) {
+    for (uint8_t i = 0; i < WHEEL_COUNT; i++) {
+        if (wheel_magnitude(node->speed_rad_s[i]) > node->parameters.overspeed_rad_s) {
+            wheel_node_fault(node, WP_FAULT_OVERSPEED, (uint8_t)(i + 1u));
+        }
+    }
+}
+
+static void check_power(wheel_node *node) {
+    const wheel_parameters *p = &node->parameters;
+    uint8_t wheel = WP_FAULT_WHEEL_NONE;
+    for (uint8_t i = 0; i < WHEEL_COUNT; i++) {
+        if (wheel_magnitude(node->sense.current_a[i]) > OVERCURRENT_FACTOR * p->current_limit_a) {
+            wheel = (uint8_t)(i + 1u);
+        }
+    }
+    node->overcurrent_ticks = wheel != WP_FAULT_WHEEL_NONE ? node->overcurrent_ticks + 1u : 0u;
+    if (node->overcurrent_ticks >= OVERCURRENT_TICKS) {
+        wheel_node_fault(node, WP_FAULT_OVERCURRENT, wheel);
+    }
+    const uint8_t hottest = hottest_wheel(node);
+    if (node->sense.temperature_degc[hottest] >= p->temperature_limit_degc) {
+        wheel_node_fault(node, WP_FAULT_OVERTEMPERATURE, (uint8_t)(hottest + 1u));
+    }
+    node->undervoltage_ticks = node->sense.battery_v < p->undervoltage_v ? node->undervoltage_ticks + 1u : 0u;
+    if (node->undervoltage_ticks >= UNDERVOLTAGE_TICKS && is_driving(node)) {
+        wheel_node_fault(node, WP_FAULT_UNDERVOLTAGE, WP_FAULT_WHEEL_NONE);
+    }
+}
+
+/* What the three other wheels say of this one's speed: on rollers that do not slip, FL + FR = RR + RL. */
+static float speed_by_others(const wheel_node *node, size_t wheel) {
+    const float *speed = node->speed_rad_s;
+    switch (wheel) {
+    case 0:
+        return speed[2] + speed[3] - speed[1];
+    case 1:
+        return speed[2] + speed[3] - speed[0];
+    case 2:
+        return speed[0] + speed[1] - speed[3];
+    default:
+        return speed[0] + speed[1] - speed[2];
+    }
+}
+
+/* An encoder that stands still while its wheel must turn: set point and torque ask for it, and the other
+ * wheels say that it does. One whose signal is gone is driven ever harder, so this is a matter of a tenth of
+ * a second. */
+static void check_still(wheel_node *node, uint8_t wheel, uint32_t limit_ticks) {
+    wheel_encoder_watch *watch = &node->encoder[wheel];
+    const bool asked =
+        node->mode == WP_MODE_TORQUE || wheel_magnitude(node->set_point_rad_s[wheel]) > EXPECTED_RAD_S;
+    const bool still = wheel_magnitude(node->speed_rad_s[wheel]) < STANDSTILL_RAD_S;
+    const bool turns = wheel_magnitude(speed_by_others(node, wheel)) > EXPECTED_RAD_S;
+    watch->still_ticks = asked && still && turns ? watch->still_ticks + 1u : 0u;
+    if (watch->still_ticks >= limit_ticks) {
+        wheel_node_fault(node, WP_FAULT_ENCODER_STUCK, (uint8_t)(wheel + 1u));
+    }
+}
+
+/* A wheel that gains speed against its own torque: motor or encoder are wired the wrong way round, and the
+ * speed loop drives it away. Braking looks alike, but there the speed falls. */
+static void check_direction(wheel_node *node, uint8_t wheel, uint32_t limit_ticks) {
+    wheel_encoder_watch *watch = &node->encoder[wheel];
+    const float speed = wheel_magnitude(node->speed_rad_s[wheel]);
+    const float torque = node->torque_n_m[wheel];
+    const bool against = node->speed_rad_s[wheel] * torque < 0.0f &&
+                         wheel_magnitude(torque) > RUNAWAY_TORQUE * node->parameters.torque_limit_n_m;
+    if (!against || watch->backward_ticks == 0u || speed < watch->slowest_rad_s) {
+        watch->slowest_rad_s = speed;
+    }
+    watch->backward_ticks = against ? watch->backward_ticks + 1u : 0u;
+    if (watch->backward_ticks >= limit_ticks && speed > watch->slowest_rad_s + RUNAWAY_RAD_S) {
+        wheel_node_fault(node, WP_FAULT_WRONG_DIRECTION, (uint8_t)(wheel + 1u));
+    }
+}
+
+static void check_encoders(wheel_node *node) {
+    const uint32_t limit_ticks = wheel_ticks(node->parameters.encoder_fault_s);
+    for (uint8_t i = 0; i < WHEEL_COUNT; i++) {
+        check_still(node, i, limit_ticks);
+        check_direction(node, i, limit_ticks);
+    }
+}
+
+static void check_silence(wheel_node *node) {
+    if (node->state == WP_STATE_ACTIVE &&
+        node->setting.age_ticks >= wheel_ticks(node->parameters.watchdog_s)) {
+        wheel_node_stop(node, WHEEL_EVENT_TIMEOUT, WP_STOP_REASON_COMMAND_TIMEOUT);
+    }
+    if (node->state == WP_STATE_ARMED && node->state_ticks >= WHEEL_ARM_TIMEOUT_TICKS) {
+        wheel_node_stop(node, WHEEL_EVENT_TIMEOUT, WP_STOP_REASON_ARM_TIMEOUT);
+    }
+}
+
+void wheel_node_supervise(wheel_node *node) {
+    node->rest_ticks = largest_speed(node) < STANDSTILL_RAD_S ? node->rest_ticks + 1u : 0u;
+    if (!wheel_sense_is_finite(&node->sense)) {
+        wheel_node_fault(node, WP_FAULT_SENSOR, WP_FAULT_WHEEL_NONE);
+    }
+    check_speed(node);
+    check_power(node);
+    if (is_driving(node)) {
+        check_encoders(node);
+    }
+    check_silence(node);
+    if (node->state == WP_STATE_STOPPING) {
+        const uint32_t ramp = wheel_ticks(node->parameters.ramp_s);
+        if (node->state_ticks >= ramp &&
+            (wheel_node_at_rest(node) || node->state_ticks >= ramp + WHEEL_STOP_LIMIT_TICKS)) {
+            wheel_node_event(node, WHEEL_EVENT_STOPPED);
+        }
+    }
+}
