@@ -86,6 +86,11 @@ def _header_lines(schema: Schema) -> Iterator[str]:
     yield "/* Payload bytes of the message with this id, or -1 when no message has it. */"
     yield "int wp_payload_length(uint16_t id);"
     yield ""
+    yield "/* X(NAME, name) for every message. */"
+    yield "#define WP_MESSAGES(X) \\"
+    rows = [f"    X({m.name}, {m.name.lower()})" for m in schema.messages]
+    yield " \\\n".join(rows)
+    yield ""
     yield from _comment(
         "Encoders return false, with the payload untouched, when a value is out of its range or not finite. "
         "Decoders return false, with the message untouched, for a wrong length or a value out of its range."

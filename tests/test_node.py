@@ -211,13 +211,13 @@ def test_a_stop_does_not_drive_with_what_was_wound_up(end):
     """Wheels blocked under a command, then stopped, then free: they must not start."""
     rig = WheelRig()
     rig.activate()
-    rig.held = True
+    rig.held = [True] * 4
     rig.drive(2.0, 2000)
     assert max(rig.torque_n_m) == 5.0
     if end == "estop":
         rig.send(m.Estop(0, 0))
     rig.run(51)
-    rig.held = False
+    rig.held = [False] * 4
     rig.run(1500)
     assert max(map(abs, rig.speed_rad_s)) < 0.2
 
@@ -236,7 +236,7 @@ def test_estop_never_switches_drives_on(end):
         rig.send(m.Estop(0, 0))
         rig.run(5)
         assert max(map(abs, rig.torque_n_m)) > 0.0
-        rig.current_a = float("nan")
+        rig.current_a[0] = float("nan")
         rig.run(2)
     rig.send(m.Estop(0, 0))
     for _ in range(100):
@@ -262,7 +262,7 @@ def test_estop_of_a_faulty_robot_latches_and_keeps_its_reason():
     rig.drive(10.0, 1000)
     assert (rig.state, rig.node.look().stop_reason) == (m.State.FAULT, m.StopReason.FAULT)
     rig.send(m.Estop(0, 0))
-    rig.current_a = float("nan")
+    rig.current_a[0] = float("nan")
     for _ in range(10):
         rig.run(1)
         assert rig.torque_n_m == [0.0] * 4
@@ -274,7 +274,7 @@ def test_a_sensor_fault_is_still_told():
     rig.activate()
     rig.drive(5.0, 100)
     rig.heard()
-    rig.current_a = float("nan")
+    rig.current_a[0] = float("nan")
     rig.run(20)
     assembler = SnapshotAssembler()
     heard = [f for x in rig.heard() if (f := assembler.feed(x)) is not None]
@@ -322,7 +322,7 @@ def test_a_failed_plant_and_a_sensor_that_is_no_number_are_faults():
     rig = WheelRig()
     rig.activate()
     rig.drive(5.0, 100)
-    rig.current_a = float("nan")
+    rig.current_a[0] = float("nan")
     rig.run(1)
     assert (rig.state, rig.node.look().fault) == (m.State.FAULT, m.Fault.SENSOR)
     rig.run(1)
@@ -367,8 +367,9 @@ def test_hello_reports_identity_and_parameter_hash():
     rig = WheelRig()
     rig.heard()
     rig.send(m.HelloRequest(1))
-    identity, _firmware, held = rig.heard()
+    identity, _firmware, held, size = rig.heard()
     assert identity.schema_hash == m.SCHEMA_HASH
+    assert size == m.HelloGeometry(614 / 8192, 2458 / 8192, 2458 / 8192, 4096), "0.075, 0.3 and 0.3 m"
     assert held == m.HelloParameters(parameter_hash(PARAMETERS), 50, 5)
 
 
@@ -394,8 +395,10 @@ def test_counters_of_the_link_reach_the_host_and_wrap():
         rig.node.feed(bytes(range(1, 40)) + b"\0")
         rig.command(0.0, 0)
     rig.run(100)
-    counters = [x for x in rig.heard() if isinstance(x, m.LinkCounters)][-1]
-    assert (counters.length, counters.state) == (300 & 0xFF, 300 & 0xFF), "overruns count as wrong lengths"
+    heard = rig.heard()
+    counters = [x for x in heard if isinstance(x, m.LinkCounters)][-1]
+    ports = [x for x in heard if isinstance(x, m.PortCounters)][-1]
+    assert (counters.length, counters.state, ports.overrun) == (0, 300 & 0xFF, 300 & 0xFF)
 
 
 _ANY_FRAME = st.builds(

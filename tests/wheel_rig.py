@@ -42,8 +42,14 @@ class WheelRig:
         self.speed_rad_s = [0.0] * 4
         self.torque_n_m = [0.0] * 4
         self.fail = False
-        self.current_a = 0.0
-        self.held = False  # the wheels are blocked
+        self.duty = [0.0] * 4
+        self.enabled = False
+        self.current_a = [0.0] * 4
+        self.battery_v = 24.0
+        self.temperature_degc = [25.0] * 4
+        self.held = [False] * 4  # wheels that are blocked
+        self.encoder_sign = [1] * 4
+        self.encoder_dead = [False] * 4
         ffi, _ = library()
         self._exchange = ffi.callback("wheel_plant_exchange", self._plant)
         address = int(ffi.cast("uintptr_t", self._exchange))
@@ -54,12 +60,18 @@ class WheelRig:
     def _plant(self, _context, drive, sense) -> int:
         if drive:
             self.torque_n_m = list(drive.torque_n_m)
+            self.duty = list(drive.duty)
+            self.enabled = bool(drive.enabled)
             for i in range(4):
-                self.speed_rad_s[i] += 0.0 if self.held else self.torque_n_m[i] / INERTIA_KG_M2 * 1e-3
+                self.speed_rad_s[i] += 0.0 if self.held[i] else self.torque_n_m[i] / INERTIA_KG_M2 * 1e-3
                 self.angle_rad[i] += self.speed_rad_s[i] * 1e-3
         for i in range(4):
-            sense.count[i] = math.floor(self.angle_rad[i] / math.tau * 4096) & 0xFFFF
-            sense.current_a[i] = self.current_a
+            turned = 0 if self.encoder_dead[i] else math.floor(self.angle_rad[i] / math.tau * 4096)
+            sense.count[i] = self.encoder_sign[i] * turned & 0xFFFF
+            sense.current_a[i] = self.current_a[i]
+            sense.temperature_degc[i] = self.temperature_degc[i]
+        sense.battery_v = self.battery_v
+        sense.acceleration_m_s2[2] = 9.81
         return int(self.fail)
 
     def send(self, message: codec.Message) -> None:

@@ -96,6 +96,38 @@ enum wp_type {
 /* Payload bytes of the message with this id, or -1 when no message has it. */
 int wp_payload_length(uint16_t id);
 
+/* X(NAME, name) for every message. */
+#define WP_MESSAGES(X) \
+    X(ESTOP, estop) \
+    X(HOST_HEARTBEAT, host_heartbeat) \
+    X(TORQUE_FEEDFORWARD, torque_feedforward) \
+    X(WHEEL_COMMAND, wheel_command) \
+    X(TORQUE_COMMAND, torque_command) \
+    X(TICK, tick) \
+    X(ENCODERS, encoders) \
+    X(WHEEL_SPEEDS, wheel_speeds) \
+    X(CURRENTS, currents) \
+    X(ACCELEROMETER, accelerometer) \
+    X(GYRO, gyro) \
+    X(STATUS, status) \
+    X(POWER, power) \
+    X(TEMPERATURES, temperatures) \
+    X(LINK_COUNTERS, link_counters) \
+    X(ABSOLUTE_FRONT, absolute_front) \
+    X(ABSOLUTE_REAR, absolute_rear) \
+    X(PORT_COUNTERS, port_counters) \
+    X(TIME_SYNC_REQUEST, time_sync_request) \
+    X(TIME_SYNC_RESPONSE, time_sync_response) \
+    X(PARAMETER_REQUEST, parameter_request) \
+    X(PARAMETER_RESPONSE, parameter_response) \
+    X(STEP, step) \
+    X(STEP_DONE, step_done) \
+    X(HELLO_REQUEST, hello_request) \
+    X(HELLO_IDENTITY, hello_identity) \
+    X(HELLO_FIRMWARE, hello_firmware) \
+    X(HELLO_PARAMETERS, hello_parameters) \
+    X(HELLO_GEOMETRY, hello_geometry)
+
 /* Encoders return false, with the payload untouched, when a value is out of its range or not finite.
  * Decoders return false, with the message untouched, for a wrong length or a value out of its range. */
 

@@ -104,24 +104,7 @@ static void check_codec(const vector *v, const char *name) {
     }
     memcpy(payload, v->frame.payload, length);
     switch (v->frame.id) {
-        ROUND_TRIP(ESTOP, estop)
-        ROUND_TRIP(HOST_HEARTBEAT, host_heartbeat)
-        ROUND_TRIP(TORQUE_FEEDFORWARD, torque_feedforward)
-        ROUND_TRIP(WHEEL_COMMAND, wheel_command)
-        ROUND_TRIP(TORQUE_COMMAND, torque_command)
-        ROUND_TRIP(TICK, tick)
-        ROUND_TRIP(ENCODERS, encoders)
-        ROUND_TRIP(WHEEL_SPEEDS, wheel_speeds)
-        ROUND_TRIP(CURRENTS, currents)
-        ROUND_TRIP(GYRO, gyro)
-        ROUND_TRIP(STATUS, status)
-        ROUND_TRIP(LINK_COUNTERS, link_counters)
-        ROUND_TRIP(STEP, step)
-        ROUND_TRIP(STEP_DONE, step_done)
-        ROUND_TRIP(HELLO_REQUEST, hello_request)
-        ROUND_TRIP(HELLO_IDENTITY, hello_identity)
-        ROUND_TRIP(HELLO_FIRMWARE, hello_firmware)
-        ROUND_TRIP(HELLO_PARAMETERS, hello_parameters)
+        WP_MESSAGES(ROUND_TRIP)
     default:
         break;
     }
