@@ -23,15 +23,17 @@ import plant_fmu
 from plant_fmu import generate
 
 HERE = Path(__file__).parent
-DESCRIPTION = HERE / "generated" / "modelDescription.xml"
 SOURCES = tuple(HERE / name for name in generate.SOURCE_FILES)
-HEADERS = (
-    HERE / "fmi2.h",
-    HERE / "instance.h",
-    HERE / "mecanum.h",
-    HERE / "generated" / "mecanum_variables.h",
-)
+HEADERS = (*sorted(HERE.glob("*.h")), generate.GENERATED / "mecanum_variables.h")
 DOCUMENTS = (HERE / "documentation" / "index.html", HERE / "documentation" / "licenses" / "license.txt")
+# What each version's archive holds beside the binary, the sources and the documents: member -> file.
+DESCRIPTIONS = {
+    2: {"modelDescription.xml": generate.GENERATED / "fmi2" / "modelDescription.xml"},
+    3: {
+        "modelDescription.xml": generate.GENERATED / "fmi3" / "modelDescription.xml",
+        "terminalsAndIcons/terminalsAndIcons.xml": generate.GENERATED / "fmi3" / "terminalsAndIcons.xml",
+    },
+}
 # Without fused multiply-add the same sources give the same numbers on every machine that rounds by IEEE 754.
 FLAGS = (
     "-std=c11",
@@ -43,6 +45,7 @@ FLAGS = (
     "-Werror",
 )
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
+_MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}  # names of Windows and macOS
 _DATE = (1980, 1, 1, 0, 0, 0)
 
 
@@ -50,11 +53,15 @@ class BuildError(Exception):
     """The FMU could not be built; the message says what to do."""
 
 
-def binaries_folder() -> str:
-    """Return the folder of this platform's binary in an FMI 2.0 archive (section 2.3): ``linux64``.
+def binaries_folder(fmi: int) -> str:
+    """Return the folder of this platform's binary: ``linux64`` in FMI 2.0, ``x86_64-linux`` in 3.0.
 
-    The standard's names do not tell one 64-bit architecture from another.
+    FMI 2.0 section 2.3, whose names do not tell one 64-bit architecture from another; FMI 3.0 section 2.5.
     """
+    if fmi == 3:
+        machine = platform.machine().lower()
+        system = {"win32": "windows", "darwin": "darwin"}.get(sys.platform, "linux")
+        return "-".join((_MACHINES.get(machine, machine), system))
     system = {"win32": "win", "darwin": "darwin"}.get(sys.platform, "linux")
     return f"{system}{64 if sys.maxsize > 2**32 else 32}"
 
@@ -93,22 +100,22 @@ def compile_shared(
     unfinished.replace(library)
 
 
-def build(out: Path | None = None, cc: str | None = None) -> Path:
-    """Build the FMU unless it is up to date, and return its path.
+def build(out: Path | None = None, cc: str | None = None, fmi: int = 2) -> Path:
+    """Build the FMU of FMI version 2 or 3 unless it is up to date, and return its path.
 
     Raises BuildError when there is no compiler, when it fails, when a generated file is stale, and when
     ``out`` cannot be written.
     """
-    out = plant_fmu.path() if out is None else out
-    inputs = _inputs_digest(compiler(cc))
+    out = plant_fmu.path(fmi) if out is None else out
+    inputs = _inputs_digest(compiler(cc), fmi)
     if _is_made_from(out, inputs):
         return out
-    if stale := [path for path in generate.stale() if path.parent == DESCRIPTION.parent]:
+    if stale := [path for path in generate.stale() if generate.GENERATED in path.parents]:
         raise BuildError(f"{stale[0].name} is stale; run python -m plant_fmu.generate")
     with tempfile.TemporaryDirectory(prefix="plant_fmu_") as folder:
         library = Path(folder) / f"mecanum{SUFFIX}"
         compile_shared(SOURCES, library, include=(HERE, HERE / "generated"), cc=cc, flags=("-fvisibility=hidden",))
-        members = {f"binaries/{binaries_folder()}/{library.name}": library.read_bytes(), **_text_members()}
+        members = {f"binaries/{binaries_folder(fmi)}/{library.name}": library.read_bytes(), **_text_members(fmi)}
     try:
         _pack(members, out, inputs)
     except OSError as error:
@@ -116,9 +123,9 @@ def build(out: Path | None = None, cc: str | None = None) -> Path:
     return out
 
 
-def _text_members() -> dict[str, bytes]:
+def _text_members(fmi: int) -> dict[str, bytes]:
     files = {
-        "modelDescription.xml": DESCRIPTION,
+        **DESCRIPTIONS[fmi],
         **{f"sources/{path.name}": path for path in (*SOURCES, *HEADERS)},
         **{path.relative_to(HERE).as_posix(): path for path in DOCUMENTS},
     }
@@ -138,11 +145,11 @@ def _build_description() -> bytes:
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'.encode()
 
 
-def _inputs_digest(command: list[str]) -> str:
+def _inputs_digest(command: list[str], fmi: int) -> str:
     """Return a hash of all that the FMU is made from, the compiler included."""
     version = subprocess.run([*command, "--version"], capture_output=True, text=True, check=False).stdout
-    digest = hashlib.sha256(repr((command, version, FLAGS, platform.machine(), binaries_folder())).encode())
-    for path in (Path(__file__), HERE / "variables.toml", DESCRIPTION, *SOURCES, *HEADERS, *DOCUMENTS):
+    digest = hashlib.sha256(repr((command, version, FLAGS, platform.machine(), binaries_folder(fmi))).encode())
+    for path in (Path(__file__), HERE / "variables.toml", *DESCRIPTIONS[fmi].values(), *SOURCES, *HEADERS, *DOCUMENTS):
         digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()
 
@@ -170,11 +177,13 @@ def _pack(members: dict[str, bytes], out: Path, inputs: str) -> None:
 
 
 def main() -> None:
-    """Build the FMU and print its path."""
-    parser = argparse.ArgumentParser(prog="plant_fmu.build", description="Build the plant's FMU for this machine.")
-    parser.add_argument("--out", type=Path, help="the FMU to write; the package's own by default")
+    """Build the FMUs and print their paths."""
+    parser = argparse.ArgumentParser(prog="plant_fmu.build", description="Build the plant's FMUs for this machine.")
+    parser.add_argument("--out", type=Path, help="the FMI 2.0 FMU alone, to this file; both in the package by default")
+    out = parser.parse_args().out
     try:
-        print(build(parser.parse_args().out))
+        for fmi in (2,) if out else (2, 3):
+            print(build(out, fmi=fmi))
     except BuildError as error:
         sys.exit(f"plant_fmu.build: {error}")
 
