@@ -20,12 +20,14 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import plant_fmu
-from plant_fmu import generate
+from plant_fmu import generate, manifest
 
 HERE = Path(__file__).parent
 SOURCES = tuple(HERE / name for name in generate.SOURCE_FILES)
 HEADERS = (*sorted(HERE.glob("*.h")), generate.GENERATED / "mecanum_variables.h")
 DOCUMENTS = (HERE / "documentation" / "index.html", HERE / "documentation" / "licenses" / "license.txt")
+# Reference results, the same in both versions' archives: member -> file.
+REFERENCE = {f"{manifest.FOLDER}/{path.name}": path for path in (generate.GENERATED / manifest.NAME, *manifest.files())}
 # What each version's archive holds beside the binary, the sources and the documents: member -> file.
 DESCRIPTIONS = {
     2: {"modelDescription.xml": generate.GENERATED / "fmi2" / "modelDescription.xml"},
@@ -126,6 +128,7 @@ def build(out: Path | None = None, cc: str | None = None, fmi: int = 2) -> Path:
 def _text_members(fmi: int) -> dict[str, bytes]:
     files = {
         **DESCRIPTIONS[fmi],
+        **REFERENCE,
         **{f"sources/{path.name}": path for path in (*SOURCES, *HEADERS)},
         **{path.relative_to(HERE).as_posix(): path for path in DOCUMENTS},
     }
@@ -149,7 +152,15 @@ def _inputs_digest(command: list[str], fmi: int) -> str:
     """Return a hash of all that the FMU is made from, the compiler included."""
     version = subprocess.run([*command, "--version"], capture_output=True, text=True, check=False).stdout
     digest = hashlib.sha256(repr((command, version, FLAGS, platform.machine(), binaries_folder(fmi))).encode())
-    for path in (Path(__file__), HERE / "variables.toml", *DESCRIPTIONS[fmi].values(), *SOURCES, *HEADERS, *DOCUMENTS):
+    for path in (
+        Path(__file__),
+        HERE / "variables.toml",
+        *DESCRIPTIONS[fmi].values(),
+        *REFERENCE.values(),
+        *SOURCES,
+        *HEADERS,
+        *DOCUMENTS,
+    ):
         digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()
 

@@ -1,4 +1,4 @@
-"""Makes what follows from variables.toml: the model descriptions, the C header, the tables of the documents.
+"""Makes what follows from variables.toml and reference/cases.toml: descriptions, the C header, tables of documents.
 
 ``python -m plant_fmu.generate`` writes the files; ``--check`` writes nothing and exits 1 naming a stale
 one. Needs the standard library only.
@@ -9,7 +9,7 @@ import hashlib
 import sys
 from pathlib import Path
 
-from plant_fmu import c_header, description2, description3, tables
+from plant_fmu import c_header, description2, description3, manifest, tables
 from plant_fmu.variables import HERE, Definition, DefinitionError, read
 
 SOURCE_FILES = ("fmi2.c", "fmi3.c", "fmi3_unclaimed.c", "instance.c", "saved_state.c", "mecanum.c")
@@ -34,6 +34,7 @@ def render(definition: Definition) -> dict[Path, str]:
         GENERATED / "fmi2" / "modelDescription.xml": description2.model_description(definition, token, SOURCE_FILES),
         GENERATED / "fmi3" / "modelDescription.xml": description3.model_description(definition, token),
         GENERATED / "fmi3" / "terminalsAndIcons.xml": description3.terminals(definition),
+        GENERATED / manifest.NAME: manifest.manifest(),
         GENERATED / "mecanum_variables.h": c_header.c_header(definition, token),
         **{HERE / name: text for name, text in tables.documents(definition).items()},
     }
