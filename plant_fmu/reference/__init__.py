@@ -77,7 +77,8 @@ def write(case: Case, results: Any) -> None:
 def largest_deviation(case: Case, results: Any) -> Deviation:
     """Compare a run with the reference. Raises ValueError when the two have not the same rows and columns."""
     reference = read_csv(str(case.results))
-    if reference.dtype.names != results.dtype.names or not np.allclose(reference["time"], results["time"], atol=1e-9):
+    same = reference.dtype.names == results.dtype.names and len(reference) == len(results)
+    if not same or np.abs(reference["time"] - results["time"]).max() > 1e-9:
         raise ValueError(f"{case.results.name} has other rows or columns than a run of {case.name}; write it anew")
     return max((_deviation(column, reference, results) for column in case.outputs), key=lambda found: found.size)
 
