@@ -41,7 +41,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Deviation:
-    """Where a run is farthest from the reference, measured in the column's largest magnitude (at least 1e-9)."""
+    """Where a run is farthest from the reference, measured in the column's largest magnitude (at least 1e-3)."""
 
     column: str
     time_s: float
@@ -84,7 +84,7 @@ def largest_deviation(case: Case, results: Any) -> Deviation:
 
 
 def _deviation(column: str, reference: Any, results: Any) -> Deviation:
-    scale = max(float(np.abs(reference[column]).max()), 1e-9)
+    scale = max(float(np.abs(reference[column]).max()), 1e-3)
     difference = np.abs(results[column] - reference[column]) / scale
     difference[~np.isfinite(difference)] = np.inf  # a NaN is as far off as can be
     row = int(difference.argmax())
