@@ -12,7 +12,19 @@ from pathlib import Path
 from plant_fmu import c_header, description2, description3, manifest, tables
 from plant_fmu.variables import HERE, Definition, DefinitionError, read
 
-SOURCE_FILES = ("fmi2.c", "fmi3.c", "fmi3_unclaimed.c", "instance.c", "saved_state.c", "mecanum.c")
+SOURCE_FILES = (
+    "fmi2.c",
+    "fmi3.c",
+    "fmi3_unclaimed.c",
+    "instance.c",
+    "saved_state.c",
+    "mecanum.c",
+    "model.c",
+    "motor.c",
+    "contact.c",
+    "friction.c",
+    "sensors.c",
+)
 GENERATED = HERE / "generated"
 
 

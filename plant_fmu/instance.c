@@ -109,7 +109,11 @@ bool plant_enter_initialization(plant_instance *plant) {
 }
 
 bool plant_exit_initialization(plant_instance *plant) {
-    mecanum_start(&plant->now.parameters, plant->now.state);
+    const char *const problem = mecanum_problem(&plant->now.parameters);
+    if (problem != NULL) {
+        return plant_fail(plant, "exitInitializationMode: %s", problem);
+    }
+    mecanum_start(&plant->now.parameters, &plant->now.state);
     plant->now.outputs_stale = true;
     plant->now.mode = PLANT_STEP_COMPLETE;
     return true;
@@ -131,10 +135,10 @@ static const variable *find(plant_instance *plant, unsigned types, unsigned refe
 static void refresh_outputs(plant_snapshot *now) {
     if (now->mode == PLANT_INITIALIZATION) {
         /* The parameters may still change, and the start with them. */
-        mecanum_start(&now->parameters, now->state);
+        mecanum_start(&now->parameters, &now->state);
     }
     if (now->outputs_stale) {
-        mecanum_output(&now->parameters, &now->inputs, now->state, &now->outputs);
+        mecanum_output(&now->parameters, &now->inputs, &now->state, now->time_s, &now->outputs);
         now->outputs_stale = false;
     }
 }
@@ -213,24 +217,20 @@ bool plant_step(plant_instance *plant, double from_s, double step_s) {
         return plant_fail(plant, "doStep: to %.10g s, past the stop time %.10g s", from_s + step_s,
                           now->stop_s);
     }
-    const double longest_s = mecanum_longest_step_s(&now->parameters);
-    const double steps = fmax(1.0, ceil(step_s / longest_s - 1e-9));
+    const double steps = mecanum_internal_steps(&now->parameters, step_s);
     if (steps > MOST_INTERNAL_STEPS) {
         return plant_fail(plant,
                           "doStep: a communication step of %g s needs %.0f internal steps; expected at most "
                           "%.0f, take shorter ones",
                           step_s, steps, MOST_INTERNAL_STEPS);
     }
-    double state[MECANUM_STATES];
-    memcpy(state, now->state, sizeof state);
-    for (long i = 0; i < (long)steps; i++) {
-        mecanum_step(&now->parameters, &now->inputs, step_s / steps, state);
-    }
-    if (!mecanum_is_finite(state)) {
-        return plant_fail(plant, "doStep: the state is no longer finite at %.10g s; look at the torques",
+    mecanum_state state = now->state;
+    mecanum_advance(&now->parameters, &now->inputs, step_s, &state);
+    if (!mecanum_is_finite(&state)) {
+        return plant_fail(plant, "doStep: the state is no longer finite at %.10g s; look at the inputs",
                           from_s + step_s);
     }
-    memcpy(now->state, state, sizeof state);
+    now->state = state;
     now->time_s = from_s + step_s; /* the importer's time, which it does not accumulate */
     now->outputs_stale = true;
     return true;

@@ -31,7 +31,7 @@ typedef struct {
     bool outputs_stale;
     double time_s;
     double stop_s;
-    double state[MECANUM_STATES];
+    mecanum_state state;
     mecanum_parameters parameters;
     mecanum_inputs inputs;
     mecanum_outputs outputs;

@@ -1,164 +1,258 @@
+/* Start, derivative, integrator and outputs of the plant. */
 #include "mecanum.h"
 
+#include <math.h>
 #include <string.h>
 
-static const double GRAVITY_M_S2 = 9.81;
-static const double TWO_PI = 6.283185307179586476925286766559;
-static const double LONGEST_STEP_S = 1e-3;
+#include "model.h"
 
-/* Rows of H: wheel speed = (1/r) H (forward, left, yaw rate); the third column is times L = l1 + l2. */
-static const double H[MECANUM_WHEELS][3] = {
-    {1.0, -1.0, -1.0},
-    {1.0, 1.0, 1.0},
-    {1.0, -1.0, 1.0},
-    {1.0, 1.0, -1.0},
-};
+/* Longest internal steps, over the time in which the fastest part changes: they keep the method's error of a
+ * step below 1e-4 of a change in a motor's current, and below 1e-5 of one in a contact's deflection. */
+static const double WINDING_STEP = 0.3;
+static const double CONTACT_STEP = 0.25;
+static const double DAMPING_STEP = 0.1;
 
-/* What the wheels add to the mass when they turn with the robot: k = 4 Ib / r^2. */
-static double wheel_mass_kg(const mecanum_parameters *p) {
-    return 4.0 * p->wheel_inertia_kg_m2 / (p->wheel_radius_m * p->wheel_radius_m);
-}
-
-static double lever_m(const mecanum_parameters *p) {
-    return p->half_length_m + p->half_width_m;
-}
-
-/* Friction torque at full speed, a wheel: mu m g r / 4. */
-static double friction_torque_n_m(const mecanum_parameters *p) {
-    return p->friction_coefficient * p->mass_kg * GRAVITY_M_S2 * p->wheel_radius_m / MECANUM_WHEELS;
-}
-
-/* omega = (1/r) H R(heading)^T (vx, vy, yaw rate) */
-static void wheel_speeds(const mecanum_parameters *p, const double state[MECANUM_STATES], double cos_heading,
-                         double sin_heading, double speed_rad_s[MECANUM_WHEELS]) {
-    const double vx = state[MECANUM_VX_M_S];
-    const double vy = state[MECANUM_VY_M_S];
-    const double forward = cos_heading * vx + sin_heading * vy;
-    const double left = -sin_heading * vx + cos_heading * vy;
-    const double turn = lever_m(p) * state[MECANUM_YAW_RATE_RAD_S];
-    for (int i = 0; i < MECANUM_WHEELS; i++) {
-        speed_rad_s[i] = (H[i][0] * forward + H[i][1] * left + H[i][2] * turn) / p->wheel_radius_m;
+const char *mecanum_problem(const mecanum_parameters *p) {
+    if (p->contact == MECANUM_CONTACT_SLIP && p->wheel_inertia_kg_m2 + p->rotor_inertia_kg_m2 <= 0.0) {
+        return "wheel_inertia_kg_m2 = 0 with slip contact; expected a positive number, wheels without "
+               "inertia "
+               "would turn at once";
     }
+    return NULL;
 }
 
-void mecanum_start(const mecanum_parameters *p, double state[MECANUM_STATES]) {
-    memset(state, 0, MECANUM_STATES * sizeof state[0]);
-    state[MECANUM_X_M] = p->start_x_m;
-    state[MECANUM_Y_M] = p->start_y_m;
-    state[MECANUM_HEADING_RAD] = p->start_heading_rad;
-    state[MECANUM_VX_M_S] = p->start_vx_m_s;
-    state[MECANUM_VY_M_S] = p->start_vy_m_s;
-    state[MECANUM_YAW_RATE_RAD_S] = p->start_yaw_rate_rad_s;
-}
-
-void mecanum_derivative(const mecanum_parameters *p, const mecanum_inputs *u,
-                        const double state[MECANUM_STATES], double derivative[MECANUM_STATES]) {
-    const double cos_heading = cos(state[MECANUM_HEADING_RAD]);
-    const double sin_heading = sin(state[MECANUM_HEADING_RAD]);
-    double *const speed_rad_s = derivative + MECANUM_WHEEL_ANGLE_RAD;
-    wheel_speeds(p, state, cos_heading, sin_heading, speed_rad_s);
-
-    /* (1/r) H^T (tau - xi): force and moment in the body frame */
-    const double friction_n_m = friction_torque_n_m(p);
-    double forward = 0.0;
-    double left = 0.0;
-    double turn = 0.0;
-    for (int i = 0; i < MECANUM_WHEELS; i++) {
-        double torque_n_m = u->wheel_torque_n_m[i] - p->viscous_n_m_s_rad * speed_rad_s[i];
-        if (friction_n_m > 0.0) {
-            torque_n_m -= friction_n_m * tanh(speed_rad_s[i] / 0.1);
+void mecanum_start(const mecanum_parameters *p, mecanum_state *state) {
+    mecanum_model model;
+    mecanum_prepare(&model, p);
+    const double cos_heading = cos(p->start_heading_rad);
+    const double sin_heading = sin(p->start_heading_rad);
+    double *const x = state->x;
+    memset(state, 0, sizeof *state);
+    x[MECANUM_X_M] = p->start_x_m;
+    x[MECANUM_Y_M] = p->start_y_m;
+    x[MECANUM_HEADING_RAD] = p->start_heading_rad;
+    x[MECANUM_FORWARD_M_S] = cos_heading * p->start_vx_m_s + sin_heading * p->start_vy_m_s;
+    x[MECANUM_LEFT_M_S] = -sin_heading * p->start_vx_m_s + cos_heading * p->start_vy_m_s;
+    x[MECANUM_YAW_RATE_RAD_S] = p->start_yaw_rate_rad_s;
+    if (p->contact == MECANUM_CONTACT_SLIP) {
+        for (int i = 0; i < MECANUM_WHEELS; i++) {
+            const double *const row = model.rolling[i];
+            x[MECANUM_WHEEL_SPEED_RAD_S + i] = row[0] * x[MECANUM_FORWARD_M_S] +
+                                               row[1] * x[MECANUM_LEFT_M_S] +
+                                               row[2] * x[MECANUM_YAW_RATE_RAD_S];
         }
-        forward += H[i][0] * torque_n_m;
-        left += H[i][1] * torque_n_m;
-        turn += H[i][2] * torque_n_m;
     }
-    const double fx = (cos_heading * forward - sin_heading * left) / p->wheel_radius_m;
-    const double fy = (sin_heading * forward + cos_heading * left) / p->wheel_radius_m;
-    const double moment = lever_m(p) * turn / p->wheel_radius_m;
-
-    /* M q'' = B (tau - xi) - C with C = c heading' (y', -x', 0) */
-    const double k = wheel_mass_kg(p);
-    const double c = p->coriolis == MECANUM_CORIOLIS_PAPER ? p->mass_kg + k : k;
-    const double yaw_rate = state[MECANUM_YAW_RATE_RAD_S];
-    const double inertia = p->inertia_kg_m2 + k * lever_m(p) * lever_m(p);
-    derivative[MECANUM_X_M] = state[MECANUM_VX_M_S];
-    derivative[MECANUM_Y_M] = state[MECANUM_VY_M_S];
-    derivative[MECANUM_HEADING_RAD] = yaw_rate;
-    derivative[MECANUM_VX_M_S] = (fx - c * yaw_rate * state[MECANUM_VY_M_S]) / (p->mass_kg + k);
-    derivative[MECANUM_VY_M_S] = (fy + c * yaw_rate * state[MECANUM_VX_M_S]) / (p->mass_kg + k);
-    derivative[MECANUM_YAW_RATE_RAD_S] = moment / inertia;
 }
 
-double mecanum_longest_step_s(const mecanum_parameters *p) {
-    /* Friction is steepest at standstill. A slope s [N m s/rad] at each wheel damps translation at
-     * 4 s / (r^2 (m + k)) and rotation at 4 s L^2 / (r^2 (I + k L^2)). The method is stable up to 2.78 over
-     * the faster of the two; 0.1 keeps its error a step below 1e-7. */
-    const double r = p->wheel_radius_m;
-    const double k = wheel_mass_kg(p);
-    const double slope = p->viscous_n_m_s_rad + friction_torque_n_m(p) / 0.1;
-    const double translation = 1.0 / (p->mass_kg + k);
-    const double rotation = 1.0 / (p->inertia_kg_m2 / (lever_m(p) * lever_m(p)) + k);
-    const double rate_1_s = 4.0 * slope / (r * r) * fmax(translation, rotation);
-    return rate_1_s * LONGEST_STEP_S > 0.1 ? 0.1 / rate_1_s : LONGEST_STEP_S;
+/* The fastest damping that viscous friction gives a wheel, or the robot through the wheels. */
+static double viscous_rate_1_s(const mecanum_model *model) {
+    const mecanum_parameters *const p = model->p;
+    if (p->viscous_n_m_s_rad <= 0.0) {
+        return 0.0;
+    }
+    if (p->contact == MECANUM_CONTACT_SLIP) {
+        return p->viscous_n_m_s_rad / model->wheel_inertia_kg_m2;
+    }
+    /* The trace bounds the largest eigenvalue of J^T d J M^-1. */
+    double trace = 0.0;
+    for (int i = 0; i < MECANUM_WHEELS; i++) {
+        double ease[3];
+        mecanum_apply(model->inverse_mass, model->rolling[i], ease);
+        for (int j = 0; j < 3; j++) {
+            trace += model->rolling[i][j] * ease[j];
+        }
+    }
+    return p->viscous_n_m_s_rad * trace;
 }
 
-void mecanum_step(const mecanum_parameters *p, const mecanum_inputs *u, double step_s,
-                  double state[MECANUM_STATES]) {
+double mecanum_internal_steps(const mecanum_parameters *p, double step_s) {
+    mecanum_model model;
+    mecanum_prepare(&model, p);
+    double longest_s = p->longest_step_s;
+    const double damping = viscous_rate_1_s(&model);
+    if (damping > 0.0) {
+        longest_s = fmin(longest_s, DAMPING_STEP / damping);
+    }
+    if (p->drive == MECANUM_DRIVE_VOLTAGE) {
+        longest_s = fmin(longest_s, WINDING_STEP * p->motor_inductance_h / p->motor_resistance_ohm);
+    }
+    if (p->contact == MECANUM_CONTACT_SLIP) {
+        /* Motion of a contact along its roller for one newton there: of the wheel, and of the whole robot. */
+        const double r = p->wheel_radius_m;
+        const double lever_m = p->half_length_m + p->half_width_m;
+        const double ease = 0.5 * r * r / model.wheel_inertia_kg_m2 +
+                            2.0 * (model.inverse_mass[0][0] + model.inverse_mass[1][1] +
+                                   lever_m * lever_m * model.inverse_mass[2][2]);
+        longest_s = fmin(longest_s, CONTACT_STEP / sqrt(p->roller_stiffness_n_m * ease));
+        longest_s = fmin(longest_s, CONTACT_STEP / fmax(p->roller_damping_n_s_m * ease, 1.0));
+    }
+    return fmax(1.0, ceil(step_s / longest_s - 1e-9));
+}
+
+void mecanum_derivative(const mecanum_model *model, const mecanum_inputs *u, const mecanum_modes *modes,
+                        const mecanum_state *state, mecanum_state *derivative) {
+    const mecanum_parameters *const p = model->p;
+    const double *const x = state->x;
+    double *const rate = derivative->x;
+    double speed_rad_s[MECANUM_WHEELS];
+    double torque_n_m[MECANUM_WHEELS];
+    double body_force[3];
+    double acceleration[3];
+    mecanum_drive drive;
+    mecanum_wheel_speeds(model, state, speed_rad_s);
+    mecanum_drives(model, u, state, speed_rad_s, &drive);
+    mecanum_body_force(model, u, state, body_force);
+    double lost_w = drive.lost_w;
+    for (int i = 0; i < MECANUM_WHEELS; i++) {
+        const double friction_n_m =
+            p->viscous_n_m_s_rad * speed_rad_s[i] + model->friction_n_m[i] * modes->sign[i];
+        torque_n_m[i] = drive.torque_n_m[i] - friction_n_m;
+        lost_w += friction_n_m * speed_rad_s[i];
+        rate[MECANUM_WHEEL_ANGLE_RAD + i] = modes->at_rest[i] ? 0.0 : speed_rad_s[i];
+        rate[MECANUM_CURRENT_A + i] = drive.current_rate_a_s[i];
+        rate[MECANUM_WHEEL_SPEED_RAD_S + i] = 0.0;
+        rate[MECANUM_DEFLECTION_M + i] = 0.0;
+    }
+    if (p->contact == MECANUM_CONTACT_SLIP) {
+        mecanum_contact ground;
+        mecanum_ground(model, modes, state, torque_n_m, &ground);
+        mecanum_slip_acceleration(model, body_force, &ground, acceleration);
+        lost_w += ground.lost_w;
+        for (int i = 0; i < MECANUM_WHEELS; i++) {
+            rate[MECANUM_DEFLECTION_M + i] = ground.deflection_rate_m_s[i];
+            if (!modes->at_rest[i]) {
+                rate[MECANUM_WHEEL_SPEED_RAD_S + i] =
+                    (torque_n_m[i] - p->wheel_radius_m * ground.force_x_n[i]) / model->wheel_inertia_kg_m2;
+            }
+        }
+    } else {
+        mecanum_rigid_acceleration(model, body_force, torque_n_m, acceleration);
+        if (modes->any_at_rest) {
+            const double free[3] = {acceleration[0], acceleration[1], acceleration[2]};
+            mecanum_apply(modes->projector, free, acceleration);
+        }
+    }
+    const double cos_heading = cos(x[MECANUM_HEADING_RAD]);
+    const double sin_heading = sin(x[MECANUM_HEADING_RAD]);
+    rate[MECANUM_X_M] = cos_heading * x[MECANUM_FORWARD_M_S] - sin_heading * x[MECANUM_LEFT_M_S];
+    rate[MECANUM_Y_M] = sin_heading * x[MECANUM_FORWARD_M_S] + cos_heading * x[MECANUM_LEFT_M_S];
+    rate[MECANUM_HEADING_RAD] = x[MECANUM_YAW_RATE_RAD_S];
+    for (int j = 0; j < 3; j++) {
+        rate[MECANUM_FORWARD_M_S + j] = acceleration[j];
+    }
+    rate[MECANUM_SUPPLIED_J] = drive.supplied_w + u->push_force_x_n * rate[MECANUM_X_M] +
+                               u->push_force_y_n * rate[MECANUM_Y_M] +
+                               u->push_moment_n_m * x[MECANUM_YAW_RATE_RAD_S];
+    rate[MECANUM_LOST_J] = lost_w;
+}
+
+void mecanum_integrate(const mecanum_model *model, const mecanum_inputs *u, const mecanum_modes *modes,
+                       double step_s, mecanum_state *state) {
     static const double ADVANCE[3] = {0.5, 0.5, 1.0};
     static const double WEIGHT[4] = {1.0, 2.0, 2.0, 1.0};
-    double at[MECANUM_STATES];
-    double slope[MECANUM_STATES];
+    mecanum_state at = *state;
+    mecanum_state slope;
     double sum[MECANUM_STATES] = {0.0};
-    memcpy(at, state, sizeof at);
     for (int stage = 0; stage < 4; stage++) {
-        mecanum_derivative(p, u, at, slope);
+        mecanum_derivative(model, u, modes, &at, &slope);
         for (int i = 0; i < MECANUM_STATES; i++) {
-            sum[i] += WEIGHT[stage] * slope[i];
+            sum[i] += WEIGHT[stage] * slope.x[i];
             if (stage < 3) {
-                at[i] = state[i] + ADVANCE[stage] * step_s * slope[i];
+                at.x[i] = state->x[i] + ADVANCE[stage] * step_s * slope.x[i];
             }
         }
     }
     for (int i = 0; i < MECANUM_STATES; i++) {
-        state[i] += step_s / 6.0 * sum[i];
+        state->x[i] += step_s / 6.0 * sum[i];
     }
 }
 
-/* Encoder count: rounded down, in 32 bits. Past 2^53 counts a double no longer tells one from the next, and
- * the counter stands still. */
-static int32_t count(const mecanum_parameters *p, double angle_rad) {
-    const double counts = floor(angle_rad / TWO_PI * p->counts_per_revolution);
-    const double bounded = fmin(fmax(counts, -9007199254740992.0), 9007199254740992.0);
-    const uint32_t wrapped = (uint32_t)(uint64_t)(int64_t)bounded;
-    int32_t result;
-    memcpy(&result, &wrapped, sizeof result);
-    return result;
+void mecanum_advance(const mecanum_parameters *p, const mecanum_inputs *u, double step_s,
+                     mecanum_state *state) {
+    mecanum_model model;
+    mecanum_prepare(&model, p);
+    const double steps = mecanum_internal_steps(p, step_s);
+    for (long i = 0; i < (long)steps; i++) {
+        mecanum_step(&model, u, step_s / steps, state);
+    }
 }
 
-void mecanum_output(const mecanum_parameters *p, const mecanum_inputs *u, const double state[MECANUM_STATES],
-                    mecanum_outputs *out) {
-    out->pose_x_m = state[MECANUM_X_M];
-    out->pose_y_m = state[MECANUM_Y_M];
-    out->pose_heading_rad = state[MECANUM_HEADING_RAD];
-    out->twist_vx_m_s = state[MECANUM_VX_M_S];
-    out->twist_vy_m_s = state[MECANUM_VY_M_S];
-    out->twist_yaw_rate_rad_s = state[MECANUM_YAW_RATE_RAD_S];
-    out->gyro_x_rad_s = 0.0;
-    out->gyro_y_rad_s = 0.0;
-    out->gyro_z_rad_s = state[MECANUM_YAW_RATE_RAD_S];
-    wheel_speeds(p, state, cos(state[MECANUM_HEADING_RAD]), sin(state[MECANUM_HEADING_RAD]),
-                 out->wheel_speed_rad_s);
+/* Energy of motion, height, bent rollers and windings. */
+static double stored_j(const mecanum_model *model, const mecanum_state *state) {
+    const mecanum_parameters *const p = model->p;
+    const double *const x = state->x;
+    double speed_rad_s[MECANUM_WHEELS];
+    mecanum_wheel_speeds(model, state, speed_rad_s);
+    const double yaw_rate = x[MECANUM_YAW_RATE_RAD_S];
+    const double mass_x_m_s = x[MECANUM_FORWARD_M_S] - yaw_rate * p->com_y_m;
+    const double mass_y_m_s = x[MECANUM_LEFT_M_S] + yaw_rate * p->com_x_m;
+    double twice_j = p->mass_kg * (mass_x_m_s * mass_x_m_s + mass_y_m_s * mass_y_m_s) +
+                     p->inertia_kg_m2 * yaw_rate * yaw_rate;
     for (int i = 0; i < MECANUM_WHEELS; i++) {
-        const double angle_rad = state[MECANUM_WHEEL_ANGLE_RAD + i];
-        out->wheel_angle_rad[i] = angle_rad;
-        out->wheel_count[i] = count(p, angle_rad);
-        out->wheel_current_a[i] = u->wheel_torque_n_m[i] / p->motor_constant_n_m_a;
+        const double deflection_m = x[MECANUM_DEFLECTION_M + i];
+        const double current_a = x[MECANUM_CURRENT_A + i];
+        twice_j += model->wheel_inertia_kg_m2 * speed_rad_s[i] * speed_rad_s[i];
+        twice_j += p->roller_stiffness_n_m * deflection_m * deflection_m;
+        twice_j += p->motor_inductance_h * current_a * current_a;
     }
+    const double up_x = cos(p->slope_direction_rad);
+    const double up_y = sin(p->slope_direction_rad);
+    const double now = up_x * x[MECANUM_X_M] + up_y * x[MECANUM_Y_M] +
+                       p->com_x_m * cos(p->slope_direction_rad - x[MECANUM_HEADING_RAD]) +
+                       p->com_y_m * sin(p->slope_direction_rad - x[MECANUM_HEADING_RAD]);
+    const double start = up_x * p->start_x_m + up_y * p->start_y_m +
+                         p->com_x_m * cos(p->slope_direction_rad - p->start_heading_rad) +
+                         p->com_y_m * sin(p->slope_direction_rad - p->start_heading_rad);
+    return 0.5 * twice_j + model->gravity_in_plane_n * (now - start);
 }
 
-bool mecanum_is_finite(const double state[MECANUM_STATES]) {
+void mecanum_output(const mecanum_parameters *p, const mecanum_inputs *u, const mecanum_state *state,
+                    double time_s, mecanum_outputs *out) {
+    mecanum_model model;
+    mecanum_modes modes;
+    mecanum_drive drive;
+    mecanum_contact ground;
+    mecanum_state settled = *state;
+    mecanum_state derivative;
+    double torque_n_m[MECANUM_WHEELS];
+    mecanum_prepare(&model, p);
+    mecanum_settle(&model, u, &settled, &modes);
+    mecanum_derivative(&model, u, &modes, &settled, &derivative);
+
+    const double *const x = state->x;
+    out->pose_x_m = x[MECANUM_X_M];
+    out->pose_y_m = x[MECANUM_Y_M];
+    out->pose_heading_rad = x[MECANUM_HEADING_RAD];
+    out->twist_vx_m_s = derivative.x[MECANUM_X_M];
+    out->twist_vy_m_s = derivative.x[MECANUM_Y_M];
+    out->twist_yaw_rate_rad_s = x[MECANUM_YAW_RATE_RAD_S];
+    mecanum_wheel_speeds(&model, &settled, out->wheel_speed_rad_s);
+    mecanum_drives(&model, u, &settled, out->wheel_speed_rad_s, &drive);
+    out->battery_voltage_v = drive.battery_v;
+    out->battery_current_a = drive.battery_a;
+    for (int i = 0; i < MECANUM_WHEELS; i++) {
+        out->wheel_angle_rad[i] = x[MECANUM_WHEEL_ANGLE_RAD + i];
+        out->wheel_current_a[i] = drive.current_a[i];
+        out->wheel_axle_torque_n_m[i] = drive.torque_n_m[i];
+        out->wheel_load_n[i] = model.load_n[i];
+        out->wheel_slip_m_s[i] = 0.0;
+        torque_n_m[i] = drive.torque_n_m[i] - p->viscous_n_m_s_rad * out->wheel_speed_rad_s[i] -
+                        model.friction_n_m[i] * modes.sign[i];
+    }
+    if (p->contact == MECANUM_CONTACT_SLIP) {
+        mecanum_ground(&model, &modes, &settled, torque_n_m, &ground);
+        memcpy(out->wheel_load_n, ground.load_n, sizeof out->wheel_load_n);
+        memcpy(out->wheel_slip_m_s, ground.slip_m_s, sizeof out->wheel_slip_m_s);
+    }
+    out->energy_supplied_j = x[MECANUM_SUPPLIED_J];
+    out->energy_stored_j = stored_j(&model, state);
+    out->energy_lost_j = x[MECANUM_LOST_J];
+    mecanum_sense(&model, &settled, &derivative, time_s, out);
+}
+
+bool mecanum_is_finite(const mecanum_state *state) {
     for (int i = 0; i < MECANUM_STATES; i++) {
-        if (!isfinite(state[i])) {
+        if (!isfinite(state->x[i])) {
             return false;
         }
     }

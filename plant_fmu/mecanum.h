@@ -1,7 +1,8 @@
-/* Equations of the four-wheel Mecanum robot: a rigid body on wheels whose rollers do not slip.
+/* The plant: a four-wheel Mecanum robot with motors, battery, encoders and inertial sensors.
  *
- * World frame; wheels FL, FR, RR, RL. The state is an array so that the integrator is three loops, and
- * further states (motor currents, battery) are further entries. Nothing here knows of FMI. */
+ * Wheels FL, FR, RR, RL. The state is an array, so that the integrator is three loops. Nothing here knows of
+ * FMI, and nothing allocates or keeps statics. The equations stand in README.md; model.h says how the files
+ * share them. */
 #ifndef MECANUM_H
 #define MECANUM_H
 
@@ -10,36 +11,45 @@
 #include "mecanum_variables.h"
 
 enum {
-    MECANUM_X_M,
+    MECANUM_X_M, /* of the robot's centre, world frame */
     MECANUM_Y_M,
     MECANUM_HEADING_RAD,
-    MECANUM_VX_M_S,
-    MECANUM_VY_M_S,
+    MECANUM_FORWARD_M_S, /* of the robot's centre, body frame */
+    MECANUM_LEFT_M_S,
     MECANUM_YAW_RATE_RAD_S,
     MECANUM_WHEEL_ANGLE_RAD,
-    MECANUM_STATES = MECANUM_WHEEL_ANGLE_RAD + MECANUM_WHEELS,
+    MECANUM_WHEEL_SPEED_RAD_S = MECANUM_WHEEL_ANGLE_RAD + MECANUM_WHEELS, /* slip contact alone */
+    MECANUM_DEFLECTION_M = MECANUM_WHEEL_SPEED_RAD_S + MECANUM_WHEELS,    /* slip contact alone */
+    MECANUM_CURRENT_A = MECANUM_DEFLECTION_M + MECANUM_WHEELS,            /* the drive voltage alone */
+    MECANUM_SUPPLIED_J = MECANUM_CURRENT_A + MECANUM_WHEELS,
+    MECANUM_LOST_J,
+    MECANUM_STATES,
 };
 
-/* Writes the state at the start: the pose and velocity that the parameters give, wheel angles zero. */
-void mecanum_start(const mecanum_parameters *p, double state[MECANUM_STATES]);
+typedef struct {
+    double x[MECANUM_STATES];
+} mecanum_state;
 
-/* Writes the time derivative of the state. */
-void mecanum_derivative(const mecanum_parameters *p, const mecanum_inputs *u,
-                        const double state[MECANUM_STATES], double derivative[MECANUM_STATES]);
+/* Says what is wrong with parameters that are each within their range, or NULL. */
+const char *mecanum_problem(const mecanum_parameters *p);
 
-/* Longest step [s] at which the integrator is exact enough and, whatever the friction, stable: at most 1 ms.
+/* Writes the state at the start: the pose and velocity that the parameters give, wheels rolling, no current.
  */
-double mecanum_longest_step_s(const mecanum_parameters *p);
+void mecanum_start(const mecanum_parameters *p, mecanum_state *state);
 
-/* Advances the state by one classical Runge-Kutta step of fourth order with the inputs held. */
-void mecanum_step(const mecanum_parameters *p, const mecanum_inputs *u, double step_s,
-                  double state[MECANUM_STATES]);
+/* Number of internal steps that a step of `step_s` takes: not longer than `longest_step_s`, and than the
+ * fastest of motors and contacts allows. */
+double mecanum_internal_steps(const mecanum_parameters *p, double step_s);
 
-/* Writes what follows from the state and, for the currents, from the inputs. */
-void mecanum_output(const mecanum_parameters *p, const mecanum_inputs *u, const double state[MECANUM_STATES],
-                    mecanum_outputs *out);
+/* Advances the state by `step_s`, in that many equal steps, with the inputs held. */
+void mecanum_advance(const mecanum_parameters *p, const mecanum_inputs *u, double step_s,
+                     mecanum_state *state);
+
+/* Writes what follows from the state, the inputs and the time. */
+void mecanum_output(const mecanum_parameters *p, const mecanum_inputs *u, const mecanum_state *state,
+                    double time_s, mecanum_outputs *out);
 
 /* Tells whether every state is a finite number. */
-bool mecanum_is_finite(const double state[MECANUM_STATES]);
+bool mecanum_is_finite(const mecanum_state *state);
 
 #endif

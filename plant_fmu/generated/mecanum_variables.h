@@ -6,7 +6,7 @@
 #include <stdint.h>
 
 #define MECANUM_MODEL_NAME "mecanum"
-#define MECANUM_GUID "{bd6868cf-88c2-eac9-50fa-e6fc288f1ae5}"
+#define MECANUM_GUID "{dde06357-3b48-7423-59d3-e34771f88f4c}"
 #define MECANUM_WHEELS 4
 #define MECANUM_VARIABLE_COUNT 112
 

@@ -1,0 +1,109 @@
+/* What holds the wheels to the ground: rollers that do not slip, or elastic ones with a limit. */
+#include <math.h>
+
+#include "model.h"
+
+static const double ROOT_HALF = 0.70710678118654752440;
+/* Rolling resistance changes its sign over this speed across a roller's axis. */
+static const double RESISTANCE_SPEED_M_S = 0.01;
+/* A roller bends elastically up to this part of its limit, and slides altogether at the whole of it. */
+static const double ELASTIC_PART = 0.7;
+/* A deflection beyond the limit, left from a larger load or grip, goes back within this time. */
+static const double RELAXATION_S = 0.005;
+static const double PI = 3.14159265358979323846;
+
+void mecanum_rigid_acceleration(const mecanum_model *model, const double body_force[3],
+                                const double torque_n_m[MECANUM_WHEELS], double acceleration[3]) {
+    double force[3] = {body_force[0], body_force[1], body_force[2]};
+    for (int i = 0; i < MECANUM_WHEELS; i++) {
+        for (int j = 0; j < 3; j++) {
+            force[j] += model->rolling[i][j] * torque_n_m[i];
+        }
+    }
+    mecanum_apply(model->inverse_mass, force, acceleration);
+}
+
+/* Rate of a deflection z whose contact slides at `slip`: elasto-plastic, so that it neither creeps under a
+ * steady load nor exceeds its limit (Dupont, Hayward, Armstrong and Altpeter, IEEE Trans. Automatic Control
+ * 47(5), 2002). */
+static double deflection_rate_m_s(double z, double slip, double limit_m) {
+    const double part = limit_m > 0.0 ? fabs(z) / limit_m : (z != 0.0 ? INFINITY : 1.0);
+    if (part > 1.0) {
+        const double back_m_s = (z - copysign(limit_m, z)) / RELAXATION_S;
+        return (z * slip > 0.0 ? 0.0 : slip) - back_m_s;
+    }
+    if (z * slip <= 0.0 || part <= ELASTIC_PART) {
+        return slip;
+    }
+    const double way = (part - ELASTIC_PART) / (1.0 - ELASTIC_PART);
+    return slip * (1.0 - 0.5 * (1.0 - cos(PI * way)) * part);
+}
+
+/* Loads from the balance of moments about the centre of mass; four equally stiff wheels share them. The
+ * forces are those of the elastic deflections, which do not depend on the loads in turn. A push acts at the
+ * height of the centre of mass. */
+static void share_load(const mecanum_model *model, const mecanum_modes *modes, const mecanum_state *state,
+                       const double torque_n_m[MECANUM_WHEELS], double load_n[MECANUM_WHEELS]) {
+    const mecanum_parameters *const p = model->p;
+    double force_x = 0.0;
+    double force_y = 0.0;
+    double spin = 0.0;      /* J sum of omega */
+    double spin_rate = 0.0; /* and its rate */
+    for (int i = 0; i < MECANUM_WHEELS; i++) {
+        const double x = -ROOT_HALF * p->roller_stiffness_n_m * state->x[MECANUM_DEFLECTION_M + i];
+        force_x += x;
+        force_y += model->roller_sign[i] * x;
+        spin += model->wheel_inertia_kg_m2 * state->x[MECANUM_WHEEL_SPEED_RAD_S + i];
+        spin_rate += modes->at_rest[i] ? 0.0 : torque_n_m[i] - p->wheel_radius_m * x;
+    }
+    const double pitch = model->gravity_upright_n * p->com_x_m - p->com_height_m * force_x - spin_rate;
+    const double roll = model->gravity_upright_n * p->com_y_m - p->com_height_m * force_y -
+                        state->x[MECANUM_YAW_RATE_RAD_S] * spin;
+    for (int i = 0; i < MECANUM_WHEELS; i++) {
+        const double share =
+            0.25 * (model->gravity_upright_n + pitch / model->wheel_x_m[i] + roll / model->wheel_y_m[i]);
+        load_n[i] = fmax(0.0, share);
+    }
+}
+
+void mecanum_ground(const mecanum_model *model, const mecanum_modes *modes, const mecanum_state *state,
+                    const double torque_n_m[MECANUM_WHEELS], mecanum_contact *contact) {
+    const mecanum_parameters *const p = model->p;
+    const double forward = state->x[MECANUM_FORWARD_M_S];
+    const double left = state->x[MECANUM_LEFT_M_S];
+    const double yaw_rate = state->x[MECANUM_YAW_RATE_RAD_S];
+    share_load(model, modes, state, torque_n_m, contact->load_n);
+    contact->lost_w = 0.0;
+    for (int i = 0; i < MECANUM_WHEELS; i++) {
+        const double s = model->roller_sign[i];
+        const double z = state->x[MECANUM_DEFLECTION_M + i];
+        const double x_m_s = forward - yaw_rate * model->wheel_y_m[i] -
+                             p->wheel_radius_m * state->x[MECANUM_WHEEL_SPEED_RAD_S + i];
+        const double y_m_s = left + yaw_rate * model->wheel_x_m[i];
+        const double along_m_s = ROOT_HALF * (x_m_s + s * y_m_s);
+        const double across_m_s = ROOT_HALF * (y_m_s - s * x_m_s);
+        const double grip_n = p->grip_coefficient * p->wheel_grip_factor[i] * contact->load_n[i];
+        const double rate_m_s = deflection_rate_m_s(z, along_m_s, grip_n / p->roller_stiffness_n_m);
+        const double along_n = -p->roller_stiffness_n_m * z - p->roller_damping_n_s_m * rate_m_s;
+        const double across_n =
+            -p->roller_friction_coefficient * contact->load_n[i] * tanh(across_m_s / RESISTANCE_SPEED_M_S);
+        contact->slip_m_s[i] = along_m_s;
+        contact->deflection_rate_m_s[i] = rate_m_s;
+        contact->force_x_n[i] = ROOT_HALF * (along_n - s * across_n);
+        contact->force_y_n[i] = ROOT_HALF * (s * along_n + across_n);
+        /* What the contact takes, less what it stores. */
+        contact->lost_w -= along_n * along_m_s + across_n * across_m_s;
+        contact->lost_w -= p->roller_stiffness_n_m * z * rate_m_s;
+    }
+}
+
+void mecanum_slip_acceleration(const mecanum_model *model, const double body_force[3],
+                               const mecanum_contact *contact, double acceleration[3]) {
+    double force[3] = {body_force[0], body_force[1], body_force[2]};
+    for (int i = 0; i < MECANUM_WHEELS; i++) {
+        force[0] += contact->force_x_n[i];
+        force[1] += contact->force_y_n[i];
+        force[2] += model->wheel_x_m[i] * contact->force_y_n[i] - model->wheel_y_m[i] * contact->force_x_n[i];
+    }
+    mecanum_apply(model->inverse_mass, force, acceleration);
+}

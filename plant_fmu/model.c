@@ -1,0 +1,113 @@
+/* Constants of the model, and the forces on the body that neither wheels nor ground make. */
+#include "model.h"
+
+static const double GRAVITY_M_S2 = 9.81;
+
+static void place_wheels(mecanum_model *model, const mecanum_parameters *p) {
+    static const double FRONT[MECANUM_WHEELS] = {1.0, 1.0, -1.0, -1.0};
+    static const double LEFT[MECANUM_WHEELS] = {1.0, -1.0, -1.0, 1.0};
+    const double mirror = p->rollers == MECANUM_ROLLERS_O ? -1.0 : 1.0;
+    for (int i = 0; i < MECANUM_WHEELS; i++) {
+        const double x = FRONT[i] * p->half_length_m;
+        const double y = LEFT[i] * p->half_width_m;
+        const double sign = -mirror * FRONT[i] * LEFT[i];
+        model->wheel_x_m[i] = x;
+        model->wheel_y_m[i] = y;
+        model->roller_sign[i] = sign;
+        /* The contact does not move along the roller's axis (1, s): r omega = u - y W + s (w + x W). */
+        model->rolling[i][0] = 1.0 / p->wheel_radius_m;
+        model->rolling[i][1] = sign / p->wheel_radius_m;
+        model->rolling[i][2] = (sign * x - y) / p->wheel_radius_m;
+    }
+}
+
+/* The loads that four equally stiff wheels carry, from the place of the centre of mass. */
+static void share_weight(mecanum_model *model, const mecanum_parameters *p) {
+    model->has_friction = false;
+    for (int i = 0; i < MECANUM_WHEELS; i++) {
+        const double along = p->com_x_m / (4.0 * model->wheel_x_m[i]);
+        const double aside = p->com_y_m / (4.0 * model->wheel_y_m[i]);
+        model->load_n[i] = fmax(0.0, model->gravity_upright_n * (0.25 + along + aside));
+        model->friction_n_m[i] = p->friction_coefficient * model->load_n[i] * p->wheel_radius_m;
+        model->has_friction = model->has_friction || model->friction_n_m[i] > 0.0;
+    }
+}
+
+/* Mass matrix in the body frame: ((a, 0, -b), (0, a, c), (-b, c, d)), with b and c from the centre of mass.
+ */
+static void weigh(mecanum_model *model, const mecanum_parameters *p) {
+    const double lever_m = model->rolling[1][2] * p->wheel_radius_m;
+    const double square_m2 = p->com_x_m * p->com_x_m + p->com_y_m * p->com_y_m;
+    const bool rigid = p->contact != MECANUM_CONTACT_SLIP;
+    model->wheel_inertia_kg_m2 =
+        p->wheel_inertia_kg_m2 + p->gear_ratio * p->gear_ratio * p->rotor_inertia_kg_m2;
+    model->carried_kg =
+        rigid ? 4.0 * model->wheel_inertia_kg_m2 / (p->wheel_radius_m * p->wheel_radius_m) : 0.0;
+    model->turning_kg_m2 = p->inertia_kg_m2 + p->mass_kg * square_m2 + model->carried_kg * lever_m * lever_m;
+    model->coriolis_kg = rigid && p->coriolis == MECANUM_CORIOLIS_PAPER ? 0.0 : p->mass_kg;
+    const double a = p->mass_kg + model->carried_kg;
+    const double b = p->mass_kg * p->com_y_m / a;
+    const double c = p->mass_kg * p->com_x_m / a;
+    const double yaw = 1.0 / (model->turning_kg_m2 - a * (b * b + c * c));
+    const double inverse[3][3] = {
+        {1.0 / a + b * b * yaw, -b * c * yaw, b * yaw},
+        {-b * c * yaw, 1.0 / a + c * c * yaw, -c * yaw},
+        {b * yaw, -c * yaw, yaw},
+    };
+    for (int i = 0; i < 3; i++) {
+        for (int j = 0; j < 3; j++) {
+            model->inverse_mass[i][j] = inverse[i][j];
+        }
+    }
+}
+
+void mecanum_prepare(mecanum_model *model, const mecanum_parameters *p) {
+    const double weight_n = p->mass_kg * GRAVITY_M_S2;
+    model->p = p;
+    model->gravity_in_plane_n = weight_n * sin(p->slope_rad);
+    model->gravity_upright_n = weight_n * cos(p->slope_rad);
+    place_wheels(model, p);
+    share_weight(model, p);
+    weigh(model, p);
+}
+
+void mecanum_wheel_speeds(const mecanum_model *model, const mecanum_state *state,
+                          double speed_rad_s[MECANUM_WHEELS]) {
+    const double *const twist = state->x + MECANUM_FORWARD_M_S;
+    for (int i = 0; i < MECANUM_WHEELS; i++) {
+        const double *const row = model->rolling[i];
+        speed_rad_s[i] = model->p->contact == MECANUM_CONTACT_SLIP
+                             ? state->x[MECANUM_WHEEL_SPEED_RAD_S + i]
+                             : row[0] * twist[0] + row[1] * twist[1] + row[2] * twist[2];
+    }
+}
+
+void mecanum_body_force(const mecanum_model *model, const mecanum_inputs *u, const mecanum_state *state,
+                        double force[3]) {
+    const mecanum_parameters *const p = model->p;
+    const double forward = state->x[MECANUM_FORWARD_M_S];
+    const double left = state->x[MECANUM_LEFT_M_S];
+    const double yaw_rate = state->x[MECANUM_YAW_RATE_RAD_S];
+    const double heading = state->x[MECANUM_HEADING_RAD];
+    const double mass = p->mass_kg;
+    force[0] = yaw_rate * (model->coriolis_kg * left + mass * yaw_rate * p->com_x_m);
+    force[1] = yaw_rate * (-model->coriolis_kg * forward + mass * yaw_rate * p->com_y_m);
+    force[2] = -mass * yaw_rate * (p->com_x_m * forward + p->com_y_m * left) + u->push_moment_n_m;
+    if (u->push_force_x_n != 0.0 || u->push_force_y_n != 0.0) {
+        force[0] += cos(heading) * u->push_force_x_n + sin(heading) * u->push_force_y_n;
+        force[1] += -sin(heading) * u->push_force_x_n + cos(heading) * u->push_force_y_n;
+    }
+    if (model->gravity_in_plane_n > 0.0) {
+        const double along = -model->gravity_in_plane_n * cos(p->slope_direction_rad - heading);
+        const double aside = -model->gravity_in_plane_n * sin(p->slope_direction_rad - heading);
+        force[0] += along;
+        force[1] += aside;
+        force[2] += p->com_x_m * aside - p->com_y_m * along;
+    }
+}
+
+void mecanum_apply(const double matrix[3][3], const double vector[3], double result[3]) {
+    for (int i = 0; i < 3; i++) {
+        result[i] = matrix[i][0] * vector[0] + matrix[i][1] * vector[1] + matrix[i][2] * vector[2];
+    }
+}

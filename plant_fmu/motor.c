@@ -1,0 +1,121 @@
+/* Motors and battery. */
+#include "model.h"
+
+/* How fast a drive's current limiter regulates. */
+static const double LIMITER_RATE_1_S = 4000.0;
+
+static double clamp(double x, double low, double high) {
+    return fmin(fmax(x, low), high);
+}
+
+/* Voltage of the battery when the motors together take `power_w`: V = U - R P / V. A battery from which more
+ * is asked than it can give is at half of its voltage. */
+static double loaded_voltage_v(const mecanum_parameters *p, double power_w) {
+    const double source_v = p->battery_voltage_v;
+    const double root = source_v * source_v - 4.0 * p->battery_resistance_ohm * power_w;
+    return 0.5 * (source_v + sqrt(fmax(root, 0.0)));
+}
+
+/* Electrical power of motors that carry `current_a` at `speed_rad_s`, without change of current. */
+static double power_w(const mecanum_parameters *p, double axle_constant, const double *current_a,
+                      const double *speed_rad_s) {
+    double sum = 0.0;
+    for (int i = 0; i < MECANUM_WHEELS; i++) {
+        sum += (p->motor_resistance_ohm * current_a[i] + axle_constant * speed_rad_s[i]) * current_a[i];
+    }
+    return sum;
+}
+
+static double winding_heat_w(const mecanum_parameters *p, const double *current_a) {
+    double sum = 0.0;
+    for (int i = 0; i < MECANUM_WHEELS; i++) {
+        sum += p->motor_resistance_ohm * current_a[i] * current_a[i];
+    }
+    return sum;
+}
+
+static void load_battery(const mecanum_parameters *p, double power, mecanum_drive *drive) {
+    drive->battery_v = loaded_voltage_v(p, power);
+    drive->battery_a = drive->battery_v > 0.0 ? power / drive->battery_v : 0.0;
+    drive->lost_w = p->battery_resistance_ohm * drive->battery_a * drive->battery_a;
+    drive->supplied_w = power + drive->lost_w;
+}
+
+/* The torques are what they are; the battery only shows what a robot would draw. */
+static void drive_torque(const mecanum_parameters *p, double axle_constant, const mecanum_inputs *u,
+                         const double *speed_rad_s, mecanum_drive *drive) {
+    double mechanical_w = 0.0;
+    for (int i = 0; i < MECANUM_WHEELS; i++) {
+        drive->current_a[i] = u->wheel_torque_n_m[i] / axle_constant;
+        mechanical_w += u->wheel_torque_n_m[i] * speed_rad_s[i];
+    }
+    load_battery(p, power_w(p, axle_constant, drive->current_a, speed_rad_s), drive);
+    drive->supplied_w = mechanical_w;
+    drive->lost_w = 0.0;
+}
+
+/* An ideal current loop: the set point at once, within the limit and what the voltage can push. */
+static void drive_current(const mecanum_parameters *p, double axle_constant, const mecanum_inputs *u,
+                          const double *speed_rad_s, mecanum_drive *drive) {
+    double *const current_a = drive->current_a;
+    for (int i = 0; i < MECANUM_WHEELS; i++) {
+        current_a[i] = clamp(u->wheel_torque_n_m[i] / axle_constant, -p->current_limit_a, p->current_limit_a);
+    }
+    const double voltage_v = loaded_voltage_v(p, power_w(p, axle_constant, current_a, speed_rad_s));
+    for (int i = 0; i < MECANUM_WHEELS; i++) {
+        const double back_emf_v = axle_constant * speed_rad_s[i];
+        current_a[i] = clamp(current_a[i], (-voltage_v - back_emf_v) / p->motor_resistance_ohm,
+                             (voltage_v - back_emf_v) / p->motor_resistance_ohm);
+    }
+    load_battery(p, power_w(p, axle_constant, current_a, speed_rad_s), drive);
+    drive->lost_w += winding_heat_w(p, current_a);
+}
+
+/* The duty switches the battery onto the winding, L di/dt = u - R i - e. At the limit of the current the
+ * drive takes from the voltage what would raise it further. */
+static void drive_voltage(const mecanum_parameters *p, double axle_constant, const mecanum_inputs *u,
+                          const mecanum_state *state, const double *speed_rad_s, mecanum_drive *drive) {
+    const double *const current_a = state->x + MECANUM_CURRENT_A;
+    double battery_a = 0.0;
+    for (int i = 0; i < MECANUM_WHEELS; i++) {
+        battery_a += u->wheel_duty[i] * current_a[i];
+    }
+    const double battery_v = p->battery_voltage_v - p->battery_resistance_ohm * battery_a;
+    const double inductance_h = p->motor_inductance_h;
+    double power = 0.0;
+    for (int i = 0; i < MECANUM_WHEELS; i++) {
+        const double drop_v = p->motor_resistance_ohm * current_a[i] + axle_constant * speed_rad_s[i];
+        const double rate_a_s = clamp((u->wheel_duty[i] * battery_v - drop_v) / inductance_h,
+                                      LIMITER_RATE_1_S * (-p->current_limit_a - current_a[i]),
+                                      LIMITER_RATE_1_S * (p->current_limit_a - current_a[i]));
+        drive->current_a[i] = current_a[i];
+        drive->current_rate_a_s[i] = rate_a_s;
+        power += (drop_v + inductance_h * rate_a_s) * current_a[i];
+    }
+    load_battery(p, power, drive);
+    drive->lost_w += winding_heat_w(p, current_a);
+}
+
+void mecanum_drives(const mecanum_model *model, const mecanum_inputs *u, const mecanum_state *state,
+                    const double speed_rad_s[MECANUM_WHEELS], mecanum_drive *drive) {
+    const mecanum_parameters *const p = model->p;
+    const double axle_constant = p->gear_ratio * p->motor_constant_n_m_a; /* N m / A and V s / rad */
+    for (int i = 0; i < MECANUM_WHEELS; i++) {
+        drive->current_rate_a_s[i] = 0.0;
+    }
+    switch (p->drive) {
+    case MECANUM_DRIVE_CURRENT:
+        drive_current(p, axle_constant, u, speed_rad_s, drive);
+        break;
+    case MECANUM_DRIVE_VOLTAGE:
+        drive_voltage(p, axle_constant, u, state, speed_rad_s, drive);
+        break;
+    default:
+        drive_torque(p, axle_constant, u, speed_rad_s, drive);
+        break;
+    }
+    for (int i = 0; i < MECANUM_WHEELS; i++) {
+        drive->torque_n_m[i] =
+            p->drive == MECANUM_DRIVE_TORQUE ? u->wheel_torque_n_m[i] : axle_constant * drive->current_a[i];
+    }
+}
