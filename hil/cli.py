@@ -181,14 +181,21 @@ def view(
 
 @fmu_app.command("build")
 def fmu_build(
-    out: Annotated[Path | None, typer.Option(metavar="FILE", help="by default the shipped place")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FOLDER", help="by default the shipped place")] = None,
+    all_platforms: Annotated[
+        bool, typer.Option("--all-platforms", help="compile for Linux, Windows and macOS with zig; needs --out")
+    ] = False,
 ) -> None:
-    """Compile the Mecanum plant and package it as an FMU."""
-    from plant_fmu.build import BuildError, build
+    """Compile the Mecanum plant and package it as FMUs, one for FMI 2.0 and one for FMI 3.0."""
+    from native_build.compiler import BuildError
+    from plant_fmu.build import build_all
 
+    if all_platforms and out is None:
+        raise BadInputError("--all-platforms makes FMUs to give away; say where to with --out FOLDER")
     try:
-        print(build(out))
-    except (BuildError, OSError) as error:
+        for path in build_all(out, all_platforms=all_platforms):
+            print(path)
+    except BuildError as error:
         raise BadInputError(f"the FMU was not built: {error}") from error
 
 

@@ -20,7 +20,7 @@ SHARED_STATE = (
     "    static double state[MECANUM_STATES];\n",
 )
 LIES = (
-    ("fmi2.c", "memcpy(&plant->now, FMUstate, sizeof plant->now);", "plant->now.stop_s += 0.0;"),
+    ("saved_state.c", "memcpy(&plant->now, state, sizeof plant->now);", "plant->now.stop_s += 0.0;"),
     ("instance.c", "if (!(step_s > 0.0 && isfinite(step_s))) {", "if (!isfinite(step_s)) {"),
     ("instance.c", "store(&plant->now, v, value);", "store(&plant->now, v, value + 1.0);"),
 )
