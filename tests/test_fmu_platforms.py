@@ -183,7 +183,7 @@ def test_fmpy_runs_the_archive_for_all_platforms_as_it_runs_our_own(release: dic
 @pytest.mark.parametrize("fmi", VERSIONS)
 def test_arm_and_x86_compute_the_same_bits(release: dict[int, Path], fmi: int, tmp_path: Path) -> None:
     said = [_steps(release[fmi], fmi, machine, tmp_path) for machine in ("x86_64", "aarch64")]
-    assert len(said[0].splitlines()) > 1000
+    assert len({line.split()[2] for line in said[0].splitlines()}) > 1000  # the robot moves
     assert said[0] == said[1]
 
 
