@@ -1,7 +1,9 @@
 """Making the FMU: generated files, a deterministic archive, sources that stand alone, errors."""
 
+import importlib.util
 import os
 import shlex
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -25,6 +27,10 @@ STRICT = ["-std=c11", "-O1", "-g", "-Wall", "-Wextra", "-Wconversion", "-Wpedant
 SANITIZE = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 ROOT = plant_fmu.path().parents[1]
 VERSIONS = sorted(pack.DESCRIPTIONS)
+SCRIPTS = sysconfig.get_path("scripts")  # of the virtual environment, where cmake is
+needs_zig = pytest.mark.skipif(
+    importlib.util.find_spec("ziglang") is None, reason=f"zig is not there: pip install {compiler.ZIG_REQUIREMENT}"
+)
 
 
 def test_generated_files_are_fresh() -> None:
@@ -115,6 +121,7 @@ def test_fmi_2_lists_its_sources_in_its_description_too() -> None:
     assert listed == list(generate.SOURCE_FILES)
 
 
+@pytest.mark.skipif(not (shutil.which("cmake", path=SCRIPTS) or shutil.which("cmake")), reason="pip install cmake")
 @pytest.mark.parametrize("fmi", VERSIONS)
 def test_others_can_compile_the_sources(fmi: int, tmp_path: Path) -> None:
     """FMPy compiles an FMU without binaries by its build description, and what it gets computes what ours does."""
@@ -124,10 +131,9 @@ def test_others_can_compile_the_sources(fmi: int, tmp_path: Path) -> None:
             if not name.startswith("binaries/"):
                 archive.writestr(name, ours.read(name))
     assert fmpy.supported_platforms(str(stripped)) == ["c-code"]
-    scripts = sysconfig.get_path("scripts")  # of the virtual environment, where cmake is
     environment = {
         **os.environ,
-        "PATH": os.pathsep.join([scripts, os.environ["PATH"]]),
+        "PATH": os.pathsep.join([SCRIPTS, os.environ["PATH"]]),
         "CC": shlex.join(build.compiler()),
     }
     command = [sys.executable, "-m", "fmpy", "compile", str(stripped)]
@@ -191,6 +197,7 @@ def test_without_a_compiler_and_zig_one_sentence_says_so(monkeypatch: pytest.Mon
         build.build(tmp_path / "x.fmu", cc="nowhere-cc -O2")
 
 
+@needs_zig
 @pytest.mark.usefixtures("bare")
 def test_without_a_compiler_zig_builds_what_runs_here(tmp_path: Path) -> None:
     assert "ziglang" in build.compiler()
