@@ -1,13 +1,13 @@
-# Two commands on a fresh machine: `make demo` and `make test`. Both set up .venv first and need Python 3.11 or newer,
-# make and a C compiler.
+# Two commands on a fresh machine: `make demo` and `make test`. Both set up .venv first and need Python 3.11 or newer
+# and make. Without a C compiler they use zig, which the set-up installs into .venv.
 PYTHON ?= python3
 BIN := .venv/bin
-NATIVE_SOURCES := $(wildcard firmware_protocol/firmware/*.[ch] firmware_protocol/port/host/*.[ch] \
-	firmware_protocol/generated/*.[ch] plant_fmu/*.[ch] plant_fmu/*.toml plant_fmu/generated/* plant_fmu/*.py \
-	plant_fmu/documentation/* plant_fmu/documentation/licenses/* hil/plant/*.[ch] hil/plant/build.py \
-	firmware_protocol/build.py)
+NATIVE_SOURCES := $(wildcard native_build/*.py firmware_protocol/build.py firmware_protocol/firmware/*.[ch] \
+	firmware_protocol/port/host/*.[ch] firmware_protocol/generated/*.[ch] plant_fmu/*.[ch] plant_fmu/*.py \
+	plant_fmu/*.toml plant_fmu/generated/*.* plant_fmu/generated/*/* plant_fmu/documentation/*.* \
+	plant_fmu/documentation/licenses/* hil/plant/*.[ch] hil/plant/build.py)
 
-.PHONY: demo test check picture format native clean setup
+.PHONY: demo test check picture format native fmu clean setup
 
 demo: setup
 	$(BIN)/hil run paper_circle
@@ -49,6 +49,10 @@ native: .venv/native
 	$(BIN)/python -m plant_fmu.build
 	$(BIN)/python -m hil.plant.build
 	@touch $@
+
+# The FMUs to give away, with binaries for all platforms.
+fmu: setup
+	$(BIN)/python -m plant_fmu.build --all-platforms --out dist
 
 clean:
 	rm -rf .venv build dist runs

@@ -84,11 +84,11 @@ def compile_shared(
 ) -> None:
     """Compile C sources into a shared library, whole or not at all.
 
-    With ``zig_target``, such as ``aarch64-linux-gnu.2.17``, zig compiles for that machine and strips the
-    result, which then depends on nothing but the sources, the flags, the library's name and zig's version. Raises
-    BuildError with what the compiler said.
+    With ``zig_target``, such as ``aarch64-linux-gnu.2.17``, zig compiles for that machine, and the result depends on
+    nothing but the sources, the flags, the library's name and zig's version. Raises BuildError with what the
+    compiler said.
     """
-    command = [*zig(), "-target", zig_target, "-s"] if zig_target else compiler(cc)
+    command = [*zig(), "-target", zig_target] if zig_target else compiler(cc)
     command += [*FLAGS, *flags, "-shared", *(f"-I{folder}" for folder in include), *map(str, sources)]
     if library.suffix == ".dylib":
         command += [f"-Wl,-install_name,@rpath/{library.name}", "-Wl,-x"]
@@ -117,8 +117,9 @@ def _on_the_path() -> list[str]:
 def _zig() -> list[str]:
     if importlib.util.find_spec("ziglang") is None:
         return []
-    # Zig's own default is the very processor that it runs on, and the library may move to an older one.
-    return [sys.executable, "-m", "ziglang", "cc", "-mcpu=baseline"]
+    # Zig's own default is the very processor that it runs on, and the library may move to an older one. Stripped (-s),
+    # because the debug information has the paths of this machine.
+    return [sys.executable, "-m", "ziglang", "cc", "-mcpu=baseline", "-s"]
 
 
 def _run(command: Sequence[str]) -> str:

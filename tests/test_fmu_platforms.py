@@ -1,5 +1,6 @@
 """The FMUs for all platforms: what format and exports each binary has, and that other processors get the same bits."""
 
+import importlib.util
 import re
 import shutil
 import subprocess
@@ -34,7 +35,8 @@ SUFFIX = {"linux": ".so", "windows": ".dll", "darwin": ".dylib"}
 BINARIES = [(fmi, folder) for fmi in VERSIONS for folder in FOLDERS[fmi]]
 SYSROOT = {"aarch64": Path("/usr/aarch64-linux-gnu"), "x86_64": Path("/usr/x86_64-linux-gnu")}
 pytestmark = pytest.mark.skipif(
-    not compiler._zig(), reason=f"cross-compiling needs zig: pip install {compiler.ZIG_REQUIREMENT}"
+    importlib.util.find_spec("ziglang") is None,
+    reason=f"cross-compiling needs zig: pip install {compiler.ZIG_REQUIREMENT}",
 )
 
 
@@ -183,7 +185,7 @@ def test_fmpy_runs_the_archive_for_all_platforms_as_it_runs_our_own(release: dic
 @pytest.mark.parametrize("fmi", VERSIONS)
 def test_arm_and_x86_compute_the_same_bits(release: dict[int, Path], fmi: int, tmp_path: Path) -> None:
     said = [_steps(release[fmi], fmi, machine, tmp_path) for machine in ("x86_64", "aarch64")]
-    assert len(said[0].splitlines()) > 1000
+    assert len({line.split()[2] for line in said[0].splitlines()}) > 1000  # the robot moves
     assert said[0] == said[1]
 
 
