@@ -5,7 +5,7 @@ BIN := .venv/bin
 NATIVE_SOURCES := $(wildcard native_build/*.py firmware_protocol/build.py firmware_protocol/firmware/*.[ch] \
 	firmware_protocol/port/host/*.[ch] firmware_protocol/generated/*.[ch] plant_fmu/*.[ch] plant_fmu/*.py \
 	plant_fmu/*.toml plant_fmu/generated/*.* plant_fmu/generated/*/* plant_fmu/documentation/*.* \
-	plant_fmu/documentation/licenses/* hil/plant/*.[ch] hil/plant/build.py)
+	plant_fmu/documentation/licenses/* plant_fmu/reference/* hil/plant/*.[ch] hil/plant/build.py)
 
 .PHONY: demo test check picture format native fmu clean setup
 

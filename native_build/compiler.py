@@ -20,7 +20,7 @@ SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 # Without fused multiply-add the same sources give the same numbers on every machine that rounds by IEEE 754.
 FLAGS = (
     "-std=c11",
-    "-O2",
+    "-O3",
     "-ffp-contract=off",
     "-Wall",
     "-Wextra",
