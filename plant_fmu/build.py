@@ -29,6 +29,7 @@ HEADERS = (
     HERE / "fmi2.h",
     HERE / "instance.h",
     HERE / "mecanum.h",
+    HERE / "physics.h",
     HERE / "generated" / "mecanum_variables.h",
 )
 DOCUMENTS = (HERE / "documentation" / "index.html", HERE / "documentation" / "licenses" / "license.txt")

@@ -8,7 +8,7 @@
 #include "instance.h"
 
 typedef struct {
-    plant_instance plant;
+    plant_instance plant; /* first: who has a component has its plant */
     fmi2CallbackFunctions callbacks;
     bool log_errors;
     char name[]; /* flexible: the importer's string need not outlive the call */
@@ -98,6 +98,9 @@ FMI2(fmi2Component, fmi2Instantiate, fmi2String instanceName, fmi2Type fmuType, 
 }
 
 FMI2(void, fmi2FreeInstance, fmi2Component c) {
+    if (c != NULL) {
+        plant_release(&((slave *)c)->plant);
+    }
     free(c);
 }
 
@@ -146,6 +149,7 @@ FMI2(fmi2Status, fmi2Reset, fmi2Component c) {
     if (plant == NULL) {
         return fmi2Error;
     }
+    plant_release(plant);
     plant_init(plant, report, c);
     return fmi2OK;
 }

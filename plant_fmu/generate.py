@@ -15,7 +15,7 @@ from pathlib import Path
 
 from plant_fmu.variables import HERE, STRUCTURE, Definition, DefinitionError, Variable, read
 
-SOURCE_FILES = ("fmi2.c", "instance.c", "mecanum.c")
+SOURCE_FILES = ("fmi2.c", "instance.c", "mecanum.c", "mecanum_physics.c")
 BEGIN, END = "<!-- variables: begin -->", "<!-- variables: end -->"
 
 _INITIAL = {"input": None, "output": "calculated", "parameter": "exact"}  # FMI 2.0 section 2.2.7
@@ -56,9 +56,10 @@ def _xml(definition: Definition, guid_text: str) -> str:
         canGetAndSetFMUstate="true",
         canSerializeFMUstate="true",
     )
-    files = ET.SubElement(slave, "SourceFiles")
-    for file in SOURCE_FILES:
-        ET.SubElement(files, "File", name=file)
+    if sources := model.get("sources", SOURCE_FILES):
+        files = ET.SubElement(slave, "SourceFiles")
+        for file in sources:
+            ET.SubElement(files, "File", name=file)
     units = ET.SubElement(root, "UnitDefinitions")
     for name, exponents in definition.units.items():
         unit = ET.SubElement(units, "Unit", name=name)

@@ -20,6 +20,10 @@ enum {
     MECANUM_STATES = MECANUM_WHEEL_ANGLE_RAD + MECANUM_WHEELS,
 };
 
+typedef struct {
+    double x[MECANUM_STATES];
+} mecanum_state;
+
 /* Writes the state at the start: the pose and velocity that the parameters give, wheel angles zero. */
 void mecanum_start(const mecanum_parameters *p, double state[MECANUM_STATES]);
 

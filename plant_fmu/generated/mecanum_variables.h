@@ -6,7 +6,7 @@
 #include <stdint.h>
 
 #define MECANUM_MODEL_NAME "mecanum"
-#define MECANUM_GUID "{07e56a38-359e-18e2-2fe5-b741846fba17}"
+#define MECANUM_GUID "{4447b359-838c-3b6a-f1c4-4b2585268a02}"
 #define MECANUM_WHEELS 4
 #define MECANUM_VARIABLE_COUNT 111
 
