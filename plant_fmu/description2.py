@@ -20,9 +20,10 @@ def model_description(definition: Definition, guid: str, sources: Iterable[str])
         canGetAndSetFMUstate="true",
         canSerializeFMUstate="true",
     )
-    files = ET.SubElement(slave, "SourceFiles")
-    for name in sources:
-        ET.SubElement(files, "File", name=name)
+    if names := list(sources):
+        files = ET.SubElement(slave, "SourceFiles")
+        for name in names:
+            ET.SubElement(files, "File", name=name)
     description.add_units(root, definition)
     types = ET.SubElement(root, "TypeDefinitions")
     for name, enumeration in definition.enumerations.items():

@@ -9,7 +9,7 @@
 #include "saved_state.h"
 
 typedef struct {
-    plant_instance plant;
+    plant_instance plant; /* first: who has a component has its plant */
     fmi2CallbackFunctions callbacks;
     bool log_errors;
     char name[]; /* flexible: the importer's string need not outlive the call */
@@ -99,6 +99,9 @@ FMI(fmi2Component, fmi2Instantiate, fmi2String instanceName, fmi2Type fmuType, f
 }
 
 FMI(void, fmi2FreeInstance, fmi2Component c) {
+    if (c != NULL) {
+        plant_release(&((slave *)c)->plant);
+    }
     free(c);
 }
 
@@ -147,6 +150,7 @@ FMI(fmi2Status, fmi2Reset, fmi2Component c) {
     if (plant == NULL) {
         return fmi2Error;
     }
+    plant_release(plant);
     plant_init(plant, report, c);
     return fmi2OK;
 }

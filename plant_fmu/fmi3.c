@@ -107,6 +107,9 @@ FMI(fmi3Instance, fmi3InstantiateScheduledExecution, fmi3String instanceName, fm
 }
 
 FMI(void, fmi3FreeInstance, fmi3Instance instance) {
+    if (instance != NULL) {
+        plant_release(&((slave *)instance)->plant);
+    }
     free(instance);
 }
 
@@ -152,6 +155,7 @@ FMI(fmi3Status, fmi3Reset, fmi3Instance instance) {
     if (plant == NULL) {
         return fmi3Error;
     }
+    plant_release(plant);
     plant_init(plant, report, instance);
     return fmi3OK;
 }

@@ -19,6 +19,7 @@ SOURCE_FILES = (
     "instance.c",
     "saved_state.c",
     "mecanum.c",
+    "mecanum_physics.c",
     "model.c",
     "motor.c",
     "contact.c",

@@ -4,6 +4,8 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "physics.h"
+
 /* Past this many internal steps a communication step would look like a hang. */
 static const double MOST_INTERNAL_STEPS = 1e7;
 
@@ -51,6 +53,10 @@ void plant_init(plant_instance *plant, void (*report)(void *owner, const char *t
     for (size_t i = 0; i < MECANUM_VARIABLE_COUNT; i++) {
         store(&plant->now, &VARIABLES[i], VARIABLES[i].start);
     }
+}
+
+void plant_release(plant_instance *plant) {
+    physics_release(plant);
 }
 
 bool plant_fail(plant_instance *plant, const char *format, ...) {
@@ -109,11 +115,9 @@ bool plant_enter_initialization(plant_instance *plant) {
 }
 
 bool plant_exit_initialization(plant_instance *plant) {
-    const char *const problem = mecanum_problem(&plant->now.parameters);
-    if (problem != NULL) {
-        return plant_fail(plant, "exitInitializationMode: %s", problem);
+    if (!physics_start(plant)) {
+        return false;
     }
-    mecanum_start(&plant->now.parameters, &plant->now.state);
     plant->now.outputs_stale = true;
     plant->now.mode = PLANT_STEP_COMPLETE;
     return true;
@@ -132,23 +136,24 @@ static const variable *find(plant_instance *plant, unsigned types, unsigned refe
     return &VARIABLES[reference];
 }
 
-static void refresh_outputs(plant_snapshot *now) {
-    if (now->mode == PLANT_INITIALIZATION) {
-        /* The parameters may still change, and the start with them. */
-        mecanum_start(&now->parameters, &now->state);
+static bool refresh_outputs(plant_instance *plant) {
+    if (!plant->now.outputs_stale) {
+        return true;
     }
-    if (now->outputs_stale) {
-        mecanum_output(&now->parameters, &now->inputs, &now->state, now->time_s, &now->outputs);
-        now->outputs_stale = false;
+    /* Until initialization ends the parameters may change, and the start with them. */
+    if (plant->now.mode == PLANT_INITIALIZATION && !physics_start(plant)) {
+        return false;
     }
+    plant->now.outputs_stale = false;
+    return physics_output(plant);
 }
 
 bool plant_get(plant_instance *plant, unsigned types, const unsigned references[], size_t count,
                void *values) {
     const size_t size = types == PLANT_REAL ? sizeof(double) : sizeof(int32_t);
     const bool initialized = plant->now.mode != PLANT_INSTANTIATED;
-    if (initialized) {
-        refresh_outputs(&plant->now);
+    if (initialized && !refresh_outputs(plant)) {
+        return false;
     }
     for (size_t i = 0; i < count; i++) {
         const variable *const v = find(plant, types, references[i], "get");
@@ -217,20 +222,16 @@ bool plant_step(plant_instance *plant, double from_s, double step_s) {
         return plant_fail(plant, "doStep: to %.10g s, past the stop time %.10g s", from_s + step_s,
                           now->stop_s);
     }
-    const double steps = mecanum_internal_steps(&now->parameters, step_s);
+    const double steps = physics_internal_steps(plant, step_s);
     if (steps > MOST_INTERNAL_STEPS) {
         return plant_fail(plant,
                           "doStep: a communication step of %g s needs %.0f internal steps; expected at most "
                           "%.0f, take shorter ones",
                           step_s, steps, MOST_INTERNAL_STEPS);
     }
-    mecanum_state state = now->state;
-    mecanum_advance(&now->parameters, &now->inputs, step_s, &state);
-    if (!mecanum_is_finite(&state)) {
-        return plant_fail(plant, "doStep: the state is no longer finite at %.10g s; look at the inputs",
-                          from_s + step_s);
+    if (!physics_advance(plant, step_s)) {
+        return false;
     }
-    now->state = state;
     now->time_s = from_s + step_s; /* the importer's time, which it does not accumulate */
     now->outputs_stale = true;
     return true;

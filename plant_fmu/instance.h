@@ -2,13 +2,17 @@
  *
  * Free of any FMI version; fmi2.c and fmi3.c add the names and types of theirs. Every function that can fail
  * reports the reason through `report`, puts the instance into PLANT_ERROR and returns false (FMI 2.0 section
- * 4.2.4, FMI 3.0 section 2.2.3). No allocation, no statics: instances are independent. */
+ * 4.2.4, FMI 3.0 section 2.2.3). No statics: instances are independent. */
 #ifndef PLANT_INSTANCE_H
 #define PLANT_INSTANCE_H
 
 #include <stddef.h>
 
-#include "mecanum.h"
+/* Defines mecanum_state, the state of the physics as plain data. */
+#ifndef PLANT_STATE_HEADER
+#define PLANT_STATE_HEADER "mecanum.h"
+#endif
+#include PLANT_STATE_HEADER
 
 /* Modes are bits, so that the modes in which a call is legal are one mask. */
 typedef enum {
@@ -39,12 +43,17 @@ typedef struct {
 
 typedef struct {
     plant_snapshot now;
+    void *physics; /* what the physics keeps beside the state, NULL for nothing; no part of a saved state */
     void (*report)(void *owner, const char *text);
     void *owner;
 } plant_instance;
 
-/* Puts start values everywhere and the mode to PLANT_INSTANTIATED; also what a reset does. */
+/* Puts start values everywhere and the mode to PLANT_INSTANTIATED; also, after plant_release, what a reset
+ * does. */
 void plant_init(plant_instance *plant, void (*report)(void *owner, const char *text), void *owner);
+
+/* Frees what belongs to the instance, not the instance. */
+void plant_release(plant_instance *plant);
 
 /* Reports, enters PLANT_ERROR and returns false. */
 bool plant_fail(plant_instance *plant, const char *format, ...);

@@ -16,7 +16,7 @@ def documents(definition: Definition) -> dict[str, str]:
     """
     makers: dict[str, Callable[[Definition], str]] = {
         "README.md": _markdown_table,
-        "documentation/index.html": _html_tables,
+        "documentation/index.html": html_tables,
     }
     return {name: _between_marks(name, make(definition)) for name, make in makers.items()}
 
@@ -27,7 +27,8 @@ def _markdown_table(definition: Definition) -> str:
     return "\n".join(lines)
 
 
-def _html_tables(definition: Definition) -> str:
+def html_tables(definition: Definition) -> str:
+    """Return the tables of inputs, outputs and parameters for an FMU's page."""
     rows = _rows(definition)
     lines = []
     for title, causality in (("Inputs", "input"), ("Outputs", "output"), ("Parameters", "parameter")):

@@ -59,7 +59,11 @@ class Definition:
 
 def read(path: Path = HERE / "variables.toml") -> Definition:
     """Read and check the definition. Raises DefinitionError, naming the variable."""
-    data = tomllib.loads(path.read_text(encoding="utf-8"))
+    return define(tomllib.loads(path.read_text(encoding="utf-8")))
+
+
+def define(data: dict[str, Any]) -> Definition:
+    """Check the definition and expand it. Raises DefinitionError, naming the variable."""
     variables: list[Variable] = []
     for entry in data["variable"]:
         wheels: list[str | None] = [*data["wheels"]] if "*" in entry["name"] else [None]

@@ -15,9 +15,9 @@ def test_the_shipped_fmu_has_no_problem() -> None:
 
 STEP = "    (void)noSetFMUStatePriorToCurrentPoint; /* nothing is kept for going back */\n"
 SHARED_STATE = (
-    "instance.c",
-    "    double state[MECANUM_STATES];\n    memcpy(state, now->state, sizeof state);\n",
-    "    static double state[MECANUM_STATES];\n",
+    "mecanum_physics.c",
+    "    mecanum_state state = plant->now.state;\n",
+    "    static mecanum_state state;\n",
 )
 LIES = (
     ("saved_state.c", "memcpy(&plant->now, state, sizeof plant->now);", "plant->now.stop_s += 0.0;"),

@@ -6,7 +6,7 @@
 #include <stdint.h>
 
 #define MECANUM_MODEL_NAME "mecanum"
-#define MECANUM_GUID "{dde06357-3b48-7423-59d3-e34771f88f4c}"
+#define MECANUM_GUID "{ad00c95d-9a52-0b9a-d61a-869d1bdb433a}"
 #define MECANUM_WHEELS 4
 #define MECANUM_VARIABLE_COUNT 112
 
