@@ -1,7 +1,7 @@
 """Small FMUs for FMI 2.0 and FMI 3.0, whole or broken in one way, compiled from tests/fmus_broken."""
 
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import fmpy
@@ -14,17 +14,32 @@ HEADERS = Path(fmpy.__file__).with_name("c-code")  # the standard's own
 Change = Callable[[str, bytes], bytes | None]
 
 
-def lag(folder: Path, fmi: int, fault: str = "NO_FAULT", change: Change = lambda _, data: data) -> Path:
-    """Build the FMU with a fault of lag.h, its members changed or, for None, left out."""
-    library = folder / f"lag_{fmi}_{fault}{archive.LIBRARY_SUFFIX}"
-    if not library.exists():
-        sources = (HERE / "lag.c", HERE / f"lag_fmi{fmi}.c")
-        compile_shared(sources, library, include=(HERE, HEADERS), flags=(f"-DBREAK={fault}",))
-    name = f"binaries/{archive.binary_folders(f'{fmi}.0')[-1]}/lag{archive.LIBRARY_SUFFIX}"
-    members = {"modelDescription.xml": HERE / f"lag_fmi{fmi}.xml", name: library}
-    fmu = folder / f"lag_fmi{fmi}.fmu"
+def same(_name: str, data: bytes) -> bytes:
+    """Change nothing."""
+    return data
+
+
+def pack(
+    fmu: Path, fmi: int, change: Change = same, added: Iterable[tuple[str, bytes]] = (), library: bytes = b"a library"
+) -> Path:
+    """Write an FMU, with members changed, left out (None) or added; by default its library cannot be loaded."""
+    folder = archive.binary_folders(f"{fmi}.0")[-1]
+    members = [
+        ("modelDescription.xml", (HERE / f"lag_fmi{fmi}.xml").read_bytes()),
+        (f"binaries/{folder}/lag{archive.LIBRARY_SUFFIX}", library),
+    ]
     with zipfile.ZipFile(fmu, "w") as packed:
-        for member, path in members.items():
-            if (data := change(member, path.read_bytes())) is not None:
-                packed.writestr(member, data)
+        for name, data in members:
+            if (new := change(name, data)) is not None:
+                packed.writestr(name, new)
+        for name, data in added:
+            packed.writestr(name, data)
     return fmu
+
+
+def lag(folder: Path, fmi: int, fault: str = "NO_FAULT", change: Change = same) -> Path:
+    """Build an FMU that can be run, with a fault of lag.h."""
+    library = folder / f"lag_{fmi}_{fault}{archive.LIBRARY_SUFFIX}"
+    sources = (HERE / "lag.c", HERE / f"lag_fmi{fmi}.c")
+    compile_shared(sources, library, include=(HERE, HEADERS), flags=(f"-DBREAK={fault}",))
+    return pack(folder / f"lag_fmi{fmi}.fmu", fmi, change, library=library.read_bytes())

@@ -66,7 +66,7 @@ def info(fmu: Path, names: str = "*") -> FmuInfo:
     variables = description.modelVariables
     fitting = [v for v in variables if fnmatchcase(v.name, names)]
     if variables and not fitting:
-        hint = nearest(names, [v.name for v in variables]) if len(variables) < 20 or not _is_pattern(names) else ""
+        hint = "" if any(sign in names for sign in "*?[") else nearest(names, [v.name for v in variables])
         raise BadInputError(f"FMU {fmu}: no variable fits {names!r}{hint}")
     experiment = description.defaultExperiment
     shipped = (name for name, path in SHIPPED.items() if path.is_file() and archive.sha256(path) == digest)
@@ -130,7 +130,3 @@ def _capabilities(attributes: Mapping[str, str]) -> tuple[str, ...]:
         for name, value in claims.items()
         if value not in ("false", "0")
     )
-
-
-def _is_pattern(names: str) -> bool:
-    return any(sign in names for sign in "*?[")

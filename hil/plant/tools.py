@@ -99,13 +99,13 @@ def _run_child(folder: Path, library: archive.Library, todo: Sequence[str], long
         results.touch()
         command = [sys.executable, "-m", "hil.plant.conformance"]
         command += [str(folder), str(folder / library.member), library.fmi_version, str(results), str(longest_s), *todo]
-        end = _end_of(command, longest_s * (len(todo) + 1), longest_s)
+        end, words = _end_of(command, longest_s * (len(todo) + 1), longest_s)
         parts, trying, done = _read(results)
     if not parts:
         parts = [Part(todo[0])]
     if end is not None or not done:
         where = f" at: {trying}" if trying else ""
-        problem = f"the FMU {end or 'ended its process without an error'}{where}"
+        problem = f"the FMU {end or 'ended its process without an error'}{where}{words}"
         parts[-1] = Part(parts[-1].name, (*parts[-1].problems, problem))
     return parts
 
@@ -128,10 +128,11 @@ def _read(results: Path) -> tuple[list[Part], str | None, bool]:
     return parts, trying, done
 
 
-def _end_of(command: Sequence[str], longest_s: float, part_s: float) -> str | None:
-    """Run the child to its end; return how it ended when that was not in order, with its last words."""
+def _end_of(command: Sequence[str], longest_s: float, part_s: float) -> tuple[str | None, str]:
+    """Run the child to its end; return how it ended when that was not in order, and the last line that it printed."""
     from hil.plant.conformance.order import HUNG
 
+    hung = f"did not return within {part_s:g} s"
     tail = b""
 
     def listen() -> None:
@@ -146,18 +147,23 @@ def _end_of(command: Sequence[str], longest_s: float, part_s: float) -> str | No
     listener.start()
     try:
         child.wait(longest_s)
-    except subprocess.TimeoutExpired:
+    except subprocess.TimeoutExpired:  # the child's own watch did not end it
         child.kill()
         child.wait()
-        return f"did not return within {part_s:g} s"
+        return hung, ""
     listener.join(1.0)  # not for ever: a process that the FMU started may hold the pipe for longer
-    words = tail.decode(errors="replace").strip().splitlines()
-    said = f" ({words[-1][:_LAST_WORDS]})" if words else ""
+    lines = tail.decode(errors="replace").strip().splitlines()
+    words = f": {lines[-1][:_LAST_WORDS]}" if lines else ""
     if child.returncode == HUNG:
-        return f"did not return within {part_s:g} s"
+        return hung, words
     if child.returncode < 0:
-        with contextlib.suppress(ValueError):
-            return f"crashed its process ({signal.Signals(-child.returncode).name}){said}"
+        return f"crashed its process ({_signal_name(-child.returncode)})", words
     if child.returncode:
-        return f"ended its process with the exit code {child.returncode}{said}"
-    return None
+        return f"ended its process with the exit code {child.returncode}", words
+    return None, words
+
+
+def _signal_name(number: int) -> str:
+    with contextlib.suppress(ValueError):
+        return signal.Signals(number).name
+    return f"signal {number}"

@@ -18,8 +18,8 @@ from pathlib import Path, PurePosixPath
 
 from hil.errors import BadInputError
 
-MOST_BYTES = 512 * 1024 * 1024  # unpacked; large FMUs with resources stay below
-MOST_ENTRIES = 20_000
+_MOST_BYTES = 512 * 1024 * 1024  # unpacked; large FMUs with resources stay below
+_MOST_ENTRIES = 20_000
 _CHUNK = 64 * 1024
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 _ENCRYPTED = 0x1 | 0x40  # general purpose bits 0 and 6
@@ -89,11 +89,11 @@ def _write(fmu: Path, archive: zipfile.ZipFile, entry: zipfile.ZipInfo, target: 
 
 def _unsafe(entries: list[zipfile.ZipInfo]) -> str | None:
     """Say what is wrong with the list of entries."""
-    if len(entries) > MOST_ENTRIES:
-        return f"it has {len(entries)} entries; expected at most {MOST_ENTRIES}"
+    if len(entries) > _MOST_ENTRIES:
+        return f"it has {len(entries)} entries; expected at most {_MOST_ENTRIES}"
     total = sum(entry.file_size for entry in entries)
-    if total > MOST_BYTES:
-        return f"it unpacks to {total} bytes; expected at most {MOST_BYTES}"
+    if total > _MOST_BYTES:
+        return f"it unpacks to {total} bytes; expected at most {_MOST_BYTES}"
     seen: dict[str, zipfile.ZipInfo] = {}
     for entry in entries:
         if problem := _unsafe_entry(entry):

@@ -1,6 +1,7 @@
 #include "lag.h"
 
 #include <math.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -122,7 +123,7 @@ bool lag_get_float(lag *m, unsigned reference, double *value) {
         *value = m->now.gain;
         return true;
     case OUTPUT:
-        *value = BROKEN(NOT_A_NUMBER) && m->now.time_s > 3.5 * LAG_STEP_S + 0.5 ? NAN : m->now.output;
+        *value = BROKEN(NOT_A_NUMBER) && m->now.time_s > 0.5 + 10.5 * LAG_STEP_S ? NAN : m->now.output;
         return true;
     default:
         if (BROKEN(ANY_REFERENCE_CRASH)) {
@@ -181,7 +182,14 @@ bool lag_step(lag *m, double size_s) {
     if (!lag_legal(m, modes) || BROKEN(ERROR_IN_STEP)) {
         return lag_fail(m);
     }
-    if (BROKEN(CRASH_IN_STEP)) {
+    if (BROKEN(CHATTY_CRASH)) {
+        for (int i = 0; i < 100000; i++) {
+            puts("an FMU that prints more than a pipe holds");
+        }
+        puts("the last word");
+        fflush(stdout);
+    }
+    if (BROKEN(CRASH_IN_STEP) || BROKEN(CHATTY_CRASH)) {
         abort();
     }
     if (BROKEN(EXIT_IN_STEP)) {

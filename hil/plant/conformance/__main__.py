@@ -15,8 +15,7 @@ from fmpy.fmi1 import FMICallException
 from hil.plant.conformance.fmi2 import Slave2
 from hil.plant.conformance.fmi3 import Slave3
 from hil.plant.conformance.order import GATES, HUNG, PARTS, title
-from hil.plant.conformance.parts import NotClaimedError
-from hil.plant.conformance.slave import InstantiationError, Model, Slave
+from hil.plant.conformance.slave import InstantiationError, Model, NotTestedError, Slave
 
 SLAVES: dict[str, type[Slave]] = {"2.0": Slave2, "3.0": Slave3}
 
@@ -42,7 +41,7 @@ def main(folder: Path, library: Path, version: str, results: Path, longest_s: fl
             for problem in part(model):
                 failed = True
                 write(problem=problem)
-        except NotClaimedError as reason:
+        except NotTestedError as reason:
             write(skipped=str(reason))
         except FMICallException as error:
             failed = True

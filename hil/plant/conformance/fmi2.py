@@ -2,7 +2,7 @@
 
 import ctypes
 import functools
-from typing import Any
+from typing import Any, ClassVar
 
 from fmpy.fmi2 import FMU2Slave, defaultCallbacks, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 
@@ -15,7 +15,7 @@ class Slave2(Slave):
     fmpy_class = FMU2Slave
     prefix = "fmi2"
     version = "2.0"
-    kinds = {"Enumeration": "Integer"}  # noqa: RUF012 - declared ClassVar by the base
+    kinds: ClassVar[dict[str, str]] = {"Enumeration": "Integer"}
 
     def instantiate(self) -> None:
         """Make the instance, with logging on."""

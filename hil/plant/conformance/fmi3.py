@@ -1,7 +1,7 @@
 """An instance of an FMI 3.0 co-simulation FMU."""
 
 import ctypes
-from typing import Any
+from typing import Any, ClassVar
 
 from fmpy.fmi3 import FMU3Slave
 
@@ -16,7 +16,7 @@ class Slave3(Slave):
     fmpy_class = FMU3Slave
     prefix = "fmi3"
     version = "3."
-    kinds = {"Enumeration": "Int64"}  # noqa: RUF012 - declared ClassVar by the base
+    kinds: ClassVar[dict[str, str]] = {"Enumeration": "Int64"}
 
     def instantiate(self) -> None:
         """Make the instance, with logging on."""

@@ -25,6 +25,10 @@ class InstantiationError(Exception):
     """The FMU gave no instance."""
 
 
+class NotTestedError(Exception):
+    """A part cannot be tested; says why, such as that the FMU does not claim it."""
+
+
 class Slave(abc.ABC):
     """One instance. Calls that the FMU answers with discard or worse raise FMICallException."""
 
