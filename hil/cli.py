@@ -8,6 +8,7 @@ import json
 import math
 import signal
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from types import FrameType
 from typing import Annotated, Any
@@ -203,27 +204,39 @@ FmuName = Annotated[str, typer.Argument(metavar="FMU", help="a path, or the ship
 
 
 @fmu_app.command("info")
-def fmu_info(fmu: FmuName = "mecanum") -> None:
-    """Show what an FMU says of itself, and its variables with units."""
+def fmu_info(
+    fmu: FmuName = "mecanum",
+    names: Annotated[
+        str, typer.Argument(metavar="[PATTERN]", help="only variables with such names, for example 'wheel.*'")
+    ] = "*",
+    as_json: Json = False,
+) -> None:
+    """Show what an FMU says of itself, and its variables with units. Runs nothing of it."""
     from hil import report
     from hil.plant import archive
-    from hil.plant.tools import info
+    from hil.plant.info import info
 
-    report.print_fmu(info(archive.locate(fmu, Path())))
+    about = info(archive.locate(fmu, Path()), names)
+    if as_json:
+        _print_json(asdict(about))
+    else:
+        report.print_fmu(about)
 
 
 @fmu_app.command("check")
-def fmu_check(fmu: FmuName = "mecanum") -> None:
+def fmu_check(fmu: FmuName = "mecanum", as_json: Json = False) -> None:
     """Validate an FMU and run it through the FMI calling sequence; exit 1 when something is wrong."""
+    from hil import report
     from hil.plant import archive
     from hil.plant.tools import check
 
     path = archive.locate(fmu, Path())
-    problems = check(path)
-    for problem in problems:
-        print(problem)
-    print(f"{path}: {len(problems)} problems" if problems else f"{path}: no problems")
-    raise typer.Exit(1 if problems else 0)
+    result = check(path)
+    if as_json:
+        _print_json({"fmu": str(path), "passed": not result.problems, **asdict(result)})
+    else:
+        report.print_check(path, result)
+    raise typer.Exit(1 if result.problems else 0)
 
 
 def _interrupt(_number: int, _frame: FrameType | None) -> None:

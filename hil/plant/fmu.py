@@ -66,11 +66,11 @@ class FmuPlant:
     """
 
     def __init__(self, fmu: Path, start: Mapping[str, float], step_ns: int = 1_000_000) -> None:
-        library = archive.library_of(fmu)
+        library = archive.library_of(fmu).member
         if not archive.is_shipped(fmu):
             raise BadInputError(
                 f"FMU {fmu} is not the shipped one; only that runs inside this process so far, "
-                f"set plant.fmu = {archive.SHIPPED!r}"
+                "set plant.fmu = 'mecanum'"
             )
         if step_ns <= 0:
             raise BadInputError(f"plant step {step_ns} ns; expected a positive number")
