@@ -43,6 +43,8 @@ class FmuPlant:
             raise BadInputError(f"plant step {step_ns} ns; expected a positive number")
         self._ffi, self._lib = shim.load()
         self._context = self._ffi.new("cosim *", {"step_ns": step_ns})
+        self._solve: Any = None  # the solver as a C function, for model exchange
+        self._step_s = step_ns / 1e9
         self.wire((0, 1, 2, 3), (1, 1, 1, 1))
         with contextlib.ExitStack() as resources:
             folder = archive.extract(fmu)
@@ -143,6 +145,9 @@ class FmuPlant:
 
     def _initialise(self) -> None:
         self._instance.initialise(self._start)
+        if self._instance.is_model_exchange and self._solve is None:
+            self._solve = self._ffi.callback("int(double, double)", self._instance.solver(self._step_s), error=1)
+            self._context.solve = self._solve
         if self._lib.cosim_start(self._context) != 0:
             raise DeviceError(f"the plant has no outputs at its start: {self.message}")
 

@@ -7,19 +7,21 @@ import contextlib
 import ctypes
 import os
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from hil.errors import BadInputError, DeviceError, HilError
 from hil.plant.archive import Library
 from hil.plant.shim import load
+from hil.plant.solver import Solver
 from hil.plant.start import Start
 
 _LOADING = threading.Lock()  # FMPy changes the working directory while it loads
 _ALIVE: set[str] = set()  # GUIDs of those FMUs of which a process may hold but one instance
 _NAME = "plant"
 _FATAL = 4  # fmi2Fatal and fmi3Fatal: no function of the FMU may be called any more
+_LONGEST_TEXT = 511  # of cosim.text
 _ERROR_CATEGORIES = {"logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal"}
 
 
@@ -33,16 +35,16 @@ class Instance:
         self._file = fmu
         self._folder = folder
         self._context = context
-        self._is_model_exchange = library.interface == "model_exchange"
+        self.is_model_exchange = library.interface == "model_exchange"
         self._is_running = False
         self.description = _read(fmu, folder)
         self.version = int(library.fmi_version[0])
-        self._interface = self.description.modelExchange if self._is_model_exchange else self.description.coSimulation
+        self._interface = self.description.modelExchange if self.is_model_exchange else self.description.coSimulation
         self.fmu = self._load(library)
         context.fmi_version = self.version
-        if not self._is_model_exchange:
+        if not self.is_model_exchange:
             context.do_step = self._function(f"fmi{self.version}DoStep")
-        if not self._is_model_exchange and self.version == 2:
+        if not self.is_model_exchange and self.version == 2:
             context.get_boolean_status = self._function("fmi2GetBooleanStatus")
 
     @property
@@ -98,6 +100,21 @@ class Instance:
                 self.fmu.enterInitializationMode(startTime=0.0)
             self.fmu.exitInitializationMode()
         self._is_running = True
+
+    def solver(self, longest_step_s: float) -> Callable[[float, float], int]:
+        """Return the ``solve`` of the shim for an initialised FMU for model exchange."""
+        solver = Solver(self.fmu, self.description, self.version, longest_step_s)
+
+        def solve(from_s: float, to_s: float) -> int:
+            try:
+                solver.step(from_s, to_s)
+            except Exception as error:  # noqa: BLE001 - C has called; the shim fails with these words
+                self._context.fatal = getattr(error, "status", None) == _FATAL
+                self._context.text = (self.words or str(error)).encode()[:_LONGEST_TEXT]
+                return 1
+            return 0
+
+        return solve
 
     def reset(self) -> None:
         """Bring the instance back to where it was made. Raises DeviceError when the FMU cannot."""
@@ -183,7 +200,7 @@ class Instance:
         classes = (FMU2Slave, FMU2Model) if self.version == 2 else (FMU3Slave, FMU3Model)
         try:
             with _LOADING:
-                return classes[self._is_model_exchange](
+                return classes[self.is_model_exchange](
                     guid=self.description.guid,
                     unzipDirectory=str(self._folder),
                     modelIdentifier=library.model_identifier,
@@ -208,7 +225,7 @@ class Instance:
         self.fmu.callbacks = callbacks  # must live as long as the instance
         self.fmu.component = self.fmu.fmi2Instantiate(
             _NAME.encode(),
-            fmi2.fmi2ModelExchange if self._is_model_exchange else fmi2.fmi2CoSimulation,
+            fmi2.fmi2ModelExchange if self.is_model_exchange else fmi2.fmi2CoSimulation,
             self.description.guid.encode(),
             (self._folder / "resources").as_uri().encode(),
             ctypes.byref(callbacks),
@@ -224,7 +241,7 @@ class Instance:
         path = (str(resources) + os.sep).encode() if resources.is_dir() else None
         named = (_NAME.encode(), self.description.guid.encode(), path, False, True)
         logger = ctypes.cast(_shim_address("cosim_log3"), fmi3.fmi3LogMessageCallback)
-        if self._is_model_exchange:
+        if self.is_model_exchange:
             self.fmu.component = self.fmu.fmi3InstantiateModelExchange(*named, self._environment, logger)
         else:
             # No event mode, no early return, no intermediate update: the shim needs none of them.
