@@ -7,6 +7,6 @@ build.py makes the FMU. Imports nothing of the other packages.
 from pathlib import Path
 
 
-def path() -> Path:
-    """Return where the FMU is once built (``python -m plant_fmu.build``)."""
-    return Path(__file__).parent / "mecanum.fmu"
+def path(fmi: int = 2) -> Path:
+    """Return where the FMU of an FMI version (2 or 3) is once built (``python -m plant_fmu.build``)."""
+    return Path(__file__).parent / {2: "mecanum.fmu", 3: "mecanum_fmi3.fmu"}[fmi]

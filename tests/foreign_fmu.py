@@ -31,6 +31,7 @@ FAULTS = (
     "fail_at_initialization",
     "fail_to_reset",
     "fail_to_read",
+    "never_settle",
 )
 
 

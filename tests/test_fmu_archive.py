@@ -83,16 +83,18 @@ CASES: list[tuple[Callable[[Path], Path], str]] = [
     (symbolic_link, "its entry 'resources/link' is a symbolic link"),
     (absurd_size, "it unpacks to "),
     (
-        lambda path: repack(path, in_description('fmiVersion="2.0"', 'fmiVersion="3.0"')),
-        "FMI version 3.0; expected",
+        lambda path: repack(path, in_description('fmiVersion="2.0"', 'fmiVersion="1.0"')),
+        "FMI version 1.0; expected",
     ),
-    (lambda path: repack(path, in_description("CoSimulation", "ModelExchange")), "for model exchange only"),
+    (
+        lambda path: repack(path, in_description("CoSimulation", "ScheduledExecution")),
+        "it is neither for co-simulation",
+    ),
     (lambda path: repack(path, without("binaries")), "for this platform; it has no binaries"),
     (
         lambda path: repack(path, without("binaries"), **{"binaries/riscv64/mecanum.so": b""}),
         "for this platform; it has binaries for riscv64",
     ),
-    (lambda path: repack(path, lambda _, data: data), "is not the shipped one"),
 ]
 
 

@@ -43,6 +43,10 @@ class FmuPlant:
             raise BadInputError(f"plant step {step_ns} ns; expected a positive number")
         self._ffi, self._lib = shim.load()
         self._context = self._ffi.new("cosim *", {"step_ns": step_ns})
+        # What a call looks up each time costs more than the call.
+        self._run = self._lib.cosim_run
+        self._torque = self._ffi.new("float[4]")
+        self._speeds = self._context.signal + self._lib.COSIM_WHEEL_SPEED
         self._solve: Any = None  # the solver as a C function, for model exchange
         self._step_s = step_ns / 1e9
         self.wire((0, 1, 2, 3), (1, 1, 1, 1))
@@ -99,17 +103,18 @@ class FmuPlant:
 
         Raises DeviceError when the FMU fails.
         """
-        if self._lib.cosim_run(self._context, list(torque_n_m), ticks) != 0:
-            raise DeviceError(f"the plant stopped at {self._seconds():g} s: {self.message}")
+        self._torque[0:4] = torque_n_m
+        if self._run(self._context, self._torque, ticks) != 0:
+            raise DeviceError(f"the plant stopped at {self._time_ns / 1e9:g} s: {self.message}")
 
     def truth(self) -> PoseFix:
         """Return pose and twist, world frame, with the time since the start."""
         x, y, heading, vx, vy, yaw_rate = self._ffi.unpack(self._context.signal, 6)
-        return PoseFix(self._lib.cosim_time_ns(self._context), Pose(x, y, heading), Twist(vx, vy, yaw_rate))
+        return PoseFix(self._time_ns, Pose(x, y, heading), Twist(vx, vy, yaw_rate))
 
     def wheel_speeds(self) -> Wheels:
         """Return the true wheel speeds [rad/s]."""
-        return Wheels(*self._ffi.unpack(self._context.signal + self._lib.COSIM_WHEEL_SPEED, 4))
+        return Wheels(*self._ffi.unpack(self._speeds, 4))
 
     @property
     def message(self) -> str:
@@ -151,8 +156,10 @@ class FmuPlant:
         if self._lib.cosim_start(self._context) != 0:
             raise DeviceError(f"the plant has no outputs at its start: {self.message}")
 
-    def _seconds(self) -> float:
-        return float(self._lib.cosim_time_ns(self._context)) / 1e9
+    @property
+    def _time_ns(self) -> int:
+        """Time of the newest outputs since the start."""
+        return int(self._context.steps * self._context.step_ns)
 
 
 def _is_needed(folder: Path, member: str) -> bool:

@@ -266,8 +266,8 @@ EXPORT int fmi3UpdateDiscreteStates(void *c, bool *needs_update, bool *terminate
         *values_changed = true;
     }
     *terminate = is_faulty(w, END);
-    *next_defined = !w->kicked;
-    *next_s = 0.05;
+    *next_defined = !w->kicked || is_faulty(w, NEVER_SETTLE);
+    *next_s = is_faulty(w, NEVER_SETTLE) ? w->time_s : 0.05;
     return OK;
 }
 
