@@ -2,17 +2,20 @@
 
 import math
 import struct
+import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hil.errors import BadInputError, DeviceError
+from hil.plant.build import PLANT_PORT
+from hil.plant.build import SOURCES as SHIM_SOURCES
 from hil.plant.fmu import FmuPlant
 from hil.plant.mapping import Row
 from hil.types import WHEEL_NAMES, Wheels
-from plant_fmu.build import SUFFIX, compile_shared
-from tests.foreign_fmu import FAULTS, foreign_fmu, foreign_map, variables3
+from plant_fmu.build import FLAGS, SUFFIX, compile_shared, compiler
+from tests.foreign_fmu import FAULTS, SOURCES, foreign_fmu, foreign_map, variables3
 
 TICK_S = 1e-3
 RADIUS_M, LEVER_M = 0.1, 0.5
@@ -318,3 +321,15 @@ def test_events_that_do_not_cease_are_a_failure(version: int, tmp_path: Path) ->
         pytest.raises(DeviceError, match=r"at 0\.01 s: the FMU had 1000 events within one tick"),
     ):
         plant.step(TORQUE, 100)
+
+
+def test_the_shim_passes_the_sanitizers_over_a_foreign_fmu(tmp_path: Path) -> None:
+    program = tmp_path / "driver"
+    include = [f"-I{folder}" for folder in (SOURCES, SHIM_SOURCES[0].parent, PLANT_PORT.parent)]
+    sources = [Path(__file__).with_name("shim_driver.c"), SOURCES / "wheels3.c", *SHIM_SOURCES]
+    sanitize = ["-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    command = [*compiler(), *FLAGS, *sanitize, *include, *map(str, sources), "-o", str(program), "-lm"]
+    compiled = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert compiled.returncode == 0, compiled.stderr
+    done = subprocess.run([program], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

@@ -15,10 +15,8 @@ from hil.errors import BadInputError, DeviceError
 from hil.plant import archive, shim
 from hil.plant.instance import Instance
 from hil.plant.mapping import SignalMap, resolve
-from hil.plant.start import Value, start_values
+from hil.plant.start import Value, resize, start_values
 from hil.types import Pose, PoseFix, Twist, Wheels
-
-_NO_ROWS = SignalMap()
 
 
 class FmuPlant:
@@ -36,7 +34,7 @@ class FmuPlant:
     """
 
     def __init__(
-        self, fmu: Path, start: Mapping[str, Value], step_ns: int = 1_000_000, mapping: SignalMap = _NO_ROWS
+        self, fmu: Path, start: Mapping[str, Value], step_ns: int = 1_000_000, mapping: SignalMap | None = None
     ) -> None:
         library = archive.library_of(fmu)
         if step_ns <= 0:
@@ -58,8 +56,8 @@ class FmuPlant:
             if not _is_needed(folder, library.member):
                 # Where a loaded library's file may go, it goes now: a killed run then leaves nothing behind.
                 shutil.rmtree(folder, ignore_errors=True)
-            self._wiring_memory = self._connect(fmu, mapping)
             self._start = start_values(start, fmu, instance.variables)
+            self._wiring_memory = self._connect(fmu, mapping or SignalMap())
             instance.instantiate()
             resources.callback(instance.free)
             self._initialise()
@@ -143,6 +141,7 @@ class FmuPlant:
     def _connect(self, fmu: Path, mapping: SignalMap) -> list[object]:
         """Hand the FMU's addresses and variables to the shim; return what has to live as long as it."""
         instance, context = self._instance, self._context
+        resize(self._start, instance.variables)
         wiring = resolve(mapping, fmu, instance.variables)
         context.counts_per_revolution = mapping.counts_per_revolution or 0.0
         context.torque_constant_n_m_a = mapping.torque_constant_n_m_a or 0.0
