@@ -143,7 +143,7 @@ def test_start_values_of_every_type_reach_the_fmu(version: int, interface: str, 
         robot = Robot(inertia=0.02)
         robot.hold(Wheels(-0.1, -0.1, -0.1, -0.1), 0.1)
         assert np.allclose(plant.truth().pose, robot.pose(), rtol=1e-4, atol=1e-7)
-        assert plant._instance.fmu.getString([50]) == ([b"a robot"] if version == 2 else ["a robot"])
+        assert plant.instance.fmu.getString([50]) == ([b"a robot"] if version == 2 else ["a robot"])
 
 
 @pytest.mark.parametrize("counter", ["Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64"])
@@ -165,7 +165,7 @@ STATUSES = [
     ("say_error", "wheel 1 fell off"),
     ("silent_error", "the FMU failed to step (status 3, error) and did not say why"),
     ("say_discard", "wheel 1 fell off"),
-    ("give_nan", "pose.x_m (x in the FMU) is nan; expected a finite number"),
+    ("give_nan", "pose.x_m (x in the FMU) is not a number; expected a finite number"),
     ("end", "the FMU asked to end the simulation"),
     ("fail_to_read", "the FMU refused to give its outputs (status 3, error) and did not say why"),
 ]
@@ -194,7 +194,7 @@ def test_a_failure_says_when_and_why_and_a_reset_mends_it(version: int, name: st
     [
         ("say_error", "wheel 1 fell off"),
         ("end", "asked to end the simulation"),
-        ("give_nan", "is nan"),
+        ("give_nan", "is not a number"),
         ("fail_to_read", "refused to give its outputs"),
     ],
 )

@@ -76,7 +76,7 @@ def test_equals_fmpy_bit_for_bit(plant: FmuPlant) -> None:
             )
             assert port.sense.tick == n + 1
     assert plant.truth().time_ns == 1_000_000_000
-    assert last_successful_time_s(plant._instance.fmu) == pytest.approx(1.0, abs=1e-12)
+    assert last_successful_time_s(plant.instance.fmu) == pytest.approx(1.0, abs=1e-12)
     assert max(abs(value) for value in plant.truth().pose) > 0.01, "the robot did not move"
 
 

@@ -7,16 +7,14 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* fmi2Status and fmi3Status agree on these; after anything worse than a warning a simulation does not go on.
- */
+/* fmi2Status and fmi3Status agree on these. Nothing goes on after what is worse than a warning. */
 enum { STATUS_WARNING = 1, STATUS_DISCARD = 2, STATUS_FATAL = 4 };
 enum { FMI2_TERMINATED = 3 };       /* fmi2StatusKind */
 enum { MOST_EARLY_RETURNS = 1000 }; /* within one tick */
 
 static const double PI = 3.14159265358979323846;
 static const double TWO_PI = 6.28318530717958647692;
-static const double LARGEST_COUNT =
-    9007199254740992.0; /* beyond 2^53 a double no longer tells counts apart */
+static const double LARGEST_COUNT = 9007199254740992.0; /* 2^53: a double tells no further counts apart */
 
 /* Keeps our own reason, and the FMU's words with it. */
 static int fail(cosim *c, const char *format, ...) {
@@ -33,8 +31,7 @@ static int fail(cosim *c, const char *format, ...) {
     return 1;
 }
 
-/* A call returned a status with which nothing goes on. The FMU's own words, when it gave some, are the
- * reason. */
+/* A call returned a status that ends the run. The FMU's own words, when it gave some, are the reason. */
 static int refused(cosim *c, int status, const char *what) {
     static const char *const NAME[] = {"ok", "warning", "discard", "error", "fatal", "pending"};
     c->failed = 1;
@@ -232,8 +229,10 @@ static int sample(cosim *c, bool passed) {
         derive(c, passed);
     }
     for (size_t i = 0; i < COSIM_SIGNALS; i++) {
-        if (!isfinite(c->fresh[i])) {
-            return fail(c, "%s is %g; expected a finite number", c->name[i], c->fresh[i]);
+        const double value = c->fresh[i];
+        if (!isfinite(value)) {
+            const char *const kind = isnan(value) ? "not a number" : "infinite";
+            return fail(c, "%s is %s; expected a finite number", c->name[i], kind);
         }
     }
     memcpy(c->signal, c->fresh, sizeof c->signal);

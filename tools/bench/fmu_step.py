@@ -65,7 +65,7 @@ class RawLoop:
 
     def way(self, name: str, plant: FmuPlant, inputs: Sequence[str], outputs: Sequence[str]) -> Way:
         """Return the loop over an instance that sets these inputs and reads these outputs."""
-        instance = plant._instance
+        instance = plant.instance
         loop: Any = self._ffi.new("raw_loop *", {"fmi_version": instance.version, "value": list(TORQUE)})
         loop.component = self._ffi.cast("void *", instance.fmu.component)
         real, integer = ("Real", "Integer") if instance.version == 2 else ("Float64", "Int32")
@@ -91,16 +91,16 @@ class RawLoop:
 
 def references_of(plant: FmuPlant, outputs: Sequence[str]) -> tuple[list[int], list[int]]:
     """Return the value references of these outputs: real ones, whole ones."""
-    variables = [plant._instance.variables[name] for name in outputs]
+    variables = [plant.instance.variables[name] for name in outputs]
     whole = [v.valueReference for v in variables if v.type in ("Integer", "Int32")]
     return [v.valueReference for v in variables if v.valueReference not in whole], whole
 
 
 def importer(plant: FmuPlant, fmu: Path, outputs: Sequence[str]) -> Way:
     """Return the bridge's importer, reading no more than these outputs, stepped as the firmware steps it."""
-    wiring = resolve(SignalMap(), fmu, plant._instance.variables)
+    wiring = resolve(SignalMap(), fmu, plant.instance.variables)
     chosen = tuple(c for c in wiring.outputs if OUTPUTS[c.signal] in outputs)
-    memory = shim.connect(plant.context, Wiring(wiring.inputs, chosen, frozenset()), plant._instance.access)
+    memory = shim.connect(plant.context, Wiring(wiring.inputs, chosen, frozenset()), plant.instance.access)
 
     def run(steps: int) -> None:
         assert memory, "the shim uses it"
@@ -123,11 +123,11 @@ def importer_from_python(plant: FmuPlant) -> Way:
 
 def fmpy_methods(plant: FmuPlant, outputs: Sequence[str]) -> Way:
     """Return FMPy's own class over an instance, with lists."""
-    fmu = plant._instance.fmu
-    two = plant._instance.version == 2
+    fmu = plant.instance.fmu
+    two = plant.instance.version == 2
     set_real, get_real = (fmu.setReal, fmu.getReal) if two else (fmu.setFloat64, fmu.getFloat64)
     get_integer = fmu.getInteger if two else fmu.getInt32
-    torques = [plant._instance.variables[name].valueReference for name in INPUTS]
+    torques = [plant.instance.variables[name].valueReference for name in INPUTS]
     reals, integers = references_of(plant, outputs)
     torque = list(TORQUE)
 
@@ -164,7 +164,7 @@ def compare(raw: RawLoop, fmu: Path, outputs: Sequence[str], repeats: int) -> Ta
             fmpy_methods(new[3], outputs),
         ]
         floor, *others = microseconds(ways, (20_000, 20_000, 2_000, 1_000), repeats)
-        version = new[0]._instance.version
+        version = new[0].instance.version
     # What a way adds is taken within a repeat, so that a slow moment of the machine counts on both sides.
     added = [statistics.median(map(float.__sub__, times, floor)) for times in others]
     table = Table("way", "us a step", "added", "of what FMPy adds", title=f"FMI {version}, {len(outputs)} outputs read")
