@@ -12,7 +12,7 @@ import fmpy
 
 from hil.plant.mapping import Row, SignalMap
 from hil.types import WHEEL_NAMES
-from plant_fmu.build import SUFFIX, compile_shared
+from native_build.compiler import SUFFIX, compile_shared
 
 SOURCES = Path(__file__).with_name("fmus")
 DEGREE = 0.017453292519943295

@@ -14,7 +14,7 @@ from hil.plant.build import SOURCES as SHIM_SOURCES
 from hil.plant.fmu import FmuPlant
 from hil.plant.mapping import Row
 from hil.types import WHEEL_NAMES, Wheels
-from plant_fmu.build import FLAGS, SUFFIX, compile_shared, compiler
+from native_build.compiler import FLAGS, SUFFIX, compile_shared, compiler
 from tests.foreign_fmu import FAULTS, SOURCES, foreign_fmu, foreign_map, variables3
 
 TICK_S = 1e-3

@@ -17,6 +17,7 @@ from hil.errors import BadInputError, nearest
 from hil.plant.unpacking import extract as extract
 from hil.plant.unpacking import opened, pieces
 from plant_fmu import SHIPPED
+from plant_fmu import path as plant_path
 
 DESCRIPTIONS = ("modelDescription.xml", "sources/buildDescription.xml")  # all the XML that FMPy reads
 INTERFACES = {"CoSimulation": "co_simulation", "ModelExchange": "model_exchange"}  # that with the better first
@@ -71,9 +72,12 @@ def sha256(fmu: Path) -> str:
 
 
 def is_shipped(fmu: Path) -> bool:
-    """Tell whether this is, byte for byte, one of the FMUs that ship with this package."""
+    """Tell whether this is, byte for byte, the plant that ships with this package, for either FMI version.
+
+    MuJoCo's is not: its code is not ours, and where MuJoCo gives up it ends its process.
+    """
     digest = sha256(fmu)
-    return any(path.is_file() and sha256(path) == digest for path in SHIPPED.values())
+    return any(plant.is_file() and sha256(plant) == digest for plant in (plant_path(2), plant_path(3)))
 
 
 def read_header(fmu: Path) -> Header:
@@ -84,15 +88,15 @@ def read_header(fmu: Path) -> Header:
     with opened(fmu) as archive:
         if DESCRIPTIONS[0] not in archive.namelist():
             raise BadInputError(f"FMU {fmu}: it has no modelDescription.xml, so it is no FMU")
-        path: list[str] = []
+        open_elements: list[str] = []
         elements: list[tuple[str, dict[str, str]]] = []  # the root and its children
 
         def start(name: str, attributes: dict[str, str]) -> None:
-            path.append(name)
-            if len(path) <= 2:
+            open_elements.append(name)
+            if len(open_elements) <= 2:
                 elements.append((name, attributes))
 
-        _read_xml(fmu, archive, DESCRIPTIONS[0], start, lambda _: path.pop())
+        _read_xml(fmu, archive, DESCRIPTIONS[0], start, lambda _: open_elements.pop())
         (root, attributes), *children = elements
         if root != "fmiModelDescription":
             raise BadInputError(f"FMU {fmu}: its modelDescription.xml has the root {root!r}; that is no description")

@@ -28,7 +28,7 @@ from hil.plant.mapping import SignalMap, Wiring, resolve
 from hil.plant.start import Value
 from hil.plant_signals import COUNTS, INPUTS, OUTPUTS, POSE, SPEEDS
 from hil.types import Wheels
-from plant_fmu.build import SUFFIX, BuildError, compile_shared
+from native_build.compiler import SUFFIX, BuildError, compile_shared
 
 HERE = Path(__file__).parent
 TORQUE = Wheels(0.1, -0.1, 0.05, 0.02)
