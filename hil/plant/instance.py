@@ -205,6 +205,7 @@ class Instance:
                     unzipDirectory=str(self._folder),
                     modelIdentifier=library.model_identifier,
                     instanceName=_NAME,
+                    libraryPath=str(self._folder / library.member),
                 )
         except AttributeError as error:
             raise BadInputError(
