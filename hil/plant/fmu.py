@@ -6,9 +6,7 @@ FMU's functions by their addresses: one C call a tick, where FMPy's own methods 
 
 import contextlib
 import ctypes
-import functools
 import math
-import re
 import shutil
 import threading
 from collections.abc import Iterable, Mapping, Sequence
@@ -16,11 +14,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-import cffi
-
 from hil.errors import BadInputError, DeviceError, nearest
 from hil.plant import archive
-from hil.plant.build import HEADERS, LIBRARY
+from hil.plant.shim import shim
 from hil.types import WHEEL_NAMES, Pose, PoseFix, Twist, Wheels
 
 _TORQUES = tuple(f"wheel.{wheel}.torque_n_m" for wheel in WHEEL_NAMES)
@@ -38,20 +34,7 @@ _CALLS = {
     "get_integer": "fmi2GetInteger",
     "do_step": "fmi2DoStep",
 }
-_SECTION = re.compile(r"/\* cffi: begin \*/(.*?)/\* cffi: end \*/", re.DOTALL)
 _LOADING = threading.Lock()  # FMPy changes the working directory while it loads
-
-
-@functools.cache
-def _shim() -> tuple[Any, Any]:
-    """Return cffi's (ffi, library) of the shim, with the declarations taken from the C headers themselves."""
-    if not LIBRARY.exists():
-        raise BadInputError(f"{LIBRARY} is not built; run: python -m hil.plant.build")
-    ffi = cffi.FFI()
-    for header in HEADERS:
-        for section in _SECTION.findall(header.read_text(encoding="utf-8")):
-            ffi.cdef(section)
-    return ffi, ffi.dlopen(str(LIBRARY))
 
 
 class FmuPlant:
@@ -65,16 +48,19 @@ class FmuPlant:
     of its range.
     """
 
-    def __init__(self, fmu: Path, start: Mapping[str, float], step_ns: int = 1_000_000) -> None:
+    def __init__(
+        self,
+        fmu: Path,
+        start: Mapping[str, float],
+        step_ns: int = 1_000_000,
+        mapping: Mapping[str, Mapping[str, object]] | None = None,
+    ) -> None:
+        if mapping:
+            raise BadInputError("plant.map is for the importer of the next change")
         library = archive.library_of(fmu)
-        if not archive.is_shipped(fmu):
-            raise BadInputError(
-                f"FMU {fmu} is not the shipped one; only that runs inside this process so far, "
-                f"set plant.fmu = {archive.SHIPPED!r}"
-            )
         if step_ns <= 0:
             raise BadInputError(f"plant step {step_ns} ns; expected a positive number")
-        ffi, self._lib = _shim()
+        ffi, self._lib = shim()
         self._ffi = ffi
         self._context = ffi.new("cosim *", {"step_ns": step_ns})
         self.wire((0, 1, 2, 3), (1, 1, 1, 1))
