@@ -26,6 +26,15 @@ _LIBRARY_SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 _UNREADABLE = (zipfile.BadZipFile, zlib.error, RuntimeError, NotImplementedError)
 
 
+class Library(NamedTuple):
+    """This platform's binary in an FMU, and what it is to be used as."""
+
+    member: str  # path in the archive
+    fmi_version: str  # "2.0" or "3.0"
+    interface: str  # "co_simulation" or "model_exchange"
+    model_identifier: str
+
+
 class Header(NamedTuple):
     """What modelDescription.xml says first of all; an identifier is None where that interface is missing."""
 
@@ -80,24 +89,27 @@ def read_header(fmu: Path) -> Header:
     return Header(root.get("fmiVersion", "missing"), co_simulation, model_exchange)
 
 
-def library_of(fmu: Path) -> str:
-    """Return the name of this platform's library in an FMI 2.0 co-simulation FMU.
+def library_of(fmu: Path) -> Library:
+    """Return this platform's library in an FMI 2.0 or 3.0 FMU, for co-simulation where it is for both.
 
-    Raises BadInputError when the FMU has another version, no co-simulation, or no library for this platform.
+    Raises BadInputError when the FMU has another version, another interface, or no library for this platform.
     """
     header = read_header(fmu)
-    if header.fmi_version != "2.0":
-        raise BadInputError(f"FMU {fmu}: FMI version {header.fmi_version}; expected 2.0, export it for FMI 2.0")
-    if header.co_simulation is None:
-        raise BadInputError(f"FMU {fmu}: it is for model exchange only; export it for co-simulation")
-    library = f"binaries/{_platform()}/{header.co_simulation}{_LIBRARY_SUFFIX}"
+    version = header.fmi_version[:3]
+    if version not in ("2.0", "3.0"):
+        raise BadInputError(f"FMU {fmu}: FMI version {header.fmi_version}; expected 2.0 or 3.0, export it anew")
+    interface = "model_exchange" if header.co_simulation is None else "co_simulation"
+    identifier = header.co_simulation or header.model_exchange
+    if identifier is None:
+        raise BadInputError(f"FMU {fmu}: it is neither for co-simulation nor for model exchange; export it anew")
+    library = f"binaries/{_platform(version)}/{identifier}{_LIBRARY_SUFFIX}"
     with _open(fmu) as archive:
         names = archive.namelist()
     if library not in names:
         folders = sorted({PurePosixPath(n).parts[1] for n in names if n.startswith("binaries/") and n.count("/") > 1})
         there = f"it has binaries for {', '.join(folders)}" if folders else "it has no binaries"
         raise BadInputError(f"FMU {fmu}: no {library} for this platform; {there}")
-    return library
+    return Library(library, version, interface, identifier)
 
 
 def extract(fmu: Path) -> Path:
@@ -112,10 +124,10 @@ def extract(fmu: Path) -> Path:
     return folder
 
 
-def _platform() -> str:
-    from fmpy import platform
+def _platform(version: str) -> str:
+    import fmpy
 
-    return str(platform)
+    return str(fmpy.platform if version == "2.0" else fmpy.platform_tuple)
 
 
 def _open(fmu: Path) -> zipfile.ZipFile:

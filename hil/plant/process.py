@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from typing import IO, Any, cast
 
 from hil.child import away_from_terminal, child_environment, module_command
+from hil.errors import DeviceError
 
 _KEPT_BYTES = 4096  # of what it prints
 _LAST_WORDS = 200  # characters of them in a sentence
@@ -53,19 +54,22 @@ class ChildProcess:
     """One of our modules as a process, with pipes to its stdin and from its stdout.
 
     It begins with lines of JSON; what the pipes carry then is its owner's affair. What it prints on stderr is read and
-    its end kept. Ctrl-C in the terminal does not reach it.
+    its end kept. Ctrl-C in the terminal does not reach it. Raises DeviceError when no process can be started.
     """
 
     def __init__(self, module: str) -> None:
-        self._process = subprocess.Popen(
-            module_command(module),
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            bufsize=0,
-            env=child_environment(),
-            **away_from_terminal(),
-        )
+        try:
+            self._process = subprocess.Popen(
+                module_command(module),
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                bufsize=0,
+                env=child_environment(),
+                **away_from_terminal(),
+            )
+        except OSError as error:
+            raise DeviceError(f"no process can be started for the plant ({error}); end others first") from error
         self._printed = b""
         self._reader = threading.Thread(target=self._read_words, name="plant words", daemon=True)
         self._reader.start()

@@ -1,19 +1,24 @@
 """The plant FMU in a process of its own, behind the same plant port: one that crashes or hangs takes down only that."""
 
 import contextlib
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
 from hil.errors import BadInputError, DeviceError
+from hil.plant import shim
+from hil.plant.mapping import SignalMap
 from hil.plant.process import ChildProcess, Watch
 from hil.plant.serve import handle
-from hil.plant.shim import shim
 from hil.types import Pose, PoseFix, Twist, Wheels
 
 _THERE_S = 60.0  # for Python and our own modules
 _OPENING_STEPS = 10.0  # time limits of a step that loading, initialising and resetting may take
+
+
+_NO_ROWS = SignalMap()
 
 
 class RemotePlant:
@@ -31,7 +36,7 @@ class RemotePlant:
         fmu: Path,
         start: Mapping[str, float | bool | str],
         step_ns: int = 1_000_000,
-        mapping: Mapping[str, Mapping[str, object]] | None = None,
+        mapping: SignalMap = _NO_ROWS,
         *,
         timeout_s: float = 2.0,
     ) -> None:
@@ -42,9 +47,11 @@ class RemotePlant:
             "fmu": str(fmu.absolute()),
             "start": dict(start),
             "step_ns": step_ns,
-            "mapping": dict(mapping) if mapping is not None else None,
+            "rows": dict(mapping.rows),
+            "counts_per_revolution": mapping.counts_per_revolution,
+            "torque_constant_n_m_a": mapping.torque_constant_n_m_a,
         }
-        self._ffi, self._lib = shim()
+        self._ffi, self._lib = shim.load()
         self._context = self._ffi.new("remote_plant *")
         self._wiring: tuple[Sequence[int], Sequence[int]] = ((0, 1, 2, 3), (1, 1, 1, 1))
         self._closed = False
@@ -54,27 +61,38 @@ class RemotePlant:
         """Start the child and have it open the FMU."""
         self._text = ""
         self._hung = False
-        self._child = child = ChildProcess("hil.plant.serve")
-        ends = {"read_end": handle(child.read_end), "write_end": handle(child.write_end)}
-        self._context[0] = self._ffi.new("remote_plant *", {"pipes": ends})[0]
-        self._watch = Watch(self._pending, self._give_up, self._timeout_s)
-        try:
-            with self._waiting(_THERE_S):
+        with contextlib.ExitStack() as resources:
+            # Removed here, because a child that crashes cannot.
+            scratch = tempfile.TemporaryDirectory(prefix="hil_plant_", ignore_cleanup_errors=True)
+            resources.enter_context(scratch)
+            self._child = child = ChildProcess("hil.plant.serve")
+            resources.callback(child.close, self._timeout_s)
+            ends = {"read_end": handle(child.read_end), "write_end": handle(child.write_end)}
+            self._context[0] = self._ffi.new("remote_plant *", {"pipes": ends})[0]
+            resources.callback(setattr, self._context, "failed", 1)
+            self._watch = Watch(self._pending, self._give_up, self._timeout_s)
+            resources.callback(self._watch.stop)
+            try:
+                self._have_it_opened(scratch.name)
+                self.wire(*self._wiring)
+            except BaseException:
+                child.kill()
+                raise
+            self._resources = resources.pop_all()
+
+    def _have_it_opened(self, scratch: str) -> None:
+        child = self._child
+        with self._waiting(_THERE_S):
+            answer = child.hear()
+        if answer is not None:
+            with self._waiting(self._timeout_s * _OPENING_STEPS):
+                child.tell(self._config | {"scratch": scratch})
                 answer = child.hear()
-            if answer is not None:
-                with self._waiting(self._timeout_s * _OPENING_STEPS):
-                    child.tell(self._config)
-                    answer = child.hear()
-            if answer is None or "failed" in answer:
-                why = self._ending() if answer is None else f"{answer['failed']}{child.last_words()}"
-                raise DeviceError(f"the plant {self._fmu.name} could not be opened: {why}")
-            if "refused" in answer:
-                raise BadInputError(str(answer["refused"]))
-            self.wire(*self._wiring)
-        except BaseException:
-            child.kill()
-            self.close()
-            raise
+        if answer is None or "failed" in answer:
+            why = self._ending() if answer is None else f"{answer['failed']}{child.last_words()}"
+            raise DeviceError(f"the plant {self._fmu.name} could not be opened: {why}")
+        if "refused" in answer:
+            raise BadInputError(str(answer["refused"]))
 
     @property
     def pid(self) -> int:
@@ -143,14 +161,14 @@ class RemotePlant:
             request = self._ffi.new("remote_request *", {"kind": self._lib.REMOTE_RESET})
             if self._lib.remote_ask(self._context, request) == 0:
                 return
-        self._shut()
+        self._resources.close()
         self._open()
 
     def close(self) -> None:
         """Free the FMU and end its process. Closing twice is allowed."""
         if not self._closed:
             self._closed = True
-            self._shut()
+            self._resources.close()
             self._text = "the FMU is closed"
 
     def __enter__(self) -> Self:
@@ -166,11 +184,6 @@ class RemotePlant:
             if not self._context.failed:
                 raise BadInputError(self._words())
             raise DeviceError(f"the plant stopped at {self.truth().time_ns / 1e9:g} s: {self.message}")
-
-    def _shut(self) -> None:
-        self._context.failed = 1
-        self._child.close(self._timeout_s)
-        self._watch.stop()
 
     def _words(self) -> str:
         return str(self._ffi.string(self._context.reply.text).decode(errors="replace"))

@@ -6,22 +6,25 @@ one line whether it is open, and then answers the requests of ``remote.h`` until
 
 import json
 import os
+import shutil
 import sys
+import tempfile
 import threading
 import time
 from pathlib import Path
 from typing import Any, NoReturn
 
 from hil.errors import BadInputError, HilError
+from hil.plant import shim
 from hil.plant.fmu import FmuPlant
-from hil.plant.shim import shim
+from hil.plant.mapping import Row, SignalMap
 
 _ASK_S = 1.0
 
 
 def main() -> None:
     """Serve one FMU."""
-    ffi, lib = shim()
+    ffi, lib = shim.load()
     requests, replies = _take_pipes()
     lib.remote_flush_lines()
     threading.Thread(target=_end_with_parent, args=(os.dup(2),), name="parent", daemon=True).start()
@@ -31,8 +34,11 @@ def main() -> None:
     if not line:
         _end()
     config = json.loads(line)
+    tempfile.tempdir = config["scratch"]
+    rows = {signal: Row(*row) for signal, row in config["rows"].items()}
+    mapping = SignalMap(rows, config["counts_per_revolution"], config["torque_constant_n_m_a"])
     try:
-        plant = FmuPlant(Path(config["fmu"]), config["start"], config["step_ns"], config["mapping"])
+        plant = FmuPlant(Path(config["fmu"]), config["start"], config["step_ns"], mapping)
     except HilError as error:
         _say(replies, {"refused" if isinstance(error, BadInputError) else "failed": str(error)})
         _end()
@@ -107,7 +113,9 @@ def _end_with_parent(words: int) -> None:
 
 
 def _end() -> NoReturn:
-    """End without what the FMU registered for the end of its process, which may hang."""
+    """End without what the FMU registered for the end of its process, which may hang; leave no file behind."""
+    if tempfile.tempdir is not None:
+        shutil.rmtree(tempfile.tempdir, ignore_errors=True)
     os._exit(0)
 
 

@@ -1,23 +1,25 @@
-"""The compiled shim as cffi sees it: the plant port in front of an FMU here, or of one in another process."""
+"""The C shim cosim.[ch] as cffi sees it, and how a wiring is laid out for it: one group of variables a type."""
 
 import functools
 import re
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import cffi
 
 from hil.errors import BadInputError
 from hil.plant.build import HEADERS, LIBRARY
+from hil.plant.mapping import Connection, Wiring
+from hil.plant_signals import OUTPUTS
 
 _SECTION = re.compile(r"/\* cffi: begin \*/(.*?)/\* cffi: end \*/", re.DOTALL)
+_FMI2_TYPES = {"Real": "Float64", "Integer": "Int32"}
+_C_TYPES = {"Float64": "double", "Float32": "float"}
 
 
 @functools.cache
-def shim() -> tuple[Any, Any]:
-    """Return cffi's (ffi, library), with the declarations taken from the C headers themselves.
-
-    Raises BadInputError when the library is not built.
-    """
+def load() -> tuple[Any, Any]:
+    """Return cffi's (ffi, library) of the shim, with the declarations taken from the C headers themselves."""
     if not LIBRARY.exists():
         raise BadInputError(f"{LIBRARY} is not built; run: python -m hil.plant.build")
     ffi = cffi.FFI()
@@ -25,3 +27,65 @@ def shim() -> tuple[Any, Any]:
         for section in _SECTION.findall(header.read_text(encoding="utf-8")):
             ffi.cdef(section)
     return ffi, ffi.dlopen(str(LIBRARY))
+
+
+def connect(context: Any, wiring: Wiring, access: Callable[[str, str], Any]) -> list[object]:
+    """Write a wiring into a ``cosim``; return what must live as long as that.
+
+    ``access`` gives a getter or setter of the FMU: that of ("Set", "Real") for example.
+    """
+    ffi, _ = load()
+    kept: list[object] = []
+    for direction, call, connections in (("input", "Set", wiring.inputs), ("output", "Get", wiring.outputs)):
+        groups = getattr(context, direction)
+        types = list(dict.fromkeys(connection.variable.type for connection in connections))
+        for group, kind in zip(groups, types, strict=False):
+            kept += _fill(group, kind, [c for c in connections if c.variable.type == kind])
+            group.call = access(call, kind)
+        setattr(context, f"{direction}s", len(types))
+    names = [ffi.new("char[]", signal.encode()) for signal in OUTPUTS]
+    for connection in wiring.outputs:
+        signal, variable = OUTPUTS[connection.signal], connection.variable.name
+        if signal != variable:
+            names[connection.signal] = ffi.new("char[]", f"{signal} ({variable} in the FMU)".encode())
+    context.name = names
+    context.derives = bool(wiring.derived)
+    context.derived = [place in wiring.derived for place in range(len(OUTPUTS))]
+    return [*kept, *names]
+
+
+def _fill(group: Any, kind: str, connections: list[Connection]) -> list[object]:
+    """Lay out the variables of one type: each once, an array's elements one after the other."""
+    ffi, library = load()
+    name = _FMI2_TYPES.get(kind, kind)
+    variables = list({c.variable.valueReference: c.variable for c in connections}.values())
+    place_of, values = {}, 0
+    for variable in variables:
+        place_of[variable.valueReference] = values
+        values += _size(variable)
+    rows = [(c.signal, place_of[c.variable.valueReference] + c.element, c.factor, c.offset) for c in connections]
+    reference = ffi.new("unsigned[]", [variable.valueReference for variable in variables])
+    value = ffi.new(f"{_C_TYPES.get(name, f'{name.lower()}_t')}[]", list(_starts(variables)))
+    row = ffi.new("cosim_row[]", rows)
+    group.type = getattr(library, f"COSIM_{name.upper()}")
+    group.reference, group.references = reference, len(variables)
+    group.value, group.values = value, values
+    group.row, group.rows = row, len(rows)
+    group.is_identity = all((c.factor, c.offset) == (1.0, 0.0) for c in connections)
+    return [reference, value, row]
+
+
+def _size(variable: Any) -> int:
+    size = 1
+    for extent in variable.shape:
+        size *= extent
+    return size
+
+
+def _starts(variables: Iterable[Any]) -> Iterable[float | int]:
+    """Give the start of every element: where no signal drives an element of an input, it stays there."""
+    for variable in variables:
+        number = float if variable.type in ("Real", "Float64", "Float32") else int
+        given = [number(text) for text in (variable.start or "").split()] or [number(0)]
+        size = _size(variable)
+        yield from given if len(given) == size else [given[0]] * size
