@@ -151,7 +151,7 @@ class RemotePlant:
         return self._text
 
     def reset(self) -> None:
-        """Go back to the start, also after a failure; in a new process when the old one cannot.
+        """Go back to the start; in a new process after a failure, or when the FMU cannot.
 
         Raises DeviceError when the plant is closed, or when the FMU cannot be opened anew.
         """

@@ -3,7 +3,7 @@
  */
 #include "fmi2.h"
 
-#include <signal.h>
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -76,7 +76,7 @@ FMI2(fmi2Status, fmi2GetReal, fmi2Component c, const fmi2ValueReference referenc
      fmi2Real values[]) {
     const fmi2Status status = sound_fmi2GetReal(c, references, count, values);
     if (spoilt && count > 0) {
-        values[0] = 0.0 / 0.0 * values[0];
+        values[0] = NAN;
     }
     return status;
 }
