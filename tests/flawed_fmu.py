@@ -9,7 +9,7 @@ import fmpy
 import plant_fmu.build
 
 FLAWED = Path(__file__).parent / "fmus" / "misbehaving.c"
-_WRAPPED = ("fmi2Instantiate", "fmi2DoStep", "fmi2GetReal")
+_WRAPPED = ("fmi2Instantiate", "fmi2Reset", "fmi2DoStep", "fmi2GetReal", "fmi2SetReal")
 
 
 def build_flawed(folder: Path) -> Path:

@@ -174,7 +174,7 @@ def test_a_killed_parent_leaves_no_child_and_no_files(flawed: Path, tmp_path: Pa
         "import sys; from pathlib import Path; from hil.plant.remote import RemotePlant; from hil.types import Wheels\n"
         f"plant = RemotePlant(Path({str(flawed)!r}), {{}}, timeout_s=1000)\n"
         "print(plant.pid, flush=True)\n"
-        + ("plant.step(Wheels(0, 0, 0, 0))" if flaw != "none 0" else "sys.stdin.read()")
+        + ("plant.step(Wheels(1, 1, 1, 1))" if flaw != "none 0" else "sys.stdin.read()")
     )
     parent = subprocess.Popen(
         [sys.executable, "-c", code],
