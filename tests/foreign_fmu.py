@@ -31,6 +31,7 @@ FAULTS = (
     "fail_at_initialization",
     "fail_to_reset",
     "fail_to_read",
+    "never_settle",
 )
 
 
@@ -42,7 +43,7 @@ class Var(NamedTuple):
     kind: str
     causality: str
     more: Mapping[str, str] = {}
-    size: tuple[int, ...] = ()
+    size: tuple[int | str, ...] = ()  # or the name of the structural parameter that gives it
 
 
 PARAMETER = {"variability": "fixed", "initial": "exact"}
@@ -77,7 +78,7 @@ def variables2() -> list[Var]:
 def variables3(counter: str = "Int32") -> list[Var]:
     """Return the variables of wheels3.c, whose counters are of whatever integer type one asks for."""
     return [
-        Var("tau", 0, "Float32", "input", {"start": "0"}, (4,)),
+        Var("tau", 0, "Float32", "input", {"start": "0"}, ("wheels",)),
         Var("phi", 4, "Float64", "output", {}, (2, 2)),
         Var("x", 8, "Float64", "output"),
         Var("y", 9, "Float32", "output"),
@@ -124,7 +125,8 @@ def description3(variables: list[Var], interface: str, guid: str, attributes: Ma
     for v in variables:
         element = ET.SubElement(scalars, v.kind, name=v.name, valueReference=str(v.reference), causality=v.causality)
         for extent in v.size:
-            ET.SubElement(element, "Dimension", start=str(extent))
+            sized_by = [str(other.reference) for other in variables if other.name == extent]
+            ET.SubElement(element, "Dimension", {"valueReference": sized_by[0]} if sized_by else {"start": str(extent)})
         for key, value in v.more.items():
             if v.kind == "String" and key == "start":
                 ET.SubElement(element, "Start", value=value)

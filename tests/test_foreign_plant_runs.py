@@ -24,7 +24,7 @@ FLAWS = {
     "segfault": LAST_WORDS,
     "hang": "it gave no answer within 0.5 s and was ended",
     "error": "doStep: communication step -0.001 s; expected a positive number",
-    "nan": "pose.x_m is nan; expected a finite number",
+    "nan": "pose.x_m is not a number; expected a finite number",
     "exit": "its process exited with code 0",
 }
 

@@ -14,10 +14,12 @@ import pytest
 
 from hil.errors import BadInputError, DeviceError
 from hil.plant import shim
+from hil.plant.build import PLANT_PORT
 from hil.plant.fmu import FmuPlant
 from hil.plant.mapping import Row, SignalMap
 from hil.plant.remote import RemotePlant
 from hil.types import Wheels
+from plant_fmu.build import FLAGS, compiler
 from tests.flawed_fmu import build_flawed
 from tests.foreign_fmu import foreign_fmu, foreign_map
 from tests.plant_testbed import FMU
@@ -93,7 +95,7 @@ def test_a_map_and_the_length_of_a_tick_reach_the_child(tmp_path: Path, version:
         ("exit", "its process exited with code 0"),
         ("hang", r"it gave no answer within 0\.5 s and was ended"),
         ("error", r"doStep: .*-0\.001"),
-        ("nan", r"pose\.x_m is nan; expected a finite number"),
+        ("nan", r"pose\.x_m is not a number; expected a finite number"),
     ],
 )
 def test_what_the_fmu_does_is_said_and_undone_by_a_reset(
@@ -257,3 +259,15 @@ def test_closing_ends_the_child_and_leaves_nothing_behind(scratch: Path) -> None
         plant.reset()
     with pytest.raises(ProcessLookupError):
         os.kill(plant.pid, 0)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the driver forks")
+def test_the_pipes_pass_the_sanitizers_with_pieces_signals_and_a_peer_that_leaves(tmp_path: Path) -> None:
+    program = tmp_path / "remote_driver"
+    sanitize = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g"]
+    sources = [ROOT / "tests" / "remote_driver.c", ROOT / "hil" / "plant" / "remote.c"]
+    include = [f"-I{ROOT / 'hil' / 'plant'}", f"-I{PLANT_PORT.parent}"]
+    command = [*compiler(), *FLAGS, *sanitize, *include, *map(str, sources), "-o", str(program)]
+    assert subprocess.run(command, capture_output=True, text=True, check=False).stderr == ""
+    done = subprocess.run([program], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")

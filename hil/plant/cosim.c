@@ -7,16 +7,14 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* fmi2Status and fmi3Status agree on these; after anything worse than a warning a simulation does not go on.
- */
+/* fmi2Status and fmi3Status agree on these. Nothing goes on after what is worse than a warning. */
 enum { STATUS_WARNING = 1, STATUS_DISCARD = 2, STATUS_FATAL = 4 };
 enum { FMI2_TERMINATED = 3 };       /* fmi2StatusKind */
 enum { MOST_EARLY_RETURNS = 1000 }; /* within one tick */
 
 static const double PI = 3.14159265358979323846;
 static const double TWO_PI = 6.28318530717958647692;
-static const double LARGEST_COUNT =
-    9007199254740992.0; /* beyond 2^53 a double no longer tells counts apart */
+static const double LARGEST_COUNT = 9007199254740992.0; /* 2^53: a double tells no further counts apart */
 
 /* Keeps our own reason, and the FMU's words with it. */
 static int fail(cosim *c, const char *format, ...) {
@@ -33,8 +31,7 @@ static int fail(cosim *c, const char *format, ...) {
     return 1;
 }
 
-/* A call returned a status with which nothing goes on. The FMU's own words, when it gave some, are the
- * reason. */
+/* A call returned a status that ends the run. The FMU's own words, when it gave some, are the reason. */
 static int refused(cosim *c, int status, const char *what) {
     static const char *const NAME[] = {"ok", "warning", "discard", "error", "fatal", "pending"};
     c->failed = 1;
@@ -63,25 +60,21 @@ static double time_s(const cosim *c, uint64_t steps) {
                            : ((int (*)(void *, const unsigned *, size_t, TYPE *, size_t))(g)->call)(         \
                                  (c)->component, (g)->reference, (g)->references, (g)->value, (g)->values))
 
-/* What the FMU has to be given so that the bridge's value holds. */
-static double inverse(const cosim_group *g, const cosim_row *row, double value) {
-    return g->is_identity ? value : (value - row->offset) / row->factor;
-}
-
+/* An input is given to the FMU so that factor * FMU value + offset is the bridge's torque. */
 static int write_inputs(cosim *c) {
-    for (size_t n = 0; n < c->inputs; n++) {
-        const cosim_group *const g = &c->input[n];
+    for (const cosim_group *g = c->input; g < c->input + c->inputs; g++) {
+        const cosim_row *const end = g->is_in_place ? g->row : g->row + g->rows;
         int status;
         if (g->type == COSIM_FLOAT64) {
             double *const value = g->value;
-            for (const cosim_row *row = g->row; row < g->row + g->rows; row++) {
-                value[row->place] = inverse(g, row, c->torque_n_m[row->signal]);
+            for (const cosim_row *row = g->row; row < end; row++) {
+                value[row->place] = (c->torque_n_m[row->signal] - row->offset) / row->factor;
             }
             status = CALL(c, g, const double);
         } else {
             float *const value = g->value;
-            for (const cosim_row *row = g->row; row < g->row + g->rows; row++) {
-                value[row->place] = (float)inverse(g, row, c->torque_n_m[row->signal]);
+            for (const cosim_row *row = g->row; row < end; row++) {
+                value[row->place] = (float)((c->torque_n_m[row->signal] - row->offset) / row->factor);
             }
             status = CALL(c, g, const float);
         }
@@ -95,39 +88,43 @@ static int write_inputs(cosim *c) {
 #define READ(KIND, TYPE)                                                                                     \
     case KIND: {                                                                                             \
         const TYPE *const value = g->value;                                                                  \
-        status = CALL(c, g, TYPE);                                                                           \
+        const int status = CALL(c, g, TYPE);                                                                 \
         for (const cosim_row *row = g->row; row < g->row + g->rows; row++) {                                 \
-            signal[row->signal] = (double)value[row->place];                                                 \
+            c->fresh[row->signal] = (double)value[row->place];                                               \
         }                                                                                                    \
-        break;                                                                                               \
+        return status;                                                                                       \
     }
 
-static int read_outputs(cosim *c, double signal[COSIM_SIGNALS]) {
-    for (size_t n = 0; n < c->outputs; n++) {
-        const cosim_group *const g = &c->output[n];
-        int status = STATUS_FATAL;
-        switch (g->type) {
-            READ(COSIM_FLOAT64, double)
-            READ(COSIM_FLOAT32, float)
-            READ(COSIM_INT8, int8_t)
-            READ(COSIM_UINT8, uint8_t)
-            READ(COSIM_INT16, int16_t)
-            READ(COSIM_UINT16, uint16_t)
-            READ(COSIM_INT32, int32_t)
-            READ(COSIM_UINT32, uint32_t)
-            READ(COSIM_INT64, int64_t)
-            READ(COSIM_UINT64, uint64_t)
-        }
+/* Gets the values of a group into `fresh` and returns the status. */
+static int read_group(cosim *c, const cosim_group *g) {
+    if (g->is_in_place) {
+        return CALL(c, g, double);
+    }
+    switch (g->type) {
+        READ(COSIM_FLOAT64, double)
+        READ(COSIM_FLOAT32, float)
+        READ(COSIM_INT8, int8_t)
+        READ(COSIM_UINT8, uint8_t)
+        READ(COSIM_INT16, int16_t)
+        READ(COSIM_UINT16, uint16_t)
+        READ(COSIM_INT32, int32_t)
+        READ(COSIM_UINT32, uint32_t)
+        READ(COSIM_INT64, int64_t)
+        READ(COSIM_UINT64, uint64_t)
+    }
+    return STATUS_FATAL; /* there is no further type */
+}
+
+static int read_outputs(cosim *c) {
+    double *const fresh = c->fresh;
+    for (const cosim_group *g = c->output; g < c->output + c->outputs; g++) {
+        const int status = read_group(c, g);
         if (status > STATUS_WARNING) {
             return refused(c, status, "refused to give its outputs");
         }
-        for (const cosim_row *row = g->row; row < g->row + g->rows; row++) {
-            double *const value = &signal[row->signal];
-            if (!g->is_identity) {
-                *value = row->factor * *value + row->offset;
-            }
-            if (!isfinite(*value)) {
-                return fail(c, "%s is %g; expected a finite number", c->name[row->signal], *value);
+        if (!g->is_identity) {
+            for (const cosim_row *row = g->row; row < g->row + g->rows; row++) {
+                fresh[row->signal] = row->factor * fresh[row->signal] + row->offset;
             }
         }
     }
@@ -196,42 +193,49 @@ static double unwound(cosim_winding *w, double angle_rad) {
 }
 
 /* Fills in what the FMU has no variable for. `passed` tells whether a tick has. */
-static void derive(const cosim *c, bool passed, double signal[COSIM_SIGNALS]) {
+static void derive(cosim *c, bool passed) {
+    double *const fresh = c->fresh;
     for (size_t i = 0; i < COSIM_SIGNALS; i++) {
         if (!c->derived[i]) {
             continue;
         }
         if (i < COSIM_WHEEL_SPEED) { /* a component of the twist */
             const size_t from = i - COSIM_TWIST + COSIM_POSE;
-            signal[i] = passed ? (signal[from] - c->signal[from]) / step_s(c) : c->signal[i];
+            fresh[i] = passed ? (fresh[from] - c->signal[from]) / step_s(c) : c->signal[i];
         } else if (i < COSIM_CURRENT) {
             const size_t from = i - COSIM_WHEEL_SPEED + COSIM_WHEEL_ANGLE;
-            signal[i] = passed ? (signal[from] - c->signal[from]) / step_s(c) : c->signal[i];
+            fresh[i] = passed ? (fresh[from] - c->signal[from]) / step_s(c) : c->signal[i];
         } else if (i < COSIM_GYRO) {
-            signal[i] = c->torque_n_m[i - COSIM_CURRENT] / c->torque_constant_n_m_a;
+            fresh[i] = c->torque_n_m[i - COSIM_CURRENT] / c->torque_constant_n_m_a;
         } else if (i < COSIM_COUNT) {
-            signal[i] = i == COSIM_GYRO + 2 ? signal[COSIM_TWIST + 2] : 0.0; /* the robot stays level */
-        } else {                                                             /* a count, rounded down */
-            const double angle_rad = signal[i - COSIM_COUNT + COSIM_WHEEL_ANGLE];
-            signal[i] = floor(angle_rad / TWO_PI * c->counts_per_revolution);
+            fresh[i] = i == COSIM_GYRO + 2 ? fresh[COSIM_TWIST + 2] : 0.0; /* the robot stays level */
+        } else { /* a count, which is rounded down when it is sensed */
+            const double angle_rad = fresh[i - COSIM_COUNT + COSIM_WHEEL_ANGLE];
+            fresh[i] = angle_rad / TWO_PI * c->counts_per_revolution;
         }
     }
 }
 
 static int sample(cosim *c, bool passed) {
-    double signal[COSIM_SIGNALS] = {0.0};
-    if (read_outputs(c, signal) != 0) {
+    if (read_outputs(c) != 0) {
         return 1;
     }
-    signal[COSIM_POSE + 2] = unwound(&c->winding[0], signal[COSIM_POSE + 2]);
+    c->fresh[COSIM_POSE + 2] = unwound(&c->winding[0], c->fresh[COSIM_POSE + 2]);
     if (c->derives) {
         for (size_t i = 0; i < 4; i++) {
-            double *const angle_rad = &signal[COSIM_WHEEL_ANGLE + i];
+            double *const angle_rad = &c->fresh[COSIM_WHEEL_ANGLE + i];
             *angle_rad = unwound(&c->winding[1 + i], *angle_rad);
         }
-        derive(c, passed, signal);
+        derive(c, passed);
     }
-    memcpy(c->signal, signal, sizeof signal);
+    for (size_t i = 0; i < COSIM_SIGNALS; i++) {
+        const double value = c->fresh[i];
+        if (!isfinite(value)) {
+            const char *const kind = isnan(value) ? "not a number" : "infinite";
+            return fail(c, "%s is %s; expected a finite number", c->name[i], kind);
+        }
+    }
+    memcpy(c->signal, c->fresh, sizeof c->signal);
     return 0;
 }
 
@@ -251,13 +255,13 @@ int cosim_start(cosim *c) {
     c->text_status = 0;
     memset(c->torque_n_m, 0, sizeof c->torque_n_m);
     memset(c->signal, 0, sizeof c->signal);
-    memset(c->winding, 0, sizeof c->winding);
-    if (read_outputs(c, c->signal) != 0) {
+    memset(c->fresh, 0, sizeof c->fresh);
+    if (read_outputs(c) != 0) {
         return 1;
     }
-    c->winding[0].newest_rad = c->signal[COSIM_POSE + 2];
+    c->winding[0] = (cosim_winding){.newest_rad = c->fresh[COSIM_POSE + 2]};
     for (size_t i = 0; i < 4; i++) {
-        c->winding[1 + i].newest_rad = c->signal[COSIM_WHEEL_ANGLE + i];
+        c->winding[1 + i] = (cosim_winding){.newest_rad = c->fresh[COSIM_WHEEL_ANGLE + i]};
     }
     return sample(c, false);
 }
@@ -309,10 +313,6 @@ int cosim_run(void *context, const float *torque_n_m, uint32_t ticks) {
         }
     }
     return 0;
-}
-
-uint64_t cosim_time_ns(const cosim *c) {
-    return c->steps * c->step_ns;
 }
 
 static bool is_worth_keeping(cosim *c, int status, const char *message) {

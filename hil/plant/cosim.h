@@ -56,6 +56,7 @@ typedef struct { /* the variables of one type: one call into the FMU */
     const cosim_row *row;
     size_t rows;
     int is_identity; /* every factor is 1, every offset 0 */
+    int is_in_place; /* `value` is that part of `fresh` or of `torque_n_m` which the rows name */
 } cosim_group;
 
 typedef struct { /* an angle that the FMU may wrap */
@@ -87,10 +88,11 @@ typedef struct {
     int sign_of_channel[4]; /* 1 or -1 */
 
     uint64_t step_ns;
-    uint64_t steps;               /* taken since the start */
+    uint64_t steps;               /* taken since the start: the time of the newest outputs */
     int failed;                   /* once set, every exchange fails and `text` keeps the first reason */
     int fatal;                    /* the FMU said that nothing of it may be called any more */
     double torque_n_m[4];         /* the newest inputs, by wheel */
+    double fresh[COSIM_SIGNALS];  /* the outputs while they are read */
     double signal[COSIM_SIGNALS]; /* the newest outputs */
     cosim_winding winding[5];     /* heading, wheel angles */
     char text[512];               /* the FMU's words since the last good exchange, or why that failed */
@@ -108,9 +110,6 @@ int cosim_exchange(void *context, const wheel_drive *drive, wheel_sense *sense);
 /* Holds the torques of the four channels for so many ticks. Stops at the first failure and returns like
  * cosim_exchange. */
 int cosim_run(void *context, const float *torque_n_m, uint32_t ticks);
-
-/* Time of the newest outputs since the start [ns]. */
-uint64_t cosim_time_ns(const cosim *c);
 
 /* fmi2CallbackLogger and fmi3LogMessageCallback; the environment is a cosim. Of the warnings and worse
  * since the last good exchange they keep the newest of the worst status. */

@@ -36,12 +36,17 @@ def connect(context: Any, wiring: Wiring, access: Callable[[str, str], Any]) -> 
     """
     ffi, _ = load()
     kept: list[object] = []
-    for direction, call, connections in (("input", "Set", wiring.inputs), ("output", "Get", wiring.outputs)):
-        groups = getattr(context, direction)
+    sides = (
+        ("input", "Set", context.torque_n_m, wiring.inputs),
+        ("output", "Get", context.fresh, wiring.outputs),
+    )
+    for direction, call, signals, connections in sides:
         types = list(dict.fromkeys(connection.variable.type for connection in connections))
-        for group, kind in zip(groups, types, strict=False):
-            kept += _fill(group, kind, [c for c in connections if c.variable.type == kind])
+        for group, kind in zip(getattr(context, direction), types, strict=False):
+            chosen = [c for c in connections if c.variable.type == kind]
+            kept += _fill(group, kind, chosen)
             group.call = access(call, kind)
+            _leave_in_place(group, signals, chosen)
         setattr(context, f"{direction}s", len(types))
     names = [ffi.new("char[]", signal.encode()) for signal in OUTPUTS]
     for connection in wiring.outputs:
@@ -73,6 +78,15 @@ def _fill(group: Any, kind: str, connections: list[Connection]) -> list[object]:
     group.row, group.rows = row, len(rows)
     group.is_identity = all((c.factor, c.offset) == (1.0, 0.0) for c in connections)
     return [reference, value, row]
+
+
+def _leave_in_place(group: Any, signals: Any, connections: list[Connection]) -> None:
+    """Let the FMU use the shim's own signals where they are doubles, one after the other and as they are."""
+    first = connections[0].signal
+    in_order = [c.signal for c in connections] == list(range(first, first + len(connections)))
+    if group.type == load()[1].COSIM_FLOAT64 and group.is_identity and in_order and group.values == len(connections):
+        group.value = signals + first
+        group.is_in_place = 1
 
 
 def _size(variable: Any) -> int:

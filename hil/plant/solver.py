@@ -10,7 +10,7 @@ from typing import Any
 
 from hil.errors import BadInputError
 
-_RELATIVE_TOLERANCE = 1e-8
+_RELATIVE_TOLERANCE = 1e-10
 _MOST_EVENTS = 1000  # within one tick
 
 
@@ -68,8 +68,10 @@ class Solver:
             until_s = min(to_s, self._next_event_s)
             is_event = False
             if until_s - now_s > 1e-12 * max(1.0, now_s):  # CVode takes no step that is lost in rounding
-                is_event, _, now_s = self._cvode.step(now_s, until_s)
-                self._raise_what_was_kept()
+                try:
+                    is_event, _, now_s = self._cvode.step(now_s, until_s)
+                finally:  # what the FMU refused is the reason of whatever CVode made of it
+                    self._raise_what_was_kept()
             else:
                 now_s = until_s
             self._fmu.setTime(now_s)

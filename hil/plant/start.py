@@ -1,7 +1,7 @@
 """Start values of an FMU by name: ``[plant.start]`` checked against modelDescription.xml."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -39,6 +39,18 @@ def start_values(start: Mapping[str, Value], fmu: Path, variables: Variables) ->
 def is_settable(variable: Any) -> bool:
     """Tell whether the importer may set the start of a variable (FMI 2.0 section 2.2.7, FMI 3.0 section 2.4.7.5)."""
     return variable.variability != "constant" and variable.initial in ("exact", "approx")
+
+
+def resize(starts: Iterable[Start], variables: Variables) -> None:
+    """Give the arrays the sizes that structural parameters start with (FMI 3.0 section 2.4.7.3)."""
+    sizes = {start.variable.valueReference: start.value for start in starts}
+    for variable in variables.values():
+        variable.shape = tuple(
+            int(sizes.get(dimension.valueReference, dimension.variable.start))
+            if dimension.start is None
+            else dimension.start
+            for dimension in variable.dimensions
+        )
 
 
 def _checked(name: str, value: Value, fmu: Path, variables: Variables) -> Start:

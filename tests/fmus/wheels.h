@@ -48,6 +48,7 @@ enum { /* fault */
        FAIL_AT_INITIALIZATION,
        FAIL_TO_RESET,
        FAIL_TO_READ,
+       NEVER_SETTLE, /* a time event follows every time event at once */
 };
 
 typedef struct {

@@ -223,8 +223,8 @@ EXPORT int fmi2NewDiscreteStates(void *c, event_info *info) {
         info->values_changed = 1;
     }
     info->terminate = is_faulty(w, END);
-    info->next_defined = !w->kicked;
-    info->next_s = 0.05;
+    info->next_defined = !w->kicked || is_faulty(w, NEVER_SETTLE);
+    info->next_s = is_faulty(w, NEVER_SETTLE) ? w->time_s : 0.05;
     return OK;
 }
 

@@ -1,9 +1,9 @@
 /* The robot of wheels.h for FMI 3.0, co-simulation and model exchange.
  *
- * Value references: 0 torques (Float32[4]), 4 angles in degrees (Float64[2,2]), 8 x (Float64), 9 y (Float32),
- * 10 heading (Float64), 11-14 speeds (Float64), 20 inertia, 21 kick, 22 wall, 23 fault time (Float64); 30-33
- * counts of the wheels in whatever integer type they are asked for, 34 fault (Int32), 35 gear (Int64); 36
- * wheels (UInt32, structural); 40 reversed (Boolean); 50 label (String). */
+ * Value references: 0 torques (Float32[wheels]), 4 angles in degrees (Float64[2,2]), 8 x (Float64), 9 y
+ * (Float32), 10 heading (Float64), 11-14 speeds (Float64), 20 inertia, 21 kick, 22 wall, 23 fault time
+ * (Float64); 30-33 counts of the wheels in whatever integer type they are asked for, 34 fault (Int32), 35
+ * gear (Int64); 36 wheels (UInt32, structural); 40 reversed (Boolean); 50 label (String). */
 #include "wheels.h"
 
 typedef void (*log_message)(void *, int, const char *, const char *);
@@ -98,7 +98,7 @@ EXPORT int fmi3Reset(void *c) {
 
 EXPORT int fmi3SetFloat32(void *c, const unsigned reference[], size_t n, const float value[], size_t values) {
     instance *const s = c;
-    if (n != 1 || reference[0] != 0 || values != 4) {
+    if (n != 1 || reference[0] != 0 || values != s->wheels) {
         return say(s, ERROR);
     }
     for (size_t i = 0; i < 4; i++) {
@@ -266,8 +266,8 @@ EXPORT int fmi3UpdateDiscreteStates(void *c, bool *needs_update, bool *terminate
         *values_changed = true;
     }
     *terminate = is_faulty(w, END);
-    *next_defined = !w->kicked;
-    *next_s = 0.05;
+    *next_defined = !w->kicked || is_faulty(w, NEVER_SETTLE);
+    *next_s = is_faulty(w, NEVER_SETTLE) ? w->time_s : 0.05;
     return OK;
 }
 
