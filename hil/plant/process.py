@@ -17,6 +17,7 @@ _KEPT_BYTES = 4096  # of what it prints
 _LAST_WORDS = 200  # characters of them in a sentence
 _END_S = 1.0
 _ROUNDS = 20
+_LONGEST_ROUNDS_S = 2.0
 
 
 class Watch:
@@ -24,14 +25,14 @@ class Watch:
 
     ``pending`` returns a token of the request that waits for its reply, another one for each request, or None. Rounds
     are counted, not time: a suspended program does not take its own absence for a hang. Detection comes up to a
-    twentieth of the limit late.
+    twentieth late of ``limit_s`` as it was at first, or of 2 s where that is longer.
     """
 
     def __init__(self, pending: Callable[[], object], expire: Callable[[], None], limit_s: float) -> None:
         self.limit_s = limit_s
         self._pending = pending
         self._expire = expire
-        self._round_s = limit_s / _ROUNDS
+        self._round_s = min(limit_s, _LONGEST_ROUNDS_S) / _ROUNDS
         self._stopped = threading.Event()
         threading.Thread(target=self._run, name="plant watch", daemon=True).start()
 
@@ -100,7 +101,9 @@ class ChildProcess:
         return json.loads(line) if line.endswith(b"\n") else None
 
     def kill(self) -> None:
-        """End it at once, with every process that it started. It is not waited for."""
+        """End it at once, with every process that it started; not waited for."""
+        if self._process.returncode is not None:
+            return  # its number may be another's by now
         with contextlib.suppress(OSError):  # it has ended already
             if sys.platform == "win32":
                 self._process.kill()
@@ -140,6 +143,15 @@ class ChildProcess:
             while printed := words.read(65536):
                 # The zeros are the child's question whether we are still here.
                 self._printed = (self._printed + printed.replace(b"\0", b""))[-_KEPT_BYTES:]
+
+
+def handle(descriptor: int) -> int:
+    """Return what ``remote_pipes`` takes for a descriptor of Python's."""
+    if sys.platform == "win32":
+        import msvcrt
+
+        return msvcrt.get_osfhandle(descriptor)
+    return descriptor
 
 
 def _pipe(pipe: IO[bytes] | None) -> IO[bytes]:

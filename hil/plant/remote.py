@@ -10,14 +10,12 @@ from typing import Self
 from hil.errors import BadInputError, DeviceError
 from hil.plant import shim
 from hil.plant.mapping import SignalMap
-from hil.plant.process import ChildProcess, Watch
-from hil.plant.serve import handle
+from hil.plant.process import ChildProcess, Watch, handle
+from hil.plant.start import Value
 from hil.types import Pose, PoseFix, Twist, Wheels
 
 _THERE_S = 60.0  # for Python and our own modules
 _OPENING_STEPS = 10.0  # time limits of a step that loading, initialising and resetting may take
-
-
 _NO_ROWS = SignalMap()
 
 
@@ -34,7 +32,7 @@ class RemotePlant:
     def __init__(
         self,
         fmu: Path,
-        start: Mapping[str, float | bool | str],
+        start: Mapping[str, Value],
         step_ns: int = 1_000_000,
         mapping: SignalMap = _NO_ROWS,
         *,
@@ -114,7 +112,6 @@ class RemotePlant:
 
         Raises BadInputError unless that is a permutation with signs 1 and -1, DeviceError when the FMU fails.
         """
-        self._wiring = (tuple(wheel_of_channel), tuple(sign_of_channel))
         self._ask(
             {
                 "kind": self._lib.REMOTE_WIRE,
@@ -122,6 +119,7 @@ class RemotePlant:
                 "sign_of_channel": sign_of_channel,
             }
         )
+        self._wiring = (tuple(wheel_of_channel), tuple(sign_of_channel))
 
     def step(self, torque_n_m: Wheels, ticks: int = 1) -> None:
         """Hold the torques of the channels, in single precision as on the plant port, for so many ticks.

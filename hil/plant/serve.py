@@ -7,7 +7,6 @@ one line whether it is open, and then answers the requests of ``remote.h`` until
 import json
 import os
 import shutil
-import sys
 import tempfile
 import threading
 import time
@@ -18,6 +17,7 @@ from hil.errors import BadInputError, HilError
 from hil.plant import shim
 from hil.plant.fmu import FmuPlant
 from hil.plant.mapping import Row, SignalMap
+from hil.plant.process import handle
 
 _ASK_S = 1.0
 
@@ -75,15 +75,6 @@ def _prepare(plant: FmuPlant, request: Any, lib: Any) -> tuple[int, str]:
     except HilError as error:
         return lib.REMOTE_FAILED, str(error)
     return lib.REMOTE_DONE, ""
-
-
-def handle(descriptor: int) -> int:
-    """Return what ``remote_pipes`` takes for a descriptor of Python's."""
-    if sys.platform == "win32":
-        import msvcrt
-
-        return msvcrt.get_osfhandle(descriptor)
-    return descriptor
 
 
 def _take_pipes() -> tuple[int, int]:
