@@ -1,22 +1,23 @@
 /* The shipped plant with a flaw: linked in front of its own sources, whose functions of these names are
  * renamed on the compiler's command line. FLAW in the environment says what goes wrong, and how long after
  * the first torque: "hang 1.5"; before 0, as soon as it is instantiated. */
-#include "fmi2.h"
-
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
-fmi2Component sound_fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
-                                    const fmi2CallbackFunctions *functions, fmi2Boolean visible,
-                                    fmi2Boolean logging);
-fmi2Status sound_fmi2Reset(fmi2Component c);
-fmi2Status sound_fmi2DoStep(fmi2Component c, fmi2Real from_s, fmi2Real step_s, fmi2Boolean no_return);
-fmi2Status sound_fmi2GetReal(fmi2Component c, const fmi2ValueReference references[], size_t count,
-                             fmi2Real values[]);
-fmi2Status sound_fmi2SetReal(fmi2Component c, const fmi2ValueReference references[], size_t count,
-                             const fmi2Real values[]);
+#ifdef _WIN32
+#define EXPORT __declspec(dllexport)
+#else
+#define EXPORT __attribute__((visibility("default")))
+#endif
+
+void *sound_fmi2Instantiate(const char *name, int type, const char *guid, const char *resources,
+                            const void *functions, int visible, int logging);
+int sound_fmi2Reset(void *c);
+int sound_fmi2SetReal(void *c, const unsigned references[], size_t count, const double values[]);
+int sound_fmi2DoStep(void *c, double from_s, double step_s, int no_return);
+int sound_fmi2GetReal(void *c, const unsigned references[], size_t count, double values[]);
 
 /* One instance a process. */
 static int initialised, driven, spoilt;
@@ -47,30 +48,36 @@ static void crash(double after_s) {
 
 #undef fmi2Instantiate
 #undef fmi2Reset
+#undef fmi2SetReal
 #undef fmi2DoStep
 #undef fmi2GetReal
-#undef fmi2SetReal
 
-FMI2(fmi2Component, fmi2Instantiate, fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
-     const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean logging) {
+EXPORT void *fmi2Instantiate(const char *name, int type, const char *guid, const char *resources,
+                             const void *functions, int visible, int logging);
+EXPORT int fmi2Reset(void *c);
+EXPORT int fmi2SetReal(void *c, const unsigned references[], size_t count, const double values[]);
+EXPORT int fmi2DoStep(void *c, double from_s, double step_s, int no_return);
+EXPORT int fmi2GetReal(void *c, const unsigned references[], size_t count, double values[]);
+
+void *fmi2Instantiate(const char *name, int type, const char *guid, const char *resources,
+                      const void *functions, int visible, int logging) {
     crash(-1.0);
     return sound_fmi2Instantiate(name, type, guid, resources, functions, visible, logging);
 }
 
-FMI2(fmi2Status, fmi2Reset, fmi2Component c) {
+int fmi2Reset(void *c) {
     initialised = driven = spoilt = 0;
     return sound_fmi2Reset(c);
 }
 
-FMI2(fmi2Status, fmi2SetReal, fmi2Component c, const fmi2ValueReference references[], size_t count,
-     const fmi2Real values[]) {
+int fmi2SetReal(void *c, const unsigned references[], size_t count, const double values[]) {
     for (size_t i = 0; initialised && i < count; i++) {
         driven = driven || values[i] != 0.0;
     }
     return sound_fmi2SetReal(c, references, count, values);
 }
 
-FMI2(fmi2Status, fmi2DoStep, fmi2Component c, fmi2Real from_s, fmi2Real step_s, fmi2Boolean no_return) {
+int fmi2DoStep(void *c, double from_s, double step_s, int no_return) {
     if (!driven) {
         first_torque_s = from_s;
         return sound_fmi2DoStep(c, from_s, step_s, no_return);
@@ -91,9 +98,8 @@ FMI2(fmi2Status, fmi2DoStep, fmi2Component c, fmi2Real from_s, fmi2Real step_s, 
     return sound_fmi2DoStep(c, from_s, step_s, no_return);
 }
 
-FMI2(fmi2Status, fmi2GetReal, fmi2Component c, const fmi2ValueReference references[], size_t count,
-     fmi2Real values[]) {
-    const fmi2Status status = sound_fmi2GetReal(c, references, count, values);
+int fmi2GetReal(void *c, const unsigned references[], size_t count, double values[]) {
+    const int status = sound_fmi2GetReal(c, references, count, values);
     initialised = 1; /* what is set before is the start */
     if (spoilt && count > 0) {
         values[0] = NAN;
