@@ -45,8 +45,14 @@ def plant_start(scenario: Scenario, known: Collection[str]) -> dict[str, StartVa
     """Return the FMU's start values: what [robot] and [firmware] say, and over them what [plant.start] says.
 
     Of the former only what is ``known``, the names of the FMU's parameters: a foreign FMU may have none of them.
+    Raises BadInputError for a drive that the firmware cannot command.
     """
     robot, firmware, start = scenario.robot, scenario.firmware, scenario.plant.start
+    if scenario.plant.fmu in SHIPPED_FMUS and start.get("drive") in ("voltage", 3.0):
+        raise BadInputError(
+            f"plant.start.drive = {start['drive']!r}: the firmware commands torques and no duties, so the wheels would "
+            "stand still; use 'torque' or 'current'"
+        )
     gear_ratio = start.get("gear_ratio")
     # The firmware's torque constant is at the wheel, the FMU's at the motor's shaft.
     turns = gear_ratio if isinstance(gear_ratio, float) and gear_ratio > 0.0 else 1.0

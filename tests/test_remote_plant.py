@@ -19,7 +19,7 @@ from hil.plant.fmu import FmuPlant
 from hil.plant.mapping import Row, SignalMap
 from hil.plant.remote import RemotePlant
 from hil.types import Wheels
-from plant_fmu.build import FLAGS, compiler
+from native_build.compiler import FLAGS, compiler
 from tests.flawed_fmu import build_flawed
 from tests.foreign_fmu import foreign_fmu, foreign_map
 from tests.plant_testbed import FMU

@@ -87,9 +87,7 @@ def acceleration(start: Start, direction: str, torque_n_m: float) -> float:
         return (_component(_body(plant.truth()), direction) - before) / 0.3
 
 
-def slip_onset_n_m(
-    start: Start, direction: str, *, highest_n_m: float, resolution_n_m: float = 0.02
-) -> float | None:
+def slip_onset_n_m(start: Start, direction: str, *, highest_n_m: float, resolution_n_m: float = 0.02) -> float | None:
     """Return the least torque on all wheels of which 3 % of the acceleration are missing; None up to ``highest_n_m``.
 
     Missing of what a torque gives that is sure not to slip, in proportion. Found by bisection.

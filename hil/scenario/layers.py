@@ -2,8 +2,8 @@
 
 Tables merge key by key, the later layer wins. Everything else, arrays of tables too, is replaced as a whole.
 A layer that names another ``controller.law`` or ``reference.kind`` drops the options of the one before: they
-belong to that law or kind. So do ``plant.start`` and ``plant.map`` to a foreign FMU; the shipped ones share their
-variables. A row of ``plant.map`` that names a variable replaces the row before.
+belong to that law or kind. So do ``plant.start`` and ``plant.map`` to a foreign FMU; of the shipped ones one takes over
+from another the start values that it knows. A row of ``plant.map`` that names a variable replaces the row before.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from hil.errors import BadInputError
 from hil.scenario.tables import PLANT_SIGNALS, SHIPPED_FMUS, MapRow, PlantTable
+from plant_fmu.shipped import variable_names
 
 Path = tuple[str, ...]
 """Keys from the root to a value; a row of an array of tables is its number as text."""
@@ -52,7 +53,8 @@ def stack(below: Tree, above: Tree) -> Tree:
             if _differs(old.get(key, _DEFAULT_FMU if key == "fmu" else None), new.get(key)):
                 kept[table] = {name: node for name, node in old.items() if name in common}
             elif table == "plant":
-                kept[table] = {**old, "map": _kept_rows(old.get("map", {}), new.get("map", {}))}
+                rows = _kept_rows(old.get("map", {}), new.get("map", {}))
+                kept[table] = {**old, "map": rows, "start": _known_start(old.get("start", {}), new.get("fmu"))}
     return merge(kept, above)
 
 
@@ -159,6 +161,14 @@ def _kept_rows(below: Node, above: Node) -> Node:
         return below
     named = {signal for signal, row in above.items() if isinstance(row, dict) and "name" in row}
     return {signal: row for signal, row in below.items() if signal not in named}
+
+
+def _known_start(below: Node, fmu: Node | None) -> Node:
+    """Return the start values without those that the shipped FMU which the layer above names does not know."""
+    if not (isinstance(below, dict) and isinstance(fmu, Given) and fmu.value in SHIPPED_FMUS):
+        return below
+    known = variable_names(str(fmu.value))
+    return {name: given for name, given in below.items() if name in known}
 
 
 def _differs(old: Node | None, new: Node | None) -> bool:

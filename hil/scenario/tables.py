@@ -21,12 +21,13 @@ from hil.plant_signals import INPUTS, OUTPUTS
 from hil.scenario.fields import Milliseconds, Option, OptionValue, Start, Table, Text, is_path
 from hil.signals import SIGNAL_NAMES
 from hil.types import WHEEL_NAMES, CommandMode
-from plant_fmu import SHIPPED as SHIPPED_FMUS
+from plant_fmu import SHIPPED
 
 TICKS_PER_SECOND = 1000  # the firmware loop
 LOWEST_RATE_HZ = 20  # two commands within the longest watchdog
 RATES_HZ = tuple(rate for rate in range(LOWEST_RATE_HZ, 1001) if TICKS_PER_SECOND % rate == 0)
 DRIVERS = ("stm32",)
+SHIPPED_FMUS = tuple(SHIPPED)
 MUTABLE_MESSAGES = tuple(name for number, name in MESSAGE_NAMES.items() if number < FIRST_EXEMPT_ID)
 
 PLANT_SIGNALS = (*INPUTS, *OUTPUTS)
