@@ -1,4 +1,4 @@
-"""The three plants side by side (plant_fmu/PLANTS.md): rigid, slip, and MuJoCo's, the physics that nobody here wrote."""
+"""The three plants side by side (plant_fmu/PLANTS.md): rigid, slip, and MuJoCo's, which nobody here wrote."""
 
 import math
 

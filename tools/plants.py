@@ -26,7 +26,7 @@ PAGE = Path(plant_fmu.__file__).parent / "PLANTS.md"
 BEGIN, END = "<!-- plants: begin -->", "<!-- plants: end -->"
 GEOMETRY = Geometry(wheel_radius_m=0.075, lever_m=0.6)
 # What a scenario sets to have each plant, and the same as start values of the FMU.
-PLANTS: dict[str, tuple[str, dict[str, object]]] = {
+PLANTS: dict[str, tuple[str, dict[str, float | str]]] = {
     "rigid": ("mecanum", {"contact": "rigid"}),
     "slip": ("mecanum", {"contact": "slip", "roller_friction_coefficient": 0.0}),  # MuJoCo's rollers run freely too
     "MuJoCo": ("mecanum_mujoco", {}),
@@ -35,10 +35,10 @@ HIGHEST_N_M = 12.0
 LIMITED = {"robot.torque_limit_n_m": 1.8, "firmware.torque_limit_n_m": 1.8}
 
 
-def start(plant: str, **more: object) -> Start:
+def start(plant: str) -> Start:
     """Return what starts a plant of ``PLANTS`` for an experiment."""
     fmu, values = PLANTS[plant]
-    return lambda parameters: FmuPlant(plant_fmu.SHIPPED[fmu], {**values, **more, **parameters})
+    return lambda parameters: FmuPlant(plant_fmu.SHIPPED[fmu], {**values, **parameters})
 
 
 def circle(plant: str, scenario: str) -> dict[str, object]:
