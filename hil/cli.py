@@ -186,15 +186,24 @@ def fmu_build(
     all_platforms: Annotated[
         bool, typer.Option("--all-platforms", help="compile for Linux, Windows and macOS with zig; needs --out")
     ] = False,
+    mujoco: Annotated[bool, typer.Option("--mujoco", help="the MuJoCo plant instead, for this machine")] = False,
 ) -> None:
     """Compile the Mecanum plant and package it as FMUs, one for FMI 2.0 and one for FMI 3.0."""
     from native_build.compiler import BuildError
     from plant_fmu.build import build_all
+    from plant_fmu.mujoco import build as mujoco_plant
+    from plant_fmu.mujoco import path as mujoco_path
 
-    if all_platforms and out is None:
-        raise BadInputError("--all-platforms makes FMUs to give away; say where to with --out FOLDER")
+    if all_platforms and (out is None or mujoco):
+        raise BadInputError(
+            "--all-platforms makes FMUs of the shipped plant to give away; say where to with --out FOLDER"
+        )
     try:
-        for path in build_all(out, all_platforms=all_platforms):
+        if mujoco:
+            paths = [mujoco_plant.build(None if out is None else out / mujoco_path().name)]
+        else:
+            paths = build_all(out, all_platforms=all_platforms)
+        for path in paths:
             print(path)
     except BuildError as error:
         raise BadInputError(f"the FMU was not built: {error}") from error

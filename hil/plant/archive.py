@@ -23,7 +23,7 @@ DESCRIPTIONS = ("modelDescription.xml", "sources/buildDescription.xml")  # all t
 INTERFACES = {"CoSimulation": "co_simulation", "ModelExchange": "model_exchange"}  # that with the better first
 _MOST_DESCRIPTION_BYTES = 64 * 1024 * 1024
 LIBRARY_SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
-_BUILD = {"mecanum_mujoco": "python -m plant_fmu.mujoco"}
+_BUILD = {"mecanum_mujoco": "hil fmu build --mujoco"}
 
 
 class Header(NamedTuple):
