@@ -1,21 +1,21 @@
-# Two commands on a fresh machine: `make demo` and `make test`. Both set up .venv first and need Python 3.11 or newer,
-# make and a C compiler.
+# Two commands on a fresh machine: `make demo` and `make test`. Both set up .venv first and need Python 3.11 or newer
+# and make. Without a C compiler they are set up with zig. The tests want more than a user needs: .venv/tools.
 PYTHON ?= python3
 BIN := .venv/bin
-NATIVE_SOURCES := $(wildcard firmware_protocol/firmware/*.[ch] firmware_protocol/port/host/*.[ch] \
-	firmware_protocol/generated/*.[ch] plant_fmu/*.[ch] plant_fmu/*.toml plant_fmu/generated/* plant_fmu/*.py \
-	plant_fmu/documentation/* plant_fmu/documentation/licenses/* hil/plant/*.[ch] hil/plant/build.py \
-	firmware_protocol/build.py)
+NATIVE_SOURCES := $(wildcard native_build/*.py firmware_protocol/build.py firmware_protocol/firmware/*.[ch] \
+	firmware_protocol/port/host/*.[ch] firmware_protocol/generated/*.[ch] plant_fmu/*.[ch] plant_fmu/*.py \
+	plant_fmu/*.toml plant_fmu/generated/*.* plant_fmu/generated/*/* plant_fmu/documentation/*.* \
+	plant_fmu/documentation/licenses/* plant_fmu/reference/* hil/plant/*.[ch] hil/plant/build.py)
 
-.PHONY: demo test check picture format native clean setup
+.PHONY: demo test check picture format native fmu clean setup
 
 demo: setup
 	$(BIN)/hil run paper_circle
 
-test: setup
+test: setup .venv/tools
 	$(BIN)/python -m pytest
 
-check: setup
+check: setup .venv/tools
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
@@ -24,11 +24,11 @@ check: setup
 	$(BIN)/python -m firmware_protocol.generate --check
 	$(BIN)/python -m plant_fmu.generate --check
 
-picture: setup
+picture: setup .venv/tools
 	$(BIN)/hil run paper_circle --record runs/picture.rrd
 	$(BIN)/python tools/screenshot.py runs/picture.rrd tools/pictures/paper_circle.png
 
-format: setup
+format: .venv/tools
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
 	$(BIN)/clang-format -i $$(git ls-files '*.c' '*.h')
@@ -39,7 +39,12 @@ setup: .venv/installed native
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed; set PYTHON")'
 	@$(PYTHON) -c 'import ensurepip, venv' || { echo "Python's venv is missing; on Debian: apt install python3-venv"; exit 1; }
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	$(BIN)/pip install --quiet --disable-pip-version-check --editable .
+	@touch $@ .venv/native
+
+# Packages for tests, checks and the FMUs of all platforms.
+.venv/tools: .venv/installed
+	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[dev,mujoco]'
 	@touch $@
 
 native: .venv/native
@@ -49,6 +54,10 @@ native: .venv/native
 	$(BIN)/python -m plant_fmu.build
 	$(BIN)/python -m hil.plant.build
 	@touch $@
+
+# The FMUs to give away, with binaries for all platforms.
+fmu: .venv/tools
+	$(BIN)/python -m plant_fmu.build --all-platforms --out dist
 
 clean:
 	rm -rf .venv build dist runs

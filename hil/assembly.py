@@ -6,7 +6,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, TypeVar
 
-from hil.bench import NS, Bench, start_pose
+from hil.bench import NS, Bench
 from hil.controllers.registry import make_controller
 from hil.errors import DeviceError, HilError, LinkError
 from hil.estimator import make_estimator
@@ -87,7 +87,7 @@ def run_scenario(
         bench.faults.begin(origin_ns)
         with watch(loop) if watch is not None else contextlib.nullcontext():
             report = loop.run(origin_ns, round(scenario.loop.duration_s * NS))
-        failure = bench.robot_failure or report.failure
+        failure = bench.stop_robot() or report.failure
         metrics = _figures(scenario, bench, memory, report, failure, loop.commands_refused)
         if recording is not None:
             _note_events(recording, loop, metrics)
@@ -104,7 +104,6 @@ def _loop_of(scenario: Scenario) -> Callable[[Bench, Sink], Loop]:
     controller = make_controller(table.law, scenario.directory, model, table.mode, table.gains)
     reference = make_reference(scenario.reference.kind, scenario.reference.options)
     counts = scenario.firmware.counts_per_revolution
-    estimator = make_estimator(scenario.estimator.source, model, start_pose(scenario), counts)
     guard = Guard(model.speed_limit_rad_s, model.torque_limit_n_m)
     timing = Timing(
         scenario.loop.period_ns,
@@ -114,6 +113,7 @@ def _loop_of(scenario: Scenario) -> Callable[[Bench, Sink], Loop]:
     )
 
     def make(bench: Bench, sink: Sink) -> Loop:
+        estimator = make_estimator(scenario.estimator.source, model, bench.start_pose(), counts)
         parts = Parts(bench.clock, bench.device, bench.truth, estimator, reference, controller, guard, sink)
         return Loop(parts, table.mode, timing)
 
@@ -128,8 +128,8 @@ def _reach(bench: Bench, step: Callable[[], T]) -> T:
     try:
         return step()
     except (DeviceError, LinkError):
-        if bench.robot_failure is not None:
-            raise bench.robot_failure from None
+        if (failure := bench.stop_robot()) is not None:
+            raise failure from None
         raise
 
 

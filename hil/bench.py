@@ -3,7 +3,7 @@
 import contextlib
 import random
 import secrets
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from types import TracebackType
 from typing import Self
 
@@ -12,7 +12,7 @@ from hil.clock import LockstepClock, WallClock
 from hil.devices.handshake import Expected, RobotInfo
 from hil.devices.stm32 import Stm32
 from hil.devices.truth import TruthClient
-from hil.devices.virtual import LocalTruth, ServerThread, VirtualRobot, VirtualServer, VirtualStm32
+from hil.devices.virtual import LocalTruth, ServerThread, VirtualPlant, VirtualRobot, VirtualServer, VirtualStm32
 from hil.devices.wheel_map import WheelMap
 from hil.errors import BadInputError, HilError
 from hil.links.delay import DelayedLink
@@ -20,8 +20,10 @@ from hil.links.faults import Fault, FaultLink
 from hil.links.opening import is_within_process, open_host, open_pair
 from hil.links.url import parse_link
 from hil.plant import archive
+from hil.plant.description import parameter_names
+from hil.plant.mapping import Row, SignalMap
 from hil.ports import Clock, Link, PoseSource
-from hil.scenario import FaultTable, Scenario
+from hil.scenario import SHIPPED_FMUS, FaultTable, Scenario, StartValue
 from hil.types import Pose
 
 NS = 1_000_000_000
@@ -39,9 +41,21 @@ def firmware_values(scenario: Scenario) -> dict[str, float]:
         raise BadInputError(str(error)) from error
 
 
-def plant_start(scenario: Scenario) -> dict[str, float]:
-    """Return the FMU's parameters: what [robot] and [firmware] say, and over them what [plant.start] says."""
-    robot, firmware = scenario.robot, scenario.firmware
+def plant_start(scenario: Scenario, known: Collection[str]) -> dict[str, StartValue]:
+    """Return the FMU's start values: what [robot] and [firmware] say, and over them what [plant.start] says.
+
+    Of the former only what is ``known``, the names of the FMU's parameters: a foreign FMU may have none of them.
+    Raises BadInputError for a drive that the firmware cannot command.
+    """
+    robot, firmware, start = scenario.robot, scenario.firmware, scenario.plant.start
+    if scenario.plant.fmu in SHIPPED_FMUS and start.get("drive") in ("voltage", 3.0):
+        raise BadInputError(
+            f"plant.start.drive = {start['drive']!r}: the firmware commands torques and no duties, so the wheels would "
+            "stand still; use 'torque' or 'current'"
+        )
+    gear_ratio = start.get("gear_ratio")
+    # The firmware's torque constant is at the wheel, the FMU's at the motor's shaft.
+    turns = gear_ratio if isinstance(gear_ratio, float) and gear_ratio > 0.0 else 1.0
     believed = {
         "mass_kg": robot.mass_kg,
         "inertia_kg_m2": robot.inertia_kg_m2,
@@ -51,22 +65,39 @@ def plant_start(scenario: Scenario) -> dict[str, float]:
         "wheel_inertia_kg_m2": robot.wheel_inertia_kg_m2,
         "friction_coefficient": robot.friction_coefficient,
         "counts_per_revolution": float(firmware.counts_per_revolution),
-        "motor_constant_n_m_a": firmware.torque_constant_n_m_a,
+        "motor_constant_n_m_a": firmware.torque_constant_n_m_a / turns,
     }
-    return believed | dict(scenario.plant.start)
+    return {name: value for name, value in believed.items() if name in known} | dict(start)
 
 
-def start_pose(scenario: Scenario) -> Pose:
-    """Return where the scenario says that the robot starts; odometry begins there."""
-    start = scenario.plant.start
-    return Pose(*(start.get(f"start_{name}", 0.0) for name in ("x_m", "y_m", "heading_rad")))
+def signal_map(scenario: Scenario) -> SignalMap:
+    """Return [plant.map], with what the signals that the FMU lacks follow from."""
+    firmware = scenario.firmware
+    return SignalMap(
+        {signal: Row(row.name, row.scale, row.offset, row.sign) for signal, row in scenario.plant.map.items()},
+        float(firmware.counts_per_revolution),
+        firmware.torque_constant_n_m_a,
+    )
+
+
+def start_pose(scenario: Scenario) -> Pose | None:
+    """Return where the scenario says that the robot starts.
+
+    None when it does not say: where a foreign FMU starts only that knows.
+    """
+    given = [scenario.plant.start.get(f"start_{name}") for name in Pose._fields]
+    if scenario.plant.fmu in SHIPPED_FMUS:
+        given = [0.0 if value is None else value for value in given]
+    numbers = [value for value in given if isinstance(value, float)]
+    return Pose(*numbers) if len(numbers) == len(given) else None
 
 
 def virtual_robot(scenario: Scenario) -> VirtualRobot:
-    """Return what the scenario's virtual robot is made of. Raises BadInputError when its FMU is missing."""
+    """Return what the scenario's virtual robot is made of. Raises BadInputError when its FMU is missing or none."""
+    fmu = archive.locate(scenario.plant.fmu, scenario.directory)
+    start = plant_start(scenario, parameter_names(fmu))
     return VirtualRobot(
-        archive.locate(scenario.plant.fmu, scenario.directory),
-        plant_start(scenario),
+        VirtualPlant(fmu, start, signal_map(scenario), scenario.plant.timeout_s),
         firmware_values(scenario),
         scenario.loop.mode == "lockstep",
         wheel_map(scenario),
@@ -153,11 +184,24 @@ class Bench:
         """Shake hands with the robot."""
         return self.device.connect()
 
-    @property
-    def robot_failure(self) -> HilError | None:
-        """What ended the robot in this process, if something did."""
-        if self._thread is not None and self._thread.failure is not None:
-            return self._thread.failure
+    def start_pose(self) -> Pose:
+        """Return where odometry begins, asked before the robot moves.
+
+        Where the scenario leaves that to a foreign FMU it is the true pose, without truth the origin.
+        """
+        said = start_pose(self._scenario)
+        fix = self.truth.poll() if said is None and self.truth is not None else None
+        return said or (fix.pose if fix is not None else Pose(0.0, 0.0, 0.0))
+
+    def stop_robot(self) -> HilError | None:
+        """Stop the robot in this process, when the run is over, and return what ended it before, if something did.
+
+        A plant that hangs is waited for: its time limit ends it.
+        """
+        if self._thread is not None:
+            self._thread.close()
+            if self._thread.failure is not None:
+                return self._thread.failure
         return self._robot.failure() if self._robot is not None else None
 
     @property

@@ -8,6 +8,7 @@ import json
 import math
 import signal
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from types import FrameType
 from typing import Annotated, Any
@@ -181,14 +182,30 @@ def view(
 
 @fmu_app.command("build")
 def fmu_build(
-    out: Annotated[Path | None, typer.Option(metavar="FILE", help="by default the shipped place")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FOLDER", help="by default the shipped place")] = None,
+    all_platforms: Annotated[
+        bool, typer.Option("--all-platforms", help="compile for Linux, Windows and macOS with zig; needs --out")
+    ] = False,
+    mujoco: Annotated[bool, typer.Option("--mujoco", help="the MuJoCo plant instead, for this machine")] = False,
 ) -> None:
-    """Compile the Mecanum plant and package it as an FMU."""
-    from plant_fmu.build import BuildError, build
+    """Compile the Mecanum plant and package it as FMUs, one for FMI 2.0 and one for FMI 3.0."""
+    from native_build.compiler import BuildError
+    from plant_fmu.build import build_all
+    from plant_fmu.mujoco import build as mujoco_plant
+    from plant_fmu.mujoco import path as mujoco_path
 
+    if all_platforms and (out is None or mujoco):
+        raise BadInputError(
+            "--all-platforms makes FMUs of the shipped plant to give away; say where to with --out FOLDER"
+        )
     try:
-        print(build(out))
-    except (BuildError, OSError) as error:
+        if mujoco:
+            paths = [mujoco_plant.build(None if out is None else out / mujoco_path().name)]
+        else:
+            paths = build_all(out, all_platforms=all_platforms)
+        for path in paths:
+            print(path)
+    except BuildError as error:
         raise BadInputError(f"the FMU was not built: {error}") from error
 
 
@@ -196,27 +213,39 @@ FmuName = Annotated[str, typer.Argument(metavar="FMU", help="a path, or the ship
 
 
 @fmu_app.command("info")
-def fmu_info(fmu: FmuName = "mecanum") -> None:
-    """Show what an FMU says of itself, and its variables with units."""
+def fmu_info(
+    fmu: FmuName = "mecanum",
+    names: Annotated[
+        str, typer.Argument(metavar="[PATTERN]", help="only variables with such names, for example 'wheel.*'")
+    ] = "*",
+    as_json: Json = False,
+) -> None:
+    """Show what an FMU says of itself, and its variables with units. Runs nothing of it."""
     from hil import report
     from hil.plant import archive
-    from hil.plant.tools import info
+    from hil.plant.info import info
 
-    report.print_fmu(info(archive.locate(fmu, Path())))
+    about = info(archive.locate(fmu, Path()), names)
+    if as_json:
+        _print_json(asdict(about))
+    else:
+        report.print_fmu(about)
 
 
 @fmu_app.command("check")
-def fmu_check(fmu: FmuName = "mecanum") -> None:
+def fmu_check(fmu: FmuName = "mecanum", as_json: Json = False) -> None:
     """Validate an FMU and run it through the FMI calling sequence; exit 1 when something is wrong."""
+    from hil import report
     from hil.plant import archive
     from hil.plant.tools import check
 
     path = archive.locate(fmu, Path())
-    problems = check(path)
-    for problem in problems:
-        print(problem)
-    print(f"{path}: {len(problems)} problems" if problems else f"{path}: no problems")
-    raise typer.Exit(1 if problems else 0)
+    result = check(path)
+    if as_json:
+        _print_json({"fmu": str(path), "passed": not result.problems, **asdict(result)})
+    else:
+        report.print_check(path, result)
+    raise typer.Exit(1 if result.problems else 0)
 
 
 def _interrupt(_number: int, _frame: FrameType | None) -> None:

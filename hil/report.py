@@ -15,7 +15,8 @@ from hil.results import RunResult
 if TYPE_CHECKING:
     from hil.assembly import Watch
     from hil.loop import Loop
-    from hil.plant.tools import FmuInfo
+    from hil.plant.info import FmuInfo, VariableInfo
+    from hil.plant.tools import CheckResult
 
 _REFRESH_S = 0.1
 
@@ -176,15 +177,73 @@ def print_table(rows: Sequence[Sequence[str]]) -> None:
 
 
 def print_fmu(info: "FmuInfo") -> None:
-    """Print an FMU's description and its variables."""
-    print(f"{info.path}{' (shipped)' if info.shipped else ''}")
-    print(f"{info.model_name}: {info.description or 'no description'}")
-    kinds = {"co-simulation": info.co_simulation, "model exchange": info.model_exchange}
-    print(f"FMI {info.fmi_version}, {' and '.join(kind for kind, name in kinds.items() if name)}")
-    print(f"platforms: {', '.join(info.platforms) or 'none'}")
-    print(f"capabilities: {', '.join(info.capabilities) or 'none'}")
-    print(f"sha256: {info.sha256}")
+    """Print an FMU's description, and its variables as a table."""
+    print(f"{info.path}{f' (shipped as {info.shipped})' if info.shipped else ''}")
+    facts = [("model", info.model_name), *info.about.items(), ("FMI version", info.fmi_version)]
+    for interface, identifier in info.interfaces.items():
+        claims = ", ".join(info.capabilities[interface]) or "no optional capabilities"
+        facts.append((interface, f"{identifier}: {claims}"))
+    experiment = ", ".join(f"{name} {value}" for name, value in info.experiment.items())
+    facts += [("platforms", ", ".join(info.platforms) or "none"), ("default experiment", experiment or "none")]
+    facts.append(("sha256", info.sha256))
+    print_table([(f"  {name}", _printable(value)) for name, value in facts])
     print()
-    rows = [("name", "causality", "type", "unit", "start", "description")]
-    rows += [(v.name, v.causality, v.type, v.unit or "", v.start or "", v.description or "") for v in info.variables]
-    print_table(rows)
+    header = ("name", "causality", "variability", "type", "unit", "start", "range", "description")
+    rows = [
+        (v.name, v.causality, v.variability, _type(v), v.unit or "", v.start or "", _range(v), v.description or "")
+        for v in info.variables
+    ]
+    _print_rich_table(header, rows)
+
+
+def print_check(fmu: Path, result: "CheckResult") -> None:
+    """Print the parts of a check as a table, then what is wrong."""
+    rows = []
+    for part in result.parts:
+        outcome = "fail" if part.problems else "skip" if part.skipped else "pass"
+        rows.append((part.name, outcome, part.skipped or ""))
+    _print_rich_table(("part", "outcome", "reason"), rows)
+    for problem in result.problems:
+        print(_printable(problem))
+    count = len(result.problems)
+    print(f"{fmu}: {count or 'no'} problem{'' if count == 1 else 's'}")
+
+
+def _print_rich_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a table; names are never cut, and where no terminal is, nothing is folded, so that it can be searched."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for place, name in enumerate(header):
+        table.add_column(name, no_wrap=place == 0, overflow="fold")
+    for row in rows:
+        table.add_row(*(Text(_printable(cell)) for cell in row))
+    console = Console()
+    if not console.is_terminal:
+        console = Console(
+            width=max(80, 4 * len(header) + sum(max(map(len, column)) for column in zip(header, *rows, strict=True)))
+        )
+    console.print(table)
+
+
+def _printable(text: str) -> str:
+    """Return text of a stranger without signs that a terminal would obey."""
+    return "".join(sign if sign.isprintable() else " " for sign in text)
+
+
+def _type(variable: "VariableInfo") -> str:
+    size = ", ".join(map(str, variable.dimensions))
+    return f"{variable.type}[{size}]" if size else variable.type
+
+
+def _range(variable: "VariableInfo") -> str:
+    if variable.items:
+        return " | ".join(f"{value} {name}" for name, value in variable.items)
+    low, high = variable.min, variable.max
+    if low is None and high is None:
+        return ""
+    if high is None:
+        return f"from {low}"
+    return f"up to {high}" if low is None else f"{low} to {high}"

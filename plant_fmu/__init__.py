@@ -1,12 +1,22 @@
-"""The plant: a rigid four-wheel Mecanum robot as an FMI 2.0 co-simulation FMU.
+"""The plant: a four-wheel Mecanum robot as co-simulation FMUs, one for FMI 2.0 and one for FMI 3.0.
 
-variables.toml defines its variables, mecanum.c its equations, instance.c and fmi2.c the slave around them;
-build.py makes the FMU. Imports nothing of the other packages.
+variables.toml defines its variables, mecanum.c its equations, instance.c, fmi2.c and fmi3.c the slave around them;
+build.py makes the FMUs. Imports nothing of the other packages but how C is compiled (native_build).
 """
 
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
+
+_FILES = {2: "mecanum.fmu", 3: "mecanum_fmi3.fmu"}
 
 
-def path() -> Path:
-    """Return where the FMU is once built (``python -m plant_fmu.build``)."""
-    return Path(__file__).parent / "mecanum.fmu"
+def path(fmi: int = 2) -> Path:
+    """Return where the FMU of one FMI version (2 or 3) is once built (``python -m plant_fmu.build``)."""
+    return Path(__file__).parent / _FILES[fmi]
+
+
+# The FMUs that a scenario may give by name, with where they are once built.
+SHIPPED: Mapping[str, Path] = MappingProxyType(
+    {"mecanum": path(2), "mecanum_fmi3": path(3), "mecanum_mujoco": Path(__file__).parent / "mecanum_mujoco.fmu"}
+)

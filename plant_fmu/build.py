@@ -1,181 +1,93 @@
-"""Compiles the plant for this machine and packs it as an FMU. Needs the standard library and a C compiler.
+"""Compiles the plant and packs it as FMUs, one for each FMI version.
 
-``python -m plant_fmu.build [--out FILE]`` does nothing when the FMU is up to date. The archive depends on
-nothing but its inputs (fixed dates, no compression), so that the FMU's SHA-256 is the same on every run of
-one compiler.
+``python -m plant_fmu.build`` compiles for this machine with any C compiler; ``--all-platforms`` with zig for all that
+``plant_fmu.platforms`` names. Both do nothing when the FMUs are up to date. An FMU depends on nothing but its inputs,
+so that its SHA-256 is the same on every run of one compiler; with zig, also on every machine.
 """
 
 import argparse
 import hashlib
-import os
-import platform
-import shlex
-import shutil
-import subprocess
 import sys
 import tempfile
-import xml.etree.ElementTree as ET
-import zipfile
-from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import plant_fmu
-from plant_fmu import generate
+from native_build.compiler import FLAGS, BuildError, compile_shared, compiler, version, zig
+from plant_fmu import generate, pack, platforms
 
-HERE = Path(__file__).parent
-DESCRIPTION = HERE / "generated" / "modelDescription.xml"
-SOURCES = tuple(HERE / name for name in generate.SOURCE_FILES)
-HEADERS = (
-    HERE / "fmi2.h",
-    HERE / "instance.h",
-    HERE / "mecanum.h",
-    HERE / "model.h",
-    HERE / "generated" / "mecanum_variables.h",
-)
-DOCUMENTS = (HERE / "documentation" / "index.html", HERE / "documentation" / "licenses" / "license.txt")
-# Without fused multiply-add the same sources give the same numbers on every machine that rounds by IEEE 754.
-FLAGS = (
-    "-std=c11",
-    "-O3",
-    "-ffp-contract=off",
-    "-Wall",
-    "-Wextra",
-    "-Wconversion",
-    "-Werror",
-)
-SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
-_DATE = (1980, 1, 1, 0, 0, 0)
+_FLAGS = ("-fvisibility=hidden",)
+_INCLUDE = (pack.HERE, pack.GENERATED)
 
 
-class BuildError(Exception):
-    """The FMU could not be built; the message says what to do."""
-
-
-def binaries_folder() -> str:
-    """Return the folder of this platform's binary in an FMI 2.0 archive (section 2.3): ``linux64``.
-
-    The standard's names do not tell one 64-bit architecture from another.
-    """
-    system = {"win32": "win", "darwin": "darwin"}.get(sys.platform, "linux")
-    return f"{system}{64 if sys.maxsize > 2**32 else 32}"
-
-
-def compiler(cc: str | None = None) -> list[str]:
-    """Return the C compiler's command: ``cc``, ``$CC``, or cc, gcc, clang. Raises BuildError without one.
-
-    A command may have several words, such as ``python -m ziglang cc``.
-    """
-    given = cc or os.environ.get("CC")
-    commands = [shlex.split(given)] if given else [["cc"], ["gcc"], ["clang"]]
-    for command in commands:
-        if found := shutil.which(command[0]):
-            return [found, *command[1:]]
-    tried = ", ".join(command[0] for command in commands)
-    raise BuildError(f"no C compiler found (tried {tried}); install one, for example gcc, or set CC")
-
-
-def compile_shared(
-    sources: Iterable[Path],
-    library: Path,
-    include: Sequence[Path] = (),
-    cc: str | None = None,
-    flags: Sequence[str] = (),
-) -> None:
-    """Compile C sources into a shared library, whole or not at all. Raises BuildError with what cc said."""
-    unfinished = library.with_name(f"{library.name}.{os.getpid()}.tmp")
-    windows = sys.platform == "win32"
-    command = [*compiler(cc), *FLAGS, *flags, "-shared", *([] if windows else ["-fPIC"])]
-    command += [f"-I{folder}" for folder in include]
-    command += [*map(str, sources), "-o", str(unfinished), *([] if windows else ["-lm"])]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode != 0:
-        unfinished.unlink(missing_ok=True)
-        raise BuildError(f"{shlex.join(command)} failed:\n{done.stderr}")
-    unfinished.replace(library)
-
-
-def build(out: Path | None = None, cc: str | None = None) -> Path:
-    """Build the FMU unless it is up to date, and return its path.
+def build(out: Path | None = None, *, fmi: int = 2, cc: str | None = None, all_platforms: bool = False) -> Path:
+    """Build the FMU of one FMI version (2 or 3) unless it is up to date, and return its path.
 
     Raises BuildError when there is no compiler, when it fails, when a generated file is stale, and when
     ``out`` cannot be written.
     """
-    out = plant_fmu.path() if out is None else out
-    inputs = _inputs_digest(compiler(cc))
-    if _is_made_from(out, inputs):
-        return out
-    if stale := [path for path in generate.stale() if path.parent == DESCRIPTION.parent]:
+    return _build({fmi: plant_fmu.path(fmi) if out is None else out}, cc, all_platforms)[0]
+
+
+def build_all(folder: Path | None = None, *, cc: str | None = None, all_platforms: bool = False) -> list[Path]:
+    """Build the FMUs of all FMI versions, by default in the package's folder, and return their paths.
+
+    Raises BuildError as ``build`` does.
+    """
+    paths = {fmi: plant_fmu.path(fmi) for fmi in pack.DESCRIPTIONS}
+    outs = {fmi: path if folder is None else folder / path.name for fmi, path in paths.items()}
+    return _build(outs, cc, all_platforms)
+
+
+def _build(outs: dict[int, Path], cc: str | None, all_platforms: bool) -> list[Path]:
+    command = zig() if all_platforms else compiler(cc)
+    inputs = {fmi: _inputs_digest(fmi, command, all_platforms) for fmi in outs}
+    wanted = {fmi: out for fmi, out in outs.items() if pack.comment_of(out) != inputs[fmi]}
+    if wanted and (stale := [path for path in generate.stale() if pack.GENERATED in path.parents]):
         raise BuildError(f"{stale[0].name} is stale; run python -m plant_fmu.generate")
+    libraries = _libraries(cc, all_platforms) if wanted else {}
+    for fmi, out in wanted.items():
+        members = {**platforms.members(fmi, pack.model_identifier(fmi), libraries), **pack.text_members(fmi)}
+        try:
+            pack.write(members, out, inputs[fmi])
+        except OSError as error:
+            raise BuildError(f"{out}: cannot be written ({error.strerror}); choose another file") from error
+    return list(outs.values())
+
+
+def _libraries(cc: str | None, all_platforms: bool) -> dict[str, bytes]:
+    """Return the library of each platform, by its tuple. One library serves every FMI version."""
+    targets = platforms.ZIG_TARGETS if all_platforms else {platforms.this_platform(): None}
+    libraries = {}
     with tempfile.TemporaryDirectory(prefix="plant_fmu_") as folder:
-        library = Path(folder) / f"mecanum{SUFFIX}"
-        compile_shared(SOURCES, library, include=(HERE, HERE / "generated"), cc=cc, flags=("-fvisibility=hidden",))
-        members = {f"binaries/{binaries_folder()}/{library.name}": library.read_bytes(), **_text_members()}
-    try:
-        _pack(members, out, inputs)
-    except OSError as error:
-        raise BuildError(f"{out}: cannot be written ({error.strerror}); choose another file") from error
-    return out
+        for name, target in targets.items():
+            library = Path(folder) / f"mecanum{platforms.suffix(name)}"
+            compile_shared(pack.SOURCES, library, include=_INCLUDE, cc=cc, flags=_FLAGS, zig_target=target)
+            libraries[name] = library.read_bytes()
+    return libraries
 
 
-def _text_members() -> dict[str, bytes]:
-    files = {
-        "modelDescription.xml": DESCRIPTION,
-        **{f"sources/{path.name}": path for path in (*SOURCES, *HEADERS)},
-        **{path.relative_to(HERE).as_posix(): path for path in DOCUMENTS},
-    }
-    members = {name: path.read_bytes() for name, path in files.items()}
-    return {**members, "sources/buildDescription.xml": _build_description()}
-
-
-def _build_description() -> bytes:
-    """Return how to compile ``sources/``: FMI 3.0 section 2.5.5, which importers of 2.0 read too."""
-    root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
-    configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier="mecanum")
-    files = ET.SubElement(configuration, "SourceFileSet", language="C11")
-    for source in SOURCES:
-        ET.SubElement(files, "SourceFile", name=source.name)
-    ET.indent(root)
-    text = ET.tostring(root, encoding="unicode")
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'.encode()
-
-
-def _inputs_digest(command: list[str]) -> str:
-    """Return a hash of all that the FMU is made from, the compiler included."""
-    version = subprocess.run([*command, "--version"], capture_output=True, text=True, check=False).stdout
-    digest = hashlib.sha256(repr((command, version, FLAGS, platform.machine(), binaries_folder())).encode())
-    for path in (Path(__file__), HERE / "variables.toml", DESCRIPTION, *SOURCES, *HEADERS, *DOCUMENTS):
-        digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+def _inputs_digest(fmi: int, command: list[str], all_platforms: bool) -> str:
+    """Return a hash of all that the FMU is made from: the compiler wherever it is, flags, targets, files."""
+    targets = sorted(platforms.ZIG_TARGETS.items()) if all_platforms else platforms.this_platform()
+    digest = hashlib.sha256(repr((command[1:], version(command), FLAGS, _FLAGS, targets)).encode())
+    for module in (sys.modules[__name__], pack, platforms):
+        digest.update(Path(str(module.__file__)).read_bytes())
+    for name, content in sorted({**pack.text_members(fmi), "variables.toml": pack.DEFINITION.read_bytes()}.items()):
+        digest.update(name.encode() + b"\0" + content + b"\0")
     return digest.hexdigest()
 
 
-def _is_made_from(out: Path, inputs: str) -> bool:
-    if not zipfile.is_zipfile(out):
-        return False
-    with zipfile.ZipFile(out) as archive:
-        return archive.comment == inputs.encode()
-
-
-def _pack(members: dict[str, bytes], out: Path, inputs: str) -> None:
-    out.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = out.with_name(f"{out.name}.{os.getpid()}.tmp")
-    try:
-        with zipfile.ZipFile(unfinished, "w") as archive:
-            archive.comment = inputs.encode()
-            for name in sorted(members):
-                entry = zipfile.ZipInfo(name, date_time=_DATE)
-                entry.create_system, entry.external_attr = 3, 0o100644 << 16
-                archive.writestr(entry, members[name])
-        unfinished.replace(out)
-    finally:
-        unfinished.unlink(missing_ok=True)
-
-
 def main() -> None:
-    """Build the FMU and print its path."""
-    parser = argparse.ArgumentParser(prog="plant_fmu.build", description="Build the plant's FMU for this machine.")
-    parser.add_argument("--out", type=Path, help="the FMU to write; the package's own by default")
+    """Build the FMUs and print their paths."""
+    parser = argparse.ArgumentParser(prog="plant_fmu.build", description="Build the plant's FMUs.")
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help="where to write them; the package's own by default")
+    parser.add_argument("--all-platforms", action="store_true", help="compile with zig for all platforms")
+    arguments = parser.parse_args()
+    if arguments.all_platforms and arguments.out is None:
+        parser.error("--all-platforms makes FMUs to give away; say where to with --out FOLDER")
     try:
-        print(build(parser.parse_args().out))
+        for path in build_all(arguments.out, all_platforms=arguments.all_platforms):
+            print(path)
     except BuildError as error:
         sys.exit(f"plant_fmu.build: {error}")
 

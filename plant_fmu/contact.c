@@ -20,7 +20,7 @@ void mecanum_rigid_acceleration(const mecanum_model *model, const double body_fo
             force[j] += model->rolling[i][j] * torque_n_m[i];
         }
     }
-    mecanum_apply(model->inverse_mass, force, acceleration);
+    mecanum_apply(&model->inverse_mass, force, acceleration);
 }
 
 /* Rate of a deflection z whose contact slides at `slip`: elasto-plastic, so that it neither creeps under a
@@ -105,5 +105,5 @@ void mecanum_slip_acceleration(const mecanum_model *model, const double body_for
         force[1] += contact->force_y_n[i];
         force[2] += model->wheel_x_m[i] * contact->force_y_n[i] - model->wheel_y_m[i] * contact->force_x_n[i];
     }
-    mecanum_apply(model->inverse_mass, force, acceleration);
+    mecanum_apply(&model->inverse_mass, force, acceleration);
 }

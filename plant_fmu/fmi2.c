@@ -5,10 +5,11 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "instance.h"
+#include "fmi_function.h"
+#include "saved_state.h"
 
 typedef struct {
-    plant_instance plant;
+    plant_instance plant; /* first: who has a component has its plant */
     fmi2CallbackFunctions callbacks;
     bool log_errors;
     char name[]; /* flexible: the importer's string need not outlive the call */
@@ -54,17 +55,17 @@ static fmi2Status unsupported(fmi2Component c, const char *call) {
 
 /* --- Section 2.1.4 and 2.1.5: versions, instances, logging --- */
 
-FMI2(const char *, fmi2GetTypesPlatform, void) {
+FMI(const char *, fmi2GetTypesPlatform, void) {
     return "default";
 }
 
-FMI2(const char *, fmi2GetVersion, void) {
+FMI(const char *, fmi2GetVersion, void) {
     return "2.0";
 }
 
-FMI2(fmi2Component, fmi2Instantiate, fmi2String instanceName, fmi2Type fmuType, fmi2String fmuGUID,
-     fmi2String fmuResourceLocation, const fmi2CallbackFunctions *functions, fmi2Boolean visible,
-     fmi2Boolean loggingOn) {
+FMI(fmi2Component, fmi2Instantiate, fmi2String instanceName, fmi2Type fmuType, fmi2String fmuGUID,
+    fmi2String fmuResourceLocation, const fmi2CallbackFunctions *functions, fmi2Boolean visible,
+    fmi2Boolean loggingOn) {
     (void)fmuResourceLocation; /* there are no resources */
     (void)visible;
     (void)loggingOn; /* turns on debug messages, of which there are none; errors are always worth a line */
@@ -97,12 +98,15 @@ FMI2(fmi2Component, fmi2Instantiate, fmi2String instanceName, fmi2Type fmuType, 
     return s;
 }
 
-FMI2(void, fmi2FreeInstance, fmi2Component c) {
+FMI(void, fmi2FreeInstance, fmi2Component c) {
+    if (c != NULL) {
+        plant_release(&((slave *)c)->plant);
+    }
     free(c);
 }
 
-FMI2(fmi2Status, fmi2SetDebugLogging, fmi2Component c, fmi2Boolean loggingOn, size_t nCategories,
-     const fmi2String categories[]) {
+FMI(fmi2Status, fmi2SetDebugLogging, fmi2Component c, fmi2Boolean loggingOn, size_t nCategories,
+    const fmi2String categories[]) {
     plant_instance *const plant = legal(c, PLANT_ANY, "setDebugLogging");
     if (plant == NULL) {
         return fmi2Error;
@@ -118,34 +122,35 @@ FMI2(fmi2Status, fmi2SetDebugLogging, fmi2Component c, fmi2Boolean loggingOn, si
 
 /* --- Section 2.1.6: initialization, termination, reset --- */
 
-FMI2(fmi2Status, fmi2SetupExperiment, fmi2Component c, fmi2Boolean toleranceDefined, fmi2Real tolerance,
-     fmi2Real startTime, fmi2Boolean stopTimeDefined, fmi2Real stopTime) {
+FMI(fmi2Status, fmi2SetupExperiment, fmi2Component c, fmi2Boolean toleranceDefined, fmi2Real tolerance,
+    fmi2Real startTime, fmi2Boolean stopTimeDefined, fmi2Real stopTime) {
     (void)toleranceDefined; /* the internal step is fixed */
     (void)tolerance;
     plant_instance *const plant = legal(c, PLANT_INSTANTIATED, "setupExperiment");
     return status(plant != NULL && plant_setup(plant, startTime, stopTimeDefined != fmi2False, stopTime));
 }
 
-FMI2(fmi2Status, fmi2EnterInitializationMode, fmi2Component c) {
+FMI(fmi2Status, fmi2EnterInitializationMode, fmi2Component c) {
     plant_instance *const plant = legal(c, PLANT_INSTANTIATED, "enterInitializationMode");
     return status(plant != NULL && plant_enter_initialization(plant));
 }
 
-FMI2(fmi2Status, fmi2ExitInitializationMode, fmi2Component c) {
+FMI(fmi2Status, fmi2ExitInitializationMode, fmi2Component c) {
     plant_instance *const plant = legal(c, PLANT_INITIALIZATION, "exitInitializationMode");
     return status(plant != NULL && plant_exit_initialization(plant));
 }
 
-FMI2(fmi2Status, fmi2Terminate, fmi2Component c) {
+FMI(fmi2Status, fmi2Terminate, fmi2Component c) {
     plant_instance *const plant = legal(c, PLANT_STEP_COMPLETE, "terminate");
     return status(plant != NULL && plant_terminate(plant));
 }
 
-FMI2(fmi2Status, fmi2Reset, fmi2Component c) {
+FMI(fmi2Status, fmi2Reset, fmi2Component c) {
     plant_instance *const plant = legal(c, PLANT_ANY, "reset");
     if (plant == NULL) {
         return fmi2Error;
     }
+    plant_release(plant);
     plant_init(plant, report, c);
     return fmi2OK;
 }
@@ -154,27 +159,27 @@ FMI2(fmi2Status, fmi2Reset, fmi2Component c) {
 
 _Static_assert(sizeof(fmi2Integer) == sizeof(int32_t), "the plant keeps integers in 32 bits");
 
-FMI2(fmi2Status, fmi2GetReal, fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Real value[]) {
+FMI(fmi2Status, fmi2GetReal, fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Real value[]) {
     plant_instance *const plant = legal(c, IN_GET, "getReal");
     return status(plant != NULL && plant_get(plant, PLANT_REAL, vr, nvr, value));
 }
 
-FMI2(fmi2Status, fmi2GetInteger, fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
-     fmi2Integer value[]) {
+FMI(fmi2Status, fmi2GetInteger, fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
+    fmi2Integer value[]) {
     plant_instance *const plant = legal(c, IN_GET, "getInteger");
-    return status(plant != NULL && plant_get(plant, PLANT_INTEGER, vr, nvr, value));
+    return status(plant != NULL && plant_get(plant, PLANT_INTEGER | PLANT_ENUMERATION, vr, nvr, value));
 }
 
-FMI2(fmi2Status, fmi2SetReal, fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
-     const fmi2Real value[]) {
+FMI(fmi2Status, fmi2SetReal, fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
+    const fmi2Real value[]) {
     plant_instance *const plant = legal(c, IN_SET, "setReal");
     return status(plant != NULL && plant_set(plant, PLANT_REAL, vr, nvr, value));
 }
 
-FMI2(fmi2Status, fmi2SetInteger, fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
-     const fmi2Integer value[]) {
+FMI(fmi2Status, fmi2SetInteger, fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
+    const fmi2Integer value[]) {
     plant_instance *const plant = legal(c, IN_SET, "setInteger");
-    return status(plant != NULL && plant_set(plant, PLANT_INTEGER, vr, nvr, value));
+    return status(plant != NULL && plant_set(plant, PLANT_INTEGER | PLANT_ENUMERATION, vr, nvr, value));
 }
 
 /* There are no Boolean or String variables: a call for none of them is fine. */
@@ -184,71 +189,51 @@ static fmi2Status none_of_this_type(fmi2Component c, unsigned modes, size_t nvr,
                   (nvr == 0 || plant_fail(plant, "%s: there are no variables of this type", call)));
 }
 
-FMI2(fmi2Status, fmi2GetBoolean, fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
-     fmi2Boolean value[]) {
+FMI(fmi2Status, fmi2GetBoolean, fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
+    fmi2Boolean value[]) {
     (void)vr, (void)value;
     return none_of_this_type(c, IN_GET, nvr, "getBoolean");
 }
 
-FMI2(fmi2Status, fmi2GetString, fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
-     fmi2String value[]) {
+FMI(fmi2Status, fmi2GetString, fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
+    fmi2String value[]) {
     (void)vr, (void)value;
     return none_of_this_type(c, IN_GET, nvr, "getString");
 }
 
-FMI2(fmi2Status, fmi2SetBoolean, fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
-     const fmi2Boolean value[]) {
+FMI(fmi2Status, fmi2SetBoolean, fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
+    const fmi2Boolean value[]) {
     (void)vr, (void)value;
     return none_of_this_type(c, IN_SET, nvr, "setBoolean");
 }
 
-FMI2(fmi2Status, fmi2SetString, fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
-     const fmi2String value[]) {
+FMI(fmi2Status, fmi2SetString, fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
+    const fmi2String value[]) {
     (void)vr, (void)value;
     return none_of_this_type(c, IN_SET, nvr, "setString");
 }
 
 /* --- Section 2.1.8: saved states --- */
 
-FMI2(fmi2Status, fmi2GetFMUstate, fmi2Component c, fmi2FMUstate *FMUstate) {
+FMI(fmi2Status, fmi2GetFMUstate, fmi2Component c, fmi2FMUstate *FMUstate) {
     plant_instance *const plant = legal(c, PLANT_ANY, "getFMUstate");
-    if (plant == NULL) {
-        return fmi2Error;
-    }
-    if (*FMUstate == NULL) {
-        *FMUstate = malloc(sizeof plant->now);
-    }
-    if (*FMUstate == NULL) {
-        return status(plant_fail(plant, "getFMUstate: out of memory"));
-    }
-    memcpy(*FMUstate, &plant->now, sizeof plant->now);
-    return fmi2OK;
+    return status(plant != NULL && plant_save(plant, FMUstate));
 }
 
-FMI2(fmi2Status, fmi2SetFMUstate, fmi2Component c, fmi2FMUstate FMUstate) {
+FMI(fmi2Status, fmi2SetFMUstate, fmi2Component c, fmi2FMUstate FMUstate) {
     plant_instance *const plant = legal(c, PLANT_ANY, "setFMUstate");
-    if (plant == NULL) {
-        return fmi2Error;
-    }
-    if (FMUstate == NULL) {
-        return status(plant_fail(plant, "setFMUstate: no state given"));
-    }
-    memcpy(&plant->now, FMUstate, sizeof plant->now);
-    return fmi2OK;
+    return status(plant != NULL && plant_restore(plant, FMUstate));
 }
 
-FMI2(fmi2Status, fmi2FreeFMUstate, fmi2Component c, fmi2FMUstate *FMUstate) {
+FMI(fmi2Status, fmi2FreeFMUstate, fmi2Component c, fmi2FMUstate *FMUstate) {
     if (legal(c, PLANT_ANY, "freeFMUstate") == NULL) {
         return fmi2Error;
     }
-    if (FMUstate != NULL) {
-        free(*FMUstate);
-        *FMUstate = NULL;
-    }
+    plant_forget(FMUstate);
     return fmi2OK;
 }
 
-FMI2(fmi2Status, fmi2SerializedFMUstateSize, fmi2Component c, fmi2FMUstate FMUstate, size_t *size) {
+FMI(fmi2Status, fmi2SerializedFMUstateSize, fmi2Component c, fmi2FMUstate FMUstate, size_t *size) {
     (void)FMUstate; /* every state has one size */
     if (legal(c, PLANT_ANY, "serializedFMUstateSize") == NULL) {
         return fmi2Error;
@@ -257,47 +242,28 @@ FMI2(fmi2Status, fmi2SerializedFMUstateSize, fmi2Component c, fmi2FMUstate FMUst
     return fmi2OK;
 }
 
-FMI2(fmi2Status, fmi2SerializeFMUstate, fmi2Component c, fmi2FMUstate FMUstate, fmi2Byte serializedState[],
-     size_t size) {
+FMI(fmi2Status, fmi2SerializeFMUstate, fmi2Component c, fmi2FMUstate FMUstate, fmi2Byte serializedState[],
+    size_t size) {
     plant_instance *const plant = legal(c, PLANT_ANY, "serializeFMUstate");
-    if (plant == NULL) {
-        return fmi2Error;
-    }
-    if (FMUstate == NULL || size < plant_serialized_size()) {
-        return status(plant_fail(plant, "serializeFMUstate: room for %zu bytes; expected a state and %zu",
-                                 size, plant_serialized_size()));
-    }
-    plant_serialize(FMUstate, serializedState);
-    return fmi2OK;
+    return status(plant != NULL && plant_serialize(plant, FMUstate, serializedState, size));
 }
 
-FMI2(fmi2Status, fmi2DeSerializeFMUstate, fmi2Component c, const fmi2Byte serializedState[], size_t size,
-     fmi2FMUstate *FMUstate) {
+FMI(fmi2Status, fmi2DeSerializeFMUstate, fmi2Component c, const fmi2Byte serializedState[], size_t size,
+    fmi2FMUstate *FMUstate) {
     plant_instance *const plant = legal(c, PLANT_ANY, "deSerializeFMUstate");
-    plant_snapshot snapshot;
-    if (plant == NULL || !plant_deserialize(plant, serializedState, size, &snapshot)) {
-        return fmi2Error;
-    }
-    if (*FMUstate == NULL) {
-        *FMUstate = malloc(sizeof snapshot);
-    }
-    if (*FMUstate == NULL) {
-        return status(plant_fail(plant, "deSerializeFMUstate: out of memory"));
-    }
-    memcpy(*FMUstate, &snapshot, sizeof snapshot);
-    return fmi2OK;
+    return status(plant != NULL && plant_deserialize(plant, serializedState, size, FMUstate));
 }
 
 /* --- Section 4.2: computing in co-simulation --- */
 
-FMI2(fmi2Status, fmi2DoStep, fmi2Component c, fmi2Real currentCommunicationPoint,
-     fmi2Real communicationStepSize, fmi2Boolean noSetFMUStatePriorToCurrentPoint) {
+FMI(fmi2Status, fmi2DoStep, fmi2Component c, fmi2Real currentCommunicationPoint,
+    fmi2Real communicationStepSize, fmi2Boolean noSetFMUStatePriorToCurrentPoint) {
     (void)noSetFMUStatePriorToCurrentPoint; /* nothing is kept for going back */
     plant_instance *const plant = legal(c, PLANT_STEP_COMPLETE, "doStep");
     return status(plant != NULL && plant_step(plant, currentCommunicationPoint, communicationStepSize));
 }
 
-FMI2(fmi2Status, fmi2GetRealStatus, fmi2Component c, const fmi2StatusKind s, fmi2Real *value) {
+FMI(fmi2Status, fmi2GetRealStatus, fmi2Component c, const fmi2StatusKind s, fmi2Real *value) {
     const plant_instance *const plant = legal(c, IN_STATUS, "getRealStatus");
     if (plant == NULL) {
         return fmi2Error;
@@ -309,7 +275,7 @@ FMI2(fmi2Status, fmi2GetRealStatus, fmi2Component c, const fmi2StatusKind s, fmi
     return fmi2OK;
 }
 
-FMI2(fmi2Status, fmi2GetBooleanStatus, fmi2Component c, const fmi2StatusKind s, fmi2Boolean *value) {
+FMI(fmi2Status, fmi2GetBooleanStatus, fmi2Component c, const fmi2StatusKind s, fmi2Boolean *value) {
     if (legal(c, IN_STATUS, "getBooleanStatus") == NULL) {
         return fmi2Error;
     }
@@ -322,40 +288,40 @@ FMI2(fmi2Status, fmi2GetBooleanStatus, fmi2Component c, const fmi2StatusKind s, 
 
 /* The remaining kinds of status belong to asynchronous steps, which this FMU does not do. */
 
-FMI2(fmi2Status, fmi2GetStatus, fmi2Component c, const fmi2StatusKind s, fmi2Status *value) {
+FMI(fmi2Status, fmi2GetStatus, fmi2Component c, const fmi2StatusKind s, fmi2Status *value) {
     (void)s, (void)value;
     return legal(c, IN_STATUS, "getStatus") == NULL ? fmi2Error : fmi2Discard;
 }
 
-FMI2(fmi2Status, fmi2GetIntegerStatus, fmi2Component c, const fmi2StatusKind s, fmi2Integer *value) {
+FMI(fmi2Status, fmi2GetIntegerStatus, fmi2Component c, const fmi2StatusKind s, fmi2Integer *value) {
     (void)s, (void)value;
     return legal(c, IN_STATUS, "getIntegerStatus") == NULL ? fmi2Error : fmi2Discard;
 }
 
-FMI2(fmi2Status, fmi2GetStringStatus, fmi2Component c, const fmi2StatusKind s, fmi2String *value) {
+FMI(fmi2Status, fmi2GetStringStatus, fmi2Component c, const fmi2StatusKind s, fmi2String *value) {
     (void)s, (void)value;
     return legal(c, IN_STATUS, "getStringStatus") == NULL ? fmi2Error : fmi2Discard;
 }
 
-FMI2(fmi2Status, fmi2CancelStep, fmi2Component c) {
+FMI(fmi2Status, fmi2CancelStep, fmi2Component c) {
     return unsupported(c, "cancelStep");
 }
 
-FMI2(fmi2Status, fmi2SetRealInputDerivatives, fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
-     const fmi2Integer order[], const fmi2Real value[]) {
+FMI(fmi2Status, fmi2SetRealInputDerivatives, fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
+    const fmi2Integer order[], const fmi2Real value[]) {
     (void)vr, (void)nvr, (void)order, (void)value;
     return unsupported(c, "setRealInputDerivatives");
 }
 
-FMI2(fmi2Status, fmi2GetRealOutputDerivatives, fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
-     const fmi2Integer order[], fmi2Real value[]) {
+FMI(fmi2Status, fmi2GetRealOutputDerivatives, fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
+    const fmi2Integer order[], fmi2Real value[]) {
     (void)vr, (void)nvr, (void)order, (void)value;
     return unsupported(c, "getRealOutputDerivatives");
 }
 
-FMI2(fmi2Status, fmi2GetDirectionalDerivative, fmi2Component c, const fmi2ValueReference vUnknown_ref[],
-     size_t nUnknown, const fmi2ValueReference vKnown_ref[], size_t nKnown, const fmi2Real dvKnown[],
-     fmi2Real dvUnknown[]) {
+FMI(fmi2Status, fmi2GetDirectionalDerivative, fmi2Component c, const fmi2ValueReference vUnknown_ref[],
+    size_t nUnknown, const fmi2ValueReference vKnown_ref[], size_t nKnown, const fmi2Real dvKnown[],
+    fmi2Real dvUnknown[]) {
     (void)vUnknown_ref, (void)nUnknown, (void)vKnown_ref, (void)nKnown, (void)dvKnown, (void)dvUnknown;
     return unsupported(c, "getDirectionalDerivative");
 }

@@ -33,25 +33,4 @@ typedef struct {
     fmi2ComponentEnvironment componentEnvironment;
 } fmi2CallbackFunctions;
 
-/* In a shared library the functions carry the standard's names. Who compiles the sources into an importer
- * defines FMI2_FUNCTION_PREFIX as mecanum_ (section 2.1.1). */
-#ifdef FMI2_FUNCTION_PREFIX
-#define FMI2_PASTE_(a, b) a##b
-#define FMI2_PASTE(a, b) FMI2_PASTE_(a, b)
-#define FMI2_NAME(name) FMI2_PASTE(FMI2_FUNCTION_PREFIX, name)
-#else
-#define FMI2_NAME(name) name
-#endif
-
-#if defined _WIN32
-#define FMI2_EXPORT __declspec(dllexport)
-#else
-#define FMI2_EXPORT __attribute__((visibility("default")))
-#endif
-
-/* Declares and defines one function of the interface: FMI2(status, name, arguments) */
-#define FMI2(type, name, ...)                                                                                \
-    FMI2_EXPORT type FMI2_NAME(name)(__VA_ARGS__);                                                           \
-    FMI2_EXPORT type FMI2_NAME(name)(__VA_ARGS__)
-
 #endif

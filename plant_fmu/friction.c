@@ -33,8 +33,8 @@ static void hold(const mecanum_model *model, mecanum_modes *modes) {
         }
         double whole[3];
         double step[3];
-        mecanum_apply(model->inverse_mass, model->rolling[i], whole);
-        mecanum_apply(model->inverse_mass, rest, step);
+        mecanum_apply(&model->inverse_mass, model->rolling[i], whole);
+        mecanum_apply(&model->inverse_mass, rest, step);
         double square = 0.0;
         double whole_square = 0.0;
         for (int j = 0; j < 3; j++) {
@@ -57,7 +57,7 @@ static void hold(const mecanum_model *model, mecanum_modes *modes) {
             for (int k = 0; k < rank && rank < 3; k++) {
                 entry -= push[k][i] * row[k][j];
             }
-            modes->projector[i][j] = entry;
+            modes->projector.at[i][j] = entry;
         }
     }
 }
@@ -90,7 +90,7 @@ static void release_rigid(const mecanum_model *model, const mecanum_inputs *u, c
         /* Each wheel's own torque is the best guess: on level ground it is the answer. */
         friction_n_m[i] = modes->at_rest[i] ? fmin(fmax(torque_n_m[i], -limit), limit) : 0.0;
         held[i] = torque_n_m[i] - friction_n_m[i];
-        mecanum_apply(model->inverse_mass, row, ease[i]);
+        mecanum_apply(&model->inverse_mass, row, ease[i]);
         own[i] = row[0] * ease[i][0] + row[1] * ease[i][1] + row[2] * ease[i][2];
     }
     mecanum_body_force(model, u, state, force);
@@ -184,7 +184,7 @@ void mecanum_settle(const mecanum_model *model, const mecanum_inputs *u, mecanum
     if (modes->any_at_rest && model->p->contact != MECANUM_CONTACT_SLIP) {
         double twist[3];
         hold(model, modes);
-        mecanum_apply(modes->projector, state->x + MECANUM_FORWARD_M_S, twist);
+        mecanum_apply(&modes->projector, state->x + MECANUM_FORWARD_M_S, twist);
         for (int j = 0; j < 3; j++) {
             state->x[MECANUM_FORWARD_M_S + j] = twist[j];
         }

@@ -4,11 +4,13 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "physics.h"
+
 /* Past this many internal steps a communication step would look like a hang. */
 static const double MOST_INTERNAL_STEPS = 1e7;
 
 /* A tunable parameter may also be set between steps. */
-typedef enum { INPUT, OUTPUT, PARAMETER, TUNABLE } causality;
+typedef enum { INPUT, OUTPUT, PARAMETER, TUNABLE, INDEPENDENT } causality;
 
 typedef struct {
     const char *name;
@@ -53,6 +55,10 @@ void plant_init(plant_instance *plant, void (*report)(void *owner, const char *t
     }
 }
 
+void plant_release(plant_instance *plant) {
+    physics_release(plant);
+}
+
 bool plant_fail(plant_instance *plant, const char *format, ...) {
     char text[256];
     va_list arguments;
@@ -88,11 +94,10 @@ bool plant_allows(plant_instance *plant, unsigned modes, const char *call) {
 
 bool plant_setup(plant_instance *plant, double start_s, bool stop_defined, double stop_s) {
     if (!isfinite(start_s)) {
-        return plant_fail(plant, "setupExperiment: start time %g s; expected a finite number", start_s);
+        return plant_fail(plant, "start time %g s; expected a finite number", start_s);
     }
     if (stop_defined && !(isfinite(stop_s) && stop_s >= start_s)) {
-        return plant_fail(plant, "setupExperiment: stop time %g s; expected the start time %g s or later",
-                          stop_s, start_s);
+        return plant_fail(plant, "stop time %g s; expected the start time %g s or later", stop_s, start_s);
     }
     plant->now.experiment_defined = true;
     plant->now.time_s = start_s;
@@ -110,11 +115,9 @@ bool plant_enter_initialization(plant_instance *plant) {
 }
 
 bool plant_exit_initialization(plant_instance *plant) {
-    const char *const problem = mecanum_problem(&plant->now.parameters);
-    if (problem != NULL) {
-        return plant_fail(plant, "exitInitializationMode: %s", problem);
+    if (!physics_start(plant)) {
+        return false;
     }
-    mecanum_start(&plant->now.parameters, &plant->now.state);
     plant->now.outputs_stale = true;
     plant->now.mode = PLANT_STEP_COMPLETE;
     return true;
@@ -125,52 +128,73 @@ bool plant_terminate(plant_instance *plant) {
     return true;
 }
 
-static const variable *find(plant_instance *plant, plant_type type, unsigned reference, const char *call) {
-    if (reference >= MECANUM_VARIABLE_COUNT || VARIABLES[reference].type != type) {
+static const variable *find(plant_instance *plant, unsigned types, unsigned reference, const char *call) {
+    if (reference >= MECANUM_VARIABLE_COUNT || ((unsigned)VARIABLES[reference].type & types) == 0) {
         plant_fail(plant, "%s: no variable of this type has the value reference %u", call, reference);
         return NULL;
     }
     return &VARIABLES[reference];
 }
 
-static void refresh_outputs(plant_snapshot *now) {
-    if (now->mode == PLANT_INITIALIZATION) {
-        /* The parameters may still change, and the start with them. */
-        mecanum_start(&now->parameters, &now->state);
+static bool refresh_outputs(plant_instance *plant) {
+    if (!plant->now.outputs_stale) {
+        return true;
     }
-    if (now->outputs_stale) {
-        mecanum_output(&now->parameters, &now->inputs, &now->state, now->time_s, &now->outputs);
-        now->outputs_stale = false;
+    /* Until initialization ends the parameters may change, and the start with them. */
+    if (plant->now.mode == PLANT_INITIALIZATION && !physics_start(plant)) {
+        return false;
     }
+    plant->now.outputs_stale = false;
+    return physics_output(plant);
 }
 
-bool plant_get(plant_instance *plant, plant_type type, const unsigned references[], size_t count,
+bool plant_get(plant_instance *plant, unsigned types, const unsigned references[], size_t count,
                void *values) {
-    const size_t size = type == PLANT_REAL ? sizeof(double) : sizeof(int32_t);
-    refresh_outputs(&plant->now);
+    const size_t size = types == PLANT_REAL ? sizeof(double) : sizeof(int32_t);
+    const bool initialized = plant->now.mode != PLANT_INSTANTIATED;
+    if (initialized && !refresh_outputs(plant)) {
+        return false;
+    }
     for (size_t i = 0; i < count; i++) {
-        const variable *const v = find(plant, type, references[i], "get");
+        const variable *const v = find(plant, types, references[i], "get");
         if (v == NULL) {
             return false;
+        }
+        if (!initialized && (v->causality == OUTPUT || v->causality == INDEPENDENT)) {
+            return plant_fail(plant, "get: %s has no value before initialization", v->name);
         }
         memcpy((char *)values + i * size, (const char *)&plant->now + v->offset, size);
     }
     return true;
 }
 
-bool plant_set(plant_instance *plant, plant_type type, const unsigned references[], size_t count,
+/* Tells why a variable cannot be set now; NULL when it can. */
+static const char *obstacle(const variable *v, plant_mode mode) {
+    switch (v->causality) {
+    case OUTPUT:
+        return "because it is an output";
+    case INDEPENDENT:
+        return "because it is the independent variable";
+    case PARAMETER:
+        return mode == PLANT_STEP_COMPLETE ? "after initialization" : NULL;
+    default:
+        return NULL;
+    }
+}
+
+bool plant_set(plant_instance *plant, unsigned types, const unsigned references[], size_t count,
                const void *values) {
     for (size_t i = 0; i < count; i++) {
-        const variable *const v = find(plant, type, references[i], "set");
+        const variable *const v = find(plant, types, references[i], "set");
         if (v == NULL) {
             return false;
         }
-        if (v->causality == OUTPUT || (v->causality == PARAMETER && plant->now.mode == PLANT_STEP_COMPLETE)) {
-            return plant_fail(plant, "set: %s cannot be set %s", v->name,
-                              v->causality == OUTPUT ? "because it is an output" : "after initialization");
+        const char *const why_not = obstacle(v, plant->now.mode);
+        if (why_not != NULL) {
+            return plant_fail(plant, "set: %s cannot be set %s", v->name, why_not);
         }
         const double value =
-            type == PLANT_REAL ? ((const double *)values)[i] : (double)((const int32_t *)values)[i];
+            types == PLANT_REAL ? ((const double *)values)[i] : (double)((const int32_t *)values)[i];
         if (!isfinite(value)) {
             return plant_fail(plant, "%s = %g; expected a finite number", v->name, value);
         }
@@ -198,58 +222,17 @@ bool plant_step(plant_instance *plant, double from_s, double step_s) {
         return plant_fail(plant, "doStep: to %.10g s, past the stop time %.10g s", from_s + step_s,
                           now->stop_s);
     }
-    const double steps = mecanum_internal_steps(&now->parameters, step_s);
+    const double steps = physics_internal_steps(plant, step_s);
     if (steps > MOST_INTERNAL_STEPS) {
         return plant_fail(plant,
                           "doStep: a communication step of %g s needs %.0f internal steps; expected at most "
                           "%.0f, take shorter ones",
                           step_s, steps, MOST_INTERNAL_STEPS);
     }
-    mecanum_state state = now->state;
-    mecanum_advance(&now->parameters, &now->inputs, step_s, &state);
-    if (!mecanum_is_finite(&state)) {
-        return plant_fail(plant, "doStep: the state is no longer finite at %.10g s; look at the inputs",
-                          from_s + step_s);
+    if (!physics_advance(plant, step_s)) {
+        return false;
     }
-    now->state = state;
     now->time_s = from_s + step_s; /* the importer's time, which it does not accumulate */
     now->outputs_stale = true;
-    return true;
-}
-
-static const char HEADER[] = "plant " MECANUM_GUID;
-
-/* FNV-1a: tells a damaged state from a good one. */
-static uint64_t checksum(const char *bytes, size_t size) {
-    uint64_t hash = UINT64_C(14695981039346656037);
-    for (size_t i = 0; i < size; i++) {
-        hash = (hash ^ (unsigned char)bytes[i]) * UINT64_C(1099511628211);
-    }
-    return hash;
-}
-
-size_t plant_serialized_size(void) {
-    return sizeof HEADER + sizeof(plant_snapshot) + sizeof(uint64_t);
-}
-
-void plant_serialize(const plant_snapshot *snapshot, char *bytes) {
-    const size_t body = sizeof HEADER + sizeof *snapshot;
-    memcpy(bytes, HEADER, sizeof HEADER);
-    memcpy(bytes + sizeof HEADER, snapshot, sizeof *snapshot);
-    const uint64_t sum = checksum(bytes, body);
-    memcpy(bytes + body, &sum, sizeof sum);
-}
-
-bool plant_deserialize(plant_instance *plant, const char *bytes, size_t size, plant_snapshot *snapshot) {
-    const size_t body = sizeof HEADER + sizeof *snapshot;
-    uint64_t sum = 0;
-    if (size == plant_serialized_size()) {
-        memcpy(&sum, bytes + body, sizeof sum);
-    }
-    if (size != plant_serialized_size() || memcmp(bytes, HEADER, sizeof HEADER) != 0 ||
-        sum != checksum(bytes, body)) {
-        return plant_fail(plant, "deSerializeFMUstate: these %zu bytes are not a state of this model", size);
-    }
-    memcpy(snapshot, bytes + sizeof HEADER, sizeof *snapshot);
     return true;
 }

@@ -1,14 +1,18 @@
 /* One instance of the plant as a co-simulation slave: its mode, its variables by value reference, its time.
  *
- * Free of any FMI version; fmi2.c adds the names and types of FMI 2.0. Every function that can fail reports
- * the reason through `report`, puts the instance into PLANT_ERROR and returns false (FMI 2.0 section 4.2.4).
- * No allocation, no statics: instances are independent. */
+ * Free of any FMI version; fmi2.c and fmi3.c add the names and types of theirs. Every function that can fail
+ * reports the reason through `report`, puts the instance into PLANT_ERROR and returns false (FMI 2.0 section
+ * 4.2.4, FMI 3.0 section 2.2.3). No statics: instances are independent. */
 #ifndef PLANT_INSTANCE_H
 #define PLANT_INSTANCE_H
 
 #include <stddef.h>
 
-#include "mecanum.h"
+/* Defines mecanum_state, the state of the physics as plain data. */
+#ifndef PLANT_STATE_HEADER
+#define PLANT_STATE_HEADER "mecanum.h"
+#endif
+#include PLANT_STATE_HEADER
 
 /* Modes are bits, so that the modes in which a call is legal are one mask. */
 typedef enum {
@@ -20,7 +24,8 @@ typedef enum {
     PLANT_ANY = 31,
 } plant_mode;
 
-typedef enum { PLANT_REAL, PLANT_INTEGER } plant_type;
+/* Types are bits, because FMI 2.0 reads enumerations as integers and FMI 3.0 does not. */
+typedef enum { PLANT_REAL = 1, PLANT_INTEGER = 2, PLANT_ENUMERATION = 4 } plant_type;
 
 /* All that a saved state has to hold. */
 typedef struct {
@@ -38,12 +43,17 @@ typedef struct {
 
 typedef struct {
     plant_snapshot now;
+    void *physics; /* what the physics keeps beside the state, NULL for nothing; no part of a saved state */
     void (*report)(void *owner, const char *text);
     void *owner;
 } plant_instance;
 
-/* Puts start values everywhere and the mode to PLANT_INSTANTIATED; also what a reset does. */
+/* Puts start values everywhere and the mode to PLANT_INSTANTIATED; also, after plant_release, what a reset
+ * does. */
 void plant_init(plant_instance *plant, void (*report)(void *owner, const char *text), void *owner);
+
+/* Frees what belongs to the instance, not the instance. */
+void plant_release(plant_instance *plant);
 
 /* Reports, enters PLANT_ERROR and returns false. */
 bool plant_fail(plant_instance *plant, const char *format, ...);
@@ -56,18 +66,14 @@ bool plant_enter_initialization(plant_instance *plant);
 bool plant_exit_initialization(plant_instance *plant);
 bool plant_terminate(plant_instance *plant);
 
-/* `values` are doubles for PLANT_REAL and int32_t for PLANT_INTEGER. */
-bool plant_get(plant_instance *plant, plant_type type, const unsigned references[], size_t count,
+/* `types` is a mask; `values` are doubles for PLANT_REAL and int32_t for the others. Until initialization
+ * mode only variables with a start value can be read. */
+bool plant_get(plant_instance *plant, unsigned types, const unsigned references[], size_t count,
                void *values);
-bool plant_set(plant_instance *plant, plant_type type, const unsigned references[], size_t count,
+bool plant_set(plant_instance *plant, unsigned types, const unsigned references[], size_t count,
                const void *values);
 
 /* Steps from `from_s`, which must be where the instance is, by `step_s` in equal internal steps. */
 bool plant_step(plant_instance *plant, double from_s, double step_s);
-
-/* A saved state as bytes: the GUID, the snapshot as this machine lays it out, and a checksum. */
-size_t plant_serialized_size(void);
-void plant_serialize(const plant_snapshot *snapshot, char *bytes);
-bool plant_deserialize(plant_instance *plant, const char *bytes, size_t size, plant_snapshot *snapshot);
 
 #endif

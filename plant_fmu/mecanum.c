@@ -57,7 +57,7 @@ static double viscous_rate_1_s(const mecanum_model *model) {
     double trace = 0.0;
     for (int i = 0; i < MECANUM_WHEELS; i++) {
         double ease[3];
-        mecanum_apply(model->inverse_mass, model->rolling[i], ease);
+        mecanum_apply(&model->inverse_mass, model->rolling[i], ease);
         for (int j = 0; j < 3; j++) {
             trace += model->rolling[i][j] * ease[j];
         }
@@ -81,8 +81,8 @@ double mecanum_internal_steps(const mecanum_parameters *p, double step_s) {
         const double r = p->wheel_radius_m;
         const double lever_m = p->half_length_m + p->half_width_m;
         const double ease = 0.5 * r * r / model.wheel_inertia_kg_m2 +
-                            2.0 * (model.inverse_mass[0][0] + model.inverse_mass[1][1] +
-                                   lever_m * lever_m * model.inverse_mass[2][2]);
+                            2.0 * (model.inverse_mass.at[0][0] + model.inverse_mass.at[1][1] +
+                                   lever_m * lever_m * model.inverse_mass.at[2][2]);
         longest_s = fmin(longest_s, CONTACT_STEP / sqrt(p->roller_stiffness_n_m * ease));
         longest_s = fmin(longest_s, CONTACT_STEP / fmax(p->roller_damping_n_s_m * ease, 1.0));
     }
@@ -129,7 +129,7 @@ void mecanum_derivative(const mecanum_model *model, const mecanum_inputs *u, con
         mecanum_rigid_acceleration(model, body_force, torque_n_m, acceleration);
         if (modes->any_at_rest) {
             const double free[3] = {acceleration[0], acceleration[1], acceleration[2]};
-            mecanum_apply(modes->projector, free, acceleration);
+            mecanum_apply(&modes->projector, free, acceleration);
         }
     }
     const double cos_heading = cos(x[MECANUM_HEADING_RAD]);

@@ -49,16 +49,11 @@ static void weigh(mecanum_model *model, const mecanum_parameters *p) {
     const double b = p->mass_kg * p->com_y_m / a;
     const double c = p->mass_kg * p->com_x_m / a;
     const double yaw = 1.0 / (model->turning_kg_m2 - a * (b * b + c * c));
-    const double inverse[3][3] = {
+    model->inverse_mass = (mecanum_matrix){{
         {1.0 / a + b * b * yaw, -b * c * yaw, b * yaw},
         {-b * c * yaw, 1.0 / a + c * c * yaw, -c * yaw},
         {b * yaw, -c * yaw, yaw},
-    };
-    for (int i = 0; i < 3; i++) {
-        for (int j = 0; j < 3; j++) {
-            model->inverse_mass[i][j] = inverse[i][j];
-        }
-    }
+    }};
 }
 
 void mecanum_prepare(mecanum_model *model, const mecanum_parameters *p) {
@@ -106,8 +101,9 @@ void mecanum_body_force(const mecanum_model *model, const mecanum_inputs *u, con
     }
 }
 
-void mecanum_apply(const double matrix[3][3], const double vector[3], double result[3]) {
+void mecanum_apply(const mecanum_matrix *matrix, const double vector[3], double result[3]) {
     for (int i = 0; i < 3; i++) {
-        result[i] = matrix[i][0] * vector[0] + matrix[i][1] * vector[1] + matrix[i][2] * vector[2];
+        const double *const row = matrix->at[i];
+        result[i] = row[0] * vector[0] + row[1] * vector[1] + row[2] * vector[2];
     }
 }

@@ -13,6 +13,10 @@
 #include "mecanum.h"
 
 typedef struct {
+    double at[3][3];
+} mecanum_matrix;
+
+typedef struct {
     const mecanum_parameters *p;
     double wheel_x_m[MECANUM_WHEELS]; /* where the wheels stand, body frame */
     double wheel_y_m[MECANUM_WHEELS];
@@ -21,7 +25,7 @@ typedef struct {
     double wheel_inertia_kg_m2;        /* of a wheel with its rotor */
     double carried_kg;    /* what the turning wheels add to the mass, k = 4 J / r^2; 0 with slip contact */
     double turning_kg_m2; /* yaw inertia about the robot's centre, with what the turning wheels add */
-    double inverse_mass[3][3];
+    mecanum_matrix inverse_mass;
     double coriolis_kg;        /* mass in the forces of the turning frame; 0 with the paper's term C */
     double gravity_in_plane_n; /* of the whole weight */
     double gravity_upright_n;
@@ -57,7 +61,7 @@ typedef struct {
     double sign[MECANUM_WHEELS]; /* of the speed; 0 at rest */
     bool at_rest[MECANUM_WHEELS];
     bool any_at_rest;
-    double projector[3][3]; /* rigid: takes from a body acceleration what would turn wheels at rest */
+    mecanum_matrix projector; /* rigid: takes from a body acceleration what would turn wheels at rest */
 } mecanum_modes;
 
 /* model.c */
@@ -72,7 +76,7 @@ void mecanum_body_force(const mecanum_model *model, const mecanum_inputs *u, con
                         double force[3]);
 
 /* result = matrix x vector */
-void mecanum_apply(const double matrix[3][3], const double vector[3], double result[3]);
+void mecanum_apply(const mecanum_matrix *matrix, const double vector[3], double result[3]);
 
 /* motor.c */
 

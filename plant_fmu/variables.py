@@ -7,6 +7,7 @@ from typing import Any
 
 HERE = Path(__file__).parent
 STRUCTURE = {"input": "inputs", "output": "outputs", "parameter": "parameters"}  # C member, by causality
+TIME = "time"  # the independent variable, after all others; not in variables.toml because every model has it
 _VARIABILITY = {"input": "continuous", "output": "continuous", "parameter": "fixed"}
 
 
@@ -34,13 +35,15 @@ class Variable:
     @property
     def member(self) -> str:
         """Where the value is in the snapshot of an instance, in C."""
+        if self.causality == "independent":
+            return self.field
         index = "" if self.wheel is None else f"[{self.wheel}]"
         return f"{STRUCTURE[self.causality]}.{self.field}{index}"
 
 
 @dataclass(frozen=True)
 class Definition:
-    """variables.toml, checked, with one entry a scalar variable."""
+    """variables.toml, checked, with one entry a scalar variable; the last one is the independent variable."""
 
     model: dict[str, Any]
     wheels: dict[str, str]
@@ -48,14 +51,24 @@ class Definition:
     enumerations: dict[str, dict[str, Any]]
     variables: tuple[Variable, ...]
 
+    @property
+    def references(self) -> dict[str, int]:
+        """The value reference of every variable by its name; the same in both FMI versions."""
+        return {variable.name: reference for reference, variable in enumerate(self.variables)}
+
 
 def read(path: Path = HERE / "variables.toml") -> Definition:
     """Read and check the definition. Raises DefinitionError, naming the variable."""
-    data = tomllib.loads(path.read_text(encoding="utf-8"))
+    return define(tomllib.loads(path.read_text(encoding="utf-8")))
+
+
+def define(data: dict[str, Any]) -> Definition:
+    """Check the definition and expand it. Raises DefinitionError, naming the variable."""
     variables: list[Variable] = []
     for entry in data["variable"]:
         wheels: list[str | None] = [*data["wheels"]] if "*" in entry["name"] else [None]
         variables += [_variable(entry, wheel, data) for wheel in wheels]
+    variables.append(_time())
     names = [variable.name for variable in variables]
     for variable in variables:
         if names.count(variable.name) > 1:
@@ -89,4 +102,21 @@ def _variable(entry: dict[str, Any], wheel: str | None, data: dict[str, Any]) ->
         depends_on=tuple(name.replace("*", wheel or "") for name in entry.get("depends_on", ())),
         field=name.replace(".*.", "_").replace(".", "_"),
         wheel=None if wheel is None else list(data["wheels"]).index(wheel),
+    )
+
+
+def _time() -> Variable:
+    return Variable(
+        name=TIME,
+        type="Real",
+        causality="independent",
+        variability="continuous",
+        unit="s",
+        start=None,
+        minimum=None,
+        maximum=None,
+        description="Time that the instance has reached",
+        depends_on=(),
+        field="time_s",
+        wheel=None,
     )

@@ -33,6 +33,7 @@ int fmi2SetReal(void *, const unsigned *, size_t, const double *);
 int fmi2GetReal(void *, const unsigned *, size_t, double *);
 int fmi2GetInteger(void *, const unsigned *, size_t, int *);
 int fmi2DoStep(void *, double, double, int);
+int fmi2GetBooleanStatus(void *, int, int *);
 
 static void log_message(void *environment, const char *name, fmi2Status status, const char *category,
                         const char *message, ...) {
@@ -67,17 +68,8 @@ int main(void) {
     CHECK(component != NULL);
     CHECK(initialise(component));
 
-    cosim shim = {
-        .component = component,
-        .set_real = fmi2SetReal,
-        .get_real = fmi2GetReal,
-        .get_integer = fmi2GetInteger,
-        .do_step = fmi2DoStep,
-        .wheel_of_channel = {3, 2, 1, 0},
-        .sign_of_channel = {1, -1, 1, -1},
-        .step_ns = 1000000,
-    };
-    const char *const reals[COSIM_REALS] = {
+    /* The torques and outputs of the shim by their own names: the groups that the importer would lay out. */
+    const char *const reals[] = {
         "pose.x_m",
         "pose.y_m",
         "pose.heading_rad",
@@ -96,21 +88,47 @@ int main(void) {
         "gyro.y_rad_s",
         "gyro.z_rad_s",
     };
+    enum { REALS = sizeof reals / sizeof *reals };
     const char *const wheels[4] = {"fl", "fr", "rr", "rl"};
-    for (int i = 0; i < COSIM_REALS; i++) {
-        shim.real_reference[i] = reference(reals[i]);
+    unsigned real_reference[REALS], torque_reference[4], count_reference[4];
+    cosim_row real_row[REALS], torque_row[4], count_row[4];
+    double real[REALS], torque[4];
+    int32_t counts[4];
+    for (size_t i = 0; i < REALS; i++) {
+        real_reference[i] = reference(reals[i]);
+        real_row[i] = (cosim_row){i, i, 1.0, 0.0};
     }
-    for (int i = 0; i < 4; i++) {
+    for (size_t i = 0; i < 4; i++) {
         char name[32];
         snprintf(name, sizeof name, "wheel.%s.torque_n_m", wheels[i]);
-        shim.torque_reference[i] = reference(name);
+        torque_reference[i] = reference(name);
+        torque_row[i] = (cosim_row){i, i, 1.0, 0.0};
         snprintf(name, sizeof name, "wheel.%s.count", wheels[i]);
-        shim.count_reference[i] = reference(name);
+        count_reference[i] = reference(name);
+        count_row[i] = (cosim_row){COSIM_COUNT + i, i, 1.0, 0.0};
     }
+    cosim shim = {
+        .component = component,
+        .fmi_version = 2,
+        .do_step = (cosim_function)fmi2DoStep,
+        .get_boolean_status = (cosim_function)fmi2GetBooleanStatus,
+        .input = {{COSIM_FLOAT64, (cosim_function)fmi2SetReal, torque_reference, 4, torque, 4, torque_row, 4,
+                   1}},
+        .inputs = 1,
+        .output = {{COSIM_FLOAT64, (cosim_function)fmi2GetReal, real_reference, REALS, real, REALS, real_row,
+                    REALS, 1},
+                   {COSIM_INT32, (cosim_function)fmi2GetInteger, count_reference, 4, counts, 4, count_row, 4,
+                    1}},
+        .outputs = 2,
+        .wheel_of_channel = {3, 2, 1, 0},
+        .sign_of_channel = {1, -1, 1, -1},
+        .step_ns = 1000000,
+    };
+    CHECK(cosim_start(&shim) == 0);
 
     const float torque_n_m[4] = {1.0F, -1.0F, 0.5F, 0.25F};
     CHECK(cosim_run(&shim, torque_n_m, 500) == 0);
-    CHECK(cosim_time_ns(&shim) == 500000000);
+    CHECK(shim.steps == 500);
 
     void *state = NULL;
     size_t size = 0;
@@ -132,12 +150,17 @@ int main(void) {
 
     const float huge_n_m[4] = {3e38F, -3e38F, 3e38F, -1e38F};
     CHECK(cosim_run(&shim, huge_n_m, 100000) != 0); /* overflows on the way */
-    CHECK(isfinite(shim.real[0]));
+    CHECK(isfinite(shim.signal[0]));
     const double nan = NAN;
     CHECK(fmi2Reset(component) == fmi2OK && initialise(component));
-    CHECK(fmi2SetReal(component, shim.torque_reference, 1, &nan) == fmi2Error);
-    cosim_log(&shim, "x", 3, "logStatusError", "%s %d", "a message", 1);
+    CHECK(fmi2SetReal(component, torque_reference, 1, &nan) == fmi2Error);
+    CHECK(fmi2Reset(component) == fmi2OK && initialise(component) && cosim_start(&shim) == 0);
+    cosim_log2(&shim, "x", 3, "logStatusError", "%s %d", "a message", 1);
     CHECK(strcmp(shim.text, "a message 1") == 0);
+    cosim_log2(&shim, "x", 1, "logStatusWarning", "less");
+    CHECK(strcmp(shim.text, "a message 1") == 0);
+    cosim_log3(&shim, 3, "logStatusError", "a newer one %s");
+    CHECK(strcmp(shim.text, "a newer one %s") == 0);
     fmi2FreeInstance(component);
     return 0;
 }

@@ -1,21 +1,36 @@
 """Making the FMU: generated files, a deterministic archive, sources that stand alone, errors."""
 
+import importlib.util
+import os
+import shlex
+import shutil
 import subprocess
 import sys
+import sysconfig
+import tomllib
 import xml.etree.ElementTree as ET
 import zipfile
 from pathlib import Path
 
+import fmpy
+import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
 
 import hil.plant.build
 import plant_fmu
-from plant_fmu import build, generate, variables
+from native_build import compiler
+from plant_fmu import build, generate, pack, platforms, variables
 from tests.plant_testbed import FMU
 
 STRICT = ["-std=c11", "-O1", "-g", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Werror"]
 SANITIZE = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+ROOT = plant_fmu.path().parents[1]
+VERSIONS = sorted(pack.DESCRIPTIONS)
+SCRIPTS = sysconfig.get_path("scripts")  # of the virtual environment, where cmake is
+needs_zig = pytest.mark.skipif(
+    importlib.util.find_spec("ziglang") is None, reason=f"zig is not there: pip install {compiler.ZIG_REQUIREMENT}"
+)
 
 
 def test_generated_files_are_fresh() -> None:
@@ -49,7 +64,11 @@ def test_a_stale_file_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) 
             'name = "mass_kg"\ncausality = "local"',
             "causality 'local'",
         ),
-        ('depends_on = "wheel.*', 'depends_on = "motor.*', r"unknown 'motor\.fl\.torque_n_m'"),
+        (
+            '"wheel.*.torque_n_m"]\ndescription = "Motor current',
+            '"motor.*.torque_n_m"]\ndescription = "Motor current',
+            r"unknown 'motor\.fl\.torque_n_m'",
+        ),
     ],
 )
 def test_a_wrong_definition_is_refused(tmp_path: Path, old: str, new: str, words: str) -> None:
@@ -61,13 +80,15 @@ def test_a_wrong_definition_is_refused(tmp_path: Path, old: str, new: str, words
         variables.read(path)
 
 
-def test_the_validator_has_nothing_to_say() -> None:
-    assert validate_fmu(str(FMU)) == []
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_the_validator_has_nothing_to_say(fmi: int) -> None:
+    assert validate_fmu(str(build.build(fmi=fmi))) == []
 
 
-def test_the_archive_depends_on_its_inputs_alone(tmp_path: Path) -> None:
-    one, two = build.build(tmp_path / "one.fmu"), build.build(tmp_path / "two.fmu")
-    assert one.read_bytes() == two.read_bytes() == FMU.read_bytes()
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_the_archive_depends_on_its_inputs_alone(tmp_path: Path, fmi: int) -> None:
+    one, two = (build.build(tmp_path / name, fmi=fmi) for name in ("one.fmu", "two.fmu"))
+    assert one.read_bytes() == two.read_bytes() == plant_fmu.path(fmi).read_bytes()
     with zipfile.ZipFile(one) as archive:
         assert all(entry.date_time == (1980, 1, 1, 0, 0, 0) for entry in archive.infolist())
 
@@ -81,17 +102,55 @@ def test_an_up_to_date_fmu_is_left_alone(tmp_path: Path) -> None:
     assert zipfile.is_zipfile(build.build(out))
 
 
-def test_the_archive_has_what_a_user_needs() -> None:
-    with zipfile.ZipFile(FMU) as archive:
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_the_archive_has_what_a_user_needs(fmi: int) -> None:
+    with zipfile.ZipFile(build.build(fmi=fmi)) as archive:
         names = set(archive.namelist())
-        root = ET.fromstring(archive.read("modelDescription.xml"))
+        built = ET.fromstring(archive.read("sources/buildDescription.xml"))
         licence = archive.read("documentation/licenses/license.txt")
-    assert {"modelDescription.xml", "documentation/index.html", "sources/buildDescription.xml"} <= names
-    listed = {file.get("name") for file in root.findall("CoSimulation/SourceFiles/File")}
-    assert listed == {Path(name).name for name in names if name.endswith(".c")}
-    assert licence == (plant_fmu.path().parents[1] / "LICENSE").read_bytes()
+    assert {*pack.DESCRIPTIONS[fmi], "documentation/index.html"} <= names
+    sources = {Path(name).name for name in names if name.endswith(".c")}
+    for configuration in built.findall("BuildConfiguration"):
+        assert {file.get("name") for file in configuration.findall("SourceFileSet/SourceFile")} == sources
+    assert licence == (ROOT / "LICENSE").read_bytes()
 
 
+def test_fmi_2_lists_its_sources_in_its_description_too() -> None:
+    root = ET.parse(pack.DESCRIPTIONS[2]["modelDescription.xml"]).getroot()
+    listed = [file.get("name") for file in root.findall("CoSimulation/SourceFiles/File")]
+    assert listed == list(generate.SOURCE_FILES)
+
+
+@pytest.mark.skipif(not (shutil.which("cmake", path=SCRIPTS) or shutil.which("cmake")), reason="pip install cmake")
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_others_can_compile_the_sources(fmi: int, tmp_path: Path) -> None:
+    """FMPy compiles an FMU without binaries by its build description, and what it gets computes what ours does."""
+    stripped = tmp_path / "plant.fmu"
+    with zipfile.ZipFile(build.build(fmi=fmi)) as ours, zipfile.ZipFile(stripped, "w") as archive:
+        for name in ours.namelist():
+            if not name.startswith("binaries/"):
+                archive.writestr(name, ours.read(name))
+    assert fmpy.supported_platforms(str(stripped)) == ["c-code"]
+    environment = {
+        **os.environ,
+        "PATH": os.pathsep.join([SCRIPTS, os.environ["PATH"]]),
+        "CC": shlex.join(build.compiler()),
+    }
+    command = [sys.executable, "-m", "fmpy", "compile", str(stripped)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert len(fmpy.supported_platforms(str(stripped))) == 2, done.stdout + done.stderr
+    start = {"wheel.fl.torque_n_m": 1.0, "wheel.rr.torque_n_m": -0.5, "start_vx_m_s": 0.5}
+    theirs, ours = (
+        fmpy.simulate_fmu(str(path), stop_time=0.2, start_values=start) for path in (stripped, build.build(fmi=fmi))
+    )
+    assert theirs.dtype == ours.dtype
+    assert theirs["pose.x_m"][-1] > 0.05
+    for name in theirs.dtype.names:
+        np.testing.assert_allclose(theirs[name], ours[name], rtol=1e-9, atol=1e-12, err_msg=name)
+
+
+@pytest.mark.skipif(compiler.wants_zig(), reason="zig has no address sanitizer; install gcc or clang")
 def test_the_packed_sources_and_the_shim_pass_the_sanitizers(tmp_path: Path) -> None:
     """What is in sources/ is complete, compiles without a warning, and does nothing undefined."""
     with zipfile.ZipFile(FMU) as archive:
@@ -118,13 +177,63 @@ def test_sources_take_the_prefix_of_the_standard(tmp_path: Path) -> None:
     assert " fmi2DoStep(" not in text
 
 
-def test_without_a_compiler_one_sentence_says_so(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("PATH", str(tmp_path))
+@pytest.fixture
+def bare(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Take every C compiler off the PATH."""
+    (tmp_path / "empty").mkdir()
+    monkeypatch.setenv("PATH", str(tmp_path / "empty"))
     monkeypatch.delenv("CC", raising=False)
-    with pytest.raises(build.BuildError, match=r"^no C compiler found \(tried cc, gcc, clang\); install one.*CC$"):
+
+
+@pytest.mark.usefixtures("bare")
+def test_without_a_compiler_and_zig_one_sentence_says_so(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    assert compiler.wants_zig()
+    monkeypatch.setattr("importlib.util.find_spec", lambda _name: None)
+    with pytest.raises(build.BuildError, match=r"^no C compiler found \(tried cc, gcc, clang and zig\); .* or set CC$"):
         build.build(tmp_path / "x.fmu")
-    with pytest.raises(build.BuildError, match=r"tried nowhere-cc"):
+    with pytest.raises(build.BuildError, match=r"^zig is not installed.*; run pip install ziglang==[\d.]+$"):
+        build.build(tmp_path / "x.fmu", all_platforms=True)
+    with pytest.raises(build.BuildError, match=r"the C compiler 'nowhere-cc' \(from CC\) is not there; set CC"):
         build.build(tmp_path / "x.fmu", cc="nowhere-cc -O2")
+
+
+@needs_zig
+@pytest.mark.usefixtures("bare")
+def test_without_a_compiler_zig_builds_what_runs_here(tmp_path: Path) -> None:
+    assert "ziglang" in build.compiler()
+    made = build.build(tmp_path / "zig.fmu")
+    results = fmpy.simulate_fmu(str(made), stop_time=0.1, start_values={"wheel.fl.torque_n_m": 1.0})
+    assert results["twist.vx_m_s"][-1] > 0
+
+
+def test_cc_comes_before_all_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CC", f"{sys.executable} -m ziglang cc")
+    assert build.compiler() == [sys.executable, "-m", "ziglang", "cc"]
+    assert not compiler.wants_zig()
+
+
+def test_the_tests_and_the_wheel_use_the_same_zig() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert compiler.ZIG_REQUIREMENT in project["optional-dependencies"]["dev"]
+
+
+@pytest.mark.parametrize(
+    ("machine", "system", "wide", "name"),
+    [
+        ("x86_64", "linux", True, "x86_64-linux"),
+        ("AMD64", "win32", True, "x86_64-windows"),
+        ("AMD64", "win32", False, "i686-windows"),
+        ("arm64", "darwin", True, "aarch64-darwin"),
+        ("aarch64", "linux", True, "aarch64-linux"),
+    ],
+)
+def test_a_machine_has_the_standards_name(
+    monkeypatch: pytest.MonkeyPatch, machine: str, system: str, wide: bool, name: str
+) -> None:
+    monkeypatch.setattr("platform.machine", lambda: machine)
+    monkeypatch.setattr(sys, "platform", system)
+    monkeypatch.setattr(sys, "maxsize", 2**63 - 1 if wide else 2**31 - 1)
+    assert platforms.this_platform() == name
 
 
 def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
@@ -142,9 +251,11 @@ def test_a_compiler_that_fails_is_quoted(tmp_path: Path) -> None:
 
 
 def test_as_a_program(tmp_path: Path) -> None:
-    out = tmp_path / "x.fmu"
-    command = [sys.executable, "-m", "plant_fmu.build", "--out", str(out)]
-    done = subprocess.run(command, cwd=plant_fmu.path().parents[1], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == str(out)
+    command = [sys.executable, "-m", "plant_fmu.build", "--out", str(tmp_path)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines() == [str(tmp_path / plant_fmu.path(fmi).name) for fmi in VERSIONS]
+    nowhere = [sys.executable, "-m", "plant_fmu.build", "--all-platforms"]
+    refused = subprocess.run(nowhere, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (refused.returncode, "--out FOLDER" in refused.stderr) == (2, True)
     check = [sys.executable, "-m", "plant_fmu.generate", "--check"]
-    subprocess.run(check, cwd=plant_fmu.path().parents[1], check=True)
+    subprocess.run(check, cwd=ROOT, check=True)

@@ -1,71 +1,178 @@
-"""``check`` passes the shipped FMU and finds the defects of real FMUs that were built to have them."""
+"""``check`` finds nothing in good FMUs, and each fault of a broken one in the part that is meant for it."""
 
+import re
 from pathlib import Path
 
 import pytest
+from fmpy.fmi2 import FMU2Slave
+from fmpy.fmi3 import FMU3Slave
 
+from hil.plant.conformance.order import PARTS, title
 from hil.plant.tools import check
-from tests.plant_testbed import FMU, patched_fmu
-from tests.test_fmu_archive import Change, in_description, repack, without
+from tests.broken_fmu import HEADERS, HERE, Change, lag
+from tests.plant_testbed import FMU
+
+# Every fault of lag.h: the part that has to find it, and words of the problem.
+FAULTS = {
+    "WRONG_VERSION": ("functions", "GetVersion gives '1.9'"),
+    "NO_INSTANCE": ("life cycle", "returns no instance"),
+    "CRASH_IN_STEP": ("life cycle", "the FMU crashed its process (SIGABRT)"),
+    "CHATTY_CRASH": ("life cycle", "the FMU crashed its process (SIGABRT): the last word"),
+    "EXIT_IN_STEP": ("life cycle", "the FMU ended its process without an error"),
+    "HANG_IN_STEP": ("life cycle", "the FMU did not return within 1 s"),
+    "ERROR_IN_STEP": ("life cycle", "DoStep returns error (the lag says no, for once)"),
+    "WRONG_START": ("start values", "gain reads 3.0 at the start; modelDescription.xml says 2.0"),
+    "LOST_INPUT": ("variables", "input u reads -0.1 after it was set to -0.2"),
+    "NOT_A_NUMBER": ("variables", "output y is nan after 11 steps"),
+    "STALE_OUTPUT": ("initialization", "output y is -0.4 after inputs were set twice; set once, they give -0.2"),
+    "LATE_CLOCK": ("time", "the time time is 0.49 s; expected 0.5 s"),
+    "WRONG_LAST_TIME": ("time", "doStep to 0.51 s gives the last successful time 0.5 s"),
+    "ENDS_SIMULATION": ("time", "asks to end the simulation"),
+    "RETURNS_EARLY": ("time", "returns early, which was not agreed on"),
+    "ASKS_FOR_EVENT_MODE": ("time", "asks for event mode, which was not agreed on"),
+    "FIXED_STEP": ("step size", "20 steps of half the size bring the outputs as far as 20 whole ones"),
+    "REFUSED_STEP": ("step size", "DoStep returns error"),
+    "STATE_REFUSED": ("saved state", "returns error"),
+    "STATE_LOST": ("saved state", "a restored state gives other outputs than when it was saved"),
+    "STATE_NOT_REUSED": ("saved state", "a state that was saved over an older one gives other outputs"),
+    "BYTES_TOO_LONG": ("saved state", "writes past the"),
+    "BYTES_LOST": ("saved state", "a state from bytes, in another instance, gives other outputs"),
+    "SILENT_AFTER_TERMINATE": ("termination", "returns error"),
+    "RESET_KEEPS_STATE": ("reset", "after reset the same inputs give other outputs"),
+    "RESET_KEEPS_INPUT": ("reset", "after reset u is 0.2; it was 0.0 in the new instance"),
+    "SHARED_STATE": ("two instances", "an instance does not start where it should after another was stepped"),
+    "LEAK": ("many instances", "memory grows by about 4"),
+    "RANGE_NOT_A_NUMBER": ("values out of range", "shape = 3 is accepted and gives outputs that are not finite"),
+    "RANGE_CRASH": ("values out of range", "the FMU crashed its process (SIGABRT) at: shape = 0"),
+    "STEP_WITHOUT_INITIALIZATION": ("illegal calls", "doStep before initialization is accepted"),
+    "STEP_IN_INITIALIZATION": ("illegal calls", "doStep in initialization mode is accepted"),
+    "EXIT_WITHOUT_ENTER": ("illegal calls", "exitInitializationMode without enter is accepted"),
+    "ENTER_TWICE": ("illegal calls", "enterInitializationMode a second time is accepted"),
+    "SETUP_LATE": ("illegal calls", "setupExperiment after initialization is accepted"),
+    "STEP_BACKWARDS": ("illegal calls", "doStep with a negative step is accepted"),
+    "STEP_AFTER_TERMINATE": ("illegal calls", "doStep after terminate is accepted"),
+    "ANY_REFERENCE_READ": ("illegal calls", "of an unknown value reference is accepted"),
+    "ANY_REFERENCE_SET": ("illegal calls", "of an unknown value reference is accepted"),
+    "ANY_REFERENCE_CRASH": ("illegal calls", "the FMU crashed its process (SIGSEGV) at: get"),
+    "OUTPUT_SET": ("illegal calls", "setting an output is accepted"),
+    "FIXED_SET": ("illegal calls", "setting a fixed parameter after initialization is accepted"),
+    "ANY_TYPE": ("illegal calls", "of an enumeration is accepted"),
+    "NO_ROOM": ("illegal calls", "reading a variable into no room (nValues = 0) is accepted"),
+}
+FMI_2_ONLY = {"SETUP_LATE"}
+FMI_3_ONLY = {"WRONG_LAST_TIME", "ENDS_SIMULATION", "RETURNS_EARLY", "ASKS_FOR_EVENT_MODE", "NO_ROOM"}
+CASES = [(fmi, fault) for fmi, others in ((2, FMI_3_ONLY), (3, FMI_2_ONLY)) for fault in FAULTS if fault not in others]
 
 
 def test_the_shipped_fmu_has_no_problem() -> None:
-    assert check(FMU) == []
+    assert check(FMU).problems == []
 
 
-STEP = "    (void)noSetFMUStatePriorToCurrentPoint; /* nothing is kept for going back */\n"
-SHARED_STATE = (
-    "instance.c",
-    "    double state[MECANUM_STATES];\n    memcpy(state, now->state, sizeof state);\n",
-    "    static double state[MECANUM_STATES];\n",
-)
-LIES = (
-    ("fmi2.c", "memcpy(&plant->now, FMUstate, sizeof plant->now);", "plant->now.stop_s += 0.0;"),
-    ("instance.c", "if (!(step_s > 0.0 && isfinite(step_s))) {", "if (!isfinite(step_s)) {"),
-    ("instance.c", "store(&plant->now, v, value);", "store(&plant->now, v, value + 1.0);"),
-)
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_good_fmu_passes_every_part(fmi: int, tmp_path: Path) -> None:
+    result = check(lag(tmp_path, fmi))
+    assert [(part.name, part.problems, part.skipped) for part in result.parts] == [
+        (name, (), None) for name in ("archive", "model description", *map(title, PARTS))
+    ]
 
 
-def test_a_crash_is_survived_and_located(tmp_path: Path) -> None:
-    fmu = patched_fmu(tmp_path, ("fmi2.c", STEP, f"{STEP}    abort();\n"))
-    assert check(fmu) == ["variables: the FMU crashed its process (signal 6)"]
+@pytest.mark.parametrize(("fmi", "fault"), CASES)
+def test_a_fault_is_found_by_the_part_meant_for_it_and_by_no_other(fmi: int, fault: str, tmp_path: Path) -> None:
+    part, words = FAULTS[fault]
+    fmu = lag(tmp_path, fmi, fault)
+    result = check(fmu, longest_s=1.0) if fault == "HANG_IN_STEP" else check(fmu)
+    problems = result.problems
+    assert [p.name for p in result.parts[2:]] == [title(p) for p in PARTS]
+    assert any(words in problem for problem in problems), problems
+    assert {problem.split(":")[0] for problem in problems} == {part}, problems
 
 
-def test_a_hang_is_ended(tmp_path: Path) -> None:
-    forever = "    for (volatile int i = 0; i == 0;) {\n    }\n"
-    (problem,) = check(patched_fmu(tmp_path, ("fmi2.c", STEP, STEP + forever)), longest_s=2.0)
-    assert problem.endswith("the FMU did not return within 2 s")
+def test_every_fault_of_the_header_has_a_case() -> None:
+    names = re.findall(r"^    ([A-Z_]+),$", (HERE / "lag.h").read_text(encoding="utf-8"), re.MULTILINE)
+    assert set(names) - {"NO_FAULT"} == set(FAULTS)
 
 
-def test_a_state_that_instances_share_is_found(tmp_path: Path) -> None:
-    problems = check(patched_fmu(tmp_path, SHARED_STATE))
-    assert "two instances: an instance gives other outputs when a second one exists" in problems or (
-        "two instances: an instance does not start where it should after another was stepped" in problems
-    )
+def renamed(function: str) -> Change:
+    """Take a function's name out of the library's table of symbols."""
 
+    def change(name: str, data: bytes) -> bytes:
+        if name.endswith(".xml"):
+            return data
+        assert f"\0{function}\0".encode() in data
+        return data.replace(f"\0{function}\0".encode(), f"\0{function[:-1]}X\0".encode())
 
-def test_lies_are_found(tmp_path: Path) -> None:
-    """A state that is not restored, a negative step that is taken, an input that is lost."""
-    problems = check(patched_fmu(tmp_path, *LIES))
-    assert "saved state: a restored state gives other outputs than when it was saved" in problems
-    assert "illegal calls: doStep with a negative step is accepted" in problems
-    assert any(p.startswith("variables: input wheel.fl.torque_n_m reads 0.8 after") for p in problems)
+    return change
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (
-            in_description('guid="{', 'guid="{0'),
-            "the FMU ended its process (Exception: Failed to instantiate",
-        ),
-        (in_description('modelIdentifier="mecanum"', 'modelIdentifier="other"'), "not run: FMU"),
-        (without("binaries"), "not run: FMU"),
-        (in_description('unit="kg"', 'unit="lb"'), 'The unit "lb" of variable "mass_kg"'),
-        (in_description('fmiVersion="2.0"', 'fmiVersion="3.0"'), "not run: FMU"),
-    ],
-    ids=["another GUID", "another identifier", "no binary", "an unknown unit", "FMI 3.0"],
+    ("fmi", "function"),
+    [(2, "fmi2GetVersion"), (2, "fmi2CancelStep"), (2, "fmi2DoStep"), (3, "fmi3GetClock"), (3, "fmi3SetTime")],
 )
-def test_a_wrong_archive_is_found(change: Change, words: str, tmp_path: Path) -> None:
-    problems = check(repack(tmp_path / "wrong.fmu", change))
-    assert any(words in problem for problem in problems), problems
+def test_a_function_that_is_not_exported_is_named_and_nothing_else_is_run(
+    fmi: int, function: str, tmp_path: Path
+) -> None:
+    result = check(lag(tmp_path, fmi, change=renamed(function)))
+    assert result.problems == [f"functions: {function} is not exported"]
+    after = result.parts[3:]
+    assert [part.skipped for part in after] == ["not run, since functions failed"] * len(after)
+
+
+def test_all_functions_of_the_standard_are_asked_for() -> None:
+    """FMPy's classes, which give the names, agree with the standard's headers."""
+    header = (HEADERS / "fmi3Functions.h").read_text(encoding="utf-8")
+    assert set(re.findall(r"FMI3_Export (fmi3\w+)TYPE", header)) == {n for n in dir(FMU3Slave) if n.startswith("fmi3")}
+    header = (HEADERS / "fmi2Functions.h").read_text(encoding="utf-8")
+    declared = re.findall(r"FMI2_Export (fmi2\w+)TYPE", header)
+    exchange = declared[declared.index("fmi2EnterEventMode") : declared.index("fmi2GetNominalsOfContinuousStates") + 1]
+    assert set(declared) - set(exchange) == {n for n in dir(FMU2Slave) if n.startswith("fmi2")}
+
+
+def text(old: str, new: str) -> Change:
+    def change(name: str, data: bytes) -> bytes:
+        if not name.endswith(".xml"):
+            return data
+        assert old.encode() in data
+        return data.replace(old.encode(), new.encode())
+
+    return change
+
+
+DESCRIPTIONS = [
+    (2, 'guid="{c0', 'guid="{c1', "life cycle: fmi2Instantiate returns no instance (another type or token)"),
+    (3, 'Token="{c0', 'Token="{c1', "life cycle: fmi3InstantiateCoSimulation returns no instance (another token)"),
+    (2, 'modelIdentifier="lag"', 'modelIdentifier="other"', "archive: FMU"),
+    (3, 'modelIdentifier="lag"', 'modelIdentifier="other"', "archive: FMU"),
+    (2, "CoSimulation", "ModelExchange", "archive: FMU"),
+    (2, 'unit="s"', 'unit="lb"', 'model description: The unit "lb" of variable "time"'),
+    (3, 'unit="s"', 'unit="lb"', 'model description: The unit "lb" of variable "time"'),
+    (3, 'start="2" min', 'start="4" min', "start values: gain reads 2.0 at the start; modelDescription.xml says 4.0"),
+    (2, 'gain" valueReference="2"', 'gain" valueReference="9"', "start values: fmi2GetReal returns error"),
+    (3, '<Dimension start="2"', '<Dimension start="3"', "life cycle: fmi3GetFloat64 returns error"),
+]
+
+
+@pytest.mark.parametrize(("fmi", "old", "new", "words"), DESCRIPTIONS)
+def test_a_description_that_does_not_fit_the_library_is_found(
+    fmi: int, old: str, new: str, words: str, tmp_path: Path
+) -> None:
+    problems = check(lag(tmp_path, fmi, change=text(old, new))).problems
+    assert any(problem.startswith(words) for problem in problems), problems
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_what_is_not_claimed_is_not_tested(fmi: int, tmp_path: Path) -> None:
+    """Faults in what an FMU does not claim are no faults."""
+    state = "state" if fmi == 2 else "State"
+    for fault, claim, part in (
+        ("STATE_LOST", f"canGetAndSetFMU{state}", "saved state"),
+        ("REFUSED_STEP", "canHandleVariableCommunicationStepSize", "step size"),
+    ):
+        result = check(lag(tmp_path, fmi, fault, text(f'{claim}="true"', "")))
+        assert result.problems == []
+        assert [p.name for p in result.parts if p.skipped] == [part]
+
+
+def test_a_library_that_cannot_be_loaded_is_a_problem(tmp_path: Path) -> None:
+    fmu = lag(tmp_path, 2, change=lambda name, data: data if name.endswith(".xml") else b"no library")
+    (problem,) = check(fmu).problems
+    assert problem.startswith("functions: the library cannot be loaded (")

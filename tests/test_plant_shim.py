@@ -12,6 +12,7 @@ import pytest
 
 from hil.errors import BadInputError, DeviceError
 from hil.plant.fmu import FmuPlant
+from hil.plant.start import Value
 from hil.types import Wheels
 from tests.plant_testbed import DESCRIPTION, FMU, REFERENCE, TORQUES, WHEELS, last_successful_time_s, slave
 
@@ -75,7 +76,7 @@ def test_equals_fmpy_bit_for_bit(plant: FmuPlant) -> None:
             )
             assert port.sense.tick == n + 1
     assert plant.truth().time_ns == 1_000_000_000
-    assert last_successful_time_s(plant._fmu) == pytest.approx(1.0, abs=1e-12)
+    assert last_successful_time_s(plant.instance.fmu) == pytest.approx(1.0, abs=1e-12)
     assert max(abs(value) for value in plant.truth().pose) > 0.01, "the robot did not move"
 
 
@@ -205,19 +206,23 @@ def test_a_refused_start_leaves_nothing_behind(monkeypatch: pytest.MonkeyPatch, 
     [
         (
             {"mas_kg": 24.0},
-            r"plant\.start\.mas_kg: mecanum\.fmu has no such parameter; did you mean 'mass_kg'\?",
+            r"plant\.start\.mas_kg: mecanum\.fmu has no such variable; did you mean 'mass_kg'\?",
         ),
-        ({"pose.x_m": 1.0}, r"plant\.start\.pose\.x_m: .* has no such parameter"),
-        ({"mass_kg": -1.0}, r"plant\.start: mass_kg = -1; expected a number from 0\.01 to 10000"),
+        ({"pose.x_m": 1.0}, r"plant\.start\.pose\.x_m: .* gives this output its value itself"),
+        ({"mass_kg": -1.0}, r"plant\.start\.mass_kg = -1; expected a number from 0\.01 to 10000"),
         ({"mass_kg": math.inf}, r"plant\.start\.mass_kg = inf; expected a finite number"),
         (
             {"counts_per_revolution": 0.5},
             r"plant\.start\.counts_per_revolution = 0\.5; expected a whole number",
         ),
         ({"counts_per_revolution": 1e12}, r"expected a whole number of 32 bits"),
-        ({"coriolis": 3}, r"plant\.start: coriolis = 3; expected a number from 1 to 2"),
+        ({"coriolis": 3}, r"plant\.start\.coriolis = 3; expected one of 'rigid' \(1\), 'paper' \(2\)"),
+        (
+            {"coriolis": "papre"},
+            r"plant\.start\.coriolis = 'papre'; expected an item of the enumeration; did you mean 'paper'\?",
+        ),
     ],
 )
-def test_a_bad_start_is_refused(start: dict[str, float], words: str) -> None:
+def test_a_bad_start_is_refused(start: dict[str, Value], words: str) -> None:
     with pytest.raises(BadInputError, match=words):
         FmuPlant(FMU, start)

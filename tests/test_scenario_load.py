@@ -168,7 +168,7 @@ def test_set_takes_pythons_own_values() -> None:
     )
     assert (scenario.robot.mass_kg, scenario.loop.rate_hz) == (24.0, 200)
     assert type(scenario.plant.start["start_x_m"]) is float
-    assert scenario.plant.start == {"start_x_m": 1.5, "start_y_m": -0.2, "start_heading_rad": 0.0}
+    assert scenario.plant.start == {"start_x_m": 1.5}
     assert scenario.directory / scenario.plant.fmu == Path("/tmp/a.fmu")
     assert scenario.device.reversed == ("fl", "rl")
 
@@ -263,6 +263,7 @@ def test_the_hash_leaves_out_what_concerns_one_process(change: str) -> None:
         "plant.start.start_x_m=0.81",
         "plant.start.friction_coefficient=0.0",
         "plant.fmu=./other.fmu",
+        "plant.map.pose.x_m=x",
         "firmware.speed_kp_n_m_s_rad=1.2",
         "firmware.watchdog_s=0.03",
         "device.reversed=['fl']",
@@ -296,7 +297,8 @@ def test_the_hash_is_that_of_the_canonical_text(here: Path) -> None:
         speed_limit_rad_s = 60
         [plant]
         fmu = "lib/other.fmu"
-        start.x_m = 1
+        start = { x_m = 1, gear = "direct", is_on = true }
+        map."pose.heading_rad" = { name = "psi", sign = -1 }
         [firmware]
         counts_per_revolution = 4096
         torque_limit_n_m = 5
@@ -317,8 +319,9 @@ def test_the_hash_is_that_of_the_canonical_text(here: Path) -> None:
         '"firmware":{"counts_per_revolution":4096,"overspeed_rad_s":100.0,"ramp_s":0.2,"speed_ki_n_m_rad":25.0,'
         '"speed_kp_n_m_s_rad":1.1,"torque_constant_n_m_a":1.25,"torque_limit_n_m":5.0,'
         '"tracking_bandwidth_rad_s":150.0,"watchdog_s":0.025},'
-        '"format":1,"loop":{"rate_hz":200,"seed":1},'
-        '"plant":{"fmu":"other.fmu","start":{"x_m":1.0}},'
+        '"format":2,"loop":{"rate_hz":200,"seed":1},'
+        '"plant":{"fmu":"other.fmu","map":{"pose.heading_rad":{"name":"psi","offset":0.0,"scale":1.0,"sign":-1}},'
+        '"start":{"gear":"direct","is_on":true,"x_m":1.0}},'
         '"robot":{"friction_coefficient":0.0,"half_length_m":0.3,"half_width_m":0.2,"inertia_kg_m2":0.5,'
         '"mass_kg":20.0,"speed_limit_rad_s":60.0,"torque_limit_n_m":5.0,"wheel_inertia_kg_m2":0.0,'
         '"wheel_radius_m":0.1}}'

@@ -7,7 +7,16 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 
 class CustomBuildHook(BuildHookInterface[Any]):
-    """Builds the firmware host library, the plant FMU and its shim with this machine's C compiler."""
+    """Builds the firmware host library, the plant's FMUs and their shim, with zig where there is no C compiler."""
+
+    def dependencies(self) -> list[str]:
+        """Ask for zig on a machine that has to build with it, and only there: it is a large download."""
+        sys.path.insert(0, self.root)
+        try:
+            from native_build.compiler import ZIG_REQUIREMENT, wants_zig
+        finally:
+            sys.path.remove(self.root)
+        return [ZIG_REQUIREMENT] if wants_zig() else []
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Build, and mark the wheel as one for this platform; the libraries do not depend on the Python version."""
@@ -19,7 +28,7 @@ class CustomBuildHook(BuildHookInterface[Any]):
         finally:
             sys.path.remove(self.root)
         firmware_protocol.build.build()
-        plant_fmu.build.build()
+        plant_fmu.build.build_all()
         hil.plant.build.build()
         build_data["pure_python"] = False
         build_data["infer_tag"] = True

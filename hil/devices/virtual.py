@@ -1,5 +1,6 @@
 """The virtual STM32: the firmware core of the host library in front of the plant FMU."""
 
+import contextlib
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -12,7 +13,10 @@ from hil.clock import TICK_NS
 from hil.devices.wheel_map import WheelMap
 from hil.errors import BadInputError, DeviceError, HilError
 from hil.links.wire import Wire
+from hil.plant import archive
 from hil.plant.fmu import FmuPlant
+from hil.plant.mapping import SignalMap
+from hil.plant.remote import RemotePlant
 from hil.types import PoseFix
 
 # A stall of this machine is made up for in one burst up to here, as a robot would have moved on meanwhile. Beyond it
@@ -22,11 +26,19 @@ _POLL_NS = 20_000_000
 _ABANDONED_NS = 2_000_000_000
 
 
+class VirtualPlant(NamedTuple):
+    """The plant of a virtual robot: the arguments of ``FmuPlant`` and ``RemotePlant``."""
+
+    fmu: Path
+    start: Mapping[str, float | bool | str]
+    mapping: SignalMap
+    timeout_s: float
+
+
 class VirtualRobot(NamedTuple):
     """What a virtual robot is made of."""
 
-    fmu: Path
-    start: Mapping[str, float]
+    plant: VirtualPlant
     firmware: Mapping[str, float]
     lockstep: bool
     wheel_map: WheelMap
@@ -35,14 +47,20 @@ class VirtualRobot(NamedTuple):
 class VirtualStm32:
     """A robot on this machine: firmware and plant, one instance each.
 
-    Raises BadInputError when the FMU cannot be used, or a firmware parameter is out of its range.
+    The shipped FMU runs in this process; any other, which may crash or hang, in one of its own.
+
+    Raises BadInputError when the FMU cannot be used, or a firmware parameter is out of its range; DeviceError when the
+    FMU fails while it is opened.
     """
 
     def __init__(self, made_of: VirtualRobot) -> None:
         self._made_of = made_of
-        self.plant = FmuPlant(made_of.fmu, made_of.start)
-        self.plant.wire(made_of.wheel_map.wheel_of_channel, made_of.wheel_map.sign_of_channel)
-        self.node = self._power_on()
+        with contextlib.ExitStack() as resources:
+            self.plant = _open(made_of.plant)
+            resources.callback(self.plant.close)
+            self.plant.wire(made_of.wheel_map.wheel_of_channel, made_of.wheel_map.sign_of_channel)
+            self.node = self._power_on()
+            resources.pop_all()
 
     def _power_on(self) -> HostNode:
         plant, made_of = self.plant, self._made_of
@@ -58,8 +76,10 @@ class VirtualStm32:
 
     def failure(self) -> DeviceError | None:
         """Return why the plant failed, in the FMU's words, or None while it has not."""
-        view = self.node.look()
-        return DeviceError(f"the plant failed at {view.tick} ms: {self.plant.message}") if view.plant_failed else None
+        if not self.node.look().plant_failed:
+            return None
+        at_s = self.plant.truth().time_ns * 1e-9
+        return DeviceError(f"the plant {self._made_of.plant.fmu.name} failed at {at_s:g} s: {self.plant.message}")
 
     def truth(self) -> PoseFix:
         """Return where the robot really is."""
@@ -68,6 +88,12 @@ class VirtualStm32:
     def close(self) -> None:
         """Free the plant."""
         self.plant.close()
+
+
+def _open(plant: VirtualPlant) -> FmuPlant | RemotePlant:
+    if archive.is_shipped(plant.fmu):
+        return FmuPlant(plant.fmu, plant.start, mapping=plant.mapping)
+    return RemotePlant(plant.fmu, plant.start, mapping=plant.mapping, timeout_s=plant.timeout_s)
 
 
 class TruthSink(Protocol):

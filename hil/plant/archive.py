@@ -1,37 +1,52 @@
-"""Opens an FMU without trusting it: a zip archive whose entries, sizes and XML may say anything.
+"""Finds FMUs and tells, without running anything of theirs, whether and how one can be run here.
 
 Every refusal is a BadInputError of one sentence that names the file.
 """
 
 import hashlib
-import shutil
-import stat
+import platform
+import re
 import sys
-import tempfile
-import xml.etree.ElementTree as ET
 import zipfile
-import zlib
+from collections.abc import Callable
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
+from xml.parsers import expat
 
-import plant_fmu
 from hil.errors import BadInputError, nearest
+from hil.plant.unpacking import extract as extract
+from hil.plant.unpacking import opened, pieces
+from plant_fmu import SHIPPED
+from plant_fmu import path as plant_path
 
-SHIPPED = "mecanum"
-_MOST_BYTES = 512 * 1024 * 1024  # unpacked; large FMUs with resources stay below
+DESCRIPTIONS = ("modelDescription.xml", "sources/buildDescription.xml")  # all the XML that FMPy reads
+INTERFACES = {"CoSimulation": "co_simulation", "ModelExchange": "model_exchange"}  # that with the better first
 _MOST_DESCRIPTION_BYTES = 64 * 1024 * 1024
-_MOST_ENTRIES = 20_000
-_LIBRARY_SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
-# Damaged, encrypted, or packed by a method that Python lacks.
-_UNREADABLE = (zipfile.BadZipFile, zlib.error, RuntimeError, NotImplementedError)
+LIBRARY_SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
+_BUILD = {"mecanum_mujoco": "hil fmu build --mujoco"}
 
 
 class Header(NamedTuple):
-    """What modelDescription.xml says first of all; an identifier is None where that interface is missing."""
+    """What modelDescription.xml says first of all.
+
+    ``interfaces`` has the attributes of each interface's element by its name: CoSimulation, ModelExchange and, in
+    FMI 3.0, ScheduledExecution.
+    """
 
     fmi_version: str
-    co_simulation: str | None
-    model_exchange: str | None
+    interfaces: dict[str, dict[str, str]]
+
+
+class Library(NamedTuple):
+    """The shared library to load: its path in the archive, and what it is loaded as.
+
+    ``fmi_version`` is "2.0" or "3.0"; ``interface`` is "co_simulation" or "model_exchange".
+    """
+
+    member: str
+    fmi_version: str
+    interface: str
+    model_identifier: str
 
 
 def locate(name: str, directory: Path) -> Path:
@@ -39,111 +54,135 @@ def locate(name: str, directory: Path) -> Path:
 
     Raises BadInputError when there is none.
     """
-    path = plant_fmu.path() if name == SHIPPED else directory / name
+    path = SHIPPED[name] if name in SHIPPED else directory / name
     if path.is_file():
         return path
-    if name == SHIPPED:
-        raise BadInputError(f"the shipped FMU {path} is not built; run: hil fmu build")
-    raise BadInputError(f"FMU {name!r} does not exist at {path}{nearest(name, [SHIPPED])}")
+    if name in SHIPPED:
+        raise BadInputError(f"the shipped FMU {path} is not built; run: {_BUILD.get(name, 'hil fmu build')}")
+    raise BadInputError(f"FMU {name!r} does not exist at {path}{nearest(name, SHIPPED)}")
 
 
 def sha256(fmu: Path) -> str:
     """Return the SHA-256 of the file, in hex. Raises BadInputError when it cannot be read."""
     try:
-        return hashlib.sha256(fmu.read_bytes()).hexdigest()
+        with fmu.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise BadInputError(f"FMU {fmu} cannot be read ({error.strerror}); give the path of an .fmu file") from error
 
 
 def is_shipped(fmu: Path) -> bool:
-    """Tell whether this is, byte for byte, the FMU that ships with this package."""
-    return plant_fmu.path().is_file() and sha256(fmu) == sha256(plant_fmu.path())
+    """Tell whether this is, byte for byte, the plant that ships with this package, for either FMI version.
+
+    MuJoCo's is not: its code is not ours, and where MuJoCo gives up it ends its process.
+    """
+    digest = sha256(fmu)
+    return any(plant.is_file() and sha256(plant) == digest for plant in (plant_path(2), plant_path(3)))
 
 
 def read_header(fmu: Path) -> Header:
-    """Check the archive and return what its modelDescription.xml says first. Raises BadInputError."""
-    with _open(fmu) as archive:
-        try:
-            size = archive.getinfo("modelDescription.xml").file_size
-        except KeyError as error:
-            raise BadInputError(f"FMU {fmu}: it has no modelDescription.xml, so it is no FMU") from error
-        if size > _MOST_DESCRIPTION_BYTES:
-            raise BadInputError(f"FMU {fmu}: its modelDescription.xml claims {size} bytes; that is no description")
-        try:
-            root = ET.fromstring(archive.read("modelDescription.xml"))
-        except (ET.ParseError, LookupError, *_UNREADABLE) as error:
-            raise BadInputError(f"FMU {fmu}: its modelDescription.xml cannot be read ({error})") from error
-    interfaces = [root.find(name) for name in ("CoSimulation", "ModelExchange")]
-    co_simulation, model_exchange = (
-        None if found is None else found.get("modelIdentifier", "") for found in interfaces
-    )
-    return Header(root.get("fmiVersion", "missing"), co_simulation, model_exchange)
+    """Check the archive and its XML, and return what modelDescription.xml says first. Raises BadInputError.
+
+    A document type definition is refused: it is the way to entities that grow without end or name other files.
+    """
+    with opened(fmu) as archive:
+        if DESCRIPTIONS[0] not in archive.namelist():
+            raise BadInputError(f"FMU {fmu}: it has no modelDescription.xml, so it is no FMU")
+        open_elements: list[str] = []
+        elements: list[tuple[str, dict[str, str]]] = []  # the root and its children
+
+        def start(name: str, attributes: dict[str, str]) -> None:
+            open_elements.append(name)
+            if len(open_elements) <= 2:
+                elements.append((name, attributes))
+
+        _read_xml(fmu, archive, DESCRIPTIONS[0], start, lambda _: open_elements.pop())
+        (root, attributes), *children = elements
+        if root != "fmiModelDescription":
+            raise BadInputError(f"FMU {fmu}: its modelDescription.xml has the root {root!r}; that is no description")
+        version = _fmi_version(fmu, attributes.get("fmiVersion", "missing"))
+        if DESCRIPTIONS[1] in archive.namelist():
+            _read_xml(fmu, archive, DESCRIPTIONS[1])
+    known = (*INTERFACES, "ScheduledExecution")
+    return Header(version, {name: attributes for name, attributes in children if name in known})
 
 
-def library_of(fmu: Path) -> str:
-    """Return the name of this platform's library in an FMI 2.0 co-simulation FMU.
+def library_of(fmu: Path) -> Library:
+    """Return this platform's library, that for co-simulation where there is one, else that for model exchange.
 
-    Raises BadInputError when the FMU has another version, no co-simulation, or no library for this platform.
+    Raises BadInputError when the FMU has neither interface, or no library for this platform.
     """
     header = read_header(fmu)
-    if header.fmi_version != "2.0":
-        raise BadInputError(f"FMU {fmu}: FMI version {header.fmi_version}; expected 2.0, export it for FMI 2.0")
-    if header.co_simulation is None:
-        raise BadInputError(f"FMU {fmu}: it is for model exchange only; export it for co-simulation")
-    library = f"binaries/{_platform()}/{header.co_simulation}{_LIBRARY_SUFFIX}"
-    with _open(fmu) as archive:
+    element = next((name for name in INTERFACES if name in header.interfaces), None)
+    if element is None:
+        there = ", ".join(header.interfaces) or "none at all"
+        raise BadInputError(f"FMU {fmu}: its interface is {there}; expected co-simulation, export it for that")
+    identifier = header.interfaces[element].get("modelIdentifier", "")
+    if not identifier:
+        raise BadInputError(f"FMU {fmu}: its {element} has no modelIdentifier, so its library has no name")
+    members = [f"binaries/{folder}/{identifier}{LIBRARY_SUFFIX}" for folder in binary_folders(header.fmi_version)]
+    with opened(fmu) as archive:
         names = archive.namelist()
-    if library not in names:
-        folders = sorted({PurePosixPath(n).parts[1] for n in names if n.startswith("binaries/") and n.count("/") > 1})
-        there = f"it has binaries for {', '.join(folders)}" if folders else "it has no binaries"
-        raise BadInputError(f"FMU {fmu}: no {library} for this platform; {there}")
-    return library
+    for member in members:
+        if member in names:
+            return Library(member, header.fmi_version, INTERFACES[element], identifier)
+    folders = platforms(fmu)
+    there = f"it has binaries for {', '.join(folders)}" if folders else "it has no binaries"
+    raise BadInputError(f"FMU {fmu}: no {members[-1]} for this platform; {there}")
 
 
-def extract(fmu: Path) -> Path:
-    """Unpack the checked archive into a new temporary folder; the caller removes it. Raises BadInputError."""
-    with _open(fmu) as archive:
-        folder = Path(tempfile.mkdtemp(prefix="hil_fmu_"))
-        try:
-            archive.extractall(folder)
-        except (OSError, *_UNREADABLE) as error:
-            shutil.rmtree(folder, ignore_errors=True)
-            raise BadInputError(f"FMU {fmu}: it cannot be unpacked ({error})") from error
-    return folder
+def platforms(fmu: Path) -> tuple[str, ...]:
+    """Return what the FMU has binaries for, as its folders call the platforms. Raises BadInputError."""
+    with opened(fmu) as archive:
+        paths = [PurePosixPath(name) for name in archive.namelist() if not name.endswith("/")]
+    return tuple(sorted({path.parts[1] for path in paths if path.parts[0] == "binaries" and len(path.parts) > 2}))
 
 
-def _platform() -> str:
-    from fmpy import platform
+def binary_folders(fmi_version: str) -> tuple[str, ...]:
+    """Return the folders of this platform's binaries, the best first: FMI 3.0 section 2.5.1, FMI 2.0 section 2.3.
 
-    return str(platform)
+    The names of 2.0 do not tell one 64-bit architecture from another, so 2.0 may use those of 3.0 as well.
+    """
+    machine = platform.machine().lower()
+    wide = sys.maxsize > 2**32
+    architecture = {"amd64": "x86_64", "arm64": "aarch64"}.get(machine, machine)
+    if not wide and re.fullmatch(r"x86_64|i.86|x86", architecture):
+        architecture = "x86"
+    system, short = {"win32": ("windows", "win"), "darwin": ("darwin", "darwin")}.get(sys.platform, ("linux", "linux"))
+    names = (f"{architecture}-{system}", f"{short}{64 if wide else 32}")
+    return names if fmi_version == "2.0" else names[:1]
 
 
-def _open(fmu: Path) -> zipfile.ZipFile:
-    if not fmu.is_file():
-        raise BadInputError(f"FMU {fmu} does not exist; give the path of an .fmu file, or {SHIPPED!r}")
+def _fmi_version(fmu: Path, text: str) -> str:
+    if text == "2.0":
+        return text
+    if re.fullmatch(r"3\.0(\.\d+)?", text):  # releases of 3.0 share their interface; what has a suffix is a draft
+        return "3.0"
+    raise BadInputError(f"FMU {fmu}: FMI version {text[:20]}; expected 2.0 or 3.0, export it for one of these")
+
+
+def _read_xml(
+    fmu: Path,
+    archive: zipfile.ZipFile,
+    name: str,
+    start: Callable[[str, dict[str, str]], None] | None = None,
+    end: Callable[[str], object] | None = None,
+) -> None:
+    """Parse an entry, giving its elements to ``start`` and ``end``."""
+
+    def refuse(*_: object) -> None:
+        raise BadInputError(f"FMU {fmu}: its {name} has a document type definition; an FMU has none")
+
+    entry = archive.getinfo(name)
+    if entry.file_size > _MOST_DESCRIPTION_BYTES:
+        raise BadInputError(f"FMU {fmu}: its {name} claims {entry.file_size} bytes; that is no description")
+    parser = expat.ParserCreate()
+    parser.StartDoctypeDeclHandler = refuse
+    parser.StartElementHandler = start
+    parser.EndElementHandler = end
     try:
-        archive = zipfile.ZipFile(fmu)
-    except zipfile.BadZipFile as error:
-        raise BadInputError(f"FMU {fmu}: not a zip archive ({error}), so it is no FMU") from error
-    except OSError as error:
-        raise BadInputError(f"FMU {fmu}: it cannot be read ({error.strerror})") from error
-    if problem := _unsafe(archive):
-        archive.close()
-        raise BadInputError(f"FMU {fmu}: {problem}; it is not opened")
-    return archive
-
-
-def _unsafe(archive: zipfile.ZipFile) -> str | None:
-    entries = archive.infolist()
-    if len(entries) > _MOST_ENTRIES:
-        return f"it has {len(entries)} entries; expected at most {_MOST_ENTRIES}"
-    total = sum(entry.file_size for entry in entries)
-    if total > _MOST_BYTES:
-        return f"it unpacks to {total} bytes; expected at most {_MOST_BYTES}"
-    for entry in entries:
-        name = entry.orig_filename
-        if name.startswith("/") or "\\" in name or ":" in name or ".." in PurePosixPath(name).parts:
-            return f"its entry {name!r} leads out of the archive"
-        if stat.S_ISLNK(entry.external_attr >> 16):
-            return f"its entry {name!r} is a symbolic link"
-    return None
+        for piece in pieces(fmu, archive, entry):
+            parser.Parse(piece, False)
+        parser.Parse(b"", True)
+    except (expat.ExpatError, LookupError, ValueError) as error:  # the latter two: encodings that Python cannot read
+        raise BadInputError(f"FMU {fmu}: its {name} cannot be read ({error})") from error

@@ -1,4 +1,4 @@
-"""Compiles the shim between the firmware's plant port and an FMU. Needs a C compiler and nothing else.
+"""Compiles the shim between the firmware's plant port and an FMU.
 
 ``python -m hil.plant.build`` builds when a source is newer than the library. The library is loaded with
 cffi's ABI mode, so that neither Python's headers nor a compiler are needed where it runs.
@@ -7,13 +7,14 @@ cffi's ABI mode, so that neither Python's headers nor a compiler are needed wher
 import sys
 from pathlib import Path
 
-from plant_fmu.build import SUFFIX, BuildError, compile_shared
+import native_build.compiler
+from native_build.compiler import SUFFIX, BuildError, compile_shared
 
 HERE = Path(__file__).parent
 PLANT_PORT = HERE.parents[1] / "firmware_protocol" / "firmware" / "plant_port.h"
 LIBRARY = HERE / f"libcosim{SUFFIX}"
-HEADERS = (PLANT_PORT, HERE / "cosim.h")
-SOURCES = (HERE / "cosim.c",)
+HEADERS = (PLANT_PORT, HERE / "cosim.h", HERE / "remote.h")
+SOURCES = (HERE / "cosim.c", HERE / "remote.c")
 
 
 def build(library: Path = LIBRARY, cc: str | None = None) -> Path:
@@ -24,9 +25,7 @@ def build(library: Path = LIBRARY, cc: str | None = None) -> Path:
 
 def is_fresh(library: Path = LIBRARY) -> bool:
     """Tell whether the library is there and newer than every source and header."""
-    return library.exists() and all(
-        source.stat().st_mtime <= library.stat().st_mtime for source in (*SOURCES, *HEADERS)
-    )
+    return native_build.compiler.is_fresh(library, (*SOURCES, *HEADERS))
 
 
 if __name__ == "__main__":

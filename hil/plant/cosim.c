@@ -2,54 +2,268 @@
 
 #include <math.h>
 #include <stdarg.h>
+#include <stdbool.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 
-#define FMI2_WARNING 1 /* the worst fmi2Status after which a simulation goes on */
+/* fmi2Status and fmi3Status agree on these. Nothing goes on after what is worse than a warning. */
+enum { STATUS_WARNING = 1, STATUS_DISCARD = 2, STATUS_FATAL = 4 };
+enum { FMI2_TERMINATED = 3 };       /* fmi2StatusKind */
+enum { MOST_EARLY_RETURNS = 1000 }; /* within one tick */
 
-_Static_assert(sizeof((cosim *)0)->real == COSIM_REALS * sizeof(double), "the sizes in cosim.h are one");
+static const double PI = 3.14159265358979323846;
+static const double TWO_PI = 6.28318530717958647692;
+static const double LARGEST_COUNT = 9007199254740992.0; /* 2^53: a double tells no further counts apart */
 
-static int fail(cosim *c, const char *what) {
-    /* The FMU's own words, when it gave some, are better. */
-    if (c->text[0] == '\0') {
-        snprintf(c->text, sizeof c->text, "%s", what);
+/* Keeps our own reason, and the FMU's words with it. */
+static int fail(cosim *c, const char *format, ...) {
+    char words[sizeof c->text];
+    memcpy(words, c->text, sizeof words);
+    va_list arguments;
+    va_start(arguments, format);
+    int length = vsnprintf(c->text, sizeof c->text, format, arguments);
+    va_end(arguments);
+    if (words[0] != '\0' && length >= 0 && (size_t)length < sizeof c->text) {
+        snprintf(c->text + length, sizeof c->text - (size_t)length, "; the FMU said: %.200s", words);
     }
     c->failed = 1;
     return 1;
 }
 
-static int drive_tick(cosim *c, const wheel_drive *drive) {
-    double torque_n_m[4];
-    for (int i = 0; i < 4; i++) {
-        torque_n_m[c->wheel_of_channel[i]] = c->sign_of_channel[i] * (double)drive->torque_n_m[i];
+/* A call returned a status that ends the run. The FMU's own words, when it gave some, are the reason. */
+static int refused(cosim *c, int status, const char *what) {
+    static const char *const NAME[] = {"ok", "warning", "discard", "error", "fatal", "pending"};
+    c->failed = 1;
+    c->fatal = status == STATUS_FATAL;
+    if (c->text[0] == '\0') {
+        const bool known = status >= 0 && (size_t)status < sizeof NAME / sizeof *NAME;
+        snprintf(c->text, sizeof c->text, "the FMU %s (status %d, %s) and did not say why", what, status,
+                 known ? NAME[status] : "which no standard has");
     }
-    if (c->set_real(c->component, c->torque_reference, 4, torque_n_m) > FMI2_WARNING) {
-        return fail(c, "the FMU refused the wheel torques");
+    return 1;
+}
+
+static double step_s(const cosim *c) {
+    return (double)c->step_ns / 1e9;
+}
+
+/* start + n step, never accumulated; the division rounds once, the product not at all. */
+static double time_s(const cosim *c, uint64_t steps) {
+    return (double)(steps * c->step_ns) / 1e9;
+}
+
+/* Calls a setter or getter of the FMU as what it is. FMI 3.0 says the number of values too. */
+#define CALL(c, g, TYPE)                                                                                     \
+    ((c)->fmi_version == 2 ? ((int (*)(void *, const unsigned *, size_t, TYPE *))(g)->call)(                 \
+                                 (c)->component, (g)->reference, (g)->references, (g)->value)                \
+                           : ((int (*)(void *, const unsigned *, size_t, TYPE *, size_t))(g)->call)(         \
+                                 (c)->component, (g)->reference, (g)->references, (g)->value, (g)->values))
+
+/* An input is given to the FMU so that factor * FMU value + offset is the bridge's torque. */
+static int write_inputs(cosim *c) {
+    for (const cosim_group *g = c->input; g < c->input + c->inputs; g++) {
+        const cosim_row *const end = g->is_in_place ? g->row : g->row + g->rows;
+        int status;
+        if (g->type == COSIM_FLOAT64) {
+            double *const value = g->value;
+            for (const cosim_row *row = g->row; row < end; row++) {
+                value[row->place] = (c->torque_n_m[row->signal] - row->offset) / row->factor;
+            }
+            status = CALL(c, g, const double);
+        } else {
+            float *const value = g->value;
+            for (const cosim_row *row = g->row; row < end; row++) {
+                value[row->place] = (float)((c->torque_n_m[row->signal] - row->offset) / row->factor);
+            }
+            status = CALL(c, g, const float);
+        }
+        if (status > STATUS_WARNING) {
+            return refused(c, status, "refused the wheel torques");
+        }
     }
-    /* start + n step, never accumulated; the division rounds once, the product not at all. */
-    const double from_s = (double)(c->steps * c->step_ns) / 1e9;
-    if (c->do_step(c->component, from_s, (double)c->step_ns / 1e9, 1) > FMI2_WARNING) {
-        return fail(c, "the FMU failed to step");
-    }
-    c->steps++;
     return 0;
 }
 
-static int sample(cosim *c) {
-    double real[COSIM_REALS];
-    int count[4];
-    if (c->get_real(c->component, c->real_reference, COSIM_REALS, real) > FMI2_WARNING ||
-        c->get_integer(c->component, c->count_reference, 4, count) > FMI2_WARNING) {
-        return fail(c, "the FMU refused to give its outputs");
+#define READ(KIND, TYPE)                                                                                     \
+    case KIND: {                                                                                             \
+        const TYPE *const value = g->value;                                                                  \
+        const int status = CALL(c, g, TYPE);                                                                 \
+        for (const cosim_row *row = g->row; row < g->row + g->rows; row++) {                                 \
+            c->fresh[row->signal] = (double)value[row->place];                                               \
+        }                                                                                                    \
+        return status;                                                                                       \
     }
-    for (int i = 0; i < COSIM_REALS; i++) {
-        if (!isfinite(real[i])) {
-            return fail(c, "an output of the FMU is not finite");
+
+/* Gets the values of a group into `fresh` and returns the status. */
+static int read_group(cosim *c, const cosim_group *g) {
+    if (g->is_in_place) {
+        return CALL(c, g, double);
+    }
+    switch (g->type) {
+        READ(COSIM_FLOAT64, double)
+        READ(COSIM_FLOAT32, float)
+        READ(COSIM_INT8, int8_t)
+        READ(COSIM_UINT8, uint8_t)
+        READ(COSIM_INT16, int16_t)
+        READ(COSIM_UINT16, uint16_t)
+        READ(COSIM_INT32, int32_t)
+        READ(COSIM_UINT32, uint32_t)
+        READ(COSIM_INT64, int64_t)
+        READ(COSIM_UINT64, uint64_t)
+    }
+    return STATUS_FATAL; /* there is no further type */
+}
+
+static int read_outputs(cosim *c) {
+    double *const fresh = c->fresh;
+    for (const cosim_group *g = c->output; g < c->output + c->outputs; g++) {
+        const int status = read_group(c, g);
+        if (status > STATUS_WARNING) {
+            return refused(c, status, "refused to give its outputs");
+        }
+        if (!g->is_identity) {
+            for (const cosim_row *row = g->row; row < g->row + g->rows; row++) {
+                fresh[row->signal] = row->factor * fresh[row->signal] + row->offset;
+            }
         }
     }
-    memcpy(c->real, real, sizeof real);
-    memcpy(c->count, count, sizeof count);
     return 0;
+}
+
+static int step2(cosim *c, double from_s) {
+    int (*const do_step)(void *, double, double, int) = (int (*)(void *, double, double, int))c->do_step;
+    const int status = do_step(c->component, from_s, step_s(c), 1);
+    if (status == STATUS_DISCARD) {
+        int (*const get)(void *, int, int *) = (int (*)(void *, int, int *))c->get_boolean_status;
+        int terminated = 0;
+        if (get(c->component, FMI2_TERMINATED, &terminated) <= STATUS_WARNING && terminated) {
+            return fail(c, "the FMU asked to end the simulation");
+        }
+    }
+    return status > STATUS_WARNING ? refused(c, status, "failed to step") : 0;
+}
+
+/* An FMU that returns early is stepped on from where it got to: the tick ends where all ticks end. */
+static int step3(cosim *c, double from_s) {
+    int (*const do_step)(void *, double, double, bool, bool *, bool *, bool *, double *) =
+        (int (*)(void *, double, double, bool, bool *, bool *, bool *, double *))c->do_step;
+    const double to_s = time_s(c, c->steps + 1);
+    double at_s = from_s, length_s = step_s(c);
+    for (int i = 0; i < MOST_EARLY_RETURNS; i++) {
+        bool event_handling_needed = false, terminate = false, early = false;
+        double reached_s = at_s;
+        const int status = do_step(c->component, at_s, length_s, true, &event_handling_needed, &terminate,
+                                   &early, &reached_s);
+        if (status > STATUS_WARNING) {
+            return refused(c, status, "failed to step");
+        }
+        if (terminate) {
+            return fail(c, "the FMU asked to end the simulation");
+        }
+        if (!early || reached_s >= to_s) {
+            return 0;
+        }
+        if (!(reached_s > at_s)) {
+            return fail(c, "the FMU returned early from a step at %.10g s and got no further", at_s);
+        }
+        at_s = reached_s;
+        length_s = to_s - at_s;
+    }
+    return fail(c, "the FMU returned early from a step %d times within one tick", MOST_EARLY_RETURNS);
+}
+
+static int step(cosim *c) {
+    const double from_s = time_s(c, c->steps);
+    if (c->solve != NULL) {
+        c->failed = c->solve(from_s, time_s(c, c->steps + 1));
+        return c->failed;
+    }
+    return c->fmi_version == 2 ? step2(c, from_s) : step3(c, from_s);
+}
+
+/* An angle that jumps by about a whole turn in one tick was wrapped by the FMU; no robot turns so fast. */
+static double unwound(cosim_winding *w, double angle_rad) {
+    const double jump_rad = angle_rad - w->newest_rad;
+    if (fabs(fabs(jump_rad) - TWO_PI) < PI) {
+        w->turns -= jump_rad > 0.0 ? 1.0 : -1.0;
+    }
+    w->newest_rad = angle_rad;
+    return w->turns == 0.0 ? angle_rad : angle_rad + w->turns * TWO_PI;
+}
+
+/* Fills in what the FMU has no variable for. `passed` tells whether a tick has. */
+static void derive(cosim *c, bool passed) {
+    double *const fresh = c->fresh;
+    for (size_t i = 0; i < COSIM_SIGNALS; i++) {
+        if (!c->derived[i]) {
+            continue;
+        }
+        if (i < COSIM_WHEEL_SPEED) { /* a component of the twist */
+            const size_t from = i - COSIM_TWIST + COSIM_POSE;
+            fresh[i] = passed ? (fresh[from] - c->signal[from]) / step_s(c) : c->signal[i];
+        } else if (i < COSIM_CURRENT) {
+            const size_t from = i - COSIM_WHEEL_SPEED + COSIM_WHEEL_ANGLE;
+            fresh[i] = passed ? (fresh[from] - c->signal[from]) / step_s(c) : c->signal[i];
+        } else if (i < COSIM_GYRO) {
+            fresh[i] = c->torque_n_m[i - COSIM_CURRENT] / c->torque_constant_n_m_a;
+        } else if (i < COSIM_COUNT) {
+            fresh[i] = i == COSIM_GYRO + 2 ? fresh[COSIM_TWIST + 2] : 0.0; /* the robot stays level */
+        } else { /* a count, which is rounded down when it is sensed */
+            const double angle_rad = fresh[i - COSIM_COUNT + COSIM_WHEEL_ANGLE];
+            fresh[i] = angle_rad / TWO_PI * c->counts_per_revolution;
+        }
+    }
+}
+
+static int sample(cosim *c, bool passed) {
+    if (read_outputs(c) != 0) {
+        return 1;
+    }
+    c->fresh[COSIM_POSE + 2] = unwound(&c->winding[0], c->fresh[COSIM_POSE + 2]);
+    if (c->derives) {
+        for (size_t i = 0; i < 4; i++) {
+            double *const angle_rad = &c->fresh[COSIM_WHEEL_ANGLE + i];
+            *angle_rad = unwound(&c->winding[1 + i], *angle_rad);
+        }
+        derive(c, passed);
+    }
+    for (size_t i = 0; i < COSIM_SIGNALS; i++) {
+        const double value = c->fresh[i];
+        if (!isfinite(value)) {
+            const char *const kind = isnan(value) ? "not a number" : "infinite";
+            return fail(c, "%s is %s; expected a finite number", c->name[i], kind);
+        }
+    }
+    memcpy(c->signal, c->fresh, sizeof c->signal);
+    return 0;
+}
+
+/* Rounds down; past the largest count the counter stands still. */
+static int64_t whole(double count) {
+    if (fabs(count) > LARGEST_COUNT) {
+        count = count < 0.0 ? -LARGEST_COUNT : LARGEST_COUNT;
+    }
+    const int64_t towards_zero = (int64_t)count;
+    return towards_zero - ((double)towards_zero > count);
+}
+
+int cosim_start(cosim *c) {
+    c->steps = 0;
+    c->failed = 0;
+    c->text[0] = '\0';
+    c->text_status = 0;
+    memset(c->torque_n_m, 0, sizeof c->torque_n_m);
+    memset(c->signal, 0, sizeof c->signal);
+    memset(c->fresh, 0, sizeof c->fresh);
+    if (read_outputs(c) != 0) {
+        return 1;
+    }
+    c->winding[0] = (cosim_winding){.newest_rad = c->fresh[COSIM_POSE + 2]};
+    for (size_t i = 0; i < 4; i++) {
+        c->winding[1 + i] = (cosim_winding){.newest_rad = c->fresh[COSIM_WHEEL_ANGLE + i]};
+    }
+    return sample(c, false);
 }
 
 int cosim_exchange(void *context, const wheel_drive *drive, wheel_sense *sense) {
@@ -58,25 +272,32 @@ int cosim_exchange(void *context, const wheel_drive *drive, wheel_sense *sense) 
         return 1;
     }
     c->text[0] = '\0';
+    c->text_status = 0;
     if (c->component == NULL) {
         return fail(c, "the FMU is closed");
     }
-    if (drive != NULL && drive_tick(c, drive) != 0) {
+    if (drive != NULL) {
+        for (int i = 0; i < 4; i++) {
+            c->torque_n_m[c->wheel_of_channel[i]] = c->sign_of_channel[i] * (double)drive->torque_n_m[i];
+        }
+        if (write_inputs(c) != 0 || step(c) != 0) {
+            return 1;
+        }
+    }
+    if (sample(c, drive != NULL) != 0) {
         return 1;
     }
-    if (sample(c) != 0) {
-        return 1;
-    }
+    c->steps += drive != NULL;
     /* What holds after tick n is what tick n + 1 samples at its beginning. */
     sense->tick = drive != NULL ? drive->tick + 1 : (uint32_t)c->steps;
     for (int i = 0; i < 4; i++) {
         const int wheel = c->wheel_of_channel[i];
         const int sign = c->sign_of_channel[i];
-        sense->count[i] = (uint16_t)((unsigned)sign * (unsigned)c->count[wheel]); /* modulo 2^16 */
-        sense->current_a[i] = (float)(sign * c->real[COSIM_CURRENT + wheel]);
+        sense->count[i] = (uint16_t)(sign * whole(c->signal[COSIM_COUNT + wheel])); /* modulo 2^16 */
+        sense->current_a[i] = (float)(sign * c->signal[COSIM_CURRENT + wheel]);
     }
     for (int i = 0; i < 3; i++) {
-        sense->gyro_rad_s[i] = (float)c->real[COSIM_GYRO + i];
+        sense->gyro_rad_s[i] = (float)c->signal[COSIM_GYRO + i];
     }
     return 0;
 }
@@ -94,16 +315,38 @@ int cosim_run(void *context, const float *torque_n_m, uint32_t ticks) {
     return 0;
 }
 
-uint64_t cosim_time_ns(const cosim *c) {
-    return c->steps * c->step_ns;
+static bool is_worth_keeping(cosim *c, int status, const char *message) {
+    if (message == NULL || status < STATUS_WARNING || status < c->text_status || c->failed) {
+        return false;
+    }
+    c->text_status = status;
+    return true;
 }
 
-void cosim_log(void *environment, const char *instance, int status, const char *category, const char *message,
-               ...) {
-    (void)instance, (void)status, (void)category;
+void cosim_log2(void *environment, const char *instance, int status, const char *category,
+                const char *message, ...) {
+    (void)instance, (void)category;
     cosim *const c = environment;
-    va_list arguments;
-    va_start(arguments, message);
-    vsnprintf(c->text, sizeof c->text, message, arguments);
-    va_end(arguments);
+    if (is_worth_keeping(c, status, message)) {
+        va_list arguments;
+        va_start(arguments, message);
+        vsnprintf(c->text, sizeof c->text, message, arguments);
+        va_end(arguments);
+    }
+}
+
+void cosim_log3(void *environment, int status, const char *category, const char *message) {
+    (void)category;
+    cosim *const c = environment;
+    if (is_worth_keeping(c, status, message)) {
+        snprintf(c->text, sizeof c->text, "%s", message);
+    }
+}
+
+void *cosim_allocate(size_t count, size_t size) {
+    return calloc(count, size);
+}
+
+void cosim_free(void *memory) {
+    free(memory);
 }

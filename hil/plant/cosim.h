@@ -1,6 +1,7 @@
-/* Steps a co-simulation FMU as the firmware's plant port: one C call a tick, no allocation, no Python.
+/* Steps an FMU as the firmware's plant port: one C call a tick, no allocation, no Python.
  *
- * The FMU is loaded and initialised elsewhere; this holds its addresses (FMI 2.0) and its value references.
+ * The FMU (2.0 or 3.0) is loaded and initialised elsewhere. This holds its addresses, and for every signal of
+ * the bridge the variable that carries it: bridge value = factor * FMU value + offset.
  */
 #ifndef COSIM_H
 #define COSIM_H
@@ -11,52 +12,114 @@
 #include "plant_port.h"
 
 /* cffi: begin */
-enum {
-    COSIM_POSE = 0,        /* x_m, y_m, heading_rad, world frame */
-    COSIM_TWIST = 3,       /* vx_m_s, vy_m_s, yaw_rate_rad_s, world frame */
-    COSIM_WHEEL_SPEED = 6, /* rad/s, FL, FR, RR, RL */
-    COSIM_CURRENT = 10,    /* A */
-    COSIM_GYRO = 14,       /* x, y, z, rad/s, body frame */
-    COSIM_REALS = 17,
+enum {                         /* the outputs */
+       COSIM_POSE = 0,         /* x_m, y_m, heading_rad, world frame */
+       COSIM_TWIST = 3,        /* vx_m_s, vy_m_s, yaw_rate_rad_s, world frame */
+       COSIM_WHEEL_SPEED = 6,  /* rad/s, FL, FR, RR, RL */
+       COSIM_CURRENT = 10,     /* A */
+       COSIM_GYRO = 14,        /* x, y, z, rad/s, body frame */
+       COSIM_COUNT = 17,       /* encoder counts */
+       COSIM_WHEEL_ANGLE = 21, /* rad; read only where something follows from it */
+       COSIM_SIGNALS = 25,
 };
+
+enum { /* the C types of an FMU's numbers; FMI 2.0 calls the first Real and COSIM_INT32 Integer */
+       COSIM_FLOAT64,
+       COSIM_FLOAT32,
+       COSIM_INT8,
+       COSIM_UINT8,
+       COSIM_INT16,
+       COSIM_UINT16,
+       COSIM_INT32,
+       COSIM_UINT32,
+       COSIM_INT64,
+       COSIM_UINT64,
+       COSIM_TYPES,
+};
+
+typedef void (*cosim_function)(void); /* any function of an FMU; called as what the standard says it is */
+
+typedef struct {
+    size_t signal; /* an output of the enumeration above, or the wheel of a torque */
+    size_t place;  /* where the FMU's value is among those of its group */
+    double factor;
+    double offset;
+} cosim_row;
+
+typedef struct { /* the variables of one type: one call into the FMU */
+    int type;
+    cosim_function call; /* fmi2GetReal, fmi3SetFloat32, ... */
+    const unsigned *reference;
+    size_t references;
+    void *value; /* of that type; more of them than references where an FMI 3.0 variable is an array */
+    size_t values;
+    const cosim_row *row;
+    size_t rows;
+    int is_identity; /* every factor is 1, every offset 0 */
+    int is_in_place; /* `value` is that part of `fresh` or of `torque_n_m` which the rows name */
+} cosim_group;
+
+typedef struct { /* an angle that the FMU may wrap */
+    double newest_rad;
+    double turns;
+} cosim_winding;
 
 typedef struct {
     void *component; /* NULL once the FMU is gone */
-    int (*set_real)(void *component, const unsigned *reference, size_t count, const double *value);
-    int (*get_real)(void *component, const unsigned *reference, size_t count, double *value);
-    int (*get_integer)(void *component, const unsigned *reference, size_t count, int *value);
-    int (*do_step)(void *component, double from_s, double step_s, int no_return_before);
+    int fmi_version; /* 2 or 3 */
+    cosim_function do_step;
+    cosim_function get_boolean_status; /* fmi2GetBooleanStatus, NULL with FMI 3.0 */
+    /* Takes the place of do_step where the FMU has no solver; writes into `text` when it fails. */
+    int (*solve)(double from_s, double to_s);
 
-    unsigned torque_reference[4];
-    unsigned real_reference[17]; /* COSIM_REALS, in the order above */
-    unsigned count_reference[4];
+    cosim_group input[COSIM_TYPES];
+    cosim_group output[COSIM_TYPES];
+    size_t inputs;
+    size_t outputs;
+    const char *name[COSIM_SIGNALS]; /* for messages */
+
+    int derives; /* whether any of the following is set */
+    int derived[COSIM_SIGNALS];
+    double counts_per_revolution;
+    double torque_constant_n_m_a;
 
     /* How the robot is wired: the wheel that each channel of the plant port drives, and in which sense. */
     int wheel_of_channel[4];
     int sign_of_channel[4]; /* 1 or -1 */
 
     uint64_t step_ns;
-    uint64_t steps;  /* taken since the start */
-    int failed;      /* once set, every exchange fails and `text` keeps the first reason */
-    double real[17]; /* the newest outputs */
-    int count[4];
-    char text[256]; /* the FMU's words since the last good exchange, or why the exchange failed */
+    uint64_t steps;               /* taken since the start: the time of the newest outputs */
+    int failed;                   /* once set, every exchange fails and `text` keeps the first reason */
+    int fatal;                    /* the FMU said that nothing of it may be called any more */
+    double torque_n_m[4];         /* the newest inputs, by wheel */
+    double fresh[COSIM_SIGNALS];  /* the outputs while they are read */
+    double signal[COSIM_SIGNALS]; /* the newest outputs */
+    cosim_winding winding[5];     /* heading, wheel angles */
+    char text[512];               /* the FMU's words since the last good exchange, or why that failed */
+    int text_status;              /* the worst fmi2Status or fmi3Status that those words came with */
 } cosim;
 
-/* A wheel_plant_exchange whose context is a cosim. Returns 0, or 1 when the FMU failed or gave a number that
- * is not finite; then `text` says why and the outputs are those of the last good tick. */
+/* Samples the outputs of an FMU that has just been initialised, and starts the time. Returns like
+ * cosim_exchange. */
+int cosim_start(cosim *c);
+
+/* A wheel_plant_exchange whose context is a cosim. Returns 0, or 1 when the FMU failed, wished to end or gave
+ * a number that is not finite; then `text` says why and the outputs are those of the last good tick. */
 int cosim_exchange(void *context, const wheel_drive *drive, wheel_sense *sense);
 
 /* Holds the torques of the four channels for so many ticks. Stops at the first failure and returns like
  * cosim_exchange. */
 int cosim_run(void *context, const float *torque_n_m, uint32_t ticks);
 
-/* Time of the newest outputs since the start [ns]. */
-uint64_t cosim_time_ns(const cosim *c);
+/* fmi2CallbackLogger and fmi3LogMessageCallback; the environment is a cosim. Of the warnings and worse
+ * since the last good exchange they keep the newest of the worst status. */
+void cosim_log2(void *environment, const char *instance, int status, const char *category,
+                const char *message, ...);
+void cosim_log3(void *environment, int status, const char *category, const char *message);
 
-/* fmi2CallbackLogger; the environment is a cosim. Keeps the newest message. */
-void cosim_log(void *environment, const char *instance, int status, const char *category, const char *message,
-               ...);
+/* fmi2CallbackAllocateMemory and fmi2CallbackFreeMemory. */
+void *cosim_allocate(size_t count, size_t size);
+void cosim_free(void *memory);
 /* cffi: end */
 
 #endif

@@ -22,6 +22,7 @@ DIRECTIONS = {
 _SPEED_GAIN_N_M_S_RAD = 1.0
 _SETTLING_TICKS = 1500
 _WINDOW_TICKS = 500
+_ROLLING_TORQUE_N_M = 1.0  # slips nowhere, and is large beside friction and ripple
 
 
 class Plant(Protocol):
@@ -86,22 +87,17 @@ def acceleration(start: Start, direction: str, torque_n_m: float) -> float:
         return (_component(_body(plant.truth()), direction) - before) / 0.3
 
 
-def slip_onset_n_m(
-    start: Start, geometry: Geometry, direction: str, *, highest_n_m: float, resolution_n_m: float = 0.02
-) -> float | None:
-    """Return the least torque of a step on all wheels at which one outruns the robot; None up to ``highest_n_m``.
+def slip_onset_n_m(start: Start, direction: str, *, highest_n_m: float, resolution_n_m: float = 0.02) -> float | None:
+    """Return the least torque on all wheels of which 3 % of the acceleration are missing; None up to ``highest_n_m``.
 
-    That is: after 0.4 s the wheel speeds say at least 2 % more than the robot moves. Found by bisection.
+    Missing of what a torque gives that is sure not to slip, in proportion. Found by bisection.
     """
+    rolling = acceleration(start, direction, _ROLLING_TORQUE_N_M) / _ROLLING_TORQUE_N_M
 
     def slips(torque_n_m: float) -> bool:
-        torques = Wheels(*(torque_n_m * sign for sign in DIRECTIONS[direction]))
-        with start({}) as plant:
-            plant.step(torques, 400)
-            moved = _component(_body(plant.truth()), direction)
-            return _component(body_twist(plant.wheel_speeds(), *geometry), direction) > 1.02 * moved
+        return acceleration(start, direction, torque_n_m) < 0.97 * rolling * torque_n_m
 
-    low, high = 0.0, highest_n_m
+    low, high = _ROLLING_TORQUE_N_M, highest_n_m
     if not slips(high):
         return None
     while high - low > resolution_n_m:

@@ -1,94 +1,65 @@
-"""The plant FMU in this process, stepped from C through the firmware's plant port.
+"""An FMU in this process as the plant, stepped from C through the firmware's plant port.
 
-FMPy reads the description, loads and initialises the FMU. From then on the shim ``plant/cosim.c`` calls the
-FMU's functions by their addresses: one C call a tick, where FMPy's own methods cost about 30 times as much.
+FMPy reads the description, loads and initialises the FMU. From then on the shim cosim.c calls the FMU's functions by
+their addresses: one C call a tick, where a step through FMPy's own methods costs about 25 times as much.
 """
 
 import contextlib
-import ctypes
-import functools
-import math
-import re
 import shutil
-import threading
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-import cffi
-
-from hil.errors import BadInputError, DeviceError, nearest
-from hil.plant import archive
-from hil.plant.build import HEADERS, LIBRARY
-from hil.types import WHEEL_NAMES, Pose, PoseFix, Twist, Wheels
-
-_TORQUES = tuple(f"wheel.{wheel}.torque_n_m" for wheel in WHEEL_NAMES)
-_COUNTS = tuple(f"wheel.{wheel}.count" for wheel in WHEEL_NAMES)
-_REALS = (  # the order of the enumeration in cosim.h
-    *(f"pose.{name}" for name in Pose._fields),
-    *(f"twist.{name}" for name in Twist._fields),
-    *(f"wheel.{wheel}.speed_rad_s" for wheel in WHEEL_NAMES),
-    *(f"wheel.{wheel}.current_a" for wheel in WHEEL_NAMES),
-    *(f"gyro.{axis}_rad_s" for axis in "xyz"),
-)
-_CALLS = {
-    "set_real": "fmi2SetReal",
-    "get_real": "fmi2GetReal",
-    "get_integer": "fmi2GetInteger",
-    "do_step": "fmi2DoStep",
-}
-_SECTION = re.compile(r"/\* cffi: begin \*/(.*?)/\* cffi: end \*/", re.DOTALL)
-_LOADING = threading.Lock()  # FMPy changes the working directory while it loads
-
-
-@functools.cache
-def _shim() -> tuple[Any, Any]:
-    """Return cffi's (ffi, library) of the shim, with the declarations taken from the C headers themselves."""
-    if not LIBRARY.exists():
-        raise BadInputError(f"{LIBRARY} is not built; run: python -m hil.plant.build")
-    ffi = cffi.FFI()
-    for header in HEADERS:
-        for section in _SECTION.findall(header.read_text(encoding="utf-8")):
-            ffi.cdef(section)
-    return ffi, ffi.dlopen(str(LIBRARY))
+from hil.errors import BadInputError, DeviceError
+from hil.plant import archive, shim
+from hil.plant.instance import Instance
+from hil.plant.mapping import SignalMap, resolve
+from hil.plant.start import Value, resize, start_values
+from hil.types import Pose, PoseFix, Twist, Wheels
 
 
 class FmuPlant:
-    """An instance of the shipped FMU behind the plant port, at its start until it is stepped.
+    """An instance of an FMU behind the plant port, at its start until it is stepped.
 
-    ``start`` gives parameters of the FMU by name, in the FMU's units; the others keep the FMU's defaults. A
-    tick lasts ``step_ns``. ``exchange_address`` is a C function of the type ``wheel_plant_exchange``,
-    ``context_address`` its context; both hold only as long as this object lives, and fail after ``close``.
+    ``start`` gives variables of the FMU by name, in the FMU's units; the others keep the FMU's defaults. ``mapping``
+    says which variables carry the bridge's signals where they do not have the signals' own names. A tick lasts
+    ``step_ns``. ``exchange_address`` is a C function of the type ``wheel_plant_exchange``, ``context_address`` its
+    context; both hold only as long as this object lives, and fail after ``close``.
 
-    Raises BadInputError when the file is not an FMU that can run here, when a name is unknown or a value out
-    of its range.
+    The FMU's code runs here: where it crashes or hangs, this process does.
+
+    Raises BadInputError when the file is not an FMU that can run here, when a name is unknown or a value out of its
+    range, and DeviceError when the FMU fails at its start.
     """
 
-    def __init__(self, fmu: Path, start: Mapping[str, float], step_ns: int = 1_000_000) -> None:
+    def __init__(
+        self, fmu: Path, start: Mapping[str, Value], step_ns: int = 1_000_000, mapping: SignalMap | None = None
+    ) -> None:
         library = archive.library_of(fmu)
-        if not archive.is_shipped(fmu):
-            raise BadInputError(
-                f"FMU {fmu} is not the shipped one; only that runs inside this process so far, "
-                f"set plant.fmu = {archive.SHIPPED!r}"
-            )
         if step_ns <= 0:
             raise BadInputError(f"plant step {step_ns} ns; expected a positive number")
-        ffi, self._lib = _shim()
-        self._ffi = ffi
-        self._context = ffi.new("cosim *", {"step_ns": step_ns})
+        self._ffi, self._lib = shim.load()
+        self._context = self._ffi.new("cosim *", {"step_ns": step_ns})
+        # What a call looks up each time costs more than the call.
+        self._run = self._lib.cosim_run
+        self._torque = self._ffi.new("float[4]")
+        self._speeds = self._context.signal + self._lib.COSIM_WHEEL_SPEED
+        self._solve: Any = None  # the solver as a C function, for model exchange
+        self._step_s = step_ns / 1e9
         self.wire((0, 1, 2, 3), (1, 1, 1, 1))
         with contextlib.ExitStack() as resources:
             folder = archive.extract(fmu)
             resources.callback(shutil.rmtree, folder, ignore_errors=True)
-            self._fmu, variables = _load(fmu, folder, folder / library)
-            resources.callback(self._fmu.freeLibrary)
-            # Where a loaded library's file may go, it goes now: a killed run then leaves nothing behind.
-            shutil.rmtree(folder, ignore_errors=True)
-            self._connect(variables)
-            self._start = _parameters(fmu, start, variables)
-            self._instantiate()
-            resources.callback(self._free)
+            self.instance = instance = Instance(fmu, folder, library, self._context)
+            resources.callback(instance.unload)
+            if not _is_needed(folder, library.member):
+                # Where a loaded library's file may go, it goes now: a killed run then leaves nothing behind.
+                shutil.rmtree(folder, ignore_errors=True)
+            self._start = start_values(start, fmu, instance.variables)
+            self._wiring_memory = self._connect(fmu, mapping or SignalMap())
+            instance.instantiate()
+            resources.callback(instance.free)
             self._initialise()
             self._resources = resources.pop_all()
 
@@ -130,28 +101,29 @@ class FmuPlant:
 
         Raises DeviceError when the FMU fails.
         """
-        if self._lib.cosim_run(self._context, list(torque_n_m), ticks) != 0:
-            raise DeviceError(f"the plant stopped at {self._seconds():g} s: {self.message}")
+        self._torque[0:4] = torque_n_m
+        if self._run(self._context, self._torque, ticks) != 0:
+            raise DeviceError(f"the plant stopped at {self._time_ns / 1e9:g} s: {self.message}")
 
     def truth(self) -> PoseFix:
         """Return pose and twist, world frame, with the time since the start."""
-        x, y, heading, vx, vy, yaw_rate = self._ffi.unpack(self._context.real, 6)
-        return PoseFix(self._lib.cosim_time_ns(self._context), Pose(x, y, heading), Twist(vx, vy, yaw_rate))
+        x, y, heading, vx, vy, yaw_rate = self._ffi.unpack(self._context.signal, 6)
+        return PoseFix(self._time_ns, Pose(x, y, heading), Twist(vx, vy, yaw_rate))
 
     def wheel_speeds(self) -> Wheels:
         """Return the true wheel speeds [rad/s]."""
-        return Wheels(*self._ffi.unpack(self._context.real + self._lib.COSIM_WHEEL_SPEED, 4))
+        return Wheels(*self._ffi.unpack(self._speeds, 4))
 
     @property
     def message(self) -> str:
         """Why the newest exchange failed, in the FMU's words where it gave some; empty when it did not."""
-        return str(self._ffi.string(self._context.text).decode(errors="replace"))
+        return self.instance.words
 
     def reset(self) -> None:
-        """Go back to the start, also after a failure. Raises DeviceError when the plant is closed."""
+        """Go back to the start, also after a failure. Raises DeviceError when the plant is closed or cannot."""
         if self._context.component == self._ffi.NULL:
             raise DeviceError("the plant is closed; make a new one")
-        self._fmu.reset()
+        self.instance.reset()
         self._initialise()
 
     def close(self) -> None:
@@ -166,94 +138,29 @@ class FmuPlant:
     ) -> None:
         self.close()
 
-    def _connect(self, variables: Mapping[str, Any]) -> None:
-        """Hand addresses and value references to the shim."""
-        context, ffi = self._context, self._ffi
-        for member, name in _CALLS.items():
-            address = ctypes.cast(getattr(self._fmu.dll, name), ctypes.c_void_p).value
-            setattr(context, member, ffi.cast(ffi.typeof(getattr(context, member)), address))
-        context.torque_reference = _references(variables, _TORQUES)
-        context.real_reference = _references(variables, _REALS)
-        context.count_reference = _references(variables, _COUNTS)
-
-    def _instantiate(self) -> None:
-        """Make the FMU's instance with the shim's logger: its messages need no call into Python."""
-        from fmpy.fmi2 import fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
-
-        logger = int(self._ffi.cast("uintptr_t", self._ffi.addressof(self._lib, "cosim_log")))
-        callbacks = fmi2CallbackFunctions()
-        callbacks.logger = ctypes.cast(logger, fmi2CallbackLoggerTYPE)
-        callbacks.componentEnvironment = self.context_address
-        self._fmu.instantiate(callbacks=callbacks)
-        self._context.component = self._ffi.cast("void *", self._fmu.component)
+    def _connect(self, fmu: Path, mapping: SignalMap) -> list[object]:
+        """Hand the FMU's addresses and variables to the shim; return what has to live as long as it."""
+        instance, context = self.instance, self._context
+        resize(self._start, instance.variables)
+        wiring = resolve(mapping, fmu, instance.variables)
+        context.counts_per_revolution = mapping.counts_per_revolution or 0.0
+        context.torque_constant_n_m_a = mapping.torque_constant_n_m_a or 0.0
+        return shim.connect(context, wiring, instance.access)
 
     def _initialise(self) -> None:
-        from fmpy.fmi1 import FMICallException
-
-        self._context.steps = 0
-        self._context.failed = 0
-        self._fmu.setupExperiment(startTime=0.0)
-        for reference, value in self._start:
-            setter = self._fmu.setInteger if isinstance(value, int) else self._fmu.setReal
-            try:
-                setter([reference], [value])
-            except FMICallException as error:
-                raise BadInputError(f"plant.start: {self.message}") from error
-        self._fmu.enterInitializationMode()
-        self._fmu.exitInitializationMode()
-        sense = self._ffi.new("wheel_sense *")
-        if self._lib.cosim_exchange(self._context, self._ffi.NULL, sense) != 0:
+        self.instance.initialise(self._start)
+        if self.instance.is_model_exchange and self._solve is None:
+            self._solve = self._ffi.callback("int(double, double)", self.instance.solver(self._step_s), error=1)
+            self._context.solve = self._solve
+        if self._lib.cosim_start(self._context) != 0:
             raise DeviceError(f"the plant has no outputs at its start: {self.message}")
 
-    def _free(self) -> None:
-        self._context.component = self._ffi.NULL
-        self._fmu.fmi2FreeInstance(self._fmu.component)
-
-    def _seconds(self) -> float:
-        return float(self._lib.cosim_time_ns(self._context)) / 1e9
+    @property
+    def _time_ns(self) -> int:
+        """Time of the newest outputs since the start."""
+        return int(self._context.steps * self._context.step_ns)
 
 
-def _load(fmu: Path, folder: Path, library: Path) -> tuple[Any, dict[str, Any]]:
-    """Load the unpacked FMU with FMPy; return it, and its variables by name."""
-    import fmpy
-    from fmpy.fmi2 import FMU2Slave
-    from fmpy.model_description import read_model_description
-
-    try:
-        # FMPy raises a plain Exception for this; asked first, the loader tells what is wrong.
-        probe = ctypes.CDLL(str(library))
-    except OSError as error:
-        raise BadInputError(f"FMU {fmu}: its library cannot be loaded ({error}); run: hil fmu build") from error
-    description = read_model_description(folder, validate=False)
-    with _LOADING:
-        slave = FMU2Slave(
-            guid=description.guid,
-            unzipDirectory=str(folder),
-            modelIdentifier=description.coSimulation.modelIdentifier,
-            instanceName="plant",
-        )
-    fmpy.freeLibrary(probe._handle)
-    return slave, {variable.name: variable for variable in description.modelVariables}
-
-
-def _references(variables: Mapping[str, Any], names: Iterable[str]) -> list[int]:
-    return [variables[name].valueReference for name in names]
-
-
-def _parameters(fmu: Path, start: Mapping[str, float], variables: Mapping[str, Any]) -> list[tuple[int, int | float]]:
-    """Return value references and values of the start; integers for Integer and Enumeration."""
-    parameters = {name: v for name, v in variables.items() if v.causality == "parameter"}
-    values: list[tuple[int, int | float]] = []
-    for name, value in start.items():
-        if name not in parameters:
-            raise BadInputError(f"plant.start.{name}: {fmu.name} has no such parameter{nearest(name, parameters)}")
-        if not math.isfinite(value):
-            raise BadInputError(f"plant.start.{name} = {value}; expected a finite number")
-        variable = parameters[name]
-        if variable.type == "Real":
-            values.append((variable.valueReference, float(value)))
-        elif value == int(value) and abs(value) < 2**31:
-            values.append((variable.valueReference, int(value)))
-        else:
-            raise BadInputError(f"plant.start.{name} = {value:g}; expected a whole number of 32 bits")
-    return values
+def _is_needed(folder: Path, member: str) -> bool:
+    """Tell whether a loaded FMU may want more of its files: resources, or libraries beside its own."""
+    return (folder / "resources").is_dir() or len(list((folder / member).parent.iterdir())) > 1

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from hil.child import module_command
 from hil.errors import BadInputError
-from hil.telemetry.child import child_environment, module_command
+from hil.telemetry.environment import rerun_environment
 from hil.telemetry.files import EXPECTED_FILE, check_is_recording
 
 if TYPE_CHECKING:
@@ -64,7 +65,7 @@ def read(path: Path) -> RecordedRun:
         module_command("hil.review.decode", str(path)),
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
-        env=child_environment(),
+        env=rerun_environment(),
         check=False,
     )
     line, _, values = answer.stdout.partition(b"\n")

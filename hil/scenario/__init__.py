@@ -5,9 +5,11 @@ resolved(scenario)                                -> every value and where it ca
 shipped()                                         -> what can be loaded by name
 """
 
+from hil.scenario.fields import StartValue
 from hil.scenario.load import load, shipped
 from hil.scenario.run import Scenario, resolved
 from hil.scenario.tables import (
+    SHIPPED_FMUS,
     ControllerTable,
     DeviceTable,
     EstimatorTable,
@@ -23,6 +25,7 @@ from hil.scenario.tables import (
 from hil.scenario.toml_text import format_value
 
 __all__ = [
+    "SHIPPED_FMUS",
     "ControllerTable",
     "DeviceTable",
     "EstimatorTable",
@@ -35,6 +38,7 @@ __all__ = [
     "ReferenceTable",
     "RobotTable",
     "Scenario",
+    "StartValue",
     "format_value",
     "load",
     "resolved",

@@ -9,6 +9,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, PlainValidator
 
 Scalar = float | int | bool | str
 OptionValue = Scalar | tuple[Scalar, ...]
+StartValue = float | bool | str
 
 
 def is_path(name: str) -> bool:
@@ -39,9 +40,19 @@ def _scalar(value: object) -> Scalar:
     raise ValueError("expected a finite number, text, true or false, or an array of these")
 
 
+def _start(value: object) -> StartValue:
+    """Accept what a variable of an FMU may start with; the FMU's description tells the type and range."""
+    if isinstance(value, bool | str):
+        return value
+    if isinstance(value, float | int) and math.isfinite(value):
+        return float(value)
+    raise ValueError("expected a finite number, true or false, or text")
+
+
 Text = Annotated[str, AfterValidator(_text)]
 Milliseconds = Annotated[float, AfterValidator(_whole_milliseconds)]
 Option = Annotated[Any, PlainValidator(_option)]
+Start = Annotated[StartValue, PlainValidator(_start)]
 
 
 class Table(BaseModel):

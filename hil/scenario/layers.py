@@ -2,13 +2,16 @@
 
 Tables merge key by key, the later layer wins. Everything else, arrays of tables too, is replaced as a whole.
 A layer that names another ``controller.law`` or ``reference.kind`` drops the options of the one before: they
-belong to that law or kind.
+belong to that law or kind. So do ``plant.start`` and ``plant.map`` to a foreign FMU; of the shipped ones one takes over
+from another the start values that it knows. A row of ``plant.map`` that names a variable replaces the row before.
 """
 
 from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
 from hil.errors import BadInputError
+from hil.scenario.tables import PLANT_SIGNALS, SHIPPED_FMUS, MapRow, PlantTable
+from plant_fmu.shipped import variable_names
 
 Path = tuple[str, ...]
 """Keys from the root to a value; a row of an array of tables is its number as text."""
@@ -25,7 +28,8 @@ Node = dict[str, "Node"] | list["Node"] | Given
 Tree = dict[str, Node]
 
 # table, the key that chooses, and the keys that do not belong to the choice
-_CHOICES = (("controller", "law", ("command",)), ("reference", "kind", ()))
+_CHOICES = (("controller", "law", ("command",)), ("reference", "kind", ()), ("plant", "fmu", ("timeout_s",)))
+_DEFAULT_FMU = Given(PlantTable().fmu, "default")
 
 
 def dotted(path: Path) -> str:
@@ -36,7 +40,7 @@ def dotted(path: Path) -> str:
 def make_layer(raw: Mapping[str, object], where: Callable[[Path], str]) -> Tree:
     """Return the layer for a parsed document; ``where`` tells where the value at a path was given."""
     tree = {str(key): _annotate(value, where, (str(key),)) for key, value in raw.items()}
-    _flatten_start(tree)
+    _flatten_plant(tree)
     return tree
 
 
@@ -45,8 +49,12 @@ def stack(below: Tree, above: Tree) -> Tree:
     kept = dict(below)
     for table, key, common in _CHOICES:
         old, new = below.get(table), above.get(table)
-        if isinstance(old, dict) and isinstance(new, dict) and _differs(old.get(key), new.get(key)):
-            kept[table] = {name: node for name, node in old.items() if name in common}
+        if isinstance(old, dict) and isinstance(new, dict):
+            if _differs(old.get(key, _DEFAULT_FMU if key == "fmu" else None), new.get(key)):
+                kept[table] = {name: node for name, node in old.items() if name in common}
+            elif table == "plant":
+                rows = _kept_rows(old.get("map", {}), new.get("map", {}))
+                kept[table] = {**old, "map": rows, "start": _known_start(old.get("start", {}), new.get("fmu"))}
     return merge(kept, above)
 
 
@@ -113,16 +121,60 @@ def _annotate(value: object, where: Callable[[Path], str], path: Path) -> Node:
     return Given(value, where(path))
 
 
-def _flatten_start(tree: Tree) -> None:
-    """Make ``wheel.fl.angle_rad = 1`` under ``[plant.start]`` the variable of that dotted name."""
+def _flatten_plant(tree: Tree) -> None:
+    """Make ``wheel.fl.angle_rad = 1`` under ``[plant.start]`` and ``[plant.map]`` the name with these dots."""
     plant = tree.get("plant")
-    if isinstance(plant, dict) and isinstance(plant.get("start"), dict):
-        start = plant["start"]
+    if not isinstance(plant, dict):
+        return
+    if isinstance(start := plant.get("start"), dict):
         plant["start"] = {dotted(path): given for path, given in leaves(start)}
+    if isinstance(rows := plant.get("map"), dict):
+        flat: Tree = {}
+        for path, node in _entries(rows):
+            signal, key = _signal_and_key(path)
+            row = flat.setdefault(signal, {})
+            if isinstance(row, dict) and node != {}:
+                row[key] = node
+        plant["map"] = flat
+
+
+def _entries(table: Tree, path: Path = ()) -> Iterator[tuple[Path, Node]]:
+    """Yield all below a table that is no table, and the empty ones."""
+    for key, node in table.items():
+        if isinstance(node, dict) and node:
+            yield from _entries(node, (*path, key))
+        else:
+            yield (*path, key), node
+
+
+def _signal_and_key(path: Path) -> tuple[str, str]:
+    """Split a path below ``[plant.map]``; a row that is no table is the variable's name."""
+    ends = [end for end in range(1, len(path)) if dotted(path[:end]) in PLANT_SIGNALS]
+    if not ends and path[-1] in MapRow.model_fields:
+        ends = [len(path) - 1]
+    return (dotted(path[: ends[0]]), dotted(path[ends[0] :])) if ends else (dotted(path), "name")
+
+
+def _kept_rows(below: Node, above: Node) -> Node:
+    """Return the rows of ``[plant.map]`` without those whose variable the layer above names anew."""
+    if not (isinstance(below, dict) and isinstance(above, dict)):
+        return below
+    named = {signal for signal, row in above.items() if isinstance(row, dict) and "name" in row}
+    return {signal: row for signal, row in below.items() if signal not in named}
+
+
+def _known_start(below: Node, fmu: Node | None) -> Node:
+    """Return the start values without those that the shipped FMU which the layer above names does not know."""
+    if not (isinstance(below, dict) and isinstance(fmu, Given) and fmu.value in SHIPPED_FMUS):
+        return below
+    known = variable_names(str(fmu.value))
+    return {name: given for name, given in below.items() if name in known}
 
 
 def _differs(old: Node | None, new: Node | None) -> bool:
-    return isinstance(old, Given) and isinstance(new, Given) and old.value != new.value
+    if not (isinstance(old, Given) and isinstance(new, Given)):
+        return False
+    return old.value != new.value and not all(given.value in SHIPPED_FMUS for given in (old, new))
 
 
 def _nested(path: Path, value: object) -> dict[str, object]:

@@ -25,7 +25,7 @@ ROBOT_TABLES = ("robot", "firmware", "device", "link")
 _SUFFIX = ".toml"
 _OPTIONS = {"mode": "loop.mode", "link": "link.url", "seed": "loop.seed"}
 _SET = "--set"
-_CHOICES = ("controller.law", "reference.kind")
+_CHOICES = ("controller.law", "reference.kind", "plant.fmu")
 
 
 class _File(NamedTuple):
@@ -157,7 +157,8 @@ def _read(path: Path, display: str, prefix: str) -> _File:
 def _assignments(given: Mapping[str, object] | Sequence[str]) -> list[tuple[str, object]]:
     """Return the keys and values of ``set``.
 
-    The choice of a law drops the gains of another, so it goes first, wherever it stands on the command line.
+    The choice of a law drops the gains of another, so it goes first, wherever it stands on the command line; the
+    choice of an FMU too.
     """
     if isinstance(given, Mapping):
         pairs = [(str(key), _plain_python(value)) for key, value in given.items()]

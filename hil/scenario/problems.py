@@ -13,6 +13,9 @@ from hil.scenario.layers import Given, Node, Path, Tree, dotted, leaves
 from hil.scenario.tables import Tables
 from hil.scenario.toml_text import format_value
 
+_MAP = ("plant", "map")
+_KEY = "[key]"  # how pydantic points at the key itself of a free-form table
+
 
 def describe(error: ValidationError, tree: Tree, scenario: str) -> list[str]:
     """Return one sentence for each problem; ``scenario`` stands for the place of what was not given at all.
@@ -27,6 +30,8 @@ def describe(error: ValidationError, tree: Tree, scenario: str) -> list[str]:
         if problem["type"] == "missing":
             if not misspelt:
                 sentences.append(f"{scenario}: {_missing(path)}")
+        elif path[-1] == _KEY:
+            sentences.append(f"{place(tree, path[:-1], scenario)}: {dotted(path[:-1])}: {problem['ctx']['error']}")
         elif problem["type"] == "extra_forbidden":
             sentences.append(f"{place(tree, path, scenario)}: unknown key {dotted(path)}{did_you_mean(path)}")
         else:
@@ -64,9 +69,10 @@ def place(tree: Tree, path: Path, scenario: str) -> str:
 
 def did_you_mean(path: Path) -> str:
     """Return the hint for an unknown key: its name in another table, or the nearest one here or anywhere."""
-    table, name = tuple(part for part in path[:-1] if not part.isdigit()), path[-1]
+    table, name = tuple(part for part in _without_signal(path)[:-1] if not part.isdigit()), path[-1]
     keys = _keys()
-    elsewhere = {key: dotted((*other, key)) for other, names in keys.items() for key in names if other}
+    tables = {other: names for other, names in keys.items() if other not in ((), _MAP)}
+    elsewhere = {key: dotted((*other, key)) for other, names in tables.items() for key in names}
     here = keys.get(table, ())
     if name in elsewhere:
         return f"; did you mean {elsewhere[name]!r}?"
@@ -101,7 +107,7 @@ def _table(field: FieldInfo) -> type[BaseModel] | None:
 def _field(path: Path) -> FieldInfo | None:
     model: type[BaseModel] | None = Tables
     field: FieldInfo | None = None
-    for part in path:
+    for part in _without_signal(path):
         if part.isdigit():
             continue
         if model is None:
@@ -109,6 +115,11 @@ def _field(path: Path) -> FieldInfo | None:
         field = model.model_fields.get(part)
         model = _table(field) if field is not None else None
     return field
+
+
+def _without_signal(path: Path) -> Path:
+    """Return the path without the key of a row of ``[plant.map]``: every row has the same keys."""
+    return (*_MAP, *path[3:]) if path[:2] == _MAP else path
 
 
 def _missing(path: Path) -> str:

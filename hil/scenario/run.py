@@ -7,9 +7,9 @@ from pathlib import Path, PurePath
 
 from pydantic import BaseModel, Field
 
-from hil.scenario.tables import Tables
+from hil.scenario.tables import SHIPPED_FMUS, Tables
 
-HASH_FORMAT = 1
+HASH_FORMAT = 2
 """Counts changes of what the hash covers, so that two versions of this package do not agree by chance."""
 _ARRAYS_OF_TABLES = ("fault", "expect")
 
@@ -27,19 +27,35 @@ class Scenario(Tables):
         """SHA-256, in hex, of what a controller and a device in two processes must agree on.
 
         That is [robot], [plant], [firmware], the wheel map of [device], loop.rate_hz and loop.seed, resolved:
-        it does not matter in which file or order they were given. A path to an FMU counts by its last part.
+        it does not matter in which file or order they were given. An FMU that is not shipped counts by its bytes, or
+        by the last part of its path where there is no such file.
         The rest (link, mode, controller, reference, faults, expectations) concerns one process alone.
         """
         shared = {
             "format": HASH_FORMAT,
             "robot": dict(self.robot),
-            "plant": {"fmu": PurePath(self.plant.fmu).name, "start": dict(self.plant.start)},
+            "plant": {
+                "fmu": self.fmu_sha256 or PurePath(self.plant.fmu).name,
+                "map": {signal: dict(row) for signal, row in self.plant.map.items()},
+                "start": dict(self.plant.start),
+            },
             "firmware": dict(self.firmware),
             "device": {"wheels": self.device.wheels, "reversed": sorted(self.device.reversed)},
             "loop": {"rate_hz": self.loop.rate_hz, "seed": self.loop.seed},
         }
         canonical = json.dumps(shared, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
         return hashlib.sha256(canonical.encode("ascii")).hexdigest()
+
+    @property
+    def fmu_sha256(self) -> str | None:
+        """SHA-256, in hex, of an FMU given by its path; None for a shipped one, and where it cannot be read."""
+        if self.plant.fmu in SHIPPED_FMUS:
+            return None
+        try:
+            with (self.directory / self.plant.fmu).open("rb") as file:
+                return hashlib.file_digest(file, "sha256").hexdigest()
+        except OSError:
+            return None
 
 
 def resolved(scenario: Scenario) -> list[tuple[str, object, str]]:

@@ -7,25 +7,32 @@ can carry; those of [firmware] are the firmware's own.
 """
 
 import math
+import re
 from collections.abc import Mapping
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import ConfigDict, Field, field_validator, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, field_validator, model_validator
 
 from firmware_protocol.generated.messages import NAMES as MESSAGE_NAMES
 from hil.errors import BadInputError, nearest
 from hil.links.delay import FIRST_EXEMPT_ID
 from hil.links.url import parse_link
-from hil.scenario.fields import Milliseconds, Option, OptionValue, Table, Text, is_path
+from hil.plant_signals import INPUTS, OUTPUTS
+from hil.scenario.fields import Milliseconds, Option, OptionValue, Start, Table, Text, is_path
 from hil.signals import SIGNAL_NAMES
 from hil.types import WHEEL_NAMES, CommandMode
+from plant_fmu import SHIPPED
 
 TICKS_PER_SECOND = 1000  # the firmware loop
 LOWEST_RATE_HZ = 20  # two commands within the longest watchdog
 RATES_HZ = tuple(rate for rate in range(LOWEST_RATE_HZ, 1001) if TICKS_PER_SECOND % rate == 0)
 DRIVERS = ("stm32",)
-SHIPPED_FMUS = ("mecanum",)
+SHIPPED_FMUS = tuple(SHIPPED)
 MUTABLE_MESSAGES = tuple(name for number, name in MESSAGE_NAMES.items() if number < FIRST_EXEMPT_ID)
+
+PLANT_SIGNALS = (*INPUTS, *OUTPUTS)
+# The signals of the four wheels as one.
+_PATTERNS = sorted({re.sub(r"^wheel\.\w+", "wheel.*", signal) for signal in PLANT_SIGNALS})
 
 Wheel = Literal["fl", "fr", "rr", "rl"]
 
@@ -44,11 +51,33 @@ class RobotTable(Table):
     speed_limit_rad_s: float = Field(gt=0, le=63.984375, description="of one wheel")
 
 
+def _signal_of_plant(name: str) -> str:
+    if name not in PLANT_SIGNALS:
+        hint = nearest(name, PLANT_SIGNALS)
+        known = hint if "did you mean" in hint else f"; known: {', '.join(_PATTERNS)}"
+        raise ValueError(f"the plant has no such signal{known}")
+    return name
+
+
+class MapRow(Table):
+    """A row of ``[plant.map]``: the FMU's variable of a signal; signal = sign * scale * variable + offset."""
+
+    name: Text = Field(description="of the FMU's variable")
+    scale: float = Field(default=1.0, gt=0, description="units of the signal in one of the variable's")
+    offset: float = Field(default=0.0, description="the signal where the variable is 0")
+    sign: Literal[1, -1] = Field(default=1, description="-1 where the FMU counts the other way")
+
+
 class PlantTable(Table):
     """``[plant]``: what stands behind the wire when no motors do."""
 
     fmu: Text = Field(default="mecanum", description="a shipped name, or a path relative to this file")
-    start: Mapping[Text, float] = Field(
+    timeout_s: float = Field(default=2.0, ge=0.05, le=3600, description="silence of a foreign FMU that counts as hung")
+    map: Mapping[Annotated[str, AfterValidator(_signal_of_plant)], MapRow] = Field(
+        default_factory=dict,
+        description="the FMU's variables of the signals that it does not have by their own names",
+    )
+    start: Mapping[Text, Start] = Field(
         default_factory=dict,
         description="FMU variables where the truth differs from [robot], or that only the plant has",
     )

@@ -8,6 +8,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hil.errors import BadInputError
+
 if TYPE_CHECKING:
     from hil.scenario import Scenario
 
@@ -16,8 +18,8 @@ def properties(scenario: "Scenario") -> dict[str, str]:
     """Return a recording's properties.
 
     ``scenario`` is a JSON object of every resolved value by its dotted key, and ``scenario_sources`` one of
-    where each was given; ``scenario_sha256`` is the hash that a controller and a device compare. ``commit`` is
-    there only when the code runs from a checkout.
+    where each was given; ``scenario_sha256`` is the hash that a controller and a device compare. ``fmu_sha256`` is
+    there where the plant's FMU is on this machine, ``commit`` only when the code runs from a checkout.
     """
     from hil.scenario import resolved
 
@@ -32,9 +34,19 @@ def properties(scenario: "Scenario") -> dict[str, str]:
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         **versions(),
         "scenario_sha256": scenario.hash,
+        **_fmu(scenario),
         "scenario": json.dumps({key: value for key, value, _ in values}, default=str),
         "scenario_sources": json.dumps({key: where for key, _, where in values}),
     }
+
+
+def _fmu(scenario: "Scenario") -> dict[str, str]:
+    from hil.plant import archive
+
+    try:
+        return {"fmu_sha256": archive.sha256(archive.locate(scenario.plant.fmu, scenario.directory))}
+    except BadInputError:
+        return {}  # the robot is elsewhere, and needs it there alone
 
 
 def versions() -> dict[str, str]:

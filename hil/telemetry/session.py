@@ -12,10 +12,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from hil.child import away_from_terminal, module_command
 from hil.errors import BadInputError, DeviceError
 from hil.signals import SIGNAL_NAMES
 from hil.telemetry.channel import LineReader, LineWriter, Patience
-from hil.telemetry.child import child_environment, module_command
+from hil.telemetry.environment import rerun_environment
 from hil.telemetry.files import check_recording_path
 from hil.telemetry.memory import SharedBlock
 from hil.telemetry.ring import RingWriter, ring_bytes
@@ -221,16 +222,16 @@ class Recording:
 
 
 def _start(block: SharedBlock, stderr: Any) -> "subprocess.Popen[bytes]":
-    options: dict[str, Any] = {"pass_fds": block.pass_fds, "start_new_session": True}
-    if sys.platform == "win32":
-        options = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
+    options = away_from_terminal()
+    if sys.platform != "win32":
+        options["pass_fds"] = block.pass_fds
     return subprocess.Popen(
         module_command("hil.telemetry.recorder"),
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=stderr,
         bufsize=0,
-        env=child_environment(),
+        env=rerun_environment(),
         **options,
     )
 

@@ -6,9 +6,9 @@
 #include <stdint.h>
 
 #define MECANUM_MODEL_NAME "mecanum"
-#define MECANUM_GUID "{96ba4df1-2ad7-ae5e-0c8e-241a8d442b00}"
+#define MECANUM_GUID "{ad00c95d-9a52-0b9a-d61a-869d1bdb433a}"
 #define MECANUM_WHEELS 4
-#define MECANUM_VARIABLE_COUNT 111
+#define MECANUM_VARIABLE_COUNT 112
 
 enum {
     MECANUM_CORIOLIS_RIGID = 1,
@@ -185,10 +185,10 @@ typedef struct {
     X(70, REAL, TUNABLE, parameters.viscous_n_m_s_rad, 0.0, 0.0, 10.0, "viscous_n_m_s_rad") \
     X(71, REAL, TUNABLE, parameters.slope_rad, 0.0, 0.0, 1.0, "slope_rad") \
     X(72, REAL, TUNABLE, parameters.slope_direction_rad, 0.0, -INFINITY, INFINITY, "slope_direction_rad") \
-    X(73, INTEGER, PARAMETER, parameters.contact, 1.0, 1.0, 2.0, "contact") \
-    X(74, INTEGER, PARAMETER, parameters.rollers, 1.0, 1.0, 2.0, "rollers") \
-    X(75, INTEGER, PARAMETER, parameters.coriolis, 1.0, 1.0, 2.0, "coriolis") \
-    X(76, INTEGER, PARAMETER, parameters.drive, 1.0, 1.0, 3.0, "drive") \
+    X(73, ENUMERATION, PARAMETER, parameters.contact, 1.0, 1.0, 2.0, "contact") \
+    X(74, ENUMERATION, PARAMETER, parameters.rollers, 1.0, 1.0, 2.0, "rollers") \
+    X(75, ENUMERATION, PARAMETER, parameters.coriolis, 1.0, 1.0, 2.0, "coriolis") \
+    X(76, ENUMERATION, PARAMETER, parameters.drive, 1.0, 1.0, 3.0, "drive") \
     X(77, REAL, TUNABLE, parameters.grip_coefficient, 0.7, 0.0, 5.0, "grip_coefficient") \
     X(78, REAL, TUNABLE, parameters.wheel_grip_factor[0], 1.0, 0.0, 10.0, "wheel.fl.grip_factor") \
     X(79, REAL, TUNABLE, parameters.wheel_grip_factor[1], 1.0, 0.0, 10.0, "wheel.fr.grip_factor") \
@@ -222,7 +222,8 @@ typedef struct {
     X(107, REAL, PARAMETER, parameters.start_vx_m_s, 0.0, -INFINITY, INFINITY, "start_vx_m_s") \
     X(108, REAL, PARAMETER, parameters.start_vy_m_s, 0.0, -INFINITY, INFINITY, "start_vy_m_s") \
     X(109, REAL, PARAMETER, parameters.start_yaw_rate_rad_s, 0.0, -INFINITY, INFINITY, "start_yaw_rate_rad_s") \
-    X(110, REAL, PARAMETER, parameters.longest_step_s, 0.001, 1e-06, 0.01, "longest_step_s")
+    X(110, REAL, PARAMETER, parameters.longest_step_s, 0.001, 1e-06, 0.01, "longest_step_s") \
+    X(111, REAL, INDEPENDENT, time_s, 0.0, -INFINITY, INFINITY, "time")
 /* clang-format on */
 
 #endif

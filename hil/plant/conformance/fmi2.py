@@ -1,0 +1,73 @@
+"""An instance of an FMI 2.0 co-simulation FMU."""
+
+import ctypes
+import functools
+from typing import Any, ClassVar
+
+from fmpy.fmi2 import FMU2Slave, defaultCallbacks, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
+
+from hil.plant.conformance.slave import InstantiationError, Model, Slave, Value
+
+
+class Slave2(Slave):
+    """FMI 2.0, sections 2.1 and 4.2."""
+
+    fmpy_class = FMU2Slave
+    prefix = "fmi2"
+    version = "2.0"
+    kinds: ClassVar[dict[str, str]] = {"Enumeration": "Integer"}
+
+    def instantiate(self) -> None:
+        """Make the instance, with logging on."""
+        try:
+            self.fmu.instantiate(callbacks=_callbacks(self.model)[0], loggingOn=True)
+        except Exception as error:  # FMPy raises a plain Exception
+            raise InstantiationError(f"fmi2Instantiate returns no instance{self.model.words()}") from error
+
+    def enter_initialization(self) -> None:
+        """Set up the experiment and go to initialization mode."""
+        self.fmu.setupExperiment(startTime=self.model.start_s)
+        self.fmu.enterInitializationMode()
+
+    def get_as(self, kind: str, reference: int, count: int = 1) -> list[Value]:
+        """Read a scalar: there are no arrays."""
+        values: list[Value] = getattr(self.fmu, f"get{kind}")([reference])
+        return [bool(value) for value in values] if kind == "Boolean" else values
+
+    def step(self, time_s: float, size_s: float) -> str | None:
+        """Step; there is nothing in the answer but the status."""
+        self.fmu.doStep(time_s, size_s)
+        return None
+
+    def serialized_size(self, state: Any) -> int:
+        """Return the number of bytes that the state needs."""
+        size = ctypes.c_size_t()
+        self.fmu.fmi2SerializedFMUstateSize(self.fmu.component, state, ctypes.byref(size))
+        return size.value
+
+    def serialize_into(self, state: Any, buffer: Any, size: int) -> None:
+        """Write the state as ``size`` bytes into a buffer."""
+        self.fmu.fmi2SerializeFMUstate(self.fmu.component, state, buffer, size)
+
+    def save_into(self, state: Any) -> None:
+        """Save the state into an existing one, or a null pointer."""
+        self.fmu.fmi2GetFMUstate(self.fmu.component, ctypes.byref(state))
+
+
+@functools.cache
+def _callbacks(model: Model) -> tuple[fmi2CallbackFunctions, Any]:
+    """Return callbacks that keep the newest message, and the Python function, which must live as long."""
+
+    def log(_environment: Any, _name: bytes, _status: int, _category: bytes, message: bytes | None) -> None:
+        model.said = (message or b"").decode(errors="replace")
+
+    logger = fmi2CallbackLoggerTYPE(log)
+    callbacks = fmi2CallbackFunctions()
+    callbacks.logger = logger
+    callbacks.allocateMemory, callbacks.freeMemory = defaultCallbacks.allocateMemory, defaultCallbacks.freeMemory
+    try:
+        from fmpy.logging import addLoggerProxy
+    except OSError:
+        return callbacks, logger  # FMPy has no such library for this machine: messages keep their %s
+    addLoggerProxy(ctypes.byref(callbacks))
+    return callbacks, logger

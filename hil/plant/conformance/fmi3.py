@@ -1,0 +1,67 @@
+"""An instance of an FMI 3.0 co-simulation FMU."""
+
+import ctypes
+from typing import Any, ClassVar
+
+from fmpy.fmi3 import FMU3Slave
+
+from hil.plant.conformance.slave import InstantiationError, Slave, Value
+
+_ROUNDING = 1e-9  # relative to the time, at least to 1 s
+
+
+class Slave3(Slave):
+    """FMI 3.0, sections 2.2 and 4.2; without event mode, early return and intermediate update."""
+
+    fmpy_class = FMU3Slave
+    prefix = "fmi3"
+    version = "3."
+    kinds: ClassVar[dict[str, str]] = {"Enumeration": "Int64"}
+
+    def instantiate(self) -> None:
+        """Make the instance, with logging on."""
+        try:
+            self.fmu.instantiate(loggingOn=True, logMessage=self._log)
+        except Exception as error:  # FMPy raises a plain Exception
+            raise InstantiationError(f"fmi3InstantiateCoSimulation returns no instance{self.model.words()}") from error
+
+    def _log(self, _environment: Any, _status: int, _category: bytes, message: bytes | None) -> None:
+        self.model.said = (message or b"").decode(errors="replace")
+
+    def enter_initialization(self) -> None:
+        """Go to initialization mode, with the start time of the model."""
+        self.fmu.enterInitializationMode(startTime=self.model.start_s)
+
+    def get_as(self, kind: str, reference: int, count: int = 1) -> list[Value]:
+        """Read the values of one variable, ``count`` of them."""
+        values: list[Value] = getattr(self.fmu, f"get{kind}")([reference], nValues=count)
+        return values
+
+    def step(self, time_s: float, size_s: float) -> str | None:
+        """Step, and look at what doStep returns: the whole step was done, as nothing else was allowed."""
+        event, terminate, early, reached_s = self.fmu.doStep(time_s, size_s)
+        end_s = time_s + size_s
+        if terminate:
+            return f"doStep from {time_s:g} s asks to end the simulation"
+        if event:
+            return f"doStep from {time_s:g} s asks for event mode, which was not agreed on"
+        if early:
+            return f"doStep from {time_s:g} s returns early, which was not agreed on"
+        if not abs(reached_s - end_s) <= _ROUNDING * max(1.0, abs(end_s)):
+            return f"doStep to {end_s:g} s gives the last successful time {reached_s:g} s"
+        return None
+
+    def serialized_size(self, state: Any) -> int:
+        """Return the number of bytes that the state needs."""
+        size = ctypes.c_size_t()
+        self.fmu.fmi3SerializedFMUStateSize(self.fmu.component, state, ctypes.byref(size))
+        return size.value
+
+    def serialize_into(self, state: Any, buffer: Any, size: int) -> None:
+        """Write the state as ``size`` bytes into a buffer."""
+        octets = ctypes.cast(buffer, ctypes.POINTER(ctypes.c_uint8))
+        self.fmu.fmi3SerializeFMUState(self.fmu.component, state, octets, size)
+
+    def save_into(self, state: Any) -> None:
+        """Save the state into an existing one, or a null pointer."""
+        self.fmu.fmi3GetFMUState(self.fmu.component, ctypes.byref(state))

@@ -1,0 +1,269 @@
+"""An FMU in this process: loaded by FMPy, and taken through the life that the standard gives it.
+
+What FMI 2.0 and 3.0 do differently is here and nowhere else in Python.
+"""
+
+import contextlib
+import ctypes
+import os
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from hil.errors import BadInputError, DeviceError, HilError
+from hil.plant.archive import Library
+from hil.plant.shim import load
+from hil.plant.solver import Solver
+from hil.plant.start import Start
+
+_LOADING = threading.Lock()  # FMPy changes the working directory while it loads
+_ALIVE: set[str] = set()  # GUIDs of those FMUs of which a process may hold but one instance
+_NAME = "plant"
+_FATAL = 4  # fmi2Fatal and fmi3Fatal: no function of the FMU may be called any more
+_LONGEST_TEXT = 511  # of cosim.text
+_ERROR_CATEGORIES = {"logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal"}
+
+
+class Instance:
+    """One instance of an FMU; ``context`` is the shim's ``cosim``, to whose logger the FMU speaks.
+
+    Raises BadInputError when the library cannot be loaded or used.
+    """
+
+    def __init__(self, fmu: Path, folder: Path, library: Library, context: Any) -> None:
+        self._file = fmu
+        self._folder = folder
+        self._context = context
+        self.is_model_exchange = library.interface == "model_exchange"
+        self._is_running = False
+        self.description = _read(fmu, folder)
+        self.version = int(library.fmi_version[0])
+        self._interface = self.description.modelExchange if self.is_model_exchange else self.description.coSimulation
+        self.fmu = self._load(library)
+        context.fmi_version = self.version
+        if not self.is_model_exchange:
+            context.do_step = self._function(f"fmi{self.version}DoStep")
+        if not self.is_model_exchange and self.version == 2:
+            context.get_boolean_status = self._function("fmi2GetBooleanStatus")
+
+    @property
+    def variables(self) -> dict[str, Any]:
+        """FMPy's variables by name, and by alias."""
+        variables = {variable.name: variable for variable in self.description.modelVariables}
+        for variable in self.description.modelVariables:
+            for alias in variable.aliases:
+                variables.setdefault(alias.name, variable)
+        return variables
+
+    @property
+    def words(self) -> str:
+        """What the FMU said last, of warnings and worse, or why the shim stopped."""
+        return str(load()[0].string(self._context.text).decode(errors="replace"))
+
+    def access(self, call: str, kind: str) -> Any:
+        """Return a getter or setter as a ``cosim_function``: of ("Get", "Real") for example."""
+        return self._function(f"fmi{self.version}{call}{kind}")
+
+    def instantiate(self) -> None:
+        """Make the instance. Raises BadInputError when there may be no further one, DeviceError when there is none."""
+        if self._interface.canBeInstantiatedOnlyOncePerProcess:
+            if self.description.guid in _ALIVE:
+                raise BadInputError(
+                    f"FMU {self._file}: a process can have but one instance of it; close the other first, or run one "
+                    "of them in a process of its own"
+                )
+            _ALIVE.add(self.description.guid)
+        (self._instantiate2 if self.version == 2 else self._instantiate3)()
+        if not self.fmu.component:
+            _ALIVE.discard(self.description.guid)
+            tool = f", it needs {self.description.generationTool}" if self._interface.needsExecutionTool else ""
+            raise DeviceError(f"FMU {self._file}: it made no instance{tool}: {self.words or 'it did not say why'}")
+        self._context.component = load()[0].cast("void *", self.fmu.component)
+
+    def initialise(self, starts: Sequence[Start]) -> None:
+        """Set the start values of a new or reset instance and bring it to where it can be stepped.
+
+        Raises BadInputError when the FMU refuses a start value, DeviceError when it fails otherwise.
+        """
+        self._forget()
+        with self._answering(DeviceError, f"FMU {self._file} failed at its start"):
+            if categories := _ERROR_CATEGORIES & {category.name for category in self.description.logCategories}:
+                self.fmu.setDebugLogging(True, sorted(categories))
+            if self.version == 2:
+                self.fmu.setupExperiment(startTime=0.0)
+        self._set_starts(starts)
+        with self._answering(DeviceError, f"FMU {self._file} failed to initialise"):
+            if self.version == 2:
+                self.fmu.enterInitializationMode()
+            else:
+                self.fmu.enterInitializationMode(startTime=0.0)
+            self.fmu.exitInitializationMode()
+        self._is_running = True
+
+    def solver(self, longest_step_s: float) -> Callable[[float, float], int]:
+        """Return the ``solve`` of the shim for an initialised FMU for model exchange."""
+        solver = Solver(self.fmu, self.description, self.version, longest_step_s)
+
+        def solve(from_s: float, to_s: float) -> int:
+            try:
+                solver.step(from_s, to_s)
+            except Exception as error:  # noqa: BLE001 - C has called; the shim fails with these words
+                self._context.fatal = getattr(error, "status", None) == _FATAL
+                self._context.text = (self.words or str(error)).encode()[:_LONGEST_TEXT]
+                return 1
+            return 0
+
+        return solve
+
+    def reset(self) -> None:
+        """Bring the instance back to where it was made. Raises DeviceError when the FMU cannot."""
+        if self._context.fatal:
+            raise DeviceError(f"FMU {self._file} is beyond repair, nothing of it may be called any more: {self.words}")
+        self._is_running = False
+        self._forget()
+        with self._answering(DeviceError, f"FMU {self._file} failed to reset"):
+            self.fmu.reset()
+
+    def free(self) -> None:
+        """End the simulation and free the instance."""
+        from fmpy.fmi1 import FMICallException
+
+        self._context.component = load()[0].NULL
+        if self._context.fatal:
+            return
+        if self._is_running and not self._context.failed:
+            # The instance goes away now, whatever it answers.
+            with contextlib.suppress(FMICallException):
+                self.fmu.terminate()
+        (self.fmu.fmi2FreeInstance if self.version == 2 else self.fmu.fmi3FreeInstance)(self.fmu.component)
+        _ALIVE.discard(self.description.guid)
+
+    def unload(self) -> None:
+        """Unload the library, unless the FMU said that nothing of it may be called any more."""
+        if not self._context.fatal:
+            self.fmu.freeLibrary()
+
+    def _set_starts(self, starts: Sequence[Start]) -> None:
+        """Set values where both standards allow it: before the initialization mode, and structural parameters first,
+        in configuration mode (FMI 3.0 section 2.3.3)."""
+        structural = [start for start in starts if start.variable.causality == "structuralParameter"]
+        if structural:
+            with self._answering(DeviceError, f"FMU {self._file} refused its configuration mode"):
+                self.fmu.enterConfigurationMode()
+            for start in structural:
+                self._set(start)
+            with self._answering(DeviceError, f"FMU {self._file} failed to leave its configuration mode"):
+                self.fmu.exitConfigurationMode()
+        for start in starts:
+            if start not in structural:
+                self._set(start)
+
+    def _set(self, start: Start) -> None:
+        kind = start.variable.type
+        if kind == "Enumeration":
+            kind = "Integer" if self.version == 2 else "Int64"
+        with self._answering(BadInputError, f"plant.start.{start.variable.name}"):
+            getattr(self.fmu, f"set{kind}")([start.variable.valueReference], [start.value])
+
+    @contextlib.contextmanager
+    def _answering(self, error_class: type[HilError], what: str) -> Iterator[None]:
+        """Turn a status that is worse than a warning into our error, with the FMU's own words."""
+        from fmpy.fmi1 import FMICallException
+
+        try:
+            yield
+        except FMICallException as error:
+            self._context.failed = 1
+            self._context.fatal = error.status == _FATAL
+            raise error_class(f"{what}: {self.words or error}") from error
+
+    def _forget(self) -> None:
+        self._context.failed = self._context.text_status = 0
+        self._context.text = b""
+
+    def _function(self, name: str) -> Any:
+        address = ctypes.cast(getattr(self.fmu.dll, name), ctypes.c_void_p).value
+        return load()[0].cast("cosim_function", address)
+
+    def _load(self, library: Library) -> Any:
+        from fmpy import freeLibrary
+        from fmpy.fmi2 import FMU2Model, FMU2Slave
+        from fmpy.fmi3 import FMU3Model, FMU3Slave
+
+        path = str(self._folder / library.member)
+        try:
+            # FMPy raises a plain Exception for this; asked first, the loader tells what is wrong.
+            probe = ctypes.CDLL(path)
+        except OSError as error:
+            raise BadInputError(f"FMU {self._file}: its library cannot be loaded ({error}); build it anew") from error
+        classes = (FMU2Slave, FMU2Model) if self.version == 2 else (FMU3Slave, FMU3Model)
+        try:
+            with _LOADING:
+                return classes[self.is_model_exchange](
+                    guid=self.description.guid,
+                    unzipDirectory=str(self._folder),
+                    modelIdentifier=library.model_identifier,
+                    instanceName=_NAME,
+                    libraryPath=str(self._folder / library.member),
+                )
+        except AttributeError as error:
+            raise BadInputError(
+                f"FMU {self._file}: its library lacks a function of the standard ({error}); export the FMU anew"
+            ) from error
+        finally:
+            freeLibrary(probe._handle)
+
+    def _instantiate2(self) -> None:
+        """Make the instance with the shim's logger and memory, so that no call of the FMU enters Python."""
+        from fmpy import fmi2
+
+        callbacks = fmi2.fmi2CallbackFunctions()
+        callbacks.logger = ctypes.cast(_shim_address("cosim_log2"), fmi2.fmi2CallbackLoggerTYPE)
+        callbacks.allocateMemory = ctypes.cast(_shim_address("cosim_allocate"), fmi2.fmi2CallbackAllocateMemoryTYPE)
+        callbacks.freeMemory = ctypes.cast(_shim_address("cosim_free"), fmi2.fmi2CallbackFreeMemoryTYPE)
+        callbacks.componentEnvironment = self._environment
+        self.fmu.callbacks = callbacks  # must live as long as the instance
+        self.fmu.component = self.fmu.fmi2Instantiate(
+            _NAME.encode(),
+            fmi2.fmi2ModelExchange if self.is_model_exchange else fmi2.fmi2CoSimulation,
+            self.description.guid.encode(),
+            (self._folder / "resources").as_uri().encode(),
+            ctypes.byref(callbacks),
+            fmi2.fmi2False,
+            fmi2.fmi2True,
+        )
+
+    def _instantiate3(self) -> None:
+        from fmpy import fmi3
+
+        resources = self._folder / "resources"
+        # Section 2.3.1: with a separator at its end, and NULL where there is no such folder.
+        path = (str(resources) + os.sep).encode() if resources.is_dir() else None
+        named = (_NAME.encode(), self.description.guid.encode(), path, False, True)
+        logger = ctypes.cast(_shim_address("cosim_log3"), fmi3.fmi3LogMessageCallback)
+        if self.is_model_exchange:
+            self.fmu.component = self.fmu.fmi3InstantiateModelExchange(*named, self._environment, logger)
+        else:
+            # No event mode, no early return, no intermediate update: the shim needs none of them.
+            modes = (False, False, None, 0)
+            update = fmi3.fmi3IntermediateUpdateCallback()
+            self.fmu.component = self.fmu.fmi3InstantiateCoSimulation(*named, *modes, self._environment, logger, update)
+
+    @property
+    def _environment(self) -> int:
+        return int(load()[0].cast("uintptr_t", self._context))
+
+
+def _shim_address(name: str) -> int:
+    ffi, library = load()
+    return int(ffi.cast("uintptr_t", ffi.addressof(library, name)))
+
+
+def _read(fmu: Path, folder: Path) -> Any:
+    from fmpy.model_description import read_model_description
+
+    try:
+        return read_model_description(folder, validate=False)
+    except Exception as error:  # FMPy raises whatever its parser meets, down to plain Exception
+        raise BadInputError(f"FMU {fmu}: its modelDescription.xml cannot be used ({error})") from error

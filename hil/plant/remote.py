@@ -1,0 +1,214 @@
+"""The plant FMU in a process of its own, behind the same plant port: one that crashes or hangs takes down only that."""
+
+import contextlib
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from hil.errors import BadInputError, DeviceError
+from hil.plant import shim
+from hil.plant.mapping import SignalMap
+from hil.plant.process import ChildProcess, Watch, handle
+from hil.plant.start import Value
+from hil.types import Pose, PoseFix, Twist, Wheels
+
+_THERE_S = 60.0  # for Python and our own modules
+_OPENING_STEPS = 10.0  # time limits of a step that loading, initialising and resetting may take
+_NO_ROWS = SignalMap()
+
+
+class RemotePlant:
+    """An instance of an FMU behind the plant port, like ``FmuPlant``, but loaded and stepped in a child process.
+
+    ``timeout_s`` is how long a tick may take until the FMU counts as hung; opening it and going back to the start
+    may take ten times as long. What ends the child is a failure of the plant: the exchange fails, and ``message``
+    says why. The child never outlives this process.
+
+    Raises BadInputError as ``FmuPlant`` does, and DeviceError when the FMU fails, crashes or hangs while it is opened.
+    """
+
+    def __init__(
+        self,
+        fmu: Path,
+        start: Mapping[str, Value],
+        step_ns: int = 1_000_000,
+        mapping: SignalMap = _NO_ROWS,
+        *,
+        timeout_s: float = 2.0,
+    ) -> None:
+        self._fmu = fmu
+        self._step_ns = step_ns
+        self._timeout_s = timeout_s
+        self._config = {
+            "fmu": str(fmu.absolute()),
+            "start": dict(start),
+            "step_ns": step_ns,
+            "rows": dict(mapping.rows),
+            "counts_per_revolution": mapping.counts_per_revolution,
+            "torque_constant_n_m_a": mapping.torque_constant_n_m_a,
+        }
+        self._ffi, self._lib = shim.load()
+        self._context = self._ffi.new("remote_plant *")
+        self._wiring: tuple[Sequence[int], Sequence[int]] = ((0, 1, 2, 3), (1, 1, 1, 1))
+        self._closed = False
+        self._open()
+
+    def _open(self) -> None:
+        """Start the child and have it open the FMU."""
+        self._text = ""
+        self._hung = False
+        with contextlib.ExitStack() as resources:
+            # Removed here, because a child that crashes cannot.
+            scratch = tempfile.TemporaryDirectory(prefix="hil_plant_", ignore_cleanup_errors=True)
+            resources.enter_context(scratch)
+            self._child = child = ChildProcess("hil.plant.serve")
+            resources.callback(child.close, self._timeout_s)
+            ends = {"read_end": handle(child.read_end), "write_end": handle(child.write_end)}
+            self._context[0] = self._ffi.new("remote_plant *", {"pipes": ends})[0]
+            resources.callback(setattr, self._context, "failed", 1)
+            self._watch = Watch(self._pending, self._give_up, self._timeout_s)
+            resources.callback(self._watch.stop)
+            try:
+                self._have_it_opened(scratch.name)
+                self.wire(*self._wiring)
+            except BaseException:
+                child.kill()
+                raise
+            self._resources = resources.pop_all()
+
+    def _have_it_opened(self, scratch: str) -> None:
+        child = self._child
+        with self._waiting(_THERE_S):
+            answer = child.hear()
+        if answer is not None:
+            with self._waiting(self._timeout_s * _OPENING_STEPS):
+                child.tell(self._config | {"scratch": scratch})
+                answer = child.hear()
+        if answer is None or "failed" in answer:
+            why = self._ending() if answer is None else f"{answer['failed']}{child.last_words()}"
+            raise DeviceError(f"the plant {self._fmu.name} could not be opened: {why}")
+        if "refused" in answer:
+            raise BadInputError(str(answer["refused"]))
+
+    @property
+    def pid(self) -> int:
+        """Process id of the child."""
+        return self._child.pid
+
+    @property
+    def exchange_address(self) -> int:
+        """Address of a C function of the type ``wheel_plant_exchange``."""
+        return int(self._ffi.cast("uintptr_t", self._ffi.addressof(self._lib, "remote_exchange")))
+
+    @property
+    def context_address(self) -> int:
+        """Address of the context that belongs to ``exchange_address``."""
+        return int(self._ffi.cast("uintptr_t", self._context))
+
+    def wire(self, wheel_of_channel: Sequence[int], sign_of_channel: Sequence[int]) -> None:
+        """Say which wheel (0 to 3: FL, FR, RR, RL) each channel of the plant port drives, and in which sense.
+
+        Raises BadInputError unless that is a permutation with signs 1 and -1, DeviceError when the FMU fails.
+        """
+        self._ask(
+            {
+                "kind": self._lib.REMOTE_WIRE,
+                "wheel_of_channel": wheel_of_channel,
+                "sign_of_channel": sign_of_channel,
+            }
+        )
+        self._wiring = (tuple(wheel_of_channel), tuple(sign_of_channel))
+
+    def step(self, torque_n_m: Wheels, ticks: int = 1) -> None:
+        """Hold the torques of the channels, in single precision as on the plant port, for so many ticks.
+
+        Raises DeviceError when the FMU fails.
+        """
+        first = self.truth().time_ns // self._step_ns
+        for tick in range(first, first + ticks):
+            self._ask({"kind": self._lib.REMOTE_TICK, "drive": {"tick": tick, "torque_n_m": list(torque_n_m)}})
+
+    def truth(self) -> PoseFix:
+        """Return pose and twist, world frame, with the time since the start."""
+        newest, unpack = self._context.newest, self._ffi.unpack
+        return PoseFix(newest.time_ns, Pose(*unpack(newest.pose, 3)), Twist(*unpack(newest.twist, 3)))
+
+    def wheel_speeds(self) -> Wheels:
+        """Return the true wheel speeds [rad/s]."""
+        return Wheels(*self._ffi.unpack(self._context.newest.wheel_speed, 4))
+
+    @property
+    def message(self) -> str:
+        """Why the plant failed: the FMU's words, or how its process ended; empty while it has not failed."""
+        if not self._context.failed:
+            return ""
+        if not self._text:
+            self._text = self._ending() if self._context.lost else self._words()
+        return self._text
+
+    def reset(self) -> None:
+        """Go back to the start; in a new process after a failure, or when the FMU cannot.
+
+        Raises DeviceError when the plant is closed, or when the FMU cannot be opened anew.
+        """
+        if self._closed:
+            raise DeviceError("the plant is closed; make a new one")
+        with self._waiting(self._timeout_s * _OPENING_STEPS):
+            request = self._ffi.new("remote_request *", {"kind": self._lib.REMOTE_RESET})
+            if self._lib.remote_ask(self._context, request) == 0:
+                return
+        self._resources.close()
+        self._open()
+
+    def close(self) -> None:
+        """Free the FMU and end its process. Closing twice is allowed."""
+        if not self._closed:
+            self._closed = True
+            self._resources.close()
+            self._text = "the FMU is closed"
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _ask(self, request: Mapping[str, object]) -> None:
+        if self._lib.remote_ask(self._context, self._ffi.new("remote_request *", request)) != 0:
+            if not self._context.failed:
+                raise BadInputError(self._words())
+            raise DeviceError(f"the plant stopped at {self.truth().time_ns / 1e9:g} s: {self.message}")
+
+    def _words(self) -> str:
+        return str(self._ffi.string(self._context.reply.text).decode(errors="replace"))
+
+    def _ending(self) -> str:
+        ending = self._child.ending()
+        if not self._hung:
+            return ending
+        return f"it gave no answer within {self._watch.limit_s:g} s and was ended{self._child.last_words()}"
+
+    @contextlib.contextmanager
+    def _waiting(self, limit_s: float) -> Iterator[None]:
+        """Give what is asked in this block another time limit."""
+        self._watch.limit_s = limit_s
+        self._context.asked += 1
+        try:
+            yield
+        finally:
+            self._context.answered += 1
+            if not self._hung:
+                self._watch.limit_s = self._timeout_s
+
+    def _pending(self) -> int | None:
+        """Return the number of the request that waits for its reply, None when all have theirs."""
+        asked = int(self._context.asked)
+        return None if asked == self._context.answered else asked
+
+    def _give_up(self) -> None:
+        self._hung = True
+        self._child.kill()

@@ -1,0 +1,105 @@
+"""The C shim cosim.[ch] as cffi sees it, and how a wiring is laid out for it: one group of variables a type."""
+
+import functools
+import re
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import cffi
+
+from hil.errors import BadInputError
+from hil.plant.build import HEADERS, LIBRARY
+from hil.plant.mapping import Connection, Wiring
+from hil.plant_signals import OUTPUTS
+
+_SECTION = re.compile(r"/\* cffi: begin \*/(.*?)/\* cffi: end \*/", re.DOTALL)
+_FMI2_TYPES = {"Real": "Float64", "Integer": "Int32"}
+_C_TYPES = {"Float64": "double", "Float32": "float"}
+
+
+@functools.cache
+def load() -> tuple[Any, Any]:
+    """Return cffi's (ffi, library) of the shim, with the declarations taken from the C headers themselves."""
+    if not LIBRARY.exists():
+        raise BadInputError(f"{LIBRARY} is not built; run: python -m hil.plant.build")
+    ffi = cffi.FFI()
+    for header in HEADERS:
+        for section in _SECTION.findall(header.read_text(encoding="utf-8")):
+            ffi.cdef(section)
+    return ffi, ffi.dlopen(str(LIBRARY))
+
+
+def connect(context: Any, wiring: Wiring, access: Callable[[str, str], Any]) -> list[object]:
+    """Write a wiring into a ``cosim``; return what must live as long as that.
+
+    ``access`` gives a getter or setter of the FMU: that of ("Set", "Real") for example.
+    """
+    ffi, _ = load()
+    kept: list[object] = []
+    sides = (
+        ("input", "Set", context.torque_n_m, wiring.inputs),
+        ("output", "Get", context.fresh, wiring.outputs),
+    )
+    for direction, call, signals, connections in sides:
+        types = list(dict.fromkeys(connection.variable.type for connection in connections))
+        for group, kind in zip(getattr(context, direction), types, strict=False):
+            chosen = [c for c in connections if c.variable.type == kind]
+            kept += _fill(group, kind, chosen)
+            group.call = access(call, kind)
+            _leave_in_place(group, signals, chosen)
+        setattr(context, f"{direction}s", len(types))
+    names = [ffi.new("char[]", signal.encode()) for signal in OUTPUTS]
+    for connection in wiring.outputs:
+        signal, variable = OUTPUTS[connection.signal], connection.variable.name
+        if signal != variable:
+            names[connection.signal] = ffi.new("char[]", f"{signal} ({variable} in the FMU)".encode())
+    context.name = names
+    context.derives = bool(wiring.derived)
+    context.derived = [place in wiring.derived for place in range(len(OUTPUTS))]
+    return [*kept, *names]
+
+
+def _fill(group: Any, kind: str, connections: list[Connection]) -> list[object]:
+    """Lay out the variables of one type: each once, an array's elements one after the other."""
+    ffi, library = load()
+    name = _FMI2_TYPES.get(kind, kind)
+    variables = list({c.variable.valueReference: c.variable for c in connections}.values())
+    place_of, values = {}, 0
+    for variable in variables:
+        place_of[variable.valueReference] = values
+        values += _size(variable)
+    rows = [(c.signal, place_of[c.variable.valueReference] + c.element, c.factor, c.offset) for c in connections]
+    reference = ffi.new("unsigned[]", [variable.valueReference for variable in variables])
+    value = ffi.new(f"{_C_TYPES.get(name, f'{name.lower()}_t')}[]", list(_starts(variables)))
+    row = ffi.new("cosim_row[]", rows)
+    group.type = getattr(library, f"COSIM_{name.upper()}")
+    group.reference, group.references = reference, len(variables)
+    group.value, group.values = value, values
+    group.row, group.rows = row, len(rows)
+    group.is_identity = all((c.factor, c.offset) == (1.0, 0.0) for c in connections)
+    return [reference, value, row]
+
+
+def _leave_in_place(group: Any, signals: Any, connections: list[Connection]) -> None:
+    """Let the FMU use the shim's own signals where they are doubles, one after the other and as they are."""
+    first = connections[0].signal
+    in_order = [c.signal for c in connections] == list(range(first, first + len(connections)))
+    if group.type == load()[1].COSIM_FLOAT64 and group.is_identity and in_order and group.values == len(connections):
+        group.value = signals + first
+        group.is_in_place = 1
+
+
+def _size(variable: Any) -> int:
+    size = 1
+    for extent in variable.shape:
+        size *= extent
+    return size
+
+
+def _starts(variables: Iterable[Any]) -> Iterable[float | int]:
+    """Give the start of every element: where no signal drives an element of an input, it stays there."""
+    for variable in variables:
+        number = float if variable.type in ("Real", "Float64", "Float32") else int
+        given = [number(text) for text in (variable.start or "").split()] or [number(0)]
+        size = _size(variable)
+        yield from given if len(given) == size else [given[0]] * size

@@ -1,0 +1,136 @@
+"""Start values of an FMU by name: ``[plant.start]`` checked against modelDescription.xml."""
+
+import math
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from hil.errors import BadInputError, nearest
+from hil.plant.mapping import FLOATS, INTEGERS, Variables
+
+Value = float | int | bool | str
+_LONGEST_LIST = 60
+
+
+class Start(NamedTuple):
+    """A variable and its start value in the type of the variable."""
+
+    variable: Any  # FMPy's ModelVariable
+    value: Value
+
+
+def start_values(start: Mapping[str, Value], fmu: Path, variables: Variables) -> tuple[Start, ...]:
+    """Return what to set before the initialization: parameters, inputs, and whatever has a start that may be set.
+
+    An item of an enumeration may be given by name or number. Raises BadInputError with a line for each value that
+    does not fit.
+    """
+    values, problems = [], []
+    for name, value in start.items():
+        try:
+            values.append(_checked(name, value, fmu, variables))
+        except BadInputError as error:
+            problems.append(str(error))
+    if problems:
+        raise BadInputError("\n".join(problems))
+    return tuple(values)
+
+
+def is_settable(variable: Any) -> bool:
+    """Tell whether the importer may set the start of a variable (FMI 2.0 section 2.2.7, FMI 3.0 section 2.4.7.5)."""
+    return variable.variability != "constant" and variable.initial in ("exact", "approx")
+
+
+def resize(starts: Iterable[Start], variables: Variables) -> None:
+    """Give the arrays the sizes that structural parameters start with (FMI 3.0 section 2.4.7.3)."""
+    sizes = {start.variable.valueReference: start.value for start in starts}
+    for variable in variables.values():
+        variable.shape = tuple(
+            int(sizes.get(dimension.valueReference, dimension.variable.start))
+            if dimension.start is None
+            else dimension.start
+            for dimension in variable.dimensions
+        )
+
+
+def _checked(name: str, value: Value, fmu: Path, variables: Variables) -> Start:
+    variable = variables.get(name)
+    if variable is None:
+        known = [name for name, variable in variables.items() if is_settable(variable)]
+        words = nearest(name, known)
+        if words.startswith("; known") and len(known) > _LONGEST_LIST:
+            words = f"; hil fmu info {fmu} lists what it has"
+        raise BadInputError(f"plant.start.{name}: {fmu.name} has no such variable{words}")
+    if not is_settable(variable):
+        kind = variable.variability if variable.variability == "constant" else variable.causality
+        raise BadInputError(
+            f"plant.start.{name}: {fmu.name} gives this {kind} its value itself; expected a parameter, an input, or "
+            "a variable with initial = exact or approx"
+        )
+    if variable.shape:
+        raise BadInputError(f"plant.start.{name}: this variable is an array, which [plant.start] cannot set")
+    return Start(variable, _converted(f"plant.start.{name} = {_written(value)}", value, variable))
+
+
+def _converted(given: str, value: Value, variable: Any) -> Value:
+    """Return the value in the type of the variable; ``given`` begins the message when it is not one."""
+    kind = variable.type
+    if kind in ("Boolean", "String"):
+        expected = bool if kind == "Boolean" else str
+        if not isinstance(value, expected):
+            raise BadInputError(f"{given}; expected {'true or false' if kind == 'Boolean' else 'a text'}")
+        return value
+    if kind == "Enumeration":
+        return _item(given, value, variable)
+    if kind not in FLOATS | INTEGERS:
+        raise BadInputError(f"{given}; its type {kind} cannot be set here")
+    if isinstance(value, bool | str) or not math.isfinite(value):
+        raise BadInputError(f"{given}; expected a finite number")
+    if kind in INTEGERS:
+        value = _whole(given, value, kind)
+    low, high = (_limit(variable, side) for side in ("min", "max"))
+    if not low <= value <= high:
+        raise BadInputError(f"{given}; expected {_range(low, high)}")
+    return value if kind in INTEGERS else float(value)
+
+
+def _whole(given: str, value: float | int, kind: str) -> int:
+    bits = 32 if kind == "Integer" else int(kind.rpartition("Int")[2])
+    low, high = (0, 2**bits) if kind.startswith("U") else (-(2 ** (bits - 1)), 2 ** (bits - 1))
+    if value != int(value) or not low <= value < high:
+        unsigned = "unsigned " if kind.startswith("U") else ""
+        raise BadInputError(f"{given}; expected a whole number of {bits} bits, {unsigned}as {kind} is")
+    return int(value)
+
+
+def _item(given: str, value: Value, variable: Any) -> int:
+    items = {item.name: int(item.value) for item in variable.declaredType.items} if variable.declaredType else {}
+    if isinstance(value, str):
+        if value in items:
+            return items[value]
+        raise BadInputError(f"{given}; expected an item of the enumeration{nearest(value, items)}")
+    if isinstance(value, bool) or value not in items.values():
+        choice = ", ".join(f"{name!r} ({number})" for name, number in items.items())
+        raise BadInputError(f"{given}; expected one of {choice}")
+    return int(value)
+
+
+def _limit(variable: Any, side: str) -> float:
+    text = getattr(variable, side)
+    if text is None and variable.declaredType is not None:
+        text = getattr(variable.declaredType, side)
+    if text is None:
+        return -math.inf if side == "min" else math.inf
+    return float(text)
+
+
+def _range(low: float, high: float) -> str:
+    if math.isinf(high):
+        return f"at least {low:.10g}"
+    return f"at most {high:.10g}" if math.isinf(low) else f"a number from {low:.10g} to {high:.10g}"
+
+
+def _written(value: Value) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return repr(value) if isinstance(value, str) else f"{value:.10g}"

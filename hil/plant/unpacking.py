@@ -1,0 +1,125 @@
+"""Reads a zip archive from a stranger: its names, sizes and bytes may say anything.
+
+The rules are those of FMI 3.0 section 2.5 (stored or deflated, not encrypted, forward slashes) and one of ours:
+what is opened here can be unpacked by every operating system. Every refusal is a BadInputError of one sentence.
+"""
+
+import contextlib
+import re
+import shutil
+import stat
+import struct
+import tempfile
+import unicodedata
+import zipfile
+import zlib
+from collections.abc import Container, Iterator
+from pathlib import Path, PurePosixPath
+
+from hil.errors import BadInputError
+
+_MOST_BYTES = 512 * 1024 * 1024  # unpacked; large FMUs with resources stay below
+_MOST_ENTRIES = 20_000
+_CHUNK = 64 * 1024
+_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+_ENCRYPTED = 0x1 | 0x40  # general purpose bits 0 and 6
+# Windows cannot hold these as the name of a file or folder, whatever the extension.
+_RESERVED = re.compile(r"(con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³])(\.|$)", re.IGNORECASE)
+# What zipfile raises for damaged archives; ValueError stands for names that are not UTF-8, too.
+_DAMAGED = (zipfile.BadZipFile, zlib.error, struct.error, RuntimeError, ValueError, EOFError, IndexError, OverflowError)
+
+
+@contextlib.contextmanager
+def opened(fmu: Path) -> Iterator[zipfile.ZipFile]:
+    """Give the archive, with every entry's name and size checked. Raises BadInputError."""
+    if not fmu.is_file():
+        raise BadInputError(f"FMU {fmu} does not exist; give the path of an .fmu file, or a shipped name")
+    try:
+        archive = zipfile.ZipFile(fmu)
+    except OSError as error:
+        raise BadInputError(f"FMU {fmu}: it cannot be read ({error.strerror or error})") from error
+    except _DAMAGED as error:
+        raise BadInputError(f"FMU {fmu}: not a zip archive ({error}), so it is no FMU") from error
+    with archive:
+        if problem := _unsafe(archive.infolist()):
+            raise BadInputError(f"FMU {fmu}: {problem}; it is not opened")
+        yield archive
+
+
+def pieces(fmu: Path, archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Iterator[bytes]:
+    """Yield the bytes of an entry in pieces of bounded size, and never more than the entry says that it has.
+
+    Raises BadInputError when they are damaged, or more or fewer than the entry says.
+    """
+    try:
+        with archive.open(entry) as file:
+            # A call of read() without a size would unpack all that is there, whatever the entry says.
+            while piece := file.read(_CHUNK):
+                yield piece
+    except (OSError, *_DAMAGED) as error:
+        raise BadInputError(f"FMU {fmu}: its entry {entry.filename!r} cannot be unpacked ({error})") from error
+
+
+def extract(fmu: Path, only: Container[str] | None = None) -> Path:
+    """Unpack the entries, or those named, into a new temporary folder; the caller removes it. Raises BadInputError."""
+    with opened(fmu) as archive, contextlib.ExitStack() as undo:
+        folder = Path(tempfile.mkdtemp(prefix="hil_fmu_"))
+        undo.callback(shutil.rmtree, folder, ignore_errors=True)
+        for entry in archive.infolist():
+            if only is None or entry.filename in only:
+                _write(fmu, archive, entry, folder / entry.filename)
+        undo.pop_all()
+    return folder
+
+
+def _write(fmu: Path, archive: zipfile.ZipFile, entry: zipfile.ZipInfo, target: Path) -> None:
+    content = pieces(fmu, archive, entry)
+    try:
+        if entry.is_dir():
+            target.mkdir(parents=True, exist_ok=True)
+            return
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with target.open("xb") as file:  # never over another entry
+            for piece in content:
+                file.write(piece)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise BadInputError(f"FMU {fmu}: its entry {entry.filename!r} cannot be written ({reason})") from error
+
+
+def _unsafe(entries: list[zipfile.ZipInfo]) -> str | None:
+    """Say what is wrong with the list of entries."""
+    if len(entries) > _MOST_ENTRIES:
+        return f"it has {len(entries)} entries; expected at most {_MOST_ENTRIES}"
+    total = sum(entry.file_size for entry in entries)
+    if total > _MOST_BYTES:
+        return f"it unpacks to {total} bytes; expected at most {_MOST_BYTES}"
+    seen: dict[str, zipfile.ZipInfo] = {}
+    for entry in entries:
+        if problem := _unsafe_entry(entry):
+            return f"its entry {entry.orig_filename!r} {problem}"
+        # File systems of macOS and Windows hold neither two names that differ in case nor two forms of one letter.
+        key = unicodedata.normalize("NFC", PurePosixPath(entry.filename).as_posix()).casefold()
+        other = seen.setdefault(key, entry)
+        if other is not entry and not (other.is_dir() and entry.is_dir()):
+            return f"its entries {other.filename!r} and {entry.filename!r} would be one file"
+    return None
+
+
+def _unsafe_entry(entry: zipfile.ZipInfo) -> str | None:
+    name = entry.orig_filename
+    parts = PurePosixPath(name).parts
+    if name.startswith("/") or "\\" in name or ":" in name or ".." in parts:
+        return "leads out of the archive"
+    if not parts or not name.isprintable():
+        return "has no printable name"
+    for part in parts:
+        if _RESERVED.match(part) or part.endswith((".", " ")):
+            return f"cannot be unpacked on Windows because of {part!r}"
+    if stat.S_ISLNK(entry.external_attr >> 16):
+        return "is a symbolic link"
+    if entry.flag_bits & _ENCRYPTED:
+        return "is encrypted"
+    if entry.compress_type not in _METHODS:
+        return f"is packed by method {entry.compress_type}; expected 0 (stored) or 8 (deflated)"
+    return None

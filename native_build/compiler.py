@@ -1,0 +1,132 @@
+"""Finds a C compiler and makes shared libraries with it.
+
+The order is ``$CC``; cc, gcc, clang; zig. Zig comes as a Python package (``ziglang``), brings a C library for every
+target, and is what a machine without a compiler builds with. On Windows zig comes before the others: a gcc or clang
+that happens to be on the PATH there may miss its headers, or make code for another word size. Zig keeps what it
+made in a cache of its own, in the user's cache folder or where ``ZIG_GLOBAL_CACHE_DIR`` says.
+"""
+
+import importlib.util
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
+# Without fused multiply-add the same sources give the same numbers on every machine that rounds by IEEE 754.
+FLAGS = (
+    "-std=c11",
+    "-O3",
+    "-ffp-contract=off",
+    "-Wall",
+    "-Wextra",
+    "-Wconversion",
+    "-Werror",
+)
+ZIG_REQUIREMENT = "ziglang==0.17.1"  # one version, so that everyone's cross-compiled binaries are the same
+_ON_THE_PATH = ("cc", "gcc", "clang")
+
+
+class BuildError(Exception):
+    """Something could not be built; the message says what to do."""
+
+
+def compiler(cc: str | None = None) -> list[str]:
+    """Return the command of the C compiler: ``cc``, ``$CC``, or what this machine has.
+
+    A command may have several words, such as ``ccache gcc``. Raises BuildError when there is none.
+    """
+    given = cc or os.environ.get("CC")
+    if given:
+        words = [given] if shutil.which(given) else shlex.split(given, posix=sys.platform != "win32")
+        if found := shutil.which(words[0]):
+            return [found, *words[1:]]
+        raise BuildError(f"the C compiler {words[0]!r} (from CC) is not there; set CC to one, or leave it empty")
+    system, zig = _on_the_path(), _zig()
+    if command := (zig or system) if sys.platform == "win32" else (system or zig):
+        return command
+    raise BuildError(
+        f"no C compiler found (tried {', '.join(_ON_THE_PATH)} and zig); "
+        f"install one, for example gcc, run pip install {ZIG_REQUIREMENT}, or set CC"
+    )
+
+
+def wants_zig() -> bool:
+    """Tell whether this machine is to compile with zig, so that whoever builds here has to install it first."""
+    return not os.environ.get("CC") and (sys.platform == "win32" or not _on_the_path())
+
+
+def zig() -> list[str]:
+    """Return the command of zig's C compiler, for the targets of other machines. Raises BuildError without it."""
+    if command := _zig():
+        return command
+    raise BuildError(
+        f"zig is not installed, and only zig compiles for other machines; run pip install {ZIG_REQUIREMENT}"
+    )
+
+
+def version(command: Sequence[str]) -> str:
+    """Return what the compiler says of itself. Raises BuildError when it cannot be run."""
+    return _run([*command, "--version"]).splitlines()[0]
+
+
+def compile_shared(
+    sources: Iterable[Path],
+    library: Path,
+    include: Sequence[Path] = (),
+    cc: str | None = None,
+    flags: Sequence[str] = (),
+    zig_target: str | None = None,
+) -> None:
+    """Compile C sources into a shared library, whole or not at all.
+
+    With ``zig_target``, such as ``aarch64-linux-gnu.2.17``, zig compiles for that machine, and the result depends on
+    nothing but the sources, the flags, the library's name and zig's version. Raises BuildError with what the
+    compiler said.
+    """
+    command = [*zig(), "-target", zig_target] if zig_target else compiler(cc)
+    command += [*FLAGS, *flags, "-shared", *(f"-I{folder}" for folder in include), *map(str, sources)]
+    if library.suffix == ".dylib":
+        command += [f"-Wl,-install_name,@rpath/{library.name}", "-Wl,-x"]
+    if library.suffix != ".dll":
+        command += ["-fPIC", "-lm"]
+    # The file has its own name from the start, because linkers write it into the library.
+    try:
+        with tempfile.TemporaryDirectory(dir=library.parent, prefix=f".{library.name}.") as folder:
+            made = Path(folder) / library.name
+            _run([*command, "-o", str(made)])
+            made.replace(library)
+    except OSError as error:
+        raise BuildError(f"{library}: cannot be written ({error.strerror}); make its folder writable") from error
+
+
+def is_fresh(made: Path, inputs: Iterable[Path]) -> bool:
+    """Tell whether the file is there and newer than every input."""
+    return made.exists() and all(path.stat().st_mtime <= made.stat().st_mtime for path in inputs)
+
+
+def _on_the_path() -> list[str]:
+    found = (shutil.which(name) for name in _ON_THE_PATH)
+    return next(([path] for path in found if path), [])
+
+
+def _zig() -> list[str]:
+    if importlib.util.find_spec("ziglang") is None:
+        return []
+    # Zig's own default is the very processor that it runs on, and the library may move to an older one. Stripped (-s),
+    # because the debug information has the paths of this machine.
+    return [sys.executable, "-m", "ziglang", "cc", "-mcpu=baseline", "-s"]
+
+
+def _run(command: Sequence[str]) -> str:
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+    except OSError as error:
+        raise BuildError(f"{shlex.join(command)} cannot be run ({error.strerror}); set CC to a C compiler") from error
+    if done.returncode != 0:
+        raise BuildError(f"{shlex.join(command)} failed:\n{done.stderr}")
+    return done.stdout

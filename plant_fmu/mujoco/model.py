@@ -1,0 +1,91 @@
+"""Writes the robot inside the FMU as a file of MuJoCo's, to look at it and to run it without the FMU."""
+
+import ctypes
+import shutil
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+
+class ModelError(Exception):
+    """The model could not be written; the message says what to do."""
+
+
+def save(fmu: Path, file: Path, parameters: Mapping[str, float]) -> None:
+    """Write the robot with these parameters, by name and in SI units, as it stands at its start.
+
+    A name that ends in ``.xml`` gives MJCF, rounded for reading; ``.mjb`` a binary model with every bit. The key
+    frame "start" holds the state. Raises ModelError for an unknown name, a value out of its range and a file that
+    cannot be written.
+    """
+    from fmpy import extract, read_model_description
+    from fmpy.fmi1 import FMICallException
+    from fmpy.fmi2 import FMU2Slave
+
+    if file.suffix not in (".xml", ".mjb"):
+        raise ModelError(f"{file}: the name of a model ends in .xml or .mjb")
+    description = read_model_description(fmu)
+    known = {v.name: v for v in description.modelVariables if v.causality == "parameter"}
+    if unknown := set(parameters) - set(known):
+        raise ModelError(f"{min(unknown)} is no parameter; expected one of {', '.join(known)}")
+    folder = tempfile.mkdtemp(prefix="plant_fmu_mujoco_")
+    try:
+        extract(fmu, folder)
+        slave = FMU2Slave(
+            guid=description.guid,
+            unzipDirectory=folder,
+            modelIdentifier=description.coSimulation.modelIdentifier,
+            instanceName=fmu.stem,
+        )
+        callbacks, words = _logger()
+        slave.instantiate(callbacks=callbacks)
+        try:
+            slave.setupExperiment(startTime=0.0)
+            for name, value in parameters.items():
+                if known[name].type == "Real":
+                    slave.setReal([known[name].valueReference], [value])
+                elif value != int(value):
+                    raise ModelError(f"{name} = {value:g}; expected a whole number")
+                else:
+                    slave.setInteger([known[name].valueReference], [int(value)])
+            slave.enterInitializationMode()
+            slave.exitInitializationMode()
+            write(slave, file)
+        except FMICallException as error:
+            raise ModelError(words[-1] if words else str(error)) from error
+        finally:
+            slave.freeInstance()
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def write(slave: Any, file: Path) -> None:
+    """Write the robot of FMPy's instance ``slave`` with the state that it has now.
+
+    Raises ModelError when the file cannot be written.
+    """
+    call = slave.dll.mecanum_mujoco_save
+    call.argtypes = [ctypes.c_void_p, ctypes.c_char_p]
+    try:
+        file.touch()
+    except OSError as error:
+        raise ModelError(f"{file} cannot be written ({error.strerror}); choose another file") from error
+    if call(slave.component, str(file).encode()) != 0:
+        raise ModelError(f"{file}: the FMU could not write its model")
+
+
+def _logger() -> tuple[Any, list[str]]:
+    """Return FMI callbacks, and the list to which they add what the FMU says."""
+    from fmpy.fmi2 import fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
+    from fmpy.logging import addLoggerProxy
+
+    words: list[str] = []
+
+    def keep(environment: Any, instance: Any, status: int, category: Any, message: bytes) -> None:
+        words.append(message.decode(errors="replace"))
+
+    callbacks = fmi2CallbackFunctions()
+    callbacks.logger = fmi2CallbackLoggerTYPE(keep)
+    addLoggerProxy(ctypes.byref(callbacks))  # puts the arguments into the message
+    return callbacks, words

@@ -1,0 +1,45 @@
+"""Small FMUs for FMI 2.0 and FMI 3.0, whole or broken in one way, compiled from tests/fmus_broken."""
+
+import zipfile
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import fmpy
+
+from hil.plant import archive
+from native_build.compiler import compile_shared
+
+HERE = Path(__file__).with_name("fmus_broken")
+HEADERS = Path(fmpy.__file__).with_name("c-code")  # the standard's own
+Change = Callable[[str, bytes], bytes | None]
+
+
+def same(_name: str, data: bytes) -> bytes:
+    """Change nothing."""
+    return data
+
+
+def pack(
+    fmu: Path, fmi: int, change: Change = same, added: Iterable[tuple[str, bytes]] = (), library: bytes = b"a library"
+) -> Path:
+    """Write an FMU, with members changed, left out (None) or added; by default its library cannot be loaded."""
+    folder = archive.binary_folders(f"{fmi}.0")[-1]
+    members = [
+        ("modelDescription.xml", (HERE / f"lag_fmi{fmi}.xml").read_bytes()),
+        (f"binaries/{folder}/lag{archive.LIBRARY_SUFFIX}", library),
+    ]
+    with zipfile.ZipFile(fmu, "w") as packed:
+        for name, data in members:
+            if (new := change(name, data)) is not None:
+                packed.writestr(name, new)
+        for name, data in added:
+            packed.writestr(name, data)
+    return fmu
+
+
+def lag(folder: Path, fmi: int, fault: str = "NO_FAULT", change: Change = same) -> Path:
+    """Build an FMU that can be run, with a fault of lag.h."""
+    library = folder / f"lag_{fmi}_{fault}{archive.LIBRARY_SUFFIX}"
+    sources = (HERE / "lag.c", HERE / f"lag_fmi{fmi}.c")
+    compile_shared(sources, library, include=(HERE, HEADERS), flags=(f"-DBREAK={fault}",))
+    return pack(folder / f"lag_fmi{fmi}.fmu", fmi, change, library=library.read_bytes())

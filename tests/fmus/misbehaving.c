@@ -1,0 +1,108 @@
+/* The shipped plant with a flaw: linked in front of its own sources, whose functions of these names are
+ * renamed on the compiler's command line. FLAW in the environment says what goes wrong, and how long after
+ * the first torque: "hang 1.5"; before 0, as soon as it is instantiated. */
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#ifdef _WIN32
+#define EXPORT __declspec(dllexport)
+#else
+#define EXPORT __attribute__((visibility("default")))
+#endif
+
+void *sound_fmi2Instantiate(const char *name, int type, const char *guid, const char *resources,
+                            const void *functions, int visible, int logging);
+int sound_fmi2Reset(void *c);
+int sound_fmi2SetReal(void *c, const unsigned references[], size_t count, const double values[]);
+int sound_fmi2DoStep(void *c, double from_s, double step_s, int no_return);
+int sound_fmi2GetReal(void *c, const unsigned references[], size_t count, double values[]);
+
+/* One instance a process. */
+static int initialised, driven, spoilt;
+static double first_torque_s;
+
+static int has(const char *flaw, double after_s) {
+    char name[32] = "";
+    double due_s = 0.0;
+    const char *const text = getenv("FLAW");
+    return text != NULL && sscanf(text, "%31s %lf", name, &due_s) == 2 && strcmp(name, flaw) == 0 &&
+           after_s >= due_s - 1e-9;
+}
+
+static void crash(double after_s) {
+    if (has("segfault", after_s)) {
+        printf("the last words of a crash\n");
+        *(volatile int *)NULL = 1;
+    }
+    if (has("abort", after_s)) {
+        abort();
+    }
+    if (has("exit", after_s)) {
+        exit(0);
+    }
+    while (has("hang", after_s)) {
+    }
+}
+
+#undef fmi2Instantiate
+#undef fmi2Reset
+#undef fmi2SetReal
+#undef fmi2DoStep
+#undef fmi2GetReal
+
+EXPORT void *fmi2Instantiate(const char *name, int type, const char *guid, const char *resources,
+                             const void *functions, int visible, int logging);
+EXPORT int fmi2Reset(void *c);
+EXPORT int fmi2SetReal(void *c, const unsigned references[], size_t count, const double values[]);
+EXPORT int fmi2DoStep(void *c, double from_s, double step_s, int no_return);
+EXPORT int fmi2GetReal(void *c, const unsigned references[], size_t count, double values[]);
+
+void *fmi2Instantiate(const char *name, int type, const char *guid, const char *resources,
+                      const void *functions, int visible, int logging) {
+    crash(-1.0);
+    return sound_fmi2Instantiate(name, type, guid, resources, functions, visible, logging);
+}
+
+int fmi2Reset(void *c) {
+    initialised = driven = spoilt = 0;
+    return sound_fmi2Reset(c);
+}
+
+int fmi2SetReal(void *c, const unsigned references[], size_t count, const double values[]) {
+    for (size_t i = 0; initialised && i < count; i++) {
+        driven = driven || values[i] != 0.0;
+    }
+    return sound_fmi2SetReal(c, references, count, values);
+}
+
+int fmi2DoStep(void *c, double from_s, double step_s, int no_return) {
+    if (!driven) {
+        first_torque_s = from_s;
+        return sound_fmi2DoStep(c, from_s, step_s, no_return);
+    }
+    const double after_s = from_s - first_torque_s;
+    crash(after_s);
+    if (has("error", after_s)) {
+        /* The sound FMU's own words: it refuses a step that goes back in time. */
+        return sound_fmi2DoStep(c, from_s, -step_s, no_return);
+    }
+    if (has("print", after_s)) {
+        for (int i = 0; i < 100; i++) {
+            printf("%f s: all is well, and this line is there to fill the pipe of whoever reads it\n",
+                   from_s);
+        }
+    }
+    spoilt = has("nan", after_s);
+    return sound_fmi2DoStep(c, from_s, step_s, no_return);
+}
+
+int fmi2GetReal(void *c, const unsigned references[], size_t count, double values[]) {
+    const int status = sound_fmi2GetReal(c, references, count, values);
+    initialised = 1; /* what is set before is the start */
+    if (spoilt && count > 0) {
+        values[0] = NAN;
+    }
+    return status;
+}

@@ -1,0 +1,24 @@
+"""The benchmarks run; what they measure is not judged here, as a loaded machine would decide it."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+from tests.plant_testbed import FMU
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_the_cost_of_a_step_is_printed_for_all_ways() -> None:
+    command = [sys.executable, "-m", "tools.bench.fmu_step", "--repeats", "1", str(FMU)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    for words in ("FMI 2, 12 outputs", "C loop over the FMU", "FMPy's class methods", "slip contact, torque"):
+        assert words in done.stdout
+
+
+def test_a_missing_fmu_is_one_sentence() -> None:
+    command = [sys.executable, "-m", "tools.bench.fmu_step", "none.fmu"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr.startswith("tools.bench.fmu_step: FMU none.fmu does not exist")

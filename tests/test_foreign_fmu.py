@@ -1,0 +1,335 @@
+"""FMUs that nobody here shaped: own names, units, types and signs; both FMI versions and interfaces; every failure."""
+
+import math
+import struct
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hil.errors import BadInputError, DeviceError
+from hil.plant.build import PLANT_PORT
+from hil.plant.build import SOURCES as SHIM_SOURCES
+from hil.plant.fmu import FmuPlant
+from hil.plant.mapping import Row
+from hil.types import WHEEL_NAMES, Wheels
+from native_build.compiler import FLAGS, SUFFIX, compile_shared, compiler
+from tests.foreign_fmu import FAULTS, SOURCES, foreign_fmu, foreign_map, variables3
+
+TICK_S = 1e-3
+RADIUS_M, LEVER_M = 0.1, 0.5
+CS, ME = "CoSimulation", "ModelExchange"
+KINDS = [(2, CS), (3, CS), (2, ME), (3, ME)]
+TORQUE = Wheels(0.1, -0.2, 0.3, 0.15)
+# FMU wheels 1 to 4 are FL, FR, RL, RR, and the second turns the other way round.
+PLACE, SENSE = {"fl": 0, "fr": 1, "rl": 2, "rr": 3}, {"fl": 1, "fr": -1, "rl": 1, "rr": 1}
+
+
+def single(value: float) -> float:
+    return struct.unpack("f", struct.pack("f", value))[0]
+
+
+def fault(name: str, at_s: float = 0.01) -> dict[str, float]:
+    return {"fault": FAULTS.index(name), "fault_time": at_s}
+
+
+class Robot:
+    """The foreign robot in NumPy, in its own order of wheels: exact for torques that are held."""
+
+    def __init__(self, inertia: float = 0.02) -> None:
+        self.inertia = inertia
+        self.angle = np.zeros(4)
+        self.speed = np.zeros(4)
+
+    def hold(self, torque_n_m: Wheels, duration_s: float) -> None:
+        torque = np.zeros(4)
+        for wheel, value in zip(WHEEL_NAMES, torque_n_m, strict=True):
+            torque[PLACE[wheel]] = SENSE[wheel] * single(value)
+        a = torque / self.inertia
+        self.angle += self.speed * duration_s + a * duration_s**2 / 2
+        self.speed += a * duration_s
+
+    def pose(self) -> np.ndarray:
+        return pose_of(self.angle)
+
+    def wheels(self, values: np.ndarray) -> list[float]:
+        return [SENSE[wheel] * values[PLACE[wheel]] for wheel in WHEEL_NAMES]
+
+
+def pose_of(angle: np.ndarray) -> np.ndarray:
+    signs = np.array([[1, 1, 1, 1], [-1, 1, -1, 1], np.array([-1, 1, 1, -1]) / LEVER_M])
+    return RADIUS_M / 4 * signs @ angle
+
+
+def sense(plant: FmuPlant, torque: Wheels) -> tuple[list[int], list[float], list[float]]:
+    """Exchange one tick through the plant port."""
+    ffi = plant._ffi
+    drive, answer = ffi.new("wheel_drive *"), ffi.new("wheel_sense *")
+    drive.torque_n_m = list(torque)
+    exchange = ffi.cast("wheel_plant_exchange", plant.exchange_address)
+    assert exchange(ffi.cast("void *", plant.context_address), drive, answer) == 0, plant.message
+    return list(answer.count), list(answer.current_a), list(answer.gyro_rad_s)
+
+
+@pytest.mark.parametrize(("version", "interface"), KINDS)
+def test_a_mapped_fmu_moves_as_its_equations_say(version: int, interface: str, tmp_path: Path) -> None:
+    """Half a second of changing torques; the heading passes half a turn, where the FMU wraps it."""
+    rng = np.random.default_rng(3)
+    robot = Robot()
+    with FmuPlant(foreign_fmu(tmp_path, version, interface), {}, mapping=foreign_map(version)) as plant:
+        for _ in range(50):
+            torque = Wheels(*rng.uniform(-0.5, 0.5, 4) + np.array([-3.0, -3.0, -3.0, 3.0]))
+            robot.hold(torque, 9 * TICK_S)
+            plant.step(torque, 9)
+            before = robot.pose()
+            robot.hold(torque, TICK_S)
+            counts, currents, gyro = sense(plant, torque)
+            fix = plant.truth()
+            tolerance = 1e-4 if interface == ME else 2e-6  # y is in single precision
+            assert np.allclose(fix.pose, robot.pose(), rtol=tolerance, atol=1e-6)
+            mean_twist = (robot.pose() - before) / TICK_S
+            assert np.allclose(fix.twist, mean_twist, rtol=tolerance, atol=1e-3)
+            assert gyro == [0.0, 0.0, single(fix.twist.yaw_rate_rad_s)]
+            expected = np.array(robot.wheels(robot.angle)) / math.tau * 1000
+            off = np.abs((np.array(counts) - expected + 0x8000) % 0x10000 - 0x8000)
+            assert np.all(off <= 1.0 + tolerance * np.abs(expected))
+            assert currents == [single(single(t) / 0.5) for t in torque]
+        assert abs(robot.pose()[2]) > math.pi, "the heading was never wrapped"
+        assert fix.time_ns == 500_000_000
+
+
+@pytest.mark.parametrize(("version", "interface"), KINDS)
+def test_what_follows_from_the_angles_agrees_with_what_the_fmu_has(
+    version: int, interface: str, tmp_path: Path
+) -> None:
+    """Counts and speeds as the FMU has them, against those that are made from its angles."""
+    numbers = {f"wheel_{w}__count": Row(f"n{PLACE[w] + 1}", sign=SENSE[w]) for w in WHEEL_NAMES}
+    speeds = {f"wheel_{w}__speed_rad_s": Row(f"w{PLACE[w] + 1}", sign=SENSE[w]) for w in WHEEL_NAMES}
+    fmu = foreign_fmu(tmp_path, version, interface)
+    plain = foreign_map(version)
+    full = foreign_map(version, **numbers, **speeds)
+    with FmuPlant(fmu, {}, mapping=plain) as derived, FmuPlant(fmu, {}, mapping=full) as mapped:
+        for _ in range(200):
+            one, other = sense(derived, TORQUE), sense(mapped, TORQUE)
+            # floor(-x) and -floor(x) differ by one on the wheel that is turned round
+            assert all((a - b) % 0x10000 in (0, 1, 0xFFFF) for a, b in zip(one[0], other[0], strict=True))
+        assert one[0] != [0] * 4
+        half_tick = np.array(TORQUE) / 0.02 * TICK_S / 2
+        mean = np.array(mapped.wheel_speeds()) - half_tick
+        assert np.allclose(derived.wheel_speeds(), mean, rtol=1e-4)
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_a_reset_brings_the_same_run_again(version: int, tmp_path: Path) -> None:
+    for interface in (CS, ME):
+        with FmuPlant(foreign_fmu(tmp_path, version, interface), {"J": 0.03}, mapping=foreign_map(version)) as plant:
+            start = plant.truth()
+            plant.step(TORQUE, 50)
+            first = plant.truth()
+            plant.reset()
+            assert plant.truth() == start
+            plant.step(TORQUE, 50)
+            assert plant.truth() == first != start
+
+
+@pytest.mark.parametrize(("version", "interface"), KINDS)
+def test_start_values_of_every_type_reach_the_fmu(version: int, interface: str, tmp_path: Path) -> None:
+    start: dict[str, float | bool | str] = {"J": 0.06, "gear": "geared", "reversed": True, "label": "a robot"}
+    if version == 3:
+        start["wheels"] = 6
+    with FmuPlant(foreign_fmu(tmp_path, version, interface), start, mapping=foreign_map(version)) as plant:
+        plant.step(Wheels(0.1, 0.1, 0.1, 0.1), 100)
+        robot = Robot(inertia=0.02)
+        robot.hold(Wheels(-0.1, -0.1, -0.1, -0.1), 0.1)
+        assert np.allclose(plant.truth().pose, robot.pose(), rtol=1e-4, atol=1e-7)
+        assert plant.instance.fmu.getString([50]) == ([b"a robot"] if version == 2 else ["a robot"])
+
+
+@pytest.mark.parametrize("counter", ["Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64"])
+def test_a_counter_of_any_integer_type_is_read(counter: str, tmp_path: Path) -> None:
+    rows = {f"wheel_{w}__count": Row(f"n{PLACE[w] + 1}") for w in WHEEL_NAMES}
+    fmu = foreign_fmu(tmp_path, 3, variables=variables3(counter))
+    bits, signed = int(counter.rpartition("Int")[2]), not counter.startswith("U")
+    with FmuPlant(fmu, {}, mapping=foreign_map(3, **rows)) as plant:
+        robot = Robot()
+        for _ in range(100):
+            robot.hold(TORQUE, TICK_S)
+            counts, _, _ = sense(plant, TORQUE)
+        whole = [math.floor(robot.angle[PLACE[w]] / math.tau * 1000) % 2**bits for w in WHEEL_NAMES]
+        whole = [n - 2**bits if signed and n >= 2 ** (bits - 1) else n for n in whole]
+        assert counts == [(n if bits < 64 or signed or n < 2**63 else n - 2**64) & 0xFFFF for n in whole]
+
+
+STATUSES = [
+    ("say_error", "wheel 1 fell off"),
+    ("silent_error", "the FMU failed to step (status 3, error) and did not say why"),
+    ("say_discard", "wheel 1 fell off"),
+    ("give_nan", "pose.x_m (x in the FMU) is not a number; expected a finite number"),
+    ("end", "the FMU asked to end the simulation"),
+    ("fail_to_read", "the FMU refused to give its outputs (status 3, error) and did not say why"),
+]
+
+
+@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize(("name", "words"), STATUSES)
+def test_a_failure_says_when_and_why_and_a_reset_mends_it(version: int, name: str, words: str, tmp_path: Path) -> None:
+    with FmuPlant(foreign_fmu(tmp_path, version), fault(name), mapping=foreign_map(version)) as plant:
+        plant.step(TORQUE, 9)
+        good = plant.truth()
+        with pytest.raises(DeviceError) as caught:
+            plant.step(TORQUE, 5)
+        assert words in str(caught.value)
+        assert "at 0.009 s" in str(caught.value)
+        assert plant.truth() == good
+        with pytest.raises(DeviceError, match=r"stopped at 0\.009 s"):
+            plant.step(TORQUE)
+        plant.reset()
+        plant.step(TORQUE, 9)
+        assert plant.truth() == good
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("say_error", "wheel 1 fell off"),
+        ("end", "asked to end the simulation"),
+        ("give_nan", "is not a number"),
+        ("fail_to_read", "refused to give its outputs"),
+    ],
+)
+@pytest.mark.parametrize("version", [2, 3])
+def test_a_failure_in_model_exchange_is_none_of_the_solver(version: int, name: str, words: str, tmp_path: Path) -> None:
+    with FmuPlant(foreign_fmu(tmp_path, version, ME), fault(name), mapping=foreign_map(version)) as plant:
+        with pytest.raises(DeviceError, match=words):
+            plant.step(TORQUE, 20)
+        assert 8_000_000 <= plant.truth().time_ns <= 10_000_000
+        plant.reset()
+        plant.step(TORQUE, 8)
+
+
+def test_a_pending_step_is_a_failure(tmp_path: Path) -> None:
+    with (
+        FmuPlant(foreign_fmu(tmp_path, 2), fault("return_pending"), mapping=foreign_map(2)) as plant,
+        pytest.raises(DeviceError, match=r"status 5, pending"),
+    ):
+        plant.step(TORQUE, 20)
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_a_warning_goes_on(version: int, tmp_path: Path) -> None:
+    fmu, signals = foreign_fmu(tmp_path, version), foreign_map(version)
+    with FmuPlant(fmu, fault("say_warning"), mapping=signals) as warned, FmuPlant(fmu, {}, mapping=signals) as plain:
+        warned.step(TORQUE, 20)
+        plain.step(TORQUE, 20)
+        assert warned.truth() == plain.truth()
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_after_a_fatal_status_nothing_of_the_fmu_is_called(version: int, tmp_path: Path) -> None:
+    """The FMU aborts this process when it is freed then."""
+    with FmuPlant(foreign_fmu(tmp_path, version), fault("say_fatal"), mapping=foreign_map(version)) as plant:
+        with pytest.raises(DeviceError, match="wheel 1 fell off"):
+            plant.step(TORQUE, 20)
+        with pytest.raises(DeviceError, match=r"beyond repair.*wheel 1 fell off"):
+            plant.reset()
+
+
+def test_a_step_that_returns_early_is_taken_to_its_end(tmp_path: Path) -> None:
+    fmu, signals = foreign_fmu(tmp_path, 3), foreign_map(3)
+    with FmuPlant(fmu, fault("return_early"), mapping=signals) as early, FmuPlant(fmu, {}, mapping=signals) as plain:
+        early.step(TORQUE, 200)
+        plain.step(TORQUE, 200)
+        assert np.allclose(early.truth().pose, plain.truth().pose, rtol=1e-12)
+        assert early.truth().time_ns == plain.truth().time_ns
+    with (
+        FmuPlant(fmu, fault("return_early_for_ever"), mapping=signals) as stuck,
+        pytest.raises(DeviceError, match=r"returned early from a step at 0\.01 s and got no further"),
+    ):
+        stuck.step(TORQUE, 20)
+
+
+@pytest.mark.parametrize(("version", "interface"), KINDS)
+def test_an_fmu_that_fails_at_its_start_says_why(version: int, interface: str, tmp_path: Path) -> None:
+    start = fault("fail_at_initialization")
+    with pytest.raises(DeviceError, match=r"wheels.\.fmu failed to initialise: wheel 1 fell off"):
+        FmuPlant(foreign_fmu(tmp_path, version, interface), start, mapping=foreign_map(version))
+    with pytest.raises(DeviceError, match=r"made no instance: wrong"):
+        FmuPlant(foreign_fmu(tmp_path, version, interface, guid="{other}"), {}, mapping=foreign_map(version))
+    fmu = foreign_fmu(tmp_path, version, interface, guid="{other}", needsExecutionTool="true")
+    with pytest.raises(DeviceError, match=r"made no instance, it needs A Tool: wrong"):
+        FmuPlant(fmu, {}, mapping=foreign_map(version))
+    with pytest.raises(BadInputError, match=r"plant\.start\.label: wheel 1 fell off"):
+        FmuPlant(foreign_fmu(tmp_path, version, interface), {"label": "x" * 40}, mapping=foreign_map(version))
+
+
+def test_an_fmu_that_cannot_reset_says_so(tmp_path: Path) -> None:
+    for version in (2, 3):
+        start = fault("fail_to_reset")
+        with (
+            FmuPlant(foreign_fmu(tmp_path, version), start, mapping=foreign_map(version)) as plant,
+            pytest.raises(DeviceError, match="failed to reset: wheel 1 fell off"),
+        ):
+            plant.reset()
+
+
+def test_one_instance_a_process_where_the_fmu_says_so(tmp_path: Path) -> None:
+    fmu = foreign_fmu(tmp_path, 2, canBeInstantiatedOnlyOncePerProcess="true")
+    with FmuPlant(fmu, {}, mapping=foreign_map(2)) as plant:
+        plant.reset()
+        with pytest.raises(BadInputError, match="a process can have but one instance of it"):
+            FmuPlant(fmu, {}, mapping=foreign_map(2))
+        plant.step(TORQUE)
+    FmuPlant(fmu, {}, mapping=foreign_map(2)).close()
+
+
+def test_a_library_that_is_none_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "empty.c").write_text("int nothing(void);\nint nothing(void) {\n    return 0;\n}\n")
+    compile_shared([tmp_path / "empty.c"], tmp_path / f"empty{SUFFIX}")
+    empty = (tmp_path / f"empty{SUFFIX}").read_bytes()
+    for library, words in ((empty, "lacks a function of the standard"), (b"text", "its library cannot be loaded")):
+        with pytest.raises(BadInputError, match=words):
+            FmuPlant(foreign_fmu(tmp_path, 2, library=library), {}, mapping=foreign_map(2))
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_the_solver_finds_state_and_time_events(version: int, tmp_path: Path) -> None:
+    """The first wheel bounces off a wall within a tick; at 0.05 s all wheels get a kick."""
+    start = {"wall": 0.003, "kick": 0.1}
+    torque = 0.2
+    with FmuPlant(foreign_fmu(tmp_path, version, ME), start, mapping=foreign_map(version)) as plant:
+        plant.step(Wheels(torque, torque, torque, torque), 60)
+        a = single(torque) / 0.02
+        hit_s = math.sqrt(2 * 0.003 / a)
+        assert 0 < (hit_s / TICK_S) % 1 < 1
+        bounced = 0.05 - hit_s
+        # FL: from the wall with the speed turned round, then kicked
+        angle, speed = 0.003 - a * hit_s * bounced + a * bounced**2 / 2, -a * hit_s + a * bounced + 0.1
+        angle += speed * 0.01 + a * 0.01**2 / 2
+        other = a * 0.06**2 / 2 + 0.1 * 0.01
+        second = -a * 0.06**2 / 2 + 0.1 * 0.01
+        assert angle < 0.003, "it hit the wall again, which this oracle does not know"
+        expected = pose_of(np.array([angle, second, other, other]))
+        assert np.allclose(plant.truth().pose, expected, rtol=1e-4, atol=1e-7)
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_events_that_do_not_cease_are_a_failure(version: int, tmp_path: Path) -> None:
+    fmu = foreign_fmu(tmp_path, version, ME)
+    with (
+        FmuPlant(fmu, fault("never_settle"), mapping=foreign_map(version)) as plant,
+        pytest.raises(DeviceError, match=r"at 0\.01 s: the FMU had 1000 events within one tick"),
+    ):
+        plant.step(TORQUE, 100)
+
+
+def test_the_shim_passes_the_sanitizers_over_a_foreign_fmu(tmp_path: Path) -> None:
+    program = tmp_path / "driver"
+    include = [f"-I{folder}" for folder in (SOURCES, SHIM_SOURCES[0].parent, PLANT_PORT.parent)]
+    sources = [Path(__file__).with_name("shim_driver.c"), SOURCES / "wheels3.c", *SHIM_SOURCES]
+    sanitize = ["-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    command = [*compiler(), *FLAGS, *sanitize, *include, *map(str, sources), "-o", str(program), "-lm"]
+    compiled = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert compiled.returncode == 0, compiled.stderr
+    done = subprocess.run([program], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

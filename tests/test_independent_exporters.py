@@ -1,0 +1,73 @@
+"""FMUs from exporters that others wrote: pythonfmu for FMI 2.0, pythonfmu3 for FMI 3.0; a Python class is inside."""
+
+import importlib.util
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from hil.plant.fmu import FmuPlant
+from hil.plant.mapping import Row, SignalMap
+from hil.types import WHEEL_NAMES, Wheels
+
+SLAVE = """
+from {package} import {base}, {causality}, {real}
+
+class Wheels({base}):
+    def __init__(self, **arguments):
+        super().__init__(**arguments)
+        for name in ("tau1", "tau2", "tau3", "tau4"):
+            self.add(name, {causality}.input)
+        for name in ("phi1", "phi2", "phi3", "phi4", "x", "y", "psi"):
+            self.add(name, {causality}.output)
+        self.speed = [0.0] * 4
+
+    def add(self, name, causality):
+        setattr(self, name, 0.0)
+        self.register_variable({real}(name, causality=causality))
+
+    def do_step(self, from_s, step_s):
+        for i in range(4):
+            self.speed[i] += getattr(self, f"tau{{i + 1}}") / 0.02 * step_s
+            setattr(self, f"phi{{i + 1}}", getattr(self, f"phi{{i + 1}}") + self.speed[i] * step_s)
+        self.x = 0.025 * (self.phi1 + self.phi2 + self.phi3 + self.phi4)
+        return True
+"""
+MAP = SignalMap(
+    {
+        **{f"wheel.{wheel}.torque_n_m": Row(f"tau{i}") for i, wheel in enumerate(WHEEL_NAMES, 1)},
+        **{f"wheel.{wheel}.angle_rad": Row(f"phi{i}") for i, wheel in enumerate(WHEEL_NAMES, 1)},
+        "pose.x_m": Row("x", scale=2.0),
+        "pose.y_m": Row("y"),
+        "pose.heading_rad": Row("psi"),
+    },
+    counts_per_revolution=1000,
+    torque_constant_n_m_a=0.5,
+)
+
+
+@pytest.mark.parametrize(
+    ("package", "base", "causality", "real"),
+    [
+        ("pythonfmu", "Fmi2Slave", "Fmi2Causality", "Real"),
+        ("pythonfmu3", "Fmi3Slave", "Fmi3Causality", "Float64"),
+    ],
+)
+def test_an_fmu_of_another_exporter_is_the_plant(
+    package: str, base: str, causality: str, real: str, tmp_path: Path
+) -> None:
+    if importlib.util.find_spec(package) is None:
+        pytest.skip(f"{package} is missing: pip install {package}")
+    text = SLAVE.format(package=package, base=base, causality=causality, real=real)
+    # The FMU imports its module into this interpreter, where a name can be taken once.
+    (tmp_path / f"robot_of_{package}.py").write_text(text)
+    command = [sys.executable, "-m", package, "build", "-f", f"robot_of_{package}.py"]
+    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
+    with FmuPlant(tmp_path / "Wheels.fmu", {}, mapping=MAP) as plant:
+        torque = Wheels(1.0, 2.0, 3.0, 4.0)
+        plant.step(torque, 100)
+        # Semi-implicit Euler: the angle after n steps is a h^2 n (n + 1) / 2.
+        angles = [t / 0.02 * 1e-6 * 100 * 101 / 2 for t in torque]
+        assert plant.truth().pose.x_m == pytest.approx(2.0 * 0.025 * sum(angles), rel=1e-9)
+        assert plant.wheel_speeds() == pytest.approx([t / 0.02 * 0.1 for t in torque], rel=1e-9)

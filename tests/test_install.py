@@ -1,0 +1,53 @@
+"""The wheel on a machine without a C compiler: built, installed into a fresh environment, and run from there."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import plant_fmu
+from native_build.compiler import SUFFIX
+from plant_fmu import pack
+
+ROOT = Path(__file__).parents[1]
+NOT_SOURCES = shutil.ignore_patterns(".*", "__pycache__", "*.so", "*.dylib", "*.dll", "*.fmu", "runs", "dist", "build")
+
+
+def run(*command: str | Path, cwd: Path, environment: dict[str, str]) -> str:
+    """Run a command that has to succeed and return what it printed."""
+    done = subprocess.run([*map(str, command)], cwd=cwd, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_a_machine_without_a_compiler_builds_installs_and_runs_the_wheel(tmp_path: Path) -> None:
+    """Zig comes as a build requirement. The wheel is made of the source distribution, which is therefore whole."""
+    tree, sources, wheels = tmp_path / "tree", tmp_path / "sources", tmp_path / "wheels"
+    shutil.copytree(ROOT, tree, ignore=NOT_SOURCES)
+    (tmp_path / "no-tools").mkdir()
+    kept = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "VIRTUAL_ENV", "CC"))}
+    bare = {**kept, "PATH": str(tmp_path / "no-tools")}
+    assert shutil.which("cc", path=bare["PATH"]) is None
+
+    run(sys.executable, "-m", "hatchling", "build", "-t", "sdist", "-d", sources, cwd=tree, environment=bare)
+    [source] = sources.iterdir()
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
+    run(*pip, "wheel", "--no-deps", "--wheel-dir", wheels, source, cwd=tmp_path, environment=bare)
+    [wheel] = wheels.iterdir()
+    with zipfile.ZipFile(wheel) as archive:
+        names = set(archive.namelist())
+    fmus = {f"plant_fmu/{plant_fmu.path(fmi).name}" for fmi in pack.DESCRIPTIONS}
+    assert {*fmus, f"firmware_protocol/libwheel_host{SUFFIX}", f"hil/plant/libcosim{SUFFIX}"} <= names
+    assert not wheel.name.endswith("-any.whl")
+
+    run(sys.executable, "-m", "venv", tmp_path / "venv", cwd=tmp_path, environment=bare)
+    scripts = tmp_path / "venv" / ("Scripts" if sys.platform == "win32" else "bin")
+    python, hil = scripts / "python", scripts / "hil"
+    run(python, "-m", "pip", "--disable-pip-version-check", "install", wheel, cwd=tmp_path, environment=bare)
+    said = run(hil, "run", "paper_circle", "--record", "none", "--json", cwd=tmp_path, environment=bare)
+    assert json.loads(said)["passed"] is True
+    for fmu in sorted(Path(name).stem for name in fmus):
+        assert "no problems" in run(hil, "fmu", "check", fmu, cwd=tmp_path, environment=bare)
