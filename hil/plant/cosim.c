@@ -60,7 +60,7 @@ static double time_s(const cosim *c, uint64_t steps) {
                            : ((int (*)(void *, const unsigned *, size_t, TYPE *, size_t))(g)->call)(         \
                                  (c)->component, (g)->reference, (g)->references, (g)->value, (g)->values))
 
-/* An input is given to the FMU so that factor * FMU value + offset is the bridge's torque. */
+/* An input is given to the FMU so that factor * FMU value + offset is the bridge's value. */
 static int write_inputs(cosim *c) {
     for (const cosim_group *g = c->input; g < c->input + c->inputs; g++) {
         const cosim_row *const end = g->is_in_place ? g->row : g->row + g->rows;
@@ -68,18 +68,18 @@ static int write_inputs(cosim *c) {
         if (g->type == COSIM_FLOAT64) {
             double *const value = g->value;
             for (const cosim_row *row = g->row; row < end; row++) {
-                value[row->place] = (c->torque_n_m[row->signal] - row->offset) / row->factor;
+                value[row->place] = (c->input_value[row->signal] - row->offset) / row->factor;
             }
             status = CALL(c, g, const double);
         } else {
             float *const value = g->value;
             for (const cosim_row *row = g->row; row < end; row++) {
-                value[row->place] = (float)((c->torque_n_m[row->signal] - row->offset) / row->factor);
+                value[row->place] = (float)((c->input_value[row->signal] - row->offset) / row->factor);
             }
             status = CALL(c, g, const float);
         }
         if (status > STATUS_WARNING) {
-            return refused(c, status, "refused the wheel torques");
+            return refused(c, status, "refused what drives the wheels");
         }
     }
     return 0;
@@ -206,10 +206,12 @@ static void derive(cosim *c, bool passed) {
             const size_t from = i - COSIM_WHEEL_SPEED + COSIM_WHEEL_ANGLE;
             fresh[i] = passed ? (fresh[from] - c->signal[from]) / step_s(c) : c->signal[i];
         } else if (i < COSIM_GYRO) {
-            fresh[i] = c->torque_n_m[i - COSIM_CURRENT] / c->torque_constant_n_m_a;
-        } else if (i < COSIM_COUNT) {
+            fresh[i] = c->input_value[i - COSIM_CURRENT] / c->torque_constant_n_m_a;
+        } else if (i < COSIM_ACCELERATION) {
             fresh[i] = i == COSIM_GYRO + 2 ? fresh[COSIM_TWIST + 2] : 0.0; /* the robot stays level */
-        } else { /* a count, which is rounded down when it is sensed */
+        } else if (i < COSIM_COUNT) {
+            fresh[i] = 0.0; /* not there: the firmware does not say that it has it */
+        } else {            /* a count, which is rounded down when it is sensed */
             const double angle_rad = fresh[i - COSIM_COUNT + COSIM_WHEEL_ANGLE];
             fresh[i] = angle_rad / TWO_PI * c->counts_per_revolution;
         }
@@ -253,7 +255,7 @@ int cosim_start(cosim *c) {
     c->failed = 0;
     c->text[0] = '\0';
     c->text_status = 0;
-    memset(c->torque_n_m, 0, sizeof c->torque_n_m);
+    memset(c->input_value, 0, sizeof c->input_value);
     memset(c->signal, 0, sizeof c->signal);
     memset(c->fresh, 0, sizeof c->fresh);
     if (read_outputs(c) != 0) {
@@ -278,8 +280,12 @@ int cosim_exchange(void *context, const wheel_drive *drive, wheel_sense *sense) 
     }
     if (drive != NULL) {
         for (int i = 0; i < 4; i++) {
-            c->torque_n_m[c->wheel_of_channel[i]] = c->sign_of_channel[i] * (double)drive->torque_n_m[i];
+            const int wheel = c->wheel_of_channel[i];
+            const int sign = c->sign_of_channel[i];
+            c->input_value[COSIM_TORQUE + wheel] = sign * (double)drive->torque_n_m[i];
+            c->input_value[COSIM_DUTY + wheel] = sign * (double)drive->duty[i];
         }
+        c->input_value[COSIM_ENABLED] = drive->enabled != 0 ? 1.0 : 0.0;
         if (write_inputs(c) != 0 || step(c) != 0) {
             return 1;
         }
@@ -295,10 +301,14 @@ int cosim_exchange(void *context, const wheel_drive *drive, wheel_sense *sense) 
         const int sign = c->sign_of_channel[i];
         sense->count[i] = (uint16_t)(sign * whole(c->signal[COSIM_COUNT + wheel])); /* modulo 2^16 */
         sense->current_a[i] = (float)(sign * c->signal[COSIM_CURRENT + wheel]);
+        sense->temperature_degc[i] = (float)c->signal[COSIM_TEMPERATURE + wheel];
     }
     for (int i = 0; i < 3; i++) {
         sense->gyro_rad_s[i] = (float)c->signal[COSIM_GYRO + i];
+        sense->acceleration_m_s2[i] = (float)c->signal[COSIM_ACCELERATION + i];
     }
+    sense->battery_v = (float)c->signal[COSIM_BATTERY];
+    sense->battery_a = (float)c->signal[COSIM_BATTERY + 1];
     return 0;
 }
 
@@ -306,7 +316,7 @@ int cosim_run(void *context, const float *torque_n_m, uint32_t ticks) {
     cosim *const c = context;
     wheel_sense sense;
     for (uint32_t i = 0; i < ticks; i++) {
-        wheel_drive drive = {.tick = (uint32_t)c->steps};
+        wheel_drive drive = {.tick = (uint32_t)c->steps, .enabled = 1};
         memcpy(drive.torque_n_m, torque_n_m, sizeof drive.torque_n_m);
         if (cosim_exchange(c, &drive, &sense) != 0) {
             return 1;

@@ -12,15 +12,25 @@
 #include "plant_port.h"
 
 /* cffi: begin */
-enum {                         /* the outputs */
-       COSIM_POSE = 0,         /* x_m, y_m, heading_rad, world frame */
-       COSIM_TWIST = 3,        /* vx_m_s, vy_m_s, yaw_rate_rad_s, world frame */
-       COSIM_WHEEL_SPEED = 6,  /* rad/s, FL, FR, RR, RL */
-       COSIM_CURRENT = 10,     /* A */
-       COSIM_GYRO = 14,        /* x, y, z, rad/s, body frame */
-       COSIM_COUNT = 17,       /* encoder counts */
-       COSIM_WHEEL_ANGLE = 21, /* rad; read only where something follows from it */
-       COSIM_SIGNALS = 25,
+enum {                   /* the inputs */
+       COSIM_TORQUE = 0, /* N m, FL, FR, RR, RL */
+       COSIM_DUTY = 4,   /* -1 to 1 */
+       COSIM_ENABLED = 8,
+       COSIM_INPUTS = 9,
+};
+
+enum {                          /* the outputs */
+       COSIM_POSE = 0,          /* x_m, y_m, heading_rad, world frame */
+       COSIM_TWIST = 3,         /* vx_m_s, vy_m_s, yaw_rate_rad_s, world frame */
+       COSIM_WHEEL_SPEED = 6,   /* rad/s, FL, FR, RR, RL */
+       COSIM_CURRENT = 10,      /* A */
+       COSIM_GYRO = 14,         /* x, y, z, rad/s, body frame */
+       COSIM_ACCELERATION = 17, /* x, y, z, m/s2, body frame, less gravity's */
+       COSIM_BATTERY = 20,      /* V, A */
+       COSIM_TEMPERATURE = 22,  /* degrees Celsius */
+       COSIM_COUNT = 26,        /* encoder counts */
+       COSIM_WHEEL_ANGLE = 30,  /* rad; read only where something follows from it */
+       COSIM_SIGNALS = 34,
 };
 
 enum { /* the C types of an FMU's numbers; FMI 2.0 calls the first Real and COSIM_INT32 Integer */
@@ -40,7 +50,7 @@ enum { /* the C types of an FMU's numbers; FMI 2.0 calls the first Real and COSI
 typedef void (*cosim_function)(void); /* any function of an FMU; called as what the standard says it is */
 
 typedef struct {
-    size_t signal; /* an output of the enumeration above, or the wheel of a torque */
+    size_t signal; /* of the enumerations above */
     size_t place;  /* where the FMU's value is among those of its group */
     double factor;
     double offset;
@@ -56,7 +66,7 @@ typedef struct { /* the variables of one type: one call into the FMU */
     const cosim_row *row;
     size_t rows;
     int is_identity; /* every factor is 1, every offset 0 */
-    int is_in_place; /* `value` is that part of `fresh` or of `torque_n_m` which the rows name */
+    int is_in_place; /* `value` is that part of `fresh` or of `input_value` which the rows name */
 } cosim_group;
 
 typedef struct { /* an angle that the FMU may wrap */
@@ -88,15 +98,15 @@ typedef struct {
     int sign_of_channel[4]; /* 1 or -1 */
 
     uint64_t step_ns;
-    uint64_t steps;               /* taken since the start: the time of the newest outputs */
-    int failed;                   /* once set, every exchange fails and `text` keeps the first reason */
-    int fatal;                    /* the FMU said that nothing of it may be called any more */
-    double torque_n_m[4];         /* the newest inputs, by wheel */
-    double fresh[COSIM_SIGNALS];  /* the outputs while they are read */
-    double signal[COSIM_SIGNALS]; /* the newest outputs */
-    cosim_winding winding[5];     /* heading, wheel angles */
-    char text[512];               /* the FMU's words since the last good exchange, or why that failed */
-    int text_status;              /* the worst fmi2Status or fmi3Status that those words came with */
+    uint64_t steps;                   /* taken since the start: the time of the newest outputs */
+    int failed;                       /* once set, every exchange fails and `text` keeps the first reason */
+    int fatal;                        /* the FMU said that nothing of it may be called any more */
+    double input_value[COSIM_INPUTS]; /* the newest inputs, by wheel */
+    double fresh[COSIM_SIGNALS];      /* the outputs while they are read */
+    double signal[COSIM_SIGNALS];     /* the newest outputs */
+    cosim_winding winding[5];         /* heading, wheel angles */
+    char text[512];                   /* the FMU's words since the last good exchange, or why that failed */
+    int text_status;                  /* the worst fmi2Status or fmi3Status that those words came with */
 } cosim;
 
 /* Samples the outputs of an FMU that has just been initialised, and starts the time. Returns like

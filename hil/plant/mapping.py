@@ -15,7 +15,8 @@ the variable of the signal's own name. What is then still missing follows from t
     gyro.z_rad_s           twist.yaw_rate_rad_s
     gyro.x_rad_s, y        0: the robot stays level
 
-The torques and the pose must be there, and of each wheel the angle, or both the count and the speed. A heading or
+The pose must be there, of each wheel the torque or the duty, and the angle, or both the count and the speed. Without
+accelerometer, battery or temperatures the firmware says that it has none. A heading or
 an angle that the FMU wraps at a whole turn is unwrapped.
 
 There are no patterns for names: a foreign FMU rarely calls its wheels fl, fr, rr and rl, and turns some of them the
@@ -30,7 +31,22 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hil.errors import BadInputError, nearest
-from hil.plant_signals import ANGLES, COUNTS, CURRENTS, GYRO, INPUTS, OUTPUTS, SPEEDS, TWIST
+from hil.plant_signals import (
+    ACCELEROMETER,
+    ANGLES,
+    BATTERY,
+    COUNTS,
+    CURRENTS,
+    DUTIES,
+    ENABLED,
+    GYRO,
+    INPUTS,
+    OUTPUTS,
+    SPEEDS,
+    TEMPERATURES,
+    TORQUES,
+    TWIST,
+)
 
 FLOATS = frozenset({"Real", "Float64", "Float32"})
 INTEGERS = frozenset({"Integer", *(f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64))})
@@ -171,12 +187,14 @@ class _Resolver:
         return None
 
     def _derived(self, outputs: Mapping[str, Connection]) -> set[str]:
-        return {signal for signal in (*TWIST, *SPEEDS, *CURRENTS, *GYRO, *COUNTS) if signal not in outputs}
+        may_follow = (*TWIST, *SPEEDS, *CURRENTS, *GYRO, *COUNTS, *ACCELEROMETER, *BATTERY, *TEMPERATURES)
+        return {signal for signal in may_follow if signal not in outputs}
 
     def _require_the_rest(self, inputs: Iterable[str], outputs: Iterable[str], derived: set[str]) -> None:
         # A row that names a wrong variable has been complained of already.
-        there = {*inputs, *outputs, *derived, *ANGLES, *self._wanted.rows}
-        missing = [signal for signal in (*INPUTS, *OUTPUTS) if signal not in there]
+        there = {*inputs, *outputs, *derived, *ANGLES, *DUTIES, *ENABLED, *self._wanted.rows}
+        driven = {torque for torque, duty in zip(TORQUES, DUTIES, strict=True) if duty in there & {*inputs}}
+        missing = [signal for signal in (*INPUTS, *OUTPUTS) if signal not in there | driven]
         for angle, count, speed in zip(ANGLES, COUNTS, SPEEDS, strict=True):
             if angle not in {*outputs, *self._wanted.rows} and derived & {count, speed} - set(self._wanted.rows):
                 missing.append(f"{angle} (or both {count} and {speed})")

@@ -37,7 +37,7 @@ def connect(context: Any, wiring: Wiring, access: Callable[[str, str], Any]) -> 
     ffi, _ = load()
     kept: list[object] = []
     sides = (
-        ("input", "Set", context.torque_n_m, wiring.inputs),
+        ("input", "Set", context.input_value, wiring.inputs),
         ("output", "Get", context.fresh, wiring.outputs),
     )
     for direction, call, signals, connections in sides:
