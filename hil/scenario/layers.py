@@ -53,8 +53,12 @@ def stack(below: Tree, above: Tree) -> Tree:
             if _differs(old.get(key, _DEFAULT_FMU if key == "fmu" else None), new.get(key)):
                 kept[table] = {name: node for name, node in old.items() if name in common}
             elif table == "plant":
-                rows = _kept_rows(old.get("map", {}), new.get("map", {}))
-                kept[table] = {**old, "map": rows, "start": _known_start(old.get("start", {}), new.get("fmu"))}
+                plant = dict(old)
+                if "map" in old:
+                    plant["map"] = _kept_rows(old["map"], new.get("map", {}))
+                if "start" in old:
+                    plant["start"] = _known_start(old["start"], new.get("fmu"))
+                kept[table] = plant
     return merge(kept, above)
 
 
