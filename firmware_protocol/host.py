@@ -24,6 +24,7 @@ _SECTION = re.compile(r"/\* cffi: begin \*/(.*?)/\* cffi: end \*/", re.DOTALL)
 _BYTES = 1 << 17
 
 # The host library has no power stage of its own, and whether time comes from STEP is its user's choice.
+_NOTHING = Capability(0)
 _CAN_DO = ~(Capability.POWER_STAGE | Capability.LOCKSTEP)
 
 
@@ -92,8 +93,9 @@ class HostNode:
 
     ``exchange_address`` and ``context_address`` are the C function and its context that play the plant; their owner
     keeps them alive as long as this object. ``values`` gives every parameter of ``parameters()``. ``power_stage``
-    makes it report motors, as a board with motors does; it then refuses STEP. ``stored`` is what ``stored()`` of an
-    earlier life gave: parameters kept across a reset, which a damaged copy does not change.
+    makes it report motors, as a board with motors does; it then refuses STEP. ``lacks`` are sensors that its plant has
+    not. ``stored`` is what ``stored()`` of an earlier life gave: parameters kept across a reset, which a damaged copy
+    does not change.
 
     Raises ValueError when a parameter is unknown, missing or out of its range, or ``stored`` has a wrong length.
     """
@@ -106,6 +108,7 @@ class HostNode:
         *,
         lockstep: bool,
         power_stage: bool = False,
+        lacks: Capability = _NOTHING,
         stored: bytes | None = None,
     ) -> None:
         self._ffi, self._lib = library()
@@ -121,7 +124,7 @@ class HostNode:
         self._bytes = self._ffi.new("uint8_t[]", _BYTES)
         self._buffer = self._ffi.buffer(self._bytes, _BYTES)
         self._id = self._ffi.new("uint16_t *")
-        capabilities = _CAN_DO | (Capability.LOCKSTEP if lockstep else 0)
+        capabilities = _CAN_DO & ~lacks | (Capability.LOCKSTEP if lockstep else 0)
         capabilities |= Capability.POWER_STAGE if power_stage else 0
         exchange = self._ffi.cast("wheel_plant_exchange", exchange_address)
         context = self._ffi.cast("void *", context_address)

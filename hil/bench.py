@@ -34,7 +34,9 @@ def firmware_values(scenario: Scenario) -> dict[str, float]:
 
     Raises BadInputError when the host library is not built.
     """
-    given = dict(scenario.firmware) | {"feedback_period_s": scenario.loop.period_ns / NS}
+    robot = scenario.robot
+    size = {name: getattr(robot, name) for name in ("wheel_radius_m", "half_length_m", "half_width_m")}
+    given = dict(scenario.firmware) | size | {"feedback_period_s": scenario.loop.period_ns / NS}
     try:
         return {p.name: float(given[p.name]) for p in parameters()}
     except FileNotFoundError as error:
@@ -45,14 +47,8 @@ def plant_start(scenario: Scenario, known: Collection[str]) -> dict[str, StartVa
     """Return the FMU's start values: what [robot] and [firmware] say, and over them what [plant.start] says.
 
     Of the former only what is ``known``, the names of the FMU's parameters: a foreign FMU may have none of them.
-    Raises BadInputError for a drive that the firmware cannot command.
     """
     robot, firmware, start = scenario.robot, scenario.firmware, scenario.plant.start
-    if scenario.plant.fmu in SHIPPED_FMUS and start.get("drive") in ("voltage", 3.0):
-        raise BadInputError(
-            f"plant.start.drive = {start['drive']!r}: the firmware commands torques and no duties, so the wheels would "
-            "stand still; use 'torque' or 'current'"
-        )
     gear_ratio = start.get("gear_ratio")
     # The firmware's torque constant is at the wheel, the FMU's at the motor's shaft.
     turns = gear_ratio if isinstance(gear_ratio, float) and gear_ratio > 0.0 else 1.0
@@ -66,6 +62,8 @@ def plant_start(scenario: Scenario, known: Collection[str]) -> dict[str, StartVa
         "friction_coefficient": robot.friction_coefficient,
         "counts_per_revolution": float(firmware.counts_per_revolution),
         "motor_constant_n_m_a": firmware.torque_constant_n_m_a / turns,
+        "motor_resistance_ohm": firmware.motor_resistance_ohm,
+        "motor_inductance_h": firmware.motor_inductance_h,
     }
     return {name: value for name, value in believed.items() if name in known} | dict(start)
 

@@ -15,6 +15,7 @@ from hil.guard import Guard
 from hil.ports import Clock, Controller, PoseSource, Sink
 from hil.references import ReferenceSource
 from hil.signals import (
+    BatterySignals,
     ErrorSignals,
     GuardSignals,
     LinkSignals,
@@ -262,12 +263,15 @@ class Loop:
                 command.speed_rad_s if command.mode is CommandMode.SPEED else NAN_WHEELS,
                 command.torque_n_m,
                 feedback.current_a,
+                device.health.temperature_degc,
                 RobotSignals(
                     feedback.robot_time_ns * 1e-9,
                     feedback.state,
                     feedback.command_age_ms,
                     feedback.yaw_rate_rad_s,
+                    *feedback.acceleration_m_s2,
                 ),
+                BatterySignals(device.health.battery_v, device.health.battery_a),
                 GuardSignals(applied.saturated),
                 LinkSignals(device.sent, device.received, self._rejected, age_ms),
             ).row()

@@ -19,6 +19,9 @@ TEMPERATURES = tuple(f"wheel.{wheel}.temperature_degc" for wheel in WHEEL_NAMES)
 COUNTS = tuple(f"wheel.{wheel}.count" for wheel in WHEEL_NAMES)
 ANGLES = tuple(f"wheel.{wheel}.angle_rad" for wheel in WHEEL_NAMES)
 
+# Sensors that an FMU need not have.
+SENSORS = {"accelerometer": ACCELEROMETER, "battery": BATTERY, "temperatures": TEMPERATURES}
+
 INPUTS = (*TORQUES, *DUTIES, *ENABLED)
 OUTPUTS = (
     *(*POSE, *TWIST, *SPEEDS, *CURRENTS, *GYRO, *ACCELEROMETER),

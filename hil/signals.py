@@ -39,6 +39,14 @@ class RobotSignals(NamedTuple):
     state: float
     command_age_ms: float
     yaw_rate_rad_s: float
+    acceleration_x_m_s2: float
+    acceleration_y_m_s2: float
+    acceleration_z_m_s2: float
+
+
+class BatterySignals(NamedTuple):
+    voltage_v: float
+    current_a: float
 
 
 class GuardSignals(NamedTuple):
@@ -66,7 +74,9 @@ class Sample(NamedTuple):
     wheel_speed_command: Wheels
     wheel_torque_command: Wheels
     wheel_current: Wheels
+    wheel_temperature: Wheels
     robot: RobotSignals
+    battery: BatterySignals
     guard: GuardSignals
     link: LinkSignals
 
@@ -104,6 +114,11 @@ _MEANING = {
     "robot.state": "state of the firmware (DBC TICK.state)",
     "robot.command_age_ms": "age of the command in force when the feedback was sampled",
     "robot.yaw_rate_rad_s": "gyro",
+    "robot.acceleration_x_m_s2": "accelerometer, forward; no value where the robot has none",
+    "robot.acceleration_y_m_s2": "accelerometer, left; no value where the robot has none",
+    "robot.acceleration_z_m_s2": "accelerometer, up, 9.81 at rest; no value where the robot has none",
+    "battery.*": "as the robot measures it; no value where it does not",
+    "wheel.*.temperature_degc": "of the motor's winding; no value where the robot measures none",
     "guard.saturated": "1 when the guard scaled the four wheels at a limit",
     "link.sent": "frames sent so far",
     "link.received": "valid frames received so far",
@@ -116,6 +131,7 @@ _WHEEL_GROUPS = {
     "wheel_speed_command": "speed_command_rad_s",
     "wheel_torque_command": "torque_command_n_m",
     "wheel_current": "current_a",
+    "wheel_temperature": "temperature_degc",
 }
 
 # Longest ending first: "rad_s" must win over "s".
@@ -131,6 +147,8 @@ _UNITS = (
     ("_m", "m"),
     ("_s", "s"),
     ("_a", "A"),
+    ("_v", "V"),
+    ("_degc", "°C"),
 )
 
 

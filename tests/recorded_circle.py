@@ -12,6 +12,7 @@ import numpy.typing as npt
 from hil.signals import (
     INDEX,
     SIGNAL_NAMES,
+    BatterySignals,
     ErrorSignals,
     GuardSignals,
     LinkSignals,
@@ -61,7 +62,9 @@ def _row(tick: int, t_s: float, state: float) -> tuple[float, ...]:
         NAN_WHEELS,
         Wheels(*(0.1 * one for one in speed)),
         Wheels(*(0.08 * one for one in speed)),
-        RobotSignals(t_s + 0.02, state, 1.0, 0.01),
+        Wheels(*(25 + 0.1 * t_s + phase for phase in (0.0, 0.1, 0.2, 0.3))),
+        RobotSignals(t_s + 0.02, state, 1.0, 0.01, 0.1, -0.1, 9.81),
+        BatterySignals(24 - 0.01 * t_s, 2.0),
         GuardSignals(float(t_s < 0.2)),
         LinkSignals(2.0 * tick, 5.0 * tick, 0.0, 1.0),
     ).row()

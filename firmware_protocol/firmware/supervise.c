@@ -19,6 +19,9 @@
 /* A wheel runs away when it gains so much against a torque of at least this part of the limit. */
 #define RUNAWAY_RAD_S 3.0f
 #define RUNAWAY_TORQUE 0.2f
+/* An encoder counts backward when its speed and that of the others differ by no more than this but for the
+ * sign. */
+#define MIRRORED_PART 0.3f
 
 static bool is_finite(float x) {
     return x - x == 0.0f;
@@ -128,19 +131,34 @@ static void check_still(wheel_node *node, uint8_t wheel, uint32_t limit_ticks) {
     }
 }
 
-/* A wheel that gains speed against its own torque: motor or encoder are wired the wrong way round, and the
- * speed loop drives it away. Braking looks alike, but there the speed falls. */
+/* An encoder that counts backward: the other wheels say the same speed with the other sign. */
+static bool is_mirrored(const wheel_node *node, uint8_t wheel) {
+    const float others = speed_by_others(node, wheel);
+    const float size = wheel_magnitude(others);
+    return size > EXPECTED_RAD_S && wheel_magnitude(node->speed_rad_s[wheel] + others) < MIRRORED_PART * size;
+}
+
+/* A wheel that its speed loop drives away from the set point. One that brakes or turns round looks alike, but
+ * loses speed; one that others drag is not commanded by its own speed, which in torque mode none is. */
+static bool runs_away(wheel_node *node, uint8_t wheel) {
+    wheel_encoder_watch *watch = &node->encoder[wheel];
+    const float speed = node->speed_rad_s[wheel];
+    const float target = node->set_point_rad_s[wheel];
+    const float torque = node->torque_n_m[wheel];
+    const bool against = node->mode == WP_MODE_SPEED && speed * target < 0.0f && torque * target > 0.0f &&
+                         wheel_magnitude(target) > EXPECTED_RAD_S &&
+                         wheel_magnitude(torque) > RUNAWAY_TORQUE * node->parameters.torque_limit_n_m;
+    if (!against || wheel_magnitude(speed) < watch->slowest_rad_s) {
+        watch->slowest_rad_s = wheel_magnitude(speed);
+    }
+    return against && wheel_magnitude(speed) > watch->slowest_rad_s + RUNAWAY_RAD_S;
+}
+
 static void check_direction(wheel_node *node, uint8_t wheel, uint32_t limit_ticks) {
     wheel_encoder_watch *watch = &node->encoder[wheel];
-    const float speed = wheel_magnitude(node->speed_rad_s[wheel]);
-    const float torque = node->torque_n_m[wheel];
-    const bool against = node->speed_rad_s[wheel] * torque < 0.0f &&
-                         wheel_magnitude(torque) > RUNAWAY_TORQUE * node->parameters.torque_limit_n_m;
-    if (!against || watch->backward_ticks == 0u || speed < watch->slowest_rad_s) {
-        watch->slowest_rad_s = speed;
-    }
-    watch->backward_ticks = against ? watch->backward_ticks + 1u : 0u;
-    if (watch->backward_ticks >= limit_ticks && speed > watch->slowest_rad_s + RUNAWAY_RAD_S) {
+    const bool away = runs_away(node, wheel);
+    watch->backward_ticks = away || is_mirrored(node, wheel) ? watch->backward_ticks + 1u : 0u;
+    if (watch->backward_ticks >= limit_ticks) {
         wheel_node_fault(node, WP_FAULT_WRONG_DIRECTION, (uint8_t)(wheel + 1u));
     }
 }

@@ -12,7 +12,7 @@ from hil.ports import Link
 
 SILENCE_NS = 2_000_000_000
 _RETRY_NS = 200_000_000
-_PAGES = (m.HelloIdentity, m.HelloFirmware, m.HelloParameters)
+_PAGES = (m.HelloIdentity, m.HelloFirmware, m.HelloParameters, m.HelloGeometry)
 
 
 class RobotInfo(NamedTuple):
@@ -23,12 +23,15 @@ class RobotInfo(NamedTuple):
     build: int
     parameter_hash: int
     watchdog_ms: int
+    geometry: m.HelloGeometry
 
     def describe(self) -> str:
         """Return the same in words."""
         return (
             f"firmware {self.firmware} (build {self.build:08x}), capabilities {self.capabilities:#06x}, parameters "
-            f"{self.parameter_hash:08x}, watchdog {self.watchdog_ms} ms"
+            f"{self.parameter_hash:08x}, watchdog {self.watchdog_ms} ms, wheels of "
+            f"{self.geometry.wheel_radius_m:.3f} m at ±{self.geometry.half_length_m:.3f}, "
+            f"±{self.geometry.half_width_m:.3f} m"
         )
 
 
@@ -65,12 +68,13 @@ def greet(link: Link, send: Callable[[codec.Message], None]) -> RobotInfo:
             _check_version(message)
         if isinstance(message, _PAGES):
             pages[type(message)] = message
-    identity, firmware, held = (pages[kind] for kind in _PAGES)
+    identity, firmware, held, geometry = (pages[kind] for kind in _PAGES)
     assert isinstance(identity, m.HelloIdentity)
     assert isinstance(firmware, m.HelloFirmware)
     assert isinstance(held, m.HelloParameters)
+    assert isinstance(geometry, m.HelloGeometry)
     version = f"{firmware.major}.{firmware.minor}.{firmware.patch}"
-    return RobotInfo(identity.capabilities, version, firmware.build, held.parameter_hash, held.watchdog_ms)
+    return RobotInfo(identity.capabilities, version, firmware.build, held.parameter_hash, held.watchdog_ms, geometry)
 
 
 def _check_version(identity: m.HelloIdentity) -> None:

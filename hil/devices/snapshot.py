@@ -7,17 +7,19 @@ instants are not mixed.
 from typing import NamedTuple
 
 from firmware_protocol.codec import Message
-from firmware_protocol.generated.messages import Currents, Encoders, Gyro, State, Tick, WheelSpeeds
+from firmware_protocol.generated.messages import Accelerometer, Currents, Encoders, Gyro, State, Tick, WheelSpeeds
 from hil.types import NAN, NAN_WHEELS, Wheels
 
-_PARTS: dict[type, int] = {Encoders: 1, WheelSpeeds: 2, Currents: 4, Gyro: 8}
+_PARTS: dict[type, int] = {Encoders: 1, WheelSpeeds: 2, Currents: 4, Accelerometer: 8, Gyro: 16}
+_NO_ACCELERATION = (NAN, NAN, NAN)
 
 
 class Feedback(NamedTuple):
     """What the robot measured at one sampling instant.
 
     ``robot_time_ns`` is the robot's own clock (TICK.time_us) and does not wrap from the first snapshot on.
-    ``current_a`` and ``yaw_rate_rad_s`` come at a lower rate and hold their last value; NaN before the first.
+    ``current_a``, ``acceleration_m_s2`` (body frame, without gravity's) and ``yaw_rate_rad_s`` come at a lower rate and
+    hold their last value; NaN before the first.
     """
 
     robot_time_ns: int
@@ -27,6 +29,7 @@ class Feedback(NamedTuple):
     encoder_count: tuple[int, int, int, int]
     speed_rad_s: Wheels
     current_a: Wheels
+    acceleration_m_s2: tuple[float, float, float]
     yaw_rate_rad_s: float
 
 
@@ -43,6 +46,7 @@ class SnapshotAssembler:
         self._count = (0, 0, 0, 0)
         self._speed = NAN_WHEELS
         self._current = NAN_WHEELS
+        self._acceleration = _NO_ACCELERATION
         self._yaw_rate = NAN
         self.incomplete = 0
         self.lost = 0
@@ -64,9 +68,11 @@ class SnapshotAssembler:
         return None if self._missing else self._commit()
 
     def _belongs(self, message: Message) -> bool:
-        """The gyro's part says itself when it was sampled."""
+        """The parts of the inertial sensors say themselves when they were sampled."""
         tick = self._tick
-        return tick is None or not isinstance(message, Gyro) or message.tick == tick.time_us // 1000 & 0xFFFF
+        if tick is None or not isinstance(message, Accelerometer | Gyro):
+            return True
+        return message.tick == tick.time_us // 1000 & 0xFFFF
 
     def _open(self, tick: Tick) -> None:
         self.incomplete += self._missing != 0
@@ -88,6 +94,8 @@ class SnapshotAssembler:
                 self._speed = Wheels(*message)
             elif isinstance(message, Currents):
                 self._current = Wheels(*message)
+            elif isinstance(message, Accelerometer):
+                self._acceleration = message[:3]
             elif isinstance(message, Gyro):
                 self._yaw_rate = message.z_rad_s
         if self._last_us is None:
@@ -103,5 +111,6 @@ class SnapshotAssembler:
             self._count,
             self._speed,
             self._current,
+            self._acceleration,
             self._yaw_rate,
         )

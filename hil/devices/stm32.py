@@ -9,6 +9,7 @@ import hashlib
 import struct
 import time
 from collections.abc import Iterator
+from typing import NamedTuple
 
 from firmware_protocol import codec
 from firmware_protocol.framing import Frame
@@ -20,7 +21,7 @@ from hil.devices.wheel_map import WheelMap
 from hil.errors import DeviceError, HilError
 from hil.links.delay import DelayedLink
 from hil.ports import Clock
-from hil.types import ZERO_WHEELS, CommandMode, WheelCommand
+from hil.types import NAN, NAN_WHEELS, ZERO_WHEELS, CommandMode, WheelCommand, Wheels
 
 SILENCE_NS = 2_000_000_000  # wall-clock silence that ends a handshake or a step
 _RETRY_NS = 200_000_000
@@ -34,6 +35,14 @@ _ANOTHER_NONCE_HELPS = (
     m.ArmRefusal.NOT_ANNOUNCED,
 )
 _HEADER = struct.Struct("<HB")
+
+
+class Health(NamedTuple):
+    """What the robot says at 10 Hz of its battery and its motors; NaN where it says nothing, or nothing yet."""
+
+    battery_v: float = NAN
+    battery_a: float = NAN
+    temperature_degc: Wheels = NAN_WHEELS
 
 
 class Stm32:
@@ -68,9 +77,10 @@ class Stm32:
         self._sent_hash = hashlib.sha256()
         self._received_hash = hashlib.sha256()
         self._robot_rejected: dict[str, int] = {}
-        self._last_counters: m.LinkCounters | None = None
+        self._last_counters: dict[type, m.LinkCounters | m.PortCounters] = {}
         self._out_of_range = 0
         self.status: m.Status | None = None
+        self.health = Health()
         self.sent = 0
         self.received = 0
 
@@ -273,8 +283,12 @@ class Stm32:
             self._feedback = self._map.feedback_from_wire(snapshot)
         elif isinstance(message, m.Status):
             self.status = message
-        elif isinstance(message, m.LinkCounters):
+        elif isinstance(message, m.LinkCounters | m.PortCounters):
             self._count_robot_rejections(message)
+        elif isinstance(message, m.Power):
+            self.health = self.health._replace(battery_v=message.battery_v, battery_a=message.battery_a)
+        elif isinstance(message, m.Temperatures):
+            self.health = self.health._replace(temperature_degc=self._map.temperatures_from_wire(Wheels(*message)))
         return message
 
     @staticmethod
@@ -282,12 +296,12 @@ class Stm32:
         if frame.id < _FIRST_HELLO_ID:
             digest.update(_HEADER.pack(frame.id, len(frame.payload)) + frame.payload)
 
-    def _count_robot_rejections(self, counters: m.LinkCounters) -> None:
-        last = self._last_counters
+    def _count_robot_rejections(self, counters: m.LinkCounters | m.PortCounters) -> None:
+        last = self._last_counters.get(type(counters))
         if last is not None:
             for cause, new, old in zip(counters._fields, counters, last, strict=True):
                 self._robot_rejected[cause] = self._robot_rejected.get(cause, 0) + ((new - old) & 0xFF)
-        self._last_counters = counters
+        self._last_counters[type(counters)] = counters
 
     # Accounts
 
@@ -305,7 +319,7 @@ class Stm32:
             "range": self._out_of_range,
             "incomplete_snapshot": self._assembler.incomplete,
         }
-        # Between the first and the last LINK_COUNTERS of the session.
+        # Between the first and the last LINK_COUNTERS and PORT_COUNTERS of the session.
         robot = {f"robot_{cause}": count for cause, count in self._robot_rejected.items()}
         return {cause: count for cause, count in (own | robot).items() if count}
 

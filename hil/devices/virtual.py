@@ -1,12 +1,15 @@
 """The virtual STM32: the firmware core of the host library in front of the plant FMU."""
 
 import contextlib
+import functools
+import operator
 import threading
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
+from firmware_protocol.capabilities import Capability
 from firmware_protocol.generated.messages import State
 from firmware_protocol.host import HostNode, View
 from hil.clock import TICK_NS
@@ -24,6 +27,11 @@ from hil.types import PoseFix
 _CATCH_UP_TICKS = 50
 _POLL_NS = 20_000_000
 _ABANDONED_NS = 2_000_000_000
+_SENSORS = {
+    "accelerometer": Capability.ACCELEROMETER,
+    "battery": Capability.POWER,
+    "temperatures": Capability.TEMPERATURES,
+}
 
 
 class VirtualPlant(NamedTuple):
@@ -59,19 +67,28 @@ class VirtualStm32:
             self.plant = _open(made_of.plant)
             resources.callback(self.plant.close)
             self.plant.wire(made_of.wheel_map.wheel_of_channel, made_of.wheel_map.sign_of_channel)
+            self._stored: bytes | None = None
             self.node = self._power_on()
             resources.pop_all()
 
     def _power_on(self) -> HostNode:
         plant, made_of = self.plant, self._made_of
         try:
-            return HostNode(made_of.firmware, plant.exchange_address, plant.context_address, lockstep=made_of.lockstep)
+            return HostNode(
+                made_of.firmware,
+                plant.exchange_address,
+                plant.context_address,
+                lockstep=made_of.lockstep,
+                lacks=functools.reduce(operator.or_, (_SENSORS[name] for name in plant.lacks), Capability(0)),
+                stored=self._stored,
+            )
         except (ValueError, FileNotFoundError) as error:
             raise BadInputError(f"the virtual robot cannot start: {error}") from error
 
     def power_cycle(self) -> None:
-        """Put the plant back to its start and the firmware to its power-on state."""
+        """Put the plant back to its start and the firmware to its power-on state; stored parameters are kept."""
         self.plant.reset()
+        self._stored = self.node.stored()
         self.node = self._power_on()
 
     def failure(self) -> DeviceError | None:

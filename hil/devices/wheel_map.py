@@ -40,3 +40,7 @@ class WheelMap:
             speed_rad_s=self.from_wire(feedback.speed_rad_s),
             current_a=self.from_wire(feedback.current_a),
         )
+
+    def temperatures_from_wire(self, value: Wheels) -> Wheels:
+        """Return the temperatures of the channels sorted into wheels."""
+        return Wheels(*(value[c] for c in self._channel_of_wheel))

@@ -16,6 +16,7 @@ from hil.plant import archive, shim
 from hil.plant.instance import Instance
 from hil.plant.mapping import SignalMap, resolve
 from hil.plant.start import Value, resize, start_values
+from hil.plant_signals import OUTPUTS, SENSORS
 from hil.types import Pose, PoseFix, Twist, Wheels
 
 
@@ -26,6 +27,8 @@ class FmuPlant:
     says which variables carry the bridge's signals where they do not have the signals' own names. A tick lasts
     ``step_ns``. ``exchange_address`` is a C function of the type ``wheel_plant_exchange``, ``context_address`` its
     context; both hold only as long as this object lives, and fail after ``close``.
+
+    ``lacks`` names the sensors, keys of ``plant_signals.SENSORS``, that the FMU has not.
 
     The FMU's code runs here: where it crashes or hangs, this process does.
 
@@ -143,6 +146,8 @@ class FmuPlant:
         instance, context = self.instance, self._context
         resize(self._start, instance.variables)
         wiring = resolve(mapping, fmu, instance.variables)
+        missing = {OUTPUTS[place] for place in wiring.derived}
+        self.lacks = frozenset(name for name, signals in SENSORS.items() if missing & set(signals))
         context.counts_per_revolution = mapping.counts_per_revolution or 0.0
         context.torque_constant_n_m_a = mapping.torque_constant_n_m_a or 0.0
         return shim.connect(context, wiring, instance.access)

@@ -91,6 +91,7 @@ class RemotePlant:
             raise DeviceError(f"the plant {self._fmu.name} could not be opened: {why}")
         if "refused" in answer:
             raise BadInputError(str(answer["refused"]))
+        self.lacks = frozenset(map(str, answer["lacks"]))
 
     @property
     def pid(self) -> int:

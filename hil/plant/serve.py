@@ -42,7 +42,7 @@ def main() -> None:
     except HilError as error:
         _say(replies, {"refused" if isinstance(error, BadInputError) else "failed": str(error)})
         _end()
-    _say(replies, {"open": True})
+    _say(replies, {"open": True, "lacks": sorted(plant.lacks)})
     pipes = ffi.new("remote_pipes *", {"read_end": handle(requests), "write_end": handle(replies)})
     request, reply = ffi.new("remote_request *"), ffi.new("remote_reply *")
     exchange = ffi.cast("wheel_plant_exchange", plant.exchange_address)

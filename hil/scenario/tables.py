@@ -95,7 +95,22 @@ class FirmwareTable(Table):
 
     counts_per_revolution: int = Field(ge=4, le=32_768, description="encoder counts of one turn of a wheel")
     torque_limit_n_m: float = Field(gt=0, le=15.99609375, description="of one wheel; all four are scaled together")
-    torque_constant_n_m_a: float = Field(gt=0, le=100, description="torque at the wheel for one ampere")
+    torque_constant_n_m_a: float = Field(
+        ge=0.001, le=100, description="torque at the wheel for one ampere, and back-EMF for one rad/s"
+    )
+    motor_resistance_ohm: float = Field(default=0.6, ge=0.001, le=1000, description="what the current loop believes")
+    motor_inductance_h: float = Field(default=5e-4, ge=1e-6, le=10, description="what the current loop believes")
+    current_limit_a: float = Field(
+        default=20.0,
+        ge=0,
+        le=21,
+        description="of one motor; all four are scaled together, 1.5 times is a fault",
+    )
+    current_bandwidth_rad_s: float = Field(default=1000.0, ge=10, le=5000, description="of the current loop")
+    temperature_limit_degc: float = Field(
+        default=120.0, ge=0, le=200, description="of a winding: a fault; from 15 below all four wheels are scaled"
+    )
+    undervoltage_v: float = Field(default=0.0, ge=0, le=200, description="a battery below this is a fault; 0 for never")
     tracking_bandwidth_rad_s: float = Field(
         default=150.0, ge=1, le=500, description="of the filter that estimates speed"
     )
@@ -109,6 +124,9 @@ class FirmwareTable(Table):
     )
     ramp_s: Milliseconds = Field(default=0.2, ge=0.001, le=2, description="from the set point in force to zero")
     overspeed_rad_s: float = Field(default=100.0, ge=1, le=127, description="wheel speed that is a fault")
+    encoder_fault_s: float = Field(
+        default=0.1, ge=0.02, le=1, description="an encoder that stands still or counts backward for so long is a fault"
+    )
 
 
 class DeviceTable(Table):
