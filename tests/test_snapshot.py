@@ -9,11 +9,15 @@ from hil.devices.wheel_map import WheelMap
 from hil.types import WHEEL_NAMES, Wheels
 
 
-def snapshot(number, parts=15, time_us=None):
+ALL = 31
+
+
+def snapshot(number, parts=ALL, time_us=None):
     tick = m.Tick(number * 5000 if time_us is None else time_us, number & 0xFF, 0, m.State.ACTIVE, parts, number & 0xFF)
     rest = [m.Encoders(number & 0xFFFF, 2, 3, 4), m.WheelSpeeds(float(number % 100), 2.0, 3.0, 4.0)]
-    if parts == 15:
-        rest += [m.Currents(1.0, 2.0, 3.0, 4.0), m.Gyro(0.0, 0.0, 0.5, tick.time_us // 1000 & 0xFFFF)]
+    if parts == ALL:
+        at = tick.time_us // 1000 & 0xFFFF
+        rest += [m.Currents(1.0, 2.0, 3.0, 4.0), m.Accelerometer(0.25, -0.5, 9.75, at), m.Gyro(0.0, 0.0, 0.5, at)]
     return [tick, *rest]
 
 
@@ -25,10 +29,11 @@ def test_a_whole_snapshot_commits_once():
     (feedback,) = feed(SnapshotAssembler(), snapshot(7))
     assert feedback.encoder_count == (7, 2, 3, 4)
     assert feedback.speed_rad_s == Wheels(7.0, 2.0, 3.0, 4.0)
+    assert feedback.acceleration_m_s2 == (0.25, -0.5, 9.75)
     assert feedback.yaw_rate_rad_s == 0.5
 
 
-@given(keep=st.lists(st.lists(st.booleans(), min_size=5, max_size=5), min_size=1, max_size=20))
+@given(keep=st.lists(st.lists(st.booleans(), min_size=6, max_size=6), min_size=1, max_size=20))
 def test_whole_snapshots_commit_and_others_do_not(keep):
     """Frames lost anywhere: what commits has its encoders and its gyro from the same sampling instant."""
     assembler = SnapshotAssembler()
