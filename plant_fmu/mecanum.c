@@ -39,6 +39,9 @@ void mecanum_start(const mecanum_parameters *p, mecanum_state *state) {
     x[MECANUM_FORWARD_M_S] = cos_heading * p->start_vx_m_s + sin_heading * p->start_vy_m_s;
     x[MECANUM_LEFT_M_S] = -sin_heading * p->start_vx_m_s + cos_heading * p->start_vy_m_s;
     x[MECANUM_YAW_RATE_RAD_S] = p->start_yaw_rate_rad_s;
+    for (int i = 0; i < MECANUM_WHEELS; i++) {
+        x[MECANUM_TEMPERATURE_DEGC + i] = p->air_degc;
+    }
     if (p->contact == MECANUM_CONTACT_SLIP) {
         for (int i = 0; i < MECANUM_WHEELS; i++) {
             const double *const row = model.rolling[i];
@@ -126,6 +129,9 @@ void mecanum_derivative(const mecanum_model *model, const mecanum_inputs *u, con
         lost_w += friction_n_m * speed_rad_s[i];
         rate[MECANUM_WHEEL_ANGLE_RAD + i] = modes->at_rest[i] ? 0.0 : speed_rad_s[i];
         rate[MECANUM_CURRENT_A + i] = drive.current_rate_a_s[i];
+        const double heat_w = p->motor_resistance_ohm * drive.current_a[i] * drive.current_a[i];
+        const double cooling_w = (x[MECANUM_TEMPERATURE_DEGC + i] - p->air_degc) / p->winding_to_air_k_w;
+        rate[MECANUM_TEMPERATURE_DEGC + i] = (heat_w - cooling_w) / p->winding_heat_capacity_j_k;
         rate[MECANUM_WHEEL_SPEED_RAD_S + i] = 0.0;
         rate[MECANUM_DEFLECTION_M + i] = 0.0;
     }
@@ -281,6 +287,7 @@ void mecanum_output(const mecanum_parameters *p, const mecanum_inputs *u, const 
     for (int i = 0; i < MECANUM_WHEELS; i++) {
         out->wheel_angle_rad[i] = x[MECANUM_WHEEL_ANGLE_RAD + i];
         out->wheel_current_a[i] = drive.current_a[i];
+        out->wheel_temperature_degc[i] = x[MECANUM_TEMPERATURE_DEGC + i];
         out->wheel_axle_torque_n_m[i] = drive.torque_n_m[i];
         out->wheel_load_n[i] = model.load_n[i];
         out->wheel_slip_m_s[i] = 0.0;

@@ -144,12 +144,34 @@ static void drive_voltage(const mecanum_parameters *p, double axle_constant, con
     drive->lost_w += winding_heat_w(p, current_a);
 }
 
+/* Motors that are disconnected: what current is left dies away through the diodes, into the battery. */
+static void drive_nothing(const mecanum_parameters *p, double axle_constant, const mecanum_state *state,
+                          const double *speed_rad_s, mecanum_drive *drive) {
+    double power = 0.0;
+    for (int i = 0; i < MECANUM_WHEELS; i++) {
+        const double current_a = state->x[MECANUM_CURRENT_A + i];
+        const double drop_v = p->motor_resistance_ohm * current_a + axle_constant * speed_rad_s[i];
+        drive->current_a[i] = current_a;
+        drive->current_rate_a_s[i] = -MECANUM_LIMITER_RATE_1_S * current_a;
+        power += (drop_v + p->motor_inductance_h * drive->current_rate_a_s[i]) * current_a;
+    }
+    load_battery(p, loaded_voltage_v(p, power), power, drive);
+    drive->lost_w += winding_heat_w(p, drive->current_a);
+}
+
 void mecanum_drives(const mecanum_model *model, const mecanum_inputs *u, const mecanum_state *state,
                     const double speed_rad_s[MECANUM_WHEELS], mecanum_drive *drive) {
     const mecanum_parameters *const p = model->p;
     const double axle_constant = p->gear_ratio * p->motor_constant_n_m_a; /* N m / A and V s / rad */
     for (int i = 0; i < MECANUM_WHEELS; i++) {
         drive->current_rate_a_s[i] = 0.0;
+    }
+    if (u->drive_enabled < 0.5) {
+        drive_nothing(p, axle_constant, state, speed_rad_s, drive);
+        for (int i = 0; i < MECANUM_WHEELS; i++) {
+            drive->torque_n_m[i] = axle_constant * drive->current_a[i];
+        }
+        return;
     }
     switch (p->drive) {
     case MECANUM_DRIVE_CURRENT:

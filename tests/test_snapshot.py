@@ -8,7 +8,6 @@ from hil.devices.snapshot import SnapshotAssembler
 from hil.devices.wheel_map import WheelMap
 from hil.types import WHEEL_NAMES, Wheels
 
-
 ALL = 31
 
 

@@ -4,6 +4,7 @@ Needs the standard library only.
 """
 
 import tomllib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,10 @@ def read() -> variables.Definition:
     if unknown := {*taken, *own["change"]} - set(entries):
         raise variables.DefinitionError(f"mujoco/variables.toml: {min(unknown)!r} is not in ../variables.toml")
     chosen = [{**entries[name], **own["change"].get(name, {})} for name in taken]
+    names = {name.replace("*", wheel) for name in taken for wheel in whole["wheels"]} | {variables.TIME}
+    for entry in chosen:
+        if "depends_on" in entry:
+            entry["depends_on"] = [name for name in entry["depends_on"] if names & _expanded(name, whole["wheels"])]
     units = {entry["unit"] for entry in chosen if "unit" in entry}
     return variables.define(
         {
@@ -32,3 +37,7 @@ def read() -> variables.Definition:
             "variable": chosen,
         }
     )
+
+
+def _expanded(name: str, wheels: Iterable[str]) -> set[str]:
+    return {name.replace("*", wheel) for wheel in wheels}
