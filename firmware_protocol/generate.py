@@ -5,6 +5,7 @@ are not what it would write, and exits 1. The output holds no time stamp and no 
 """
 
 import argparse
+import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,6 +16,7 @@ from firmware_protocol.schema import Message, Schema, SchemaError, Signal, read_
 ROOT = Path(__file__).parent
 BEGIN = "<!-- generated -->"
 END = "<!-- /generated -->"
+FRAME_OVERHEAD = 7  # bytes of a serial frame beside its payload: id, sequence, CRC, COBS, zero
 
 
 def outputs(schema: Schema, root: Path) -> dict[Path, str]:
@@ -26,28 +28,62 @@ def outputs(schema: Schema, root: Path) -> dict[Path, str]:
         generated / "messages.py": emit_python.messages(schema),
         generated / "wheel_messages.h": emit_c.header(schema),
         generated / "wheel_messages.c": emit_c.source(schema),
-        document: _between_markers(document.read_text(encoding="utf-8"), "\n".join(_tables(schema))),
+        document: _document(document.read_text(encoding="utf-8"), schema),
     }
 
 
-def _between_markers(document: str, tables: str) -> str:
-    before, begin, rest = document.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not begin or not end:
-        raise SchemaError(f"PROTOCOL.md: expected {BEGIN} and {END} around the generated tables")
-    return f"{before}{BEGIN}\n\n{tables}\n\n{END}{after}"
+def _document(document: str, schema: Schema) -> str:
+    """Return PROTOCOL.md with its two generated parts, the load of the links and the messages, made anew."""
+    parts = document.split(BEGIN)
+    tables = (_load_table(schema), _tables(schema))
+    if len(parts) != 1 + len(tables) or not all(END in part for part in parts[1:]):
+        raise SchemaError(f"PROTOCOL.md: expected {BEGIN} and {END} around the load table and the messages")
+    text = parts[0]
+    for part, lines in zip(parts[1:], tables, strict=True):
+        text += f"{BEGIN}\n\n" + "\n".join(lines) + f"\n\n{END}{part.partition(END)[2]}"
+    return text
 
 
 def _tables(schema: Schema) -> Iterator[str]:
     yield f"Protocol version {schema.version}, schema hash `0x{schema.hash():08X}`."
     yield ""
-    yield "| id | message | from | bytes | meaning |"
-    yield "|---|---|---|---|---|"
+    yield "| id | message | from | bytes | rate | meaning |"
+    yield "|---|---|---|---|---|---|"
     for m in schema.messages:
-        yield f"| `{m.id:03X}` | {m.name} | {m.sender} | {m.length} | {m.comment} |"
+        yield f"| `{m.id:03X}` | {m.name} | {m.sender} | {m.length} | {m.rate} | {m.comment} |"
     for m in schema.messages:
         yield ""
         yield from _message_table(m)
+
+
+def _frames_s(m: Message, loop_hz: int) -> int:
+    """Return how often a message is sent in a run with a speed loop on the robot; what is asked for by hand is not."""
+    if m.rate == "loop":
+        return loop_hz
+    if match := re.fullmatch(r"loop, at most (\d+) Hz", m.rate):
+        return min(loop_hz, int(match[1]))
+    match = re.fullmatch(r"(\d+) Hz", m.rate)
+    return int(match[1]) if match else 0
+
+
+def _load_table(schema: Schema) -> Iterator[str]:
+    """Yield what the messages at their rates make of each link: ten bits a serial byte, and 47 + 8 n bits a CAN frame."""
+    baud_rates = (115_200, 921_600, 2_000_000)
+    heads = [f"{baud} baud, up / down" for baud in baud_rates]
+    yield "| loop | robot to host | host to robot | " + " | ".join(heads) + " | CAN 1 Mbit/s |"
+    yield "|---" * (4 + len(baud_rates)) + "|"
+    for loop_hz in (50, 100, 200, 1000):
+        up, down = (
+            sum((m.length + FRAME_OVERHEAD) * _frames_s(m, loop_hz) for m in schema.messages if m.sender == sender)
+            for sender in ("ROBOT", "HOST")
+        )
+        shares = [tuple(1000 * side / baud for side in (up, down)) for baud in baud_rates]
+        cells = ["too slow" if max(share) > 100 else f"{share[0]:.0f} % / {share[1]:.0f} %" for share in shares]
+        frames = [(8 * m.length, _frames_s(m, loop_hz)) for m in schema.messages]
+        least = sum((47 + bits) * often for bits, often in frames)
+        most = sum((47 + bits + (33 + bits) // 4) * often for bits, often in frames)
+        can = f"{least / 1e4:.0f} to {most / 1e4:.0f} %"
+        yield f"| {loop_hz} Hz | {up / 1e3:.1f} kB/s | {down / 1e3:.1f} kB/s | " + " | ".join(cells) + f" | {can} |"
 
 
 def _message_table(m: Message) -> Iterator[str]:

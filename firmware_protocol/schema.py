@@ -94,6 +94,7 @@ class Message:
     length: int
     sender: str
     comment: str
+    rate: str  # how often it is sent, in words of PROTOCOL.md's table; no part of the schema
     signals: tuple[Signal, ...]
 
 
@@ -167,7 +168,9 @@ def _message(dbc: DbcMessage) -> Message:
     if end != 8 * dbc.length:
         raise SchemaError(f"{dbc.name}: its signals end at bit {end}, its payload at bit {8 * dbc.length}")
     senders = dbc.senders or ["?"]
-    return Message(dbc.frame_id, dbc.name, dbc.length, senders[0], dbc.comment or "", signals)
+    attributes = dbc.dbc.attributes if dbc.dbc else {}
+    rate = str(attributes["Rate"].value) if "Rate" in attributes else "connect"
+    return Message(dbc.frame_id, dbc.name, dbc.length, senders[0], dbc.comment or "", rate, signals)
 
 
 def _signal(message: str, dbc: DbcSignal) -> Signal:
