@@ -32,12 +32,14 @@ def test_check_names_the_stale_files_and_writes_nothing(
     root = tmp_path / "firmware_protocol"
     root.mkdir()
     (root / "wheel.dbc").write_text(DBC, encoding="utf-8")
-    (root / "PROTOCOL.md").write_text("before\n<!-- generated -->\n<!-- /generated -->\nafter\n", encoding="utf-8")
+    part = "<!-- generated -->\n<!-- /generated -->\n"
+    (root / "PROTOCOL.md").write_text(f"before\n{part}between\n{part}after\n", encoding="utf-8")
     monkeypatch.setattr(generate, "ROOT", root)
     assert generate.main([]) == 0
     assert generate.main(["--check"]) == 0
     document = (root / "PROTOCOL.md").read_text(encoding="utf-8")
     assert document.startswith("before\n")
+    assert "\nbetween\n" in document
     assert document.endswith("\nafter\n")
     for name in ("messages.py", "wheel_messages.c"):
         (root / "generated" / name).write_text("stale", encoding="utf-8")
@@ -106,7 +108,7 @@ def test_what_the_codecs_do_not_support_is_refused(tmp_path: Path, old: str, new
         (FL, FL.replace("0.015625,0) [-63.984375|63.984375]", "0.0078125,0) [-31.9921875|31.9921875]"), True),
         (FL, FL.replace("rad/s", "1/s"), True),
         (FL, FL.replace("fl_rad_s", "left_rad_s"), True),
-        ("BO_ 256 STATUS", "BO_ 257 STATUS", True),
+        ("BO_ 256 STATUS", "BO_ 299 STATUS", True),
         ('2 "OVERSPEED"', '2 "TOO_FAST"', True),
     ],
 )
@@ -114,7 +116,7 @@ def test_the_schema_hash_covers_meaning_and_nothing_else(tmp_path: Path, old: st
     path = edited(tmp_path, old, new)
     if "STATUS" in old:  # comments and value tables follow the id
         text = path.read_text(encoding="utf-8")
-        path.write_text(re.sub(r"^(VAL_|CM_ BO_|CM_ SG_) 256 ", r"\1 257 ", text, flags=re.MULTILINE), encoding="utf-8")
+        path.write_text(re.sub(r'^(VAL_|CM_ BO_|CM_ SG_|BA_ "Rate" BO_) 256 ', r"\1 299 ", text, flags=re.MULTILINE), encoding="utf-8")
     assert (read_schema(path).hash() != SCHEMA_HASH) == changes
 
 

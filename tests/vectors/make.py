@@ -71,7 +71,7 @@ def main() -> None:
             values = {k: float(v) if "." in v else int(v) for k, _, v in (f.partition("=") for f in r[3].split())}
             if set(values) == names and row(message, int(r[2]), values) == r:
                 good.append(r)
-        result += good if len(good) == 4 else rows(message, place)
+        result += good if len(good) >= 4 else rows(message, place)
     with table.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file, lineterminator="\n").writerows([HEAD, *result])
 
