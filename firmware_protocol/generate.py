@@ -67,7 +67,7 @@ def _frames_s(m: Message, loop_hz: int) -> int:
 
 
 def _load_table(schema: Schema) -> Iterator[str]:
-    """Yield what the messages at their rates make of each link: ten bits a serial byte, and 47 + 8 n bits a CAN frame."""
+    """Yield what the messages at their rates make of each link; a CAN frame has 47 bits beside its payload."""
     baud_rates = (115_200, 921_600, 2_000_000)
     heads = [f"{baud} baud, up / down" for baud in baud_rates]
     yield "| loop | robot to host | host to robot | " + " | ".join(heads) + " | CAN 1 Mbit/s |"

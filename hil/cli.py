@@ -4,6 +4,7 @@ Exit codes: 0 the run ended as expected, 1 an expectation failed, 2 bad input, 3
 interrupted.
 """
 
+import contextlib
 import json
 import math
 import signal
@@ -118,6 +119,38 @@ def device(
 
     resolved = load(scenario, set=sets or [], robot=robot, mode=mode, link=link, seed=seed)
     serve(resolved, truth_port, lambda line: print(line, flush=True))
+
+
+@app.command()
+def params(
+    link: Annotated[str, typer.Argument(metavar="LINK", help="serial:PATH or can:INTERFACE/CHANNEL")],
+    changes: Annotated[list[str] | None, typer.Argument(metavar="[NAME=VALUE]...", help="change these first")] = None,
+    store: Annotated[bool, typer.Option("--store", help="keep them across a reset")] = False,
+    restore: Annotated[bool, typer.Option("--restore", help="first take the values of the build")] = False,
+    as_json: Json = False,
+) -> None:
+    """Show and change the parameters of a robot's firmware; it must be in IDLE to change."""
+    from hil import report
+    from hil.devices.parameters import ParameterClient, assignment
+    from hil.links.opening import open_host
+    from hil.links.url import parse_link
+
+    wanted = dict(assignment(change) for change in changes or [])
+    with contextlib.closing(open_host(parse_link(link))) as opened:
+        client = ParameterClient(opened)
+        if restore:
+            client.restore()
+        for name, value in wanted.items():
+            client.write(name, value)
+        if store:
+            client.store()
+        held = client.read()
+    if as_json:
+        _print_json({row.name: row.value for row in held})
+    else:
+        rows = [(row.name, f"{row.value:.7g}", f"{row.minimum:.7g} to {row.maximum:.7g}") for row in held]
+        report.print_table([("parameter", "value", "range"), *rows])
+        print(client.info.describe())
 
 
 @app.command()

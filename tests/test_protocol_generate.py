@@ -116,7 +116,10 @@ def test_the_schema_hash_covers_meaning_and_nothing_else(tmp_path: Path, old: st
     path = edited(tmp_path, old, new)
     if "STATUS" in old:  # comments and value tables follow the id
         text = path.read_text(encoding="utf-8")
-        path.write_text(re.sub(r'^(VAL_|CM_ BO_|CM_ SG_|BA_ "Rate" BO_) 256 ', r"\1 299 ", text, flags=re.MULTILINE), encoding="utf-8")
+        path.write_text(
+            re.sub(r'^(VAL_|CM_ BO_|CM_ SG_|BA_ "Rate" BO_) 256 ', r"\1 299 ", text, flags=re.MULTILINE),
+            encoding="utf-8",
+        )
     assert (read_schema(path).hash() != SCHEMA_HASH) == changes
 
 

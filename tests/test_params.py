@@ -1,0 +1,34 @@
+"""`hil params`: the firmware's parameters over a real line, from a process of its own."""
+
+import json
+from pathlib import Path
+
+from tests.processes import device, hil
+
+
+def test_parameters_are_shown_changed_and_kept(tmp_path: Path) -> None:
+    with device("paper_circle", "--mode", "realtime", "--link", f"serial:pty?symlink={tmp_path}/robot") as robot:
+        before = json.loads(hil("params", robot.link, "--json").stdout)
+        assert before["speed_kp_n_m_s_rad"] == 1.100000023841858, "in single precision"
+        after = json.loads(
+            hil("params", robot.link, "speed_kp_n_m_s_rad=1.5", "counts_per_revolution=2048", "--store", "--json").stdout
+        )
+        assert (after["speed_kp_n_m_s_rad"], after["counts_per_revolution"]) == (1.5, 2048)
+        assert "speed_kp_n_m_s_rad        1.5" in hil("params", robot.link).stdout
+        restored = json.loads(hil("params", robot.link, "--restore", "--json").stdout)
+        assert restored == before
+
+
+def test_a_wrong_parameter_is_one_sentence(tmp_path: Path) -> None:
+    with device("paper_circle", "--mode", "realtime", "--link", f"serial:pty?symlink={tmp_path}/robot") as robot:
+        for change, words in (
+            ("speed_kp=1", "did you mean 'speed_kp_n_m_s_rad'?"),
+            ("watchdog_s=5", "expected a number from 0.02 to 0.1"),
+            ("counts_per_revolution=7.5", "expected a whole number"),
+            ("ramp_s", "expected NAME=NUMBER"),
+            ("ramp_s=nan", "expected NAME=NUMBER"),
+        ):
+            done = hil("params", robot.link, change)
+            assert done.returncode == 2
+            assert words in done.stderr
+            assert done.stderr.count("\n") == 1
