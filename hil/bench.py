@@ -48,7 +48,7 @@ def plant_start(scenario: Scenario, known: Collection[str]) -> dict[str, StartVa
     Raises BadInputError for a drive that the firmware cannot command.
     """
     robot, firmware, start = scenario.robot, scenario.firmware, scenario.plant.start
-    if scenario.plant.fmu in SHIPPED_FMUS and start.get("drive") in ("voltage", 3.0):
+    if "motor_constant_n_m_a" in known and start.get("drive") in ("voltage", 3.0):
         raise BadInputError(
             f"plant.start.drive = {start['drive']!r}: the firmware commands torques and no duties, so the wheels would "
             "stand still; use 'torque' or 'current'"

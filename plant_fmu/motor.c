@@ -3,8 +3,9 @@
 
 #include "model.h"
 
-/* As many as a double tells apart. */
-static const int VOLTAGE_BISECTIONS = 54;
+static const double VOLTAGE_TOLERANCE = 1e-13; /* of the source's */
+static const int MOST_SEARCHES = 100;
+static const int MOST_SECANTS = 10;
 
 static double clamp(double x, double low, double high) {
     return fmin(fmax(x, low), high);
@@ -60,37 +61,86 @@ static void drive_torque(const mecanum_parameters *p, double axle_constant, cons
 /* Takes from the set points what `voltage_v` cannot push, and returns the power. */
 static double push_currents(const mecanum_parameters *p, double axle_constant, const double *set_a,
                             const double *speed_rad_s, double voltage_v, double *current_a) {
+    const double conductance = 1.0 / p->motor_resistance_ohm;
     for (int i = 0; i < MECANUM_WHEELS; i++) {
         const double back_emf_v = axle_constant * speed_rad_s[i];
-        current_a[i] = clamp(set_a[i], (-voltage_v - back_emf_v) / p->motor_resistance_ohm,
-                             (voltage_v - back_emf_v) / p->motor_resistance_ohm);
+        current_a[i] =
+            clamp(set_a[i], (-voltage_v - back_emf_v) * conductance, (voltage_v - back_emf_v) * conductance);
     }
     return power_w(p, axle_constant, current_a, speed_rad_s);
 }
 
-/* The voltage at which the battery gives just what it pushes, by bisection. */
-static double pushing_voltage_v(const mecanum_parameters *p, double axle_constant, const double *set_a,
-                                const double *speed_rad_s, double *current_a) {
+/* What the battery gives at a voltage, less what the motors take there, times the resistance. */
+static double surplus(const mecanum_parameters *p, double axle_constant, const double *set_a,
+                      const double *speed_rad_s, double voltage_v, double *current_a) {
+    const double power = push_currents(p, axle_constant, set_a, speed_rad_s, voltage_v, current_a);
+    return voltage_v * (p->battery_voltage_v - voltage_v) - p->battery_resistance_ohm * power;
+}
+
+/* The voltage at which the battery gives just what it pushes, wherever it is: regula falsi, Illinois rule. */
+static double searched_voltage_v(const mecanum_parameters *p, double axle_constant, const double *set_a,
+                                 const double *speed_rad_s, double *current_a) {
     const double source_v = p->battery_voltage_v;
     double braking_w = 0.0; /* the most that motors at these speeds can give back */
     for (int i = 0; i < MECANUM_WHEELS; i++) {
         const double back_emf_v = axle_constant * speed_rad_s[i];
         braking_w += 0.25 * back_emf_v * back_emf_v / p->motor_resistance_ohm;
     }
-    double low_v = 0.0;
+    /* A load of constant power has a voltage on either side of the half of the source's: the upper one holds.
+     */
+    double low_v = 0.5 * source_v;
     double high_v = loaded_voltage_v(p, -braking_w);
-    /* The half of the source's voltage first: a load of constant power has a voltage on either side of it. */
-    double middle_v = 0.5 * source_v;
-    for (int i = 0; i < VOLTAGE_BISECTIONS; i++) {
-        const double power = push_currents(p, axle_constant, set_a, speed_rad_s, middle_v, current_a);
-        if (middle_v * (source_v - middle_v) >= p->battery_resistance_ohm * power) {
+    double low = surplus(p, axle_constant, set_a, speed_rad_s, low_v, current_a);
+    if (low < 0.0) {
+        high_v = low_v;
+        low_v = 0.0;
+        low = 0.0;
+    }
+    double high = surplus(p, axle_constant, set_a, speed_rad_s, high_v, current_a);
+    for (int i = 0; i < MOST_SEARCHES && high < 0.0 && high_v - low_v > VOLTAGE_TOLERANCE * source_v; i++) {
+        const double middle_v =
+            low > 0.0 ? (low_v * high - high_v * low) / (high - low) : 0.5 * (low_v + high_v);
+        const double middle = surplus(p, axle_constant, set_a, speed_rad_s, middle_v, current_a);
+        if (fabs(middle) <= VOLTAGE_TOLERANCE * source_v * source_v) {
+            return middle_v;
+        }
+        if (middle > 0.0) {
             low_v = middle_v;
+            low = middle;
+            high *= 0.5;
         } else {
             high_v = middle_v;
+            high = middle;
+            low *= 0.5;
         }
-        middle_v = 0.5 * (low_v + high_v);
     }
-    return middle_v;
+    return high < 0.0 ? 0.5 * (low_v + high_v) : high_v;
+}
+
+/* The same from a guess, by the secant method: a few steps where the battery is far from its end. */
+static double pushing_voltage_v(const mecanum_parameters *p, double axle_constant, const double *set_a,
+                                const double *speed_rad_s, double guess_v, double *current_a) {
+    double before_v = guess_v;
+    double before =
+        loaded_voltage_v(p, push_currents(p, axle_constant, set_a, speed_rad_s, before_v, current_a)) -
+        before_v;
+    double now_v = before_v + before;
+    for (int i = 0; i < MOST_SECANTS; i++) {
+        const double now =
+            loaded_voltage_v(p, push_currents(p, axle_constant, set_a, speed_rad_s, now_v, current_a)) -
+            now_v;
+        if (fabs(now) <= VOLTAGE_TOLERANCE * p->battery_voltage_v) {
+            return now_v;
+        }
+        const double slope = (now - before) / (now_v - before_v);
+        if (!(slope < -0.5)) {
+            break; /* near the most that the battery can give: no place for guesses */
+        }
+        before_v = now_v;
+        before = now;
+        now_v -= now / slope;
+    }
+    return searched_voltage_v(p, axle_constant, set_a, speed_rad_s, current_a);
 }
 
 /* An ideal current loop: the set point at once, within the limit and what the voltage can push. */
@@ -109,7 +159,7 @@ static void drive_current(const mecanum_parameters *p, double axle_constant, con
     const bool too_much =
         4.0 * p->battery_resistance_ohm * power > p->battery_voltage_v * p->battery_voltage_v;
     if (needed_v > voltage_v || too_much) {
-        voltage_v = pushing_voltage_v(p, axle_constant, set_a, speed_rad_s, current_a);
+        voltage_v = pushing_voltage_v(p, axle_constant, set_a, speed_rad_s, voltage_v, current_a);
         power = push_currents(p, axle_constant, set_a, speed_rad_s, voltage_v, current_a);
     }
     load_battery(p, voltage_v, power, drive);

@@ -6,7 +6,7 @@
 #include <stdint.h>
 
 #define MECANUM_MODEL_NAME "mecanum"
-#define MECANUM_GUID "{ad00c95d-9a52-0b9a-d61a-869d1bdb433a}"
+#define MECANUM_GUID "{9827427b-4e08-244c-c417-c59b6a4cc8b9}"
 #define MECANUM_WHEELS 4
 #define MECANUM_VARIABLE_COUNT 112
 
