@@ -1,14 +1,16 @@
 /* Motors and battery. */
+#include <float.h>
+#include <string.h>
+
 #include "model.h"
 
-/* How fast a drive's current limiter regulates. */
-static const double LIMITER_RATE_1_S = 4000.0;
+static const int MOST_SEARCHES = 60;
 
 static double clamp(double x, double low, double high) {
     return fmin(fmax(x, low), high);
 }
 
-/* Voltage of the battery when the motors together take `power_w`: V = U - R P / V. A battery from which more
+/* Voltage of the battery when the motors together take `power_w`: V (U - V) = R P. A battery from which more
  * is asked than it can give is at half of its voltage. */
 static double loaded_voltage_v(const mecanum_parameters *p, double power_w) {
     const double source_v = p->battery_voltage_v;
@@ -34,9 +36,9 @@ static double winding_heat_w(const mecanum_parameters *p, const double *current_
     return sum;
 }
 
-static void load_battery(const mecanum_parameters *p, double power, mecanum_drive *drive) {
-    drive->battery_v = loaded_voltage_v(p, power);
-    drive->battery_a = drive->battery_v > 0.0 ? power / drive->battery_v : 0.0;
+static void load_battery(const mecanum_parameters *p, double voltage_v, double power, mecanum_drive *drive) {
+    drive->battery_v = voltage_v;
+    drive->battery_a = voltage_v > 0.0 ? power / voltage_v : 0.0;
     drive->lost_w = p->battery_resistance_ohm * drive->battery_a * drive->battery_a;
     drive->supplied_w = power + drive->lost_w;
 }
@@ -49,25 +51,95 @@ static void drive_torque(const mecanum_parameters *p, double axle_constant, cons
         drive->current_a[i] = u->wheel_torque_n_m[i] / axle_constant;
         mechanical_w += u->wheel_torque_n_m[i] * speed_rad_s[i];
     }
-    load_battery(p, power_w(p, axle_constant, drive->current_a, speed_rad_s), drive);
+    const double power = power_w(p, axle_constant, drive->current_a, speed_rad_s);
+    load_battery(p, loaded_voltage_v(p, power), power, drive);
     drive->supplied_w = mechanical_w;
     drive->lost_w = 0.0;
+}
+
+/* What motors and battery are at one voltage: the currents as near to the set points as it pushes, and by how
+ * much the battery's own voltage under them is above it. */
+static double surplus_v(const mecanum_parameters *p, double axle_constant, const double *set_a,
+                        const double *speed_rad_s, double voltage_v, double *current_a) {
+    for (int i = 0; i < MECANUM_WHEELS; i++) {
+        const double back_emf_v = axle_constant * speed_rad_s[i];
+        current_a[i] = clamp(set_a[i], (-voltage_v - back_emf_v) / p->motor_resistance_ohm,
+                             (voltage_v - back_emf_v) / p->motor_resistance_ohm);
+    }
+    const double battery_a = power_w(p, axle_constant, current_a, speed_rad_s) / voltage_v;
+    return p->battery_voltage_v - p->battery_resistance_ohm * battery_a - voltage_v;
+}
+
+/* The voltage at which the battery gives just what it pushes, by regula falsi with the Illinois rule; also
+ * writes the currents. */
+static double pushing_voltage_v(const mecanum_parameters *p, double axle_constant, const double *set_a,
+                                const double *speed_rad_s, double *current_a) {
+    double braking_w = 0.0; /* the most that motors at these speeds can give back */
+    for (int i = 0; i < MECANUM_WHEELS; i++) {
+        const double back_emf_v = axle_constant * speed_rad_s[i];
+        braking_w += 0.25 * back_emf_v * back_emf_v / p->motor_resistance_ohm;
+    }
+    double high_v = loaded_voltage_v(p, -braking_w);
+    const double least_v = fmax(1e-9 * high_v, DBL_MIN);
+    const double exact_v = 1e-13 * high_v;
+    /* A load of constant power has a voltage on either side of the half of the source's: the higher one
+     * holds. */
+    double low_v = fmax(0.5 * p->battery_voltage_v, least_v);
+    double low = surplus_v(p, axle_constant, set_a, speed_rad_s, low_v, current_a);
+    double high = low;
+    if (low > 0.0) {
+        high = surplus_v(p, axle_constant, set_a, speed_rad_s, high_v, current_a);
+    } else {
+        high_v = low_v;
+        low_v = least_v;
+        low = surplus_v(p, axle_constant, set_a, speed_rad_s, low_v, current_a);
+        if (low <= 0.0) {
+            return low_v; /* wheels that turn brake on a battery that gives nothing */
+        }
+    }
+    double voltage_v = high_v;
+    int side = 0;
+    for (int i = 0; high < -exact_v && i < MOST_SEARCHES; i++) {
+        voltage_v = (low_v * high - high_v * low) / (high - low);
+        const double surplus = surplus_v(p, axle_constant, set_a, speed_rad_s, voltage_v, current_a);
+        if (fabs(surplus) <= exact_v) {
+            break;
+        }
+        if (surplus > 0.0) {
+            low_v = voltage_v;
+            low = surplus;
+            high *= side > 0 ? 0.5 : 1.0;
+            side = 1;
+        } else {
+            high_v = voltage_v;
+            high = surplus;
+            low *= side < 0 ? 0.5 : 1.0;
+            side = -1;
+        }
+    }
+    return voltage_v;
 }
 
 /* An ideal current loop: the set point at once, within the limit and what the voltage can push. */
 static void drive_current(const mecanum_parameters *p, double axle_constant, const mecanum_inputs *u,
                           const double *speed_rad_s, mecanum_drive *drive) {
     double *const current_a = drive->current_a;
+    double set_a[MECANUM_WHEELS];
+    double needed_v = 0.0;
     for (int i = 0; i < MECANUM_WHEELS; i++) {
-        current_a[i] = clamp(u->wheel_torque_n_m[i] / axle_constant, -p->current_limit_a, p->current_limit_a);
+        set_a[i] = clamp(u->wheel_torque_n_m[i] / axle_constant, -p->current_limit_a, p->current_limit_a);
+        needed_v = fmax(needed_v, fabs(p->motor_resistance_ohm * set_a[i] + axle_constant * speed_rad_s[i]));
     }
-    const double voltage_v = loaded_voltage_v(p, power_w(p, axle_constant, current_a, speed_rad_s));
-    for (int i = 0; i < MECANUM_WHEELS; i++) {
-        const double back_emf_v = axle_constant * speed_rad_s[i];
-        current_a[i] = clamp(current_a[i], (-voltage_v - back_emf_v) / p->motor_resistance_ohm,
-                             (voltage_v - back_emf_v) / p->motor_resistance_ohm);
+    memcpy(current_a, set_a, sizeof set_a);
+    double power = power_w(p, axle_constant, current_a, speed_rad_s);
+    double voltage_v = loaded_voltage_v(p, power);
+    const bool too_much =
+        4.0 * p->battery_resistance_ohm * power > p->battery_voltage_v * p->battery_voltage_v;
+    if (needed_v > voltage_v || too_much) {
+        voltage_v = pushing_voltage_v(p, axle_constant, set_a, speed_rad_s, current_a);
+        power = power_w(p, axle_constant, current_a, speed_rad_s);
     }
-    load_battery(p, power_w(p, axle_constant, current_a, speed_rad_s), drive);
+    load_battery(p, voltage_v, power, drive);
     drive->lost_w += winding_heat_w(p, current_a);
 }
 
@@ -83,16 +155,19 @@ static void drive_voltage(const mecanum_parameters *p, double axle_constant, con
     const double battery_v = p->battery_voltage_v - p->battery_resistance_ohm * battery_a;
     const double inductance_h = p->motor_inductance_h;
     double power = 0.0;
+    bool limited = false;
     for (int i = 0; i < MECANUM_WHEELS; i++) {
         const double drop_v = p->motor_resistance_ohm * current_a[i] + axle_constant * speed_rad_s[i];
-        const double rate_a_s = clamp((u->wheel_duty[i] * battery_v - drop_v) / inductance_h,
-                                      LIMITER_RATE_1_S * (-p->current_limit_a - current_a[i]),
-                                      LIMITER_RATE_1_S * (p->current_limit_a - current_a[i]));
+        const double pushed_a_s = (u->wheel_duty[i] * battery_v - drop_v) / inductance_h;
+        const double rate_a_s =
+            clamp(pushed_a_s, MECANUM_LIMITER_RATE_1_S * (-p->current_limit_a - current_a[i]),
+                  MECANUM_LIMITER_RATE_1_S * (p->current_limit_a - current_a[i]));
+        limited = limited || rate_a_s != pushed_a_s;
         drive->current_a[i] = current_a[i];
         drive->current_rate_a_s[i] = rate_a_s;
         power += (drop_v + inductance_h * rate_a_s) * current_a[i];
     }
-    load_battery(p, power, drive);
+    load_battery(p, limited ? loaded_voltage_v(p, power) : battery_v, power, drive);
     drive->lost_w += winding_heat_w(p, current_a);
 }
 
