@@ -4,8 +4,6 @@
 #include "model.h"
 
 static const double ROOT_HALF = 0.70710678118654752440;
-/* Rolling resistance changes its sign over this speed across a roller's axis. */
-static const double RESISTANCE_SPEED_M_S = 0.01;
 /* A roller bends elastically up to this part of its limit, and slides altogether at the whole of it. */
 static const double ELASTIC_PART = 0.7;
 /* A deflection beyond the limit, left from a larger load or grip, goes back within this time. */
@@ -27,23 +25,24 @@ void mecanum_rigid_acceleration(const mecanum_model *model, const double body_fo
  * steady load nor exceeds its limit (Dupont, Hayward, Armstrong and Altpeter, IEEE Trans. Automatic Control
  * 47(5), 2002). */
 static double deflection_rate_m_s(double z, double slip, double limit_m) {
-    const double part = limit_m > 0.0 ? fabs(z) / limit_m : (z != 0.0 ? INFINITY : 1.0);
-    if (part > 1.0) {
-        const double back_m_s = (z - copysign(limit_m, z)) / RELAXATION_S;
-        return (z * slip > 0.0 ? 0.0 : slip) - back_m_s;
+    if (limit_m <= 0.0) {
+        return 0.0;
     }
-    if (z * slip <= 0.0 || part <= ELASTIC_PART) {
+    if (z * slip <= 0.0 || fabs(z) <= ELASTIC_PART * limit_m) {
         return slip;
     }
+    if (fabs(z) >= limit_m) {
+        return 0.0;
+    }
+    const double part = fabs(z) / limit_m;
     const double way = (part - ELASTIC_PART) / (1.0 - ELASTIC_PART);
     return slip * (1.0 - 0.5 * (1.0 - cos(PI * way)) * part);
 }
 
-/* Loads from the balance of moments about the centre of mass; four equally stiff wheels share them. The
- * forces are those of the elastic deflections, which do not depend on the loads in turn. A push acts at the
- * height of the centre of mass. */
-static void share_load(const mecanum_model *model, const mecanum_modes *modes, const mecanum_state *state,
-                       const double torque_n_m[MECANUM_WHEELS], double load_n[MECANUM_WHEELS]) {
+/* Loads from the balance of moments about the centre of mass. The forces are those of the elastic
+ * deflections, which do not depend on the loads in turn. A push acts at the height of the centre of mass. */
+static void balance_load(const mecanum_model *model, const mecanum_modes *modes, const mecanum_state *state,
+                         const double torque_n_m[MECANUM_WHEELS], double load_n[MECANUM_WHEELS]) {
     const mecanum_parameters *const p = model->p;
     double force_x = 0.0;
     double force_y = 0.0;
@@ -59,11 +58,7 @@ static void share_load(const mecanum_model *model, const mecanum_modes *modes, c
     const double pitch = model->gravity_upright_n * p->com_x_m - p->com_height_m * force_x - spin_rate;
     const double roll = model->gravity_upright_n * p->com_y_m - p->com_height_m * force_y -
                         state->x[MECANUM_YAW_RATE_RAD_S] * spin;
-    for (int i = 0; i < MECANUM_WHEELS; i++) {
-        const double share =
-            0.25 * (model->gravity_upright_n + pitch / model->wheel_x_m[i] + roll / model->wheel_y_m[i]);
-        load_n[i] = fmax(0.0, share);
-    }
+    mecanum_share_load(model, pitch, roll, load_n);
 }
 
 void mecanum_ground(const mecanum_model *model, const mecanum_modes *modes, const mecanum_state *state,
@@ -72,7 +67,7 @@ void mecanum_ground(const mecanum_model *model, const mecanum_modes *modes, cons
     const double forward = state->x[MECANUM_FORWARD_M_S];
     const double left = state->x[MECANUM_LEFT_M_S];
     const double yaw_rate = state->x[MECANUM_YAW_RATE_RAD_S];
-    share_load(model, modes, state, torque_n_m, contact->load_n);
+    balance_load(model, modes, state, torque_n_m, contact->load_n);
     contact->lost_w = 0.0;
     for (int i = 0; i < MECANUM_WHEELS; i++) {
         const double s = model->roller_sign[i];
@@ -82,11 +77,14 @@ void mecanum_ground(const mecanum_model *model, const mecanum_modes *modes, cons
         const double y_m_s = left + yaw_rate * model->wheel_x_m[i];
         const double along_m_s = ROOT_HALF * (x_m_s + s * y_m_s);
         const double across_m_s = ROOT_HALF * (y_m_s - s * x_m_s);
-        const double grip_n = p->grip_coefficient * p->wheel_grip_factor[i] * contact->load_n[i];
-        const double rate_m_s = deflection_rate_m_s(z, along_m_s, grip_n / p->roller_stiffness_n_m);
-        const double along_n = -p->roller_stiffness_n_m * z - p->roller_damping_n_s_m * rate_m_s;
-        const double across_n =
-            -p->roller_friction_coefficient * contact->load_n[i] * tanh(across_m_s / RESISTANCE_SPEED_M_S);
+        const double limit_m =
+            p->grip_coefficient * p->wheel_grip_factor[i] * contact->load_n[i] / p->roller_stiffness_n_m;
+        const double bent_m = fmin(fmax(z, -limit_m), limit_m);
+        const double bending_m_s = deflection_rate_m_s(z, along_m_s, limit_m);
+        const double rate_m_s = bending_m_s - (z - bent_m) / RELAXATION_S;
+        const double along_n = -p->roller_stiffness_n_m * bent_m - p->roller_damping_n_s_m * bending_m_s;
+        const double across_n = -p->roller_friction_coefficient * contact->load_n[i] *
+                                tanh(across_m_s / MECANUM_RESISTANCE_SPEED_M_S);
         contact->slip_m_s[i] = along_m_s;
         contact->deflection_rate_m_s[i] = rate_m_s;
         contact->force_x_n[i] = ROOT_HALF * (along_n - s * across_n);

@@ -211,6 +211,14 @@ bool plant_step(plant_instance *plant, double from_s, double step_s) {
         return plant_fail(plant, "doStep: the state is no longer finite at %.10g s; look at the inputs",
                           from_s + step_s);
     }
+    const double turn_rad = fabs(state.x[MECANUM_YAW_RATE_RAD_S]) * step_s / steps;
+    if (turn_rad > 1.0) {
+        return plant_fail(
+            plant,
+            "doStep: at %.10g s the robot turns by %g rad in an internal step; expected at most 1, look "
+            "at the inputs or take a shorter longest_step_s",
+            from_s + step_s, turn_rad);
+    }
     now->state = state;
     now->time_s = from_s + step_s; /* the importer's time, which it does not accumulate */
     now->outputs_stale = true;

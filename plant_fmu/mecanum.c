@@ -8,9 +8,14 @@
 
 /* Longest internal steps, over the time in which the fastest part changes: they keep the method's error of a
  * step below 1e-4 of a change in a motor's current, and below 1e-5 of one in a contact's deflection. */
-static const double WINDING_STEP = 0.3;
+static const double MOTOR_STEP = 0.4;
+static const double LIMITER_STEP = 1.0;
 static const double CONTACT_STEP = 0.25;
 static const double DAMPING_STEP = 0.1;
+/* A roller about to slide bends by no more than this part of its limit in a step; where it does, the step is
+ * halved. */
+static const double LEAP = 0.1;
+static const int MOST_HALVINGS = 6;
 
 const char *mecanum_problem(const mecanum_parameters *p) {
     if (p->contact == MECANUM_CONTACT_SLIP && p->wheel_inertia_kg_m2 + p->rotor_inertia_kg_m2 <= 0.0) {
@@ -44,38 +49,46 @@ void mecanum_start(const mecanum_parameters *p, mecanum_state *state) {
     }
 }
 
-/* The fastest damping that viscous friction gives a wheel, or the robot through the wheels. */
-static double viscous_rate_1_s(const mecanum_model *model) {
-    const mecanum_parameters *const p = model->p;
-    if (p->viscous_n_m_s_rad <= 0.0) {
-        return 0.0;
+/* The largest acceleration of wheels for one newton metre each. Rigid: the largest eigenvalue of J M^-1 J^T,
+ * where J^T J is diagonal, bounded by the largest sum of a row. */
+static double wheel_ease(const mecanum_model *model) {
+    if (model->p->contact == MECANUM_CONTACT_SLIP) {
+        return 1.0 / model->wheel_inertia_kg_m2;
     }
-    if (p->contact == MECANUM_CONTACT_SLIP) {
-        return p->viscous_n_m_s_rad / model->wheel_inertia_kg_m2;
-    }
-    /* The trace bounds the largest eigenvalue of J^T d J M^-1. */
-    double trace = 0.0;
-    for (int i = 0; i < MECANUM_WHEELS; i++) {
-        double ease[3];
-        mecanum_apply(model->inverse_mass, model->rolling[i], ease);
+    const double *const row = model->rolling[0];
+    double largest = 0.0;
+    for (int i = 0; i < 3; i++) {
+        double sum = 0.0;
         for (int j = 0; j < 3; j++) {
-            trace += model->rolling[i][j] * ease[j];
+            sum += 4.0 * fabs(row[i] * model->inverse_mass[i][j] * row[j]);
         }
+        largest = fmax(largest, sum);
     }
-    return p->viscous_n_m_s_rad * trace;
+    return largest;
+}
+
+/* The longest step for motors and viscous friction, on wheels of this ease. */
+static double longest_axle_step_s(const mecanum_parameters *p, double ease) {
+    const double axle_constant = p->gear_ratio * p->motor_constant_n_m_a;
+    double longest_s = DAMPING_STEP / (p->viscous_n_m_s_rad * ease);
+    if (p->drive == MECANUM_DRIVE_CURRENT) {
+        /* At the limit of the voltage the winding's resistance damps the wheels. */
+        longest_s =
+            fmin(longest_s, MOTOR_STEP * p->motor_resistance_ohm / (axle_constant * axle_constant * ease));
+    }
+    if (p->drive == MECANUM_DRIVE_VOLTAGE) {
+        const double resistance_ohm = p->motor_resistance_ohm + MECANUM_WHEELS * p->battery_resistance_ohm;
+        longest_s = fmin(longest_s, LIMITER_STEP / MECANUM_LIMITER_RATE_1_S);
+        longest_s = fmin(longest_s, MOTOR_STEP * p->motor_inductance_h / resistance_ohm);
+        longest_s = fmin(longest_s, MOTOR_STEP * sqrt(p->motor_inductance_h / ease) / axle_constant);
+    }
+    return longest_s;
 }
 
 double mecanum_internal_steps(const mecanum_parameters *p, double step_s) {
     mecanum_model model;
     mecanum_prepare(&model, p);
-    double longest_s = p->longest_step_s;
-    const double damping = viscous_rate_1_s(&model);
-    if (damping > 0.0) {
-        longest_s = fmin(longest_s, DAMPING_STEP / damping);
-    }
-    if (p->drive == MECANUM_DRIVE_VOLTAGE) {
-        longest_s = fmin(longest_s, WINDING_STEP * p->motor_inductance_h / p->motor_resistance_ohm);
-    }
+    double longest_s = fmin(p->longest_step_s, longest_axle_step_s(p, wheel_ease(&model)));
     if (p->contact == MECANUM_CONTACT_SLIP) {
         /* Motion of a contact along its roller for one newton there: of the wheel, and of the whole robot. */
         const double r = p->wheel_radius_m;
@@ -83,8 +96,11 @@ double mecanum_internal_steps(const mecanum_parameters *p, double step_s) {
         const double ease = 0.5 * r * r / model.wheel_inertia_kg_m2 +
                             2.0 * (model.inverse_mass[0][0] + model.inverse_mass[1][1] +
                                    lever_m * lever_m * model.inverse_mass[2][2]);
+        const double resistance_n_s_m =
+            p->roller_friction_coefficient * model.gravity_upright_n / MECANUM_RESISTANCE_SPEED_M_S;
+        const double damping_n_s_m = fmax(p->roller_damping_n_s_m, resistance_n_s_m);
         longest_s = fmin(longest_s, CONTACT_STEP / sqrt(p->roller_stiffness_n_m * ease));
-        longest_s = fmin(longest_s, CONTACT_STEP / fmax(p->roller_damping_n_s_m * ease, 1.0));
+        longest_s = fmin(longest_s, CONTACT_STEP / fmax(damping_n_s_m * ease, 1.0));
     }
     return fmax(1.0, ceil(step_s / longest_s - 1e-9));
 }
@@ -146,8 +162,9 @@ void mecanum_derivative(const mecanum_model *model, const mecanum_inputs *u, con
     rate[MECANUM_LOST_J] = lost_w;
 }
 
-void mecanum_integrate(const mecanum_model *model, const mecanum_inputs *u, const mecanum_modes *modes,
-                       double step_s, mecanum_state *state) {
+/* One step of the classical Runge-Kutta method of fourth order. */
+static void runge_kutta(const mecanum_model *model, const mecanum_inputs *u, const mecanum_modes *modes,
+                        double step_s, mecanum_state *state) {
     static const double ADVANCE[3] = {0.5, 0.5, 1.0};
     static const double WEIGHT[4] = {1.0, 2.0, 2.0, 1.0};
     mecanum_state at = *state;
@@ -165,6 +182,37 @@ void mecanum_integrate(const mecanum_model *model, const mecanum_inputs *u, cons
     for (int i = 0; i < MECANUM_STATES; i++) {
         state->x[i] += step_s / 6.0 * sum[i];
     }
+}
+
+/* Tells whether a roller went too far for one step where it begins to slide, which it does within a tenth of
+ * a millimetre. */
+static bool leaps(const mecanum_model *model, const mecanum_state *before, const mecanum_state *after) {
+    const mecanum_parameters *const p = model->p;
+    for (int i = 0; i < MECANUM_WHEELS; i++) {
+        const double z = after->x[MECANUM_DEFLECTION_M + i];
+        const double limit_m =
+            p->grip_coefficient * p->wheel_grip_factor[i] * model->load_n[i] / p->roller_stiffness_n_m;
+        if (fabs(z) > 0.5 * limit_m && fabs(z - before->x[MECANUM_DEFLECTION_M + i]) > LEAP * limit_m) {
+            return true;
+        }
+    }
+    return false;
+}
+
+static void divide(const mecanum_model *model, const mecanum_inputs *u, const mecanum_modes *modes,
+                   double step_s, int halvings, mecanum_state *state) {
+    const mecanum_state before = *state;
+    runge_kutta(model, u, modes, step_s, state);
+    if (halvings > 0 && model->p->contact == MECANUM_CONTACT_SLIP && leaps(model, &before, state)) {
+        *state = before;
+        divide(model, u, modes, 0.5 * step_s, halvings - 1, state);
+        divide(model, u, modes, 0.5 * step_s, halvings - 1, state);
+    }
+}
+
+void mecanum_integrate(const mecanum_model *model, const mecanum_inputs *u, const mecanum_modes *modes,
+                       double step_s, mecanum_state *state) {
+    divide(model, u, modes, step_s, MOST_HALVINGS, state);
 }
 
 void mecanum_advance(const mecanum_parameters *p, const mecanum_inputs *u, double step_s,

@@ -21,13 +21,32 @@ static void place_wheels(mecanum_model *model, const mecanum_parameters *p) {
     }
 }
 
-/* The loads that four equally stiff wheels carry, from the place of the centre of mass. */
-static void share_weight(mecanum_model *model, const mecanum_parameters *p) {
+void mecanum_share_load(const mecanum_model *model, double pitch_n_m, double roll_n_m,
+                        double load_n[MECANUM_WHEELS]) {
+    const double whole_n = model->gravity_upright_n;
+    double sum_n = 0.0;
+    for (int i = 0; i < MECANUM_WHEELS; i++) {
+        load_n[i] = 0.25 * (whole_n + pitch_n_m / model->wheel_x_m[i] + roll_n_m / model->wheel_y_m[i]);
+    }
+    /* More load on one diagonal and as much less on the other changes no balance: what a lifted wheel needs.
+     */
+    const double least = fmax(-load_n[0], -load_n[2]);
+    const double most = fmin(load_n[1], load_n[3]);
+    const double shift_n = fmax(fmin(most, 0.0), least);
+    for (int i = 0; i < MECANUM_WHEELS; i++) {
+        load_n[i] = fmax(0.0, load_n[i] + (i % 2 == 0 ? shift_n : -shift_n));
+        sum_n += load_n[i];
+    }
+    for (int i = 0; least > most && i < MECANUM_WHEELS; i++) {
+        load_n[i] *= whole_n / sum_n;
+    }
+}
+
+static void limit_friction(mecanum_model *model, const mecanum_parameters *p) {
+    const double whole_n = model->gravity_upright_n;
+    mecanum_share_load(model, whole_n * p->com_x_m, whole_n * p->com_y_m, model->load_n);
     model->has_friction = false;
     for (int i = 0; i < MECANUM_WHEELS; i++) {
-        const double along = p->com_x_m / (4.0 * model->wheel_x_m[i]);
-        const double aside = p->com_y_m / (4.0 * model->wheel_y_m[i]);
-        model->load_n[i] = fmax(0.0, model->gravity_upright_n * (0.25 + along + aside));
         model->friction_n_m[i] = p->friction_coefficient * model->load_n[i] * p->wheel_radius_m;
         model->has_friction = model->has_friction || model->friction_n_m[i] > 0.0;
     }
@@ -67,7 +86,7 @@ void mecanum_prepare(mecanum_model *model, const mecanum_parameters *p) {
     model->gravity_in_plane_n = weight_n * sin(p->slope_rad);
     model->gravity_upright_n = weight_n * cos(p->slope_rad);
     place_wheels(model, p);
-    share_weight(model, p);
+    limit_friction(model, p);
     weigh(model, p);
 }
 

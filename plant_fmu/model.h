@@ -12,6 +12,11 @@
 
 #include "mecanum.h"
 
+/* How fast a drive's current limiter regulates. */
+#define MECANUM_LIMITER_RATE_1_S 4000.0
+/* Rolling resistance changes its sign over this speed across a roller's axis. */
+#define MECANUM_RESISTANCE_SPEED_M_S 0.01
+
 typedef struct {
     const mecanum_parameters *p;
     double wheel_x_m[MECANUM_WHEELS]; /* where the wheels stand, body frame */
@@ -63,6 +68,11 @@ typedef struct {
 /* model.c */
 
 void mecanum_prepare(mecanum_model *model, const mecanum_parameters *p);
+
+/* Loads of four equally stiff wheels that carry the weight with these first moments about the centre, along x
+ * and y. A wheel that would lift carries nothing; what would tip over stands on the wheels that are left. */
+void mecanum_share_load(const mecanum_model *model, double pitch_n_m, double roll_n_m,
+                        double load_n[MECANUM_WHEELS]);
 
 void mecanum_wheel_speeds(const mecanum_model *model, const mecanum_state *state,
                           double speed_rad_s[MECANUM_WHEELS]);
