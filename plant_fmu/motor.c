@@ -152,7 +152,8 @@ static void drive_voltage(const mecanum_parameters *p, double axle_constant, con
     for (int i = 0; i < MECANUM_WHEELS; i++) {
         battery_a += u->wheel_duty[i] * current_a[i];
     }
-    const double battery_v = p->battery_voltage_v - p->battery_resistance_ohm * battery_a;
+    /* The bridges' diodes keep it from turning round. */
+    const double battery_v = fmax(0.0, p->battery_voltage_v - p->battery_resistance_ohm * battery_a);
     const double inductance_h = p->motor_inductance_h;
     double power = 0.0;
     bool limited = false;
