@@ -1,11 +1,11 @@
 /* Motors and battery. */
+#include <float.h>
 #include <string.h>
 
 #include "model.h"
 
-static const double VOLTAGE_TOLERANCE = 1e-13; /* of the source's */
-static const int MOST_SEARCHES = 100;
 static const int MOST_SECANTS = 10;
+static const int MOST_SEARCHES = 60;
 
 static double clamp(double x, double low, double high) {
     return fmin(fmax(x, low), high);
@@ -58,78 +58,79 @@ static void drive_torque(const mecanum_parameters *p, double axle_constant, cons
     drive->lost_w = 0.0;
 }
 
-/* Takes from the set points what `voltage_v` cannot push, and returns the power. */
-static double push_currents(const mecanum_parameters *p, double axle_constant, const double *set_a,
-                            const double *speed_rad_s, double voltage_v, double *current_a) {
+/* What motors and battery are at one voltage: the currents as near to the set points as it pushes, and by how
+ * much the battery's own voltage under them is above it. */
+static double surplus_v(const mecanum_parameters *p, double axle_constant, const double *set_a,
+                        const double *speed_rad_s, double voltage_v, double *current_a) {
     const double conductance = 1.0 / p->motor_resistance_ohm;
     for (int i = 0; i < MECANUM_WHEELS; i++) {
         const double back_emf_v = axle_constant * speed_rad_s[i];
         current_a[i] =
             clamp(set_a[i], (-voltage_v - back_emf_v) * conductance, (voltage_v - back_emf_v) * conductance);
     }
-    return power_w(p, axle_constant, current_a, speed_rad_s);
+    const double battery_a = power_w(p, axle_constant, current_a, speed_rad_s) / voltage_v;
+    return p->battery_voltage_v - p->battery_resistance_ohm * battery_a - voltage_v;
 }
 
-/* What the battery gives at a voltage, less what the motors take there, times the resistance. */
-static double surplus(const mecanum_parameters *p, double axle_constant, const double *set_a,
-                      const double *speed_rad_s, double voltage_v, double *current_a) {
-    const double power = push_currents(p, axle_constant, set_a, speed_rad_s, voltage_v, current_a);
-    return voltage_v * (p->battery_voltage_v - voltage_v) - p->battery_resistance_ohm * power;
-}
-
-/* The voltage at which the battery gives just what it pushes, wherever it is: regula falsi, Illinois rule. */
+/* The voltage at which the battery gives just what it pushes, wherever it is: regula falsi with the Illinois
+ * rule. Also writes the currents. */
 static double searched_voltage_v(const mecanum_parameters *p, double axle_constant, const double *set_a,
                                  const double *speed_rad_s, double *current_a) {
-    const double source_v = p->battery_voltage_v;
     double braking_w = 0.0; /* the most that motors at these speeds can give back */
     for (int i = 0; i < MECANUM_WHEELS; i++) {
         const double back_emf_v = axle_constant * speed_rad_s[i];
         braking_w += 0.25 * back_emf_v * back_emf_v / p->motor_resistance_ohm;
     }
-    /* A load of constant power has a voltage on either side of the half of the source's: the upper one holds.
-     */
-    double low_v = 0.5 * source_v;
     double high_v = loaded_voltage_v(p, -braking_w);
-    double low = surplus(p, axle_constant, set_a, speed_rad_s, low_v, current_a);
-    if (low < 0.0) {
+    const double least_v = fmax(1e-9 * high_v, DBL_MIN);
+    const double exact_v = 1e-13 * high_v;
+    /* A load of constant power has a voltage on either side of the half of the source's: the higher one
+     * holds. */
+    double low_v = fmax(0.5 * p->battery_voltage_v, least_v);
+    double low = surplus_v(p, axle_constant, set_a, speed_rad_s, low_v, current_a);
+    double high = low;
+    if (low > 0.0) {
+        high = surplus_v(p, axle_constant, set_a, speed_rad_s, high_v, current_a);
+    } else {
         high_v = low_v;
-        low_v = 0.0;
-        low = 0.0;
-    }
-    double high = surplus(p, axle_constant, set_a, speed_rad_s, high_v, current_a);
-    for (int i = 0; i < MOST_SEARCHES && high < 0.0 && high_v - low_v > VOLTAGE_TOLERANCE * source_v; i++) {
-        const double middle_v =
-            low > 0.0 ? (low_v * high - high_v * low) / (high - low) : 0.5 * (low_v + high_v);
-        const double middle = surplus(p, axle_constant, set_a, speed_rad_s, middle_v, current_a);
-        if (fabs(middle) <= VOLTAGE_TOLERANCE * source_v * source_v) {
-            return middle_v;
+        low_v = least_v;
+        low = surplus_v(p, axle_constant, set_a, speed_rad_s, low_v, current_a);
+        if (low <= 0.0) {
+            return low_v; /* wheels that turn brake on a battery that gives nothing */
         }
-        if (middle > 0.0) {
-            low_v = middle_v;
-            low = middle;
-            high *= 0.5;
+    }
+    double voltage_v = high_v;
+    int side = 0;
+    for (int i = 0; high < -exact_v && i < MOST_SEARCHES; i++) {
+        voltage_v = (low_v * high - high_v * low) / (high - low);
+        const double surplus = surplus_v(p, axle_constant, set_a, speed_rad_s, voltage_v, current_a);
+        if (fabs(surplus) <= exact_v) {
+            break;
+        }
+        if (surplus > 0.0) {
+            low_v = voltage_v;
+            low = surplus;
+            high *= side > 0 ? 0.5 : 1.0;
+            side = 1;
         } else {
-            high_v = middle_v;
-            high = middle;
-            low *= 0.5;
+            high_v = voltage_v;
+            high = surplus;
+            low *= side < 0 ? 0.5 : 1.0;
+            side = -1;
         }
     }
-    return high < 0.0 ? 0.5 * (low_v + high_v) : high_v;
+    return voltage_v;
 }
 
-/* The same from a guess, by the secant method: a few steps where the battery is far from its end. */
+/* The same from a guess, by the secant method: a few steps, where the battery is far from its end. */
 static double pushing_voltage_v(const mecanum_parameters *p, double axle_constant, const double *set_a,
                                 const double *speed_rad_s, double guess_v, double *current_a) {
     double before_v = guess_v;
-    double before =
-        loaded_voltage_v(p, push_currents(p, axle_constant, set_a, speed_rad_s, before_v, current_a)) -
-        before_v;
+    double before = surplus_v(p, axle_constant, set_a, speed_rad_s, before_v, current_a);
     double now_v = before_v + before;
-    for (int i = 0; i < MOST_SECANTS; i++) {
-        const double now =
-            loaded_voltage_v(p, push_currents(p, axle_constant, set_a, speed_rad_s, now_v, current_a)) -
-            now_v;
-        if (fabs(now) <= VOLTAGE_TOLERANCE * p->battery_voltage_v) {
+    for (int i = 0; i < MOST_SECANTS && now_v > 0.5 * p->battery_voltage_v; i++) {
+        const double now = surplus_v(p, axle_constant, set_a, speed_rad_s, now_v, current_a);
+        if (fabs(now) <= 1e-13 * now_v) {
             return now_v;
         }
         const double slope = (now - before) / (now_v - before_v);
@@ -160,7 +161,7 @@ static void drive_current(const mecanum_parameters *p, double axle_constant, con
         4.0 * p->battery_resistance_ohm * power > p->battery_voltage_v * p->battery_voltage_v;
     if (needed_v > voltage_v || too_much) {
         voltage_v = pushing_voltage_v(p, axle_constant, set_a, speed_rad_s, voltage_v, current_a);
-        power = push_currents(p, axle_constant, set_a, speed_rad_s, voltage_v, current_a);
+        power = power_w(p, axle_constant, current_a, speed_rad_s);
     }
     load_battery(p, voltage_v, power, drive);
     drive->lost_w += winding_heat_w(p, current_a);
@@ -175,7 +176,8 @@ static void drive_voltage(const mecanum_parameters *p, double axle_constant, con
     for (int i = 0; i < MECANUM_WHEELS; i++) {
         battery_a += u->wheel_duty[i] * current_a[i];
     }
-    const double battery_v = p->battery_voltage_v - p->battery_resistance_ohm * battery_a;
+    /* The bridges' diodes keep it from turning round. */
+    const double battery_v = fmax(0.0, p->battery_voltage_v - p->battery_resistance_ohm * battery_a);
     const double inductance_h = p->motor_inductance_h;
     double power = 0.0;
     bool limited = false;
