@@ -31,7 +31,7 @@ static double noise(int32_t seed, uint64_t sample, uint64_t channel) {
 static uint64_t sample_at(const mecanum_parameters *p, double time_s) {
     /* A little more, so that an instant which is a sample's own does not fall to the one before by rounding.
      */
-    return (uint64_t)(int64_t)floor(fmin(fabs(time_s), 1e9) * p->imu_rate_hz + 1e-6);
+    return (uint64_t)(int64_t)floor(fmin(fmax(time_s, -1e9), 1e9) * p->imu_rate_hz + 1e-6);
 }
 
 void mecanum_sense(const mecanum_model *model, const mecanum_state *state, const mecanum_state *derivative,
