@@ -38,7 +38,6 @@ robots = st.fixed_dictionaries(
         "com_y_m": st.floats(-0.1, 0.1),
         "half_width_m": st.floats(0.1, 0.5),
         "rollers": st.sampled_from([X, O]),
-        "coriolis": st.sampled_from([1, 2]),
         "friction_coefficient": st.sampled_from([0.0, 0.02, 0.2]),
         "viscous_n_m_s_rad": st.floats(0, 0.1),
         "slope_rad": st.floats(0, 0.3),
