@@ -227,10 +227,10 @@ def fmu_build(
     from plant_fmu.mujoco import build as mujoco_plant
     from plant_fmu.mujoco import path as mujoco_path
 
-    if all_platforms and (out is None or mujoco):
-        raise BadInputError(
-            "--all-platforms makes FMUs of the shipped plant to give away; say where to with --out FOLDER"
-        )
+    if all_platforms and mujoco:
+        raise BadInputError("--mujoco is built for this machine only; leave out --all-platforms")
+    if all_platforms and out is None:
+        raise BadInputError("--all-platforms makes FMUs to give away; say where to with --out FOLDER")
     try:
         if mujoco:
             paths = [mujoco_plant.build(None if out is None else out / mujoco_path().name)]
@@ -238,7 +238,7 @@ def fmu_build(
             paths = build_all(out, all_platforms=all_platforms)
         for path in paths:
             print(path)
-    except BuildError as error:
+    except (BuildError, OSError) as error:
         raise BadInputError(f"the FMU was not built: {error}") from error
 
 

@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 
+from plant_fmu import mujoco
+
 _FILES = {2: "mecanum.fmu", 3: "mecanum_fmi3.fmu"}
 
 
@@ -18,5 +20,5 @@ def path(fmi: int = 2) -> Path:
 
 # The FMUs that a scenario may give by name, with where they are once built.
 SHIPPED: Mapping[str, Path] = MappingProxyType(
-    {"mecanum": path(2), "mecanum_fmi3": path(3), "mecanum_mujoco": Path(__file__).parent / "mecanum_mujoco.fmu"}
+    {"mecanum": path(2), "mecanum_fmi3": path(3), "mecanum_mujoco": mujoco.path()}
 )

@@ -23,6 +23,7 @@ SOURCE_FILES = (
     "model.c",
     "motor.c",
     "contact.c",
+    "counter.c",
     "friction.c",
     "sensors.c",
 )

@@ -7,7 +7,7 @@
 #include "physics.h"
 
 /* Past this many internal steps a communication step would look like a hang. */
-static const double MOST_INTERNAL_STEPS = 1e7;
+static const double MOST_INTERNAL_STEPS = 2e5;
 
 /* A tunable parameter may also be set between steps. */
 typedef enum { INPUT, OUTPUT, PARAMETER, TUNABLE, INDEPENDENT } causality;
@@ -226,7 +226,7 @@ bool plant_step(plant_instance *plant, double from_s, double step_s) {
     if (steps > MOST_INTERNAL_STEPS) {
         return plant_fail(plant,
                           "doStep: a communication step of %g s needs %.0f internal steps; expected at most "
-                          "%.0f, take shorter ones",
+                          "%.0f, take shorter ones, or look at the inertias, stiffness and inductance",
                           step_s, steps, MOST_INTERNAL_STEPS);
     }
     if (!physics_advance(plant, step_s)) {

@@ -23,6 +23,10 @@ const char *mecanum_problem(const mecanum_parameters *p) {
                "inertia "
                "would turn at once";
     }
+    if (p->contact == MECANUM_CONTACT_SLIP && p->coriolis == MECANUM_CORIOLIS_PAPER) {
+        return "coriolis = 2 (paper) with slip contact; expected rigid contact, where alone the term C is a "
+               "choice";
+    }
     return NULL;
 }
 

@@ -1,10 +1,11 @@
 /* Motors and battery. */
+#include <float.h>
 #include <string.h>
 
 #include "model.h"
 
-/* As many as a double tells apart. */
-static const int VOLTAGE_BISECTIONS = 54;
+static const int MOST_SECANTS = 10;
+static const int MOST_SEARCHES = 60;
 
 static double clamp(double x, double low, double high) {
     return fmin(fmax(x, low), high);
@@ -57,40 +58,90 @@ static void drive_torque(const mecanum_parameters *p, double axle_constant, cons
     drive->lost_w = 0.0;
 }
 
-/* Takes from the set points what `voltage_v` cannot push, and returns the power. */
-static double push_currents(const mecanum_parameters *p, double axle_constant, const double *set_a,
-                            const double *speed_rad_s, double voltage_v, double *current_a) {
+/* What motors and battery are at one voltage: the currents as near to the set points as it pushes, and by how
+ * much the battery's own voltage under them is above it. */
+static double surplus_v(const mecanum_parameters *p, double axle_constant, const double *set_a,
+                        const double *speed_rad_s, double voltage_v, double *current_a) {
+    const double conductance = 1.0 / p->motor_resistance_ohm;
     for (int i = 0; i < MECANUM_WHEELS; i++) {
         const double back_emf_v = axle_constant * speed_rad_s[i];
-        current_a[i] = clamp(set_a[i], (-voltage_v - back_emf_v) / p->motor_resistance_ohm,
-                             (voltage_v - back_emf_v) / p->motor_resistance_ohm);
+        current_a[i] =
+            clamp(set_a[i], (-voltage_v - back_emf_v) * conductance, (voltage_v - back_emf_v) * conductance);
     }
-    return power_w(p, axle_constant, current_a, speed_rad_s);
+    const double battery_a = power_w(p, axle_constant, current_a, speed_rad_s) / voltage_v;
+    return p->battery_voltage_v - p->battery_resistance_ohm * battery_a - voltage_v;
 }
 
-/* The voltage at which the battery gives just what it pushes, by bisection. */
-static double pushing_voltage_v(const mecanum_parameters *p, double axle_constant, const double *set_a,
-                                const double *speed_rad_s, double *current_a) {
-    const double source_v = p->battery_voltage_v;
+/* The voltage at which the battery gives just what it pushes, wherever it is: regula falsi with the Illinois
+ * rule. Also writes the currents. */
+static double searched_voltage_v(const mecanum_parameters *p, double axle_constant, const double *set_a,
+                                 const double *speed_rad_s, double *current_a) {
     double braking_w = 0.0; /* the most that motors at these speeds can give back */
     for (int i = 0; i < MECANUM_WHEELS; i++) {
         const double back_emf_v = axle_constant * speed_rad_s[i];
         braking_w += 0.25 * back_emf_v * back_emf_v / p->motor_resistance_ohm;
     }
-    double low_v = 0.0;
     double high_v = loaded_voltage_v(p, -braking_w);
-    /* The half of the source's voltage first: a load of constant power has a voltage on either side of it. */
-    double middle_v = 0.5 * source_v;
-    for (int i = 0; i < VOLTAGE_BISECTIONS; i++) {
-        const double power = push_currents(p, axle_constant, set_a, speed_rad_s, middle_v, current_a);
-        if (middle_v * (source_v - middle_v) >= p->battery_resistance_ohm * power) {
-            low_v = middle_v;
-        } else {
-            high_v = middle_v;
+    const double least_v = fmax(1e-9 * high_v, DBL_MIN);
+    const double exact_v = 1e-13 * high_v;
+    /* A load of constant power has a voltage on either side of the half of the source's: the higher one
+     * holds. */
+    double low_v = fmax(0.5 * p->battery_voltage_v, least_v);
+    double low = surplus_v(p, axle_constant, set_a, speed_rad_s, low_v, current_a);
+    double high = low;
+    if (low > 0.0) {
+        high = surplus_v(p, axle_constant, set_a, speed_rad_s, high_v, current_a);
+    } else {
+        high_v = low_v;
+        low_v = least_v;
+        low = surplus_v(p, axle_constant, set_a, speed_rad_s, low_v, current_a);
+        if (low <= 0.0) {
+            return low_v; /* wheels that turn brake on a battery that gives nothing */
         }
-        middle_v = 0.5 * (low_v + high_v);
     }
-    return middle_v;
+    double voltage_v = high_v;
+    int side = 0;
+    for (int i = 0; high < -exact_v && i < MOST_SEARCHES; i++) {
+        voltage_v = (low_v * high - high_v * low) / (high - low);
+        const double surplus = surplus_v(p, axle_constant, set_a, speed_rad_s, voltage_v, current_a);
+        if (fabs(surplus) <= exact_v) {
+            break;
+        }
+        if (surplus > 0.0) {
+            low_v = voltage_v;
+            low = surplus;
+            high *= side > 0 ? 0.5 : 1.0;
+            side = 1;
+        } else {
+            high_v = voltage_v;
+            high = surplus;
+            low *= side < 0 ? 0.5 : 1.0;
+            side = -1;
+        }
+    }
+    return voltage_v;
+}
+
+/* The same from a guess, by the secant method: a few steps, where the battery is far from its end. */
+static double pushing_voltage_v(const mecanum_parameters *p, double axle_constant, const double *set_a,
+                                const double *speed_rad_s, double guess_v, double *current_a) {
+    double before_v = guess_v;
+    double before = surplus_v(p, axle_constant, set_a, speed_rad_s, before_v, current_a);
+    double now_v = before_v + before;
+    for (int i = 0; i < MOST_SECANTS && now_v > 0.5 * p->battery_voltage_v; i++) {
+        const double now = surplus_v(p, axle_constant, set_a, speed_rad_s, now_v, current_a);
+        if (fabs(now) <= 1e-13 * now_v) {
+            return now_v;
+        }
+        const double slope = (now - before) / (now_v - before_v);
+        if (!(slope < -0.5)) {
+            break; /* near the most that the battery can give: no place for guesses */
+        }
+        before_v = now_v;
+        before = now;
+        now_v -= now / slope;
+    }
+    return searched_voltage_v(p, axle_constant, set_a, speed_rad_s, current_a);
 }
 
 /* An ideal current loop: the set point at once, within the limit and what the voltage can push. */
@@ -109,8 +160,8 @@ static void drive_current(const mecanum_parameters *p, double axle_constant, con
     const bool too_much =
         4.0 * p->battery_resistance_ohm * power > p->battery_voltage_v * p->battery_voltage_v;
     if (needed_v > voltage_v || too_much) {
-        voltage_v = pushing_voltage_v(p, axle_constant, set_a, speed_rad_s, current_a);
-        power = push_currents(p, axle_constant, set_a, speed_rad_s, voltage_v, current_a);
+        voltage_v = pushing_voltage_v(p, axle_constant, set_a, speed_rad_s, voltage_v, current_a);
+        power = power_w(p, axle_constant, current_a, speed_rad_s);
     }
     load_battery(p, voltage_v, power, drive);
     drive->lost_w += winding_heat_w(p, current_a);
@@ -125,7 +176,8 @@ static void drive_voltage(const mecanum_parameters *p, double axle_constant, con
     for (int i = 0; i < MECANUM_WHEELS; i++) {
         battery_a += u->wheel_duty[i] * current_a[i];
     }
-    const double battery_v = p->battery_voltage_v - p->battery_resistance_ohm * battery_a;
+    /* The bridges' diodes keep it from turning round. */
+    const double battery_v = fmax(0.0, p->battery_voltage_v - p->battery_resistance_ohm * battery_a);
     const double inductance_h = p->motor_inductance_h;
     double power = 0.0;
     bool limited = false;

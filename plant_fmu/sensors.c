@@ -1,22 +1,11 @@
 /* Encoders, gyro and accelerometer. The noise of a sample follows from the seed and the sample's number
  * alone: it needs no state, and a restored plant hears the same noise. */
-#include <string.h>
-
+#include "counter.h"
 #include "model.h"
 
 static const double TWO_PI = 6.283185307179586476925286766559;
 
 enum { GYRO_X, GYRO_Y, GYRO_Z, ACCELEROMETER_X, ACCELEROMETER_Y, ACCELEROMETER_Z };
-
-/* Rounded down, in a counter of 32 bits. Past 2^53 a double no longer tells one count from the next, and the
- * counter stands still. */
-static int32_t counter(double value) {
-    const double bounded = fmin(fmax(floor(value), -9007199254740992.0), 9007199254740992.0);
-    const uint32_t wrapped = (uint32_t)(uint64_t)(int64_t)bounded;
-    int32_t result;
-    memcpy(&result, &wrapped, sizeof result);
-    return result;
-}
 
 /* The finalizer of SplitMix64 (Steele, Lea and Flood, OOPSLA 2014): neighbouring numbers become unrelated
  * ones. */
@@ -42,7 +31,7 @@ static double noise(int32_t seed, uint64_t sample, uint64_t channel) {
 static uint64_t sample_at(const mecanum_parameters *p, double time_s) {
     /* A little more, so that an instant which is a sample's own does not fall to the one before by rounding.
      */
-    return (uint64_t)(int64_t)floor(fmin(fabs(time_s), 1e9) * p->imu_rate_hz + 1e-6);
+    return (uint64_t)(int64_t)floor(fmin(fmax(time_s, -1e9), 1e9) * p->imu_rate_hz + 1e-6);
 }
 
 void mecanum_sense(const mecanum_model *model, const mecanum_state *state, const mecanum_state *derivative,
@@ -51,8 +40,8 @@ void mecanum_sense(const mecanum_model *model, const mecanum_state *state, const
     const double *const x = state->x;
     for (int i = 0; i < MECANUM_WHEELS; i++) {
         const double turns = x[MECANUM_WHEEL_ANGLE_RAD + i] / TWO_PI;
-        out->wheel_count[i] = counter(turns * p->counts_per_revolution);
-        out->wheel_index[i] = counter(turns);
+        out->wheel_count[i] = plant_counter(turns * p->counts_per_revolution);
+        out->wheel_index[i] = plant_counter(turns);
     }
     double *const measured[6] = {&out->gyro_x_rad_s,         &out->gyro_y_rad_s,
                                  &out->gyro_z_rad_s,         &out->accelerometer_x_m_s2,

@@ -1,18 +1,19 @@
-"""What the tests of the plant share: the built FMU, FMPy's own instances of it, and an independent model."""
+"""What the tests of the plant share: the built FMU, and FMPy's own instances of it with variables by name."""
 
 import contextlib
 import ctypes
+import functools
 import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from fmpy import extract, read_model_description
 from fmpy.fmi2 import FMU2Slave
-from scipy.integrate import solve_ivp
 
 import hil.plant.build
 import plant_fmu.build
@@ -22,45 +23,76 @@ if not hil.plant.build.is_fresh():
     hil.plant.build.build()
 
 DESCRIPTION = read_model_description(str(FMU))
-REFERENCE = {variable.name: variable.valueReference for variable in DESCRIPTION.modelVariables}
+VARIABLES = {variable.name: variable for variable in DESCRIPTION.modelVariables}
+REFERENCE = {name: variable.valueReference for name, variable in VARIABLES.items()}
+DEFAULTS = {name: float(v.start) for name, v in VARIABLES.items() if v.causality == "parameter"}
 WHEELS = ("fl", "fr", "rr", "rl")
-TORQUES = [REFERENCE[f"wheel.{wheel}.torque_n_m"] for wheel in WHEELS]
-MOTION = [
-    REFERENCE[name]
-    for name in (
-        "pose.x_m",
-        "pose.y_m",
-        "pose.heading_rad",
-        "twist.vx_m_s",
-        "twist.vy_m_s",
-        "twist.yaw_rate_rad_s",
-        *(f"wheel.{wheel}.angle_rad" for wheel in WHEELS),
-    )
-]
+
+RIGID, SLIP = 1, 2
+X, O = 1, 2  # noqa: E741  the arrangements' own names
+TORQUE, CURRENT, VOLTAGE = 1, 2, 3
+
+POSE = ("pose.x_m", "pose.y_m", "pose.heading_rad")
+TWIST = ("twist.vx_m_s", "twist.vy_m_s", "twist.yaw_rate_rad_s")
+START = ("start_x_m", "start_y_m", "start_heading_rad", "start_vx_m_s", "start_vy_m_s", "start_yaw_rate_rad_s")
+PUSH = ("push.force_x_n", "push.force_y_n", "push.moment_n_m")
+ENERGY = ("energy.supplied_j", "energy.stored_j", "energy.lost_j")
+
+
+def wheels(quantity: str) -> tuple[str, ...]:
+    """Name one quantity of the four wheels: ``wheels("speed_rad_s")``."""
+    return tuple(f"wheel.{wheel}.{quantity}" for wheel in WHEELS)
+
+
+SPEEDS, ANGLES, CURRENTS = wheels("speed_rad_s"), wheels("angle_rad"), wheels("current_a")
+AXLE_TORQUES, LOADS, SLIPS, GRIPS = (
+    wheels("axle_torque_n_m"),
+    wheels("load_n"),
+    wheels("slip_m_s"),
+    wheels("grip_factor"),
+)
+TORQUES = [REFERENCE[name] for name in wheels("torque_n_m")]
+MOTION = [REFERENCE[name] for name in (*POSE, *TWIST, *ANGLES)]
+OUTPUTS = tuple(name for name, variable in VARIABLES.items() if variable.causality == "output")
+
+
+@functools.cache
+def _extracted() -> tempfile.TemporaryDirectory[str]:
+    """Extract the FMU once: its instances then share one library, as they do in any importer."""
+    folder = tempfile.TemporaryDirectory()
+    extract(str(FMU), folder.name)
+    return folder
 
 
 @contextlib.contextmanager
-def slave(start: dict[str, float] | None = None, *, initialised: bool = True) -> Iterator[FMU2Slave]:
-    """Give an instance through FMPy's own class, from a fresh extraction."""
-    with tempfile.TemporaryDirectory() as folder:
-        extract(str(FMU), folder)
-        fmu = FMU2Slave(guid=DESCRIPTION.guid, unzipDirectory=folder, modelIdentifier="mecanum", instanceName="test")
-        fmu.instantiate()
-        try:
-            if initialised:
-                initialise(fmu, start or {})
-            yield fmu
-        finally:
-            fmu.freeInstance()
+def slave(start: Mapping[str, float] | None = None, *, initialised: bool = True) -> Iterator[FMU2Slave]:
+    """Give an instance through FMPy's own class."""
+    folder = _extracted().name
+    fmu = FMU2Slave(guid=DESCRIPTION.guid, unzipDirectory=folder, modelIdentifier="mecanum", instanceName="test")
+    fmu.instantiate()
+    try:
+        if initialised:
+            initialise(fmu, start or {})
+        yield fmu
+    finally:
+        fmu.freeInstance()
 
 
-def initialise(fmu: FMU2Slave, start: dict[str, float]) -> None:
+def initialise(fmu: FMU2Slave, start: Mapping[str, float]) -> None:
     """Bring a new instance to its start."""
     fmu.setupExperiment(startTime=0.0)
-    for name, value in start.items():
-        fmu.setReal([REFERENCE[name]], [value])
+    assign(fmu, start)
     fmu.enterInitializationMode()
     fmu.exitInitializationMode()
+
+
+def assign(fmu: FMU2Slave, values: Mapping[str, float]) -> None:
+    """Set variables by name, each with its own type."""
+    for name, value in values.items():
+        if VARIABLES[name].type == "Real":
+            fmu.setReal([REFERENCE[name]], [float(value)])
+        else:
+            fmu.setInteger([REFERENCE[name]], [int(value)])
 
 
 def last_successful_time_s(fmu: FMU2Slave) -> float:
@@ -70,70 +102,63 @@ def last_successful_time_s(fmu: FMU2Slave) -> float:
     return value.value
 
 
-ROBOT = {
-    "mass_kg": 20.0,
-    "inertia_kg_m2": 0.56,
-    "wheel_radius_m": 0.075,
-    "half_length_m": 0.3,
-    "half_width_m": 0.3,
-    "wheel_inertia_kg_m2": 0.005,
-    "friction_coefficient": 0.0,
-    "friction_speed_rad_s": 0.1,
-    "viscous_n_m_s_rad": 0.0,
-}
+class Robot:
+    """One instance of the plant: variables by name, and the time that it has reached."""
+
+    def __init__(self, fmu: FMU2Slave, start_s: float = 0.0) -> None:
+        self.fmu = fmu
+        self.time_s = start_s
+
+    def set(self, values: Mapping[str, float]) -> None:
+        """Set inputs or tunable parameters."""
+        assign(self.fmu, values)
+
+    def torque(self, torque_n_m: Iterable[float]) -> None:
+        """Set the torques of the four wheels."""
+        self.fmu.setReal(TORQUES, [float(t) for t in torque_n_m])
+
+    def duty(self, duty: Iterable[float]) -> None:
+        """Set the duties of the four motors."""
+        self.set(dict(zip(wheels("duty"), duty, strict=True)))
+
+    def push(self, *push: float) -> None:
+        """Set the push: force x, force y in the world frame [N], moment [N m]."""
+        self.set(dict(zip(PUSH, push, strict=True)))
+
+    def step(self, step_s: float = 1e-3, count: int = 1) -> None:
+        """Take ``count`` communication steps of ``step_s``."""
+        begin_s = self.time_s
+        for n in range(count):
+            self.fmu.doStep(begin_s + n * step_s, begin_s + (n + 1) * step_s - (begin_s + n * step_s))
+        self.time_s = begin_s + count * step_s
+
+    def read(self, names: Iterable[str]) -> np.ndarray:
+        """Return outputs or parameters by name."""
+        return np.array([self[name] for name in names])
+
+    def __getitem__(self, name: str) -> float:
+        get = self.fmu.getReal if VARIABLES[name].type == "Real" else self.fmu.getInteger
+        return get([REFERENCE[name]])[0]
+
+    def bits(self) -> bytes:
+        """Return all outputs, so that two instances can be compared bit for bit."""
+        return self.read(OUTPUTS).tobytes()
+
+    def save(self) -> Any:
+        """Return the state of the instance."""
+        return self.fmu.getFMUState()
+
+    def restore(self, state: Any, time_s: float) -> None:
+        """Go back to a saved state and the time at which it was saved."""
+        self.fmu.setFMUState(state)
+        self.time_s = time_s
 
 
-class Oracle:
-    """The robot from first principles: d'Alembert in the body frame, wheels from where they stand.
-
-    Wheel i stands at (px, py). The roller on the ground rolls freely, but not along its own axis a, so that
-    the contact has no velocity along a: a . (v + yaw_rate x p - omega r ex) = 0. That gives omega from the
-    body twist, one row of J.
-    """
-
-    def __init__(self, robot: dict[str, float]) -> None:
-        self.robot = robot
-        length, width, r = robot["half_length_m"], robot["half_width_m"], robot["wheel_radius_m"]
-        stands = [(length, width), (length, -width), (-length, -width), (-length, width)]
-        rollers = [np.deg2rad(angle) for angle in (-45, 45, -45, 45)]
-        rows = []
-        for (px, py), angle in zip(stands, rollers, strict=True):
-            ax, ay = np.cos(angle), np.sin(angle)
-            rows.append([ax / (ax * r), ay / (ax * r), (ay * px - ax * py) / (ax * r)])
-        self.jacobian = np.array(rows)
-        body = np.diag([robot["mass_kg"], robot["mass_kg"], robot["inertia_kg_m2"]])
-        self.mass = body + robot["wheel_inertia_kg_m2"] * self.jacobian.T @ self.jacobian
-
-    def _rate(self, y: np.ndarray, torque: np.ndarray) -> np.ndarray:
-        heading, forward, left, yaw_rate = y[2], *y[3:6]
-        omega = self.jacobian @ [forward, left, yaw_rate]
-        robot = self.robot
-        coulomb = robot["friction_coefficient"] * robot["mass_kg"] * 9.81 * robot["wheel_radius_m"] / 4
-        friction = coulomb * np.tanh(omega / robot["friction_speed_rad_s"]) + robot["viscous_n_m_s_rad"] * omega
-        force = self.jacobian.T @ (torque - friction)
-        force += robot["mass_kg"] * yaw_rate * np.array([left, -forward, 0.0])  # the body frame turns
-        c, s = np.cos(heading), np.sin(heading)
-        velocity = [c * forward - s * left, s * forward + c * left, yaw_rate]
-        return np.concatenate([velocity, np.linalg.solve(self.mass, force), omega])
-
-    def run(self, pose: np.ndarray, twist: np.ndarray, torques: np.ndarray, hold_s: float) -> np.ndarray:
-        """Return pose, world twist and wheel angles after holding each row of ``torques`` for ``hold_s``."""
-        c, s = np.cos(pose[2]), np.sin(pose[2])
-        body = [c * twist[0] + s * twist[1], -s * twist[0] + c * twist[1], twist[2]]
-        y = np.concatenate([pose, body, np.zeros(4)])
-        for torque in torques:
-            done = solve_ivp(
-                lambda _, state, held=torque: self._rate(state, held),
-                (0.0, hold_s),
-                y,
-                method="DOP853",
-                rtol=1e-12,
-                atol=1e-13,
-            )
-            y = done.y[:, -1]
-        c, s = np.cos(y[2]), np.sin(y[2])
-        y[3:5] = c * y[3] - s * y[4], s * y[3] + c * y[4]
-        return y
+@contextlib.contextmanager
+def robot(start: Mapping[str, float] | None = None, /, **more: float) -> Iterator[Robot]:
+    """Give a robot at its start, with the default of every parameter that is not given."""
+    with slave({**(start or {}), **more}) as fmu:
+        yield Robot(fmu)
 
 
 def patched_fmu(folder: Path, *patches: tuple[str, str, str]) -> Path:

@@ -110,8 +110,7 @@ def test_start_values_without_a_named_fmu_are_the_shipped_ones() -> None:
         ('"pose.x_m" = 3', "my.toml:3: plant.map.pose.x_m.name = 3; expected text in quotation marks"),
         ('"pose.x_m" = ["x"]', 'plant.map.pose.x_m.name = ["x"]; expected text in quotation marks'),
         ('"pose.x_m" = ""', 'plant.map.pose.x_m.name = ""; expected text of one line, not empty'),
-        ('"pose.x_m" = {}', "plant.map.pose.x_m.name is missing; expected text in quotation marks"),
-        ('"pose.x_m" = { scale = 2 }', "plant.map.pose.x_m.name is missing"),
+        ('"pose.x_m" = { sign = true }', "plant.map.pose.x_m.sign = true; expected 1 or -1"),
         ('"pose.x_m" = { name = "x", scal = 2 }', "unknown key plant.map.pose.x_m.scal; did you mean 'scale'?"),
         ('"pose.x_m" = { name = "x", scale = 0 }', "plant.map.pose.x_m.scale = 0; expected a number greater than 0"),
         ('"pose.x_m" = { name = "x", offset = inf }', "pose.x_m.offset = inf; expected a finite number"),
@@ -148,3 +147,15 @@ def test_a_recording_names_the_map_and_the_bytes_of_the_fmu() -> None:
     assert json.loads(told["scenario"])["plant.map.wheel.fl.angle_rad.name"] == "phi1"
     Path("x.fmu").unlink()
     assert "fmu_sha256" not in properties(scenario())
+
+
+def test_a_row_without_a_name_has_the_signals_own() -> None:
+    scenario = load("paper_circle", set=["plant.map.wheel.fl.torque_n_m.sign=-1"])
+    (row,) = scenario.plant.map.values()
+    assert (row.name, row.sign) == ("wheel.fl.torque_n_m", -1)
+
+
+def test_a_start_value_of_64_bits_keeps_them_and_a_longer_one_is_refused() -> None:
+    assert load("paper_circle", set=[f"plant.start.n={2**63 + 1}"]).plant.start["n"] == 2**63 + 1
+    with pytest.raises(BadInputError, match="within 64 bits"):
+        load("paper_circle", set=[f"plant.start.n={10**400}"])

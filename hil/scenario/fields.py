@@ -44,9 +44,11 @@ def _start(value: object) -> StartValue:
     """Accept what a variable of an FMU may start with; the FMU's description tells the type and range."""
     if isinstance(value, bool | str):
         return value
-    if isinstance(value, float | int) and math.isfinite(value):
-        return float(value)
-    raise ValueError("expected a finite number, true or false, or text")
+    if isinstance(value, int) and -(2**63) <= value < 2**64:
+        return float(value) if abs(value) <= 2**53 else value  # 24 and 24.0 are one scenario
+    if isinstance(value, float) and math.isfinite(value):
+        return value
+    raise ValueError("expected a finite number, a whole one within 64 bits, true or false, or text")
 
 
 Text = Annotated[str, AfterValidator(_text)]

@@ -62,10 +62,17 @@ def _signal_of_plant(name: str) -> str:
 class MapRow(Table):
     """A row of ``[plant.map]``: the FMU's variable of a signal; signal = sign * scale * variable + offset."""
 
-    name: Text = Field(description="of the FMU's variable")
+    name: Text = Field(description="of the FMU's variable; by default the signal's own")
     scale: float = Field(default=1.0, gt=0, description="units of the signal in one of the variable's")
     offset: float = Field(default=0.0, description="the signal where the variable is 0")
     sign: Literal[1, -1] = Field(default=1, description="-1 where the FMU counts the other way")
+
+    @field_validator("sign", mode="before")
+    @classmethod
+    def _no_truth(cls, sign: object) -> object:
+        if isinstance(sign, bool):  # which Python counts as a number
+            raise ValueError("expected 1 or -1")
+        return sign
 
 
 class PlantTable(Table):
@@ -81,6 +88,17 @@ class PlantTable(Table):
         default_factory=dict,
         description="FMU variables where the truth differs from [robot], or that only the plant has",
     )
+
+    @field_validator("map", mode="before")
+    @classmethod
+    def _named(cls, rows: object) -> object:
+        """Give a row without a name the signal's own; a signal that does not exist is complained of elsewhere."""
+        if not isinstance(rows, Mapping):
+            return rows
+        return {
+            signal: {"name": signal} | dict(row) if isinstance(row, Mapping) and isinstance(signal, str) else row
+            for signal, row in rows.items()
+        }
 
     @field_validator("fmu")
     @classmethod

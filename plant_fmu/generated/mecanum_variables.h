@@ -6,7 +6,7 @@
 #include <stdint.h>
 
 #define MECANUM_MODEL_NAME "mecanum"
-#define MECANUM_GUID "{1d5a2dac-7bfb-10d5-dcfb-a474d72e8eb3}"
+#define MECANUM_GUID "{149fffeb-c3d6-068e-677e-677447064379}"
 #define MECANUM_WHEELS 4
 #define MECANUM_VARIABLE_COUNT 120
 

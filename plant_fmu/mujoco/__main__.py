@@ -1,6 +1,7 @@
 """``python -m plant_fmu.mujoco`` builds the FMU; with ``--model`` it also writes the robot as a file of MuJoCo's."""
 
 import argparse
+import math
 import sys
 from pathlib import Path
 
@@ -12,6 +13,8 @@ from plant_fmu.mujoco.model import ModelError, save
 def setting(text: str) -> tuple[str, float]:
     """Return name and value of ``name=value``. Raises ValueError, which argparse reports."""
     name, _, value = text.partition("=")
+    if not math.isfinite(float(value)):
+        raise ValueError
     return name, float(value)
 
 

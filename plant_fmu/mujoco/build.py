@@ -17,7 +17,11 @@ from plant_fmu.mujoco import definition
 
 HERE = Path(__file__).parent
 SHARED = HERE.parent
-SOURCES = (*(SHARED / name for name in ("fmi2.c", "instance.c", "saved_state.c")), HERE / "physics.c", HERE / "robot.c")
+SOURCES = (
+    *(SHARED / name for name in ("fmi2.c", "instance.c", "saved_state.c", "counter.c")),
+    HERE / "physics.c",
+    HERE / "robot.c",
+)
 HEADERS = (*sorted(SHARED.glob("*.h")), HERE / "robot.h", HERE / "state.h")
 LICENSE = SHARED / "documentation" / "licenses" / "license.txt"
 PAGE, TABLE = HERE / "documentation.html", "<!-- variables -->"
@@ -101,7 +105,10 @@ def _licenses() -> dict[str, bytes]:
 
 def _digest(command: list[str], library: Path, texts: dict[str, str]) -> str:
     """Return a hash of all that the FMU is made from."""
-    digest = hashlib.sha256(repr((command, version(command), FLAGS, platform.machine(), texts)).encode())
-    for path in (Path(__file__), library, LICENSE, *SOURCES, *HEADERS):
+    digest = hashlib.sha256(repr((command[1:], version(command), FLAGS, platform.machine(), texts)).encode())
+    modules = (Path(str(module.__file__)) for module in (sys.modules[__name__], pack, platforms))
+    for path in (*modules, library, LICENSE, *SOURCES, *HEADERS):
         digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+    for name, content in sorted(_licenses().items()):
+        digest.update(name.encode() + b"\0" + content + b"\0")
     return digest.hexdigest()

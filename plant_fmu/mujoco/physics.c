@@ -8,6 +8,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "counter.h"
 #include "robot.h"
 
 enum { STATE = mjSTATE_QPOS | mjSTATE_QVEL | mjSTATE_WARMSTART };
@@ -195,16 +196,6 @@ bool physics_advance(plant_instance *plant, double step_s) {
     return true;
 }
 
-/* Encoder count: rounded down, a counter of 32 bits that wraps. Past 2^53 counts a double no longer tells one
- * from the next, and the counter stands still. */
-static int32_t count(double counts) {
-    const double bounded = fmin(fmax(floor(counts), -9007199254740992.0), 9007199254740992.0);
-    const uint32_t wrapped = (uint32_t)(uint64_t)(int64_t)bounded;
-    int32_t result;
-    memcpy(&result, &wrapped, sizeof result);
-    return result;
-}
-
 bool physics_output(plant_instance *plant) {
     const mecanum_parameters *const p = &plant->now.parameters;
     const mecanum_inputs *const in = &plant->now.inputs;
@@ -231,8 +222,8 @@ bool physics_output(plant_instance *plant) {
         const double angle_rad = position[wheel_position(wheel)];
         out->wheel_angle_rad[wheel] = angle_rad;
         out->wheel_speed_rad_s[wheel] = velocity[wheel_velocity(wheel)];
-        out->wheel_count[wheel] = count(angle_rad / TWO_PI * p->counts_per_revolution);
-        out->wheel_index[wheel] = count(angle_rad / TWO_PI);
+        out->wheel_count[wheel] = plant_counter(angle_rad / TWO_PI * p->counts_per_revolution);
+        out->wheel_index[wheel] = plant_counter(angle_rad / TWO_PI);
         out->wheel_current_a[wheel] = in->wheel_torque_n_m[wheel] / p->motor_constant_n_m_a;
         out->wheel_load_n[wheel] = state->load_n[wheel];
     }
