@@ -6,7 +6,6 @@ arm-none-eabi-gcc (on Debian gcc-arm-none-eabi) or the PyPI package ziglang, and
 
 import argparse
 import hashlib
-import importlib.util
 import shutil
 import subprocess
 import sys

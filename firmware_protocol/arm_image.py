@@ -19,8 +19,9 @@ _HEX_BYTES = 16
 class Image:
     """What is programmed into the flash, and how much memory it takes.
 
-    ``segments`` are (address, bytes), in the order of their addresses. ``text`` is code and constants, ``data`` variables
-    with a start value (they take flash too), ``bss`` those without, ``stack`` what is kept for the stack; all in bytes.
+    ``segments`` are (address, bytes), in the order of their addresses. ``text`` is code and constants, ``data``
+    variables with a start value (they take flash too), ``bss`` those without, ``stack`` what is kept for the stack; all
+    in bytes.
     """
 
     segments: tuple[tuple[int, bytes], ...]

@@ -1,17 +1,14 @@
 """The other end of a robot's plant port: what a hardware-in-the-loop build has instead of motors.
 
 The firmware sends the set points of its drives over a second serial line, once a tick, and waits for what the robot
-then senses (``port/stm32f4/plant_codec.h`` defines the frames). This module is sans I/O: bytes in, requests out, and the
-bytes of the answer.
+then senses; ``port/stm32f4/plant_codec.h`` defines the frames. This module does no I/O: bytes in, bytes out.
 
-    port = PlantPort()
-    for request in port.feed(line.read()):
-        if isinstance(request, Drive):
-            hold request.torque_n_m, or request.duty, for a millisecond
-        line.write(port.answer(request, what the robot senses now))
+    port = PlantPort(body)  # body(drive) lets a millisecond pass and returns a Sense; body(None) only returns one
+    line.write(port.feed(line.read()))
 """
 
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
@@ -67,8 +64,8 @@ class Drive:
 class Sense:
     """``wheel_sense`` of ``firmware/plant_port.h``: what was sampled at the beginning of ``tick``; SI units, degC.
 
-    ``count`` are encoder counts modulo 65536; ``gyro_rad_s`` and ``acceleration_m_s2`` are in the body frame (x forward,
-    y left, z up), the acceleration without gravity's, so that at rest z is 9.81.
+    ``count`` are encoder counts modulo 65536; ``gyro_rad_s`` and ``acceleration_m_s2`` are in the body frame (x
+    forward, y left, z up), the acceleration without gravity's, so that at rest z is 9.81.
     """
 
     tick: int
@@ -82,7 +79,6 @@ class Sense:
 
 
 Message = Sample | Drive | Sense
-Request = Sample | Drive
 
 
 def _payload(message: Message) -> tuple[PlantId, bytes]:
@@ -136,7 +132,7 @@ class PlantFramer:
 
 
 class PlantDeframer:
-    """The receiving side of a plant port. No byte raises: what is no valid frame is dropped and counted in ``rejected``."""
+    """The receiving side of a plant port. No byte raises: what is no valid frame is dropped, ``rejected`` counts it."""
 
     def __init__(self) -> None:
         self.rejected = 0
@@ -177,49 +173,39 @@ class PlantDeframer:
 
 
 class PlantPort:
-    """The plant's end of the line: hands out each request once, and answers a repeated one by itself.
+    """The plant's end of the line.
 
-    A firmware that misses an answer sends its drive again, and the plant must not step twice: ``feed`` returns only new
-    requests. What a repeated one is answered with is in ``repeats``, bytes to send, which the caller takes with
-    ``take_repeats``.
+    ``body`` is called with each new drive: it lets one millisecond pass under it and returns what the robot then senses.
+    It is called with None to only return what it senses now. The tick of what it returns is set here. A firmware that
+    missed an answer sends its drive again: it gets the same answer, and no time passes.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, body: Callable[[Drive | None], Sense]) -> None:
+        self._body = body
         self._framer = PlantFramer()
         self._deframer = PlantDeframer()
-        self._last: Sense | None = None  # the answer to the last drive
-        self._repeats: list[bytes] = []
+        self._last: Sense | None = None  # the answer to the newest drive
 
     @property
     def rejected(self) -> int:
-        """How many frames were dropped."""
+        """How many received frames were dropped."""
         return self._deframer.rejected
 
-    def feed(self, data: bytes) -> list[Request]:
-        """Take received bytes, whatever they are, and return what they newly ask for."""
-        requests: list[Request] = []
-        for message in self._deframer.feed(data):
-            if isinstance(message, Sense):
-                continue  # nothing that a robot sends
-            if isinstance(message, Drive) and self._last is not None and self._last.tick == _after(message):
-                self._repeats.append(self._framer.encode(self._last))
-            else:
-                requests.append(message)
-        return requests
+    def feed(self, data: bytes) -> bytes:
+        """Take received bytes, whatever they are, and return the bytes that answer them.
 
-    def answer(self, request: Request, sense: Sense) -> bytes:
-        """Return the bytes that answer a request; the tick of ``sense`` is set to the one that is asked for."""
-        sense = replace(sense, tick=_after(request))
-        self._last = sense if isinstance(request, Drive) else None
-        return self._framer.encode(sense)
+        Raises what ``body`` raises.
+        """
+        answers = [self._answer(message) for message in self._deframer.feed(data)]
+        return b"".join(self._framer.encode(answer) for answer in answers if answer is not None)
 
-    def take_repeats(self) -> bytes:
-        """Return the bytes that answer repeated drives."""
-        taken = b"".join(self._repeats)
-        self._repeats.clear()
-        return taken
-
-
-def _after(request: Request) -> int:
-    """Return the tick whose beginning answers the request."""
-    return request.tick if isinstance(request, Sample) else (request.tick + 1) & 0xFFFF_FFFF
+    def _answer(self, message: Message) -> Sense | None:
+        if isinstance(message, Sense):
+            return None  # nothing that a robot sends
+        if isinstance(message, Sample):
+            self._last = None
+            return replace(self._body(None), tick=message.tick)
+        tick = (message.tick + 1) & 0xFFFF_FFFF
+        if self._last is None or self._last.tick != tick:
+            self._last = replace(self._body(message), tick=tick)
+        return self._last

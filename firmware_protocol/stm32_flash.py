@@ -11,8 +11,8 @@ _MARK_AT = 120  # sequence number and its complement
 def flash_image(stored: bytes) -> bytes:
     """Return the record at ``PARAMETER_ADDRESS`` that a first STORE of these bytes leaves.
 
-    ``stored`` are the bytes of the core (``wheel_parameters_store``; ``HostNode.stored``). What follows in both sectors is
-    erased flash, FF. Raises ValueError when the bytes do not fit into a record.
+    ``stored`` are the bytes of the core (``wheel_parameters_store``; ``HostNode.stored``). What follows in both sectors
+    is erased flash, FF. Raises ValueError when the bytes do not fit into a record.
     """
     if len(stored) > _MARK_AT:
         raise ValueError(f"{len(stored)} stored bytes: expected at most {_MARK_AT}")

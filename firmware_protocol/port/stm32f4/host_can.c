@@ -68,11 +68,11 @@ void host_link_open(const clock_tree *clocks) {
     CAN1->MCR = CAN_MCR_INRQ | CAN_MCR_TXFP | CAN_MCR_ABOM; /* and out of sleep */
     for (uint32_t i = 0; i < MODE_POLLS && (CAN1->MSR & CAN_MSR_INAK) == 0u; i++) {
     }
-    CAN1->BTR = CAN_BTR_BRP(own->prescaler) | CAN_BTR_TS1(own->bs1) | CAN_BTR_TS2(own->bs2) |
-                CAN_BTR_SJW(own->sjw);
+    CAN1->BTR =
+        CAN_BTR_BRP(own->prescaler) | CAN_BTR_TS1(own->bs1) | CAN_BTR_TS2(own->bs2) | CAN_BTR_SJW(own->sjw);
     open_filters();
-    CAN1->IER = CAN_IER_TMEIE | CAN_IER_FMPIE0 | CAN_IER_FOVIE0 | CAN_IER_BOFIE | CAN_IER_LECIE |
-                CAN_IER_ERRIE;
+    CAN1->IER =
+        CAN_IER_TMEIE | CAN_IER_FMPIE0 | CAN_IER_FOVIE0 | CAN_IER_BOFIE | CAN_IER_LECIE | CAN_IER_ERRIE;
     CAN1->ESR = CAN_ESR_LEC; /* "set by software": an error will show as another value */
     interrupt_enable(CAN1_TX_IRQ);
     interrupt_enable(CAN1_RX0_IRQ);

@@ -6,7 +6,8 @@
 
 #include "board.h"
 
-/* Hands a pin to its peripheral, pulled up while nothing drives it: an idle serial line or CAN bus is high. */
+/* Hands a pin to its peripheral, pulled up while nothing drives it: an idle serial line or CAN bus is high.
+ */
 void pin_to_peripheral(pin which);
 
 #endif

@@ -16,7 +16,8 @@ extern const uint16_t plant_capabilities;
 /* Starts with the drives off. */
 void plant_open(const clock_tree *clocks);
 
-/* What was sampled at the beginning of `tick`; `sense` is written only with PLANT_READY. WAITING: ask again. */
+/* What was sampled at the beginning of `tick`; `sense` is written only with PLANT_READY. WAITING: ask again.
+ */
 plant_answer plant_sense(uint32_t tick, wheel_sense *sense);
 
 /* True while there is something new for plant_sense to look at. */

@@ -34,8 +34,8 @@ typedef struct {
     bool overrun; /* the open frame is too long and is dropped up to its zero */
 } plant_deframer;
 
-/* Takes one byte, whatever it is; true when it completes a valid SENSE. Anything else is dropped: the drive is
- * then sent again. */
+/* Takes one byte, whatever it is; true when it completes a valid SENSE. Anything else is dropped: the drive
+ * is then sent again. */
 bool plant_deframer_feed(plant_deframer *deframer, uint8_t byte, wheel_sense *sense);
 
 /* Both write a frame with its zero into PLANT_FRAME_MAX bytes and return its length. `sequence` counts the

@@ -13,10 +13,10 @@
 /* And this is the end: the robot faults. From then on it only asks whether somebody is there again. */
 #define LOST_MS 2000u
 
-const uint16_t plant_capabilities =
-    WHEEL_CAPABILITY_SPEED | WHEEL_CAPABILITY_TORQUE | WHEEL_CAPABILITY_FEEDFORWARD |
-    WHEEL_CAPABILITY_CURRENTS | WHEEL_CAPABILITY_GYRO | WHEEL_CAPABILITY_ACCELEROMETER |
-    WHEEL_CAPABILITY_POWER | WHEEL_CAPABILITY_TEMPERATURES;
+const uint16_t plant_capabilities = WHEEL_CAPABILITY_SPEED | WHEEL_CAPABILITY_TORQUE |
+                                    WHEEL_CAPABILITY_FEEDFORWARD | WHEEL_CAPABILITY_CURRENTS |
+                                    WHEEL_CAPABILITY_GYRO | WHEEL_CAPABILITY_ACCELEROMETER |
+                                    WHEEL_CAPABILITY_POWER | WHEEL_CAPABILITY_TEMPERATURES;
 
 static struct {
     usart line;

@@ -1,9 +1,9 @@
 /* Serial lines: 8 bits, no parity, one stop bit, both directions by interrupt through rings.
  *
- * Interrupts and not DMA: the emulated targets have no DMA, and what runs there is what runs on a chip. A byte
- * costs about 0.4 us of the core, so that two lines at 2,000,000 baud with the traffic of a 1 kHz loop take
- * some 15 % of it. A byte waits for at most two of them before the next is lost, which is why no interrupt is
- * longer than that and interrupts are never off for longer.
+ * Interrupts and not DMA: the emulated targets have no DMA, and what runs there is what runs on a chip. A
+ * byte costs about 0.4 us of the core, so that two lines at 2,000,000 baud with the traffic of a 1 kHz loop
+ * take some 15 % of it. A byte waits for at most two of them before the next is lost, which is why no
+ * interrupt is longer than that and interrupts are never off for longer.
  */
 #ifndef STM32F4_USART_H
 #define STM32F4_USART_H

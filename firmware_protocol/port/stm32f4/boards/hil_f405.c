@@ -1,6 +1,6 @@
-/* Hardware in the loop: any board with an STM32F405, an 8 MHz crystal and these two serial lines, for example a
- * breakout board with two USB adapters. Behind the second line stands the plant; no other pin is touched. The
- * same numbers of USART and CAN are the ones that the emulated targets connect.
+/* Hardware in the loop: any board with an STM32F405, an 8 MHz crystal and these two serial lines, for example
+ * a breakout board with two USB adapters. Behind the second line stands the plant; no other pin is touched.
+ * The same numbers of USART and CAN are the ones that the emulated targets connect.
  */
 #include "../board.h"
 
@@ -8,7 +8,11 @@ const board BOARD = {
     .number = 1,
     .oscillator = {.divider = 4, .multiplier = 168},
     .host_serial = {.usart = 1, .baud = 921600, .transmit = {PORT_A, 9, 7}, .receive = {PORT_A, 10, 7}},
-    .host_can = {.transmit = {PORT_B, 9, 9}, .receive = {PORT_B, 8, 9}, .prescaler = 3, .bs1 = 10, .bs2 = 3,
+    .host_can = {.transmit = {PORT_B, 9, 9},
+                 .receive = {PORT_B, 8, 9},
+                 .prescaler = 3,
+                 .bs1 = 10,
+                 .bs2 = 3,
                  .sjw = 1},
     .parameters =
         {

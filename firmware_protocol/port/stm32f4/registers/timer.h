@@ -5,18 +5,18 @@
 #include <stdint.h>
 
 typedef struct {
-    volatile uint32_t CR1;   /* 00 */
-    volatile uint32_t CR2;   /* 04 */
-    volatile uint32_t SMCR;  /* 08 */
-    volatile uint32_t DIER;  /* 0C */
-    volatile uint32_t SR;    /* 10 */
-    volatile uint32_t EGR;   /* 14 */
+    volatile uint32_t CR1;  /* 00 */
+    volatile uint32_t CR2;  /* 04 */
+    volatile uint32_t SMCR; /* 08 */
+    volatile uint32_t DIER; /* 0C */
+    volatile uint32_t SR;   /* 10 */
+    volatile uint32_t EGR;  /* 14 */
     volatile uint32_t CCMR[2];
-    volatile uint32_t CCER;  /* 20, four bits a channel */
-    volatile uint32_t CNT;   /* 24 */
-    volatile uint32_t PSC;   /* 28 */
-    volatile uint32_t ARR;   /* 2C */
-    volatile uint32_t RCR;   /* 30 */
+    volatile uint32_t CCER; /* 20, four bits a channel */
+    volatile uint32_t CNT;  /* 24 */
+    volatile uint32_t PSC;  /* 28 */
+    volatile uint32_t ARR;  /* 2C */
+    volatile uint32_t RCR;  /* 30 */
     volatile uint32_t CCR[4];
     volatile uint32_t BDTR; /* 44, timers 1 and 8 only */
 } timer_registers;
@@ -31,9 +31,9 @@ typedef struct {
 #define TIMER_CR1_CEN (1u << 0)
 #define TIMER_CR1_CENTRE (1u << 5) /* up and down; compare flags while counting down */
 #define TIMER_CR1_ARPE (1u << 7)
-#define TIMER_SMCR_ENCODER 3u      /* counts every edge of both inputs */
+#define TIMER_SMCR_ENCODER 3u /* counts every edge of both inputs */
 #define TIMER_EGR_UG (1u << 0)
-#define TIMER_CCMR_PWM1 (6u << 4)  /* of a channel, to be shifted by 8 for the second of a register */
+#define TIMER_CCMR_PWM1 (6u << 4) /* of a channel, to be shifted by 8 for the second of a register */
 #define TIMER_CCMR_PRELOAD (1u << 3)
 #define TIMER_CCMR_INPUT 1u
 #define TIMER_CCMR_FILTER(x) ((uint32_t)(x) << 4)
