@@ -24,6 +24,7 @@ _CORE = (*sorted((HERE / "firmware").glob("*.c")), HERE / "generated" / "wheel_m
 _COMMON = ("startup", "memory", "uptime", "pins", "watchdog", "flash_memory", "parameter_log", "robot", "main")
 _HIL = ("plant_line", "plant_codec", "usart", "lockstep")
 _VARIANTS = {
+    "motors": ("clock_crystal", "plant_motors", "pwm", "encoders", "analog"),
     "hil": ("clock_crystal", *_HIL),
     "hil-emulated": ("clock_emulated", *_HIL),  # clock_init is all that differs
 }
@@ -49,6 +50,10 @@ class Target(NamedTuple):
 
 
 TARGETS = (
+    Target("motors", "f405_drivers", "serial"),
+    Target("motors", "f405_drivers", "can"),
+    Target("motors", "f405_bridges", "serial"),
+    Target("motors", "f405_bridges", "can"),
     Target("hil", "hil_f405", "serial"),
     Target("hil", "hil_f405", "can"),
     Target("hil-emulated", "hil_f405", "serial"),

@@ -20,7 +20,7 @@ void robot_start(robot *r) {
     uptime_start(r->clocks.core_hz);
     const uint16_t lockstep = r->clocks.lockstep ? WHEEL_CAPABILITY_LOCKSTEP : 0u;
     const wheel_identity identity = {
-        .capabilities = (uint16_t)(plant_capabilities | WHEEL_CAPABILITY_STORAGE | lockstep),
+        .capabilities = (uint16_t)(plant_capabilities() | WHEEL_CAPABILITY_STORAGE | lockstep),
         .board = BOARD.number,
         .version = {0, 1, 0},
         .build = FIRMWARE_BUILD,
