@@ -130,7 +130,7 @@ def _read_usage(usage: str) -> dict[str, int]:
 
 def _read_words(image: Image, start: int) -> frozenset[int]:
     """Return the words of the image from ``start`` on; before the first function is the vector table."""
-    words = set()
+    words: set[int] = set()
     for address, data in image.segments:
         own = data[max(0, start - address) :]
         words.update(word for (word,) in struct.iter_unpack("<I", own[: len(own) & ~3]))
