@@ -1,6 +1,7 @@
 """An STM32F405's core and memory with registers that only remember, for looking at what drivers write there.
 
-Nothing answers: no interrupt comes, and time passes where a test says so. Unicorn executes the linked firmware.
+Only serial lines answer: bytes arrive with an interrupt while the firmware sleeps, and leave at once. A millisecond is
+so many basic blocks, or the rest of it asleep, unless a test lets time stand still. Unicorn executes the firmware.
 """
 
 import io
@@ -21,9 +22,8 @@ RCC_CR, RCC_CFGR = 0x4002_3800, 0x4002_3808
 USARTS = (0x4001_1000, 0x4000_4400, 0x4000_4800, 0x4000_4C00, 0x4000_5000, 0x4001_1400)
 CAN_MCR, CAN_MSR = 0x4000_6400, 0x4000_6404
 _RETURN = 0x0800_0000 + (512 << 10)  # where a called function returns to: erased flash
-_USART_EMPTY = 0xC0  # TXE, TC
-_BLOCKS_A_MS = 2000
-_SLICE = 20_000  # instructions
+_USART_EMPTY, _RXNE = 0xC0, 0x20  # TXE and TC
+_BLOCKS_A_MS = 20_000  # of about 8 cycles each
 
 
 class Machine:
@@ -49,6 +49,7 @@ class Machine:
         }
         self._due: list[tuple[Callable[[int], None], int]] = []
         self._blocks = 0
+        self._until_ms = 0
         self._uc = uc = unicorn.Uc(unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB | unicorn.UC_MODE_MCLASS)
         uc.ctl_set_cpu_model(arm.UC_CPU_ARM_CORTEX_M4)
         for region in _REGIONS:
@@ -56,8 +57,11 @@ class Machine:
         uc.mem_write(FLASH, b"\xff" * FLASH_BYTES)
         for address, data in segments:
             uc.mem_write(address, data)
+        self.arrived: dict[int, bytearray] = {base: bytearray() for base in USARTS}
+        self.sent: dict[int, bytearray] = {base: bytearray() for base in USARTS}
         for base in USARTS:
-            self.poke(base, _USART_EMPTY)
+            self.reactions[base + 4] = lambda value, base=base: self.sent[base].append(value & 0xFF)
+            uc.hook_add(unicorn.UC_HOOK_MEM_READ, self._on_usart_read, base, begin=base, end=base + 7)
         uc.hook_add(unicorn.UC_HOOK_MEM_WRITE, self._on_write, begin=PERIPHERALS, end=PERIPHERALS + PERIPHERAL_BYTES)
         uc.hook_add(unicorn.UC_HOOK_BLOCK, self._on_block)
 
@@ -66,14 +70,32 @@ class Machine:
         if address in self.reactions:
             self._due.append((self.reactions[address], value & 0xFFFF_FFFF))
 
+    def _on_usart_read(self, _uc, _access, address, _size, _value, base) -> None:
+        waiting = self.arrived[base]
+        if address == base:
+            self.poke(base, _USART_EMPTY | (_RXNE if waiting else 0))
+        elif waiting:
+            self.poke(base + 4, waiting.pop(0))
+
     def _on_block(self, _uc, _address, _size, _data) -> None:
         for react, value in self._due:
             react(value)
         self._due.clear()
         self.least_sp = min(self.least_sp, self._uc.reg_read(arm.UC_ARM_REG_SP))
-        self._blocks += self.time_passes
+        if self.time_passes:
+            self._pass(1)
+
+    def _pass(self, blocks: int) -> None:
+        self._blocks += blocks
         if self._blocks % _BLOCKS_A_MS == 0:
-            self.poke(self.symbols["milliseconds"], self._blocks // _BLOCKS_A_MS)
+            self.poke(self.symbols["milliseconds"], self.uptime_ms)
+            if self.uptime_ms >= self._until_ms:
+                self._uc.emu_stop()
+
+    @property
+    def uptime_ms(self) -> int:
+        """Milliseconds since the start."""
+        return self._blocks // _BLOCKS_A_MS
 
     def member(self, structure: str, name: str) -> int:
         """Return the offset of a member of a structure, from the debugger's information."""
@@ -116,24 +138,46 @@ class Machine:
         """Read bytes."""
         return bytes(self._uc.mem_read(address, length))
 
-    def boot(self, instructions: int) -> None:
-        """Come out of reset and execute so many instructions; the chip sleeps and wakes among them."""
+    def boot(self) -> None:
+        """Come out of reset and run for 50 ms; most of that goes into the search for parameters in the flash."""
         stack, start = struct.unpack("<II", self.read(FLASH, 8))
         self._uc.reg_write(arm.UC_ARM_REG_SP, stack)
         self._uc.reg_write(arm.UC_ARM_REG_PC, start)
-        self.run(instructions)
+        self.run(50)
 
-    def run(self, instructions: int) -> None:
-        """Go on for so many instructions. A sleeping chip ends the emulation: it is woken up."""
-        for _ in range(instructions // _SLICE):
-            self._uc.emu_start(self._uc.reg_read(arm.UC_ARM_REG_PC) | 1, 0, count=_SLICE)
+    def run(self, milliseconds: int) -> None:
+        """Go on for so long."""
+        self._until_ms = self.uptime_ms + milliseconds
+        while self.uptime_ms < self._until_ms:
+            self._to_sleep()
+            if self.uptime_ms < self._until_ms and not self._serve_lines():
+                self._pass(_BLOCKS_A_MS - self._blocks % _BLOCKS_A_MS)
 
-    def call(self, name: str, *arguments: int) -> int:
+    def wake(self, times: int) -> None:
+        """Wake the sleeping firmware up so many times, without time passing."""
+        self.time_passes = False
+        for _ in range(times):
+            self._to_sleep()
+        self.time_passes = True
+
+    def _to_sleep(self) -> None:
+        self._uc.emu_start(self._uc.reg_read(arm.UC_ARM_REG_PC) | 1, 0)  # ends with wfi, or when it is time
+
+    def _serve_lines(self) -> bool:
+        """Take the interrupts of bytes that arrived; main does nothing between its sleep and letting them in."""
+        waiting = [number for number, base in enumerate(USARTS, 1) if self.arrived[base]]
+        for number in waiting:
+            context = self._uc.context_save()
+            self.call(f"usart{number}_interrupt", stack=self._uc.reg_read(arm.UC_ARM_REG_SP) - 112)
+            self._uc.context_restore(context)
+        return bool(waiting)
+
+    def call(self, name: str, *arguments: int, stack: int = RAM + 4096) -> int:
         """Call a function of the firmware with up to four words and return its result."""
         registers = (arm.UC_ARM_REG_R0, arm.UC_ARM_REG_R1, arm.UC_ARM_REG_R2, arm.UC_ARM_REG_R3)
         for register, argument in zip(registers, arguments, strict=False):
             self._uc.reg_write(register, argument)
-        self._uc.reg_write(arm.UC_ARM_REG_SP, RAM + 4096)
+        self._uc.reg_write(arm.UC_ARM_REG_SP, stack)
         self._uc.reg_write(arm.UC_ARM_REG_LR, _RETURN | 1)
         self._uc.emu_start(self.symbols[name] | 1, _RETURN, count=1_000_000)
         assert self._uc.reg_read(arm.UC_ARM_REG_PC) == _RETURN, f"{name} did not return"

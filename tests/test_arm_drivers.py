@@ -15,7 +15,6 @@ pytest.importorskip("elftools", reason="no pyelftools: pip install pyelftools")
 
 from tests.arm_machine import FLASH, RAM, Machine
 
-BOOT = 3_000_000  # instructions, most of them in search of parameters in the flash
 GPIO, GPIO_END = 0x4002_0000, 0x4002_2400
 MODER, BSRR = 0x00, 0x18
 TIM1, TIM8 = 0x4001_0000, 0x4001_0400
@@ -59,7 +58,7 @@ def with_motors(machine, board: str, link: str = "serial") -> Machine:
         own = machine("motors", board, link)
         own.reactions[ADC_CR2] = lambda _: own.write(own.symbols["analog"], struct.pack("<288H", *ROUND * 32))  # by DMA
         own.poke(CAN + TSR, 1 << 27)
-        own.boot(BOOT)
+        own.boot()
         _booted[board, link] = own, own.save()
     own, state = _booted[board, link]
     own.restore(state)
@@ -85,7 +84,7 @@ def test_a_hardware_in_the_loop_build_configures_its_lines_pins_and_no_other(mac
     start = {GPIO: 0xA800_0000, GPIO + 0x400: 0x0000_0280}  # MODER after reset: the debugger's pins
     for address, value in start.items():
         own.poke(address, value)
-    own.boot(BOOT)
+    own.boot()
     touched = [(address, value) for address, value in own.writes if GPIO <= address < GPIO_END]
     assert touched
     pins = {"A2", "A3"} | ({"A9", "A10"} if link == "serial" else {"B8", "B9"})
@@ -101,7 +100,7 @@ def test_a_hardware_in_the_loop_build_configures_its_lines_pins_and_no_other(mac
 
 def test_only_the_hosts_messages_pass_the_can_filters(machine):
     own = machine("hil", "hil_f405", "can")
-    own.boot(BOOT)
+    own.boot()
     words = [own.peek(CAN + FR + 4 * i) for i in range(2 * 3)]
     halves = list(itertools.chain.from_iterable((word & 0xFFFF, word >> 16) for word in words))
     assert all(half & 0x1F == 0 for half in halves), "standard data frames"
@@ -110,7 +109,7 @@ def test_only_the_hosts_messages_pass_the_can_filters(machine):
 
 def test_a_can_bit_is_14_quanta_of_3_clocks(machine):
     own = machine("hil", "hil_f405", "can")
-    own.boot(BOOT)
+    own.boot()
     assert own.peek(CAN + BTR) == 2 | (10 - 1) << 16 | (3 - 1) << 20
 
 
@@ -271,7 +270,7 @@ def test_a_fault_switches_the_bridges_off_and_feeds_no_watchdog(machine, board, 
 
 def test_a_dead_current_sensor_is_a_fault(machine):
     own = machine("motors", "f405_drivers")
-    own.boot(BOOT)  # all inputs read 0 V
+    own.boot()  # all inputs read 0 V
     assert own.read(own.symbols["own"] + own.member("wheel_node", "state"), 1) == b"\x05", "FAULT"
 
 
@@ -315,15 +314,12 @@ def test_only_ticks_feed_the_watchdog(machine):
     own = with_motors(machine, "f405_drivers")
     assert own.writes[0] == (IWDG_KR, 0xCCCC), "it runs before anything can hang"
     assert [value for address, value in own.writes if address == IWDG_RLR] == [4000, 30]
+    own.wake(5)  # the tick that was due
     own.writes.clear()
-    own.time_passes = False
-    own.run(200_000)
-    settled = own.writes.count((IWDG_KR, 0xAAAA))
-    own.run(200_000)
-    assert own.writes.count((IWDG_KR, 0xAAAA)) == settled <= 1
-    own.time_passes = True
-    own.run(400_000)
-    assert own.writes.count((IWDG_KR, 0xAAAA)) > settled
+    own.wake(50)
+    assert (IWDG_KR, 0xAAAA) not in own.writes, "it runs, but no tick is due"
+    own.run(10)
+    assert own.writes.count((IWDG_KR, 0xAAAA)) == 10
 
 
 def test_a_store_unlocks_programs_and_locks_the_flash(machine):
@@ -354,6 +350,6 @@ def test_an_erase_is_of_the_parameters_sectors(machine):
 def test_the_stack_really_used_is_within_its_bound(machine, variant, board):
     own = with_motors(machine, board) if variant == "motors" else machine(variant, board)
     if variant == "hil":
-        own.boot(BOOT)
+        own.boot()
     used = own.symbols["stack_top"] - own.least_sp
     assert 100 < used <= own.stack_bound
