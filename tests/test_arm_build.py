@@ -5,14 +5,18 @@ import shutil
 import subprocess
 import sys
 
+import cffi
 import pytest
 from elftools.elf.elffile import ELFFile
+from hypothesis import given
+from hypothesis import strategies as st
 
 from firmware_protocol import arm_build
-from firmware_protocol.arm_build import TARGETS, Built, Target, build
+from firmware_protocol.arm_build import PORT, TARGETS, Built, Target, build
 from firmware_protocol.arm_image import read_elf
 from firmware_protocol.arm_stack import worst_stack
-from firmware_protocol.build import BuildError
+from firmware_protocol.build import FLAGS, BuildError
+from tests.arm_firmwares import firmware, need_gcc
 
 FLASH_LIMIT = 32 * 1024
 RAM_LIMIT = 16 * 1024
@@ -30,17 +34,10 @@ UNWANTED = re.compile(
 by_target = pytest.mark.parametrize("target", TARGETS, ids=lambda t: t.name)
 
 
-def need_gcc() -> None:
-    if shutil.which("arm-none-eabi-gcc") is None:
-        pytest.skip("no arm-none-eabi-gcc: install gcc-arm-none-eabi")
-
-
-@pytest.fixture(scope="module")
-def firmwares(tmp_path_factory) -> dict[Target, Built]:
+@pytest.fixture
+def firmwares() -> dict[Target, Built]:
     """Every firmware, built with gcc."""
-    need_gcc()
-    folder = tmp_path_factory.mktemp("stm32f4")
-    return {target: build(target, folder) for target in TARGETS}
+    return {target: firmware(*target) for target in TARGETS}
 
 
 def symbols(built: Built) -> dict[str, int]:
@@ -219,3 +216,43 @@ def test_recursion_and_frames_of_changing_size_have_no_bound(small):
         small("__attribute__((noipa)) int f(int n) { return n ? f(n - 1) + n : 0; }\nvoid reset(void) { f(3); }")
     with pytest.raises(BuildError, match="changing size"):
         small(_LEAF + "__attribute__((noipa)) void f(int n) { char a[n]; use(a); }\nvoid reset(void) { f(3); }")
+
+
+@pytest.fixture(scope="module")
+def memory(tmp_path_factory):
+    """The firmware's own memory functions, compiled for this machine under names that are not the C library's."""
+    cc = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+    if cc is None:
+        pytest.skip("no C compiler on this machine: install gcc or clang")
+    folder = tmp_path_factory.mktemp("memory")
+    names = ("memcpy", "memmove", "memset", "memcmp")
+    flags = ["-ffreestanding", "-fno-builtin", f"-I{PORT / 'include'}", *(f"-D{name}=own_{name}" for name in names)]
+    made = folder / "memory.so"
+    subprocess.run([cc, *FLAGS, *flags, "-shared", "-fPIC", "-o", made, PORT / "memory.c"], check=True)
+    ffi = cffi.FFI()
+    ffi.cdef(
+        "void *own_memcpy(void *, const void *, size_t); void *own_memmove(void *, const void *, size_t);"
+        "void *own_memset(void *, int, size_t); int own_memcmp(const void *, const void *, size_t);"
+    )
+    return ffi, ffi.dlopen(str(made))
+
+
+@given(st.binary(min_size=1, max_size=40), st.data())
+def test_memory_functions_do_what_the_standard_says(memory, data, draw):
+    ffi, lib = memory
+    size = draw.draw(st.integers(0, len(data)))
+    one, other = (draw.draw(st.integers(0, len(data) - size)) for _ in range(2))
+    block = ffi.new("uint8_t[]", data)
+    lib.own_memmove(block + one, block + other, size)
+    expected = bytearray(data)
+    expected[one : one + size] = data[other : other + size]
+    assert bytes(ffi.buffer(block, len(data))) == expected
+    copy = ffi.new("uint8_t[]", len(data))
+    assert lib.own_memcpy(copy, block, len(data)) == copy
+    assert lib.own_memcmp(copy, block, len(data)) == 0
+    lib.own_memset(copy, data[0], size)
+    expected[:size] = data[:1] * size
+    assert bytes(ffi.buffer(copy, len(data))) == expected
+    difference = lib.own_memcmp(copy, block, len(data))
+    now = bytes(ffi.buffer(block, len(data)))
+    assert (difference > 0) - (difference < 0) == (expected > now) - (expected < now)

@@ -1,11 +1,8 @@
 """A hardware-in-the-loop build in real time: the firmware as linked, a host at one line and a plant at the other."""
 
-import shutil
-
 import pytest
 
 from firmware_protocol import codec
-from firmware_protocol.arm_build import Target, build
 from firmware_protocol.framing import Deframer, Framer
 from firmware_protocol.generated import messages as m
 from firmware_protocol.plant_port import Drive, PlantPort, Sense
@@ -13,16 +10,15 @@ from firmware_protocol.plant_port import Drive, PlantPort, Sense
 pytest.importorskip("unicorn", reason="no Unicorn: pip install unicorn")
 pytest.importorskip("elftools", reason="no pyelftools: pip install pyelftools")
 
+from tests.arm_firmwares import firmware
 from tests.arm_machine import USARTS, Machine
 
 HOST, PLANT = USARTS[0], USARTS[1]
 
 
-@pytest.fixture(scope="module")
-def elf(tmp_path_factory):
-    if shutil.which("arm-none-eabi-gcc") is None:
-        pytest.skip("no arm-none-eabi-gcc: install gcc-arm-none-eabi")
-    return build(Target("hil", "hil_f405", "serial"), tmp_path_factory.mktemp("hil")).elf
+@pytest.fixture
+def elf():
+    return firmware("hil", "hil_f405", "serial").elf
 
 
 class Bench:

@@ -24,7 +24,7 @@
 
 /* cffi: begin */
 enum { PLANT_SAMPLE_ID = 0x801, PLANT_DRIVE_ID = 0x802, PLANT_SENSE_ID = 0x803 };
-enum { PLANT_SAMPLE_LENGTH = 4, PLANT_DRIVE_LENGTH = 40, PLANT_SENSE_LENGTH = 76 };
+enum { PLANT_SENSE_LENGTH = 76 };
 /* id, sequence, payload, CRC; and with what COBS adds and the zero. */
 enum { PLANT_BODY_MAX = 81, PLANT_FRAME_MAX = 83 };
 

@@ -36,10 +36,7 @@ typedef struct {
 
 #define RCC_AHB1ENR_GPIO(port) (1u << (port)) /* A is 0 */
 #define RCC_AHB1ENR_DMA2 (1u << 22)
-#define RCC_APB1ENR_TIM2 (1u << 0)
-#define RCC_APB1ENR_TIM3 (1u << 1)
-#define RCC_APB1ENR_TIM4 (1u << 2)
-#define RCC_APB1ENR_TIM5 (1u << 3)
+#define RCC_APB1ENR_TIM(number) (1u << ((number) - 2u)) /* 2 to 5 */
 #define RCC_APB1ENR_USART2 (1u << 17)
 #define RCC_APB1ENR_USART3 (1u << 18)
 #define RCC_APB1ENR_UART4 (1u << 19)
