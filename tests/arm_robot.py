@@ -1,0 +1,41 @@
+"""Robots whose firmware is executed by Unicorn, for tests of the STM32F405's drivers."""
+
+import functools
+import struct
+
+from tests.arm_firmwares import firmware
+from tests.arm_machine import RAM, Machine
+
+GPIO, GPIO_END = 0x4002_0000, 0x4002_2400
+ADC_SR, ADC_CR2 = 0x4001_2000, 0x4001_2008
+CAN, CAN_TSR = 0x4000_6400, 0x4000_6408
+IWDG_KR, IWDG_RLR = 0x4000_3000, 0x4000_3008
+RAW_ZERO = round(1.6667 / 3.3 * 4095)  # of a current sensor
+ROUND = [RAW_ZERO] * 4 + [2700] + [930] * 4  # currents, battery of 24 V, temperatures of 25 degC
+SCRATCH = RAM + 0x1_8000  # beyond all variables
+
+
+def machine(variant: str, board: str, link: str = "serial") -> Machine:
+    """Return a machine with this firmware, in reset."""
+    return Machine(firmware(variant, board, link).elf)
+
+
+@functools.cache
+def _booted(board: str, link: str) -> tuple:
+    own = machine("motors", board, link)
+    own.reactions[ADC_CR2] = lambda _: own.write(own.symbols["analog"], struct.pack("<288H", *ROUND * 32))  # by DMA
+    own.poke(CAN_TSR, 1 << 27)
+    own.boot()
+    return own, own.save()
+
+
+def with_motors(board: str, link: str = "serial") -> Machine:
+    """Return a robot with motors that stands there in IDLE; on CAN, with the second mailbox free."""
+    own, state = _booted(board, link)
+    own.restore(state)
+    return own
+
+
+def bits_of(name: str) -> tuple[int, int]:
+    """Return the base address of a pin's port, and its number."""
+    return GPIO + 0x400 * "ABCDE".index(name[0]), int(name[1:])

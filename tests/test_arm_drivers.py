@@ -1,0 +1,81 @@
+"""Pins, watchdog, flash and stack of the STM32F405: what the linked firmware does with them, executed by Unicorn."""
+
+import pytest
+
+from firmware_protocol.stm32_flash import PARAMETER_ADDRESS, flash_image
+
+pytest.importorskip("unicorn", reason="no Unicorn: pip install unicorn")
+pytest.importorskip("elftools", reason="no pyelftools: pip install pyelftools")
+
+from tests.arm_firmwares import firmware
+from tests.arm_machine import FLASH, RAM
+from tests.arm_robot import GPIO, GPIO_END, IWDG_KR, IWDG_RLR, SCRATCH, bits_of, machine, with_motors
+
+MODER = 0x00
+FLASH_KEYR, FLASH_CR = 0x4002_3C04, 0x4002_3C10
+
+
+@pytest.mark.parametrize("link", ["serial", "can"])
+@pytest.mark.parametrize("variant", ["hil", "hil-emulated"])
+def test_a_hardware_in_the_loop_build_configures_its_lines_pins_and_no_other(variant, link):
+    own = machine(variant, "hil_f405", link)
+    start = {GPIO: 0xA800_0000, GPIO + 0x400: 0x0000_0280}  # MODER after reset: the debugger's pins
+    for address, value in start.items():
+        own.poke(address, value)
+    own.boot()
+    touched = [(address, value) for address, value in own.writes if GPIO <= address < GPIO_END]
+    assert touched
+    pins = {"A2", "A3"} | ({"A9", "A10"} if link == "serial" else {"B8", "B9"})
+    allowed = {}
+    for base, number in map(bits_of, pins):
+        for offset, bits in ((MODER, 2), (0x08, 2), (0x0C, 2)):
+            allowed[base + offset] = allowed.get(base + offset, 0) | (2**bits - 1) << number * bits
+        afr = base + 0x20 + number // 8 * 4
+        allowed[afr] = allowed.get(afr, 0) | 0xF << number % 8 * 4
+    for address, value in touched:
+        assert (value ^ start.get(address, 0)) & ~allowed.get(address, 0) == 0, f"{address:x} = {value:x}"
+
+
+def test_only_ticks_feed_the_watchdog():
+    own = with_motors("f405_drivers")
+    assert own.writes[0] == (IWDG_KR, 0xCCCC), "it runs before anything can hang"
+    assert [value for address, value in own.writes if address == IWDG_RLR] == [4000, 30]
+    own.wake(5)  # the tick that was due
+    own.writes.clear()
+    own.wake(50)
+    assert (IWDG_KR, 0xAAAA) not in own.writes, "it runs, but no tick is due"
+    own.run(10)
+    assert own.writes.count((IWDG_KR, 0xAAAA)) in (9, 10)  # once a tick; the last one may not have come to it
+
+
+def test_a_store_unlocks_programs_and_locks_the_flash():
+    own = with_motors("f405_drivers")
+    data = bytes(range(92))
+    own.write(SCRATCH, data)
+    own.writes.clear()
+    assert own.call("parameter_log_append", SCRATCH) & 0xFF == 1
+    assert own.read(PARAMETER_ADDRESS, 128) == flash_image(data)
+    controls = [(a, v) for a, v in own.writes if a in (FLASH_KEYR, FLASH_CR)]
+    once = [(FLASH_KEYR, 0x4567_0123), (FLASH_KEYR, 0xCDEF_89AB), (FLASH_CR, 1 | 2 << 8), (FLASH_CR, 1 << 31)]
+    assert controls == once * 2, "the record, then its mark"
+
+
+def test_an_erase_is_of_the_parameters_sectors():
+    own = with_motors("f405_drivers")
+    for sector in (0, 1):
+        own.writes.clear()
+        own.call("flash_erase", sector)
+        controls = [value for address, value in own.writes if address == FLASH_CR]
+        serial = 2 | (6 + sector) << 3 | 2 << 8
+        assert controls == [serial, serial | 1 << 16, 1 << 31]
+    assert own.symbols["stack_top"] == RAM + 4096
+    assert PARAMETER_ADDRESS - FLASH == 256 * 1024, "where sector 6 begins, and the linker script's code ends"
+
+
+@pytest.mark.parametrize(("variant", "board"), [("motors", "f405_drivers"), ("hil", "hil_f405")])
+def test_the_stack_really_used_is_within_its_bound(variant, board):
+    own = with_motors(board) if variant == "motors" else machine(variant, board)
+    if variant == "hil":
+        own.boot()
+    used = own.symbols["stack_top"] - own.least_sp
+    assert 100 < used <= firmware(variant, board, "serial").stack.total

@@ -1,0 +1,116 @@
+"""A hardware-in-the-loop build in real time: the firmware as linked, a host at one line and a plant at the other."""
+
+import pytest
+
+from firmware_protocol import codec
+from firmware_protocol.framing import Deframer, Framer
+from firmware_protocol.generated import messages as m
+from firmware_protocol.plant_port import Drive, PlantPort, Sense
+
+pytest.importorskip("unicorn", reason="no Unicorn: pip install unicorn")
+pytest.importorskip("elftools", reason="no pyelftools: pip install pyelftools")
+
+from tests.arm_firmwares import firmware
+from tests.arm_machine import USARTS, Machine
+
+HOST, PLANT = USARTS[0], USARTS[1]
+
+
+@pytest.fixture
+def elf():
+    return firmware("hil", "hil_f405", "serial").elf
+
+
+class Bench:
+    """A board on a bench, with its two lines."""
+
+    def __init__(self, elf, plugged_in: bool = True) -> None:
+        self.machine = Machine(elf)
+        self.plugged_in = plugged_in
+        self.drives: list[Drive | None] = []
+        self.plant = PlantPort(self._body)
+        self.framer, self.deframer = Framer(), Deframer()
+        self.heard: list = []
+        self.asked = 0
+        self.machine.boot()
+
+    def _body(self, drive: Drive | None) -> Sense:
+        self.drives.append(drive)
+        return Sense(0, (0,) * 4, (0.0,) * 4, (0.0,) * 3, (0.0, 0.0, 9.81), 24.0, 0.0, (25.0,) * 4)
+
+    def send(self, message) -> None:
+        self.machine.arrived[HOST] += self.framer.encode(codec.encode(message))
+
+    def run_until(self, done, milliseconds: int = 3000) -> None:
+        """Go on until ``done()``; a bench that does not get there fails."""
+        for _ in range(milliseconds):
+            self.machine.run(1)
+            asked = bytes(self.machine.sent[PLANT])
+            self.machine.sent[PLANT].clear()
+            self.asked += asked.count(0)
+            if self.plugged_in:
+                self.machine.arrived[PLANT] += self.plant.feed(asked)
+            self.heard += [codec.decode(f) for f in self.deframer.feed(bytes(self.machine.sent[HOST]))]
+            self.machine.sent[HOST].clear()
+            if done():
+                return
+        pytest.fail("it did not get there")
+
+    def ticks(self) -> list[int]:
+        return [one.time_us // 1000 for one in self.heard if isinstance(one, m.Tick)]
+
+    def states(self) -> list[tuple[m.State, m.Fault]]:
+        return [(one.state, one.fault) for one in self.heard if isinstance(one, m.Status)]
+
+
+def test_each_tick_goes_through_the_plant_once(elf):
+    bench = Bench(elf)
+    bench.run_until(lambda: len(bench.ticks()) == 10)
+    assert bench.ticks() == list(range(0, 50, 5))
+    assert bench.drives[0] is None, "the first values, before any drive"
+    driven = [drive.tick for drive in bench.drives[1:]]
+    assert driven == list(range(len(driven)))
+    assert {drive.enabled for drive in bench.drives[1:]} == {False}
+
+
+def test_robot_time_keeps_up_with_the_clock(elf):
+    bench = Bench(elf)
+    bench.run_until(lambda: bool(bench.ticks()))
+    began = bench.machine.uptime_ms
+    bench.run_until(lambda: bench.ticks()[-1] >= 100)
+    assert 95 <= bench.machine.uptime_ms - began <= 115
+
+
+def test_step_is_refused_without_lockstep(elf):
+    bench = Bench(elf)
+    bench.send(m.Step(0, 5))
+    bench.run_until(lambda: sum(isinstance(one, m.LinkCounters) for one in bench.heard) == 2)
+    assert not any(isinstance(one, m.StepDone) for one in bench.heard)
+    assert [one.state for one in bench.heard if isinstance(one, m.LinkCounters)][-1] == 1
+
+
+def test_a_plant_that_falls_silent_is_asked_again_and_then_a_fault_until_it_is_back(elf):
+    bench = Bench(elf)
+    bench.run_until(lambda: len(bench.ticks()) == 3)
+    bench.plugged_in = False
+    asked, began = bench.asked, bench.machine.uptime_ms
+    bench.run_until(lambda: (m.State.FAULT, m.Fault.SENSOR) in bench.states())
+    assert 1990 <= bench.machine.uptime_ms - began <= 2050
+    assert 15 <= bench.asked - asked <= 25
+    ticks = bench.ticks()[-1]
+    bench.run_until(lambda: bench.ticks()[-1] >= ticks + 20)  # the robot still ticks, and can be asked
+    bench.plugged_in = True
+    moved = len(bench.drives)
+    bench.run_until(lambda: len(bench.drives) > moved + 5)
+    assert bench.states()[-1][0] == m.State.FAULT, "latched"
+    bench.send(m.HostHeartbeat(0x1231, m.SCHEMA_HASH, m.Request.CLEAR, m.Mode.SPEED, 0))
+    bench.run_until(lambda: bench.states()[-1] == (m.State.IDLE, m.Fault.NONE))
+
+
+def test_a_board_without_its_plant_faults_and_answers(elf):
+    bench = Bench(elf, plugged_in=False)
+    bench.run_until(lambda: (m.State.FAULT, m.Fault.SENSOR) in bench.states())
+    bench.send(m.HelloRequest(1))
+    bench.run_until(lambda: any(isinstance(one, m.HelloIdentity) for one in bench.heard))
+    hello = next(one for one in bench.heard if isinstance(one, m.HelloIdentity))
+    assert hello.capabilities & 3 == 0, "neither motors nor lockstep"
