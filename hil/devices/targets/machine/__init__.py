@@ -1,0 +1,9 @@
+"""An STM32F405 in software: Unicorn's Cortex-M4, and a model of each peripheral that the firmware touches.
+
+Unicorn executes the instructions; everything around the core is here, a file a peripheral, written from the reference
+manual RM0090 and the ARMv7-M manual: ``nvic`` (exceptions, SysTick), ``rcc``, ``flash``, ``usart``, ``can``, ``timer``,
+``watchdog``, and ``gpio``. Time is what it is told: ``Machine.advance`` lets it pass, reading a clock costs a few
+cycles, instructions none. So the same input gives the same output, bit for bit, on every run.
+
+What is not modelled is listed in firmware_protocol/TARGETS.md.
+"""
