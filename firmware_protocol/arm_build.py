@@ -1,0 +1,150 @@
+"""Builds the firmware for the STM32F405: ELF, hex and bin, with size and worst-case stack.
+
+``python -m firmware_protocol.arm_build`` builds every target into build/stm32f4; ``--help`` lists them. Needs
+arm-none-eabi-gcc (on Debian gcc-arm-none-eabi) or the PyPI package ziglang, and no C library.
+"""
+
+import argparse
+import hashlib
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+from firmware_protocol.arm_image import Image, read_elf, write_bin, write_hex
+from firmware_protocol.build import HERE, BuildError
+
+PORT = HERE / "port" / "stm32f4"
+OUTPUT = Path("build") / "stm32f4"
+
+_CORE = (*sorted((HERE / "firmware").glob("*.c")), HERE / "generated" / "wheel_messages.c")
+_COMMON = ("startup", "memory", "uptime", "pins", "watchdog", "flash_memory", "parameter_log", "robot", "main")
+_HIL = ("plant_line", "plant_codec", "usart", "lockstep")
+_VARIANTS = {
+    "hil": ("clock_crystal", *_HIL),
+    "hil-emulated": ("clock_emulated", *_HIL),  # clock_init is all that differs
+}
+_LINKS = {"serial": ("host_serial", "usart"), "can": ("host_can",)}
+
+
+class Target(NamedTuple):
+    """One firmware: what it does with its drives, the board, and the line to the host."""
+
+    variant: str
+    board: str
+    link: str
+
+    @property
+    def name(self) -> str:
+        """File name without its ending."""
+        return "-".join(self)
+
+    def sources(self) -> tuple[Path, ...]:
+        """Return every C file of this firmware."""
+        own = dict.fromkeys((*_COMMON, *_VARIANTS[self.variant], *_LINKS[self.link], f"boards/{self.board}"))
+        return (*_CORE, *(PORT / f"{name}.c" for name in own))
+
+
+TARGETS = (
+    Target("hil", "hil_f405", "serial"),
+    Target("hil", "hil_f405", "can"),
+    Target("hil-emulated", "hil_f405", "serial"),
+    Target("hil-emulated", "hil_f405", "can"),
+)
+
+_MACHINE = ("-mthumb", "-mcpu=cortex-m4", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16")
+_FLAGS = (
+    "-std=c11",
+    "-O2",
+    "-g",
+    "-ffreestanding",
+    "-ffp-contract=off",
+    "-ffunction-sections",
+    "-fdata-sections",
+    "-fno-common",
+    "-Wall",
+    "-Wextra",
+    "-Wconversion",
+    "-Wdouble-promotion",
+    "-Werror",
+)
+# memcpy must not be compiled into a call of itself.
+_GCC = ("-fno-tree-loop-distribute-patterns", "-nostdinc")
+_LINK = ("-nostdlib", "-Wl,--gc-sections", f"-Wl,-T,{PORT / 'stm32f405.ld'}")
+
+
+@dataclass(frozen=True)
+class Built:
+    """A built firmware: ``elf``, with ``.hex`` and ``.bin`` beside it."""
+
+    target: Target
+    elf: Path
+    image: Image
+
+
+def compiler() -> list[str]:
+    """Return the command of a C compiler for bare-metal ARM. Raises BuildError when there is none."""
+    if gcc := shutil.which("arm-none-eabi-gcc"):
+        return [gcc]
+    raise BuildError(
+        "no C compiler for ARM: install arm-none-eabi-gcc (on Debian and Ubuntu: gcc-arm-none-eabi) or "
+        "`pip install ziglang`"
+    )
+
+
+def source_hash(target: Target) -> int:
+    """Return the first 32 bits of the SHA-256 over the sources: HELLO_FIRMWARE.build."""
+    digest = hashlib.sha256()
+    headers = [*HERE.glob("firmware/*.h"), *HERE.glob("generated/*.h"), *PORT.rglob("*.h"), PORT / "stm32f405.ld"]
+    for path in sorted({*target.sources(), *headers}):
+        digest.update(path.relative_to(HERE).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+    return int.from_bytes(digest.digest()[:4], "big")
+
+
+def build(target: Target, output: Path = OUTPUT) -> Built:
+    """Build one firmware into the folder ``output``. Raises BuildError with the compiler's words."""
+    cc = compiler()
+    output.mkdir(parents=True, exist_ok=True)
+    elf = output / f"{target.name}.elf"
+    headers = _run([*cc, "-print-file-name=include"]).strip()
+    include = ("-isystem", headers, "-isystem", str(PORT / "include"))
+    define = f"-DFIRMWARE_BUILD=0x{source_hash(target):08X}u"
+    everything = [*cc, *_MACHINE, *_FLAGS, *_GCC, *include, define, *_LINK, *map(str, target.sources())]
+    _run([*everything, "-lgcc", "-o", str(elf)])
+    image = read_elf(elf)
+    write_hex(image, elf.with_suffix(".hex"))
+    write_bin(image, elf.with_suffix(".bin"))
+    return Built(target, elf, image)
+
+
+def _run(command: Sequence[str]) -> str:
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise BuildError(f"{' '.join(command)} failed:\n{done.stderr}")
+    return done.stdout
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Build the targets named on the command line, or all."""
+    names = {target.name: target for target in TARGETS}
+    parser = argparse.ArgumentParser(prog="python -m firmware_protocol.arm_build", description=__doc__)
+    parser.add_argument("target", nargs="*", help=f"of {', '.join(names)}; all when none is given")
+    parser.add_argument("--output", type=Path, default=OUTPUT, help="folder (default: %(default)s)")
+    given = parser.parse_args(arguments)
+    for name in given.target or names:
+        if name not in names:
+            parser.error(f"target {name}: expected one of {', '.join(names)}")
+        built = build(names[name], given.output)
+        image = built.image
+        print(f"{built.elf}: text {image.text} data {image.data} bss {image.bss} stack {image.stack} bytes")
+    return 0
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main())
+    except BuildError as error:
+        sys.exit(f"firmware_protocol.arm_build: {error}")

@@ -1,0 +1,19 @@
+/* The clock tree. clock_init is what differs between a build for a chip and one for an emulator, and nothing
+ * else does: clock_crystal.c or clock_emulated.c.
+ */
+#ifndef STM32F4_CLOCK_H
+#define STM32F4_CLOCK_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+typedef struct {
+    uint32_t core_hz;
+    uint32_t apb1_hz;
+    uint32_t apb2_hz;
+    bool lockstep; /* robot time comes from STEP, not from this clock */
+} clock_tree;
+
+clock_tree clock_init(void);
+
+#endif

@@ -1,0 +1,10 @@
+/* Robot time from STEP. Motor builds do not link this: STEP does not exist there. */
+#ifndef STM32F4_LOCKSTEP_H
+#define STM32F4_LOCKSTEP_H
+
+#include "robot.h"
+
+/* Runs the ticks that a STEP asks for, if one does. */
+__attribute__((weak)) void lockstep_serve(robot *r);
+
+#endif

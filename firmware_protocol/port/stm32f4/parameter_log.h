@@ -1,0 +1,23 @@
+/* Parameters that survive a reset and a power cut at any moment: a log over two flash sectors.
+ *
+ * A record is 128 bytes: what the core stores, and as its last two words a sequence number and its
+ * complement, programmed when the rest is in place. Each STORE appends one; the newest whole one counts.
+ * Sectors are erased when the robot starts and never while it runs, as the core stands still for so long: a
+ * robot that stores more than a thousand times without a reset is refused from then on.
+ */
+#ifndef STM32F4_PARAMETER_LOG_H
+#define STM32F4_PARAMETER_LOG_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "../../firmware/parameters.h"
+
+/* Returns the newest stored bytes, WHEEL_STORED_SIZE of them, or NULL when there are none. Erases what is not
+ * needed any more, which takes up to 4 s. */
+const uint8_t *parameter_log_open(void);
+
+/* True when the bytes are kept. */
+bool parameter_log_append(const uint8_t bytes[WHEEL_STORED_SIZE]);
+
+#endif

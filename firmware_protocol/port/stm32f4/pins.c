@@ -1,0 +1,23 @@
+#include "pins.h"
+
+#include "registers/gpio.h"
+#include "registers/rcc.h"
+
+static void put(volatile uint32_t *word, uint32_t at, uint32_t bits, uint32_t value) {
+    const uint32_t mask = ((1u << bits) - 1u) << (at * bits);
+    *word = (*word & ~mask) | (value << (at * bits));
+}
+
+static gpio_registers *port_of(pin which) {
+    RCC->AHB1ENR |= RCC_AHB1ENR_GPIO(which.port);
+    (void)RCC->AHB1ENR; /* two bus cycles pass before the port answers (RM0090, 7.3.10 and errata 2.1.13) */
+    return GPIO(which.port);
+}
+
+void pin_to_peripheral(pin which) {
+    gpio_registers *gpio = port_of(which);
+    put(&gpio->AFR[which.number / 8u], which.number % 8u, 4, which.alternate);
+    put(&gpio->OSPEEDR, which.number, 2, GPIO_SPEED_HIGH);
+    put(&gpio->PUPDR, which.number, 2, GPIO_PULL_UP);
+    put(&gpio->MODER, which.number, 2, GPIO_MODE_ALTERNATE);
+}

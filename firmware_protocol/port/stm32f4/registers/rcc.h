@@ -1,0 +1,54 @@
+/* Reset and clock control (RM0090, section 7.3). */
+#ifndef STM32F4_REGISTERS_RCC_H
+#define STM32F4_REGISTERS_RCC_H
+
+#include <stdint.h>
+
+typedef struct {
+    volatile uint32_t CR;      /* 00 */
+    volatile uint32_t PLLCFGR; /* 04 */
+    volatile uint32_t CFGR;    /* 08 */
+    volatile uint32_t reserved_0c[9];
+    volatile uint32_t AHB1ENR; /* 30 */
+    volatile uint32_t reserved_34[3];
+    volatile uint32_t APB1ENR; /* 40 */
+    volatile uint32_t APB2ENR; /* 44 */
+} rcc_registers;
+
+#define RCC ((rcc_registers *)0x40023800u)
+
+#define RCC_CR_HSEON (1u << 16)
+#define RCC_CR_HSERDY (1u << 17)
+#define RCC_CR_PLLON (1u << 24)
+#define RCC_CR_PLLRDY (1u << 25)
+
+#define RCC_PLLCFGR_M(x) ((uint32_t)(x) << 0)
+#define RCC_PLLCFGR_N(x) ((uint32_t)(x) << 6)
+#define RCC_PLLCFGR_P2 (0u << 16) /* the system clock is half of the oscillator's */
+#define RCC_PLLCFGR_HSE (1u << 22)
+#define RCC_PLLCFGR_Q(x) ((uint32_t)(x) << 24)
+
+#define RCC_CFGR_SW_PLL (2u << 0)
+#define RCC_CFGR_SWS (3u << 2)
+#define RCC_CFGR_SWS_PLL (2u << 2)
+#define RCC_CFGR_PPRE1_DIV4 (5u << 10)
+#define RCC_CFGR_PPRE2_DIV2 (4u << 13)
+
+#define RCC_AHB1ENR_GPIO(port) (1u << (port)) /* A is 0 */
+#define RCC_AHB1ENR_DMA2 (1u << 22)
+#define RCC_APB1ENR_TIM2 (1u << 0)
+#define RCC_APB1ENR_TIM3 (1u << 1)
+#define RCC_APB1ENR_TIM4 (1u << 2)
+#define RCC_APB1ENR_TIM5 (1u << 3)
+#define RCC_APB1ENR_USART2 (1u << 17)
+#define RCC_APB1ENR_USART3 (1u << 18)
+#define RCC_APB1ENR_UART4 (1u << 19)
+#define RCC_APB1ENR_UART5 (1u << 20)
+#define RCC_APB1ENR_CAN1 (1u << 25)
+#define RCC_APB2ENR_TIM1 (1u << 0)
+#define RCC_APB2ENR_TIM8 (1u << 1)
+#define RCC_APB2ENR_USART1 (1u << 4)
+#define RCC_APB2ENR_USART6 (1u << 5)
+#define RCC_APB2ENR_ADC1 (1u << 8)
+
+#endif

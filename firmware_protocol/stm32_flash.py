@@ -1,0 +1,21 @@
+"""What an STM32 keeps across a reset, as bytes of its flash (``port/stm32f4/parameter_log.h``)."""
+
+PARAMETER_ADDRESS = 0x0804_0000
+"""Sector 6: where the first of the two sectors for parameters begins."""
+SECTOR_BYTES = 128 * 1024
+
+_RECORD_BYTES = 128
+_MARK_AT = 120  # sequence number and its complement
+
+
+def flash_image(stored: bytes) -> bytes:
+    """Return the record at ``PARAMETER_ADDRESS`` that a first STORE of these bytes leaves.
+
+    ``stored`` are the bytes of the core (``wheel_parameters_store``; ``HostNode.stored``). What follows in both sectors
+    is erased flash, FF. Raises ValueError when the bytes do not fit into a record.
+    """
+    if len(stored) > _MARK_AT:
+        raise ValueError(f"{len(stored)} stored bytes: expected at most {_MARK_AT}")
+    sequence = 0
+    mark = sequence.to_bytes(4, "little") + (sequence ^ 0xFFFF_FFFF).to_bytes(4, "little")
+    return stored.ljust(_MARK_AT, b"\xff") + mark
