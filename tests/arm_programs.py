@@ -4,8 +4,6 @@ import shutil
 import subprocess
 from pathlib import Path
 
-from hil.devices.targets.machine.elf import Image, read_image
-
 COMPILER = "arm-none-eabi-gcc"
 HAS_COMPILER = shutil.which(COMPILER) is not None
 NEEDS_COMPILER = "needs arm-none-eabi-gcc; install gcc-arm-none-eabi and libnewlib-arm-none-eabi"
@@ -36,7 +34,7 @@ __attribute__((section(".vectors"), used)) static void (*const vectors[16 + 82])
 RESULT = 0x2000_0000
 
 
-def compile_program(folder: Path, body: str) -> Image:
+def compile_program(folder: Path, body: str) -> Path:
     """Compile and link a program with its startup. It has no initialised data; ``result`` lies at RESULT."""
     sources = folder / "program.c", folder / "start.c"
     for path, text in zip(sources, (_BEFORE + body, _START), strict=True):
@@ -47,4 +45,4 @@ def compile_program(folder: Path, body: str) -> Image:
     command = [COMPILER, *_FLAGS, "-Wall", "-nostdlib", *layout, "-Wl,-e,main", "-o", program, *sources]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    return read_image(program)
+    return program

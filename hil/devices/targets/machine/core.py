@@ -8,12 +8,12 @@ instruction again from its beginning, so an access is either not begun or done o
 import re
 import threading
 import time
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import unicorn
 from unicorn import arm_const as arm
 
-from hil.devices.targets.machine.elf import Image
 from hil.devices.targets.machine.nvic import Nvic
 from hil.devices.targets.machine.registers import MachineError
 
@@ -46,25 +46,24 @@ class Bus(Protocol):
 
 
 class Core:
-    """A core with memory. ``ram`` and ``rom`` are (address, size) and (address, bytes); ``mapped`` further bus regions.
+    """A core with memory: ``rom`` by (address, bytes), ``ram`` and further regions of the bus by (address, size).
 
-    After construction and after ``reset`` it is about to fetch its stack pointer and its first instruction from the
-    vector table at ``vectors``.
+    ``where`` names an address for messages. The core does nothing until ``reset`` tells it where to begin.
     """
 
     def __init__(
         self,
-        image: Image,
         nvic: Nvic,
         bus: Bus,
+        where: Callable[[int], str],
         *,
         rom: list[tuple[int, bytes]],
         ram: list[tuple[int, int]],
         mapped: list[tuple[int, int]],
     ) -> None:
-        self._image = image
         self._nvic = nvic
         self._bus = bus
+        self._name_of = where
         self._uc = uc = unicorn.Uc(unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB | unicorn.UC_MODE_MCLASS)
         uc.ctl_set_cpu_model(arm.UC_CPU_ARM_CORTEX_M4)
         for address, data in rom:
@@ -168,7 +167,7 @@ class Core:
             raise MachineError(f"the firmware ran for {RUNAWAY_S:g} s without waiting; it is at {self._where()}")
 
     def _where(self) -> str:
-        return self._image.where(self._uc.reg_read(arm.UC_ARM_REG_PC))
+        return self._name_of(self._uc.reg_read(arm.UC_ARM_REG_PC))
 
     # What Unicorn calls
 

@@ -1,17 +1,19 @@
 """The chip: which peripheral is where, and which interrupt line it has (RM0090, tables 1 and 62)."""
 
+from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from firmware_protocol.arm_image import read_elf
 from hil.devices.targets.machine import flash
 from hil.devices.targets.machine.can import Can
 from hil.devices.targets.machine.core import Core
 from hil.devices.targets.machine.core_clock import CycleCounter
-from hil.devices.targets.machine.elf import Image
 from hil.devices.targets.machine.gpio import Gpio
 from hil.devices.targets.machine.nvic import Nvic
 from hil.devices.targets.machine.rcc import Rcc
 from hil.devices.targets.machine.registers import IrqLine, MachineError, Peripheral
+from hil.devices.targets.machine.symbols import Symbols
 from hil.devices.targets.machine.timer import Timer
 from hil.devices.targets.machine.usart import Usart
 from hil.devices.targets.machine.watchdog import Watchdog
@@ -37,14 +39,17 @@ _MASK = {1: 0xFF, 2: 0xFFFF, 4: 0xFFFF_FFFF}
 
 
 class Stm32f405:
-    """A chip with an image in its flash, just reset; a context manager.
+    """A chip with the ELF file ``elf`` in its flash, just reset; a context manager.
 
     ``stored`` are further (address, bytes) of the flash, such as parameters that were kept. ``run`` executes until
     the firmware waits. A watchdog that bites, or a reset that the firmware asks for, starts it anew: ``resets``
     counts them.
+
+    Raises OSError or ValueError when the file is no ELF for ARM, MachineError when it does not fit into the flash.
     """
 
-    def __init__(self, image: Image, stored: tuple[tuple[int, bytes], ...] = ()) -> None:
+    def __init__(self, elf: Path, stored: tuple[tuple[int, bytes], ...] = ()) -> None:
+        image = read_elf(elf)
         self.flash = flash.FlashMemory()
         for address, data in (*image.segments, *stored):
             self.flash.load(address, data)
@@ -64,9 +69,9 @@ class Stm32f405:
         self._connect_interrupts()
         regions = [(sector in used, *flash.region(sector)) for sector in range(len(flash.SECTORS))]
         self._core = Core(
-            image,
             self.nvic,
             self,
+            Symbols(elf).where,
             rom=[(start, self.flash.read(start, size)) for is_used, start, size in regions if is_used],
             ram=_RAM,
             mapped=[(start, size) for is_used, start, size in regions if not is_used],

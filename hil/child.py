@@ -1,0 +1,26 @@
+"""Starting a Python process of ours."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+
+def module_command(module: str, *arguments: str) -> list[str]:
+    """Return the command line that runs one of our modules in the interpreter that runs now."""
+    # -P: a file of the user's in the working directory must not shadow a module.
+    return [sys.executable, "-P", "-m", module, *arguments]
+
+
+def child_environment() -> dict[str, str]:
+    """Return the environment in which the child finds our packages."""
+    root = str(Path(__file__).resolve().parents[1])
+    return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH")]))}
+
+
+def away_from_terminal() -> dict[str, Any]:
+    """Return the options of Popen that keep Ctrl-C in our terminal from the child: we end it, in our order."""
+    if sys.platform == "win32":
+        return {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
+    return {"start_new_session": True}

@@ -1,0 +1,167 @@
+"""A child process that may crash or hang: started, watched, ended, and what there is to say of its end."""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Mapping
+from typing import IO, Any, cast
+
+from hil.child import away_from_terminal, child_environment, module_command
+from hil.errors import DeviceError
+
+_KEPT_BYTES = 4096  # of what it prints
+_LAST_WORDS = 200  # characters of them in a sentence
+_END_S = 1.0
+_ROUNDS = 20
+_LONGEST_ROUNDS_S = 2.0
+
+
+class Watch:
+    """Calls ``expire`` when one request has been pending for ``limit_s``, and once more each ``limit_s`` from then on.
+
+    ``pending`` returns a token of the request that waits for its reply, another one for each request, or None. Rounds
+    are counted, not time: a suspended program does not take its own absence for a hang. Detection comes up to a
+    twentieth late of ``limit_s`` as it was at first, or of 2 s where that is longer.
+    """
+
+    def __init__(self, pending: Callable[[], object], expire: Callable[[], None], limit_s: float) -> None:
+        self.limit_s = limit_s
+        self._pending = pending
+        self._expire = expire
+        self._round_s = min(limit_s, _LONGEST_ROUNDS_S) / _ROUNDS
+        self._stopped = threading.Event()
+        threading.Thread(target=self._run, name="plant watch", daemon=True).start()
+
+    def _run(self) -> None:
+        rounds, before = 0, None
+        while not self._stopped.wait(self._round_s):
+            token = self._pending()
+            rounds = rounds + 1 if token is not None and token == before else 0
+            before = token
+            if rounds * self._round_s >= self.limit_s:
+                rounds = 0
+                self._expire()
+
+    def stop(self) -> None:
+        """Watch no longer."""
+        self._stopped.set()
+
+
+class ChildProcess:
+    """One of our modules as a process, with pipes to its stdin and from its stdout.
+
+    It begins with lines of JSON; what the pipes carry then is its owner's affair. What it prints on stderr is read and
+    its end kept. Ctrl-C in the terminal does not reach it. Raises DeviceError when no process can be started.
+    """
+
+    def __init__(self, module: str) -> None:
+        try:
+            self._process = subprocess.Popen(
+                module_command(module),
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                bufsize=0,
+                env=child_environment(),
+                **away_from_terminal(),
+            )
+        except OSError as error:
+            raise DeviceError(f"no process can be started for the plant ({error}); end others first") from error
+        self._printed = b""
+        self._reader = threading.Thread(target=self._read_words, name="plant words", daemon=True)
+        self._reader.start()
+
+    @property
+    def pid(self) -> int:
+        """Process id."""
+        return self._process.pid
+
+    @property
+    def read_end(self) -> int:
+        """Descriptor of what it answers."""
+        return _pipe(self._process.stdout).fileno()
+
+    @property
+    def write_end(self) -> int:
+        """Descriptor of what it is asked."""
+        return _pipe(self._process.stdin).fileno()
+
+    def tell(self, record: Mapping[str, object]) -> None:
+        """Send a line. Whether it arrived shows in the answer."""
+        with contextlib.suppress(OSError):
+            _pipe(self._process.stdin).write(json.dumps(record).encode() + b"\n")
+
+    def hear(self) -> dict[str, Any] | None:
+        """Wait for a line; None when the process has ended instead."""
+        line = _pipe(self._process.stdout).readline()
+        return json.loads(line) if line.endswith(b"\n") else None
+
+    def kill(self) -> None:
+        """End it at once, with every process that it started; not waited for."""
+        if self._process.returncode is not None:
+            return  # its number may be another's by now
+        with contextlib.suppress(OSError):  # it has ended already
+            if sys.platform == "win32":
+                self._process.kill()
+            else:
+                os.killpg(self._process.pid, signal.SIGKILL)
+
+    def ending(self) -> str:
+        """Wait for its end, which is forced when it does not come by itself, and say how it was and its last words."""
+        try:
+            status = self._process.wait(_END_S)
+        except subprocess.TimeoutExpired:
+            self.kill()
+            status = self._process.wait()
+        return f"its process {_how(status)}{self.last_words()}"
+
+    def last_words(self) -> str:
+        """Return the last line that it printed, as the end of a sentence; empty when it printed none."""
+        self._reader.join(_END_S)
+        lines = self._printed.decode(errors="replace").split("\n")
+        words = next((line.strip() for line in reversed(lines) if line.strip()), "")
+        return f"; its last words: {words[-_LAST_WORDS:]!r}" if words else ""
+
+    def close(self, patience_s: float) -> None:
+        """Let it end in order, at once after ``patience_s``. Closing twice is allowed."""
+        _pipe(self._process.stdin).close()
+        try:
+            self._process.wait(patience_s)
+        except subprocess.TimeoutExpired:
+            self.kill()
+            self._process.wait()
+        _pipe(self._process.stdout).close()
+        self._reader.join(_END_S)
+
+    def _read_words(self) -> None:
+        """Take all that is printed, so that nobody who prints has to wait, and keep the end."""
+        with _pipe(self._process.stderr) as words:
+            while printed := words.read(65536):
+                # The zeros are the child's question whether we are still here.
+                self._printed = (self._printed + printed.replace(b"\0", b""))[-_KEPT_BYTES:]
+
+
+def handle(descriptor: int) -> int:
+    """Return what ``remote_pipes`` takes for a descriptor of Python's."""
+    if sys.platform == "win32":
+        import msvcrt
+
+        return msvcrt.get_osfhandle(descriptor)
+    return descriptor
+
+
+def _pipe(pipe: IO[bytes] | None) -> IO[bytes]:
+    return cast(IO[bytes], pipe)
+
+
+def _how(status: int) -> str:
+    """Say how a process ended, from the status that Popen gives."""
+    if status < 0:
+        number = -status
+        return f"was ended by {signal.Signals(number).name} ({signal.strsignal(number)})"
+    code = f"{status:#010X}" if status > 0xFFFF else status  # on Windows, an exception's code
+    return f"exited with code {code}"
