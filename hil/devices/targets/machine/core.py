@@ -172,7 +172,7 @@ class Core:
     # What Unicorn calls
 
     def _read(self, _uc: Any, offset: int, size: int, base: int) -> int:
-        if self._preempted():
+        if self._nvic.pending and self._gives_way():
             return 0
         try:
             return self._bus.read(base + offset, size)
@@ -181,7 +181,7 @@ class Core:
             return 0
 
     def _write(self, _uc: Any, offset: int, size: int, value: int, base: int) -> None:
-        if self._preempted():
+        if self._nvic.pending and self._gives_way():
             return
         try:
             self._bus.write(base + offset, size, value)
@@ -190,16 +190,16 @@ class Core:
         if self._nvic.reset_requested:
             self._stop()
 
-    def _preempted(self) -> bool:
-        """Before a register access: give way to an interrupt that is due; the access comes after it."""
-        if self._nvic.pending and self._due() is not None:
-            self._stop()
-            return True
-        return self._failure is not None
-
     def _after_unmasking(self, _uc: Any, _address: int, _size: int, _data: Any) -> None:
-        if self._nvic.pending and self._due() is not None:
-            self._stop()
+        if self._nvic.pending:
+            self._gives_way()
+
+    def _gives_way(self) -> bool:
+        """Stop before the instruction in hand if an interrupt is due: it comes first."""
+        if self._due() is None:
+            return False
+        self._stop()
+        return True
 
     def _on_exception(self, _uc: Any, number: int, _data: Any) -> None:
         if number == _EXCEPTION_EXIT:

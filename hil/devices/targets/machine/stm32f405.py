@@ -120,6 +120,8 @@ class Stm32f405:
         block = self._blocks.get(address >> 10)
         if block is not None:
             word = block.read(address & 0x3FC)
+            if size == 4:
+                return word
         elif address >> 12 == _SCS >> 12:
             word = self.nvic.read(address & 0xFFC)
         elif address >> 12 == _DWT >> 12:

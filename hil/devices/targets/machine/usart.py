@@ -4,6 +4,8 @@ The other side is patient: bytes wait until the firmware takes them, so that not
 has left at once.
 """
 
+from collections import deque
+
 from hil.devices.targets.machine.registers import IrqLine, Peripheral, not_connected
 
 SR, DR, BRR, CR1, CR2, CR3, GTPR = 0x00, 0x04, 0x08, 0x0C, 0x10, 0x14, 0x18
@@ -17,32 +19,39 @@ class Usart(Peripheral):
     """One serial line. ``sent`` collects what the firmware has sent."""
 
     def __init__(self, name: str) -> None:
-        super().__init__(name, {SR: _TC | _TXE, DR: 0, BRR: 0, CR1: 0, CR2: 0, CR3: 0, GTPR: 0})
+        super().__init__(name, dict.fromkeys((BRR, CR1, CR2, CR3, GTPR), 0))
         self.irq: IrqLine = not_connected
         self.sent = bytearray()
-        self._received = bytearray()
-        self._taken = 0
-        self._idle_seen = False
+        self._clear()
 
     def reset(self) -> None:
         super().reset()
+        self._clear()
+
+    def _clear(self) -> None:
         self.sent.clear()
-        self._received.clear()
-        self._taken = 0
+        self._status = _TC | _TXE
+        self._data = 0
+        self._received: deque[int] = deque()
         self._idle_seen = False
+        self._is_high = False
+        self.irq(False)
 
     def receive(self, data: bytes) -> bool:
         """Let bytes arrive; return False when the receiver is off, and they are lost."""
         if not self._is_on(_RECEIVER):
             return False
-        self._received += data
-        self._flag()
+        if data:
+            self._received += data
+            self._status |= _RXNE
+            self._drive_line()
         return True
 
     def read(self, offset: int) -> int:
         if offset == SR:
-            self._idle_seen = bool(self._register[SR] & _IDLE)
-        elif offset == DR:
+            self._idle_seen = self._status & _IDLE != 0
+            return self._status
+        if offset == DR:
             return self._take()
         return super().read(offset)
 
@@ -50,33 +59,28 @@ class Usart(Peripheral):
         if offset == DR:
             if self._is_on(_TRANSMITTER):
                 self.sent.append(value & 0xFF)
-            return
-        if offset == SR:
-            return  # flags are cleared by reading; TC by 0 would be set again at once
-        super().write(offset, value)
-        self._flag()
+        elif offset != SR:  # whose flags are cleared by reading; TC by 0 would be set again at once
+            super().write(offset, value)
+            self._drive_line()
 
     def _take(self) -> int:
         if self._idle_seen:
-            self._register[SR] &= ~_IDLE
+            self._status &= ~_IDLE
             self._idle_seen = False
-        if self._taken < len(self._received):
-            self._register[DR] = self._received[self._taken]
-            self._taken += 1
-            if self._taken == len(self._received):
-                self._received.clear()
-                self._taken = 0
-                self._register[SR] |= _IDLE
-        self._flag()
-        return self._register[DR]
+            self._drive_line()
+        if self._received:
+            self._data = self._received.popleft()
+            if not self._received:
+                self._status = self._status & ~_RXNE | _IDLE
+                self._drive_line()
+        return self._data
 
     def _is_on(self, direction: int) -> bool:
         return self._register[CR1] & (_ENABLED | direction) == _ENABLED | direction
 
-    def _flag(self) -> None:
-        status = self._register[SR] & ~_RXNE
-        if self._received:
-            status |= _RXNE
-        self._register[SR] = status
+    def _drive_line(self) -> None:
         control = self._register[CR1]
-        self.irq(bool(control & _ENABLED and control & status & _INTERRUPTS))
+        is_high = bool(control & _ENABLED and control & self._status & _INTERRUPTS)
+        if is_high is not self._is_high:
+            self._is_high = is_high
+            self.irq(is_high)
