@@ -9,12 +9,14 @@ import hashlib
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 from firmware_protocol.arm_image import Image, read_elf, write_bin, write_hex
+from firmware_protocol.arm_stack import StackUse, worst_stack
 from firmware_protocol.build import HERE, BuildError
 
 PORT = HERE / "port" / "stm32f4"
@@ -24,6 +26,7 @@ _CORE = (*sorted((HERE / "firmware").glob("*.c")), HERE / "generated" / "wheel_m
 _COMMON = ("startup", "memory", "uptime", "pins", "watchdog", "flash_memory", "parameter_log", "robot", "main")
 _HIL = ("plant_line", "plant_codec", "usart", "lockstep")
 _VARIANTS = {
+    "motors": ("clock_crystal", "plant_motors", "pwm", "encoders", "analog"),
     "hil": ("clock_crystal", *_HIL),
     "hil-emulated": ("clock_emulated", *_HIL),  # clock_init is all that differs
 }
@@ -49,6 +52,10 @@ class Target(NamedTuple):
 
 
 TARGETS = (
+    Target("motors", "f405_drivers", "serial"),
+    Target("motors", "f405_drivers", "can"),
+    Target("motors", "f405_bridges", "serial"),
+    Target("motors", "f405_bridges", "can"),
     Target("hil", "hil_f405", "serial"),
     Target("hil", "hil_f405", "can"),
     Target("hil-emulated", "hil_f405", "serial"),
@@ -71,18 +78,22 @@ _FLAGS = (
     "-Wdouble-promotion",
     "-Werror",
 )
-# memcpy must not be compiled into a call of itself.
-_GCC = ("-fno-tree-loop-distribute-patterns", "-nostdinc")
+_GCC = (
+    "-nostdinc",
+    "-fno-tree-loop-distribute-patterns",  # memcpy must not become a call of itself
+    "-mword-relocations",  # the address of a function is one word, which arm_stack finds
+)
 _LINK = ("-nostdlib", "-Wl,--gc-sections", f"-Wl,-T,{PORT / 'stm32f405.ld'}")
 
 
 @dataclass(frozen=True)
 class Built:
-    """A built firmware: ``elf``, with ``.hex`` and ``.bin`` beside it."""
+    """A built firmware: ``elf``, with ``.hex`` and ``.bin`` beside it. ``stack`` is None where no gcc built it."""
 
     target: Target
     elf: Path
     image: Image
+    stack: StackUse | None
 
 
 def compiler() -> list[str]:
@@ -106,18 +117,27 @@ def source_hash(target: Target) -> int:
 
 def build(target: Target, output: Path = OUTPUT) -> Built:
     """Build one firmware into the folder ``output``. Raises BuildError with the compiler's words."""
-    cc = compiler()
     output.mkdir(parents=True, exist_ok=True)
     elf = output / f"{target.name}.elf"
-    headers = _run([*cc, "-print-file-name=include"]).strip()
-    include = ("-isystem", headers, "-isystem", str(PORT / "include"))
-    define = f"-DFIRMWARE_BUILD=0x{source_hash(target):08X}u"
-    everything = [*cc, *_MACHINE, *_FLAGS, *_GCC, *include, define, *_LINK, *map(str, target.sources())]
-    _run([*everything, "-lgcc", "-o", str(elf)])
+    with tempfile.TemporaryDirectory() as folder:
+        stack = _with_gcc(target, elf, Path(folder))
     image = read_elf(elf)
     write_hex(image, elf.with_suffix(".hex"))
     write_bin(image, elf.with_suffix(".bin"))
-    return Built(target, elf, image)
+    return Built(target, elf, image, stack)
+
+
+def _with_gcc(target: Target, elf: Path, folder: Path) -> StackUse:
+    gcc = compiler()
+    headers = _run([*gcc, "-print-file-name=include"]).strip()
+    include = ("-isystem", headers, "-isystem", str(PORT / "include"), f"-ffile-prefix-map={HERE}=.")
+    define = f"-DFIRMWARE_BUILD=0x{source_hash(target):08X}u"
+    frames = ("-fstack-usage", "-dumpdir", f"{folder}/")
+    _run([*gcc, *_MACHINE, *_FLAGS, *_GCC, *include, define, *frames, *_LINK, *map(str, target.sources()), "-lgcc",
+          "-o", str(elf)])
+    disassembly = _run([gcc[0].replace("gcc", "objdump"), "-d", "-z", "--no-show-raw-insn", str(elf)])
+    usage = "".join(path.read_text(encoding="utf-8") for path in sorted(folder.glob("*.su")))
+    return worst_stack(disassembly, usage, read_elf(elf))
 
 
 def _run(command: Sequence[str]) -> str:

@@ -14,10 +14,32 @@ static gpio_registers *port_of(pin which) {
     return GPIO(which.port);
 }
 
-void pin_to_peripheral(pin which) {
+static void to_alternate(pin which, uint32_t pull) {
     gpio_registers *gpio = port_of(which);
     put(&gpio->AFR[which.number / 8u], which.number % 8u, 4, which.alternate);
     put(&gpio->OSPEEDR, which.number, 2, GPIO_SPEED_HIGH);
-    put(&gpio->PUPDR, which.number, 2, GPIO_PULL_UP);
+    put(&gpio->PUPDR, which.number, 2, pull);
     put(&gpio->MODER, which.number, 2, GPIO_MODE_ALTERNATE);
+}
+
+void pin_to_peripheral(pin which) {
+    to_alternate(which, GPIO_PULL_UP);
+}
+
+void pin_to_bridge(pin which) {
+    to_alternate(which, GPIO_PULL_DOWN);
+}
+
+void pin_to_analog(pin which) {
+    put(&port_of(which)->MODER, which.number, 2, GPIO_MODE_ANALOG);
+}
+
+void pin_output(pin which) {
+    gpio_registers *gpio = port_of(which);
+    pin_write(which, false); /* before the mode: no pulse */
+    put(&gpio->MODER, which.number, 2, GPIO_MODE_OUTPUT);
+}
+
+void pin_write(pin which, bool high) {
+    GPIO(which.port)->BSRR = 1u << (which.number + (high ? 0u : 16u));
 }

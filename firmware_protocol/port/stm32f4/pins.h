@@ -10,4 +10,13 @@
  */
 void pin_to_peripheral(pin which);
 
+/* Hands a pin to a timer that drives a bridge, pulled down: while nothing drives it, the bridge is off. */
+void pin_to_bridge(pin which);
+
+void pin_to_analog(pin which);
+
+/* Makes a pin an output that is low. */
+void pin_output(pin which);
+void pin_write(pin which, bool high);
+
 #endif

@@ -11,7 +11,7 @@
 typedef enum { PLANT_READY, PLANT_WAITING, PLANT_FAILED } plant_answer;
 
 /* WHEEL_CAPABILITY_* of this body. */
-extern const uint16_t plant_capabilities;
+uint16_t plant_capabilities(void);
 
 /* Starts with the drives off. */
 void plant_open(const clock_tree *clocks);

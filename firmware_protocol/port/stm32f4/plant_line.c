@@ -13,11 +13,6 @@
 /* And this is the end: the robot faults. From then on it only asks whether somebody is there again. */
 #define LOST_MS 2000u
 
-const uint16_t plant_capabilities = WHEEL_CAPABILITY_SPEED | WHEEL_CAPABILITY_TORQUE |
-                                    WHEEL_CAPABILITY_FEEDFORWARD | WHEEL_CAPABILITY_CURRENTS |
-                                    WHEEL_CAPABILITY_GYRO | WHEEL_CAPABILITY_ACCELEROMETER |
-                                    WHEEL_CAPABILITY_POWER | WHEEL_CAPABILITY_TEMPERATURES;
-
 static struct {
     usart line;
     plant_deframer deframer;
@@ -46,6 +41,12 @@ static void ask(size_t request_length, uint32_t awaited_tick) {
 
 static void ask_for_sample(uint32_t tick) {
     ask(plant_encode_sample(tick, plant.sequence++, plant.request), tick);
+}
+
+uint16_t plant_capabilities(void) {
+    return WHEEL_CAPABILITY_SPEED | WHEEL_CAPABILITY_TORQUE | WHEEL_CAPABILITY_FEEDFORWARD |
+           WHEEL_CAPABILITY_CURRENTS | WHEEL_CAPABILITY_GYRO | WHEEL_CAPABILITY_ACCELEROMETER |
+           WHEEL_CAPABILITY_POWER | WHEEL_CAPABILITY_TEMPERATURES;
 }
 
 void plant_open(const clock_tree *clocks) {

@@ -20,7 +20,7 @@ void robot_start(robot *r) {
     uptime_start(r->clocks.core_hz);
     const uint16_t lockstep = r->clocks.lockstep ? WHEEL_CAPABILITY_LOCKSTEP : 0u;
     const wheel_identity identity = {
-        .capabilities = (uint16_t)(plant_capabilities | WHEEL_CAPABILITY_STORAGE | lockstep),
+        .capabilities = (uint16_t)(plant_capabilities() | WHEEL_CAPABILITY_STORAGE | lockstep),
         .board = BOARD.number,
         .version = {0, 1, 0},
         .build = FIRMWARE_BUILD,
@@ -126,24 +126,21 @@ void robot_tick(robot *r) {
 }
 
 /* Looks and sleeps with interrupts off, so that none comes in between; wfi wakes all the same. */
-static void sleep(robot *r, bool (*is_work)(void)) {
+static void sleep_without(robot *r, bool host_too) {
     interrupts_off();
-    if (!is_work() && uptime_ms() == r->seen_ms) {
+    const bool is_work = plant_has_received() || (host_too && host_link_has_received());
+    if (!is_work && uptime_ms() == r->seen_ms) {
         wait_for_interrupt();
     }
     interrupts_on();
     r->seen_ms = uptime_ms();
 }
 
-static bool has_received(void) {
-    return host_link_has_received() || plant_has_received();
-}
-
 void robot_idle(robot *r) {
-    sleep(r, has_received);
+    sleep_without(r, true);
 }
 
 void robot_await_plant(robot *r) {
     watchdog_feed();
-    sleep(r, plant_has_received);
+    sleep_without(r, false);
 }

@@ -15,10 +15,15 @@ extern unsigned char data_load[], data_start[], data_end[], bss_start[], bss_end
 int main(void);
 void reset(void);
 
-void fault(void) {
+__attribute__((used, noreturn)) static void stay_off(void) {
     plant_off();
     for (;;) {
     }
+}
+
+/* Begins a new stack, as the old one may be what is broken. */
+__attribute__((naked)) void fault(void) {
+    __asm volatile("ldr r0, =stack_top\n\tmov sp, r0\n\tb stay_off");
 }
 
 #define UNLESS_DEFINED __attribute__((weak, alias("fault")))

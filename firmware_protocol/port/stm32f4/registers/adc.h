@@ -14,7 +14,12 @@ typedef struct {
     volatile uint32_t HTR;
     volatile uint32_t LTR;
     volatile uint32_t SQR[3]; /* 2C: SQR1, SQR2, SQR3 */
+    volatile uint32_t JSQR;
+    volatile uint32_t JDR[4];
+    volatile uint32_t DR; /* 4C */
 } adc_registers;
+
+_Static_assert(sizeof(adc_registers) == 0x50u, "the registers lie where the manual has them");
 
 typedef struct {
     volatile uint32_t CR;
@@ -28,6 +33,7 @@ typedef struct {
 #define DMA2_STREAM0 ((dma_stream *)0x40026410u)
 
 #define ADC_CCR_DIV4 (1u << 16)
+#define ADC_SR_OVR (1u << 5) /* a conversion was lost */
 #define ADC_CR1_SCAN (1u << 8)
 #define ADC_CR2_ADON (1u << 0)
 #define ADC_CR2_CONT (1u << 1)

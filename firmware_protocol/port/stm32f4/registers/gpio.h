@@ -19,8 +19,8 @@ typedef struct {
 /* Ports A to I are 0 to 8. */
 #define GPIO(port) ((gpio_registers *)(0x40020000u + 0x400u * (uint32_t)(port)))
 
-enum { GPIO_MODE_INPUT = 0, GPIO_MODE_OUTPUT = 1, GPIO_MODE_ALTERNATE = 2, GPIO_MODE_ANALOG = 3 };
-enum { GPIO_PULL_NONE = 0, GPIO_PULL_UP = 1, GPIO_PULL_DOWN = 2 };
+enum { GPIO_MODE_OUTPUT = 1, GPIO_MODE_ALTERNATE = 2, GPIO_MODE_ANALOG = 3 };
+enum { GPIO_PULL_UP = 1, GPIO_PULL_DOWN = 2 };
 #define GPIO_SPEED_HIGH 2u
 
 #endif

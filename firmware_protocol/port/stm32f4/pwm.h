@@ -1,0 +1,16 @@
+/* The bridges of four motors: PWM of timers 1 and 8, and the pin that enables them. */
+#ifndef STM32F4_PWM_H
+#define STM32F4_PWM_H
+
+#include "clock.h"
+
+/* Prepares the timers with all outputs low and the bridges off. */
+void pwm_open(const clock_tree *clocks);
+
+/* Duties FL, FR, RR, RL, -1 to 1, from the next PWM period on; switches the bridges on. */
+void pwm_drive(const float duty[4]);
+
+/* All outputs low within a few nanoseconds, and the bridges off. Works at any time, also before pwm_open. */
+void pwm_off(void);
+
+#endif
