@@ -99,7 +99,9 @@ int main(void) {
     expected, total = 1, 0.0
     for i in range(500):
         expected = (expected * 1664525 + i) & 0xFFFFFFFF
-        term = struct.unpack("<f", struct.pack("<f", 0.25 * struct.unpack("<f", struct.pack("<f", expected >> 20))[0]))[0]
+        term = struct.unpack("<f", struct.pack("<f", 0.25 * struct.unpack("<f", struct.pack("<f", expected >> 20))[0]))[
+            0
+        ]
         total = struct.unpack("<f", struct.pack("<f", total * 0.5 + term))[0]
     assert mix == expected
     assert struct.unpack("<f", struct.pack("<I", bits))[0] == total
@@ -107,7 +109,8 @@ int main(void) {
 
 
 def test_a_more_urgent_interrupt_nests_and_a_less_urgent_one_waits(tmp_path: Path):
-    body = """
+    body = (
+        """
 static volatile uint32_t depth;
 void usart1(void) {
     depth++;
@@ -124,10 +127,13 @@ void usart2(void) { depth++; result[2] = depth; depth--; }
 int main(void) {
     REGISTER(0xE000E100) = 1 << 28;
     REGISTER(0xE000E41C) = 0x10;
-    REGISTER(0xE000E424) = 0x20 << 8 | 0x30 << 16;""" + OPEN_USART1 + """
+    REGISTER(0xE000E424) = 0x20 << 8 | 0x30 << 16;"""
+        + OPEN_USART1
+        + """
     REGISTER(0xE000E104) = 1 << 6;
     for (;;) WAIT();
 }"""
+    )
     with Stm32f405(compile_program(tmp_path, body)) as machine:
         machine.run()
         machine.usart[1].receive(b"x")

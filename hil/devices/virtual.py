@@ -11,7 +11,7 @@ from firmware_protocol.host import HostNode, View
 from hil.clock import TICK_NS
 from hil.devices.wheel_map import WheelMap
 from hil.errors import BadInputError, DeviceError, HilError
-from hil.links.wire import Wire
+from hil.links.wire import Node, Wire
 from hil.plant.fmu import FmuPlant
 from hil.types import PoseFix
 
@@ -32,6 +32,19 @@ class VirtualRobot(NamedTuple):
     wheel_map: WheelMap
 
 
+class RobotNode(Node, Protocol):
+    """A firmware in front of the plant: the host library, or an emulated board."""
+
+    def run(self, ticks: int) -> None:
+        """Let so many 1 ms ticks pass."""
+
+    def stored(self) -> bytes | None:
+        """Return what the robot keeps across a reset: the newest STORE, or None."""
+
+    def look(self) -> View:
+        """Return the firmware's inner state, as far as it is known."""
+
+
 class VirtualStm32:
     """A robot on this machine: firmware and plant, one instance each.
 
@@ -44,7 +57,7 @@ class VirtualStm32:
         self.plant.wire(made_of.wheel_map.wheel_of_channel, made_of.wheel_map.sign_of_channel)
         self.node = self._power_on()
 
-    def _power_on(self) -> HostNode:
+    def _power_on(self) -> RobotNode:
         plant, made_of = self.plant, self._made_of
         try:
             return HostNode(made_of.firmware, plant.exchange_address, plant.context_address, lockstep=made_of.lockstep)

@@ -1,9 +1,8 @@
 """The plant's end of an emulated board's plant port."""
 
-from collections.abc import Callable
-
 from firmware_protocol.host import library
 from firmware_protocol.plant_port import Drive, PlantPort, Sense
+from hil.errors import DeviceError
 
 
 class _PlantFailedError(Exception):
@@ -13,19 +12,19 @@ class _PlantFailedError(Exception):
 class PlantLine:
     """Answers the plant port from a C function of the type ``wheel_plant_exchange`` and its context.
 
-    ``on_tick`` is called when a millisecond has passed in the plant, before the answer is sent. ``has_failed`` tells
-    that the plant did: from then on nothing is answered, and no time passes.
+    ``ticks`` counts the milliseconds that have passed in the plant. ``has_failed`` tells that it failed: from then on
+    nothing is answered, and no time passes.
     """
 
-    def __init__(self, exchange_address: int, context_address: int, on_tick: Callable[[], None]) -> None:
+    def __init__(self, exchange_address: int, context_address: int) -> None:
         self._ffi, _ = library()
         self._exchange = self._ffi.cast("wheel_plant_exchange", exchange_address)
         self._context = self._ffi.cast("void *", context_address)
         self._drive = self._ffi.new("wheel_drive *")
         self._sense = self._ffi.new("wheel_sense *")
-        self._on_tick = on_tick
         self._port = PlantPort(self._body)
         self.has_failed = False
+        self.ticks = 0
         self.drive: Drive | None = None
 
     def feed(self, data: bytes) -> bytes:
@@ -48,7 +47,7 @@ class PlantLine:
         if self._exchange(self._context, held, self._sense) != 0:
             raise _PlantFailedError
         if drive is not None:
-            self._on_tick()
+            self.ticks += 1
         s, unpack = self._sense, self._ffi.unpack
         return Sense(
             s.tick,
@@ -60,3 +59,8 @@ class PlantLine:
             s.battery_a,
             tuple(unpack(s.temperature_degc, 4)),
         )
+
+
+def only_lockstep() -> DeviceError:
+    """Return what there is to say when an emulated board is asked to run by the wall clock."""
+    return DeviceError("an emulated board has no real time: its robot time comes from STEP; use --mode lockstep")

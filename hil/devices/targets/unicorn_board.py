@@ -5,13 +5,13 @@ from types import TracebackType
 from typing import Self
 
 from firmware_protocol.framing import Deframer, Frame
-from firmware_protocol.host import View
-from firmware_protocol.stm32_flash import PARAMETER_ADDRESS, flash_image
+from firmware_protocol.host import View, stored_size
+from firmware_protocol.stm32_flash import PARAMETER_ADDRESS, SECTOR_BYTES, flash_image, newest_stored
 from hil.devices.targets.machine.can import CanFrame
 from hil.devices.targets.machine.registers import MachineError
 from hil.devices.targets.machine.stm32f405 import CORE_HZ, Stm32f405
 from hil.devices.targets.onlooker import Onlooker
-from hil.devices.targets.plant_line import PlantLine
+from hil.devices.targets.plant_line import PlantLine, only_lockstep
 from hil.errors import DeviceError
 
 HOST_USART, PLANT_USART = 1, 2
@@ -31,10 +31,12 @@ class UnicornBoard:
     def __init__(self, elf: Path, exchange_address: int, context_address: int, stored: bytes | None) -> None:
         kept = ((PARAMETER_ADDRESS, flash_image(stored)),) if stored is not None else ()
         self._elf = elf
-        self._passed = 0  # ticks that the chip's clocks have not seen yet
-        self._plant = PlantLine(exchange_address, context_address, self._pass_tick)
+        self._plant = PlantLine(exchange_address, context_address)
+        self._ticks = 0  # that the chip's own clocks have seen
         self._onlooker = Onlooker()
         self._deframer = Deframer()
+        self._bytes = bytearray()
+        self._frames: list[Frame] = []
         self.machine = Stm32f405(elf, kept)
         try:
             self._settle()
@@ -56,23 +58,25 @@ class UnicornBoard:
 
     def take_bytes(self) -> bytes:
         """Return what the board has sent on its serial line."""
-        line = self.machine.usart[HOST_USART]
-        data = bytes(line.sent)
-        line.sent.clear()
-        for frame in self._deframer.feed(data):
-            self._onlooker.hear(frame)
+        data = bytes(self._bytes)
+        self._bytes.clear()
         return data
 
     def take_frames(self) -> list[Frame]:
         """Return what the board has sent on its CAN bus."""
-        frames = [Frame(frame.id, frame.data) for frame in self.machine.can.sent]
-        self.machine.can.sent.clear()
-        for frame in frames:
-            self._onlooker.hear(frame)
+        frames, self._frames = self._frames, []
         return frames
 
+    def run(self, ticks: int) -> None:
+        """Raise DeviceError: robot time comes from STEP."""
+        raise only_lockstep()
+
+    def stored(self) -> bytes | None:
+        """Return what the board keeps across a reset: the newest record in its flash, or None."""
+        return newest_stored(self.machine.flash.read(PARAMETER_ADDRESS, 2 * SECTOR_BYTES), stored_size())
+
     def look(self) -> View:
-        """Return what is known of the firmware's state, as of what was taken from it."""
+        """Return what is known of the firmware's state."""
         return self._onlooker.view(self._plant.drive, plant_failed=self._plant.has_failed)
 
     def close(self) -> None:
@@ -87,9 +91,6 @@ class UnicornBoard:
     ) -> None:
         self.close()
 
-    def _pass_tick(self) -> None:
-        self._passed += 1
-
     def _settle(self) -> None:
         """Let the firmware run until neither host nor plant has anything for it."""
         machine, line = self.machine, self.machine.usart[PLANT_USART]
@@ -99,10 +100,22 @@ class UnicornBoard:
                 asked = bytes(line.sent)
                 line.sent.clear()
                 answer = self._plant.feed(asked)
-                if self._passed:
-                    machine.advance(self._passed * _TICK_CYCLES)
-                    self._passed = 0
+                machine.advance((self._plant.ticks - self._ticks) * _TICK_CYCLES)
+                self._ticks = self._plant.ticks
                 line.receive(answer)
                 machine.run()
         except MachineError as error:
             raise DeviceError(f"the emulated board stopped: {error} (firmware {self._elf.name})") from error
+        self._hear()
+
+    def _hear(self) -> None:
+        """Take what the board has sent to its host."""
+        machine = self.machine
+        data = bytes(machine.usart[HOST_USART].sent)
+        machine.usart[HOST_USART].sent.clear()
+        frames = [Frame(frame.id, frame.data) for frame in machine.can.sent]
+        machine.can.sent.clear()
+        self._bytes += data
+        self._frames += frames
+        for frame in (*self._deframer.feed(data), *frames):
+            self._onlooker.hear(frame)

@@ -248,7 +248,7 @@ class Can(Peripheral):
         self.irq_tx(bool(enabled & _TMEIE and register[TSR] & 0x0001_0101))
         for number, irq in enumerate(self.irq_rx):
             status, mask = register[RF0R + 4 * number], enabled >> 1 + 3 * number
-            irq(bool(mask & 1 and status & 3 or mask & 2 and status & _FULL or mask & 4 and status & _OVERRUN))
+            irq(bool((mask & 1 and status & 3) or (mask & 2 and status & _FULL) or (mask & 4 and status & _OVERRUN)))
         causes = register[ESR] & enabled >> 8 & 7 or (enabled >> 11 & 1 and register[ESR] & 0x70)
         self.irq_error(bool(enabled & _ERRIE and register[MSR] & _ERRI and causes))
 

@@ -105,7 +105,9 @@ class FlashInterface(Peripheral):
     def _erase(self, control: int) -> None:
         sector = control >> 3 & 0xF
         if control & _MER or not control & _SER or sector >= len(SECTORS):
-            raise MachineError(f"FLASH_CR = {control:#010x} starts no erasure of one sector, which is all there is here")
+            raise MachineError(
+                f"FLASH_CR = {control:#010x} starts no erasure of one sector, which is all there is here"
+            )
         if sector in self._protected:
             self._register[SR] |= _WRITE_PROTECTED
             return
