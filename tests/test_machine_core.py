@@ -199,7 +199,7 @@ def test_a_reset_that_the_firmware_asks_for_starts_it_anew(tmp_path: Path):
 )
 def test_what_a_board_would_crash_at_is_told_with_its_place(tmp_path: Path, body: str, said: str):
     with Stm32f405(compile_program(tmp_path, "int main(void) {" + body + "for (;;) WAIT(); }")) as machine:
-        with pytest.raises(MachineError, match="main|fault") as told:
+        with pytest.raises(MachineError, match=r"main|fault") as told:
             machine.run()
         assert said in str(told.value)
 

@@ -9,9 +9,10 @@ from typing import NamedTuple, Protocol
 from firmware_protocol.generated.messages import State
 from firmware_protocol.host import HostNode, View
 from hil.clock import TICK_NS
+from hil.devices.robot_node import RobotNode
 from hil.devices.wheel_map import WheelMap
 from hil.errors import BadInputError, DeviceError, HilError
-from hil.links.wire import Node, Wire
+from hil.links.wire import Wire
 from hil.plant.fmu import FmuPlant
 from hil.types import PoseFix
 
@@ -30,19 +31,6 @@ class VirtualRobot(NamedTuple):
     firmware: Mapping[str, float]
     lockstep: bool
     wheel_map: WheelMap
-
-
-class RobotNode(Node, Protocol):
-    """A firmware in front of the plant: the host library, or an emulated board."""
-
-    def run(self, ticks: int) -> None:
-        """Let so many 1 ms ticks pass."""
-
-    def stored(self) -> bytes | None:
-        """Return what the robot keeps across a reset: the newest STORE, or None."""
-
-    def look(self) -> View:
-        """Return the firmware's inner state, as far as it is known."""
 
 
 class VirtualStm32:

@@ -113,7 +113,7 @@ class QemuBoard:
         while self._process.plant not in self._serve():
             if time.monotonic() > deadline:
                 raise DeviceError(
-                    f"the firmware in QEMU asked nothing of its plant within {_BOOT_S:g} s; expected a hil-emulated build"
+                    f"the firmware in QEMU asked nothing of its plant in {_BOOT_S:g} s; expected a hil-emulated build"
                 )
         self._process.forget_file()
 

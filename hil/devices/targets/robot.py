@@ -1,4 +1,4 @@
-"""The virtual robot with an emulated board instead of the host library: which firmware, which emulator, which server."""
+"""The virtual robot with an emulated board instead of the host library: its firmware, its emulator, its server."""
 
 import importlib.util
 import tempfile
@@ -12,7 +12,8 @@ from firmware_protocol.arm_build import build
 from firmware_protocol.build import BuildError
 from firmware_protocol.host import stored_parameters
 from hil.devices.targets.qemu_board import QemuBoard
-from hil.devices.virtual import RobotNode, TruthSink, VirtualRobot, VirtualServer, VirtualStm32
+from hil.devices.robot_node import RobotNode
+from hil.devices.virtual import TruthSink, VirtualRobot, VirtualServer, VirtualStm32
 from hil.errors import BadInputError, nearest
 from hil.links.url import CanUrl, LinkUrl
 from hil.links.wire import Wire

@@ -1,4 +1,4 @@
-"""The Cortex-M4 itself: Unicorn executes the instructions, and this takes and leaves exceptions, which Unicorn does not.
+"""The Cortex-M4 itself: Unicorn executes instructions; this takes and leaves exceptions, which Unicorn does not.
 
 An interrupt is taken before the next register access, after an instruction that unmasks it, at WFI, and when a handler
 returns: always at the same instruction for the same input. (A stop inside a register access makes Unicorn execute that
