@@ -206,9 +206,9 @@ def test_what_a_board_would_crash_at_is_told_with_its_place(tmp_path: Path, body
 
 def test_firmware_that_never_waits_is_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("hil.devices.targets.machine.core.RUNAWAY_S", 0.2)
-    with Stm32f405(compile_program(tmp_path, "int main(void) { for (;;) {} }")) as machine:
-        with pytest.raises(MachineError, match=r"without waiting; it is at 0x0800\w+ \(main"):
-            machine.run()
+    machine = Stm32f405(compile_program(tmp_path, "int main(void) { for (;;) {} }"))
+    with machine, pytest.raises(MachineError, match=r"without waiting; it is at 0x0800\w+ \(main"):
+        machine.run()
 
 
 def test_parameters_in_flash_obey_the_laws_of_flash(tmp_path: Path):

@@ -11,8 +11,8 @@ from firmware_protocol.arm_build import TARGETS as FIRMWARES
 from firmware_protocol.arm_build import build
 from firmware_protocol.build import BuildError
 from firmware_protocol.host import stored_parameters
-from hil.devices.targets.qemu_board import QemuBoard
 from hil.devices.robot_node import RobotNode
+from hil.devices.targets.qemu_board import QemuBoard
 from hil.devices.virtual import TruthSink, VirtualRobot, VirtualServer, VirtualStm32
 from hil.errors import BadInputError, nearest
 from hil.links.url import CanUrl, LinkUrl
