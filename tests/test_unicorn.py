@@ -38,12 +38,12 @@ def test_every_frame_is_the_host_librarys(link: str):
     """Hello, arming, driving, feedforward, refusals, time-out, emergency stop: on ARM as here, twice."""
     rig = WheelRig(lockstep=True)
     library = Host(rig.node, link)
-    converse(library, 7, 120)
+    converse(library, 7, 80)
     assert len(library.heard) > 500
     for _ in range(2):
         with open_board(link) as board:
             host = Host(board, link)
-            converse(host, 7, 120)
+            converse(host, 7, 80)
             assert host.without_identity() == library.without_identity()
             assert board.machine.resets == 0
             assert board.look().state is m.State.ESTOP

@@ -5,6 +5,7 @@ killed. Its stderr is ours, and so is its exit code.
 """
 
 import json
+import os
 import subprocess
 import sys
 import threading
@@ -26,7 +27,9 @@ def main() -> int:
 
 
 def _kill_at_end_of_stdin(process: "subprocess.Popen[bytes]") -> None:
-    sys.stdin.buffer.read()
+    # Not by sys.stdin, whose lock this thread would hold when the interpreter ends.
+    while os.read(sys.stdin.fileno(), 4096):
+        pass
     process.kill()
 
 
