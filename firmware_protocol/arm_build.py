@@ -6,6 +6,7 @@ arm-none-eabi-gcc (on Debian gcc-arm-none-eabi) or the PyPI package ziglang, and
 
 import argparse
 import hashlib
+import importlib.util
 import shutil
 import subprocess
 import sys
@@ -83,7 +84,15 @@ _GCC = (
     "-fno-tree-loop-distribute-patterns",  # memcpy must not become a call of itself
     "-mword-relocations",  # the address of a function is one word, which arm_stack finds
 )
-_LINK = ("-nostdlib", "-Wl,--gc-sections", f"-Wl,-T,{PORT / 'stm32f405.ld'}")
+_LINK = ("-nostdlib", "-Wl,--gc-sections", "-Wl,--entry=reset", f"-Wl,-T,{PORT / 'stm32f405.ld'}")
+_ZIG_MACHINE = ("-target", "thumb-freestanding-eabihf", "-mcpu=cortex_m4+vfp4d16sp")
+_ZIG = (
+    "-fno-sanitize=all",
+    "-fno-builtin",  # memcpy must not become a call of itself
+    "-fno-unwind-tables",
+    "-fno-asynchronous-unwind-tables",
+    "-fomit-frame-pointer",
+)
 
 
 @dataclass(frozen=True)
@@ -96,16 +105,6 @@ class Built:
     stack: StackUse | None
 
 
-def compiler() -> list[str]:
-    """Return the command of a C compiler for bare-metal ARM. Raises BuildError when there is none."""
-    if gcc := shutil.which("arm-none-eabi-gcc"):
-        return [gcc]
-    raise BuildError(
-        "no C compiler for ARM: install arm-none-eabi-gcc (on Debian and Ubuntu: gcc-arm-none-eabi) or "
-        "`pip install ziglang`"
-    )
-
-
 def source_hash(target: Target) -> int:
     """Return the first 32 bits of the SHA-256 over the sources: HELLO_FIRMWARE.build."""
     digest = hashlib.sha256()
@@ -116,28 +115,64 @@ def source_hash(target: Target) -> int:
 
 
 def build(target: Target, output: Path = OUTPUT) -> Built:
-    """Build one firmware into the folder ``output``. Raises BuildError with the compiler's words."""
+    """Build one firmware into the folder ``output``, with gcc where it is there, else with zig.
+
+    Raises BuildError when neither is there, or with the compiler's words.
+    """
     output.mkdir(parents=True, exist_ok=True)
     elf = output / f"{target.name}.elf"
-    with tempfile.TemporaryDirectory() as folder:
-        stack = _with_gcc(target, elf, Path(folder))
+    stack = None
+    if gcc := shutil.which("arm-none-eabi-gcc"):
+        stack = _build_with_gcc(gcc, target, elf)
+    elif importlib.util.find_spec("ziglang"):
+        _run([sys.executable, "-m", "ziglang", "cc", *_ZIG_MACHINE, *_ZIG, *_common_arguments(target, elf)])
+    else:
+        raise BuildError(
+            "no C compiler for ARM is installed: install arm-none-eabi-gcc (on Debian: gcc-arm-none-eabi), or ziglang "
+            "with pip"
+        )
     image = read_elf(elf)
     write_hex(image, elf.with_suffix(".hex"))
     write_bin(image, elf.with_suffix(".bin"))
     return Built(target, elf, image, stack)
 
 
-def _with_gcc(target: Target, elf: Path, folder: Path) -> StackUse:
-    gcc = compiler()
-    headers = _run([*gcc, "-print-file-name=include"]).strip()
-    include = ("-isystem", headers, "-isystem", str(PORT / "include"), f"-ffile-prefix-map={HERE}=.")
+def _common_arguments(target: Target, elf: Path) -> list[str]:
     define = f"-DFIRMWARE_BUILD=0x{source_hash(target):08X}u"
-    frames = ("-fstack-usage", "-dumpdir", f"{folder}/")
-    _run([*gcc, *_MACHINE, *_FLAGS, *_GCC, *include, define, *frames, *_LINK, *map(str, target.sources()), "-lgcc",
-          "-o", str(elf)])
-    disassembly = _run([gcc[0].replace("gcc", "objdump"), "-d", "-z", "--no-show-raw-insn", str(elf)])
-    usage = "".join(path.read_text(encoding="utf-8") for path in sorted(folder.glob("*.su")))
+    include = ("-isystem", str(PORT / "include"), f"-ffile-prefix-map={HERE}=.")
+    return [*_FLAGS, *include, define, *_LINK, *map(str, target.sources()), "-o", str(elf)]
+
+
+def _build_with_gcc(gcc: str, target: Target, elf: Path) -> StackUse:
+    headers = _run([gcc, "-print-file-name=include"]).strip()
+    with tempfile.TemporaryDirectory() as folder:
+        frames = ("-fstack-usage", "-dumpdir", f"{folder}/", "-isystem", headers)
+        _run([gcc, *_MACHINE, *_GCC, *frames, *_common_arguments(target, elf), "-lgcc"])
+        usage = "".join(path.read_text(encoding="utf-8") for path in sorted(Path(folder).glob("*.su")))
+    objdump = str(Path(gcc).with_name(Path(gcc).name.replace("gcc", "objdump")))
+    disassembly = _run([objdump, "-d", "-z", "--no-show-raw-insn", str(elf)])
     return worst_stack(disassembly, usage, read_elf(elf))
+
+
+def _report(built: Built) -> str:
+    image, stack = built.image, built.stack
+    lines = [
+        f"{built.elf} (and .hex, .bin)",
+        f"  flash {image.flash} bytes (text {image.text}, data {image.data}); "
+        f"RAM {image.ram} bytes (data {image.data}, bss {image.bss}, stack {image.stack})",
+    ]
+    if stack is None:
+        lines.append("  worst-case stack not known: only arm-none-eabi-gcc tells it")
+    else:
+        lines.append(
+            f"  worst-case stack {stack.total} bytes: {_chain(stack.main)}; interrupted in {stack.interrupt[0][0]}"
+        )
+        lines.append(f"  through pointers in {', '.join(stack.indirect)}: {', '.join(stack.reachable)}")
+    return "\n".join(lines)
+
+
+def _chain(chain: Sequence[tuple[str, int]]) -> str:
+    return " > ".join(f"{name} {size}" for name, size in chain)
 
 
 def _run(command: Sequence[str]) -> str:
@@ -156,10 +191,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     for name in given.target or names:
         if name not in names:
-            parser.error(f"target {name}: expected one of {', '.join(names)}")
-        built = build(names[name], given.output)
-        image = built.image
-        print(f"{built.elf}: text {image.text} data {image.data} bss {image.bss} stack {image.stack} bytes")
+            sys.exit(f"firmware_protocol.arm_build: target {name}: expected one of {', '.join(names)}")
+    for name in given.target or names:
+        print(_report(build(names[name], given.output)), flush=True)
     return 0
 
 

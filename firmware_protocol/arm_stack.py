@@ -17,7 +17,9 @@ from firmware_protocol.build import BuildError
 _FUNCTION = re.compile(r"^([0-9a-f]{8}) <(.+)>:$")
 _INSTRUCTION = re.compile(r"^ *([0-9a-f]+):\t(\S+)(?:\t(.*))?$")
 _TARGET = re.compile(r"\b([0-9a-f]{5,8}) <")
-_BRANCH = re.compile(r"^b(?:l|lx)?(?:eq|ne|cs|cc|mi|pl|vs|vc|hi|ls|ge|lt|gt|le)?(?:\.[nw])?$")
+_CONDITION = "(?:eq|ne|cs|cc|mi|pl|vs|vc|hi|ls|ge|lt|gt|le)?"
+_BRANCH = re.compile(rf"^b{_CONDITION}(?:\.[nw])?$")
+_CALL = re.compile(rf"^blx?{_CONDITION}(?:\.[nw])?$")
 _POINTER = re.compile(r"^(?:bx|blx)(?:\.[nw])?$")
 _USAGE = re.compile(r"^[^\t]*:(?P<name>[^:\t]+)\t(?P<bytes>\d+)\t(?P<kind>\S+)$")
 
@@ -101,20 +103,22 @@ def worst_stack(disassembly: str, usage: str, image: Image) -> StackUse:
 def _read_functions(disassembly: str) -> dict[int, _Function]:
     functions: dict[int, _Function] = {}
     current: _Function | None = None
-    branches: list[tuple[_Function, int]] = []
+    branches: list[tuple[_Function, int, bool]] = []
     for line in disassembly.splitlines():
         if head := _FUNCTION.match(line):
             current = functions.setdefault(int(head[1], 16), _Function(head[2]))
         elif current is not None and (instruction := _INSTRUCTION.match(line)):
             operation, operands = instruction[2], instruction[3] or ""
-            if _BRANCH.match(operation) and (target := _TARGET.search(operands)):
-                branches.append((current, int(target[1], 16)))
+            is_call = _CALL.match(operation) is not None
+            if (is_call or _BRANCH.match(operation)) and (target := _TARGET.search(operands)):
+                branches.append((current, int(target[1], 16), is_call))
             elif _POINTER.match(operation) and operands.strip() != "lr":
                 current.by_pointer = True
-    for function, target_address in branches:
-        # A branch into the middle of a function is one of its own; to the beginning, a call or a loop of its own.
-        if target_address in functions and functions[target_address] is not function:
-            function.calls.add(target_address)
+    for function, address, is_call in branches:
+        # A branch into the middle of a function is one of its own, and one to its own beginning is a loop. Any other to
+        # a beginning is a call at the end of a function.
+        if address in functions and (is_call or functions[address] is not function):
+            function.calls.add(address)
     return functions
 
 
@@ -130,7 +134,7 @@ def _read_usage(usage: str) -> dict[str, int]:
 
 def _read_words(image: Image, start: int) -> frozenset[int]:
     """Return the words of the image from ``start`` on; before the first function is the vector table."""
-    words = set()
+    words: set[int] = set()
     for address, data in image.segments:
         own = data[max(0, start - address) :]
         words.update(word for (word,) in struct.iter_unpack("<I", own[: len(own) & ~3]))

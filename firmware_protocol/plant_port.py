@@ -175,9 +175,9 @@ class PlantDeframer:
 class PlantPort:
     """The plant's end of the line.
 
-    ``body`` is called with each new drive: it lets one millisecond pass under it and returns what the robot then senses.
-    It is called with None to only return what it senses now. The tick of what it returns is set here. A firmware that
-    missed an answer sends its drive again: it gets the same answer, and no time passes.
+    ``body`` is called with each new drive: it lets one millisecond pass under it and returns what the robot then
+    senses. It is called with None to only return what it senses now. The tick of what it returns is set here. A
+    firmware that missed an answer sends its drive again: it gets the same answer, and no time passes.
     """
 
     def __init__(self, body: Callable[[Drive | None], Sense]) -> None:

@@ -11,6 +11,7 @@
 
 #include "../../firmware/node.h"
 
+/* cffi: begin */
 enum { PORT_A, PORT_B, PORT_C, PORT_D, PORT_E };
 
 typedef struct {
@@ -52,8 +53,11 @@ typedef struct {
 } board;
 
 extern const board BOARD;
+/* cffi: end */
 
 /* A hardware-in-the-loop board has this too: the second serial line, with the plant at its other end. */
+/* cffi: begin */
 extern const board_serial PLANT_LINE;
+/* cffi: end */
 
 #endif

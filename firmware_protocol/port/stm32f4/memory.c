@@ -44,3 +44,22 @@ int memcmp(const void *one, const void *other, size_t size) {
     }
     return 0;
 }
+
+/* The names by which clang calls them ("Run-time ABI for the Arm Architecture", 4.3.4); 4 and 8 tell
+ * alignment. */
+void __aeabi_memcpy(void *restrict to, const void *restrict from, size_t size);
+void __aeabi_memclr(void *to, size_t size);
+
+void __aeabi_memcpy(void *restrict to, const void *restrict from, size_t size) {
+    (void)memcpy(to, from, size);
+}
+
+void __aeabi_memclr(void *to, size_t size) {
+    (void)memset(to, 0, size);
+}
+
+#define ALSO(name) __attribute__((alias(#name)))
+ALSO(__aeabi_memcpy) void __aeabi_memcpy4(void *restrict to, const void *restrict from, size_t size);
+ALSO(__aeabi_memcpy) void __aeabi_memcpy8(void *restrict to, const void *restrict from, size_t size);
+ALSO(__aeabi_memclr) void __aeabi_memclr4(void *to, size_t size);
+ALSO(__aeabi_memclr) void __aeabi_memclr8(void *to, size_t size);

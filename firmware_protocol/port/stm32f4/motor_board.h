@@ -4,6 +4,7 @@
 
 #include "board.h"
 
+/* cffi: begin */
 typedef enum {
     /* `first` carries the PWM of the duty's magnitude, `second` its sign: high for forward. */
     MOTOR_SIGN_MAGNITUDE,
@@ -49,5 +50,6 @@ typedef struct {
 } motor_board;
 
 extern const motor_board MOTORS;
+/* cffi: end */
 
 #endif

@@ -1,0 +1,120 @@
+"""Parameters in flash: the real log over a model of NOR flash whose supply fails at any word."""
+
+import re
+import shutil
+import subprocess
+
+import cffi
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from firmware_protocol.arm_build import PORT
+from firmware_protocol.build import FLAGS, HERE
+from firmware_protocol.stm32_flash import flash_image
+from tests.protocol_cases import PROTOCOL
+
+STORED_SIZE = 92  # WHEEL_STORED_SIZE
+RECORDS = 1024  # in a sector
+WORDS = STORED_SIZE // 4 + 2  # that a STORE programs
+stored_bytes = st.binary(min_size=STORED_SIZE, max_size=STORED_SIZE)
+
+
+@pytest.fixture(scope="module")
+def flash(tmp_path_factory):
+    """(ffi, library) of the model with the log in it; undefined behaviour traps."""
+    cc = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+    if cc is None:
+        pytest.skip("no C compiler on this machine: install gcc or clang")
+    model = PROTOCOL.parent / "tests" / "flash_model.c"
+    library = tmp_path_factory.mktemp("flash") / "flash.so"
+    trap = ("-fsanitize=undefined", "-fsanitize-undefined-trap-on-error")
+    core = (HERE / "firmware" / "parameters.c", PORT / "parameter_log.c")
+    command = [cc, *FLAGS, *trap, "-shared", "-fPIC", f"-I{PORT}", "-o", library, model, *core]
+    subprocess.run(list(map(str, command)), check=True)
+    ffi = cffi.FFI()
+    ffi.cdef(re.findall(r"/\* cffi: begin \*/(.*?)/\* cffi: end \*/", model.read_text(), re.DOTALL)[0])
+    return ffi, ffi.dlopen(str(library))
+
+
+class Robot:
+    """A robot's flash, from erased on."""
+
+    def __init__(self, flash) -> None:
+        self.ffi, self.lib = flash
+        self.lib.model_reset()
+        self.open()
+
+    def open(self) -> bytes | None:
+        """Reset the chip and return what it finds."""
+        out = self.ffi.new("uint8_t[]", STORED_SIZE)
+        return bytes(self.ffi.buffer(out)) if self.lib.model_open(out) else None
+
+    def append(self, data: bytes, words_to_live: int = -1, mask: int = 0) -> int:
+        return self.lib.model_append(data, words_to_live, mask)
+
+
+def test_erased_flash_holds_nothing(flash):
+    assert Robot(flash).open() is None
+
+
+@given(st.lists(stored_bytes, min_size=1, max_size=5))
+def test_the_newest_survives_a_reset(flash, many):
+    robot = Robot(flash)
+    for data in many:
+        assert robot.append(data) == 1
+        assert robot.open() == data
+
+
+@settings(max_examples=300)
+@given(old=st.none() | stored_bytes, new=stored_bytes, cut=st.integers(0, WORDS - 1), mask=st.integers(0, 2**32 - 1))
+def test_a_power_cut_at_any_word_leaves_the_old_or_the_new(flash, old, new, cut, mask):
+    robot = Robot(flash)
+    if old is not None:
+        assert robot.append(old) == 1
+    assert robot.append(new, cut, mask) == -1
+    assert robot.open() in (old, new)
+    assert robot.append(new) == 1, "and the log goes on"
+    assert robot.open() == new
+
+
+def test_a_power_cut_before_the_last_word_leaves_the_old(flash):
+    for cut in range(WORDS - 1):
+        robot = Robot(flash)
+        robot.append(b"o" * STORED_SIZE)
+        robot.append(b"n" * STORED_SIZE, cut)
+        assert robot.open() == b"o" * STORED_SIZE, cut
+
+
+def test_a_broken_word_is_told_and_the_next_record_is_good(flash):
+    robot = Robot(flash)
+    robot.lib.model_break_word(0, 5)
+    assert robot.append(b"a" * STORED_SIZE) == 0
+    assert robot.append(b"b" * STORED_SIZE) == 1
+    assert robot.open() == b"b" * STORED_SIZE
+
+
+def test_both_sectors_are_used_and_nothing_is_erased_while_the_robot_runs(flash):
+    robot = Robot(flash)
+    for i in range(2 * RECORDS):
+        assert robot.append(i.to_bytes(2, "big") * (STORED_SIZE // 2)) == 1
+    assert robot.append(b"z" * STORED_SIZE) == 0, "full until the next reset"
+    assert robot.lib.model_erasures == 0
+    last = (2 * RECORDS - 1).to_bytes(2, "big") * (STORED_SIZE // 2)
+    assert robot.open() == last
+    assert robot.lib.model_erasures == 1
+    assert robot.append(b"z" * STORED_SIZE) == 1
+    assert robot.open() == b"z" * STORED_SIZE
+
+
+@given(stored_bytes)
+def test_the_image_made_for_an_emulator_is_what_a_first_store_leaves(flash, data):
+    robot = Robot(flash)
+    robot.append(data)
+    words = [robot.lib.model_word(0, i) for i in range(32)]
+    assert b"".join(word.to_bytes(4, "little") for word in words) == flash_image(data)
+
+
+def test_more_bytes_than_a_record_holds_are_refused():
+    with pytest.raises(ValueError, match="121 stored bytes"):
+        flash_image(bytes(121))
