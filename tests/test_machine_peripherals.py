@@ -214,26 +214,9 @@ def test_a_timer_counts_what_its_prescaler_lets_through(prescaler: int, reload: 
     assert counter.read(timer.CNT) == (sum(steps) + core_clock.READ_CYCLES) // divider % (reload + 1)
 
 
-@given(st.lists(st.integers(-70000, 70000), max_size=10))
-def test_an_encoder_counts_modulo_its_width_and_time_does_not(turns: list[int]):
-    counter = timer.Timer("TIM4", 16, 2)
-    counter.write(timer.SMCR, 3)
-    counter.write(timer.CR1, 1)
-    for counts in turns:
-        counter.turn(counts)
-        counter.advance(1000)
-    assert counter.read(timer.CNT) == sum(turns) & 0xFFFF
-
-
-def test_the_duty_is_compare_over_period_and_zero_while_an_output_is_off():
-    counter = timer.Timer("TIM1", 16, 1)
-    counter.write(timer.ARR, 999)
-    counter.write(timer.CCR2, 250)
-    counter.write(timer.CR1, 1)
-    assert counter.duty(2) == 0.0
-    counter.write(timer.CCER, 1 << 4)
-    assert counter.duty(2) == 0.25
-    assert counter.duty(1) == 0.0
+def test_a_timer_refuses_to_be_an_encoder():
+    with pytest.raises(MachineError, match="TIM4: slave modes"):
+        timer.Timer("TIM4", 16, 2).write(timer.SMCR, 3)
 
 
 def test_the_watchdog_bites_after_its_time_and_not_before():

@@ -17,11 +17,10 @@ _ERASED = 0xFF
 
 
 class FlashMemory:
-    """The bytes of the flash. ``wear`` counts the erasures of each sector."""
+    """The bytes of the flash, erased."""
 
     def __init__(self) -> None:
         self.bytes = bytearray([_ERASED]) * SIZE
-        self.wear = [0] * len(SECTORS)
 
     def load(self, address: int, data: bytes) -> None:
         """Put an image's bytes at an address, as a programmer does. Raises MachineError outside the flash."""
@@ -38,7 +37,6 @@ class FlashMemory:
         """Set every bit of a sector."""
         start, size = region(sector)
         self.bytes[start - BASE : start - BASE + size] = bytes([_ERASED]) * size
-        self.wear[sector] += 1
 
 
 def region(sector: int) -> tuple[int, int]:
