@@ -134,10 +134,11 @@ def test_silent_qemu_is_noticed_in_the_middle_of_a_step(monkeypatch: pytest.Monk
 @on_linux
 def test_qemu_does_not_outlive_a_process_that_was_killed():
     owner = (
-        "import time\nfrom tests.test_qemu import open_board\n"
-        "with open_board():\n    print('there', flush=True)\n    time.sleep(600)\n"
+        "import sys, time; from pathlib import Path; from tests.test_qemu import *; rig = WheelRig(lockstep=True)\n"
+        "board = QemuBoard(Path(sys.argv[1]), *plant_of(rig), None); print('there', flush=True); time.sleep(600)\n"
     )
-    with subprocess.Popen([sys.executable, "-c", owner], stdout=subprocess.PIPE, env=environment()) as process:
+    command = [sys.executable, "-c", owner, str(firmware("serial"))]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment()) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == b"there\n"
         qemu = qemu_of(process.pid)

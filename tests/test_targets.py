@@ -7,6 +7,7 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -121,6 +122,18 @@ def test_killed_qemu_ends_the_device_with_a_sentence_and_nothing_behind():
         assert said.startswith("hil: QEMU is gone")
         assert said.count("\n") == 1
         wait_for(lambda: has_gone(qemu))
+
+
+@on_linux
+@needs_compiler
+@needs_qemu
+def test_a_device_that_is_killed_leaves_neither_qemu_nor_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    with device("paper_circle", *LOCKSTEP, "--target", "qemu", "--link", "serial:pty") as robot:
+        qemu = qemu_of(robot.process.pid)
+        robot.process.kill()
+    wait_for(lambda: has_gone(qemu))
+    assert list(tmp_path.iterdir()) == []
 
 
 @on_linux

@@ -47,13 +47,8 @@ class EmulatedStm32(VirtualStm32):
         self._make_board = make_board
         self._board: Board | None = None
         self._kept: bytes | None = None  # in the board's flash, over a power cycle
-        self._folder = tempfile.TemporaryDirectory(prefix="hil_firmware_", ignore_cleanup_errors=True)
-        try:
-            self._elf = _build(link, Path(self._folder.name))
-            super().__init__(made_of)
-        except BaseException:
-            self._folder.cleanup()
-            raise
+        self._name, self._elf = _build(link)
+        super().__init__(made_of)
 
     def power_cycle(self) -> None:
         """Put the plant back to its start, and the board, with the parameters in its flash, to its power-on state."""
@@ -67,7 +62,11 @@ class EmulatedStm32(VirtualStm32):
         except (ValueError, FileNotFoundError) as error:
             raise BadInputError(f"the virtual robot cannot start: {error}") from error
         plant = self.plant
-        self._board = self._make_board(self._elf, plant.exchange_address, plant.context_address, stored)
+        # A file only for as long as the board takes it in: a process that is killed later leaves none behind.
+        with tempfile.TemporaryDirectory(prefix="hil_firmware_", ignore_cleanup_errors=True) as folder:
+            elf = Path(folder) / self._name
+            elf.write_bytes(self._elf)
+            self._board = self._make_board(elf, plant.exchange_address, plant.context_address, stored)
         return self._board
 
     def _power_off(self) -> None:
@@ -79,7 +78,6 @@ class EmulatedStm32(VirtualStm32):
         """Power the board off and free the plant."""
         self._power_off()
         super().close()
-        self._folder.cleanup()
 
 
 class QemuServer(VirtualServer):
@@ -135,9 +133,11 @@ def open_server(robot: VirtualStm32, wire: Wire, truth: TruthSink, *, lockstep: 
     return VirtualServer(robot, wire, truth, lockstep=lockstep)
 
 
-def _build(link: str, folder: Path) -> Path:
+def _build(link: str) -> tuple[str, bytes]:
+    """Return name and content of the ELF file for an emulated board with this link."""
     firmware = next(f for f in FIRMWARES if f.variant == "hil-emulated" and f.link == link)
     try:
-        return build(firmware, folder).elf
+        with tempfile.TemporaryDirectory(prefix="hil_firmware_", ignore_cleanup_errors=True) as folder:
+            return f"{firmware.name}.elf", build(firmware, Path(folder)).elf.read_bytes()
     except BuildError as error:
         raise BadInputError(f"the firmware for the emulated target was not built: {error}") from error
