@@ -71,6 +71,36 @@ def parameter_hash(values: Mapping[str, float]) -> int:
     return zlib.crc32(struct.pack(f"<{len(ordered)}f", *ordered))
 
 
+def stored_size() -> int:
+    """Return how many bytes a robot keeps across a reset."""
+    return int(library()[1].wheel_host_stored_size())
+
+
+def stored_parameters(values: Mapping[str, float]) -> bytes:
+    """Return what a robot that stored these parameters keeps across a reset (``HostNode.stored``).
+
+    Raises ValueError when a parameter is unknown, missing or out of its range.
+    """
+    ffi, lib = library()
+    block = _parameter_block(values)
+    stored = ffi.new("uint8_t[]", stored_size())
+    lib.wheel_host_store(block, stored)
+    return bytes(ffi.buffer(stored))
+
+
+def _parameter_block(values: Mapping[str, float]) -> Any:
+    """Return ``wheel_parameters *``. Raises ValueError when a parameter is unknown, missing or out of its range."""
+    ffi, lib = library()
+    names = {p.name for p in parameters()}
+    if set(values) != names:
+        raise ValueError(f"firmware parameters {sorted(set(values) ^ names)} are missing or unknown")
+    block = ffi.new("wheel_parameters *", dict(values))
+    if (wrong := lib.wheel_parameters_invalid(block)) >= 0:
+        name, _, low, high = parameters()[wrong]
+        raise ValueError(f"firmware parameter {name} = {values[name]:g}: expected {low:g} to {high:g}")
+    return block
+
+
 class View(NamedTuple):
     """A look inside the firmware, for tests, ground truth and reports; nothing of it crosses the wire."""
 
@@ -112,13 +142,7 @@ class HostNode:
         stored: bytes | None = None,
     ) -> None:
         self._ffi, self._lib = library()
-        names = {p.name for p in parameters()}
-        if set(values) != names:
-            raise ValueError(f"firmware parameters {sorted(set(values) ^ names)} are missing or unknown")
-        block = self._ffi.new("wheel_parameters *", dict(values))
-        if (wrong := self._lib.wheel_parameters_invalid(block)) >= 0:
-            name, _, low, high = parameters()[wrong]
-            raise ValueError(f"firmware parameter {name} = {values[name]:g}: expected {low:g} to {high:g}")
+        block = _parameter_block(values)
         self._memory = self._ffi.new("uint64_t[]", self._lib.wheel_host_size() // 8 + 1)
         self._host = self._ffi.cast("wheel_host *", self._memory)
         self._bytes = self._ffi.new("uint8_t[]", _BYTES)
@@ -128,8 +152,8 @@ class HostNode:
         capabilities |= Capability.POWER_STAGE if power_stage else 0
         exchange = self._ffi.cast("wheel_plant_exchange", exchange_address)
         context = self._ffi.cast("void *", context_address)
-        if stored is not None and len(stored) != self._lib.wheel_host_stored_size():
-            raise ValueError(f"{len(stored)} stored bytes; expected {self._lib.wheel_host_stored_size()}")
+        if stored is not None and len(stored) != stored_size():
+            raise ValueError(f"{len(stored)} stored bytes; expected {stored_size()}")
         kept = self._ffi.NULL if stored is None else self._ffi.new("uint8_t[]", stored)
         self._lib.wheel_host_init(self._host, block, kept, capabilities, exchange, context)
 
@@ -147,7 +171,7 @@ class HostNode:
 
     def stored(self) -> bytes | None:
         """Return what the robot keeps across a reset: the newest STORE, or None."""
-        size = self._lib.wheel_host_stored_size()
+        size = stored_size()
         block = self._ffi.new("uint8_t[]", size)
         return bytes(self._ffi.buffer(block, size)) if self._lib.wheel_host_stored(self._host, block) else None
 

@@ -19,3 +19,14 @@ def flash_image(stored: bytes) -> bytes:
     sequence = 0
     mark = sequence.to_bytes(4, "little") + (sequence ^ 0xFFFF_FFFF).to_bytes(4, "little")
     return stored.ljust(_MARK_AT, b"\xff") + mark
+
+
+def newest_stored(sectors: bytes, size: int) -> bytes | None:
+    """Return the ``size`` bytes that the newest whole record in both sectors keeps, or None when there is none."""
+    newest, found = -1, None
+    for at in range(0, len(sectors) - _RECORD_BYTES + 1, _RECORD_BYTES):
+        mark = sectors[at + _MARK_AT : at + _RECORD_BYTES]
+        sequence, complement = (int.from_bytes(mark[n : n + 4], "little") for n in (0, 4))
+        if sequence ^ complement == 0xFFFF_FFFF and sequence > newest:
+            newest, found = sequence, sectors[at : at + size]
+    return found

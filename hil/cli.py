@@ -110,6 +110,10 @@ def device(
     truth_port: Annotated[
         int, typer.Option(metavar="PORT", help="for the truth; 0 takes a free one", min=0, max=65535)
     ] = 0,
+    target: Annotated[
+        str,
+        typer.Option(metavar="host|qemu|unicorn", help="what the firmware runs on: this machine, or an emulated STM32"),
+    ] = "host",
     seed: Seed = None,
     sets: Sets = None,
 ) -> None:
@@ -118,7 +122,7 @@ def device(
     from hil.scenario import load
 
     resolved = load(scenario, set=sets or [], robot=robot, mode=mode, link=link, seed=seed)
-    serve(resolved, truth_port, lambda line: print(line, flush=True))
+    serve(resolved, truth_port, lambda line: print(line, flush=True), target)
 
 
 @app.command()

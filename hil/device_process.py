@@ -5,28 +5,29 @@ import signal
 from collections.abc import Callable
 
 from hil.bench import virtual_robot
+from hil.devices.targets.robot import open_server, open_target
 from hil.devices.truth import TruthServer
-from hil.devices.virtual import VirtualServer, VirtualStm32
 from hil.links.opening import open_robot
 from hil.links.url import parse_link
 from hil.scenario import Scenario
 
 
-def serve(scenario: Scenario, truth_port: int, say: Callable[[str], None]) -> None:
-    """Serve the scenario's virtual robot until SIGTERM or SIGINT.
+def serve(scenario: Scenario, truth_port: int, say: Callable[[str], None], target: str = "host") -> None:
+    """Serve the scenario's virtual robot until SIGTERM or SIGINT; ``target`` says what its firmware runs on.
 
     ``say`` gets one line when the robot is ready: how to reach it; and one at the end if this machine's stalls cost
     robot time. Raises BadInputError when a part cannot be made, LinkError when the link is lost, DeviceError when the
     plant fails.
     """
     with contextlib.ExitStack() as resources:
-        robot = VirtualStm32(virtual_robot(scenario))
+        url = parse_link(scenario.link.url)
+        robot = open_target(target, virtual_robot(scenario), url)
         resources.callback(robot.close)
-        wire, reach = open_robot(parse_link(scenario.link.url))
+        wire, reach = open_robot(url)
         resources.callback(wire.close)
         truth = TruthServer(scenario.hash, truth_port)
         resources.callback(truth.close)
-        server = VirtualServer(robot, wire, truth, lockstep=scenario.loop.mode == "lockstep")
+        server = open_server(robot, wire, truth, lockstep=scenario.loop.mode == "lockstep")
         truth.request_reset = server.request_reset
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: server.stop())

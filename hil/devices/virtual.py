@@ -13,6 +13,7 @@ from firmware_protocol.capabilities import Capability
 from firmware_protocol.generated.messages import State
 from firmware_protocol.host import HostNode, View
 from hil.clock import TICK_NS
+from hil.devices.robot_node import RobotNode
 from hil.devices.wheel_map import WheelMap
 from hil.errors import BadInputError, DeviceError, HilError
 from hil.links.wire import Wire
@@ -71,7 +72,7 @@ class VirtualStm32:
             self.node = self._power_on()
             resources.pop_all()
 
-    def _power_on(self) -> HostNode:
+    def _power_on(self) -> RobotNode:
         plant, made_of = self.plant, self._made_of
         try:
             return HostNode(

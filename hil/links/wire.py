@@ -1,19 +1,35 @@
-"""The robot's end of a link: bytes or CAN frames to and from the firmware core."""
+"""The robot's end of a link: bytes or CAN frames to and from its firmware."""
 
 from typing import Protocol
 
-from firmware_protocol.host import HostNode
+from firmware_protocol.framing import Frame
 from hil.links.streams import ByteStream
 from hil.ports import Link
 
 
-class Wire(Protocol):
-    """Connects a firmware core to a transport."""
+class Node(Protocol):
+    """A firmware's end of the wire, wherever it runs: bytes of a serial line, or CAN frames."""
 
-    def receive_into(self, node: HostNode, timeout_ns: int) -> bool:
+    def feed(self, data: bytes) -> None:
+        """Take bytes of a serial line."""
+
+    def receive(self, frame: Frame) -> None:
+        """Take one CAN frame."""
+
+    def take_bytes(self) -> bytes:
+        """Return what there is to send, as bytes of a serial line."""
+
+    def take_frames(self) -> list[Frame]:
+        """Return what there is to send, as frames."""
+
+
+class Wire(Protocol):
+    """Connects a firmware to a transport."""
+
+    def receive_into(self, node: Node, timeout_ns: int) -> bool:
         """Hand over what has arrived, waiting at most ``timeout_ns``; return whether there was anything."""
 
-    def send_from(self, node: HostNode) -> None:
+    def send_from(self, node: Node) -> None:
         """Send what the robot has to send."""
 
     def close(self) -> None:
@@ -26,13 +42,13 @@ class SerialWire:
     def __init__(self, stream: ByteStream) -> None:
         self._stream = stream
 
-    def receive_into(self, node: HostNode, timeout_ns: int) -> bool:
+    def receive_into(self, node: Node, timeout_ns: int) -> bool:
         data = self._stream.read(timeout_ns)
         if data:
             node.feed(data)
         return bool(data)
 
-    def send_from(self, node: HostNode) -> None:
+    def send_from(self, node: Node) -> None:
         while data := node.take_bytes():
             self._stream.write(data)
 
@@ -46,7 +62,7 @@ class CanWire:
     def __init__(self, link: Link) -> None:
         self._link = link
 
-    def receive_into(self, node: HostNode, timeout_ns: int) -> bool:
+    def receive_into(self, node: Node, timeout_ns: int) -> bool:
         received = self._link.receive(timeout_ns)
         if received is None:
             return False
@@ -55,7 +71,7 @@ class CanWire:
             received = self._link.receive(0)
         return True
 
-    def send_from(self, node: HostNode) -> None:
+    def send_from(self, node: Node) -> None:
         for frame in node.take_frames():
             self._link.send(frame)
 

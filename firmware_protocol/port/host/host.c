@@ -85,6 +85,10 @@ bool wheel_host_stored(const wheel_host *host, uint8_t *bytes) {
     return host->has_stored;
 }
 
+void wheel_host_store(const wheel_parameters *parameters, uint8_t *bytes) {
+    wheel_parameters_store(parameters, bytes);
+}
+
 static void take(wheel_host *host, const wheel_frame *frame) {
     uint32_t ticks = 0;
     wheel_node_receive(&host->node, frame, host->now_us);
