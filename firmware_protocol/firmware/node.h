@@ -190,7 +190,7 @@ void wheel_node_queue(wheel_node *node, uint16_t id, uint8_t length, const uint8
 void wheel_node_send_hello(wheel_node *node);
 void wheel_node_send_feedback(wheel_node *node);
 void wheel_node_send_status(wheel_node *node);
-bool wheel_sense_is_finite(const wheel_sense *sense);
+bool wheel_sense_is_plausible(const wheel_sense *sense);
 uint32_t wheel_ticks(float seconds);
 float wheel_magnitude(float x);
 

@@ -1,6 +1,8 @@
 /* What ends driving without a command to do so: sensors, speed, current, heat, voltage, encoders, silence. */
 #include "node.h"
 
+/* No sensor of a robot measures so much, in any of its units; what is computed from less stays finite. */
+#define PLAUSIBLE 1e6f
 /* Below this a wheel counts as standing still; about one encoder count in ten ticks. */
 #define STANDSTILL_RAD_S 0.2f
 /* For so long, so that the estimate's passing through zero does not count. */
@@ -20,19 +22,21 @@
 #define RUNAWAY_RAD_S 3.0f
 #define RUNAWAY_TORQUE 0.2f
 
-static bool is_finite(float x) {
-    return x - x == 0.0f;
+static bool is_plausible(float x) {
+    return x >= -PLAUSIBLE && x <= PLAUSIBLE; /* false for NaN too */
 }
 
-bool wheel_sense_is_finite(const wheel_sense *sense) {
-    bool finite = is_finite(sense->battery_v) && is_finite(sense->battery_a);
+bool wheel_sense_is_plausible(const wheel_sense *sense) {
+    bool plausible = is_plausible(sense->battery_v) && is_plausible(sense->battery_a);
     for (size_t i = 0; i < WHEEL_COUNT; i++) {
-        finite = finite && is_finite(sense->current_a[i]) && is_finite(sense->temperature_degc[i]);
+        plausible =
+            plausible && is_plausible(sense->current_a[i]) && is_plausible(sense->temperature_degc[i]);
     }
     for (size_t i = 0; i < 3u; i++) {
-        finite = finite && is_finite(sense->gyro_rad_s[i]) && is_finite(sense->acceleration_m_s2[i]);
+        plausible =
+            plausible && is_plausible(sense->gyro_rad_s[i]) && is_plausible(sense->acceleration_m_s2[i]);
     }
-    return finite;
+    return plausible;
 }
 
 static float largest_speed(const wheel_node *node) {
@@ -165,7 +169,7 @@ static void check_silence(wheel_node *node) {
 
 void wheel_node_supervise(wheel_node *node) {
     node->rest_ticks = largest_speed(node) < STANDSTILL_RAD_S ? node->rest_ticks + 1u : 0u;
-    if (!wheel_sense_is_finite(&node->sense)) {
+    if (!wheel_sense_is_plausible(&node->sense)) {
         wheel_node_fault(node, WP_FAULT_SENSOR, WP_FAULT_WHEEL_NONE);
     }
     check_speed(node);
