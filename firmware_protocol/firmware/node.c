@@ -128,17 +128,9 @@ static void ramp_set_point(wheel_node *node) {
     }
 }
 
-/* What a wheel may drive with: the torque limit, or the current limit as far as the windings' heat leaves it.
- */
-static float torque_limit_n_m(const wheel_node *node) {
-    const wheel_parameters *p = &node->parameters;
-    const float by_current = p->torque_constant_n_m_a * p->current_limit_a * wheel_node_derating(node);
-    return by_current < p->torque_limit_n_m ? by_current : p->torque_limit_n_m;
-}
-
 static bool drive_by_speed(wheel_node *node, const float feedforward_n_m[WHEEL_COUNT], wheel_drive *drive) {
     return wheel_speed_loop_update(&node->speed_loop, node->set_point_rad_s, node->speed_rad_s,
-                                   feedforward_n_m, &node->parameters, torque_limit_n_m(node),
+                                   feedforward_n_m, &node->parameters, wheel_node_torque_limit(node),
                                    drive->torque_n_m);
 }
 
@@ -150,7 +142,7 @@ static bool drive_active(wheel_node *node, wheel_drive *drive) {
     /* A stop that follows begins at the speed that the wheels have. */
     memcpy(node->set_point_rad_s, node->speed_rad_s, sizeof node->set_point_rad_s);
     memcpy(drive->torque_n_m, node->setting.target, sizeof drive->torque_n_m);
-    return wheel_scale_to_limit(drive->torque_n_m, torque_limit_n_m(node));
+    return wheel_scale_to_limit(drive->torque_n_m, wheel_node_torque_limit(node));
 }
 
 /* The duties that drive these torques through motors without a current loop of their own. */

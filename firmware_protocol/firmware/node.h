@@ -183,7 +183,10 @@ void wheel_node_stop(wheel_node *node, wheel_event event, uint8_t reason);
 void wheel_node_fault(wheel_node *node, uint8_t cause, uint8_t wheel);
 void wheel_node_supervise(wheel_node *node);
 bool wheel_node_at_rest(const wheel_node *node);
-float wheel_node_derating(const wheel_node *node);
+
+/* What a wheel may drive with [N m]: the torque limit, or the current limit as far as heat leaves it. */
+float wheel_node_torque_limit(const wheel_node *node);
+
 bool wheel_node_on_time_sync(wheel_node *node, const wheel_frame *frame);
 bool wheel_node_on_parameter(wheel_node *node, const wheel_frame *frame);
 void wheel_node_queue(wheel_node *node, uint16_t id, uint8_t length, const uint8_t *payload);
