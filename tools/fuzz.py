@@ -53,14 +53,12 @@ def build(target: str, folder: Path) -> Path:
     """Build a target and return the program. Raises UnavailableError without clang and its runtime."""
     compiler = next(filter(None, map(shutil.which, COMPILERS)), None)
     if compiler is None:
-        raise UnavailableError("no clang on this machine; on Debian: apt install clang libclang-rt-14-dev")
+        raise UnavailableError("no clang on this machine; on Debian: apt install clang libclang-rt-dev")
     probe = [compiler, "-fsanitize=fuzzer", "-x", "c", "-", "-o", str(folder / "probe")]
     empty = "int LLVMFuzzerTestOneInput(const char *d, long n) { (void)d; (void)n; return 0; }"
     probed = subprocess.run(probe, input=empty, capture_output=True, text=True, check=False)
     if probed.returncode != 0:
-        raise UnavailableError(
-            "clang has no libFuzzer here; on Debian: apt install libclang-rt-14-dev"
-        )
+        raise UnavailableError("clang has no libFuzzer here; on Debian: apt install libclang-rt-dev")
     program = folder / target
     sources = [HARNESSES / f"{target}_fuzzer.c", HARNESSES / "wire_mutator.c", *CORE]
     command = [compiler, *FLAGS, *FUZZ, "-o", str(program), *map(str, sources)]

@@ -67,14 +67,16 @@ static void feed_a_line(const uint8_t *data, size_t size) {
     wheel_frame frame;
     uint32_t frames = 0;
     uint32_t blocks = 0;
+    size_t length = 0; /* of the open block */
     wheel_deframer_init(&d);
     for (size_t i = 0; i < size; i++) {
         blocks += data[i] == 0u && i > 0u && data[i - 1u] != 0u ? 1u : 0u;
         if (wheel_deframer_feed(&d, data[i], &frame)) {
-            CHECK(data[i] == 0u);
+            CHECK(data[i] == 0u && length + 1u == (size_t)frame.length + 7u);
             check_frame(&d, &frame);
             frames++;
         }
+        length = data[i] == 0u ? 0u : length + 1u;
         const uint32_t dropped = d.cobs + d.crc + d.length_errors + d.unknown_id + d.overruns;
         CHECK(frames == d.frames);
         CHECK(frames + dropped == blocks + (d.overrun ? 1u : 0u));
