@@ -58,6 +58,17 @@ static void append_frame(stream *s, const wheel_frame *frame, uint8_t sequence) 
     append(s, out, wheel_frame_encode(frame, sequence, out));
 }
 
+/* A frame with a right CRC and nothing else: any id, any length. */
+static void append_checked(stream *s, uint8_t *body, size_t length) {
+    uint8_t out[WHEEL_COBS_MAX(WHEEL_FRAME_BODY_MAX + 1u) + 1u];
+    const uint16_t crc = wheel_crc16(body, length);
+    body[length] = (uint8_t)(crc & 0xFFu);
+    body[length + 1u] = (uint8_t)(crc >> 8);
+    const size_t encoded = wheel_cobs_encode(body, length + CRC, out);
+    out[encoded] = 0;
+    append(s, out, encoded + 1u);
+}
+
 /* Makes a frame of anything: its first bytes are taken for an id and a payload. */
 static void append_repaired(stream *s, const uint8_t *segment, size_t length, uint32_t *random) {
     uint8_t body[WHEEL_FRAME_BODY_MAX + 1u] = {0};
@@ -65,6 +76,10 @@ static void append_repaired(stream *s, const uint8_t *segment, size_t length, ui
     memcpy(body, segment, decoded);
     if (!wheel_cobs_decode(body, &decoded)) {
         memcpy(body, segment, length < sizeof body ? length : sizeof body);
+    }
+    if (draw(random, 8) == 0u) {
+        append_checked(s, body, draw(random, WHEEL_FRAME_BODY_MAX));
+        return;
     }
     wheel_frame frame = {.id = (uint16_t)(body[0] | body[1] << 8)};
     if (wp_payload_length(frame.id) < 0) {
