@@ -36,7 +36,14 @@ INERTIA_KG_M2 = 0.033  # a quarter of 23.6 kg on a wheel of 75 mm
 class WheelRig:
     """A firmware core that drives four wheels; frames go in and messages come out."""
 
-    def __init__(self, *, lockstep: bool = False, power_stage: bool = False, **parameters: float) -> None:
+    def __init__(
+        self,
+        *,
+        lockstep: bool = False,
+        power_stage: bool = False,
+        stored: bytes | None = None,
+        **parameters: float,
+    ) -> None:
         self.values = PARAMETERS | parameters
         self.angle_rad = [0.0] * 4
         self.speed_rad_s = [0.0] * 4
@@ -55,7 +62,7 @@ class WheelRig:
         ffi, _ = library()
         self._exchange = ffi.callback("wheel_plant_exchange", self._plant)
         address = int(ffi.cast("uintptr_t", self._exchange))
-        self.node = HostNode(self.values, address, 0, lockstep=lockstep, power_stage=power_stage)
+        self.node = HostNode(self.values, address, 0, lockstep=lockstep, power_stage=power_stage, stored=stored)
         self.nonces = itertools.count(0x1231)
         self.nonce = 0
 

@@ -220,7 +220,8 @@ static void check_drive(const robot *r, const wheel_node *before) {
         CHECK(may_drive || node->set_point_rad_s[i] == 0.0f);
     }
     CHECK(node->state != WP_STATE_ACTIVE || r->silent_ticks < watchdog);
-    CHECK(r->silent_ticks < watchdog + ramp + WHEEL_STOP_LIMIT_TICKS || r->drive.enabled == 0u);
+    /* An ESTOP in the last tick of a stop begins to brake anew. */
+    CHECK(r->silent_ticks < watchdog + ramp + 2u * WHEEL_STOP_LIMIT_TICKS || r->drive.enabled == 0u);
 }
 
 /* Free wheels on a stand, and what a plant can do wrong. */
@@ -383,7 +384,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     }
     /* Silence: whatever was sent before, the set point goes to zero, and the drives off. */
     const uint32_t stop = wheel_ticks(r.node.parameters.watchdog_s) + wheel_ticks(r.node.parameters.ramp_s);
-    const uint32_t rest = data[START] / 8u == UNTIL_GIVEN_UP ? WHEEL_STOP_LIMIT_TICKS : 0u;
+    const uint32_t rest = data[START] / 8u == UNTIL_GIVEN_UP ? 2u * WHEEL_STOP_LIMIT_TICKS : 0u;
     for (uint32_t i = 0; i < stop + rest + 2u; i++) {
         tick(&r);
     }
