@@ -245,6 +245,14 @@ def test_all_four_are_scaled_by_one_factor_at_each_limit(
     assert (limited(rig) > 0) == (factor < 1.0)
 
 
+@pytest.mark.parametrize("temperature_degc", [120.0, 150.0, 1e6])
+def test_nothing_is_allowed_beyond_the_temperature_limit(temperature_degc: float) -> None:
+    node = BareNode()
+    assert node.lib.wheel_node_torque_limit(node.node) == 5.0
+    node.node.sense.temperature_degc[2] = temperature_degc
+    assert node.lib.wheel_node_torque_limit(node.node) == 0.0
+
+
 def test_the_speed_loop_is_limited_too_and_counted() -> None:
     rig = WheelRig()
     rig.activate()

@@ -4,9 +4,10 @@ from collections.abc import Callable
 
 import pytest
 
+from firmware_protocol.capabilities import Capability
 from firmware_protocol.generated import messages as m
 from firmware_protocol.generated.messages import State
-from tests.bare_node import BareNode, core
+from tests.bare_node import ALL, BareNode, core
 from tests.wheel_rig import WheelRig
 
 EVENTS = ("READY", "ARM", "COMMAND", "DISARM", "TIMEOUT", "STOPPED", "ESTOP", "FAULT", "CLEAR")
@@ -179,20 +180,44 @@ def test_the_reason_of_a_stop_is_kept_until_the_next_session(state: State, event
     assert (rig.state, rig.node.look().stop_reason) == (State.ARMED, m.StopReason.NONE)
 
 
-def test_a_robot_of_a_wrong_build_boots_into_a_fault_that_nothing_clears() -> None:
-    node = BareNode(changes={"watchdog_s": 5.0})
-    assert (node.state, node.node.fault) == (State.FAULT, m.Fault.PARAMETERS)
-    for nonce in range(1, 5):
-        node.heartbeat(m.Request.CLEAR, nonce)
-        node.send(m.ParameterRequest(0, m.Operation.RESTORE, 0, 0))
-        node.heartbeat(m.Request.IDLE, 0x1000 + nonce)
-        node.heartbeat(m.Request.ARM, 0x1000 + nonce)
-        node.tick()
-        assert node.state is State.FAULT
-        assert node.drive.enabled == 0
+@pytest.mark.parametrize("value", [1e9, 0.0, -1.0, float("nan"), float("inf")])
+@pytest.mark.parametrize("name", ["counts_per_revolution", "tracking_bandwidth_rad_s", "watchdog_s", "ramp_s"])
+def test_a_robot_of_a_wrong_build_boots_into_a_fault_that_nothing_clears(name: str, value: float) -> None:
+    good = BareNode(changes={"torque_limit_n_m": 1.0})
+    stored = good.ffi.new("uint8_t[]", 92)
+    good.lib.wheel_parameters_store(good.ffi.addressof(good.node, "parameters"), stored)
+    for node in (BareNode(changes={name: value}), BareNode(changes={name: value}, stored=bytes(stored))):
+        assert (node.state, node.node.fault) == (State.FAULT, m.Fault.PARAMETERS)
+        for nonce in range(1, 5):
+            node.heartbeat(m.Request.CLEAR, nonce)
+            node.send(m.ParameterRequest(0, m.Operation.RESTORE, 0, 0))
+            node.heartbeat(m.Request.IDLE, 0x1000 + nonce)
+            node.heartbeat(m.Request.ARM, 0x1000 + nonce)
+            node.tick()
+            assert (node.state, node.drive.enabled) == (State.FAULT, 0)
+        node.send(m.Estop(0, 0))
+        node.heartbeat(m.Request.CLEAR, 0x77)
+        assert node.state is State.ESTOP, "a way round the fault"
+
+
+def test_a_mode_that_the_robot_cannot_do_is_refused() -> None:
+    for mode, capability in ((m.Mode.SPEED, Capability.SPEED), (m.Mode.TORQUE, Capability.TORQUE)):
+        for has in (True, False):
+            node = BareNode(capabilities=capability if has else ALL & ~capability)
+            node.heartbeat(m.Request.IDLE, 0x55, mode)
+            node.heartbeat(m.Request.ARM, 0x55, mode)
+            refusal = m.ArmRefusal.NONE if has else m.ArmRefusal.MODE
+            assert (node.state, node.node.arm_refusal) == (State.ARMED if has else State.IDLE, refusal)
+
+
+def test_time_in_a_state_and_since_a_command_does_not_wrap() -> None:
+    """After 49 days in ESTOP the drives must not come on again."""
+    node = BareNode()
+    node.activate()
     node.send(m.Estop(0, 0))
-    node.heartbeat(m.Request.CLEAR, 0x77)
-    assert node.state is State.ESTOP, "a way round the fault"
+    node.node.state_ticks = node.node.setting.age_ticks = 0xFFFF_FFFE
+    node.tick(5)
+    assert (node.node.state_ticks, node.node.setting.age_ticks) == (0xFFFF_FFFF, 0xFFFF_FFFF)
 
 
 def test_the_watchdog_and_the_ramp_take_exactly_their_time() -> None:

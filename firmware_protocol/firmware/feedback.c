@@ -135,7 +135,7 @@ void wheel_node_send_feedback(wheel_node *node) {
     /* A value that no sensor measures is not sent: its part is not announced, so that the rest still counts.
      */
     const bool plausible = wheel_sense_is_plausible(&node->sense);
-    if (period > 0u && node->tick % period == 0u) {
+    if (node->tick % period == 0u) {
         const bool due =
             period >= WHEEL_SLOW_PART_PERIOD_TICKS || node->tick % WHEEL_SLOW_PART_PERIOD_TICKS == 0u;
         send_snapshot(node, due && plausible);

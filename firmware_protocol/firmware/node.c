@@ -13,20 +13,21 @@ float wheel_magnitude(float x) {
 void wheel_node_init(wheel_node *node, const wheel_parameters *built_in, const uint8_t *stored,
                      const wheel_identity *identity) {
     memset(node, 0, sizeof *node);
-    node->built_in = *built_in;
-    node->parameters = *built_in;
-    if (stored != NULL) {
-        (void)wheel_parameters_load(&node->parameters, stored);
-    }
     node->identity = *identity;
     node->state = WP_STATE_BOOT;
     node->setting.age_ticks = UINT32_MAX;
-    if (wheel_parameters_invalid(&node->parameters) >= 0) {
-        node->fault = WP_FAULT_PARAMETERS;
-        wheel_node_event(node, WHEEL_EVENT_FAULT);
-    } else {
-        wheel_node_event(node, WHEEL_EVENT_READY);
+    for (size_t i = 0; i < WHEEL_PARAMETER_COUNT; i++) {
+        if (!wheel_parameter_set(&node->built_in, i, wheel_parameter_get(built_in, i))) {
+            /* A fault for good; with a number in its place, so that all that computes with it may. */
+            (void)wheel_parameter_set(&node->built_in, i, wheel_parameter_table[i].minimum);
+            node->fault = WP_FAULT_PARAMETERS;
+        }
     }
+    node->parameters = node->built_in;
+    if (stored != NULL) {
+        (void)wheel_parameters_load(&node->parameters, stored);
+    }
+    wheel_node_event(node, node->fault == WP_FAULT_NONE ? WHEEL_EVENT_READY : WHEEL_EVENT_FAULT);
 }
 
 static void begin_session(wheel_node *node) {

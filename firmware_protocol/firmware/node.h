@@ -147,9 +147,10 @@ typedef struct {
     uint32_t transmit_overruns;
 } wheel_node;
 
-/* Starts in IDLE, or in FAULT when a parameter is out of its range. `built_in` are the parameters of the
- * build; `stored` what the port kept across the reset, WHEEL_STORED_SIZE bytes, or NULL. Bytes that are
- * damaged, or of another firmware, leave the built-in ones in force; the parameter hash tells. */
+/* Starts in IDLE, or in FAULT for good when a parameter of the build is out of its range. `built_in` are the
+ * parameters of the build; `stored` what the port kept across the reset, WHEEL_STORED_SIZE bytes, or NULL.
+ * Bytes that are damaged, or of another firmware, leave the built-in ones in force; the parameter hash tells.
+ */
 void wheel_node_init(wheel_node *node, const wheel_parameters *built_in, const uint8_t *stored,
                      const wheel_identity *identity);
 

@@ -67,7 +67,8 @@ static uint8_t hottest_wheel(const wheel_node *node) {
     return hottest;
 }
 
-/* What the windings' heat leaves of the current limit, 0 to 1. */
+/* What the windings' heat leaves of the current limit, 0 to 1. Beyond the temperature limit the drives are
+ * off; less than 0 would turn every torque round, so it is not left to that. */
 static float derating(const wheel_node *node) {
     const float left =
         node->parameters.temperature_limit_degc - node->sense.temperature_degc[hottest_wheel(node)];
