@@ -7,7 +7,7 @@ NATIVE_SOURCES := $(wildcard firmware_protocol/firmware/*.[ch] firmware_protocol
 	plant_fmu/documentation/* plant_fmu/documentation/licenses/* hil/plant/*.[ch] hil/plant/build.py \
 	firmware_protocol/build.py)
 
-.PHONY: demo test check picture format native clean setup
+.PHONY: demo test check proof picture format native clean setup
 
 demo: setup
 	$(BIN)/hil run paper_circle
@@ -23,6 +23,12 @@ check: setup
 	$(BIN)/clang-format --dry-run -Werror $$(git ls-files '*.c' '*.h')
 	$(BIN)/python -m firmware_protocol.generate --check
 	$(BIN)/python -m plant_fmu.generate --check
+
+# What the tests of the firmware are worth: lines run, and wrong checks noticed. All of it: tools.mutate without
+# --sample, and tools.fuzz --runs 10000000.
+proof: setup
+	$(BIN)/python -m tools.coverage_firmware
+	$(BIN)/python -m tools.mutate --sample 20
 
 picture: setup
 	$(BIN)/hil run paper_circle --record runs/picture.rrd
