@@ -24,6 +24,7 @@ TESTS = (
     "tests/test_node_feedback.py",
     "tests/test_node_replay.py",
     "tests/test_node_states.py",
+    "tests/test_node_thresholds.py",
     "tests/test_current_loop.py",
     "tests/test_line_of_the_library.py",
     "tests/test_parameters.py",

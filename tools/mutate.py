@@ -25,6 +25,7 @@ FILES = ("states.c", "receive.c", "supervise.c", "node.c")
 # The fastest and the ones that find most first.
 TESTS = (
     "tests/test_node_states.py",
+    "tests/test_node_thresholds.py",
     "tests/test_node_faults.py",
     "tests/test_node.py",
     "tests/test_node_feedback.py",
