@@ -186,18 +186,18 @@ def main() -> int:
         if not bench.passes(Path(name), {}):
             print("tools.mutate: the tests fail without any change", file=sys.stderr)
             return 2
-        outcomes = list(pool.map(bench.survives, chosen, range(len(chosen))))
-    survivors = [mutant for mutant, outcome in zip(chosen, outcomes, strict=True) if outcome]
-    tested = [outcome for outcome in outcomes if outcome is not None]
-    for mutant in survivors:
-        print(f"survives: {mutant}")
+        outcomes = []
+        for mutant, outcome in zip(chosen, pool.map(bench.survives, chosen, range(len(chosen))), strict=True):
+            outcomes.append(outcome)
+            if outcome:
+                print(f"survives: {mutant}", flush=True)
+    survivors = outcomes.count(True)
+    tested = len(outcomes) - outcomes.count(None)
     for key in sorted(stale):
         print(f"listed as equivalent, but no mutant any more: {key}")
-    killed = len(tested) - len(survivors)
-    score = 100 * killed / max(len(tested), 1)
     print(
-        f"{killed} of {len(tested)} mutants noticed ({score:.1f} %), "
-        f"{len(outcomes) - len(tested)} did not compile, {len(known)} are listed as equivalent"
+        f"{tested - survivors} of {tested} mutants noticed ({100 * (tested - survivors) / max(tested, 1):.1f} %), "
+        f"{outcomes.count(None)} did not compile, {len(known)} are listed as equivalent"
     )
     return int(bool(survivors or stale))
 
