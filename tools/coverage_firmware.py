@@ -23,6 +23,7 @@ TESTS = (
     "tests/test_node_faults.py",
     "tests/test_node_feedback.py",
     "tests/test_node_replay.py",
+    "tests/test_node_sessions.py",
     "tests/test_node_states.py",
     "tests/test_node_thresholds.py",
     "tests/test_current_loop.py",

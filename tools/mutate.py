@@ -24,6 +24,7 @@ ROOT = Path(__file__).parent.parent
 FILES = ("states.c", "receive.c", "supervise.c", "node.c")
 # The fastest and the ones that find most first.
 TESTS = (
+    "tests/test_node_sessions.py",
     "tests/test_node_states.py",
     "tests/test_node_thresholds.py",
     "tests/test_node_faults.py",

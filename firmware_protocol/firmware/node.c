@@ -44,7 +44,6 @@ static void begin_session(wheel_node *node) {
  * with an empty integral: what was wound up against an obstacle must not drive the robot once that gives way.
  */
 static void begin_stop(wheel_node *node) {
-    node->staged.present = false;
     memset(&node->speed_loop, 0, sizeof node->speed_loop);
     for (size_t i = 0; i < WHEEL_COUNT; i++) {
         const float target = node->set_point_rad_s[i];
