@@ -203,3 +203,16 @@ def test_clearing_needs_a_nonce_that_was_not_used_for_it_and_works_on_a_latched_
         node.send(m.Estop(0, 0))
         node.heartbeat(m.Request.CLEAR, 0x50)
         assert node.state is State.ESTOP
+
+
+@pytest.mark.parametrize("mode", [m.Mode.SPEED, m.Mode.TORQUE])
+@pytest.mark.parametrize("wheel", range(4))
+@pytest.mark.parametrize("value", [1 / 64, -1 / 64])
+def test_the_first_command_is_zero_in_every_wheel(mode: m.Mode, wheel: int, value: float) -> None:
+    node = BareNode()
+    node.heartbeat(m.Request.IDLE, 0x51, mode)
+    node.heartbeat(m.Request.ARM, 0x51, mode)
+    kind = m.WheelCommand if mode is m.Mode.SPEED else m.TorqueCommand
+    node.send(kind(*(value if i == wheel else 0.0 for i in range(4)), 0, 1))
+    assert (node.state, node.node.rejections.state) == (State.ARMED, 1)
+    assert node.node.setting.age_ticks == 0xFFFF_FFFF
