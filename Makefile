@@ -7,7 +7,7 @@ NATIVE_SOURCES := $(wildcard native_build/*.py firmware_protocol/build.py firmwa
 	plant_fmu/*.toml plant_fmu/generated/*.* plant_fmu/generated/*/* plant_fmu/documentation/*.* \
 	plant_fmu/documentation/licenses/* plant_fmu/reference/* hil/plant/*.[ch] hil/plant/build.py)
 
-.PHONY: demo test check picture format native fmu clean setup
+.PHONY: demo test check proof picture format native fmu clean setup
 
 demo: setup
 	$(BIN)/hil run paper_circle
@@ -25,6 +25,12 @@ check: setup .venv/tools
 	$(BIN)/python -m plant_fmu.generate --check
 	$(BIN)/python -m plant_fmu.reference --check
 	$(BIN)/python -m tools.plants --check
+
+# What the tests of the firmware are worth: lines run, and wrong checks noticed. All of it: tools.mutate without
+# --sample, and tools.fuzz --runs 10000000.
+proof: setup .venv/tools
+	$(BIN)/python -m tools.coverage_firmware
+	$(BIN)/python -m tools.mutate --sample 20
 
 picture: setup .venv/tools
 	$(BIN)/hil run paper_circle --record runs/picture.rrd

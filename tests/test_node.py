@@ -74,8 +74,24 @@ def test_silence_ramps_the_set_point_to_zero_and_latches():
         lambda rig, n: rig.send(m.TorqueFeedforward(1, 1, 1, 1, n & 0xFF, rig.nonce & 0xF)),
         lambda rig, n: rig.node.receive(Frame(m.WheelCommand.ID, b"\0" * 7)),
         lambda rig, n: rig.node.receive(Frame(m.WheelCommand.ID, b"\x00\x10" + bytes([0, 0, 0, 0, 0, n & 0xFF]))),
+        lambda rig, n: rig.node.receive(Frame(m.TorqueFeedforward.ID, b"\x00\x10" + bytes([0, 0, 0, 0, 0, n & 0xFF]))),
+        lambda rig, n: rig.send(m.TimeSyncRequest(n)),
+        lambda rig, n: rig.send(m.ParameterRequest(0, m.Operation.READ, n, 0)),
     ],
-    ids=["heartbeat", "hello", "session", "same", "backward", "mode", "feedforward", "short", "out of range"],
+    ids=[
+        "heartbeat",
+        "hello",
+        "session",
+        "same",
+        "backward",
+        "mode",
+        "feedforward",
+        "short",
+        "out of range",
+        "feedforward out of range",
+        "time sync",
+        "parameter",
+    ],
 )
 def test_nothing_but_a_fresh_command_feeds_the_watchdog(feed):
     rig = WheelRig()
@@ -280,6 +296,18 @@ def test_a_sensor_fault_is_still_told():
     heard = [f for x in rig.heard() if (f := assembler.feed(x)) is not None]
     assert heard[-1].state is m.State.FAULT
     assert assembler.incomplete == 0
+
+
+@pytest.mark.parametrize("kind", [m.HostHeartbeat, m.TorqueFeedforward, m.WheelCommand, m.TorqueCommand, m.Step])
+def test_a_payload_out_of_range_does_nothing_and_is_counted(kind):
+    rig = WheelRig(lockstep=True)
+    rig.activate(m.Mode.TORQUE if kind is m.TorqueCommand else m.Mode.SPEED)
+    rig.heard()
+    bad = b"\0" * 6 if kind in (m.HostHeartbeat,) else b"\0\x10" + b"\0" * 4
+    rig.node.receive(Frame(kind.ID, (bad if kind is not m.Step else b"\0" * 4 + b"\xff\xff").ljust(kind.LENGTH, b"\0")))
+    assert rig.heard() == []
+    assert (rig.state, rig.node.look().tick) == (m.State.ACTIVE, 0)
+    assert rig.node.look().rejected["range"] == 1
 
 
 def test_torque_mode_stops_by_the_speed_loop():

@@ -36,7 +36,14 @@ INERTIA_KG_M2 = 0.033  # a quarter of 23.6 kg on a wheel of 75 mm
 class WheelRig:
     """A firmware core that drives four wheels; frames go in and messages come out."""
 
-    def __init__(self, *, lockstep: bool = False, power_stage: bool = False, **parameters: float) -> None:
+    def __init__(
+        self,
+        *,
+        lockstep: bool = False,
+        power_stage: bool = False,
+        stored: bytes | None = None,
+        **parameters: float,
+    ) -> None:
         self.values = PARAMETERS | parameters
         self.angle_rad = [0.0] * 4
         self.speed_rad_s = [0.0] * 4
@@ -47,13 +54,15 @@ class WheelRig:
         self.current_a = [0.0] * 4
         self.battery_v = 24.0
         self.temperature_degc = [25.0] * 4
-        self.held = [False] * 4  # wheels that are blocked
+        self.held = [False] * 4  # wheels that keep the speed they have: blocked, or towed
         self.encoder_sign = [1] * 4
         self.encoder_dead = [False] * 4
+        self.count = [0] * 4
+        self.override: dict[str, tuple[int, float]] = {}  # a sensor's value, by its name and place
         ffi, _ = library()
         self._exchange = ffi.callback("wheel_plant_exchange", self._plant)
         address = int(ffi.cast("uintptr_t", self._exchange))
-        self.node = HostNode(self.values, address, 0, lockstep=lockstep, power_stage=power_stage)
+        self.node = HostNode(self.values, address, 0, lockstep=lockstep, power_stage=power_stage, stored=stored)
         self.nonces = itertools.count(0x1231)
         self.nonce = 0
 
@@ -66,12 +75,18 @@ class WheelRig:
                 self.speed_rad_s[i] += 0.0 if self.held[i] else self.torque_n_m[i] / INERTIA_KG_M2 * 1e-3
                 self.angle_rad[i] += self.speed_rad_s[i] * 1e-3
         for i in range(4):
-            turned = 0 if self.encoder_dead[i] else math.floor(self.angle_rad[i] / math.tau * 4096)
-            sense.count[i] = self.encoder_sign[i] * turned & 0xFFFF
+            if not self.encoder_dead[i]:
+                self.count[i] = self.encoder_sign[i] * math.floor(self.angle_rad[i] / math.tau * 4096) & 0xFFFF
+            sense.count[i] = self.count[i]
             sense.current_a[i] = self.current_a[i]
             sense.temperature_degc[i] = self.temperature_degc[i]
         sense.battery_v = self.battery_v
         sense.acceleration_m_s2[2] = 9.81
+        for name, (place, value) in self.override.items():
+            if name.startswith("battery"):
+                setattr(sense, name, value)
+            else:
+                getattr(sense, name)[place] = value
         return int(self.fail)
 
     def send(self, message: codec.Message) -> None:

@@ -3,9 +3,6 @@
 #include <stddef.h>
 
 #define TWO_PI 6.28318530717958647692f
-/* Part of the current loop's proportional action that the integral gains in a tick. */
-#define CURRENT_INTEGRAL 0.05f
-
 static float magnitude(float x) {
     return x < 0.0f ? -x : x;
 }
@@ -99,24 +96,23 @@ static float rise(float x) {
 void wheel_current_loop_update(wheel_current_loop *loop, const float target_a[WHEEL_COUNT],
                                const float current_a[WHEEL_COUNT], const float speed_rad_s[WHEEL_COUNT],
                                float battery_v, const wheel_parameters *parameters, float duty[WHEEL_COUNT]) {
-    const float resistance = parameters->motor_resistance_ohm;
     /* Within a tick the current goes a part of the way to where the voltage pulls it, and the loop wants it
      * to go another part of the way to the target. */
-    const float part = rise(resistance * WHEEL_TICK_S / parameters->motor_inductance_h);
+    const float part = rise(parameters->motor_resistance_ohm * WHEEL_TICK_S / parameters->motor_inductance_h);
     const float wanted = rise(parameters->current_bandwidth_rad_s * WHEEL_TICK_S);
-    const float gain = resistance * wanted / part;
+    const float gain = parameters->motor_resistance_ohm * wanted / part;
     for (size_t i = 0; i < WHEEL_COUNT; i++) {
-        const float error = target_a[i] - current_a[i];
-        const float voltage = resistance * current_a[i] + gain * error + loop->integral_v[i] +
-                              parameters->torque_constant_n_m_a * speed_rad_s[i];
+        const float back_emf_v = parameters->torque_constant_n_m_a * speed_rad_s[i];
         if (!(battery_v > 0.0f)) {
+            loop->integral_v[i] = 0.0f;
             duty[i] = 0.0f;
             continue;
         }
+        const float voltage = gain * (target_a[i] - current_a[i]) + loop->integral_v[i] + back_emf_v;
         const float wish = voltage / battery_v;
         duty[i] = wish > 1.0f ? 1.0f : (wish < -1.0f ? -1.0f : wish);
-        if (duty[i] == wish) {
-            loop->integral_v[i] += CURRENT_INTEGRAL * gain * error;
-        }
+        /* This is `resistance * wanted * error`, with the error that the applied voltage answers: at full
+         * duty that is less than the real one, and nothing winds up. */
+        loop->integral_v[i] += part * (duty[i] * battery_v - back_emf_v - loop->integral_v[i]);
     }
 }

@@ -36,9 +36,9 @@ bool wheel_speed_loop_update(wheel_speed_loop *loop, const float target_rad_s[WH
                              const wheel_parameters *parameters, float limit_n_m,
                              float torque_n_m[WHEEL_COUNT]);
 
-/* Current loop of the four motors, decoupled: the back-EMF is fed forward, and what the winding does within a
- * tick of constant voltage is solved exactly, L di/dt = u - R i - k w. The integral takes up what the model
- * does not know. */
+/* Current loop of the four motors, decoupled: the back-EMF is fed forward. Proportional and integral action
+ * cancel the pole of the winding, L di/dt = u - R i - k w solved exactly over a tick, so that the current
+ * goes to its target as a first-order lag of the wanted bandwidth. */
 typedef struct {
     float integral_v[WHEEL_COUNT];
 } wheel_current_loop;
@@ -49,7 +49,7 @@ void wheel_current_loop_update(wheel_current_loop *loop, const float target_a[WH
                                const float current_a[WHEEL_COUNT], const float speed_rad_s[WHEEL_COUNT],
                                float battery_v, const wheel_parameters *parameters, float duty[WHEEL_COUNT]);
 
-/* exp(-x) for x >= 0, to 1e-6. */
+/* exp(-x) for x >= 0, to 5e-6. */
 float wheel_exp_minus(float x);
 
 /* Scales all four by one factor so that none is beyond the limit: the direction of the force is kept. */

@@ -132,17 +132,18 @@ static void send_snapshot(wheel_node *node, bool slow) {
 
 void wheel_node_send_feedback(wheel_node *node) {
     const uint32_t period = wheel_ticks(node->parameters.feedback_period_s);
-    /* A value that is no number cannot be sent: its part is not announced, so that the rest still counts. */
-    const bool finite = wheel_sense_is_finite(&node->sense);
-    if (period > 0u && node->tick % period == 0u) {
+    /* A value that no sensor measures is not sent: its part is not announced, so that the rest still counts.
+     */
+    const bool plausible = wheel_sense_is_plausible(&node->sense);
+    if (node->tick % period == 0u) {
         const bool due =
             period >= WHEEL_SLOW_PART_PERIOD_TICKS || node->tick % WHEEL_SLOW_PART_PERIOD_TICKS == 0u;
-        send_snapshot(node, due && finite);
+        send_snapshot(node, due && plausible);
     }
     if (node->tick % WHEEL_STATUS_PERIOD_TICKS == 0u) {
         wheel_node_send_status(node);
         send_counters(node);
-        if (finite) {
+        if (plausible) {
             send_power(node);
         }
     }

@@ -13,20 +13,21 @@ float wheel_magnitude(float x) {
 void wheel_node_init(wheel_node *node, const wheel_parameters *built_in, const uint8_t *stored,
                      const wheel_identity *identity) {
     memset(node, 0, sizeof *node);
-    node->built_in = *built_in;
-    node->parameters = *built_in;
-    if (stored != NULL) {
-        (void)wheel_parameters_load(&node->parameters, stored);
-    }
     node->identity = *identity;
     node->state = WP_STATE_BOOT;
     node->setting.age_ticks = UINT32_MAX;
-    if (wheel_parameters_invalid(&node->parameters) >= 0) {
-        node->fault = WP_FAULT_PARAMETERS;
-        wheel_node_event(node, WHEEL_EVENT_FAULT);
-    } else {
-        wheel_node_event(node, WHEEL_EVENT_READY);
+    for (size_t i = 0; i < WHEEL_PARAMETER_COUNT; i++) {
+        if (!wheel_parameter_set(&node->built_in, i, wheel_parameter_get(built_in, i))) {
+            /* A fault for good; with a number in its place, so that all that computes with it may. */
+            (void)wheel_parameter_set(&node->built_in, i, wheel_parameter_table[i].minimum);
+            node->fault = WP_FAULT_PARAMETERS;
+        }
     }
+    node->parameters = node->built_in;
+    if (stored != NULL) {
+        (void)wheel_parameters_load(&node->parameters, stored);
+    }
+    wheel_node_event(node, node->fault == WP_FAULT_NONE ? WHEEL_EVENT_READY : WHEEL_EVENT_FAULT);
 }
 
 static void begin_session(wheel_node *node) {
@@ -43,7 +44,6 @@ static void begin_session(wheel_node *node) {
  * with an empty integral: what was wound up against an obstacle must not drive the robot once that gives way.
  */
 static void begin_stop(wheel_node *node) {
-    node->staged.present = false;
     memset(&node->speed_loop, 0, sizeof node->speed_loop);
     for (size_t i = 0; i < WHEEL_COUNT; i++) {
         const float target = node->set_point_rad_s[i];
@@ -128,17 +128,9 @@ static void ramp_set_point(wheel_node *node) {
     }
 }
 
-/* What a wheel may drive with: the torque limit, or the current limit as far as the windings' heat leaves it.
- */
-static float torque_limit_n_m(const wheel_node *node) {
-    const wheel_parameters *p = &node->parameters;
-    const float by_current = p->torque_constant_n_m_a * p->current_limit_a * wheel_node_derating(node);
-    return by_current < p->torque_limit_n_m ? by_current : p->torque_limit_n_m;
-}
-
 static bool drive_by_speed(wheel_node *node, const float feedforward_n_m[WHEEL_COUNT], wheel_drive *drive) {
     return wheel_speed_loop_update(&node->speed_loop, node->set_point_rad_s, node->speed_rad_s,
-                                   feedforward_n_m, &node->parameters, torque_limit_n_m(node),
+                                   feedforward_n_m, &node->parameters, wheel_node_torque_limit(node),
                                    drive->torque_n_m);
 }
 
@@ -150,7 +142,7 @@ static bool drive_active(wheel_node *node, wheel_drive *drive) {
     /* A stop that follows begins at the speed that the wheels have. */
     memcpy(node->set_point_rad_s, node->speed_rad_s, sizeof node->set_point_rad_s);
     memcpy(drive->torque_n_m, node->setting.target, sizeof drive->torque_n_m);
-    return wheel_scale_to_limit(drive->torque_n_m, torque_limit_n_m(node));
+    return wheel_scale_to_limit(drive->torque_n_m, wheel_node_torque_limit(node));
 }
 
 /* The duties that drive these torques through motors without a current loop of their own. */

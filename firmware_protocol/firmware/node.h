@@ -147,9 +147,10 @@ typedef struct {
     uint32_t transmit_overruns;
 } wheel_node;
 
-/* Starts in IDLE, or in FAULT when a parameter is out of its range. `built_in` are the parameters of the
- * build; `stored` what the port kept across the reset, WHEEL_STORED_SIZE bytes, or NULL. Bytes that are
- * damaged, or of another firmware, leave the built-in ones in force; the parameter hash tells. */
+/* Starts in IDLE, or in FAULT for good when a parameter of the build is out of its range. `built_in` are the
+ * parameters of the build; `stored` what the port kept across the reset, WHEEL_STORED_SIZE bytes, or NULL.
+ * Bytes that are damaged, or of another firmware, leave the built-in ones in force; the parameter hash tells.
+ */
 void wheel_node_init(wheel_node *node, const wheel_parameters *built_in, const uint8_t *stored,
                      const wheel_identity *identity);
 
@@ -183,14 +184,17 @@ void wheel_node_stop(wheel_node *node, wheel_event event, uint8_t reason);
 void wheel_node_fault(wheel_node *node, uint8_t cause, uint8_t wheel);
 void wheel_node_supervise(wheel_node *node);
 bool wheel_node_at_rest(const wheel_node *node);
-float wheel_node_derating(const wheel_node *node);
+
+/* What a wheel may drive with [N m]: the torque limit, or the current limit as far as heat leaves it. */
+float wheel_node_torque_limit(const wheel_node *node);
+
 bool wheel_node_on_time_sync(wheel_node *node, const wheel_frame *frame);
 bool wheel_node_on_parameter(wheel_node *node, const wheel_frame *frame);
 void wheel_node_queue(wheel_node *node, uint16_t id, uint8_t length, const uint8_t *payload);
 void wheel_node_send_hello(wheel_node *node);
 void wheel_node_send_feedback(wheel_node *node);
 void wheel_node_send_status(wheel_node *node);
-bool wheel_sense_is_finite(const wheel_sense *sense);
+bool wheel_sense_is_plausible(const wheel_sense *sense);
 uint32_t wheel_ticks(float seconds);
 float wheel_magnitude(float x);
 

@@ -159,7 +159,7 @@ static void on_idle_request(wheel_node *node, uint16_t nonce) {
 static void on_clear_request(wheel_node *node, uint16_t nonce) {
     const bool is_new = nonce != node->cleared_nonce;
     node->cleared_nonce = nonce;
-    if (is_new && wheel_parameters_invalid(&node->parameters) < 0) {
+    if (is_new && node->fault != WP_FAULT_PARAMETERS) {
         wheel_node_event(node, WHEEL_EVENT_CLEAR);
     }
 }
@@ -183,11 +183,9 @@ static bool on_heartbeat(wheel_node *node, const wheel_frame *frame) {
     return true;
 }
 
+/* Whatever source and reason it gives: a stop is a stop. */
 static bool on_estop(wheel_node *node, const wheel_frame *frame) {
-    wp_estop m;
-    if (!wp_estop_decode(frame->payload, frame->length, &m)) {
-        return false;
-    }
+    (void)frame;
     wheel_node_stop(node, WHEEL_EVENT_ESTOP, WP_STOP_REASON_ESTOP);
     return true;
 }
@@ -209,11 +207,9 @@ static bool on_step(wheel_node *node, const wheel_frame *frame) {
     return true;
 }
 
+/* Answered to a host of any version, so that it can find out that it is of another. */
 static bool on_hello_request(wheel_node *node, const wheel_frame *frame) {
-    wp_hello_request m;
-    if (!wp_hello_request_decode(frame->payload, frame->length, &m)) {
-        return false;
-    }
+    (void)frame;
     /* A host that greets has asked for nothing yet: what was refused to another is not its business. */
     node->arm_refusal = WP_ARM_REFUSAL_NONE;
     wheel_node_send_hello(node);

@@ -2,17 +2,15 @@
 #include "node.h"
 
 bool wheel_node_on_time_sync(wheel_node *node, const wheel_frame *frame) {
-    wp_time_sync_request m;
-    if (!wp_time_sync_request_decode(frame->payload, frame->length, &m)) {
-        return false;
-    }
-    node->sync_received_us = node->now_us;
+    wp_time_sync_request m = {0};
+    const bool decoded = wp_time_sync_request_decode(frame->payload, frame->length, &m);
     const wp_time_sync_response answer = {.received_us = node->now_us, .sequence = m.sequence};
     uint8_t payload[WP_TIME_SYNC_RESPONSE_LENGTH];
-    if (wp_time_sync_response_encode(&answer, payload)) {
+    if (decoded && wp_time_sync_response_encode(&answer, payload)) {
+        node->sync_received_us = node->now_us;
         wheel_node_queue(node, WP_TIME_SYNC_RESPONSE_ID, WP_TIME_SYNC_RESPONSE_LENGTH, payload);
     }
-    return true;
+    return decoded;
 }
 
 static void answer(wheel_node *node, const wp_parameter_request *m, uint8_t result, uint32_t value) {

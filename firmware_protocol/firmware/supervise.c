@@ -1,6 +1,8 @@
 /* What ends driving without a command to do so: sensors, speed, current, heat, voltage, encoders, silence. */
 #include "node.h"
 
+/* No sensor of a robot measures so much, in any of its units; what is computed from less stays finite. */
+#define PLAUSIBLE 1e6f
 /* Below this a wheel counts as standing still; about one encoder count in ten ticks. */
 #define STANDSTILL_RAD_S 0.2f
 /* For so long, so that the estimate's passing through zero does not count. */
@@ -14,28 +16,31 @@
 /* All four wheels drive with less and less over so many degrees before the limit. */
 #define DERATING_DEGC 15.0f
 
-/* A wheel is expected to turn when its set point and the three others both say so. */
+/* A wheel is expected to turn when its set point, its torque and the three others all say so. */
 #define EXPECTED_RAD_S 2.0f
-/* A wheel runs away when it gains so much against a torque of at least this part of the limit. */
+/* A wheel runs away when it gains so much against its torque. */
 #define RUNAWAY_RAD_S 3.0f
-#define RUNAWAY_TORQUE 0.2f
 /* An encoder counts backward when its speed and that of the others differ by no more than this but for the
  * sign. */
 #define MIRRORED_PART 0.3f
+/* A torque of at least this part of the limit moves a wheel. */
+#define MOVING_TORQUE 0.2f
 
-static bool is_finite(float x) {
-    return x - x == 0.0f;
+static bool is_plausible(float x) {
+    return x >= -PLAUSIBLE && x <= PLAUSIBLE; /* false for NaN too */
 }
 
-bool wheel_sense_is_finite(const wheel_sense *sense) {
-    bool finite = is_finite(sense->battery_v) && is_finite(sense->battery_a);
+bool wheel_sense_is_plausible(const wheel_sense *sense) {
+    bool plausible = is_plausible(sense->battery_v) && is_plausible(sense->battery_a);
     for (size_t i = 0; i < WHEEL_COUNT; i++) {
-        finite = finite && is_finite(sense->current_a[i]) && is_finite(sense->temperature_degc[i]);
+        plausible =
+            plausible && is_plausible(sense->current_a[i]) && is_plausible(sense->temperature_degc[i]);
     }
     for (size_t i = 0; i < 3u; i++) {
-        finite = finite && is_finite(sense->gyro_rad_s[i]) && is_finite(sense->acceleration_m_s2[i]);
+        plausible =
+            plausible && is_plausible(sense->gyro_rad_s[i]) && is_plausible(sense->acceleration_m_s2[i]);
     }
-    return finite;
+    return plausible;
 }
 
 static float largest_speed(const wheel_node *node) {
@@ -65,10 +70,18 @@ static uint8_t hottest_wheel(const wheel_node *node) {
     return hottest;
 }
 
-float wheel_node_derating(const wheel_node *node) {
+/* What the windings' heat leaves of the current limit, 0 to 1. Beyond the temperature limit the drives are
+ * off; less than 0 would turn every torque round, so it is not left to that. */
+static float derating(const wheel_node *node) {
     const float left =
         node->parameters.temperature_limit_degc - node->sense.temperature_degc[hottest_wheel(node)];
     return left >= DERATING_DEGC ? 1.0f : (left > 0.0f ? left / DERATING_DEGC : 0.0f);
+}
+
+float wheel_node_torque_limit(const wheel_node *node) {
+    const wheel_parameters *p = &node->parameters;
+    const float by_current = p->torque_constant_n_m_a * p->current_limit_a * derating(node);
+    return by_current < p->torque_limit_n_m ? by_current : p->torque_limit_n_m;
 }
 
 static void check_speed(wheel_node *node) {
@@ -116,16 +129,22 @@ static float speed_by_others(const wheel_node *node, size_t wheel) {
     }
 }
 
+static bool is_strong(const wheel_node *node, float torque_n_m) {
+    return wheel_magnitude(torque_n_m) > MOVING_TORQUE * wheel_node_torque_limit(node);
+}
+
 /* An encoder that stands still while its wheel must turn: set point and torque ask for it, and the other
- * wheels say that it does. One whose signal is gone is driven ever harder, so this is a matter of a tenth of
- * a second. */
+ * wheels say that it does, the way the torque drives it. One whose signal is gone is driven ever harder, so
+ * this is a matter of a tenth of a second. */
 static void check_still(wheel_node *node, uint8_t wheel, uint32_t limit_ticks) {
     wheel_encoder_watch *watch = &node->encoder[wheel];
+    const float torque = node->torque_n_m[wheel];
+    const float by_others = speed_by_others(node, wheel);
     const bool asked =
         node->mode == WP_MODE_TORQUE || wheel_magnitude(node->set_point_rad_s[wheel]) > EXPECTED_RAD_S;
     const bool still = wheel_magnitude(node->speed_rad_s[wheel]) < STANDSTILL_RAD_S;
-    const bool turns = wheel_magnitude(speed_by_others(node, wheel)) > EXPECTED_RAD_S;
-    watch->still_ticks = asked && still && turns ? watch->still_ticks + 1u : 0u;
+    const bool turns = wheel_magnitude(by_others) > EXPECTED_RAD_S && by_others * torque > 0.0f;
+    watch->still_ticks = asked && still && turns && is_strong(node, torque) ? watch->still_ticks + 1u : 0u;
     if (watch->still_ticks >= limit_ticks) {
         wheel_node_fault(node, WP_FAULT_ENCODER_STUCK, (uint8_t)(wheel + 1u));
     }
@@ -146,8 +165,7 @@ static bool runs_away(wheel_node *node, uint8_t wheel) {
     const float target = node->set_point_rad_s[wheel];
     const float torque = node->torque_n_m[wheel];
     const bool against = node->mode == WP_MODE_SPEED && speed * target < 0.0f && torque * target > 0.0f &&
-                         wheel_magnitude(target) > EXPECTED_RAD_S &&
-                         wheel_magnitude(torque) > RUNAWAY_TORQUE * node->parameters.torque_limit_n_m;
+                         wheel_magnitude(target) > EXPECTED_RAD_S && is_strong(node, torque);
     if (!against || wheel_magnitude(speed) < watch->slowest_rad_s) {
         watch->slowest_rad_s = wheel_magnitude(speed);
     }
@@ -183,7 +201,7 @@ static void check_silence(wheel_node *node) {
 
 void wheel_node_supervise(wheel_node *node) {
     node->rest_ticks = largest_speed(node) < STANDSTILL_RAD_S ? node->rest_ticks + 1u : 0u;
-    if (!wheel_sense_is_finite(&node->sense)) {
+    if (!wheel_sense_is_plausible(&node->sense)) {
         wheel_node_fault(node, WP_FAULT_SENSOR, WP_FAULT_WHEEL_NONE);
     }
     check_speed(node);

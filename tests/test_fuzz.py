@@ -1,0 +1,19 @@
+"""A short run of the fuzzers of ``tests/fuzz``; ``python -m tools.fuzz`` runs them for long."""
+
+from pathlib import Path
+
+import pytest
+
+from tools import fuzz
+
+
+@pytest.mark.parametrize("target", fuzz.TARGETS)
+def test_a_short_run_breaks_no_check(target: str, tmp_path: Path) -> None:
+    runs = 5000
+    try:
+        outcome = fuzz.fuzz(target, runs, seed=1, keep_in=tmp_path)
+    except fuzz.UnavailableError as error:
+        pytest.skip(str(error))
+    assert outcome.failure is None, outcome.failure
+    assert outcome.runs >= runs
+    assert outcome.features > 500, "the mutator gets past the checks of the line"

@@ -1,0 +1,66 @@
+"""Framing in the library as it is shipped, optimised and without sanitizers: the same laws, and its own counters."""
+
+from cobs import cobs
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from firmware_protocol.framing import CAUSES, Deframer, Frame, Framer
+from firmware_protocol.generated import messages as m
+from tests.bare_node import core
+from tests.protocol_cases import frames, rejected
+
+blocks = st.binary(max_size=40) | st.integers(250, 520).map(lambda n: b"\x01" * n)
+
+
+@given(data=blocks)
+def test_cobs_encodes_as_the_cobs_package(data: bytes) -> None:
+    ffi, lib = core()
+    encoded = ffi.new("uint8_t[]", len(data) + len(data) // 254 + 1)
+    written = lib.wheel_cobs_encode(data, len(data), encoded)
+    assert bytes(encoded)[:written] == cobs.encode(data)
+
+
+@given(data=blocks, place=st.integers(0, 520), value=st.integers(0, 255))
+@example(data=b"abc", place=0, value=0)
+@example(data=b"abc", place=2, value=0)
+def test_cobs_decodes_and_refuses_as_the_cobs_package(data: bytes, place: int, value: int) -> None:
+    ffi, lib = core()
+    block = bytearray(cobs.encode(data))
+    block[place % len(block)] = value
+    length, in_place = ffi.new("size_t *", len(block)), ffi.new("uint8_t[]", bytes(block))
+    accepted = lib.wheel_cobs_decode(in_place, length)
+    try:
+        expected = cobs.decode(bytes(block))
+    except cobs.DecodeError:
+        assert not accepted
+    else:
+        assert accepted
+        assert bytes(in_place)[: length[0]] == expected
+
+
+@given(pieces=st.lists(st.builds(lambda f: Framer().encode(f), frames) | st.binary(max_size=30), max_size=10))
+def test_it_takes_and_counts_what_the_python_twin_does(pieces: list[bytes]) -> None:
+    stream = b"".join(pieces) + b"".join(serial for _, serial in rejected())
+    ffi, lib = core()
+    deframer, block = ffi.new("wheel_deframer *"), ffi.new("wheel_frame *")
+    lib.wheel_deframer_init(deframer)
+    found = [
+        Frame(block.id, bytes(block.payload)[: block.length])
+        for byte in stream
+        if lib.wheel_deframer_feed(deframer, byte, block)
+    ]
+    twin = Deframer()
+    assert found == twin.feed(stream)
+    names = {"length": "length_errors", "overrun": "overruns"}
+    assert {cause: getattr(deframer, names.get(cause, cause)) for cause in CAUSES} == twin.rejected
+    assert (deframer.frames, deframer.lost) == (twin.frames, twin.lost)
+
+
+def test_it_does_not_send_a_length_that_is_not_the_ids() -> None:
+    ffi, lib = core()
+    out = ffi.new("uint8_t[15]")
+    for number, right in m.LENGTHS.items():
+        for length in range(9):
+            block = ffi.new("wheel_frame *", {"id": number, "length": length})
+            assert lib.wheel_frame_encode(block, 0, out) == (length + 7 if length == right else 0)
+    assert lib.wheel_frame_encode(ffi.new("wheel_frame *", {"id": 0x123}), 0, out) == 0

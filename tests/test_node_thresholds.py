@@ -1,0 +1,216 @@
+"""The thresholds of supervision, exactly: what is just enough, and what is not, tick by tick.
+
+The estimates are set from outside, so that a threshold is met to the last bit; everything else is the core's.
+"""
+
+from typing import Any
+
+import pytest
+
+from firmware_protocol.generated import messages as m
+from firmware_protocol.generated.messages import State
+from tests.bare_node import BareNode
+
+LIMIT_N_M = 5.0  # the torque limit of the rig
+FAULT_TICKS = 100  # encoder_fault_s
+STRONG_N_M = 1.01  # a fifth of the limit moves a wheel
+WHEELS = pytest.mark.parametrize("wheel", range(4))
+SIGNS = pytest.mark.parametrize("sign", [1.0, -1.0])
+NO_FAULT = (m.Fault.NONE, m.FaultWheel.NONE)
+
+
+def active(mode: m.Mode = m.Mode.SPEED) -> BareNode:
+    node = BareNode()
+    node.activate(mode)
+    return node
+
+
+def supervise(node: BareNode, ticks: int, **values: Any) -> tuple[int, int]:
+    """Let supervision look so often at these estimates; return the fault and its wheel."""
+    for name, value in values.items():
+        setattr(node.node, name, value)
+    node.node.sense.battery_v = 24.0
+    for _ in range(ticks):
+        node.lib.wheel_node_supervise(node.node)
+    return node.node.fault, node.node.fault_wheel
+
+
+def still(wheel: int, by_others: float, own: float = 0.0) -> list[float]:
+    """Speeds with this wheel at `own`, of which the three others say `by_others`: FL + FR = RR + RL."""
+    fl_fr_rr_rl = [0.0] * 4
+    partner, a, b = ((1, 2, 3), (0, 2, 3), (3, 0, 1), (2, 0, 1))[wheel]
+    fl_fr_rr_rl[partner], fl_fr_rr_rl[a], fl_fr_rr_rl[b] = 16.0, 7.0, 9.0 + by_others
+    fl_fr_rr_rl[wheel] = own
+    return fl_fr_rr_rl
+
+
+def only(wheel: int, value: float) -> list[float]:
+    return [value if i == wheel else 0.0 for i in range(4)]
+
+
+@WHEELS
+@SIGNS
+@pytest.mark.parametrize(
+    ("by_others", "own", "set_point", "torque", "found"),
+    [
+        (2.125, 0.1875, 2.125, STRONG_N_M, True),
+        (2.0, 0.1875, 2.125, STRONG_N_M, False),
+        (2.125, 0.2001, 2.125, STRONG_N_M, False),
+        (2.125, 0.1999, 2.125, STRONG_N_M, True),
+        (2.125, 0.1875, 2.0, STRONG_N_M, False),
+        (2.125, 0.1875, 2.125, 0.99, False),
+        (-2.125, 0.1875, 2.125, STRONG_N_M, False),
+        (2.125, -0.1999, 2.125, STRONG_N_M, True),
+        (2.125, -0.2001, 2.125, STRONG_N_M, False),
+    ],
+)
+def test_an_encoder_is_stuck_when_everything_says_that_its_wheel_turns(
+    wheel: int, sign: float, by_others: float, own: float, set_point: float, torque: float, found: bool
+) -> None:
+    node = active()
+    values = {
+        "speed_rad_s": [sign * v for v in still(wheel, by_others, own)],
+        "set_point_rad_s": only(wheel, sign * set_point),
+        "torque_n_m": only(wheel, sign * torque),
+    }
+    assert supervise(node, FAULT_TICKS - 1, **values) == NO_FAULT
+    expected = (m.Fault.ENCODER_STUCK, wheel + 1) if found else NO_FAULT
+    assert supervise(node, 1) == expected
+    assert supervise(node, 100) == expected
+
+
+def test_the_torque_that_counts_is_a_part_of_the_limit_in_force() -> None:
+    """With hot windings the limit is less, and less torque is strong."""
+    values = {"speed_rad_s": still(0, 3.0), "set_point_rad_s": only(0, 3.0), "torque_n_m": only(0, 0.5)}
+    node = active()
+    assert supervise(node, 200, **values) == NO_FAULT
+    node.node.sense.temperature_degc = [118.5] * 4  # a tenth of 20 A is left, 2.5 N m
+    assert node.lib.wheel_node_torque_limit(node.node) == pytest.approx(2.5)
+    assert supervise(node, 200, torque_n_m=only(0, 0.49)) == NO_FAULT
+    assert supervise(node, 200, torque_n_m=only(0, 0.51)) == (m.Fault.ENCODER_STUCK, 1)
+
+
+def test_in_torque_mode_the_set_point_is_the_speed_and_says_nothing() -> None:
+    values = {"speed_rad_s": still(2, 3.0), "set_point_rad_s": [0.0] * 4, "torque_n_m": only(2, STRONG_N_M)}
+    assert supervise(active(m.Mode.TORQUE), FAULT_TICKS, **values) == (m.Fault.ENCODER_STUCK, 3)
+    assert supervise(active(m.Mode.SPEED), FAULT_TICKS, **values) == NO_FAULT
+
+
+def test_a_wheel_that_turned_between_was_not_stuck() -> None:
+    node = active()
+    stuck = {"set_point_rad_s": only(1, 3.0), "torque_n_m": only(1, STRONG_N_M)}
+    for _ in range(3):
+        assert supervise(node, FAULT_TICKS - 1, speed_rad_s=still(1, 3.0), **stuck) == NO_FAULT
+        assert supervise(node, 1, speed_rad_s=still(1, 3.0, own=0.25)) == NO_FAULT
+
+
+@WHEELS
+@SIGNS
+@pytest.mark.parametrize(
+    ("gained", "torque", "found"), [(3.01, STRONG_N_M, True), (2.99, STRONG_N_M, False), (3.01, 0.99, False)]
+)
+def test_a_wheel_runs_away_when_it_gains_speed_against_its_torque(
+    wheel: int, sign: float, gained: float, torque: float, found: bool
+) -> None:
+    node = active()
+    against = only(wheel, -sign * torque)
+    assert supervise(node, 30, speed_rad_s=only(wheel, sign * 5.0), torque_n_m=against) == NO_FAULT
+    assert supervise(node, 30, speed_rad_s=only(wheel, sign * 4.0)) == NO_FAULT, "braking"
+    assert supervise(node, FAULT_TICKS - 61, speed_rad_s=only(wheel, sign * (4.0 + gained))) == NO_FAULT
+    expected = (m.Fault.WRONG_DIRECTION, wheel + 1) if found else NO_FAULT
+    assert supervise(node, 1) == expected
+
+
+@WHEELS
+def test_a_runaway_begins_anew_when_the_torque_helps(wheel: int) -> None:
+    """From 1 rad/s, and after a tick of torque the other way from 6 rad/s: 8 rad/s is then no gain of 3."""
+    node = active()
+    assert supervise(node, 90, speed_rad_s=only(wheel, 1.0), torque_n_m=only(wheel, -STRONG_N_M)) == NO_FAULT
+    assert supervise(node, 1, speed_rad_s=only(wheel, 6.0), torque_n_m=only(wheel, STRONG_N_M)) == NO_FAULT
+    against = {"torque_n_m": only(wheel, -STRONG_N_M)}
+    assert supervise(node, 300, speed_rad_s=only(wheel, 8.0), **against) == NO_FAULT
+    assert supervise(node, 1, speed_rad_s=only(wheel, 11.5)) == (m.Fault.WRONG_DIRECTION, wheel + 1)
+
+
+@WHEELS
+@SIGNS
+def test_a_wheel_rests_below_a_fifth_of_a_rad_s_for_fifty_ticks(wheel: int, sign: float) -> None:
+    node = active()
+    node.heartbeat(m.Request.IDLE, 0x99)
+    node.node.state_ticks = 200
+    supervise(node, 300, speed_rad_s=only(wheel, sign * 0.2001))
+    assert node.state is State.STOPPING
+    supervise(node, 49, speed_rad_s=only(wheel, sign * 0.1999))
+    assert node.state is State.STOPPING
+    supervise(node, 1, speed_rad_s=only(wheel, sign * 0.2001))
+    supervise(node, 49, speed_rad_s=only(wheel, sign * 0.1999))
+    assert node.state is State.STOPPING
+    supervise(node, 1)
+    assert node.state is State.IDLE
+
+
+def test_a_stop_is_over_after_the_ramp_at_the_earliest_and_a_second_later_at_the_latest() -> None:
+    for ticks, rests, expected in (
+        (199, True, State.STOPPING),
+        (200, True, State.IDLE),
+        (1199, False, State.STOPPING),
+        (1200, False, State.IDLE),
+    ):
+        node = active()
+        node.heartbeat(m.Request.IDLE, 0x99)
+        node.node.rest_ticks = 100 if rests else 0
+        supervise(node, 1, state_ticks=ticks, speed_rad_s=[0.0 if rests else 5.0] * 4)
+        assert node.state is expected, ticks
+
+
+def test_an_estop_brakes_for_a_second_at_the_latest() -> None:
+    node = active()
+    node.send(m.Estop(0, 0))
+    node.node.speed_rad_s = [5.0] * 4
+    for ticks, expected in ((998, 1), (999, 1), (1000, 0)):
+        node.node.state_ticks = ticks
+        node.lib.wheel_node_drive(node.node, node.drive)
+        assert node.drive.enabled == expected
+
+
+def test_encoders_are_watched_while_an_estop_brakes_and_not_when_it_is_over() -> None:
+    for braking in (True, False):
+        node = active()
+        node.send(m.Estop(0, 0))
+        node.node.braking = braking
+        away = {"speed_rad_s": only(3, 9.0), "torque_n_m": only(3, -STRONG_N_M)}
+        supervise(node, 1, speed_rad_s=only(3, 1.0), torque_n_m=only(3, -STRONG_N_M))
+        supervise(node, FAULT_TICKS, **away)
+        assert node.node.fault == (m.Fault.WRONG_DIRECTION if braking else m.Fault.NONE)
+
+
+@WHEELS
+@SIGNS
+def test_overspeed_and_overcurrent_begin_beyond_their_limits(wheel: int, sign: float) -> None:
+    node = active()
+    assert supervise(node, 10, speed_rad_s=only(wheel, sign * 100.0)) == NO_FAULT
+    assert supervise(node, 1, speed_rad_s=only(wheel, sign * 100.01)) == (m.Fault.OVERSPEED, wheel + 1)
+    node = active()
+    node.node.sense.current_a = only(wheel, sign * 30.0)
+    assert supervise(node, 10) == NO_FAULT
+    node.node.sense.current_a = only(wheel, sign * 30.01)
+    assert supervise(node, 4) == NO_FAULT
+    assert supervise(node, 1) == (m.Fault.OVERCURRENT, wheel + 1)
+
+
+@WHEELS
+def test_the_hottest_wheel_is_named(wheel: int) -> None:
+    node = active()
+    for others in (119.0, 119.9):
+        node.node.sense.temperature_degc = [120.0 if i == wheel else others for i in range(4)]
+        assert supervise(node, 1) == (m.Fault.OVERTEMPERATURE, wheel + 1)
+        node = active()
+
+
+def test_what_is_just_plausible_is_taken() -> None:
+    node = active()
+    sense = node.node.sense
+    sense.gyro_rad_s, sense.acceleration_m_s2, sense.battery_a = [1e6] * 3, [-1e6] * 3, 1e6
+    assert supervise(node, 1) == NO_FAULT
+    sense.gyro_rad_s[1] = 1000001.0
+    assert supervise(node, 1) == (m.Fault.SENSOR, 0)

@@ -1,0 +1,284 @@
+"""Parameters by index: every one read and written, refused out of range or out of IDLE, and kept across a reset."""
+
+import math
+import struct
+import zlib
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_protocol.capabilities import Capability
+from firmware_protocol.framing import Frame
+from firmware_protocol.generated import messages as m
+from firmware_protocol.generated.messages import Operation, Result, State, Type
+from firmware_protocol.host import Parameter, parameter_hash, parameters
+from tests.bare_node import ALL, BareNode
+from tests.wheel_rig import PARAMETERS, WheelRig
+
+ROWS = parameters()
+each = pytest.mark.parametrize("index", range(len(ROWS)), ids=[p.name for p in ROWS])
+
+
+def bits(row: Parameter, value: float) -> int:
+    """The value as it crosses the wire."""
+    return int(value) if row.type is Type.UINT32 else int(struct.unpack("<I", struct.pack("<f", value))[0])
+
+
+def single(value: float) -> float:
+    return float(struct.unpack("<f", struct.pack("<f", value))[0])
+
+
+def next_single(value: float, towards: float) -> float:
+    """The neighbour of a binary32 number."""
+    if value == 0.0:
+        return math.copysign(2.0**-149, towards)
+    (raw,) = struct.unpack("<i", struct.pack("<f", value))
+    raw += 1 if (towards > value) == (value > 0.0) else -1
+    return float(struct.unpack("<f", struct.pack("<i", raw))[0])
+
+
+def ask(
+    node: WheelRig | BareNode, operation: Operation, index: int = 0, value: int = 0, transaction: int = 7
+) -> m.ParameterResponse:
+    node.heard()
+    node.send(m.ParameterRequest(index, operation, transaction, value))
+    (answer,) = [x for x in node.heard() if isinstance(x, m.ParameterResponse)]
+    assert answer.transaction == transaction
+    assert (answer.operation, answer.parameter) == (operation, index)
+    return answer
+
+
+@each
+def test_every_parameter_is_read_with_its_type_and_range(index: int) -> None:
+    row, rig = ROWS[index], WheelRig()
+    for operation, value in (
+        (Operation.READ, PARAMETERS[row.name]),
+        (Operation.READ_MINIMUM, row.minimum),
+        (Operation.READ_MAXIMUM, row.maximum),
+    ):
+        answer = ask(rig, operation, index)
+        assert (answer.result, answer.type, answer.value) == (Result.OK, row.type, bits(row, value))
+
+
+@each
+def test_every_parameter_takes_its_range_and_nothing_else(index: int) -> None:
+    row, rig = ROWS[index], WheelRig()
+    for good in (row.minimum, row.maximum):
+        answer = ask(rig, Operation.WRITE, index, bits(row, good))
+        assert (answer.result, answer.value) == (Result.OK, bits(row, good))
+        assert ask(rig, Operation.READ, index).value == bits(row, good)
+    if row.type is Type.UINT32:
+        bad = [int(row.minimum) - 1, int(row.maximum) + 1, 0x0100_0001, 0xFFFF_FFFF]
+    else:
+        outside = [next_single(row.minimum, -math.inf), next_single(row.maximum, math.inf)]
+        bad = [bits(row, v) for v in (*outside, math.nan, -math.nan, math.inf, -math.inf)] + [0xFFFF_FFFF]
+    for value in bad:
+        answer = ask(rig, Operation.WRITE, index, value)
+        assert (answer.result, answer.value) == (Result.RANGE, bits(row, row.maximum)), hex(value)
+    assert ask(rig, Operation.READ, index).value == bits(row, row.maximum)
+
+
+@each
+def test_a_write_changes_that_parameter_and_the_hash_only(index: int) -> None:
+    row, rig = ROWS[index], WheelRig()
+    value = row.minimum if PARAMETERS[row.name] != row.minimum else row.maximum
+    ask(rig, Operation.WRITE, index, bits(row, value))
+    changed = PARAMETERS | {row.name: value}
+    read = [ask(rig, Operation.READ, i).value for i in range(len(ROWS))]
+    assert read == [bits(p, changed[p.name]) for p in ROWS]
+    rig.send(m.HelloRequest(1))
+    (told,) = [x for x in rig.heard() if isinstance(x, m.HelloParameters)]
+    assert told.parameter_hash == parameter_hash(changed) != parameter_hash(PARAMETERS)
+
+
+@pytest.mark.parametrize("index", [len(ROWS), 100, 255])
+@pytest.mark.parametrize("operation", [Operation.READ, Operation.READ_MINIMUM, Operation.READ_MAXIMUM, Operation.WRITE])
+def test_a_parameter_that_does_not_exist_is_refused(index: int, operation: Operation) -> None:
+    answer = ask(WheelRig(), operation, index, 1)
+    assert (answer.result, answer.value, answer.type) == (Result.PARAMETER, 0, Type.FLOAT32)
+
+
+def test_an_operation_that_does_not_exist_is_counted_as_out_of_range() -> None:
+    rig = WheelRig()
+    good = bytearray(m.ParameterRequest(0, Operation.RESTORE, 0, 0).encode())
+    good[1] = 6
+    rig.heard()
+    rig.node.receive(Frame(m.ParameterRequest.ID, bytes(good)))
+    assert rig.heard() == []
+    assert rig.node.look().rejected["range"] == 1
+
+
+def armed(rig: WheelRig) -> None:
+    rig.arm()
+
+
+def stopping(rig: WheelRig) -> None:
+    rig.activate()
+    rig.drive(10.0, 200)
+    rig.run(60)
+
+
+def faulty(rig: WheelRig) -> None:
+    rig.temperature_degc[0] = 130.0
+    rig.run(1)
+
+
+BUSY = {
+    State.ARMED: armed,
+    State.ACTIVE: lambda rig: rig.activate(),
+    State.STOPPING: stopping,
+    State.FAULT: faulty,
+    State.ESTOP: lambda rig: rig.send(m.Estop(0, 0)),
+}
+
+
+@pytest.mark.parametrize("state", BUSY)
+def test_parameters_are_read_in_every_state_and_change_in_idle_only(state: State) -> None:
+    rig = WheelRig()
+    BUSY[state](rig)
+    assert rig.state is state
+    for index, row in enumerate(ROWS):
+        value = bits(row, PARAMETERS[row.name])
+        answer = ask(rig, Operation.WRITE, index, bits(row, row.minimum))
+        assert (answer.result, answer.value) == (Result.STATE, value)
+        assert ask(rig, Operation.READ, index)[3:] == (Result.OK, row.type, value)
+    for operation in (Operation.STORE, Operation.RESTORE):
+        assert ask(rig, operation).result == Result.STATE
+    assert rig.node.stored() is None
+
+
+def test_a_host_with_the_old_parameters_does_not_arm() -> None:
+    """One in 256 changes has the same check; this is not one of them."""
+    rig = WheelRig()
+    index = [p.name for p in ROWS].index("ramp_s")
+    ask(rig, Operation.WRITE, index, bits(ROWS[index], 0.5))
+    changed = PARAMETERS | {"ramp_s": 0.5}
+    assert parameter_hash(changed) & 0xFF != parameter_hash(PARAMETERS) & 0xFF
+    rig.arm()
+    assert rig.state is State.IDLE
+    assert [x for x in rig.heard() if isinstance(x, m.Status)][-1].arm_refusal == m.ArmRefusal.PARAMETERS
+    rig.values = changed
+    rig.arm()
+    assert rig.state is State.ARMED
+
+
+def test_a_change_takes_effect() -> None:
+    rig = WheelRig()
+    index = [p.name for p in ROWS].index("watchdog_s")
+    ask(rig, Operation.WRITE, index, bits(ROWS[index], 0.02))
+    rig.values = PARAMETERS | {"watchdog_s": 0.02}
+    rig.activate()
+    rig.run(19)
+    assert rig.state is State.ACTIVE
+    rig.run(1)
+    assert rig.state is State.STOPPING
+
+
+def stored_after(changes: dict[str, float]) -> bytes:
+    rig = WheelRig()
+    for index, row in enumerate(ROWS):
+        if row.name in changes:
+            assert ask(rig, Operation.WRITE, index, bits(row, changes[row.name])).result == Result.OK
+    answer = ask(rig, Operation.STORE)
+    assert (answer.result, answer.value) == (Result.OK, parameter_hash(PARAMETERS | changes))
+    kept = rig.node.stored()
+    assert kept is not None
+    return kept
+
+
+@given(
+    st.fixed_dictionaries(
+        {}, optional={p.name: st.floats(single(p.minimum), single(p.maximum), width=32) for p in ROWS[1:]}
+    )
+)
+def test_what_is_stored_is_in_force_after_a_reset(changes: dict[str, float]) -> None:
+    kept = stored_after(changes)
+    again = WheelRig(stored=kept)
+    read = [ask(again, Operation.READ, i).value for i in range(len(ROWS))]
+    assert read == [bits(p, (PARAMETERS | changes)[p.name]) for p in ROWS]
+
+
+def test_without_a_store_a_reset_forgets() -> None:
+    rig = WheelRig()
+    ask(rig, Operation.WRITE, 18, bits(ROWS[18], 0.5))
+    assert rig.node.stored() is None
+
+
+def test_restore_goes_back_to_the_build_also_after_a_reset() -> None:
+    rig = WheelRig(stored=stored_after({"ramp_s": 0.5, "watchdog_s": 0.1}))
+    answer = ask(rig, Operation.RESTORE)
+    assert (answer.result, answer.value) == (Result.OK, parameter_hash(PARAMETERS))
+    assert [ask(rig, Operation.READ, i).value for i in range(len(ROWS))] == [bits(p, PARAMETERS[p.name]) for p in ROWS]
+
+
+KEPT = stored_after({"ramp_s": 0.5})
+
+
+def ramp_with(stored: bytes) -> float:
+    rig = WheelRig(stored=stored)
+    assert rig.state is State.IDLE
+    (raw,) = [ask(rig, Operation.READ, i).value for i, p in enumerate(ROWS) if p.name == "ramp_s"]
+    return float(struct.unpack("<f", struct.pack("<I", raw))[0])
+
+
+def sealed(body: bytes) -> bytes:
+    return body + struct.pack("<I", zlib.crc32(body))
+
+
+def test_any_one_wrong_bit_of_what_was_stored_is_noticed() -> None:
+    assert ramp_with(KEPT) == 0.5
+    assert sealed(KEPT[:-4]) == KEPT, "the checksum is the usual CRC-32"
+    whole = int.from_bytes(KEPT, "little")
+    for bit in range(8 * len(KEPT)):
+        damaged = (whole ^ 1 << bit).to_bytes(len(KEPT), "little")
+        assert ramp_with(damaged) == single(PARAMETERS["ramp_s"]), bit
+
+
+@given(cut=st.integers(0, len(KEPT) - 1), fill=st.sampled_from([b"\0", b"\xff"]))
+def test_a_power_cut_while_storing_leaves_the_build_in_force(cut: int, fill: bytes) -> None:
+    """The port wrote the first bytes, and the rest is as the flash was erased."""
+    assert ramp_with(KEPT[:cut] + fill * (len(KEPT) - cut)) == single(PARAMETERS["ramp_s"])
+
+
+@pytest.mark.parametrize(
+    "foreign",
+    [
+        sealed(b"WHP2" + KEPT[4:-4]),
+        sealed(KEPT[:4] + struct.pack("<I", 19) + KEPT[8:-4]),
+        sealed(KEPT[:-8] + struct.pack("<f", 5.0)),
+        sealed(KEPT[:8] + struct.pack("<f", math.nan) + KEPT[12:-4]),
+    ],
+    ids=["another layout", "another table", "out of range", "no number"],
+)
+def test_what_another_firmware_stored_is_ignored_as_a_whole(foreign: bytes) -> None:
+    assert ramp_with(foreign) == single(PARAMETERS["ramp_s"])
+
+
+def test_a_robot_without_storage_says_so() -> None:
+    node = BareNode(capabilities=ALL & ~Capability.STORAGE)
+    assert ask(node, Operation.STORE).result == Result.STORAGE
+    assert ask(node, Operation.RESTORE).result == Result.OK
+
+
+@pytest.mark.parametrize("kept", [True, False])
+def test_a_store_is_answered_when_the_port_is_done_and_bars_changes_until_then(kept: bool) -> None:
+    node = BareNode()
+    block = node.ffi.new("uint8_t[]", len(KEPT))
+    assert not node.lib.wheel_node_store_pending(node.node, block)
+    node.lib.wheel_node_stored(node.node, True)  # nobody asked
+    node.heard()
+    node.send(m.ParameterRequest(0, Operation.STORE, 9, 0))
+    assert node.heard() == []
+    assert node.lib.wheel_node_store_pending(node.node, block)
+    assert bytes(block) == sealed(bytes(block)[:-4])
+    for operation in (Operation.WRITE, Operation.STORE, Operation.RESTORE):
+        assert ask(node, operation, 0, 4096).result == Result.STATE
+    assert ask(node, Operation.READ, 0).result == Result.OK
+    node.lib.wheel_node_stored(node.node, kept)
+    (answer,) = node.heard()
+    assert isinstance(answer, m.ParameterResponse)
+    assert (answer.operation, answer.transaction) == (Operation.STORE, 9)
+    assert (answer.result, answer.value) == (Result.OK if kept else Result.STORAGE, parameter_hash(PARAMETERS))
+    assert not node.lib.wheel_node_store_pending(node.node, block)
+    assert ask(node, Operation.WRITE, 0, 2048).result == Result.OK

@@ -1,0 +1,135 @@
+"""Fuzzes the C decoder and the firmware core with libFuzzer, under AddressSanitizer and UndefinedBehaviorSanitizer.
+
+``python -m tools.fuzz --runs 10000000`` runs both targets so often. The targets, what they check after every call, and
+the mutator that gets past CRC and COBS are in ``tests/fuzz``. An input that breaks a check is kept and named.
+"""
+
+import argparse
+import csv
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+from firmware_protocol.build import FLAGS, SOURCES
+
+ROOT = Path(__file__).parent.parent
+HARNESSES = ROOT / "tests" / "fuzz"
+FRAMES = ROOT / "tests" / "vectors" / "frames.csv"
+TARGETS = ("decoder", "node")
+COMPILERS = ("clang", *(f"clang-{version}" for version in range(22, 13, -1)))
+CORE = [source for source in SOURCES if "port" not in source.parts]
+# Comparisons are not traced: the mutator writes valid frames itself, and a run is 1.5 times as fast.
+FUZZ = (
+    "-g",
+    "-fsanitize=fuzzer,address,undefined,float-cast-overflow",
+    "-fno-sanitize-recover=all",
+    "-fno-sanitize-coverage=trace-cmp",
+)
+LONGEST = 512
+# The choices in front of the node's stream (node_fuzzer.c): IDLE, ARMED, ACTIVE in both modes, 16 bytes a tick.
+STARTS = [bytes([start, 15, 0, 0, 0, 0, 255, 0]) for start in range(4)]
+
+
+class UnavailableError(Exception):
+    """libFuzzer is not on this machine; the message says what to install."""
+
+
+class Outcome(NamedTuple):
+    """What a target went through; ``failure`` is its report when a check broke, and ``reproducer`` the input."""
+
+    runs: int
+    seconds: float
+    features: int
+    failure: str | None
+    reproducer: Path | None
+
+
+def build(target: str, folder: Path) -> Path:
+    """Build a target and return the program. Raises UnavailableError without clang and its runtime."""
+    compiler = next(filter(None, map(shutil.which, COMPILERS)), None)
+    if compiler is None:
+        raise UnavailableError("no clang on this machine; on Debian: apt install clang libclang-rt-dev")
+    probe = [compiler, "-fsanitize=fuzzer", "-x", "c", "-", "-o", str(folder / "probe")]
+    empty = "int LLVMFuzzerTestOneInput(const char *d, long n) { (void)d; (void)n; return 0; }"
+    probed = subprocess.run(probe, input=empty, capture_output=True, text=True, check=False)
+    if probed.returncode != 0:
+        raise UnavailableError("clang has no libFuzzer here; on Debian: apt install libclang-rt-dev")
+    program = folder / target
+    sources = [HARNESSES / f"{target}_fuzzer.c", HARNESSES / "wire_mutator.c", *CORE]
+    command = [compiler, *FLAGS, *FUZZ, "-o", str(program), *map(str, sources)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise SystemExit(f"{' '.join(command)} failed:\n{done.stderr}")
+    return program
+
+
+def write_seeds(target: str, folder: Path) -> None:
+    """Write the golden frames as first inputs, one by one and all in a row."""
+    with FRAMES.open(encoding="utf-8", newline="") as file:
+        serial = [bytes.fromhex(row["serial"]) for row in csv.DictReader(file)]
+    streams = [*serial, *(b"".join(serial[i : i + 30]) for i in range(0, len(serial), 30))]
+    for i, stream in enumerate(streams):
+        header = STARTS[i % len(STARTS)] if target == "node" else b""
+        (folder / f"seed{i}").write_bytes(header + stream)
+
+
+def fuzz(target: str, runs: int, seed: int, keep_in: Path) -> Outcome:
+    """Run a target; an input that breaks a check is kept in ``keep_in``."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        program = build(target, folder)
+        corpus = folder / "corpus"
+        corpus.mkdir()
+        write_seeds(target, corpus)
+        limits = [f"-runs={runs}", f"-seed={seed}", f"-max_len={LONGEST}", "-timeout=10"]
+        command = [str(program), *limits, "-print_final_stats=1", f"-artifact_prefix={keep_in}/{target}-", str(corpus)]
+        before = set(keep_in.iterdir())
+        began = time.monotonic()
+        done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+        seconds = time.monotonic() - began
+        kept = sorted(set(keep_in.iterdir()) - before)
+    log = done.stderr
+    counted = re.search(r"stat::number_of_executed_units: (\d+)", log)
+    features = re.findall(r" ft: (\d+)", log)
+    return Outcome(
+        int(counted[1]) if counted else 0,
+        seconds,
+        int(features[-1]) if features else 0,
+        None if done.returncode == 0 else log[-4000:],
+        kept[0] if kept else None,
+    )
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--runs", type=int, default=100_000, help="runs of each target")
+    parser.add_argument("--target", choices=TARGETS, action="append", help="default: both")
+    parser.add_argument("--seed", type=int, default=1)
+    arguments = parser.parse_args()
+    failed = False
+    for target in arguments.target or TARGETS:
+        try:
+            outcome = fuzz(target, arguments.runs, arguments.seed, Path.cwd())
+        except UnavailableError as error:
+            print(f"tools.fuzz: {error}", file=sys.stderr)
+            return 2
+        rate = outcome.runs / max(outcome.seconds, 1e-9)
+        print(
+            f"{target}: {outcome.runs} runs in {outcome.seconds:.0f} s ({rate:.0f}/s), "
+            f"{outcome.features} features reached, {'a check broke' if outcome.failure else 'no failure'}",
+            flush=True,
+        )
+        if outcome.failure is not None:
+            print(outcome.failure, file=sys.stderr)
+            print(f"the input is {outcome.reproducer}", file=sys.stderr)
+            failed = True
+    return int(failed)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,207 @@
+"""Mutation testing of the firmware's safety checks: does a test notice when a check is a little wrong?
+
+``python -m tools.mutate`` changes one place of receive.c, supervise.c, states.c or node.c at a time, builds the host
+library with it, and runs the tests of the node until one fails. It prints the survivors and the score, and fails when a
+survivor is not in ``equivalent_mutants.toml``, which says why a change is none. ``--sample 20`` takes some at random.
+"""
+
+import argparse
+import os
+import random
+import re
+import subprocess
+import sys
+import tempfile
+import tomllib
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import NamedTuple
+
+from firmware_protocol.build import FLAGS, HERE, SOURCES, compiler
+
+ROOT = Path(__file__).parent.parent
+FILES = ("states.c", "receive.c", "supervise.c", "node.c")
+# The fastest and the ones that find most first.
+TESTS = (
+    "tests/test_node_sessions.py",
+    "tests/test_node_states.py",
+    "tests/test_node_thresholds.py",
+    "tests/test_node_faults.py",
+    "tests/test_node.py",
+    "tests/test_node_feedback.py",
+    "tests/test_node_replay.py",
+    "tests/test_parameters.py",
+)
+TIMEOUT_S = 200
+EQUIVALENT = Path(__file__).parent / "equivalent_mutants.toml"
+# An index beyond an array ends the tests as well.
+_TRAP = ["-fsanitize=undefined,float-cast-overflow", "-fsanitize-undefined-trap-on-error"]
+_FLAGS = [*(flag for flag in FLAGS if not flag.startswith("-W")), "-w", *_TRAP]
+
+_SWAPS = {
+    "<": "<=",
+    "<=": "<",
+    ">": ">=",
+    ">=": ">",
+    "==": "!=",
+    "!=": "==",
+    "&&": "||",
+    "||": "&&",
+    "+": "-",
+    "-": "+",
+    "+=": "-=",
+    "++": "--",
+    "true": "false",
+    "false": "true",
+}
+_OPERATOR = re.compile(r"(?<= )(?:<=|>=|==|!=|&&|\|\||\+=|<|>|\+|-)(?= )|\+\+|\b(?:true|false)\b")
+_WHOLE = re.compile(r"(?<![\w.])(\d+)(u?)(?![\w.])")
+_REAL = re.compile(r"(?<![\w.])\d+\.\d+f")
+_CONDITION = re.compile(r"\bif \((.*)\) \{$")
+_STATEMENT = re.compile(
+    r"^\s+(?!return\b.*\S;|const |static |wp_|float |bool |uint\w+ |wheel_\w+ \w+;)[^{}]*;\s*(/\*.*)?$"
+)
+_ROW = re.compile(r"^\s+\{WP_STATE_\w+, WHEEL_EVENT_\w+, (WP_STATE_\w+)\},$")
+_COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
+
+
+class Mutant(NamedTuple):
+    """One change: the line is that of the unchanged source."""
+
+    file: str
+    number: int
+    before: str
+    after: str
+
+    @property
+    def key(self) -> tuple[str, str, str]:
+        return self.file, self.before.strip(), self.after.strip()
+
+    def __str__(self) -> str:
+        return f"{self.file}:{self.number}: {self.before.strip()}  ->  {self.after.strip() or '(removed)'}"
+
+
+def changes(line: str) -> Iterator[str]:
+    """Yield every line that this one is changed to."""
+    for found in _OPERATOR.finditer(line):
+        yield line[: found.start()] + _SWAPS[found[0]] + line[found.end() :]
+    for found in _WHOLE.finditer(line):
+        for whole in sorted({int(found[1]) + 1, max(int(found[1]) - 1, 0)} - {int(found[1])}):
+            yield line[: found.start()] + f"{whole}{found[2]}" + line[found.end() :]
+    for found in _REAL.finditer(line):
+        for factor in (0.75, 1.25):
+            real = float(found[0][:-1])
+            yield line[: found.start()] + f"{real * factor if real else factor - 1}f" + line[found.end() :]
+    if found_condition := _CONDITION.search(line):
+        start, end = found_condition.span(1)
+        yield f"{line[:start]}!({line[start:end]}){line[end:]}"
+    if row := _ROW.match(line):
+        yield line[: row.start(1)] + "WP_STATE_ACTIVE" + line[row.end(1) :]
+        yield "    {WP_STATE_BOOT, WHEEL_EVENT_READY, WP_STATE_IDLE},"
+    elif _STATEMENT.match(line):
+        yield ";"
+
+
+def mutants(file: str) -> list[Mutant]:
+    """Return every mutant of a file; comments, includes and blank lines have none."""
+    text = (HERE / "firmware" / file).read_text(encoding="utf-8")
+    code = _COMMENT.sub(lambda found: re.sub(r"[^\n]", " ", found[0]), text)
+    lines = zip(text.splitlines(), code.splitlines(), strict=True)
+    return [
+        Mutant(file, number, line, after)
+        for number, (line, bare) in enumerate(lines, start=1)
+        if bare.strip() and not bare.startswith("#include")
+        for after in changes(bare.rstrip())
+        if after.strip() != bare.strip()
+    ]
+
+
+class Bench:
+    """The objects of the unchanged sources, and a place to build and test mutants in."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._objects = {source.name: self._compile(source, folder / f"{source.stem}.o") for source in SOURCES}
+
+    def _compile(self, source: Path, target: Path) -> Path:
+        command = [compiler(), *_FLAGS, f"-I{HERE / 'firmware'}", "-fPIC", "-c", str(source), "-o", str(target)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode != 0:
+            raise ValueError(done.stderr)
+        return target
+
+    def survives(self, mutant: Mutant, place: int) -> bool | None:
+        """Tell whether no test notices the mutant; None when it does not compile."""
+        text = (HERE / "firmware" / mutant.file).read_text(encoding="utf-8").splitlines()
+        text[mutant.number - 1] = mutant.after
+        folder = self._folder / str(place)
+        folder.mkdir()
+        source = folder / mutant.file
+        # The sources include "../generated/...", beside their own folder.
+        body = "\n".join(text).replace('"../generated/', f'"{HERE}/generated/')
+        source.write_text(body + "\n", encoding="utf-8")
+        try:
+            objects = {mutant.file: self._compile(source, folder / "mutant.o")}
+        except ValueError:
+            return None
+        return self.passes(folder, objects)
+
+    def passes(self, folder: Path, changed: dict[str, Path]) -> bool:
+        """Tell whether every test passes with these objects instead of the unchanged ones."""
+        library = folder / "libmutant.so"
+        objects = (self._objects | changed).values()
+        subprocess.run([compiler(), "-shared", "-o", str(library), *map(str, objects)], check=True)
+        environment = os.environ | {"WHEEL_HOST_LIBRARY": str(library), "HIL_CI": "1"}
+        command = [sys.executable, "-m", "pytest", "-x", "--tb=no", "-p", "no:cacheprovider", *TESTS]
+        try:
+            done = subprocess.run(
+                command, env=environment, cwd=ROOT, capture_output=True, timeout=TIMEOUT_S, check=False
+            )
+        except subprocess.TimeoutExpired:
+            return False
+        return done.returncode == 0
+
+
+def equivalent() -> dict[tuple[str, str, str], str]:
+    """Return the listed mutants that change nothing that a robot does, with the reason."""
+    rows = tomllib.loads(EQUIVALENT.read_text(encoding="utf-8"))["mutant"]
+    return {(row["file"], row["before"], row["after"]): row["because"] for row in rows}
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--sample", type=int, metavar="N", help="take N mutants at random instead of all")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--file", choices=FILES, action="append", help="default: all of them")
+    parser.add_argument("--jobs", type=int, default=1)
+    arguments = parser.parse_args()
+    known = equivalent()
+    chosen = [mutant for file in arguments.file or FILES for mutant in mutants(file)]
+    stale = set(known) - {mutant.key for file in FILES for mutant in mutants(file)}
+    chosen = [mutant for mutant in chosen if mutant.key not in known]
+    if arguments.sample is not None:
+        chosen = random.Random(arguments.seed).sample(chosen, min(arguments.sample, len(chosen)))
+    with tempfile.TemporaryDirectory() as name, ThreadPoolExecutor(arguments.jobs) as pool:
+        bench = Bench(Path(name))
+        if not bench.passes(Path(name), {}):
+            print("tools.mutate: the tests fail without any change", file=sys.stderr)
+            return 2
+        outcomes = []
+        for mutant, outcome in zip(chosen, pool.map(bench.survives, chosen, range(len(chosen))), strict=True):
+            outcomes.append(outcome)
+            if outcome:
+                print(f"survives: {mutant}", flush=True)
+    survivors = outcomes.count(True)
+    tested = len(outcomes) - outcomes.count(None)
+    for key in sorted(stale):
+        print(f"listed as equivalent, but no mutant any more: {key}")
+    print(
+        f"{tested - survivors} of {tested} mutants noticed ({100 * (tested - survivors) / max(tested, 1):.1f} %), "
+        f"{outcomes.count(None)} did not compile, {len(known)} are listed as equivalent"
+    )
+    return int(bool(survivors or stale))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
