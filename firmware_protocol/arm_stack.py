@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from firmware_protocol.arm_image import Image
-from firmware_protocol.build import BuildError
+from native_build.compiler import BuildError
 
 _FUNCTION = re.compile(r"^([0-9a-f]{8}) <(.+)>:$")
 _INSTRUCTION = re.compile(r"^ *([0-9a-f]+):\t(\S+)(?:\t(.*))?$")

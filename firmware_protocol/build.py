@@ -19,6 +19,7 @@ SOURCES = (
     *sorted((HERE / "port" / "host").glob("*.c")),
     HERE / "generated" / "wheel_messages.c",
 )
+FLAGS = (*native_build.compiler.FLAGS, "-Wdouble-promotion")
 HEADERS = tuple(sorted(HERE.rglob("*.h")))
 
 

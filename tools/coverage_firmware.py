@@ -14,7 +14,8 @@ import tempfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from firmware_protocol.build import FLAGS, HERE, SOURCES, compiler
+from firmware_protocol.build import FLAGS, HERE, SOURCES
+from native_build.compiler import compiler
 
 ROOT = Path(__file__).parent.parent
 CORE = HERE / "firmware"
@@ -49,11 +50,11 @@ def build_instrumented(folder: Path) -> Path:
     for source in SOURCES:
         target = folder / f"{source.stem}.o"
         # Without optimisation, so that each line keeps its own counter.
-        command = [compiler(), *FLAGS, "-O0", "--coverage", "-fPIC", "-c", str(source), "-o", str(target)]
+        command = [*compiler(), *FLAGS, "-O0", "--coverage", "-fPIC", "-c", str(source), "-o", str(target)]
         subprocess.run(command, check=True)
         objects.append(str(target))
     library = folder / "libwheel_coverage.so"
-    subprocess.run([compiler(), "--coverage", "-shared", "-o", str(library), *objects], check=True)
+    subprocess.run([*compiler(), "--coverage", "-shared", "-o", str(library), *objects], check=True)
     return library
 
 

@@ -18,7 +18,8 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
-from firmware_protocol.build import FLAGS, HERE, SOURCES, compiler
+from firmware_protocol.build import FLAGS, HERE, SOURCES
+from native_build.compiler import compiler
 
 ROOT = Path(__file__).parent.parent
 FILES = ("states.c", "receive.c", "supervise.c", "node.c")
@@ -125,7 +126,7 @@ class Bench:
         self._objects = {source.name: self._compile(source, folder / f"{source.stem}.o") for source in SOURCES}
 
     def _compile(self, source: Path, target: Path) -> Path:
-        command = [compiler(), *_FLAGS, f"-I{HERE / 'firmware'}", "-fPIC", "-c", str(source), "-o", str(target)]
+        command = [*compiler(), *_FLAGS, f"-I{HERE / 'firmware'}", "-fPIC", "-c", str(source), "-o", str(target)]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode != 0:
             raise ValueError(done.stderr)
@@ -151,7 +152,7 @@ class Bench:
         """Tell whether every test passes with these objects instead of the unchanged ones."""
         library = folder / "libmutant.so"
         objects = (self._objects | changed).values()
-        subprocess.run([compiler(), "-shared", "-o", str(library), *map(str, objects)], check=True)
+        subprocess.run([*compiler(), "-shared", "-o", str(library), *map(str, objects)], check=True)
         environment = os.environ | {"WHEEL_HOST_LIBRARY": str(library), "HIL_CI": "1"}
         command = [sys.executable, "-m", "pytest", "-x", "--tb=no", "-p", "no:cacheprovider", *TESTS]
         try:

@@ -9,7 +9,6 @@ from typing import Protocol
 
 from firmware_protocol.arm_build import TARGETS as FIRMWARES
 from firmware_protocol.arm_build import build
-from firmware_protocol.build import BuildError
 from firmware_protocol.host import stored_parameters
 from hil.devices.robot_node import RobotNode
 from hil.devices.targets.qemu_board import QemuBoard
@@ -17,6 +16,7 @@ from hil.devices.virtual import TruthSink, VirtualRobot, VirtualServer, VirtualS
 from hil.errors import BadInputError, nearest
 from hil.links.url import CanUrl, LinkUrl
 from hil.links.wire import Wire
+from native_build.compiler import BuildError
 
 TARGETS: Mapping[str, str] = {
     "host": "the firmware as a library of this machine",
