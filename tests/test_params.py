@@ -10,11 +10,8 @@ def test_parameters_are_shown_changed_and_kept(tmp_path: Path) -> None:
     with device("paper_circle", "--mode", "realtime", "--link", f"serial:pty?symlink={tmp_path}/robot") as robot:
         before = json.loads(hil("params", robot.link, "--json").stdout)
         assert before["speed_kp_n_m_s_rad"] == 1.100000023841858, "in single precision"
-        after = json.loads(
-            hil(
-                "params", robot.link, "speed_kp_n_m_s_rad=1.5", "counts_per_revolution=2048", "--store", "--json"
-            ).stdout
-        )
+        changes = ("speed_kp_n_m_s_rad=1.5", "counts_per_revolution=2048")
+        after = json.loads(hil("params", robot.link, *changes, "--store", "--json").stdout)
         assert (after["speed_kp_n_m_s_rad"], after["counts_per_revolution"]) == (1.5, 2048)
         assert "speed_kp_n_m_s_rad        1.5" in hil("params", robot.link).stdout
         restored = json.loads(hil("params", robot.link, "--restore", "--json").stdout)

@@ -150,11 +150,13 @@ static void check_still(wheel_node *node, uint8_t wheel, uint32_t limit_ticks) {
     }
 }
 
-/* An encoder that counts backward: the other wheels say the same speed with the other sign. */
+/* An encoder that counts backward: the other wheels say the same speed with the other sign, and that is the
+ * one which the set point has. */
 static bool is_mirrored(const wheel_node *node, uint8_t wheel) {
     const float others = speed_by_others(node, wheel);
     const float size = wheel_magnitude(others);
-    return size > EXPECTED_RAD_S && wheel_magnitude(node->speed_rad_s[wheel] + others) < MIRRORED_PART * size;
+    return node->mode == WP_MODE_SPEED && node->set_point_rad_s[wheel] * others > 0.0f &&
+           size > EXPECTED_RAD_S && wheel_magnitude(node->speed_rad_s[wheel] + others) < MIRRORED_PART * size;
 }
 
 /* A wheel that its speed loop drives away from the set point. One that brakes or turns round looks alike, but
