@@ -13,7 +13,16 @@ from typing import Any
 
 import numpy as np
 from fmpy import extract, read_model_description
-from fmpy.fmi2 import FMU2Slave
+from fmpy.fmi2 import (
+    FMU2Slave,
+    calloc,
+    fmi2CallbackAllocateMemoryTYPE,
+    fmi2CallbackFreeMemoryTYPE,
+    fmi2CallbackFunctions,
+    fmi2CallbackLoggerTYPE,
+    free,
+)
+from fmpy.logging import addLoggerProxy
 
 import hil.plant.build
 import plant_fmu.build
@@ -64,12 +73,28 @@ def _extracted() -> tempfile.TemporaryDirectory[str]:
     return folder
 
 
+def _callbacks(log: list[str]) -> fmi2CallbackFunctions:
+    """Make callbacks that append each message to ``log``."""
+
+    def logger(_environment: Any, _instance: bytes, _status: int, _category: bytes, message: bytes) -> None:
+        log.append(message.decode())
+
+    callbacks = fmi2CallbackFunctions()
+    callbacks.logger = fmi2CallbackLoggerTYPE(logger)
+    callbacks.allocateMemory = fmi2CallbackAllocateMemoryTYPE(calloc)
+    callbacks.freeMemory = fmi2CallbackFreeMemoryTYPE(free)
+    addLoggerProxy(ctypes.byref(callbacks))  # formats the message, whose arguments Python cannot take
+    return callbacks
+
+
 @contextlib.contextmanager
-def slave(start: Mapping[str, float] | None = None, *, initialised: bool = True) -> Iterator[FMU2Slave]:
-    """Give an instance through FMPy's own class."""
+def slave(
+    start: Mapping[str, float] | None = None, *, initialised: bool = True, log: list[str] | None = None
+) -> Iterator[FMU2Slave]:
+    """Give an instance through FMPy's own class; its messages go to ``log``."""
     folder = _extracted().name
     fmu = FMU2Slave(guid=DESCRIPTION.guid, unzipDirectory=folder, modelIdentifier="mecanum", instanceName="test")
-    fmu.instantiate()
+    fmu.instantiate(callbacks=None if log is None else _callbacks(log))
     try:
         if initialised:
             initialise(fmu, start or {})
