@@ -73,28 +73,26 @@ def _extracted() -> tempfile.TemporaryDirectory[str]:
     return folder
 
 
-def _callbacks(log: list[str]) -> fmi2CallbackFunctions:
-    """Make callbacks that append each message to ``log``."""
+MESSAGES: list[str] = []  # of all instances, oldest first
 
-    def logger(_environment: Any, _instance: bytes, _status: int, _category: bytes, message: bytes) -> None:
-        log.append(message.decode())
 
-    callbacks = fmi2CallbackFunctions()
-    callbacks.logger = fmi2CallbackLoggerTYPE(logger)
-    callbacks.allocateMemory = fmi2CallbackAllocateMemoryTYPE(calloc)
-    callbacks.freeMemory = fmi2CallbackFreeMemoryTYPE(free)
-    addLoggerProxy(ctypes.byref(callbacks))  # formats the message, whose arguments Python cannot take
-    return callbacks
+def _note(_environment: Any, _instance: bytes, _status: int, _category: bytes, message: bytes) -> None:
+    MESSAGES.append(message.decode())
+
+
+_CALLBACKS = fmi2CallbackFunctions()
+_CALLBACKS.logger = fmi2CallbackLoggerTYPE(_note)
+_CALLBACKS.allocateMemory = fmi2CallbackAllocateMemoryTYPE(calloc)
+_CALLBACKS.freeMemory = fmi2CallbackFreeMemoryTYPE(free)
+addLoggerProxy(ctypes.byref(_CALLBACKS))  # formats the messages; it knows one logger alone, so there is one for all
 
 
 @contextlib.contextmanager
-def slave(
-    start: Mapping[str, float] | None = None, *, initialised: bool = True, log: list[str] | None = None
-) -> Iterator[FMU2Slave]:
-    """Give an instance through FMPy's own class; its messages go to ``log``."""
+def slave(start: Mapping[str, float] | None = None, *, initialised: bool = True) -> Iterator[FMU2Slave]:
+    """Give an instance through FMPy's own class; its messages go to MESSAGES."""
     folder = _extracted().name
     fmu = FMU2Slave(guid=DESCRIPTION.guid, unzipDirectory=folder, modelIdentifier="mecanum", instanceName="test")
-    fmu.instantiate(callbacks=None if log is None else _callbacks(log))
+    fmu.instantiate(callbacks=_CALLBACKS)
     try:
         if initialised:
             initialise(fmu, start or {})
