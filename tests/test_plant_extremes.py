@@ -1,4 +1,4 @@
-"""Parameters from all over their ranges: finite values, an honest energy balance, or a sentence that says what is wrong."""
+"""Parameters from all over their ranges: finite values, an honest energy balance, or a sentence that says why not."""
 
 import math
 import re
