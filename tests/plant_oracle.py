@@ -147,7 +147,7 @@ class Oracle:
 
     @staticmethod
     def bending(deflection: np.ndarray, along: np.ndarray, limit: np.ndarray) -> np.ndarray:
-        """Rate of the deflection after Dupont et al. 2002, equations (4) to (6); a wheel without load bends no roller."""
+        """Rate of the deflection after Dupont et al. 2002, equations (4) to (6); without load no roller bends."""
         part = np.minimum(np.abs(deflection) / np.maximum(limit, 1e-300), 1.0)
         way = np.clip((part - 0.7) / 0.3, 0.0, 1.0)
         plastic = np.where(deflection * along > 0, 0.5 + 0.5 * np.sin(np.pi * (way - 0.5)), 0.0)

@@ -1,4 +1,4 @@
-"""The energy balance: what is stored grows by what is supplied less what is lost, in both contacts, with every drive."""
+"""The energy balance: what is stored grows by what is supplied less what is lost, with every contact and drive."""
 
 from typing import Any
 

@@ -203,4 +203,3 @@ def test_the_sense_of_every_wheel_is_that_of_the_docs() -> None:
             vx, vy = plant.read(("accelerometer.x_m_s2", "accelerometer.y_m_s2"))
             assert vx > 0
             assert vy == pytest.approx(side * vx, rel=1e-14)
-

@@ -124,7 +124,7 @@ def test_biases_are_added_each_to_its_axis() -> None:
     names = [f"gyro_bias_{axis}_rad_s" for axis in "xyz"] + [f"accelerometer_bias_{axis}_m_s2" for axis in "xyz"]
     values = [0.1, -0.2, 0.3, -0.4, 0.5, -0.6]
     with robot(dict(zip(names, values, strict=True))) as plant:
-        np.testing.assert_allclose(plant.read(IMU), np.array(values) + [0, 0, 0, 0, 0, G], atol=1e-14)
+        np.testing.assert_allclose(plant.read(IMU), np.add(values, [0, 0, 0, 0, 0, G]), atol=1e-14)
     assert all(VARIABLES[name].variability == "tunable" for name in names)
 
 
@@ -152,7 +152,12 @@ def test_the_accelerometer_feels_the_second_derivative_of_the_pose(start: dict[s
 def test_a_robot_at_rest_on_a_slope_feels_gravity_alone() -> None:
     """Held by its brakes, whichever way it looks: uphill is forward, so forward it feels g sin(slope)."""
     for heading in (0.0, 1.0, np.pi):
-        start = {"slope_rad": 0.2, "slope_direction_rad": 1.0, "friction_coefficient": 2.0, "start_heading_rad": heading}
+        start = {
+            "slope_rad": 0.2,
+            "slope_direction_rad": 1.0,
+            "friction_coefficient": 2.0,
+            "start_heading_rad": heading,
+        }
         with robot(start) as plant:
             expected = [G * np.sin(0.2) * np.cos(1 - heading), G * np.sin(0.2) * np.sin(1 - heading), G * np.cos(0.2)]
             np.testing.assert_allclose(plant.read(ACCELEROMETER), expected, rtol=1e-12, atol=1e-12)

@@ -220,7 +220,7 @@ def test_without_grip_wheels_spin_and_nothing_moves() -> None:
 
 
 def test_rollers_resist_a_motion_to_the_side_alone() -> None:
-    """Straight ahead no roller turns. To the side each contact moves with sqrt 2 v across its roller: mu_r m g sqrt 2 v."""
+    """Straight ahead no roller turns. To the side each contact moves with sqrt 2 v across its roller."""
     mu = 0.02
     start = {"contact": SLIP, "roller_friction_coefficient": mu}
     with robot(start, start_vx_m_s=2.0) as ahead, robot(start, start_vy_m_s=2.0) as aside:

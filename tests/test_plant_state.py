@@ -132,9 +132,7 @@ def test_a_parameter_that_is_tuned_before_the_first_step_is_a_start_value(name: 
 
 @settings(max_examples=15)
 @given(robots(), robots())
-def test_parameters_tuned_on_the_way_act_as_if_started_there(
-    before: dict[str, float], after: dict[str, float]
-) -> None:
+def test_parameters_tuned_on_the_way_act_as_if_started_there(before: dict[str, float], after: dict[str, float]) -> None:
     """A robot that is loaded while it moves goes on as one that starts there, at that speed, with that load."""
     tuned = {name: after[name] for name in TUNABLE if name in after}
     with robot(before) as plant:
