@@ -80,11 +80,17 @@ def _note(_environment: Any, _instance: bytes, _status: int, _category: bytes, m
     MESSAGES.append(message.decode())
 
 
-_CALLBACKS = fmi2CallbackFunctions()
-_CALLBACKS.logger = fmi2CallbackLoggerTYPE(_note)
-_CALLBACKS.allocateMemory = fmi2CallbackAllocateMemoryTYPE(calloc)
-_CALLBACKS.freeMemory = fmi2CallbackFreeMemoryTYPE(free)
-addLoggerProxy(ctypes.byref(_CALLBACKS))  # formats the messages; it knows one logger alone, so there is one for all
+_LOGGER = fmi2CallbackLoggerTYPE(_note)
+
+
+def _callbacks() -> fmi2CallbackFunctions:
+    """Return callbacks whose logger FMPy's proxy formats. It knows one logger alone, that of whoever came last."""
+    callbacks = fmi2CallbackFunctions()
+    callbacks.logger = _LOGGER
+    callbacks.allocateMemory = fmi2CallbackAllocateMemoryTYPE(calloc)
+    callbacks.freeMemory = fmi2CallbackFreeMemoryTYPE(free)
+    addLoggerProxy(ctypes.byref(callbacks))
+    return callbacks
 
 
 @contextlib.contextmanager
@@ -92,7 +98,7 @@ def slave(start: Mapping[str, float] | None = None, *, initialised: bool = True)
     """Give an instance through FMPy's own class; its messages go to MESSAGES."""
     folder = _extracted().name
     fmu = FMU2Slave(guid=DESCRIPTION.guid, unzipDirectory=folder, modelIdentifier="mecanum", instanceName="test")
-    fmu.instantiate(callbacks=_CALLBACKS)
+    fmu.instantiate(callbacks=_callbacks())
     try:
         if initialised:
             initialise(fmu, start or {})
