@@ -24,7 +24,6 @@ check: setup .venv/tools
 	$(BIN)/python -m firmware_protocol.generate --check
 	$(BIN)/python -m plant_fmu.generate --check
 	$(BIN)/python -m plant_fmu.reference --check
-	$(BIN)/python -m tools.plants --check
 
 picture: setup .venv/tools
 	$(BIN)/hil run paper_circle --record runs/picture.rrd
