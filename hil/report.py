@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.errors import BadInputError, nearest
+from hil.plant.words import one_line
 from hil.results import RunResult
 
 if TYPE_CHECKING:
@@ -186,7 +187,7 @@ def print_fmu(info: "FmuInfo") -> None:
     experiment = ", ".join(f"{name} {value}" for name, value in info.experiment.items())
     facts += [("platforms", ", ".join(info.platforms) or "none"), ("default experiment", experiment or "none")]
     facts.append(("sha256", info.sha256))
-    print_table([(f"  {name}", _printable(value)) for name, value in facts])
+    print_table([(f"  {name}", one_line(value)) for name, value in facts])
     print()
     header = ("name", "causality", "variability", "type", "unit", "start", "range", "description")
     rows = [
@@ -204,7 +205,7 @@ def print_check(fmu: Path, result: "CheckResult") -> None:
         rows.append((part.name, outcome, part.skipped or ""))
     _print_rich_table(("part", "outcome", "reason"), rows)
     for problem in result.problems:
-        print(_printable(problem))
+        print(one_line(problem))
     count = len(result.problems)
     print(f"{fmu}: {count or 'no'} problem{'' if count == 1 else 's'}")
 
@@ -219,18 +220,13 @@ def _print_rich_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> N
     for place, name in enumerate(header):
         table.add_column(name, no_wrap=place == 0, overflow="fold")
     for row in rows:
-        table.add_row(*(Text(_printable(cell)) for cell in row))
+        table.add_row(*(Text(one_line(cell)) for cell in row))
     console = Console()
     if not console.is_terminal:
         console = Console(
             width=max(80, 4 * len(header) + sum(max(map(len, column)) for column in zip(header, *rows, strict=True)))
         )
     console.print(table)
-
-
-def _printable(text: str) -> str:
-    """Return text of a stranger without signs that a terminal would obey."""
-    return "".join(sign if sign.isprintable() else " " for sign in text)
 
 
 def _type(variable: "VariableInfo") -> str:

@@ -24,8 +24,8 @@ _FMI_2_NAMES = {
     "x86_64-linux": "linux64",
     "x86_64-windows": "win64",
     "x86_64-darwin": "darwin64",
-    "i686-linux": "linux32",
-    "i686-windows": "win32",
+    "x86-linux": "linux32",
+    "x86-windows": "win32",
 }
 _FAT_MAGIC = 0xCAFEBABE
 _FAT_ALIGNMENT = 14  # a power of two: Apple's processors have pages of 16 KiB
@@ -36,7 +36,7 @@ def this_platform() -> str:
     machine = platform.machine().lower()
     wide = sys.maxsize > 2**32
     if machine in {"amd64", "x86_64", "i386", "i586", "i686", "x86"}:
-        machine = "x86_64" if wide else "i686"
+        machine = "x86_64" if wide else "x86"
     elif machine in {"arm64", "aarch64"}:
         machine = "aarch64" if wide else "aarch32"
     system = {"win32": "windows", "darwin": "darwin"}.get(sys.platform, "linux")
@@ -65,7 +65,7 @@ def members(fmi: int, model_identifier: str, libraries: Mapping[str, bytes]) -> 
         made[f"binaries/{folder}/{model_identifier}{suffix(name)}"] = library
     if fmi == 2:
         for name, library in libraries.items():
-            made.setdefault(f"binaries/{_word_size_name(name)}/{model_identifier}{suffix(name)}", library)
+            made.setdefault(f"binaries/{word_size_name(name)}/{model_identifier}{suffix(name)}", library)
     return made
 
 
@@ -81,6 +81,7 @@ def universal(libraries: list[bytes]) -> bytes:
     return bytes(made)
 
 
-def _word_size_name(name: str) -> str:
+def word_size_name(name: str) -> str:
+    """Return what importers of FMI 2.0 that go by the word size call a platform, given as a tuple: ``linux64``."""
     machine, system = name.split("-")
-    return f"{'win' if system == 'windows' else system}{64 if machine.endswith('64') else 32}"
+    return f"{'win' if system == 'windows' else system}{64 if '64' in machine else 32}"

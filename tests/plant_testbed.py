@@ -13,7 +13,16 @@ from typing import Any
 
 import numpy as np
 from fmpy import extract, read_model_description
-from fmpy.fmi2 import FMU2Slave
+from fmpy.fmi2 import (
+    FMU2Slave,
+    calloc,
+    fmi2CallbackAllocateMemoryTYPE,
+    fmi2CallbackFreeMemoryTYPE,
+    fmi2CallbackFunctions,
+    fmi2CallbackLoggerTYPE,
+    free,
+)
+from fmpy.logging import addLoggerProxy
 
 import hil.plant.build
 import plant_fmu.build
@@ -64,12 +73,32 @@ def _extracted() -> tempfile.TemporaryDirectory[str]:
     return folder
 
 
+MESSAGES: list[str] = []  # of all instances, oldest first
+
+
+def _note(_environment: Any, _instance: bytes, _status: int, _category: bytes, message: bytes) -> None:
+    MESSAGES.append(message.decode())
+
+
+_LOGGER = fmi2CallbackLoggerTYPE(_note)
+
+
+def _callbacks() -> fmi2CallbackFunctions:
+    """Return callbacks whose logger FMPy's proxy formats. It knows one logger alone, that of whoever came last."""
+    callbacks = fmi2CallbackFunctions()
+    callbacks.logger = _LOGGER
+    callbacks.allocateMemory = fmi2CallbackAllocateMemoryTYPE(calloc)
+    callbacks.freeMemory = fmi2CallbackFreeMemoryTYPE(free)
+    addLoggerProxy(ctypes.byref(callbacks))
+    return callbacks
+
+
 @contextlib.contextmanager
 def slave(start: Mapping[str, float] | None = None, *, initialised: bool = True) -> Iterator[FMU2Slave]:
-    """Give an instance through FMPy's own class."""
+    """Give an instance through FMPy's own class; its messages go to MESSAGES."""
     folder = _extracted().name
     fmu = FMU2Slave(guid=DESCRIPTION.guid, unzipDirectory=folder, modelIdentifier="mecanum", instanceName="test")
-    fmu.instantiate()
+    fmu.instantiate(callbacks=_callbacks())
     try:
         if initialised:
             initialise(fmu, start or {})

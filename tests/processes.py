@@ -70,6 +70,12 @@ def device(*arguments: str) -> Iterator[Device]:
         process.communicate(timeout=30)
 
 
+def is_running(pid: int) -> bool:
+    """Tell whether the process is there; one that only waits for its parent to take note has ended."""
+    shown = subprocess.run(["ps", "-o", "stat=", "-p", str(pid)], capture_output=True, text=True, check=False)
+    return shown.stdout.strip()[:1] not in ("", "Z")
+
+
 def wait_for(condition: Any, limit_s: float = 30.0) -> Any:
     """Return the first true value of the condition; fail when there is none in time."""
     deadline = time.monotonic() + limit_s

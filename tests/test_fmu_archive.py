@@ -19,6 +19,7 @@ from hil.errors import BadInputError
 from hil.plant import archive
 from hil.plant.info import info
 from hil.plant.tools import check
+from plant_fmu import platforms
 from tests.broken_fmu import Change, pack
 from tests.plant_testbed import FMU
 
@@ -193,6 +194,23 @@ def test_a_library_for_the_very_machine_is_preferred_in_fmi_2(tmp_path: Path) ->
     assert archive.library_of(pack(tmp_path / "b.fmu", 2, added=[(best, b"")])).member == best
 
 
+@pytest.mark.parametrize(
+    ("machine", "wide", "tuple_name", "word_size_name"),
+    [("i686", False, "x86-linux", "linux32"), ("aarch64", True, "aarch64-linux", "linux64")],
+)
+def test_what_is_built_for_a_machine_is_found_on_it(
+    monkeypatch: pytest.MonkeyPatch, machine: str, wide: bool, tuple_name: str, word_size_name: str
+) -> None:
+    monkeypatch.setattr("platform.machine", lambda: machine)
+    monkeypatch.setattr("sys.platform", "linux")
+    monkeypatch.setattr("sys.maxsize", 2**63 - 1 if wide else 2**31 - 1)
+    assert archive.binary_folders("3.0") == (tuple_name,)
+    assert archive.binary_folders("2.0") == (tuple_name, word_size_name)
+    for fmi in (2, 3):
+        built = platforms.members(fmi, "m", {platforms.this_platform(): b""})
+        assert {name.split("/")[1] for name in built} & set(archive.binary_folders(f"{fmi}.0"))
+
+
 def test_a_patch_release_of_fmi_3_is_fmi_3(tmp_path: Path) -> None:
     fmu = pack(tmp_path / "a.fmu", 3, replaced('fmiVersion="3.0"', 'fmiVersion="3.0.2"'))
     assert archive.library_of(fmu).fmi_version == "3.0"
@@ -306,5 +324,5 @@ def test_locate(tmp_path: Path) -> None:
 def test_a_shipped_fmu_that_was_not_built_is_named_with_the_command_that_builds_it() -> None:
     for name, path in plant_fmu.SHIPPED.items():
         if not path.exists():
-            with pytest.raises(BadInputError, match=r"is not built; run: (hil fmu build|python -m plant_fmu\.mujoco)$"):
+            with pytest.raises(BadInputError, match=r"is not built; run: hil fmu build( --mujoco)?$"):
                 archive.locate(name, Path())

@@ -222,7 +222,8 @@ def test_the_tests_and_the_wheel_use_the_same_zig() -> None:
     [
         ("x86_64", "linux", True, "x86_64-linux"),
         ("AMD64", "win32", True, "x86_64-windows"),
-        ("AMD64", "win32", False, "i686-windows"),
+        ("AMD64", "win32", False, "x86-windows"),
+        ("i686", "linux", False, "x86-linux"),
         ("arm64", "darwin", True, "aarch64-darwin"),
         ("aarch64", "linux", True, "aarch64-linux"),
     ],

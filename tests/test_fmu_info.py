@@ -5,6 +5,9 @@ from pathlib import Path
 import pytest
 
 from hil.errors import BadInputError
+from hil.plant.archive import library_of
+from hil.plant.description import parameter_names
+from hil.plant.fmu import FmuPlant
 from hil.plant.info import info
 from tests.broken_fmu import pack
 from tests.plant_testbed import FMU
@@ -37,3 +40,14 @@ def test_info_of_some_variables(tmp_path: Path) -> None:
     assert [v.name for v in info(fmu, "*a*").variables] == ["gain", "shape"]
     with pytest.raises(BadInputError, match=r"no variable fits 'gian'; did you mean 'gain'\?"):
         info(fmu, "gian")
+
+
+def test_a_description_that_cannot_be_used_is_refused_in_the_same_words_by_all_who_read_it(tmp_path: Path) -> None:
+    fmu = pack(tmp_path / "a.fmu", 2, lambda _, data: data.replace(b'valueReference="1"', b'valueReference="&#10;one"'))
+    assert library_of(fmu).fmi_version == "2.0"
+    words = set()
+    for read in (info, parameter_names, lambda path: FmuPlant(path, {})):
+        with pytest.raises(BadInputError, match=r"its modelDescription\.xml cannot be used \(.*one") as caught:
+            read(fmu)
+        words.add(str(caught.value))
+    assert [text.isprintable() for text in words] == [True]

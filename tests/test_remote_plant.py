@@ -23,10 +23,11 @@ from native_build.compiler import FLAGS, compiler
 from tests.flawed_fmu import build_flawed
 from tests.foreign_fmu import foreign_fmu, foreign_map
 from tests.plant_testbed import FMU
-from tests.processes import ROOT, environment, wait_for
+from tests.processes import ROOT, environment, is_running, wait_for
 
 START = {"start_heading_rad": 0.3, "start_vx_m_s": 0.5, "counts_per_revolution": 4096.0}
 TORQUE = Wheels(1.0, 0.5, 1.0, 0.25)
+LINUX = pytest.mark.skipif(sys.platform != "linux", reason="signal 40 is a real-time signal on Linux alone")
 
 
 @pytest.fixture(scope="module")
@@ -53,12 +54,6 @@ def exchanges(plant: FmuPlant | RemotePlant, ticks: int) -> Iterator[tuple[Any, 
         drive.tick, drive.torque_n_m = tick, [rng.uniform(-2, 2) for _ in range(4)]
         assert exchange(context, drive, sense) == 0
         yield bytes(ffi.buffer(sense)), plant.truth(), plant.wheel_speeds()
-
-
-def is_running(pid: int) -> bool:
-    """Tell whether the process is there; one that only waits for its parent to take note has ended."""
-    shown = subprocess.run(["ps", "-o", "stat=", "-p", str(pid)], capture_output=True, text=True, check=False)
-    return shown.stdout.strip()[:1] not in ("", "Z")
 
 
 def test_the_child_gives_the_bits_of_the_plant_in_this_process() -> None:
@@ -136,6 +131,16 @@ def test_an_fmu_that_ends_its_process_while_it_is_opened(
     assert list(scratch.iterdir()) == []
 
 
+@pytest.mark.parametrize("kind", [FmuPlant, RemotePlant])
+def test_what_an_fmu_says_is_one_line_that_steers_no_terminal(
+    tmp_path: Path, kind: type[FmuPlant | RemotePlant]
+) -> None:
+    rude = foreign_fmu(tmp_path, 2, guid="\x9b31mred\nnext\u2028")
+    with pytest.raises(DeviceError, match="it made no instance: wrong GUID 31mred next") as caught:
+        kind(rude, {}, mapping=foreign_map(2))
+    assert str(caught.value).isprintable()
+
+
 def test_what_an_fmu_prints_disturbs_nothing(flawed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """2 MB within 200 ticks, which no pipe holds."""
     monkeypatch.setenv("FLAW", "print 0")
@@ -149,10 +154,11 @@ def test_what_an_fmu_prints_disturbs_nothing(flawed: Path, monkeypatch: pytest.M
     [
         (signal.SIGKILL, r"its process was ended by SIGKILL"),
         (signal.SIGTERM, r"its process was ended by SIGTERM"),
+        pytest.param(40, r"its process was ended by signal 40 \(", marks=LINUX),
         (signal.SIGSTOP, r"it gave no answer within 0\.5 s and was ended"),
     ],
 )
-def test_a_child_that_somebody_ends_is_a_failure(number: signal.Signals, words: str) -> None:
+def test_a_child_that_somebody_ends_is_a_failure(number: int, words: str) -> None:
     with RemotePlant(FMU, {}, timeout_s=0.5) as plant:
         plant.step(TORQUE, 5)
         os.kill(plant.pid, number)

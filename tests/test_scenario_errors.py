@@ -64,7 +64,7 @@ def test_a_key_that_is_unknown(text: str, sentence: str) -> None:
             "[plant]\nfmu = 'mecanm'",
             'plant.fmu = "mecanm"; expected a shipped FMU or a path to one; did you mean',
         ),
-        ("[plant.start]\nx = [1]", "plant.start.x = [1]; expected a finite number, true or false, or text"),
+        ("[plant.start]\nx = [1]", "plant.start.x = [1]; expected a finite number, a whole one within 64 bits"),
         ("[plant.start]\nx = inf", "plant.start.x = inf; expected a finite number"),
         ("[plant]\ntimeout_s = 0", "plant.timeout_s = 0; expected a number from 0.05 to 3600"),
         ("[firmware]\ncounts_per_revolution = 1.5", "expected a whole number from 4 to 32768"),

@@ -4,9 +4,7 @@ Every refusal is a BadInputError of one sentence that names the file.
 """
 
 import hashlib
-import platform
 import re
-import sys
 import zipfile
 from collections.abc import Callable
 from pathlib import Path, PurePosixPath
@@ -18,11 +16,12 @@ from hil.plant.unpacking import extract as extract
 from hil.plant.unpacking import opened, pieces
 from plant_fmu import SHIPPED
 from plant_fmu import path as plant_path
+from plant_fmu.platforms import suffix, this_platform, word_size_name
 
 DESCRIPTIONS = ("modelDescription.xml", "sources/buildDescription.xml")  # all the XML that FMPy reads
 INTERFACES = {"CoSimulation": "co_simulation", "ModelExchange": "model_exchange"}  # that with the better first
 _MOST_DESCRIPTION_BYTES = 64 * 1024 * 1024
-LIBRARY_SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
+LIBRARY_SUFFIX = suffix(this_platform())
 _BUILD = {"mecanum_mujoco": "hil fmu build --mujoco"}
 
 
@@ -143,13 +142,8 @@ def binary_folders(fmi_version: str) -> tuple[str, ...]:
 
     The names of 2.0 do not tell one 64-bit architecture from another, so 2.0 may use those of 3.0 as well.
     """
-    machine = platform.machine().lower()
-    wide = sys.maxsize > 2**32
-    architecture = {"amd64": "x86_64", "arm64": "aarch64"}.get(machine, machine)
-    if not wide and re.fullmatch(r"x86_64|i.86|x86", architecture):
-        architecture = "x86"
-    system, short = {"win32": ("windows", "win"), "darwin": ("darwin", "darwin")}.get(sys.platform, ("linux", "linux"))
-    names = (f"{architecture}-{system}", f"{short}{64 if wide else 32}")
+    here = this_platform()
+    names = (here, word_size_name(here))
     return names if fmi_version == "2.0" else names[:1]
 
 

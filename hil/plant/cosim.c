@@ -1,5 +1,7 @@
 #include "cosim.h"
 
+#include "derive.h"
+
 #include <math.h>
 #include <stdarg.h>
 #include <stdbool.h>
@@ -12,8 +14,6 @@ enum { STATUS_WARNING = 1, STATUS_DISCARD = 2, STATUS_FATAL = 4 };
 enum { FMI2_TERMINATED = 3 };       /* fmi2StatusKind */
 enum { MOST_EARLY_RETURNS = 1000 }; /* within one tick */
 
-static const double PI = 3.14159265358979323846;
-static const double TWO_PI = 6.28318530717958647692;
 static const double LARGEST_COUNT = 9007199254740992.0; /* 2^53: a double tells no further counts apart */
 
 /* Keeps our own reason, and the FMU's words with it. */
@@ -182,53 +182,13 @@ static int step(cosim *c) {
     return c->fmi_version == 2 ? step2(c, from_s) : step3(c, from_s);
 }
 
-/* An angle that jumps by about a whole turn in one tick was wrapped by the FMU; no robot turns so fast. */
-static double unwound(cosim_winding *w, double angle_rad) {
-    const double jump_rad = angle_rad - w->newest_rad;
-    if (fabs(fabs(jump_rad) - TWO_PI) < PI) {
-        w->turns -= jump_rad > 0.0 ? 1.0 : -1.0;
-    }
-    w->newest_rad = angle_rad;
-    return w->turns == 0.0 ? angle_rad : angle_rad + w->turns * TWO_PI;
-}
-
-/* Fills in what the FMU has no variable for. `passed` tells whether a tick has. */
-static void derive(cosim *c, bool passed) {
-    double *const fresh = c->fresh;
-    for (size_t i = 0; i < COSIM_SIGNALS; i++) {
-        if (!c->derived[i]) {
-            continue;
-        }
-        if (i < COSIM_WHEEL_SPEED) { /* a component of the twist */
-            const size_t from = i - COSIM_TWIST + COSIM_POSE;
-            fresh[i] = passed ? (fresh[from] - c->signal[from]) / step_s(c) : c->signal[i];
-        } else if (i < COSIM_CURRENT) {
-            const size_t from = i - COSIM_WHEEL_SPEED + COSIM_WHEEL_ANGLE;
-            fresh[i] = passed ? (fresh[from] - c->signal[from]) / step_s(c) : c->signal[i];
-        } else if (i < COSIM_GYRO) {
-            fresh[i] = c->input_value[i - COSIM_CURRENT] / c->torque_constant_n_m_a;
-        } else if (i < COSIM_ACCELERATION) {
-            fresh[i] = i == COSIM_GYRO + 2 ? fresh[COSIM_TWIST + 2] : 0.0; /* the robot stays level */
-        } else if (i < COSIM_COUNT) {
-            fresh[i] = 0.0; /* not there: the firmware does not say that it has it */
-        } else {            /* a count, which is rounded down when it is sensed */
-            const double angle_rad = fresh[i - COSIM_COUNT + COSIM_WHEEL_ANGLE];
-            fresh[i] = angle_rad / TWO_PI * c->counts_per_revolution;
-        }
-    }
-}
-
 static int sample(cosim *c, bool passed) {
     if (read_outputs(c) != 0) {
         return 1;
     }
-    c->fresh[COSIM_POSE + 2] = unwound(&c->winding[0], c->fresh[COSIM_POSE + 2]);
+    cosim_unwind(c);
     if (c->derives) {
-        for (size_t i = 0; i < 4; i++) {
-            double *const angle_rad = &c->fresh[COSIM_WHEEL_ANGLE + i];
-            *angle_rad = unwound(&c->winding[1 + i], *angle_rad);
-        }
-        derive(c, passed);
+        cosim_derive(c, passed);
     }
     for (size_t i = 0; i < COSIM_SIGNALS; i++) {
         const double value = c->fresh[i];
@@ -261,10 +221,7 @@ int cosim_start(cosim *c) {
     if (read_outputs(c) != 0) {
         return 1;
     }
-    c->winding[0] = (cosim_winding){.newest_rad = c->fresh[COSIM_POSE + 2]};
-    for (size_t i = 0; i < 4; i++) {
-        c->winding[1 + i] = (cosim_winding){.newest_rad = c->fresh[COSIM_WHEEL_ANGLE + i]};
-    }
+    cosim_start_winding(c);
     return sample(c, false);
 }
 

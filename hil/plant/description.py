@@ -1,18 +1,33 @@
-"""What an FMU's description says, without running anything of the FMU."""
+"""Reads an FMU's modelDescription.xml, without running anything of the FMU."""
 
+import shutil
 from pathlib import Path
+from typing import Any
 
 from hil.errors import BadInputError
 from hil.plant import archive
+from hil.plant.words import one_line
+
+
+def read_description(fmu: Path) -> Any:
+    """Return FMPy's model description. Raises BadInputError when the file is no FMU that can be read.
+
+    FMPy sees the checked XML alone: what it opens by itself it does not check.
+    """
+    archive.read_header(fmu)
+    from fmpy import read_model_description
+
+    folder = archive.extract(fmu, only=archive.DESCRIPTIONS)
+    try:
+        return read_model_description(folder, validate=False)
+    except Exception as error:  # FMPy raises whatever its parser meets, down to plain Exception
+        reason = one_line(str(error)) or type(error).__name__
+        raise BadInputError(f"FMU {fmu}: its modelDescription.xml cannot be used ({reason})") from error
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def parameter_names(fmu: Path) -> frozenset[str]:
     """Return the names of the FMU's parameters. Raises BadInputError when the file is no readable FMU."""
-    archive.read_header(fmu)
-    from fmpy import read_model_description
-
-    try:
-        variables = read_model_description(fmu, validate=False).modelVariables
-    except Exception as error:  # FMPy raises whatever its parser meets, down to plain Exception
-        raise BadInputError(f"FMU {fmu}: its modelDescription.xml cannot be used ({error})") from error
+    variables = read_description(fmu).modelVariables
     return frozenset(variable.name for variable in variables if variable.causality == "parameter")

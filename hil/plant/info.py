@@ -1,6 +1,5 @@
 """What ``hil fmu info`` tells: an FMU as it describes itself. Nothing of the FMU's is run."""
 
-import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -9,6 +8,7 @@ from typing import Any
 
 from hil.errors import BadInputError, nearest
 from hil.plant import archive
+from hil.plant.description import read_description
 from plant_fmu import SHIPPED
 
 
@@ -62,7 +62,7 @@ def info(fmu: Path, names: str = "*") -> FmuInfo:
     """
     header = archive.read_header(fmu)
     digest = archive.sha256(fmu)
-    description = _description(fmu)
+    description = read_description(fmu)
     variables = description.modelVariables
     fitting = [v for v in variables if fnmatchcase(v.name, names)]
     if variables and not fitting:
@@ -83,20 +83,6 @@ def info(fmu: Path, names: str = "*") -> FmuInfo:
         platforms=archive.platforms(fmu),
         variables=tuple(_variable(v) for v in fitting),
     )
-
-
-def _description(fmu: Path) -> Any:
-    """Return FMPy's model description, read from the checked files alone."""
-    from fmpy import read_model_description
-
-    folder = archive.extract(fmu, only=archive.DESCRIPTIONS)
-    try:
-        return read_model_description(folder, validate=False)
-    except Exception as error:  # FMPy raises whatever its parser meets, down to plain Exception
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise BadInputError(f"FMU {fmu}: its modelDescription.xml cannot be used ({reason})") from error
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _variable(v: Any) -> VariableInfo:

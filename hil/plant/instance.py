@@ -13,9 +13,11 @@ from typing import Any
 
 from hil.errors import BadInputError, DeviceError, HilError
 from hil.plant.archive import Library
+from hil.plant.description import read_description
 from hil.plant.shim import load
 from hil.plant.solver import Solver
 from hil.plant.start import Start
+from hil.plant.words import one_line
 
 _LOADING = threading.Lock()  # FMPy changes the working directory while it loads
 _ALIVE: set[str] = set()  # GUIDs of those FMUs of which a process may hold but one instance
@@ -37,7 +39,7 @@ class Instance:
         self._context = context
         self.is_model_exchange = library.interface == "model_exchange"
         self._is_running = False
-        self.description = _read(fmu, folder)
+        self.description = read_description(fmu)
         self.version = int(library.fmi_version[0])
         self._interface = self.description.modelExchange if self.is_model_exchange else self.description.coSimulation
         self.fmu = self._load(library)
@@ -59,7 +61,7 @@ class Instance:
     @property
     def words(self) -> str:
         """What the FMU said last, of warnings and worse, or why the shim stopped."""
-        return str(load()[0].string(self._context.text).decode(errors="replace"))
+        return one_line(load()[0].string(self._context.text).decode(errors="replace"))
 
     def access(self, call: str, kind: str) -> Any:
         """Return a getter or setter as a ``cosim_function``: of ("Get", "Real") for example."""
@@ -77,7 +79,8 @@ class Instance:
         (self._instantiate2 if self.version == 2 else self._instantiate3)()
         if not self.fmu.component:
             _ALIVE.discard(self.description.guid)
-            tool = f", it needs {self.description.generationTool}" if self._interface.needsExecutionTool else ""
+            maker = one_line(self.description.generationTool or "the tool that made it")
+            tool = f", it needs {maker}" if self._interface.needsExecutionTool else ""
             raise DeviceError(f"FMU {self._file}: it made no instance{tool}: {self.words or 'it did not say why'}")
         self._context.component = load()[0].cast("void *", self.fmu.component)
 
@@ -258,12 +261,3 @@ class Instance:
 def _shim_address(name: str) -> int:
     ffi, library = load()
     return int(ffi.cast("uintptr_t", ffi.addressof(library, name)))
-
-
-def _read(fmu: Path, folder: Path) -> Any:
-    from fmpy.model_description import read_model_description
-
-    try:
-        return read_model_description(folder, validate=False)
-    except Exception as error:  # FMPy raises whatever its parser meets, down to plain Exception
-        raise BadInputError(f"FMU {fmu}: its modelDescription.xml cannot be used ({error})") from error

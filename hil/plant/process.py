@@ -7,28 +7,31 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from typing import IO, Any, cast
 
 from hil.child import away_from_terminal, child_environment, module_command
 from hil.errors import DeviceError
+from hil.plant.words import one_line
 
+THERE_S = 60.0  # that Python and our own modules may take to be there
 _KEPT_BYTES = 4096  # of what it prints
-_LAST_WORDS = 200  # characters of them in a sentence
+_LAST_WORDS = 200  # characters of its last line in a sentence
 _END_S = 1.0
 _ROUNDS = 20
 _LONGEST_ROUNDS_S = 2.0
 
 
 class Watch:
-    """Calls ``expire`` when one request has been pending for ``limit_s``, and once more each ``limit_s`` from then on.
+    """Calls ``expire(limit_s)`` when one request has been pending for so long, and each ``limit_s`` from then on.
 
     ``pending`` returns a token of the request that waits for its reply, another one for each request, or None. Rounds
     are counted, not time: a suspended program does not take its own absence for a hang. Detection comes up to a
     twentieth late of ``limit_s`` as it was at first, or of 2 s where that is longer.
     """
 
-    def __init__(self, pending: Callable[[], object], expire: Callable[[], None], limit_s: float) -> None:
+    def __init__(self, pending: Callable[[], object], expire: Callable[[float], None], limit_s: float) -> None:
         self.limit_s = limit_s
         self._pending = pending
         self._expire = expire
@@ -42,9 +45,10 @@ class Watch:
             token = self._pending()
             rounds = rounds + 1 if token is not None and token == before else 0
             before = token
-            if rounds * self._round_s >= self.limit_s:
+            limit_s = self.limit_s
+            if rounds * self._round_s >= limit_s:
                 rounds = 0
-                self._expire()
+                self._expire(limit_s)
 
     def stop(self) -> None:
         """Watch no longer."""
@@ -52,16 +56,17 @@ class Watch:
 
 
 class ChildProcess:
-    """One of our modules as a process, with pipes to its stdin and from its stdout.
+    """One of our modules as a process, with pipes to its stdin and from its stdout; there a ``Parent`` is their end.
 
-    It begins with lines of JSON; what the pipes carry then is its owner's affair. What it prints on stderr is read and
-    its end kept. Ctrl-C in the terminal does not reach it. Raises DeviceError when no process can be started.
+    They begin with lines of JSON; what they carry then is the owner's affair. What it prints is read and the end of it
+    kept. Ctrl-C in the terminal does not reach it. When this process goes away it ends too, and removes the folder
+    ``scratch``. Raises DeviceError when no process can be started.
     """
 
-    def __init__(self, module: str) -> None:
+    def __init__(self, module: str, scratch: Path) -> None:
         try:
             self._process = subprocess.Popen(
-                module_command(module),
+                module_command(module, str(scratch)),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
@@ -71,6 +76,7 @@ class ChildProcess:
             )
         except OSError as error:
             raise DeviceError(f"no process can be started for the plant ({error}); end others first") from error
+        self._unanswered_s: float | None = None  # how long it was waited for until it was given up
         self._printed = b""
         self._reader = threading.Thread(target=self._read_words, name="plant words", daemon=True)
         self._reader.start()
@@ -97,8 +103,13 @@ class ChildProcess:
 
     def hear(self) -> dict[str, Any] | None:
         """Wait for a line; None when the process has ended instead."""
-        line = _pipe(self._process.stdout).readline()
-        return json.loads(line) if line.endswith(b"\n") else None
+        return _record(_pipe(self._process.stdout).readline())
+
+    def hear_all(self) -> Iterator[dict[str, Any]]:
+        """Yield every further line until the process has ended."""
+        with open(self.read_end, "rb", closefd=False) as lines:  # with a buffer: there are many
+            while (record := _record(lines.readline())) is not None:
+                yield record
 
     def kill(self) -> None:
         """End it at once, with every process that it started; not waited for."""
@@ -110,20 +121,32 @@ class ChildProcess:
             else:
                 os.killpg(self._process.pid, signal.SIGKILL)
 
-    def ending(self) -> str:
-        """Wait for its end, which is forced when it does not come by itself, and say how it was and its last words."""
+    def give_up(self, waited_s: float) -> None:
+        """End it at once, since it has not answered for so long."""
+        if self._unanswered_s is None:
+            self._unanswered_s = waited_s
+        self.kill()
+
+    def wait(self) -> int:
+        """Wait for its end, which is forced when it does not come by itself; return the status that Popen gives."""
         try:
-            status = self._process.wait(_END_S)
+            return self._process.wait(_END_S)
         except subprocess.TimeoutExpired:
             self.kill()
-            status = self._process.wait()
-        return f"its process {_how(status)}{self.last_words()}"
+            return self._process.wait()
+
+    def ending(self) -> str:
+        """Wait for its end as ``wait`` does, and say how it was."""
+        status = self.wait()
+        if self._unanswered_s is not None:
+            return f"it gave no answer within {self._unanswered_s:g} s and was ended"
+        return f"its process {_how(status)}"
 
     def last_words(self) -> str:
         """Return the last line that it printed, as the end of a sentence; empty when it printed none."""
         self._reader.join(_END_S)
-        lines = self._printed.decode(errors="replace").split("\n")
-        words = next((line.strip() for line in reversed(lines) if line.strip()), "")
+        lines = [one_line(line) for line in self._printed.decode(errors="replace").split("\n")]
+        words = next((line for line in reversed(lines) if line), "")
         return f"; its last words: {words[-_LAST_WORDS:]!r}" if words else ""
 
     def close(self, patience_s: float) -> None:
@@ -158,10 +181,16 @@ def _pipe(pipe: IO[bytes] | None) -> IO[bytes]:
     return cast(IO[bytes], pipe)
 
 
+def _record(line: bytes) -> dict[str, Any] | None:
+    return json.loads(line) if line.endswith(b"\n") else None
+
+
 def _how(status: int) -> str:
     """Say how a process ended, from the status that Popen gives."""
     if status < 0:
         number = -status
-        return f"was ended by {signal.Signals(number).name} ({signal.strsignal(number)})"
+        # Real-time signals have no name in Python, but for the first and the last.
+        name = next((known.name for known in signal.Signals if known == number), f"signal {number}")
+        return f"was ended by {name} ({signal.strsignal(number)})"
     code = f"{status:#010X}" if status > 0xFFFF else status  # on Windows, an exception's code
     return f"exited with code {code}"

@@ -10,11 +10,11 @@ from typing import Self
 from hil.errors import BadInputError, DeviceError
 from hil.plant import shim
 from hil.plant.mapping import SignalMap
-from hil.plant.process import ChildProcess, Watch, handle
+from hil.plant.process import THERE_S, ChildProcess, Watch, handle
 from hil.plant.start import Value
+from hil.plant.words import one_line
 from hil.types import Pose, PoseFix, Twist, Wheels
 
-_THERE_S = 60.0  # for Python and our own modules
 _OPENING_STEPS = 10.0  # time limits of a step that loading, initialising and resetting may take
 _NO_ROWS = SignalMap()
 
@@ -58,33 +58,32 @@ class RemotePlant:
     def _open(self) -> None:
         """Start the child and have it open the FMU."""
         self._text = ""
-        self._hung = False
         with contextlib.ExitStack() as resources:
             # Removed here, because a child that crashes cannot.
             scratch = tempfile.TemporaryDirectory(prefix="hil_plant_", ignore_cleanup_errors=True)
             resources.enter_context(scratch)
-            self._child = child = ChildProcess("hil.plant.serve")
+            self._child = child = ChildProcess("hil.plant.serve", Path(scratch.name))
             resources.callback(child.close, self._timeout_s)
             ends = {"read_end": handle(child.read_end), "write_end": handle(child.write_end)}
             self._context[0] = self._ffi.new("remote_plant *", {"pipes": ends})[0]
             resources.callback(setattr, self._context, "failed", 1)
-            self._watch = Watch(self._pending, self._give_up, self._timeout_s)
+            self._watch = Watch(self._pending, child.give_up, self._timeout_s)
             resources.callback(self._watch.stop)
             try:
-                self._have_it_opened(scratch.name)
+                self._have_it_opened()
                 self.wire(*self._wiring)
             except BaseException:
                 child.kill()
                 raise
             self._resources = resources.pop_all()
 
-    def _have_it_opened(self, scratch: str) -> None:
+    def _have_it_opened(self) -> None:
         child = self._child
-        with self._waiting(_THERE_S):
+        with self._waiting(THERE_S):
             answer = child.hear()
         if answer is not None:
             with self._waiting(self._timeout_s * _OPENING_STEPS):
-                child.tell(self._config | {"scratch": scratch})
+                child.tell(self._config)
                 answer = child.hear()
         if answer is None or "failed" in answer:
             why = self._ending() if answer is None else f"{answer['failed']}{child.last_words()}"
@@ -185,13 +184,10 @@ class RemotePlant:
             raise DeviceError(f"the plant stopped at {self.truth().time_ns / 1e9:g} s: {self.message}")
 
     def _words(self) -> str:
-        return str(self._ffi.string(self._context.reply.text).decode(errors="replace"))
+        return one_line(self._ffi.string(self._context.reply.text).decode(errors="replace"))
 
     def _ending(self) -> str:
-        ending = self._child.ending()
-        if not self._hung:
-            return ending
-        return f"it gave no answer within {self._watch.limit_s:g} s and was ended{self._child.last_words()}"
+        return f"{self._child.ending()}{self._child.last_words()}"
 
     @contextlib.contextmanager
     def _waiting(self, limit_s: float) -> Iterator[None]:
@@ -202,14 +198,9 @@ class RemotePlant:
             yield
         finally:
             self._context.answered += 1
-            if not self._hung:
-                self._watch.limit_s = self._timeout_s
+            self._watch.limit_s = self._timeout_s
 
     def _pending(self) -> int | None:
         """Return the number of the request that waits for its reply, None when all have theirs."""
         asked = int(self._context.asked)
         return None if asked == self._context.answered else asked
-
-    def _give_up(self) -> None:
-        self._hung = True
-        self._child.kill()

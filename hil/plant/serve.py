@@ -1,49 +1,37 @@
 """An FMU in a process of its own: the child of ``hil.plant.remote``.
 
-``python -m hil.plant.serve`` says on stdout when it is there, takes one line of JSON that names the FMU, answers with
-one line whether it is open, and then answers the requests of ``remote.h`` until its stdin ends.
+``python -m hil.plant.serve SCRATCH`` says on stdout when it is there, takes one line of JSON that names the FMU,
+answers with one line whether it is open, and then answers the requests of ``remote.h`` until its stdin ends. All its
+files are in the folder SCRATCH, which it removes.
 """
 
-import json
-import os
-import shutil
 import tempfile
-import threading
-import time
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from hil.errors import BadInputError, HilError
 from hil.plant import shim
 from hil.plant.fmu import FmuPlant
 from hil.plant.mapping import Row, SignalMap
+from hil.plant.parent import Parent
 from hil.plant.process import handle
-
-_ASK_S = 1.0
 
 
 def main() -> None:
     """Serve one FMU."""
     ffi, lib = shim.load()
-    requests, replies = _take_pipes()
-    lib.remote_flush_lines()
-    threading.Thread(target=_end_with_parent, args=(os.dup(2),), name="parent", daemon=True).start()
-    _say(replies, {"here": True})
-    with open(requests, "rb", buffering=0, closefd=False) as lines:
-        line = lines.readline()
-    if not line:
-        _end()
-    config = json.loads(line)
-    tempfile.tempdir = config["scratch"]
+    parent = Parent()
+    config = parent.hear()
+    tempfile.tempdir = str(parent.scratch)
     rows = {signal: Row(*row) for signal, row in config["rows"].items()}
     mapping = SignalMap(rows, config["counts_per_revolution"], config["torque_constant_n_m_a"])
     try:
         plant = FmuPlant(Path(config["fmu"]), config["start"], config["step_ns"], mapping)
     except HilError as error:
-        _say(replies, {"refused" if isinstance(error, BadInputError) else "failed": str(error)})
-        _end()
-    _say(replies, {"open": True, "lacks": sorted(plant.lacks)})
-    pipes = ffi.new("remote_pipes *", {"read_end": handle(requests), "write_end": handle(replies)})
+        parent.say(**{"refused" if isinstance(error, BadInputError) else "failed": str(error)})
+        parent.end()
+    parent.say(open=True, lacks=sorted(plant.lacks))
+    pipes = ffi.new("remote_pipes *", {"read_end": handle(parent.requests), "write_end": handle(parent.replies)})
     request, reply = ffi.new("remote_request *"), ffi.new("remote_reply *")
     exchange = ffi.cast("wheel_plant_exchange", plant.exchange_address)
     context = ffi.cast("void *", plant.context_address)
@@ -60,7 +48,7 @@ def main() -> None:
         if lib.remote_answer(pipes, reply) != 0:
             break
     plant.close()
-    _end()
+    parent.end()
 
 
 def _prepare(plant: FmuPlant, request: Any, lib: Any) -> tuple[int, str]:
@@ -75,39 +63,6 @@ def _prepare(plant: FmuPlant, request: Any, lib: Any) -> tuple[int, str]:
     except HilError as error:
         return lib.REMOTE_FAILED, str(error)
     return lib.REMOTE_DONE, ""
-
-
-def _take_pipes() -> tuple[int, int]:
-    """Return where requests come from and replies go; what an FMU prints goes to stderr, and it can read nothing."""
-    requests, replies = os.dup(0), os.dup(1)
-    nothing = os.open(os.devnull, os.O_RDONLY)
-    os.dup2(nothing, 0)
-    os.close(nothing)
-    os.dup2(2, 1)
-    return requests, replies
-
-
-def _say(replies: int, record: dict[str, object]) -> None:
-    line = json.dumps(record).encode() + b"\n"
-    while line:
-        line = line[os.write(replies, line) :]
-
-
-def _end_with_parent(words: int) -> None:
-    """End when the parent has, also while the FMU hangs: nobody reads any more what we print."""
-    while True:
-        time.sleep(_ASK_S)
-        try:
-            os.write(words, b"\0")
-        except OSError:
-            _end()
-
-
-def _end() -> NoReturn:
-    """End without what the FMU registered for the end of its process, which may hang; leave no file behind."""
-    if tempfile.tempdir is not None:
-        shutil.rmtree(tempfile.tempdir, ignore_errors=True)
-    os._exit(0)
 
 
 if __name__ == "__main__":

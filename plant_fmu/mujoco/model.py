@@ -75,6 +75,10 @@ def write(slave: Any, file: Path) -> None:
         raise ModelError(f"{file}: the FMU could not write its model")
 
 
+# FMPy's proxy keeps the address of the logger that it was given last, so none of ours may go away.
+_LOGGERS: list[Any] = []
+
+
 def _logger() -> tuple[Any, list[str]]:
     """Return FMI callbacks, and the list to which they add what the FMU says."""
     from fmpy.fmi2 import fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
@@ -87,5 +91,6 @@ def _logger() -> tuple[Any, list[str]]:
 
     callbacks = fmi2CallbackFunctions()
     callbacks.logger = fmi2CallbackLoggerTYPE(keep)
+    _LOGGERS.append(callbacks.logger)
     addLoggerProxy(ctypes.byref(callbacks))  # puts the arguments into the message
     return callbacks, words

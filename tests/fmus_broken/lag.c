@@ -1,11 +1,28 @@
 #include "lag.h"
 
 #include <math.h>
+#include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <time.h>
 
 static double shared_x; /* for SHARED_STATE */
+
+#ifndef _WIN32
+__attribute__((constructor)) static void load(void) {
+    if (BROKEN(CRASH_WHEN_LOADED)) {
+        abort();
+    }
+}
+#endif
+
+const char *lag_version(const char *right) {
+    if (BROKEN(CRASH_IN_GET_VERSION)) {
+        abort();
+    }
+    return BROKEN(WRONG_VERSION) ? "1.9" : right;
+}
 
 static double *x_of(lag *m) {
     return BROKEN(SHARED_STATE) ? &shared_x : &m->now.x;
@@ -25,6 +42,10 @@ static void start(lag *m) {
 }
 
 lag *lag_new(void *environment, void *logger) {
+    static bool is_registered;
+    if (BROKEN(CRASH_AT_THE_END) && !is_registered) {
+        is_registered = atexit(abort) == 0;
+    }
     lag *const m = BROKEN(NO_INSTANCE) ? NULL : calloc(1, sizeof *m);
     if (m != NULL) {
         m->environment = environment;
@@ -189,11 +210,27 @@ bool lag_step(lag *m, double size_s) {
         puts("the last word");
         fflush(stdout);
     }
-    if (BROKEN(CRASH_IN_STEP) || BROKEN(CHATTY_CRASH)) {
+    if (BROKEN(RUDE_CRASH)) {
+        puts("\033[31mred\a \302\2332J");
+    }
+    if (BROKEN(CRASH_IN_STEP) || BROKEN(CHATTY_CRASH) || BROKEN(RUDE_CRASH)) {
         abort();
+    }
+    if (BROKEN(REAL_TIME_SIGNAL)) {
+        raise(40);
+    }
+    if (BROKEN(SLOW_STEP)) {
+        for (const clock_t end = clock() + CLOCKS_PER_SEC / 128; clock() < end;) {
+        }
     }
     if (BROKEN(EXIT_IN_STEP)) {
         exit(0);
+    }
+    if (BROKEN(HANG_IN_STEP)) {
+        FILE *const hanging = fopen("hanging", "w"); /* a test waits for it */
+        if (hanging != NULL) {
+            fclose(hanging);
+        }
     }
     for (volatile bool wait = BROKEN(HANG_IN_STEP); wait;) {
     }

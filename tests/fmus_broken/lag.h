@@ -9,10 +9,15 @@
 
 enum {
     NO_FAULT,
+    SLOW_STEP,
+    CRASH_WHEN_LOADED,
+    CRASH_IN_GET_VERSION,
     WRONG_VERSION,
     NO_INSTANCE,
     CRASH_IN_STEP,
     CHATTY_CRASH,
+    RUDE_CRASH,
+    REAL_TIME_SIGNAL,
     EXIT_IN_STEP,
     HANG_IN_STEP,
     ERROR_IN_STEP,
@@ -53,6 +58,7 @@ enum {
     FIXED_SET,
     ANY_TYPE,
     NO_ROOM,
+    CRASH_AT_THE_END,
 };
 #ifndef BREAK
 #define BREAK NO_FAULT
@@ -82,6 +88,7 @@ typedef struct {
     void *memory;
 } lag;
 
+const char *lag_version(const char *right);
 lag *lag_new(void *environment, void *logger);
 void lag_free(lag *m);
 void lag_reset(lag *m);

@@ -36,7 +36,7 @@ static fmi3Status status(lag *m, bool done) {
 }
 
 FUNCTION(const char *, fmi3GetVersion, void) {
-    return BROKEN(WRONG_VERSION) ? "1.9" : "3.0";
+    return lag_version("3.0");
 }
 
 FUNCTION(fmi3Instance, fmi3InstantiateCoSimulation, fmi3String name, fmi3String token, fmi3String resources,

@@ -27,7 +27,7 @@ class Misuse(NamedTuple):
 def illegal_calls(model: Model) -> Iterator[str]:
     """What the standard forbids is refused with an error, not done: FMI 3.0 section 2.2.3, FMI 2.0 section 4.2.4."""
     for misuse in _misuses(model):
-        model.announce(misuse.name)
+        model.say(trying=misuse.name)
         with model.instance(initialised=False) as slave:
             _bring_to(slave, misuse.state)
             try:
@@ -46,7 +46,7 @@ def values_out_of_range(model: Model) -> Iterator[str]:
         if variable.causality not in ("parameter", "input"):
             continue
         for value in _outside(variable):
-            model.announce(f"{variable.name} = {value!r}")
+            model.say(trying=f"{variable.name} = {value!r}")
             with model.instance(initialised=False) as slave:
                 try:
                     if variable.causality == "parameter":

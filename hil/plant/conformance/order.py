@@ -2,7 +2,6 @@
 
 from hil.plant.conformance import misuse, parts
 
-HUNG = 75  # exit code of a child whose part took too long
 GATES: tuple[parts.Part, ...] = (parts.functions, parts.life_cycle)  # where these fail, nothing else can be said
 PARTS: tuple[parts.Part, ...] = (
     *GATES,

@@ -11,7 +11,10 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from fmpy.fmi1 import FMICallException
-from fmpy.model_description import ModelDescription, ModelVariable, read_model_description
+from fmpy.model_description import ModelDescription, ModelVariable
+
+from hil.plant.description import read_description
+from hil.plant.words import one_line
 
 Value = float | int | bool
 Outputs = list[Value]
@@ -120,14 +123,12 @@ class Slave(abc.ABC):
 class Model:
     """An unpacked FMU: its description, its library, and instances of it.
 
-    ``announce`` is told what is tried where the FMU may not survive it.
+    ``say`` passes on what is tried, and what is called before it is: the FMU may not survive it.
     """
 
-    def __init__(
-        self, folder: Path, library: Path, slave: type[Slave], announce: Callable[[str], None] = lambda _: None
-    ) -> None:
-        self.folder, self.library_path, self.slave, self.announce = folder, library, slave, announce
-        self.description: ModelDescription = read_model_description(folder, validate=False)
+    def __init__(self, fmu: Path, folder: Path, library: Path, slave: type[Slave], say: Callable[..., None]) -> None:
+        self.folder, self.library_path, self.slave, self.say = folder, library, slave, say
+        self.description: ModelDescription = read_description(fmu)
         self.claims = self.description.coSimulation
         self.said = ""  # the FMU's newest message
         experiment = self.description.defaultExperiment
@@ -143,13 +144,21 @@ class Model:
     @functools.cached_property
     def library(self) -> Any:
         """The loaded library as FMPy's object, without an instance."""
-        return self.slave.fmpy_class(
+        library: Any = self.slave.fmpy_class(
             guid=self.description.guid,
             unzipDirectory=str(self.folder),
             modelIdentifier=self.claims.modelIdentifier,
             instanceName="check",
             libraryPath=str(self.library_path),
         )
+        call = library._call  # by which FMPy calls every function, whatever the copy of the library
+
+        def said_and_called(name: str, *arguments: Any) -> Any:
+            self.say(doing=f"in {name}")
+            return call(name, *arguments)
+
+        library._call = said_and_called
+        return library
 
     @contextlib.contextmanager
     def instance(self, *, initialised: bool = True) -> Iterator[Slave]:
@@ -181,7 +190,7 @@ class Model:
 
     def words(self) -> str:
         """Return the FMU's newest message as the end of a sentence."""
-        return f" ({' '.join(self.said.split())[:300]})" if self.said else ""
+        return f" ({one_line(self.said)[:300]})" if self.said else ""
 
 
 def count(variable: ModelVariable) -> int:
