@@ -12,6 +12,7 @@ import re
 import subprocess
 import sys
 import tempfile
+import time
 import tomllib
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -34,7 +35,6 @@ TESTS = (
     "tests/test_node_replay.py",
     "tests/test_parameters.py",
 )
-TIMEOUT_S = 200
 EQUIVALENT = Path(__file__).parent / "equivalent_mutants.toml"
 # An index beyond an array ends the tests as well.
 _TRAP = ["-fsanitize=undefined,float-cast-overflow", "-fsanitize-undefined-trap-on-error"]
@@ -122,8 +122,15 @@ class Bench:
     """The objects of the unchanged sources, and a place to build and test mutants in."""
 
     def __init__(self, folder: Path) -> None:
+        """Raise ValueError when the tests fail without any change."""
         self._folder = folder
+        self._timeout_s = 600.0
         self._objects = {source.name: self._compile(source, folder / f"{source.stem}.o") for source in SOURCES}
+        began = time.monotonic()
+        if not self.passes(folder, {}):
+            raise ValueError("the tests fail without any change")
+        # An endless loop is noticed too, by its time.
+        self._timeout_s = 5.0 * (time.monotonic() - began) + 10.0
 
     def _compile(self, source: Path, target: Path) -> Path:
         command = [*compiler(), *_FLAGS, f"-I{HERE / 'firmware'}", "-fPIC", "-c", str(source), "-o", str(target)]
@@ -154,10 +161,11 @@ class Bench:
         objects = (self._objects | changed).values()
         subprocess.run([*compiler(), "-shared", "-o", str(library), *map(str, objects)], check=True)
         environment = os.environ | {"WHEEL_HOST_LIBRARY": str(library), "HIL_CI": "1"}
-        command = [sys.executable, "-m", "pytest", "-x", "--tb=no", "-p", "no:cacheprovider", *TESTS]
+        command = [sys.executable, "-m", "pytest", "-x", "--tb=no", "-p", "no:cacheprovider"]
+        command += ["-p", "tools.first_failure", *TESTS]
         try:
             done = subprocess.run(
-                command, env=environment, cwd=ROOT, capture_output=True, timeout=TIMEOUT_S, check=False
+                command, env=environment, cwd=ROOT, capture_output=True, timeout=self._timeout_s, check=False
             )
         except subprocess.TimeoutExpired:
             return False
@@ -184,9 +192,10 @@ def main() -> int:
     if arguments.sample is not None:
         chosen = random.Random(arguments.seed).sample(chosen, min(arguments.sample, len(chosen)))
     with tempfile.TemporaryDirectory() as name, ThreadPoolExecutor(arguments.jobs) as pool:
-        bench = Bench(Path(name))
-        if not bench.passes(Path(name), {}):
-            print("tools.mutate: the tests fail without any change", file=sys.stderr)
+        try:
+            bench = Bench(Path(name))
+        except ValueError as error:
+            print(f"tools.mutate: {error}", file=sys.stderr)
             return 2
         outcomes = []
         for mutant, outcome in zip(chosen, pool.map(bench.survives, chosen, range(len(chosen))), strict=True):
