@@ -72,6 +72,16 @@ def test_the_battery_sags_by_its_resistance(drive: int, battery_ohm: float) -> N
         assert current == pytest.approx(np.dot(duty, currents), rel=1e-9)
 
 
+def test_a_weak_battery_gives_no_more_than_it_can() -> None:
+    """Behind 50 Ohm there are U^2 / 4 Rb = 2.9 W; set points that ask for 38 W share the voltage that is left."""
+    with robot(BLOCKED, drive=CURRENT, battery_resistance_ohm=50.0, current_limit_a=4.0) as plant:
+        plant.torque([4e-3] * 4)
+        voltage = SOURCE_V / (1 + 4 * 50.0 / RESISTANCE)
+        np.testing.assert_allclose(plant.read(CURRENTS), voltage / RESISTANCE, rtol=1e-9)
+        assert plant["battery.voltage_v"] == pytest.approx(voltage, rel=1e-9)
+        assert plant["battery.current_a"] == pytest.approx(4 * voltage / RESISTANCE, rel=1e-9)
+
+
 def test_braking_charges_the_battery() -> None:
     with robot(drive=CURRENT, start_vx_m_s=1.0) as plant:
         plant.torque([-0.5] * 4)
