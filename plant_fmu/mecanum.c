@@ -7,7 +7,8 @@
 #include "model.h"
 
 /* Longest internal steps, over the time in which the fastest part changes: they keep the method's error of a
- * step below 1e-4 of a change in a motor's current, and below 1e-5 of one in a contact's deflection. */
+ * step below 1e-4 of a change in a motor's current (1e-2 while its limiter regulates), and below 1e-5 of one
+ * in a contact's deflection. */
 static const double MOTOR_STEP = 0.4;
 static const double LIMITER_STEP = 1.0;
 static const double CONTACT_STEP = 0.25;

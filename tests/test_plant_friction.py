@@ -215,3 +215,31 @@ def test_all_wheels_rest_when_a_turning_robot_has_coasted_down(way: tuple[int, i
             previous = energy
         np.testing.assert_array_equal(plant.read((*TWIST, *SPEEDS, *wheels("slip_m_s"))), 0.0)
         assert plant["energy.stored_j"] == 0.0
+
+
+def test_a_wheel_at_rest_keeps_its_bits_while_others_turn() -> None:
+    """Along a diagonal two wheels turn and two stand: their angles stay exactly where they were."""
+    with robot(friction_coefficient=0.05, start_heading_rad=0.3, inertia_kg_m2=0.7, half_width_m=0.2) as plant:
+        plant.torque([1.0, 0.1, 1.0, 0.1])
+        plant.step(1e-3, 500)
+        fl, fr, rr, rl = plant.read(ANGLES)
+        assert fl > 1
+        assert rr > 1
+        assert fr == rl == 0.0
+
+
+def test_wheels_hold_a_robot_of_great_inertia_against_a_moment() -> None:
+    """The more inertia, the less a wheel says about the yaw; at rest it is held all the same."""
+    with robot(friction_coefficient=0.05, inertia_kg_m2=100.0) as plant:
+        plant.push(0.0, 0.0, 2.0)
+        plant.step(1e-3, 1000)
+        np.testing.assert_array_equal(plant.read((*PLACE, *TWIST)), 0.0)
+
+
+def test_wheels_on_elastic_rollers_come_to_rest_exactly() -> None:
+    with robot(friction_coefficient=0.05, start_vx_m_s=0.4, start_vy_m_s=0.1, contact=SLIP) as plant:
+        plant.step(1e-3, 2000)
+        np.testing.assert_array_equal(plant.read(SPEEDS), 0.0)
+        before = plant.read(ANGLES).tobytes()
+        plant.step(1e-3, 200)
+        assert plant.read(ANGLES).tobytes() == before

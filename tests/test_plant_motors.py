@@ -14,13 +14,29 @@ BATTERY_OHM = DEFAULTS["battery_resistance_ohm"]
 BLOCKED = {"drive": VOLTAGE, "mass_kg": 1e4, "inertia_kg_m2": 1e4, "current_limit_a": 1e4, "motor_constant_n_m_a": 1e-3}
 
 
-def test_the_stall_current_is_voltage_over_resistance() -> None:
-    """Four blocked motors on the whole battery: U / (R + 4 Rb) each."""
-    with robot(BLOCKED) as plant:
+@pytest.mark.parametrize("battery_ohm", [0.0, 0.05, 5.0])
+@pytest.mark.parametrize("inductance_h", [1e-5, 5e-4, 0.01])
+def test_the_stall_current_is_voltage_over_resistance(inductance_h: float, battery_ohm: float) -> None:
+    """Four blocked motors on the whole battery: U / (R + 4 Rb) each, whatever the windings and however weak it is."""
+    with robot(BLOCKED, motor_inductance_h=inductance_h, battery_resistance_ohm=battery_ohm) as plant:
         plant.duty([1.0] * 4)
-        plant.step(0.1)
-        np.testing.assert_allclose(plant.read(CURRENTS), SOURCE_V / (RESISTANCE + 4 * BATTERY_OHM), rtol=1e-6)
+        plant.step(0.01, 40)
+        np.testing.assert_allclose(plant.read(CURRENTS), SOURCE_V / (RESISTANCE + 4 * battery_ohm), rtol=1e-6)
         np.testing.assert_allclose(plant.read(AXLE_TORQUES), plant.read(CURRENTS) * 1e-3, rtol=1e-14)
+
+
+@pytest.mark.parametrize("inductance_h", [1e-5, 1e-3])
+def test_short_circuited_motors_swing_with_the_robot(inductance_h: float) -> None:
+    """Windings without resistance are springs: v0 cos(w t), w^2 = 4 constant^2 / (r^2 (m + k) L); up to 5000 rad/s."""
+    mass, r = 1.0, DEFAULTS["wheel_radius_m"]
+    carried = 4 * DEFAULTS["wheel_inertia_kg_m2"] / r**2
+    swing = 2 * CONSTANT / (r * np.sqrt((mass + carried) * inductance_h))
+    start = {"drive": VOLTAGE, "mass_kg": mass, "motor_inductance_h": inductance_h, "motor_resistance_ohm": 1e-4}
+    with robot(start, battery_resistance_ohm=0.0, current_limit_a=1e5, start_vx_m_s=0.5) as plant:
+        for n in range(1, 20):
+            plant.step(0.5 / swing)
+            decay = np.exp(-0.25 * n / swing * 1e-4 / inductance_h)
+            assert plant["twist.vx_m_s"] == pytest.approx(0.5 * decay * np.cos(0.5 * n), abs=0.002)
 
 
 def test_the_no_load_speed_is_voltage_over_constant() -> None:
@@ -70,6 +86,16 @@ def test_the_battery_sags_by_its_resistance(drive: int, battery_ohm: float) -> N
             duty = (RESISTANCE * currents + CONSTANT * speeds) / voltage
             assert np.abs(duty).max() <= 1 + 1e-12
         assert current == pytest.approx(np.dot(duty, currents), rel=1e-9)
+
+
+def test_a_weak_battery_gives_no_more_than_it_can() -> None:
+    """Behind 50 Ohm there are U^2 / 4 Rb = 2.9 W; set points that ask for 38 W share the voltage that is left."""
+    with robot(BLOCKED, drive=CURRENT, battery_resistance_ohm=50.0, current_limit_a=4.0) as plant:
+        plant.torque([4e-3] * 4)
+        voltage = SOURCE_V / (1 + 4 * 50.0 / RESISTANCE)
+        np.testing.assert_allclose(plant.read(CURRENTS), voltage / RESISTANCE, rtol=1e-9)
+        assert plant["battery.voltage_v"] == pytest.approx(voltage, rel=1e-9)
+        assert plant["battery.current_a"] == pytest.approx(4 * voltage / RESISTANCE, rel=1e-9)
 
 
 def test_braking_charges_the_battery() -> None:

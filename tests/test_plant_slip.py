@@ -233,6 +233,34 @@ def test_rollers_resist_a_motion_to_the_side_alone() -> None:
         assert aside["twist.vy_m_s"] == pytest.approx(2.0 - 0.5 * slowed, rel=1e-3)
 
 
+def test_rollers_that_hardly_turn_bring_a_slide_to_the_side_to_rest() -> None:
+    """A rolling resistance as large as the grip: ever slower, and then at rest without a tremble."""
+    with robot(contact=SLIP, roller_friction_coefficient=0.5, start_vy_m_s=0.5) as plant:
+        previous = 0.5
+        for _ in range(50):
+            plant.step(0.01)
+            speed = plant["twist.vy_m_s"]
+            assert abs(speed) <= abs(previous) + 1e-4
+            previous = speed
+        assert abs(previous) < 1e-6
+        stored, lost = plant["energy.stored_j"], plant["energy.lost_j"]
+        start = 0.5 * (M + K) * 0.5**2
+        assert stored + lost == pytest.approx(start, rel=1e-3)
+
+
+def test_the_default_step_resolves_rollers_that_hardly_turn() -> None:
+    """Ten times stiffer than the grip about standstill: speeds and heat are those of a hundredth of the step."""
+    ends = []
+    for longest_s in (1e-3, 4e-6):
+        start = {"contact": SLIP, "roller_friction_coefficient": 5.0, "start_vy_m_s": 0.2, "longest_step_s": longest_s}
+        with robot(start) as plant:
+            for sign in (1, -1) * 4:
+                plant.torque([0.5 * sign, 0.2, 0.0, -0.3])
+                plant.step(0.02)
+            ends.append(plant.read((*TWIST, *SPEEDS, "energy.lost_j")))
+    np.testing.assert_allclose(ends[0], ends[1], rtol=1e-4, atol=1e-4)
+
+
 def test_slip_is_zero_on_rigid_contact_and_loads_are_those_at_rest() -> None:
     with robot(contact=RIGID, com_x_m=0.1) as plant:
         plant.torque([5.0] * 4)
