@@ -87,9 +87,11 @@ def _header_lines(schema: Schema) -> Iterator[str]:
     yield "int wp_payload_length(uint16_t id);"
     yield ""
     yield "/* X(NAME, name) for every message. */"
+    yield "/* clang-format off */"
     yield "#define WP_MESSAGES(X) \\"
     rows = [f"    X({m.name}, {m.name.lower()})" for m in schema.messages]
     yield " \\\n".join(rows)
+    yield "/* clang-format on */"
     yield ""
     yield from _comment(
         "Encoders return false, with the payload untouched, when a value is out of its range or not finite. "

@@ -97,6 +97,7 @@ enum wp_type {
 int wp_payload_length(uint16_t id);
 
 /* X(NAME, name) for every message. */
+/* clang-format off */
 #define WP_MESSAGES(X) \
     X(ESTOP, estop) \
     X(HOST_HEARTBEAT, host_heartbeat) \
@@ -127,6 +128,7 @@ int wp_payload_length(uint16_t id);
     X(HELLO_FIRMWARE, hello_firmware) \
     X(HELLO_PARAMETERS, hello_parameters) \
     X(HELLO_GEOMETRY, hello_geometry)
+/* clang-format on */
 
 /* Encoders return false, with the payload untouched, when a value is out of its range or not finite.
  * Decoders return false, with the message untouched, for a wrong length or a value out of its range. */

@@ -1,11 +1,12 @@
 """Runs a program that must not outlive us: ``ChildProcess`` starts this module, which starts the program.
 
 The first line on stdin is ``{"command": [...]}``. When stdin ends, because its owner closed it or died, the program is
-killed. Its stderr is ours, and so is its exit code.
+killed. Its stderr is ours, and so is its exit code. The folder of its files, the argument, is removed in the end.
 """
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import threading
@@ -21,6 +22,7 @@ def main() -> int:
         return 1
     threading.Thread(target=_kill_at_end_of_stdin, args=(process,), daemon=True).start()
     status = process.wait()
+    shutil.rmtree(sys.argv[1], ignore_errors=True)
     if status < 0:
         print(f"{command[0]} was ended by signal {-status}", file=sys.stderr)
     return status if status >= 0 else 1

@@ -42,7 +42,7 @@ class QemuProcess:
             flash.write_bytes(parameters)
             with contextlib.ExitStack() as doors:
                 listeners = [doors.enter_context(socket.create_server((_HOST, 0))) for _ in range(2)]
-                self._child = ChildProcess("hil.devices.targets.leash")
+                self._child = ChildProcess("hil.devices.targets.leash", Path(self._folder.name))
                 resources.callback(self._child.close, _END_S)
                 ports = [listener.getsockname()[1] for listener in listeners]
                 self._child.tell({"command": _command(program, elf, flash, ports)})
