@@ -161,8 +161,10 @@ int main(int count, char **words) {
     for (int i = 0; i < steps; i++) {
         double in[MOST], out[MOST];
         int32_t counts[MOST];
-        for (size_t k = 0; k < inputs.count; k++) /* changes at every step, and is exact in binary */
-            in[k] = (double)((i * 7 + (int)k * 13) % 31 - 15) / 16.0;
+        for (size_t k = 0; k < inputs.count; k++) { /* changes at every step, and is exact in binary */
+            const int least = k + 1 < inputs.count ? -15 : 0; /* the last input is not negative */
+            in[k] = (double)((i * 7 + (int)k * 13) % 31 + least) / 32.0;
+        }
         set_reals(&inputs, in);
         step(i * STEP_S);
         get(&reals, "fmi2GetReal", "fmi3GetFloat64", out);

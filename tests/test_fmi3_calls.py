@@ -240,7 +240,7 @@ def test_every_wheel_is_a_terminal_with_all_its_inputs_and_outputs() -> None:
         if name.startswith("wheel.") and variable.causality in ("input", "output")
     }
     assert found == wanted
-    assert len(found) == 4 * 10
+    assert len(found) == 4 * 11
 
 
 def test_the_description_says_who_made_it_and_under_which_licence() -> None:

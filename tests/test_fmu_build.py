@@ -65,8 +65,8 @@ def test_a_stale_file_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) 
             "causality 'local'",
         ),
         (
-            '"wheel.*.torque_n_m"]\ndescription = "Motor current',
-            '"motor.*.torque_n_m"]\ndescription = "Motor current',
+            '"wheel.*.torque_n_m", "drive.enabled"]\ndescription = "Motor current',
+            '"motor.*.torque_n_m", "drive.enabled"]\ndescription = "Motor current',
             r"unknown 'motor\.fl\.torque_n_m'",
         ),
     ],

@@ -208,7 +208,7 @@ def _steps(fmu: Path, fmi: int, machine: str, folder: Path) -> str:
     real = {"Real", "Float64"}
     variables = [v for v in description.modelVariables if v.causality in {"input", "output"}]
     lists = [
-        [v for v in variables if v.causality == "input"],
+        sorted((v for v in variables if v.causality == "input"), key=lambda v: v.name == "drive.enabled"),
         [v for v in variables if v.causality == "output" and v.type in real],
         [v for v in variables if v.causality == "output" and v.type in {"Integer", "Int32"}],
     ]

@@ -40,6 +40,7 @@ class Port:
         self.drive, self.sense = ffi.new("wheel_drive *"), ffi.new("wheel_sense *")
         self._exchange = ffi.cast("wheel_plant_exchange", plant.exchange_address)
         self._context = ffi.cast("void *", plant.context_address)
+        self.drive.enabled = 1
 
     def exchange(self, torque: list[float] | None) -> int:
         if torque is None:
@@ -63,7 +64,7 @@ def test_equals_fmpy_bit_for_bit(plant: FmuPlant) -> None:
         for n in range(1000):
             torque = [single(rng.uniform(-2, 2)) for _ in WHEELS]
             assert port.exchange(torque) == 0
-            fmu.setReal(TORQUES, torque)
+            fmu.setReal([*TORQUES, REFERENCE["drive.enabled"]], [*torque, 1.0])
             fmu.doStep(n * 1_000_000 / 1e9, 1e-3)
             out = dict(zip([by_name[r] for r in REALS], fmu.getReal(REALS), strict=True))
             fix = plant.truth()

@@ -30,7 +30,8 @@ from tests.plant_testbed import (
 KINDS = list(product((RIGID, SLIP), (TORQUE, CURRENT, VOLTAGE)))
 NOISY = {"gyro_noise_rad_s": 0.02, "accelerometer_noise_m_s2": 0.3, "seed": 7}
 LIVELY = {"friction_coefficient": 0.05, "slope_rad": 0.03, "com_x_m": 0.02, "viscous_n_m_s_rad": 0.01} | NOISY
-TUNABLE = [name for name, variable in VARIABLES.items() if variable.variability == "tunable"]
+# The windings have the temperature of the air in which the robot was started.
+TUNABLE = [name for name, v in VARIABLES.items() if v.variability == "tunable" and name != "air_degc"]
 
 
 def drive(plant: Robot, ticks: int, seed: int = 0) -> list[bytes]:

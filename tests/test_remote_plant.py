@@ -51,7 +51,7 @@ def exchanges(plant: FmuPlant | RemotePlant, ticks: int) -> Iterator[tuple[Any, 
     rng = random.Random(11)
     assert exchange(context, ffi.NULL, sense) == 0
     for tick in range(ticks):
-        drive.tick, drive.torque_n_m = tick, [rng.uniform(-2, 2) for _ in range(4)]
+        drive.tick, drive.enabled, drive.torque_n_m = tick, 1, [rng.uniform(-2, 2) for _ in range(4)]
         assert exchange(context, drive, sense) == 0
         yield bytes(ffi.buffer(sense)), plant.truth(), plant.wheel_speeds()
 

@@ -127,8 +127,9 @@ class RemotePlant:
         Raises DeviceError when the FMU fails.
         """
         first = self.truth().time_ns // self._step_ns
+        drive = {"enabled": 1, "torque_n_m": list(torque_n_m)}
         for tick in range(first, first + ticks):
-            self._ask({"kind": self._lib.REMOTE_TICK, "drive": {"tick": tick, "torque_n_m": list(torque_n_m)}})
+            self._ask({"kind": self._lib.REMOTE_TICK, "drive": drive | {"tick": tick}})
 
     def truth(self) -> PoseFix:
         """Return pose and twist, world frame, with the time since the start."""

@@ -26,7 +26,7 @@ from hil.plant import shim
 from hil.plant.fmu import FmuPlant
 from hil.plant.mapping import SignalMap, Wiring, resolve
 from hil.plant.start import Value
-from hil.plant_signals import COUNTS, INPUTS, OUTPUTS, POSE, SPEEDS
+from hil.plant_signals import COUNTS, DUTIES, ENABLED, INPUTS, OUTPUTS, POSE, SPEEDS, TORQUES
 from hil.types import Wheels
 from native_build.compiler import SUFFIX, BuildError, compile_shared
 
@@ -34,13 +34,16 @@ HERE = Path(__file__).parent
 TORQUE = Wheels(0.1, -0.1, 0.05, 0.02)
 TWELVE = (*POSE, *SPEEDS, *COUNTS, "gyro.z_rad_s")
 ALL = OUTPUTS[:21]  # those that the bridge reads of a plant that has them all
-DUTIES = tuple(name.replace("torque_n_m", "duty") for name in INPUTS)
-CASES: dict[str, tuple[Mapping[str, Value], Sequence[str]]] = {  # start values, and the inputs that are set
-    "rigid contact, torque": ({"contact": "rigid", "drive": "torque"}, INPUTS),
-    "rigid contact, current": ({"contact": "rigid", "drive": "current"}, INPUTS),
-    "rigid contact, voltage": ({"contact": "rigid", "drive": "voltage"}, DUTIES),
-    "slip contact, torque": ({"contact": "slip", "drive": "torque"}, INPUTS),
-    "slip contact, voltage": ({"contact": "slip", "drive": "voltage"}, DUTIES),
+ON = dict.fromkeys(ENABLED, 1.0)
+BY_TORQUE = dict(zip(TORQUES, TORQUE, strict=True)) | ON
+BY_DUTY = dict(zip(DUTIES, TORQUE, strict=True)) | ON
+EVERY = dict.fromkeys(INPUTS, 0.0) | BY_TORQUE  # as the importer sets them
+CASES: dict[str, tuple[Mapping[str, Value], Mapping[str, float]]] = {  # start values, and the inputs that are set
+    "rigid contact, torque": ({"contact": "rigid", "drive": "torque"}, BY_TORQUE),
+    "rigid contact, current": ({"contact": "rigid", "drive": "current"}, BY_TORQUE),
+    "rigid contact, voltage": ({"contact": "rigid", "drive": "voltage"}, BY_DUTY),
+    "slip contact, torque": ({"contact": "slip", "drive": "torque"}, BY_TORQUE),
+    "slip contact, voltage": ({"contact": "slip", "drive": "voltage"}, BY_DUTY),
 }
 
 
@@ -63,10 +66,10 @@ class RawLoop:
         self._ffi.cdef(header.partition("/* cffi: begin */")[2].partition("/* cffi: end */")[0])
         self._library: Any = self._ffi.dlopen(str(library))
 
-    def way(self, name: str, plant: FmuPlant, inputs: Sequence[str], outputs: Sequence[str]) -> Way:
+    def way(self, name: str, plant: FmuPlant, inputs: Mapping[str, float], outputs: Sequence[str]) -> Way:
         """Return the loop over an instance that sets these inputs and reads these outputs."""
         instance = plant.instance
-        loop: Any = self._ffi.new("raw_loop *", {"fmi_version": instance.version, "value": list(TORQUE)})
+        loop: Any = self._ffi.new("raw_loop *", {"fmi_version": instance.version})
         loop.component = self._ffi.cast("void *", instance.fmu.component)
         real, integer = ("Real", "Integer") if instance.version == 2 else ("Float64", "Int32")
         loop.set_real = self._function(instance.access("Set", real))
@@ -75,6 +78,7 @@ class RawLoop:
         loop.do_step = self._function(plant.context.do_step)
         reals, integers = references_of(plant, outputs)
         loop.input = [instance.variables[name].valueReference for name in inputs]
+        loop.value, loop.inputs = list(inputs.values()), len(inputs)
         loop.real, loop.reals = reals, len(reals)
         loop.integer, loop.integers = integers, len(integers)
 
@@ -127,13 +131,13 @@ def fmpy_methods(plant: FmuPlant, outputs: Sequence[str]) -> Way:
     two = plant.instance.version == 2
     set_real, get_real = (fmu.setReal, fmu.getReal) if two else (fmu.setFloat64, fmu.getFloat64)
     get_integer = fmu.getInteger if two else fmu.getInt32
-    torques = [plant.instance.variables[name].valueReference for name in INPUTS]
+    inputs = [plant.instance.variables[name].valueReference for name in EVERY]
     reals, integers = references_of(plant, outputs)
-    torque = list(TORQUE)
+    values = list(EVERY.values())
 
     def run(steps: int) -> None:
         for n in range(steps):
-            set_real(torques, torque)
+            set_real(inputs, values)
             fmu.doStep(n * 1_000_000 / 1e9, 1e-3)
             get_real(reals)
             get_integer(integers)
@@ -158,7 +162,7 @@ def compare(raw: RawLoop, fmu: Path, outputs: Sequence[str], repeats: int) -> Ta
     with contextlib.ExitStack() as opened:
         new = [opened.enter_context(FmuPlant(fmu, {})) for _ in range(4)]
         ways = [
-            raw.way("C loop over the FMU", new[0], INPUTS, outputs),
+            raw.way("C loop over the FMU", new[0], EVERY, outputs),
             importer(new[1], fmu, outputs),
             importer_from_python(new[2]),
             fmpy_methods(new[3], outputs),

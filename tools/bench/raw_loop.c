@@ -15,7 +15,7 @@ static int run2(const raw_loop *l, unsigned long steps) {
     int integer[32];
     int worst = 0;
     for (unsigned long n = 0; n < steps; n++) {
-        worst |= set_real(l->component, l->input, 4, l->value);
+        worst |= set_real(l->component, l->input, l->inputs, l->value);
         worst |= do_step(l->component, (double)n * 1e6 / 1e9, 1e-3, 1);
         worst |= get_real(l->component, l->real, l->reals, real);
         worst |= get_integer(l->component, l->integer, l->integers, integer);
@@ -37,7 +37,7 @@ static int run3(const raw_loop *l, unsigned long steps) {
     bool event, terminate, early;
     int worst = 0;
     for (unsigned long n = 0; n < steps; n++) {
-        worst |= set_real(l->component, l->input, 4, l->value, 4);
+        worst |= set_real(l->component, l->input, l->inputs, l->value, l->inputs);
         worst |=
             do_step(l->component, (double)n * 1e6 / 1e9, 1e-3, true, &event, &terminate, &early, &reached_s);
         worst |= get_real(l->component, l->real, l->reals, real, l->reals);

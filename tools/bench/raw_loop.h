@@ -12,8 +12,9 @@ typedef struct {
     void *component;
     int fmi_version;                                       /* 2 or 3 */
     raw_function set_real, get_real, get_integer, do_step; /* fmi2..., or fmi3...Float64 and fmi3...Int32 */
-    unsigned input[4];
-    double value[4];
+    unsigned input[16];
+    double value[16];
+    size_t inputs;
     unsigned real[32];
     size_t reals;
     unsigned integer[32];
