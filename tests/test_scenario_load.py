@@ -15,7 +15,7 @@ from hil.model import RobotModel
 from hil.references import make_reference
 from hil.scenario import Scenario, load, resolved, shipped
 from hil.scenario.load import SHIPPED_DIRECTORY
-from hil.scenario.tables import RATES_HZ, FirmwareTable, Tables
+from hil.scenario.tables import RATES_HZ, FirmwareTable, RobotTable, Tables
 from hil.types import CommandMode
 
 BASE = 'extends = "paper_circle"\n'
@@ -221,7 +221,8 @@ def test_the_firmware_takes_whatever_the_scenario_allows(parameter: Parameter) -
     if parameter.name == "feedback_period_s":  # the period of the loop
         allowed = [1.0 / max(RATES_HZ), 1.0 / min(RATES_HZ)]
     else:
-        metadata = FirmwareTable.model_fields[parameter.name].metadata
+        table = FirmwareTable if parameter.name in FirmwareTable.model_fields else RobotTable
+        metadata = table.model_fields[parameter.name].metadata
         allowed = [getattr(item, name) for item in metadata for name in ("gt", "ge", "le") if hasattr(item, name)]
         assert len(allowed) == 2
     assert parameter.minimum <= np.float32(min(allowed))
@@ -316,10 +317,12 @@ def test_the_hash_is_that_of_the_canonical_text(here: Path) -> None:
     )
     canonical = (
         '{"device":{"reversed":["fl","rr"],"wheels":["fl","fr","rr","rl"]},'
-        '"firmware":{"counts_per_revolution":4096,"overspeed_rad_s":100.0,"ramp_s":0.2,"speed_ki_n_m_rad":25.0,'
-        '"speed_kp_n_m_s_rad":1.1,"torque_constant_n_m_a":1.25,"torque_limit_n_m":5.0,'
-        '"tracking_bandwidth_rad_s":150.0,"watchdog_s":0.025},'
-        '"format":2,"loop":{"rate_hz":200,"seed":1},'
+        '"firmware":{"counts_per_revolution":4096,"current_bandwidth_rad_s":1000.0,"current_limit_a":20.0,'
+        '"encoder_fault_s":0.1,"motor_inductance_h":0.0005,"motor_resistance_ohm":0.6,"overspeed_rad_s":100.0,'
+        '"ramp_s":0.2,"speed_ki_n_m_rad":25.0,"speed_kp_n_m_s_rad":1.1,"temperature_limit_degc":120.0,'
+        '"torque_constant_n_m_a":1.25,"torque_limit_n_m":5.0,"tracking_bandwidth_rad_s":150.0,'
+        '"undervoltage_v":0.0,"watchdog_s":0.025},'
+        '"format":3,"loop":{"rate_hz":200,"seed":1},'
         '"plant":{"fmu":"other.fmu","map":{"pose.heading_rad":{"name":"psi","offset":0.0,"scale":1.0,"sign":-1}},'
         '"start":{"gear":"direct","is_on":true,"x_m":1.0}},'
         '"robot":{"friction_coefficient":0.0,"half_length_m":0.3,"half_width_m":0.2,"inertia_kg_m2":0.5,'

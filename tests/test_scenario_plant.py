@@ -105,7 +105,7 @@ def test_start_values_without_a_named_fmu_are_the_shipped_ones() -> None:
         ),
         ('"wheel.fl.torqe_n_m" = "t"', "did you mean 'wheel.fl.torque_n_m'?"),
         ('"wheel.fl.torqe_n_m" = { name = "t", sign = -1 }', "plant.map.wheel.fl.torqe_n_m: the plant has no"),
-        ("xyz = 't'", "plant.map.xyz: the plant has no such signal; known: gyro.x_rad_s, "),
+        ("xyz = 't'", "plant.map.xyz: the plant has no such signal; known: accelerometer.x_m_s2, "),
         ("xyz = 't'", "wheel.*.angle_rad, wheel.*.count, wheel.*.current_a"),
         ('"pose.x_m" = 3', "my.toml:3: plant.map.pose.x_m.name = 3; expected text in quotation marks"),
         ('"pose.x_m" = ["x"]', 'plant.map.pose.x_m.name = ["x"]; expected text in quotation marks'),

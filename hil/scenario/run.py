@@ -9,7 +9,7 @@ from pydantic import BaseModel, Field
 
 from hil.scenario.tables import SHIPPED_FMUS, Tables
 
-HASH_FORMAT = 2
+HASH_FORMAT = 3
 """Counts changes of what the hash covers, so that two versions of this package do not agree by chance."""
 _ARRAYS_OF_TABLES = ("fault", "expect")
 

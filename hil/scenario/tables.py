@@ -42,9 +42,9 @@ class RobotTable(Table):
 
     mass_kg: float = Field(gt=0, le=10_000, description="mass with wheels")
     inertia_kg_m2: float = Field(gt=0, le=100_000, description="yaw inertia of the whole robot, I")
-    wheel_radius_m: float = Field(gt=0, le=1, description="r")
-    half_length_m: float = Field(gt=0, le=10, description="centre to axle, forward, l1")
-    half_width_m: float = Field(gt=0, le=10, description="centre to wheel, sideways, l2")
+    wheel_radius_m: float = Field(ge=0.001, le=1, description="r")
+    half_length_m: float = Field(ge=0.001, le=3.9, description="centre to axle, forward, l1")
+    half_width_m: float = Field(ge=0.001, le=3.9, description="centre to wheel, sideways, l2")
     wheel_inertia_kg_m2: float = Field(ge=0, le=100, description="of one wheel and its motor about its axle, Ib")
     friction_coefficient: float = Field(default=0.0, ge=0, le=2, description="rolling friction, mu in xi")
     torque_limit_n_m: float = Field(gt=0, le=15.99609375, description="of one wheel")

@@ -108,9 +108,25 @@ _ENTITIES = (
     _wheels("/ctrl/wheel/speed", "speed_rad_s"),
     _wheels("/ctrl/wheel/command/torque", "torque_command_n_m"),
     _wheels("/ctrl/wheel/current", "current_a"),
+    _wheels("/ctrl/wheel/temperature", "temperature_degc"),
     Entity("/ctrl/guard", (Series("guard.saturated", "saturated", ALARM_COLOUR),)),
     Entity("/robot/clock", (Series("robot.time_s", "robot time", PLAIN_COLOUR),)),
     Entity("/robot/state_code", (Series("robot.state", "state", PLAIN_COLOUR),)),
+    Entity(
+        "/robot/acceleration",
+        (
+            Series("robot.acceleration_x_m_s2", "forward", X_COLOUR),
+            Series("robot.acceleration_y_m_s2", "left", Y_COLOUR),
+            Series("robot.acceleration_z_m_s2", "up", PLAIN_COLOUR),
+        ),
+    ),
+    Entity(
+        "/robot/battery",
+        (
+            Series("battery.voltage_v", "voltage", TRUTH_COLOUR),
+            Series("battery.current_a", "current", REFERENCE_COLOUR),
+        ),
+    ),
     Entity("/robot/gyro", (Series("robot.yaw_rate_rad_s", "yaw rate", HEADING_COLOUR),)),
     Entity(
         "/link/age",

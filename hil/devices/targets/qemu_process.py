@@ -61,7 +61,7 @@ class QemuProcess:
 
     def ending(self) -> str:
         """Return how the process ended, in words; it is ended if it has not."""
-        return self._child.ending()
+        return self._child.ending() + self._child.last_words()
 
     def close(self) -> None:
         """End the process, and close what led to it. Closing twice is allowed."""
