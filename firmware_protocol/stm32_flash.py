@@ -3,6 +3,8 @@
 PARAMETER_ADDRESS = 0x0804_0000
 """Sector 6: where the first of the two sectors for parameters begins."""
 SECTOR_BYTES = 128 * 1024
+HIL_BOARD = 1
+"""Number of the board in ``port/stm32f4/boards/hil_f405.c`` (DBC HELLO_FIRMWARE.board)."""
 
 _RECORD_BYTES = 128
 _MARK_AT = 120  # sequence number and its complement
