@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol.generated import messages as m
@@ -292,6 +292,8 @@ def moves(value: st.SearchStrategy[float]) -> st.SearchStrategy[list[tuple[tuple
     profile=moves(_SPEED | st.sampled_from([0.0, 2.1, -2.1, 60.0, -60.0])),
     limit_n_m=st.sampled_from([0.5, 5.0, 15.0]),
 )
+@example(profile=[((39.0, -36.0, 0.0, -60.0), 275), ((-2.1, 0.0, 0.0, -60.0), 134)], limit_n_m=0.5)
+@example(profile=[((0.0, 0.0, -3.0, -4.0), 265), ((-2.0,) * 4, 32), ((0.0, 1.0, 1.0, 0.0), 100)], limit_n_m=0.5)
 def test_no_false_alarm_whatever_speeds_are_commanded(
     profile: list[tuple[tuple[float, ...], int]], limit_n_m: float
 ) -> None:

@@ -104,32 +104,129 @@ def test_a_wheel_that_turned_between_was_not_stuck() -> None:
         assert supervise(node, 1, speed_rad_s=still(1, 3.0, own=0.25)) == NO_FAULT
 
 
+def direction(wheel: int, sign: float, target: float, torque: float, speeds: list[float]) -> dict[str, Any]:
+    """What supervision sees of a wheel that should turn at `target`, is driven so, and says its part of `speeds`."""
+    return {
+        "set_point_rad_s": only(wheel, sign * target),
+        "torque_n_m": only(wheel, sign * torque),
+        "speed_rad_s": [sign * v for v in speeds],
+    }
+
+
 @WHEELS
 @SIGNS
 @pytest.mark.parametrize(
-    ("gained", "torque", "found"), [(3.01, STRONG_N_M, True), (2.99, STRONG_N_M, False), (3.01, 0.99, False)]
+    ("gained", "target", "torque", "found"),
+    [
+        (3.01, 2.125, STRONG_N_M, True),
+        (2.99, 2.125, STRONG_N_M, False),
+        (3.01, 2.0, STRONG_N_M, False),
+        (3.01, -2.125, STRONG_N_M, False),
+        (3.01, 2.125, 0.99, False),
+        (3.01, 2.125, -STRONG_N_M, False),
+    ],
 )
-def test_a_wheel_runs_away_when_it_gains_speed_against_its_torque(
-    wheel: int, sign: float, gained: float, torque: float, found: bool
+def test_a_wheel_runs_away_when_it_is_driven_to_its_set_point_and_gains_speed_away_from_it(
+    wheel: int, sign: float, gained: float, target: float, torque: float, found: bool
 ) -> None:
     node = active()
-    against = only(wheel, -sign * torque)
-    assert supervise(node, 30, speed_rad_s=only(wheel, sign * 5.0), torque_n_m=against) == NO_FAULT
-    assert supervise(node, 30, speed_rad_s=only(wheel, sign * 4.0)) == NO_FAULT, "braking"
-    assert supervise(node, FAULT_TICKS - 61, speed_rad_s=only(wheel, sign * (4.0 + gained))) == NO_FAULT
+    assert supervise(node, 1, **direction(wheel, sign, target, 0.0, only(wheel, -5.0))) == NO_FAULT
+    before = direction(wheel, sign, target, torque, only(wheel, -5.0))
+    assert supervise(node, 200, **before) == NO_FAULT, "as fast as before is no gain"
+    braking = direction(wheel, sign, target, torque, only(wheel, -4.0))
+    assert supervise(node, 200, **braking) == NO_FAULT
+    away = direction(wheel, sign, target, torque, only(wheel, -4.0 - gained))
+    assert supervise(node, FAULT_TICKS - 1, **away) == NO_FAULT
     expected = (m.Fault.WRONG_DIRECTION, wheel + 1) if found else NO_FAULT
     assert supervise(node, 1) == expected
+    assert supervise(node, 200) == expected
 
 
 @WHEELS
-def test_a_runaway_begins_anew_when_the_torque_helps(wheel: int) -> None:
-    """From 1 rad/s, and after a tick of torque the other way from 6 rad/s: 8 rad/s is then no gain of 3."""
+@SIGNS
+@pytest.mark.parametrize("lapse", ["torque", "set point", "mode"])
+def test_a_gain_counts_from_where_the_wheel_was_last_not_driven_against(wheel: int, sign: float, lapse: str) -> None:
+    """From 1 rad/s, and after a lapse of one tick from 6 rad/s: 8 rad/s is then no gain of 3, and 9.5 rad/s is."""
     node = active()
-    assert supervise(node, 90, speed_rad_s=only(wheel, 1.0), torque_n_m=only(wheel, -STRONG_N_M)) == NO_FAULT
-    assert supervise(node, 1, speed_rad_s=only(wheel, 6.0), torque_n_m=only(wheel, STRONG_N_M)) == NO_FAULT
-    against = {"torque_n_m": only(wheel, -STRONG_N_M)}
-    assert supervise(node, 300, speed_rad_s=only(wheel, 8.0), **against) == NO_FAULT
-    assert supervise(node, 1, speed_rad_s=only(wheel, 11.5)) == (m.Fault.WRONG_DIRECTION, wheel + 1)
+    assert supervise(node, 90, **direction(wheel, sign, 3.0, STRONG_N_M, only(wheel, -1.0))) == NO_FAULT
+    torque = -STRONG_N_M if lapse == "torque" else STRONG_N_M
+    target = -3.0 if lapse == "set point" else 3.0
+    node.node.mode = m.Mode.TORQUE if lapse == "mode" else m.Mode.SPEED
+    assert supervise(node, 1, **direction(wheel, sign, target, torque, only(wheel, -6.0))) == NO_FAULT
+    node.node.mode = m.Mode.SPEED
+    assert supervise(node, 300, **direction(wheel, sign, 3.0, STRONG_N_M, only(wheel, -8.0))) == NO_FAULT
+    away = direction(wheel, sign, 3.0, STRONG_N_M, only(wheel, -9.5))
+    assert supervise(node, FAULT_TICKS - 1, **away) == NO_FAULT
+    assert supervise(node, 1) == (m.Fault.WRONG_DIRECTION, wheel + 1)
+
+
+@WHEELS
+@SIGNS
+@pytest.mark.parametrize(
+    ("by_others", "own", "target", "torque", "found"),
+    [
+        (2.125, -2.125, 0.5, STRONG_N_M, True),
+        (2.0, -2.0, 0.5, STRONG_N_M, False),
+        (10.0, -7.0625, 0.5, STRONG_N_M, True),
+        (10.0, -6.9375, 0.5, STRONG_N_M, False),
+        (10.0, -12.9375, 0.5, STRONG_N_M, True),
+        (10.0, -13.0625, 0.5, STRONG_N_M, False),
+        (10.0, 10.0, 0.5, STRONG_N_M, False),
+        (10.0, -10.0, 0.0, STRONG_N_M, False),
+        (10.0, -10.0, -0.5, STRONG_N_M, False),
+        (10.0, -10.0, 0.5, 0.99, False),
+        (10.0, -10.0, 0.5, -STRONG_N_M, False),
+    ],
+)
+def test_an_encoder_is_mirrored_when_set_point_torque_and_the_others_contradict_it(
+    wheel: int, sign: float, by_others: float, own: float, target: float, torque: float, found: bool
+) -> None:
+    node = active()
+    seen = direction(wheel, sign, target, torque, still(wheel, by_others, own))
+    assert supervise(node, FAULT_TICKS - 1, **seen) == NO_FAULT
+    expected = (m.Fault.WRONG_DIRECTION, wheel + 1) if found else NO_FAULT
+    assert supervise(node, 1) == expected
+    assert supervise(node, 200) == expected
+
+
+@WHEELS
+@SIGNS
+@pytest.mark.parametrize(("lost", "found"), [(0.1875, True), (0.21875, False)])
+def test_a_wheel_that_loses_speed_brakes_and_is_not_mirrored(wheel: int, sign: float, lost: float, found: bool) -> None:
+    node = active()
+    fault = (m.Fault.WRONG_DIRECTION, wheel + 1)
+    half = FAULT_TICKS // 2
+    fast, slow = (direction(wheel, sign, 0.5, STRONG_N_M, still(wheel, 10.0, own)) for own in (-10.0, -10.0 + lost))
+    assert supervise(node, half, **fast) == NO_FAULT
+    assert supervise(node, half, **slow) == (fault if found else NO_FAULT)
+    assert supervise(node, half, **fast) == fault, "the time counts from the last loss on"
+
+
+@WHEELS
+def test_a_wheel_that_was_right_for_one_tick_is_not_mirrored(wheel: int) -> None:
+    node = active()
+    wrong = direction(wheel, 1.0, 5.0, STRONG_N_M, still(wheel, 5.0, -5.0))
+    right = direction(wheel, 1.0, 5.0, STRONG_N_M, still(wheel, 5.0, 5.0))
+    for _ in range(5):
+        assert supervise(node, FAULT_TICKS - 1, **wrong) == NO_FAULT
+        assert supervise(node, 1, **right) == NO_FAULT
+
+
+@WHEELS
+@SIGNS
+def test_direction_is_watched_in_speed_mode_only(wheel: int, sign: float) -> None:
+    """In torque mode the set point of a wheel is its own speed, and others may drag it against its torque."""
+    cases = {
+        "mirrored": direction(wheel, sign, 5.0, STRONG_N_M, still(wheel, 5.0, -5.0)),
+        "runs away": direction(wheel, sign, 5.0, STRONG_N_M, only(wheel, -9.0)),
+    }
+    for name, seen in cases.items():
+        for mode in m.Mode:
+            node = active(mode)
+            supervise(node, 1, **direction(wheel, sign, 5.0, STRONG_N_M, only(wheel, -1.0)))
+            found = supervise(node, 3 * FAULT_TICKS, **seen)
+            expected = (m.Fault.WRONG_DIRECTION, wheel + 1) if mode is m.Mode.SPEED else NO_FAULT
+            assert found == expected, name
 
 
 @WHEELS
@@ -178,9 +275,7 @@ def test_encoders_are_watched_while_an_estop_brakes_and_not_when_it_is_over() ->
         node = active()
         node.send(m.Estop(0, 0))
         node.node.braking = braking
-        away = {"speed_rad_s": only(3, 9.0), "torque_n_m": only(3, -STRONG_N_M)}
-        supervise(node, 1, speed_rad_s=only(3, 1.0), torque_n_m=only(3, -STRONG_N_M))
-        supervise(node, FAULT_TICKS, **away)
+        supervise(node, FAULT_TICKS, **direction(3, 1.0, 5.0, STRONG_N_M, still(3, 5.0, -5.0)))
         assert node.node.fault == (m.Fault.WRONG_DIRECTION if braking else m.Fault.NONE)
 
 

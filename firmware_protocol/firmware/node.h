@@ -75,9 +75,10 @@ typedef struct {
 
 /* What the supervision of a wheel's encoder remembers. */
 typedef struct {
-    uint32_t still_ticks;    /* for how long it stood still while it should turn */
-    uint32_t backward_ticks; /* for how long it ran away against the torque */
-    float slowest_rad_s;     /* least speed since then */
+    uint32_t still_ticks;      /* for how long it stood still while it should turn */
+    uint32_t backward_ticks;   /* for how long it said the opposite of its set point, and was not braking */
+    float slowest_rad_s;       /* least speed since it was driven against */
+    float backward_from_rad_s; /* speed when `backward_ticks` began */
 } wheel_encoder_watch;
 
 /* An accepted command, held until the next one. */

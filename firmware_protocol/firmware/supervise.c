@@ -18,8 +18,10 @@
 
 /* A wheel is expected to turn when its set point, its torque and the three others all say so. */
 #define EXPECTED_RAD_S 2.0f
-/* A wheel runs away when it gains so much against its torque. */
+/* A wheel runs away when it gains so much while it is driven the other way. */
 #define RUNAWAY_RAD_S 3.0f
+/* One that lost so much brakes. */
+#define BRAKED_RAD_S 0.2f
 /* An encoder counts backward when its speed and that of the others differ by no more than this but for the
  * sign. */
 #define MIRRORED_PART 0.3f
@@ -150,34 +152,40 @@ static void check_still(wheel_node *node, uint8_t wheel, uint32_t limit_ticks) {
     }
 }
 
-/* An encoder that counts backward: the other wheels say the same speed with the other sign, and that is the
- * one which the set point has. */
+/* A wheel that turns against its set point although its speed loop drives it there. In torque mode no wheel
+ * has a set point of its own, and others may drag it. */
+static bool is_driven_against(const wheel_node *node, uint8_t wheel) {
+    const float target = node->set_point_rad_s[wheel];
+    const float torque = node->torque_n_m[wheel];
+    return node->mode == WP_MODE_SPEED && node->speed_rad_s[wheel] * target < 0.0f &&
+           torque * target > 0.0f && is_strong(node, torque);
+}
+
+/* The other wheels say the same speed with the other sign, and that is the one which the set point has. */
 static bool is_mirrored(const wheel_node *node, uint8_t wheel) {
     const float others = speed_by_others(node, wheel);
     const float size = wheel_magnitude(others);
-    return node->mode == WP_MODE_SPEED && node->set_point_rad_s[wheel] * others > 0.0f &&
-           size > EXPECTED_RAD_S && wheel_magnitude(node->speed_rad_s[wheel] + others) < MIRRORED_PART * size;
+    return node->set_point_rad_s[wheel] * others > 0.0f && size > EXPECTED_RAD_S &&
+           wheel_magnitude(node->speed_rad_s[wheel] + others) < MIRRORED_PART * size;
 }
 
-/* A wheel that its speed loop drives away from the set point. One that brakes or turns round looks alike, but
- * loses speed; one that others drag is not commanded by its own speed, which in torque mode none is. */
-static bool runs_away(wheel_node *node, uint8_t wheel) {
-    wheel_encoder_watch *watch = &node->encoder[wheel];
-    const float speed = node->speed_rad_s[wheel];
-    const float target = node->set_point_rad_s[wheel];
-    const float torque = node->torque_n_m[wheel];
-    const bool against = node->mode == WP_MODE_SPEED && speed * target < 0.0f && torque * target > 0.0f &&
-                         wheel_magnitude(target) > EXPECTED_RAD_S && is_strong(node, torque);
-    if (!against || wheel_magnitude(speed) < watch->slowest_rad_s) {
-        watch->slowest_rad_s = wheel_magnitude(speed);
-    }
-    return against && wheel_magnitude(speed) > watch->slowest_rad_s + RUNAWAY_RAD_S;
-}
-
+/* An encoder that counts backward: the others contradict it, or its wheel runs away from the set point, as
+ * the loop drives it ever faster. A wheel that brakes or turns round looks alike, but loses speed. */
 static void check_direction(wheel_node *node, uint8_t wheel, uint32_t limit_ticks) {
     wheel_encoder_watch *watch = &node->encoder[wheel];
-    const bool away = runs_away(node, wheel);
-    watch->backward_ticks = away || is_mirrored(node, wheel) ? watch->backward_ticks + 1u : 0u;
+    const float speed = wheel_magnitude(node->speed_rad_s[wheel]);
+    const bool against = is_driven_against(node, wheel);
+    if (!against || speed < watch->slowest_rad_s) {
+        watch->slowest_rad_s = speed;
+    }
+    const bool runs_away = speed > watch->slowest_rad_s + RUNAWAY_RAD_S &&
+                           wheel_magnitude(node->set_point_rad_s[wheel]) > EXPECTED_RAD_S;
+    if (watch->backward_ticks == 0u || speed < watch->backward_from_rad_s - BRAKED_RAD_S) {
+        watch->backward_ticks = 0u;
+        watch->backward_from_rad_s = speed;
+    }
+    watch->backward_ticks =
+        against && (runs_away || is_mirrored(node, wheel)) ? watch->backward_ticks + 1u : 0u;
     if (watch->backward_ticks >= limit_ticks) {
         wheel_node_fault(node, WP_FAULT_WRONG_DIRECTION, (uint8_t)(wheel + 1u));
     }
