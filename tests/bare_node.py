@@ -49,11 +49,13 @@ class BareNode:
         capabilities: int = ALL,
         stored: bytes | None = None,
         changes: Mapping[str, float] = PARAMETERS,
+        maximum: Any = None,
     ) -> None:
         self.ffi, self.lib = core()
         self.values = PARAMETERS | dict(changes)
         block = self.ffi.new("wheel_parameters *", self.values)
         identity = self.ffi.new("wheel_identity *", {"capabilities": capabilities, "version": [1, 2, 3], "build": 7})
+        self._maximum = identity.maximum = self.ffi.NULL if maximum is None else maximum
         self.node = self.ffi.new("wheel_node *")
         self.drive = self.ffi.new("wheel_drive *")
         self.sense = self.ffi.new("wheel_sense *")

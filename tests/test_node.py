@@ -9,7 +9,7 @@ from firmware_protocol.framing import Frame, Framer
 from firmware_protocol.generated import messages as m
 from firmware_protocol.host import HostNode, library, parameter_hash, parameters
 from hil.devices.snapshot import SnapshotAssembler
-from tests.wheel_rig import PARAMETERS, WheelRig
+from tests.wheel_rig import PARAMETERS, REST_TICKS, WheelRig
 
 
 def test_drives_the_wheels_to_the_commanded_speed():
@@ -136,6 +136,7 @@ def test_a_wish_that_was_held_never_arms():
     rig.heartbeat(m.Request.ARM, 0x5555)
     rig.send(m.Estop(0, 0))
     rig.heartbeat(m.Request.ARM, 0x5555)
+    rig.run(REST_TICKS)
     rig.heartbeat(m.Request.CLEAR, 0x777)
     assert rig.state is m.State.IDLE
     for nonce in (0x5555, rig.nonce, 0x6666, 0x5555):

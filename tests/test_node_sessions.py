@@ -7,7 +7,7 @@ import pytest
 from firmware_protocol.generated import messages as m
 from firmware_protocol.generated.messages import State
 from tests.bare_node import BareNode
-from tests.wheel_rig import WheelRig
+from tests.wheel_rig import REST_TICKS, WheelRig
 
 
 def fault_and_clear(node: BareNode) -> None:
@@ -196,6 +196,7 @@ def test_clearing_needs_a_nonce_that_was_not_used_for_it_and_works_on_a_latched_
     node.heartbeat(m.Request.CLEAR, 0x51)
     assert node.state is State.ACTIVE
     node.send(m.Estop(0, 0))
+    node.tick(REST_TICKS)
     for nonce, expected in ((0x51, State.ESTOP), (0x50, State.IDLE)):
         node.heartbeat(m.Request.CLEAR, nonce)
         assert node.state is expected
@@ -203,6 +204,26 @@ def test_clearing_needs_a_nonce_that_was_not_used_for_it_and_works_on_a_latched_
         node.send(m.Estop(0, 0))
         node.heartbeat(m.Request.CLEAR, 0x50)
         assert node.state is State.ESTOP
+
+
+def test_an_estop_that_brakes_is_not_cleared_before_the_wheels_rest() -> None:
+    rig = WheelRig()
+    rig.activate()
+    for n in range(300):
+        rig.command(8.0, n + 1)
+        rig.run(1)
+    rig.send(m.Estop(0, 0))
+    rolled = 0
+    while max(map(abs, rig.speed_rad_s)) > 0.2:
+        rig.heartbeat(m.Request.CLEAR, 0x1000 + rolled)
+        rig.run(1)
+        rolled += 1
+        assert (rig.state, rig.enabled) == (State.ESTOP, True)
+    assert rolled > 10
+    rig.run(2 * REST_TICKS)  # the estimate of the speed comes to rest a little later
+    assert not rig.enabled
+    rig.heartbeat(m.Request.CLEAR, 0x1000)
+    assert rig.state is State.IDLE, "a wish that was not heard has not used up its nonce"
 
 
 @pytest.mark.parametrize("mode", [m.Mode.SPEED, m.Mode.TORQUE])

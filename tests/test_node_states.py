@@ -85,6 +85,12 @@ INTO: dict[State, Callable[[WheelRig], None]] = {
 }
 
 
+def clear(rig: WheelRig) -> None:
+    if rig.state is State.ESTOP:
+        rig.run(1000)  # while it brakes it does not hear
+    rig.heartbeat(m.Request.CLEAR, 0x99)
+
+
 def overheat(rig: WheelRig) -> None:
     rig.temperature_degc[3] = 130.0
     rig.run(1)
@@ -109,7 +115,7 @@ DO: dict[str, Callable[[WheelRig], None]] = {
     "STOPPED": stand_still,
     "ESTOP": lambda rig: rig.send(m.Estop(0, 0)),
     "FAULT": overheat,
-    "CLEAR": lambda rig: rig.heartbeat(m.Request.CLEAR, 0x99),
+    "CLEAR": clear,
 }
 
 
@@ -184,7 +190,7 @@ def test_the_reason_of_a_stop_is_kept_until_the_next_session(state: State, event
 @pytest.mark.parametrize("name", ["counts_per_revolution", "tracking_bandwidth_rad_s", "watchdog_s", "ramp_s"])
 def test_a_robot_of_a_wrong_build_boots_into_a_fault_that_nothing_clears(name: str, value: float) -> None:
     good = BareNode(changes={"torque_limit_n_m": 1.0})
-    stored = good.ffi.new("uint8_t[]", 92)
+    stored = good.ffi.new("uint8_t[]", 96)
     good.lib.wheel_parameters_store(good.ffi.addressof(good.node, "parameters"), 0, stored)
     for node in (BareNode(changes={name: value}), BareNode(changes={name: value}, stored=bytes(stored))):
         assert (node.state, node.node.fault) == (State.FAULT, m.Fault.PARAMETERS)

@@ -12,7 +12,7 @@ from firmware_protocol.capabilities import Capability
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m
 from firmware_protocol.generated.messages import Operation, Result, State, Type
-from firmware_protocol.host import Parameter, parameter_hash, parameters
+from firmware_protocol.host import Parameter, parameter_hash, parameters, stored_parameters
 from tests.bare_node import ALL, BareNode
 from tests.wheel_rig import PARAMETERS, WheelRig
 
@@ -244,15 +244,31 @@ def test_a_power_cut_while_storing_leaves_the_build_in_force(cut: int, fill: byt
 @pytest.mark.parametrize(
     "foreign",
     [
-        sealed(b"WHP2" + KEPT[4:-4]),
+        sealed(b"WHP1" + KEPT[4:-4]),
         sealed(KEPT[:4] + struct.pack("<I", 19) + KEPT[8:-4]),
+        stored_parameters(PARAMETERS | {"ramp_s": 0.5}, 3),
         sealed(KEPT[:-8] + struct.pack("<f", 5.0)),
-        sealed(KEPT[:8] + struct.pack("<f", math.nan) + KEPT[12:-4]),
+        sealed(KEPT[:12] + struct.pack("<f", math.nan) + KEPT[16:-4]),
     ],
-    ids=["another layout", "another table", "out of range", "no number"],
+    ids=["another layout", "another table", "another board", "out of range", "no number"],
 )
 def test_what_another_firmware_stored_is_ignored_as_a_whole(foreign: bytes) -> None:
     assert ramp_with(foreign) == single(PARAMETERS["ramp_s"])
+
+
+def test_a_board_ends_a_range_where_its_hardware_does() -> None:
+    ffi = BareNode().ffi
+    maximum = ffi.new("wheel_parameters *", {p.name: p.maximum for p in ROWS} | {"ramp_s": 0.4})
+    (index,) = [i for i, p in enumerate(ROWS) if p.name == "ramp_s"]
+    node = BareNode(maximum=maximum)
+    assert ask(node, Operation.READ_MAXIMUM, index).value == bits(ROWS[index], 0.4)
+    assert ask(node, Operation.WRITE, index, bits(ROWS[index], 0.5)).result == Result.RANGE
+    assert ask(node, Operation.WRITE, index, bits(ROWS[index], 0.4)).result == Result.OK
+    assert single(node.node.parameters.ramp_s) == single(0.4)
+    kept = BareNode(stored=stored_parameters(PARAMETERS | {"ramp_s": 0.5}, 0), maximum=maximum)
+    assert single(kept.node.parameters.ramp_s) == single(PARAMETERS["ramp_s"])
+    wrong = BareNode(changes={"ramp_s": 0.5}, maximum=maximum)
+    assert (wrong.state, wrong.node.fault) == (State.FAULT, m.Fault.PARAMETERS)
 
 
 def test_a_robot_without_storage_says_so() -> None:

@@ -33,7 +33,7 @@ def test_check_names_the_stale_files_and_writes_nothing(
     root.mkdir()
     (root / "wheel.dbc").write_text(DBC, encoding="utf-8")
     part = "<!-- generated -->\n<!-- /generated -->\n"
-    (root / "PROTOCOL.md").write_text(f"before\n{part}between\n{part}after\n", encoding="utf-8")
+    (root / "PROTOCOL.md").write_text(f"before\n{part}between\n{part}{part}after\n", encoding="utf-8")
     monkeypatch.setattr(generate, "ROOT", root)
     assert generate.main([]) == 0
     assert generate.main(["--check"]) == 0

@@ -30,6 +30,7 @@ PARAMETERS = {
     "ramp_s": 0.2,
     "feedback_period_s": 0.005,
 }
+REST_TICKS = 51  # after which wheels that stand still are known to rest, and the drives are off
 INERTIA_KG_M2 = 0.033  # a quarter of 23.6 kg on a wheel of 75 mm
 
 
