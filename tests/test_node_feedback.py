@@ -25,6 +25,16 @@ def test_time_sync_stamps_arrival_and_waiting_across_the_wrap(received: int, hel
     assert node.heard(received + held) == [m.TimeSyncResponse(received, min(held, 0xFFFF), sequence)]
 
 
+@given(requests=st.lists(st.tuples(time_us, st.integers(0, 255)), max_size=8), sent=time_us)
+def test_each_of_several_time_syncs_that_wait_tells_its_own_waiting(requests: list[tuple[int, int]], sent: int) -> None:
+    node = BareNode()
+    node.heard()
+    for received, sequence in requests:
+        node.send(m.TimeSyncRequest(sequence), received)
+    expected = [m.TimeSyncResponse(at, min((sent - at) % WRAP, 0xFFFF), sequence) for at, sequence in requests]
+    assert node.heard(sent) == expected
+
+
 def test_time_sync_is_answered_in_every_state_and_feeds_no_watchdog() -> None:
     rig = WheelRig()
     rig.activate()

@@ -104,6 +104,22 @@ def test_a_wheel_that_turned_between_was_not_stuck() -> None:
         assert supervise(node, 1, speed_rad_s=still(1, 3.0, own=0.25)) == NO_FAULT
 
 
+@WHEELS
+@SIGNS
+@pytest.mark.parametrize(("changed", "found"), [(0.0990, True), (0.1010, False)])
+def test_a_wheel_that_passes_slowly_through_zero_is_not_stuck(
+    wheel: int, sign: float, changed: float, found: bool
+) -> None:
+    node = active()
+    values = {"set_point_rad_s": only(wheel, sign * 3.0), "torque_n_m": only(wheel, sign * STRONG_N_M)}
+    before, after = ([sign * v for v in still(wheel, 3.0, own)] for own in (-0.05, changed - 0.05))
+    assert supervise(node, FAULT_TICKS - 1, speed_rad_s=before, **values) == NO_FAULT
+    stuck = (m.Fault.ENCODER_STUCK, wheel + 1)
+    assert supervise(node, 1, speed_rad_s=after) == (stuck if found else NO_FAULT)
+    assert supervise(node, FAULT_TICKS - 2) == (stuck if found else NO_FAULT)
+    assert supervise(node, 1) == stuck, "the time counts from the last change on"
+
+
 def direction(wheel: int, sign: float, target: float, torque: float, speeds: list[float]) -> dict[str, Any]:
     """What supervision sees of a wheel that should turn at `target`, is driven so, and says its part of `speeds`."""
     return {
@@ -200,6 +216,23 @@ def test_a_wheel_that_loses_speed_brakes_and_is_not_mirrored(wheel: int, sign: f
     assert supervise(node, half, **fast) == NO_FAULT
     assert supervise(node, half, **slow) == (fault if found else NO_FAULT)
     assert supervise(node, half, **fast) == fault, "the time counts from the last loss on"
+
+
+def test_a_coarse_encoder_moves_the_estimate_more_and_a_loss_within_that_is_no_braking() -> None:
+    node = BareNode(changes={"counts_per_revolution": 1024.0})
+    node.activate()
+    for own, ticks in ((-10.0, 50), (-9.45, 49)):  # 0.1 rad/s, and pi 150 / 1024
+        assert supervise(node, ticks, **direction(0, 1.0, 0.5, STRONG_N_M, still(0, 10.0, own))) == NO_FAULT
+    assert supervise(node, 1) == (m.Fault.WRONG_DIRECTION, 1)
+
+
+def test_a_wheel_that_runs_away_is_found_though_its_estimate_trembles() -> None:
+    node = active()
+    supervise(node, 1, **direction(0, 1.0, 5.0, STRONG_N_M, only(0, -1.0)))
+    for n in range(FAULT_TICKS - 1):
+        seen = direction(0, 1.0, 5.0, STRONG_N_M, only(0, -9.0 - n % 2))
+        assert supervise(node, 1, **seen) == NO_FAULT
+    assert supervise(node, 1) == (m.Fault.WRONG_DIRECTION, 1)
 
 
 @WHEELS
@@ -309,3 +342,30 @@ def test_what_is_just_plausible_is_taken() -> None:
     assert supervise(node, 1) == NO_FAULT
     sense.gyro_rad_s[1] = 1000001.0
     assert supervise(node, 1) == (m.Fault.SENSOR, 0)
+
+
+@WHEELS
+def test_a_winding_colder_than_any_robot_is_a_sensor_without_its_wire(wheel: int) -> None:
+    """It would not tell any heat, and the current limit with it."""
+    node = active()
+    node.node.sense.temperature_degc[wheel] = -45.0
+    assert supervise(node, 1) == NO_FAULT
+    node.node.sense.temperature_degc[wheel] = -45.01
+    assert supervise(node, 1) == (m.Fault.SENSOR, 0)
+
+
+@pytest.mark.parametrize("bandwidth_rad_s", [50.0, 150.0, 500.0])
+@pytest.mark.parametrize("counts", [4.0, 4096.0, 32768.0])
+@SIGNS
+def test_no_counts_drive_an_estimate_beyond_all_measure(counts: float, bandwidth_rad_s: float, sign: float) -> None:
+    """An encoder that always says what drives the filter on, as no wheel turns."""
+    node = BareNode(changes={"tracking_bandwidth_rad_s": bandwidth_rad_s, "counts_per_revolution": counts})
+    tracker = node.node.tracker[0]
+    for _ in range(2000):
+        ahead = int(tracker.fraction + tracker.rate_counts_s * 1e-3 + sign * 0x7F00)
+        node.sense.count[0] = (tracker.whole + ahead) & 0xFFFF
+        node.lib.wheel_node_sense(node.node, node.sense)
+    assert node.node.speed_rad_s[0] == pytest.approx(sign * 256.0)
+    assert (node.node.fault, node.node.fault_wheel) == (m.Fault.OVERSPEED, 1)
+    node.tick(3000)
+    assert abs(node.node.speed_rad_s[0]) < 1.0, "and from there it finds back"

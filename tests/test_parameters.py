@@ -298,3 +298,18 @@ def test_a_store_is_answered_when_the_port_is_done_and_bars_changes_until_then(k
     assert (answer.result, answer.value) == (Result.OK if kept else Result.STORAGE, parameter_hash(PARAMETERS))
     assert not node.lib.wheel_node_store_pending(node.node, block)
     assert ask(node, Operation.WRITE, 0, 2048).result == Result.OK
+
+
+def test_a_robot_does_not_arm_while_its_parameters_are_being_kept() -> None:
+    """Writing flash may stop a processor for longer than a watchdog: the drives would hold what they had."""
+    node = BareNode()
+    node.send(m.ParameterRequest(0, Operation.STORE, 9, 0))
+    node.heartbeat(m.Request.IDLE, 0x51)
+    node.heartbeat(m.Request.ARM, 0x51)
+    assert (node.state, node.node.arm_refusal) == (m.State.IDLE, m.ArmRefusal.NOT_IDLE)
+    node.lib.wheel_node_stored(node.node, True)
+    node.heartbeat(m.Request.ARM, 0x51)
+    assert node.state is m.State.IDLE, "a refusal uses up the announcement"
+    node.heartbeat(m.Request.IDLE, 0x52)
+    node.heartbeat(m.Request.ARM, 0x52)
+    assert node.state is m.State.ARMED

@@ -3,8 +3,15 @@
 #include <stddef.h>
 
 #define TWO_PI 6.28318530717958647692f
+/* Twice what an overspeed limit may be. Counts that make no sense would drive the filter on without end. */
+#define FASTEST_RAD_S 256.0f
+
 static float magnitude(float x) {
     return x < 0.0f ? -x : x;
+}
+
+static float clamp(float x, float limit) {
+    return x > limit ? limit : (x < -limit ? -limit : x);
 }
 
 /* Floor without libm, for the few hundred counts that a wheel turns in a tick. */
@@ -33,8 +40,10 @@ float wheel_tracker_update(wheel_tracker *tracker, uint16_t count, const wheel_p
     const float error = (float)behind + 0.5f - tracker->fraction;
     const float bandwidth = parameters->tracking_bandwidth_rad_s;
     tracker_advance(tracker, 2.0f * bandwidth * WHEEL_TICK_S * error);
-    tracker->rate_counts_s += bandwidth * bandwidth * WHEEL_TICK_S * error;
-    return tracker->rate_counts_s * (TWO_PI / parameters->counts_per_revolution);
+    const float rate = tracker->rate_counts_s + bandwidth * bandwidth * WHEEL_TICK_S * error;
+    const float rad_a_count = TWO_PI / parameters->counts_per_revolution;
+    tracker->rate_counts_s = clamp(rate, FASTEST_RAD_S / rad_a_count);
+    return tracker->rate_counts_s * rad_a_count;
 }
 
 bool wheel_scale_to_limit(float value[WHEEL_COUNT], float limit) {
@@ -110,7 +119,7 @@ void wheel_current_loop_update(wheel_current_loop *loop, const float target_a[WH
         }
         const float voltage = gain * (target_a[i] - current_a[i]) + loop->integral_v[i] + back_emf_v;
         const float wish = voltage / battery_v;
-        duty[i] = wish > 1.0f ? 1.0f : (wish < -1.0f ? -1.0f : wish);
+        duty[i] = clamp(wish, 1.0f);
         /* This is `resistance * wanted * error`, with the error that the applied voltage answers: at full
          * duty that is less than the real one, and nothing winds up. */
         loop->integral_v[i] += part * (duty[i] * battery_v - back_emf_v - loop->integral_v[i]);

@@ -208,10 +208,10 @@ void wheel_node_queue(wheel_node *node, uint16_t id, uint8_t length, const uint8
 }
 
 /* The answer to a TIME_SYNC_REQUEST tells how long it waited here. */
-static void stamp(const wheel_node *node, wheel_frame *frame, uint32_t now_us) {
+static void stamp(wheel_frame *frame, uint32_t now_us) {
     wp_time_sync_response m;
     if (wp_time_sync_response_decode(frame->payload, frame->length, &m)) {
-        const uint32_t held_us = now_us - node->sync_received_us;
+        const uint32_t held_us = now_us - m.received_us;
         m.held_us = held_us > 0xFFFFu ? 0xFFFFu : (uint16_t)held_us;
         (void)wp_time_sync_response_encode(&m, frame->payload);
     }
@@ -225,7 +225,7 @@ bool wheel_node_transmit(wheel_node *node, wheel_frame *frame, uint32_t now_us) 
     node->queue_head = (uint8_t)((node->queue_head + 1u) % WHEEL_TRANSMIT_QUEUE);
     node->queue_count--;
     if (frame->id == WP_TIME_SYNC_RESPONSE_ID) {
-        stamp(node, frame, now_us);
+        stamp(frame, now_us);
     }
     return true;
 }

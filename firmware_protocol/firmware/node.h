@@ -75,10 +75,11 @@ typedef struct {
 
 /* What the supervision of a wheel's encoder remembers. */
 typedef struct {
-    uint32_t still_ticks;      /* for how long it stood still while it should turn */
-    uint32_t backward_ticks;   /* for how long it said the opposite of its set point, and was not braking */
-    float slowest_rad_s;       /* least speed since it was driven against */
-    float backward_from_rad_s; /* speed when `backward_ticks` began */
+    uint32_t still_ticks;    /* for how long it stood still while it should turn */
+    float still_from_rad_s;  /* speed when `still_ticks` began */
+    uint32_t backward_ticks; /* for how long it said the opposite of its set point, and was not braking */
+    float slowest_rad_s;     /* least speed since it was driven against */
+    float fastest_rad_s;     /* greatest speed since `backward_ticks` began */
 } wheel_encoder_watch;
 
 /* An accepted command, held until the next one. */
@@ -142,7 +143,6 @@ typedef struct {
     wp_parameter_request store_request;
 
     uint32_t now_us; /* when the frame in hand arrived */
-    uint32_t sync_received_us;
 
     wheel_frame queue[WHEEL_TRANSMIT_QUEUE];
     uint8_t queue_head;

@@ -109,7 +109,8 @@ static uint8_t arm_refusal(const wheel_node *node, const wp_host_heartbeat *m) {
     if (m->nonce == node->session_nonce) {
         return WP_ARM_REFUSAL_NONCE_USED;
     }
-    if (node->state != WP_STATE_IDLE) {
+    if (node->state != WP_STATE_IDLE || node->store_pending) {
+        /* Writing flash may stop a processor for longer than the watchdog waits. */
         return WP_ARM_REFUSAL_NOT_IDLE;
     }
     if (m->nonce != node->announced_nonce) {

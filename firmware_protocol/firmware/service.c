@@ -7,7 +7,6 @@ bool wheel_node_on_time_sync(wheel_node *node, const wheel_frame *frame) {
     const wp_time_sync_response answer = {.received_us = node->now_us, .sequence = m.sequence};
     uint8_t payload[WP_TIME_SYNC_RESPONSE_LENGTH];
     if (decoded && wp_time_sync_response_encode(&answer, payload)) {
-        node->sync_received_us = node->now_us;
         wheel_node_queue(node, WP_TIME_SYNC_RESPONSE_ID, WP_TIME_SYNC_RESPONSE_LENGTH, payload);
     }
     return decoded;

@@ -3,6 +3,8 @@
 
 /* No sensor of a robot measures so much, in any of its units; what is computed from less stays finite. */
 #define PLAUSIBLE 1e6f
+/* Nor is a winding so cold: its sensor has lost its wire, and would not tell any heat. */
+#define COLDEST_DEGC (-45.0f)
 /* Below this a wheel counts as standing still; about one encoder count in ten ticks. */
 #define STANDSTILL_RAD_S 0.2f
 /* For so long, so that the estimate's passing through zero does not count. */
@@ -20,8 +22,10 @@
 #define EXPECTED_RAD_S 2.0f
 /* A wheel runs away when it gains so much while it is driven the other way. */
 #define RUNAWAY_RAD_S 3.0f
-/* One that lost so much brakes. */
-#define BRAKED_RAD_S 0.2f
+/* One that lost so much, and what its estimate moves by itself, brakes. */
+#define BRAKED_RAD_S 0.1f
+/* An encoder that changes its speed by so much is not stuck, but passes through zero. */
+#define PASSING_RAD_S 0.1f
 /* An encoder counts backward when its speed and that of the others differ by no more than this but for the
  * sign. */
 #define MIRRORED_PART 0.3f
@@ -35,8 +39,8 @@ static bool is_plausible(float x) {
 bool wheel_sense_is_plausible(const wheel_sense *sense) {
     bool plausible = is_plausible(sense->battery_v) && is_plausible(sense->battery_a);
     for (size_t i = 0; i < WHEEL_COUNT; i++) {
-        plausible =
-            plausible && is_plausible(sense->current_a[i]) && is_plausible(sense->temperature_degc[i]);
+        plausible = plausible && is_plausible(sense->current_a[i]) &&
+                    is_plausible(sense->temperature_degc[i]) && sense->temperature_degc[i] >= COLDEST_DEGC;
     }
     for (size_t i = 0; i < 3u; i++) {
         plausible =
@@ -144,12 +148,24 @@ static void check_still(wheel_node *node, uint8_t wheel, uint32_t limit_ticks) {
     const float by_others = speed_by_others(node, wheel);
     const bool asked =
         node->mode == WP_MODE_TORQUE || wheel_magnitude(node->set_point_rad_s[wheel]) > EXPECTED_RAD_S;
-    const bool still = wheel_magnitude(node->speed_rad_s[wheel]) < STANDSTILL_RAD_S;
+    const float speed = node->speed_rad_s[wheel];
+    const bool still = wheel_magnitude(speed) < STANDSTILL_RAD_S;
+    if (watch->still_ticks == 0u || wheel_magnitude(speed - watch->still_from_rad_s) > PASSING_RAD_S) {
+        watch->still_ticks = 0u;
+        watch->still_from_rad_s = speed;
+    }
     const bool turns = wheel_magnitude(by_others) > EXPECTED_RAD_S && by_others * torque > 0.0f;
     watch->still_ticks = asked && still && turns && is_strong(node, torque) ? watch->still_ticks + 1u : 0u;
     if (watch->still_ticks >= limit_ticks) {
         wheel_node_fault(node, WP_FAULT_ENCODER_STUCK, (uint8_t)(wheel + 1u));
     }
+}
+
+/* How far the estimate moves while a wheel turns evenly: the counts come one by one, and the filter follows.
+ */
+static float estimate_noise_rad_s(const wheel_node *node) {
+    const wheel_parameters *p = &node->parameters;
+    return 3.14159265f * p->tracking_bandwidth_rad_s / p->counts_per_revolution;
 }
 
 /* A wheel that turns against its set point although its speed loop drives it there. In torque mode no wheel
@@ -180,9 +196,11 @@ static void check_direction(wheel_node *node, uint8_t wheel, uint32_t limit_tick
     }
     const bool runs_away = speed > watch->slowest_rad_s + RUNAWAY_RAD_S &&
                            wheel_magnitude(node->set_point_rad_s[wheel]) > EXPECTED_RAD_S;
-    if (watch->backward_ticks == 0u || speed < watch->backward_from_rad_s - BRAKED_RAD_S) {
+    if (!runs_away && speed < watch->fastest_rad_s - BRAKED_RAD_S - estimate_noise_rad_s(node)) {
         watch->backward_ticks = 0u;
-        watch->backward_from_rad_s = speed;
+    }
+    if (watch->backward_ticks == 0u || speed > watch->fastest_rad_s) {
+        watch->fastest_rad_s = speed;
     }
     watch->backward_ticks =
         against && (runs_away || is_mirrored(node, wheel)) ? watch->backward_ticks + 1u : 0u;
