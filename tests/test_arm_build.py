@@ -161,6 +161,27 @@ def test_an_unknown_target_is_refused_with_the_known_ones(capsys):
         arm_build.main(["motor"])
 
 
+@settings(max_examples=100)
+@given(data=st.data())
+def test_a_file_that_is_cut_short_is_refused(firmwares, tmp_path_factory, data):
+    elf = firmwares[next(iter(firmwares))].elf.read_bytes()
+    path = tmp_path_factory.mktemp("cut") / "cut.elf"
+    path.write_bytes(elf[: data.draw(st.integers(0, len(elf) - 1))])
+    with pytest.raises(ValueError, match="cut.elf is"):
+        read_elf(path)
+
+
+@settings(max_examples=100)
+@given(data=st.data())
+def test_a_wrong_header_is_refused_or_read_but_no_other_error(firmwares, tmp_path_factory, data):
+    elf = bytearray(firmwares[next(iter(firmwares))].elf.read_bytes())
+    elf[data.draw(st.integers(0, 51))] = data.draw(st.integers(0, 255))
+    path = tmp_path_factory.mktemp("wrong") / "wrong.elf"
+    path.write_bytes(elf)
+    with contextlib.suppress(ValueError):
+        assert read_elf(path).segments is not None
+
+
 def test_what_is_no_arm_firmware_is_refused(tmp_path):
     (tmp_path / "text").write_text("no firmware")
     with pytest.raises(ValueError, match="no 32-bit little-endian ELF"):
