@@ -82,10 +82,10 @@ class CanLink:
                 raise _failure(self._url, error) from error
             if message is None:
                 return None
-            if (cause := self._refusal(message)) is not None:
-                self._rejected[cause] += 1
-            elif SENDERS.get(message.arbitration_id, self._hears) == self._hears:
+            if (cause := self._refusal(message)) is None:
                 return Received(Frame(message.arbitration_id, bytes(message.data)), time.monotonic_ns())
+            if cause in self._rejected:
+                self._rejected[cause] += 1
             timeout_ns = max(0, deadline_ns - time.monotonic_ns())
 
     def _refusal(self, message: Any) -> str | None:
@@ -93,6 +93,8 @@ class CanLink:
             return "error_frame"
         if message.is_extended_id or message.is_remote_frame:
             return "foreign"
+        if SENDERS.get(message.arbitration_id, self._hears) != self._hears:
+            return "own"
         if self._hears == "HOST":
             return None
         expected = LENGTHS.get(message.arbitration_id)

@@ -170,9 +170,7 @@ def _send(line: socket.socket, data: bytes) -> None:
         while left:
             left = left[line.send(left) :]
     except TimeoutError:
-        raise DeviceError(
-            f"QEMU has taken no byte of a line for {line.gettimeout():g} s; start it again"
-        ) from None
+        raise DeviceError(f"QEMU has taken no byte of a line for {line.gettimeout():g} s; start it again") from None
 
 
 def _nobody() -> None:
