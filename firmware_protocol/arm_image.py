@@ -3,6 +3,7 @@
 import struct
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 _HEADER = struct.Struct("<16sHHIIIIIHHHHHH")  # ELF32 header, then program headers and section headers
 _PROGRAM = struct.Struct("<IIIIIIII")
@@ -42,19 +43,28 @@ class Image:
 
 
 def read_elf(path: Path) -> Image:
-    """Read a linked 32-bit ARM ELF. Raises ValueError when it is none."""
+    """Read a linked 32-bit ARM ELF. Raises ValueError when it is none, or not whole."""
     elf = path.read_bytes()
     if elf[:6] != _ELF32_LITTLE or len(elf) < _HEADER.size:
         raise ValueError(f"{path} is no 32-bit little-endian ELF file")
     head = _HEADER.unpack_from(elf)
     if head[2] != _MACHINE_ARM:
         raise ValueError(f"{path} is for ELF machine {head[2]}: expected {_MACHINE_ARM}, ARM")
+    try:
+        return _image(elf, head)
+    except (struct.error, IndexError, ValueError) as error:
+        raise ValueError(f"{path} is cut short or damaged ({error}); build it again") from error
+
+
+def _image(elf: bytes, head: tuple[Any, ...]) -> Image:
     program_at, section_at = head[5], head[6]
     program_count, section_count, names_index = head[10], head[12], head[13]
     segments = []
     for i in range(program_count):
         kind, offset, _, load_address, in_file, *_ = _PROGRAM.unpack_from(elf, program_at + i * _PROGRAM.size)
         if kind == _LOAD and in_file > 0:
+            if offset + in_file > len(elf):
+                raise ValueError(f"a segment ends at byte {offset + in_file} of {len(elf)}")
             segments.append((load_address, elf[offset : offset + in_file]))
     sections = [_SECTION.unpack_from(elf, section_at + i * _SECTION.size) for i in range(section_count)]
     names_at = sections[names_index][4]

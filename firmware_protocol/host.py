@@ -191,6 +191,10 @@ class HostNode:
             frames.append(Frame(self._id[0], bytes(self._buffer[:length])))
         return frames
 
+    def count_unsent(self, frames: int) -> None:
+        """Take note that so many frames that were taken could not be sent (DBC PORT_COUNTERS.transmit_overrun)."""
+        self._lib.wheel_host_count_unsent(self._host, frames)
+
     def look(self) -> View:
         """Return the firmware's inner state."""
         v = self._ffi.new("wheel_host_view *")

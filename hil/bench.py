@@ -158,7 +158,7 @@ class Bench:
         lockstep = self._scenario.loop.mode == "lockstep"
         self._robot = robot = VirtualStm32(virtual_robot(self._scenario))
         resources.callback(robot.close)
-        pair = open_pair(parse_link(self._scenario.link.url))
+        pair = open_pair(parse_link(self._scenario.link.url), lockstep=lockstep)
         resources.callback(pair.wire.close)
         resources.callback(pair.link.close)
         self.truth = truth = LocalTruth()

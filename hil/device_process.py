@@ -21,13 +21,14 @@ def serve(scenario: Scenario, truth_port: int, say: Callable[[str], None], targe
     """
     with contextlib.ExitStack() as resources:
         url = parse_link(scenario.link.url)
+        lockstep = scenario.loop.mode == "lockstep"
         robot = open_target(target, virtual_robot(scenario), url)
         resources.callback(robot.close)
-        wire, reach = open_robot(url)
+        wire, reach = open_robot(url, lockstep=lockstep)
         resources.callback(wire.close)
         truth = TruthServer(scenario.hash, truth_port)
         resources.callback(truth.close)
-        server = open_server(robot, wire, truth, lockstep=scenario.loop.mode == "lockstep")
+        server = open_server(robot, wire, truth, lockstep=lockstep)
         truth.request_reset = server.request_reset
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: server.stop())

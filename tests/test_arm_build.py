@@ -1,9 +1,12 @@
 """The STM32F405 firmware as it is linked: what is in it, what is not, and how much of the chip it takes."""
 
+import contextlib
 import re
 import shutil
 import subprocess
 import sys
+import tempfile
+from pathlib import Path
 
 import cffi
 import pytest
@@ -159,6 +162,26 @@ def test_without_a_compiler_one_sentence_says_what_to_install(monkeypatch, tmp_p
 def test_an_unknown_target_is_refused_with_the_known_ones(capsys):
     with pytest.raises(SystemExit, match="target motor: expected one of motors-f405_drivers-serial, "):
         arm_build.main(["motor"])
+
+
+def test_a_file_that_is_cut_short_is_refused(firmwares, tmp_path):
+    elf = firmwares[TARGETS[0]].elf.read_bytes()
+    path = tmp_path / "cut.elf"
+    for length in (*range(200), *range(200, len(elf), 4099), len(elf) - 1):
+        path.write_bytes(elf[:length])
+        with pytest.raises(ValueError, match=r"cut\.elf is "):
+            read_elf(path)
+
+
+@given(at=st.integers(0, 51), value=st.integers(0, 255))
+def test_a_wrong_header_is_read_or_refused_in_a_sentence(at, value):
+    elf = bytearray(firmware(*TARGETS[0]).elf.read_bytes())
+    elf[at] = value
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "wrong.elf"
+        path.write_bytes(elf)
+        with contextlib.suppress(ValueError):
+            read_elf(path)
 
 
 def test_what_is_no_arm_firmware_is_refused(tmp_path):

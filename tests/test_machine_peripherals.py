@@ -110,6 +110,26 @@ def test_the_fourth_frame_overruns_the_third_unless_the_fifo_is_locked():
         assert seen == [1, 2, newest]
 
 
+def test_a_frame_that_is_stored_after_an_overrun_is_told_as_stored():
+    """The overrun's flag stays until the firmware clears it; it says nothing of the frames that follow."""
+    controller = open_can((0, 0), listed=False)
+    for number in range(1, 5):
+        controller.receive(can.CanFrame(number, b""))
+    controller.write(can.RF0R, 1 << 5)
+    assert controller.receive(can.CanFrame(5, b""))
+    assert controller.read(can.RF0R) & (3 | 1 << 4) == 3 | 1 << 4
+    assert controller.missed == 1
+
+
+def test_frames_that_find_the_controller_off_the_bus_are_missed_and_those_of_no_filter_are_not():
+    controller = open_can((5 << 21, 5 << 21))
+    assert not controller.receive(can.CanFrame(6, b""))
+    assert controller.missed == 0
+    controller.fail(256)
+    assert not controller.receive(can.CanFrame(5, b""))
+    assert controller.missed == 1
+
+
 def test_transmission_is_told_and_interrupts_until_it_is_taken_note_of():
     controller, line = open_can((0, 0)), Line()
     controller.irq_tx = line
@@ -194,8 +214,9 @@ def test_an_idle_line_is_flagged_until_status_and_data_are_read():
 def test_a_line_that_is_off_neither_sends_nor_receives():
     line = usart.Usart("USART1")
     line.write(usart.DR, 1)
-    assert not line.receive(b"a")
+    assert not line.receive(b"abc")
     assert line.sent == b""
+    assert line.missed == 3
 
 
 # Timers, watchdog, clocks

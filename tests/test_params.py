@@ -10,7 +10,7 @@ def test_parameters_are_shown_changed_and_kept(tmp_path: Path) -> None:
     with device("paper_circle", "--mode", "realtime", "--link", f"serial:pty?symlink={tmp_path}/robot") as robot:
         before = json.loads(hil("params", robot.link, "--json").stdout)
         assert before["speed_kp_n_m_s_rad"] == 1.100000023841858, "in single precision"
-        changes = ("speed_kp_n_m_s_rad=1.5", "counts_per_revolution=2048")
+        changes = ("speed_kp_n_m_s_rad=1.5", "counts_per_revolution=2048", "watchdog_s=0.1")
         after = json.loads(hil("params", robot.link, *changes, "--store", "--json").stdout)
         assert (after["speed_kp_n_m_s_rad"], after["counts_per_revolution"]) == (1.5, 2048)
         assert "speed_kp_n_m_s_rad        1.5" in hil("params", robot.link).stdout
@@ -23,6 +23,8 @@ def test_a_wrong_parameter_is_one_sentence(tmp_path: Path) -> None:
         for change, words in (
             ("speed_kp=1", "did you mean 'speed_kp_n_m_s_rad'?"),
             ("watchdog_s=5", "expected a number from 0.02 to 0.1"),
+            ("speed_kp_n_m_s_rad=1e39", "speed_kp_n_m_s_rad = 1e+39; expected a number from 0 to"),
+            ("counts_per_revolution=1e39", "expected a number from"),
             ("counts_per_revolution=7.5", "expected a whole number"),
             ("ramp_s", "expected NAME=NUMBER"),
             ("ramp_s=nan", "expected NAME=NUMBER"),

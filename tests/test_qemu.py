@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import threading
+import traceback
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from hil.devices.targets import qemu_board
 from hil.devices.targets.qemu_board import QemuBoard
 from hil.devices.targets.qemu_process import QEMU
 from hil.errors import BadInputError, DeviceError
+from hil.plant.process import ChildProcess
 from tests.arm_programs import compile_program
 from tests.emulated_boards import Host, converse, firmware, needs_compiler, needs_qemu, plant_of, stored
 from tests.processes import environment, wait_for
@@ -117,6 +119,94 @@ def test_killed_qemu_is_told_in_a_sentence():
         assert str(told).startswith("QEMU is gone: its process exited with code 1; its last words: ")
         assert "was ended by signal 9" in str(told)
     wait_for(lambda: descendants(os.getpid()) == [])
+
+
+def leash_of(pid: int) -> int:
+    """Return the process that watches over QEMU among the descendants of a process."""
+    (found,) = [n for n in descendants(pid) if "leash" in Path(f"/proc/{n}/cmdline").read_text()]
+    return found
+
+
+@on_linux
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+def test_qemu_does_not_outlive_its_leash(number: signal.Signals):
+    with open_board() as board:
+        qemu = qemu_of(os.getpid())
+        os.kill(leash_of(os.getpid()), number)
+        assert str(wait_for(lambda: _failure(board))).startswith("QEMU is gone: its process ")
+        wait_for(lambda: has_gone(qemu))
+
+
+@on_linux
+def test_what_the_program_on_a_leash_has_started_ends_with_it(tmp_path: Path):
+    """A grandchild, which no signal at its parent's death reaches; the leash itself has ended before anybody asks."""
+    note = tmp_path / "pid"
+    program = (
+        "import subprocess, sys, pathlib; quiet = subprocess.DEVNULL\n"
+        "p = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(600)'], stdout=quiet, stderr=quiet)\n"
+        "pathlib.Path(sys.argv[1]).write_text(str(p.pid))\n"
+    )
+    child = ChildProcess("hil.devices.targets.leash", tmp_path / "scratch")
+    child.tell({"command": [sys.executable, "-c", program, str(note)], "inherited": []})
+    assert child.hear() is None, "the leash has ended"
+    grandchild = int(note.read_text())
+    assert not has_gone(grandchild)
+    child.close(30.0)
+    wait_for(lambda: has_gone(grandchild))
+
+
+@on_linux
+def test_no_other_process_can_reach_the_lines_of_qemu():
+    """They are pairs of sockets, which no address leads to."""
+    with open_board():
+        shown = (str(link.readlink()) for link in Path(f"/proc/{qemu_of(os.getpid())}/fd").iterdir())
+        sockets = {name[len("socket:[") : -1] for name in shown if name.startswith("socket:[")}
+        assert len(sockets) >= 2
+        rows = [line.split() for line in Path("/proc/net/unix").read_text().splitlines()[1:]]
+        assert sockets <= {row[6] for row in rows if len(row) == 7}, "of this kind, and without a name"
+
+
+@on_linux
+def test_a_board_that_is_interrupted_while_it_boots_leaves_no_process(tmp_path: Path):
+    idle = compile_program(tmp_path, "int main(void) { for (;;) WAIT(); }")
+    rig, main = WheelRig(lockstep=True), threading.main_thread().ident
+    assert main is not None
+
+    def is_booting() -> bool:
+        return any(frame.f_code.co_name == "_boot" for frame, _ in traceback.walk_stack(sys._current_frames()[main]))
+
+    def interrupt() -> None:
+        wait_for(is_booting)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    thread = threading.Thread(target=interrupt)
+    thread.start()
+    # The error is kept, and with it all that its frames refer to: nothing is tidied up by chance.
+    with pytest.raises(KeyboardInterrupt) as kept:
+        QemuBoard(idle, *plant_of(rig), None)
+    thread.join()
+    assert descendants(os.getpid()) == []
+    assert kept.value is not None
+
+
+def test_whatever_ends_the_relay_is_told():
+    def stumble() -> None:
+        raise ValueError("of whoever listens")
+
+    with open_board() as board:
+        board.on_output = stumble
+        board.feed(_encoded(m.Step(0, 1)))
+        with pytest.raises(ValueError, match="of whoever listens"):
+            wait_for(lambda: board.check())
+
+
+@on_linux
+def test_qemu_that_takes_nothing_does_not_hold_its_host_for_ever(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(qemu_board, "TAKEN_S", 0.3)
+    with open_board() as board:
+        os.kill(qemu_of(os.getpid()), signal.SIGSTOP)
+        with pytest.raises(DeviceError, match=r"QEMU has taken no byte of a line for 0\.3 s"):
+            board.feed(bytes(1 << 20))
 
 
 @on_linux

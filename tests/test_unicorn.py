@@ -2,24 +2,29 @@
 
 import contextlib
 import struct
+import threading
 from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from firmware_protocol import codec
+from firmware_protocol.framing import Framer
 from firmware_protocol.generated import messages as m
 from firmware_protocol.stm32_flash import PARAMETER_ADDRESS
 from hil.devices.targets.machine.timer import CR1
 from hil.errors import DeviceError
 from tests.arm_programs import compile_program
 from tests.emulated_boards import Host, converse, firmware, needs_compiler, needs_unicorn, plant_of, stored
+from tests.processes import wait_for
 from tests.wheel_rig import PARAMETERS, WheelRig
 
 pytestmark = [needs_compiler, needs_unicorn]
 
 CORE_HZ = 168_000_000
 RAMP_S = list(PARAMETERS).index("ramp_s")
+SYNC = codec.encode(m.TimeSyncRequest(1))
 LINKS = pytest.mark.parametrize("link", ["serial", "can"])
 
 
@@ -154,6 +159,31 @@ def test_only_the_pins_of_its_two_lines_are_configured(link: str, pins: set[str]
         }
         assert changed == pins
         assert all(timer.read(CR1) == 0 for timer in board.machine.timer.values())
+
+
+@LINKS
+def test_what_arrives_while_the_chip_is_in_reset_is_counted_as_missed(link: str):
+    with open_board(link) as board:
+        host = Host(board, link)
+        host.say(m.TimeSyncRequest(0))
+        assert board.look().rejected["missed"] == 0
+        board.machine.advance(CORE_HZ)  # the watchdog bites
+        host.say(m.TimeSyncRequest(1))
+        assert board.machine.resets == 1
+        assert board.look().rejected["missed"] == (1 if link == "can" else len(Framer().encode(SYNC)))
+
+
+def test_a_board_that_is_interrupted_while_it_boots_is_closed(monkeypatch: pytest.MonkeyPatch):
+    from hil.devices.targets.plant_line import PlantLine
+
+    def interrupted(_line: PlantLine, _data: bytes) -> bytes:
+        raise KeyboardInterrupt
+
+    guards = [thread for thread in threading.enumerate() if thread.name == "runaway guard"]
+    monkeypatch.setattr(PlantLine, "feed", interrupted)
+    with pytest.raises(KeyboardInterrupt), open_board("can"):
+        pytest.fail("it booted without its plant")
+    wait_for(lambda: not any(t.name == "runaway guard" and t not in guards for t in threading.enumerate()))
 
 
 def test_a_plant_that_fails_is_told_and_time_stands_still():

@@ -1,5 +1,6 @@
 """The firmware's parameters over the link: read, written, kept (PROTOCOL.md, "Parameters")."""
 
+import ctypes
 import math
 import struct
 import time
@@ -73,11 +74,15 @@ class ParameterClient:
         number = names.index(name)
         row = self._table[number]
         whole = row.type is m.Type.UINT32
-        if whole and not (value == int(value) and 0 <= value < 2**32):
+        if whole and value != int(value):
             raise BadInputError(f"{name} = {value:g}; expected a whole number")
-        bits = int(value) if whole else struct.unpack("<I", struct.pack("<f", value))[0]
-        if self._ask(number, m.Operation.WRITE, bits).result == m.Result.RANGE:
-            raise BadInputError(f"{name} = {value:g}; expected a number from {row.minimum:g} to {row.maximum:g}")
+        # As the robot will hold it: a bound that single precision rounds is in the range. Infinity stands for too much.
+        held = value if whole else ctypes.c_float(value).value
+        if row.minimum <= held <= row.maximum:
+            bits = int(value) if whole else struct.unpack("<I", struct.pack("<f", held))[0]
+            if self._ask(number, m.Operation.WRITE, bits).result != m.Result.RANGE:
+                return
+        raise BadInputError(f"{name} = {value:g}; expected a number from {row.minimum:g} to {row.maximum:g}")
 
     def store(self) -> None:
         """Have the robot keep its parameters across a reset. Raises DeviceError when it refuses."""

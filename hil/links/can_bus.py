@@ -2,10 +2,10 @@
 
 import errno
 import time
-from typing import Any
+from typing import Any, Literal
 
 from firmware_protocol.framing import Frame
-from firmware_protocol.generated.messages import LENGTHS
+from firmware_protocol.generated.messages import LENGTHS, SENDERS
 from hil.errors import BadInputError, LinkError, nearest
 from hil.links.url import CanUrl, format_link
 from hil.ports import Received
@@ -29,19 +29,22 @@ def _failure(url: CanUrl, error: Exception) -> LinkError:
 
 
 class CanLink:
-    """Frames of our ids over a CAN bus.
+    """Frames over a CAN bus; ``hears`` names whose are received, the other side being this one.
 
-    Foreign frames are dropped and counted: ``foreign`` (extended or remote), ``error_frame``, ``unknown_id``,
-    ``length``.
+    Foreign frames are dropped and counted: ``foreign`` (extended or remote), ``error_frame`` and, for a host that hears
+    the robot, ``unknown_id`` and ``length``. A robot that hears the host gets all standard data frames: its firmware
+    counts those by itself. Dropped and not counted are this side's own messages, which some buses give back
+    (python-can's ``udp_multicast``, which does not mark them either).
 
     Raises BadInputError for an interface that python-can does not know, LinkError when it cannot be opened.
     """
 
-    def __init__(self, url: CanUrl) -> None:
+    def __init__(self, url: CanUrl, hears: Literal["HOST", "ROBOT"]) -> None:
         import can
 
         self._can = can
         self._url = url
+        self._hears = hears
         self._failures = (can.CanError, OSError)
         self._rejected = {"foreign": 0, "error_frame": 0, "unknown_id": 0, "length": 0}
         if url.interface not in can.VALID_INTERFACES:
@@ -81,15 +84,19 @@ class CanLink:
                 return None
             if (cause := self._refusal(message)) is None:
                 return Received(Frame(message.arbitration_id, bytes(message.data)), time.monotonic_ns())
-            self._rejected[cause] += 1
+            if cause in self._rejected:
+                self._rejected[cause] += 1
             timeout_ns = max(0, deadline_ns - time.monotonic_ns())
 
-    @staticmethod
-    def _refusal(message: Any) -> str | None:
+    def _refusal(self, message: Any) -> str | None:
         if message.is_error_frame:
             return "error_frame"
         if message.is_extended_id or message.is_remote_frame:
             return "foreign"
+        if SENDERS.get(message.arbitration_id, self._hears) != self._hears:
+            return "own"
+        if self._hears == "HOST":
+            return None
         expected = LENGTHS.get(message.arbitration_id)
         if expected is None:
             return "unknown_id"

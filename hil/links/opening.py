@@ -1,13 +1,13 @@
 """From a link's URL to its two ends: the host's, which is a Link, and the robot's, which is a Wire."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from hil.errors import BadInputError
 from hil.links.framed import StreamLink
 from hil.links.streams import MemoryStream, memory_pair
 from hil.links.url import CanUrl, LinkUrl, MemoryUrl, SerialUrl, format_link
-from hil.links.wire import CanWire, SerialWire, Wire
+from hil.links.wire import CanWire, LossySerialWire, SerialWire, Wire
 from hil.ports import Link
 
 if TYPE_CHECKING:
@@ -35,17 +35,17 @@ def is_within_process(url: LinkUrl) -> bool:
             return url.interface == "virtual"
 
 
-def open_pair(url: LinkUrl) -> Pair:
+def open_pair(url: LinkUrl, *, lockstep: bool) -> Pair:
     """Open both ends of a link that stays within this process. Raises LinkError when that fails."""
     match url:
         case MemoryUrl():
             host, robot = memory_pair()
             return Pair(StreamLink(host), SerialWire(robot), host)
         case SerialUrl():
-            pty = _pty_stream(url)
-            return Pair(StreamLink(_serial_stream(pty.port, url.baud)), SerialWire(pty), None)
+            pty = _pty_stream(url, lockstep=lockstep)
+            return Pair(StreamLink(_serial_stream(pty.port, url.baud)), LossySerialWire(pty), None)
         case CanUrl():
-            return Pair(_can_link(url), CanWire(_can_link(url)), None)
+            return Pair(_can_link(url, "ROBOT"), CanWire(_can_link(url, "HOST")), None)
 
 
 def open_host(url: LinkUrl) -> Link:
@@ -54,21 +54,21 @@ def open_host(url: LinkUrl) -> Link:
         case SerialUrl():
             return StreamLink(_serial_stream(url.port, url.baud))
         case CanUrl():
-            return _can_link(url)
+            return _can_link(url, "ROBOT")
         case MemoryUrl():
             raise BadInputError("memory: has no other end outside this process; use serial:... or can:...")
 
 
-def open_robot(url: LinkUrl) -> tuple[Wire, str]:
+def open_robot(url: LinkUrl, *, lockstep: bool) -> tuple[Wire, str]:
     """Open the robot's end of a link, and return it with the URL that a host uses to reach it."""
     match url:
         case SerialUrl() if url.is_pty:
-            pty = _pty_stream(url)
-            return SerialWire(pty), format_link(SerialUrl(url.symlink or pty.port, url.baud))
+            pty = _pty_stream(url, lockstep=lockstep)
+            return LossySerialWire(pty), format_link(SerialUrl(url.symlink or pty.port, url.baud))
         case SerialUrl():
             return SerialWire(_serial_stream(url.port, url.baud)), format_link(url)
         case CanUrl() if url.interface != "virtual":
-            return CanWire(_can_link(url)), format_link(url)
+            return CanWire(_can_link(url, "HOST")), format_link(url)
         case _:
             raise BadInputError(
                 f"{format_link(url)} does not reach another process; use --link serial:pty, serial:PATH or "
@@ -86,17 +86,17 @@ def _serial_stream(port: str, baud: int) -> "SerialStream":
     return SerialStream(port, baud)
 
 
-def _pty_stream(url: SerialUrl) -> "PtyStream":
+def _pty_stream(url: SerialUrl, *, lockstep: bool) -> "PtyStream":
     try:
         from hil.links.pty import PtyStream
     except ImportError as error:
         raise BadInputError(
             "serial:pty needs a POSIX system; on Windows use memory:, or a pair of virtual COM ports"
         ) from error
-    return PtyStream(Path(url.symlink) if url.symlink else None)
+    return PtyStream(Path(url.symlink) if url.symlink else None, waits=lockstep)
 
 
-def _can_link(url: CanUrl) -> "CanLink":
+def _can_link(url: CanUrl, hears: Literal["HOST", "ROBOT"]) -> "CanLink":
     from hil.links.can_bus import CanLink
 
-    return CanLink(url)
+    return CanLink(url, hears)

@@ -8,25 +8,31 @@ from pathlib import Path
 from hil.errors import BadInputError, LinkError
 
 _CHUNK = 65536
+_PATIENCE_S = 2.0
+_END_OF_FRAME = b"\0"
 
 
 class PtyStream:
     """The master side of a new pseudo-terminal; ``port`` names the other side for any serial program.
 
-    As on a UART, bytes that nobody reads are lost once the line's buffer is full; ``overrun_bytes`` counts them.
+    What nobody reads is lost once the line's buffer is full, as on a UART, but in whole frames (up to a zero), so that
+    the next one can be read; ``lost_frames`` counts them. With ``waits``, for lockstep, where time stands still until
+    the host has read, nothing is lost unless no byte is taken for 2 s.
     With ``symlink`` the port has a fixed name as well; a link that is left from an earlier process is replaced.
 
     Raises BadInputError when the symlink cannot be made.
     """
 
-    def __init__(self, symlink: Path | None = None) -> None:
+    def __init__(self, symlink: Path | None = None, *, waits: bool = False) -> None:
         self._master, slave = os.openpty()
         # Held open, so that a client that leaves does not hang up the line.
         self._slave = slave
         tty.setraw(slave)
         os.set_blocking(self._master, False)
         self.port = os.ttyname(slave)
-        self.overrun_bytes = 0
+        self.lost_frames = 0
+        self._waits = waits
+        self._begun = b""  # the rest of a frame whose beginning is on the line
         self._symlink: Path | None = None
         if symlink is not None:
             self._make_symlink(symlink)
@@ -46,13 +52,23 @@ class PtyStream:
         self._symlink = symlink
 
     def write(self, data: bytes) -> None:
-        left = memoryview(data)
-        while left:
+        begun, data = len(self._begun), self._begun + data
+        at = 0
+        while at < len(data) and (taken := self._put(data[at:])):
+            at += taken
+        # What has begun must end, or the next frame would be glued to it.
+        end = begun if at == 0 else data.find(_END_OF_FRAME, at - 1) + 1 or len(data)
+        self._begun = data[at:end]
+        self.lost_frames += data.count(_END_OF_FRAME, end)
+
+    def _put(self, data: bytes) -> int:
+        """Return how many bytes were taken, 0 when the line is full; wait for a reader where there is time for it."""
+        while True:
             try:
-                left = left[os.write(self._master, left) :]
+                return os.write(self._master, data)
             except BlockingIOError:
-                self.overrun_bytes += len(left)
-                return
+                if not (self._waits and select.select([], [self._master], [], _PATIENCE_S)[1]):
+                    return 0
             except OSError as error:
                 raise LinkError(f"pseudo-terminal {self.port!r} was lost: {error.strerror}") from error
 

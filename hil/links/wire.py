@@ -22,6 +22,9 @@ class Node(Protocol):
     def take_frames(self) -> list[Frame]:
         """Return what there is to send, as frames."""
 
+    def count_unsent(self, frames: int) -> None:
+        """Take note that so many frames that were to be sent could not be."""
+
 
 class Wire(Protocol):
     """Connects a firmware to a transport."""
@@ -54,6 +57,27 @@ class SerialWire:
 
     def close(self) -> None:
         self._stream.close()
+
+
+class LossyStream(ByteStream, Protocol):
+    """A line that loses frames which nobody reads, and counts them."""
+
+    lost_frames: int
+
+
+class LossySerialWire(SerialWire):
+    """A byte stream that may lose what is sent; the firmware learns how many frames that were."""
+
+    def __init__(self, stream: LossyStream) -> None:
+        super().__init__(stream)
+        self._lossy = stream
+        self._told = 0
+
+    def send_from(self, node: Node) -> None:
+        super().send_from(node)
+        if (lost := self._lossy.lost_frames) > self._told:
+            node.count_unsent(lost - self._told)
+            self._told = lost
 
 
 class CanWire:

@@ -7,7 +7,8 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any, cast
 
@@ -19,6 +20,7 @@ THERE_S = 60.0  # that Python and our own modules may take to be there
 _KEPT_BYTES = 4096  # of what it prints
 _LAST_WORDS = 200  # characters of its last line in a sentence
 _END_S = 1.0
+_POLL_S = 0.002
 _ROUNDS = 20
 _LONGEST_ROUNDS_S = 2.0
 
@@ -60,10 +62,11 @@ class ChildProcess:
 
     They begin with lines of JSON; what they carry then is the owner's affair. What it prints is read and the end of it
     kept. Ctrl-C in the terminal does not reach it. When this process goes away it ends too, and removes the folder
-    ``scratch``. Raises DeviceError when no process can be started.
+    ``scratch``. What it has started ends with it, on Linux also when it was killed. ``inherited`` are descriptors that
+    it has under the same numbers; POSIX only. Raises DeviceError when no process can be started.
     """
 
-    def __init__(self, module: str, scratch: Path) -> None:
+    def __init__(self, module: str, scratch: Path, inherited: Sequence[int] = ()) -> None:
         try:
             self._process = subprocess.Popen(
                 module_command(module, str(scratch)),
@@ -72,6 +75,7 @@ class ChildProcess:
                 stderr=subprocess.PIPE,
                 bufsize=0,
                 env=child_environment(),
+                pass_fds=inherited,
                 **away_from_terminal(),
             )
         except OSError as error:
@@ -129,11 +133,7 @@ class ChildProcess:
 
     def wait(self) -> int:
         """Wait for its end, which is forced when it does not come by itself; return the status that Popen gives."""
-        try:
-            return self._process.wait(_END_S)
-        except subprocess.TimeoutExpired:
-            self.kill()
-            return self._process.wait()
+        return self._end(_END_S)
 
     def ending(self) -> str:
         """Wait for its end as ``wait`` does, and say how it was."""
@@ -152,13 +152,22 @@ class ChildProcess:
     def close(self, patience_s: float) -> None:
         """Let it end in order, at once after ``patience_s``. Closing twice is allowed."""
         _pipe(self._process.stdin).close()
-        try:
-            self._process.wait(patience_s)
-        except subprocess.TimeoutExpired:
-            self.kill()
-            self._process.wait()
+        self._end(patience_s)
         _pipe(self._process.stdout).close()
         self._reader.join(_END_S)
+
+    def _end(self, patience_s: float) -> int:
+        deadline_s = time.monotonic() + patience_s
+        while not self._has_ended() and time.monotonic() < deadline_s:
+            time.sleep(_POLL_S)
+        self.kill()  # what has ended may have left others behind
+        return self._process.wait()
+
+    def _has_ended(self) -> bool:
+        """Tell whether it has ended; on Linux it keeps its number until ``Popen.wait``, so that ``kill`` may follow."""
+        if sys.platform == "linux" and self._process.returncode is None:
+            return os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
+        return self._process.poll() is not None
 
     def _read_words(self) -> None:
         """Take all that is printed, so that nobody who prints has to wait, and keep the end."""

@@ -158,6 +158,10 @@ int wheel_host_take_frame(wheel_host *host, uint16_t *id, uint8_t *payload) {
     return (int)frame.length;
 }
 
+void wheel_host_count_unsent(wheel_host *host, uint32_t frames) {
+    host->node.transmit_overruns += frames;
+}
+
 void wheel_host_look(const wheel_host *host, wheel_host_view *view) {
     const wheel_node *node = &host->node;
     const wheel_rejections *own = &node->rejections;

@@ -75,6 +75,9 @@ size_t wheel_host_take_bytes(wheel_host *host, uint8_t *bytes, size_t capacity);
 /* Takes the next frame to send for CAN; returns its payload's length, or -1 when there is none. */
 int wheel_host_take_frame(wheel_host *host, uint16_t *id, uint8_t *payload);
 
+/* Takes note that so many frames that were taken could not be sent. */
+void wheel_host_count_unsent(wheel_host *host, uint32_t frames);
+
 void wheel_host_look(const wheel_host *host, wheel_host_view *view);
 /* cffi: end */
 

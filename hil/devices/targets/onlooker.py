@@ -18,7 +18,8 @@ _AT_REST = (0.0,) * 4
 class Onlooker:
     """Puts a View together from the frames that a board sends.
 
-    The set points stay unknown (NaN); an age of 255 ms and more is that of no command.
+    The set points stay unknown (NaN); an age of 255 ms and more is that of no command. ``unsent`` are frames that its
+    owner could not send on.
     """
 
     def __init__(self) -> None:
@@ -26,6 +27,7 @@ class Onlooker:
         self._age_ms = _OLDEST_MS
         self._status = m.Status(0, 0, 0, 0, 0, 0, 0, 0)
         self._rejected: dict[str, int] = {}
+        self.unsent = 0
 
     def hear(self, frame: Frame) -> None:
         """Take a frame that the board sent."""
@@ -54,5 +56,5 @@ class Onlooker:
             set_point_rad_s=_UNSEEN,
             torque_n_m=drive.torque_n_m if drive is not None else _AT_REST,
             duty=drive.duty if drive is not None else _AT_REST,
-            rejected=dict(self._rejected),
+            rejected=self._rejected | {"transmit_overruns": self.unsent},
         )

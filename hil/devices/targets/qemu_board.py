@@ -14,10 +14,13 @@ from firmware_protocol.stm32_flash import SECTOR_BYTES, flash_image
 from hil.devices.targets.onlooker import Onlooker
 from hil.devices.targets.plant_line import PlantLine, only_lockstep
 from hil.devices.targets.qemu_process import QemuProcess
-from hil.errors import DeviceError, HilError
+from hil.errors import DeviceError
 
 SILENCE_S = 2.0
 """How long a STEP may stay without any sign of life."""
+
+TAKEN_S = 10.0
+"""How long QEMU may take no byte of a line that is full. Busy, it takes a few thousand a second."""
 
 _BOOT_S = 20.0
 _POLL_S = 0.05
@@ -42,26 +45,28 @@ class QemuBoard:
         self._step_is_open = False
         self._output = bytearray()
         self._lock = threading.Lock()
-        self._failure: HilError | None = None
+        self._failure: Exception | None = None
         self._closing = False
         record = flash_image(stored) if stored is not None else b""
         self._process = QemuProcess(elf, record.ljust(2 * SECTOR_BYTES, b"\xff"))
         self._alive_at_s = time.monotonic()
         try:
+            for line in (self._process.host, self._process.plant):
+                line.settimeout(TAKEN_S)
             self._boot()
-        except DeviceError:
+        except BaseException:
             self._process.close()
             raise
         self._thread = threading.Thread(target=self._relay, name="qemu", daemon=True)
         self._thread.start()
 
     def feed(self, data: bytes) -> None:
-        """Take bytes of the host's serial line. Raises DeviceError when the process has ended."""
+        """Take bytes of the host's serial line. Raises DeviceError when the process has ended or takes none."""
         if any(frame.id == m.Step.ID for frame in self._asked.feed(data)):
             self._alive_at_s = time.monotonic()
             self._step_is_open = True
         try:
-            self._process.host.sendall(data)
+            _send(self._process.host, data)
         except OSError:
             raise self._ended() from None
 
@@ -80,6 +85,10 @@ class QemuBoard:
         """Raise DeviceError: the machine has no CAN controller."""
         raise _no_can()
 
+    def count_unsent(self, frames: int) -> None:
+        """Take note of frames that nobody took; the firmware, like a board's, does not learn of it."""
+        self._onlooker.unsent += frames
+
     def run(self, ticks: int) -> None:
         """Raise DeviceError: robot time comes from STEP."""
         raise only_lockstep()
@@ -93,7 +102,7 @@ class QemuBoard:
         return self._onlooker.view(self._plant.drive, plant_failed=self._plant.has_failed)
 
     def check(self) -> None:
-        """Raise what went wrong: DeviceError when QEMU ended or is silent, or what ``on_output`` raised."""
+        """Raise what went wrong: DeviceError when QEMU ended or is stuck, or what ``on_output`` raised."""
         if self._failure is not None:
             raise self._failure
         if self._step_is_open and not self._plant.has_failed and time.monotonic() - self._alive_at_s > SILENCE_S:
@@ -122,7 +131,7 @@ class QemuBoard:
             while not self._closing:
                 if self._process.host in self._serve():
                     self.on_output()
-        except HilError as error:
+        except Exception as error:  # noqa: BLE001 -- check() raises it where it is seen
             self._failure = error
 
     def _serve(self) -> list[socket.socket]:
@@ -132,7 +141,7 @@ class QemuBoard:
             try:
                 data = line.recv(_CHUNK)
                 if line is self._process.plant:
-                    line.sendall(self._plant.feed(data))
+                    _send(line, self._plant.feed(data))
                 else:
                     self._hear(data)
             except OSError:
@@ -152,6 +161,16 @@ class QemuBoard:
 
     def _ended(self) -> DeviceError:
         return DeviceError(f"QEMU is gone: {self._process.ending()}")
+
+
+def _send(line: socket.socket, data: bytes) -> None:
+    """Send all, however slowly it is taken. Raises DeviceError when nothing is, OSError when the line has ended."""
+    left = memoryview(data)
+    try:
+        while left:
+            left = left[line.send(left) :]
+    except TimeoutError:
+        raise DeviceError(f"QEMU has taken no byte of a line for {line.gettimeout():g} s; start it again") from None
 
 
 def _nobody() -> None:

@@ -40,7 +40,7 @@ class UnicornBoard:
         self.machine = Stm32f405(elf, kept)
         try:
             self._settle()
-        except DeviceError:
+        except BaseException:
             self.machine.close()
             raise
 
@@ -67,6 +67,10 @@ class UnicornBoard:
         frames, self._frames = self._frames, []
         return frames
 
+    def count_unsent(self, frames: int) -> None:
+        """Take note of frames that nobody took; the firmware, like a board's, does not learn of it."""
+        self._onlooker.unsent += frames
+
     def run(self, ticks: int) -> None:
         """Raise DeviceError: robot time comes from STEP."""
         raise only_lockstep()
@@ -76,8 +80,13 @@ class UnicornBoard:
         return newest_stored(self.machine.flash.read(PARAMETER_ADDRESS, 2 * SECTOR_BYTES), stored_size())
 
     def look(self) -> View:
-        """Return what is known of the firmware's state."""
-        return self._onlooker.view(self._plant.drive, plant_failed=self._plant.has_failed)
+        """Return what is known of the firmware's state; ``missed`` among ``rejected`` is what the chip did not take.
+
+        These are bytes and CAN frames that came while its receiver was off, as after a reset, or found its FIFO full.
+        """
+        view = self._onlooker.view(self._plant.drive, plant_failed=self._plant.has_failed)
+        lines = (self.machine.can, self.machine.usart[HOST_USART], self.machine.usart[PLANT_USART])
+        return view._replace(rejected=view.rejected | {"missed": sum(line.missed for line in lines)})
 
     def close(self) -> None:
         """Release the machine. Closing twice is allowed."""

@@ -43,7 +43,10 @@ class CanFrame(NamedTuple):
 
 
 class Can(Peripheral):
-    """CAN1. ``sent`` collects what is on the bus. Lines: ``irq_tx``, ``irq_rx`` of both FIFOs, ``irq_error``."""
+    """CAN1. ``sent`` collects what is on the bus, ``missed`` counts frames that found it off the bus or its FIFO full.
+
+    Lines: ``irq_tx``, ``irq_rx`` of both FIFOs, ``irq_error``.
+    """
 
     def __init__(self, clock_hz: int, core_hz: int) -> None:
         super().__init__("CAN1", _RESET)
@@ -51,6 +54,7 @@ class Can(Peripheral):
         self.irq_rx: list[IrqLine] = [not_connected, not_connected]
         self.irq_error: IrqLine = not_connected
         self.sent: list[CanFrame] = []
+        self.missed = 0
         self._fifo: tuple[list[tuple[CanFrame, int]], ...] = ([], [])
         self._core_cycles_of_clock = core_hz // clock_hz
         self._recovery_cycles = 0
@@ -69,20 +73,24 @@ class Can(Peripheral):
 
     def receive(self, frame: CanFrame) -> bool:
         """Let a frame arrive; return whether a filter took it and there was room."""
-        found = self._match(frame) if self.is_on_bus else None
+        if not self.is_on_bus:
+            self.missed += 1
+            return False
+        found = self._match(frame)
         if found is None:
             return False
         number, index = found
         fifo, status = self._fifo[number], RF0R + 4 * number
-        if len(fifo) < _DEPTH:
+        has_room = len(fifo) < _DEPTH
+        if has_room:
             fifo.append((frame, index))
         else:
+            self.missed += 1
             self._register[status] |= _OVERRUN
             if not self._register[MCR] & _RFLM:
                 fifo[-1] = (frame, index)
-        stored = len(fifo) < _DEPTH or not self._register[status] & _OVERRUN
         self._show_fifo(number)
-        return stored
+        return has_room
 
     def fail(self, transmit_errors: int) -> None:
         """Set the transmit error counter, as errors on the bus do: 96 warns, 128 is passive, beyond 255 bus-off."""

@@ -16,12 +16,13 @@ _INTERRUPTS = _RXNE | _TC | _TXE | _IDLE  # the enables in CR1 are at the places
 
 
 class Usart(Peripheral):
-    """One serial line. ``sent`` collects what the firmware has sent."""
+    """One serial line. ``sent`` collects what the firmware has sent, ``missed`` counts bytes that found it off."""
 
     def __init__(self, name: str) -> None:
         super().__init__(name, dict.fromkeys((BRR, CR1, CR2, CR3, GTPR), 0))
         self.irq: IrqLine = not_connected
         self.sent = bytearray()
+        self.missed = 0
         self._clear()
 
     def reset(self) -> None:
@@ -40,6 +41,7 @@ class Usart(Peripheral):
     def receive(self, data: bytes) -> bool:
         """Let bytes arrive; return False when the receiver is off, and they are lost."""
         if not self._is_on(_RECEIVER):
+            self.missed += len(data)
             return False
         if data:
             self._received += data

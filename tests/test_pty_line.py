@@ -1,0 +1,116 @@
+"""A pseudo-terminal that nobody reads for a while: nothing is cut, and what is lost is counted."""
+
+import contextlib
+import itertools
+import os
+import threading
+
+import pytest
+
+from firmware_protocol import codec
+from firmware_protocol.framing import Deframer, Frame, Framer
+from firmware_protocol.generated import messages as m
+from hil.links.opening import open_host
+from hil.links.url import parse_link
+from hil.links.wire import LossySerialWire
+from tests.processes import device
+from tests.wheel_rig import WheelRig
+
+pty = pytest.importorskip("hil.links.pty", reason="pseudo-terminals need a POSIX system")
+
+WAIT_NS = 2_000_000_000
+FRAME = Frame(m.WheelCommand.ID, bytes(range(8)))
+
+
+def read_all(port: int, enough: int = 1 << 30) -> bytes:
+    """Read what waits at the host's side, and what is still sent until there are so many bytes."""
+    data = b""
+    os.set_blocking(port, enough < 1 << 30)
+    with contextlib.suppress(BlockingIOError):
+        while len(data) < enough:
+            data += os.read(port, 65536)
+    return data
+
+
+@contextlib.contextmanager
+def opened(stream):
+    """The host's side of a stream, as a descriptor."""
+    port = os.open(stream.port, os.O_RDWR | os.O_NOCTTY)
+    try:
+        yield port
+    finally:
+        os.close(port)
+        stream.close()
+
+
+@pytest.mark.parametrize("at_once", [1, 7, 500])
+def test_in_real_time_whole_frames_are_lost_and_counted(at_once: int):
+    """Whatever is written at once, before and after the host begins to read."""
+    stream, framer, deframer = pty.PtyStream(), Framer(), Deframer()
+    written = 0
+    with opened(stream) as port:
+        heard = []
+        for _ in range(3):
+            for _ in range(3500 // at_once):
+                stream.write(b"".join(framer.encode(FRAME) for _ in range(at_once)))
+                written += at_once
+            heard += deframer.feed(read_all(port))
+        stream.write(framer.encode(FRAME))
+        heard += deframer.feed(read_all(port))
+    assert not any(deframer.rejected.values())
+    assert set(heard) == {FRAME}
+    assert stream.lost_frames > 0
+    assert len(heard) + stream.lost_frames == written + 1
+
+
+def test_in_lockstep_nothing_is_lost_while_the_host_goes_on_reading():
+    stream = pty.PtyStream(waits=True)
+    sent = b"".join(itertools.repeat(Framer().encode(FRAME), 20_000))
+    with opened(stream) as port:
+        writer = threading.Thread(target=stream.write, args=(sent,))
+        writer.start()
+        assert read_all(port, len(sent)) == sent
+        writer.join()
+        assert stream.lost_frames == 0
+
+
+def test_in_lockstep_a_host_that_has_gone_is_not_waited_for_for_ever(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(pty, "_PATIENCE_S", 0.1)
+    stream, deframer = pty.PtyStream(waits=True), Deframer()
+    with opened(stream) as port:
+        stream.write(b"".join(itertools.repeat(Framer().encode(FRAME), 20_000)))
+        heard = deframer.feed(read_all(port))
+        assert len(heard) + stream.lost_frames in (19_999, 20_000), "one may have begun"
+        assert stream.lost_frames > 0
+        assert not any(deframer.rejected.values())
+
+
+def test_the_firmware_tells_how_many_frames_nobody_took():
+    rig, stream = WheelRig(), pty.PtyStream()
+    with opened(stream) as port:
+        wire = LossySerialWire(stream)
+        while stream.lost_frames < 3:
+            rig.node.run(100)
+            wire.send_from(rig.node)
+        lost = stream.lost_frames
+        assert rig.node.look().rejected["transmit_overruns"] == lost
+        deframer = Deframer()
+        deframer.feed(read_all(port))
+        rig.node.run(1000)
+        wire.send_from(rig.node)
+        told = [codec.decode(frame) for frame in deframer.feed(read_all(port)) if frame.id == m.PortCounters.ID]
+        assert told[0].transmit_overrun == lost & 0xFF
+
+
+def test_a_step_of_1000_ticks_ends_over_a_pseudo_terminal_between_two_processes():
+    with device("paper_circle", "--mode", "lockstep", "--link", "serial:pty") as robot:
+        link = open_host(parse_link(robot.link))
+        with contextlib.closing(link):
+            link.send(codec.encode(m.Step(0, 1000)))
+            heard = []
+            while (received := link.receive(WAIT_NS)) is not None and received.frame.id != m.StepDone.ID:
+                heard.append(received.frame.id)
+            assert received is not None
+            assert codec.decode(received.frame) == m.StepDone(1000)
+            assert heard.count(m.Tick.ID) == 1001, "with that of its start"
+            assert not any(link.rejected().values())
