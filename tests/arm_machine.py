@@ -4,6 +4,7 @@ Only serial lines answer: bytes arrive with an interrupt while the firmware slee
 so many basic blocks, or the rest of it asleep, unless a test lets time stand still. Unicorn executes the firmware.
 """
 
+import functools
 import io
 import struct
 from collections.abc import Callable
@@ -18,6 +19,7 @@ RAM, RAM_BYTES = 0x2000_0000, 128 << 10
 PERIPHERALS, PERIPHERAL_BYTES = 0x4000_0000, 0x8_0000
 SYSTEM, SYSTEM_BYTES = 0xE000_0000, 0x10_0000
 _REGIONS = ((FLASH, FLASH_BYTES), (RAM, RAM_BYTES), (PERIPHERALS, PERIPHERAL_BYTES), (SYSTEM, SYSTEM_BYTES))
+GPIO = 0x4002_0000
 RCC_CR, RCC_CFGR = 0x4002_3800, 0x4002_3808
 USARTS = (0x4001_1000, 0x4000_4400, 0x4000_4800, 0x4000_4C00, 0x4000_5000, 0x4001_1400)
 CAN_MCR, CAN_MSR = 0x4000_6400, 0x4000_6404
@@ -27,9 +29,10 @@ _BLOCKS_A_MS = 20_000  # of about 8 cycles each
 
 
 class Machine:
-    """``writes`` are (address, value) of each write to a peripheral, in their order.
+    """``writes`` are (address, value) of each write to a peripheral, in their order, ``system_writes`` those to the core's.
 
-    ``reactions`` are functions of what is written to an address, called as soon as it is there.
+    ``reactions`` are functions of what is written to an address, called as soon as it is there; ``answers`` functions of
+    what is read from one.
     """
 
     def __init__(self, elf: Path) -> None:
@@ -40,6 +43,7 @@ class Machine:
         self.symbols = {s.name.split(".")[0]: s["st_value"] & ~1 for s in table.iter_symbols()}
         self._dwarf = parsed.get_dwarf_info()
         self.writes: list[tuple[int, int]] = []
+        self.system_writes: list[tuple[int, int]] = []
         self.least_sp = RAM + RAM_BYTES
         self.time_passes = True
         self.reactions: dict[int, Callable[[int], None]] = {
@@ -47,6 +51,9 @@ class Machine:
             RCC_CFGR: lambda value: self.poke(RCC_CFGR, value | (value & 3) << 2),
             CAN_MCR: lambda value: self.poke(CAN_MSR, value & 1),
         }
+        self.answers: dict[int, Callable[[], int]] = {}
+        for port in range(GPIO, GPIO + 5 * 0x400, 0x400):
+            self.reactions[port + 0x18] = functools.partial(self._set_pins, port)
         self._due: list[tuple[Callable[[int], None], int]] = []
         self._blocks = 0
         self._until_ms = 0
@@ -63,12 +70,24 @@ class Machine:
             self.reactions[base + 4] = lambda value, base=base: self.sent[base].append(value & 0xFF)
             uc.hook_add(unicorn.UC_HOOK_MEM_READ, self._on_usart_read, base, begin=base, end=base + 7)
         uc.hook_add(unicorn.UC_HOOK_MEM_WRITE, self._on_write, begin=PERIPHERALS, end=PERIPHERALS + PERIPHERAL_BYTES)
+        uc.hook_add(unicorn.UC_HOOK_MEM_WRITE, self._on_system_write, begin=SYSTEM, end=SYSTEM + SYSTEM_BYTES)
+        uc.hook_add(unicorn.UC_HOOK_MEM_READ, self._on_read, begin=PERIPHERALS, end=PERIPHERALS + PERIPHERAL_BYTES)
         uc.hook_add(unicorn.UC_HOOK_BLOCK, self._on_block)
 
     def _on_write(self, _uc, _access, address, _size, value, _data) -> None:
         self.writes.append((address, value & 0xFFFF_FFFF))
         if address in self.reactions:
             self._due.append((self.reactions[address], value & 0xFFFF_FFFF))
+
+    def _on_system_write(self, _uc, _access, address, _size, value, _data) -> None:
+        self.system_writes.append((address, value))
+
+    def _set_pins(self, port: int, value: int) -> None:
+        self.poke(port + 0x14, (self.peek(port + 0x14) & ~(value >> 16) | value) & 0xFFFF)
+
+    def _on_read(self, _uc, _access, address, _size, _value, _data) -> None:
+        if address in self.answers:
+            self.poke(address, self.answers[address]())
 
     def _on_usart_read(self, _uc, _access, address, _size, _value, base) -> None:
         waiting = self.arrived[base]
@@ -91,6 +110,11 @@ class Machine:
             self.poke(self.symbols["milliseconds"], self.uptime_ms)
             if self.uptime_ms >= self._until_ms:
                 self._uc.emu_stop()
+
+    def skip(self, milliseconds: int) -> None:
+        """Let so much time pass at once, as when the core stands still."""
+        self._blocks += milliseconds * _BLOCKS_A_MS
+        self.poke(self.symbols["milliseconds"], self.uptime_ms)
 
     @property
     def uptime_ms(self) -> int:

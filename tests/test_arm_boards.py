@@ -23,9 +23,7 @@ ALTERNATES = {
     "A3 7": "USART2_RX",
     "A7 3": "TIM8_CH1N",
     "A8 1": "TIM1_CH1",
-    "A9 1": "TIM1_CH2",
     "A9 7": "USART1_TX",
-    "A10 1": "TIM1_CH3",
     "A10 7": "USART1_RX",
     "A15 1": "TIM2_CH1",
     "B3 1": "TIM2_CH2",
@@ -38,8 +36,8 @@ ALTERNATES = {
     "B10 7": "USART3_TX",
     "B11 7": "USART3_RX",
     "B13 1": "TIM1_CH1N",
-    "B14 1": "TIM1_CH2N",
-    "B15 1": "TIM1_CH3N",
+    "B14 3": "TIM8_CH2N",
+    "B15 3": "TIM8_CH3N",
     "C6 3": "TIM8_CH1",
     "C7 3": "TIM8_CH2",
     "C8 3": "TIM8_CH3",
@@ -150,6 +148,15 @@ def test_no_pin_does_two_things(boards, board):
 
 
 @pytest.mark.parametrize("board", WITH_MOTORS)
+@pytest.mark.parametrize("other", sorted(set(BOARDS) - set(WITH_MOTORS)))
+def test_a_firmware_without_motors_touches_no_pin_of_theirs_if_it_is_flashed_into_the_wrong_board(boards, board, other):
+    motors, without = boards[board][1].MOTORS, boards[other][1]
+    of_motors = {name_of(pin) for pin in (motors.enable, *(p for m in motors.motor for p in (m.first, m.second)))}
+    lines = (*serial_lines(without, other), without.BOARD.host_can)
+    assert not of_motors & {name_of(pin) for line in lines for pin in (line.transmit, line.receive)}
+
+
+@pytest.mark.parametrize("board", WITH_MOTORS)
 def test_motors_encoders_and_inputs_are_where_the_chip_has_them(boards, board):
     _, lib = boards[board]
     motors = lib.MOTORS
@@ -171,9 +178,15 @@ def test_motors_encoders_and_inputs_are_where_the_chip_has_them(boards, board):
 def test_bridges_and_current_sensors_suit_the_limits(boards, board):
     _, lib = boards[board]
     motors, own = lib.MOTORS, lib.BOARD.parameters
+    for analog in (*motors.current, motors.battery, *(motors.temperature if motors.has_temperatures else ())):
+        assert 0.0 <= analog.least_v < analog.most_v < 3.3, "an input that is torn off is at one of the ends"
     assert 1000 <= 168e6 / (2 * motors.pwm_hz) <= 65535  # resolution, and the timer's 16 bits
     assert motors.dead_time <= 127
+    assert 0.8 <= motors.duty_limit <= 1.0
     assert motors.kind != lib.MOTOR_COMPLEMENTARY or motors.dead_time > 0
+    if motors.kind == lib.MOTOR_COMPLEMENTARY:
+        low_s = (1 - motors.duty_limit) / 2 / motors.pwm_hz - motors.dead_time / 168e6
+        assert low_s >= 1e-6, "a bootstrap capacitor is charged in each period"
     for current in motors.current:
-        reach_a = min(current.zero_v, 3.3 - current.zero_v) * abs(current.per_v)
+        reach_a = min(current.zero_v - current.least_v, current.most_v - current.zero_v) * abs(current.per_v)
         assert reach_a > 1.5 * own.current_limit_a, "an overcurrent is a fault only if it can be measured"

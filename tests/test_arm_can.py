@@ -13,7 +13,8 @@ pytest.importorskip("elftools", reason="no pyelftools: pip install pyelftools")
 from tests.arm_machine import Machine
 from tests.arm_robot import CAN, SCRATCH, machine, with_motors
 
-TSR, RF0R, ESR, BTR, MAILBOX, FIFO, FR = 0x08, 0x0C, 0x18, 0x1C, 0x180, 0x1B0, 0x240
+MCR, MSR, TSR, RF0R, ESR, BTR, MAILBOX, FIFO, FR = 0x00, 0x04, 0x08, 0x0C, 0x18, 0x1C, 0x180, 0x1B0, 0x240
+ALL_EMPTY, GIVE_UP = 7 << 26, 0x0080_8080
 
 
 def test_only_the_hosts_messages_pass_the_can_filters():
@@ -78,8 +79,9 @@ def test_bus_off_is_counted_once_and_stops_what_was_armed():
     own.poke(CAN + ESR, 1 << 2)
     own.writes.clear()
     own.call("can1_status_interrupt")
+    assert own.writes[0] == (CAN + MSR, 1 << 2), "before it looks: an error in between is another interrupt"
     own.call("can1_status_interrupt")
-    assert (CAN + TSR, 0x0080_8080) in own.writes, "what waits in the mailboxes is given up"
+    assert (CAN + TSR, GIVE_UP) in own.writes, "what waits in the mailboxes is given up"
     assert counters(own)["bus_off"] == 1
     own.call("robot_serve", own.symbols["own"])
     assert own.read(state, 1) == b"\x04", "STOPPING"
@@ -88,6 +90,62 @@ def test_bus_off_is_counted_once_and_stops_what_was_armed():
     own.poke(CAN + ESR, 1 << 2)
     own.call("can1_status_interrupt")
     assert counters(own)["bus_off"] == 2
+
+
+def test_bus_off_is_seen_without_its_interrupt_too():
+    own = with_motors("f405_drivers", "can")
+    assert own.call("host_link_went_down") & 0xFF == 0
+    own.poke(CAN + ESR, 1 << 2)
+    assert [own.call("host_link_went_down") & 0xFF for _ in range(2)] == [1, 0], "told once"
+
+
+def send(own: Machine) -> list[int]:
+    """Send a frame and return the addresses that were written for it."""
+    own.write(SCRATCH, struct.pack("<HB8s", 0x123, 8, bytes(8)))
+    own.writes.clear()
+    own.call("host_link_send", SCRATCH)
+    return [address for address, _ in own.writes]
+
+
+def test_nothing_is_kept_to_be_said_when_the_bus_is_back():
+    own = with_motors("f405_drivers", "can")
+    own.poke(CAN + TSR, 0)  # a full controller
+    for _ in range(5):
+        assert send(own) == []
+    own.poke(CAN + ESR, 1 << 2)
+    own.call("can1_status_interrupt")
+    own.poke(CAN + TSR, ALL_EMPTY)
+    assert send(own) == [], "off the bus a frame is taken and thrown away"
+    own.poke(CAN + ESR, 0)
+    own.writes.clear()
+    own.call("host_link_went_down")
+    assert (CAN + TSR, GIVE_UP) in own.writes
+    own.poke(CAN + TSR, ALL_EMPTY)
+    assert send(own) == [CAN + MAILBOX + at for at in (4, 8, 12, 0)], "this one and none before it"
+
+
+def test_what_nobody_acknowledges_is_given_up_after_a_tenth_of_a_second():
+    own = with_motors("f405_drivers", "can")
+    own.poke(CAN + TSR, ALL_EMPTY)
+    own.call("host_link_went_down")
+    own.poke(CAN + TSR, 0)
+    assert send(own) == []
+    began = own.uptime_ms
+    given_up = []
+    own.reactions[CAN + TSR] = lambda value: given_up.append(own.uptime_ms - began) if value == GIVE_UP else None
+    own.run(150)
+    own.reactions.pop(CAN + TSR)
+    assert 99 <= given_up[0] <= 102
+
+
+def test_a_controller_that_does_not_answer_stays_silent():
+    own = machine("hil", "hil_f405", "can")
+    own.reactions[CAN + MCR] = lambda _: None  # never in initialization mode
+    own.boot()
+    own.run(50)
+    written = {address for address, _ in own.writes if CAN <= address < CAN + 0x400}
+    assert CAN + BTR not in written
+    assert own.peek(CAN + MCR) & 1, "asked for that mode, it sends nothing"
 
 
 def test_can_errors_are_counted():

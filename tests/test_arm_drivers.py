@@ -1,5 +1,7 @@
 """Pins, watchdog, flash and stack of the STM32F405: what the linked firmware does with them, executed by Unicorn."""
 
+import struct
+
 import pytest
 
 from firmware_protocol.stm32_flash import PARAMETER_ADDRESS, flash_image
@@ -7,12 +9,19 @@ from firmware_protocol.stm32_flash import PARAMETER_ADDRESS, flash_image
 pytest.importorskip("unicorn", reason="no Unicorn: pip install unicorn")
 pytest.importorskip("elftools", reason="no pyelftools: pip install pyelftools")
 
+from unicorn import UcError
+
 from tests.arm_firmwares import firmware
-from tests.arm_machine import FLASH, RAM
-from tests.arm_robot import GPIO, GPIO_END, IWDG_KR, IWDG_RLR, SCRATCH, bits_of, machine, with_motors
+from tests.arm_machine import FLASH, GPIO, RAM, RCC_CR
+from tests.arm_robot import GPIO_END, IWDG_KR, IWDG_RLR, SCRATCH, bits_of, machine, with_motors
 
 MODER = 0x00
+RCC_AHB1ENR = 0x4002_3830
+PWR_CR, PWR_CSR, EXTI_IMR, EXTI_RTSR = 0x4000_7000, 0x4000_7004, 0x4001_3C00, 0x4001_3C08
+RCC_PLLCFGR, FLASH_ACR = 0x4002_3804, 0x4002_3C00
+TIM8_BDTR = 0x4001_0444
 FLASH_KEYR, FLASH_CR = 0x4002_3C04, 0x4002_3C10
+SCB_VTOR, NVIC_ISER = 0xE000_ED08, 0xE000_E100
 
 
 @pytest.mark.parametrize("link", ["serial", "can"])
@@ -38,7 +47,10 @@ def test_a_hardware_in_the_loop_build_configures_its_lines_pins_and_no_other(var
 
 def test_only_ticks_feed_the_watchdog():
     own = with_motors("f405_drivers")
-    assert own.writes[0] == (IWDG_KR, 0xCCCC), "it runs before anything can hang"
+    before = [address for address, _ in own.writes[: own.writes.index((IWDG_KR, 0xCCCC))]]
+    assert all(GPIO <= address <= RCC_AHB1ENR for address in before), (
+        "the enable pin; then it runs, before anything can hang"
+    )
     assert [value for address, value in own.writes if address == IWDG_RLR] == [4000, 30]
     own.wake(5)  # the tick that was due
     own.writes.clear()
@@ -46,6 +58,49 @@ def test_only_ticks_feed_the_watchdog():
     assert (IWDG_KR, 0xAAAA) not in own.writes, "it runs, but no tick is due"
     own.run(10)
     assert own.writes.count((IWDG_KR, 0xAAAA)) in (9, 10)  # once a tick; the last one may not have come to it
+
+
+def test_nothing_starts_before_the_supply_is_there_and_one_that_sinks_is_a_fault():
+    own = machine("motors", "f405_drivers")
+    own.poke(PWR_CSR, 1 << 2)
+    own.boot()
+    assert RCC_CR not in dict(own.writes)
+    assert own.peek(PWR_CR) == 1 << 4 | 6 << 5, "2.8 V"
+    feeds = [value for address, value in own.writes if address == IWDG_KR]
+    assert feeds == [0xCCCC, 0x5555, 0xAAAA], "and the watchdog starts anew what waits too long"
+    own = with_motors("f405_drivers")
+    assert own.peek(EXTI_IMR) == own.peek(EXTI_RTSR) == 1 << 16
+    assert (NVIC_ISER, 1 << 1) in own.system_writes
+    assert own.peek(FLASH + 4 * (16 + 1)) & ~1 == own.symbols["fault"]
+
+
+def test_the_vector_table_is_the_firmwares_also_behind_a_boot_loader():
+    own = machine("motors", "f405_drivers")
+    own.poke(SCB_VTOR, 0x1FFF_0000)
+    own.boot()
+    assert own.peek(SCB_VTOR) == FLASH
+
+
+def test_reserved_bits_of_the_oscillator_stay_and_the_flash_is_slow_enough_before_the_clock_is_fast():
+    own = machine("motors", "f405_drivers")
+    own.poke(RCC_PLLCFGR, 0x2400_3010)
+    own.boot()
+    assert own.peek(RCC_PLLCFGR) & 0xF0BC_8000 == 0x2000_0000
+    own = machine("motors", "f405_drivers")
+    own.answers[FLASH_ACR] = lambda: 0
+    own.boot()
+    assert RCC_PLLCFGR not in dict(own.writes)
+
+
+def test_a_stack_that_leaves_the_ram_stops_the_core_and_the_fault_needs_none_of_it():
+    own = with_motors("f405_drivers")
+    own.write(SCRATCH, struct.pack("<4f", 0.1, 0.1, 0.1, 0.1))
+    own.call("pwm_drive", SCRATCH)
+    assert own.peek(TIM8_BDTR) & 1 << 15
+    with pytest.raises(UcError, match="UC_ERR_WRITE_UNMAPPED"):
+        own.call("robot_serve", own.symbols["own"], stack=RAM + 32)
+    own.jump("fault")  # with the stack pointer where it was then
+    assert not own.peek(TIM8_BDTR) & 1 << 15
 
 
 def test_a_store_unlocks_programs_and_locks_the_flash():

@@ -13,10 +13,11 @@ void analog_open(void);
  * from its nominal zero: a sensor or its supply is broken. Takes 5 ms. */
 bool analog_calibrate(void);
 
-/* False once conversions were lost: the values are then old. */
-bool analog_is_running(void);
+/* False when conversions were lost or stopped, so that the values are old, and when an input is outside the
+ * range that its sensor gives. To be called once a tick. */
+bool analog_is_good(void);
 
-/* Means over the last 0.9 ms, which is many PWM periods. A current is positive when it drives its wheel
+/* Means over the last 0.2 ms, which is some whole PWM periods. A current is positive when it drives its wheel
  * forward. */
 void analog_currents(float current_a[4]);
 float analog_battery_v(void);

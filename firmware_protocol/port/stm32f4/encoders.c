@@ -15,7 +15,7 @@ static timer_registers *timer_of(const motor_encoder *encoder) {
 
 static void open(const motor_encoder *encoder) {
     timer_registers *timer = timer_of(encoder);
-    RCC->APB1ENR |= RCC_APB1ENR_TIM(encoder->timer);
+    clock_enable(&RCC->APB1ENR, RCC_APB1ENR_TIM(encoder->timer));
     pin_to_peripheral(encoder->a); /* pulled up, for open collectors */
     pin_to_peripheral(encoder->b);
     timer->ARR = 0xFFFFu; /* 16 bits also of the two timers that have 32 */

@@ -8,12 +8,15 @@
 #include "registers/can.h"
 #include "registers/core.h"
 #include "registers/rcc.h"
+#include "uptime.h"
 
 #define RECEIVED 64u /* a power of two */
 #define SENDING 32u  /* a power of two */
-/* Polls for the acknowledgement of a change of mode; it takes 11 recessive bits (RM0090, 32.4). On a bus that
- * is not recessive for so long, the controller goes on by itself as soon as it is. */
+/* Polls for the acknowledgement of initialization mode, which from sleep mode depends on nothing on the bus
+ * (RM0090, 32.4). A controller that does not give it stays in that mode, and the line silent. */
 #define MODE_POLLS 100000u
+/* What nobody acknowledged for so long is old. */
+#define OLD_MS 100u
 
 static const uint16_t host_ids[] = {
     WP_ESTOP_ID,          WP_HOST_HEARTBEAT_ID,    WP_TORQUE_FEEDFORWARD_ID, WP_WHEEL_COMMAND_ID,
@@ -36,7 +39,8 @@ static struct {
     volatile uint32_t bus_off;
     volatile uint32_t length_errors;
     uint32_t bus_off_told;
-    volatile bool is_off; /* its interrupt was seen; each time off is counted once */
+    volatile bool is_off;         /* each time off is counted once */
+    volatile uint32_t leaving_ms; /* uptime when a frame last left, or nothing waited */
 } host;
 
 /* A standard data frame with this identifier, in a filter of 16 bits. */
@@ -62,11 +66,14 @@ static void open_filters(void) {
 void host_link_open(const clock_tree *clocks) {
     const board_can *own = &BOARD.host_can;
     (void)clocks; /* the bit timing of the board is for 42 MHz, the only bus clock there is */
-    RCC->APB1ENR |= RCC_APB1ENR_CAN1;
+    clock_enable(&RCC->APB1ENR, RCC_APB1ENR_CAN1);
     pin_to_peripheral(own->transmit);
     pin_to_peripheral(own->receive);
     CAN1->MCR = CAN_MCR_INRQ | CAN_MCR_TXFP | CAN_MCR_ABOM; /* and out of sleep */
     for (uint32_t i = 0; i < MODE_POLLS && (CAN1->MSR & CAN_MSR_INAK) == 0u; i++) {
+    }
+    if ((CAN1->MSR & CAN_MSR_INAK) == 0u) {
+        return;
     }
     CAN1->BTR =
         CAN_BTR_BRP(own->prescaler) | CAN_BTR_TS1(own->bs1) | CAN_BTR_TS2(own->bs2) | CAN_BTR_SJW(own->sjw);
@@ -135,23 +142,33 @@ static void transmit(void) {
 
 void can1_transmit_interrupt(void) {
     CAN1->TSR = CAN_TSR_RQCP;
+    host.leaving_ms = uptime_ms();
     transmit();
 }
 
+static void give_up_what_waits(void) {
+    CAN1->TSR = CAN_TSR_ABRQ;
+    host.sending_tail = host.sending_head;
+}
+
+/* Follows the controller off the bus and back. What was to be said is old when the bus is back. */
+static void note_bus_off(uint32_t status) {
+    const bool is_off = (status & CAN_ESR_BOFF) != 0u;
+    if (is_off != host.is_off) {
+        host.is_off = is_off;
+        host.bus_off += is_off ? 1u : 0u;
+        give_up_what_waits();
+    }
+}
+
 void can1_status_interrupt(void) {
+    CAN1->MSR = CAN_MSR_ERRI; /* first: what happens from here on is another interrupt */
     const uint32_t status = CAN1->ESR;
     if ((status & CAN_ESR_LEC) != 0u && (status & CAN_ESR_LEC) != CAN_ESR_LEC) {
         host.errors++;
     }
     CAN1->ESR = CAN_ESR_LEC;
-    if ((status & CAN_ESR_BOFF) != 0u && !host.is_off) {
-        host.is_off = true;
-        host.bus_off++;
-        /* What was to be said is old when the bus is back. */
-        CAN1->TSR = CAN_TSR_ABRQ;
-        host.sending_tail = host.sending_head;
-    }
-    CAN1->MSR = CAN_MSR_ERRI;
+    note_bus_off(status);
 }
 
 bool host_link_receive(wheel_frame *frame) {
@@ -172,6 +189,9 @@ bool host_link_has_room(void) {
 }
 
 void host_link_send(const wheel_frame *frame) {
+    if (host.is_off) {
+        return;
+    }
     host.sending[host.sending_head % SENDING] = *frame;
     interrupts_off();
     host.sending_head++;
@@ -180,12 +200,17 @@ void host_link_send(const wheel_frame *frame) {
 }
 
 bool host_link_went_down(void) {
+    interrupts_off();
+    note_bus_off(CAN1->ESR);
+    if ((CAN1->TSR & CAN_TSR_TME_ALL) == CAN_TSR_TME_ALL) {
+        host.leaving_ms = uptime_ms();
+    } else if (uptime_ms() - host.leaving_ms >= OLD_MS) {
+        give_up_what_waits();
+    }
+    interrupts_on();
     const uint32_t count = host.bus_off;
     const bool down = count != host.bus_off_told;
     host.bus_off_told = count;
-    if ((CAN1->ESR & CAN_ESR_BOFF) == 0u) {
-        host.is_off = false;
-    }
     return down;
 }
 

@@ -1,4 +1,4 @@
-/* Robot time from STEP. Motor builds do not link this: STEP does not exist there. */
+/* Robot time from STEP. Motor builds do not link this: without the capability the core refuses STEP. */
 #ifndef STM32F4_LOCKSTEP_H
 #define STM32F4_LOCKSTEP_H
 

@@ -2,15 +2,18 @@
 
 #include <string.h>
 
+#include "../../firmware/crc.h"
 #include "flash_memory.h"
+#include "watchdog.h"
 
 #define RECORD_WORDS 32u
 #define DATA_WORDS ((WHEEL_STORED_SIZE + 3u) / 4u)
+#define CHECK_WORD 29u
 #define SEQUENCE_WORD 30u /* and its complement in the next */
 #define RECORDS (FLASH_SECTOR_WORDS / RECORD_WORDS)
 #define BLANK 0xFFFFFFFFu
 
-_Static_assert(DATA_WORDS <= SEQUENCE_WORD, "a record holds what the core stores");
+_Static_assert(DATA_WORDS <= CHECK_WORD, "a record holds what the core stores");
 
 static struct {
     unsigned sector; /* that is being filled */
@@ -23,8 +26,14 @@ static const volatile uint32_t *record_at(unsigned sector, size_t index) {
     return flash_sector(sector) + index * RECORD_WORDS;
 }
 
+static const uint8_t *bytes_of(const volatile uint32_t *record) {
+    return (const uint8_t *)record;
+}
+
+/* The check sees what an erasure that was cut short left of a record with its mark. */
 static bool is_whole(const volatile uint32_t *record) {
-    return record[SEQUENCE_WORD] == ~record[SEQUENCE_WORD + 1u];
+    return record[SEQUENCE_WORD] == ~record[SEQUENCE_WORD + 1u] &&
+           record[CHECK_WORD] == wheel_crc16(bytes_of(record), WHEEL_STORED_SIZE);
 }
 
 static bool is_blank(const volatile uint32_t *words, size_t count) {
@@ -49,31 +58,34 @@ static const volatile uint32_t *find_newest(void) {
     return newest;
 }
 
-static void make_blank(unsigned sector) {
-    if (!is_blank(flash_sector(sector), FLASH_SECTOR_WORDS)) {
-        flash_erase(sector);
+static bool make_blank(unsigned sector) {
+    const volatile uint32_t *words = flash_sector(sector);
+    if (is_blank(words, FLASH_SECTOR_WORDS)) {
+        return true;
     }
+    watchdog_feed(); /* whose limit is for one erasure */
+    flash_erase(sector);
+    return is_blank(words, FLASH_SECTOR_WORDS);
 }
 
 const uint8_t *parameter_log_open(void) {
     memset(&state, 0, sizeof state);
     const volatile uint32_t *newest = find_newest();
     if (newest == NULL) {
-        make_blank(state.sector);
+        (void)make_blank(state.sector);
     }
-    make_blank(1u - state.sector);
-    state.has_spare = true;
+    state.has_spare = make_blank(1u - state.sector);
     state.next = RECORDS;
     while (state.next > 0u && is_blank(record_at(state.sector, state.next - 1u), RECORD_WORDS)) {
         state.next--;
     }
     state.sequence = newest == NULL ? 0u : newest[SEQUENCE_WORD] + 1u;
-    return (const uint8_t *)newest;
+    return newest == NULL ? NULL : bytes_of(newest);
 }
 
 bool parameter_log_append(const uint8_t bytes[WHEEL_STORED_SIZE]) {
     uint32_t data[DATA_WORDS] = {0};
-    const uint32_t mark[2] = {state.sequence, ~state.sequence};
+    const uint32_t end[3] = {wheel_crc16(bytes, WHEEL_STORED_SIZE), state.sequence, ~state.sequence};
     if (state.next == RECORDS) {
         if (!state.has_spare) {
             return false;
@@ -86,7 +98,7 @@ bool parameter_log_append(const uint8_t bytes[WHEEL_STORED_SIZE]) {
     state.next++; /* a record that failed is not tried again */
     memcpy(data, bytes, WHEEL_STORED_SIZE);
     if (!flash_program(state.sector, at, data, DATA_WORDS) ||
-        !flash_program(state.sector, at + SEQUENCE_WORD, mark, 2)) {
+        !flash_program(state.sector, at + CHECK_WORD, end, 3)) {
         return false;
     }
     state.sequence++;

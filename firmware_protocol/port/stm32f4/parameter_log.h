@@ -1,9 +1,10 @@
 /* Parameters that survive a reset and a power cut at any moment: a log over two flash sectors.
  *
- * A record is 128 bytes: what the core stores, and as its last two words a sequence number and its
- * complement, programmed when the rest is in place. Each STORE appends one; the newest whole one counts.
- * Sectors are erased when the robot starts and never while it runs, as the core stands still for so long: a
- * robot that stores more than a thousand times without a reset is refused from then on.
+ * A record is 128 bytes: what the core stores, and as its last three words a CRC-16 over that, a sequence
+ * number and the number's complement, programmed when the rest is in place. Each STORE appends one; the
+ * newest whole one counts. Sectors are erased when the robot starts and never while it runs, as the core
+ * stands still for so long: a robot that stores more than a thousand times without a reset is refused from
+ * then on.
  */
 #ifndef STM32F4_PARAMETER_LOG_H
 #define STM32F4_PARAMETER_LOG_H

@@ -9,8 +9,7 @@ static void put(volatile uint32_t *word, uint32_t at, uint32_t bits, uint32_t va
 }
 
 static gpio_registers *port_of(pin which) {
-    RCC->AHB1ENR |= RCC_AHB1ENR_GPIO(which.port);
-    (void)RCC->AHB1ENR; /* two bus cycles pass before the port answers (RM0090, 7.3.10 and errata 2.1.13) */
+    clock_enable(&RCC->AHB1ENR, RCC_AHB1ENR_GPIO(which.port));
     return GPIO(which.port);
 }
 
@@ -42,4 +41,8 @@ void pin_output(pin which) {
 
 void pin_write(pin which, bool high) {
     GPIO(which.port)->BSRR = 1u << (which.number + (high ? 0u : 16u));
+}
+
+bool pin_is_high(pin which) {
+    return (GPIO(which.port)->ODR >> which.number & 1u) != 0u;
 }

@@ -19,4 +19,7 @@ void pin_to_analog(pin which);
 void pin_output(pin which);
 void pin_write(pin which, bool high);
 
+/* Whether an output is high. */
+bool pin_is_high(pin which);
+
 #endif

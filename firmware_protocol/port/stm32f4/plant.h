@@ -26,7 +26,7 @@ bool plant_has_received(void);
 /* The set points that hold during drive->tick. */
 void plant_drive(const wheel_drive *drive);
 
-/* Drives off, whatever else is broken. */
+/* Drives off, whatever else is broken; also before plant_open. */
 void plant_off(void);
 
 #endif

@@ -8,8 +8,9 @@
 #include "uptime.h"
 #include "usart.h"
 
-/* An answer that takes longer than this is asked for again. */
-#define RETRY_MS 100u
+/* An answer that takes longer than this is asked for again; an emulator's own milliseconds are short. */
+#define RETRY_MS 10u
+#define RETRY_EMULATED_MS 100u
 /* And this is the end: the robot faults. From then on it only asks whether somebody is there again. */
 #define LOST_MS 2000u
 
@@ -20,6 +21,7 @@ static struct {
     uint8_t request[PLANT_FRAME_MAX]; /* the last one sent */
     size_t request_length;
     uint32_t awaited_tick; /* of the answer */
+    uint32_t retry_ms;
     uint32_t asked_ms;
     uint32_t sent_ms;
     bool lost;
@@ -51,6 +53,7 @@ uint16_t plant_capabilities(void) {
 
 void plant_open(const clock_tree *clocks) {
     usart_open(&plant.line, &PLANT_LINE, clocks);
+    plant.retry_ms = clocks->lockstep ? RETRY_EMULATED_MS : RETRY_MS;
     ask_for_sample(0);
 }
 
@@ -75,7 +78,7 @@ plant_answer plant_sense(uint32_t tick, wheel_sense *sense) {
     }
     const uint32_t now_ms = uptime_ms();
     plant.lost = plant.lost || now_ms - plant.asked_ms >= LOST_MS;
-    if (now_ms - plant.sent_ms >= RETRY_MS) {
+    if (now_ms - plant.sent_ms >= plant.retry_ms) {
         if (plant.lost) {
             ask_for_sample(tick);
         } else {

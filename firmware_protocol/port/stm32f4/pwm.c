@@ -17,7 +17,7 @@ static timer_registers *timer_of(const motor_output *motor) {
 static void open_timer(timer_registers *timer, uint32_t period) {
     timer->CR1 = TIMER_CR1_CENTRE | TIMER_CR1_ARPE;
     timer->ARR = period;
-    timer->BDTR = TIMER_BDTR_OSSI | TIMER_BDTR_LOCK1 | MOTORS.dead_time;
+    timer->BDTR = TIMER_BDTR_OSSI | TIMER_BDTR_BREAK | TIMER_BDTR_LOCK1 | MOTORS.dead_time;
 }
 
 static void open_channel(const motor_output *motor) {
@@ -29,8 +29,8 @@ static void open_channel(const motor_output *motor) {
 }
 
 void pwm_open(const clock_tree *clocks) {
-    pin_output(MOTORS.enable);
-    RCC->APB2ENR |= RCC_APB2ENR_TIM1 | RCC_APB2ENR_TIM8;
+    pwm_off();
+    clock_enable(&RCC->APB2ENR, RCC_APB2ENR_TIM1 | RCC_APB2ENR_TIM8);
     for (size_t i = 0; i < TIMERS; i++) {
         /* Both timers count at the core's clock, once up and once down a period. */
         open_timer(timers[i], clocks->core_hz / (2u * MOTORS.pwm_hz));
@@ -56,28 +56,43 @@ void pwm_open(const clock_tree *clocks) {
 
 /* Written so that a duty that is no number gives zero volt. */
 static float limited(float duty) {
-    return duty >= -1.0f ? (duty <= 1.0f ? duty : 1.0f) : (duty < -1.0f ? -1.0f : 0.0f);
+    const float most = MOTORS.duty_limit;
+    return duty >= -most ? (duty <= most ? duty : most) : (duty < -most ? -most : 0.0f);
+}
+
+/* Without preload the zero is in force at once, so that the old magnitude never meets the new sign; the new
+ * magnitude comes with the next half period. */
+static void turn_round(const motor_output *motor, bool forward) {
+    timer_registers *timer = timer_of(motor);
+    const uint32_t index = motor->channel - 1u;
+    const uint32_t preload = TIMER_CCMR_PRELOAD << (8u * (index % 2u));
+    timer->CCMR[index / 2u] &= ~preload;
+    timer->CCR[index] = 0;
+    pin_write(motor->second, forward);
+    timer->CCMR[index / 2u] |= preload;
 }
 
 static void set(const motor_output *motor, float wish) {
     timer_registers *timer = timer_of(motor);
-    const float duty = motor->reversed ? -limited(wish) : limited(wish);
+    const float duty = motor->reversed ? -wish : wish;
     const float period = (float)timer->ARR;
     float on;
     if (MOTORS.kind == MOTOR_COMPLEMENTARY) {
         on = period * (0.5f + 0.5f * duty);
     } else {
-        /* The sign may be up to one PWM period ahead of the magnitude, which is small when the sign changes.
-         */
-        pin_write(motor->second, duty >= 0.0f);
-        on = period * (duty < 0.0f ? -duty : duty);
+        const bool forward = duty >= 0.0f;
+        if (forward != pin_is_high(motor->second)) {
+            turn_round(motor, forward);
+        }
+        on = period * (forward ? duty : -duty);
     }
     timer->CCR[motor->channel - 1u] = (uint32_t)(on + 0.5f);
 }
 
-void pwm_drive(const float duty[4]) {
+void pwm_drive(float duty[4]) {
     const bool was_off = (timer_of(&MOTORS.motor[0])->BDTR & TIMER_BDTR_MOE) == 0u;
     for (size_t i = 0; i < WHEEL_COUNT; i++) {
+        duty[i] = limited(duty[i]);
         set(&MOTORS.motor[i], duty[i]);
     }
     if (was_off) {
@@ -91,7 +106,11 @@ void pwm_drive(const float duty[4]) {
 
 void pwm_off(void) {
     for (size_t i = 0; i < TIMERS; i++) {
-        timers[i]->BDTR &= ~TIMER_BDTR_MOE;
+        /* A timer without a clock reads zero. BDTR is not written before pwm_open: its first write is the one
+         * that locks (RM0090, 17.4.18). */
+        if ((timers[i]->BDTR & TIMER_BDTR_MOE) != 0u) {
+            timers[i]->BDTR &= ~TIMER_BDTR_MOE;
+        }
     }
-    pin_write(MOTORS.enable, false);
+    pin_output(MOTORS.enable);
 }

@@ -7,10 +7,12 @@
 /* Prepares the timers with all outputs low and the bridges off. */
 void pwm_open(const clock_tree *clocks);
 
-/* Duties FL, FR, RR, RL, -1 to 1, from the next PWM period on; switches the bridges on. */
-void pwm_drive(const float duty[4]);
+/* Duties FL, FR, RR, RL from the next half PWM period on, after limiting them to what the board drives;
+ * switches the bridges on. */
+void pwm_drive(float duty[4]);
 
-/* All outputs low within a few nanoseconds, and the bridges off. Works at any time, also before pwm_open. */
+/* All outputs low within a few nanoseconds, and the bridges off. Works at any time, also as the first thing
+ * after a reset. */
 void pwm_off(void);
 
 #endif

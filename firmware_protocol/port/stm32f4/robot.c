@@ -6,6 +6,7 @@
 #include "parameter_log.h"
 #include "plant.h"
 #include "registers/core.h"
+#include "supply.h"
 #include "uptime.h"
 #include "watchdog.h"
 
@@ -13,9 +14,14 @@
 #define START_LIMIT_MS 4000u
 /* Some ticks, and the 2 ms in which a STORE writes the flash. */
 #define RUN_LIMIT_MS 30u
+/* With motors the watchdog lets no more pass; only a simulated body may be later, and then the robot is too.
+ */
+#define MADE_UP_MS 64u
 
 void robot_start(robot *r) {
+    plant_off();
     watchdog_set(START_LIMIT_MS);
+    supply_open();
     r->clocks = clock_init();
     uptime_start(r->clocks.core_hz);
     const uint16_t lockstep = r->clocks.lockstep ? WHEEL_CAPABILITY_LOCKSTEP : 0u;
@@ -30,11 +36,15 @@ void robot_start(robot *r) {
     plant_open(&r->clocks);
     watchdog_set(RUN_LIMIT_MS);
     while (!robot_sense(r)) {
+        if (!r->clocks.lockstep) {
+            robot_serve(r); /* a host asks who is there while nobody plays the plant yet */
+        }
         robot_await_plant(r);
     }
     robot_transmit(r);
     if (!r->clocks.lockstep) {
         robot_drive(r);
+        r->due_ms = uptime_ms() + 1u;
     }
 }
 
@@ -48,11 +58,13 @@ static uint32_t now_us(const robot *r) {
     return r->tick_us + (since_us < 999u ? since_us : 999u);
 }
 
-static void store(robot *r) {
+static bool store(robot *r) {
     uint8_t bytes[WHEEL_STORED_SIZE];
-    if (wheel_node_store_pending(&r->node, bytes)) {
+    const bool is_pending = wheel_node_store_pending(&r->node, bytes);
+    if (is_pending) {
         wheel_node_stored(&r->node, parameter_log_append(bytes));
     }
+    return is_pending;
 }
 
 void robot_serve(robot *r) {
@@ -61,10 +73,11 @@ void robot_serve(robot *r) {
         /* The bus is back after 128 times 11 bits, before the silence would have been noticed. */
         wheel_node_stop(&r->node, WHEEL_EVENT_TIMEOUT, WP_STOP_REASON_COMMAND_TIMEOUT);
     }
-    while (host_link_receive(&frame)) {
+    bool has_stored = false; /* takes milliseconds: the ticks that became due come before the next frame */
+    while (!has_stored && host_link_receive(&frame)) {
         host_link_counters(&r->node.transport);
         wheel_node_receive(&r->node, &frame, now_us(r));
-        store(r);
+        has_stored = store(r);
         robot_transmit(r);
         if (r->clocks.lockstep && lockstep_serve != NULL) {
             lockstep_serve(r);
@@ -112,21 +125,28 @@ void robot_transmit(robot *r) {
 }
 
 void robot_tick(robot *r) {
-    const uint32_t now_ms = uptime_ms();
     if (r->clocks.lockstep) {
         watchdog_feed(); /* time stands still until a host asks for more */
-    } else if (now_ms != r->ran_ms) {
-        if (robot_sense(r)) {
-            robot_drive(r);
-            r->ran_ms = now_ms;
-        } else {
+        return;
+    }
+    const uint32_t late_ms = uptime_ms() - r->due_ms;
+    if ((int32_t)late_ms > (int32_t)MADE_UP_MS) {
+        r->due_ms += late_ms;
+        r->ticks_lost += late_ms;
+    }
+    while ((int32_t)(uptime_ms() - r->due_ms) >= 0) {
+        if (!robot_sense(r)) {
             watchdog_feed(); /* the simulated body is late; plant_sense sets the limit */
+            return;
         }
+        robot_drive(r);
+        r->ticks_late += uptime_ms() != r->due_ms ? 1u : 0u;
+        r->due_ms++;
     }
 }
 
 /* Looks and sleeps with interrupts off, so that none comes in between; wfi wakes all the same. */
-static void sleep_without(robot *r, bool host_too) {
+static void sleep_until_work(robot *r, bool host_too) {
     interrupts_off();
     const bool is_work = plant_has_received() || (host_too && host_link_has_received());
     if (!is_work && uptime_ms() == r->seen_ms) {
@@ -137,10 +157,10 @@ static void sleep_without(robot *r, bool host_too) {
 }
 
 void robot_idle(robot *r) {
-    sleep_without(r, true);
+    sleep_until_work(r, true);
 }
 
 void robot_await_plant(robot *r) {
     watchdog_feed();
-    sleep_without(r, false);
+    sleep_until_work(r, !r->clocks.lockstep);
 }

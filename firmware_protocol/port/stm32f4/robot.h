@@ -13,7 +13,9 @@ typedef struct {
     clock_tree clocks;
     wheel_sense sense;
     uint32_t seen_ms;       /* uptime when the loop last woke */
-    uint32_t ran_ms;        /* and that of the last tick in real time */
+    uint32_t due_ms;        /* and that at which the next tick is due in real time */
+    uint32_t ticks_late;    /* that ended after the next one was due, for a debugger */
+    uint32_t ticks_lost;    /* and those that were not made up */
     uint32_t tick_began_us; /* uptime at the beginning of the tick */
     uint32_t tick_us;       /* robot time then */
 } robot;
@@ -24,10 +26,12 @@ void robot_start(robot *r);
 /* Takes what the host sent, and answers. */
 void robot_serve(robot *r);
 
-/* In real time: runs the tick that is due. Late ticks are not made up; robot time is late then. */
+/* In real time: runs the ticks that are due, so that late ones are made up and what counts in ticks, such as
+ * the age of a command, stays true. */
 void robot_tick(robot *r);
 
-/* Sleeps until there may be something to do; the other one, until the body may have answered. */
+/* Sleeps until there may be something to do; the other one, until the body may have answered or, in real
+ * time, the host has said something. */
 void robot_idle(robot *r);
 void robot_await_plant(robot *r);
 

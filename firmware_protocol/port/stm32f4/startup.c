@@ -21,7 +21,7 @@ __attribute__((used, noreturn)) static void stay_off(void) {
     }
 }
 
-/* Begins a new stack, as the old one may be what is broken. */
+/* Begins a new stack: the old one may have left the RAM, which is how an overflow ends up here. */
 __attribute__((naked)) void fault(void) {
     __asm volatile("ldr r0, =stack_top\n\tmov sp, r0\n\tb stay_off");
 }
@@ -37,15 +37,6 @@ UNLESS_DEFINED void can1_transmit_interrupt(void);
 UNLESS_DEFINED void can1_receive_interrupt(void);
 UNLESS_DEFINED void can1_status_interrupt(void);
 
-void reset(void) {
-    SCB_CPACR |= SCB_CPACR_FPU;
-    barrier();
-    memcpy(data_start, data_load, (size_t)(data_end - data_start));
-    memset(bss_start, 0, (size_t)(bss_end - bss_start));
-    (void)main();
-    fault();
-}
-
 typedef void (*handler)(void);
 
 typedef struct {
@@ -53,6 +44,18 @@ typedef struct {
     handler exception[15]; /* from reset on */
     handler interrupt[82];
 } vector_table;
+
+static const vector_table vectors;
+
+void reset(void) {
+    SCB_VTOR = (uint32_t)(uintptr_t)&vectors; /* a boot loader leaves its own */
+    SCB_CPACR |= SCB_CPACR_FPU;
+    barrier();
+    memcpy(data_start, data_load, (size_t)(data_end - data_start));
+    memset(bss_start, 0, (size_t)(bss_end - bss_start));
+    (void)main();
+    fault();
+}
 
 __attribute__((section(".vectors"), used)) static const vector_table vectors = {
     .stack = stack_top,

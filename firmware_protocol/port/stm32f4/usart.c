@@ -7,7 +7,7 @@
 
 typedef struct {
     usart_registers *registers;
-    volatile uint32_t *clock_enable;
+    volatile uint32_t *clock_register;
     uint32_t clock_bit;
     uint8_t interrupt;
     bool on_apb2;
@@ -31,7 +31,7 @@ void usart_open(usart *line, const board_serial *settings, const clock_tree *clo
     const uint32_t bus_hz = own->on_apb2 ? clocks->apb2_hz : clocks->apb1_hz;
     line->registers = own->registers;
     lines[settings->usart - 1u] = line;
-    *own->clock_enable |= own->clock_bit;
+    clock_enable(own->clock_register, own->clock_bit);
     pin_to_peripheral(settings->transmit);
     pin_to_peripheral(settings->receive);
     line->registers->BRR = (bus_hz + settings->baud / 2u) / settings->baud;

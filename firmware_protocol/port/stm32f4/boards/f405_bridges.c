@@ -1,11 +1,15 @@
 /* An STM32F405RG with four full bridges of its own: each gate driver takes CHx for one diagonal and CHxN for
- * the other. The host's serial line is USART 3, as timer 1 needs the pins of USART 1. Current sensors as of
- * the other board; no temperature sensors.
+ * the other. Current sensors as of the other board; no temperature sensors.
  */
 #include "../motor_board.h"
 
 #define CURRENT(pin_number, input_channel)                                                                   \
-    {.input = {PORT_C, pin_number, 0}, .channel = input_channel, .zero_v = 1.6667f, .per_v = 22.727f}
+    {.input = {PORT_C, pin_number, 0},                                                                       \
+     .channel = input_channel,                                                                               \
+     .zero_v = 1.6667f,                                                                                      \
+     .per_v = 22.727f,                                                                                       \
+     .least_v = 0.2f,                                                                                        \
+     .most_v = 3.1f}
 
 const board BOARD = {
     .number = 3,
@@ -45,17 +49,18 @@ const board BOARD = {
 const motor_board MOTORS = {
     .kind = MOTOR_COMPLEMENTARY,
     .pwm_hz = 25000,
-    .dead_time = 84, /* 0.5 us */
+    .dead_time = 84,    /* 0.5 us */
+    .duty_limit = 0.9f, /* a low side is on for 1.5 us of 40 us or longer */
     .motor =
-        {{.timer = 1, .channel = 1, .first = {PORT_A, 8, 1}, .second = {PORT_B, 13, 1}},
-         {.timer = 1, .channel = 2, .first = {PORT_A, 9, 1}, .second = {PORT_B, 14, 1}, .reversed = true},
-         {.timer = 1, .channel = 3, .first = {PORT_A, 10, 1}, .second = {PORT_B, 15, 1}, .reversed = true},
-         {.timer = 8, .channel = 1, .first = {PORT_C, 6, 3}, .second = {PORT_A, 7, 3}}},
+        {{.timer = 8, .channel = 1, .first = {PORT_C, 6, 3}, .second = {PORT_A, 7, 3}},
+         {.timer = 8, .channel = 2, .first = {PORT_C, 7, 3}, .second = {PORT_B, 14, 3}, .reversed = true},
+         {.timer = 8, .channel = 3, .first = {PORT_C, 8, 3}, .second = {PORT_B, 15, 3}, .reversed = true},
+         {.timer = 1, .channel = 1, .first = {PORT_A, 8, 1}, .second = {PORT_B, 13, 1}}},
     .encoder = {{.timer = 2, .a = {PORT_A, 15, 1}, .b = {PORT_B, 3, 1}},
                 {.timer = 3, .a = {PORT_B, 4, 2}, .b = {PORT_B, 5, 2}, .reversed = true},
                 {.timer = 4, .a = {PORT_B, 6, 2}, .b = {PORT_B, 7, 2}, .reversed = true},
                 {.timer = 5, .a = {PORT_A, 0, 2}, .b = {PORT_A, 1, 2}}},
     .current = {CURRENT(0, 10), CURRENT(1, 11), CURRENT(2, 12), CURRENT(3, 13)},
-    .battery = {.input = {PORT_C, 4, 0}, .channel = 14, .per_v = 11.0f},
+    .battery = {.input = {PORT_C, 4, 0}, .channel = 14, .per_v = 11.0f, .most_v = 3.2f},
     .enable = {PORT_C, 5, 0},
 };

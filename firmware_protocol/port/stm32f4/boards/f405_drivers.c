@@ -5,9 +5,19 @@
 #include "../motor_board.h"
 
 #define CURRENT(pin_number, input_channel)                                                                   \
-    {.input = {PORT_C, pin_number, 0}, .channel = input_channel, .zero_v = 1.6667f, .per_v = 22.727f}
+    {.input = {PORT_C, pin_number, 0},                                                                       \
+     .channel = input_channel,                                                                               \
+     .zero_v = 1.6667f,                                                                                      \
+     .per_v = 22.727f,                                                                                       \
+     .least_v = 0.2f,                                                                                        \
+     .most_v = 3.1f}
 #define TEMPERATURE(port, pin_number, input_channel)                                                         \
-    {.input = {port, pin_number, 0}, .channel = input_channel, .zero_v = 0.5f, .per_v = 100.0f}
+    {.input = {port, pin_number, 0},                                                                         \
+     .channel = input_channel,                                                                               \
+     .zero_v = 0.5f,                                                                                         \
+     .per_v = 100.0f,                                                                                        \
+     .least_v = 0.1f,                                                                                        \
+     .most_v = 2.5f}
 
 const board BOARD = {
     .number = 2,
@@ -47,6 +57,7 @@ const board BOARD = {
 const motor_board MOTORS = {
     .kind = MOTOR_SIGN_MAGNITUDE,
     .pwm_hz = 20000,
+    .duty_limit = 1.0f,
     .motor =
         {{.timer = 8, .channel = 1, .first = {PORT_C, 6, 3}, .second = {PORT_B, 12, 0}},
          {.timer = 8, .channel = 2, .first = {PORT_C, 7, 3}, .second = {PORT_B, 13, 0}, .reversed = true},
@@ -57,7 +68,10 @@ const motor_board MOTORS = {
                 {.timer = 4, .a = {PORT_B, 6, 2}, .b = {PORT_B, 7, 2}, .reversed = true},
                 {.timer = 5, .a = {PORT_A, 0, 2}, .b = {PORT_A, 1, 2}}},
     .current = {CURRENT(0, 10), CURRENT(1, 11), CURRENT(2, 12), CURRENT(3, 13)},
-    .battery = {.input = {PORT_A, 4, 0}, .channel = 4, .per_v = 11.0f}, /* 100 kohm over 10 kohm */
+    .battery = {.input = {PORT_A, 4, 0},
+                .channel = 4,
+                .per_v = 11.0f,
+                .most_v = 3.2f}, /* 100 kohm over 10 kohm */
     .has_temperatures = true,
     .temperature = {TEMPERATURE(PORT_A, 5, 5), TEMPERATURE(PORT_A, 6, 6), TEMPERATURE(PORT_A, 7, 7),
                     TEMPERATURE(PORT_B, 0, 8)},

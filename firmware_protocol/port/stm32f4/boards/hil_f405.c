@@ -1,6 +1,7 @@
 /* Hardware in the loop: any board with an STM32F405, an 8 MHz crystal and these two serial lines, for example
- * a breakout board with two USB adapters. Behind the second line stands the plant; no other pin is touched.
- * The same numbers of USART and CAN are the ones that the emulated targets connect.
+ * a breakout board with two USB adapters. Behind the second line stands the plant; no other pin is touched,
+ * and none of these is a motor's on any board here. The same numbers of USART and CAN are the ones that the
+ * emulated targets connect.
  */
 #include "../board.h"
 
@@ -39,6 +40,8 @@ const board BOARD = {
         },
 };
 
-/* Drive and sense take 0.63 ms of each tick at this rate. */
+/* The 130 bytes of drive and sense take 0.65 ms of each tick at this rate; at 921,600 they would take 1.41
+ * ms.
+ */
 const board_serial PLANT_LINE = {
     .usart = 2, .baud = 2000000, .transmit = {PORT_A, 2, 7}, .receive = {PORT_A, 3, 7}};

@@ -44,9 +44,10 @@ _Static_assert(sizeof(can_registers) == 0x320u, "the registers lie where the man
 #define CAN_MCR_ABOM (1u << 6) /* back from bus-off after 128 times 11 recessive bits */
 #define CAN_MSR_INAK (1u << 0)
 #define CAN_MSR_ERRI (1u << 2)
-#define CAN_TSR_RQCP 0x00010101u /* requests completed; cleared by writing 1 */
-#define CAN_TSR_ABRQ 0x00808080u /* abort all three */
-#define CAN_TSR_TME(mailbox) (1u << (26u + (mailbox)))
+#define CAN_TSR_RQCP 0x00010101u                       /* requests completed; cleared by writing 1 */
+#define CAN_TSR_ABRQ 0x00808080u                       /* abort all three */
+#define CAN_TSR_TME(mailbox) (1u << (26u + (mailbox))) /* empty */
+#define CAN_TSR_TME_ALL (7u << 26)
 #define CAN_RFR_FMP 3u
 #define CAN_RFR_FOVR (1u << 4)
 #define CAN_RFR_RFOM (1u << 5)

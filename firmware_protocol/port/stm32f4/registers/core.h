@@ -18,6 +18,9 @@ typedef struct {
 /* Interrupt set-enable, 32 a word. */
 #define NVIC_ISER ((volatile uint32_t *)0xE000E100u)
 
+/* Where the vector table lies. */
+#define SCB_VTOR (*(volatile uint32_t *)0xE000ED08u)
+
 /* Coprocessor access: full access to CP10 and CP11 is the floating-point unit. */
 #define SCB_CPACR (*(volatile uint32_t *)0xE000ED88u)
 #define SCB_CPACR_FPU (0xFu << 20)

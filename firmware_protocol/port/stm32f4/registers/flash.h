@@ -15,6 +15,7 @@ typedef struct {
 #define FLASH ((flash_registers *)0x40023C00u)
 
 #define FLASH_ACR_LATENCY(wait_states) ((uint32_t)(wait_states))
+#define FLASH_ACR_LATENCY_MASK 7u
 #define FLASH_ACR_PRFTEN (1u << 8)
 #define FLASH_ACR_ICEN (1u << 9)
 #define FLASH_ACR_DCEN (1u << 10)

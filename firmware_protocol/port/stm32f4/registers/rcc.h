@@ -17,11 +17,19 @@ typedef struct {
 
 #define RCC ((rcc_registers *)0x40023800u)
 
+/* Reading back lets two bus cycles pass, which a peripheral needs before it answers (errata, 2.1.13). */
+static inline void clock_enable(volatile uint32_t *enable_register, uint32_t bits) {
+    *enable_register |= bits;
+    (void)*enable_register;
+}
+
 #define RCC_CR_HSEON (1u << 16)
 #define RCC_CR_HSERDY (1u << 17)
+#define RCC_CR_CSSON (1u << 19) /* NMI and a timer's break when the crystal fails */
 #define RCC_CR_PLLON (1u << 24)
 #define RCC_CR_PLLRDY (1u << 25)
 
+#define RCC_PLLCFGR_RESERVED 0xF0BC8000u /* "must be kept at reset value" */
 #define RCC_PLLCFGR_M(x) ((uint32_t)(x) << 0)
 #define RCC_PLLCFGR_N(x) ((uint32_t)(x) << 6)
 #define RCC_PLLCFGR_P2 (0u << 16) /* the system clock is half of the oscillator's */
@@ -42,6 +50,7 @@ typedef struct {
 #define RCC_APB1ENR_UART4 (1u << 19)
 #define RCC_APB1ENR_UART5 (1u << 20)
 #define RCC_APB1ENR_CAN1 (1u << 25)
+#define RCC_APB1ENR_PWR (1u << 28)
 #define RCC_APB2ENR_TIM1 (1u << 0)
 #define RCC_APB2ENR_TIM8 (1u << 1)
 #define RCC_APB2ENR_USART1 (1u << 4)

@@ -40,8 +40,11 @@ typedef struct {
 #define TIMER_CCER_E 1u
 #define TIMER_CCER_P 2u
 #define TIMER_CCER_NE 4u
-#define TIMER_BDTR_LOCK1 (1u << 8) /* dead time and idle levels cannot be written again until a reset */
+#define TIMER_BDTR_LOCK1 (1u << 8) /* dead time, idle levels and break stay as they are until a reset */
 #define TIMER_BDTR_OSSI (1u << 10) /* with the outputs off, the pins are driven to their idle level: low */
-#define TIMER_BDTR_MOE (1u << 15)  /* outputs on */
+/* Outputs off at a break: when the crystal fails, and at a high level of a pin BKIN, which is low where no
+ * pin is one. */
+#define TIMER_BDTR_BREAK ((1u << 12) | (1u << 13))
+#define TIMER_BDTR_MOE (1u << 15) /* outputs on */
 
 #endif

@@ -157,6 +157,7 @@ class Stm32f405:
             _CAN: self.can,
             0x4000_7000: Peripheral("PWR", {0x0: 0xC000, 0x4: 0x4000}),  # the regulator is always ready
             0x4001_3800: Peripheral("SYSCFG", dict.fromkeys(range(0, 0x24, 4), 0)),
+            0x4001_3C00: Peripheral("EXTI", dict.fromkeys(range(0, 0x18, 4), 0)),
             0x4002_3800: self.rcc,
             0x4002_3C00: self._flash_interface,
         }
