@@ -165,6 +165,47 @@ def test_a_wheel_wired_the_wrong_way_round_is_found(wheel: int, speed_rad_s: flo
     assert max(map(abs, rig.speed_rad_s)) < 30.0
 
 
+@pytest.mark.parametrize("end", ["estop", "silence", "request"])
+@pytest.mark.parametrize("wheel", range(4))
+@pytest.mark.parametrize("torque_n_m", [1.0, -1.0])
+def test_a_stop_of_torque_mode_does_not_drive_a_wheel_whose_encoder_is_mirrored(
+    torque_n_m: float, wheel: int, end: str
+) -> None:
+    """Torques show no mirrored encoder; the speed loop that stops would drive its wheel ever faster."""
+    rig = WheelRig()
+    rig.encoder_sign[wheel] = -1
+    rig.activate(m.Mode.TORQUE)
+    for sequence in range(1, 60):
+        rig.torque(torque_n_m, sequence)
+        rig.run(5)
+    if end == "estop":
+        rig.send(m.Estop(0, 0))
+    elif end == "request":
+        rig.heartbeat(m.Request.IDLE, 0x99)
+    ticks = 0
+    while rig.enabled:
+        rig.run(1)
+        ticks += 1
+    assert fault(rig) == (m.Fault.WRONG_DIRECTION, m.FaultWheel(wheel + 1))
+    assert ticks < (51 if end == "silence" else 1) + 200 + 150
+    assert max(map(abs, rig.speed_rad_s)) < 45.0
+
+
+@pytest.mark.parametrize("end", ["estop", "silence"])
+def test_a_robot_that_a_slope_drives_on_keeps_its_brakes(end: str) -> None:
+    """All four wheels gain speed against their torque, and say so together: no encoder is wrong."""
+    rig, _ = driving(5.0, overspeed_rad_s=120.0)
+    if end == "estop":
+        rig.send(m.Estop(0, 0))
+    for _ in range(600):
+        rig.run(1)
+        rig.held = [True] * 4
+        rig.speed_rad_s = [v + 0.05 for v in rig.speed_rad_s]
+    assert min(rig.speed_rad_s) > 30.0
+    assert rig.enabled
+    assert fault(rig) == (m.Fault.NONE, m.FaultWheel.NONE)
+
+
 @pytest.mark.parametrize("period_s", [0.02, 0.1, 1.0])
 def test_the_time_until_an_encoder_fault_is_a_parameter(period_s: float) -> None:
     rig, sequence = driving(encoder_fault_s=period_s, speed_kp_n_m_s_rad=0.2, speed_ki_n_m_rad=0.0)

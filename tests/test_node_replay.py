@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol import codec
+from firmware_protocol.framing import Framer
 from firmware_protocol.generated import messages as m
 from firmware_protocol.generated.messages import State
 from tests.wheel_rig import WheelRig
@@ -170,6 +171,54 @@ def test_commands_out_of_the_window_are_counted_as_stale(kind: str) -> None:
     assert rig.speed_rad_s == [0.0] * 4
     rig.run(1)
     assert rig.state is State.STOPPING
+
+
+@pytest.mark.parametrize("late", range(1, 600, 7))
+def test_a_late_command_looks_fresh_again_when_the_sequence_wrapped_and_only_then(late: int) -> None:
+    """PROTOCOL.md: 224 to 255 commands late, and the same once round again. It is the session's own, from before."""
+    rig = RecordedRig()
+    rig.activate()
+    for sequence in range(1, 640):
+        rig.command(0.0 if sequence > 20 else 5.0, sequence)
+    old = [x for x in rig.tape if isinstance(x, m.WheelCommand)]
+    newest = old[-1].sequence
+    before = rig.node.look().rejected["stale"]
+    WheelRig.send(rig, old[-1 - late])
+    accepted = rig.node.look().rejected["stale"] == before
+    assert accepted == (224 <= late % 256 <= 255)
+    assert accepted == (1 <= (old[-1 - late].sequence - newest) % 256 <= 32)
+
+
+@MODES
+@pytest.mark.parametrize("nonce", [0x1232, 0x4321])
+def test_a_recorded_session_of_256_commands_moves_no_other_session(mode: m.Mode, nonce: int) -> None:
+    """Every sequence there is, heard in a session of another number: refused, and by that reason."""
+    rig = WheelRig()
+    rig.arm(mode, 0x1235)
+    kind = m.WheelCommand if mode is m.Mode.SPEED else m.TorqueCommand
+    rig.send(kind(0.0, 0.0, 0.0, 0.0, 0, 0x5))
+    for sequence in range(256):
+        rig.send(kind(9.0, 9.0, 9.0, 9.0, sequence, nonce & 0xF))
+    rig.run(10)
+    assert rig.node.look().rejected["session"] == 256
+    assert rig.speed_rad_s == [0.0] * 4
+
+
+@settings(max_examples=150)
+@given(data=st.data())
+def test_a_session_at_rest_on_a_line_that_spoils_every_frame_moves_nothing(data: st.DataObject) -> None:
+    """One or two wrong bits in each command of zero, fresh ones, and any bytes between: the robot stops in time."""
+    rig = WheelRig()
+    rig.activate()
+    framer = Framer()
+    for sequence in range(1, 16):
+        serial = bytearray(framer.encode(codec.encode(m.WheelCommand(0, 0, 0, 0, sequence, rig.nonce & 0xF))))
+        for bit in data.draw(st.sets(st.integers(0, 8 * len(serial) - 1), min_size=1, max_size=2)):
+            serial[bit // 8] ^= 1 << bit % 8
+        rig.node.feed(bytes(serial) + b"\0" + data.draw(st.binary(max_size=20)))
+        rig.run(4)
+        assert rig.speed_rad_s == [0.0] * 4
+    assert rig.state is not State.ACTIVE, "60 ms without a whole command"
 
 
 def test_each_refused_command_is_counted_once_by_its_cause() -> None:

@@ -52,6 +52,40 @@ def test_the_table_has_no_row_that_is_not_tested() -> None:
     assert rows == {(s, getattr(lib, f"WHEEL_EVENT_{e}")): to for (s, e), to in ALLOWED.items()}
 
 
+@pytest.mark.parametrize("event", EVENTS)
+@pytest.mark.parametrize("state", State)
+def test_an_event_that_the_table_does_not_know_changes_not_one_byte_of_the_robot(state: State, event: str) -> None:
+    """All states by all events, the ones too that no host and no plant can bring about."""
+    node = BareNode()
+    node.activate()
+    node.send(m.WheelCommand(5, 5, 5, 5, 1, 1))
+    node.tick(30)
+    node.node.state = state
+    node.node.announced_nonce, node.node.braking = 0x51, True
+    before = bytes(node.ffi.buffer(node.node))
+    to = ALLOWED.get((state, event), state)
+    node.lib.wheel_node_stop(node.node, getattr(node.lib, f"WHEEL_EVENT_{event}"), m.StopReason.HOST_REQUEST)
+    assert node.state is to
+    if to is state:
+        assert bytes(node.ffi.buffer(node.node)) == before
+    else:
+        assert (node.node.state_ticks, node.node.announced_nonce) == (0, 0)
+        assert node.node.braking == (to is State.ESTOP and state in (State.ACTIVE, State.STOPPING))
+
+
+@pytest.mark.parametrize("state", [7, 8, 127, 128, 255])
+def test_a_state_that_is_none_is_left_by_no_event_and_drives_nothing(state: int) -> None:
+    """A bit of memory that turned over."""
+    node = BareNode()
+    node.activate()
+    node.node.state = state
+    for event in EVENTS:
+        assert node.lib.wheel_next_state(state, getattr(node.lib, f"WHEEL_EVENT_{event}")) == state
+    node.send(m.WheelCommand(5, 5, 5, 5, 1, 1))
+    node.tick()
+    assert (node.drive.enabled, list(node.drive.torque_n_m)) == (0, [0.0] * 4)
+
+
 def spin_up(rig: WheelRig) -> None:
     rig.activate()
     rig.drive(10.0, 300)

@@ -29,6 +29,8 @@
 /* An encoder counts backward when its speed and that of the others differ by no more than this but for the
  * sign. */
 #define MIRRORED_PART 0.3f
+/* The others contradict a wheel when their speed differs from its own by more than this part. */
+#define CONTRADICTED_PART 0.3f
 /* A torque of at least this part of the limit moves a wheel. */
 #define MOVING_TORQUE 0.2f
 
@@ -168,25 +170,35 @@ static float estimate_noise_rad_s(const wheel_node *node) {
     return 3.14159265f * p->tracking_bandwidth_rad_s / p->counts_per_revolution;
 }
 
-/* A wheel that turns against its set point although its speed loop drives it there. In torque mode no wheel
- * has a set point of its own, and others may drag it. */
+/* A wheel that its speed loop drives against the way it says that it turns. Without a speed loop, in torque
+ * mode, the others may drag it. */
 static bool is_driven_against(const wheel_node *node, uint8_t wheel) {
-    const float target = node->set_point_rad_s[wheel];
+    const bool by_speed_loop = node->mode == WP_MODE_SPEED || node->state != WP_STATE_ACTIVE;
     const float torque = node->torque_n_m[wheel];
-    return node->mode == WP_MODE_SPEED && node->speed_rad_s[wheel] * target < 0.0f &&
-           torque * target > 0.0f && is_strong(node, torque);
+    return by_speed_loop && node->speed_rad_s[wheel] * torque < 0.0f && is_strong(node, torque);
 }
 
-/* The other wheels say the same speed with the other sign, and that is the one which the set point has. */
+/* The other wheels say the same speed with the other sign. */
 static bool is_mirrored(const wheel_node *node, uint8_t wheel) {
     const float others = speed_by_others(node, wheel);
     const float size = wheel_magnitude(others);
-    return node->set_point_rad_s[wheel] * others > 0.0f && size > EXPECTED_RAD_S &&
-           wheel_magnitude(node->speed_rad_s[wheel] + others) < MIRRORED_PART * size;
+    return size > EXPECTED_RAD_S && wheel_magnitude(node->speed_rad_s[wheel] + others) < MIRRORED_PART * size;
 }
 
-/* An encoder that counts backward: the others contradict it, or its wheel runs away from the set point, as
- * the loop drives it ever faster. A wheel that brakes or turns round looks alike, but loses speed. */
+/* A wheel that gains speed against its torque is driven away from its set point, or is one that has to stop
+ * and does not, while the others say nothing of it. A robot that a slope drives on gains with all four. */
+static bool runs_away(const wheel_node *node, uint8_t wheel) {
+    const float speed = node->speed_rad_s[wheel];
+    const float target = node->set_point_rad_s[wheel];
+    const bool has_target = wheel_magnitude(target) > EXPECTED_RAD_S && speed * target < 0.0f;
+    const bool alone =
+        wheel_magnitude(speed - speed_by_others(node, wheel)) > CONTRADICTED_PART * wheel_magnitude(speed);
+    return wheel_magnitude(speed) > node->encoder[wheel].slowest_rad_s + RUNAWAY_RAD_S &&
+           (has_target || alone);
+}
+
+/* An encoder that counts backward: the others contradict it, or its wheel runs away, as the loop drives it
+ * ever faster. A wheel that brakes or turns round looks alike, but loses speed. */
 static void check_direction(wheel_node *node, uint8_t wheel, uint32_t limit_ticks) {
     wheel_encoder_watch *watch = &node->encoder[wheel];
     const float speed = wheel_magnitude(node->speed_rad_s[wheel]);
@@ -194,16 +206,14 @@ static void check_direction(wheel_node *node, uint8_t wheel, uint32_t limit_tick
     if (!against || speed < watch->slowest_rad_s) {
         watch->slowest_rad_s = speed;
     }
-    const bool runs_away = speed > watch->slowest_rad_s + RUNAWAY_RAD_S &&
-                           wheel_magnitude(node->set_point_rad_s[wheel]) > EXPECTED_RAD_S;
-    if (!runs_away && speed < watch->fastest_rad_s - BRAKED_RAD_S - estimate_noise_rad_s(node)) {
+    const bool away = runs_away(node, wheel);
+    if (!away && speed < watch->fastest_rad_s - BRAKED_RAD_S - estimate_noise_rad_s(node)) {
         watch->backward_ticks = 0u;
     }
     if (watch->backward_ticks == 0u || speed > watch->fastest_rad_s) {
         watch->fastest_rad_s = speed;
     }
-    watch->backward_ticks =
-        against && (runs_away || is_mirrored(node, wheel)) ? watch->backward_ticks + 1u : 0u;
+    watch->backward_ticks = against && (away || is_mirrored(node, wheel)) ? watch->backward_ticks + 1u : 0u;
     if (watch->backward_ticks >= limit_ticks) {
         wheel_node_fault(node, WP_FAULT_WRONG_DIRECTION, (uint8_t)(wheel + 1u));
     }
