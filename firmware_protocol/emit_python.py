@@ -193,3 +193,6 @@ def _tables(schema: Schema) -> Iterator[str]:
     yield "}"
     yield "LENGTHS: dict[int, int] = {number: message.LENGTH for number, message in MESSAGES.items()}"
     yield "NAMES: dict[int, str] = {number: message.NAME for number, message in MESSAGES.items()}"
+    yield "SENDERS: dict[int, str] = {"
+    yield from (f'    0x{m.id:03X}: "{m.sender}",' for m in schema.messages)
+    yield "}"
