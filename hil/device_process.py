@@ -23,7 +23,7 @@ def serve(scenario: Scenario, truth_port: int, say: Callable[[str], None], targe
         url = parse_link(scenario.link.url)
         robot = open_target(target, virtual_robot(scenario), url)
         resources.callback(robot.close)
-        wire, reach = open_robot(url)
+        wire, reach = open_robot(url, say)
         resources.callback(wire.close)
         truth = TruthServer(scenario.hash, truth_port)
         resources.callback(truth.close)

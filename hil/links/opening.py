@@ -1,13 +1,14 @@
 """From a link's URL to its two ends: the host's, which is a Link, and the robot's, which is a Wire."""
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from hil.errors import BadInputError
 from hil.links.framed import StreamLink
 from hil.links.streams import MemoryStream, memory_pair
 from hil.links.url import CanUrl, LinkUrl, MemoryUrl, SerialUrl, format_link
-from hil.links.wire import CanWire, SerialWire, Wire
+from hil.links.wire import CanWire, ReopeningWire, SerialWire, Wire
 from hil.ports import Link
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ def open_pair(url: LinkUrl) -> Pair:
             pty = _pty_stream(url)
             return Pair(StreamLink(_serial_stream(pty.port, url.baud)), SerialWire(pty), None)
         case CanUrl():
-            return Pair(_can_link(url), CanWire(_can_link(url)), None)
+            return Pair(_can_link(url, "ROBOT"), CanWire(_can_link(url, "HOST")), None)
 
 
 def open_host(url: LinkUrl) -> Link:
@@ -54,21 +55,26 @@ def open_host(url: LinkUrl) -> Link:
         case SerialUrl():
             return StreamLink(_serial_stream(url.port, url.baud))
         case CanUrl():
-            return _can_link(url)
+            return _can_link(url, "ROBOT")
         case MemoryUrl():
             raise BadInputError("memory: has no other end outside this process; use serial:... or can:...")
 
 
-def open_robot(url: LinkUrl) -> tuple[Wire, str]:
-    """Open the robot's end of a link, and return it with the URL that a host uses to reach it."""
+def open_robot(url: LinkUrl, say: Callable[[str], None]) -> tuple[Wire, str]:
+    """Open the robot's end of a link, and return it with the URL that a host uses to reach it.
+
+    When it is lost later it is opened anew, and ``say`` gets a sentence. Raises LinkError or BadInputError.
+    """
     match url:
         case SerialUrl() if url.is_pty:
             pty = _pty_stream(url)
             return SerialWire(pty), format_link(SerialUrl(url.symlink or pty.port, url.baud))
         case SerialUrl():
-            return SerialWire(_serial_stream(url.port, url.baud)), format_link(url)
+            stream = _serial_stream(url.port, url.baud)
+            return ReopeningWire(SerialWire(stream), stream.reopen, say), format_link(url)
         case CanUrl() if url.interface != "virtual":
-            return CanWire(_can_link(url)), format_link(url)
+            bus = _can_link(url, "HOST")
+            return ReopeningWire(CanWire(bus), bus.reopen, say), format_link(url)
         case _:
             raise BadInputError(
                 f"{format_link(url)} does not reach another process; use --link serial:pty, serial:PATH or "
@@ -96,7 +102,7 @@ def _pty_stream(url: SerialUrl) -> "PtyStream":
     return PtyStream(Path(url.symlink) if url.symlink else None)
 
 
-def _can_link(url: CanUrl) -> "CanLink":
+def _can_link(url: CanUrl, hears: Literal["HOST", "ROBOT"]) -> "CanLink":
     from hil.links.can_bus import CanLink
 
-    return CanLink(url)
+    return CanLink(url, hears)

@@ -27,8 +27,9 @@ def _open_failure(port: str, baud: int, error: Exception) -> LinkError:
     if is_url and "protocol" in text and "not known" in text:
         return LinkError(f"serial URL {port!r}: pyserial knows no {scheme!r}{nearest(scheme, _URL_HANDLERS)}")
     if is_url and scheme in ("socket", "rfc2217"):
+        reason = "its port number is missing" if "NoneType" in text else _last_words(text)
         return LinkError(
-            f"serial URL {port!r} could not be opened ({_last_words(text)}); expected {scheme}://HOST:PORT, with the "
+            f"serial URL {port!r} could not be opened ({reason}); expected {scheme}://HOST:PORT, with the "
             "serial server running there and nobody else connected to it"
         )
     if number == errno.ENOENT or ("could not open port" in text and "FileNotFoundError" in text):
@@ -44,7 +45,9 @@ def _open_failure(port: str, baud: int, error: Exception) -> LinkError:
         return _baud_refused(port, baud)
     if number == errno.ENOTTY or "Could not configure port" in text:
         return LinkError(f"{port!r} is not a serial port ({text}); expected a device such as /dev/ttyACM0 or COM3")
-    return LinkError(f"serial port {port!r} could not be opened: {text}")
+    return LinkError(
+        f"serial port {port!r} could not be opened: {text}; list the ports with: python -m serial.tools.list_ports"
+    )
 
 
 def _last_words(text: str) -> str:
@@ -79,8 +82,8 @@ def _rate_of(port: Any) -> int | None:
 class SerialStream:
     """A serial port as a byte stream, opened exclusively.
 
-    Reads wait in ``select`` where the port has a descriptor; elsewhere a thread waits by pyserial's timeout. Where the driver has
-    a low-latency mode it is set. A write that is not taken within 1 s means that the line is lost.
+    Reads wait in ``select`` where the port has a descriptor; elsewhere a thread waits by pyserial's timeout. Where the
+    driver has a low-latency mode it is set. A write that is not taken within 1 s means that the line is lost.
 
     Raises LinkError when the port does not exist, is busy, is forbidden, is no serial port or refuses the baud rate.
     """
