@@ -26,6 +26,8 @@ def _open_failure(port: str, baud: int, error: Exception) -> LinkError:
     scheme, is_url, _ = port.partition("://")
     if is_url and "protocol" in text and "not known" in text:
         return LinkError(f"serial URL {port!r}: pyserial knows no {scheme!r}{nearest(scheme, _URL_HANDLERS)}")
+    if "baudrate" in text or "baud rate" in text:
+        return _baud_refused(port, baud)
     if is_url and scheme in ("socket", "rfc2217"):
         reason = "its port number is missing" if "NoneType" in text else _last_words(text)
         return LinkError(
@@ -41,8 +43,6 @@ def _open_failure(port: str, baud: int, error: Exception) -> LinkError:
         )
     if number in (errno.EAGAIN, errno.EBUSY, errno.EWOULDBLOCK) or "exclusively lock" in text:
         return LinkError(f"serial port {port!r} is busy: another program holds it; close that program")
-    if "baud" in text:
-        return _baud_refused(port, baud)
     if number == errno.ENOTTY or "Could not configure port" in text:
         return LinkError(f"{port!r} is not a serial port ({text}); expected a device such as /dev/ttyACM0 or COM3")
     return LinkError(
@@ -100,9 +100,9 @@ class SerialStream:
         """Close the port and open it anew. Raises LinkError as the class does."""
         self.close()
         try:
-            self._port = serial.serial_for_url(
-                self._name, baudrate=self._baud, timeout=0, write_timeout=_WRITE_TIMEOUT_S, do_not_open=True
-            )
+            self._port = serial.serial_for_url(self._name, baudrate=self._baud, timeout=0, do_not_open=True)
+            if not self._name.startswith("rfc2217:"):  # its writes end by a limit of 5 s of its own
+                self._port.write_timeout = _WRITE_TIMEOUT_S
             if "://" not in self._name:
                 self._port.exclusive = True
             self._port.open()
