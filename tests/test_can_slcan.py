@@ -15,8 +15,8 @@ from tests.processes import device, run_json
 
 adapters = pytest.importorskip("tests.slcan_adapters", reason="pseudo-terminals need a POSIX system")
 
-FEEDBACK = [Frame(m.WheelSpeeds.ID, bytes([i] * 8)) for i in range(200)]
-COMMANDS = [Frame(m.WheelCommand.ID, bytes([i] * 8)) for i in range(200)]
+FEEDBACK = [Frame(m.WheelSpeeds.ID, bytes([i] * 8)) for i in range(80)]
+COMMANDS = [Frame(m.WheelCommand.ID, bytes([i] * 8)) for i in range(80)]
 
 
 @contextlib.contextmanager

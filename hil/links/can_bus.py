@@ -19,6 +19,9 @@ from hil.ports import Received
 _QUEUE_FULL_S = 0.05  # at 1 Mbit/s and full load a queue of 100 frames is empty after 13 ms
 _QUEUE_RETRY_S = 0.0005
 _MOST_FILTERS = 8
+# Here python-can keeps no frame back, and its own wait is not good enough: slcan's polls, and both slcan's and the
+# multicast's end early at what is no frame.
+_SELECTABLE_INTERFACES = ("socketcan", "slcan", "udp_multicast")
 # Where the filters are in the kernel or the driver, and error frames come past them. Others would filter in Python, and
 # drop error frames too; there ``_refusal`` does it at no further cost.
 _FILTERING_INTERFACES = ("socketcan", "ixxat")
@@ -91,13 +94,13 @@ class CanLink:
             yield "channel", url.channel
 
     def _find_descriptor(self) -> int | None:
-        """Return what to wait on. python-can's own wait of some interfaces polls, or ends early at a reply."""
-        try:
-            descriptor = int(self._bus.fileno())
-            select.select([descriptor], [], [], 0)
-        except (*self._failures, NotImplementedError, AttributeError):
+        """Return what to wait on, or None where python-can is to wait."""
+        if self._url.interface not in _SELECTABLE_INTERFACES:
             return None
-        return descriptor
+        try:
+            return int(self._bus.fileno())
+        except (*self._failures, NotImplementedError):
+            return None  # slcan over a URL, or on Windows
 
     def send(self, frame: Frame) -> None:
         message = self._can.Message(
@@ -148,11 +151,12 @@ class CanLink:
         """Return the next frame of any kind, or None after the timeout."""
         if self._descriptor is None:
             return bus.recv(max(0, timeout_ns) * 1e-9)
-        wait_s = max(0, timeout_ns) * 1e-9
-        while select.select([self._descriptor], [], [], wait_s)[0]:
+        deadline_ns = time.monotonic_ns() + timeout_ns
+        while select.select([self._descriptor], [], [], max(0, timeout_ns) * 1e-9)[0]:
             if (message := bus.recv(0)) is not None:
                 return message
-            wait_s = 0.0  # what came was no frame, such as an adapter's reply; is there more?
+            # What came was no frame, such as an adapter's reply: wait on for what is left of the time.
+            timeout_ns = deadline_ns - time.monotonic_ns()
         return None
 
     def _count_error(self, message: Any) -> None:

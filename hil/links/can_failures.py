@@ -43,7 +43,7 @@ def failure(url: CanUrl, error: Exception) -> LinkError:
     if _lacks_library(error, text):
         needs = _LIBRARIES.get(url.interface, f"software of its maker, which python-can asks for: {text}")
         return LinkError(f"{where} cannot be used: install {needs}")
-    if "itrate" in text and isinstance(error, ValueError):
+    if "bitrate" in text:
         return LinkError(f"{where} cannot run at {url.bitrate} bit/s ({text}); set bitrate= to one of these")
     if url.interface == "socketcand":
         return LinkError(f"{where} failed ({text}); start socketcand on that host, with the channel in its list")
