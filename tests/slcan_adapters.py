@@ -32,6 +32,7 @@ class SlcanBus:
         self._filler = filler
         self.ports = [adapter.port for adapter in self._adapters]
         self._woken, self._wake = os.pipe()
+        self._opened = threading.Condition()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
@@ -50,7 +51,9 @@ class SlcanBus:
             adapter.bit_rate = BIT_RATES[int(rest)]
             return _OK
         if command in (b"O", b"L") and adapter.bit_rate is not None:
-            adapter.is_open = True
+            with self._opened:
+                adapter.is_open = True
+                self._opened.notify_all()
             return _OK
         if command == b"C":
             adapter.is_open = False
@@ -61,6 +64,11 @@ class SlcanBus:
                     os.write(other.master, self._filler + line + b"\r")
             return _TRANSMIT[line[0]]
         return _BELL
+
+    def wait_until_open(self) -> None:
+        """Return when all adapters are on the bus: python-can does not wait for their answers."""
+        with self._opened:
+            assert self._opened.wait_for(lambda: all(adapter.is_open for adapter in self._adapters), 10.0)
 
     def close(self) -> None:
         os.write(self._wake, b"x")

@@ -24,6 +24,7 @@ def two_links(filler: bytes = b"", bitrate: int = 1_000_000) -> Iterator[tuple[C
     bus = adapters.SlcanBus(2, filler)
     host = CanLink(parse_link(f"can:slcan/{bus.ports[0]}"), "ROBOT")
     robot = CanLink(parse_link(f"can:slcan/{bus.ports[1]}?bitrate={bitrate}"), "HOST")
+    bus.wait_until_open()
     try:
         yield host, robot
     finally:
