@@ -82,6 +82,7 @@ def run_scenario(
                 Recording(record, properties=properties(scenario), blocking=blocking, live_port=live_port)
             )
             recording.event(0.0, "info", f"robot: {robot.describe()}")
+            recording.event(0.0, "info", f"link: {bench.device.describe_link()}")
         loop = make_loop(bench, memory if recording is None else _Both(memory, recording))
         origin_ns = _reach(bench, lambda: bench.device.start(bench.clock, scenario.loop.period_ns))
         bench.faults.begin(origin_ns)

@@ -393,6 +393,10 @@ class Stm32:
         robot = {f"robot_{cause}": count for cause, count in self._robot_rejected.items()}
         return {cause: count for cause, count in (own | robot).items() if count}
 
+    def describe_link(self) -> str:
+        """Return what the link is, in words for a person."""
+        return self._link.describe()
+
     def close(self) -> None:
         """Release the link."""
         self._link.close()
