@@ -177,6 +177,9 @@ class Loop:
                 if waited_in_vain > 1:
                     # No held command can be the cause any more, so it is STEP: time stands still without the robot.
                     recovery.revive()
+                elif isinstance(error, RobotStoppedError):
+                    # Lockstep: a robot that was reset counts its ticks from 0, and is asked for them first.
+                    recovery.advance()
                 continue
             waited_in_vain = 0
             begin_ns = time.perf_counter_ns()

@@ -9,17 +9,19 @@ from pathlib import Path
 
 import pytest
 
-from tests.processes import HIL, ROOT, device, environment, wait_for
+from tests.processes import HIL, ROOT, device, environment
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals need a POSIX system")
 
-REAL_TIME = ("paper_circle", "--mode", "realtime", "--set", "loop.rate_hz=100")
+SCENARIO = ("paper_circle", "--set", "loop.rate_hz=100")
+REAL_TIME = (*SCENARIO, "--mode", "realtime")
+LOCKSTEP = (*SCENARIO, "--mode", "lockstep")
 RUN = ("--record", "none", "--json", "--set", "expect=[]")
 REARM = ("--set", "loop.rearm=true")
 
 
 def start_run(*options: str) -> subprocess.Popen[str]:
-    command = [*HIL, "run", *REAL_TIME, *RUN, *options]
+    command = [*HIL, "run", *RUN, *options]
     return subprocess.Popen(command, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
@@ -29,33 +31,31 @@ def finish(process: subprocess.Popen[str]) -> dict:
     return json.loads(output)
 
 
-def test_a_serial_robot_that_was_killed_and_started_again_is_armed_anew(tmp_path: Path):
+def wait_until_driven(truth: str) -> None:
+    subprocess.run([sys.executable, "-c", WAIT_UNTIL_DRIVEN, truth], env=environment(), timeout=60, check=True)
+
+
+@pytest.mark.parametrize(("mode", "duration_s"), [(REAL_TIME, 15), (LOCKSTEP, 40)])
+def test_a_serial_robot_that_was_killed_and_started_again_is_armed_anew(mode, duration_s, tmp_path: Path):
     name = tmp_path / "robot"
     serial = ("--link", f"serial:pty?symlink={name}")
-    odometry = ("--set", "estimator.source=odometry", "--set", "loop.duration_s=15")
-    with device(*REAL_TIME, *serial) as robot:
-        driver = start_run("--link", f"serial:{name}", *odometry, *REARM)
-        # The robot is driven once commands come at the loop's rate: its log of the truth says so.
-        active = subprocess.run(
-            [sys.executable, "-c", WAIT_ACTIVE, robot.truth, *REAL_TIME], env=environment(), timeout=60, check=True
-        )
-        assert active.returncode == 0
+    blind = ("--set", "estimator.source=odometry", "--set", f"loop.duration_s={duration_s}")
+    with device(*mode, *serial) as robot:
+        driver = start_run(*mode, "--link", f"serial:{name}", *blind, *REARM)
+        wait_until_driven(robot.truth)
         robot.process.kill()
-    wait_for(lambda: not name.exists(), 5.0)
-    with device(*REAL_TIME, *serial) as robot:
-        subprocess.run(
-            [sys.executable, "-c", WAIT_ACTIVE, robot.truth, *REAL_TIME], env=environment(), timeout=60, check=True
-        )
+        robot.process.wait()
+    assert not name.exists(), "the name leads nowhere"
+    with device(*mode, *serial) as robot:
+        wait_until_driven(robot.truth)
         figures = finish(driver)
     assert figures["failure"] is None
-    (recovery,) = figures["recoveries"]
-    assert "lost" in recovery["why"]
+    assert any("lost" in row["why"] for row in figures["recoveries"]), "beside stalls of this machine"
     assert figures["stopped"]
-    rows, missed = figures["ticks"], figures["deadline_misses"]
-    assert rows + missed == 1500
+    assert figures["ticks"] + figures["deadline_misses"] == 100 * duration_s
 
 
-WAIT_ACTIVE = """
+WAIT_UNTIL_DRIVEN = """
 import sys, time
 from firmware_protocol.generated.messages import State
 from hil.devices.truth import TruthClient
@@ -81,7 +81,7 @@ from tests.test_rearm_processes import REAL_TIME, REARM, finish, start_run
 BUS = ("--link", "can:udp_multicast/239.74.163.2")
 ip = lambda *words: subprocess.run(["ip", *words], check=True)
 with device(*REAL_TIME, *BUS) as robot:
-    driver = start_run(*BUS, "--truth", robot.truth, "--set", "loop.duration_s=8", *sys.argv[1:])
+    driver = start_run(*REAL_TIME, *BUS, "--truth", robot.truth, "--set", "loop.duration_s=8", *sys.argv[1:])
     from firmware_protocol.generated.messages import State
     from hil.devices.truth import TruthClient
     from hil.scenario import load
@@ -128,8 +128,8 @@ def in_a_network_of_its_own(*arguments: str) -> dict:
 def test_a_can_bus_that_goes_down_and_up_is_recovered_from():
     figures = in_a_network_of_its_own(*REARM)
     assert figures["failure"] is None
-    (recovery,) = figures["recoveries"]
-    assert "no network reaches the multicast group" in recovery["why"]
+    reasons = [row["why"] for row in figures["recoveries"]]
+    assert any("no network reaches the multicast group" in why for why in reasons), "beside stalls of this machine"
     assert figures["stopped"]
 
 
