@@ -82,6 +82,7 @@ def run_scenario(
                 Recording(record, properties=properties(scenario), blocking=blocking, live_port=live_port)
             )
             recording.event(0.0, "info", f"robot: {robot.describe()}")
+            recording.event(0.0, "info", f"link: {bench.device.describe_link()}")
         loop = make_loop(bench, memory if recording is None else _Both(memory, recording))
         origin_ns = _reach(bench, lambda: bench.device.start(bench.clock, scenario.loop.period_ns))
         bench.faults.begin(origin_ns)
@@ -115,7 +116,7 @@ def _loop_of(scenario: Scenario) -> Callable[[Bench, Sink], Loop]:
     def make(bench: Bench, sink: Sink) -> Loop:
         estimator = make_estimator(scenario.estimator.source, model, bench.start_pose(), counts)
         parts = Parts(bench.clock, bench.device, bench.truth, estimator, reference, controller, guard, sink)
-        return Loop(parts, table.mode, timing)
+        return Loop(parts, table.mode, timing, rearm=scenario.loop.rearm)
 
     return make
 
@@ -183,6 +184,7 @@ def _figures(
         "stopped": report.stopped,
         "commands_refused": commands_refused,
         "stale_ticks": report.stale,
+        "recoveries": [recovered._asdict() for recovered in report.recoveries],
         "robot_slipped_ticks": bench.slipped_ticks,
         "expect": outcomes,
         "fault": applied,
@@ -197,6 +199,8 @@ def _note_events(recording: Recording, loop: Loop, metrics: Mapping[str, Any]) -
     for row in metrics["fault"]:
         level = "info" if row["applied"] else "error"
         recording.event(loop.t_s, level, f"fault {row['kind']} {row['target']}: applied {row['applied']} times")
+    for row in metrics["recoveries"]:
+        recording.event(row["lost_s"], "warning", f"{row['why']}; ACTIVE again at t = {row['armed_s']:.3f} s")
     for row in metrics["expect"]:
         at_s = loop.t_s if row["violation_s"] is None else row["violation_s"]
         recording.event(at_s, "info" if row["passed"] else "error", row["text"])

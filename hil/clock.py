@@ -39,5 +39,10 @@ class LockstepClock:
         if ticks > 0:
             # What the robot sends during the step is stamped with the step's end.
             self._now_ns += ticks * TICK_NS
-            self._step(ticks)
+            try:
+                self._step(ticks)
+            except BaseException:
+                # The robot did not get there; when it is back, the same ticks are still to come.
+                self._now_ns -= ticks * TICK_NS
+                raise
         return 0

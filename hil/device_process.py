@@ -24,7 +24,7 @@ def serve(scenario: Scenario, truth_port: int, say: Callable[[str], None], targe
         lockstep = scenario.loop.mode == "lockstep"
         robot = open_target(target, virtual_robot(scenario), url)
         resources.callback(robot.close)
-        wire, reach = open_robot(url, lockstep=lockstep)
+        wire, reach = open_robot(url, say, lockstep=lockstep)
         resources.callback(wire.close)
         truth = TruthServer(scenario.hash, truth_port)
         resources.callback(truth.close)

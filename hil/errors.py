@@ -30,6 +30,10 @@ class DeviceError(HilError):
     exit_code = 3
 
 
+class RobotStoppedError(DeviceError):
+    """The robot left ACTIVE, was reset or is silent, but not in FAULT or ESTOP: arming it anew may bring it back."""
+
+
 class RunInterruptedError(HilError):
     """Somebody ended the run with Ctrl-C or SIGTERM (exit code 130, as shells have it)."""
 

@@ -47,6 +47,9 @@ class Estimator(Protocol):
         ``fix`` is the newest one there is; the same measurement or fix may be given again.
         """
 
+    def restart(self) -> None:
+        """Go on with a robot that was reset: its clock and its counts began anew, the pose is the last one known."""
+
 
 class TruthEstimator:
     """Takes the pose from the fixes, and the twist too where they have one.
@@ -69,6 +72,10 @@ class TruthEstimator:
         if not math.isfinite(sum(twist)):
             twist = to_world(_body_twist(self._model, measurement), pose.heading_rad)
         return State(pose, twist)
+
+    def restart(self) -> None:
+        """Wait for a new fix."""
+        self._fix = None
 
 
 class OdometryEstimator:
@@ -98,6 +105,10 @@ class OdometryEstimator:
                 self._pose = self._moved(last, measurement)
             self._last = last = measurement
         return State(self._pose, to_world(_body_twist(self._model, last), self._pose.heading_rad))
+
+    def restart(self) -> None:
+        """Count from the next measurement on; how far the wheels rolled meanwhile is not known."""
+        self._last = None
 
     def _moved(self, last: Measurement, now: Measurement) -> Pose:
         dt_s = (now.robot_time_ns - last.robot_time_ns) * 1e-9

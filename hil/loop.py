@@ -9,10 +9,11 @@ from typing import NamedTuple
 from firmware_protocol.generated.messages import State as RobotState
 from hil.devices.snapshot import Feedback
 from hil.devices.stm32 import Stm32
-from hil.errors import DeviceError, HilError, LinkError
+from hil.errors import DeviceError, HilError, LinkError, RobotStoppedError
 from hil.estimator import Estimator
 from hil.guard import Guard
 from hil.ports import Clock, Controller, PoseSource, Sink
+from hil.recovery import Recovered, Recovery
 from hil.references import ReferenceSource
 from hil.signals import (
     BatterySignals,
@@ -72,7 +73,10 @@ class Timing(NamedTuple):
 
 
 class Report(NamedTuple):
-    """How the loop went. ``stale`` counts ticks that rested on old feedback or truth, ``failure`` is what ended it."""
+    """How the loop went. ``stale`` counts ticks that rested on old feedback or truth, ``failure`` is what ended it.
+
+    ``recoveries`` are the losses that were recovered from.
+    """
 
     ticks: int
     deadline_misses: int
@@ -81,6 +85,7 @@ class Report(NamedTuple):
     wall_s: float
     stopped: bool
     failure: HilError | None
+    recoveries: tuple[Recovered, ...]
 
 
 class Loop:
@@ -89,12 +94,21 @@ class Loop:
     ``t`` = 0 is the first ACTIVE tick, and a tick's ``t`` is its sampling instant: with a feedback latency it is
     worked out so much later, when what was sampled then has arrived. A tick that would begin after the next one is
     due is skipped and counted, never made up in a burst.
+
+    With ``rearm`` a lost link or a stopped robot does not end the run: it is brought back while the ticks go on, with
+    nothing commanded, and the law begins anew at the reference of the present ``t``.
     """
 
-    def __init__(self, parts: Parts, mode: CommandMode, timing: Timing) -> None:
+    def __init__(self, parts: Parts, mode: CommandMode, timing: Timing, *, rearm: bool = False) -> None:
         self._parts = parts
         self._timing = timing
+        self._rearm = rearm
+        self._recovery: Recovery | None = None
+        self._recoveries: list[Recovered] = []
         self._rest = WheelCommand(mode, ZERO_WHEELS, ZERO_WHEELS)
+        self._nothing = WheelCommand(mode, NAN_WHEELS, NAN_WHEELS)
+        self._applied = Applied(self._rest, False, timing.latency_s)
+        self._before: int | None = None  # the tick before, of this session of the law; None where it has not begun
         self._fixes: deque[tuple[int, PoseFix | None]] = deque()
         self._fix: PoseFix | None = None
         self._newest_ns = 0
@@ -135,7 +149,8 @@ class Loop:
         except HilError as error:
             failure = failure or error
         robot_s = self.t_s + self._timing.period_ns * 1e-9 if self._ticks else 0.0
-        return Report(self._ticks, self._misses, self._stale, robot_s, wall_s, stopped, failure)
+        recoveries = tuple(self._recoveries)
+        return Report(self._ticks, self._misses, self._stale, robot_s, wall_s, stopped, failure, recoveries)
 
     @property
     def commands_refused(self) -> int:
@@ -147,38 +162,92 @@ class Loop:
 
     def _run(self, origin_ns: int, duration_ns: int) -> None:
         device, timing = self._parts.device, self._timing
-        applied = Applied(self._rest, False, timing.latency_s)
-        started = False
-        number, before = 0, -1
         for instant in range(timing.feedback_latency_ns // timing.period_ns):
             # What is sampled now is not here yet; the robot is kept armed meanwhile.
             self._sample(origin_ns, instant)
             device.poll()
             device.send(self._rest)
+        number = waited_in_vain = 0
         while number * timing.period_ns < duration_ns:
-            late_ns = self._wait(origin_ns, number)
+            try:
+                late_ns = self._wait(origin_ns, number)
+            except (LinkError, RobotStoppedError) as error:
+                recovery = self._lose(error)
+                waited_in_vain += 1
+                if waited_in_vain > 1:
+                    # No held command can be the cause any more, so it is STEP: time stands still without the robot.
+                    recovery.revive()
+                elif isinstance(error, RobotStoppedError):
+                    # Lockstep: a robot that was reset counts its ticks from 0, and is asked for them first.
+                    recovery.advance()
+                continue
+            waited_in_vain = 0
             begin_ns = time.perf_counter_ns()
             self.t_s = number * timing.period_ns * 1e-9
-            feedback = self._feedback()
             fix = self._fix_of(number)
-            state = self._parts.estimator.update(feedback, fix)
-            reference = self._parts.reference.at(self.t_s)
-            if state is None or self._is_stale(feedback, fix):
-                command, saturated = self._rest, False
-                self._stale += state is not None
+            if self._recovery is None:
+                try:
+                    self._drive(number, late_ns, fix)
+                except (LinkError, RobotStoppedError) as error:
+                    self._lose(error)
+                    self._tell_away(number, late_ns, fix)
             else:
-                if not started:
-                    self._parts.controller.reset(state, reference)
-                    started = True
-                dt_s = (number - before) * timing.period_ns * 1e-9
-                wanted = self._parts.controller.update(reference, state, applied, dt_s)
-                command, saturated = self._parts.guard.apply(wanted)
-            device.send(command)
-            applied = Applied(command, saturated, timing.latency_s)
-            self._ticks += 1
-            self._tell(number, late_ns, feedback, fix, state, reference, applied)
+                self._come_back(self._recovery)
+                self._tell_away(number, late_ns, fix)
             self._tick_us = (time.perf_counter_ns() - begin_ns) * 1e-3
-            before, number = number, self._next(number, origin_ns)
+            number = self._next(number, origin_ns)
+        if self._recovery is not None:
+            raise LinkError(f"{self._recovery.why}; it did not come back until the end: {self._recovery.problem}")
+
+    def _drive(self, number: int, late_ns: int, fix: PoseFix | None) -> None:
+        """Sense, estimate, refer, control, guard, command, tell."""
+        feedback = self._feedback()
+        state = self._parts.estimator.update(feedback, fix)
+        reference = self._parts.reference.at(self.t_s)
+        if state is None or self._is_stale(feedback, fix):
+            command, saturated = self._rest, False
+            self._stale += state is not None
+        else:
+            if self._before is None:
+                self._parts.controller.reset(state, reference)
+                self._before = number - 1
+            dt_s = (number - self._before) * self._timing.period_ns * 1e-9
+            wanted = self._parts.controller.update(reference, state, self._applied, dt_s)
+            command, saturated = self._parts.guard.apply(wanted)
+        self._parts.device.send(command)
+        self._applied = Applied(command, saturated, self._timing.latency_s)
+        self._tell(number, late_ns, feedback, fix, state, reference, self._applied)
+        if self._before is not None:
+            self._before = number
+
+    def _lose(self, error: HilError) -> Recovery:
+        """Begin to bring the robot back, or begin that again; without ``rearm`` the run ends."""
+        if not self._rearm:
+            raise type(error)(f"{error}; to reconnect and arm anew in such a case, set loop.rearm = true") from error
+        if self._recovery is None:
+            self._recovery = Recovery(self._parts.device, self._parts.clock, error, self.t_s)
+        else:
+            self._recovery.fail(error)
+        return self._recovery
+
+    def _come_back(self, recovery: Recovery) -> None:
+        if not recovery.advance():
+            return
+        self._recoveries.append(Recovered(recovery.lost_s, self.t_s, recovery.why))
+        self._recovery = None
+        self._before = None
+        self._applied = Applied(self._rest, False, self._timing.latency_s)
+        if self._was_reset():
+            self._parts.estimator.restart()
+        self._heard_ns = None
+
+    def _was_reset(self) -> bool:
+        """Return whether the robot's clock, and with it its encoder counts, began anew since it was last heard."""
+        feedback = self._parts.device.feedback
+        if feedback is None or self._heard_ns is None:
+            return True
+        passed_ns = self._parts.clock.now_ns() - self._heard_ns
+        return abs(feedback.robot_time_ns - self._newest_ns - passed_ns) > max(_LOST_NS, passed_ns // 50)
 
     def _sample(self, origin_ns: int, instant: int) -> int:
         """Wait for a sampling instant and take the truth there; what the link brings of it comes later."""
@@ -212,12 +281,13 @@ class Loop:
         feedback = self._parts.device.poll()
         now_ns = self._parts.clock.now_ns()
         if feedback is None:
-            raise DeviceError("the robot sends no feedback")
+            raise RobotStoppedError("the robot sends no feedback")
         if self._heard_ns is None or feedback.robot_time_ns != self._newest_ns:
             self._newest_ns, self._heard_ns = feedback.robot_time_ns, now_ns
         self._silent_ns = now_ns - self._heard_ns
         if feedback.state is not RobotState.ACTIVE:
-            raise DeviceError(self._why_stopped(feedback.state))
+            latched = feedback.state in (RobotState.FAULT, RobotState.ESTOP)
+            raise (DeviceError if latched else RobotStoppedError)(self._why_stopped(feedback.state))
         if self._silent_ns > _LOST_NS:
             raise LinkError(
                 f"no feedback for {self._silent_ns * 1e-6:.0f} ms at t = {self.t_s:.3f} s: the link or the robot was "
@@ -238,17 +308,18 @@ class Loop:
         self,
         number: int,
         late_ns: int,
-        feedback: Feedback,
+        feedback: Feedback | None,
         fix: PoseFix | None,
         state: State | None,
         reference: Reference,
         applied: Applied,
     ) -> None:
         device = self._parts.device
+        self._ticks += 1
         if number % 100 == 0:
             self._rejected = sum(device.rejected().values())
         command = applied.command
-        age_ms = (self._silent_ns + self._timing.feedback_latency_ns) * 1e-6
+        age_ms = (self._silent_ns + self._timing.feedback_latency_ns) * 1e-6 if feedback is not None else NAN
         truth = fix.pose if fix is not None else NAN_POSE
         self._parts.sink.put(
             Sample(
@@ -259,23 +330,35 @@ class Loop:
                 truth,
                 _error(truth, reference.pose),
                 self._parts.controller.gains,
-                feedback.speed_rad_s,
+                feedback.speed_rad_s if feedback is not None else NAN_WHEELS,
                 command.speed_rad_s if command.mode is CommandMode.SPEED else NAN_WHEELS,
                 command.torque_n_m,
-                feedback.current_a,
+                feedback.current_a if feedback is not None else NAN_WHEELS,
                 device.health.temperature_degc,
-                RobotSignals(
-                    feedback.robot_time_ns * 1e-9,
-                    feedback.state,
-                    feedback.command_age_ms,
-                    feedback.yaw_rate_rad_s,
-                    *feedback.acceleration_m_s2,
-                ),
+                _robot_signals(feedback),
                 BatterySignals(device.health.battery_v, device.health.battery_a),
                 GuardSignals(applied.saturated),
                 LinkSignals(device.sent, device.received, self._rejected, age_ms),
             ).row()
         )
+
+    def _tell_away(self, number: int, late_ns: int, fix: PoseFix | None) -> None:
+        """Tell of a tick in which nothing is commanded: what is heard of the robot, which may be nothing."""
+        applied = Applied(self._nothing, False, self._timing.latency_s)
+        feedback, reference = self._parts.device.feedback, self._parts.reference.at(self.t_s)
+        self._tell(number, late_ns, feedback, fix, None, reference, applied)
+
+
+def _robot_signals(feedback: Feedback | None) -> RobotSignals:
+    if feedback is None:
+        return RobotSignals(*[NAN] * len(RobotSignals._fields))
+    return RobotSignals(
+        feedback.robot_time_ns * 1e-9,
+        feedback.state,
+        feedback.command_age_ms,
+        feedback.yaw_rate_rad_s,
+        *feedback.acceleration_m_s2,
+    )
 
 
 def _error(truth: Pose, reference: Pose) -> ErrorSignals:

@@ -35,6 +35,15 @@ class Link(Protocol):
     def rejected(self) -> dict[str, int]:
         """Return how many received frames were dropped so far, by cause."""
 
+    def reopen(self) -> None:
+        """Close the link and open it anew after it was lost; what was on its way is forgotten, counters go on.
+
+        Raises LinkError while that is not possible; it may be tried again.
+        """
+
+    def describe(self) -> str:
+        """Return what the link is, in words for a person."""
+
     def close(self) -> None:
         """Release the link. Closing twice is allowed."""
 

@@ -127,6 +127,8 @@ def print_figures(metrics: Mapping[str, Any]) -> None:
         print(f"  {'frames':<22} {frames['sent']} sent, {frames['received']} received, rejected: {rejected}")
     for row in metrics.get("fault") or ():
         print(f"  {'fault':<22} {row['kind']} {row['target']}: applied {row['applied']} times")
+    for row in metrics.get("recoveries") or ():
+        print(f"  {'recovery':<22} lost at {row['lost_s']:.3f} s, ACTIVE again at {row['armed_s']:.3f} s: {row['why']}")
     for row in metrics.get("expect") or ():
         print(f"  {'expect':<22} {row['text']}")
     recorded = metrics.get("recorded")

@@ -22,3 +22,11 @@ def test_a_missing_fmu_is_one_sentence() -> None:
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert done.stderr.startswith("tools.bench.fmu_step: FMU none.fmu does not exist")
+
+
+def test_the_cost_of_foreign_can_traffic_is_printed_as_a_ratio() -> None:
+    command = [sys.executable, "-m", "tools.bench.can_foreign", "--frames", "50", "--repeats", "2"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    for words in ("python-can, recv loop", "CanLink.receive", "21 of 2048 identifiers"):
+        assert words in done.stdout

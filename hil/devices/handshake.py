@@ -1,7 +1,7 @@
 """The handshake: HELLO and its pages, and what a host holds a robot to before anything moves."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 from firmware_protocol import codec
@@ -11,7 +11,7 @@ from hil.errors import BadInputError, DeviceError
 from hil.ports import Link
 
 SILENCE_NS = 2_000_000_000
-_RETRY_NS = 200_000_000
+RETRY_NS = 200_000_000
 _PAGES = (m.HelloIdentity, m.HelloFirmware, m.HelloParameters, m.HelloGeometry)
 
 
@@ -43,38 +43,80 @@ class Expected(NamedTuple):
     allow_motion: bool
 
 
+class Greeting:
+    """Collects the HELLO pages; without I/O, so that it serves a host that waits and one whose tick goes on."""
+
+    def __init__(self) -> None:
+        self._pages: dict[type, codec.Message] = {}
+
+    def feed(self, message: codec.Message | None) -> RobotInfo | None:
+        """Take a message; return what the robot is once all pages are there.
+
+        Raises BadInputError when it speaks another version.
+        """
+        if isinstance(message, m.HelloIdentity):
+            # Page 0 is frozen for ever; the others may differ in a robot of another version.
+            _check_version(message)
+        if not isinstance(message, _PAGES):
+            return None
+        self._pages[type(message)] = message
+        return self._info() if len(self._pages) == len(_PAGES) else None
+
+    def _info(self) -> RobotInfo:
+        identity, firmware, held, geometry = (self._pages[kind] for kind in _PAGES)
+        assert isinstance(identity, m.HelloIdentity)
+        assert isinstance(firmware, m.HelloFirmware)
+        assert isinstance(held, m.HelloParameters)
+        assert isinstance(geometry, m.HelloGeometry)
+        version = f"{firmware.major}.{firmware.minor}.{firmware.patch}"
+        return RobotInfo(
+            identity.capabilities, version, firmware.build, held.parameter_hash, held.watchdog_ms, geometry
+        )
+
+
 def greet(link: Link, send: Callable[[codec.Message], None]) -> RobotInfo:
     """Ask for the HELLO pages until all have come.
 
     Raises DeviceError when the robot does not answer within 2 s, BadInputError when it speaks another version.
     """
-    pages: dict[type, codec.Message] = {}
+    greeting = Greeting()
+    before = link.rejected()
+    heard = 0
     deadline_ns = time.monotonic_ns() + SILENCE_NS
     retry_ns = 0
-    while len(pages) < len(_PAGES):
-        now_ns = time.monotonic_ns()
-        if now_ns > deadline_ns:
-            raise DeviceError(
-                "the robot did not answer HELLO within 2 s; check that it is powered, that the link is the right one, "
-                "and its baud or bit rate"
-            )
+    while (now_ns := time.monotonic_ns()) <= deadline_ns:
         if now_ns >= retry_ns:
             send(m.HelloRequest(m.PROTOCOL_VERSION))
-            retry_ns = now_ns + _RETRY_NS
-        received = link.receive(_RETRY_NS)
-        message = codec.decode(received.frame) if received is not None else None
-        if isinstance(message, m.HelloIdentity):
-            # Page 0 is frozen for ever; the others may differ in a robot of another version.
-            _check_version(message)
-        if isinstance(message, _PAGES):
-            pages[type(message)] = message
-    identity, firmware, held, geometry = (pages[kind] for kind in _PAGES)
-    assert isinstance(identity, m.HelloIdentity)
-    assert isinstance(firmware, m.HelloFirmware)
-    assert isinstance(held, m.HelloParameters)
-    assert isinstance(geometry, m.HelloGeometry)
-    version = f"{firmware.major}.{firmware.minor}.{firmware.patch}"
-    return RobotInfo(identity.capabilities, version, firmware.build, held.parameter_hash, held.watchdog_ms, geometry)
+            retry_ns = now_ns + RETRY_NS
+        received = link.receive(RETRY_NS)
+        if received is None:
+            continue
+        heard += 1
+        if (info := greeting.feed(codec.decode(received.frame))) is not None:
+            return info
+    rejected = {cause: count - before.get(cause, 0) for cause, count in link.rejected().items()}
+    raise DeviceError(f"the robot did not answer HELLO within 2 s ({link.describe()}); {_why_silent(heard, rejected)}")
+
+
+def _why_silent(heard: int, rejected: Mapping[str, int]) -> str:
+    """Return what the traffic of a handshake in vain says of its cause, and what to do."""
+    bus_errors = sum(count for cause, count in rejected.items() if cause.startswith("error_"))
+    noise = rejected.get("cobs", 0) + rejected.get("crc", 0) + rejected.get("overrun", 0)
+    strangers = rejected.get("foreign", 0) + rejected.get("unknown_id", 0)
+    if heard:
+        return f"{heard} frames of a robot came but not its HELLO; reset the robot and try again"
+    if rejected.get("error_acknowledgement") and bus_errors == rejected["error_acknowledgement"]:
+        return "nobody on the bus acknowledges our frames; check that the robot is powered, the cable, and its bit rate"
+    if bus_errors and not strangers:
+        return (
+            f"{bus_errors} error frames came and no valid one: the bit rate is wrong, or a terminator is missing; "
+            "set bitrate= in the link to the robot's"
+        )
+    if noise:
+        return f"bytes came, but {noise} frames of them were not whole: set baud= in the link to the robot's rate"
+    if strangers:
+        return f"{strangers} frames of others came, so the bus works; check that the robot is powered and on this bus"
+    return "check that it is powered, that the link is the right one, and its baud or bit rate"
 
 
 def _check_version(identity: m.HelloIdentity) -> None:

@@ -51,6 +51,12 @@ class SnapshotAssembler:
         self.incomplete = 0
         self.lost = 0
 
+    def restart(self) -> None:
+        """Begin anew with a robot that was lost or reset: its numbers and its clock may have begun anew too."""
+        self._missing = 0
+        self._last_number = None
+        self._last_us = None
+
     def feed(self, message: Message) -> Feedback | None:
         """Take a message; return the snapshot that it completes, if it does."""
         if isinstance(message, Tick):

@@ -15,16 +15,15 @@ from firmware_protocol import codec
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m
 from hil.devices import handshake
-from hil.devices.handshake import Expected, RobotInfo
+from hil.devices.handshake import RETRY_NS, Expected, Greeting, RobotInfo
 from hil.devices.snapshot import Feedback, SnapshotAssembler
 from hil.devices.wheel_map import WheelMap
-from hil.errors import DeviceError, HilError
+from hil.errors import BadInputError, DeviceError, HilError, RobotStoppedError
 from hil.links.delay import DelayedLink
 from hil.ports import Clock
 from hil.types import NAN, NAN_WHEELS, ZERO_WHEELS, CommandMode, WheelCommand, Wheels
 
 SILENCE_NS = 2_000_000_000  # wall-clock silence that ends a handshake or a step
-_RETRY_NS = 200_000_000
 _HEARTBEAT_NS = 100_000_000
 _START_LIMIT_NS = 4_000_000_000
 _FIRST_HELLO_ID = m.HelloRequest.ID
@@ -68,6 +67,9 @@ class Stm32:
         self._assembler = SnapshotAssembler()
         self._clock: Clock | None = None
         self._feedback: Feedback | None = None
+        self._info: RobotInfo | None = None
+        self._greeting: Greeting | None = None
+        self._greet_again_ns = 0
         self.tick = 0  # in lockstep: the firmware tick that the robot has reached
         self._sequence = 0
         self._nonce = next(nonces)
@@ -90,9 +92,59 @@ class Stm32:
         """Ask for HELLO and check the answer against what the scenario expects."""
         info = handshake.greet(self._link, self._send)
         handshake.check(info, self._expected)
+        self._info = info
         if self._expected.lockstep:
             self.tick = self._exchange_step(m.Step(0, 0))
         return info
+
+    # Coming back after a loss, in steps that do not wait: the tick of the loop goes on meanwhile
+
+    def leave(self) -> None:
+        """Command nothing any more: the link or the robot was lost, and what is held is not for the next session."""
+        self._request = m.Request.IDLE
+        self._next_heartbeat_ns = None
+        self._feedback = None
+        self.status = None
+        self._link.discard()
+
+    def reopen(self) -> None:
+        """Close and open the link anew. Raises LinkError while that is not possible."""
+        self._link.reopen()
+
+    def begin_again(self) -> None:
+        """Begin with a robot that may have been reset meanwhile, or exchanged: a new nonce, and the handshake.
+
+        Raises RobotStoppedError when it does not answer in lockstep.
+        """
+        self.leave()
+        self._assembler.restart()
+        self._last_counters.clear()
+        self._nonce = next(self._nonces)
+        self._greeting = Greeting()
+        self._greet_again_ns = 0
+        if self._expected.lockstep:
+            self.tick = self._exchange_step(m.Step(0, 0))
+
+    def _check_same(self, info: RobotInfo) -> None:
+        handshake.check(info, self._expected)
+        if self._info is not None and info != self._info:
+            raise BadInputError(
+                f"another robot answers on the link: {info.describe()}; the run began with {self._info.describe()}; "
+                "plug in the first one, or start a new run"
+            )
+
+    def greeted(self) -> bool:
+        """Return whether the robot has answered HELLO, asking for it when that is due.
+
+        Raises BadInputError when it is not the robot that the scenario describes.
+        """
+        clock = self._clock
+        assert clock is not None
+        if self._greeting is not None and clock.now_ns() >= self._greet_again_ns:
+            self._send(m.HelloRequest(m.PROTOCOL_VERSION))
+            self._greet_again_ns = clock.now_ns() + RETRY_NS
+        self.poll()
+        return self._greeting is None
 
     # The way to ACTIVE and back
 
@@ -120,21 +172,30 @@ class Stm32:
         while True:
             now_ns = begin_ns + n * period_ns
             if now_ns - begin_ns > _START_LIMIT_NS:
-                raise DeviceError(self._why_not_active())
+                raise DeviceError(self.why_not_active())
             self.wait_until(now_ns)
-            feedback = self.poll()
-            state = feedback.state if feedback is not None else None
-            # STATUS tells whose session it is: another host may have armed the robot meanwhile.
-            ours = self.status is not None and self.status.nonce == self._nonce
-            if state is m.State.ACTIVE and ours:
+            if self.armed():
                 return now_ns
-            if state is m.State.IDLE:
-                self._ask_to_arm()
-            elif state is m.State.ARMED and ours:
-                self.send(WheelCommand(self._mode, ZERO_WHEELS, ZERO_WHEELS))
-            elif state in (m.State.FAULT, m.State.ESTOP):
-                raise DeviceError(self._why_not_active())
             n += 1
+
+    def armed(self) -> bool:
+        """Take one step of the way to ACTIVE; return whether the robot is there, in our session.
+
+        Raises DeviceError when it refuses, or has latched FAULT or ESTOP.
+        """
+        feedback = self.poll()
+        state = feedback.state if feedback is not None else None
+        # STATUS tells whose session it is: another host may have armed the robot meanwhile.
+        ours = self.status is not None and self.status.nonce == self._nonce
+        if state is m.State.ACTIVE and ours:
+            return True
+        if state is m.State.IDLE:
+            self._ask_to_arm()
+        elif state is m.State.ARMED and ours:
+            self.send(WheelCommand(self._mode, ZERO_WHEELS, ZERO_WHEELS))
+        elif state in (m.State.FAULT, m.State.ESTOP):
+            raise DeviceError(self.why_not_active())
+        return False
 
     def _ask_to_arm(self) -> None:
         if self._request is m.Request.IDLE:
@@ -154,7 +215,8 @@ class Stm32:
         self._wish(m.Request.IDLE)
         self._wish(m.Request.ARM)
 
-    def _why_not_active(self) -> str:
+    def why_not_active(self) -> str:
+        """Return what keeps the robot from being driven, and what to do."""
         if self._feedback is None:
             return "the robot answered HELLO but sends no feedback; reset it and try again"
         state = self._feedback.state
@@ -205,6 +267,11 @@ class Stm32:
             self._wish(self._request)
         return self._feedback
 
+    @property
+    def feedback(self) -> Feedback | None:
+        """The newest snapshot that was taken; None after a loss, until the next one."""
+        return self._feedback
+
     def send(self, command: WheelCommand) -> None:
         """Send a command that the guard has passed. Raises ValueError for a value that cannot be sent."""
         self._sequence = (self._sequence + 1) & 0xFF
@@ -227,11 +294,11 @@ class Stm32:
         self._send(step)
         begin_ns = sent_ns = time.monotonic_ns()
         while True:
-            received = self._link.receive(_RETRY_NS)
+            received = self._link.receive(RETRY_NS)
             message = self._take(received.frame) if received is not None else None
             if isinstance(message, m.StepDone) and (expected is None or message.tick != step.tick):
                 if expected not in (None, message.tick):
-                    raise DeviceError(
+                    raise RobotStoppedError(
                         f"the robot is at tick {message.tick} where {expected} was expected; it was reset or is "
                         "stepped by another host"
                     )
@@ -240,8 +307,8 @@ class Stm32:
             # An answer with the tick where this step begins is the second one to a step that was sent twice.
             now_ns = time.monotonic_ns()
             if now_ns - begin_ns > SILENCE_NS:
-                raise DeviceError("the robot did not answer STEP within 2 s of wall-clock time; it was lost")
-            if received is None and now_ns - sent_ns > _RETRY_NS:
+                raise RobotStoppedError("the robot did not answer STEP within 2 s of wall-clock time; it was lost")
+            if received is None and now_ns - sent_ns > RETRY_NS:
                 # Idempotent, and outside the hash: how often it is repeated depends on the wall clock.
                 self._link.send(codec.encode(step))
                 sent_ns = now_ns
@@ -281,6 +348,9 @@ class Stm32:
         snapshot = self._assembler.feed(message)
         if snapshot is not None:
             self._feedback = self._map.feedback_from_wire(snapshot)
+        elif self._greeting is not None and (info := self._greeting.feed(message)) is not None:
+            self._check_same(info)
+            self._greeting = None
         elif isinstance(message, m.Status):
             self.status = message
         elif isinstance(message, m.LinkCounters | m.PortCounters):
@@ -322,6 +392,10 @@ class Stm32:
         # Between the first and the last LINK_COUNTERS and PORT_COUNTERS of the session.
         robot = {f"robot_{cause}": count for cause, count in self._robot_rejected.items()}
         return {cause: count for cause, count in (own | robot).items() if count}
+
+    def describe_link(self) -> str:
+        """Return what the link is, in words for a person."""
+        return self._link.describe()
 
     def close(self) -> None:
         """Release the link."""

@@ -1,64 +1,110 @@
 """CAN by python-can: any of its interfaces, classic and FD."""
 
 import errno
+import logging
+import select
 import time
+from collections.abc import Iterator
 from typing import Any, Literal
 
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated.messages import LENGTHS, SENDERS
 from hil.errors import BadInputError, LinkError, nearest
+from hil.links.can_errors import BUS_OFF, CAUSES, causes_of
+from hil.links.can_failures import failure
+from hil.links.can_filters import filters_for
 from hil.links.url import CanUrl, format_link
 from hil.ports import Received
 
-
-def _failure(url: CanUrl, error: Exception) -> LinkError:
-    """Say what is the matter with an interface and what to do about it."""
-    where = f"CAN interface {url.interface!r}, channel {url.channel!r}"
-    number = getattr(error, "error_code", None) or getattr(error, "errno", None)
-    text = str(error)
-    up = f"bring it up: ip link set {url.channel} up type can bitrate {url.bitrate}"
-    if number == errno.ENETDOWN or "Network is down" in text:
-        return LinkError(f"{where} is down; {up}")
-    if number == errno.ENODEV or "No such device" in text:
-        return LinkError(f"{where} does not exist; see the interfaces with: ip -br link; then {up}")
-    if number == errno.EAFNOSUPPORT or "Address family not supported" in text:
-        return LinkError(f"{where}: this system's kernel has no CAN; load it with: modprobe can_raw")
-    if number == errno.ENOBUFS or "No buffer space" in text:
-        return LinkError(f"{where}: the transmit queue is full; nobody acknowledges, check bit rate and cable")
-    return LinkError(f"{where} failed: {text}")
+_QUEUE_FULL_S = 0.05  # at 1 Mbit/s and full load a queue of 100 frames is empty after 13 ms
+_QUEUE_RETRY_S = 0.0005
+_MOST_FILTERS = 8
+# Here python-can keeps no frame back, and its own wait is not good enough: slcan's polls, and both slcan's and the
+# multicast's end early at what is no frame.
+_SELECTABLE_INTERFACES = ("socketcan", "slcan", "udp_multicast")
+# Where the filters are in the kernel or the driver, and error frames come past them. Others would filter in Python, and
+# drop error frames too; there ``_refusal`` does it at no further cost.
+_FILTERING_INTERFACES = ("socketcan", "ixxat")
 
 
 class CanLink:
     """Frames over a CAN bus; ``hears`` names whose are received, the other side being this one.
 
-    Foreign frames are dropped and counted: ``foreign`` (extended or remote), ``error_frame`` and, for a host that hears
-    the robot, ``unknown_id`` and ``length``. A robot that hears the host gets all standard data frames: its firmware
-    counts those by itself. Dropped and not counted are this side's own messages, which some buses give back
-    (python-can's ``udp_multicast``, which does not mark them either).
+    Others are dropped and counted: ``foreign`` (extended or remote), error frames by their class (``error_bus_off``,
+    ``error_passive``, ...) and, for a host that hears the robot, ``unknown_id`` and ``length``. A robot that hears the host
+    gets all standard data frames that pass the filters: its firmware counts those by itself. Dropped and not counted are
+    this side's own messages, which some buses give back (python-can's ``udp_multicast``, which does not mark them either).
+    A bus-off is a lost link, to be reopened.
 
-    Raises BadInputError for an interface that python-can does not know, LinkError when it cannot be opened.
+    Raises BadInputError for what python-can or its interface does not know, LinkError when it cannot be opened.
     """
 
     def __init__(self, url: CanUrl, hears: Literal["HOST", "ROBOT"]) -> None:
         import can
 
         self._can = can
+        # python-can warns of packages that it would like to have; whoever sets up logging still gets that.
+        logging.getLogger("can").addHandler(logging.NullHandler())
         self._url = url
         self._hears = hears
-        self._failures = (can.CanError, OSError)
-        self._rejected = {"foreign": 0, "error_frame": 0, "unknown_id": 0, "length": 0}
+        self._failures = (can.CanError, OSError, ValueError)
+        self._rejected = dict.fromkeys(("foreign", "unknown_id", "length", *CAUSES), 0)
+        self._bus: Any = None
+        self._descriptor: int | None = None
         if url.interface not in can.VALID_INTERFACES:
             raise BadInputError(
                 f"link {format_link(url)!r}: unknown CAN interface {url.interface!r}"
                 f"{nearest(url.interface, can.VALID_INTERFACES)}"
             )
-        options: dict[str, Any] = {"bitrate": url.bitrate, "fd": url.fd}
-        if url.data_bitrate is not None:
-            options["data_bitrate"] = url.data_bitrate
+        self.reopen()
+
+    def reopen(self) -> None:
+        """Close the bus and open it anew. Raises LinkError when that fails."""
+        self.close()
+        options = dict(self._options())
         try:
-            self._bus = can.Bus(interface=url.interface, channel=url.channel, **options)
-        except (*self._failures, ValueError, TypeError, ImportError, NotImplementedError) as error:
-            raise _failure(url, error) from error
+            self._bus = self._can.Bus(interface=self._url.interface, **options)
+        # NameError, AttributeError: python-can's own, where a vendor's library is missing.
+        except (*self._failures, TypeError, ImportError, NotImplementedError, NameError, AttributeError) as error:
+            raise failure(self._url, error) from error
+        if self._url.fd and self._bus.protocol is self._can.CanProtocol.CAN_20:
+            self.close()
+            raise BadInputError(
+                f"link {format_link(self._url)!r}: the interface {self._url.interface!r} has no CAN FD in python-can; "
+                "remove fd=1, or use another interface"
+            )
+        self._descriptor = self._find_descriptor()
+
+    def _options(self) -> Iterator[tuple[str, Any]]:
+        url = self._url
+        yield "bitrate", url.bitrate
+        yield "fd", url.fd
+        if url.data_bitrate is not None:
+            yield "data_bitrate", url.data_bitrate
+        if url.interface == "virtual" and url.fd:
+            yield "protocol", self._can.CanProtocol.CAN_FD
+        if url.interface in _FILTERING_INTERFACES:
+            heard = [number for number, sender in SENDERS.items() if sender == self._hears]
+            yield (
+                "can_filters",
+                [
+                    {"can_id": f.identifier, "can_mask": f.mask, "extended": False}
+                    for f in filters_for(heard, _MOST_FILTERS)
+                ],
+            )
+        if url.interface == "socketcand":
+            yield from _socketcand(url)
+        else:
+            yield "channel", url.channel
+
+    def _find_descriptor(self) -> int | None:
+        """Return what to wait on, or None where python-can is to wait."""
+        if self._url.interface not in _SELECTABLE_INTERFACES:
+            return None
+        try:
+            return int(self._bus.fileno())
+        except (*self._failures, NotImplementedError):
+            return None  # slcan over a URL, or on Windows
 
     def send(self, frame: Frame) -> None:
         message = self._can.Message(
@@ -68,29 +114,70 @@ class CanLink:
             is_fd=self._url.fd,
             bitrate_switch=self._url.fd and self._url.data_bitrate is not None,
         )
-        try:
-            self._bus.send(message)
-        except self._failures as error:
-            raise _failure(self._url, error) from error
+        bus, deadline = self._open_bus(), 0.0
+        while True:
+            try:
+                bus.send(message)
+            except self._failures as error:
+                if not _is_queue_full(error) or (deadline and time.monotonic() > deadline):
+                    raise failure(self._url, error) from error
+                deadline = deadline or time.monotonic() + _QUEUE_FULL_S
+                time.sleep(_QUEUE_RETRY_S)
+            else:
+                return
 
     def receive(self, timeout_ns: int) -> Received | None:
         deadline_ns = time.monotonic_ns() + timeout_ns if timeout_ns > 0 else 0
+        bus = self._open_bus()
         while True:
             try:
-                message = self._bus.recv(timeout_ns * 1e-9 if timeout_ns > 0 else 0)
+                message = self._next(bus, timeout_ns)
             except self._failures as error:
-                raise _failure(self._url, error) from error
+                raise failure(self._url, error) from error
             if message is None:
+                if bus.state is self._can.BusState.ERROR:
+                    raise self._bus_off()
                 return None
-            if (cause := self._refusal(message)) is None:
+            if message.is_error_frame:
+                self._count_error(message)
+            elif (cause := self._refusal(message)) is None:
                 return Received(Frame(message.arbitration_id, bytes(message.data)), time.monotonic_ns())
-            if cause in self._rejected:
+            elif cause in self._rejected:
                 self._rejected[cause] += 1
             timeout_ns = max(0, deadline_ns - time.monotonic_ns())
 
+    def _open_bus(self) -> Any:
+        if self._bus is None:
+            raise LinkError(f"{self.describe()}, is closed; reopen it")
+        return self._bus
+
+    def _next(self, bus: Any, timeout_ns: int) -> Any:
+        """Return the next frame of any kind, or None after the timeout."""
+        if self._descriptor is None:
+            return bus.recv(max(0, timeout_ns) * 1e-9)
+        deadline_ns = time.monotonic_ns() + timeout_ns
+        while select.select([self._descriptor], [], [], max(0, timeout_ns) * 1e-9)[0]:
+            if (message := bus.recv(0)) is not None:
+                return message
+            # What came was no frame, such as an adapter's reply: wait on for what is left of the time.
+            timeout_ns = deadline_ns - time.monotonic_ns()
+        return None
+
+    def _count_error(self, message: Any) -> None:
+        causes = causes_of(message.arbitration_id, bytes(message.data))
+        for cause in causes:
+            self._rejected[cause] += 1
+        if BUS_OFF in causes:
+            raise self._bus_off()
+
+    def _bus_off(self) -> LinkError:
+        return LinkError(
+            f"CAN interface {self._url.interface!r}, channel {self._url.channel!r} is bus-off after too many errors; "
+            "check the bit rate, the cable and its two terminators; Linux restarts it by itself with: "
+            f"ip link set {self._url.channel} type can restart-ms 100"
+        )
+
     def _refusal(self, message: Any) -> str | None:
-        if message.is_error_frame:
-            return "error_frame"
         if message.is_extended_id or message.is_remote_frame:
             return "foreign"
         if SENDERS.get(message.arbitration_id, self._hears) != self._hears:
@@ -105,5 +192,33 @@ class CanLink:
     def rejected(self) -> dict[str, int]:
         return dict(self._rejected)
 
+    def describe(self) -> str:
+        url = self._url
+        rate = f"{url.bitrate} bit/s" + (f", data {url.data_bitrate} bit/s" if url.data_bitrate else "")
+        return f"CAN{' FD' if url.fd else ''} interface {url.interface}, channel {url.channel}, {rate}"
+
     def close(self) -> None:
-        self._bus.shutdown()
+        bus, self._bus = self._bus, None
+        if bus is not None:
+            try:
+                bus.shutdown()
+            except self._failures as error:
+                # An adapter that was unplugged cannot be told to close; its channel is gone all the same.
+                logging.getLogger(__name__).info("%s: closing failed: %s", self.describe(), error)
+
+
+def _is_queue_full(error: Exception) -> bool:
+    number = getattr(error, "error_code", None) or getattr(error, "errno", None)
+    return number == errno.ENOBUFS or "buffer full" in str(error).lower() or "No buffer space" in str(error)
+
+
+def _socketcand(url: CanUrl) -> Iterator[tuple[str, Any]]:
+    """Yield what socketcand needs of a channel HOST:PORT/CHANNEL."""
+    server, _, channel = url.channel.rpartition("/")
+    host, _, port = server.rpartition(":")
+    if not (host and channel and port.isdecimal()):
+        raise BadInputError(
+            f"link {format_link(url)!r}: expected can:socketcand/HOST:PORT/CHANNEL, such as "
+            "can:socketcand/192.168.1.10:29536/can0"
+        )
+    yield from (("host", host), ("port", int(port)), ("channel", channel))

@@ -72,5 +72,18 @@ class DelayedLink:
     def rejected(self) -> dict[str, int]:
         return self._link.rejected()
 
+    def reopen(self) -> None:
+        self.discard()
+        self._link.reopen()
+
+    def discard(self) -> None:
+        """Forget what is held: the link was lost, and an old command must not follow a new arming."""
+        self._outgoing.clear()
+        self._incoming.clear()
+        self._exempt.clear()
+
+    def describe(self) -> str:
+        return self._link.describe()
+
     def close(self) -> None:
         self._link.close()

@@ -75,5 +75,12 @@ class FaultLink:
     def rejected(self) -> dict[str, int]:
         return self._link.rejected()
 
+    def reopen(self) -> None:
+        self._repeated.clear()
+        self._link.reopen()
+
+    def describe(self) -> str:
+        return self._link.describe()
+
     def close(self) -> None:
         self._link.close()

@@ -1,20 +1,21 @@
 """A link over a byte stream: the serial framing in both directions."""
 
 import time
-from collections import deque
+from collections import Counter, deque
 
 from firmware_protocol.framing import Deframer, Frame, Framer
-from hil.links.streams import ByteStream
+from hil.links.streams import HostStream
 from hil.ports import Received
 
 
 class StreamLink:
     """Frames over a byte stream. Wrong bytes are dropped and counted by cause, never raised."""
 
-    def __init__(self, stream: ByteStream) -> None:
+    def __init__(self, stream: HostStream) -> None:
         self._stream = stream
         self._framer = Framer()
         self._deframer = Deframer()
+        self._earlier: Counter[str] = Counter()  # what was rejected before the link was reopened
         self._ready: deque[Received] = deque()
 
     def send(self, frame: Frame) -> None:
@@ -38,7 +39,18 @@ class StreamLink:
             timeout_ns = deadline_ns - time.monotonic_ns()
 
     def rejected(self) -> dict[str, int]:
-        return dict(self._deframer.rejected) | {"lost": self._deframer.lost}
+        now = self._deframer.rejected | {"lost": self._deframer.lost}
+        return {cause: count + self._earlier[cause] for cause, count in now.items()}
+
+    def reopen(self) -> None:
+        self._stream.reopen()
+        # A new deframer: the half of a frame, and the gap in the numbers, belong to the line that was lost.
+        self._earlier = Counter(self.rejected())
+        self._deframer = Deframer()
+        self._ready.clear()
+
+    def describe(self) -> str:
+        return self._stream.describe()
 
     def close(self) -> None:
         self._stream.close()

@@ -1,5 +1,6 @@
 """From a link's URL to its two ends: the host's, which is a Link, and the robot's, which is a Wire."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
@@ -7,7 +8,7 @@ from hil.errors import BadInputError
 from hil.links.framed import StreamLink
 from hil.links.streams import MemoryStream, memory_pair
 from hil.links.url import CanUrl, LinkUrl, MemoryUrl, SerialUrl, format_link
-from hil.links.wire import CanWire, LossySerialWire, SerialWire, Wire
+from hil.links.wire import CanWire, LossySerialWire, ReopeningWire, SerialWire, Wire
 from hil.ports import Link
 
 if TYPE_CHECKING:
@@ -59,16 +60,21 @@ def open_host(url: LinkUrl) -> Link:
             raise BadInputError("memory: has no other end outside this process; use serial:... or can:...")
 
 
-def open_robot(url: LinkUrl, *, lockstep: bool) -> tuple[Wire, str]:
-    """Open the robot's end of a link, and return it with the URL that a host uses to reach it."""
+def open_robot(url: LinkUrl, say: Callable[[str], None], *, lockstep: bool) -> tuple[Wire, str]:
+    """Open the robot's end of a link, and return it with the URL that a host uses to reach it.
+
+    When it is lost later it is opened anew, and ``say`` gets a sentence. Raises LinkError or BadInputError.
+    """
     match url:
         case SerialUrl() if url.is_pty:
             pty = _pty_stream(url, lockstep=lockstep)
             return LossySerialWire(pty), format_link(SerialUrl(url.symlink or pty.port, url.baud))
         case SerialUrl():
-            return SerialWire(_serial_stream(url.port, url.baud)), format_link(url)
+            stream = _serial_stream(url.port, url.baud)
+            return ReopeningWire(SerialWire(stream), stream.reopen, say), format_link(url)
         case CanUrl() if url.interface != "virtual":
-            return CanWire(_can_link(url, "HOST")), format_link(url)
+            bus = _can_link(url, "HOST")
+            return ReopeningWire(CanWire(bus), bus.reopen, say), format_link(url)
         case _:
             raise BadInputError(
                 f"{format_link(url)} does not reach another process; use --link serial:pty, serial:PATH or "

@@ -1,21 +1,39 @@
 """Serial ports by pyserial: device files, COM ports and pyserial's own URLs (``socket://``, ``rfc2217://``)."""
 
+import array
+import contextlib
 import errno
+import re
 import select
+import sys
 from typing import Any
 
 import serial
 
-from hil.errors import LinkError
+from hil.errors import LinkError, nearest
+from hil.links.reader import Reader
 
 _CHUNK = 65536
 _WRITE_TIMEOUT_S = 1.0  # a line that takes no byte for so long is lost
+_OUTPUT_SPEED = 10  # c_ospeed of Linux' struct termios2, in ints
+_URL_HANDLERS = ("socket", "rfc2217", "loop", "spy", "hwgrep", "alt")
 
 
-def _open_failure(port: str, error: Exception) -> LinkError:
+def _open_failure(port: str, baud: int, error: Exception) -> LinkError:
     """Say what is the matter with a port and what to do about it."""
     number = getattr(error, "errno", None)
     text = str(error)
+    scheme, is_url, _ = port.partition("://")
+    if is_url and "protocol" in text and "not known" in text:
+        return LinkError(f"serial URL {port!r}: pyserial knows no {scheme!r}{nearest(scheme, _URL_HANDLERS)}")
+    if "baudrate" in text or "baud rate" in text:
+        return _baud_refused(port, baud)
+    if is_url and scheme in ("socket", "rfc2217"):
+        reason = "its port number is missing" if "NoneType" in text else _last_words(text)
+        return LinkError(
+            f"serial URL {port!r} could not be opened ({reason}); expected {scheme}://HOST:PORT, with the "
+            "serial server running there and nobody else connected to it"
+        )
     if number == errno.ENOENT or ("could not open port" in text and "FileNotFoundError" in text):
         return LinkError(f"serial port {port!r} does not exist; list the ports with: python -m serial.tools.list_ports")
     if number == errno.EACCES or "PermissionError" in text:
@@ -27,63 +45,133 @@ def _open_failure(port: str, error: Exception) -> LinkError:
         return LinkError(f"serial port {port!r} is busy: another program holds it; close that program")
     if number == errno.ENOTTY or "Could not configure port" in text:
         return LinkError(f"{port!r} is not a serial port ({text}); expected a device such as /dev/ttyACM0 or COM3")
-    return LinkError(f"serial port {port!r} could not be opened: {text}")
+    return LinkError(
+        f"serial port {port!r} could not be opened: {text}; list the ports with: python -m serial.tools.list_ports"
+    )
+
+
+def _last_words(text: str) -> str:
+    """Return what the system said, without pyserial's words around it."""
+    found = re.search(r"\[Errno [^]]*\] ([^'\"]+)$", text)
+    return found.group(1) if found else text
+
+
+def _baud_refused(port: str, baud: int, alternative: int | None = None) -> LinkError:
+    hint = f"it offers {alternative}" if alternative else "common rates are 115200, 921600, 1000000 and 2000000"
+    return LinkError(
+        f"serial port {port!r} refuses {baud} baud; {hint}: set baud= in the link, and the same rate in the robot"
+    )
+
+
+def _rate_of(port: Any) -> int | None:
+    """Return the rate that the driver set, or None where it cannot be asked: only Linux tells any rate."""
+    if sys.platform != "linux":
+        return None
+    import fcntl
+
+    from serial.serialposix import TCGETS2
+
+    termios2 = array.array("i", [0] * 64)
+    try:
+        fcntl.ioctl(port.fileno(), TCGETS2, termios2)
+    except (AttributeError, OSError, ValueError):
+        return None  # a URL: no terminal is behind it
+    return termios2[_OUTPUT_SPEED] or None
 
 
 class SerialStream:
     """A serial port as a byte stream, opened exclusively.
 
-    Raises LinkError when the port does not exist, is busy, is forbidden or is no serial port.
+    Reads wait in ``select`` where the port has a descriptor; elsewhere a thread waits by pyserial's timeout. Where the
+    driver has a low-latency mode it is set. A write that is not taken within 1 s means that the line is lost.
+
+    Raises LinkError when the port does not exist, is busy, is forbidden, is no serial port or refuses the baud rate.
     """
 
     def __init__(self, port: str, baud: int) -> None:
         self._name = port
+        self._baud = baud
+        self._port: Any = None
+        self._reader: Reader | None = None
+        self._low_latency = False
+        self.reopen()
+
+    def reopen(self) -> None:
+        """Close the port and open it anew. Raises LinkError as the class does."""
+        self.close()
         try:
-            self._port: Any = serial.serial_for_url(
-                port, baudrate=baud, timeout=0, write_timeout=_WRITE_TIMEOUT_S, do_not_open=True
-            )
-            if "://" not in port:
+            self._port = serial.serial_for_url(self._name, baudrate=self._baud, timeout=0, do_not_open=True)
+            if not self._name.startswith("rfc2217:"):  # its writes end by a limit of 5 s of its own
+                self._port.write_timeout = _WRITE_TIMEOUT_S
+            if "://" not in self._name:
                 self._port.exclusive = True
             self._port.open()
             # What was sent before we listened is not meant for us.
             self._port.reset_input_buffer()
-        except (serial.SerialException, OSError, ValueError) as error:
-            raise _open_failure(port, error) from error
-        self._selectable = self._has_descriptor()
+        except (serial.SerialException, OSError, ValueError, NotImplementedError) as error:
+            self.close()
+            raise _open_failure(self._name, self._baud, error) from error
+        self._check_baud()
+        self._reader = None if self._has_descriptor() else Reader(self._port)
+        self._low_latency = self._set_low_latency()
+
+    def _check_baud(self) -> None:
+        """A driver that cannot have a rate may take another one in silence: ask what it took."""
+        taken = _rate_of(self._port)
+        if taken is not None and abs(taken - self._baud) > 0.03 * self._baud:
+            self.close()
+            raise _baud_refused(self._name, self._baud, taken)
 
     def _has_descriptor(self) -> bool:
         try:
             select.select([self._port.fileno()], [], [], 0)
         except (AttributeError, OSError, ValueError):
-            return False  # Windows, and URLs that are no file: pyserial's own timeout serves there
+            return False  # Windows, and URLs that are no file
+        return True
+
+    def _set_low_latency(self) -> bool:
+        """Linux: deliver bytes at once (ASYNC_LOW_LATENCY), where USB adapters else collect them for up to 16 ms."""
+        try:
+            self._port.set_low_latency_mode(True)
+        except (AttributeError, NotImplementedError, ValueError):
+            return False  # pyserial's answers where the platform or the driver has no such mode
         return True
 
     def write(self, data: bytes) -> None:
         try:
             self._port.write(data)
-        except (serial.SerialException, OSError) as error:
+        except serial.SerialTimeoutException as error:
+            raise LinkError(
+                f"serial port {self._name!r} took no byte for {_WRITE_TIMEOUT_S:g} s; check that the robot reads, and "
+                "the line's flow control"
+            ) from error
+        except (serial.SerialException, OSError, TypeError) as error:
             raise self._lost(error) from error
 
     def read(self, timeout_ns: int) -> bytes:
         try:
-            if self._selectable:
-                if timeout_ns > 0:
-                    select.select([self._port.fileno()], [], [], timeout_ns * 1e-9)
-                return bytes(self._port.read(_CHUNK))
-            return self._read_with_timeout(timeout_ns)
-        except (serial.SerialException, OSError) as error:
-            raise self._lost(error) from error
-
-    def _read_with_timeout(self, timeout_ns: int) -> bytes:
-        if timeout_ns <= 0:
+            if self._reader is not None:
+                return self._reader.read(timeout_ns)
+            if timeout_ns > 0:
+                select.select([self._port.fileno()], [], [], timeout_ns * 1e-9)
             return bytes(self._port.read(_CHUNK))
-        self._port.timeout = timeout_ns * 1e-9
-        first = bytes(self._port.read(1))
-        self._port.timeout = 0
-        return first + bytes(self._port.read(_CHUNK)) if first else first
+        except (serial.SerialException, OSError, TypeError) as error:
+            raise self._lost(error) from error
 
     def _lost(self, error: Exception) -> LinkError:
         return LinkError(f"serial port {self._name!r} was lost ({error}); check the cable and the robot's power")
 
+    def describe(self) -> str:
+        latency = "set" if self._low_latency else "not offered by its driver"
+        return f"serial port {self._name} at {self._baud} baud, low latency {latency}"
+
     def close(self) -> None:
-        self._port.close()
+        if self._reader is not None:
+            self._reader.stop()
+        if self._port is not None:
+            # A device that was unplugged may refuse even that; its descriptor is gone all the same.
+            with contextlib.suppress(serial.SerialException, OSError):
+                self._port.close()
+        if self._reader is not None:
+            self._reader.join()
+            self._reader = None

@@ -20,6 +20,16 @@ class ByteStream(Protocol):
         """Release the line. Closing twice is allowed."""
 
 
+class HostStream(ByteStream, Protocol):
+    """The host's end of a line, which can be opened anew when it was lost."""
+
+    def reopen(self) -> None:
+        """Close the line and open it anew; bytes that had arrived are forgotten. Raises LinkError when that fails."""
+
+    def describe(self) -> str:
+        """Return what the line is, in words for a person."""
+
+
 class MemoryStream:
     """One end of a line within this process; made in pairs by ``memory_pair``.
 
@@ -54,6 +64,13 @@ class MemoryStream:
             data = bytes(self._received)
             self._received.clear()
         return data
+
+    def reopen(self) -> None:
+        with self._arrived:
+            self._received.clear()
+
+    def describe(self) -> str:
+        return "memory, both sides in one process"
 
     def close(self) -> None:
         self._peer = None

@@ -1,10 +1,16 @@
 """The robot's end of a link: bytes or CAN frames to and from its firmware."""
 
+import time
+from collections.abc import Callable
 from typing import Protocol
 
 from firmware_protocol.framing import Frame
+from hil.errors import LinkError
 from hil.links.streams import ByteStream
 from hil.ports import Link
+
+_FIRST_WAIT_NS = 100_000_000
+_LONGEST_WAIT_NS = 2_000_000_000
 
 
 class Node(Protocol):
@@ -35,6 +41,9 @@ class Wire(Protocol):
     def send_from(self, node: Node) -> None:
         """Send what the robot has to send."""
 
+    def drop_from(self, node: Node) -> None:
+        """Take what the robot has to send, and lose it: the transport is not there."""
+
     def close(self) -> None:
         """Release the transport."""
 
@@ -54,6 +63,10 @@ class SerialWire:
     def send_from(self, node: Node) -> None:
         while data := node.take_bytes():
             self._stream.write(data)
+
+    def drop_from(self, node: Node) -> None:
+        while node.take_bytes():
+            pass
 
     def close(self) -> None:
         self._stream.close()
@@ -99,5 +112,71 @@ class CanWire:
         for frame in node.take_frames():
             self._link.send(frame)
 
+    def drop_from(self, node: Node) -> None:
+        node.take_frames()
+
     def close(self) -> None:
         self._link.close()
+
+
+class ReopeningWire:
+    """A wire of a robot that outlives its link, as a board does: while it is lost the firmware goes on.
+
+    Its watchdog stops the wheels meanwhile. ``reopen`` is tried after 0.1 s first and twice as long each time, up to
+    2 s; ``say`` gets a sentence when the link is lost and when it is back.
+    """
+
+    def __init__(self, wire: Wire, reopen: Callable[[], None], say: Callable[[str], None]) -> None:
+        self._wire = wire
+        self._reopen = reopen
+        self._say = say
+        self._lost = False
+        self._wait_ns = 0
+        self._due_ns = 0
+
+    def receive_into(self, node: Node, timeout_ns: int) -> bool:
+        if not self._is_there():
+            # The server gives its time here, and must not spin while there is nothing to wait for.
+            time.sleep(max(0, timeout_ns) * 1e-9)
+            return False
+        try:
+            return self._wire.receive_into(node, timeout_ns)
+        except LinkError as error:
+            self._lose(error)
+            return False
+
+    def send_from(self, node: Node) -> None:
+        if self._lost:
+            self._wire.drop_from(node)
+            return
+        try:
+            self._wire.send_from(node)
+        except LinkError as error:
+            self._lose(error)
+
+    def drop_from(self, node: Node) -> None:
+        self._wire.drop_from(node)
+
+    def _lose(self, error: LinkError) -> None:
+        self._lost = True
+        self._wait_ns = _FIRST_WAIT_NS
+        self._due_ns = time.monotonic_ns() + self._wait_ns
+        self._say(f"link lost, reopening: {error}")
+
+    def _is_there(self) -> bool:
+        if not self._lost:
+            return True
+        if time.monotonic_ns() < self._due_ns:
+            return False
+        try:
+            self._reopen()
+        except LinkError:
+            self._wait_ns = min(2 * self._wait_ns, _LONGEST_WAIT_NS)
+            self._due_ns = time.monotonic_ns() + self._wait_ns
+            return False
+        self._lost = False
+        self._say("link reopened")
+        return True
+
+    def close(self) -> None:
+        self._wire.close()

@@ -247,6 +247,7 @@ class LoopTable(Table):
     duration_s: float = Field(gt=0, le=86_400, description="from the first ACTIVE tick")
     mode: Literal["lockstep", "realtime"] = Field(default="lockstep", description="whose time passes")
     seed: int = Field(default=1, ge=0, le=2**32 - 1, description="of everything random in the run")
+    rearm: bool = Field(default=False, description="reconnect and arm anew after a lost link or a stop of the robot")
 
     @field_validator("rate_hz")
     @classmethod

@@ -1,0 +1,119 @@
+"""Bringing a robot back that was lost or stopped: reopen the link, shake hands, arm anew. One step a tick."""
+
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+from hil.devices.stm32 import Stm32
+from hil.errors import HilError, LinkError, RobotStoppedError
+from hil.ports import Clock
+
+FIRST_WAIT_NS = 100_000_000
+LONGEST_WAIT_NS = 2_000_000_000
+_GREETING_LIMIT_NS = 2_000_000_000
+_ARMING_LIMIT_NS = 4_000_000_000
+# In lockstep time stands still without the robot; by the wall clock this is how long one is waited for.
+_STANDSTILL_LIMIT_NS = 60_000_000_000
+
+
+class Recovered(NamedTuple):
+    """A loss that was recovered from: scenario time of the loss and of ACTIVE again [s], and the cause."""
+
+    lost_s: float
+    armed_s: float
+    why: str
+
+
+class Recovery:
+    """The way back to ACTIVE, for a loop whose time goes on meanwhile. Nothing is commanded on it.
+
+    A lost link is closed and opened, after 0.1 s first and twice as long each time up to 2 s, by the loop's clock. The
+    handshake is repeated, the parameters are compared again, and the robot is armed with a new nonce. What fails on
+    the way begins it again from the link.
+
+    ``why`` is what was lost at ``lost_s`` of the scenario's time.
+    """
+
+    def __init__(self, device: Stm32, clock: Clock, why: HilError, lost_s: float) -> None:
+        self._device = device
+        self._clock = clock
+        self.why = str(why)
+        self.lost_s = lost_s
+        self.problem = self.why
+        self._wait_ns = FIRST_WAIT_NS
+        self._due_ns = 0
+        self._standstill_ns: int | None = None  # wall-clock time since which time stands still
+        self._step: Callable[[], bool] = self._reopen
+        device.leave()
+        if isinstance(why, LinkError):
+            self._back_off()
+        else:
+            self._step = self._begin
+
+    def advance(self) -> bool:
+        """Take the step that is due; return whether the robot is ACTIVE again.
+
+        Raises DeviceError when it refuses to arm or has latched FAULT or ESTOP, BadInputError when it is another robot.
+        """
+        self._standstill_ns = None
+        try:
+            return self._step()
+        except (LinkError, RobotStoppedError) as error:
+            self.fail(error)
+            return False
+
+    def fail(self, error: HilError) -> None:
+        """Begin again from the link."""
+        self.problem = str(error)
+        self._device.leave()
+        self._back_off()
+
+    def revive(self) -> None:
+        """Lockstep: bring back a robot without which time stands still, by the wall clock.
+
+        Raises LinkError when that takes more than 60 s.
+        """
+        if self._standstill_ns is None:
+            self._standstill_ns = time.monotonic_ns()
+        while time.monotonic_ns() < self._standstill_ns + _STANDSTILL_LIMIT_NS:
+            time.sleep(self._wait_ns * 1e-9)
+            try:
+                self._device.reopen()
+                self._begin()
+            except (LinkError, RobotStoppedError) as error:
+                self.fail(error)
+            else:
+                return
+        raise LinkError(f"the robot did not come back within 60 s: {self.problem}")
+
+    def _back_off(self) -> None:
+        self._step = self._reopen
+        self._due_ns = self._clock.now_ns() + self._wait_ns
+        self._wait_ns = min(2 * self._wait_ns, LONGEST_WAIT_NS)
+
+    def _reopen(self) -> bool:
+        if self._clock.now_ns() >= self._due_ns:
+            self._device.reopen()
+            self._begin()
+        return False
+
+    def _begin(self) -> bool:
+        self._device.begin_again()
+        self._due_ns = self._clock.now_ns() + _GREETING_LIMIT_NS
+        self._step = self._greet
+        return False
+
+    def _greet(self) -> bool:
+        if self._device.greeted():
+            self._due_ns = self._clock.now_ns() + _ARMING_LIMIT_NS
+            self._step = self._arm
+        elif self._clock.now_ns() > self._due_ns:
+            raise RobotStoppedError("the robot did not answer HELLO within 2 s")
+        return False
+
+    def _arm(self) -> bool:
+        if self._device.armed():
+            return True
+        if self._clock.now_ns() > self._due_ns:
+            raise RobotStoppedError(self._device.why_not_active())
+        return False

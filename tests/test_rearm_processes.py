@@ -1,0 +1,139 @@
+"""Unplug and replug between real processes: a serial name that goes and comes back, a CAN bus that goes down and up."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.processes import HIL, ROOT, device, environment
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals need a POSIX system")
+
+SCENARIO = ("paper_circle", "--set", "loop.rate_hz=100")
+REAL_TIME = (*SCENARIO, "--mode", "realtime")
+LOCKSTEP = (*SCENARIO, "--mode", "lockstep")
+RUN = ("--record", "none", "--json", "--set", "expect=[]")
+REARM = ("--set", "loop.rearm=true")
+
+
+def start_run(*options: str) -> subprocess.Popen[str]:
+    command = [*HIL, "run", *RUN, *options]
+    return subprocess.Popen(command, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def finish(process: subprocess.Popen[str]) -> dict:
+    output, errors = process.communicate(timeout=90)
+    assert "Traceback" not in errors
+    return json.loads(output)
+
+
+def wait_until_driven(truth: str) -> None:
+    subprocess.run([sys.executable, "-c", WAIT_UNTIL_DRIVEN, truth], env=environment(), timeout=60, check=True)
+
+
+@pytest.mark.parametrize(("mode", "duration_s"), [(REAL_TIME, 15), (LOCKSTEP, 40)])
+def test_a_serial_robot_that_was_killed_and_started_again_is_armed_anew(mode, duration_s, tmp_path: Path):
+    name = tmp_path / "robot"
+    serial = ("--link", f"serial:pty?symlink={name}")
+    blind = ("--set", "estimator.source=odometry", "--set", f"loop.duration_s={duration_s}")
+    with device(*mode, *serial) as robot:
+        driver = start_run(*mode, "--link", f"serial:{name}", *blind, *REARM)
+        wait_until_driven(robot.truth)
+        robot.process.kill()
+        robot.process.wait()
+    assert not name.exists(), "the name leads nowhere"
+    with device(*mode, *serial) as robot:
+        wait_until_driven(robot.truth)
+        figures = finish(driver)
+    assert figures["failure"] is None
+    assert any("lost" in row["why"] for row in figures["recoveries"]), "beside stalls of this machine"
+    assert figures["stopped"]
+    assert figures["ticks"] + figures["deadline_misses"] == 100 * duration_s
+
+
+WAIT_UNTIL_DRIVEN = """
+import sys, time
+from firmware_protocol.generated.messages import State
+from hil.devices.truth import TruthClient
+from hil.scenario import load
+watcher = TruthClient(sys.argv[1], load("paper_circle", set=["loop.rate_hz=100"]).hash, reset=False)
+seen = []
+while True:
+    watcher.poll()
+    seen += watcher.taken
+    if seen and seen[-1].state is State.ACTIVE and any(seen[-1].set_point_rad_s):
+        break
+    time.sleep(0.005)
+# Nothing moved before this session was armed.
+assert all(not any(r.set_point_rad_s) for r in seen if r.state in (State.IDLE, State.ARMED))
+assert seen[0].state in (State.IDLE, State.ARMED, State.ACTIVE)
+"""
+
+NETWORK = r"""
+import json, subprocess, sys, time
+from tests.processes import HIL, device, environment, wait_for
+from tests.test_rearm_processes import REAL_TIME, REARM, finish, start_run
+
+BUS = ("--link", "can:udp_multicast/239.74.163.2")
+ip = lambda *words: subprocess.run(["ip", *words], check=True)
+with device(*REAL_TIME, *BUS) as robot:
+    driver = start_run(*REAL_TIME, *BUS, "--truth", robot.truth, "--set", "loop.duration_s=8", *sys.argv[1:])
+    from firmware_protocol.generated.messages import State
+    from hil.devices.truth import TruthClient
+    from hil.scenario import load
+    watcher = TruthClient(robot.truth, load("paper_circle", set=["loop.rate_hz=100"]).hash, reset=False)
+    seen = []
+    def state():
+        watcher.poll()
+        seen.extend(watcher.taken)
+        return seen[-1].state if seen else None
+    wait_for(lambda: state() is State.ACTIVE)
+    begun_ns = seen[-1].fix.time_ns
+    wait_for(lambda: state() is State.ACTIVE and seen[-1].fix.time_ns > begun_ns + 1_000_000_000)
+    ip("route", "del", "224.0.0.0/4", "dev", "lo")
+    down = len(seen)
+    wait_for(lambda: state() is State.IDLE)
+    idle = len(seen)
+    ip("route", "add", "224.0.0.0/4", "dev", "lo")
+    if sys.argv[1:]:
+        wait_for(lambda: state() is State.ACTIVE)
+        assert all(not any(r.set_point_rad_s) for r in seen[idle:] if r.state in (State.IDLE, State.ARMED))
+    figures = finish(driver)
+    watcher.close()
+print(json.dumps(figures))
+"""
+
+
+def in_a_network_of_its_own(*arguments: str) -> dict:
+    if shutil.which("unshare") is None or shutil.which("ip") is None:
+        pytest.skip("needs unshare and ip: apt install util-linux iproute2")
+    own = 'ip link set lo up multicast on && ip route add 224.0.0.0/4 dev lo && exec "$@"'
+    # A user namespace where root is not given: its owner may set up its own network.
+    rights = [] if os.geteuid() == 0 else ["--map-root-user"]
+    probe = subprocess.run(["unshare", *rights, "-n", "true"], capture_output=True, check=False)
+    if probe.returncode:
+        pytest.skip("needs a network namespace: run as root, or allow unprivileged user namespaces")
+    command = ["unshare", *rights, "-n", "sh", "-c", own, "sh", sys.executable, "-c", NETWORK, *arguments]
+    done = subprocess.run(
+        command, cwd=ROOT, env=environment(), capture_output=True, text=True, timeout=180, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+def test_a_can_bus_that_goes_down_and_up_is_recovered_from():
+    figures = in_a_network_of_its_own(*REARM)
+    assert figures["failure"] is None
+    reasons = [row["why"] for row in figures["recoveries"]]
+    assert any("no network reaches the multicast group" in why for why in reasons), "beside stalls of this machine"
+    assert figures["stopped"]
+
+
+def test_without_the_key_a_can_bus_that_goes_down_ends_the_run():
+    figures = in_a_network_of_its_own()
+    assert "set loop.rearm = true" in figures["failure"]
+    assert figures["recoveries"] == []

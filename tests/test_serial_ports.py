@@ -1,0 +1,236 @@
+"""Serial ports in every form that pyserial has: what goes in comes out, and each loss and refusal is said."""
+
+import contextlib
+import itertools
+import subprocess
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import serial
+
+from firmware_protocol.framing import Frame
+from firmware_protocol.generated import messages as m
+from hil.devices import handshake
+from hil.errors import DeviceError, LinkError
+from hil.links.framed import StreamLink
+from hil.links.opening import open_host
+from hil.links.serial_port import SerialStream
+from hil.links.url import parse_link
+from tests.serial_server import SerialServer, ThreeWirePort
+
+pty = pytest.importorskip("hil.links.pty", reason="pseudo-terminals need a POSIX system")
+
+WAIT_NS = 5_000_000_000
+FRAMES = [Frame(m.WheelCommand.ID, bytes([i, 0, 0xFF, 0x0D, 0x0A, 0x11, 0x13, i])) for i in range(50)]
+
+
+class PickyPort(ThreeWirePort):
+    """A port whose hardware goes up to 115200 baud."""
+
+    @serial.Serial.baudrate.setter
+    def baudrate(self, rate: int) -> None:
+        if rate > 115_200:
+            raise ValueError(f"Not a valid baudrate: {rate!r}")
+        serial.Serial.baudrate.fset(self, rate)
+
+
+@contextlib.contextmanager
+def served(kind: str, port_class: type[serial.Serial] = ThreeWirePort) -> Iterator[tuple[StreamLink, SerialServer]]:
+    """The robot's end of a pseudo-terminal, and a server for the other side."""
+    master = pty.PtyStream()
+    port = port_class(master.port, timeout=0)
+    server = SerialServer(port, rfc2217=kind == "rfc2217")
+    try:
+        yield StreamLink(master), server
+    finally:
+        server.close()
+        port.close()
+        master.close()
+
+
+def exchange(host: StreamLink, robot: StreamLink) -> None:
+    for one, other in ((host, robot), (robot, host)):
+        for frame in FRAMES:
+            one.send(frame)
+        assert [other.receive(WAIT_NS).frame for _ in FRAMES] == FRAMES
+
+
+@pytest.mark.parametrize("kind", ["rfc2217", "socket"])
+def test_frames_pass_a_serial_server_both_ways(kind):
+    with served(kind) as (robot, server), contextlib.closing(open_host(parse_link(f"serial:{server.url}"))) as host:
+        exchange(host, robot)
+        assert host.receive(0) is None
+        assert server.url in host.describe()
+
+
+def use_until_lost(host: StreamLink) -> None:
+    for _ in range(100):
+        host.receive(100_000_000)
+        host.send(FRAMES[0])
+
+
+@pytest.mark.parametrize("kind", ["rfc2217", "socket"])
+def test_a_serial_server_that_ends_is_a_lost_link_and_can_be_reopened(kind):
+    with served(kind) as (_, server):
+        host = open_host(parse_link(f"serial:{server.url}"))
+        url, number = server.url, server.number
+    with pytest.raises(LinkError, match=r"was lost|took no byte"):
+        use_until_lost(host)
+    with pytest.raises(LinkError, match=r"Connection refused.*with the serial server running there"):
+        host.reopen()
+    master = pty.PtyStream()
+    port = ThreeWirePort(master.port, timeout=0)
+    again = SerialServer(port, rfc2217=kind == "rfc2217", listen=number)
+    try:
+        assert again.url == url
+        host.reopen()
+        exchange(host, StreamLink(master))
+    finally:
+        host.close()
+        again.close()
+        port.close()
+        master.close()
+
+
+def test_a_refused_baud_rate_names_the_rate_and_others():
+    with (
+        served("rfc2217", PickyPort) as (_, server),
+        pytest.raises(LinkError, match=r"refuses 2000000 baud; common rates are .*set baud= in the link") as caught,
+    ):
+        open_host(parse_link(f"serial:{server.url}?baud=2000000"))
+    assert "\n" not in str(caught.value)
+
+
+def test_loop_gives_back_what_was_sent():
+    with contextlib.closing(open_host(parse_link("serial:loop://"))) as link:
+        for frame in FRAMES:
+            link.send(frame)
+        assert [link.receive(WAIT_NS).frame for _ in FRAMES] == FRAMES
+
+
+@pytest.mark.parametrize("baud", [9600, 921_600, 2_000_000, 3_500_000, 4_000_000])
+def test_a_baud_rate_is_set(baud):
+    """stty is the independent witness of what the kernel holds."""
+    master = pty.PtyStream()
+    with contextlib.closing(master), contextlib.closing(SerialStream(master.port, baud)) as stream:
+        told = subprocess.run(["stty", "-F", master.port, "speed"], capture_output=True, text=True, check=True)
+        assert int(told.stdout) == baud
+        assert f"at {baud} baud" in stream.describe()
+
+
+def test_a_baud_rate_without_a_name_of_its_own_is_set():
+    """stty tells only rates that have one; the driver's own answer is compared with the wish at opening."""
+    master = pty.PtyStream()
+    with contextlib.closing(master), contextlib.closing(StreamLink(SerialStream(master.port, 12_000_000))) as host:
+        exchange(host, StreamLink(master))
+
+
+def test_a_driver_that_took_another_rate_is_noticed(monkeypatch):
+    """Some drivers take another rate in silence. Here another program sets one between opening and asking."""
+    master = pty.PtyStream()
+    reset = serial.Serial.reset_input_buffer
+
+    def meddle(port: serial.Serial) -> None:
+        reset(port)
+        subprocess.run(["stty", "-F", master.port, "38400"], check=True)
+
+    monkeypatch.setattr(serial.Serial, "reset_input_buffer", meddle)
+    with (
+        contextlib.closing(master),
+        pytest.raises(LinkError, match=r"refuses 921600 baud; it offers 38400: set baud= in the link"),
+    ):
+        SerialStream(master.port, 921_600)
+
+
+def test_a_driver_without_low_latency_mode_is_said_in_the_description():
+    master = pty.PtyStream()
+    with contextlib.closing(master), contextlib.closing(SerialStream(master.port, 921_600)) as stream:
+        assert "low latency not offered" in stream.describe()
+
+
+def test_a_line_that_takes_no_byte_is_lost_after_a_second():
+    master = pty.PtyStream()
+    with (
+        contextlib.closing(master),
+        contextlib.closing(SerialStream(master.port, 921_600)) as stream,
+        pytest.raises(LinkError, match=r"took no byte for 1 s"),
+    ):
+        stream.write(bytes(1 << 20))
+
+
+def test_a_replugged_port_is_reopened_and_counters_go_on(tmp_path: Path):
+    name = tmp_path / "port"
+    first = pty.PtyStream(name)
+    host = StreamLink(SerialStream(str(name), 921_600))
+    first.write(b"\x07wrong\0")
+    assert host.receive(100_000_000) is None
+    rejected = host.rejected()
+    assert sum(rejected.values()) == 1
+    first.write(b"\x05half")
+    first.close()
+    with pytest.raises(LinkError, match="lost"):
+        host.receive(WAIT_NS)
+    with pytest.raises(LinkError, match="does not exist"):
+        host.reopen()
+    second = pty.PtyStream(name)
+    with contextlib.closing(second), contextlib.closing(host):
+        host.reopen()
+        exchange(host, StreamLink(second))
+        assert host.rejected() == rejected
+
+
+def test_waiting_for_a_port_without_a_descriptor_never_polls_in_waiting(monkeypatch):
+    """loop:// has no descriptor. The wait is over when something comes, and in_waiting is asked only then."""
+    from serial.urlhandler import protocol_loop
+
+    asked = itertools.count()
+    original = protocol_loop.Serial.in_waiting.fget
+
+    def in_waiting(port: serial.SerialBase) -> int:
+        next(asked)
+        return original(port)
+
+    monkeypatch.setattr(protocol_loop.Serial, "in_waiting", property(in_waiting))
+    with contextlib.closing(SerialStream("loop://", 115_200)) as stream:
+        assert stream.read(300_000_000) == b""
+        assert next(asked) == 0
+        threading.Timer(0.1, stream.write, [b"x"]).start()
+        assert stream.read(WAIT_NS) == b"x"
+
+
+@pytest.mark.parametrize(
+    ("port", "says"),
+    [
+        ("bogus://x", r"pyserial knows no 'bogus'"),
+        ("rfc2271://127.0.0.1:1", r"did you mean 'rfc2217'"),
+        ("rfc2217://localhost", r"its port number is missing"),
+        ("socket://127.0.0.1:1", r"Connection refused"),
+        ("hwgrep://no_such_adapter", r"no ports found.*list the ports with"),
+    ],
+)
+def test_a_url_that_cannot_be_opened_is_one_sentence(port, says):
+    with pytest.raises(LinkError, match=says) as caught:
+        SerialStream(port, 115_200)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_handshake_over_noise_says_that_the_baud_rate_is_wrong():
+    master = pty.PtyStream()
+    with (
+        contextlib.closing(master),
+        contextlib.closing(StreamLink(SerialStream(master.port, 921_600))) as host,
+        pytest.raises(DeviceError, match=r"were not whole: set baud= in the link"),
+    ):
+        handshake.greet(host, lambda message: master.write(b"\x55\xaa noise \0"))
+
+
+def test_a_handshake_in_silence_names_the_link():
+    master = pty.PtyStream()
+    with (
+        contextlib.closing(master),
+        contextlib.closing(StreamLink(SerialStream(master.port, 921_600))) as host,
+        pytest.raises(DeviceError, match=r"did not answer HELLO within 2 s \(serial port .* check that it is"),
+    ):
+        handshake.greet(host, lambda message: None)
