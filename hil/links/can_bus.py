@@ -2,6 +2,7 @@
 
 import errno
 import time
+from collections.abc import Callable
 from typing import Any
 
 from firmware_protocol.framing import Frame
@@ -32,7 +33,7 @@ class CanLink:
     """Frames of our ids over a CAN bus.
 
     Foreign frames are dropped and counted: ``foreign`` (extended or remote), ``error_frame``, ``unknown_id``,
-    ``length``.
+    ``length``. ``on_foreign``, where set, is shown each of them as a ``can.Message``.
 
     Raises BadInputError for an interface that python-can does not know, LinkError when it cannot be opened.
     """
@@ -43,6 +44,7 @@ class CanLink:
         self._can = can
         self._url = url
         self._failures = (can.CanError, OSError)
+        self.on_foreign: Callable[[Any], None] | None = None
         self._rejected = {"foreign": 0, "error_frame": 0, "unknown_id": 0, "length": 0}
         if url.interface not in can.VALID_INTERFACES:
             raise BadInputError(
@@ -82,6 +84,8 @@ class CanLink:
             if (cause := self._refusal(message)) is None:
                 return Received(Frame(message.arbitration_id, bytes(message.data)), time.monotonic_ns())
             self._rejected[cause] += 1
+            if self.on_foreign is not None:
+                self.on_foreign(message)
             timeout_ns = max(0, deadline_ns - time.monotonic_ns())
 
     @staticmethod

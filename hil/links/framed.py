@@ -37,6 +37,10 @@ class StreamLink:
             # Bytes came that completed no frame: wait on for what is left of the time.
             timeout_ns = deadline_ns - time.monotonic_ns()
 
+    def received_bytes(self) -> int:
+        """Return how many bytes have come so far, those that were no frame too."""
+        return self._deframer.bytes
+
     def rejected(self) -> dict[str, int]:
         return dict(self._deframer.rejected) | {"lost": self._deframer.lost}
 
