@@ -12,6 +12,7 @@ from hil.devices.stm32 import Stm32
 from hil.errors import DeviceError, HilError, LinkError
 from hil.estimator import Estimator
 from hil.guard import Guard
+from hil.links.statistics import Statistics
 from hil.ports import Clock, Controller, PoseSource, Sink
 from hil.references import ReferenceSource
 from hil.signals import (
@@ -49,6 +50,7 @@ class Parts(NamedTuple):
 
     clock: Clock
     device: Stm32
+    wire: Statistics
     truth: PoseSource | None
     estimator: Estimator
     reference: ReferenceSource
@@ -244,7 +246,7 @@ class Loop:
         reference: Reference,
         applied: Applied,
     ) -> None:
-        device = self._parts.device
+        device, wire = self._parts.device, self._parts.wire
         if number % 100 == 0:
             self._rejected = sum(device.rejected().values())
         command = applied.command
@@ -273,7 +275,19 @@ class Loop:
                 ),
                 BatterySignals(device.health.battery_v, device.health.battery_a),
                 GuardSignals(applied.saturated),
-                LinkSignals(device.sent, device.received, self._rejected, age_ms),
+                LinkSignals(
+                    device.sent,
+                    device.received,
+                    self._rejected,
+                    age_ms,
+                    device.snapshots_lost,
+                    wire.sent.bytes,
+                    wire.received.bytes,
+                    wire.load_percent(),
+                    device.round_trip.ms,
+                    device.clock_sync.offset_us,
+                    device.clock_sync.drift_ppm,
+                ),
             ).row()
         )
 
