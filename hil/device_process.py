@@ -22,13 +22,11 @@ from hil.trace.tap import TracedWire
 def serve(
     scenario: Scenario, truth_port: int, say: Callable[[str], None], target: str = "host", trace: Path | None = None
 ) -> None:
-    """Serve the scenario's virtual robot until SIGTERM or SIGINT; ``target`` says what its firmware runs on.
-
+    """Serve the scenario's virtual robot until SIGTERM or SIGINT; ``target`` says what its firmware runs on,
     ``trace`` is a file for what is on the wire.
-
     ``say`` gets one line when the robot is ready: how to reach it; and one at the end each if this machine's stalls
-    cost robot time, and if the trace is incomplete. Raises BadInputError when a part cannot be made, LinkError when the link is lost, DeviceError when the
-    plant fails.
+    cost robot time, and if the trace is incomplete. Raises BadInputError when a part cannot be made, LinkError when
+    the link is lost, DeviceError when the plant fails.
     """
     with contextlib.ExitStack() as resources:
         url = parse_link(scenario.link.url)

@@ -105,16 +105,10 @@ def _signals(message: codec.Message) -> Iterator[str]:
     units, names = UNITS.get(message.ID, {}), NAMED_VALUES.get(message.ID, {})
     for field, value in message._asdict().items():
         unit = units.get(field)
-        if unit is not None:
-            # The unit ends the name; here it stands behind the value.
-            yield f"{field.removesuffix(_ending(unit))} {value!r} {_SIGNS.get(unit, unit)}"
+        if field in names:
+            yield f"{field} {names[field](value).name}"
         else:
-            yield f"{field} {names[field](value).name if field in names else value}"
-
-
-def _ending(unit: str) -> str:
-    """Return how a name in wheel.dbc ends for a unit: ``_rad_s`` for rad/s."""
-    return "_" + unit.lower().replace("/", "_").replace(".", "_")
+            yield f"{field} {value}" if unit is None else f"{field} {value} {_SIGNS.get(unit, unit)}"
 
 
 class Reading:
