@@ -1,5 +1,6 @@
 """A trace in the terms of the wheel-command protocol, whichever tool wrote it."""
 
+import logging
 import math
 import struct
 import zlib
@@ -130,14 +131,19 @@ class Reading:
 
     def _messages(self) -> Iterator[Any]:
         import can
+        from can.io.blf import BLFParseError
 
+        # What it has to say of a bad file goes into ``trouble``.
+        logging.getLogger("can").addHandler(logging.NullHandler())
+        # Vector's text form has seconds since its start, which its head tells.
+        options = {"relative_timestamp": False} if self._path.suffix.lower() == ".asc" else {}
         try:
-            with can.LogReader(self._path) as reader:
+            with can.LogReader(self._path, **options) as reader:
                 size = getattr(reader, "file_size", None)  # BLF says how long it was when it was finished
                 for message in reader:
                     self.frames += 1
                     yield message
-        except _BROKEN:
+        except (*_BROKEN, BLFParseError):
             self._break_off("what follows makes no sense, it is cut or damaged")
             return
         if size is not None and size != self._path.stat().st_size:

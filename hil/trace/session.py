@@ -72,6 +72,11 @@ class Trace:
             remedy="run without --trace to go on",
         )
 
+    @property
+    def pid(self) -> int:
+        """Process id of the writer."""
+        return self._process.pid
+
     def begin(self, zero_unix_ns: int) -> None:
         """Say at what Unix time the clock of the stamps was zero."""
         self._zero_unix_us = zero_unix_ns // 1000
