@@ -145,7 +145,8 @@ def print_figures(metrics: Mapping[str, Any]) -> None:
 
 def _print_link(link: Mapping[str, Any]) -> None:
     """Print what became of the link, as far as there is something to say."""
-    rows = [("on the wire", ", ".join(_traffic(link, way) for way in ("sent", "received", "foreign") if link[way]))]
+    ways = [way for way in ("sent", "received", "foreign") if link[way] is not None and link[way]["frames"]]
+    rows = [("on the wire", ", ".join(_traffic(link, way) for way in ways) or "nothing")]
     for way, load in (link["load"] or {}).items():
         if load["mean_percent"] is not None:
             worst = load["worst_100_ms_percent"]
@@ -157,7 +158,8 @@ def _print_link(link: Mapping[str, Any]) -> None:
         if (figure := link[name]) is not None:
             rows.append((label, f"{figure['p50']:.3g}, {figure['p99']:.3g} ms"))
     if (clock := link["clock"]) is not None:
-        drift = "" if math.isnan(clock["drift_ppm"] or math.nan) else f", drift {clock['drift_ppm']:+.1f} ppm"
+        drift_ppm = clock["drift_ppm"]  # NaN, or null in a recording, while the run is too short for it
+        drift = "" if drift_ppm is None or math.isnan(drift_ppm) else f", drift {drift_ppm:+.1f} ppm"
         rows.append(("robot's clock", f"{clock['offset_us'] * 1e-3:+.3f} ms{drift}"))
         way = clock["round_trip_us"]
         rows.append(("TIME_SYNC p50, p99", f"{way['p50']:.0f}, {way['p99']:.0f} µs"))
