@@ -8,6 +8,7 @@ import time
 from typing import Any, NamedTuple, Protocol
 
 from firmware_protocol.framing import CAUSES, FRAME_OVERHEAD, Frame
+from firmware_protocol.generated.messages import LENGTHS
 from hil.links.can_frame import classic_bits, fd_bits
 from hil.links.url import CanUrl, LinkUrl, MemoryUrl, SerialUrl
 from hil.ports import Clock, Link, Received
@@ -47,28 +48,30 @@ class LoadWindow:
 
     def add(self, now_ns: int, busy_ns: int) -> None:
         """Count a frame that keeps the line busy for so long."""
-        self._advance(now_ns)
+        bucket = now_ns // _BUCKET_NS
+        if bucket > self._newest:
+            self._advance(bucket)
         self._buckets[self._newest % _BUCKETS] += busy_ns
         self._sum_ns += busy_ns
         self._total_ns += busy_ns
         if self._sum_ns > self._worst_ns:
             self._worst_ns = self._sum_ns
 
-    def _advance(self, now_ns: int) -> None:
-        bucket = now_ns // _BUCKET_NS
-        passed = bucket - self._newest
-        if passed >= _BUCKETS:
+    def _advance(self, bucket: int) -> None:
+        if bucket - self._newest >= _BUCKETS:
             self._buckets = [0] * _BUCKETS
             self._sum_ns = 0
         else:
             for place in range(self._newest + 1, bucket + 1):
                 self._sum_ns -= self._buckets[place % _BUCKETS]
                 self._buckets[place % _BUCKETS] = 0
-        self._newest = max(bucket, self._newest)
+        self._newest = bucket
 
     def percent(self, now_ns: int) -> float:
         """Return the load of the window that ends now [%]."""
-        self._advance(now_ns)
+        bucket = now_ns // _BUCKET_NS
+        if bucket > self._newest:
+            self._advance(bucket)
         return 100.0 * self._sum_ns / WINDOW_NS
 
     def figures(self, lasted_ns: int) -> dict[str, float | None]:
@@ -83,6 +86,9 @@ class Usage(NamedTuple):
     bytes: int
     bits: int
     busy_ns: int
+
+
+_NOTHING = Usage(0, 0, 0)
 
 
 class Meter(Protocol):
@@ -116,12 +122,15 @@ class SerialMeter:
         self._baud = baud
         self._seen = source.received_bytes()
         self.timed = baud is not None
+        self._sent = [self._usage(length + FRAME_OVERHEAD) for length in range(max(LENGTHS.values()) + 1)]
 
     def sent(self, frame: Frame) -> Usage:
-        return self._usage(len(frame.payload) + FRAME_OVERHEAD)
+        return self._sent[len(frame.payload)]
 
     def received(self, _frame: Frame) -> Usage:
         total = self._source.received_bytes()
+        if total == self._seen:
+            return _NOTHING  # bytes come in chunks: another frame of the last one
         count, self._seen = total - self._seen, total
         return self._usage(count)
 
@@ -154,7 +163,7 @@ class CanMeter:
         """Return what a ``can.Message`` of somebody else took; an error frame's bits cannot be known."""
         number, payload, extended = message.arbitration_id, bytes(message.data), message.is_extended_id
         if message.is_error_frame:
-            return Usage(0, 0, 0)
+            return _NOTHING
         if message.is_fd:
             return self._fd(number, payload, extended=extended, switched=message.bitrate_switch)
         remote_length = message.dlc if message.is_remote_frame else None
@@ -224,7 +233,8 @@ class Statistics:
         now_ns = self._clock.now_ns()
         usage = self._meter.sent(frame)
         self.sent.add(usage)
-        self._down.add(now_ns, usage.busy_ns)
+        if usage.busy_ns:
+            self._down.add(now_ns, usage.busy_ns)
         if self._trace is not None:
             self._trace.frame(now_ns, frame, sent=True)
 
@@ -238,7 +248,8 @@ class Statistics:
         stamp_ns = self._clock.now_ns() if self._ahead_ns is None else received.stamp_ns - self._ahead_ns
         usage = self._meter.received(frame)
         self.received.add(usage)
-        self._up.add(stamp_ns, usage.busy_ns)
+        if usage.busy_ns:
+            self._up.add(stamp_ns, usage.busy_ns)
         if self._trace is not None:
             self._trace.frame(stamp_ns, frame, sent=False)
         return Received(frame, stamp_ns)
@@ -249,7 +260,8 @@ class Statistics:
         now_ns = self._clock.now_ns()
         usage = self._meter.foreign(message)
         self.foreign.add(usage)
-        self._down.add(now_ns, usage.busy_ns)
+        if usage.busy_ns:
+            self._down.add(now_ns, usage.busy_ns)
         if self._trace is not None:
             self._trace.foreign(now_ns, message)
 
