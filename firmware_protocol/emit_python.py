@@ -196,3 +196,13 @@ def _tables(schema: Schema) -> Iterator[str]:
     yield "SENDERS: dict[int, str] = {"
     yield from (f'    0x{m.id:03X}: "{m.sender}",' for m in schema.messages)
     yield "}"
+    yield "UNITS: dict[int, dict[str, str]] = {"
+    for m in schema.messages:
+        units = ", ".join(f'"{s.name}": "{s.unit}"' for s in m.signals if s.unit)
+        yield from ([f"    0x{m.id:03X}: {{{units}}},"] if units else [])
+    yield "}"
+    yield "NAMED_VALUES: dict[int, dict[str, type[IntEnum]]] = {"
+    for m in schema.messages:
+        kinds = ", ".join(f'"{s.name}": {camel(s.name)}' for s in m.signals if s.values)
+        yield from ([f"    0x{m.id:03X}: {{{kinds}}},"] if kinds else [])
+    yield "}"

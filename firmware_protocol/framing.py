@@ -18,6 +18,9 @@ _CRC_START = 0xFFFF
 MAX_ENCODED = _HEADER + max(LENGTHS.values()) + _CRC + 1
 """Bytes of the longest frame on the wire without its zero; COBS adds one byte to less than 254."""
 
+FRAME_OVERHEAD = _HEADER + _CRC + 2
+"""Bytes of a frame on the wire beside its payload: header, CRC, the byte that COBS adds, and the zero."""
+
 CAUSES = ("cobs", "crc", "length", "unknown_id", "overrun")
 """Why a received frame is dropped: the keys of ``Deframer.rejected``."""
 

@@ -6,20 +6,21 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, TypeVar
 
-from hil.bench import NS, Bench
+from hil.bench import NS, Bench, open_trace
 from hil.controllers.registry import make_controller
 from hil.errors import DeviceError, HilError, LinkError
 from hil.estimator import make_estimator
 from hil.guard import Guard
 from hil.loop import Loop, Parts, Report, Timing
-from hil.metrics import signal_figures
+from hil.metrics import percentiles, signal_figures
 from hil.model import RobotModel
 from hil.ports import Sink
 from hil.references import make_reference
-from hil.results import MemorySink, RunResult, expectations
+from hil.results import MemorySink, RunResult, Series, expectations
 from hil.scenario import Scenario, load
 from hil.telemetry import Recording, check_recording_path
 from hil.telemetry.provenance import properties
+from hil.trace import Trace, check_trace_path
 
 __all__ = ["RunResult", "run", "run_scenario"]
 
@@ -34,19 +35,21 @@ def run(
     seed: int | None = None,
     truth: str | None = None,
     record: str | Path | None = None,
+    trace: str | Path | None = None,
     allow_motion: bool = False,
 ) -> RunResult:
     """Run a scenario and return its result; the same as ``hil run``.
 
     ``scenario`` is a shipped name or a path; ``set`` overrides any of its keys, ``robot`` merges a robot's own file.
-    ``truth`` is the URL of the truth socket of a robot in another process, ``record`` an ``.rrd`` file.
+    ``truth`` is the URL of the truth socket of a robot in another process, ``record`` an ``.rrd`` file, ``trace`` a
+    ``.blf``, ``.asc`` or ``.log`` file for what is on the wire.
 
     Raises BadInputError for a wrong scenario or option, LinkError or DeviceError when the robot cannot be reached or
     does not arm. What fails later is in the result.
     """
     loaded = load(scenario, set=set, robot=robot, mode=mode, link=link, seed=seed)
-    path = Path(record) if record is not None else None
-    return run_scenario(loaded, truth=truth, record=path, allow_motion=allow_motion)
+    recording, traced = (Path(path) if path is not None else None for path in (record, trace))
+    return run_scenario(loaded, truth=truth, record=recording, trace=traced, allow_motion=allow_motion)
 
 
 Watch = Callable[[Loop], AbstractContextManager[object]]
@@ -57,6 +60,7 @@ def run_scenario(
     *,
     truth: str | None = None,
     record: Path | None = None,
+    trace: Path | None = None,
     live_port: int | None = None,
     allow_motion: bool = False,
     watch: Watch | None = None,
@@ -69,15 +73,18 @@ def run_scenario(
     """
     if record is not None:
         check_recording_path(record)
+    if trace is not None:
+        check_trace_path(trace)
     make_loop = _loop_of(scenario)
+    blocking = scenario.loop.mode == "lockstep"
     with contextlib.ExitStack() as resources:
-        bench = resources.enter_context(Bench(scenario, truth, allow_motion=allow_motion))
+        tracing = resources.enter_context(open_trace(scenario, trace)) if trace is not None else None
+        bench = resources.enter_context(Bench(scenario, truth, allow_motion=allow_motion, trace=tracing))
         # First the robot, then the recorder: a robot that is not there leaves no empty recording behind.
         robot = _reach(bench, bench.connect)
         memory = MemorySink()
         recording = None
         if record is not None or live_port is not None:
-            blocking = scenario.loop.mode == "lockstep"
             recording = resources.enter_context(
                 Recording(record, properties=properties(scenario), blocking=blocking, live_port=live_port)
             )
@@ -86,10 +93,13 @@ def run_scenario(
         loop = make_loop(bench, memory if recording is None else _Both(memory, recording))
         origin_ns = _reach(bench, lambda: bench.device.start(bench.clock, scenario.loop.period_ns))
         bench.faults.begin(origin_ns)
+        bench.wire.begin()
         with watch(loop) if watch is not None else contextlib.nullcontext():
             report = loop.run(origin_ns, round(scenario.loop.duration_s * NS))
         failure = bench.stop_robot() or report.failure
         metrics = _figures(scenario, bench, memory, report, failure, loop.commands_refused)
+        if tracing is not None:
+            metrics["trace"] = _finished(tracing)
         if recording is not None:
             _note_events(recording, loop, metrics)
             _close_recording(recording, metrics, keep_live=linger is not None)
@@ -115,7 +125,7 @@ def _loop_of(scenario: Scenario) -> Callable[[Bench, Sink], Loop]:
 
     def make(bench: Bench, sink: Sink) -> Loop:
         estimator = make_estimator(scenario.estimator.source, model, bench.start_pose(), counts)
-        parts = Parts(bench.clock, bench.device, bench.truth, estimator, reference, controller, guard, sink)
+        parts = Parts(bench.clock, bench.device, bench.wire, bench.truth, estimator, reference, controller, guard, sink)
         return Loop(parts, table.mode, timing, rearm=scenario.loop.rearm)
 
     return make
@@ -180,6 +190,7 @@ def _figures(
         **figures,
         "realtime_factor": realtime_factor,
         "frames": {"sent": device.sent, "received": device.received, "rejected": device.rejected()},
+        "link_statistics": _link_statistics(bench, signals),
         "wire_sha256": device.wire_sha256(),
         "stopped": report.stopped,
         "commands_refused": commands_refused,
@@ -194,6 +205,51 @@ def _figures(
     }
 
 
+_NO_VALUE = {
+    "load": "memory has no bit rate",
+    "foreign": "a line between two has no third",
+    "frames_to_host": "CAN frames carry no count of their own",
+    "frames_to_robot": "CAN frames carry no count of their own",
+    "feedback_age_ms": "the run has no ticks",
+    "round_trip_ms": "no feedback said that a command of the run was in force",
+    "clock": "the robot answered no TIME_SYNC_REQUEST",
+}
+
+
+def _link_statistics(bench: Bench, signals: Mapping[str, Series]) -> dict[str, Any]:
+    """Return what became of the link (hil/links/STATISTICS.md); for a figure that is None, ``reasons`` tells why."""
+    device, wire = bench.device, bench.wire
+    rejected = device.rejected()
+    counted = wire.counts_frames
+    lost = {
+        "snapshots": device.snapshots_lost,
+        "frames_to_host": rejected.pop("lost", 0) if counted else None,
+        "frames_to_robot": rejected.pop("robot_serial_lost", 0) if counted else None,
+    }
+    age_ms = percentiles(signals["link.feedback_age_ms"])
+    figures = {
+        **wire.figures(),
+        "lost": lost,
+        "rejected": rejected,
+        "feedback_age_ms": None if age_ms is None else age_ms._asdict(),
+        "round_trip_ms": device.round_trip.figures(),
+        "clock": device.clock_sync.figures(),
+    }
+    missing = [name for name, value in (figures | lost).items() if value is None]
+    return figures | {"reasons": {name: _NO_VALUE[name] for name in missing}}
+
+
+def _finished(trace: Trace) -> dict[str, Any]:
+    report = trace.finish()
+    return {
+        "path": str(report.path),
+        "frames": report.frames,
+        "dropped": report.dropped,
+        "lost": report.lost,
+        "trouble": report.trouble(),
+    }
+
+
 def _note_events(recording: Recording, loop: Loop, metrics: Mapping[str, Any]) -> None:
     """Put into the event log what became of the run, at the time to which it belongs."""
     for row in metrics["fault"]:
@@ -204,6 +260,8 @@ def _note_events(recording: Recording, loop: Loop, metrics: Mapping[str, Any]) -
     for row in metrics["expect"]:
         at_s = loop.t_s if row["violation_s"] is None else row["violation_s"]
         recording.event(at_s, "info" if row["passed"] else "error", row["text"])
+    if (trace := metrics.get("trace")) is not None and trace["trouble"] is not None:
+        recording.event(loop.t_s, "warning", trace["trouble"])
     if metrics["failure"] is not None:
         recording.event(loop.t_s, "error", metrics["failure"])
 

@@ -3,7 +3,9 @@
 import contextlib
 import random
 import secrets
+import time
 from collections.abc import Callable, Collection, Iterator, Mapping
+from pathlib import Path
 from types import TracebackType
 from typing import Self
 
@@ -18,12 +20,14 @@ from hil.errors import BadInputError, HilError
 from hil.links.delay import DelayedLink
 from hil.links.faults import Fault, FaultLink
 from hil.links.opening import is_within_process, open_host, open_pair
-from hil.links.url import parse_link
+from hil.links.statistics import measured
+from hil.links.url import CanUrl, parse_link
 from hil.plant import archive
 from hil.plant.description import parameter_names
 from hil.plant.mapping import Row, SignalMap
 from hil.ports import Clock, Link, PoseSource
 from hil.scenario import SHIPPED_FMUS, FaultTable, Scenario, StartValue
+from hil.trace import Trace
 from hil.types import Pose
 
 NS = 1_000_000_000
@@ -107,16 +111,26 @@ def wheel_map(scenario: Scenario) -> WheelMap:
     return WheelMap(scenario.device.wheels, scenario.device.reversed)
 
 
+def open_trace(scenario: Scenario, path: Path) -> Trace:
+    """Start writing a trace of the scenario's link. Raises as ``Trace``."""
+    url = parse_link(scenario.link.url)
+    fd = isinstance(url, CanUrl) and url.fd
+    switched = isinstance(url, CanUrl) and url.data_bitrate is not None
+    return Trace(path, blocking=scenario.loop.mode == "lockstep", fd=fd, switched=switched)
+
+
 class Bench:
     """Link, robot, clock and truth of a run; a context manager that closes them all.
 
     With a link that stays within this process the virtual robot is made here too; else the robot is elsewhere, and
-    ``truth`` is the URL of its truth socket, if it has one.
+    ``truth`` is the URL of its truth socket, if it has one. ``trace`` is shown what is on the wire.
 
     Raises BadInputError, LinkError or DeviceError when a part cannot be opened.
     """
 
-    def __init__(self, scenario: Scenario, truth: str | None, *, allow_motion: bool) -> None:
+    def __init__(
+        self, scenario: Scenario, truth: str | None, *, allow_motion: bool, trace: Trace | None = None
+    ) -> None:
         self._scenario = scenario
         self.device: Stm32
         self._robot: VirtualStm32 | None = None
@@ -142,7 +156,11 @@ class Bench:
                 link = open_host(url)
                 resources.callback(link.close)
             self.clock: Clock = LockstepClock(lambda ticks: self.device.step(ticks)) if lockstep else WallClock()
-            self.faults = FaultLink(link, self.clock, _faults(scenario.fault), scenario.loop.seed)
+            self.wire = measured(link, url, self.clock, lockstep=lockstep)
+            if trace is not None:
+                trace.begin(time.time_ns() - self.clock.now_ns())
+                self.wire.trace_to(trace)
+            self.faults = FaultLink(self.wire, self.clock, _faults(scenario.fault), scenario.loop.seed)
             latencies = (scenario.link.command_latency_ns, scenario.link.feedback_latency_ns)
             delayed = DelayedLink(self.faults, self.clock, *latencies)
             self.device = Stm32(

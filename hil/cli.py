@@ -7,8 +7,10 @@ interrupted.
 import contextlib
 import json
 import math
+import os
 import signal
 import sys
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 from types import FrameType
@@ -40,6 +42,9 @@ LinkUrl = Annotated[
     typer.Option("--link", metavar="LINK", help="memory:, serial:PATH, serial:pty or can:INTERFACE/CHANNEL"),
 ]
 Seed = Annotated[int | None, typer.Option(metavar="N", help="of everything random in the run")]
+TraceFile = Annotated[
+    Path | None, typer.Option("--trace", metavar="FILE.blf|.asc|.log", help="write what is on the wire, for bus tools")
+]
 Json = Annotated[bool, typer.Option("--json", help="print one JSON object and nothing else")]
 
 
@@ -55,6 +60,7 @@ def run(
     record: Annotated[
         str | None, typer.Option(metavar="FILE|none", help="recording; by default runs/SCENARIO-TIME.rrd")
     ] = None,
+    trace: TraceFile = None,
     live: Annotated[bool, typer.Option("--live", help="serve the rerun viewer on 127.0.0.1 while it runs")] = False,
     live_port: Annotated[int, typer.Option(metavar="PORT", help="for --live", min=1, max=65535)] = 9876,
     seed: Seed = None,
@@ -80,6 +86,7 @@ def run(
             resolved,
             truth=truth,
             record=path,
+            trace=trace,
             live_port=live_port if live else None,
             allow_motion=allow_motion,
             watch=watch,
@@ -116,13 +123,61 @@ def device(
     ] = "host",
     seed: Seed = None,
     sets: Sets = None,
+    trace: TraceFile = None,
 ) -> None:
     """Be the scenario's virtual robot in a process of its own; print one line when ready."""
     from hil.device_process import serve
     from hil.scenario import load
 
     resolved = load(scenario, set=sets or [], robot=robot, mode=mode, link=link, seed=seed)
-    serve(resolved, truth_port, lambda line: print(line, flush=True), target)
+    serve(resolved, truth_port, lambda line: print(line, flush=True), target, trace)
+
+
+@app.command()
+def decode(
+    trace: Annotated[Path, typer.Argument(metavar="FILE", help="a .blf, .asc, .log (candump -L) or .trc file")],
+    message: Annotated[
+        list[str] | None, typer.Option("--message", metavar="NAME", help="only this message; may be repeated")
+    ] = None,
+    from_s: Annotated[float, typer.Option("--from", metavar="S", help="seconds after the first frame")] = 0.0,
+    to_s: Annotated[float, typer.Option("--to", metavar="S")] = math.inf,
+    counts: Annotated[bool, typer.Option("--counts", help="how many frames of each message instead")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="one JSON object a line: for each frame, or for all")] = False,
+) -> None:
+    """Print a trace of the bus in the terms of the wheel-command protocol."""
+    from hil.trace import decode as decoder
+
+    with _quiet_when_the_reader_leaves():
+        read = decoder.read(trace, decoder.Selection.of(message or [], from_s, to_s))
+        if counts:
+            found = decoder.count(read)
+            if as_json:
+                _print_json([row._asdict() for row in found])
+            else:
+                from hil import report
+
+                report.print_table([("message", "id", "frames", "per s"), *(row.texts() for row in found)])
+        else:
+            for entry in read:
+                if as_json:
+                    _print_json(entry.record())
+                else:
+                    print(entry.text())
+        sys.stdout.flush()
+    if read.trouble is not None:
+        print(f"hil: {read.trouble}", file=sys.stderr)
+        raise typer.Exit(BadInputError.exit_code)
+
+
+@contextlib.contextmanager
+def _quiet_when_the_reader_leaves() -> Iterator[None]:
+    """End quietly where stdout was closed, as by head."""
+    try:
+        yield
+    except BrokenPipeError:
+        # What is still in the buffer has no reader; without this the interpreter would complain at its end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise typer.Exit(0) from None
 
 
 @app.command()

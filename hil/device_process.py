@@ -2,30 +2,42 @@
 
 import contextlib
 import signal
+import time
 from collections.abc import Callable
+from pathlib import Path
 
-from hil.bench import virtual_robot
+from hil.bench import open_trace, virtual_robot
+from hil.clock import TICK_NS, WallClock
 from hil.devices.targets.robot import open_server, open_target
 from hil.devices.truth import TruthServer
+from hil.devices.virtual import VirtualStm32
 from hil.links.opening import open_robot
 from hil.links.url import parse_link
+from hil.links.wire import Wire
 from hil.scenario import Scenario
+from hil.trace import Trace
+from hil.trace.tap import TracedWire
 
 
-def serve(scenario: Scenario, truth_port: int, say: Callable[[str], None], target: str = "host") -> None:
-    """Serve the scenario's virtual robot until SIGTERM or SIGINT; ``target`` says what its firmware runs on.
-
-    ``say`` gets one line when the robot is ready: how to reach it; and one at the end if this machine's stalls cost
-    robot time. Raises BadInputError when a part cannot be made, LinkError when the link is lost, DeviceError when the
-    plant fails.
+def serve(
+    scenario: Scenario, truth_port: int, say: Callable[[str], None], target: str = "host", trace: Path | None = None
+) -> None:
+    """Serve the scenario's virtual robot until SIGTERM or SIGINT; ``target`` says what its firmware runs on,
+    ``trace`` is a file for what is on the wire.
+    ``say`` gets one line when the robot is ready: how to reach it; and one at the end each if this machine's stalls
+    cost robot time, and if the trace is incomplete. Raises BadInputError when a part cannot be made, LinkError when
+    the link is lost, DeviceError when the plant fails.
     """
     with contextlib.ExitStack() as resources:
         url = parse_link(scenario.link.url)
         lockstep = scenario.loop.mode == "lockstep"
         robot = open_target(target, virtual_robot(scenario), url)
         resources.callback(robot.close)
+        tracing = resources.enter_context(open_trace(scenario, trace)) if trace is not None else None
         wire, reach = open_robot(url, say, lockstep=lockstep)
         resources.callback(wire.close)
+        if tracing is not None:
+            wire = _traced(wire, tracing, robot, lockstep=scenario.loop.mode == "lockstep")
         truth = TruthServer(scenario.hash, truth_port)
         resources.callback(truth.close)
         server = open_server(robot, wire, truth, lockstep=lockstep)
@@ -38,3 +50,27 @@ def serve(scenario: Scenario, truth_port: int, say: Callable[[str], None], targe
         finally:
             if server.slipped_ticks:
                 say(f"this machine stalled: the robot lost {server.slipped_ticks} ms of its time")
+            if tracing is not None and (trouble := tracing.finish().trouble()) is not None:
+                say(trouble)
+
+
+class _RobotTime:
+    """Robot time of a robot in lockstep; where a power cycle began it anew, it goes on from there."""
+
+    def __init__(self, robot: VirtualStm32) -> None:
+        self._robot = robot
+        self._base = 0
+        self._last = 0
+
+    def now_ns(self) -> int:
+        tick = self._robot.node.look().tick
+        if tick < self._last:
+            self._base += self._last
+        self._last = tick
+        return (self._base + tick) * TICK_NS
+
+
+def _traced(wire: Wire, trace: Trace, robot: VirtualStm32, *, lockstep: bool) -> TracedWire:
+    clock = _RobotTime(robot) if lockstep else WallClock()
+    trace.begin(time.time_ns() - clock.now_ns())
+    return TracedWire(wire, trace, clock.now_ns)

@@ -12,6 +12,7 @@ from hil.devices.stm32 import Stm32
 from hil.errors import DeviceError, HilError, LinkError, RobotStoppedError
 from hil.estimator import Estimator
 from hil.guard import Guard
+from hil.links.statistics import Statistics
 from hil.ports import Clock, Controller, PoseSource, Sink
 from hil.recovery import Recovered, Recovery
 from hil.references import ReferenceSource
@@ -50,6 +51,7 @@ class Parts(NamedTuple):
 
     clock: Clock
     device: Stm32
+    wire: Statistics
     truth: PoseSource | None
     estimator: Estimator
     reference: ReferenceSource
@@ -314,7 +316,7 @@ class Loop:
         reference: Reference,
         applied: Applied,
     ) -> None:
-        device = self._parts.device
+        device, wire = self._parts.device, self._parts.wire
         self._ticks += 1
         if number % 100 == 0:
             self._rejected = sum(device.rejected().values())
@@ -338,7 +340,19 @@ class Loop:
                 _robot_signals(feedback),
                 BatterySignals(device.health.battery_v, device.health.battery_a),
                 GuardSignals(applied.saturated),
-                LinkSignals(device.sent, device.received, self._rejected, age_ms),
+                LinkSignals(
+                    device.sent,
+                    device.received,
+                    self._rejected,
+                    age_ms,
+                    device.snapshots_lost,
+                    wire.sent.bytes,
+                    wire.received.bytes,
+                    wire.load_percent(),
+                    device.round_trip.ms,
+                    device.clock_sync.offset_us,
+                    device.clock_sync.drift_ppm,
+                ),
             ).row()
         )
 

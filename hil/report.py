@@ -1,5 +1,6 @@
 """What the commands print for a person."""
 
+import math
 import shutil
 import sys
 import threading
@@ -125,6 +126,8 @@ def print_figures(metrics: Mapping[str, Any]) -> None:
     if frames is not None:
         rejected = ", ".join(f"{cause} {count}" for cause, count in frames["rejected"].items()) or "none"
         print(f"  {'frames':<22} {frames['sent']} sent, {frames['received']} received, rejected: {rejected}")
+    if (link := metrics.get("link_statistics")) is not None:
+        _print_link(link)
     for row in metrics.get("fault") or ():
         print(f"  {'fault':<22} {row['kind']} {row['target']}: applied {row['applied']} times")
     for row in metrics.get("recoveries") or ():
@@ -135,8 +138,39 @@ def print_figures(metrics: Mapping[str, Any]) -> None:
     if recorded is not None and (recorded["error"] or recorded["dropped"] or recorded["lost"]):
         lost = f"{recorded['dropped']} rows dropped, {recorded['lost']} lost"
         print(f"  {'recording':<22} incomplete: {lost}; {recorded['error'] or 'the recorder was too slow'}")
+    if (trace := metrics.get("trace")) is not None:
+        written = f"{trace['frames']} frames in {trace['path']}"
+        print(f"  {'trace':<22} {trace['trouble'] or written}")
     if (passed := metrics.get("passed")) is not None:
         print(f"  {'passed':<22} {'yes' if passed else 'no'}")
+
+
+def _print_link(link: Mapping[str, Any]) -> None:
+    """Print what became of the link, as far as there is something to say."""
+    ways = [way for way in ("sent", "received", "foreign") if link[way] is not None and link[way]["frames"]]
+    rows = [("on the wire", ", ".join(_traffic(link, way) for way in ways) or "nothing")]
+    for way, load in (link["load"] or {}).items():
+        if load["mean_percent"] is not None:
+            worst = load["worst_100_ms_percent"]
+            rows.append((f"load, {way}", f"{load['mean_percent']:.1f} %, in the worst 100 ms {worst:.1f} %"))
+    lost = {name.replace("_", " "): count for name, count in link["lost"].items() if count}
+    if lost:
+        rows.append(("lost", ", ".join(f"{name} {count}" for name, count in lost.items())))
+    for label, name in (("feedback age p50, p99", "feedback_age_ms"), ("round trip p50, p99", "round_trip_ms")):
+        if (figure := link[name]) is not None:
+            rows.append((label, f"{figure['p50']:.3g}, {figure['p99']:.3g} ms"))
+    if (clock := link["clock"]) is not None:
+        drift_ppm = clock["drift_ppm"]  # NaN, or null in a recording, while the run is too short for it
+        drift = "" if drift_ppm is None or math.isnan(drift_ppm) else f", drift {drift_ppm:+.1f} ppm"
+        rows.append(("robot's clock", f"{clock['offset_us'] * 1e-3:+.3f} ms{drift}"))
+        way = clock["round_trip_us"]
+        rows.append(("TIME_SYNC p50, p99", f"{way['p50']:.0f}, {way['p99']:.0f} µs"))
+    for label, text in rows:
+        print(f"  {label:<22} {text}")
+
+
+def _traffic(link: Mapping[str, Any], way: str) -> str:
+    return f"{way} {link[way]['frames']} frames, {link[way]['bytes'] * 1e-3:.1f} kB"
 
 
 _FIGURES = (

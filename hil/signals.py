@@ -58,6 +58,13 @@ class LinkSignals(NamedTuple):
     received: float
     rejected: float
     feedback_age_ms: float
+    lost: float
+    sent_bytes: float
+    received_bytes: float
+    load_percent: float
+    rtt_ms: float
+    clock_offset_us: float
+    clock_drift_ppm: float
 
 
 class Sample(NamedTuple):
@@ -124,6 +131,13 @@ _MEANING = {
     "link.received": "valid frames received so far",
     "link.rejected": "frames dropped so far, all causes; looked up every 100 ticks",
     "link.feedback_age_ms": "age of the newest feedback at the tick: time since it arrived, and the link's latency",
+    "link.lost": "feedback snapshots so far that are missing in the robot's count, or came in part",
+    "link.sent_bytes": "bytes sent since t = 0; on CAN those of the data fields",
+    "link.received_bytes": "bytes received since t = 0; on CAN those of the data fields",
+    "link.load_percent": "how busy the wire was in the last 100 ms; no value on memory:",
+    "link.rtt_ms": "from sending a command to the first feedback that says it is in force; no value before the first",
+    "link.clock_offset_us": "the robot's clock ahead of the run's, by TIME_SYNC; no value before the first answer",
+    "link.clock_drift_ppm": "how much faster the robot's clock goes than the run's; no value in the first second",
 }
 
 _WHEEL_GROUPS = {
@@ -149,6 +163,9 @@ _UNITS = (
     ("_a", "A"),
     ("_v", "V"),
     ("_degc", "°C"),
+    ("_bytes", "B"),
+    ("_percent", "%"),
+    ("_ppm", "ppm"),
 )
 
 

@@ -2013,3 +2013,25 @@ SENDERS: dict[int, str] = {
     0x703: "ROBOT",
     0x704: "ROBOT",
 }
+UNITS: dict[int, dict[str, str]] = {
+    0x030: {"fl_n_m": "N.m", "fr_n_m": "N.m", "rr_n_m": "N.m", "rl_n_m": "N.m"},
+    0x040: {"fl_rad_s": "rad/s", "fr_rad_s": "rad/s", "rr_rad_s": "rad/s", "rl_rad_s": "rad/s"},
+    0x041: {"fl_n_m": "N.m", "fr_n_m": "N.m", "rr_n_m": "N.m", "rl_n_m": "N.m"},
+    0x080: {"time_us": "us", "command_age_ms": "ms"},
+    0x082: {"fl_rad_s": "rad/s", "fr_rad_s": "rad/s", "rr_rad_s": "rad/s", "rl_rad_s": "rad/s"},
+    0x083: {"fl_a": "A", "fr_a": "A", "rr_a": "A", "rl_a": "A"},
+    0x090: {"x_m_s2": "m/s2", "y_m_s2": "m/s2", "z_m_s2": "m/s2"},
+    0x091: {"x_rad_s": "rad/s", "y_rad_s": "rad/s", "z_rad_s": "rad/s"},
+    0x101: {"battery_v": "V", "battery_a": "A"},
+    0x102: {"fl_degc": "degC", "fr_degc": "degC", "rr_degc": "degC", "rl_degc": "degC"},
+    0x181: {"received_us": "us", "held_us": "us"},
+    0x703: {"watchdog_ms": "ms", "feedback_period_ms": "ms"},
+    0x704: {"wheel_radius_m": "m", "half_length_m": "m", "half_width_m": "m"},
+}
+NAMED_VALUES: dict[int, dict[str, type[IntEnum]]] = {
+    0x020: {"request": Request, "mode": Mode},
+    0x080: {"state": State},
+    0x100: {"state": State, "mode": Mode, "fault": Fault, "fault_wheel": FaultWheel, "stop_reason": StopReason, "arm_refusal": ArmRefusal},
+    0x200: {"operation": Operation},
+    0x280: {"operation": Operation, "result": Result, "type": Type},
+}

@@ -34,7 +34,8 @@ class Feedback(NamedTuple):
 
 
 class SnapshotAssembler:
-    """Puts snapshots together; pure. ``incomplete`` counts what was dropped, ``lost`` gaps in their numbers."""
+    """Puts snapshots together; pure. ``incomplete`` counts what was dropped, ``lost`` gaps in their numbers;
+    128 and more in a row go unseen."""
 
     def __init__(self) -> None:
         self._tick: Tick | None = None
@@ -83,7 +84,9 @@ class SnapshotAssembler:
     def _open(self, tick: Tick) -> None:
         self.incomplete += self._missing != 0
         if self._last_number is not None:
-            self.lost += (tick.snapshot - self._last_number - 1) & 0xFF
+            missing = (tick.snapshot - self._last_number - 1) & 0xFF
+            # Half the circle or more is a repeated TICK, one that was overtaken, or a robot that began anew.
+            self.lost += missing if missing < 128 else 0
         self._last_number = tick.snapshot
         self._tick = tick
         self._missing = tick.parts

@@ -16,11 +16,12 @@ from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m
 from hil.devices import handshake
 from hil.devices.handshake import RETRY_NS, Expected, Greeting, RobotInfo
+from hil.devices.link_times import SYNC_PERIOD_NS, ClockSync, RoundTrip
 from hil.devices.snapshot import Feedback, SnapshotAssembler
 from hil.devices.wheel_map import WheelMap
 from hil.errors import BadInputError, DeviceError, HilError, RobotStoppedError
 from hil.links.delay import DelayedLink
-from hil.ports import Clock
+from hil.ports import Clock, Received
 from hil.types import NAN, NAN_WHEELS, ZERO_WHEELS, CommandMode, WheelCommand, Wheels
 
 SILENCE_NS = 2_000_000_000  # wall-clock silence that ends a handshake or a step
@@ -83,6 +84,9 @@ class Stm32:
         self._out_of_range = 0
         self.status: m.Status | None = None
         self.health = Health()
+        self.round_trip = RoundTrip()
+        self.clock_sync = ClockSync()
+        self._next_sync_ns = 0
         self.sent = 0
         self.received = 0
 
@@ -254,17 +258,31 @@ class Stm32:
         while (due_ns := self._link.next_due_ns()) is not None and due_ns < t_ns:
             clock.wait_until(due_ns)
             self._link.service()
+        if self.clock_sync.awaiting and not self._expected.lockstep:
+            self._await_clock(clock, t_ns)
         late_ns = clock.wait_until(t_ns)
         self._link.service()
         return late_ns
 
+    def _await_clock(self, clock: Clock, t_ns: int) -> None:
+        """Wait for TIME_SYNC's answer on the link itself: what is found at the next tick has no stamp of its own."""
+        while self.clock_sync.awaiting and (left_ns := t_ns - clock.now_ns()) > 0:
+            received = self._link.receive(left_ns)
+            if received is None:
+                return
+            self._take(received)
+
     def poll(self) -> Feedback | None:
-        """Take what has arrived; return the newest snapshot so far. Sends the heartbeat when it is due."""
+        """Take what has arrived; return the newest snapshot so far. Sends heartbeat and TIME_SYNC when they are due."""
         while (received := self._link.receive(0)) is not None:
-            self._take(received.frame)
-        due_ns = self._next_heartbeat_ns
-        if due_ns is not None and self._clock is not None and self._clock.now_ns() >= due_ns:
-            self._wish(self._request)
+            self._take(received)
+        if self._clock is not None:
+            now_ns = self._clock.now_ns()
+            due_ns = self._next_heartbeat_ns
+            if due_ns is not None and now_ns >= due_ns:
+                self._wish(self._request)
+            if now_ns >= self._next_sync_ns:
+                self._synchronise(now_ns)
         return self._feedback
 
     @property
@@ -272,9 +290,18 @@ class Stm32:
         """The newest snapshot that was taken; None after a loss, until the next one."""
         return self._feedback
 
+    def _synchronise(self, now_ns: int) -> None:
+        self._next_sync_ns = now_ns + SYNC_PERIOD_NS
+        self._send(m.TimeSyncRequest(self.clock_sync.request(now_ns)))
+        if self._expected.lockstep and self._link.next_due_ns() is None:
+            # No time passes here, so that the answer has the stamp of its tick, not that of the next step's end.
+            self._exchange_step(m.Step(self.tick, 0))
+
     def send(self, command: WheelCommand) -> None:
         """Send a command that the guard has passed. Raises ValueError for a value that cannot be sent."""
         self._sequence = (self._sequence + 1) & 0xFF
+        if self._clock is not None:
+            self.round_trip.sent(self._sequence, self._clock.now_ns())
         session = self._nonce & 0xF
         torque = self._map.to_wire(command.torque_n_m)
         if command.mode is CommandMode.TORQUE:
@@ -295,7 +322,7 @@ class Stm32:
         begin_ns = sent_ns = time.monotonic_ns()
         while True:
             received = self._link.receive(RETRY_NS)
-            message = self._take(received.frame) if received is not None else None
+            message = self._take(received) if received is not None else None
             if isinstance(message, m.StepDone) and (expected is None or message.tick != step.tick):
                 if expected not in (None, message.tick):
                     raise RobotStoppedError(
@@ -337,7 +364,8 @@ class Stm32:
         self.sent += 1
         self._hash(self._sent_hash, frame)
 
-    def _take(self, frame: Frame) -> codec.Message | None:
+    def _take(self, received: Received) -> codec.Message | None:
+        frame, stamp_ns = received
         message = codec.decode(frame)
         if message is None:
             self._out_of_range += 1
@@ -348,6 +376,8 @@ class Stm32:
         snapshot = self._assembler.feed(message)
         if snapshot is not None:
             self._feedback = self._map.feedback_from_wire(snapshot)
+        elif isinstance(message, m.Tick):
+            self.round_trip.echoed(message.sequence, stamp_ns)
         elif self._greeting is not None and (info := self._greeting.feed(message)) is not None:
             self._check_same(info)
             self._greeting = None
@@ -357,6 +387,8 @@ class Stm32:
             self._count_robot_rejections(message)
         elif isinstance(message, m.Power):
             self.health = self.health._replace(battery_v=message.battery_v, battery_a=message.battery_a)
+        elif isinstance(message, m.TimeSyncResponse):
+            self.clock_sync.answered(message.sequence, message.received_us, message.held_us, stamp_ns)
         elif isinstance(message, m.Temperatures):
             self.health = self.health._replace(temperature_degc=self._map.temperatures_from_wire(Wheels(*message)))
         return message
@@ -382,6 +414,11 @@ class Stm32:
         """
         both = self._sent_hash.digest() + self._received_hash.digest()
         return hashlib.sha256(both).hexdigest()
+
+    @property
+    def snapshots_lost(self) -> int:
+        """Feedback snapshots that are missing in the robot's count (TICK.snapshot), or came in part."""
+        return self._assembler.lost + self._assembler.incomplete
 
     def rejected(self) -> dict[str, int]:
         """Return the frames that this host dropped, by cause, and those that the robot reported (``robot_...``)."""

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from firmware_protocol.capabilities import Capability
+from firmware_protocol.framing import Frame
 from firmware_protocol.generated.messages import State
 from firmware_protocol.host import HostNode, View
 from hil.clock import TICK_NS
@@ -114,6 +115,37 @@ def _open(plant: VirtualPlant) -> FmuPlant | RemotePlant:
     return RemotePlant(plant.fmu, plant.start, mapping=plant.mapping, timeout_s=plant.timeout_s)
 
 
+class WallClockNode:
+    """A firmware whose clock goes on by the wall between its ticks, as that of a board does."""
+
+    def __init__(self, node: RobotNode, start_ns: int) -> None:
+        assert isinstance(node, HostNode), "an emulated board has no real time"
+        self._node = node
+        self._start_ns = start_ns
+
+    def _set_clock(self) -> None:
+        self._node.set_clock((time.monotonic_ns() - self._start_ns) // 1000)
+
+    def feed(self, data: bytes) -> None:
+        self._set_clock()
+        self._node.feed(data)
+
+    def receive(self, frame: Frame) -> None:
+        self._set_clock()
+        self._node.receive(frame)
+
+    def take_bytes(self) -> bytes:
+        self._set_clock()
+        return self._node.take_bytes()
+
+    def take_frames(self) -> list[Frame]:
+        self._set_clock()
+        return self._node.take_frames()
+
+    def count_unsent(self, frames: int) -> None:
+        self._node.count_unsent(frames)
+
+
 class TruthSink(Protocol):
     """Whoever wants the truth: the loop in this process, or the truth socket."""
 
@@ -175,10 +207,13 @@ class VirtualServer:
     def _serve_real_time(self) -> None:
         next_ns = self._start_ns + (self._ticks + 1) * TICK_NS
         now_ns = time.monotonic_ns()
+        node = WallClockNode(self._robot.node, self._start_ns)
         if now_ns < next_ns:
-            self._wire.receive_into(self._robot.node, next_ns - now_ns)
+            if self._wire.receive_into(node, next_ns - now_ns):
+                # An answer to TIME_SYNC that waited for the next tick would say nothing of the link.
+                self._wire.send_from(node)
             return
-        while self._wire.receive_into(self._robot.node, 0):
+        while self._wire.receive_into(node, 0):
             pass
         due = (now_ns - self._start_ns) // TICK_NS - self._ticks
         if due > _CATCH_UP_TICKS:

@@ -4,7 +4,7 @@ import errno
 import logging
 import select
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, Literal
 
 from firmware_protocol.framing import Frame
@@ -34,7 +34,8 @@ class CanLink:
     ``error_passive``, ...) and, for a host that hears the robot, ``unknown_id`` and ``length``. A robot that hears the host
     gets all standard data frames that pass the filters: its firmware counts those by itself. Dropped and not counted are
     this side's own messages, which some buses give back (python-can's ``udp_multicast``, which does not mark them either).
-    A bus-off is a lost link, to be reopened.
+    A bus-off is a lost link, to be reopened. ``on_foreign``, where set, is shown each frame that was counted, as a
+    ``can.Message``.
 
     Raises BadInputError for what python-can or its interface does not know, LinkError when it cannot be opened.
     """
@@ -51,6 +52,7 @@ class CanLink:
         self._rejected = dict.fromkeys(("foreign", "unknown_id", "length", *CAUSES), 0)
         self._bus: Any = None
         self._descriptor: int | None = None
+        self.on_foreign: Callable[[Any], None] | None = None
         if url.interface not in can.VALID_INTERFACES:
             raise BadInputError(
                 f"link {format_link(url)!r}: unknown CAN interface {url.interface!r}"
@@ -144,6 +146,8 @@ class CanLink:
                 return Received(Frame(message.arbitration_id, bytes(message.data)), time.monotonic_ns())
             elif cause in self._rejected:
                 self._rejected[cause] += 1
+                if self.on_foreign is not None:
+                    self.on_foreign(message)
             timeout_ns = max(0, deadline_ns - time.monotonic_ns())
 
     def _open_bus(self) -> Any:
@@ -164,6 +168,8 @@ class CanLink:
         return None
 
     def _count_error(self, message: Any) -> None:
+        if self.on_foreign is not None:
+            self.on_foreign(message)
         causes = causes_of(message.arbitration_id, bytes(message.data))
         for cause in causes:
             self._rejected[cause] += 1

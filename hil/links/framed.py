@@ -38,6 +38,10 @@ class StreamLink:
             # Bytes came that completed no frame: wait on for what is left of the time.
             timeout_ns = deadline_ns - time.monotonic_ns()
 
+    def received_bytes(self) -> int:
+        """Return how many bytes have come so far, those that were no frame too."""
+        return self._deframer.bytes
+
     def rejected(self) -> dict[str, int]:
         now = self._deframer.rejected | {"lost": self._deframer.lost}
         return {cause: count + self._earlier[cause] for cause, count in now.items()}

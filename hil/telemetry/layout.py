@@ -141,8 +141,20 @@ _ENTITIES = (
             Series("link.sent", "sent", REFERENCE_COLOUR),
             Series("link.received", "received", TRUTH_COLOUR),
             Series("link.rejected", "rejected", ALARM_COLOUR),
+            Series("link.lost", "snapshots lost", HEADING_COLOUR),
         ),
     ),
+    Entity(
+        "/link/bytes",
+        (
+            Series("link.sent_bytes", "sent", REFERENCE_COLOUR),
+            Series("link.received_bytes", "received", TRUTH_COLOUR),
+        ),
+    ),
+    Entity("/link/load", (Series("link.load_percent", "load", PLAIN_COLOUR),)),
+    Entity("/link/round_trip", (Series("link.rtt_ms", "round trip", PLAIN_COLOUR),)),
+    Entity("/link/clock/offset", (Series("link.clock_offset_us", "offset", PLAIN_COLOUR),)),
+    Entity("/link/clock/drift", (Series("link.clock_drift_ppm", "drift", PLAIN_COLOUR),)),
 )
 
 

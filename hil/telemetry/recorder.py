@@ -1,40 +1,24 @@
 """The recorder process: ``python -m hil.telemetry.recorder``, started by ``hil.telemetry.session``.
 
 It reads rows from the ring and lines from its standard input, and writes them to a file at full rate and to
-live viewers at about 100 Hz. It ends when it is told to, or when the run has gone: end of the pipe, or
-another parent. Either way the file is finished with all that was in the ring. SIGINT is the run's business
-and ignored here.
+live viewers at about 100 Hz.
 """
 
-import os
-import queue
-import signal
 import sys
-import threading
 import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import rerun as rr
 
-from hil.telemetry.channel import LineReader, LineWriter
 from hil.telemetry.live import LiveServer
-from hil.telemetry.memory import SharedBlock
 from hil.telemetry.ring import RingReader
+from hil.telemetry.ring_child import Record, RefusedError, run
 from hil.telemetry.stream import Stream
 
-POLL_S = 0.02
 BATCH_ROWS = 1000
 BATCH_AGE_S = 0.5
-
-Record = dict[str, Any]
-Inbox = queue.SimpleQueue[Record | None]
-
-
-class RefusedError(Exception):
-    """A recording cannot be made as it was asked for; the text is a sentence for the user."""
 
 
 class Recorder:
@@ -66,8 +50,9 @@ class Recorder:
             self._take(settled)
             self._batch_since = now
 
-    def event(self, t_s: float, level: str, text: str) -> None:
+    def line(self, record: Record) -> None:
         """Pass a line of the event log on."""
+        t_s, level, text = record["event"]
         self._write(lambda file: file.event(t_s, level, text))
         if self._live is not None:
             self._live.event(t_s, level, text)
@@ -117,71 +102,8 @@ class Recorder:
 
 def main() -> int:
     """Record until told to finish, or until the run has gone; 0 when the file was finished."""
-    _step_back()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    inbox: Inbox = queue.SimpleQueue()
-    signal.signal(signal.SIGTERM, lambda _number, _frame: inbox.put(None))
-    replies = LineWriter(os.dup(1))
-    os.dup2(2, 1)  # what a library prints must not get between the replies
     rr.set_strict_mode(True)
-
-    lines = LineReader(0)
-    config: Record | None = lines.read()
-    if config is None:
-        return 0
-    block = SharedBlock.attach(config["block"], config["block_bytes"])
-    ring = RingReader(block)
-    try:
-        recorder = Recorder(config, ring)
-    except RefusedError as refusal:
-        replies.send({"refused": str(refusal)})
-        return 2
-    replies.send({"ready": True})
-    threading.Thread(target=_read_lines, args=(lines, inbox), name="lines", daemon=True).start()
-    _serve(recorder, inbox, replies, config["parent_pid"])
-    recorder.close()
-    return 0
-
-
-def _step_back() -> None:
-    """Take a lower priority than the run, whose loop may have a real-time one for us to inherit."""
-    if sys.platform == "linux":
-        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-    if sys.platform != "win32":
-        os.nice(5)
-
-
-def _serve(recorder: Recorder, inbox: Inbox, replies: LineWriter, parent_pid: int) -> None:
-    while True:
-        record = _next(inbox, parent_pid)
-        if record is None:
-            recorder.finish(None)
-            return
-        if "event" in record:
-            recorder.event(*record["event"])
-        if "finish" in record:
-            replies.send(recorder.finish(record["finish"]))
-            while record["keep_live"] and _next(inbox, parent_pid) is not None:
-                pass
-            return
-        recorder.poll()
-
-
-def _next(inbox: Inbox, parent_pid: int) -> Record | None:
-    """Return the next record, an empty one after POLL_S, or None when the run has gone."""
-    try:
-        return inbox.get(timeout=POLL_S)
-    except queue.Empty:
-        # A process that the run forked may still hold the pipe open after the run's own end.
-        orphaned = sys.platform != "win32" and os.getppid() != parent_pid
-        return None if orphaned else {}
-
-
-def _read_lines(lines: LineReader, inbox: Inbox) -> None:
-    record: Record | None = {}
-    while record is not None:
-        record = lines.read()
-        inbox.put(record)
+    return run(Recorder)
 
 
 def _open_file(config: Record) -> Stream:

@@ -1,0 +1,77 @@
+"""The process that writes a trace: ``python -m hil.trace.writer``, started by ``hil.trace.session``."""
+
+import sys
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import can
+
+from hil.telemetry.ring import RingReader
+from hil.telemetry.ring_child import Record, RefusedError, run
+from hil.trace import rows
+
+_BATCH = 1000
+
+
+class TraceWriter:
+    """Moves frames from the ring to python-can's writer for the file's ending.
+
+    Raises RefusedError when the file cannot be opened.
+    """
+
+    def __init__(self, config: Record, ring: RingReader) -> None:
+        self._ring = ring
+        self._head_seen = 0
+        self._error: str | None = None
+        path = config["path"]
+        try:
+            self._file: Any = can.Logger(path)
+        except OSError as error:
+            raise RefusedError(f"trace {path}: {error.strerror}; choose a path that can be written") from error
+
+    def poll(self) -> None:
+        """Write the frames that the ring held at the last poll; younger ones may not have settled in memory."""
+        settled, self._head_seen = self._head_seen, self._ring.head
+        self._take(settled)
+
+    def line(self, _record: Record) -> None:
+        """There are no lines but the last."""
+
+    def finish(self, _record: Record | None) -> Record:
+        """Write the rest and close the file."""
+        self._take(self._ring.head)
+        self._attempt(self._file.stop)
+        return {"rows_written": self._ring.saved, "error": self._error}
+
+    def close(self) -> None:
+        """Nothing is left to release."""
+
+    def _take(self, stop: int) -> None:
+        while self._ring.tail < stop:
+            end = min(stop, self._ring.tail + _BATCH)
+            table = self._ring.rows(self._ring.tail, end)
+            if self._attempt(partial(self._write, table)):
+                self._ring.mark_saved(end)
+            self._ring.release(end)
+
+    def _write(self, table: Any) -> None:
+        for row in table:
+            self._file.on_message_received(can.Message(**rows.unpack(row)))
+        # So that the file is good up to here if the machine or this process dies. A BLF file is written by the block.
+        self._file.file.flush()
+
+    def _attempt(self, write: Callable[[], None]) -> bool:
+        """After the first failure frames are only taken, so that the run never waits."""
+        if self._error is not None:
+            return False
+        try:
+            write()
+        except OSError as error:
+            self._error = error.strerror or str(error)
+            return False
+        return True
+
+
+if __name__ == "__main__":
+    sys.exit(run(TraceWriter))

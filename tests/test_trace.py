@@ -1,0 +1,423 @@
+"""Traces: written by a run, read back by python-can, and decoded with wheel.dbc by cantools."""
+
+import itertools
+import json
+import os
+import random
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import can
+import cantools
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_protocol import codec
+from firmware_protocol.generated import messages as m
+from hil.assembly import run
+from hil.errors import BadInputError
+from hil.links.can_bus import CanLink
+from hil.links.framed import StreamLink
+from hil.links.statistics import measured
+from hil.links.streams import memory_pair
+from hil.links.url import parse_link
+from hil.trace import Trace, decode, rows
+from tests.processes import HIL, ROOT, device, environment, hil, run_json
+
+DATABASE = cantools.database.load_file(ROOT / "firmware_protocol" / "wheel.dbc")
+SHORT = {"loop.duration_s": 0.15, "expect": []}
+EVERYTHING = decode.Selection.of([], 0, 10)
+LINKS = ["memory:", "serial:pty", "can:virtual/traced", "can:virtual/traced?fd=1&data_bitrate=4000000"]
+
+
+def traced(path, link="memory:", **options):
+    result = run("paper_circle", set=SHORT | options, mode="lockstep", link=link, trace=path)
+    assert result.failure is None
+    return result
+
+
+def frames(path) -> list[can.Message]:
+    options = {"relative_timestamp": False} if path.suffix == ".asc" else {}
+    with can.LogReader(path, **options) as reader:
+        return list(reader)
+
+
+@pytest.mark.parametrize("link", LINKS)
+@pytest.mark.parametrize("ending", ["blf", "asc", "log"])
+def test_a_trace_holds_every_frame_of_the_wire_as_other_tools_read_it(tmp_path, ending, link):
+    path = tmp_path / f"bus.{ending}"
+    begin_s = time.time()
+    result = traced(path, link)
+    read = frames(path)
+    assert result.metrics["trace"] == {"path": str(path), "frames": len(read), "dropped": 0, "lost": 0, "trouble": None}
+    assert len([one for one in read if not one.is_rx]) == result.metrics["frames"]["sent"]
+    pages = [place for place, one in enumerate(read) if one.arbitration_id == m.HelloGeometry.ID]
+    # A slow machine asks for HELLO again; what the host counts begins when it has all pages.
+    assert len([one for one in read[pages[0] + 1 :] if one.is_rx]) == result.metrics["frames"]["received"]
+    assert {one.is_fd for one in read} == {"fd" in link}
+    assert not any(one.is_extended_id or one.is_error_frame for one in read)
+    # Robot time, made absolute: it may run ahead of the wall or behind it.
+    stamps = [one.timestamp for one in read]
+    assert abs(stamps[0] - begin_s) < 60
+    assert all(before <= after for before, after in itertools.pairwise(stamps))
+    tick_s = [one.timestamp for one in read if one.arbitration_id == m.Tick.ID]
+    told_s = [
+        DATABASE.decode_message(m.Tick.ID, one.data)["time_us"] * 1e-6
+        for one in read
+        if one.arbitration_id == m.Tick.ID
+    ]
+    first = next(place for place, told in enumerate(told_s) if told > 0)
+    for stamp_s, robot_s in zip(tick_s[first:], told_s[first:], strict=True):
+        assert stamp_s - tick_s[first] == pytest.approx(robot_s - told_s[first], abs=2e-6)
+
+
+def test_a_trace_changes_nothing_of_the_run(tmp_path):
+    plain = run("paper_circle", set=SHORT, mode="lockstep", link="memory:")
+    assert traced(tmp_path / "bus.log").metrics["wire_sha256"] == plain.metrics["wire_sha256"]
+
+
+def test_decode_agrees_with_cantools_on_every_frame_of_a_run(tmp_path):
+    path = tmp_path / "bus.blf"
+    traced(path, "serial:pty")
+    entries = list(decode.read(path, EVERYTHING))
+    messages = frames(path)
+    assert len(entries) == len(messages) > 1000
+    for entry, message in zip(entries, messages, strict=True):
+        expected = DATABASE.get_message_by_frame_id(message.arbitration_id)
+        assert entry.kind == expected.name
+        assert entry.record()["sender"] == expected.senders[0]
+        plain = expected.decode(message.data, decode_choices=False)
+        assert entry.record()["signals"] == plain
+        text = entry.text()
+        for name, value in expected.decode(message.data).items():
+            unit = expected.get_signal_by_name(name).unit
+            shown = str(value) if unit is None else f"{value} "
+            assert f"  {name} {shown}" in text.replace(expected.name, "", 1), text
+
+
+def one_second_of_frames():
+    """What a bus with somebody else on it carries."""
+    command = codec.encode(m.WheelCommand(1.5, -2.25, 10.0, 0.015625, 17, 5))
+    tick = codec.encode(m.Tick(1_234_567, 17, 3, m.State.ACTIVE, 3, 200))
+    status = codec.encode(m.Status(m.State.FAULT, 0, m.Fault.OVERCURRENT, m.FaultWheel.RR, 5, 0x1235, 0, 12))
+    yield can.Message(1.7e9, command.id, False, data=command.payload, is_rx=False)
+    yield can.Message(1.7e9 + 0.005, tick.id, False, data=tick.payload)
+    yield can.Message(1.7e9 + 0.006, 0x18FF1234, True, data=b"\1\2\3")
+    yield can.Message(1.7e9 + 0.007, 0x123, False, data=b"")
+    yield can.Message(1.7e9 + 0.008, tick.id, False, data=b"\1\2")
+    yield can.Message(1.7e9 + 0.009, status.id, False, data=b"\x0f" * 8)
+    yield can.Message(1.7e9 + 0.010, 0x080, False, is_remote_frame=True, dlc=8)
+    yield can.Message(1.7e9 + 0.011, is_error_frame=True)
+    yield can.Message(1.7e9 + 1.0, status.id, False, data=status.payload)
+
+
+NOISE = random.Random(5).randbytes(2000)
+GOLDEN = """\
+   0.000000  Tx  WHEEL_COMMAND       fl_rad_s 1.5 rad/s  fr_rad_s -2.25 rad/s  rr_rad_s 10.0 rad/s  \
+rl_rad_s 0.015625 rad/s  sequence 17  session 5
+   0.005000  Rx  TICK                time_us 1234567 µs  sequence 17  command_age_ms 3 ms  state ACTIVE  parts 3  \
+snapshot 200
+   0.006000  Rx  foreign             18FF1234 [3] 01 02 03
+   0.007000  Rx  foreign             123 [0]
+   0.008000  Rx  TICK                080 not valid: length [2] 01 02
+   0.009000  Rx  STATUS              100 not valid: range [8] 0f 0f 0f 0f 0f 0f 0f 0f
+   0.010000  Rx  foreign             080 remote [0]
+   0.011000  Rx  error               error frame, or bytes that are no frame
+   1.000000  Rx  STATUS              state FAULT  mode SPEED  fault OVERCURRENT  fault_wheel RR  stop_reason FAULT  \
+nonce 4661  arm_refusal NONE  limited 12
+"""
+
+
+def written(path):
+    with can.Logger(path) as log:
+        for message in one_second_of_frames():
+            log.on_message_received(message)
+    return path
+
+
+@pytest.mark.parametrize("ending", ["blf", "asc", "log"])
+def test_decode_prints_a_foreign_tool_s_trace_in_our_terms(tmp_path, ending):
+    done = hil("decode", written(tmp_path / f"bus.{ending}"))
+    assert (done.stdout, done.stderr, done.returncode) == (GOLDEN, "", 0)
+
+
+def test_decode_reads_what_peak_writes(tmp_path):
+    path = tmp_path / "bus.trc"
+    written(path)
+    read = [line for line in hil("decode", path).stdout.splitlines() if "error" not in line and "remote" not in line]
+    expected = [line for line in GOLDEN.splitlines() if "error" not in line and "remote" not in line]
+    assert [line.split()[2:] for line in read] == [line.split()[2:] for line in expected]
+
+
+def test_decode_reads_candump_s_log_without_directions(tmp_path):
+    path = tmp_path / "candump.log"
+    path.write_text("(1700000000.000000) vcan0 040#6000EE038A001051\n(1700000000.005000) vcan0 1FFFFFFF#R\n")
+    lines = hil("decode", path).stdout.splitlines()
+    assert lines[0].split()[:4] == ["0.000000", "Rx", "WHEEL_COMMAND", "fl_rad_s"]
+    assert lines[1].split()[:4] == ["0.005000", "Rx", "foreign", "1FFFFFFF"]
+
+
+def test_decode_takes_what_is_asked_for(tmp_path):
+    path = written(tmp_path / "bus.asc")
+    lines = GOLDEN.splitlines()
+    assert hil("decode", path, "--message", "status").stdout.splitlines() == [lines[5], lines[8]]
+    both = hil("decode", path, "--message", "TICK", "--message", "foreign").stdout.splitlines()
+    assert both == [lines[i] for i in (1, 2, 3, 4, 6)]
+    assert hil("decode", path, "--from", "0.005", "--to", "0.007").stdout.splitlines() == lines[1:4]
+    counted = [line.split() for line in hil("decode", path, "--counts").stdout.splitlines()]
+    assert counted == [
+        ["message", "id", "frames", "per", "s"],
+        ["WHEEL_COMMAND", "040", "1", "1"],
+        ["TICK", "080", "2", "2"],
+        ["STATUS", "100", "2", "2"],
+        ["foreign", "3", "3"],
+        ["error", "1", "1"],
+    ]
+
+
+def test_decode_gives_each_frame_as_json(tmp_path):
+    path = written(tmp_path / "bus.blf")
+    records = [json.loads(line) for line in hil("decode", path, "--json").stdout.splitlines()]
+    assert len(records) == 9
+    assert records[1]["signals"]["time_us"] == 1_234_567
+    assert (records[1]["names"], records[1]["sender"]) == ({"state": "ACTIVE"}, "ROBOT")
+    assert (records[2]["id"], records[2]["extended"], records[2]["sender"]) == (0x18FF1234, True, None)
+    assert records[4]["refusal"] == "not valid: length"
+    tally = json.loads(hil("decode", path, "--counts", "--json").stdout)
+    assert {row["message"]: row["frames"] for row in tally} == {
+        "WHEEL_COMMAND": 1,
+        "TICK": 2,
+        "STATUS": 2,
+        "foreign": 3,
+        "error": 1,
+    }
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["nowhere.blf"], ["nowhere.blf", "No such file", ".blf"]),
+        (["bus.pcap"], ["bus.pcap", "ending", ".log"]),
+        (["bus.log", "--message", "WHEEL_COMAND"], ["WHEEL_COMAND", "did you mean 'WHEEL_COMMAND'"]),
+        (["bus.log", "--from", "3", "--to", "2"], ["--from 3", "--to 2"]),
+    ],
+)
+def test_decode_refuses_in_one_sentence(tmp_path, arguments, words):
+    written(tmp_path / "bus.log")
+    done = hil("decode", *arguments, cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.count("\n") == 1
+    assert all(word in done.stderr for word in words)
+
+
+@pytest.mark.parametrize("ending", ["blf", "asc", "log", "trc"])
+@pytest.mark.parametrize(
+    "content", [b"", b"\0" * 500, b"LOGG" + b"\xff" * 300, b"no trace at all\n" * 20, os.urandom(2000)]
+)
+def test_what_is_no_trace_is_refused_in_one_sentence(tmp_path, ending, content):
+    path = tmp_path / f"bus.{ending}"
+    path.write_bytes(content)
+    done = hil("decode", path)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1, done.stderr
+    assert "no frames could be read" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("share", [0.05, 0.31, 0.5, 0.83, 0.95])
+@pytest.mark.parametrize("ending", ["blf", "asc", "log"])
+def test_a_trace_that_is_cut_is_read_as_far_as_it_goes(ending, share, tmp_path_factory):
+    whole = _a_whole_trace(tmp_path_factory, ending)
+    expected = list(decode.read(whole, EVERYTHING))
+    cut = whole.with_name(f"cut.{ending}")
+    content = whole.read_bytes()
+    cut.write_bytes(content[: int(share * len(content))])
+    reading = decode.read(cut, EVERYTHING)
+    got = list(reading)
+    # The last line may be cut within its data: what is left of it is one frame that is no longer valid.
+    assert [entry.payload for entry in got[:-1]] == [entry.payload for entry in expected[: max(0, len(got) - 1)]]
+    if ending == "blf":
+        assert "cut" in reading.trouble or "no frames" in reading.trouble
+    else:
+        assert len(got) == pytest.approx(share * len(expected), abs=0.05 * len(expected))
+
+
+_WHOLE: dict[str, Path] = {}
+
+
+def _a_whole_trace(factory, ending):
+    if ending not in _WHOLE:
+        _WHOLE[ending] = factory.mktemp("whole") / f"bus.{ending}"
+        traced(_WHOLE[ending])
+    return _WHOLE[ending]
+
+
+def test_decode_ends_quietly_when_nobody_reads_on(tmp_path):
+    path = tmp_path / "bus.log"
+    traced(path)
+    process = subprocess.Popen(
+        [*HIL, "decode", str(path)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment()
+    )
+    assert process.stdout.readline()
+    process.stdout.close()
+    assert process.stderr.read() == b""
+    assert process.wait() == 0
+
+
+@pytest.mark.parametrize("ending", ["log", "asc"])
+def test_a_trace_of_a_run_that_was_killed_is_readable_up_to_the_cut(tmp_path, ending):
+    path = tmp_path / f"bus.{ending}"
+    arguments = ["run", "paper_circle", "--mode", "lockstep", "--record", "none", "--set", "loop.duration_s=600"]
+    process = subprocess.Popen(
+        [*HIL, *arguments, "--trace", str(path)],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        env=environment(),
+    )
+    while not path.exists() or path.stat().st_size < 100_000:
+        assert process.poll() is None
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    done = hil("decode", path, "--counts")
+    counts = {line.split()[0]: int(line.split()[2]) for line in done.stdout.splitlines()[1:]}
+    assert counts["TICK"] > 100
+    assert counts["TICK"] - counts["ENCODERS"] in (0, 1)
+
+
+def test_a_disk_that_is_full_ends_the_trace_and_not_the_run(tmp_path):
+    if not Path("/dev/full").exists():
+        pytest.skip("needs /dev/full, as Linux has it")
+    path = tmp_path / "bus.log"
+    path.symlink_to("/dev/full")
+    done = hil("run", "paper_circle", "--set", "loop.duration_s=0.4", "--set", "expect=[]", "--record", "none",
+               "--mode", "lockstep", "--trace", path)  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "is incomplete" in done.stdout
+    assert "No space left on device" in done.stdout
+    assert "Traceback" not in done.stdout + done.stderr
+
+
+@pytest.mark.parametrize(
+    ("path", "words"), [("nowhere/bus.blf", ["no folder"]), ("bus.pcap", ["format"]), (".", ["format"])]
+)
+def test_a_trace_that_cannot_be_written_is_refused_before_anything_starts(tmp_path, path, words):
+    with pytest.raises(BadInputError) as refused:
+        run("paper_circle", set=SHORT, mode="lockstep", trace=tmp_path / path)
+    assert all(word in str(refused.value) for word in words)
+
+
+def test_a_writer_that_dies_is_reported_and_the_run_goes_on(tmp_path):
+    with Trace(tmp_path / "bus.log", blocking=True) as trace:
+        os.kill(trace.pid, signal.SIGKILL)
+        frame = codec.encode(m.TimeSyncRequest(1))
+        for number in range(20_000):
+            trace.frame(number * 1000, frame, sent=True)
+        report = trace.finish()
+    assert report.dropped + report.lost == 20_000
+    assert "incomplete" in report.trouble()
+    assert "ended before the run" in report.trouble()
+
+
+def test_what_the_framing_rejects_and_what_others_say_is_in_the_trace(tmp_path):
+    class Clock:
+        def now_ns(self):
+            return 5_000_000
+
+        def wait_until(self, t_ns):
+            return 0
+
+    here, there = memory_pair()
+    with Trace(tmp_path / "serial.log", blocking=True) as trace:
+        wire = measured(StreamLink(here), parse_link("memory:"), Clock(), lockstep=True)
+        wire.trace_to(trace)
+        there.write(b"\1\2\3\0" + b"\x99" * 40 + b"\0\2\7\0")
+        assert wire.receive(0) is None
+        trace.finish()
+    rejected = sum(wire.rejected().values())
+    assert [one.is_error_frame for one in frames(tmp_path / "serial.log")] == [True] * rejected
+    assert rejected == 3
+
+    url = parse_link("can:virtual/noise")
+    bus = can.Bus(interface="virtual", channel="noise")
+    with Trace(tmp_path / "bus.blf", blocking=True) as trace:
+        wire = measured(CanLink(url), url, Clock(), lockstep=True)
+        wire.trace_to(trace)
+        for message in one_second_of_frames():
+            bus.send(message)
+        while wire.receive(0) is not None:
+            pass
+        trace.finish()
+    wire.close()
+    bus.shutdown()
+    theirs = sorted(one.arbitration_id for one in one_second_of_frames() if not one.is_error_frame)
+    read = frames(tmp_path / "bus.blf")
+    assert sorted(one.arbitration_id for one in read if not one.is_error_frame) == theirs
+    assert [one.is_error_frame for one in read].count(True) == 1
+
+
+def test_the_page_s_worked_output_is_what_decode_prints(tmp_path):
+    path = tmp_path / "bus.blf"
+    traced(path, **{"loop.rate_hz": 200, "loop.duration_s": 2})
+    page = (ROOT / "hil" / "links" / "STATISTICS.md").read_text(encoding="utf-8")
+    shown = page.partition("```text decoded\n")[2].partition("```")[0].splitlines()
+    printed = [entry.text() for entry in decode.read(path, decode.Selection.of([], 1.0, 1.0051))]
+    assert len(shown) == 5
+    assert [line for line in printed if line in shown] == shown
+
+
+def test_a_run_in_real_time_is_traced_as_it_goes(tmp_path):
+    path = tmp_path / "bus.blf"
+    with device("paper_circle", "--mode", "realtime", "--link", "serial:pty", "--set", "loop.rate_hz=100") as robot:
+        result = run_json(
+            "paper_circle", "--mode", "realtime", "--link", robot.link, "--truth", robot.truth, "--record", "none",
+            "--set", "loop.rate_hz=100", "--set", "loop.duration_s=2", "--set", "expect=[]", "--trace", path,
+        )  # fmt: skip
+    read = frames(path)
+    assert result["trace"]["frames"] == len(read)
+    assert result["trace"]["trouble"] is None
+    assert len([one for one in read if not one.is_rx]) == result["frames"]["sent"]
+    commands = [one.timestamp for one in read if one.arbitration_id in (m.WheelCommand.ID, m.TorqueCommand.ID)]
+    assert result["failure"] is not None or 1.8 < commands[-1] - commands[0] < 4
+    clock = result["link_statistics"]["clock"]
+    assert 0 < clock["round_trip_us"]["p50"] <= clock["round_trip_us"]["p99"]
+
+
+@pytest.mark.parametrize("ending", ["blf", "log"])
+def test_a_device_traces_its_own_end(tmp_path, ending):
+    there, here = tmp_path / f"robot.{ending}", tmp_path / "host.log"
+    common = ("paper_circle", "--mode", "lockstep")
+    with device(*common, "--link", "serial:pty", "--trace", str(there)) as robot:
+        result = run_json(
+            *common, "--link", robot.link, "--truth", robot.truth, "--record", "none", "--trace", here,
+            "--set", "loop.duration_s=0.4", "--set", "expect=[]",
+        )  # fmt: skip
+        assert result["failure"] is None
+        robot.process.send_signal(signal.SIGTERM)
+        assert robot.process.wait() == 0
+    ends = [frames(path) for path in (there, here)]
+    heard = [[(one.arbitration_id, bytes(one.data)) for one in end if one.is_rx] for end in ends]
+    said = [[(one.arbitration_id, bytes(one.data)) for one in end if not one.is_rx] for end in ends]
+    assert heard[0] == said[1]
+    # What the robot says before anybody listens is lost, and on its end only.
+    assert said[0][len(said[0]) - len(heard[1]) :] == heard[1]
+    begin, end = ends[0][0].timestamp, ends[0][-1].timestamp
+    assert 0.4 < end - begin < 5, "robot time"
+
+
+@given(
+    payload=st.binary(max_size=64),
+    number=st.integers(0, 0x1FFFFFFF),
+    unix_us=st.integers(0, 2**52),
+    sent=st.booleans(),
+)
+def test_a_frame_goes_through_the_ring_as_it_is(payload, number, unix_us, sent):
+    flags = rows.SENT * sent + rows.EXTENDED + rows.FD * (len(payload) > 8)
+    row = rows.pack(unix_us, flags, number, len(payload), payload)
+    assert len(row) == rows.WIDTH
+    back = rows.unpack([float(value) for value in row])
+    assert (back["arbitration_id"], back["data"], back["is_rx"]) == (number, payload, not sent)
+    assert back["timestamp"] == pytest.approx(unix_us * 1e-6, abs=1e-6)
