@@ -29,6 +29,7 @@ def serve(scenario: Scenario, truth_port: int, say: Callable[[str], None], targe
         resources.callback(truth.close)
         server = open_server(robot, wire, truth, lockstep=scenario.loop.mode == "lockstep")
         truth.request_reset = server.request_reset
+        truth.ask_faults = server.ask
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: server.stop())
         say(f"ready link={reach} truth={truth.url} mode={scenario.loop.mode} scenario={scenario.name}")

@@ -11,6 +11,7 @@ from hil.devices.snapshot import Feedback
 from hil.devices.stm32 import Stm32
 from hil.errors import DeviceError, HilError, LinkError
 from hil.estimator import Estimator
+from hil.faults.signals import SignalFaults
 from hil.guard import Guard
 from hil.ports import Clock, Controller, PoseSource, Sink
 from hil.references import ReferenceSource
@@ -55,6 +56,7 @@ class Parts(NamedTuple):
     controller: Controller
     guard: Guard
     sink: Sink
+    faults: SignalFaults | None = None
 
 
 class Timing(NamedTuple):
@@ -146,7 +148,7 @@ class Loop:
         return self._parts.device.stop(self._timing.period_ns, _STOP_LIMIT_NS)
 
     def _run(self, origin_ns: int, duration_ns: int) -> None:
-        device, timing = self._parts.device, self._timing
+        device, timing, faults = self._parts.device, self._timing, self._parts.faults
         applied = Applied(self._rest, False, timing.latency_s)
         started = False
         number, before = 0, -1
@@ -159,10 +161,16 @@ class Loop:
             late_ns = self._wait(origin_ns, number)
             begin_ns = time.perf_counter_ns()
             self.t_s = number * timing.period_ns * 1e-9
+            if faults is not None:
+                faults.at(number * timing.period_ns)
             feedback = self._feedback()
             fix = self._fix_of(number)
+            if faults is not None:
+                fix = faults.truth(fix)
             state = self._parts.estimator.update(feedback, fix)
             reference = self._parts.reference.at(self.t_s)
+            if faults is not None:
+                state, reference = faults.state(state), faults.reference(reference)
             if state is None or self._is_stale(feedback, fix):
                 command, saturated = self._rest, False
                 self._stale += state is not None
@@ -172,6 +180,8 @@ class Loop:
                     started = True
                 dt_s = (number - before) * timing.period_ns * 1e-9
                 wanted = self._parts.controller.update(reference, state, applied, dt_s)
+                if faults is not None:
+                    wanted = faults.command(wanted)
                 command, saturated = self._parts.guard.apply(wanted)
             device.send(command)
             applied = Applied(command, saturated, timing.latency_s)
@@ -213,6 +223,8 @@ class Loop:
         now_ns = self._parts.clock.now_ns()
         if feedback is None:
             raise DeviceError("the robot sends no feedback")
+        if self._parts.faults is not None:
+            feedback = self._parts.faults.feedback(feedback)
         if self._heard_ns is None or feedback.robot_time_ns != self._newest_ns:
             self._newest_ns, self._heard_ns = feedback.robot_time_ns, now_ns
         self._silent_ns = now_ns - self._heard_ns

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from hil.errors import BadInputError, nearest
 from hil.plant.words import one_line
-from hil.results import RunResult
+from hil.results import RunResult, applied_words
 
 if TYPE_CHECKING:
     from hil.assembly import Watch
@@ -126,7 +126,7 @@ def print_figures(metrics: Mapping[str, Any]) -> None:
         rejected = ", ".join(f"{cause} {count}" for cause, count in frames["rejected"].items()) or "none"
         print(f"  {'frames':<22} {frames['sent']} sent, {frames['received']} received, rejected: {rejected}")
     for row in metrics.get("fault") or ():
-        print(f"  {'fault':<22} {row['kind']} {row['target']}: applied {row['applied']} times")
+        print(f"  {'fault':<22} {applied_words(row)}")
     for row in metrics.get("expect") or ():
         print(f"  {'expect':<22} {row['text']}")
     recorded = metrics.get("recorded")
@@ -166,7 +166,13 @@ def listing(what: str) -> tuple[tuple[str, ...], Sequence[tuple[str, ...]]]:
         from hil.links.url import LINK_FORMS
 
         return ("link", "meaning"), list(LINK_FORMS.items())
-    raise BadInputError(f"there is no list of {what!r}{nearest(what, ('signals', 'laws', 'scenarios', 'links'))}")
+    if what == "faults":
+        from hil.faults.kinds import KINDS
+
+        rows = [(k.name, k.acts_on, k.target_words.replace("`", ""), k.unit, k.meaning) for k in KINDS]
+        return ("kind", "acts on", "target", "value", "meaning"), rows
+    known = ("signals", "laws", "scenarios", "links", "faults")
+    raise BadInputError(f"there is no list of {what!r}{nearest(what, known)}")
 
 
 def print_table(rows: Sequence[Sequence[str]]) -> None:

@@ -43,7 +43,9 @@ class Quantity(NamedTuple):
         """The range in words."""
         if self.low == -self.high:
             return f"-{self.high:g} to {self.high:g}"
-        return f"more than {self.low:g}, at most {self.high:g}" if self.excludes_low else f"{self.low:g} to {self.high:g}"
+        return (
+            f"more than {self.low:g}, at most {self.high:g}" if self.excludes_low else f"{self.low:g} to {self.high:g}"
+        )
 
     def holds(self, value: float) -> bool:
         """Tell whether a value is in range."""
@@ -68,6 +70,13 @@ class Kind(NamedTuple):
     value: Quantity | None = None
     further: tuple[Quantity, ...] = ()
     is_instant: bool = False
+
+    @property
+    def unit(self) -> str:
+        """What ``value`` is, for a list."""
+        if self.value is None:
+            return "-"
+        return self.value.unit or self.value.meaning
 
 
 _FRAMES = (*DIRECTIONS, *MESSAGES)
@@ -164,8 +173,8 @@ KINDS: tuple[Kind, ...] = (
     ),
     Kind(
         "babble", "link", DIRECTIONS, "`command` (towards the robot) or `feedback`; on CAN both ends hear either",
-        "Somebody else talks. Serial and memory: garbage bytes, which spoil the frame after them, and whole frames with "
-        "foreign ids, in turn. CAN: foreign ids from a node of its own on the bus.",
+        "Somebody else talks. Serial and memory: garbage bytes, which spoil the frame after them, and whole frames "
+        "with foreign ids, in turn. CAN: foreign ids from a node of its own on the bus.",
         "foreign frames and pieces of garbage",
         {"target": "command", "value": 200.0},
         Quantity("value", "1/s", "how many in a second", 0.0, 100_000.0, excludes_low=True),
@@ -211,7 +220,7 @@ KINDS: tuple[Kind, ...] = (
         Quantity("value", "ppm", "how slow", 0.0, 100_000.0, excludes_low=True),
     ),
     Kind(
-        "parameter", "plant", (), "the name of a tunable parameter, or of an unused input, of the FMU; see `hil fmu info`",
+        "parameter", "plant", (), "a tunable parameter, or an unused input, of the FMU (`hil fmu info`)",
         "A variable of the plant has another value.",
         "ticks of 1 ms",
         {"target": "friction_coefficient", "start_s": 3.0, "value": 0.1},
@@ -226,8 +235,8 @@ KINDS: tuple[Kind, ...] = (
     ),
     Kind(
         "slip_patch", "plant", ("floor",), "`floor`, the default",
-        "The floor has less grip: everywhere during the window or, with a circle given, for each wheel while its centre "
-        'is inside. Needs an FMU with wheel.*.grip_factor; in the shipped one contact = "slip".',
+        "The floor has less grip: everywhere during the window or, with a circle given, for each wheel while its "
+        'centre is inside. Needs an FMU with wheel.*.grip_factor; in the shipped one contact = "slip".',
         "ticks of 1 ms in which a wheel was on it",
         {"value": 0.2, "x_m": 1.0, "y_m": 0.5, "radius_m": 0.4},
         Quantity("value", "", "factor of the grip", 0.0, 1.0),
@@ -262,15 +271,15 @@ KINDS: tuple[Kind, ...] = (
 
 
 class FaultRow(NamedTuple):
-    """A row as what applies it needs it: times in ns of the scenario's time, every number there."""
+    """A row as what applies it needs it: times in ns of the scenario's time; a number that its kind has not is 0."""
 
     kind: str
     acts_on: str
     target: str
     start_ns: int
     end_ns: int
-    value: float
-    burst_frames: float = 1.0
+    value: float = 0.0
+    burst_frames: float = 0.0
     x_m: float = 0.0
     y_m: float = 0.0
     radius_m: float = 0.0

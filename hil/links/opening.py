@@ -1,11 +1,12 @@
 """From a link's URL to its two ends: the host's, which is a Link, and the robot's, which is a Wire."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from hil.errors import BadInputError
 from hil.links.framed import StreamLink
-from hil.links.streams import MemoryStream, memory_pair
+from hil.links.streams import ByteStream, MemoryStream, memory_pair
 from hil.links.url import CanUrl, LinkUrl, MemoryUrl, SerialUrl, format_link
 from hil.links.wire import CanWire, SerialWire, Wire
 from hil.ports import Link
@@ -14,6 +15,14 @@ if TYPE_CHECKING:
     from hil.links.can_bus import CanLink
     from hil.links.pty import PtyStream
     from hil.links.serial_port import SerialStream
+
+
+Line = Callable[[ByteStream], ByteStream]
+"""What a link's byte stream goes through at the host's end: faults of the line, or nothing."""
+
+
+def _as_it_is(stream: ByteStream) -> ByteStream:
+    return stream
 
 
 class Pair(NamedTuple):
@@ -35,24 +44,24 @@ def is_within_process(url: LinkUrl) -> bool:
             return url.interface == "virtual"
 
 
-def open_pair(url: LinkUrl) -> Pair:
+def open_pair(url: LinkUrl, line: Line = _as_it_is) -> Pair:
     """Open both ends of a link that stays within this process. Raises LinkError when that fails."""
     match url:
         case MemoryUrl():
             host, robot = memory_pair()
-            return Pair(StreamLink(host), SerialWire(robot), host)
+            return Pair(StreamLink(line(host)), SerialWire(robot), host)
         case SerialUrl():
             pty = _pty_stream(url)
-            return Pair(StreamLink(_serial_stream(pty.port, url.baud)), SerialWire(pty), None)
+            return Pair(StreamLink(line(_serial_stream(pty.port, url.baud))), SerialWire(pty), None)
         case CanUrl():
             return Pair(_can_link(url), CanWire(_can_link(url)), None)
 
 
-def open_host(url: LinkUrl) -> Link:
+def open_host(url: LinkUrl, line: Line = _as_it_is) -> Link:
     """Open the host's end of a link to a robot elsewhere. Raises LinkError or BadInputError when that fails."""
     match url:
         case SerialUrl():
-            return StreamLink(_serial_stream(url.port, url.baud))
+            return StreamLink(line(_serial_stream(url.port, url.baud)))
         case CanUrl():
             return _can_link(url)
         case MemoryUrl():

@@ -60,11 +60,19 @@ class FaultTable(Table):
     @property
     def row(self) -> FaultRow:
         """The row as what applies it needs it."""
-        end_ns = NEVER_NS if self.end_s > 1e9 else round(self.end_s * NS_PER_S)
-        numbers = {name: float(v) for name in _NUMBERS if (v := getattr(self, name)) is not None}
-        times = (round(self.start_s * NS_PER_S), end_ns)
-        acts_on = find(self.kind, self.target).acts_on
-        return FaultRow(self.kind, acts_on, self.target, *times, **{"value": 1.0} | numbers)
+        return FaultRow(
+            self.kind,
+            find(self.kind, self.target).acts_on,
+            self.target,
+            round(self.start_s * NS_PER_S),
+            NEVER_NS if self.end_s > 1e9 else round(self.end_s * NS_PER_S),
+            *(0.0 if (value := getattr(self, name)) is None else float(value) for name in _NUMBERS),
+        )
+
+    @property
+    def counts(self) -> str:
+        """What the row's account counts."""
+        return find(self.kind, self.target).counts
 
     @property
     def words(self) -> str:
