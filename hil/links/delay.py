@@ -43,7 +43,6 @@ class DelayedLink:
         self._feedback_latency_ns = feedback_latency_ns
         self._outgoing: deque[tuple[int, Frame]] = deque()
         self._incoming: deque[Received] = deque()
-        self._exempt: deque[Received] = deque()
 
     def send(self, frame: Frame) -> None:
         if frame.id >= FIRST_EXEMPT_ID or not self._command_latency_ns:
@@ -74,18 +73,14 @@ class DelayedLink:
     def receive(self, timeout_ns: int) -> Received | None:
         if not self._feedback_latency_ns:
             return self._link.receive(timeout_ns)
-        if self._exempt:
-            return self._exempt.popleft()
-        while (received := self._link.receive(0 if self._incoming else timeout_ns)) is not None:
-            if received.frame.id >= FIRST_EXEMPT_ID:
-                self._exempt.append(received)
-                break
+        while True:
+            # What is due goes first, however the rest comes in: the order is then the same on every transport.
+            if self._incoming and self._incoming[0].stamp_ns <= self._clock.now_ns():
+                return self._incoming.popleft()
+            received = self._link.receive(timeout_ns)
+            if received is None or received.frame.id >= FIRST_EXEMPT_ID:
+                return received
             self._incoming.append(Received(received.frame, self._clock.now_ns() + self._feedback_latency_ns))
-        if self._exempt:
-            return self._exempt.popleft()
-        if self._incoming and self._incoming[0].stamp_ns <= self._clock.now_ns():
-            return self._incoming.popleft()
-        return None
 
     def rejected(self) -> dict[str, int]:
         return self._link.rejected()
