@@ -26,7 +26,7 @@ A row of `[[fault]]` in a scenario makes something go wrong while a run goes on:
     value = 0.2
 
 - The window is `start_s` <= t < `end_s`, in seconds since the first ACTIVE tick; by default the whole run. In lockstep
-  a link is used once in a command period, so that this is the grain of its windows; on the robot it is the tick of 1 ms.
+  a link is used once in a command period, which is the grain of its windows; on the robot it is the tick of 1 ms.
 - Chance comes from `loop.seed` and from what the row itself says. The same seed gives the same run, bit for bit in
   lockstep, and removing a row changes nothing for the others.
 - Rows act in the order of the scenario, each on what the ones before it left.
@@ -49,8 +49,7 @@ _TITLES = {
 
 _WORDS = {
     "link": """\
-The host's end of the link applies them, between the latency of `[link]` and the wire, in both directions. On CAN what is
-said of COBS and bytes does not happen; the text says what does.
+The host's end of the link applies them, between the latency of `[link]` and the wire, in both directions.
 """,
     "device": """\
 They act between the firmware and its plant, exact to the tick. The wheel is the scenario's, whichever channel it has.
