@@ -41,6 +41,7 @@ ROWS = {
     "bias": {"target": "truth.x_m", "value": 0.05},
     "override": {"target": "wheel.fl.speed_command_rad_s", "value": 0.0},
 }
+CHANGES = ("expect=[]", "firmware.watchdog_s=0.1", "plant.start.contact=slip", "plant.start.drive=current")
 ENDS_THE_RUN = {"disconnect", "reset"}
 
 
@@ -53,10 +54,7 @@ def fault(kind: str) -> dict[str, str | float]:
 def result(kind: str | None, link: str, seed: int = 1) -> RunResult:
     with tempfile.TemporaryDirectory() as folder:
         rows = [fault(kind)] if kind else []
-        return run_with(Path(folder), *rows, base="circle_slip", link=link, seed=seed, duration_s=0.4, changes=CHANGES)
-
-
-CHANGES = ("loop.rate_hz=200", "expect=[]", "firmware.watchdog_s=0.1")
+        return run_with(Path(folder), *rows, link=link, seed=seed, duration_s=0.4, changes=CHANGES)
 
 
 def test_every_kind_is_here() -> None:
