@@ -28,7 +28,7 @@ def test_in_lockstep_it_is_the_run_of_one_process(tmp_path: Path) -> None:
         there = [run_json(str(path), *options, "--link", robot.link, "--truth", robot.truth) for _ in range(2)]
         other = write(tmp_path, [{"kind": "gyro_bias", "start_s": 0.1, "end_s": 0.2, "value": 0.2}], duration_s=0.4)
         biased = run_json(str(other), *options, "--link", robot.link, "--truth", robot.truth)
-        refused = hil("run", str(path), *options, "--link", robot.link)
+        refused = hil("run", str(path), *options, "--link", robot.link, "--set", "estimator.source=odometry")
     for figures in there:
         assert figures["wire_sha256"] == here.metrics["wire_sha256"]
         assert [row["applied"] for row in figures["fault"]] == applied(here)
