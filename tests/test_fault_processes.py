@@ -34,7 +34,7 @@ def test_in_lockstep_it_is_the_run_of_one_process(tmp_path: Path) -> None:
         assert [row["applied"] for row in figures["fault"]] == applied(here)
     assert [row["applied"] for row in biased["fault"]] == [100]
     assert refused.returncode == 2
-    assert "fault dead_motor fl" in refused.stderr
+    assert "fault gyro_bias gyro" in refused.stderr
     assert "--truth" in refused.stderr
 
 
