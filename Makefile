@@ -24,6 +24,7 @@ check: setup .venv/tools
 	$(BIN)/python -m firmware_protocol.generate --check
 	$(BIN)/python -m plant_fmu.generate --check
 	$(BIN)/python -m plant_fmu.reference --check
+	$(BIN)/python -m hil.faults.page --check
 
 # What the tests of the firmware are worth: lines run, and wrong checks noticed. All of it: tools.mutate without
 # --sample, and tools.fuzz --runs 10000000.

@@ -1,6 +1,7 @@
 """From a scenario to a finished run: the one place that puts the parts together."""
 
 import contextlib
+import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -10,13 +11,14 @@ from hil.bench import NS, Bench, open_trace
 from hil.controllers.registry import make_controller
 from hil.errors import DeviceError, HilError, LinkError
 from hil.estimator import make_estimator
+from hil.faults.signals import SignalFaults
 from hil.guard import Guard
 from hil.loop import Loop, Parts, Report, Timing
 from hil.metrics import percentiles, signal_figures
 from hil.model import RobotModel
 from hil.ports import Sink
 from hil.references import make_reference
-from hil.results import MemorySink, RunResult, Series, expectations
+from hil.results import MemorySink, RunResult, Series, applied_words, expectations
 from hil.scenario import Scenario, load
 from hil.telemetry import Recording, check_recording_path
 from hil.telemetry.provenance import properties
@@ -92,8 +94,7 @@ def run_scenario(
             recording.event(0.0, "info", f"link: {bench.device.describe_link()}")
         loop = make_loop(bench, memory if recording is None else _Both(memory, recording))
         origin_ns = _reach(bench, lambda: bench.device.start(bench.clock, scenario.loop.period_ns))
-        bench.faults.begin(origin_ns)
-        bench.wire.begin()
+        bench.begin(origin_ns)
         with watch(loop) if watch is not None else contextlib.nullcontext():
             report = loop.run(origin_ns, round(scenario.loop.duration_s * NS))
         failure = bench.stop_robot() or report.failure
@@ -125,7 +126,12 @@ def _loop_of(scenario: Scenario) -> Callable[[Bench, Sink], Loop]:
 
     def make(bench: Bench, sink: Sink) -> Loop:
         estimator = make_estimator(scenario.estimator.source, model, bench.start_pose(), counts)
-        parts = Parts(bench.clock, bench.device, bench.wire, bench.truth, estimator, reference, controller, guard, sink)
+        faults = bench.faults.signals
+        if faults is not None:
+            sink = _Faulted(sink, faults)
+        parts = Parts(
+            bench.clock, bench.device, bench.wire, bench.truth, estimator, reference, controller, guard, sink, faults
+        )
         return Loop(parts, table.mode, timing, rearm=scenario.loop.rearm)
 
     return make
@@ -156,6 +162,17 @@ class _Both:
         self._second.put(row)
 
 
+class _Faulted:
+    """A sink that is told what faults make of the signals that nothing else reads."""
+
+    def __init__(self, sink: Sink, faults: SignalFaults) -> None:
+        self._sink = sink
+        self._faults = faults
+
+    def put(self, row: tuple[float, ...]) -> None:
+        self._sink.put(self._faults.recorded(row))
+
+
 def _figures(
     scenario: Scenario,
     bench: Bench,
@@ -167,9 +184,10 @@ def _figures(
     signals = memory.signals()
     figures, reasons = signal_figures(signals)
     outcomes = expectations(scenario.expect, signals)
-    applied = [
-        {"kind": row.kind, "target": row.target, "applied": count}
-        for row, count in zip(scenario.fault, bench.faults.applied, strict=True)
+    applied: list[dict[str, Any]] = [
+        {"kind": row.kind, "target": row.target, "text": row.words, "applied": count, "counts": row.counts}
+        | {"start_s": row.start_s, "end_s": row.end_s if math.isfinite(row.end_s) else None, "value": row.value}
+        for row, count in zip(scenario.fault, bench.faults.applied(), strict=True)
     ]
     held = all(outcome["passed"] for outcome in outcomes)
     # A fault that never happened proves nothing.
@@ -254,7 +272,10 @@ def _note_events(recording: Recording, loop: Loop, metrics: Mapping[str, Any]) -
     """Put into the event log what became of the run, at the time to which it belongs."""
     for row in metrics["fault"]:
         level = "info" if row["applied"] else "error"
-        recording.event(loop.t_s, level, f"fault {row['kind']} {row['target']}: applied {row['applied']} times")
+        begin_s, end_s = row["start_s"], loop.t_s if row["end_s"] is None else min(row["end_s"], loop.t_s)
+        if begin_s <= loop.t_s:
+            recording.event(begin_s, "info", f"fault begins: {row['text']}")
+        recording.event(max(begin_s, end_s), level, f"fault ends: {applied_words(row)}")
     for row in metrics["recoveries"]:
         recording.event(row["lost_s"], "warning", f"{row['why']}; ACTIVE again at t = {row['armed_s']:.3f} s")
     for row in metrics["expect"]:

@@ -3,6 +3,7 @@
 import contextlib
 import random
 import secrets
+import threading
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
@@ -10,15 +11,17 @@ from types import TracebackType
 from typing import Self
 
 from firmware_protocol.host import parameter_hash, parameters
-from hil.clock import LockstepClock, WallClock
+from hil.clock import TICK_NS, LockstepClock, WallClock
+from hil.devices.faults import Body, RobotFaults
 from hil.devices.handshake import Expected, RobotInfo
 from hil.devices.stm32 import Stm32
 from hil.devices.truth import TruthClient
 from hil.devices.virtual import LocalTruth, ServerThread, VirtualPlant, VirtualRobot, VirtualServer, VirtualStm32
 from hil.devices.wheel_map import WheelMap
 from hil.errors import BadInputError, HilError
+from hil.faults.injection import LocalFaults, RunFaults
 from hil.links.delay import DelayedLink
-from hil.links.faults import Fault, FaultLink
+from hil.links.faults import FaultLink
 from hil.links.opening import is_within_process, open_host, open_pair
 from hil.links.statistics import measured
 from hil.links.url import CanUrl, parse_link
@@ -26,11 +29,12 @@ from hil.plant import archive
 from hil.plant.description import parameter_names
 from hil.plant.mapping import Row, SignalMap
 from hil.ports import Clock, Link, PoseSource
-from hil.scenario import SHIPPED_FMUS, FaultTable, Scenario, StartValue
+from hil.scenario import SHIPPED_FMUS, Scenario, StartValue
 from hil.trace import Trace
 from hil.types import Pose
 
 NS = 1_000_000_000
+_ANSWER_S = 2.0
 
 
 def firmware_values(scenario: Scenario) -> dict[str, float]:
@@ -97,13 +101,24 @@ def start_pose(scenario: Scenario) -> Pose | None:
 def virtual_robot(scenario: Scenario) -> VirtualRobot:
     """Return what the scenario's virtual robot is made of. Raises BadInputError when its FMU is missing or none."""
     fmu = archive.locate(scenario.plant.fmu, scenario.directory)
-    start = plant_start(scenario, parameter_names(fmu))
+    known = parameter_names(fmu)
+    start = plant_start(scenario, known)
     return VirtualRobot(
         VirtualPlant(fmu, start, signal_map(scenario), scenario.plant.timeout_s),
         firmware_values(scenario),
         scenario.loop.mode == "lockstep",
         wheel_map(scenario),
+        _body(scenario, start, known),
     )
+
+
+def _body(scenario: Scenario, start: Mapping[str, StartValue], known: Collection[str]) -> Body:
+    """Return what faults have to know of the robot as it is in the plant."""
+    robot = scenario.robot
+    given = (start.get("half_length_m", robot.half_length_m), start.get("half_width_m", robot.half_width_m))
+    half_length_m, half_width_m = (float(length) for length in given)
+    is_rigid = "contact" in known and start.get("contact", "rigid") in ("rigid", 1.0)
+    return Body(wheel_map(scenario).wheel_of_channel, half_length_m, half_width_m, is_rigid)
 
 
 def wheel_map(scenario: Scenario) -> WheelMap:
@@ -138,6 +153,8 @@ class Bench:
         self._thread: ServerThread | None = None
         lockstep = scenario.loop.mode == "lockstep"
         url = parse_link(scenario.link.url)
+        self.clock: Clock = LockstepClock(lambda ticks: self.device.step(ticks)) if lockstep else WallClock()
+        self.faults = RunFaults([table.row for table in scenario.fault], scenario.loop.seed, self.clock)
         with contextlib.ExitStack() as resources:
             self.truth: PoseSource | None = None
             if is_within_process(url):
@@ -153,16 +170,17 @@ class Bench:
                     not_before = (lambda: self.device.tick * 1_000_000) if lockstep else None
                     self.truth = TruthClient(truth, scenario.hash, reset=True, not_before=not_before)
                     resources.callback(self.truth.close)
-                link = open_host(url)
+                self.faults.arm(self.truth)
+                link = open_host(url, self.faults.line)
                 resources.callback(link.close)
-            self.clock: Clock = LockstepClock(lambda ticks: self.device.step(ticks)) if lockstep else WallClock()
-            self.wire = measured(link, url, self.clock, lockstep=lockstep)
+            disturbed = self.faults.around(link, url, resources)
+            self.wire = measured(disturbed, link, url, self.clock, lockstep=lockstep)
             if trace is not None:
                 trace.begin(time.time_ns() - self.clock.now_ns())
                 self.wire.trace_to(trace)
-            self.faults = FaultLink(self.wire, self.clock, _faults(scenario.fault), scenario.loop.seed)
+            faulty = FaultLink(self.wire, self.faults.time, self.faults.of_frames)
             latencies = (scenario.link.command_latency_ns, scenario.link.feedback_latency_ns)
-            delayed = DelayedLink(self.faults, self.clock, *latencies)
+            delayed = DelayedLink(faulty, self.clock, *latencies)
             self.device = Stm32(
                 delayed,
                 scenario.controller.mode,
@@ -176,7 +194,8 @@ class Bench:
         lockstep = self._scenario.loop.mode == "lockstep"
         self._robot = robot = VirtualStm32(virtual_robot(self._scenario))
         resources.callback(robot.close)
-        pair = open_pair(parse_link(self._scenario.link.url), lockstep=lockstep)
+        self.faults.arm(LocalFaults(robot.faults, self._do))
+        pair = open_pair(parse_link(self._scenario.link.url), self.faults.line, lockstep=lockstep)
         resources.callback(pair.wire.close)
         resources.callback(pair.link.close)
         self.truth = truth = LocalTruth()
@@ -188,6 +207,27 @@ class Bench:
             self._thread = ServerThread(server)
             resources.callback(self._thread.close)
         return pair.link
+
+    def _do(self, work: Callable[[RobotFaults], None]) -> None:
+        """Have the robot in this process do something between two exchanges, and wait for it."""
+        assert self._robot is not None
+        if self._server is None or self._thread is None:
+            work(self._robot.faults)
+            return
+        done = threading.Event()
+        self._server.ask(work)
+        self._server.ask(lambda _: done.set())
+        done.wait(_ANSWER_S)  # a robot that has failed is found out by the run itself
+
+    def begin(self, origin_ns: int) -> None:
+        """Let the scenario's time begin at this time of the clock, the first ACTIVE tick."""
+        feedback = self.device.poll()
+        if self._scenario.loop.mode == "lockstep" or feedback is None:
+            tick = self.device.tick
+        else:
+            tick = feedback.robot_time_ns // TICK_NS
+        self.faults.begin(origin_ns, tick)
+        self.wire.begin()
 
     def _check_truth_source(self, truth: str | None) -> None:
         if truth is None and self._scenario.estimator.source == "truth":
@@ -236,17 +276,6 @@ class Bench:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
-
-
-def _faults(rows: tuple[FaultTable, ...]) -> list[Fault]:
-    directions: Mapping[str, str | None] = {"command": "command", "feedback": "feedback"}
-    faults = []
-    for row in rows:
-        direction = directions.get(row.target)
-        message = None if direction else row.target
-        end_ns = 2**63 if row.end_s == float("inf") else round(row.end_s * NS)
-        faults.append(Fault(row.kind, direction, message, round(row.start_s * NS), end_ns, row.value))
-    return faults
 
 
 def _nonces(seed: int | None) -> Iterator[int]:

@@ -235,10 +235,10 @@ def show(
 
 @app.command("list")
 def list_(
-    what: Annotated[str, typer.Argument(metavar="signals|laws|scenarios|links")],
+    what: Annotated[str, typer.Argument(metavar="signals|laws|scenarios|links|faults")],
     as_json: Json = False,
 ) -> None:
-    """Print the vocabulary of signals, the shipped laws and scenarios, or the forms of links."""
+    """Print the vocabulary of signals, the shipped laws and scenarios, the forms of links, or the kinds of faults."""
     from hil import report
 
     header, rows = report.listing(what)

@@ -42,6 +42,7 @@ def serve(
         resources.callback(truth.close)
         server = open_server(robot, wire, truth, lockstep=lockstep)
         truth.request_reset = server.request_reset
+        truth.ask_faults = server.ask
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: server.stop())
         say(f"ready link={reach} truth={truth.url} mode={scenario.loop.mode} scenario={scenario.name}")

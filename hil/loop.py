@@ -11,6 +11,7 @@ from hil.devices.snapshot import Feedback
 from hil.devices.stm32 import Stm32
 from hil.errors import DeviceError, HilError, LinkError, RobotStoppedError
 from hil.estimator import Estimator
+from hil.faults.signals import SignalFaults
 from hil.guard import Guard
 from hil.links.statistics import Statistics
 from hil.ports import Clock, Controller, PoseSource, Sink
@@ -58,6 +59,7 @@ class Parts(NamedTuple):
     controller: Controller
     guard: Guard
     sink: Sink
+    faults: SignalFaults | None = None
 
 
 class Timing(NamedTuple):
@@ -163,7 +165,7 @@ class Loop:
         return self._parts.device.stop(self._timing.period_ns, _STOP_LIMIT_NS)
 
     def _run(self, origin_ns: int, duration_ns: int) -> None:
-        device, timing = self._parts.device, self._timing
+        device, timing, faults = self._parts.device, self._timing, self._parts.faults
         for instant in range(timing.feedback_latency_ns // timing.period_ns):
             # What is sampled now is not here yet; the robot is kept armed meanwhile.
             self._sample(origin_ns, instant)
@@ -187,6 +189,9 @@ class Loop:
             begin_ns = time.perf_counter_ns()
             self.t_s = number * timing.period_ns * 1e-9
             fix = self._fix_of(number)
+            if faults is not None:
+                faults.at(number * timing.period_ns)
+                fix = faults.truth(fix)
             if self._recovery is None:
                 try:
                     self._drive(number, late_ns, fix)
@@ -203,9 +208,12 @@ class Loop:
 
     def _drive(self, number: int, late_ns: int, fix: PoseFix | None) -> None:
         """Sense, estimate, refer, control, guard, command, tell."""
+        faults = self._parts.faults
         feedback = self._feedback()
         state = self._parts.estimator.update(feedback, fix)
         reference = self._parts.reference.at(self.t_s)
+        if faults is not None:
+            state, reference = faults.state(state), faults.reference(reference)
         if state is None or self._is_stale(feedback, fix):
             command, saturated = self._rest, False
             self._stale += state is not None
@@ -215,6 +223,8 @@ class Loop:
                 self._before = number - 1
             dt_s = (number - self._before) * self._timing.period_ns * 1e-9
             wanted = self._parts.controller.update(reference, state, self._applied, dt_s)
+            if faults is not None:
+                wanted = faults.command(wanted)
             command, saturated = self._parts.guard.apply(wanted)
         self._parts.device.send(command)
         self._applied = Applied(command, saturated, self._timing.latency_s)
@@ -284,6 +294,8 @@ class Loop:
         now_ns = self._parts.clock.now_ns()
         if feedback is None:
             raise RobotStoppedError("the robot sends no feedback")
+        if self._parts.faults is not None:
+            feedback = self._parts.faults.feedback(feedback)
         if self._heard_ns is None or feedback.robot_time_ns != self._newest_ns:
             self._newest_ns, self._heard_ns = feedback.robot_time_ns, now_ns
         self._silent_ns = now_ns - self._heard_ns

@@ -1,10 +1,10 @@
-"""The figures of a run, and its expectations, from its signals alone: a run and a review compute them alike.
+"""The figures of a run from its signals alone: a run and a review compute them alike.
 
 Pure: NumPy arrays in, plain numbers out. A figure that has no meaning for a run is None, with a reason.
 """
 
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -44,37 +44,6 @@ class Tracking(NamedTuple):
     def figures(self) -> dict[str, float | None]:
         """Return the four figures by name, in this order."""
         return {name: value for name, value in self._asdict().items() if name != "reasons"}
-
-
-class Expect(Protocol):
-    """A row of ``[[expect]]``: the signal stays within its bounds from one time to another, both included."""
-
-    @property
-    def signal(self) -> str: ...
-    @property
-    def from_s(self) -> float | None: ...
-    @property
-    def to_s(self) -> float | None: ...
-    @property
-    def below(self) -> float | None: ...
-    @property
-    def above(self) -> float | None: ...
-
-
-class Outcome(NamedTuple):
-    """What became of an expectation.
-
-    Attributes:
-        passed: whether it held; False also when there was nothing to hold for.
-        at_s: time of the first violation, or None.
-        value: the signal's value there (NaN for a gap), or None.
-        sentence: the whole story for a person.
-    """
-
-    passed: bool
-    at_s: float | None
-    value: float | None
-    sentence: str
 
 
 class _NoMeaningError(Exception):
@@ -137,34 +106,6 @@ def percentiles(series: Series) -> Percentiles | None:
     return Percentiles(float(p50), float(p99))
 
 
-def check_expectation(expect: Expect, signals: Mapping[str, Series]) -> Outcome:
-    """Check one expectation against the signals of a run, ``loop.t_s`` among them.
-
-    It fails when there are no samples in its time, or when one of them is NaN: nothing was shown then. Raises
-    KeyError for a signal that is not there.
-    """
-    t_s, values = signals["loop.t_s"], signals[expect.signal]
-    start = -np.inf if expect.from_s is None else expect.from_s
-    stop = np.inf if expect.to_s is None else expect.to_s
-    inside = (t_s >= start) & (t_s <= stop)
-    t_s, values = t_s[inside], values[inside]
-    claim = f"{expect.signal} {_bounds(expect)} {_span(expect)}"
-    if not len(values):
-        return Outcome(False, None, None, f"{claim}: failed, the run has no samples there")
-
-    below = np.inf if expect.below is None else expect.below
-    above = -np.inf if expect.above is None else expect.above
-    # An absent bound holds for infinite values too; a NaN compares false with any bound.
-    holds = ((values < below) | (expect.below is None)) & ((values > above) | (expect.above is None))
-    holds &= ~np.isnan(values)
-    if holds.all():
-        return Outcome(True, None, None, f"{claim}: held over {len(values)} samples")
-    first = int(np.argmin(holds))
-    at_s, value = float(t_s[first]), float(values[first])
-    found = "no value" if np.isnan(value) else f"{value:.6g}"
-    return Outcome(False, at_s, value, f"{claim}: failed, {found} at t = {at_s:.6g} s")
-
-
 def _tracked(t_s: Series, planar_m: Series) -> float:
     _require_truth(t_s, planar_m)
     initial_m = float(planar_m[0])
@@ -210,18 +151,3 @@ def _require_truth(t_s: Series, planar_m: Series) -> None:
         raise _NoMeaningError("the run has no ground truth")
     if len(gaps):
         raise _NoMeaningError(f"the ground truth is missing at t = {t_s[gaps[0]]:.6g} s")
-
-
-def _bounds(expect: Expect) -> str:
-    bounds = []
-    if expect.above is not None:
-        bounds.append(f"above {expect.above:g}")
-    if expect.below is not None:
-        bounds.append(f"below {expect.below:g}")
-    return " and ".join(bounds)
-
-
-def _span(expect: Expect) -> str:
-    start = "from the start" if expect.from_s is None else f"from {expect.from_s:g} s"
-    stop = "to the end" if expect.to_s is None or np.isinf(expect.to_s) else f"to {expect.to_s:g} s"
-    return f"{start} {stop}"

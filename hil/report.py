@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from hil.errors import BadInputError, nearest
 from hil.plant.words import one_line
-from hil.results import RunResult
+from hil.results import RunResult, applied_words
 
 if TYPE_CHECKING:
     from hil.assembly import Watch
@@ -129,7 +129,7 @@ def print_figures(metrics: Mapping[str, Any]) -> None:
     if (link := metrics.get("link_statistics")) is not None:
         _print_link(link)
     for row in metrics.get("fault") or ():
-        print(f"  {'fault':<22} {row['kind']} {row['target']}: applied {row['applied']} times")
+        print(f"  {'fault':<22} {applied_words(row)}")
     for row in metrics.get("recoveries") or ():
         print(f"  {'recovery':<22} lost at {row['lost_s']:.3f} s, ACTIVE again at {row['armed_s']:.3f} s: {row['why']}")
     for row in metrics.get("expect") or ():
@@ -202,7 +202,13 @@ def listing(what: str) -> tuple[tuple[str, ...], Sequence[tuple[str, ...]]]:
         from hil.links.url import LINK_FORMS
 
         return ("link", "meaning"), list(LINK_FORMS.items())
-    raise BadInputError(f"there is no list of {what!r}{nearest(what, ('signals', 'laws', 'scenarios', 'links'))}")
+    if what == "faults":
+        from hil.faults.kinds import KINDS
+
+        rows = [(k.name, k.acts_on, k.target_words.replace("`", ""), k.unit, k.meaning) for k in KINDS]
+        return ("kind", "acts on", "target", "value", "meaning"), rows
+    known = ("signals", "laws", "scenarios", "links", "faults")
+    raise BadInputError(f"there is no list of {what!r}{nearest(what, known)}")
 
 
 def print_table(rows: Sequence[Sequence[str]]) -> None:

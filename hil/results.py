@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.errors import HilError
-from hil.metrics import check_expectation
+from hil.expectations import check_expectation
 from hil.scenario import ExpectTable, Scenario
 from hil.signals import SIGNAL_NAMES
 
@@ -87,7 +87,15 @@ def expectations(rows: Sequence[ExpectTable], signals: Mapping[str, Series]) -> 
                 "passed": outcome.passed,
                 "violation_s": outcome.at_s,
                 "violation_value": outcome.value,
+                "settled_s": outcome.settled_s,
                 "text": outcome.sentence,
             }
         )
     return outcomes
+
+
+def applied_words(fault: Mapping[str, Any]) -> str:
+    """Return in words what a fault of a run did, from its entry in the figures."""
+    if fault["applied"] is None:
+        return f"{fault['text']}: the robot that knew how often it was applied has gone"
+    return f"{fault['text']}: applied {fault['applied']} times ({fault['counts']})"

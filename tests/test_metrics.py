@@ -1,24 +1,15 @@
-"""Figures of a run and expectations: laws, cases worked by hand, and figures without a meaning."""
+"""Figures of a run: laws, cases worked by hand, and figures without a meaning."""
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.metrics import check_expectation, percentiles, signal_figures, tracking_metrics
+from hil.metrics import percentiles, signal_figures, tracking_metrics
 
 NAN = float("nan")
-
-
-class Row(NamedTuple):
-    signal: str = "error.planar_m"
-    from_s: float | None = None
-    to_s: float | None = None
-    below: float | None = None
-    above: float | None = None
 
 
 def seconds(count: int, period_s: float = 0.01) -> np.ndarray:
@@ -115,45 +106,3 @@ def test_signal_figures_of_a_run_of_one_tick_name_what_is_missing() -> None:
     figures, reasons = signal_figures({name: np.array([value]) for name, value in one.items()})
     assert figures["ticks"] == 1
     assert {name for name, value in figures.items() if value is None} == set(reasons)
-
-
-def signals(values: list[float]) -> dict[str, np.ndarray]:
-    return {"loop.t_s": np.arange(len(values), dtype=np.float64), "error.planar_m": np.array(values)}
-
-
-def test_bounds_hold_over_the_time_that_is_meant_ends_included() -> None:
-    run = signals([9.0, 0.1, 0.2, 0.1, 9.0])
-    assert check_expectation(Row(from_s=1, to_s=3, below=0.5, above=0.0), run).passed
-    assert not check_expectation(Row(from_s=0, to_s=3, below=0.5), run).passed
-    assert not check_expectation(Row(from_s=1, to_s=4, below=0.5), run).passed
-    assert not check_expectation(Row(from_s=1, to_s=3, below=0.2), run).passed
-
-
-def test_the_first_violation_is_reported() -> None:
-    outcome = check_expectation(Row(below=0.5), signals([0.1, 0.7, 0.9]))
-    assert outcome == (
-        False,
-        1.0,
-        0.7,
-        "error.planar_m below 0.5 from the start to the end: failed, 0.7 at t = 1 s",
-    )
-
-
-def test_nothing_to_hold_for_fails() -> None:
-    outcome = check_expectation(Row(from_s=10, to_s=15, below=1.0), signals([0.1, 0.1]))
-    assert not outcome.passed
-    assert "no samples" in outcome.sentence
-
-
-@pytest.mark.parametrize("row", [Row(below=math.inf), Row(above=-math.inf), Row(below=1.0), Row(above=0.0)], ids=str)
-def test_a_gap_fails_whatever_the_bounds(row: Row) -> None:
-    outcome = check_expectation(row, signals([0.1, NAN, 0.1]))
-    assert not outcome.passed
-    assert outcome.at_s == 1.0
-    assert "no value at t = 1 s" in outcome.sentence
-
-
-@given(st.lists(st.floats(allow_nan=False), min_size=1), st.floats(-10, 10), st.floats(-10, 10))
-def test_an_expectation_is_what_its_words_say(values: list[float], below: float, above: float) -> None:
-    outcome = check_expectation(Row(below=below, above=above), signals(values))
-    assert outcome.passed == all(above < value < below for value in values)

@@ -17,6 +17,8 @@ from hil.devices.truth import TruthClient
 from hil.devices.wheel_map import WheelMap
 from hil.errors import BadInputError, DeviceError
 from hil.links.delay import DelayedLink
+from hil.links.fault_rows import ScenarioTime
+from hil.links.faults import FaultLink
 from hil.links.framed import StreamLink
 from hil.links.streams import MemoryStream, memory_pair
 from hil.links.wire import SerialWire
@@ -48,7 +50,13 @@ def driver(
     expected = Expected(parameter_hash(values), lockstep, allow_motion)
     nonces = itertools.count(0x2341) if nonces is None else iter(nonces)
     clock = LockstepClock(lambda ticks: device.step(ticks))
-    device = Stm32(DelayedLink(link, clock, 0, 0), CommandMode.SPEED, expected, nonces, WheelMap())
+    device = Stm32(
+        DelayedLink(FaultLink(link, ScenarioTime(clock), ()), clock, 0, 0),
+        CommandMode.SPEED,
+        expected,
+        nonces,
+        WheelMap(),
+    )
     return device, clock
 
 
@@ -182,7 +190,7 @@ def test_a_stop_does_not_wait_for_the_links_latency():
     link = StreamLink(plug_in(rig))
     clock = LockstepClock(lambda ticks: device.step(ticks))
     expected = Expected(parameter_hash(PARAMETERS), lockstep=True, allow_motion=False)
-    delayed = DelayedLink(link, clock, 20_000_000, 0)
+    delayed = DelayedLink(FaultLink(link, ScenarioTime(clock), ()), clock, 20_000_000, 0)
     device = Stm32(delayed, CommandMode.SPEED, expected, itertools.count(0x2341), WheelMap())
     device.connect()
     device.start(clock, PERIOD_NS)

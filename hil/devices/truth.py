@@ -3,6 +3,9 @@
 The client sends one JSON line ``{"scenario": HASH, "reset": BOOL}``; the server answers one JSON line, ``{"ok": true}``
 or ``{"error": TEXT}``, and then sends records: robot time since power-on, pose, twist, set points, age of the newest
 command and state.
+
+Faults of the robot and its plant go the same way, each request in a connection of its own: with ``"faults"`` in its
+line, ``{"arm": ROWS}``, ``{"begin": TICK}`` or ``{"applied": true}``, the client gets its answer and no records.
 """
 
 import json
@@ -11,13 +14,15 @@ import socket
 import struct
 import threading
 import time
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple, TypeVar
 from urllib.parse import urlsplit
 
 from firmware_protocol.generated.messages import State
 from firmware_protocol.host import View
-from hil.errors import BadInputError, DeviceError
+from hil.devices.faults import RobotFaults
+from hil.errors import BadInputError, DeviceError, HilError
+from hil.faults.kinds import FaultRow
 from hil.types import Pose, PoseFix, Twist, Wheels
 
 _RECORD = struct.Struct("<q6d4dIB")
@@ -65,8 +70,43 @@ class _Client:
         self._connection.close()
 
 
+class _Wish(NamedTuple):
+    """The line that a client begins with."""
+
+    scenario: str
+    reset: bool
+    faults: Mapping[str, Any] | None
+
+    @classmethod
+    def parse(cls, line: bytes) -> "_Wish":
+        """Read a line. Raises DeviceError when it is none of ours."""
+        try:
+            wish = json.loads(line)
+            faults = wish.get("faults")
+            if faults is None or isinstance(faults, dict):
+                return cls(str(wish["scenario"]), bool(wish["reset"]), faults)
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+            pass
+        raise DeviceError("the request was not understood")
+
+
+Answer = TypeVar("Answer")
+
+
+def _await(ask: Callable[[Callable[[Answer], None]], None]) -> Answer:
+    """Ask the robot's own thread and wait for its answer. Raises DeviceError when there is none."""
+    answers: queue.Queue[Answer] = queue.Queue()
+    ask(answers.put)
+    try:
+        return answers.get(timeout=_ANSWER_S)
+    except queue.Empty:
+        raise DeviceError("the robot did not answer") from None
+
+
 class TruthServer:
     """Publishes the truth of a virtual robot on loopback. ``request_reset`` is told when a client wants the start.
+
+    ``ask_faults`` has something done with the robot's faults, in the robot's own thread.
 
     ``port`` 0 takes any free port. Raises BadInputError when the port is taken.
     """
@@ -84,6 +124,7 @@ class TruthServer:
         self._newest: bytes | None = None
         self._lock = threading.Lock()
         self.request_reset: Callable[[Callable[[bool], None]], None] | None = None
+        self.ask_faults: Callable[[Callable[[RobotFaults], None]], None] | None = None
         threading.Thread(target=self._accept, name="truth", daemon=True).start()
 
     def publish(self, fix: PoseFix, view: View | None) -> None:
@@ -116,9 +157,15 @@ class TruthServer:
     def _answer(self, connection: socket.socket) -> None:
         connection.settimeout(_ANSWER_S)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        error = self._refusal(connection.makefile("rb").readline(4096))
-        connection.sendall(json.dumps({"error": error} if error else {"ok": True}).encode() + b"\n")
-        if error:
+        answer: dict[str, object]
+        try:
+            wish = _Wish.parse(connection.makefile("rb").readline(_LONGEST_ANSWER))
+            self._grant(wish)
+            answer = {"ok": True} if wish.faults is None else self._answer_faults(wish.faults)
+        except HilError as refusal:
+            answer = {"error": str(refusal)}
+        connection.sendall(json.dumps(answer).encode() + b"\n")
+        if "error" in answer or wish.faults is not None:
             connection.close()
             return
         client = _Client(connection)
@@ -127,27 +174,39 @@ class TruthServer:
                 client.send(self._newest)
             self._clients = [*self._clients, client]
 
-    def _refusal(self, line: bytes) -> str | None:
-        try:
-            wish = json.loads(line)
-            scenario, reset = wish["scenario"], wish["reset"]
-        except (ValueError, KeyError, TypeError, RecursionError):
-            return "the request was not understood"
-        if scenario != self._hash:
-            return (
-                f"the robot runs another scenario (hash {self._hash[:12]}, asked for {str(scenario)[:12]}); start both "
+    def _grant(self, wish: _Wish) -> None:
+        """Do what is asked for before anything else. Raises DeviceError with the reason when it is refused."""
+        if wish.scenario != self._hash:
+            raise DeviceError(
+                f"the robot runs another scenario (hash {self._hash[:12]}, asked for {wish.scenario[:12]}); start both "
                 "from the same scenario and overrides"
             )
-        if reset and self.request_reset is not None:
-            answers: queue.Queue[bool] = queue.Queue()
-            self.request_reset(answers.put)
+        if wish.reset and self.request_reset is not None and not _await(self.request_reset):
+            raise DeviceError(
+                "the robot is armed or moves, and was not put back to its start; stop its controller first"
+            )
+
+    def _answer_faults(self, wish: Mapping[str, Any]) -> dict[str, object]:
+        ask = self.ask_faults
+        if ask is None:
+            raise DeviceError("this robot takes no faults")
+
+        def work(faults: RobotFaults) -> dict[str, object]:
+            if "arm" in wish:
+                faults.arm([FaultRow(*row) for row in wish["arm"]])
+            elif "begin" in wish:
+                faults.begin(int(wish["begin"]))
+            return {"applied": faults.applied()}
+
+        def guarded(faults: RobotFaults, answer: Callable[[dict[str, object]], None]) -> None:
             try:
-                at_start = answers.get(timeout=_ANSWER_S)
-            except queue.Empty:
-                return "the robot did not answer"
-            if not at_start:
-                return "the robot is armed or moves, and was not put back to its start; stop its controller first"
-        return None
+                answer(work(faults))
+            except BadInputError as error:
+                answer({"error": str(error)})
+            except (TypeError, ValueError) as error:
+                answer({"error": f"the request was not understood ({error})"})
+
+        return _await(lambda answer: ask(lambda faults: guarded(faults, answer)))
 
     def close(self) -> None:
         """Stop listening and let the readers go."""
@@ -170,46 +229,34 @@ class TruthClient:
         self, url: str, scenario_hash: str, *, reset: bool, not_before: Callable[[], int] | None = None
     ) -> None:
         self._url = url
+        self._scenario_hash = scenario_hash
         self._not_before = not_before
-        self._data = bytearray()
         self._whole = b""
         self.newest: TruthRecord | None = None
-        host, port = self._address(url)
-        try:
-            self._connection = socket.create_connection((host, port), timeout=2 * _ANSWER_S)
-            self._connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._connection.sendall(json.dumps({"scenario": scenario_hash, "reset": reset}).encode() + b"\n")
-            answer = self._answer()
-        except OSError as error:
-            raise DeviceError(f"truth {url!r}: nobody answers ({error}); start hil device first") from error
-        except ValueError as error:
-            raise DeviceError(f"truth {url!r}: something else listens there; use the URL of hil device") from error
+        self._connection, answer, self._data = _greet(url, {"scenario": scenario_hash, "reset": reset})
         if "error" in answer:
             raise DeviceError(f"truth {url!r}: {answer['error']}")
 
-    @staticmethod
-    def _address(url: str) -> tuple[str, int]:
-        try:
-            parts = urlsplit(url)
-            port = parts.port
-        except ValueError:
-            parts, port = urlsplit(""), None
-        if parts.scheme != "tcp" or not parts.hostname or port is None:
-            raise BadInputError(f"truth {url!r} is no address; expected tcp://127.0.0.1:PORT as hil device prints it")
-        return parts.hostname, port
+    def arm(self, rows: Sequence[FaultRow]) -> None:
+        """Give the robot the faults of the run. Raises BadInputError when it has no part for one of them."""
+        answer = self._ask_faults({"arm": rows})
+        if "error" in answer:
+            raise BadInputError(str(answer["error"]))
 
-    def _answer(self) -> dict[str, object]:
-        while b"\n" not in self._data:
-            if len(self._data) > _LONGEST_ANSWER:
-                raise ValueError("no line")
-            chunk = self._connection.recv(4096)
-            if not chunk:
-                raise ConnectionError("the connection was closed")
-            self._data += chunk
-        line, _, self._data = self._data.partition(b"\n")
-        answer = json.loads(line)
-        if not isinstance(answer, dict):
-            raise ValueError("no object")
+    def begin(self, tick: int) -> None:
+        """Say at which tick of the firmware's the scenario's time began."""
+        self._ask_faults({"begin": tick})
+
+    def applied(self) -> list[int]:
+        """Return how often each fault was applied so far. Raises DeviceError when the robot's process has gone."""
+        applied = self._ask_faults({"applied": True}).get("applied")
+        if not isinstance(applied, list):
+            raise DeviceError(f"truth {self._url!r}: the robot does not say how often a fault was applied")
+        return [int(count) for count in applied]
+
+    def _ask_faults(self, wish: Mapping[str, object]) -> Mapping[str, object]:
+        connection, answer, _ = _greet(self._url, {"scenario": self._scenario_hash, "reset": False, "faults": wish})
+        connection.close()
         return answer
 
     def poll(self) -> PoseFix | None:
@@ -252,3 +299,49 @@ class TruthClient:
     def close(self) -> None:
         """Leave."""
         self._connection.close()
+
+
+def _greet(url: str, wish: Mapping[str, object]) -> tuple[socket.socket, dict[str, object], bytearray]:
+    """Connect and send the first line; return the connection, the answer and what came after it.
+
+    Raises BadInputError for a URL that is none, DeviceError when nobody of ours listens.
+    """
+    connection = None
+    try:
+        connection = socket.create_connection(_address(url), timeout=2 * _ANSWER_S)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        connection.sendall(json.dumps(wish).encode() + b"\n")
+        return connection, *_read_answer(connection)
+    except (OSError, ValueError) as error:
+        if connection is not None:
+            connection.close()
+        if isinstance(error, OSError):
+            raise DeviceError(f"truth {url!r}: nobody answers ({error}); start hil device first") from error
+        raise DeviceError(f"truth {url!r}: something else listens there; use the URL of hil device") from error
+
+
+def _address(url: str) -> tuple[str, int]:
+    try:
+        parts = urlsplit(url)
+        port = parts.port
+    except ValueError:
+        parts, port = urlsplit(""), None
+    if parts.scheme != "tcp" or not parts.hostname or port is None:
+        raise BadInputError(f"truth {url!r} is no address; expected tcp://127.0.0.1:PORT as hil device prints it")
+    return parts.hostname, port
+
+
+def _read_answer(connection: socket.socket) -> tuple[dict[str, object], bytearray]:
+    data = bytearray()
+    while b"\n" not in data:
+        if len(data) > _LONGEST_ANSWER:
+            raise ValueError("no line")
+        chunk = connection.recv(4096)
+        if not chunk:
+            raise ConnectionError("the connection was closed")
+        data += chunk
+    line, _, rest = data.partition(b"\n")
+    answer = json.loads(line)
+    if not isinstance(answer, dict):
+        raise ValueError("no object")
+    return answer, rest

@@ -3,6 +3,7 @@
 import contextlib
 import functools
 import operator
+import queue
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -14,6 +15,7 @@ from firmware_protocol.framing import Frame
 from firmware_protocol.generated.messages import State
 from firmware_protocol.host import HostNode, View
 from hil.clock import TICK_NS
+from hil.devices.faults import Body, RobotFaults
 from hil.devices.robot_node import RobotNode
 from hil.devices.wheel_map import WheelMap
 from hil.errors import BadInputError, DeviceError, HilError
@@ -52,6 +54,7 @@ class VirtualRobot(NamedTuple):
     firmware: Mapping[str, float]
     lockstep: bool
     wheel_map: WheelMap
+    body: Body
 
 
 class VirtualStm32:
@@ -70,6 +73,7 @@ class VirtualStm32:
             resources.callback(self.plant.close)
             self.plant.wire(made_of.wheel_map.wheel_of_channel, made_of.wheel_map.sign_of_channel)
             self._stored: bytes | None = None
+            self.faults = RobotFaults(self.plant, made_of.body)
             self.node = self._power_on()
             resources.pop_all()
 
@@ -78,8 +82,8 @@ class VirtualStm32:
         try:
             return HostNode(
                 made_of.firmware,
-                plant.exchange_address,
-                plant.context_address,
+                self.faults.exchange_address,
+                self.faults.context_address,
                 lockstep=made_of.lockstep,
                 lacks=functools.reduce(operator.or_, (_SENSORS[name] for name in plant.lacks), Capability(0)),
                 stored=self._stored,
@@ -88,10 +92,20 @@ class VirtualStm32:
             raise BadInputError(f"the virtual robot cannot start: {error}") from error
 
     def power_cycle(self) -> None:
-        """Put the plant back to its start and the firmware to its power-on state; stored parameters are kept."""
+        """Put the plant back to its start and the firmware to its power-on state; no fault is armed any more."""
+        self._power_off()
         self.plant.reset()
-        self._stored = self.node.stored()
+        self.faults.clear()
         self.node = self._power_on()
+
+    def restart(self) -> None:
+        """Put the firmware to its power-on state while the plant stays as it is; stored parameters are kept."""
+        self._power_off()
+        self.faults.power_on()
+        self.node = self._power_on()
+
+    def _power_off(self) -> None:
+        self._stored = self.node.stored()
 
     def failure(self) -> DeviceError | None:
         """Return why the plant failed, in the FMU's words, or None while it has not."""
@@ -173,6 +187,7 @@ class VirtualServer:
         self._heard_ns = self._start_ns
         self._ticks = 0
         self._reset: Callable[[bool], None] | None = None
+        self._asked: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self.slipped_ticks = 0
         self._publish()
 
@@ -182,6 +197,10 @@ class VirtualServer:
         It is refused while the robot is armed or moves, unless in lockstep its host has been silent for 2 s.
         """
         self._reset = answer
+
+    def ask(self, work: Callable[[RobotFaults], None]) -> None:
+        """Have something done with the robot's faults before the next exchange, in the thread that serves."""
+        self._asked.put(lambda: work(self._robot.faults))
 
     def serve(self) -> None:
         """Serve until ``stop``. Raises LinkError when the link is lost, DeviceError when the plant fails."""
@@ -194,15 +213,26 @@ class VirtualServer:
 
     def service(self, timeout_ns: int) -> None:
         """Do what is due, waiting at most ``timeout_ns`` for something to come."""
-        if self._reset is not None:
-            self._power_cycle()
+        self._do_what_was_asked()
         if self._lockstep:
             if self._wire.receive_into(self._robot.node, timeout_ns):
                 self._heard_ns = time.monotonic_ns()
                 self._publish()
-                self._wire.send_from(self._robot.node)
+                self._send()
         else:
             self._serve_real_time()
+
+    def _do_what_was_asked(self) -> None:
+        if self._reset is not None:
+            self._power_cycle()
+        while not self._asked.empty():
+            self._asked.get()()
+
+    def _send(self) -> None:
+        """Send what the robot has to send; where a reset switched it off, it is switched on again instead."""
+        if self._robot.faults.is_off:
+            self._robot.restart()
+        self._wire.send_from(self._robot.node)
 
     def _serve_real_time(self) -> None:
         next_ns = self._start_ns + (self._ticks + 1) * TICK_NS
@@ -221,10 +251,12 @@ class VirtualServer:
             self._start_ns += slipped * TICK_NS
             self.slipped_ticks += slipped
             due = _CATCH_UP_TICKS
+        # With a slow clock the world goes on for more ticks than the firmware counts.
+        missed = self._robot.faults.extra_ticks
         self._robot.node.run(due)
-        self._ticks += due
+        self._ticks += due + self._robot.faults.extra_ticks - missed
         self._publish()
-        self._wire.send_from(self._robot.node)
+        self._send()
 
     def _publish(self) -> None:
         view = self._robot.node.look() if self._truth.wants_view else None

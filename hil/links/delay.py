@@ -16,6 +16,19 @@ class NowNs(Protocol):
     def now_ns(self) -> int: ...
 
 
+class HoldingLink(Link, Protocol):
+    """A link that may hold back what was sent for a while, and has to be looked after meanwhile."""
+
+    def next_due_ns(self) -> int | None:
+        """Return when the next held command is due, or None when none is held."""
+
+    def service(self) -> None:
+        """Hand over the commands that are due."""
+
+    def flush(self) -> None:
+        """Hand over everything that is held, in order: nobody will wait for it to be due."""
+
+
 class DelayedLink:
     """Holds frames of either direction for a fixed time.
 
@@ -23,14 +36,13 @@ class DelayedLink:
     from ``send`` to the hand-over to the link below, ``feedback_latency_ns`` from there to ``receive``.
     """
 
-    def __init__(self, link: Link, clock: NowNs, command_latency_ns: int, feedback_latency_ns: int) -> None:
+    def __init__(self, link: HoldingLink, clock: NowNs, command_latency_ns: int, feedback_latency_ns: int) -> None:
         self._link = link
         self._clock = clock
         self._command_latency_ns = command_latency_ns
         self._feedback_latency_ns = feedback_latency_ns
         self._outgoing: deque[tuple[int, Frame]] = deque()
         self._incoming: deque[Received] = deque()
-        self._exempt: deque[Received] = deque()
 
     def send(self, frame: Frame) -> None:
         if frame.id >= FIRST_EXEMPT_ID or not self._command_latency_ns:
@@ -40,34 +52,35 @@ class DelayedLink:
 
     def next_due_ns(self) -> int | None:
         """Return when the next held command is due, or None when none is held."""
-        return self._outgoing[0][0] if self._outgoing else None
+        below_ns = self._link.next_due_ns()
+        if not self._outgoing:
+            return below_ns
+        return self._outgoing[0][0] if below_ns is None else min(below_ns, self._outgoing[0][0])
 
     def service(self) -> None:
         """Hand over the commands that are due."""
         now_ns = self._clock.now_ns()
         while self._outgoing and self._outgoing[0][0] <= now_ns:
             self._link.send(self._outgoing.popleft()[1])
+        self._link.service()
 
     def flush(self) -> None:
         """Hand over everything that is held, in order: nobody will wait for it to be due."""
         while self._outgoing:
             self._link.send(self._outgoing.popleft()[1])
+        self._link.flush()
 
     def receive(self, timeout_ns: int) -> Received | None:
         if not self._feedback_latency_ns:
             return self._link.receive(timeout_ns)
-        if self._exempt:
-            return self._exempt.popleft()
-        while (received := self._link.receive(0 if self._incoming else timeout_ns)) is not None:
-            if received.frame.id >= FIRST_EXEMPT_ID:
-                self._exempt.append(received)
-                break
+        while True:
+            # What is due goes first, however the rest comes in: the order is then the same on every transport.
+            if self._incoming and self._incoming[0].stamp_ns <= self._clock.now_ns():
+                return self._incoming.popleft()
+            received = self._link.receive(timeout_ns)
+            if received is None or received.frame.id >= FIRST_EXEMPT_ID:
+                return received
             self._incoming.append(Received(received.frame, self._clock.now_ns() + self._feedback_latency_ns))
-        if self._exempt:
-            return self._exempt.popleft()
-        if self._incoming and self._incoming[0].stamp_ns <= self._clock.now_ns():
-            return self._incoming.popleft()
-        return None
 
     def rejected(self) -> dict[str, int]:
         return self._link.rejected()
@@ -80,7 +93,6 @@ class DelayedLink:
         """Forget what is held: the link was lost, and an old command must not follow a new arming."""
         self._outgoing.clear()
         self._incoming.clear()
-        self._exempt.clear()
 
     def describe(self) -> str:
         return self._link.describe()

@@ -1,86 +1,213 @@
-"""Faults on demand: a link that drops, repeats or mutes frames in a window of the scenario's time, from a seed."""
+"""Faults of whole frames: a link that loses, delays, doubles, swaps, mutes and repeats them, or is lost itself."""
 
-import random
+import heapq
+import itertools
 from collections import deque
 from collections.abc import Sequence
 from typing import NamedTuple
 
 from firmware_protocol.framing import Frame
-from firmware_protocol.generated.messages import NAMES
-from hil.links.delay import FIRST_EXEMPT_ID, NowNs
+from hil.errors import LinkError
+from hil.links.fault_rows import LinkFault, ScenarioTime, is_exempt
 from hil.ports import Link, Received
 
+FRAME_KINDS = ("drop", "burst_loss", "delay", "jitter", "duplicate", "reorder", "mute", "freeze", "disconnect")
+"""The kinds that this link applies on every transport."""
 
-class Fault(NamedTuple):
-    """One fault of a scenario; ``direction`` is ``command`` or ``feedback``, ``message`` a DBC name or None."""
+TICK_NS = 1_000_000
 
-    kind: str
-    direction: str | None
-    message: str | None
-    start_ns: int
-    end_ns: int
-    probability: float
+
+class _Held(NamedTuple):
+    """A frame that waits for its time; ``number`` keeps the order of those that are due at once."""
+
+    due_ns: int
+    number: int
+    frame: Frame
+
+
+class _Way:
+    """One direction: what is held back, and what each row remembers of it."""
+
+    def __init__(self, direction: str, faults: Sequence[LinkFault]) -> None:
+        self.direction = direction
+        self.faults = [fault for fault in faults if fault.kind != "disconnect"]
+        self.held: list[_Held] = []
+        self._numbers = itertools.count()
+        self._bad: set[LinkFault] = set()  # burst_loss in its bad state
+        self._overtaken: dict[LinkFault, list[Frame]] = {}  # what reorder holds until the next frame
+        self._newest: dict[tuple[LinkFault, int], Frame] = {}  # what freeze repeats
+
+    def take(self, frame: Frame, t_ns: int) -> None:
+        """Take a frame that is not exempt; what becomes of it is in ``held``."""
+        frames, delay_ns, released = [frame], 0, list[Frame]()
+        for fault in self.faults:
+            if not frames or not fault.concerns(self.direction, frame.id):
+                continue
+            if fault.kind == "freeze" and t_ns < fault.row.start_ns:
+                self._newest[fault, frame.id] = frame
+            if not fault.row.is_in_force(t_ns):
+                continue
+            if fault.kind in ("delay", "jitter"):
+                delay_ns += self._delay_ns(fault)
+            elif fault.kind == "reorder":
+                if fault in self._overtaken:
+                    released += self._overtaken.pop(fault)
+                elif fault.strikes():
+                    self._overtaken[fault] = frames
+                    frames = []
+            else:
+                frames = self._changed(fault, frames)
+        for one in (*frames, *released):
+            self._hold(one, t_ns + delay_ns)
+
+    def _changed(self, fault: LinkFault, frames: list[Frame]) -> list[Frame]:
+        """Return what a row makes of a frame and its copies."""
+        match fault.kind:
+            case "drop":
+                return [] if fault.strikes() else frames
+            case "duplicate":
+                return frames * 2 if fault.strikes() else frames
+            case "burst_loss":
+                return [] if self._bursts(fault) else frames
+            case "mute":
+                fault.applied += 1
+                return []
+            case "freeze":
+                old = self._newest.get((fault, frames[0].id))
+                fault.applied += old is not None
+                return frames if old is None else [old] * len(frames)
+        return frames
+
+    def _bursts(self, fault: LinkFault) -> bool:
+        """Go on to the next state of the Gilbert-Elliott chain; tell whether it is the bad one."""
+        share, length = fault.row.value, fault.row.burst_frames
+        probability = 1.0 - 1.0 / length if fault in self._bad else share / (length * (1.0 - share))
+        if fault.chance.random() < probability:
+            self._bad.add(fault)
+            fault.applied += 1
+            return True
+        self._bad.discard(fault)
+        return False
+
+    @staticmethod
+    def _delay_ns(fault: LinkFault) -> int:
+        seconds = fault.row.value * (fault.chance.random() if fault.kind == "jitter" else 1.0)
+        ticks = -(-round(seconds * 1e9) // TICK_NS)  # robot time has no finer grain in lockstep
+        fault.applied += ticks > 0
+        return ticks * TICK_NS
+
+    def _hold(self, frame: Frame, due_ns: int) -> None:
+        """Let a frame wait; it does not overtake those that wait already."""
+        due_ns = max(due_ns, max((held.due_ns for held in self.held), default=due_ns))
+        heapq.heappush(self.held, _Held(due_ns, next(self._numbers), frame))
+
+    def forget(self) -> None:
+        """Lose what is held."""
+        self.held.clear()
+        self._overtaken.clear()
+
+    def next_due_ns(self) -> int | None:
+        """Return when the next frame that is held has to go on, or None when none is held."""
+        ends = [fault.row.end_ns for fault in self._overtaken]
+        if self.held:
+            ends.append(self.held[0].due_ns)
+        return min(ends, default=None)
+
+    def due(self, t_ns: int | None) -> list[Frame]:
+        """Return what has to go on, in order; all of it with None."""
+        for fault in [fault for fault in self._overtaken if t_ns is None or fault.row.end_ns <= t_ns]:
+            for frame in self._overtaken.pop(fault):
+                self._hold(frame, fault.row.end_ns)
+        frames = []
+        while self.held and (t_ns is None or self.held[0].due_ns <= t_ns):
+            frames.append(heapq.heappop(self.held).frame)
+        return frames
 
 
 class FaultLink:
-    """Applies faults to the frames of a link; ``applied`` counts how often each did something.
+    """Applies faults to the frames of a link. Time is the scenario's, so nothing happens before that has begun.
 
-    Time is the scenario's, so nothing happens before ``begin`` is called at the first ACTIVE tick.
+    ``service`` lets go what is due of what is held on its way out; ``next_due_ns`` says when it is to be called again.
     """
 
-    def __init__(self, link: Link, clock: NowNs, faults: Sequence[Fault], seed: int) -> None:
+    def __init__(self, link: Link, time: ScenarioTime, faults: Sequence[LinkFault]) -> None:
         self._link = link
-        self._clock = clock
-        self._faults = faults
-        self._random = random.Random(seed)
-        self._origin_ns: int | None = None
-        self._repeated: deque[Received] = deque()
-        self.applied = [0] * len(faults)
-
-    def begin(self, origin_ns: int) -> None:
-        """Say when the scenario's time began."""
-        self._origin_ns = origin_ns
-
-    def _copies(self, frame: Frame, direction: str) -> int:
-        """How often the frame goes on: 0 when dropped, 1, or 2 when repeated."""
-        if self._origin_ns is None or frame.id >= FIRST_EXEMPT_ID:
-            return 1
-        t_ns = self._clock.now_ns() - self._origin_ns
-        copies = 1
-        for i, fault in enumerate(self._faults):
-            if not fault.start_ns <= t_ns < fault.end_ns or fault.direction not in (None, direction):
-                continue
-            if fault.message not in (None, NAMES.get(frame.id)):
-                continue
-            if self._random.random() >= fault.probability:
-                continue
-            self.applied[i] += 1
-            copies = 2 * copies if fault.kind == "duplicate" else 0
-        return copies
+        self._time = time
+        self._has_faults = bool(faults)
+        self._disconnects = [fault for fault in faults if fault.kind == "disconnect"]
+        self._out = _Way("command", faults)
+        self._in = _Way("feedback", faults)
+        self._ready: deque[Received] = deque()
+        self._cut: LinkFault | None = None  # that the link was lost by
 
     def send(self, frame: Frame) -> None:
-        for _ in range(self._copies(frame, "command")):
+        t_ns = self._time.now_ns() if self._has_faults else None
+        if t_ns is None or is_exempt(frame.id):
             self._link.send(frame)
+            return
+        self._refuse_if_cut(t_ns)
+        self._out.take(frame, t_ns)
+        self._let_go(t_ns)
 
     def receive(self, timeout_ns: int) -> Received | None:
-        if self._repeated:
-            return self._repeated.popleft()
-        while (received := self._link.receive(timeout_ns)) is not None:
-            copies = self._copies(received.frame, "feedback")
-            if copies:
-                self._repeated.extend([received] * (copies - 1))
+        while True:
+            t_ns = self._time.now_ns() if self._has_faults else None
+            if t_ns is not None:
+                self._ready.extend(Received(frame, self._time.on_clock_ns(t_ns)) for frame in self._in.due(t_ns))
+            if self._ready:
+                return self._ready.popleft()
+            received = self._link.receive(timeout_ns)
+            if received is None or t_ns is None or is_exempt(received.frame.id):
                 return received
-        return None
+            if not self._is_cut(t_ns):
+                self._in.take(received.frame, t_ns)
+
+    def next_due_ns(self) -> int | None:
+        """Return when, on the clock, the next held command is due, or None when none is held."""
+        due_ns = self._out.next_due_ns()
+        return None if due_ns is None else self._time.on_clock_ns(due_ns)
+
+    def service(self) -> None:
+        """Hand over the commands that are due."""
+        t_ns = self._time.now_ns()
+        if t_ns is not None:
+            self._let_go(t_ns)
+
+    def flush(self) -> None:
+        """Hand over everything that is held, in order: nobody will wait for it to be due."""
+        self._let_go(None)
+
+    def reopen(self) -> None:
+        """Open the link anew after a disconnect; what was on its way is forgotten. Raises LinkError while it lasts."""
+        t_ns = self._time.now_ns()
+        self._cut = None
+        if t_ns is not None:
+            self._refuse_if_cut(t_ns)
+        self._out.forget()
+        self._in.forget()
+        self._ready.clear()
+        self._link.reopen()
 
     def rejected(self) -> dict[str, int]:
         return self._link.rejected()
-
-    def reopen(self) -> None:
-        self._repeated.clear()
-        self._link.reopen()
 
     def describe(self) -> str:
         return self._link.describe()
 
     def close(self) -> None:
         self._link.close()
+
+    def _let_go(self, t_ns: int | None) -> None:
+        for frame in self._out.due(t_ns):
+            self._link.send(frame)
+
+    def _is_cut(self, t_ns: int) -> bool:
+        """Tell whether the link is lost: a cable that was pulled has to be opened again, also when it is back."""
+        if self._disconnects and self._cut is None:
+            self._cut = next((fault for fault in self._disconnects if fault.row.is_in_force(t_ns)), None)
+        return self._cut is not None
+
+    def _refuse_if_cut(self, t_ns: int) -> None:
+        if self._is_cut(t_ns) and self._cut is not None:
+            self._cut.applied += 1
+            raise LinkError(f"the link was cut by the fault disconnect, seen at t = {t_ns * 1e-9:.3f} s")

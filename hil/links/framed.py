@@ -16,6 +16,7 @@ class StreamLink:
         self._framer = Framer()
         self._deframer = Deframer()
         self._earlier: Counter[str] = Counter()  # what was rejected before the link was reopened
+        self._earlier_bytes = 0
         self._ready: deque[Received] = deque()
 
     def send(self, frame: Frame) -> None:
@@ -40,7 +41,7 @@ class StreamLink:
 
     def received_bytes(self) -> int:
         """Return how many bytes have come so far, those that were no frame too."""
-        return self._deframer.bytes
+        return self._earlier_bytes + self._deframer.bytes
 
     def rejected(self) -> dict[str, int]:
         now = self._deframer.rejected | {"lost": self._deframer.lost}
@@ -50,6 +51,7 @@ class StreamLink:
         self._stream.reopen()
         # A new deframer: the half of a frame, and the gap in the numbers, belong to the line that was lost.
         self._earlier = Counter(self.rejected())
+        self._earlier_bytes = self.received_bytes()
         self._deframer = Deframer()
         self._ready.clear()
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from hil.errors import BadInputError
 from hil.links.framed import StreamLink
-from hil.links.streams import MemoryStream, memory_pair
+from hil.links.streams import HostStream, MemoryStream, memory_pair
 from hil.links.url import CanUrl, LinkUrl, MemoryUrl, SerialUrl, format_link
 from hil.links.wire import CanWire, LossySerialWire, ReopeningWire, SerialWire, Wire
 from hil.ports import Link
@@ -15,6 +15,14 @@ if TYPE_CHECKING:
     from hil.links.can_bus import CanLink
     from hil.links.pty import PtyStream
     from hil.links.serial_port import SerialStream
+
+
+Line = Callable[[HostStream], HostStream]
+"""What a link's byte stream goes through at the host's end: faults of the line, or nothing."""
+
+
+def _as_it_is(stream: HostStream) -> HostStream:
+    return stream
 
 
 class Pair(NamedTuple):
@@ -36,24 +44,24 @@ def is_within_process(url: LinkUrl) -> bool:
             return url.interface == "virtual"
 
 
-def open_pair(url: LinkUrl, *, lockstep: bool) -> Pair:
+def open_pair(url: LinkUrl, line: Line = _as_it_is, *, lockstep: bool) -> Pair:
     """Open both ends of a link that stays within this process. Raises LinkError when that fails."""
     match url:
         case MemoryUrl():
             host, robot = memory_pair()
-            return Pair(StreamLink(host), SerialWire(robot), host)
+            return Pair(StreamLink(line(host)), SerialWire(robot), host)
         case SerialUrl():
             pty = _pty_stream(url, lockstep=lockstep)
-            return Pair(StreamLink(_serial_stream(pty.port, url.baud)), LossySerialWire(pty), None)
+            return Pair(StreamLink(line(_serial_stream(pty.port, url.baud))), LossySerialWire(pty), None)
         case CanUrl():
             return Pair(_can_link(url, "ROBOT"), CanWire(_can_link(url, "HOST")), None)
 
 
-def open_host(url: LinkUrl) -> Link:
+def open_host(url: LinkUrl, line: Line = _as_it_is) -> Link:
     """Open the host's end of a link to a robot elsewhere. Raises LinkError or BadInputError when that fails."""
     match url:
         case SerialUrl():
-            return StreamLink(_serial_stream(url.port, url.baud))
+            return StreamLink(line(_serial_stream(url.port, url.baud)))
         case CanUrl():
             return _can_link(url, "ROBOT")
         case MemoryUrl():

@@ -321,14 +321,14 @@ class Statistics:
         self._link.close()
 
 
-def measured(link: Any, url: LinkUrl, clock: Clock, *, lockstep: bool) -> Statistics:
-    """Return the statistics of a transport link that was opened from ``url``."""
+def measured(link: Link, transport: Any, url: LinkUrl, clock: Clock, *, lockstep: bool) -> Statistics:
+    """Return the statistics of a link: the transport that was opened from ``url``, or what faults make of it."""
     match url:
         case CanUrl():
             statistics = Statistics(link, CanMeter(url), clock, lockstep=lockstep)
-            link.on_foreign = statistics.overhear
+            transport.on_foreign = statistics.overhear
             return statistics
         case SerialUrl():
-            return Statistics(link, SerialMeter(link, url.baud), clock, lockstep=lockstep)
+            return Statistics(link, SerialMeter(transport, url.baud), clock, lockstep=lockstep)
         case MemoryUrl():
-            return Statistics(link, SerialMeter(link, None), clock, lockstep=lockstep)
+            return Statistics(link, SerialMeter(transport, None), clock, lockstep=lockstep)

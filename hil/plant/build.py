@@ -13,8 +13,8 @@ from native_build.compiler import SUFFIX, BuildError, compile_shared
 HERE = Path(__file__).parent
 PLANT_PORT = HERE.parents[1] / "firmware_protocol" / "firmware" / "plant_port.h"
 LIBRARY = HERE / f"libcosim{SUFFIX}"
-HEADERS = (PLANT_PORT, HERE / "cosim.h", HERE / "derive.h", HERE / "remote.h")
-SOURCES = (HERE / "cosim.c", HERE / "derive.c", HERE / "remote.c")
+HEADERS = (PLANT_PORT, HERE / "cosim.h", HERE / "derive.h", HERE / "remote.h", HERE / "robot_faults.h")
+SOURCES = (HERE / "cosim.c", HERE / "derive.c", HERE / "remote.c", HERE / "robot_faults.c")
 
 
 def build(library: Path = LIBRARY, cc: str | None = None) -> Path:

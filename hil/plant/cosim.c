@@ -269,6 +269,25 @@ int cosim_exchange(void *context, const wheel_drive *drive, wheel_sense *sense) 
     return 0;
 }
 
+int cosim_set(void *context, size_t place, double value) {
+    cosim *const c = context;
+    if (c->failed) {
+        return 1;
+    }
+    if (place >= c->settables) {
+        return fail(c, "there is no settable variable %zu", place);
+    }
+    const cosim_variable *const v = &c->settable[place];
+    float single = (float)value;
+    cosim_group one = {.call = v->call,
+                       .reference = &v->reference,
+                       .references = 1,
+                       .value = v->type == COSIM_FLOAT64 ? (void *)&value : (void *)&single,
+                       .values = 1};
+    const int status = v->type == COSIM_FLOAT64 ? CALL(c, &one, const double) : CALL(c, &one, const float);
+    return status > STATUS_WARNING ? refused(c, status, "refused a new value of a variable") : 0;
+}
+
 int cosim_run(void *context, const float *torque_n_m, uint32_t ticks) {
     cosim *const c = context;
     wheel_sense sense;

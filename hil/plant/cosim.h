@@ -69,6 +69,12 @@ typedef struct { /* the variables of one type: one call into the FMU */
     int is_in_place; /* `value` is that part of `fresh` or of `input_value` which the rows name */
 } cosim_group;
 
+typedef struct { /* a variable that may be set between two ticks */
+    unsigned reference;
+    int type;            /* COSIM_FLOAT64 or COSIM_FLOAT32 */
+    cosim_function call; /* fmi2SetReal, ... */
+} cosim_variable;
+
 typedef struct { /* an angle that the FMU may wrap */
     double newest_rad;
     double turns;
@@ -87,6 +93,9 @@ typedef struct {
     size_t inputs;
     size_t outputs;
     const char *name[COSIM_SIGNALS]; /* for messages */
+
+    const cosim_variable *settable;
+    size_t settables;
 
     int derives; /* whether any of the following is set */
     int derived[COSIM_SIGNALS];
@@ -116,6 +125,10 @@ int cosim_start(cosim *c);
 /* A wheel_plant_exchange whose context is a cosim. Returns 0, or 1 when the FMU failed, wished to end or gave
  * a number that is not finite; then `text` says why and the outputs are those of the last good tick. */
 int cosim_exchange(void *context, const wheel_drive *drive, wheel_sense *sense);
+
+/* Sets one of the settable variables of the context, which is a cosim, from the next tick on. Returns like
+ * cosim_exchange. */
+int cosim_set(void *context, size_t place, double value);
 
 /* Holds the torques of the four channels for so many ticks. Stops at the first failure and returns like
  * cosim_exchange. */

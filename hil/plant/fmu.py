@@ -15,6 +15,7 @@ from hil.errors import BadInputError, DeviceError
 from hil.plant import archive, shim
 from hil.plant.instance import Instance
 from hil.plant.mapping import SignalMap, resolve
+from hil.plant.settable import Settable, bounds, settable_variables
 from hil.plant.start import Value, resize, start_values
 from hil.plant_signals import OUTPUTS, SENSORS
 from hil.types import Pose, PoseFix, Twist, Wheels
@@ -27,6 +28,8 @@ class FmuPlant:
     says which variables carry the bridge's signals where they do not have the signals' own names. A tick lasts
     ``step_ns``. ``exchange_address`` is a C function of the type ``wheel_plant_exchange``, ``context_address`` its
     context; both hold only as long as this object lives, and fail after ``close``.
+
+    ``settable`` are the variables that may be set between two ticks, by name.
 
     ``lacks`` names the sensors, keys of ``plant_signals.SENSORS``, that the FMU has not.
 
@@ -64,6 +67,7 @@ class FmuPlant:
             instance.instantiate()
             resources.callback(instance.free)
             self._initialise()
+            self.settable = self._offer_variables()
             self._resources = resources.pop_all()
 
     @property
@@ -85,6 +89,16 @@ class FmuPlant:
     def context_address(self) -> int:
         """Address of the context that belongs to ``exchange_address``."""
         return int(self._ffi.cast("uintptr_t", self._context))
+
+    @property
+    def set_address(self) -> int:
+        """Address of a C function that sets a variable of ``settable`` by its place, with the same context."""
+        return int(self._ffi.cast("uintptr_t", self._ffi.addressof(self._lib, "cosim_set")))
+
+    @property
+    def pose_address(self) -> int:
+        """Address of the newest pose: three doubles."""
+        return int(self._ffi.cast("uintptr_t", self._context.signal))
 
     def wire(self, wheel_of_channel: Sequence[int], sign_of_channel: Sequence[int]) -> None:
         """Say which wheel (0 to 3: FL, FR, RR, RL) each channel of the plant port drives, and in which sense.
@@ -146,11 +160,26 @@ class FmuPlant:
         instance, context = self.instance, self._context
         resize(self._start, instance.variables)
         wiring = resolve(mapping, fmu, instance.variables)
+        self._driven = {connection.variable.name for connection in wiring.inputs}
         missing = {OUTPUTS[place] for place in wiring.derived}
         self.lacks = frozenset(name for name, signals in SENSORS.items() if missing & set(signals))
         context.counts_per_revolution = mapping.counts_per_revolution or 0.0
         context.torque_constant_n_m_a = mapping.torque_constant_n_m_a or 0.0
         return shim.connect(context, wiring, instance.access)
+
+    def _offer_variables(self) -> dict[str, Settable]:
+        """Hand the shim what may be set between two ticks, and return it with its place there."""
+        if self.instance.is_model_exchange:  # it would be set in event mode alone, which the solver does not enter
+            return {}
+        offered = settable_variables(self.instance.variables, self._driven)
+        rows = [(v.valueReference, *shim.setter(self.instance.access, v.type)) for v in offered.values()]
+        memory = self._ffi.new("cosim_variable[]", rows)
+        self._wiring_memory.append(memory)
+        self._context.settable, self._context.settables = memory, len(rows)
+        return {
+            name: Settable(place, self.instance.value_of(variable), *bounds(variable))
+            for place, (name, variable) in enumerate(offered.items())
+        }
 
     def _initialise(self) -> None:
         self.instance.initialise(self._start)

@@ -67,6 +67,11 @@ class Instance:
         """Return a getter or setter as a ``cosim_function``: of ("Get", "Real") for example."""
         return self._function(f"fmi{self.version}{call}{kind}")
 
+    def value_of(self, variable: Any) -> float:
+        """Return what a variable of a floating-point type is now. Raises DeviceError when the FMU does not say."""
+        with self._answering(DeviceError, f"FMU {self._file}: {variable.name} cannot be read"):
+            return float(getattr(self.fmu, f"get{variable.type}")([variable.valueReference])[0])
+
     def instantiate(self) -> None:
         """Make the instance. Raises BadInputError when there may be no further one, DeviceError when there is none."""
         if self._interface.canBeInstantiatedOnlyOncePerProcess:

@@ -92,6 +92,11 @@ int remote_exchange(void *context, const wheel_drive *drive, wheel_sense *sense)
     return 0;
 }
 
+int remote_set(void *context, size_t place, double value) {
+    const remote_request request = {.kind = REMOTE_SET, .place = place, .value = value};
+    return remote_ask(context, &request);
+}
+
 int remote_next(const remote_pipes *pipes, remote_request *request) {
     return read_whole(pipes->read_end, request, sizeof *request);
 }

@@ -6,6 +6,7 @@
 #ifndef REMOTE_H
 #define REMOTE_H
 
+#include <stddef.h>
 #include <stdint.h>
 
 #include "plant_port.h"
@@ -15,6 +16,7 @@ typedef enum {
     REMOTE_SAMPLE, /* sample, no time passes */
     REMOTE_TICK,   /* hold `drive` for one tick, then sample */
     REMOTE_WIRE,   /* wire the channels, then sample */
+    REMOTE_SET,    /* give a variable a value, then sample */
     REMOTE_RESET,  /* back to the start, then sample */
 } remote_kind;
 
@@ -22,6 +24,8 @@ typedef struct {
     int32_t kind;
     int32_t wheel_of_channel[4];
     int32_t sign_of_channel[4];
+    uint64_t place; /* of the variable among the settable ones */
+    double value;
     wheel_drive drive;
 } remote_request;
 
@@ -65,6 +69,9 @@ int remote_ask(remote_plant *plant, const remote_request *request);
 
 /* A wheel_plant_exchange whose context is a remote_plant. */
 int remote_exchange(void *context, const wheel_drive *drive, wheel_sense *sense);
+
+/* Sets one of the child's settable variables; the context is a remote_plant. Returns like remote_ask. */
+int remote_set(void *context, size_t place, double value);
 
 /* The child's side: waits for the next request; gives a reply. They return 0, or 1 when the parent is gone.
  */

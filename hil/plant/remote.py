@@ -11,6 +11,7 @@ from hil.errors import BadInputError, DeviceError
 from hil.plant import shim
 from hil.plant.mapping import SignalMap
 from hil.plant.process import THERE_S, ChildProcess, Watch, handle
+from hil.plant.settable import Settable
 from hil.plant.start import Value
 from hil.plant.words import one_line
 from hil.types import Pose, PoseFix, Twist, Wheels
@@ -91,6 +92,7 @@ class RemotePlant:
         if "refused" in answer:
             raise BadInputError(str(answer["refused"]))
         self.lacks = frozenset(map(str, answer["lacks"]))
+        self.settable = {name: Settable(*row) for name, row in answer["settable"].items()}
 
     @property
     def pid(self) -> int:
@@ -106,6 +108,16 @@ class RemotePlant:
     def context_address(self) -> int:
         """Address of the context that belongs to ``exchange_address``."""
         return int(self._ffi.cast("uintptr_t", self._context))
+
+    @property
+    def set_address(self) -> int:
+        """Address of a C function that sets a variable of ``settable`` by its place, with the same context."""
+        return int(self._ffi.cast("uintptr_t", self._ffi.addressof(self._lib, "remote_set")))
+
+    @property
+    def pose_address(self) -> int:
+        """Address of the newest pose: three doubles."""
+        return int(self._ffi.cast("uintptr_t", self._context.newest.pose))
 
     def wire(self, wheel_of_channel: Sequence[int], sign_of_channel: Sequence[int]) -> None:
         """Say which wheel (0 to 3: FL, FR, RR, RL) each channel of the plant port drives, and in which sense.

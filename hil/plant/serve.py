@@ -30,7 +30,7 @@ def main() -> None:
     except HilError as error:
         parent.say(**{"refused" if isinstance(error, BadInputError) else "failed": str(error)})
         parent.end()
-    parent.say(open=True, lacks=sorted(plant.lacks))
+    parent.say(open=True, lacks=sorted(plant.lacks), settable=plant.settable)
     pipes = ffi.new("remote_pipes *", {"read_end": handle(parent.requests), "write_end": handle(parent.replies)})
     request, reply = ffi.new("remote_request *"), ffi.new("remote_reply *")
     exchange = ffi.cast("wheel_plant_exchange", plant.exchange_address)
@@ -58,6 +58,8 @@ def _prepare(plant: FmuPlant, request: Any, lib: Any) -> tuple[int, str]:
             plant.wire(list(request.wheel_of_channel), list(request.sign_of_channel))
         elif request.kind == lib.REMOTE_RESET:
             plant.reset()
+        elif request.kind == lib.REMOTE_SET and lib.cosim_set(plant.context, request.place, request.value) != 0:
+            return lib.REMOTE_FAILED, plant.message
     except BadInputError as error:
         return lib.REMOTE_REFUSED, str(error)
     except HilError as error:

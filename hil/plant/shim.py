@@ -59,6 +59,11 @@ def connect(context: Any, wiring: Wiring, access: Callable[[str, str], Any]) -> 
     return [*kept, *names]
 
 
+def setter(access: Callable[[str, str], Any], kind: str) -> tuple[int, Any]:
+    """Return the shim's number of a floating-point type and the FMU's function that sets a variable of it."""
+    return getattr(load()[1], f"COSIM_{_FMI2_TYPES.get(kind, kind).upper()}"), access("Set", kind)
+
+
 def _fill(group: Any, kind: str, connections: list[Connection]) -> list[object]:
     """Lay out the variables of one type: each once, an array's elements one after the other."""
     ffi, library = load()

@@ -7,14 +7,13 @@ shipped()                                         -> what can be loaded by name
 
 from hil.scenario.fields import StartValue
 from hil.scenario.load import load, shipped
+from hil.scenario.rows import ExpectTable, FaultTable
 from hil.scenario.run import Scenario, resolved
 from hil.scenario.tables import (
     SHIPPED_FMUS,
     ControllerTable,
     DeviceTable,
     EstimatorTable,
-    ExpectTable,
-    FaultTable,
     FirmwareTable,
     LinkTable,
     LoopTable,

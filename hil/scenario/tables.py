@@ -6,20 +6,17 @@ The bounds of robot.speed_limit_rad_s and robot.torque_limit_n_m are what DBC WH
 can carry; those of [firmware] are the firmware's own.
 """
 
-import math
 import re
 from collections.abc import Mapping
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, ConfigDict, Field, field_validator, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, field_validator
 
-from firmware_protocol.generated.messages import NAMES as MESSAGE_NAMES
 from hil.errors import BadInputError, nearest
-from hil.links.delay import FIRST_EXEMPT_ID
 from hil.links.url import parse_link
 from hil.plant_signals import INPUTS, OUTPUTS
 from hil.scenario.fields import Milliseconds, Option, OptionValue, Start, Table, Text, is_path
-from hil.signals import SIGNAL_NAMES
+from hil.scenario.rows import ExpectTable, FaultTable
 from hil.types import WHEEL_NAMES, CommandMode
 from plant_fmu import SHIPPED
 
@@ -28,7 +25,6 @@ LOWEST_RATE_HZ = 20  # two commands within the longest watchdog
 RATES_HZ = tuple(rate for rate in range(LOWEST_RATE_HZ, 1001) if TICKS_PER_SECOND % rate == 0)
 DRIVERS = ("stm32",)
 SHIPPED_FMUS = tuple(SHIPPED)
-MUTABLE_MESSAGES = tuple(name for number, name in MESSAGE_NAMES.items() if number < FIRST_EXEMPT_ID)
 
 PLANT_SIGNALS = (*INPUTS, *OUTPUTS)
 # The signals of the four wheels as one.
@@ -265,67 +261,6 @@ class LoopTable(Table):
     def substeps(self) -> int:
         """Firmware ticks of 1 ms in a command period (DBC STEP.substeps)."""
         return TICKS_PER_SECOND // self.rate_hz
-
-
-class FaultTable(Table):
-    """``[[fault]]``: frames lost, doubled or silenced on the link, in the scenario's time.
-
-    ``drop`` and ``duplicate`` take the direction ``command`` or ``feedback`` and a probability a frame;
-    ``mute`` takes the name of a DBC message. The window is start_s <= t < end_s; by default the whole run.
-    """
-
-    kind: Literal["drop", "duplicate", "mute"]
-    target: Text = Field(description="command or feedback; for mute a message such as WHEEL_COMMAND")
-    start_s: float = Field(default=0.0, ge=0)
-    end_s: float = Field(default=math.inf, gt=0, allow_inf_nan=True)
-    value: float = Field(default=1.0, gt=0, le=1, description="probability")
-
-    @model_validator(mode="after")
-    def _consistent(self) -> "FaultTable":
-        known: tuple[str, ...] = ("command", "feedback")
-        if self.kind == "mute":
-            known = MUTABLE_MESSAGES
-            if self.value != 1.0:
-                raise ValueError("mute takes no value: it silences every frame of the message; remove value")
-        if self.target not in known:
-            what = "a message" if self.kind == "mute" else "a direction"
-            raise ValueError(f"target = {self.target!r} is not {what} for {self.kind}{nearest(self.target, known)}")
-        if self.end_s <= self.start_s:
-            raise ValueError(f"end_s = {self.end_s} is not after start_s = {self.start_s}")
-        return self
-
-
-class ExpectTable(Table):
-    """``[[expect]]``: the signal stays below or above a value, or both, in from_s <= t <= to_s of the run."""
-
-    signal: Text = Field(description="a dotted name of the vocabulary")
-    from_s: float = Field(default=0.0, ge=0)
-    to_s: float = Field(default=math.inf, gt=0, allow_inf_nan=True)
-    below: float | None = None
-    above: float | None = None
-
-    @field_validator("signal")
-    @classmethod
-    def _known(cls, signal: str) -> str:
-        if signal not in SIGNAL_NAMES:
-            raise ValueError(f"expected the name of a signal{_nearest_signal(signal)}")
-        return signal
-
-    @model_validator(mode="after")
-    def _consistent(self) -> "ExpectTable":
-        if self.below is None and self.above is None:
-            raise ValueError("needs below or above, or both")
-        if self.below is not None and self.above is not None and self.above >= self.below:
-            raise ValueError(f"above = {self.above} is not less than below = {self.below}: no value can pass")
-        if self.to_s < self.from_s:
-            raise ValueError(f"to_s = {self.to_s} is before from_s = {self.from_s}")
-        return self
-
-
-def _nearest_signal(signal: str) -> str:
-    """Return the nearest signal; the whole vocabulary is too long for a sentence."""
-    hint = nearest(signal, SIGNAL_NAMES)
-    return hint if "did you mean" in hint else "; `hil list signals` prints them all"
 
 
 class Tables(Table):

@@ -47,37 +47,33 @@ class EmulatedStm32(VirtualStm32):
     def __init__(self, made_of: VirtualRobot, make_board: BoardMaker, link: str) -> None:
         self._make_board = make_board
         self._board: Board | None = None
-        self._kept: bytes | None = None  # in the board's flash, over a power cycle
         self._name, self._elf = _build(link)
         super().__init__(made_of)
 
-    def power_cycle(self) -> None:
-        """Put the plant back to its start, and the board, with the parameters in its flash, to its power-on state."""
-        self._kept = self._board.stored() if self._board is not None else None
-        self._power_off()  # first: in QEMU it steps the plant by itself
-        super().power_cycle()
-
     def _power_on(self) -> Board:
         try:
-            stored = self._kept or stored_parameters(self._made_of.firmware, HIL_BOARD)
+            stored = self._stored or stored_parameters(self._made_of.firmware, HIL_BOARD)
         except (ValueError, FileNotFoundError) as error:
             raise BadInputError(f"the virtual robot cannot start: {error}") from error
-        plant = self.plant
+        faults = self.faults
         # A file only for as long as the board takes it in: a process that is killed later leaves none behind.
         with tempfile.TemporaryDirectory(prefix="hil_firmware_", ignore_cleanup_errors=True) as folder:
             elf = Path(folder) / self._name
             elf.write_bytes(self._elf)
-            self._board = self._make_board(elf, plant.exchange_address, plant.context_address, stored)
+            self._board = self._make_board(elf, faults.exchange_address, faults.context_address, stored)
         return self._board
 
     def _power_off(self) -> None:
         if self._board is not None:
-            self._board.close()
+            self._stored = self._board.stored()  # in the board's flash, over a power cycle
+            self._board.close()  # in QEMU it steps the plant by itself
             self._board = None
 
     def close(self) -> None:
         """Power the board off and free the plant."""
-        self._power_off()
+        if self._board is not None:
+            self._board.close()
+            self._board = None
         super().close()
 
 
@@ -89,18 +85,20 @@ class QemuServer(VirtualServer):
 
     def service(self, timeout_ns: int) -> None:
         """Do what is due, waiting at most ``timeout_ns`` for something to come."""
-        if self._reset is not None:
-            self._power_cycle()
+        self._do_what_was_asked()
         board = self._robot.node
         assert isinstance(board, QemuBoard)
         board.on_output = self._forward
         if self._wire.receive_into(board, timeout_ns):
             self._heard_ns = time.monotonic_ns()
         board.check()
+        if self._robot.faults.is_off:
+            self._robot.restart()
 
     def _forward(self) -> None:
         self._publish()
-        self._wire.send_from(self._robot.node)
+        if not self._robot.faults.is_off:
+            self._wire.send_from(self._robot.node)
 
 
 def open_target(target: str, made_of: VirtualRobot, url: LinkUrl) -> VirtualStm32:

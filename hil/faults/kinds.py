@@ -1,0 +1,351 @@
+"""Every kind of fault once: where it acts, on what, its unit and range. Scenarios, page and ``hil list`` use this.
+
+A row of ``[[fault]]`` names a kind and a target. Its window is start_s <= t < end_s in the scenario's time, by default
+the whole run. Chance comes from loop.seed and from what the row says, so that each row has numbers of its own and
+removing one changes no other.
+"""
+
+import random
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+from firmware_protocol.generated.messages import NAMES as MESSAGE_NAMES
+from firmware_protocol.generated.messages import State
+from hil.errors import nearest
+from hil.links.delay import FIRST_EXEMPT_ID
+from hil.signals import SIGNAL_NAMES
+from hil.types import WHEEL_NAMES
+
+NS_PER_S = 1_000_000_000
+NEVER_NS = 2**62
+DIRECTIONS = ("command", "feedback")
+MESSAGES = tuple(name for number, name in MESSAGE_NAMES.items() if number < FIRST_EXEMPT_ID)
+PUSHES = ("force_x_n", "force_y_n", "moment_n_m")
+# The time axis of the run itself: without it neither faults nor expectations had a place.
+FAULTY_SIGNALS = tuple(name for name in SIGNAL_NAMES if name != "loop.t_s")
+BATTERY_VARIABLE = "battery_voltage_v"
+GRIP_VARIABLES = tuple(f"wheel.{wheel}.grip_factor" for wheel in WHEEL_NAMES)
+
+
+class Quantity(NamedTuple):
+    """A number of a row: its name, unit, range and default; None for one that has to be given."""
+
+    name: str
+    unit: str
+    meaning: str
+    low: float
+    high: float
+    default: float | None = None
+    excludes_low: bool = False
+
+    @property
+    def range(self) -> str:
+        """The range in words."""
+        if self.low == -self.high:
+            return f"-{self.high:g} to {self.high:g}"
+        return (
+            f"more than {self.low:g}, at most {self.high:g}" if self.excludes_low else f"{self.low:g} to {self.high:g}"
+        )
+
+    def holds(self, value: float) -> bool:
+        """Tell whether a value is in range."""
+        return self.low <= value <= self.high and not (self.excludes_low and value == self.low)
+
+
+class Kind(NamedTuple):
+    """A kind of fault.
+
+    ``targets`` are the names that a row may give, empty where only the FMU knows them; ``target_words`` says the same
+    for a person. ``value`` is the row's number, ``further`` the other ones, of which all or none are given.
+    ``is_instant``: it happens at start_s and has no end. ``counts`` is what ``applied`` counts.
+    """
+
+    name: str
+    acts_on: str  # link, device, plant, signal
+    targets: tuple[str, ...]
+    target_words: str
+    meaning: str
+    counts: str
+    example: Mapping[str, str | float]
+    value: Quantity | None = None
+    further: tuple[Quantity, ...] = ()
+    is_instant: bool = False
+
+    @property
+    def unit(self) -> str:
+        """What ``value`` is, for a list."""
+        if self.value is None:
+            return "-"
+        return self.value.unit or self.value.meaning
+
+
+_FRAMES = (*DIRECTIONS, *MESSAGES)
+_FRAMES_WORDS = "`command` (to the robot), `feedback` (from it), or one message such as `WHEEL_COMMAND`"
+_MESSAGE_WORDS = "one message such as `WHEEL_COMMAND` or `TICK`"
+_WHEEL_WORDS = "a wheel: `fl`, `fr`, `rr` or `rl`"
+_SIGNAL_WORDS = "any signal of `hil list signals` but `loop.t_s`"
+_ANY = 1e9
+
+
+def _probability(of: str) -> Quantity:
+    return Quantity("value", "", f"probability that a frame is {of}", 0.0, 1.0, 1.0, excludes_low=True)
+
+
+KINDS: tuple[Kind, ...] = (
+    Kind(
+        "drop", "link", _FRAMES, _FRAMES_WORDS,
+        "Frames are lost, each by itself.",
+        "frames lost",
+        {"target": "command", "start_s": 1.0, "end_s": 2.0, "value": 0.2},
+        _probability("lost"),
+    ),
+    Kind(
+        "burst_loss", "link", _FRAMES, _FRAMES_WORDS,
+        "Frames are lost in bursts (Gilbert-Elliott): in the bad state every frame is lost, in the good one none.",
+        "frames lost",
+        {"target": "feedback", "value": 0.1, "burst_frames": 8.0},
+        Quantity("value", "", "share of the frames that is lost in the long run", 0.0, 0.99, excludes_low=True),
+        (Quantity("burst_frames", "frames", "mean length of a burst", 1.0, 10_000.0, 5.0),),
+    ),
+    Kind(
+        "delay", "link", _FRAMES, _FRAMES_WORDS,
+        "Frames arrive later, in order; in whole milliseconds, rounded up.",
+        "frames delayed",
+        {"target": "command", "start_s": 1.0, "value": 0.01},
+        Quantity("value", "s", "delay", 0.0, 10.0, excludes_low=True),
+    ),
+    Kind(
+        "jitter", "link", _FRAMES, _FRAMES_WORDS,
+        "Frames arrive later by a chance of their own, uniform from 0, in order; in whole milliseconds, rounded up.",
+        "frames delayed",
+        {"target": "feedback", "value": 0.004},
+        Quantity("value", "s", "longest delay", 0.0, 10.0, excludes_low=True),
+    ),
+    Kind(
+        "duplicate", "link", _FRAMES, _FRAMES_WORDS,
+        "Frames arrive twice, one right after the other.",
+        "frames doubled",
+        {"target": "command", "value": 0.5},
+        _probability("doubled"),
+    ),
+    Kind(
+        "reorder", "link", _FRAMES, _FRAMES_WORDS,
+        "A frame is overtaken by the next one of the target; where none follows it arrives at the window's end.",
+        "frames overtaken",
+        {"target": "command", "value": 0.1},
+        _probability("overtaken"),
+    ),
+    Kind(
+        "bit_errors", "link", _FRAMES, _FRAMES_WORDS,
+        "Serial and memory: bits of the framed bytes flip, and COBS, CRC and length do their work. CAN: every frame "
+        "with a wrong bit is destroyed by an error frame, which is counted, and the controller sends it again until it "
+        "is whole. The time that this takes on the wire, some 0.15 ms at 1 Mbit/s, is not modelled. A controller whose "
+        "transmit error counter (8 up for a destroyed frame, 1 down for a whole one) reaches 256 is bus-off: the "
+        "host's has lost its link, the robot's loses the frame and comes back.",
+        "frames with a wrong bit; on CAN the error frames",
+        {"target": "feedback", "value": 0.0005},
+        Quantity("value", "", "bit error rate", 0.0, 0.5, excludes_low=True),
+    ),
+    Kind(
+        "truncation", "link", _FRAMES, _FRAMES_WORDS,
+        "Serial and memory: the rest of the framed bytes is missing, with the zero that ends the frame, so that the "
+        "next frame is spoilt too unless it carries lockstep. CAN: the frame has a DLC that is too small.",
+        "frames cut",
+        {"target": "command", "value": 0.05},
+        _probability("cut"),
+    ),
+    Kind(
+        "disconnect", "link", ("link",), "`link`, the default",
+        "The link is lost: whatever is sent or received, STEP and HELLO too, finds no link.",
+        "attempts to use the link",
+        {"start_s": 2.0, "end_s": 2.5},
+    ),
+    Kind(
+        "mute", "link", MESSAGES, _MESSAGE_WORDS,
+        "One message is lost, every frame of it.",
+        "frames lost",
+        {"target": "TICK", "start_s": 2.0, "end_s": 2.02},
+    ),
+    Kind(
+        "freeze", "link", _FRAMES, _FRAMES_WORDS,
+        "Frames carry old content: the newest of the same message from before the window.",
+        "frames with old content",
+        {"target": "feedback", "start_s": 3.0, "end_s": 3.05},
+    ),
+    Kind(
+        "babble", "link", DIRECTIONS, "`command` (towards the robot) or `feedback`; on CAN both ends hear either",
+        "Somebody else talks. Serial and memory: garbage bytes, which spoil the frame after them, and whole frames "
+        "with foreign ids, in turn. CAN: foreign ids from a node of its own on the bus.",
+        "foreign frames and pieces of garbage",
+        {"target": "command", "value": 200.0},
+        Quantity("value", "1/s", "how many in a second", 0.0, 100_000.0, excludes_low=True),
+    ),
+    Kind(
+        "reset", "device", ("robot",), "`robot`",
+        "The firmware is powered off at start_s and on again; the plant goes on moving, with the drives off.",
+        "resets",
+        {"target": "robot", "start_s": 4.0},
+        is_instant=True,
+    ),
+    Kind(
+        "stuck_encoder", "device", WHEEL_NAMES, _WHEEL_WORDS,
+        "The encoder counts no more; what it missed stays missing.",
+        "ticks of 1 ms in which counts were lost",
+        {"target": "fl", "start_s": 2.0, "end_s": 2.05},
+    ),
+    Kind(
+        "dead_motor", "device", WHEEL_NAMES, _WHEEL_WORDS,
+        "The motor gets neither torque nor duty.",
+        "ticks of 1 ms in which it should have had some",
+        {"target": "rr", "start_s": 2.0},
+    ),
+    Kind(
+        "low_battery", "device", ("battery",), "`battery`, the default",
+        f"The battery's voltage without load is lower: the FMU's tunable parameter {BATTERY_VARIABLE}.",
+        "ticks of 1 ms",
+        {"start_s": 2.0, "value": 17.0},
+        Quantity("value", "V", "voltage without load", 0.0, 10_000.0),
+    ),
+    Kind(
+        "gyro_bias", "device", ("gyro",), "`gyro`, the default",
+        "The gyro's yaw rate is wrong by a constant.",
+        "ticks of 1 ms",
+        {"start_s": 1.0, "value": 0.05},
+        Quantity("value", "rad/s", "bias", -100.0, 100.0),
+    ),
+    Kind(
+        "slow_clock", "device", ("clock",), "`clock`, the default",
+        "The robot's clock runs slow: now and then the world goes on for 1 ms that it does not count.",
+        "milliseconds that it missed",
+        {"value": 1000.0},
+        Quantity("value", "ppm", "how slow", 0.0, 100_000.0, excludes_low=True),
+    ),
+    Kind(
+        "parameter", "plant", (), "a tunable parameter, or an unused input, of the FMU (`hil fmu info`)",
+        "A variable of the plant has another value.",
+        "ticks of 1 ms",
+        {"target": "friction_coefficient", "start_s": 3.0, "value": 0.1},
+        Quantity("value", "the variable's", "value", -_ANY, _ANY),
+    ),
+    Kind(
+        "push", "plant", PUSHES, "`force_x_n`, `force_y_n` or `moment_n_m`",
+        "Somebody pushes the robot at its centre: a force in the world frame, or a moment about the vertical.",
+        "ticks of 1 ms",
+        {"target": "force_y_n", "start_s": 3.0, "end_s": 3.2, "value": 40.0},
+        Quantity("value", "N or N·m", "force or moment", -1e6, 1e6),
+    ),
+    Kind(
+        "slip_patch", "plant", ("floor",), "`floor`, the default",
+        "The floor has less grip: everywhere during the window or, with a circle given, for each wheel while its "
+        'centre is inside. Needs an FMU with wheel.*.grip_factor; in the shipped one contact = "slip".',
+        "ticks of 1 ms in which a wheel was on it",
+        {"value": 0.2, "x_m": 1.0, "y_m": 0.5, "radius_m": 0.4},
+        Quantity("value", "", "factor of the grip", 0.0, 1.0),
+        (
+            Quantity("x_m", "m", "centre, world frame", -_ANY, _ANY),
+            Quantity("y_m", "m", "centre, world frame", -_ANY, _ANY),
+            Quantity("radius_m", "m", "radius", 0.0, _ANY, excludes_low=True),
+        ),
+    ),
+    Kind(
+        "bias", "signal", FAULTY_SIGNALS, _SIGNAL_WORDS,
+        "A constant is added to the signal.",
+        "ticks in which the value changed",
+        {"target": "truth.x_m", "start_s": 2.0, "end_s": 3.0, "value": 0.05},
+        Quantity("value", "the signal's", "what is added", -_ANY, _ANY),
+    ),
+    Kind(
+        "override", "signal", FAULTY_SIGNALS, _SIGNAL_WORDS,
+        "The signal has this value.",
+        "ticks in which the value changed",
+        {"target": "wheel.fl.speed_command_rad_s", "start_s": 2.0, "end_s": 2.1, "value": 3.0},
+        Quantity("value", "the signal's", "value", -_ANY, _ANY),
+    ),
+    Kind(
+        "reset", "signal", FAULTY_SIGNALS, _SIGNAL_WORDS,
+        "Ends every bias and override of the signal that began before start_s, for good.",
+        "biases and overrides in force that it ended",
+        {"target": "truth.x_m", "start_s": 2.5},
+        is_instant=True,
+    ),
+)  # fmt: skip
+
+
+class FaultRow(NamedTuple):
+    """A row as what applies it needs it: times in ns of the scenario's time; a number that its kind has not is 0."""
+
+    kind: str
+    acts_on: str
+    target: str
+    start_ns: int
+    end_ns: int
+    value: float = 0.0
+    burst_frames: float = 0.0
+    x_m: float = 0.0
+    y_m: float = 0.0
+    radius_m: float = 0.0
+
+    def is_in_force(self, t_ns: int) -> bool:
+        """Tell whether a time is in the window."""
+        return self.start_ns <= t_ns < self.end_ns
+
+
+def generators(rows: Sequence[FaultRow], seed: int) -> list[random.Random]:
+    """Return a source of chance for each row; equal rows get different ones."""
+    seen: dict[FaultRow, int] = {}
+    sources = []
+    for row in rows:
+        seen[row] = seen.get(row, -1) + 1
+        sources.append(random.Random(f"{seed} {tuple(row)} {seen[row]}"))
+    return sources
+
+
+def find(name: str, target: str | None) -> Kind:
+    """Return the kind of a row. Raises ValueError with part of a sentence when there is none of this name."""
+    kinds = [kind for kind in KINDS if kind.name == name]
+    if not kinds:
+        raise ValueError(f"kind = {name!r} is no kind of fault{nearest(name, names())}")
+    return next((kind for kind in kinds if target in kind.targets), kinds[-1])
+
+
+def names() -> tuple[str, ...]:
+    """Return the names of the kinds, each once."""
+    return tuple(dict.fromkeys(kind.name for kind in KINDS))
+
+
+def check_target(kind: Kind, target: str, value: float | None) -> None:
+    """Raise ValueError with part of a sentence unless the kind acts on the target."""
+    if kind.targets and target not in kind.targets:
+        hint = nearest(target, kind.targets)
+        if "did you mean" not in hint and len(kind.targets) > 12:
+            hint = f"; expected {kind.target_words.replace('`', '')}"
+        raise ValueError(f"target = {target!r} is nothing that {kind.name} acts on{hint}")
+    if target == "robot.state" and kind.name == "bias":
+        raise ValueError("target = 'robot.state' is no quantity; use override with the number of a state")
+    if target == "robot.state" and kind.name == "override" and value not in list(State):
+        known = ", ".join(f"{state.value} {state.name}" for state in State)
+        raise ValueError(f"value = {value} is no state of the firmware; expected one of {known}")
+
+
+def check_numbers(kind: Kind, given: Mapping[str, float | None]) -> None:
+    """Raise ValueError with part of a sentence unless a row's numbers fit its kind. ``given`` has None for no value."""
+    known = {q.name: q for q in (kind.value, *kind.further) if q is not None}
+    for name, value in given.items():
+        quantity = known.get(name)
+        if quantity is None:
+            if value is not None:
+                raise ValueError(f"{name} = {value:g}: {kind.name} takes no {name}; remove it")
+        elif value is not None and not quantity.holds(value):
+            unit = f" {quantity.unit}" if quantity.unit else ""
+            raise ValueError(f"{name} = {value:g}: expected {quantity.range}{unit}, the {quantity.meaning}")
+    if kind.value is not None and given["value"] is None:
+        raise ValueError(f"value is missing: {kind.value.meaning}, {kind.value.range} {kind.value.unit}".rstrip())
+    further = [quantity.name for quantity in kind.further]
+    if len({given[name] is None for name in further}) > 1:
+        raise ValueError(f"{', '.join(further)} belong together; give all or none")
+    share, burst = given["value"], given["burst_frames"]
+    if kind.name == "burst_loss" and share is not None and burst is not None and share > burst / (burst + 1.0):
+        raise ValueError(
+            f"value = {share:g}: bursts of {burst:g} frames with one whole frame between them lose "
+            f"{burst / (burst + 1.0):.3g}; lower value, or raise burst_frames"
+        )

@@ -1,0 +1,128 @@
+"""Faults of a serial line: the framed bytes themselves are spoilt, and the framing at the other end does its work."""
+
+import math
+from collections.abc import Iterator, Sequence
+
+from cobs import cobs
+
+from firmware_protocol.framing import crc16
+from firmware_protocol.generated.messages import LENGTHS
+from hil.links.fault_rows import LinkFault, ScenarioTime, is_exempt
+from hil.links.streams import HostStream
+
+BYTE_KINDS = ("bit_errors", "truncation", "babble")
+"""The kinds that act on bytes here, and on the bus in ``bus_faults``."""
+
+_LONGEST_GARBAGE = 16
+_HIGHEST_ID = 0x7FF
+
+
+class FaultLine:
+    """A byte stream whose frames are spoilt, both ways; around the host's end of the line.
+
+    Nothing happens before the scenario's time has begun. Frames that carry lockstep are spared: a zero before each of
+    them keeps what was cut before from taking them along.
+    """
+
+    def __init__(self, stream: HostStream, time: ScenarioTime, faults: Sequence[LinkFault]) -> None:
+        self._stream = stream
+        self._time = time
+        self._faults = faults
+        self._rest = b""  # the begin of a frame of which not all has arrived
+
+    def write(self, data: bytes) -> None:
+        t_ns = self._time.now_ns()
+        self._stream.write(data if t_ns is None else self._spoil(data, "command", t_ns))
+
+    def read(self, timeout_ns: int) -> bytes:
+        data = self._rest + self._stream.read(timeout_ns)
+        t_ns = self._time.now_ns()
+        if t_ns is None:
+            self._rest = b""
+            return data
+        whole = data.rfind(b"\0") + 1
+        self._rest = data[whole:]
+        return self._spoil(data[:whole], "feedback", t_ns)
+
+    def reopen(self) -> None:
+        self._stream.reopen()
+
+    def describe(self) -> str:
+        return self._stream.describe()
+
+    def close(self) -> None:
+        self._stream.close()
+
+    def _spoil(self, data: bytes, direction: str, t_ns: int) -> bytes:
+        """Return what becomes of whole frames, each with its zero."""
+        said = [
+            self._say(fault, t_ns) for fault in self._faults if fault.kind == "babble" and _babbles(fault, direction)
+        ]
+        frames = (self._spoil_frame(piece + b"\0", direction, t_ns) for piece in data.split(b"\0")[:-1])
+        return b"".join((*said, *frames))
+
+    def _spoil_frame(self, frame: bytes, direction: str, t_ns: int) -> bytes:
+        number = _id_of(frame)
+        if number is not None and is_exempt(number):
+            return b"\0" + frame
+        for fault in self._faults:
+            if fault.kind == "babble" or not (fault.row.is_in_force(t_ns) and fault.concerns(direction, number)):
+                continue
+            frame = _flip(frame, fault) if fault.kind == "bit_errors" else _cut(frame, fault)
+        return frame
+
+    @staticmethod
+    def _say(fault: LinkFault, t_ns: int) -> bytes:
+        return b"".join(_foreign(fault, fault.applied - n) for n in reversed(range(fault.due(t_ns))))
+
+
+def _babbles(fault: LinkFault, direction: str) -> bool:
+    return fault.concerns(direction, None)
+
+
+def _id_of(frame: bytes) -> int | None:
+    """Return the id of a framed frame, or None when it is none."""
+    try:
+        body = cobs.decode(frame[:-1])
+    except cobs.DecodeError:
+        return None
+    return int.from_bytes(body[:2], "little") if len(body) >= 2 else None
+
+
+def _wrong_bits(fault: LinkFault, bits: int) -> Iterator[int]:
+    """Yield the places of wrong bits: each by itself, so that the gaps between them are geometric."""
+    scale = 1.0 / math.log1p(-fault.row.value)
+    place = -1
+    while True:
+        place += 1 + int(math.log1p(-fault.chance.random()) * scale)
+        if place >= bits:
+            return
+        yield place
+
+
+def _flip(frame: bytes, fault: LinkFault) -> bytes:
+    spoilt = bytearray(frame)
+    for place in _wrong_bits(fault, 8 * len(frame)):
+        spoilt[place // 8] ^= 1 << place % 8
+    fault.applied += spoilt != frame
+    return bytes(spoilt)
+
+
+def _cut(frame: bytes, fault: LinkFault) -> bytes:
+    return frame[: fault.chance.randrange(1, len(frame))] if len(frame) > 1 and fault.strikes() else frame
+
+
+def _foreign(fault: LinkFault, number: int) -> bytes:
+    """Return garbage, or every other time a whole frame with a foreign id."""
+    if number % 2:
+        return fault.chance.randbytes(fault.chance.randint(1, _LONGEST_GARBAGE))
+    body = foreign_id(fault).to_bytes(2, "little") + fault.chance.randbytes(fault.chance.randint(1, 9))
+    encoded: bytes = cobs.encode(body + crc16(body).to_bytes(2, "little"))
+    return encoded + b"\0"
+
+
+def foreign_id(fault: LinkFault) -> int:
+    """Return an id of 11 bits that is none of ours."""
+    while (number := fault.chance.randrange(_HIGHEST_ID + 1)) in LENGTHS:
+        pass
+    return number

@@ -1,0 +1,136 @@
+"""Expectations: each claim against a naive oracle, and what fails because nothing was shown."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hil.errors import BadInputError
+from hil.expectations import check_expectation
+from hil.scenario import load
+from hil.scenario.rows import ExpectTable
+
+NAN = float("nan")
+VALUES = st.lists(st.one_of(st.integers(-3, 3).map(float), st.floats(-5, 5), st.just(NAN)), min_size=1, max_size=30)
+LIMIT = st.integers(-3, 3).map(float)
+TOLERANCE = st.sampled_from([0.5, 1.0, 2.0])
+
+
+class Row(NamedTuple):
+    signal: str = "error.planar_m"
+    from_s: float = 0.0
+    to_s: float = math.inf
+    below: float | None = None
+    above: float | None = None
+    within: tuple[float, float] | None = None
+    equals: float | None = None
+    settles_to: float | None = None
+    tolerance: float | None = None
+
+
+def signals(values: list[float]) -> dict[str, np.ndarray]:
+    return {"loop.t_s": np.arange(len(values), dtype=np.float64), "error.planar_m": np.array(values)}
+
+
+def first_violation(values: list[float], from_s: float, to_s: float, holds) -> tuple[bool, int | None]:
+    """The claim sample by sample."""
+    samples = [(t, v) for t, v in enumerate(values) if from_s <= t <= to_s]
+    for t, v in samples:
+        if v != v or not holds(v):
+            return False, t
+    return bool(samples), None
+
+
+CLAIMS = st.one_of(
+    LIMIT.map(lambda b: (Row(below=b), lambda v: v < b)),
+    LIMIT.map(lambda a: (Row(above=a), lambda v: v > a)),
+    st.tuples(LIMIT, LIMIT).map(lambda p: (Row(above=min(p), below=max(p)), lambda v: min(p) < v < max(p))),
+    st.tuples(LIMIT, LIMIT).map(lambda p: (Row(within=(min(p), max(p))), lambda v: min(p) <= v <= max(p))),
+    LIMIT.map(lambda e: (Row(equals=e), lambda v: v == e)),
+    st.tuples(LIMIT, TOLERANCE).map(lambda p: (Row(equals=p[0], tolerance=p[1]), lambda v: abs(v - p[0]) <= p[1])),
+)
+
+
+@given(VALUES, CLAIMS, st.integers(0, 10), st.integers(0, 30))
+def test_a_claim_holds_when_it_holds_of_every_sample(values, claim, from_s, span) -> None:
+    row, holds = claim
+    passed, at = first_violation(values, from_s, from_s + span, holds)
+    outcome = check_expectation(row._replace(from_s=float(from_s), to_s=float(from_s + span)), signals(values))
+    assert (outcome.passed, outcome.at_s) == (passed, at)
+    assert outcome.value is None if at is None else (outcome.value == values[at] or math.isnan(values[at]))
+
+
+@given(VALUES, LIMIT, TOLERANCE, st.integers(0, 10), st.integers(0, 30))
+def test_settling_is_the_earliest_time_from_which_it_stays_near(values, target, tolerance, from_s, span) -> None:
+    samples = [(t, v) for t, v in enumerate(values) if from_s <= t <= from_s + span]
+    near = [abs(v - target) <= tolerance for _, v in samples]
+    settled = next((t for n, (t, _) in enumerate(samples) if all(near[n:])), None)
+    row = Row(settles_to=target, tolerance=tolerance, from_s=float(from_s), to_s=float(from_s + span))
+    outcome = check_expectation(row, signals(values))
+    assert (outcome.passed, outcome.settled_s) == (settled is not None, settled)
+    assert outcome.at_s == (None if settled is not None or not samples else samples[-1][0])
+
+
+def test_the_first_violation_is_told_in_words() -> None:
+    outcome = check_expectation(Row(below=0.5, to_s=2.0), signals([0.1, 0.7, 0.9]))
+    assert outcome.sentence == "error.planar_m below 0.5 from 0 s to 2 s: failed, 0.7 at t = 1 s"
+
+
+def test_what_settles_says_when() -> None:
+    outcome = check_expectation(Row(settles_to=1.0, tolerance=0.1), signals([0.0, 1.05, 0.5, 0.95, 1.0]))
+    assert outcome.sentence == (
+        "error.planar_m settles to 1 ± 0.1 from 0 s to the end: settled at t = 3 s, over 2 samples"
+    )
+
+
+def test_nothing_to_hold_for_fails() -> None:
+    outcome = check_expectation(Row(from_s=10, to_s=15, below=1.0), signals([0.1, 0.1]))
+    assert not outcome.passed
+    assert "no samples" in outcome.sentence
+
+
+@pytest.mark.parametrize("row", [Row(below=math.inf), Row(above=-math.inf), Row(within=(-9, 9)), Row(equals=0.1)])
+def test_a_gap_fails_whatever_the_bounds(row: Row) -> None:
+    outcome = check_expectation(row, signals([0.1, NAN, 0.1]))
+    assert not outcome.passed
+    assert outcome.at_s == 1.0
+    assert "no value at t = 1 s" in outcome.sentence
+
+
+@pytest.mark.parametrize(
+    ("claim", "words"),
+    [
+        ("", "needs one claim"),
+        ("below = 1.0\nequals = 1.0", "needs one claim"),
+        ("within = [1.0, 2.0]\nsettles_to = 1.0\ntolerance = 1.0", "needs one claim"),
+        ("within = [2.0, 1.0]", "give [low, high]"),
+        ("within = [2.0]", "within"),
+        ("above = 2.0\nbelow = 1.0", "no value can pass"),
+        ("settles_to = 1.0", "needs a tolerance"),
+        ("settles_to = 1.0\ntolerance = 0.0", "needs a tolerance"),
+        ("below = 1.0\ntolerance = 0.1", "tolerance belongs to"),
+        ("equals = 1.0\ntolerance = -0.1", "at least 0"),
+        ("below = 1.0\nfrom_s = 2.0\nto_s = 1.0", "is before from_s"),
+    ],
+)
+def test_a_wrong_expectation_is_refused_in_one_sentence(tmp_path, claim, words) -> None:
+    path = tmp_path / "wrong.toml"
+    path.write_text(f'extends = "paper_circle"\n[[expect]]\nsignal = "error.planar_m"\n{claim}\n')
+    with pytest.raises(BadInputError) as error:
+        load(str(path))
+    assert words in str(error.value)
+    assert "wrong.toml:" in str(error.value)
+
+
+def test_all_claims_load(tmp_path) -> None:
+    path = tmp_path / "right.toml"
+    rows = ["within = [0.0, 1.0]", "equals = 1.0", "settles_to = 0.0\ntolerance = 0.01"]
+    path.write_text(
+        'extends = "paper_circle"\n' + "\n".join(f'[[expect]]\nsignal = "error.planar_m"\n{row}' for row in rows)
+    )
+    loaded = load(str(path)).expect
+    assert all(isinstance(row, ExpectTable) for row in loaded)
+    assert [loaded[-3].within, loaded[-2].equals, loaded[-1].settles_to] == [(0.0, 1.0), 1.0, 0.0]

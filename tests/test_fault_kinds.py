@@ -1,0 +1,75 @@
+"""The table of faults: what a row may say, what is refused, and that the page and the list say the same."""
+
+import pytest
+
+from hil.errors import BadInputError
+from hil.faults.kinds import KINDS, FaultRow, generators
+from hil.faults.page import PAGE, page
+from hil.report import listing
+from hil.scenario import load
+from tests.fault_runs import write
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: f"{kind.name} {kind.acts_on}")
+def test_the_example_of_every_kind_loads(tmp_path, kind) -> None:
+    row = load(str(write(tmp_path, [{"kind": kind.name, **kind.example}]))).fault[0].row
+    assert (row.kind, row.acts_on) == (kind.name, kind.acts_on)
+    assert row.start_ns < row.end_ns
+
+
+def test_the_page_is_as_the_table_says() -> None:
+    assert PAGE.read_text(encoding="utf-8") == page()
+
+
+def test_the_list_has_every_kind() -> None:
+    _, rows = listing("faults")
+    assert [row[0] for row in rows] == [kind.name for kind in KINDS]
+
+
+def test_defaults_are_filled_in_and_shown(tmp_path) -> None:
+    rows = [{"kind": "drop", "target": "command"}, {"kind": "burst_loss", "target": "feedback", "value": 0.1}]
+    drop, burst, gone = load(str(write(tmp_path, [*rows, {"kind": "disconnect"}]))).fault
+    assert (drop.value, burst.burst_frames, gone.target, gone.value) == (1.0, 5.0, "link", None)
+
+
+@pytest.mark.parametrize(
+    ("row", "words"),
+    [
+        ({"kind": "dorp", "target": "command"}, "kind = 'dorp' is no kind of fault; did you mean 'drop'?"),
+        ({"kind": "drop", "target": "comand"}, "did you mean 'command'?"),
+        ({"kind": "drop"}, "target is missing"),
+        ({"kind": "mute", "target": "TIK"}, "did you mean 'TICK'?"),
+        ({"kind": "mute", "target": "STEP"}, "nothing that mute acts on"),
+        ({"kind": "mute", "target": "TICK", "value": 1.0}, "mute takes no value; remove it"),
+        ({"kind": "drop", "target": "command", "value": 0.0}, "expected more than 0, at most 1"),
+        ({"kind": "drop", "target": "command", "burst_frames": 3.0}, "drop takes no burst_frames"),
+        ({"kind": "burst_loss", "target": "command"}, "value is missing"),
+        ({"kind": "burst_loss", "target": "command", "value": 0.9}, "lower value, or raise burst_frames"),
+        ({"kind": "delay", "target": "command", "value": 11.0}, "at most 10 s, the delay"),
+        ({"kind": "drop", "target": "command", "start_s": 2.0, "end_s": 1.0}, "is not after start_s"),
+        ({"kind": "reset", "target": "robot", "end_s": 1.0}, "has no end; remove end_s"),
+        ({"kind": "dead_motor", "target": "front left"}, "nothing that dead_motor acts on"),
+        ({"kind": "dead_motor", "target": "fll"}, "did you mean 'fl'?"),
+        ({"kind": "slip_patch", "value": 0.2, "x_m": 1.0}, "x_m, y_m, radius_m belong together"),
+        ({"kind": "push", "target": "force_x", "value": 1.0}, "did you mean 'force_x_n'?"),
+        ({"kind": "bias", "target": "truth.xm", "value": 1.0}, "did you mean 'truth.x_m'?"),
+        ({"kind": "bias", "target": "loop.t_s", "value": 1.0}, "nothing that bias acts on"),
+        ({"kind": "bias", "target": "robot.state", "value": 1.0}, "is no quantity"),
+        ({"kind": "override", "target": "robot.state", "value": 77.0}, "is no state of the firmware"),
+    ],
+    ids=lambda case: " ".join(map(str, case.values())) if isinstance(case, dict) else "",
+)
+def test_a_wrong_row_is_refused_with_its_place_in_one_sentence(tmp_path, row, words) -> None:
+    with pytest.raises(BadInputError) as error:
+        load(str(write(tmp_path, [row])))
+    (sentence,) = str(error.value).splitlines()
+    assert words in sentence
+    assert "faulty.toml:" in sentence or "missing" in sentence
+
+
+def test_each_row_has_chance_of_its_own_that_the_others_do_not_change() -> None:
+    rows = [FaultRow("drop", "link", "command", 0, 100 + n // 2, 0.5) for n in range(6)]
+    numbers = [chance.random() for chance in generators(rows, 1)]
+    assert len(set(numbers)) == 6
+    assert [chance.random() for chance in generators(rows[2:], 1)] == numbers[2:]
+    assert not set(numbers) & {chance.random() for chance in generators(rows, 2)}
