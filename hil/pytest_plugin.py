@@ -86,7 +86,9 @@ class ScenarioTest(pytest.Item):
         from hil.testing.verdict import run_as_test
 
         folder = _folder(self, None)
-        verdict = run_as_test(self._scenario, self._overrides, None if folder is None else folder / f"{self.name}.rrd")
+        record = None if folder is None else folder / f"{self.name}.rrd"
+        repeat = self._overrides.command(self._scenario)
+        verdict = run_as_test(self._scenario, self._overrides.truth, record, repeat)
         if verdict.passed and verdict.recording is not None and not self.config.getoption("hil_record"):
             verdict.recording.unlink()
             verdict = dataclasses.replace(verdict, recording=None)

@@ -1,6 +1,7 @@
 """What the fixtures of the pytest plugin give to a test: three callables that clean up after themselves."""
 
 import contextlib
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -43,10 +44,14 @@ class StartRobot:
         ``set``, ``mode`` and ``seed`` are those of ``hil device`` and win over --hil-set, --hil-mode and --hil-seed.
         Raises BadInputError for a wrong scenario or option, DeviceError when the robot does not get ready.
         """
+        __tracebackhide__ = True
         from hil.testing.robot_process import RobotProcess
 
         overrides = self._overrides.changed(set, mode, link, seed)
-        robot = RobotProcess(overrides.load(located(scenario, self._folder)), overrides)
+        try:
+            robot = RobotProcess(overrides.load(located(scenario, self._folder)), overrides)
+        except HilError as error:
+            raise error.with_traceback(None) from None  # how it came about here is none of the test's
         self._resources.callback(_end, robot)
         return robot
 
@@ -70,11 +75,13 @@ class OpenLink:
         ``set`` and ``mode`` are for a new one. Raises LinkError when the link cannot be opened, and as
         ``virtual_robot``.
         """
+        __tracebackhide__ = True
         from hil.testing.robot_link import RobotLink
 
-        if isinstance(robot, str | Path):
-            robot = self._start_robot(robot, set=set, mode=mode)
-        link = RobotLink(robot)
+        try:
+            link = RobotLink(self._start_robot(robot, set=set, mode=mode) if isinstance(robot, str | Path) else robot)
+        except HilError as error:
+            raise error.with_traceback(None) from None
         self._resources.callback(link.close)
         return link
 
@@ -134,12 +141,13 @@ class RunScenario:
         try:
             loaded = overrides.load(located(scenario, self._item.path.parent))
         except HilError as error:
-            if check:
-                pytest.fail(str(error))
-            raise
+            raise (pytest.fail.Exception(str(error)) if check else error.with_traceback(None)) from None
         self._runs += 1
         number = "" if self._runs == 1 else f"-{self._runs}"
-        verdict = run_as_test(loaded, overrides, self._recording(f"{loaded.name}{number}") if record else None)
+        recording = self._recording(f"{loaded.name}{number}") if record else None
+        # A robot of the test is gone with it.
+        repeat = overrides.command(loaded) if on is None else shlex.join(["pytest", self._item.nodeid])
+        verdict = run_as_test(loaded, overrides.truth, recording, repeat)
         self._item.user_properties += [(f"hil{number}.{name}", value) for name, value in verdict.properties()]
         if not verdict.passed:
             if check:
@@ -147,7 +155,7 @@ class RunScenario:
             self._item.add_report_section("call", "hil", verdict.text())
         if verdict.result is None:
             assert verdict.error is not None
-            raise verdict.error
+            raise verdict.error.with_traceback(None)
         return verdict.result
 
 

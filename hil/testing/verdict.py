@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.errors import DeviceError, HilError, LinkError
-from hil.testing.overrides import Overrides, shown
+from hil.testing.overrides import shown
 
 if TYPE_CHECKING:
     from hil.results import RunResult
@@ -89,14 +89,13 @@ class Verdict:
         return rows
 
 
-def run_as_test(scenario: "Scenario", overrides: Overrides, record: Path | None) -> Verdict:
-    """Run a scenario that was loaded with these overrides; whatever a user is meant to read is in the verdict."""
+def run_as_test(scenario: "Scenario", truth: str | None, record: Path | None, repeat: str) -> Verdict:
+    """Run a scenario; whatever a user is meant to read is in the verdict. ``repeat`` is the command that does it."""
     from hil.assembly import run_scenario
 
-    repeat = overrides.command(scenario)
     result, error = None, None
     try:
-        result = run_scenario(scenario, truth=overrides.truth, record=record)
+        result = run_scenario(scenario, truth=truth, record=record)
         error = result.failure
     except HilError as before_the_run:
         error = before_the_run
