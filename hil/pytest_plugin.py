@@ -15,12 +15,13 @@ from urllib.parse import quote
 
 import pytest
 
+from hil.suffix import TEST_SUFFIX
+
 if TYPE_CHECKING:
     from hil.scenario import Scenario
     from hil.testing import OpenLink, RunScenario, StartRobot
     from hil.testing.overrides import Overrides
 
-_SUFFIX = ".hil.toml"
 _FIXTURES = frozenset({"virtual_robot", "hil_link", "hil_run"})
 _LONGEST_NAME = 100
 
@@ -49,7 +50,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> "ScenarioFile | None":
-    if file_path.name.endswith(_SUFFIX):
+    if file_path.name.endswith(TEST_SUFFIX):
         return ScenarioFile.from_parent(parent, path=file_path)
     return None
 
@@ -193,7 +194,7 @@ def _places(nodeid: str) -> list[str]:
     """Return the folders that stand for a test, below that of ``--hil-record``: no two tests have the same."""
     file, *names = nodeid.split("::")
     folders = file.split("/")
-    places = folders[:-1] if file.endswith(_SUFFIX) else [*folders, *names]  # a scenario's recording has its name
+    places = folders[:-1] if file.endswith(TEST_SUFFIX) else [*folders, *names]  # a scenario's recording has its name
     parts = [quote(part, safe=" []()+,=@").replace("..", "%2E%2E") for part in places]
     return [
         part if len(part) <= _LONGEST_NAME else part[:_LONGEST_NAME] + hashlib.sha256(part.encode()).hexdigest()[:8]

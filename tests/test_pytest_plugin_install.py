@@ -72,7 +72,7 @@ def test_pytest_starts_without_what_only_scenarios_need(installed: pytest.Pytest
         def test_lean():
             assert "hil.pytest_plugin" in sys.modules
             assert not {heavy} & set(sys.modules)
-            assert not [name for name in sys.modules if name.startswith("hil.") and name != "hil.pytest_plugin"]
+            assert {{"hil.pytest_plugin", "hil.suffix"}} == {{name for name in sys.modules if name.startswith("hil.")}}
         """
     )
     installed.runpytest_subprocess("-p", "no:hypothesispytest").assert_outcomes(passed=1)

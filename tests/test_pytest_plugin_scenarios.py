@@ -2,6 +2,7 @@
 
 import re
 import shlex
+import sys
 from pathlib import Path
 
 import pytest
@@ -21,7 +22,7 @@ from tests.plugin_suites import (
     run,
     write,
 )
-from tests.processes import hil
+from tests.processes import device, hil
 
 
 def test_every_file_is_one_test_that_its_name_and_the_marker_select(suite: pytest.Pytester):
@@ -159,6 +160,26 @@ def test_junit_keeps_figures_seed_hash_and_recording(suite: pytest.Pytester):
     assert failure is not None
     assert "error.planar_m below 0.001" in failure.attrib["message"]
     assert "hil review" in (failure.text or "")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals need a POSIX system")
+def test_scenarios_run_on_a_robot_elsewhere(suite: pytest.Pytester):
+    write(suite, good=HOLDING)
+    shared = ("--set", "robot.mass_kg=21.0", "--seed", "9")
+    with device("paper_circle", "--mode", "realtime", "--link", "serial:pty", *shared) as robot:
+        there = ("--hil-link", robot.link, "--hil-truth", robot.truth, "--hil-mode", "realtime")
+        changed = ("--hil-set", "robot.mass_kg=21.0", "--hil-seed", "9")
+        run(suite, *there, *changed, "--junit-xml", "report.xml").assert_outcomes(passed=1)
+        other = run(suite, *there)
+        other.assert_outcomes(failed=1)
+    kept = properties(cases(suite.path / "report.xml")["good"])
+    assert (kept["hil.mode"], kept["hil.link"]) == ("realtime", robot.link)
+    other.stdout.fnmatch_lines(
+        [
+            "the robot failed, not an expectation: truth * another scenario*",
+            f"  repeat it    hil run good.hil.toml --mode realtime --link {robot.link} --seed 1 --truth {robot.truth}",
+        ]
+    )
 
 
 def test_first_failure_ends_the_session_and_last_failed_runs_it_alone(suite: pytest.Pytester):

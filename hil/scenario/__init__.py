@@ -6,7 +6,7 @@ shipped()                                         -> what can be loaded by name
 """
 
 from hil.scenario.fields import StartValue
-from hil.scenario.load import TEST_SUFFIX, load, set_texts, shipped
+from hil.scenario.load import load, set_texts, shipped
 from hil.scenario.run import Scenario, resolved
 from hil.scenario.tables import (
     SHIPPED_FMUS,
@@ -26,7 +26,6 @@ from hil.scenario.toml_text import format_value
 
 __all__ = [
     "SHIPPED_FMUS",
-    "TEST_SUFFIX",
     "ControllerTable",
     "DeviceTable",
     "EstimatorTable",

@@ -17,13 +17,11 @@ from hil.scenario.fields import is_path
 from hil.scenario.layers import Given, Tree
 from hil.scenario.run import Scenario, values
 from hil.scenario.toml_text import format_value, key_lines, parse, parse_value
+from hil.suffix import TEST_SUFFIX
 
 SHIPPED_DIRECTORY = Path(__file__).parent.parent / "scenarios"
 ROBOT_TABLES = ("robot", "firmware", "device", "link")
 """What a robot's own file may hold, so that any scenario runs on it."""
-
-TEST_SUFFIX = ".hil.toml"
-"""Ends the name of a scenario that is a test: pytest collects it. It is no part of the scenario's name."""
 
 _SUFFIX = ".toml"
 _OPTIONS = {"mode": "loop.mode", "link": "link.url", "seed": "loop.seed"}
@@ -92,7 +90,7 @@ def load(
     where = {layers.dotted(path): given.where for path, given in layers.leaves(tree)}
     return Scenario(
         **dict(tables),
-        name=scenario.path.name.removesuffix(_SUFFIX).removesuffix(TEST_SUFFIX.removesuffix(_SUFFIX)),
+        name=scenario.path.name.removesuffix(TEST_SUFFIX).removesuffix(_SUFFIX),
         path=None if directory == SHIPPED_DIRECTORY else scenario.path,
         directory=directory,
         provenance={key: where.get(key, "default") for key, _ in values(tables)},
