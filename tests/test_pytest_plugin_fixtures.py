@@ -163,7 +163,7 @@ def test_a_robot_that_is_killed_in_mid_test_is_a_sentence(suite: pytest.Pytester
             robot.kill()
 
         def test_killed(virtual_robot, hil_run):
-            robot = virtual_robot("paper_circle", mode="realtime")
+            robot = virtual_robot("paper_circle")
             killer = threading.Thread(target=kill_when_active, args=(robot,))
             killer.start()
             try:
@@ -220,14 +220,14 @@ ENDLESS = """
     from pathlib import Path
 
     def test_long(virtual_robot, hil_run, tmp_path):
-        robot = virtual_robot("paper_circle", mode="realtime")
+        robot = virtual_robot("paper_circle")
         Path("pids").write_text(f"{robot.pid} {os.getpid()}")
-        hil_run("paper_circle", on=robot, set={"loop.duration_s": 3600.0})
+        hil_run("paper_circle", on=robot, set={"loop.duration_s": 86400.0})
 """
 
 
 def begun(suite: pytest.Pytester, *options: str) -> tuple[subprocess.Popen[str], int, list[int]]:
-    """Start a session whose run would last an hour; return it with its robot's process id and all children's."""
+    """Start a session whose run would last a day of robot time; return it with its robot's process id and all children's."""
     suite.makepyfile(ENDLESS)
     session = subprocess.Popen(
         [sys.executable, "-m", "pytest", *PLUGIN, *options, "--basetemp", str(suite.path / "temp")],

@@ -166,18 +166,18 @@ def test_junit_keeps_figures_seed_hash_and_recording(suite: pytest.Pytester):
 def test_scenarios_run_on_a_robot_elsewhere(suite: pytest.Pytester):
     write(suite, good=HOLDING)
     shared = ("--set", "robot.mass_kg=21.0", "--seed", "9")
-    with device("paper_circle", "--mode", "realtime", "--link", "serial:pty", *shared) as robot:
-        there = ("--hil-link", robot.link, "--hil-truth", robot.truth, "--hil-mode", "realtime")
+    with device("paper_circle", "--mode", "lockstep", "--link", "serial:pty", *shared) as robot:
+        there = ("--hil-link", robot.link, "--hil-truth", robot.truth, "--hil-mode", "lockstep")
         changed = ("--hil-set", "robot.mass_kg=21.0", "--hil-seed", "9")
         run(suite, *there, *changed, "--junit-xml", "report.xml").assert_outcomes(passed=1)
         other = run(suite, *there)
         other.assert_outcomes(failed=1)
     kept = properties(cases(suite.path / "report.xml")["good"])
-    assert (kept["hil.mode"], kept["hil.link"]) == ("realtime", robot.link)
+    assert (kept["hil.mode"], kept["hil.link"]) == ("lockstep", robot.link)
     other.stdout.fnmatch_lines(
         [
             "the robot failed, not an expectation: truth * another scenario*",
-            f"  repeat it    hil run good.hil.toml --mode realtime --link {robot.link} --seed 1 --truth {robot.truth}",
+            f"  repeat it    hil run good.hil.toml --mode lockstep --link {robot.link} --seed 1 --truth {robot.truth}",
         ]
     )
 
