@@ -227,7 +227,7 @@ ENDLESS = """
 
 
 def begun(suite: pytest.Pytester, *options: str) -> tuple[subprocess.Popen[str], int, list[int]]:
-    """Start a session whose run would last a day of robot time; return it with its robot's process id and all children's."""
+    """Start a session that would last a day of robot time; return it, its robot's process id and all children's."""
     suite.makepyfile(ENDLESS)
     session = subprocess.Popen(
         [sys.executable, "-m", "pytest", *PLUGIN, *options, "--basetemp", str(suite.path / "temp")],
