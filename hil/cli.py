@@ -124,13 +124,17 @@ def device(
     seed: Seed = None,
     sets: Sets = None,
     trace: TraceFile = None,
+    until_eof: Annotated[
+        bool, typer.Option("--until-eof", help="end when stdin does, as when the program that started this one is gone")
+    ] = False,
 ) -> None:
     """Be the scenario's virtual robot in a process of its own; print one line when ready."""
     from hil.device_process import serve
     from hil.scenario import load
 
     resolved = load(scenario, set=sets or [], robot=robot, mode=mode, link=link, seed=seed)
-    serve(resolved, truth_port, lambda line: print(line, flush=True), target, trace)
+    lifeline = sys.stdin.fileno() if until_eof else None
+    serve(resolved, truth_port, lambda line: print(line, flush=True), target, trace, lifeline)
 
 
 @app.command()

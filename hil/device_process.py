@@ -1,7 +1,9 @@
 """``hil device``: the virtual robot as a process of its own, behind a link, with its truth on a socket."""
 
 import contextlib
+import os
 import signal
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -20,10 +22,18 @@ from hil.trace.tap import TracedWire
 
 
 def serve(
-    scenario: Scenario, truth_port: int, say: Callable[[str], None], target: str = "host", trace: Path | None = None
+    scenario: Scenario,
+    truth_port: int,
+    say: Callable[[str], None],
+    target: str = "host",
+    trace: Path | None = None,
+    lifeline: int | None = None,
 ) -> None:
-    """Serve the scenario's virtual robot until SIGTERM or SIGINT; ``target`` says what its firmware runs on,
-    ``trace`` is a file for what is on the wire.
+    """Serve the scenario's virtual robot until SIGTERM or SIGINT; ``target`` says what its firmware runs on.
+
+    ``trace`` is a file for what is on the wire. With a ``lifeline``, the descriptor of a pipe, it ends with that too:
+    when whoever held the other end is gone.
+
     ``say`` gets one line when the robot is ready: how to reach it; and one at the end each if this machine's stalls
     cost robot time, and if the trace is incomplete. Raises BadInputError when a part cannot be made, LinkError when
     the link is lost, DeviceError when the plant fails.
@@ -37,7 +47,7 @@ def serve(
         wire, reach = open_robot(url, say, lockstep=lockstep)
         resources.callback(wire.close)
         if tracing is not None:
-            wire = _traced(wire, tracing, robot, lockstep=scenario.loop.mode == "lockstep")
+            wire = _traced(wire, tracing, robot, lockstep=lockstep)
         truth = TruthServer(scenario.hash, truth_port)
         resources.callback(truth.close)
         server = open_server(robot, wire, truth, lockstep=lockstep)
@@ -45,6 +55,10 @@ def serve(
         truth.ask_faults = server.ask
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: server.stop())
+        if lifeline is not None:
+            threading.Thread(
+                target=_stop_at_the_end, args=(lifeline, server.stop), name="lifeline", daemon=True
+            ).start()
         say(f"ready link={reach} truth={truth.url} mode={scenario.loop.mode} scenario={scenario.name}")
         try:
             server.serve()
@@ -75,3 +89,10 @@ def _traced(wire: Wire, trace: Trace, robot: VirtualStm32, *, lockstep: bool) ->
     clock = _RobotTime(robot) if lockstep else WallClock()
     trace.begin(time.time_ns() - clock.now_ns())
     return TracedWire(wire, trace, clock.now_ns)
+
+
+def _stop_at_the_end(lifeline: int, stop: Callable[[], None]) -> None:
+    # Not through a buffered reader: its lock, held by this thread, would be fatal when the interpreter ends.
+    while os.read(lifeline, 4096):
+        pass
+    stop()

@@ -5,6 +5,10 @@ import os
 import hypothesis
 import pytest
 
+from tests.plugin_suites import suite
+
+__all__ = ["suite"]
+
 _CI = os.environ.get("HIL_CI") == "1"
 # No time limit an example: these machines are shared. In CI the examples are the same on every run.
 hypothesis.settings.register_profile("hil", deadline=None, derandomize=_CI)

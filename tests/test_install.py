@@ -39,8 +39,11 @@ def test_a_machine_without_a_compiler_builds_installs_and_runs_the_wheel(tmp_pat
     [wheel] = wheels.iterdir()
     with zipfile.ZipFile(wheel) as archive:
         names = set(archive.namelist())
+        [entry_points] = [archive.read(name).decode() for name in names if name.endswith("/entry_points.txt")]
     fmus = {f"plant_fmu/{plant_fmu.path(fmi).name}" for fmi in pack.DESCRIPTIONS}
     assert {*fmus, f"firmware_protocol/libwheel_host{SUFFIX}", f"hil/plant/libcosim{SUFFIX}"} <= names
+    assert {"hil/pytest_plugin.py", "hil/py.typed", "firmware_protocol/py.typed", "plant_fmu/py.typed"} <= names
+    assert "[pytest11]\nhil.pytest_plugin = hil.pytest_plugin" in entry_points
     assert not wheel.name.endswith("-any.whl")
 
     run(sys.executable, "-m", "venv", tmp_path / "venv", cwd=tmp_path, environment=bare)
@@ -51,3 +54,11 @@ def test_a_machine_without_a_compiler_builds_installs_and_runs_the_wheel(tmp_pat
     assert json.loads(said)["passed"] is True
     for fmu in sorted(Path(name).stem for name in fmus):
         assert "no problems" in run(hil, "fmu", "check", fmu, cwd=tmp_path, environment=bare)
+
+    # pytest is the user's own, and finds the plugin by itself.
+    run(python, "-m", "pip", "--disable-pip-version-check", "install", "pytest", cwd=tmp_path, environment=bare)
+    (tmp_path / "suite").mkdir()
+    (tmp_path / "suite" / "circle.hil.toml").write_text(
+        'extends = "paper_circle"\nloop.duration_s = 0.2\nexpect = []\n'
+    )
+    assert "1 passed" in run(python, "-m", "pytest", "suite", cwd=tmp_path, environment=bare)

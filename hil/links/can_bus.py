@@ -32,8 +32,8 @@ class CanLink:
 
     Others are dropped and counted: ``foreign`` (extended or remote), error frames by their class (``error_bus_off``,
     ``error_passive``, ...) and, for a host that hears the robot, ``unknown_id`` and ``length``. A robot that hears the
-    host gets all standard data frames that pass the filters: its firmware counts those by itself. Dropped and not counted
-    are this side's own messages, which some buses give back (python-can's ``udp_multicast``, without a mark).
+    host gets all standard data frames that pass the filters: its firmware counts those by itself. Dropped and not
+    counted are this side's own messages, which some buses give back (python-can's ``udp_multicast``, without a mark).
     A bus-off is a lost link, to be reopened. ``on_foreign``, where set, is shown each frame that was counted, as a
     ``can.Message``.
 

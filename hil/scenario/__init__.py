@@ -6,7 +6,7 @@ shipped()                                         -> what can be loaded by name
 """
 
 from hil.scenario.fields import StartValue
-from hil.scenario.load import load, shipped
+from hil.scenario.load import load, set_texts, shipped
 from hil.scenario.rows import ExpectTable, FaultTable
 from hil.scenario.run import Scenario, resolved
 from hil.scenario.tables import (
@@ -41,5 +41,6 @@ __all__ = [
     "format_value",
     "load",
     "resolved",
+    "set_texts",
     "shipped",
 ]

@@ -16,7 +16,8 @@ from hil.scenario.check import check, derived
 from hil.scenario.fields import is_path
 from hil.scenario.layers import Given, Tree
 from hil.scenario.run import Scenario, values
-from hil.scenario.toml_text import key_lines, parse, parse_value
+from hil.scenario.toml_text import format_value, key_lines, parse, parse_value
+from hil.suffix import TEST_SUFFIX
 
 SHIPPED_DIRECTORY = Path(__file__).parent.parent / "scenarios"
 ROBOT_TABLES = ("robot", "firmware", "device", "link")
@@ -89,11 +90,18 @@ def load(
     where = {layers.dotted(path): given.where for path, given in layers.leaves(tree)}
     return Scenario(
         **dict(tables),
-        name=scenario.path.stem,
+        name=scenario.path.name.removesuffix(TEST_SUFFIX).removesuffix(_SUFFIX),
         path=None if directory == SHIPPED_DIRECTORY else scenario.path,
         directory=directory,
         provenance={key: where.get(key, "default") for key, _ in values(tables)},
     )
+
+
+def set_texts(given: Mapping[str, object] | Sequence[str]) -> list[str]:
+    """Return what ``load`` takes as ``set`` as the command line has it: texts ``key=value``, the value in TOML."""
+    if isinstance(given, Mapping):
+        return [f"{key}={format_value(_plain_python(value))}" for key, value in given.items()]
+    return [given] if isinstance(given, str) else list(given)
 
 
 def _open_scenario(name: str | Path, extended_by: _File | None) -> _File:

@@ -1,0 +1,74 @@
+"""What the command line of a test run changes in every scenario, and what a test changes on top of that."""
+
+import os
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Self
+
+if TYPE_CHECKING:
+    from hil.scenario import Scenario
+
+
+@dataclass(frozen=True)
+class Overrides:
+    """Changes to a scenario, as the options of ``hil run`` have them; None leaves what the scenario says.
+
+    Attributes:
+        set: texts ``key=value``, the later one wins.
+        mode: ``lockstep`` or ``realtime``.
+        link: URL of the link.
+        seed: of everything random in the run.
+        truth: URL of the truth socket of a robot in another process.
+    """
+
+    set: tuple[str, ...] = ()
+    mode: str | None = None
+    link: str | None = None
+    seed: int | None = None
+    truth: str | None = None
+
+    def changed(
+        self,
+        set: Mapping[str, object] | Sequence[str] = (),  # noqa: A002 - the name of the option
+        mode: str | None = None,
+        link: str | None = None,
+        seed: int | None = None,
+        truth: str | None = None,
+    ) -> Self:
+        """Return these overrides with others on top. A truth belongs to its link: another link does without it."""
+        from hil.scenario import set_texts
+
+        return replace(
+            self,
+            set=(*self.set, *set_texts(set)),
+            mode=self.mode if mode is None else mode,
+            link=self.link if link is None else link,
+            seed=self.seed if seed is None else seed,
+            truth=self.truth if truth is None and link is None else truth,
+        )
+
+    def load(self, scenario: str | Path) -> "Scenario":
+        """Return the scenario with these changes. Raises BadInputError as ``hil.scenario.load`` does."""
+        from hil.scenario import load
+
+        return load(scenario, set=self.set, mode=self.mode, link=self.link, seed=self.seed)
+
+    def arguments(self) -> list[str]:
+        """Return the same as arguments of ``hil device``, and with ``--truth`` of ``hil run``."""
+        given = (("--mode", self.mode), ("--link", self.link), ("--seed", self.seed))
+        options = [word for name, value in given if value is not None for word in (name, str(value))]
+        return [*options, *(word for text in self.set for word in ("--set", text))]
+
+    def command(self, scenario: "Scenario") -> str:
+        """Return the command that repeats a run of the scenario, for a shell in the current folder."""
+        seeded = replace(self, seed=scenario.loop.seed)
+        truth = [] if self.truth is None else ["--truth", self.truth]
+        return shlex.join(["hil", "run", shown(scenario.path or scenario.name), *seeded.arguments(), *truth])
+
+
+def shown(path: str | Path) -> str:
+    """Return a path as a person in the current folder writes it: relative below it, else as it is."""
+    text = str(path)
+    return os.path.relpath(text) if Path(text).is_relative_to(Path.cwd()) else text

@@ -1,0 +1,114 @@
+"""A scenario that was run as a test: whether it passed, what to say when it did not, what a report keeps of it."""
+
+import math
+import shlex
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hil.errors import DeviceError, HilError, LinkError
+from hil.testing.overrides import shown
+
+if TYPE_CHECKING:
+    from hil.results import RunResult
+    from hil.scenario import FaultTable, Scenario
+
+_FACTS = ("law", "mode", "link", "seed", "wire_sha256")
+_FIGURES = ("tracked_s", "t10_s", "steady_rms_m", "steady_max_m", "ticks", "realtime_factor", "deadline_misses")
+_BROKEN = {LinkError: "the link failed, not an expectation", DeviceError: "the robot failed, not an expectation"}
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What became of a scenario.
+
+    Attributes:
+        scenario: what was to be run.
+        result: the finished run, or None when it could not begin.
+        error: what ended the run early, or kept it from beginning; or None.
+        recording: the recording, or None where there is none.
+        repeat: the command that runs the same again.
+    """
+
+    scenario: "Scenario"
+    result: "RunResult | None"
+    error: HilError | None
+    recording: Path | None
+    repeat: str
+
+    @property
+    def passed(self) -> bool:
+        """Whether the run ended as expected."""
+        return self.result is not None and self.result.passed
+
+    def text(self) -> str:
+        """Return the whole story: first what is wrong, then how every expectation and fault went, then what to do."""
+        scenario = self.scenario
+        name = shown(scenario.path or scenario.name)
+        rows = [("scenario", f"{name}, {scenario.loop.mode}, {scenario.link.url}, seed {scenario.loop.seed}")]
+        if self.result is not None:
+            metrics = self.result.metrics
+            rows += [("expectation", row["text"]) for row in metrics["expect"]]
+            rows += [("fault", _fault(*pair)) for pair in _faults(scenario, metrics)]
+        rows += self._recorded()
+        rows.append(("repeat it", self.repeat))
+        return "\n".join([*self._problems(), "", *(f"  {label:<12} {line}" for label, line in rows)])
+
+    def properties(self) -> list[tuple[str, str]]:
+        """Return what a report keeps of the run, by name; a figure without a meaning is left out."""
+        metrics: Mapping[str, Any] = {"seed": self.scenario.loop.seed} if self.result is None else self.result.metrics
+        kept = [("scenario", self.scenario.name), *((name, metrics.get(name)) for name in (*_FACTS, *_FIGURES))]
+        kept += [("failure", self.error), ("recording", self.recording)]
+        return [(name, str(value)) for name, value in kept if value is not None]
+
+    def _problems(self) -> Iterator[str]:
+        """Yield a line for each thing that is wrong, the cause before what follows from it."""
+        if self.error is not None:
+            kind = _BROKEN.get(type(self.error))
+            yield str(self.error) if kind is None else f"{kind}: {self.error}"
+        if self.result is None:
+            return
+        metrics = self.result.metrics
+        if metrics["commands_refused"]:
+            yield f"the law gave {metrics['commands_refused']} commands that were no numbers"
+        yield from (f"expectation: {row['text']}" for row in metrics["expect"] if not row["passed"])
+        for row, counted in _faults(self.scenario, metrics):
+            if not counted["applied"]:
+                yield f"fault: {_fault(row, counted)}"
+
+    def _recorded(self) -> list[tuple[str, str]]:
+        if self.recording is None:
+            return [("recording", "none was kept")]
+        path = shown(self.recording)
+        command = shlex.quote(path)
+        rows = [("recording", path), ("look at it", f"hil view {command}"), ("", f"hil review {command}")]
+        recorded = {} if self.result is None else self.result.metrics.get("recorded", {})
+        if recorded.get("error"):
+            rows[0] = ("recording", f"{path}, incomplete: {recorded['error']}")
+        return rows
+
+
+def run_as_test(scenario: "Scenario", truth: str | None, record: Path | None, repeat: str) -> Verdict:
+    """Run a scenario; whatever a user is meant to read is in the verdict. ``repeat`` is the command that does it."""
+    from hil.assembly import run_scenario
+
+    result, error = None, None
+    try:
+        result = run_scenario(scenario, truth=truth, record=record)
+        error = result.failure
+    except HilError as before_the_run:
+        error = before_the_run
+    recording = record if record is not None and record.exists() else None
+    return Verdict(scenario, result, error, recording, repeat)
+
+
+def _faults(scenario: "Scenario", metrics: Mapping[str, Any]) -> Iterator[tuple["FaultTable", Mapping[str, Any]]]:
+    return zip(scenario.fault, metrics["fault"], strict=True)
+
+
+def _fault(row: "FaultTable", counted: Mapping[str, Any]) -> str:
+    end = "the end" if math.isinf(row.end_s) else f"{row.end_s:g} s"
+    count = counted["applied"]
+    said = f"applied {count} times" if count else "never applied, so the run shows nothing about it"
+    return f"{row.kind} {row.target} from {row.start_s:g} s to {end}: {said}"
