@@ -5,12 +5,18 @@ import os
 import hypothesis
 import pytest
 
+from tests import socketcan_runner
+
 _CI = os.environ.get("HIL_CI") == "1"
 # No time limit an example: these machines are shared. In CI the examples are the same on every run.
 hypothesis.settings.register_profile("hil", deadline=None, derandomize=_CI)
 hypothesis.settings.load_profile("hil")
 
 _MAY_SKIP = tuple(filter(None, os.environ.get("HIL_CI_MAY_SKIP", "").split()))
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.pluginmanager.register(socketcan_runner.plugin(config))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
