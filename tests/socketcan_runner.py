@@ -74,7 +74,15 @@ class Runner:
     def _start(session: pytest.Session) -> socketcan.Inside:
         tests = [item.nodeid for item in session.items if item.get_closest_marker(MARKER)]
         # Where it runs the root may be read-only: no cache, and no bytecode.
-        command = [sys.executable, "-B", "-m", "pytest", "-p", "no:cacheprovider", f"--rootdir={session.config.rootpath}"]
+        command = [
+            sys.executable,
+            "-B",
+            "-m",
+            "pytest",
+            "-p",
+            "no:cacheprovider",
+            f"--rootdir={session.config.rootpath}",
+        ]
         paths = os.pathsep.join(filter(None, [str(socketcan.ROOT), os.environ.get("PYTHONPATH")]))
         return socketcan.Inside([*command, *tests], {_INSIDE: "1", "PYTHONPATH": paths})
 
