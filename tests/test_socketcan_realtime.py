@@ -127,7 +127,7 @@ class Drive:
 
     def _is_driven(self) -> bool:
         newest = self._follow()
-        return newest.state is State.ACTIVE and max(map(abs, newest.set_point_rad_s)) > 3.0
+        return newest.state is State.ACTIVE and any(newest.set_point_rad_s)
 
 
 @contextlib.contextmanager
