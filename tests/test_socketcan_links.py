@@ -12,7 +12,7 @@ from hil.errors import LinkError
 from hil.links.opening import open_host
 from hil.links.url import parse_link
 from hil.ports import Link
-from tests.socketcan_bus import CLASSIC, ERROR, EXTENDED, FD, REMOTE, classic_frame, ip, raw_socket, vcan
+from tests.socketcan_bus import CLASSIC, ERROR, EXTENDED, FD, REMOTE, classic_frame, ip, raw_socket, set_up, vcan
 
 pytestmark = pytest.mark.socketcan
 
@@ -99,13 +99,13 @@ def test_an_interface_that_is_not_there_is_named_with_the_remedy():
 def test_an_interface_that_goes_down_says_how_to_bring_it_up_and_can_be_opened_again(
     bus: str, link: Link, other: socket.socket
 ):
-    ip("set", bus, "down")
+    set_up(bus, up=False)
     sentence = rf"channel '{bus}' is down; bring it up: ip link set {bus} up type can bitrate 1000000$"
     with pytest.raises(LinkError, match=sentence):
         link.receive(100 * MS)
     with pytest.raises(LinkError, match=sentence):
         link.send(Frame(0x10, bytes(2)))
-    ip("set", bus, "up")
+    set_up(bus, up=True)
     again = open_host(parse_link(f"can:socketcan/{bus}"))
     with pytest.raises(OSError, match=rf"\[Errno {errno.ENETDOWN}\]"):
         other.recv(FD.size)  # the other socket was told too

@@ -29,7 +29,7 @@ from hil.links.url import parse_link
 from hil.scenario import load
 from hil.types import CommandMode
 from tests.processes import HIL, Device, device, environment, hil, wait_for
-from tests.socketcan_bus import DBC, Onlooker, cable, ip
+from tests.socketcan_bus import DBC, Onlooker, cable, set_up
 
 pytestmark = pytest.mark.socketcan
 
@@ -182,11 +182,11 @@ def test_an_interface_that_goes_down_ends_the_run_and_up_again_serves_the_next(r
     def case() -> None:
         with driving(robot) as drive:
             try:
-                ip("set", HOST, "down")
+                set_up(HOST, up=False)
                 code, errors = drive.end()
                 drive.check_watchdog()
             finally:
-                ip("set", HOST, "up")
+                set_up(HOST, up=True)
         check_not_stalled(code, errors, but="")
         assert code == 3
         assert f"channel '{HOST}' is down; bring it up: ip link set {HOST} up type can bitrate 1000000" in errors
