@@ -42,6 +42,7 @@ TORQUE_COMMAND = DBC.get_message_by_name("TORQUE_COMMAND")
 ATTEMPTS = 3
 STALL_SIGNS = ("because of COMMAND_TIMEOUT", "no feedback for", "did not become ACTIVE: it is ARMED")
 PERIOD_NS = 5_000_000
+START_S = 120.0
 
 
 class StalledError(Exception):
@@ -79,9 +80,9 @@ class Drive:
         )
         self._watcher = TruthClient(robot.truth, SCENARIO.hash, reset=False)
         self.seen: list[TruthRecord] = []
-        wait_for(lambda: self._watcher.poll() is not None)
+        wait_for(lambda: self._watcher.poll() is not None, START_S)
         self.seen += self._watcher.taken
-        wait_for(lambda: self._process.poll() is not None or self._is_driven())
+        wait_for(lambda: self._process.poll() is not None or self._is_driven(), START_S)
         if self._process.poll() is not None:
             raise StalledError(self.end())
         del self.seen[:-1]
