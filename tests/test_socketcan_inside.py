@@ -1,4 +1,4 @@
-"""The command that runs another where real SocketCAN is: what goes in, what comes out, and that nothing stays behind."""
+"""The command that runs another where real SocketCAN is: what goes in and comes out, and that nothing stays behind."""
 
 import subprocess
 import sys
