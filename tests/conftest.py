@@ -5,6 +5,7 @@ import os
 import hypothesis
 import pytest
 
+from tests import socketcan_runner
 from tests.plugin_suites import suite
 
 __all__ = ["suite"]
@@ -15,6 +16,10 @@ hypothesis.settings.register_profile("hil", deadline=None, derandomize=_CI)
 hypothesis.settings.load_profile("hil")
 
 _MAY_SKIP = tuple(filter(None, os.environ.get("HIL_CI_MAY_SKIP", "").split()))
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.pluginmanager.register(socketcan_runner.plugin(config))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

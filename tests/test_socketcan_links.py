@@ -1,0 +1,131 @@
+"""One link and a kernel's CAN bus: what passes, what is counted, and what a user is told when it fails."""
+
+import errno
+import socket
+from collections.abc import Iterator
+
+import pytest
+
+from firmware_protocol.framing import Frame
+from firmware_protocol.generated.messages import LENGTHS
+from hil.errors import LinkError
+from hil.links.opening import open_host
+from hil.links.url import parse_link
+from hil.ports import Link
+from tests.socketcan_bus import CLASSIC, ERROR, EXTENDED, FD, REMOTE, classic_frame, ip, raw_socket, set_up, vcan
+
+pytestmark = pytest.mark.socketcan
+
+MS = 1_000_000
+EVERY_ID = range(0x800)
+END = Frame(0x10, b"\xff\xff")
+
+
+@pytest.fixture
+def bus() -> Iterator[str]:
+    with vcan("hil_test") as name:
+        yield name
+
+
+@pytest.fixture
+def other(bus: str) -> Iterator[socket.socket]:
+    """Another device on the bus."""
+    with raw_socket(bus) as opened:
+        yield opened
+
+
+@pytest.fixture
+def link(bus: str) -> Iterator[Link]:
+    opened = open_host(parse_link(f"can:socketcan/{bus}"))
+    yield opened
+    opened.close()
+
+
+def take_all(link: Link, other: socket.socket) -> list[Frame]:
+    """Return what the link passes of all that was sent before: up to a frame that marks the end.
+
+    The kernel delivers later than it sends, so that nothing is there yet proves nothing.
+    """
+    other.send(classic_frame(*END))
+    frames = []
+    while (received := link.receive(10_000 * MS)) is not None:
+        if received.frame == END:
+            return frames
+        frames.append(received.frame)
+    raise AssertionError("the end never came")
+
+
+def test_of_all_identifiers_only_ours_pass_in_order(link: Link, other: socket.socket):
+    arrived = []
+    for can_id in EVERY_ID:
+        payload = bytes(range(LENGTHS.get(can_id, 8)))
+        for flags in (0, EXTENDED, REMOTE):
+            other.send(classic_frame(can_id | flags, payload))
+        if can_id % 32 == 31:  # a socket's buffer holds some 200
+            arrived += take_all(link, other)
+    assert arrived == [Frame(can_id, bytes(range(length))) for can_id, length in sorted(LENGTHS.items())]
+
+
+def test_a_frame_of_ours_with_another_length_is_dropped_and_counted(link: Link, other: socket.socket):
+    for number, (can_id, expected) in enumerate(LENGTHS.items(), start=1):
+        for length in range(9):
+            if length != expected:
+                other.send(classic_frame(can_id, bytes(length)))
+        assert take_all(link, other) == []
+        assert link.rejected()["length"] == 8 * number
+
+
+def test_error_frames_reach_the_counters_and_nobody_else(link: Link, other: socket.socket):
+    """Bus error, error passive and an arbitration that was lost, as a controller's driver tells them."""
+    for classes, data in ((0x088, bytes(8)), (0x004, bytes([0, 0x30, 0, 0, 0, 0, 0, 0])), (0x002, bytes(8))):
+        other.send(classic_frame(ERROR | classes, data))
+    assert take_all(link, other) == []
+    assert sum(count for cause, count in link.rejected().items() if cause.startswith("error")) >= 3
+
+
+def test_what_a_link_sends_is_a_classic_frame_with_its_bits(link: Link, other: socket.socket):
+    for can_id, length in LENGTHS.items():
+        link.send(Frame(can_id, bytes(range(1, length + 1))))
+        sent = CLASSIC.unpack(other.recv(FD.size))
+        assert sent == (can_id, length, bytes(range(1, length + 1)).ljust(8, b"\0"))
+    assert take_all(link, other) == [], "a link does not hear itself"
+
+
+def test_an_interface_that_is_not_there_is_named_with_the_remedy():
+    with pytest.raises(LinkError, match=r"'socketcan', channel 'can7' does not exist; .*ip -br link.*bitrate 500000$"):
+        open_host(parse_link("can:socketcan/can7?bitrate=500000"))
+
+
+def test_an_interface_that_goes_down_says_how_to_bring_it_up_and_can_be_opened_again(
+    bus: str, link: Link, other: socket.socket
+):
+    set_up(bus, up=False)
+    sentence = rf"channel '{bus}' is down; bring it up: ip link set {bus} up type can bitrate 1000000$"
+    with pytest.raises(LinkError, match=sentence):
+        link.receive(100 * MS)
+    with pytest.raises(LinkError, match=sentence):
+        link.send(Frame(0x10, bytes(2)))
+    set_up(bus, up=True)
+    again = open_host(parse_link(f"can:socketcan/{bus}"))
+    with pytest.raises(OSError, match=rf"\[Errno {errno.ENETDOWN}\]"):
+        other.recv(FD.size)  # the other socket was told too
+    other.send(classic_frame(0x10, bytes(2)))
+    received = again.receive(2_000 * MS)
+    assert received is not None
+    assert received.frame == Frame(0x10, bytes(2))
+    again.close()
+
+
+def test_an_interface_that_is_unplugged_is_named(bus: str, link: Link):
+    ip("delete", bus)
+    with pytest.raises(LinkError, match=rf"channel '{bus}' (does not exist|is down)"):
+        link.receive(100 * MS)
+    with pytest.raises(LinkError, match=rf"channel '{bus}' does not exist; see the interfaces with: ip -br link"):
+        link.send(Frame(0x10, bytes(2)))
+
+
+def test_can_fd_on_a_classic_interface_is_a_link_error(bus: str):
+    link = open_host(parse_link(f"can:socketcan/{bus}?fd=1"))
+    with pytest.raises(LinkError, match=f"channel '{bus}'"):
+        link.send(Frame(0x10, bytes(2)))
+    link.close()
