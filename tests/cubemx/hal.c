@@ -91,6 +91,9 @@ uint32_t bench_refreshed(void);
 /* cffi: end */
 
 void bench_receive(const uint8_t *bytes, uint32_t length) {
+    if (receiving == NULL) {
+        return; /* lost, until the firmware starts again */
+    }
     for (uint32_t i = 0; i < length; i++) {
         receiving[receiving_at++] = bytes[i];
         if (receiving_at == receiving_size) { /* the callback at the buffer's end */
@@ -102,8 +105,8 @@ void bench_receive(const uint8_t *bytes, uint32_t length) {
 }
 
 void bench_overrun(void) {
-    HAL_UART_ErrorCallback(&huart2); /* may come at any instruction of the main loop, which goes on */
     receiving = NULL;
+    HAL_UART_ErrorCallback(&huart2);
 }
 
 uint32_t bench_take_sent(uint8_t *bytes) {
