@@ -67,6 +67,42 @@ def source(schema: Schema) -> str:
     return "\n\n".join(blocks) + "\n"
 
 
+def parameters(schema: Schema) -> str:
+    """Return wheel_parameters.h: the structure, and its table as a macro over macros."""
+    return "\n".join(_parameter_lines(schema)) + "\n"
+
+
+def _parameter_lines(schema: Schema) -> Iterator[str]:
+    yield _NOTICE.replace("wheel.dbc", "parameters.toml")
+    yield "#ifndef WHEEL_PARAMETERS_GENERATED_H"
+    yield "#define WHEEL_PARAMETERS_GENERATED_H"
+    yield ""
+    yield f"#define WP_PARAMETER_TABLE_HASH 0x{schema.parameter_table_hash():08X}u"
+    yield ""
+    yield "/* X(name, type, minimum, maximum) for every parameter. */"
+    yield "/* clang-format off */"
+    yield "#define WP_PARAMETERS(X) \\"
+    rows = [f"    X({p.name}, {p.type}, {_number(p.minimum)}, {_number(p.maximum)})" for p in schema.parameters]
+    yield " \\\n".join(rows)
+    yield ""
+    yield "/* cffi: begin */"
+    yield "typedef struct {"
+    for p in schema.parameters:
+        yield f"    float {p.name}; /* {p.meaning} */"
+    yield "} wheel_parameters;"
+    yield ""
+    yield f"#define WHEEL_PARAMETER_COUNT {len(schema.parameters)}"
+    yield "/* cffi: end */"
+    yield "/* clang-format on */"
+    yield ""
+    yield "#endif"
+
+
+def _number(value: float) -> str:
+    text = repr(float(value))
+    return f"{text}f"
+
+
 def _header_lines(schema: Schema) -> Iterator[str]:
     yield _NOTICE
     yield "#ifndef WHEEL_MESSAGES_H"

@@ -1,4 +1,4 @@
-"""Writes the codecs and the tables of PROTOCOL.md from wheel.dbc.
+"""Writes the codecs and the tables of PROTOCOL.md from wheel.dbc and parameters.toml.
 
 ``python -m firmware_protocol.generate`` writes them; with ``--check`` it writes nothing, names the files that
 are not what it would write, and exits 1. The output holds no time stamp and no version of any tool.
@@ -28,16 +28,17 @@ def outputs(schema: Schema, root: Path) -> dict[Path, str]:
         generated / "messages.py": emit_python.messages(schema),
         generated / "wheel_messages.h": emit_c.header(schema),
         generated / "wheel_messages.c": emit_c.source(schema),
+        generated / "wheel_parameters.h": emit_c.parameters(schema),
         document: _document(document.read_text(encoding="utf-8"), schema),
     }
 
 
 def _document(document: str, schema: Schema) -> str:
-    """Return PROTOCOL.md with its two generated parts, the load of the links and the messages, made anew."""
+    """Return PROTOCOL.md with its generated parts made anew: the load of the links, the parameters, the messages."""
     parts = document.split(BEGIN)
-    tables = (_load_table(schema), _tables(schema))
+    tables = (_load_table(schema), _parameter_table(schema), _tables(schema))
     if len(parts) != 1 + len(tables) or not all(END in part for part in parts[1:]):
-        raise SchemaError(f"PROTOCOL.md: expected {BEGIN} and {END} around the load table and the messages")
+        raise SchemaError(f"PROTOCOL.md: expected {BEGIN} and {END} around its load table, parameters, messages")
     text = parts[0]
     for part, lines in zip(parts[1:], tables, strict=True):
         text += f"{BEGIN}\n\n" + "\n".join(lines) + f"\n\n{END}{part.partition(END)[2]}"
@@ -54,6 +55,13 @@ def _tables(schema: Schema) -> Iterator[str]:
     for m in schema.messages:
         yield ""
         yield from _message_table(m)
+
+
+def _parameter_table(schema: Schema) -> Iterator[str]:
+    yield "| index | parameter | type | range | meaning |"
+    yield "|---|---|---|---|---|"
+    for index, p in enumerate(schema.parameters):
+        yield f"| {index} | {p.name} | {p.type} | {p.minimum:.10g} to {p.maximum:.10g} | {p.meaning} |"
 
 
 def _frames_s(m: Message, loop_hz: int) -> int:
@@ -112,7 +120,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         texts = outputs(read_schema(ROOT / "wheel.dbc"), ROOT)
     except SchemaError as error:
-        print(f"wheel.dbc: {error}", file=sys.stderr)
+        print(error, file=sys.stderr)
         return 2
     stale = [p for p, text in texts.items() if not p.exists() or p.read_text(encoding="utf-8") != text]
     for path in stale:

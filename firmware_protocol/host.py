@@ -19,7 +19,7 @@ from firmware_protocol.capabilities import Capability
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated.messages import Fault, FaultWheel, Mode, State, StopReason, Type
 
-_HEADERS = ("firmware/plant_port.h", "firmware/parameters.h", "port/host/host.h")
+_HEADERS = ("firmware/plant_port.h", "generated/wheel_parameters.h", "firmware/parameters.h", "port/host/host.h")
 _SECTION = re.compile(r"/\* cffi: begin \*/(.*?)/\* cffi: end \*/", re.DOTALL)
 _BYTES = 1 << 17
 
@@ -76,15 +76,15 @@ def stored_size() -> int:
     return int(library()[1].wheel_host_stored_size())
 
 
-def stored_parameters(values: Mapping[str, float]) -> bytes:
-    """Return what a robot that stored these parameters keeps across a reset (``HostNode.stored``).
+def stored_parameters(values: Mapping[str, float], board: int) -> bytes:
+    """Return what a board that stored these parameters keeps across a reset; board 0 is the host library's.
 
     Raises ValueError when a parameter is unknown, missing or out of its range.
     """
     ffi, lib = library()
     block = _parameter_block(values)
     stored = ffi.new("uint8_t[]", stored_size())
-    lib.wheel_host_store(block, stored)
+    lib.wheel_host_store(block, board, stored)
     return bytes(ffi.buffer(stored))
 
 

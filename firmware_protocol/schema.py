@@ -1,4 +1,4 @@
-"""The wire as data: wheel.dbc read, checked against what the codecs support, and hashed.
+"""The wire as data: wheel.dbc and parameters.toml read, checked against what the codecs support, and hashed.
 
 A development-time module: the generated codecs need neither this file nor cantools.
 """
@@ -6,6 +6,9 @@ A development-time module: the generated codecs need neither this file nor canto
 import hashlib
 import keyword
 import math
+import re
+import struct
+import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,11 +17,13 @@ from cantools.database.can import Database
 from cantools.database.can import Message as DbcMessage
 from cantools.database.can import Signal as DbcSignal
 
+PARAMETERS = Path(__file__).with_name("parameters.toml")
 FRAMING_VERSION = 1
 """Version of the serial framing; part of the schema hash (PROTOCOL.md, "Serial framing")."""
 
 MAX_PAYLOAD = 8  # classic CAN
 MAX_ID = 0x7FF  # 11-bit identifiers
+MAX_WHOLE = 1 << 24  # whole numbers up to here are binary32 too
 
 # What a host and a robot of any two versions can rely on to find out that they differ.
 FROZEN = {
@@ -35,7 +40,7 @@ _TAKEN_NAMES = frozenset([*_C_KEYWORDS.split(), *keyword.kwlist, *_PYTHON_NAMES.
 
 
 class SchemaError(Exception):
-    """wheel.dbc holds something that the codecs do not support. The text says where, what, and what to do."""
+    """wheel.dbc or parameters.toml holds what the codecs do not support. The text says where, what, and what to do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,13 +104,29 @@ class Message:
 
 
 @dataclass(frozen=True, slots=True)
+class Parameter:
+    """One of the firmware's parameters; ``type`` is ``UINT32`` or ``FLOAT32``, as its value crosses the wire."""
+
+    name: str
+    type: str
+    minimum: float
+    maximum: float
+    meaning: str
+
+    def wire(self, value: float) -> int:
+        """Return the 32 bits of a value in PARAMETER_REQUEST and PARAMETER_RESPONSE."""
+        return int(value) if self.type == "UINT32" else int.from_bytes(struct.pack(">f", value), "big")
+
+
+@dataclass(frozen=True, slots=True)
 class Schema:
-    """All messages by id, the named values by signal name, and the protocol's version."""
+    """All messages by id, the named values by signal name, the parameters by index, and the protocol's version."""
 
     version: int
     comment: str
     messages: tuple[Message, ...]
     values: dict[str, tuple[tuple[int, str], ...]]
+    parameters: tuple[Parameter, ...]
 
     def canonical(self) -> str:
         """Return the list that the schema hash covers: one line each, LF-terminated, numbers exact.
@@ -122,31 +143,55 @@ class Schema:
                     f"{s.raw_minimum} {s.raw_maximum}"
                 )
                 lines += [f"value {number} {name}" for number, name in s.values]
-        return "".join(line + "\n" for line in lines)
+        return "".join(line + "\n" for line in lines) + self.canonical_parameters()
+
+    def canonical_parameters(self) -> str:
+        """Return the last part of that list, the firmware's parameters; limits are the bits of the wire."""
+        rows = enumerate(self.parameters)
+        return "".join(f"parameter {i} {p.name} {p.type} {p.wire(p.minimum)} {p.wire(p.maximum)}\n" for i, p in rows)
 
     def hash(self) -> int:
-        """Return the first 32 bits, big-endian, of SHA-256 over the canonical list in UTF-8."""
-        return int.from_bytes(hashlib.sha256(self.canonical().encode()).digest()[:4], "big")
+        """Return the hash by which a host and a robot know that they speak of the same."""
+        return _first_bits(self.canonical())
+
+    def parameter_table_hash(self) -> int:
+        """Return the hash that stored parameters carry, so that other ones are not taken for them."""
+        return _first_bits(self.canonical_parameters())
 
 
-def read_schema(path: Path) -> Schema:
-    """Read a DBC file.
+def _first_bits(text: str) -> int:
+    """Return the first 32 bits, big-endian, of SHA-256 over a text in UTF-8."""
+    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big")
 
-    Raises SchemaError where the file holds what the codecs do not support, naming the message and the signal.
+
+def read_schema(path: Path, parameters: Path = PARAMETERS) -> Schema:
+    """Read a DBC file, and the file of the firmware's parameters.
+
+    Raises SchemaError where a file holds what the codecs do not support, naming the message and the signal, or the
+    parameter.
     """
+    try:
+        version, comment, messages = _read_messages(path)
+        values = _named_values(messages)
+    except SchemaError as error:
+        raise SchemaError(f"{path.name}: {error}") from error
+    return Schema(version, comment, messages, values, _parameters(parameters))
+
+
+def _read_messages(path: Path) -> tuple[int, str, tuple[Message, ...]]:
     try:
         database = cantools.database.load_file(path)
     except cantools.Error as error:
         raise SchemaError(str(error)) from error
     if not isinstance(database, Database):
-        raise SchemaError(f"{path.name} is not a CAN database")
+        raise SchemaError("expected a CAN database")
     messages = tuple(_message(m) for m in sorted(database.messages, key=lambda m: m.frame_id))
     version = database.version or ""
     if not version.isdecimal() or not 0 < int(version) < 256:
         raise SchemaError(f'VERSION "{version}": expected a number from 1 to 255')
     _check_frozen(messages)
     comment = database.dbc.attributes.get("comment", "") if database.dbc else ""
-    return Schema(int(version), str(comment), messages, _named_values(messages))
+    return int(version), str(comment), messages
 
 
 def _message(dbc: DbcMessage) -> Message:
@@ -224,3 +269,22 @@ def _check_frozen(messages: tuple[Message, ...]) -> None:
     for number, frozen in FROZEN.items():
         if layout.get(number) != frozen:
             raise SchemaError(f"id {number:#x}: its layout is frozen for ever as {frozen}, found {layout.get(number)}")
+
+
+def _parameters(path: Path) -> tuple[Parameter, ...]:
+    try:
+        rows = tomllib.loads(path.read_text(encoding="utf-8"))["parameter"]
+        parameters = tuple(Parameter(**row) for row in rows)
+    except (tomllib.TOMLDecodeError, KeyError, TypeError) as error:
+        raise SchemaError(f"{path.name}: expected rows [[parameter]] of five keys each ({error})") from error
+    names: set[str] = set()
+    for p in parameters:
+        whole = p.type == "UINT32"
+        if not re.fullmatch("[a-z][a-z0-9_]*", p.name) or p.name in names | _TAKEN_NAMES:
+            raise SchemaError(f"{path.name}: {p.name!r}: expected a name of its own in lower case")
+        if p.type not in ("UINT32", "FLOAT32"):
+            raise SchemaError(f"{path.name}: {p.name}: type {p.type!r}; expected UINT32 or FLOAT32")
+        if not p.minimum < p.maximum or (whole and not 0 <= p.minimum < p.maximum <= MAX_WHOLE):
+            raise SchemaError(f"{path.name}: {p.name}: a range from {p.minimum} to {p.maximum} cannot be")
+        names.add(p.name)
+    return parameters

@@ -5,6 +5,8 @@ from binascii import crc_hqx
 PARAMETER_ADDRESS = 0x0804_0000
 """Sector 6: where the first of the two sectors for parameters begins."""
 SECTOR_BYTES = 128 * 1024
+HIL_BOARD = 1
+"""Number of the board in ``port/stm32f4/boards/hil_f405.c`` (DBC HELLO_FIRMWARE.board)."""
 
 _RECORD_BYTES = 128
 _CHECK_AT = 116  # CRC-16 over what is stored

@@ -29,7 +29,8 @@ ALL = Capability((1 << 11) - 1) & ~(Capability.LOCKSTEP | Capability.POWER_STAGE
 def core() -> tuple[Any, Any]:
     """Return cffi's (ffi, library) with all that the core's headers declare."""
     ffi, lib = library()
-    files = [HERE / "generated" / "wheel_messages.h", *(HERE / "firmware" / name for name in _HEADERS)]
+    generated = ("wheel_messages.h", "wheel_parameters.h")
+    files = [*(HERE / "generated" / name for name in generated), *(HERE / "firmware" / name for name in _HEADERS)]
     text = "".join(file.read_text(encoding="utf-8") for file in files)
     constants = dict(_DEFINE.findall(text)) | {"WHEEL_FRAME_MAX": "15"}
     text = _DIRECTIVE.sub("", _DECLARED.sub("", text))

@@ -14,6 +14,7 @@ from firmware_protocol.arm_build import TARGETS, build
 from firmware_protocol.framing import Deframer, Frame, Framer
 from firmware_protocol.generated import messages as m
 from firmware_protocol.host import library, parameter_hash, stored_parameters
+from firmware_protocol.stm32_flash import HIL_BOARD
 from hil.links.wire import Node
 from tests.arm_programs import HAS_COMPILER, NEEDS_COMPILER
 from tests.wheel_rig import PARAMETERS, WheelRig
@@ -48,7 +49,7 @@ def plant_of(rig: WheelRig) -> tuple[int, int]:
 
 def stored() -> bytes:
     """Return the rig's parameters as a board finds them in its flash."""
-    return stored_parameters(PARAMETERS)
+    return stored_parameters(PARAMETERS, HIL_BOARD)
 
 
 class Host:

@@ -59,7 +59,12 @@ def boards(tmp_path_factory):
         command = [cc, *FLAGS, "-shared", "-fPIC", "-o", library, PORT / "boards" / f"{name}.c"]
         subprocess.run(list(map(str, command)), check=True)
         ffi = cffi.FFI()
-        headers = (HERE / "firmware" / "parameters.h", PORT / "board.h", PORT / "motor_board.h")
+        headers = (
+            HERE / "generated" / "wheel_parameters.h",
+            HERE / "firmware" / "parameters.h",
+            PORT / "board.h",
+            PORT / "motor_board.h",
+        )
         sections = (re.findall(r"/\* cffi: begin \*/(.*?)/\* cffi: end \*/", h.read_text(), re.DOTALL) for h in headers)
         types = "".join(chain.from_iterable(sections)).replace("WHEEL_COUNT", "4")
         ffi.cdef(types.replace("extern const ", "extern "))  # cffi reads variables, not constants

@@ -185,7 +185,7 @@ def test_the_reason_of_a_stop_is_kept_until_the_next_session(state: State, event
 def test_a_robot_of_a_wrong_build_boots_into_a_fault_that_nothing_clears(name: str, value: float) -> None:
     good = BareNode(changes={"torque_limit_n_m": 1.0})
     stored = good.ffi.new("uint8_t[]", 92)
-    good.lib.wheel_parameters_store(good.ffi.addressof(good.node, "parameters"), stored)
+    good.lib.wheel_parameters_store(good.ffi.addressof(good.node, "parameters"), 0, stored)
     for node in (BareNode(changes={name: value}), BareNode(changes={name: value}, stored=bytes(stored))):
         assert (node.state, node.node.fault) == (State.FAULT, m.Fault.PARAMETERS)
         for nonce in range(1, 5):

@@ -14,7 +14,7 @@ from firmware_protocol.build import FLAGS, HERE
 from firmware_protocol.stm32_flash import flash_image
 from tests.protocol_cases import PROTOCOL
 
-STORED_SIZE = 92  # WHEEL_STORED_SIZE
+STORED_SIZE = 96  # WHEEL_STORED_SIZE
 RECORDS = 1024  # in a sector
 WORDS = STORED_SIZE // 4 + 3  # that a STORE programs
 stored_bytes = st.binary(min_size=STORED_SIZE, max_size=STORED_SIZE)

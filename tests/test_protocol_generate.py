@@ -99,6 +99,40 @@ def test_what_the_codecs_do_not_support_is_refused(tmp_path: Path, old: str, new
 
 
 @pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('name = "ramp_s"', 'name = "watchdog_s"', r"'watchdog_s': expected a name of its own"),
+        ('name = "ramp_s"', 'name = "Ramp"', r"'Ramp': expected a name of its own in lower case"),
+        ('type = "UINT32"', 'type = "INT8"', r"counts_per_revolution: type 'INT8'; expected UINT32 or FLOAT32"),
+        ("maximum = 32768", "maximum = 33554432", r"counts_per_revolution: a range from 4 to 33554432 cannot be"),
+        (
+            "minimum = 0.02\nmaximum = 0.1",
+            "minimum = 0.2\nmaximum = 0.1",
+            r"watchdog_s: a range from 0.2 to 0.1",
+        ),
+        ('meaning = "between two snapshots"', "", r"expected rows \[\[parameter\]\] of five keys"),
+        ("[[parameter]]", "[[parameter", r"expected rows"),
+    ],
+)
+def test_parameters_that_cannot_be_are_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
+    text = (PROTOCOL / "parameters.toml").read_text(encoding="utf-8")
+    path = tmp_path / "parameters.toml"
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+    assert path.read_text(encoding="utf-8") != text
+    with pytest.raises(SchemaError, match=rf"^parameters\.toml: .*{message}"):
+        read_schema(PROTOCOL / "wheel.dbc", path)
+
+
+@pytest.mark.parametrize(("old", "new"), [('"ramp_s"', '"slope_s"'), ("maximum = 2\n", "maximum = 3\n")])
+def test_the_parameters_are_part_of_the_schema_hash(tmp_path: Path, old: str, new: str) -> None:
+    path = tmp_path / "parameters.toml"
+    path.write_text((PROTOCOL / "parameters.toml").read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
+    changed = read_schema(PROTOCOL / "wheel.dbc", path)
+    assert changed.hash() != SCHEMA_HASH
+    assert changed.parameter_table_hash() != read_schema(PROTOCOL / "wheel.dbc").parameter_table_hash()
+
+
+@pytest.mark.parametrize(
     ("old", "new", "changes"),
     [
         ('CM_ BO_ 16 "Stop driving', 'CM_ BO_ 16 "Halt', False),
@@ -127,9 +161,9 @@ def test_the_canonical_list_is_what_the_document_shows() -> None:
     canonical = read_schema(PROTOCOL / "wheel.dbc").canonical()
     document = (PROTOCOL / "PROTOCOL.md").read_text(encoding="utf-8")
     assert canonical.startswith("framing 1\nmessage 16 ESTOP 2\n")
-    (shown,) = re.findall(r"```text canonical\n(.*?)```", document, flags=re.DOTALL)
-    assert shown
-    assert shown in canonical
+    shown = re.findall(r"```text canonical\n(.*?)```", document, flags=re.DOTALL)
+    assert len(shown) == 3
+    assert all(part in canonical for part in shown)
 
 
 def test_the_worked_example_is_a_golden_vector() -> None:

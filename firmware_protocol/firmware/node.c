@@ -17,15 +17,15 @@ void wheel_node_init(wheel_node *node, const wheel_parameters *built_in, const u
     node->state = WP_STATE_BOOT;
     node->setting.age_ticks = UINT32_MAX;
     for (size_t i = 0; i < WHEEL_PARAMETER_COUNT; i++) {
-        if (!wheel_parameter_set(&node->built_in, i, wheel_parameter_get(built_in, i))) {
+        if (!wheel_parameter_set(&node->built_in, identity->maximum, i, wheel_parameter_get(built_in, i))) {
             /* A fault for good; with a number in its place, so that all that computes with it may. */
-            (void)wheel_parameter_set(&node->built_in, i, wheel_parameter_table[i].minimum);
+            (void)wheel_parameter_set(&node->built_in, NULL, i, wheel_parameter_table[i].minimum);
             node->fault = WP_FAULT_PARAMETERS;
         }
     }
     node->parameters = node->built_in;
     if (stored != NULL) {
-        (void)wheel_parameters_load(&node->parameters, stored);
+        (void)wheel_parameters_load(&node->parameters, identity->maximum, identity->board, stored);
     }
     wheel_node_event(node, node->fault == WP_FAULT_NONE ? WHEEL_EVENT_READY : WHEEL_EVENT_FAULT);
 }

@@ -45,6 +45,8 @@ typedef struct {
     uint8_t board; /* 0 is the host library */
     uint8_t version[3];
     uint32_t build; /* first 32 bits of the source hash, 0 when unknown */
+    const wheel_parameters
+        *maximum; /* what the board stands (wheel_parameter_maximum); lives as long as the node */
 } wheel_identity;
 
 /* Frames that were valid on the wire and refused here, by cause. */

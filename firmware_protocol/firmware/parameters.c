@@ -4,33 +4,16 @@
 
 #include "../generated/wheel_messages.h"
 
-const wheel_parameter_info wheel_parameter_table[WHEEL_PARAMETER_COUNT] = {
-    {"counts_per_revolution", WP_TYPE_UINT32, 4.0f, 32768.0f},
-    {"wheel_radius_m", WP_TYPE_FLOAT32, 0.001f, 3.9f},
-    {"half_length_m", WP_TYPE_FLOAT32, 0.001f, 3.9f},
-    {"half_width_m", WP_TYPE_FLOAT32, 0.001f, 3.9f},
-    {"tracking_bandwidth_rad_s", WP_TYPE_FLOAT32, 1.0f, 500.0f},
-    {"speed_kp_n_m_s_rad", WP_TYPE_FLOAT32, 0.0f, 100.0f},
-    {"speed_ki_n_m_rad", WP_TYPE_FLOAT32, 0.0f, 10000.0f},
-    {"torque_limit_n_m", WP_TYPE_FLOAT32, 0.0f, 15.99609375f},
-    {"torque_constant_n_m_a", WP_TYPE_FLOAT32, 0.001f, 100.0f},
-    {"motor_resistance_ohm", WP_TYPE_FLOAT32, 0.001f, 1000.0f},
-    {"motor_inductance_h", WP_TYPE_FLOAT32, 0.000001f, 10.0f},
-    {"current_limit_a", WP_TYPE_FLOAT32, 0.0f, 21.0f},
-    {"current_bandwidth_rad_s", WP_TYPE_FLOAT32, 10.0f, 5000.0f},
-    {"temperature_limit_degc", WP_TYPE_FLOAT32, 0.0f, 200.0f},
-    {"undervoltage_v", WP_TYPE_FLOAT32, 0.0f, 200.0f},
-    {"overspeed_rad_s", WP_TYPE_FLOAT32, 1.0f, 127.0f},
-    {"encoder_fault_s", WP_TYPE_FLOAT32, 0.02f, 1.0f},
-    {"watchdog_s", WP_TYPE_FLOAT32, 0.02f, 0.1f},
-    {"ramp_s", WP_TYPE_FLOAT32, 0.001f, 2.0f},
-    {"feedback_period_s", WP_TYPE_FLOAT32, 0.001f, 0.2f},
-};
+#define ROW(name, type, minimum, maximum) {#name, WP_TYPE_##type, minimum, maximum},
+const wheel_parameter_info wheel_parameter_table[WHEEL_PARAMETER_COUNT] = {WP_PARAMETERS(ROW)};
+#undef ROW
 
 _Static_assert(sizeof(wheel_parameters) == WHEEL_PARAMETER_COUNT * sizeof(float),
                "the table and the structure have the same entries");
 
-static const uint8_t MARK[4] = {'W', 'H', 'P', '1'};
+#define HEADER_SIZE 12u
+
+static const uint8_t MARK[4] = {'W', 'H', 'P', '2'};
 
 static uint32_t crc32(uint32_t crc, const uint8_t *bytes, size_t length) {
     for (size_t i = 0; i < length; i++) {
@@ -74,13 +57,21 @@ float wheel_parameter_get(const wheel_parameters *parameters, size_t index) {
     return value;
 }
 
-static bool in_range(size_t index, float value) {
-    /* Written so that NaN fails too. */
-    return value >= wheel_parameter_table[index].minimum && value <= wheel_parameter_table[index].maximum;
+float wheel_parameter_maximum(const wheel_parameters *board_maximum, size_t index) {
+    const float table = wheel_parameter_table[index].maximum;
+    const float board = board_maximum != NULL ? wheel_parameter_get(board_maximum, index) : table;
+    return board < table ? board : table;
 }
 
-bool wheel_parameter_set(wheel_parameters *parameters, size_t index, float value) {
-    if (!in_range(index, value)) {
+static bool in_range(const wheel_parameters *board_maximum, size_t index, float value) {
+    /* Written so that NaN fails too. */
+    return value >= wheel_parameter_table[index].minimum &&
+           value <= wheel_parameter_maximum(board_maximum, index);
+}
+
+bool wheel_parameter_set(wheel_parameters *parameters, const wheel_parameters *board_maximum, size_t index,
+                         float value) {
+    if (!in_range(board_maximum, index, value)) {
         return false;
     }
     memcpy((unsigned char *)parameters + index * sizeof value, &value, sizeof value);
@@ -103,7 +94,7 @@ bool wheel_parameter_from_bits(size_t index, uint32_t bits, float *value) {
 
 int wheel_parameters_invalid(const wheel_parameters *parameters) {
     for (size_t i = 0; i < WHEEL_PARAMETER_COUNT; i++) {
-        if (!in_range(i, wheel_parameter_get(parameters, i))) {
+        if (!in_range(NULL, i, wheel_parameter_get(parameters, i))) {
             return (int)i;
         }
     }
@@ -120,24 +111,34 @@ uint32_t wheel_parameters_hash(const wheel_parameters *parameters) {
     return crc ^ 0xFFFFFFFFu;
 }
 
-void wheel_parameters_store(const wheel_parameters *parameters, uint8_t bytes[WHEEL_STORED_SIZE]) {
+/* What comes before the values: bytes that other tables, other boards and other versions do not have. */
+static void put_header(uint8_t *bytes, uint16_t board) {
     memcpy(bytes, MARK, sizeof MARK);
-    put_u32(bytes + 4, WHEEL_PARAMETER_COUNT);
+    put_u32(bytes + 4, WP_PARAMETER_TABLE_HASH);
+    put_u32(bytes + 8, board | (uint32_t)WHEEL_PARAMETER_COUNT << 16);
+}
+
+void wheel_parameters_store(const wheel_parameters *parameters, uint16_t board,
+                            uint8_t bytes[WHEEL_STORED_SIZE]) {
+    put_header(bytes, board);
     for (size_t i = 0; i < WHEEL_PARAMETER_COUNT; i++) {
-        put_u32(bytes + 8u + 4u * i, bits_of(wheel_parameter_get(parameters, i)));
+        put_u32(bytes + HEADER_SIZE + 4u * i, bits_of(wheel_parameter_get(parameters, i)));
     }
     put_u32(bytes + WHEEL_STORED_SIZE - 4u, crc32(0xFFFFFFFFu, bytes, WHEEL_STORED_SIZE - 4u) ^ 0xFFFFFFFFu);
 }
 
-bool wheel_parameters_load(wheel_parameters *parameters, const uint8_t bytes[WHEEL_STORED_SIZE]) {
+bool wheel_parameters_load(wheel_parameters *parameters, const wheel_parameters *board_maximum,
+                           uint16_t board, const uint8_t bytes[WHEEL_STORED_SIZE]) {
     const uint32_t crc = crc32(0xFFFFFFFFu, bytes, WHEEL_STORED_SIZE - 4u) ^ 0xFFFFFFFFu;
-    if (memcmp(bytes, MARK, sizeof MARK) != 0 || get_u32(bytes + 4) != WHEEL_PARAMETER_COUNT ||
-        get_u32(bytes + WHEEL_STORED_SIZE - 4u) != crc) {
+    uint8_t header[HEADER_SIZE];
+    put_header(header, board);
+    if (memcmp(bytes, header, sizeof header) != 0 || get_u32(bytes + WHEEL_STORED_SIZE - 4u) != crc) {
         return false;
     }
     wheel_parameters loaded;
     for (size_t i = 0; i < WHEEL_PARAMETER_COUNT; i++) {
-        if (!wheel_parameter_set(&loaded, i, float_of(get_u32(bytes + 8u + 4u * i)))) {
+        const float value = float_of(get_u32(bytes + HEADER_SIZE + 4u * i));
+        if (!wheel_parameter_set(&loaded, board_maximum, i, value)) {
             return false;
         }
     }

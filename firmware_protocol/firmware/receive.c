@@ -155,8 +155,12 @@ static void on_idle_request(wheel_node *node, uint16_t nonce) {
     }
 }
 
-/* CLEAR is an edge as arming is: a repeated wish does not clear the next fault. */
+/* CLEAR is an edge as arming is: a repeated wish does not clear the next fault. An emergency stop that still
+ * brakes is not cleared: without drives the robot would roll on. */
 static void on_clear_request(wheel_node *node, uint16_t nonce) {
+    if (node->braking) {
+        return;
+    }
     const bool is_new = nonce != node->cleared_nonce;
     node->cleared_nonce = nonce;
     if (is_new && node->fault != WP_FAULT_PARAMETERS) {

@@ -35,7 +35,7 @@ static void write_one(wheel_node *node, const wp_parameter_request *m) {
     if (node->state != WP_STATE_IDLE || node->store_pending) {
         result = WP_RESULT_STATE;
     } else if (!wheel_parameter_from_bits(m->parameter, m->value, &value) ||
-               !wheel_parameter_set(&node->parameters, m->parameter, value)) {
+               !wheel_parameter_set(&node->parameters, node->identity.maximum, m->parameter, value)) {
         result = WP_RESULT_RANGE;
     }
     answer(node, m, result,
@@ -53,7 +53,9 @@ static void on_one(wheel_node *node, const wp_parameter_request *m) {
         answer(node, m, WP_RESULT_OK, wheel_parameter_bits(m->parameter, info->minimum));
         break;
     case WP_OPERATION_READ_MAXIMUM:
-        answer(node, m, WP_RESULT_OK, wheel_parameter_bits(m->parameter, info->maximum));
+        answer(node, m, WP_RESULT_OK,
+               wheel_parameter_bits(m->parameter,
+                                    wheel_parameter_maximum(node->identity.maximum, m->parameter)));
         break;
     case WP_OPERATION_WRITE:
         write_one(node, m);
@@ -96,7 +98,7 @@ bool wheel_node_on_parameter(wheel_node *node, const wheel_frame *frame) {
 
 bool wheel_node_store_pending(const wheel_node *node, uint8_t bytes[WHEEL_STORED_SIZE]) {
     if (node->store_pending) {
-        wheel_parameters_store(&node->parameters, bytes);
+        wheel_parameters_store(&node->parameters, node->identity.board, bytes);
     }
     return node->store_pending;
 }

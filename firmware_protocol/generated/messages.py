@@ -24,7 +24,7 @@ def _out_of_range(message: str, values: Sequence[float], ranges: Sequence[_Range
 
 
 PROTOCOL_VERSION = 1
-SCHEMA_HASH = 0xAEC5BC86
+SCHEMA_HASH = 0xC295EEA3
 
 
 class Request(IntEnum):

@@ -7,7 +7,7 @@
 #include <stdint.h>
 
 #define WP_PROTOCOL_VERSION 1u
-#define WP_SCHEMA_HASH 0xAEC5BC86u
+#define WP_SCHEMA_HASH 0xC295EEA3u
 #define WP_PAYLOAD_MAX 8u
 
 enum wp_request {

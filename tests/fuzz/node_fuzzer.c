@@ -192,7 +192,7 @@ static void take(robot *r, const wheel_frame *frame) {
     follow_announcements(r, frame, before.state, repeated);
     if (wheel_node_store_pending(&r->node, r->stored)) {
         wheel_parameters kept;
-        CHECK(wheel_parameters_load(&kept, r->stored));
+        CHECK(wheel_parameters_load(&kept, NULL, 0u, r->stored));
         wheel_node_stored(&r->node, (r->choice[START] & SLOW_SENDER) == 0u);
     }
 }

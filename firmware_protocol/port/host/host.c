@@ -85,8 +85,8 @@ bool wheel_host_stored(const wheel_host *host, uint8_t *bytes) {
     return host->has_stored;
 }
 
-void wheel_host_store(const wheel_parameters *parameters, uint8_t *bytes) {
-    wheel_parameters_store(parameters, bytes);
+void wheel_host_store(const wheel_parameters *parameters, uint16_t board, uint8_t *bytes) {
+    wheel_parameters_store(parameters, board, bytes);
 }
 
 static void take(wheel_host *host, const wheel_frame *frame) {

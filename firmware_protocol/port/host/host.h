@@ -57,10 +57,10 @@ void wheel_host_set_clock(wheel_host *host, uint32_t now_us);
 size_t wheel_host_stored_size(void);
 bool wheel_host_stored(const wheel_host *host, uint8_t *bytes);
 
-/* What a STORE of these parameters keeps, `wheel_host_stored_size` bytes: for a robot that is to begin with
- * them.
+/* What a STORE of these parameters on a board keeps, `wheel_host_stored_size` bytes: for a robot that is to
+ * begin with them.
  */
-void wheel_host_store(const wheel_parameters *parameters, uint8_t *bytes);
+void wheel_host_store(const wheel_parameters *parameters, uint16_t board, uint8_t *bytes);
 
 /* Takes bytes of a serial line, or one CAN frame. */
 void wheel_host_feed(wheel_host *host, const uint8_t *bytes, size_t length);

@@ -10,6 +10,7 @@ from typing import Protocol
 from firmware_protocol.arm_build import TARGETS as FIRMWARES
 from firmware_protocol.arm_build import build
 from firmware_protocol.host import stored_parameters
+from firmware_protocol.stm32_flash import HIL_BOARD
 from hil.devices.robot_node import RobotNode
 from hil.devices.targets.qemu_board import QemuBoard
 from hil.devices.virtual import TruthSink, VirtualRobot, VirtualServer, VirtualStm32
@@ -58,7 +59,7 @@ class EmulatedStm32(VirtualStm32):
 
     def _power_on(self) -> Board:
         try:
-            stored = self._kept or stored_parameters(self._made_of.firmware)
+            stored = self._kept or stored_parameters(self._made_of.firmware, HIL_BOARD)
         except (ValueError, FileNotFoundError) as error:
             raise BadInputError(f"the virtual robot cannot start: {error}") from error
         plant = self.plant
