@@ -30,6 +30,7 @@ void robot_start(robot *r) {
         .board = BOARD.number,
         .version = {0, 1, 0},
         .build = FIRMWARE_BUILD,
+        .maximum = BOARD.maximum,
     };
     wheel_node_init(&r->node, &BOARD.parameters, parameter_log_open(), &identity);
     host_link_open(&r->clocks);
