@@ -6,6 +6,7 @@
 
 #include "flash_memory.h"
 #include "parameter_log.h"
+#include "watchdog.h"
 
 /* cffi: begin */
 enum { MODEL_NEVER = -1 };
@@ -17,7 +18,14 @@ bool model_open(uint8_t *bytes);
 int model_append(const uint8_t *bytes, int words_to_live, uint32_t mask);
 void model_break_word(unsigned sector, unsigned at);
 uint32_t model_word(unsigned sector, unsigned at);
+void model_set_word(unsigned sector, unsigned at, uint32_t word);
+/* Opens the log, with the supply failing in the next erasure: each bit of the sector is then set or as it
+ * was. `chance` in 256 is that it is set. Returns false when there was nothing to erase. */
+bool model_tear_erasure(uint32_t seed, uint32_t chance);
+/* Erasures from now on leave a word as it was. */
+void model_keep_word(unsigned sector, unsigned at);
 extern int model_erasures;
+extern int model_most_erasures_unfed; /* between two feeds of the watchdog */
 /* cffi: end */
 
 static uint32_t words[FLASH_SECTORS][FLASH_SECTOR_WORDS];
@@ -25,15 +33,44 @@ static jmp_buf power;
 static int to_live = MODEL_NEVER;
 static uint32_t last_mask;
 static unsigned broken_sector = FLASH_SECTORS, broken_at;
-int model_erasures;
+static unsigned kept_sector = FLASH_SECTORS, kept_at;
+static bool erasure_tears;
+static uint32_t tear_seed, tear_chance;
+static int erasures_unfed;
+int model_erasures, model_most_erasures_unfed;
 
 const volatile uint32_t *flash_sector(unsigned sector) {
     return words[sector];
 }
 
+void watchdog_feed(void) {
+    erasures_unfed = 0;
+}
+
+static uint32_t torn(uint32_t word) {
+    for (unsigned bit = 0; bit < 32u; bit++) {
+        tear_seed = tear_seed * 1664525u + 1013904223u;
+        word |= (uint32_t)(tear_seed >> 24 < tear_chance) << bit;
+    }
+    return word;
+}
+
 void flash_erase(unsigned sector) {
-    memset(words[sector], 0xFF, sizeof words[sector]);
+    const uint32_t kept = kept_sector == sector ? words[sector][kept_at] : 0xFFFFFFFFu;
+    for (size_t i = 0; i < FLASH_SECTOR_WORDS; i++) {
+        words[sector][i] = erasure_tears ? torn(words[sector][i]) : 0xFFFFFFFFu;
+    }
+    if (erasure_tears) {
+        longjmp(power, 1);
+    }
+    if (kept_sector == sector) {
+        words[sector][kept_at] = kept;
+    }
     model_erasures++;
+    erasures_unfed++;
+    if (erasures_unfed > model_most_erasures_unfed) {
+        model_most_erasures_unfed = erasures_unfed;
+    }
 }
 
 bool flash_program(unsigned sector, size_t at, const uint32_t *data, size_t count) {
@@ -56,7 +93,10 @@ bool flash_program(unsigned sector, size_t at, const uint32_t *data, size_t coun
 void model_reset(void) {
     memset(words, 0xFF, sizeof words);
     broken_sector = FLASH_SECTORS;
+    kept_sector = FLASH_SECTORS;
     model_erasures = 0;
+    erasures_unfed = 0;
+    model_most_erasures_unfed = 0;
 }
 
 bool model_open(uint8_t *bytes) {
@@ -86,4 +126,25 @@ void model_break_word(unsigned sector, unsigned at) {
 
 uint32_t model_word(unsigned sector, unsigned at) {
     return words[sector][at];
+}
+
+void model_set_word(unsigned sector, unsigned at, uint32_t word) {
+    words[sector][at] = word;
+}
+
+bool model_tear_erasure(uint32_t seed, uint32_t chance) {
+    erasure_tears = true;
+    tear_seed = seed;
+    tear_chance = chance;
+    const bool was_torn = setjmp(power) != 0;
+    if (!was_torn) {
+        (void)parameter_log_open();
+    }
+    erasure_tears = false;
+    return was_torn;
+}
+
+void model_keep_word(unsigned sector, unsigned at) {
+    kept_sector = sector;
+    kept_at = at;
 }

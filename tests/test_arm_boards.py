@@ -125,6 +125,10 @@ def test_built_in_parameters_are_within_their_ranges(boards, board):
     own = boards[board][1].BOARD.parameters
     for parameter in parameters():
         assert parameter.minimum <= getattr(own, parameter.name) <= parameter.maximum, parameter.name
+        if board in WITH_MOTORS:
+            most = getattr(boards[board][1].BOARD.maximum, parameter.name)
+            assert getattr(own, parameter.name) <= most, "or the robot starts with a fault"
+    assert (board in WITH_MOTORS) == (boards[board][1].BOARD.maximum != boards[board][0].NULL)
 
 
 def test_boards_have_numbers_of_their_own(boards):
@@ -189,4 +193,5 @@ def test_bridges_and_current_sensors_suit_the_limits(boards, board):
         assert low_s >= 1e-6, "a bootstrap capacitor is charged in each period"
     for current in motors.current:
         reach_a = min(current.zero_v - current.least_v, current.most_v - current.zero_v) * abs(current.per_v)
-        assert reach_a > 1.5 * own.current_limit_a, "an overcurrent is a fault only if it can be measured"
+        assert reach_a > 1.5 * lib.BOARD.maximum.current_limit_a, "an overcurrent is a fault only if it can be measured"
+        assert own.current_limit_a <= lib.BOARD.maximum.current_limit_a

@@ -4,6 +4,10 @@ import struct
 
 import pytest
 
+from firmware_protocol import codec
+from firmware_protocol.framing import Deframer, Framer
+from firmware_protocol.generated import messages as m
+from firmware_protocol.host import parameters, stored_parameters
 from firmware_protocol.stm32_flash import PARAMETER_ADDRESS, flash_image
 
 pytest.importorskip("unicorn", reason="no Unicorn: pip install unicorn")
@@ -12,7 +16,7 @@ pytest.importorskip("elftools", reason="no pyelftools: pip install pyelftools")
 from unicorn import UcError
 
 from tests.arm_firmwares import firmware
-from tests.arm_machine import FLASH, GPIO, RAM, RCC_CR
+from tests.arm_machine import FLASH, GPIO, RAM, RCC_CR, USARTS
 from tests.arm_robot import GPIO_END, IWDG_KR, IWDG_RLR, SCRATCH, bits_of, machine, with_motors
 
 MODER = 0x00
@@ -105,7 +109,7 @@ def test_a_stack_that_leaves_the_ram_stops_the_core_and_the_fault_needs_none_of_
 
 def test_a_store_unlocks_programs_and_locks_the_flash():
     own = with_motors("f405_drivers")
-    data = bytes(range(92))
+    data = bytes(range(96))
     own.write(SCRATCH, data)
     own.writes.clear()
     assert own.call("parameter_log_append", SCRATCH) & 0xFF == 1
@@ -113,6 +117,33 @@ def test_a_store_unlocks_programs_and_locks_the_flash():
     controls = [(a, v) for a, v in own.writes if a in (FLASH_KEYR, FLASH_CR)]
     once = [(FLASH_KEYR, 0x4567_0123), (FLASH_KEYR, 0xCDEF_89AB), (FLASH_CR, 1 | 2 << 8), (FLASH_CR, 1 << 31)]
     assert controls == once * 2, "the record, then its mark"
+
+
+def current_limit_a(own) -> float:
+    at = own.symbols["own"] + own.member("wheel_node", "parameters") + own.member("wheel_parameters", "current_limit_a")
+    return struct.unpack("<f", own.read(at, 4))[0]
+
+
+@pytest.mark.parametrize(("recorded_by", "limit_a"), [(1, 12.0), (2, 5.0)])  # the hil board, and this one
+def test_only_its_own_boards_record_is_in_force_after_a_reset(recorded_by, limit_a):
+    values = {p.name: p.minimum for p in parameters()} | {"current_limit_a": 5.0}
+    own = machine("motors", "f405_drivers")
+    own.write(PARAMETER_ADDRESS, flash_image(stored_parameters(values, recorded_by)))
+    own.boot()
+    assert current_limit_a(own) == limit_a
+
+
+@pytest.mark.parametrize(("wish_a", "result"), [(16.0, m.Result.OK), (16.5, m.Result.RANGE), (21.0, m.Result.RANGE)])
+def test_no_host_sets_more_than_the_boards_hardware_stands(wish_a, result):
+    own = with_motors("f405_drivers")
+    index = [p.name for p in parameters()].index("current_limit_a")
+    bits = struct.unpack("<I", struct.pack("<f", wish_a))[0]
+    own.sent[USARTS[0]].clear()
+    own.arrived[USARTS[0]] += Framer().encode(codec.encode(m.ParameterRequest(index, m.Operation.WRITE, 1, bits)))
+    own.run(5)
+    heard = [codec.decode(frame) for frame in Deframer().feed(b"\0" + bytes(own.sent[USARTS[0]]))]
+    assert [one.result for one in heard if isinstance(one, m.ParameterResponse)] == [result]
+    assert current_limit_a(own) == (wish_a if result is m.Result.OK else 12.0)
 
 
 def test_an_erase_is_of_the_parameters_sectors():

@@ -29,13 +29,21 @@ class Bench:
 
     def __init__(self, elf, plugged_in: bool = True) -> None:
         self.machine = Machine(elf)
-        self.plugged_in = plugged_in
+        self.plugged_in = False
         self.drives: list[Drive | None] = []
         self.plant = PlantPort(self._body)
         self.framer, self.deframer = Framer(), Deframer()
         self.heard: list = []
         self.asked = 0
+        self.machine.reactions[PLANT + 4] = self._hear
         self.machine.boot()
+        self.plugged_in = plugged_in
+
+    def _hear(self, byte: int) -> None:
+        """Take a byte for the plant, which answers at once."""
+        self.asked += byte == 0
+        if self.plugged_in:
+            self.machine.arrived[PLANT] += self.plant.feed(bytes([byte]))
 
     def _body(self, drive: Drive | None) -> Sense:
         self.drives.append(drive)
@@ -48,11 +56,6 @@ class Bench:
         """Go on until ``done()``; a bench that does not get there fails."""
         for _ in range(milliseconds):
             self.machine.run(1)
-            asked = bytes(self.machine.sent[PLANT])
-            self.machine.sent[PLANT].clear()
-            self.asked += asked.count(0)
-            if self.plugged_in:
-                self.machine.arrived[PLANT] += self.plant.feed(asked)
             self.heard += [codec.decode(f) for f in self.deframer.feed(bytes(self.machine.sent[HOST]))]
             self.machine.sent[HOST].clear()
             if done():
@@ -68,8 +71,8 @@ class Bench:
 
 def test_each_tick_goes_through_the_plant_once(elf):
     bench = Bench(elf)
-    bench.run_until(lambda: len(bench.ticks()) == 10)
-    assert bench.ticks() == list(range(0, 50, 5))
+    bench.run_until(lambda: len(bench.ticks()) >= 10)
+    assert bench.ticks()[:10] == list(range(0, 50, 5))
     assert bench.drives[0] is None, "the first values, before any drive"
     driven = list(itertools.dropwhile(lambda drive: drive is None, bench.drives))
     assert [drive.tick for drive in driven] == list(range(len(driven)))
@@ -79,8 +82,8 @@ def test_each_tick_goes_through_the_plant_once(elf):
 def test_robot_time_keeps_up_with_the_clock(elf):
     bench = Bench(elf)
     bench.run_until(lambda: bool(bench.ticks()))
-    began = bench.machine.uptime_ms
-    bench.run_until(lambda: bench.ticks()[-1] >= 100)
+    began, tick = bench.machine.uptime_ms, bench.ticks()[-1]
+    bench.run_until(lambda: bench.ticks()[-1] >= tick + 100)
     assert 95 <= bench.machine.uptime_ms - began <= 115
 
 
@@ -94,7 +97,7 @@ def test_step_is_refused_without_lockstep(elf):
 
 def test_a_plant_that_falls_silent_is_asked_again_and_then_a_fault_until_it_is_back(elf):
     bench = Bench(elf)
-    bench.run_until(lambda: len(bench.ticks()) == 3)
+    bench.run_until(lambda: len(bench.ticks()) >= 3)
     bench.plugged_in = False
     asked, began = bench.asked, bench.machine.uptime_ms
     bench.run_until(lambda: (m.State.FAULT, m.Fault.SENSOR) in bench.states())
@@ -127,7 +130,7 @@ def late(bench: Bench, name: str) -> int:
 
 def test_late_ticks_are_made_up_and_counted(elf):
     bench = Bench(elf)
-    bench.run_until(lambda: len(bench.ticks()) == 3)
+    bench.run_until(lambda: len(bench.ticks()) >= 3)
     began, tick = bench.machine.uptime_ms, bench.ticks()[-1]
     bench.plugged_in = False
     bench.machine.run(40)
@@ -140,7 +143,7 @@ def test_late_ticks_are_made_up_and_counted(elf):
 
 def test_a_plant_that_was_away_for_longer_does_not_make_robot_time_race(elf):
     bench = Bench(elf)
-    bench.run_until(lambda: len(bench.ticks()) == 3)
+    bench.run_until(lambda: len(bench.ticks()) >= 3)
     bench.plugged_in = False
     bench.machine.run(500)
     bench.plugged_in = True
@@ -153,7 +156,7 @@ def test_a_plant_that_was_away_for_longer_does_not_make_robot_time_race(elf):
 def test_a_stream_of_stores_leaves_time_for_ticks(elf):
     """Each one takes a millisecond here, as programming does; the watchdog is fed by ticks only."""
     bench = Bench(elf)
-    bench.run_until(lambda: len(bench.ticks()) == 3)
+    bench.run_until(lambda: len(bench.ticks()) >= 3)
     machine = bench.machine
     machine.reactions[FLASH_CR] = lambda value: machine.skip(1) if value == 1 | 2 << 8 else None
     stores = b"".join(

@@ -127,7 +127,33 @@ def test_the_line_goes_round_its_buffer_and_survives_an_overrun(board):
         board.send(m.HelloRequest(1))
         assert any(isinstance(one, m.HelloIdentity) for one in board.run(1))
     board.lib.bench_overrun()
+    board.run(1)
     board.send(m.HelloRequest(1))
     heard = board.run(101)
     assert any(isinstance(one, m.HelloIdentity) for one in heard)
     assert [one.overrun for one in heard if isinstance(one, m.PortCounters)][-1] == 1
+
+
+def test_a_frame_that_an_overrun_cut_in_two_costs_no_other(board):
+    board.lib.bench_receive(b"\x05half", 5)
+    board.lib.bench_overrun()
+    board.run(1)
+    board.send(m.HelloRequest(1))
+    heard = board.run(101)
+    assert any(isinstance(one, m.HelloIdentity) for one in heard)
+
+
+def test_the_first_duties_are_in_force_when_the_outputs_come_on(board):
+    board.activate()
+    while not board.drives():
+        board.lib.bench_millisecond()
+        board.lib.wheel_app_run()
+    assert [board.lib.bench_in_force(i) for i in range(4)] == [board.lib.bench_compare(i) for i in range(4)]
+
+
+def test_late_ticks_are_made_up(board):
+    before = board.lib.bench_refreshed()
+    for _ in range(7):
+        board.lib.bench_millisecond()
+    board.lib.wheel_app_run()
+    assert board.lib.bench_refreshed() == before + 7

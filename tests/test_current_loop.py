@@ -96,6 +96,27 @@ def test_without_a_battery_the_duty_is_zero(battery_v: float) -> None:
     assert list(winding.loop.integral_v) == [0.0] * 4
 
 
+@pytest.mark.parametrize(("bandwidth_rad_s", "overshoot"), [(300.0, 0.001), (1000.0, 0.001), (2000.0, 0.04)])
+@pytest.mark.parametrize("resistance_ohm", [0.4, 0.6, 1.0])
+def test_means_over_the_last_fifth_of_a_tick_leave_the_step_nearly_without_overshoot(
+    bandwidth_rad_s: float, overshoot: float, resistance_ohm: float
+) -> None:
+    """A board with motors does not sample at the tick: its converter gives the mean over the 0.204 ms before it."""
+    winding, window_s = motor(resistance_ohm / PARAMETERS["motor_resistance_ohm"]), 0.204e-3
+    block = believed(motor_resistance_ohm=resistance_ohm, current_bandwidth_rad_s=bandwidth_rad_s)
+    time_constant_s = -TICK_S / math.log(winding.decay)
+    decay_s = time_constant_s * (math.exp(-(TICK_S - window_s) / time_constant_s) - winding.decay)
+    true_a, response = 0.0, []
+    for _ in range(50):
+        winding.step(1.0, block, battery_v=200.0)  # takes the mean of the last tick for the current
+        settled_a = winding.duty[0] * 200.0 / winding.resistance_ohm
+        winding.current_a = [settled_a + (true_a - settled_a) * decay_s / window_s] * 4
+        true_a = settled_a + (true_a - settled_a) * winding.decay
+        response.append(true_a)
+    assert max(response) <= 1.0 + overshoot
+    assert response[-1] == pytest.approx(1.0, abs=1e-4)
+
+
 _MOTOR = ("motor_resistance_ohm", "motor_inductance_h", "torque_constant_n_m_a", "current_bandwidth_rad_s")
 
 

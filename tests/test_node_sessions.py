@@ -236,3 +236,12 @@ def test_the_first_command_is_zero_in_every_wheel(mode: m.Mode, wheel: int, valu
     node.send(kind(*(value if i == wheel else 0.0 for i in range(4)), 0, 1))
     assert (node.state, node.node.rejections.state) == (State.ARMED, 1)
     assert node.node.setting.age_ticks == 0xFFFF_FFFF
+
+
+@pytest.mark.parametrize("state", [State.IDLE, State.ARMED, State.STOPPING, State.ESTOP, State.FAULT])
+def test_a_feedforward_outside_of_active_is_refused_and_counted(state: State) -> None:
+    node = BareNode()
+    node.activate()
+    node.node.state = state
+    node.send(m.TorqueFeedforward(1.0, 1.0, 1.0, 1.0, 1, 1))
+    assert (node.node.rejections.state, node.node.staged.present) == (1, False)

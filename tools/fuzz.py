@@ -88,11 +88,11 @@ def fuzz(target: str, runs: int, seed: int, keep_in: Path) -> Outcome:
         write_seeds(target, corpus)
         limits = [f"-runs={runs}", f"-seed={seed}", f"-max_len={LONGEST}", "-timeout=10"]
         command = [str(program), *limits, "-print_final_stats=1", f"-artifact_prefix={keep_in}/{target}-", str(corpus)]
-        before = set(keep_in.iterdir())
+        before = set(keep_in.glob(f"{target}-*"))
         began = time.monotonic()
         done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
         seconds = time.monotonic() - began
-        kept = sorted(set(keep_in.iterdir()) - before)
+        kept = sorted(set(keep_in.glob(f"{target}-*")) - before)
     log = done.stderr
     counted = re.search(r"stat::number_of_executed_units: (\d+)", log)
     features = re.findall(r" ft: (\d+)", log)

@@ -39,6 +39,13 @@ HAL_StatusTypeDef HAL_TIM_PWM_Start(TIM_HandleTypeDef *timer, uint32_t channel) 
     return HAL_OK;
 }
 
+HAL_StatusTypeDef HAL_TIM_GenerateEvent(TIM_HandleTypeDef *timer, uint32_t source) {
+    if (source == TIM_EVENTSOURCE_UPDATE) {
+        memcpy(timer->Instance->in_force, timer->Instance->CCR, sizeof timer->Instance->CCR);
+    }
+    return HAL_OK;
+}
+
 HAL_StatusTypeDef HAL_ADC_Start_DMA(ADC_HandleTypeDef *adc, uint32_t *data, uint32_t length) {
     (void)adc;
     samples = (uint16_t *)(void *)data;
@@ -79,10 +86,14 @@ void bench_millisecond(void);
 uint32_t bench_outputs_on(void);
 uint32_t bench_pins(void);
 uint32_t bench_compare(uint32_t channel);
+uint32_t bench_in_force(uint32_t channel);
 uint32_t bench_refreshed(void);
 /* cffi: end */
 
 void bench_receive(const uint8_t *bytes, uint32_t length) {
+    if (receiving == NULL) {
+        return; /* lost, until the firmware starts again */
+    }
     for (uint32_t i = 0; i < length; i++) {
         receiving[receiving_at++] = bytes[i];
         if (receiving_at == receiving_size) { /* the callback at the buffer's end */
@@ -107,6 +118,7 @@ uint32_t bench_take_sent(uint8_t *bytes) {
 }
 
 void bench_millisecond(void) {
+    HAL_TIM_GenerateEvent(&htim8, TIM_EVENTSOURCE_UPDATE); /* the timer's own: many in a millisecond */
     HAL_TIM_PeriodElapsedCallback(&htim6);
 }
 
@@ -120,6 +132,10 @@ uint32_t bench_pins(void) {
 
 uint32_t bench_compare(uint32_t channel) {
     return htim8.Instance->CCR[channel];
+}
+
+uint32_t bench_in_force(uint32_t channel) {
+    return htim8.Instance->in_force[channel];
 }
 
 uint32_t bench_refreshed(void) {

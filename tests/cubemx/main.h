@@ -15,6 +15,7 @@ typedef struct {
 
 typedef struct {
     uint32_t CNT, ARR, CCR[4], BDTR;
+    uint32_t in_force[4]; /* CCR as of the last update, not a register */
 } TIM_TypeDef;
 
 typedef struct {
@@ -56,6 +57,7 @@ extern GPIO_TypeDef gpio;
 #define TIM_CHANNEL_4 0x0000000CU
 #define TIM_CHANNEL_ALL 0x0000003CU
 #define TIM_BDTR_MOE 0x00008000U
+#define TIM_EVENTSOURCE_UPDATE 0x00000001U
 #define __HAL_TIM_GET_COUNTER(handle) ((handle)->Instance->CNT)
 #define __HAL_TIM_GET_AUTORELOAD(handle) ((handle)->Instance->ARR)
 #define __HAL_TIM_SET_COMPARE(handle, channel, value) ((handle)->Instance->CCR[(channel) / 4U] = (value))
@@ -67,6 +69,7 @@ void HAL_GPIO_WritePin(GPIO_TypeDef *port, uint16_t pin, GPIO_PinState state);
 HAL_StatusTypeDef HAL_TIM_Base_Start_IT(TIM_HandleTypeDef *timer);
 HAL_StatusTypeDef HAL_TIM_Encoder_Start(TIM_HandleTypeDef *timer, uint32_t channel);
 HAL_StatusTypeDef HAL_TIM_PWM_Start(TIM_HandleTypeDef *timer, uint32_t channel);
+HAL_StatusTypeDef HAL_TIM_GenerateEvent(TIM_HandleTypeDef *timer, uint32_t source);
 HAL_StatusTypeDef HAL_ADC_Start_DMA(ADC_HandleTypeDef *adc, uint32_t *data, uint32_t length);
 HAL_StatusTypeDef HAL_UART_Transmit_DMA(UART_HandleTypeDef *uart, const uint8_t *data, uint16_t size);
 HAL_StatusTypeDef HAL_UARTEx_ReceiveToIdle_DMA(UART_HandleTypeDef *uart, uint8_t *data, uint16_t size);

@@ -49,7 +49,8 @@ typedef struct {
     board_oscillator oscillator;
     board_serial host_serial;
     board_can host_can;
-    wheel_parameters parameters; /* built in */
+    wheel_parameters parameters;     /* built in */
+    const wheel_parameters *maximum; /* what the hardware stands; NULL where it is simulated */
 } board;
 
 extern const board BOARD;

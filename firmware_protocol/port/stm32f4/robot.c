@@ -30,6 +30,7 @@ void robot_start(robot *r) {
         .board = BOARD.number,
         .version = {0, 1, 0},
         .build = FIRMWARE_BUILD,
+        .maximum = BOARD.maximum,
     };
     wheel_node_init(&r->node, &BOARD.parameters, parameter_log_open(), &identity);
     host_link_open(&r->clocks);
@@ -124,6 +125,10 @@ void robot_transmit(robot *r) {
     }
 }
 
+static bool is_due(const robot *r) {
+    return r->clocks.lockstep || (int32_t)(uptime_ms() - r->due_ms) >= 0;
+}
+
 void robot_tick(robot *r) {
     if (r->clocks.lockstep) {
         watchdog_feed(); /* time stands still until a host asks for more */
@@ -134,7 +139,7 @@ void robot_tick(robot *r) {
         r->due_ms += late_ms;
         r->ticks_lost += late_ms;
     }
-    while ((int32_t)(uptime_ms() - r->due_ms) >= 0) {
+    while (is_due(r)) {
         if (!robot_sense(r)) {
             watchdog_feed(); /* the simulated body is late; plant_sense sets the limit */
             return;
@@ -148,7 +153,7 @@ void robot_tick(robot *r) {
 /* Looks and sleeps with interrupts off, so that none comes in between; wfi wakes all the same. */
 static void sleep_until_work(robot *r, bool host_too) {
     interrupts_off();
-    const bool is_work = plant_has_received() || (host_too && host_link_has_received());
+    const bool is_work = (is_due(r) && plant_has_received()) || (host_too && host_link_has_received());
     if (!is_work && uptime_ms() == r->seen_ms) {
         wait_for_interrupt();
     }

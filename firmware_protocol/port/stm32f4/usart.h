@@ -1,9 +1,10 @@
 /* Serial lines: 8 bits, no parity, one stop bit, both directions by interrupt through rings.
  *
  * Interrupts and not DMA: the emulated targets have no DMA, and what runs there is what runs on a chip. A
- * byte costs about 0.4 us of the core, so that two lines at 2,000,000 baud with the traffic of a 1 kHz loop
- * take some 15 % of it. A byte waits for at most two of them before the next is lost, which is why no
- * interrupt is longer than that and interrupts are never off for longer.
+ * received byte waits for at most two byte times, 10 us at 2,000,000 baud, before the next is lost, which is
+ * why every interrupt is short and interrupts are never off for long. One thing is longer: while a word of
+ * the flash is programmed, 16 to 100 us, the core stands still, and so a STORE may cost bytes. They are
+ * counted, the plant is asked again, and a STORE bars arming.
  */
 #ifndef STM32F4_USART_H
 #define STM32F4_USART_H

@@ -11,6 +11,32 @@
      .least_v = 0.2f,                                                                                        \
      .most_v = 3.1f}
 
+/* Greatest values with these bridges, sensors and motors; the range of the table holds where this is no
+ * matter of the board. */
+#define ANY 1e9f
+static const wheel_parameters MAXIMUM = {
+    .counts_per_revolution = ANY,
+    .wheel_radius_m = ANY,
+    .half_length_m = ANY,
+    .half_width_m = ANY,
+    .tracking_bandwidth_rad_s = ANY,
+    .speed_kp_n_m_s_rad = ANY,
+    .speed_ki_n_m_rad = ANY,
+    .torque_limit_n_m = 12.0f,
+    .torque_constant_n_m_a = ANY,
+    .motor_resistance_ohm = ANY,
+    .motor_inductance_h = ANY,
+    .current_limit_a = 18.0f,
+    .current_bandwidth_rad_s = 2000.0f, /* the converter's means cost 4 % of overshoot there */
+    .temperature_limit_degc = 110.0f,
+    .undervoltage_v = ANY,
+    .overspeed_rad_s = 60.0f,
+    .encoder_fault_s = ANY,
+    .watchdog_s = ANY,
+    .ramp_s = ANY,
+    .feedback_period_s = ANY,
+};
+
 const board BOARD = {
     .number = 3,
     .oscillator = {.divider = 4, .multiplier = 168},
@@ -44,6 +70,7 @@ const board BOARD = {
             .ramp_s = 0.2f,
             .feedback_period_s = 0.005f,
         },
+    .maximum = &MAXIMUM,
 };
 
 const motor_board MOTORS = {

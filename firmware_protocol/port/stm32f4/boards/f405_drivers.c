@@ -19,6 +19,32 @@
      .least_v = 0.1f,                                                                                        \
      .most_v = 2.5f}
 
+/* Greatest values with these bridges, sensors and motors; the range of the table holds where this is no
+ * matter of the board. */
+#define ANY 1e9f
+static const wheel_parameters MAXIMUM = {
+    .counts_per_revolution = ANY,
+    .wheel_radius_m = ANY,
+    .half_length_m = ANY,
+    .half_width_m = ANY,
+    .tracking_bandwidth_rad_s = ANY,
+    .speed_kp_n_m_s_rad = ANY,
+    .speed_ki_n_m_rad = ANY,
+    .torque_limit_n_m = 10.0f,
+    .torque_constant_n_m_a = ANY,
+    .motor_resistance_ohm = ANY,
+    .motor_inductance_h = ANY,
+    .current_limit_a = 16.0f,
+    .current_bandwidth_rad_s = 2000.0f, /* the converter's means cost 4 % of overshoot there */
+    .temperature_limit_degc = 110.0f,
+    .undervoltage_v = ANY,
+    .overspeed_rad_s = 60.0f,
+    .encoder_fault_s = ANY,
+    .watchdog_s = ANY,
+    .ramp_s = ANY,
+    .feedback_period_s = ANY,
+};
+
 const board BOARD = {
     .number = 2,
     .oscillator = {.divider = 4, .multiplier = 168},
@@ -52,6 +78,7 @@ const board BOARD = {
             .ramp_s = 0.2f,
             .feedback_period_s = 0.005f,
         },
+    .maximum = &MAXIMUM,
 };
 
 const motor_board MOTORS = {
