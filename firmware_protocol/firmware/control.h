@@ -38,7 +38,8 @@ bool wheel_speed_loop_update(wheel_speed_loop *loop, const float target_rad_s[WH
 
 /* Current loop of the four motors, decoupled: the back-EMF is fed forward. Proportional and integral action
  * cancel the pole of the winding, L di/dt = u - R i - k w solved exactly over a tick, so that the current
- * goes to its target as a first-order lag of the wanted bandwidth. */
+ * goes to its target as a first-order lag of the wanted bandwidth, where the currents were sampled at the
+ * tick; a mean of the last 0.2 ms overshoots by 3 % at 2000 rad/s. */
 typedef struct {
     float integral_v[WHEEL_COUNT];
 } wheel_current_loop;
