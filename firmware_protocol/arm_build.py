@@ -25,7 +25,18 @@ PORT = HERE / "port" / "stm32f4"
 OUTPUT = Path("build") / "stm32f4"
 
 _CORE = (*sorted((HERE / "firmware").glob("*.c")), HERE / "generated" / "wheel_messages.c")
-_COMMON = ("startup", "memory", "uptime", "pins", "watchdog", "supply", "flash_memory", "parameter_log", "robot", "main")
+_COMMON = (
+    "startup",
+    "memory",
+    "uptime",
+    "pins",
+    "watchdog",
+    "supply",
+    "flash_memory",
+    "parameter_log",
+    "robot",
+    "main",
+)
 _HIL = ("plant_line", "plant_codec", "usart", "lockstep")
 _VARIANTS = {
     "motors": ("clock_crystal", "plant_motors", "pwm", "encoders", "analog"),
