@@ -292,7 +292,7 @@ class Loop:
         return max(self._silent_ns, behind_ns) > self._timing.stale_ns
 
     def _why_stopped(self, state: RobotState) -> str:
-        reason = self._parts.device.stop_reason()
+        reason = self._parts.device.report.stop_reason()
         return f"the robot left ACTIVE at t = {self.t_s:.3f} s: it is {state.name} because of {reason}"
 
     def _tell_away(self, number: int, late_ns: int, fix: PoseFix | None) -> None:

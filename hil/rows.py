@@ -67,9 +67,9 @@ class Rows:
                 command.speed_rad_s if command.mode is CommandMode.SPEED else NAN_WHEELS,
                 command.torque_n_m,
                 feedback.current_a if feedback is not None else NAN_WHEELS,
-                device.health.temperature_degc,
+                device.report.health.temperature_degc,
                 _robot(feedback),
-                BatterySignals(device.health.battery_v, device.health.battery_a),
+                BatterySignals(device.report.health.battery_v, device.report.health.battery_a),
                 GuardSignals(applied.saturated),
                 LinkSignals(
                     device.sent,
