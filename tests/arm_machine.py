@@ -29,9 +29,9 @@ _BLOCKS_A_MS = 20_000  # of about 8 cycles each
 
 
 class Machine:
-    """``writes`` are (address, value) of each write to a peripheral, in their order, ``system_writes`` those to the core's.
+    """``writes`` are (address, value) of each write to a peripheral, in order, ``system_writes`` those to the core's.
 
-    ``reactions`` are functions of what is written to an address, called as soon as it is there; ``answers`` functions of
+    ``reactions`` are functions of what is written to an address, called as soon as it is there; ``answers`` those of
     what is read from one.
     """
 

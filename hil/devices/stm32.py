@@ -105,6 +105,7 @@ class Stm32:
         self.leave()
         self._assembler.restart()
         self.report.restart()
+        self.round_trip.restart()
         self._nonce = next(self._nonces)
         self._greeting = Greeting()
         self._greet_again_ns = 0
