@@ -1,7 +1,6 @@
 """The tick: sense, estimate, refer, control, guard, command, tell. The same loop in lockstep and in real time."""
 
 import contextlib
-import math
 import time
 from collections import deque
 from typing import NamedTuple
@@ -17,32 +16,10 @@ from hil.links.statistics import Statistics
 from hil.ports import Clock, Controller, PoseSource, Sink
 from hil.recovery import Recovered, Recovery
 from hil.references import ReferenceSource
-from hil.signals import (
-    BatterySignals,
-    ErrorSignals,
-    GuardSignals,
-    LinkSignals,
-    LoopSignals,
-    ReferenceSignals,
-    RobotSignals,
-    Sample,
-)
-from hil.types import (
-    NAN,
-    NAN_POSE,
-    NAN_WHEELS,
-    ZERO_WHEELS,
-    Applied,
-    CommandMode,
-    Pose,
-    PoseFix,
-    Reference,
-    State,
-    Twist,
-    WheelCommand,
-)
+from hil.rows import Beliefs, Rows
+from hil.signals import LoopSignals
+from hil.types import NAN, NAN_WHEELS, ZERO_WHEELS, Applied, CommandMode, PoseFix, WheelCommand
 
-_NAN_TWIST = Twist(NAN, NAN, NAN)
 _LOST_NS = 250_000_000  # silence that ends the run
 _STOP_LIMIT_NS = 5_000_000_000
 
@@ -107,6 +84,7 @@ class Loop:
         self._parts = parts
         self._timing = timing
         self._rearm = rearm
+        self._rows = Rows(parts.device, parts.wire, parts.controller, parts.sink, timing.feedback_latency_ns)
         self._recovery: Recovery | None = None
         self._recoveries: list[Recovered] = []
         self._rest = WheelCommand(mode, ZERO_WHEELS, ZERO_WHEELS)
@@ -121,7 +99,6 @@ class Loop:
         self._misses = 0
         self._ticks = 0
         self._stale = 0
-        self._rejected = 0
         self._tick_us = NAN
         self.t_s = 0.0
 
@@ -228,7 +205,7 @@ class Loop:
             command, saturated = self._parts.guard.apply(wanted)
         self._parts.device.send(command)
         self._applied = Applied(command, saturated, self._timing.latency_s)
-        self._tell(number, late_ns, feedback, fix, state, reference, self._applied)
+        self._tell(number, late_ns, feedback, Beliefs(fix, state, reference, self._applied))
         if self._before is not None:
             self._before = number
 
@@ -315,79 +292,16 @@ class Loop:
         return max(self._silent_ns, behind_ns) > self._timing.stale_ns
 
     def _why_stopped(self, state: RobotState) -> str:
-        reason = self._parts.device.stop_reason()
+        reason = self._parts.device.report.stop_reason()
         return f"the robot left ACTIVE at t = {self.t_s:.3f} s: it is {state.name} because of {reason}"
-
-    def _tell(
-        self,
-        number: int,
-        late_ns: int,
-        feedback: Feedback | None,
-        fix: PoseFix | None,
-        state: State | None,
-        reference: Reference,
-        applied: Applied,
-    ) -> None:
-        device, wire = self._parts.device, self._parts.wire
-        self._ticks += 1
-        if number % 100 == 0:
-            self._rejected = sum(device.rejected().values())
-        command = applied.command
-        age_ms = (self._silent_ns + self._timing.feedback_latency_ns) * 1e-6 if feedback is not None else NAN
-        truth = fix.pose if fix is not None else NAN_POSE
-        self._parts.sink.put(
-            Sample(
-                LoopSignals(self.t_s, number, late_ns * 1e-3, self._tick_us, self._misses),
-                ReferenceSignals(*reference.pose, *reference.twist),
-                state.pose if state is not None else NAN_POSE,
-                state.twist if state is not None else _NAN_TWIST,
-                truth,
-                _error(truth, reference.pose),
-                self._parts.controller.gains,
-                feedback.speed_rad_s if feedback is not None else NAN_WHEELS,
-                command.speed_rad_s if command.mode is CommandMode.SPEED else NAN_WHEELS,
-                command.torque_n_m,
-                feedback.current_a if feedback is not None else NAN_WHEELS,
-                device.health.temperature_degc,
-                _robot_signals(feedback),
-                BatterySignals(device.health.battery_v, device.health.battery_a),
-                GuardSignals(applied.saturated),
-                LinkSignals(
-                    device.sent,
-                    device.received,
-                    self._rejected,
-                    age_ms,
-                    device.snapshots_lost,
-                    wire.sent.bytes,
-                    wire.received.bytes,
-                    wire.load_percent(),
-                    device.round_trip.ms,
-                    device.clock_sync.offset_us,
-                    device.clock_sync.drift_ppm,
-                ),
-            ).row()
-        )
 
     def _tell_away(self, number: int, late_ns: int, fix: PoseFix | None) -> None:
         """Tell of a tick in which nothing is commanded: what is heard of the robot, which may be nothing."""
         applied = Applied(self._nothing, False, self._timing.latency_s)
         feedback, reference = self._parts.device.feedback, self._parts.reference.at(self.t_s)
-        self._tell(number, late_ns, feedback, fix, None, reference, applied)
+        self._tell(number, late_ns, feedback, Beliefs(fix, None, reference, applied))
 
-
-def _robot_signals(feedback: Feedback | None) -> RobotSignals:
-    if feedback is None:
-        return RobotSignals(*[NAN] * len(RobotSignals._fields))
-    return RobotSignals(
-        feedback.robot_time_ns * 1e-9,
-        feedback.state,
-        feedback.command_age_ms,
-        feedback.yaw_rate_rad_s,
-        *feedback.acceleration_m_s2,
-    )
-
-
-def _error(truth: Pose, reference: Pose) -> ErrorSignals:
-    x_m, y_m = truth.x_m - reference.x_m, truth.y_m - reference.y_m
-    heading_rad = math.remainder(truth.heading_rad - reference.heading_rad, math.tau)
-    return ErrorSignals(x_m, y_m, heading_rad, math.hypot(x_m, y_m))
+    def _tell(self, number: int, late_ns: int, feedback: Feedback | None, beliefs: Beliefs) -> None:
+        self._ticks += 1
+        tick = LoopSignals(self.t_s, number, late_ns * 1e-3, self._tick_us, self._misses)
+        self._rows.tell(tick, feedback, self._silent_ns, beliefs)

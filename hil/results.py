@@ -2,7 +2,7 @@
 
 import array
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -49,8 +49,8 @@ class RunResult:
     """
 
     scenario: Scenario
-    metrics: Mapping[str, Any]
-    signals: Mapping[str, Series]
+    metrics: Mapping[str, Any] = field(repr=False)
+    signals: Mapping[str, Series] = field(repr=False)
     failure: HilError | None
 
     @property

@@ -257,8 +257,8 @@ def test_progress_bar_is_for_a_person_only(tmp_path: Path):
 
 def test_can_down_is_said_with_the_remedy():
     """The kernel's words for an interface that is down, which needs a kernel with CAN to be had for real."""
-    from hil.links.can_bus import _failure
+    from hil.links.can_failures import failure
     from hil.links.url import CanUrl
 
-    error = _failure(CanUrl("socketcan", "can0"), can.CanOperationError("Network is down", 100))
+    error = failure(CanUrl("socketcan", "can0"), can.CanOperationError("Network is down", 100))
     assert "is down; bring it up: ip link set can0 up type can bitrate 1000000" in str(error)

@@ -51,6 +51,9 @@ class Wire:
     def rejected(self) -> dict[str, int]:
         return {}
 
+    def reopen(self) -> None:
+        self.to_give.clear()
+
     def close(self) -> None:
         pass
 
@@ -164,14 +167,14 @@ def test_freezing_repeats_what_was_newest_before() -> None:
 def test_bursts_have_the_share_and_the_length_that_they_are_given(seed, case) -> None:
     share, length = case
     wire, link, faults = fault_link(row("burst_loss", start=0, end=NEVER_NS, value=share, burst=length), seed=seed)
-    total = 20_000
+    total = 4_000
     for n in range(total):
         wire.now = n
         link.send(command(0))
     came = {t for t, _ in wire.sent}
     bursts = [len(list(run)) for lost, run in itertools.groupby(t not in came for t in range(total)) if lost]
     assert sum(bursts) == faults[0].applied
-    # Standard errors of a two-state chain of 20,000 steps, times six.
+    # Standard errors of a two-state chain of so many steps, times six.
     assert sum(bursts) / total == pytest.approx(share, abs=6 * math.sqrt(2 * length * share * (1 - share) / total))
     assert sum(bursts) / len(bursts) == pytest.approx(length, abs=6 * length / math.sqrt(len(bursts)))
 

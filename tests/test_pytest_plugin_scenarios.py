@@ -154,6 +154,11 @@ def test_junit_keeps_figures_seed_hash_and_recording(suite: pytest.Pytester):
         assert kept["hil.ticks"] == "200"
         figures = review(Path(kept["hil.recording"]))
         assert kept["hil.wire_sha256"] == figures["wire_sha256"]
+        link = figures["link_statistics"]
+        assert kept["hil.link.sent_bytes"] == str(link["sent"]["bytes"])
+        assert kept["hil.link.round_trip_p99_ms"] == str(link["round_trip_ms"]["p99"])
+        assert (kept["hil.link.lost_snapshots"], kept["hil.link.recoveries"]) == ("0", "0")
+        assert "hil.link.worst_load_percent" not in kept, "memory has no bit rate"
         assert figures["passed"] is (name == "good")
         assert Path(kept["hil.recording"]) == suite.path / "kept" / f"{name}.rrd"
     failure = found["strict"].find("failure")

@@ -2,19 +2,17 @@
 
 import math
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 
-import hil.bench
 from firmware_protocol import codec
-from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m
 from hil.assembly import RunResult, run
 from hil.bench import Bench
 from hil.errors import BadInputError, LinkError
-from hil.links.delay import FIRST_EXEMPT_ID
-from hil.links.opening import Pair
-from hil.ports import Link, Received
+from hil.trace import decode
+from tests.fault_runs import LINKS
 
 SHORT = ("loop.duration_s=3", "expect=[]", "loop.rate_hz=200")
 COMMANDS = (m.TorqueCommand, m.WheelCommand, m.TorqueFeedforward)
@@ -22,118 +20,77 @@ COMMANDS = (m.TorqueCommand, m.WheelCommand, m.TorqueFeedforward)
 ACTIVE = float(m.State.ACTIVE)
 
 
-class Cut:
-    """A link that is cut at a number of commands and refuses so many times to open again; STEP passes."""
-
-    def __init__(self, link: Link, at_command: int, refusals: int) -> None:
-        self._link = link
-        self._left = at_command
-        self._refusals = refusals
-        self.is_cut = False
-        self.sent: list[codec.Message] = []
-
-    def send(self, frame: Frame) -> None:
-        message = codec.decode(frame)
-        if isinstance(message, COMMANDS):
-            self._left -= 1
-            self.is_cut = self.is_cut or self._left == 0
-        if self.is_cut and frame.id < FIRST_EXEMPT_ID:
-            raise LinkError("the cable was pulled")
-        self.sent.append(message)
-        self._link.send(frame)
-
-    def receive(self, timeout_ns: int) -> Received | None:
-        while (received := self._link.receive(timeout_ns)) is not None:
-            if not self.is_cut or received.frame.id >= FIRST_EXEMPT_ID:
-                return received
-        return None
-
-    def reopen(self) -> None:
-        self._refusals -= 1
-        if self._refusals >= 0:
-            raise LinkError("the cable is still out")
-        self._link.reopen()
-        self.is_cut = False
-        self.sent.clear()
-
-    def __getattr__(self, name: str) -> object:
-        return getattr(self._link, name)
+def cut(end_s: float) -> str:
+    """The override that cuts the link at 1 s."""
+    return f'fault=[{{kind="disconnect",start_s=1.0,end_s={end_s}}}]'
 
 
-@pytest.fixture
-def cut(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[Cut]]:
-    """Cut the link of the next run; return the cut links, one a run."""
-
-    def arrange(at_command: int, refusals: int = 0) -> list[Cut]:
-        cuts: list[Cut] = []
-        original = hil.bench.open_pair
-
-        def open_pair(url: object) -> Pair:
-            pair = original(url)
-            cuts.append(Cut(pair.link, at_command, refusals))
-            return pair._replace(link=cuts[-1])
-
-        monkeypatch.setattr(hil.bench, "open_pair", open_pair)
-        return cuts
-
-    return arrange
+# The link is opened again 0.1, 0.3, 0.7 and 1.5 s after the loss.
+BACK_AT_ONCE, BACK_AT_THE_SECOND, BACK_AT_THE_FOURTH = cut(1.05), cut(1.2), cut(2.0)
 
 
-def run_short(*options: str, rearm: bool = True) -> RunResult:
-    return run("paper_circle", set=[*SHORT, f"loop.rearm={str(rearm).lower()}", *options])
+def run_short(*options: str, rearm: bool = True, link: str = "memory:", trace: Path | None = None) -> RunResult:
+    changes = [*SHORT, f"loop.rearm={str(rearm).lower()}", *options]
+    return run("paper_circle", set=changes, mode="lockstep", link=link, trace=trace)
+
+
+def sent_since_the_second_handshake(trace: Path) -> list[codec.Message]:
+    sent = [x.message for x in decode.read(trace, decode.Selection.of([], 0.0, math.inf)) if x.direction == "Tx"]
+    last = max(i for i, x in enumerate(sent) if isinstance(x, m.HelloRequest))
+    return sent[last:]
 
 
 def away(result: RunResult) -> Iterator[int]:
     """The rows between the loss and ACTIVE again."""
     (recovery,) = result.metrics["recoveries"]
     t_s = result.signals["loop.t_s"]
-    return (i for i in range(len(t_s)) if recovery["lost_s"] <= t_s[i] <= recovery["armed_s"])
+    return (i for i in range(len(t_s)) if recovery["lost_s"] <= t_s[i] < recovery["armed_s"])
 
 
-def test_without_the_key_a_lost_link_ends_the_run_and_says_what_to_set(cut):
-    cut(200)
-    result = run_short(rearm=False)
+def test_without_the_key_a_lost_link_ends_the_run_and_says_what_to_set():
+    result = run_short(BACK_AT_ONCE, rearm=False)
     assert isinstance(result.failure, LinkError)
     assert result.exit_code == 3
-    assert "the cable was pulled" in str(result.failure)
+    assert "the link was cut by the fault disconnect" in str(result.failure)
     assert "set loop.rearm = true" in str(result.failure)
     assert result.metrics["recoveries"] == []
 
 
-def test_a_lost_link_is_reopened_with_back_off_and_the_run_goes_on(cut):
-    cut(200, refusals=3)
-    result = run_short()
+@pytest.mark.parametrize("link", LINKS)
+def test_a_lost_link_is_reopened_with_back_off_and_the_run_goes_on(link):
+    result = run_short(BACK_AT_THE_FOURTH, link=link)
     assert result.failure is None
     (recovery,) = result.metrics["recoveries"]
-    assert recovery["lost_s"] == pytest.approx(0.99)
-    assert recovery["why"] == "the cable was pulled"
+    assert recovery["lost_s"] == pytest.approx(1.0)
+    assert "the link was cut by the fault disconnect" in recovery["why"]
     # 0.1 + 0.2 + 0.4 + 0.8 s of robot time, then HELLO and the way to ACTIVE.
-    assert 2.495 <= recovery["armed_s"] < 2.6
+    assert 2.5 <= recovery["armed_s"] < 2.6
     assert result.metrics["ticks"] == 600, "rows go on meanwhile"
     assert result.metrics["stopped"]
+    assert result.passed
+    (fault,) = result.metrics["fault"]
+    assert fault["applied"] == 4, "the command that found no link, and three attempts to open it"
 
 
-def test_nothing_is_commanded_while_it_is_away_and_only_zeros_before_the_new_session_is_active(cut):
-    cuts = cut(200, refusals=1)
-    result = run_short()
-    (link,) = cuts
+def test_nothing_is_commanded_while_it_is_away_and_only_zeros_before_the_new_session_is_active(tmp_path):
+    result = run_short(BACK_AT_THE_SECOND, trace=tmp_path / "line.log")
     signals = result.signals
     assert all(math.isnan(signals["wheel.fl.torque_command_n_m"][i]) for i in away(result))
-    heartbeats = [x for x in link.sent if isinstance(x, m.HostHeartbeat)]
+    sent = sent_since_the_second_handshake(tmp_path / "line.log")
+    heartbeats = [x for x in sent if isinstance(x, m.HostHeartbeat)]
     announced, armed = heartbeats[:2]
     assert (announced.request, armed.request) == (m.Request.IDLE, m.Request.ARM)
     assert announced.nonce == armed.nonce
-    first = next(i for i, x in enumerate(link.sent) if isinstance(x, COMMANDS))
-    assert first > link.sent.index(armed)
-    zeros = [x for x in link.sent if isinstance(x, COMMANDS)]
-    assert not any(zeros[0][:4]), "ARMED wants zeros first"
-    assert {x.session for x in zeros} == {armed.nonce & 0xF}
+    first = next(i for i, x in enumerate(sent) if isinstance(x, COMMANDS))
+    assert first > sent.index(armed)
+    commands = [x for x in sent if isinstance(x, COMMANDS)]
+    assert not any(commands[0][:4]), "ARMED wants zeros first"
+    assert {x.session for x in commands} == {armed.nonce & 0xF}
 
 
-def test_the_robot_has_stopped_until_the_new_arm(cut):
+def test_the_robot_has_stopped_until_the_new_arm():
     """The truth, not what the host believes: from watchdog, ramp and run-out on it only coasts, 2 mm/s here."""
-    cut(200, refusals=3)
-    result = run_short()
+    result = run_short(BACK_AT_THE_FOURTH)
     (recovery,) = result.metrics["recoveries"]
     t_s, x_m, y_m = (result.signals[name] for name in ("loop.t_s", "truth.x_m", "truth.y_m"))
     still = (t_s > recovery["lost_s"] + 0.6) & (t_s < recovery["armed_s"])
@@ -144,27 +101,110 @@ def test_the_robot_has_stopped_until_the_new_arm(cut):
     assert max(x_m[driven]) - min(x_m[driven]) > 0.01, "and then it drives again"
 
 
-def test_a_recovery_in_lockstep_repeats_exactly(cut):
-    cut(200, refusals=2)
-    first, again = run_short(), run_short()
-    assert first.metrics["wire_sha256"] == again.metrics["wire_sha256"]
-    assert first.metrics["recoveries"] == again.metrics["recoveries"]
+def test_a_recovery_in_lockstep_repeats_exactly_on_every_link():
+    results = [run_short(BACK_AT_THE_SECOND, link=link) for link in (*LINKS, LINKS[0])]
+    assert len({result.metrics["wire_sha256"] for result in results}) == 1
+    assert len({str(result.metrics["recoveries"]) for result in results}) == 1
 
 
-def test_latencies_hold_no_command_of_the_old_session(cut):
-    cuts = cut(200, refusals=1)
-    result = run_short("link.command_latency_s=0.03", "link.feedback_latency_s=0.02")
+@pytest.mark.parametrize("held", ["", ',{kind="delay",target="command",value=0.03}'])
+def test_what_was_held_back_is_no_command_of_the_new_session(tmp_path, held):
+    latencies = ("link.command_latency_s=0.03", "link.feedback_latency_s=0.02")
+    fault = BACK_AT_THE_SECOND.removesuffix("]") + held + "]"
+    result = run_short(fault, *latencies, trace=tmp_path / "line.log")
     assert result.failure is None
-    sessions = {x.session for x in cuts[0].sent if isinstance(x, COMMANDS)}
-    assert len(sessions) == 1
+    (recovery,) = result.metrics["recoveries"]
+    assert recovery["armed_s"] > recovery["lost_s"] + 0.3
+    commands = [x for x in sent_since_the_second_handshake(tmp_path / "line.log") if isinstance(x, COMMANDS)]
+    assert len({x.session for x in commands}) == 1
 
 
-def test_a_link_that_stays_away_fails_the_run_at_its_end(cut):
-    cut(200, refusals=1000)
-    result = run_short()
+def test_a_link_that_stays_away_fails_the_run_at_its_end():
+    result = run_short('fault=[{kind="disconnect",start_s=1.0}]')
     assert isinstance(result.failure, LinkError)
-    assert "did not come back until the end: the cable is still out" in str(result.failure)
+    assert "did not come back until the end: the link was cut by the fault disconnect" in str(result.failure)
     assert result.metrics["ticks"] == 600
+
+
+@pytest.mark.parametrize("link", LINKS)
+def test_a_lost_link_is_reopened_in_real_time_too(link):
+    options = ("loop.rate_hz=100", "loop.duration_s=4", "expect=[]", "loop.rearm=true", BACK_AT_THE_SECOND)
+    result = run("paper_circle", set=options, mode="realtime", link=link)
+    # A busy machine may stop the robot besides, even at the end; the robot's watchdog is what such a recovery names.
+    (recovery,) = [row for row in result.metrics["recoveries"] if "disconnect" in row["why"]]
+    assert recovery["armed_s"] > recovery["lost_s"] + 0.3
+    assert ACTIVE in result.signals["robot.state"][result.signals["loop.t_s"] >= recovery["armed_s"]]
+
+
+def test_the_counts_of_a_link_go_on_across_its_loss_and_the_gap_is_no_loss_of_frames():
+    result = run_short(BACK_AT_THE_SECOND)
+    figures = result.metrics["link_statistics"]
+    for name in ("link.sent_bytes", "link.received_bytes"):
+        counts = result.signals[name]
+        assert all(counts[1:] >= counts[:-1]), name
+    assert figures["lost"] == {"snapshots": 0, "frames_to_host": 0, "frames_to_robot": 0}
+    assert figures["rejected"] == {}
+    # Commands that had no answer when the link was lost are no round trips of a second.
+    assert figures["round_trip_ms"]["p99"] == pytest.approx(5.0)
+    assert max(result.signals["link.rtt_ms"][10:]) == pytest.approx(5.0)
+
+
+BIT_ERRORS = 'fault=[{kind="bit_errors",target="command",value=0.05,start_s=1.0,end_s=1.5}]'
+
+
+def test_bus_off_is_a_lost_link_that_is_recovered_from():
+    result = run_short(BIT_ERRORS, link="can:virtual/bus_off")
+    assert result.failure is None
+    assert any("bus-off" in row["why"] for row in result.metrics["recoveries"])
+    assert result.signals["robot.state"][-1] == ACTIVE
+    rejected = result.metrics["frames"]["rejected"]
+    assert rejected["error_bus_off"] >= 1
+    assert rejected["error_bit"] >= 256 / 8
+
+
+def test_without_the_key_bus_off_ends_the_run():
+    result = run_short(BIT_ERRORS, rearm=False, link="can:virtual/bus_off")
+    assert isinstance(result.failure, LinkError)
+    assert "bus-off" in str(result.failure)
+
+
+RESET = 'fault=[{kind="reset",target="robot",start_s=1.0}]'
+
+
+@pytest.mark.parametrize("link", LINKS)
+@pytest.mark.parametrize("source", ["truth", "odometry"])
+def test_a_reset_of_the_robot_is_recovered_from(source, link):
+    result = run_short(RESET, f"estimator.source={source}", link=link)
+    assert result.failure is None
+    (recovery,) = result.metrics["recoveries"]
+    assert "reset" in recovery["why"]
+    after = result.signals["robot.time_s"][-1]
+    assert 0.0 < after < 3.0, "the robot's clock began anew"
+    jumps = abs(result.signals["pose.x_m"][1:] - result.signals["pose.x_m"][:-1])
+    if source == "odometry":
+        assert max(j for j in jumps if not math.isnan(j)) < 0.01, "encoders that began anew are no motion"
+
+
+def test_the_clock_of_a_robot_that_was_reset_is_read_anew():
+    clock = run_short(RESET).metrics["link_statistics"]["clock"]
+    assert clock["steps"] == 1
+    assert clock["offset_us"] < -0.9e6, "it began more than 1 s after the run's"
+    assert clock["drift_ppm"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_reset_in_real_time_is_recovered_from():
+    options = ("loop.rate_hz=100", "loop.duration_s=3", "expect=[]", "loop.rearm=true", RESET)
+    result = run("paper_circle", set=options, mode="realtime", link="serial:pty")
+    assert result.metrics["recoveries"]
+    assert result.signals["robot.time_s"][-1] < 3.0, "the robot's clock began anew"
+
+
+def test_another_reset_before_the_robot_is_back_begins_the_recovery_again():
+    twice = RESET.removesuffix("]") + ',{kind="reset",target="robot",start_s=1.2}]'
+    result = run_short(twice)
+    assert result.failure is None
+    assert [row["applied"] for row in result.metrics["fault"]] == [1, 1]
+    assert result.signals["robot.state"][-1] == ACTIVE
 
 
 MUTE = 'fault=[{kind="mute",target="TORQUE_COMMAND",start_s=1.0,end_s=1.5}]'
@@ -177,7 +217,7 @@ def test_a_robot_that_its_watchdog_stopped_is_armed_anew():
     assert "COMMAND_TIMEOUT" in recovery["why"]
     states = [result.signals["robot.state"][i] for i in away(result)]
     assert {float(m.State.STOPPING), float(m.State.IDLE), float(m.State.ARMED)} <= set(states)
-    assert states[-1] == ACTIVE
+    assert result.signals["robot.state"][-1] == ACTIVE
 
 
 def test_without_the_key_a_stopped_robot_ends_the_run_and_says_what_to_set():
@@ -209,20 +249,6 @@ def at_command(monkeypatch: pytest.MonkeyPatch) -> Callable[[int, Callable[[Benc
         monkeypatch.setattr(Bench, "connect", connect)
 
     return arrange
-
-
-@pytest.mark.parametrize("source", ["truth", "odometry"])
-def test_a_reset_of_the_robot_is_recovered_from(at_command, source):
-    at_command(200, lambda bench: bench._robot.power_cycle())
-    result = run_short(f"estimator.source={source}")
-    assert result.failure is None
-    (recovery,) = result.metrics["recoveries"]
-    assert "reset" in recovery["why"]
-    after = result.signals["robot.time_s"][-1]
-    assert 0.0 < after < 3.0, "the robot's clock began anew"
-    jumps = abs(result.signals["pose.x_m"][1:] - result.signals["pose.x_m"][:-1])
-    if source == "odometry":
-        assert max(j for j in jumps if not math.isnan(j)) < 0.01, "encoders that began anew are no motion"
 
 
 def test_an_e_stop_is_not_recovered_from(at_command):

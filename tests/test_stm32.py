@@ -69,7 +69,7 @@ def test_connects_arms_and_stops():
     assert rig.state is m.State.ACTIVE
     assert device.stop(PERIOD_NS, 2_000_000_000)
     assert rig.state is m.State.IDLE
-    assert device.stop_reason() == "HOST_REQUEST"
+    assert device.report.stop_reason() == "HOST_REQUEST"
 
 
 def test_a_power_stage_needs_a_yes():

@@ -50,6 +50,10 @@ class RoundTrip:
             self.ms = (stamp_ns - sent_ns) * 1e-6
             self._all_ms.append(self.ms)
 
+    def restart(self) -> None:
+        """Begin with a new session: an echo of the last one's commands is no round trip."""
+        self._sent_ns = [None] * 256
+
     def figures(self) -> dict[str, Any] | None:
         """Return median and 99th percentile [ms], and how many there were; None when there were none."""
         if not self._all_ms:

@@ -5,44 +5,30 @@ can tell, except by what HELLO says.
 """
 
 import contextlib
-import hashlib
-import struct
-import time
 from collections.abc import Iterator
-from typing import NamedTuple
 
 from firmware_protocol import codec
-from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m
-from hil.devices import handshake
+from hil.devices import handshake, stepping
 from hil.devices.handshake import RETRY_NS, Expected, Greeting, RobotInfo
 from hil.devices.link_times import SYNC_PERIOD_NS, ClockSync, RoundTrip
+from hil.devices.robot_report import RobotReport
 from hil.devices.snapshot import Feedback, SnapshotAssembler
 from hil.devices.wheel_map import WheelMap
-from hil.errors import BadInputError, DeviceError, HilError, RobotStoppedError
+from hil.devices.wire_hash import WireHash
+from hil.errors import BadInputError, DeviceError, HilError
 from hil.links.delay import DelayedLink
 from hil.ports import Clock, Received
-from hil.types import NAN, NAN_WHEELS, ZERO_WHEELS, CommandMode, WheelCommand, Wheels
+from hil.types import ZERO_WHEELS, CommandMode, WheelCommand
 
-SILENCE_NS = 2_000_000_000  # wall-clock silence that ends a handshake or a step
 _HEARTBEAT_NS = 100_000_000
 _START_LIMIT_NS = 4_000_000_000
-_FIRST_HELLO_ID = m.HelloRequest.ID
 _ANOTHER_NONCE_HELPS = (
     m.ArmRefusal.NONCE_USED,
     m.ArmRefusal.SESSION_USED,
     m.ArmRefusal.NOT_IDLE,
     m.ArmRefusal.NOT_ANNOUNCED,
 )
-_HEADER = struct.Struct("<HB")
-
-
-class Health(NamedTuple):
-    """What the robot says at 10 Hz of its battery and its motors; NaN where it says nothing, or nothing yet."""
-
-    battery_v: float = NAN
-    battery_a: float = NAN
-    temperature_degc: Wheels = NAN_WHEELS
 
 
 class Stm32:
@@ -77,13 +63,9 @@ class Stm32:
         self._request = m.Request.IDLE
         # None until something was asked for: a host that only looks must not disarm another one's robot.
         self._next_heartbeat_ns: int | None = None
-        self._sent_hash = hashlib.sha256()
-        self._received_hash = hashlib.sha256()
-        self._robot_rejected: dict[str, int] = {}
-        self._last_counters: dict[type, m.LinkCounters | m.PortCounters] = {}
+        self._hash = WireHash()
         self._out_of_range = 0
-        self.status: m.Status | None = None
-        self.health = Health()
+        self.report = RobotReport(wheel_map)
         self.round_trip = RoundTrip()
         self.clock_sync = ClockSync()
         self._next_sync_ns = 0
@@ -108,7 +90,7 @@ class Stm32:
         self._request = m.Request.IDLE
         self._next_heartbeat_ns = None
         self._feedback = None
-        self.status = None
+        self.report.status = None
         self._link.discard()
 
     def reopen(self) -> None:
@@ -122,7 +104,8 @@ class Stm32:
         """
         self.leave()
         self._assembler.restart()
-        self._last_counters.clear()
+        self.report.restart()
+        self.round_trip.restart()
         self._nonce = next(self._nonces)
         self._greeting = Greeting()
         self._greet_again_ns = 0
@@ -190,7 +173,7 @@ class Stm32:
         feedback = self.poll()
         state = feedback.state if feedback is not None else None
         # STATUS tells whose session it is: another host may have armed the robot meanwhile.
-        ours = self.status is not None and self.status.nonce == self._nonce
+        ours = self.report.status is not None and self.report.status.nonce == self._nonce
         if state is m.State.ACTIVE and ours:
             return True
         if state is m.State.IDLE:
@@ -205,9 +188,9 @@ class Stm32:
         if self._request is m.Request.IDLE:
             self._announce_and_arm()
             return
-        refusal = self.status.arm_refusal if self.status is not None else m.ArmRefusal.NONE
+        refusal = self.report.status.arm_refusal if self.report.status is not None else m.ArmRefusal.NONE
         if refusal in _ANOTHER_NONCE_HELPS:
-            self.status = None
+            self.report.status = None
             self._nonce = next(self._nonces)
             self._announce_and_arm()
         elif refusal != m.ArmRefusal.NONE:
@@ -221,16 +204,7 @@ class Stm32:
 
     def why_not_active(self) -> str:
         """Return what keeps the robot from being driven, and what to do."""
-        if self._feedback is None:
-            return "the robot answered HELLO but sends no feedback; reset it and try again"
-        state = self._feedback.state
-        advice = {
-            m.State.ACTIVE: "another controller drives it; stop that one first",
-            m.State.ESTOP: "it is latched; release the e-stop and restart the robot",
-            m.State.FAULT: "it is latched; find the cause and restart the robot",
-        }.get(state, "restart the robot and look at its link counters")
-        fault = f", fault {m.Fault(self.status.fault).name}" if self.status is not None and self.status.fault else ""
-        return f"the robot did not become ACTIVE: it is {state.name}{fault}; {advice}"
+        return self.report.why_not_active(self._feedback.state if self._feedback is not None else None)
 
     def stop(self, period_ns: int, limit_ns: int) -> bool:
         """Ask for IDLE and wait for it, at most ``limit_ns`` on the clock; return whether the robot got there."""
@@ -317,36 +291,10 @@ class Stm32:
 
     def _exchange_step(self, step: m.Step) -> int:
         """Send a STEP and take what comes until its answer; return the tick reached. 0 substeps only ask for it."""
-        expected = (step.tick + step.substeps) & 0xFFFF_FFFF if step.substeps else None
         self._send(step)
-        begin_ns = sent_ns = time.monotonic_ns()
-        while True:
-            received = self._link.receive(RETRY_NS)
-            message = self._take(received) if received is not None else None
-            if isinstance(message, m.StepDone) and (expected is None or message.tick != step.tick):
-                if expected not in (None, message.tick):
-                    raise RobotStoppedError(
-                        f"the robot is at tick {message.tick} where {expected} was expected; it was reset or is "
-                        "stepped by another host"
-                    )
-                self._hash(self._received_hash, codec.encode(message))
-                return message.tick
-            # An answer with the tick where this step begins is the second one to a step that was sent twice.
-            now_ns = time.monotonic_ns()
-            if now_ns - begin_ns > SILENCE_NS:
-                raise RobotStoppedError("the robot did not answer STEP within 2 s of wall-clock time; it was lost")
-            if received is None and now_ns - sent_ns > RETRY_NS:
-                # Idempotent, and outside the hash: how often it is repeated depends on the wall clock.
-                self._link.send(codec.encode(step))
-                sent_ns = now_ns
-
-    def stop_reason(self) -> str:
-        """Return why the robot last stopped, in words of the DBC (STATUS.stop_reason, STATUS.fault)."""
-        if self.status is None:
-            return "a reason that it has not told yet"
-        reason = m.StopReason(self.status.stop_reason).name
-        fault = m.Fault(self.status.fault)
-        return f"{reason} ({fault.name})" if fault else reason
+        done = stepping.await_done(self._link, step, self._take)
+        self._hash.received(codec.encode(done))
+        return done.tick
 
     # Frames
 
@@ -362,7 +310,7 @@ class Stm32:
         frame = codec.encode(message)
         self._link.send(frame)
         self.sent += 1
-        self._hash(self._sent_hash, frame)
+        self._hash.sent(frame)
 
     def _take(self, received: Received) -> codec.Message | None:
         frame, stamp_ns = received
@@ -372,7 +320,7 @@ class Stm32:
             return None
         self.received += 1
         if frame.id != m.StepDone.ID:  # hashed once, by the step that it answers
-            self._hash(self._received_hash, frame)
+            self._hash.received(frame)
         snapshot = self._assembler.feed(message)
         if snapshot is not None:
             self._feedback = self._map.feedback_from_wire(snapshot)
@@ -381,29 +329,11 @@ class Stm32:
         elif self._greeting is not None and (info := self._greeting.feed(message)) is not None:
             self._check_same(info)
             self._greeting = None
-        elif isinstance(message, m.Status):
-            self.status = message
-        elif isinstance(message, m.LinkCounters | m.PortCounters):
-            self._count_robot_rejections(message)
-        elif isinstance(message, m.Power):
-            self.health = self.health._replace(battery_v=message.battery_v, battery_a=message.battery_a)
         elif isinstance(message, m.TimeSyncResponse):
             self.clock_sync.answered(message.sequence, message.received_us, message.held_us, stamp_ns)
-        elif isinstance(message, m.Temperatures):
-            self.health = self.health._replace(temperature_degc=self._map.temperatures_from_wire(Wheels(*message)))
+        else:
+            self.report.feed(message)
         return message
-
-    @staticmethod
-    def _hash(digest: "hashlib._Hash", frame: Frame) -> None:
-        if frame.id < _FIRST_HELLO_ID:
-            digest.update(_HEADER.pack(frame.id, len(frame.payload)) + frame.payload)
-
-    def _count_robot_rejections(self, counters: m.LinkCounters | m.PortCounters) -> None:
-        last = self._last_counters.get(type(counters))
-        if last is not None:
-            for cause, new, old in zip(counters._fields, counters, last, strict=True):
-                self._robot_rejected[cause] = self._robot_rejected.get(cause, 0) + ((new - old) & 0xFF)
-        self._last_counters[type(counters)] = counters
 
     # Accounts
 
@@ -412,8 +342,7 @@ class Stm32:
 
         HELLO and repeated STEPs are left out: how many there are depends on the wall clock.
         """
-        both = self._sent_hash.digest() + self._received_hash.digest()
-        return hashlib.sha256(both).hexdigest()
+        return self._hash.hexdigest()
 
     @property
     def snapshots_lost(self) -> int:
@@ -426,8 +355,7 @@ class Stm32:
             "range": self._out_of_range,
             "incomplete_snapshot": self._assembler.incomplete,
         }
-        # Between the first and the last LINK_COUNTERS and PORT_COUNTERS of the session.
-        robot = {f"robot_{cause}": count for cause, count in self._robot_rejected.items()}
+        robot = {f"robot_{cause}": count for cause, count in self.report.rejected.items()}
         return {cause: count for cause, count in (own | robot).items() if count}
 
     def describe_link(self) -> str:

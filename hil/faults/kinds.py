@@ -156,7 +156,9 @@ KINDS: tuple[Kind, ...] = (
     ),
     Kind(
         "disconnect", "link", ("link",), "`link`, the default",
-        "The link is lost: whatever is sent or received, STEP and HELLO too, finds no link.",
+        "The link is lost: a command that is sent finds no link, no feedback comes, and what was held back is gone. By "
+        "default that ends the run; with loop.rearm = true the link is opened again, which fails until the window is "
+        "over. In lockstep STEP passes, so that robot time goes on.",
         "attempts to use the link",
         {"start_s": 2.0, "end_s": 2.5},
     ),

@@ -29,7 +29,7 @@ class FaultBus:
         self._babbles = [fault for fault in faults if fault.kind == "babble"]
         self._babbler = babbler
         self._errors = {"command": 0, "feedback": 0}  # the transmit error counter of each end
-        self._rejected = {"error_bit": 0, "length": 0}
+        self._rejected = {"error_bit": 0, "error_bus_off": 0, "length": 0}
 
     def send(self, frame: Frame) -> None:
         t_ns = self._time.now_ns()
@@ -39,6 +39,7 @@ class FaultBus:
             return
         sent = self._passed(frame, "command", t_ns)
         if sent is None:
+            self._rejected["error_bus_off"] += 1
             raise LinkError("the CAN controller is bus-off: the fault bit_errors destroyed too many frames in a row")
         self._link.send(sent)
 

@@ -198,6 +198,8 @@ class FaultLink:
         self._link.close()
 
     def _let_go(self, t_ns: int | None) -> None:
+        if t_ns is not None and self._is_cut(t_ns):
+            self._out.forget()
         for frame in self._out.due(t_ns):
             self._link.send(frame)
 

@@ -45,6 +45,7 @@ class FaultLine:
         return self._spoil(data[:whole], "feedback", t_ns)
 
     def reopen(self) -> None:
+        self._rest = b""
         self._stream.reopen()
 
     def describe(self) -> str:

@@ -59,6 +59,8 @@ class Verdict:
         """Return what a report keeps of the run, by name; a figure without a meaning is left out."""
         metrics: Mapping[str, Any] = {"seed": self.scenario.loop.seed} if self.result is None else self.result.metrics
         kept = [("scenario", self.scenario.name), *((name, metrics.get(name)) for name in (*_FACTS, *_FIGURES))]
+        if self.result is not None:
+            kept += [(f"link.{name}", value) for name, value in _link_figures(metrics)]
         kept += [("failure", self.error), ("recording", self.recording)]
         return [(name, str(value)) for name, value in kept if value is not None]
 
@@ -105,6 +107,24 @@ def run_as_test(scenario: "Scenario", truth: str | None, record: Path | None, re
 
 def _faults(scenario: "Scenario", metrics: Mapping[str, Any]) -> Iterator[tuple["FaultTable", Mapping[str, Any]]]:
     return zip(scenario.fault, metrics["fault"], strict=True)
+
+
+def _link_figures(metrics: Mapping[str, Any]) -> Iterator[tuple[str, float | None]]:
+    """Yield the main figures of the link (hil/links/STATISTICS.md); None for one that this link cannot have."""
+    link = metrics["link_statistics"]
+    for way in ("sent", "received"):
+        yield f"{way}_frames", link[way]["frames"]
+        yield f"{way}_bytes", link[way]["bytes"]
+    yield "lost_snapshots", link["lost"]["snapshots"]
+    yield "rejected", sum(link["rejected"].values())
+    yield (
+        "worst_load_percent",
+        max((load["worst_100_ms_percent"] for load in (link["load"] or {}).values()), default=None),
+    )
+    for name, figure in (("round_trip", link["round_trip_ms"]), ("feedback_age", link["feedback_age_ms"])):
+        for share in ("p50", "p99"):
+            yield f"{name}_{share}_ms", None if figure is None else figure[share]
+    yield "recoveries", len(metrics["recoveries"])
 
 
 def _fault(row: "FaultTable", counted: Mapping[str, Any]) -> str:
