@@ -12,8 +12,10 @@ NATIVE_SOURCES := $(wildcard native_build/*.py firmware_protocol/build.py firmwa
 demo: setup
 	$(BIN)/hil run paper_circle
 
+# Real time comes last and alone.
 test: setup .venv/tools
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses auto --maxprocesses 8 -m 'not alone'
+	$(BIN)/python -m pytest -m alone
 
 # Only the tests over real SocketCAN, which `make test` runs too; for example: make test-socketcan ARGS='-k lockstep -v'
 test-socketcan: setup .venv/tools
