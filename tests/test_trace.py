@@ -379,13 +379,14 @@ def test_a_run_in_real_time_is_traced_as_it_goes(tmp_path):
         result = run_json(
             "paper_circle", "--mode", "realtime", "--link", robot.link, "--truth", robot.truth, "--record", "none",
             "--set", "loop.rate_hz=100", "--set", "loop.duration_s=2", "--set", "expect=[]", "--trace", path,
+            "--set", "loop.rearm=true",  # a busy machine may stop the robot
         )  # fmt: skip
     read = frames(path)
     assert result["trace"]["frames"] == len(read)
     assert result["trace"]["trouble"] is None
     assert len([one for one in read if not one.is_rx]) == result["frames"]["sent"]
     commands = [one.timestamp for one in read if one.arbitration_id in (m.WheelCommand.ID, m.TorqueCommand.ID)]
-    assert result["failure"] is not None or 1.8 < commands[-1] - commands[0] < 4
+    assert 1.8 < commands[-1] - commands[0] < 4
     clock = result["link_statistics"]["clock"]
     assert 0 < clock["round_trip_us"]["p50"] <= clock["round_trip_us"]["p99"]
 

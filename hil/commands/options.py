@@ -1,0 +1,41 @@
+"""Options that several commands have, and how they print JSON."""
+
+import json
+import math
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+ScenarioName = Annotated[str, typer.Argument(metavar="SCENARIO", help="a shipped name or a path to a .toml file")]
+Sets = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="override any key, for example robot.mass_kg=24"),
+]
+RobotFile = Annotated[Path | None, typer.Option("--robot", metavar="FILE", help="merge a robot's own file")]
+Mode = Annotated[str | None, typer.Option(metavar="lockstep|realtime", help="whose time passes")]
+LinkUrl = Annotated[
+    str | None,
+    typer.Option("--link", metavar="LINK", help="memory:, serial:PATH, serial:pty or can:INTERFACE/CHANNEL"),
+]
+Seed = Annotated[int | None, typer.Option(metavar="N", help="of everything random in the run")]
+TraceFile = Annotated[
+    Path | None, typer.Option("--trace", metavar="FILE.blf|.asc|.log", help="write what is on the wire, for bus tools")
+]
+Json = Annotated[bool, typer.Option("--json", help="print one JSON object and nothing else")]
+
+
+def print_json(value: Any) -> None:
+    """Print one JSON object on a line."""
+    print(json.dumps(_json_safe(value), allow_nan=False, default=str))
+
+
+def _json_safe(value: Any) -> Any:
+    """JSON knows no NaN and no infinity: null stands for them."""
+    if isinstance(value, dict):
+        return {key: _json_safe(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_json_safe(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,68 @@
+"""``hil device`` and ``hil params``: the robot's end of a link, and what its firmware holds."""
+
+import contextlib
+import sys
+from typing import Annotated
+
+import typer
+
+from hil.commands.options import Json, LinkUrl, Mode, RobotFile, ScenarioName, Seed, Sets, TraceFile, print_json
+
+
+def device(
+    scenario: ScenarioName,
+    link: LinkUrl = None,
+    mode: Mode = None,
+    robot: RobotFile = None,
+    truth_port: Annotated[
+        int, typer.Option(metavar="PORT", help="for the truth; 0 takes a free one", min=0, max=65535)
+    ] = 0,
+    target: Annotated[
+        str,
+        typer.Option(metavar="host|qemu|unicorn", help="what the firmware runs on: this machine, or an emulated STM32"),
+    ] = "host",
+    seed: Seed = None,
+    sets: Sets = None,
+    trace: TraceFile = None,
+    until_eof: Annotated[
+        bool, typer.Option("--until-eof", help="end when stdin does, as when the program that started this one is gone")
+    ] = False,
+) -> None:
+    """Be the scenario's virtual robot in a process of its own; print one line when ready."""
+    from hil.device_process import serve
+    from hil.scenario import load
+
+    resolved = load(scenario, set=sets or [], robot=robot, mode=mode, link=link, seed=seed)
+    lifeline = sys.stdin.fileno() if until_eof else None
+    serve(resolved, truth_port, lambda line: print(line, flush=True), target, trace, lifeline)
+
+
+def params(
+    link: Annotated[str, typer.Argument(metavar="LINK", help="serial:PATH or can:INTERFACE/CHANNEL")],
+    changes: Annotated[list[str] | None, typer.Argument(metavar="[NAME=VALUE]...", help="change these first")] = None,
+    store: Annotated[bool, typer.Option("--store", help="keep them across a reset")] = False,
+    restore: Annotated[bool, typer.Option("--restore", help="first take the values of the build")] = False,
+    as_json: Json = False,
+) -> None:
+    """Show and change the parameters of a robot's firmware; it must be in IDLE to change."""
+    from hil import report
+    from hil.devices.parameters import ParameterClient, assignment
+    from hil.links.opening import open_host
+    from hil.links.url import parse_link
+
+    wanted = dict(assignment(change) for change in changes or [])
+    with contextlib.closing(open_host(parse_link(link))) as opened:
+        client = ParameterClient(opened)
+        if restore:
+            client.restore()
+        for name, value in wanted.items():
+            client.write(name, value)
+        if store:
+            client.store()
+        held = client.read()
+    if as_json:
+        print_json({row.name: row.value for row in held})
+    else:
+        rows = [(row.name, f"{row.value:.7g}", f"{row.minimum:.7g} to {row.maximum:.7g}") for row in held]
+        report.print_table([("parameter", "value", "range"), *rows])
+        print(client.info.describe())
