@@ -206,6 +206,7 @@ def _figures(
         "link": scenario.link.url,
         "seed": scenario.loop.seed,
         **figures,
+        "deadline_misses": report.deadline_misses,  # the rows do not know of those after the last one
         "realtime_factor": realtime_factor,
         "frames": {"sent": device.sent, "received": device.received, "rejected": device.rejected()},
         "link_statistics": _link_statistics(bench, signals),

@@ -179,7 +179,10 @@ class Loop:
                 self._come_back(self._recovery)
                 self._tell_away(number, late_ns, fix)
             self._tick_us = (time.perf_counter_ns() - begin_ns) * 1e-3
-            number = self._next(number, origin_ns)
+            following = self._next(number, origin_ns)
+            # Those of the run alone, also where none comes after them to be recorded.
+            self._misses += min(following, -(-duration_ns // timing.period_ns)) - number - 1
+            number = following
         if self._recovery is not None:
             raise LinkError(f"{self._recovery.why}; it did not come back until the end: {self._recovery.problem}")
 
@@ -262,9 +265,7 @@ class Loop:
     def _next(self, number: int, origin_ns: int) -> int:
         """Return the next tick that can still begin on time."""
         elapsed_ns = self._parts.clock.now_ns() - origin_ns - self._timing.feedback_latency_ns
-        following = max(number + 1, -(-elapsed_ns // self._timing.period_ns))
-        self._misses += following - number - 1
-        return following
+        return max(number + 1, -(-elapsed_ns // self._timing.period_ns))
 
     def _feedback(self) -> Feedback:
         feedback = self._parts.device.poll()

@@ -306,3 +306,28 @@ def test_truth_that_nobody_publishes():
         hil.run("paper_circle", link="serial:/dev/null", truth="tcp://127.0.0.1:1")
     with pytest.raises(BadInputError, match="expected tcp://"):
         hil.run("paper_circle", link="serial:/dev/null", truth="udp://x")
+
+
+SLOW_AT_LAST = """
+import time
+from hil.types import ZERO_WHEELS, CommandMode, WheelCommand
+
+class Law:
+    def reset(self, state, reference):
+        self.ticks = 0
+
+    def update(self, reference, state, applied, dt_s):
+        self.ticks += round(dt_s * 200)
+        if self.ticks >= 95:
+            time.sleep(0.06)
+        return WheelCommand(CommandMode.TORQUE, ZERO_WHEELS, ZERO_WHEELS)
+"""
+
+
+def test_ticks_that_are_skipped_last_are_counted_up_to_the_end_and_no_further(tmp_path):
+    (tmp_path / "slow.py").write_text(SLOW_AT_LAST, encoding="utf-8")
+    overrides = {"controller.law": f"{tmp_path / 'slow.py'}:Law", "controller.gains": {}, "loop.rate_hz": 200}
+    result = hil.run("paper_circle", set=SHORT | overrides | {"loop.duration_s": 0.5}, mode="realtime")
+    assert result.failure is None
+    assert result.metrics["deadline_misses"] >= 1
+    assert result.metrics["ticks"] + result.metrics["deadline_misses"] == 100
