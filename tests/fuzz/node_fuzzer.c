@@ -348,7 +348,7 @@ static void begin(robot *r, const uint8_t *choice) {
     const size_t index = choice[PARAMETER];
     if (index < WHEEL_PARAMETER_COUNT) {
         const wheel_parameter_info *info = &wheel_parameter_table[index];
-        CHECK(wheel_parameter_set(&parameters, index,
+        CHECK(wheel_parameter_set(&parameters, NULL, index,
                                   (choice[WHICH_END] & 1u) != 0u ? info->maximum : info->minimum));
     }
     wheel_identity identity = {.capabilities = 0x07FCu};
