@@ -7,8 +7,10 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, TypeVar
 
+from firmware_protocol.host import HostNode
 from hil.bench import NS, Bench, open_trace
 from hil.controllers.registry import make_controller
+from hil.devices.virtual import MakeNode
 from hil.errors import DeviceError, HilError, LinkError
 from hil.estimator import make_estimator
 from hil.faults.signals import SignalFaults
@@ -67,11 +69,13 @@ def run_scenario(
     allow_motion: bool = False,
     watch: Watch | None = None,
     linger: Callable[[], None] | None = None,
+    make_node: MakeNode = HostNode,
 ) -> RunResult:
     """Run a scenario that was loaded. Raises as ``run``.
 
     ``live_port`` serves live viewers on 127.0.0.1. ``watch`` is entered with the loop while it runs; ``linger`` is
-    called when all is done and recorded, while the viewers are still served.
+    called when all is done and recorded, while the viewers are still served. ``make_node`` makes the firmware of a
+    robot that is made in this process.
     """
     if record is not None:
         check_recording_path(record)
@@ -81,7 +85,9 @@ def run_scenario(
     blocking = scenario.loop.mode == "lockstep"
     with contextlib.ExitStack() as resources:
         tracing = resources.enter_context(open_trace(scenario, trace)) if trace is not None else None
-        bench = resources.enter_context(Bench(scenario, truth, allow_motion=allow_motion, trace=tracing))
+        bench = resources.enter_context(
+            Bench(scenario, truth, allow_motion=allow_motion, trace=tracing, make_node=make_node)
+        )
         # First the robot, then the recorder: a robot that is not there leaves no empty recording behind.
         robot = _reach(bench, bench.connect)
         memory = MemorySink()
