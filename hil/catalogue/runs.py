@@ -7,11 +7,13 @@ from typing import Any, NamedTuple
 
 from hil.assembly import RunResult, run_scenario
 from hil.catalogue.judge import SafetyJudge
+from hil.catalogue.recording import RecordingHere
 from hil.catalogue.watched import WatchedNode
 from hil.errors import HilError
 from hil.faults.cases import DURATION_S, Outcome, Row
 from hil.review.decode import DamagedError, decode
 from hil.scenario import Scenario, format_value, load
+from hil.telemetry import Recording
 from hil.types import CommandMode
 
 OK = "ok"
@@ -27,7 +29,10 @@ _HINT = "set loop.rearm = true"
 
 
 class Job(NamedTuple):
-    """A run to do; plain values, for it goes to a worker as JSON. ``recording`` is the file to record to."""
+    """A run to do; plain values, for it goes to a worker as JSON.
+
+    ``recording`` is the file to record to; with ``records_here`` the process of the run writes it itself.
+    """
 
     fault: str
     link: str
@@ -38,6 +43,7 @@ class Job(NamedTuple):
     rearm: bool
     allowed: Sequence[str]
     recording: str
+    records_here: bool
 
 
 class Verdict(NamedTuple):
@@ -57,6 +63,11 @@ class Verdict(NamedTuple):
     silent_ticks: int | None
     wall_s: float
     recording: str | None
+
+    @property
+    def is_ok(self) -> bool:
+        """Whether the run was as it should be."""
+        return self.verdict == OK
 
 
 class _Watched:
@@ -91,7 +102,13 @@ def perform(job: Job) -> Verdict:
     judge = robot.judge
     recording = Path(job.recording)
     try:
-        result = run_scenario(scenario(job), record=recording, make_node=robot.power_on, linger=robot.left_alone)
+        result = run_scenario(
+            scenario(job),
+            record=recording,
+            make_node=robot.power_on,
+            make_recording=RecordingHere if job.records_here else Recording,
+            linger=robot.left_alone,
+        )
     except HilError as error:
         return lost(job, f"refused: {error}", time.monotonic() - began)
     problems = [*_unsafe(judge), *_wrong(job, result), *_unrecorded(result, recording)]
