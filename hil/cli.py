@@ -113,7 +113,9 @@ def catalogue(
     scenario: Annotated[
         str, typer.Argument(metavar="[SCENARIO]", help="what the faults are put into, 1.3 s of it")
     ] = "circle_speed",
-    law: Annotated[str | None, typer.Option(metavar="LAW", help="the law to test, as controller.law names it")] = None,
+    law: Annotated[
+        str | None, typer.Option(metavar="LAW", help="the law to test instead, without the scenario's gains")
+    ] = None,
     link: Annotated[
         list[str] | None, typer.Option("--link", metavar="memory|serial|can", help="by default each; may be repeated")
     ] = None,

@@ -57,10 +57,10 @@ def pairs(asked: Asked) -> list[Job]:
 
     A pair comes out at worst as the worse of its two does alone.
     """
-    chosen = set(_chosen(asked))
+    chosen = {case.name for case in _chosen(asked)}
     jobs = []
     for two in itertools.combinations([case for case in CASES if case.in_pairs], 2):
-        if not chosen.isdisjoint(two):
+        if not chosen.isdisjoint(case.name for case in two):
             for link in asked.links or ("memory",):
                 worst = max(_ORDER.index(case.expected(link)) for case in two)
                 jobs.append(_job(asked, two, link, "lockstep", True, set(_ORDER[: worst + 1])))

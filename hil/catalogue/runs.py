@@ -25,6 +25,7 @@ _IN_TORQUE_MODE = {
 }
 # Longer than the drives may hold the wheels after the ramp.
 _LEFT_ALONE_TICKS = 1100
+_OPTION = "--set"
 _HINT = "set loop.rearm = true"
 
 
@@ -145,7 +146,17 @@ def scenario(job: Job) -> Scenario:
     rows: list[Row] = list(job.rows)
     if base.controller.mode is CommandMode.TORQUE:
         rows = [{**row, "target": _IN_TORQUE_MODE.get(str(row["target"]), row["target"])} for row in rows]
-    return load(job.scenario, set=[*changes, f"fault={format_value(rows)}"], mode=job.mode, link=job.link)
+    faulty = load(job.scenario, set=[*changes, f"fault={format_value(rows)}"], mode=job.mode, link=job.link)
+    return _without_gains_of_another_law(faulty)
+
+
+def _without_gains_of_another_law(scenario: Scenario) -> Scenario:
+    """Where the law was given by an option, leave only the gains that were too: the file's are of the file's law."""
+    table, where = scenario.controller, scenario.provenance
+    if where["controller.law"] != _OPTION:
+        return scenario
+    gains = {name: value for name, value in table.gains.items() if where[f"controller.gains.{name}"] == _OPTION}
+    return scenario.model_copy(update={"controller": table.model_copy(update={"gains": gains})})
 
 
 def outcome(result: RunResult) -> str:
