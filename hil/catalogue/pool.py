@@ -35,9 +35,13 @@ def perform_all(
             number, verdict = done.get()
             verdicts[number] = verdict
             tell(verdict)
+    except BaseException:
+        for hand in hands:
+            hand.abort()
+        raise
     finally:
         for hand in hands:
-            hand.close()
+            hand.join()
     return [verdicts[number] for number in range(len(jobs))]
 
 
@@ -133,9 +137,12 @@ class _Hand:
         how = f"hung: it was ended after {wall_s:.1f} s" if wall_s >= self._limit_s else f"crashed: {trouble}"
         return lost(job, how, wall_s)
 
-    def close(self) -> None:
-        """End the worker, at once where it is at work."""
+    def abort(self) -> None:
+        """Leave the other jobs, and the one in hand."""
         self._closing = True
-        if self._thread.is_alive() and self._worker is not None and not self._waiting.empty():
-            self._worker.kill()
+        if (worker := self._worker) is not None:
+            worker.kill()
+
+    def join(self) -> None:
+        """Wait until the worker has ended."""
         self._thread.join()
