@@ -7,7 +7,7 @@ NATIVE_SOURCES := $(wildcard native_build/*.py firmware_protocol/build.py firmwa
 	plant_fmu/*.toml plant_fmu/generated/*.* plant_fmu/generated/*/* plant_fmu/documentation/*.* \
 	plant_fmu/documentation/licenses/* plant_fmu/reference/* hil/plant/*.[ch] hil/plant/build.py)
 
-.PHONY: demo test test-socketcan check proof picture format native fmu clean setup
+.PHONY: demo test test-socketcan catalogue check proof picture format native fmu clean setup
 
 demo: setup
 	$(BIN)/hil run paper_circle
@@ -20,6 +20,10 @@ test: setup .venv/tools
 # Only the tests over real SocketCAN, which `make test` runs too; for example: make test-socketcan ARGS='-k lockstep -v'
 test-socketcan: setup .venv/tools
 	$(BIN)/python -m pytest -m socketcan -rs $(ARGS)
+
+# Every fault alone over each link, all pairs, and a part in real time; ARGS goes to hil catalogue.
+catalogue: setup
+	$(BIN)/hil catalogue --pairs --realtime $(ARGS)
 
 check: setup .venv/tools
 	$(BIN)/ruff check

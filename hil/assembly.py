@@ -7,8 +7,10 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, TypeVar
 
+from firmware_protocol.host import HostNode
 from hil.bench import NS, Bench, open_trace
 from hil.controllers.registry import make_controller
+from hil.devices.virtual import MakeNode
 from hil.errors import DeviceError, HilError, LinkError
 from hil.estimator import make_estimator
 from hil.faults.signals import SignalFaults
@@ -20,7 +22,7 @@ from hil.ports import Sink
 from hil.references import make_reference
 from hil.results import MemorySink, RunResult, Series, applied_words, expectations
 from hil.scenario import Scenario, load
-from hil.telemetry import Recording, check_recording_path
+from hil.telemetry import Recording, RunRecording, check_recording_path
 from hil.telemetry.provenance import properties
 from hil.trace import Trace, check_trace_path
 
@@ -54,6 +56,9 @@ def run(
     return run_scenario(loaded, truth=truth, record=recording, trace=traced, allow_motion=allow_motion)
 
 
+MakeRecording = Callable[..., RunRecording]
+"""Makes a recording from the arguments of ``Recording``."""
+
 Watch = Callable[[Loop], AbstractContextManager[object]]
 
 
@@ -67,11 +72,14 @@ def run_scenario(
     allow_motion: bool = False,
     watch: Watch | None = None,
     linger: Callable[[], None] | None = None,
+    make_node: MakeNode = HostNode,
+    make_recording: MakeRecording = Recording,
 ) -> RunResult:
     """Run a scenario that was loaded. Raises as ``run``.
 
     ``live_port`` serves live viewers on 127.0.0.1. ``watch`` is entered with the loop while it runs; ``linger`` is
-    called when all is done and recorded, while the viewers are still served.
+    called when all is done and recorded, while the viewers are still served. ``make_node`` makes the firmware of a
+    robot that is made in this process, ``make_recording`` the recording.
     """
     if record is not None:
         check_recording_path(record)
@@ -81,14 +89,16 @@ def run_scenario(
     blocking = scenario.loop.mode == "lockstep"
     with contextlib.ExitStack() as resources:
         tracing = resources.enter_context(open_trace(scenario, trace)) if trace is not None else None
-        bench = resources.enter_context(Bench(scenario, truth, allow_motion=allow_motion, trace=tracing))
+        bench = resources.enter_context(
+            Bench(scenario, truth, allow_motion=allow_motion, trace=tracing, make_node=make_node)
+        )
         # First the robot, then the recorder: a robot that is not there leaves no empty recording behind.
         robot = _reach(bench, bench.connect)
         memory = MemorySink()
-        recording = None
+        recording: RunRecording | None = None
         if record is not None or live_port is not None:
             recording = resources.enter_context(
-                Recording(record, properties=properties(scenario), blocking=blocking, live_port=live_port)
+                make_recording(record, properties=properties(scenario), blocking=blocking, live_port=live_port)
             )
             recording.event(0.0, "info", f"robot: {robot.describe()}")
             recording.event(0.0, "info", f"link: {bench.device.describe_link()}")
@@ -269,7 +279,7 @@ def _finished(trace: Trace) -> dict[str, Any]:
     }
 
 
-def _note_events(recording: Recording, loop: Loop, metrics: Mapping[str, Any]) -> None:
+def _note_events(recording: RunRecording, loop: Loop, metrics: Mapping[str, Any]) -> None:
     """Put into the event log what became of the run, at the time to which it belongs."""
     for row in metrics["fault"]:
         level = "info" if row["applied"] else "error"
@@ -288,7 +298,7 @@ def _note_events(recording: Recording, loop: Loop, metrics: Mapping[str, Any]) -
         recording.event(loop.t_s, "error", metrics["failure"])
 
 
-def _close_recording(recording: Recording, metrics: dict[str, Any], *, keep_live: bool) -> None:
+def _close_recording(recording: RunRecording, metrics: dict[str, Any], *, keep_live: bool) -> None:
     """Finish the recording with the figures in it, and say in them what became of it."""
     if recording.path is not None:
         metrics["recording"] = str(recording.path)

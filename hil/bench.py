@@ -10,13 +10,21 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from firmware_protocol.host import parameter_hash, parameters
+from firmware_protocol.host import HostNode, parameter_hash, parameters
 from hil.clock import TICK_NS, LockstepClock, WallClock
 from hil.devices.faults import Body, RobotFaults
 from hil.devices.handshake import Expected, RobotInfo
 from hil.devices.stm32 import Stm32
 from hil.devices.truth import TruthClient
-from hil.devices.virtual import LocalTruth, ServerThread, VirtualPlant, VirtualRobot, VirtualServer, VirtualStm32
+from hil.devices.virtual import (
+    LocalTruth,
+    MakeNode,
+    ServerThread,
+    VirtualPlant,
+    VirtualRobot,
+    VirtualServer,
+    VirtualStm32,
+)
 from hil.devices.wheel_map import WheelMap
 from hil.errors import BadInputError, HilError
 from hil.faults.injection import LocalFaults, RunFaults
@@ -138,15 +146,23 @@ class Bench:
     """Link, robot, clock and truth of a run; a context manager that closes them all.
 
     With a link that stays within this process the virtual robot is made here too; else the robot is elsewhere, and
-    ``truth`` is the URL of its truth socket, if it has one. ``trace`` is shown what is on the wire.
+    ``truth`` is the URL of its truth socket, if it has one. ``trace`` is shown what is on the wire. ``make_node`` makes
+    the firmware of a robot that is made here.
 
     Raises BadInputError, LinkError or DeviceError when a part cannot be opened.
     """
 
     def __init__(
-        self, scenario: Scenario, truth: str | None, *, allow_motion: bool, trace: Trace | None = None
+        self,
+        scenario: Scenario,
+        truth: str | None,
+        *,
+        allow_motion: bool,
+        trace: Trace | None = None,
+        make_node: MakeNode = HostNode,
     ) -> None:
         self._scenario = scenario
+        self._make_node = make_node
         self.device: Stm32
         self._robot: VirtualStm32 | None = None
         self._server: VirtualServer | None = None
@@ -192,7 +208,7 @@ class Bench:
 
     def _open_within(self, resources: contextlib.ExitStack) -> Link:
         lockstep = self._scenario.loop.mode == "lockstep"
-        self._robot = robot = VirtualStm32(virtual_robot(self._scenario))
+        self._robot = robot = VirtualStm32(virtual_robot(self._scenario), self._make_node)
         resources.callback(robot.close)
         self.faults.arm(LocalFaults(robot.faults, self._do))
         pair = open_pair(parse_link(self._scenario.link.url), self.faults.line, lockstep=lockstep)

@@ -7,13 +7,24 @@ interrupted.
 import signal
 import sys
 from pathlib import Path
-from types import FrameType
 from typing import Annotated
 
 import typer
 
+from hil.commands.catalogue import catalogue
 from hil.commands.fmu import app as fmu_app
-from hil.commands.options import Json, LinkUrl, Mode, RobotFile, ScenarioName, Seed, Sets, TraceFile, print_json
+from hil.commands.options import (
+    Json,
+    LinkUrl,
+    Mode,
+    RobotFile,
+    ScenarioName,
+    Seed,
+    Sets,
+    TraceFile,
+    interrupt,
+    print_json,
+)
 from hil.commands.robot import device, params
 from hil.commands.trace import decode
 from hil.errors import DeviceError, HilError, LinkError, RunInterruptedError
@@ -53,7 +64,7 @@ def run(
     from hil.assembly import run_scenario
     from hil.scenario import load
 
-    signal.signal(signal.SIGTERM, _interrupt)
+    signal.signal(signal.SIGTERM, interrupt)
     resolved = load(scenario, set=sets or [], robot=robot, mode=mode, link=link, seed=seed)
     path = report.recording_path(resolved.name, record)
     watch = None if as_json or not sys.stderr.isatty() else report.progress(resolved.loop.duration_s)
@@ -88,6 +99,7 @@ def run(
     raise typer.Exit(result.exit_code)
 
 
+app.command()(catalogue)
 app.command()(device)
 app.command()(decode)
 app.command()(params)
@@ -151,11 +163,6 @@ def view(
     from hil.telemetry.view import view as open_viewer
 
     open_viewer(recording, web=web)
-
-
-def _interrupt(_number: int, _frame: FrameType | None) -> None:
-    """SIGTERM ends a run as Ctrl-C does: the robot is stopped and the recording closed."""
-    raise KeyboardInterrupt
 
 
 def main() -> None:

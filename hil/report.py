@@ -16,6 +16,7 @@ from hil.results import RunResult, applied_words
 
 if TYPE_CHECKING:
     from hil.assembly import Watch
+    from hil.catalogue.runs import Verdict
     from hil.loop import Loop
     from hil.plant.info import FmuInfo, VariableInfo
     from hil.plant.tools import CheckResult
@@ -29,15 +30,27 @@ def recording_path(name: str, asked: str | None) -> Path | None:
         return None
     if asked is not None:
         return Path(asked)
+    return _runs_folder("name a file with --record, or --record none") / f"{_stamped(name)}.rrd"
+
+
+def catalogue_folder() -> Path:
+    """Return a new folder's path in ``runs/``, for the recordings of the runs that are not as they should be."""
+    return _runs_folder("go where you may write") / _stamped("catalogue")
+
+
+def _runs_folder(remedy: str) -> Path:
     folder = Path("runs")
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:
         raise BadInputError(
-            f"recording folder {folder.absolute()}: it cannot be made ({error.strerror}); name a file with --record, "
-            "or --record none"
+            f"recording folder {folder.absolute()}: it cannot be made ({error.strerror}); {remedy}"
         ) from error
-    return folder / f"{name}-{datetime.now():%Y%m%d-%H%M%S-%f}.rrd"  # noqa: DTZ005 - the user's own time
+    return folder
+
+
+def _stamped(name: str) -> str:
+    return f"{name}-{datetime.now():%Y%m%d-%H%M%S-%f}"  # noqa: DTZ005 - the user's own time
 
 
 def progress(duration_s: float) -> "Watch":
@@ -217,6 +230,41 @@ def print_table(rows: Sequence[Sequence[str]]) -> None:
     for row in rows:
         padded = [text.ljust(width) for text, width in zip(row, widths, strict=False)]
         print("  ".join([*padded, row[-1]]).rstrip())
+
+
+def catalogue_progress(done: int, of: int, verdict: "Verdict") -> None:
+    """Say on stderr how far the catalogue is, and what is not as it should be."""
+    if not verdict.is_ok:
+        print(f"\r{verdict.fault} over {verdict.link}: {verdict.verdict}", file=sys.stderr)
+    print(f"\r{done} of {of} runs", end="\n" if done == of else "", file=sys.stderr, flush=True)
+
+
+def print_catalogue(verdicts: Sequence["Verdict"]) -> None:
+    """Print a row for each run of the catalogue, and how many were as they should be."""
+    head = ("fault", "link", "re-arm", "outcome", "applied", "recoveries", "after silence", "wall s", "verdict")
+    print_table([head, *(_catalogue_row(verdict) for verdict in verdicts)])
+    failed = [verdict for verdict in verdicts if not verdict.is_ok]
+    wall_s = sum(verdict.wall_s for verdict in verdicts)
+    print(f"\n{len(verdicts) - len(failed)} of {len(verdicts)} runs are as they should be, {wall_s:.0f} s of runs")
+    for verdict in failed:
+        where = "" if verdict.recording is None else f" (hil view {verdict.recording})"
+        print(f"  {verdict.fault} over {verdict.link}: {verdict.verdict}{where}")
+
+
+def _catalogue_row(verdict: "Verdict") -> tuple[str, ...]:
+    realtime = ", real time" if verdict.mode == "realtime" else ""
+    silence = "-" if verdict.silent_rad_s is None else f"{verdict.silent_rad_s:g} rad/s"
+    return (
+        verdict.fault,
+        verdict.link + realtime,
+        "yes" if verdict.rearm else "no",
+        verdict.outcome or "-",
+        "-" if verdict.applied is None else " ".join(map(str, verdict.applied)),
+        "-" if verdict.recoveries is None else str(verdict.recoveries),
+        silence,
+        f"{verdict.wall_s:.1f}",
+        "ok" if verdict.is_ok else verdict.verdict.partition(":")[0],
+    )
 
 
 def print_fmu(info: "FmuInfo") -> None:

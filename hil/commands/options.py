@@ -3,6 +3,7 @@
 import json
 import math
 from pathlib import Path
+from types import FrameType
 from typing import Annotated, Any
 
 import typer
@@ -28,6 +29,11 @@ Json = Annotated[bool, typer.Option("--json", help="print one JSON object and no
 def print_json(value: Any) -> None:
     """Print one JSON object on a line."""
     print(json.dumps(_json_safe(value), allow_nan=False, default=str))
+
+
+def interrupt(_number: int, _frame: FrameType | None) -> None:
+    """SIGTERM ends a run as Ctrl-C does: the robot is stopped and the recording closed."""
+    raise KeyboardInterrupt
 
 
 def _json_safe(value: Any) -> Any:

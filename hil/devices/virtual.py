@@ -57,17 +57,23 @@ class VirtualRobot(NamedTuple):
     body: Body
 
 
+MakeNode = Callable[..., HostNode]
+"""Makes a firmware from the arguments of ``HostNode``: that class, or one that watches it too."""
+
+
 class VirtualStm32:
     """A robot on this machine: firmware and plant, one instance each.
 
-    The shipped FMU runs in this process; any other, which may crash or hang, in one of its own.
+    The shipped FMU runs in this process; any other, which may crash or hang, in one of its own. ``make_node`` makes
+    its firmware, at every power-on anew.
 
     Raises BadInputError when the FMU cannot be used, or a firmware parameter is out of its range; DeviceError when the
     FMU fails while it is opened.
     """
 
-    def __init__(self, made_of: VirtualRobot) -> None:
+    def __init__(self, made_of: VirtualRobot, make_node: MakeNode = HostNode) -> None:
         self._made_of = made_of
+        self._make_node = make_node
         with contextlib.ExitStack() as resources:
             self.plant = _open(made_of.plant)
             resources.callback(self.plant.close)
@@ -80,7 +86,7 @@ class VirtualStm32:
     def _power_on(self) -> RobotNode:
         plant, made_of = self.plant, self._made_of
         try:
-            return HostNode(
+            return self._make_node(
                 made_of.firmware,
                 self.faults.exchange_address,
                 self.faults.context_address,

@@ -1,4 +1,4 @@
-"""Writes FAULTS.md, the page of all kinds of faults, from the table in ``kinds``.
+"""Writes FAULTS.md, the page of all kinds of faults, from the tables in ``kinds`` and ``cases``.
 
 ``python -m hil.faults.page`` writes it, ``--check`` fails when it is not as it would be written.
 """
@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+from hil.faults.cases import CASES, DURATION_S, Row
 from hil.faults.kinds import KINDS, Kind, Quantity
 
 PAGE = Path(__file__).with_name("FAULTS.md")
@@ -14,7 +15,7 @@ PAGE = Path(__file__).with_name("FAULTS.md")
 _INTRODUCTION = """\
 # Faults
 
-<!-- Written by python -m hil.faults.page from hil/faults/kinds.py. -->
+<!-- Written by python -m hil.faults.page from hil/faults/kinds.py and cases.py. -->
 
 A row of `[[fault]]` in a scenario makes something go wrong while a run goes on:
 
@@ -37,7 +38,42 @@ A row of `[[fault]]` in a scenario makes something go wrong while a run goes on:
   through its truth socket, so `hil run` needs `--truth`; on a real board they are refused.
 - No fault of a signal gets round the guard, and none arms the robot.
 
-`hil list faults` prints the kinds in short.
+`hil list faults` prints the kinds in short, and `hil catalogue` tries them all (see the end of this page).
+"""
+
+_CATALOGUE = f"""\
+## The catalogue
+
+`hil catalogue` puts every kind of fault into {DURATION_S:g} s of a circle, over memory, serial and CAN, and prints a
+table with a row for each run; with exit code 1 where one is not as it should be.
+
+    hil catalogue                               # every fault alone
+    hil catalogue --pairs --realtime            # all pairs too, and a part of them in real time
+    hil catalogue --law ./my_law.py:MyLaw       # your law on the same circle
+    hil catalogue my_robot.toml --kind mute     # your scenario, one kind
+
+Runs are in lockstep, so they are exact, and every run that can be recovered from is done twice: with
+`loop.rearm = true`, and without. In each run this has to hold:
+
+- **Safety.** A judge at the robot's end of the link sees every frame that the firmware is given, and decodes it by
+  itself; and what the firmware tells its drives, in every tick of 1 ms. It asks nothing of the firmware's own state. No
+  set point is beyond the newest command that is valid, fresh and of the session in force. Without one for the time of
+  the watchdog, or after a stop, set points go to zero within the ramp, and stay there (column `after silence`, the
+  greatest that was seen from then on). What has stopped, or was reset, moves again only after an ARM with a new nonce.
+  Numbers are finite. At the end every robot is left alone, without a host, for watchdog,
+  ramp and 1.1 s.
+- **Outcome**, as in the table below. It *goes on*: it stays ACTIVE. It *re-arms*: it stops and is back by itself, or
+  without `loop.rearm` the run ends with exit code 3 and a sentence that tells of `loop.rearm`. It *ends*: with exit
+  code 3 and a sentence. A pair comes out at worst as the worse of its two. In real time a machine that stalls may stop
+  any robot by its watchdog, so *re-arms* is as good there.
+- **The fault was applied**, each of its rows.
+- **The recording** opens again, with every row of the run, and with the fault and what ended the run as events.
+- **The run ends.** After `--limit` seconds it is `hung`; a process that ends by itself is `crashed`; what was raised
+  in another thread is `traceback`.
+
+The recordings of runs that are not as they should be are kept in `runs/`. Kinds that act on the floor or the battery
+set `plant.start.contact = "slip"` and `plant.start.drive = "current"` in the shipped plant.
+
 """
 
 _TITLES = {
@@ -70,7 +106,7 @@ reads, change what is recorded and judged. A signal without a value (NaN) cannot
 
 def page() -> str:
     """Return the page."""
-    return "\n".join([_INTRODUCTION, *_sections()])
+    return "\n".join([_INTRODUCTION, *_sections(), _CATALOGUE + _cases()])
 
 
 def _sections() -> Iterator[str]:
@@ -78,6 +114,23 @@ def _sections() -> Iterator[str]:
         kinds = [kind for kind in KINDS if kind.acts_on == acts_on]
         yield f"## {title}\n\n{_WORDS[acts_on]}"
         yield from map(_section, kinds)
+
+
+def _cases() -> str:
+    """Return the table of the catalogue's cases."""
+    rows = ["| case | rows | outcome | in pairs | in real time |", "|---|---|---|---|---|"]
+    for case in CASES:
+        given = "; ".join(" ".join(_given(row)) for row in case.rows)
+        marks = ("yes" if mark else "-" for mark in (case.in_pairs, case.realtime))
+        rows.append(f"| {case.name} | {given} | {' | '.join([case.outcome, *marks])} |")
+    return "\n".join(rows) + "\n"
+
+
+def _given(row: Row) -> Iterator[str]:
+    """Yield what a case's row says, but for kind and target."""
+    for key, value in row.items():
+        if key not in ("kind", "target"):
+            yield f"{key} = {value}"
 
 
 def _section(kind: Kind) -> str:

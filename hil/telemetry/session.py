@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Protocol, Self
 
 from hil.signals import SIGNAL_NAMES
 from hil.telemetry.environment import rerun_environment
@@ -40,6 +40,29 @@ class RecordingReport:
     def complete(self) -> bool:
         """Whether everything that the run gave was recorded."""
         return self.error is None and not (self.rows_dropped or self.rows_lost or self.events_lost)
+
+
+class RunRecording(Protocol):
+    """What a run needs of its recording, a context manager: see ``Recording``."""
+
+    @property
+    def path(self) -> Path | None:
+        """The file, or None for a live view alone."""
+
+    def put(self, row: tuple[float, ...]) -> None:
+        """Take one row in the order of the signals."""
+
+    def event(self, t_s: float, level: str, text: str) -> None:
+        """Add a line to the event log."""
+
+    def finish(self, summary: Mapping[str, object], *, keep_live: bool = False) -> RecordingReport:
+        """Write the rest and the summary."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
 
 
 class Recording:

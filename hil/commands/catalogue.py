@@ -1,0 +1,53 @@
+"""``hil catalogue``."""
+
+import signal
+import sys
+from typing import Annotated
+
+import typer
+
+from hil.commands.options import Json, Sets, interrupt, print_json
+from hil.errors import RunInterruptedError
+
+
+def catalogue(
+    scenario: Annotated[
+        str, typer.Argument(metavar="[SCENARIO]", help="what the faults are put into, 1.3 s of it")
+    ] = "circle_speed",
+    law: Annotated[
+        str | None, typer.Option(metavar="LAW", help="the law to test instead, without the scenario's gains")
+    ] = None,
+    link: Annotated[
+        list[str] | None, typer.Option("--link", metavar="memory|serial|can", help="by default each; may be repeated")
+    ] = None,
+    kind: Annotated[
+        list[str] | None, typer.Option("--kind", metavar="KIND", help="only faults of this kind; may be repeated")
+    ] = None,
+    pairs: Annotated[bool, typer.Option("--pairs", help="all pairs too, over memory unless --link says more")] = False,
+    realtime: Annotated[bool, typer.Option("--realtime", help="a part of them in real time too")] = False,
+    sets: Sets = None,
+    jobs: Annotated[int | None, typer.Option(metavar="N", help="processes; by default one a processor", min=1)] = None,
+    limit_s: Annotated[
+        float, typer.Option("--limit", metavar="S", help="a run that takes longer is ended as hung", min=1.0)
+    ] = 60.0,
+    as_json: Json = False,
+) -> None:
+    """Run the fault catalogue and judge every run for safety; exit 1 when one is not as it should be."""
+    from hil import report
+    from hil.catalogue import catalogue as run_catalogue
+    from hil.catalogue.plan import Asked
+
+    signal.signal(signal.SIGTERM, interrupt)
+    laws = [] if law is None else [f"controller.law={law}"]
+    asked = Asked(scenario, [*laws, *(sets or [])], link or [], kind or [], report.catalogue_folder())
+    tell = None if as_json or not sys.stderr.isatty() else report.catalogue_progress
+    try:
+        verdicts = run_catalogue(asked, pairs=pairs, realtime=realtime, jobs=jobs, limit_s=limit_s, tell=tell)
+    except KeyboardInterrupt:
+        raise RunInterruptedError("interrupted; the runs were ended") from None
+    passed = all(verdict.is_ok for verdict in verdicts)
+    if as_json:
+        print_json({"passed": passed, "runs": [verdict._asdict() for verdict in verdicts]})
+    else:
+        report.print_catalogue(verdicts)
+    raise typer.Exit(0 if passed else 1)

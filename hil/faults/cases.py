@@ -1,0 +1,110 @@
+"""The catalogue's cases: every kind of fault with typical numbers, and how a run with it has to come out.
+
+Disturbances begin at 0.15 s and what stops the robot at 0.25 s, so that in a pair both happen. Windows end early
+enough for a robot to be back before the end of a run of ``DURATION_S``.
+"""
+
+from collections.abc import Mapping
+from enum import StrEnum
+from typing import NamedTuple
+
+DURATION_S = 1.3
+
+Row = Mapping[str, str | float]
+
+
+class Outcome(StrEnum):
+    """How a run came out, the better first."""
+
+    GOES_ON = "goes on"
+    REARMS = "re-arms"  # it stops, and with loop.rearm it is back; without, the run ends with a sentence
+    ENDS = "ends"  # with a sentence and exit code 3, whatever loop.rearm says
+
+
+class Case(NamedTuple):
+    """A fault as the catalogue runs it: the rows of ``[[fault]]``, of which the last gives the case its kind.
+
+    ``on_can`` is the outcome where a CAN bus makes another one of it. ``realtime``: in the subset in real time.
+    """
+
+    name: str
+    rows: tuple[Row, ...]
+    outcome: Outcome
+    on_can: Outcome | None = None
+    in_pairs: bool = True
+    realtime: bool = False
+
+    @property
+    def kind(self) -> str:
+        """The kind of the fault."""
+        return str(self.rows[-1]["kind"])
+
+    def expected(self, link: str) -> Outcome:
+        """Return how a run over this link has to come out."""
+        return self.on_can if self.on_can is not None and link == "can" else self.outcome
+
+
+_GOES_ON, _REARMS, _ENDS = Outcome.GOES_ON, Outcome.REARMS, Outcome.ENDS
+_SHORT = {"start_s": 0.15, "end_s": 0.35}
+_LONG = {"start_s": 0.15, "end_s": 0.55}
+_LATER = {"start_s": 0.25, "end_s": 0.65}  # longer than a watchdog of 0.1 s and a ramp of 0.2 s
+
+
+def _case(
+    kind: str,
+    target: str,
+    outcome: Outcome,
+    *,
+    window: Mapping[str, float],
+    on_can: Outcome | None = None,
+    in_pairs: bool = True,
+    realtime: bool = False,
+    **numbers: float,
+) -> Case:
+    row: Row = {"kind": kind, "target": target, **window, **numbers}
+    return Case(f"{kind} {target}", (row,), outcome, on_can, in_pairs, realtime)
+
+
+CASES: tuple[Case, ...] = (
+    _case("drop", "command", _GOES_ON, window=_LONG, value=0.3, realtime=True),
+    _case("drop", "feedback", _GOES_ON, window=_LONG, value=0.3, in_pairs=False),
+    _case("burst_loss", "command", _GOES_ON, window=_LONG, value=0.3, burst_frames=4.0),
+    _case("burst_loss", "feedback", _GOES_ON, window=_LONG, value=0.3, burst_frames=4.0, in_pairs=False),
+    _case("delay", "command", _GOES_ON, window=_LONG, value=0.02, realtime=True),
+    _case("delay", "feedback", _GOES_ON, window=_LONG, value=0.02, in_pairs=False),
+    _case("jitter", "command", _GOES_ON, window=_LONG, value=0.02, in_pairs=False),
+    _case("jitter", "feedback", _GOES_ON, window=_LONG, value=0.02),
+    _case("duplicate", "command", _GOES_ON, window=_LONG),
+    _case("reorder", "command", _GOES_ON, window=_LONG, value=0.3),
+    _case("bit_errors", "command", _GOES_ON, window=_LONG, value=0.002),
+    _case("bit_errors", "feedback", _GOES_ON, window=_LONG, value=0.001, in_pairs=False),
+    _case("truncation", "command", _GOES_ON, window=_LONG, value=0.2),
+    _case("truncation", "feedback", _GOES_ON, window=_LONG, value=0.1, in_pairs=False),
+    _case("disconnect", "link", _REARMS, window={"start_s": 0.25, "end_s": 0.35}, realtime=True),
+    _case("mute", "WHEEL_COMMAND", _REARMS, window=_LATER, realtime=True),
+    _case("mute", "TICK", _REARMS, window=_LATER, in_pairs=False),
+    _case("mute", "HOST_HEARTBEAT", _GOES_ON, window=_LONG, in_pairs=False),
+    _case("freeze", "command", _REARMS, window=_LATER),
+    _case("freeze", "feedback", _REARMS, window=_LATER, in_pairs=False),
+    _case("babble", "command", _GOES_ON, window=_LONG, value=200.0, realtime=True),
+    _case("babble", "feedback", _GOES_ON, window=_LONG, value=200.0, in_pairs=False),
+    _case("reset", "robot", _REARMS, window={"start_s": 0.25}, realtime=True),
+    _case("stuck_encoder", "fl", _ENDS, window=_LATER),
+    _case("dead_motor", "rr", _GOES_ON, window=_LONG, realtime=True),
+    _case("low_battery", "battery", _GOES_ON, window=_LONG, value=15.0),
+    _case("gyro_bias", "gyro", _GOES_ON, window=_LONG, value=0.5),
+    _case("slow_clock", "clock", _GOES_ON, window=_LONG, value=50_000.0),
+    _case("parameter", "friction_coefficient", _GOES_ON, window=_LONG, value=0.5),
+    _case("push", "force_y_n", _GOES_ON, window=_SHORT, value=60.0),
+    _case("slip_patch", "floor", _GOES_ON, window=_LONG, value=0.05),
+    _case("bias", "truth.x_m", _GOES_ON, window=_LONG, value=0.05),
+    _case("override", "wheel.fl.speed_command_rad_s", _GOES_ON, window=_SHORT, value=3.0),
+    Case(
+        "reset truth.y_m",
+        (
+            {"kind": "bias", "target": "truth.y_m", "start_s": 0.15, "value": 0.05},
+            {"kind": "reset", "target": "truth.y_m", "start_s": 0.2},
+        ),
+        _GOES_ON,
+    ),
+)  # fmt: skip

@@ -1,0 +1,178 @@
+"""The fault catalogue: every kind has a case, a sound robot passes, an unsafe one, a hung and a crashed run do not."""
+
+import json
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from firmware_protocol.build import HERE, SOURCES
+from hil.faults.cases import CASES, DURATION_S, Outcome
+from hil.faults.kinds import KINDS, find
+from hil.scenario.rows import FaultTable
+from native_build.compiler import compile_shared
+from tests.processes import HIL, environment, hil
+
+# What is changed in the firmware's sources, and the faults that show it.
+UNSAFE = {
+    "the watchdog never fires": (
+        "supervise.c",
+        "node->setting.age_ticks >= wheel_ticks(node->parameters.watchdog_s)",
+        "node->setting.age_ticks == UINT32_MAX",
+        ("disconnect",),
+    ),
+    "an old sequence is taken": (
+        "receive.c",
+        "if (distance == 0u || distance > WHEEL_SEQUENCE_WINDOW) {",
+        "if (distance > 255u) {",
+        ("freeze",),
+    ),
+    "the CRC is not compared": (
+        "framing.c",
+        "if (wheel_crc16(body, length - CRC) != load16(body + length - CRC)) {",
+        "if (length == 0u) {",
+        ("bit_errors",),
+    ),
+    "the ramp does not fall": (
+        "node.c",
+        "node->ramp_from_rad_s[i] * left",
+        "node->ramp_from_rad_s[i]",
+        ("duplicate",),
+    ),
+    "it drives on after a stop": (
+        "states.c",
+        "{WP_STATE_STOPPING, WHEEL_EVENT_STOPPED, WP_STATE_IDLE},",
+        "{WP_STATE_STOPPING, WHEEL_EVENT_STOPPED, WP_STATE_ACTIVE},",
+        ("disconnect",),
+    ),
+    "the set point is no number": ("node.c", "float left = 0.0f;", 'float left = __builtin_nanf("");', ("duplicate",)),
+}  # fmt: skip
+ONCE = ("--link", "memory", "--jobs", "1")
+LAWS = """
+import os
+
+
+class Hangs:
+    def reset(self, state, reference):
+        pass
+
+    def update(self, reference, state, applied, dt_s):
+        while True:
+            pass
+
+
+class Crashes(Hangs):
+    def update(self, reference, state, applied, dt_s):
+        os._exit(7)
+"""
+
+
+def catalogue(*arguments: str, cwd: Path, code: int, library: Path | None = None) -> list[dict[str, Any]]:
+    """Run ``hil catalogue --json`` and return its runs."""
+    more = {} if library is None else {"WHEEL_HOST_LIBRARY": str(library)}
+    done = subprocess.run(
+        [*HIL, "catalogue", *arguments, "--json"],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=cwd,
+        env=environment() | more,
+        timeout=300,
+    )
+    assert done.returncode == code, done.stderr + done.stdout
+    answer = json.loads(done.stdout)
+    assert answer["passed"] == (code == 0)
+    return answer["runs"]
+
+
+def test_every_kind_has_a_case_and_a_place_in_the_pairs() -> None:
+    def kinds(cases) -> set[tuple[str, str]]:
+        rows = [case.rows[-1] for case in cases]
+        return {(row["kind"], find(row["kind"], row["target"]).acts_on) for row in rows}
+
+    assert kinds(CASES) == {(kind.name, kind.acts_on) for kind in KINDS}
+    assert kinds(case for case in CASES if case.in_pairs) == kinds(CASES)
+    assert len({case.name for case in CASES}) == len(CASES)
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_a_case_is_over_before_its_run_is(case) -> None:
+    for row in case.rows:
+        table = FaultTable.model_validate(row)
+        assert table.start_s < DURATION_S / 2
+        assert case.kind == "reset" or table.end_s < DURATION_S / 2 + 1e-9
+
+
+def test_a_sound_robot_passes_over_every_link(tmp_path) -> None:
+    runs = catalogue("--kind", "mute", "--kind", "truncation", cwd=tmp_path, code=0)
+    assert {run["link"].partition(":")[0] for run in runs} == {"memory", "serial", "can"}
+    for run in runs:
+        assert run["verdict"] == "ok"
+        assert min(run["applied"]) > 0
+        assert run["silent_rad_s"] == 0.0
+        assert run["silent_ticks"] > 0
+        assert (run["outcome"] == Outcome.REARMS) == (run["recoveries"] > 0)
+    assert {run["outcome"] for run in runs if not run["rearm"]} == {Outcome.ENDS}
+    assert not list((tmp_path / "runs").iterdir()), "recordings of good runs are not kept"
+
+
+def test_a_pair_in_torque_mode_and_a_run_in_real_time_are_judged_too(tmp_path) -> None:
+    changes = ("--set", "controller.command=torque", "--set", "controller.gains.k1_1_s=4.0")
+    runs = catalogue("--kind", "push", "--pairs", "--link", "memory", *changes, cwd=tmp_path, code=0)
+    assert len(runs) == sum(case.in_pairs for case in CASES)
+    runs = catalogue("--kind", "disconnect", "--link", "serial", "--realtime", cwd=tmp_path, code=0)
+    assert [run["mode"] for run in runs] == ["lockstep", "lockstep", "realtime"]
+
+
+@pytest.mark.parametrize("flaw", UNSAFE)
+def test_an_unsafe_firmware_is_caught(flaw, tmp_path) -> None:
+    name, before, after, kinds = UNSAFE[flaw]
+    text = (HERE / "firmware" / name).read_text(encoding="utf-8")
+    assert text.count(before) == 1
+    changed = tmp_path / name
+    changed.write_text(text.replace(before, after).replace('"../generated/', f'"{HERE}/generated/'), encoding="utf-8")
+    sources = [changed if source.name == name else source for source in SOURCES]
+    library = tmp_path / "libunsafe.so"
+    compile_shared(sources, library, flags=("-w", f"-I{HERE / 'firmware'}"))
+    chosen = [word for kind in kinds for word in ("--kind", kind)]
+    runs = catalogue(*chosen, "--link", "memory", cwd=tmp_path, code=1, library=library)
+    assert any(run["verdict"].startswith("unsafe") for run in runs), [run["verdict"] for run in runs]
+
+
+def test_a_run_that_hangs_is_ended_and_one_that_crashes_is_told(tmp_path) -> None:
+    (tmp_path / "laws.py").write_text(LAWS, encoding="utf-8")
+    hung, *_ = catalogue("--law", "laws.py:Hangs", "--kind", "push", "--limit", "20", *ONCE, cwd=tmp_path, code=1)
+    assert hung["verdict"].startswith("hung")
+    assert hung["outcome"] is None
+    crashed, *_ = catalogue("--law", "laws.py:Crashes", "--kind", "push", *ONCE, cwd=tmp_path, code=1)
+    assert crashed["verdict"].startswith("crashed: exit code 7")
+
+
+def test_a_wrong_outcome_is_a_row_of_the_table_and_its_recording_is_kept(tmp_path) -> None:
+    # With a watchdog of 20 ms the same loss of frames stops the robot.
+    done = hil("catalogue", "--kind", "burst_loss", *ONCE, "--set", "firmware.watchdog_s=0.02", cwd=tmp_path)
+    assert done.returncode == 1, done.stdout
+    head, *rows = done.stdout.splitlines()
+    assert " ".join(head.split()) == "fault link re-arm outcome applied recoveries after silence wall s verdict"
+    assert rows[0].startswith("burst_loss command")
+    assert "expected goes on, but it re-arms" in rows[0]
+    (folder,) = (tmp_path / "runs").iterdir()
+    recording = folder / "burst_loss-command-memory-lockstep-rearm.rrd"
+    assert recording.exists()
+    assert str(recording.relative_to(tmp_path)) in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--kind", "mut"), "did you mean 'mute'?"),
+        (("--link", "usb"), "known: can, memory, serial"),
+        (("no_such_scenario",), "no_such_scenario"),
+    ],
+)
+def test_bad_input_is_one_sentence(arguments, words, tmp_path) -> None:
+    done = hil("catalogue", *arguments, cwd=tmp_path)
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert "Traceback" not in done.stderr
