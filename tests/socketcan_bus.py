@@ -119,14 +119,19 @@ def wire_sha256(frames: Sequence[Seen]) -> str:
     """
     begin = max(index for index, frame in enumerate(frames) if frame.can_id >= FIRST_HELLO_ID) + 1
     digests = {"HOST": hashlib.sha256(), "ROBOT": hashlib.sha256()}
-    last: dict[int, bytes] = {}
-    repeated = {DBC.get_message_by_name(name).frame_id for name in ("STEP", "STEP_DONE")}
+    step, step_done = (DBC.get_message_by_name(name).frame_id for name in ("STEP", "STEP_DONE"))
+    host_s_last, is_answered = None, True
     for frame in frames[begin:]:
-        if frame.can_id in repeated:
-            if last.get(frame.can_id) == frame.payload:
-                continue
-            last[frame.can_id] = frame.payload
         (sender,) = DBC.get_message_by_frame_id(frame.can_id).senders
+        # The host sends nothing else before it has the answer.
+        if frame.can_id == step and frame == host_s_last:
+            continue
+        if frame.can_id == step_done and is_answered:
+            continue
+        if sender == "HOST":
+            host_s_last = frame
+        if frame.can_id in (step, step_done):
+            is_answered = frame.can_id == step_done
         digests[sender].update(struct.pack("<HB", frame.can_id, len(frame.payload)) + frame.payload)
     return hashlib.sha256(digests["HOST"].digest() + digests["ROBOT"].digest()).hexdigest()
 

@@ -90,7 +90,7 @@ def test_a_stopped_robot_is_told_apart_from_a_failed_expectation(suite: pytest.P
     write(suite, silence=WATCHDOG)
     done = run(suite, "--junit-xml", "report.xml")
     done.stdout.fnmatch_lines(
-        ["the robot failed, not an expectation: the robot left ACTIVE at t = * COMMAND_TIMEOUT", "*mute*: applied*"]
+        ["the robot failed, not an expectation: the robot left ACTIVE at t = * COMMAND_TIMEOUT*", "*mute*: applied*"]
     )
     case = cases(suite.path / "report.xml")["silence"]
     assert "COMMAND_TIMEOUT" in properties(case)["hil.failure"]

@@ -35,7 +35,7 @@ def wait_until_driven(truth: str) -> None:
     subprocess.run([sys.executable, "-c", WAIT_UNTIL_DRIVEN, truth], env=environment(), timeout=60, check=True)
 
 
-@pytest.mark.parametrize(("mode", "duration_s"), [(REAL_TIME, 15), (LOCKSTEP, 40)])
+@pytest.mark.parametrize(("mode", "duration_s"), [(REAL_TIME, 20), (LOCKSTEP, 40)])
 def test_a_serial_robot_that_was_killed_and_started_again_is_armed_anew(mode, duration_s, tmp_path: Path):
     name = tmp_path / "robot"
     serial = ("--link", f"serial:pty?symlink={name}")
@@ -68,9 +68,9 @@ while True:
     if seen and seen[-1].state is State.ACTIVE and any(seen[-1].set_point_rad_s):
         break
     time.sleep(0.005)
-# Nothing moved before this session was armed.
-assert all(not any(r.set_point_rad_s) for r in seen if r.state in (State.IDLE, State.ARMED))
-assert seen[0].state in (State.IDLE, State.ARMED, State.ACTIVE)
+# Nothing moves before a session is armed; a busy machine may have stopped the robot meanwhile, and begun another one.
+moved = [r for r in seen if r.state in (State.IDLE, State.ARMED) and any(r.set_point_rad_s)]
+assert not moved, moved
 """
 
 NETWORK = r"""

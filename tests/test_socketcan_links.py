@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pytest
 
 from firmware_protocol.framing import Frame
-from firmware_protocol.generated.messages import LENGTHS
+from firmware_protocol.generated.messages import LENGTHS, SENDERS
 from hil.errors import LinkError
 from hil.links.opening import open_host
 from hil.links.url import parse_link
@@ -18,7 +18,9 @@ pytestmark = pytest.mark.socketcan
 
 MS = 1_000_000
 EVERY_ID = range(0x800)
-END = Frame(0x10, b"\xff\xff")
+HEARD = {can_id: length for can_id, length in LENGTHS.items() if SENDERS[can_id] == "ROBOT"}
+A_ROBOT_S, ITS_LENGTH = max(HEARD.items(), key=lambda one: one[1])
+END = Frame(A_ROBOT_S, b"\xff" * ITS_LENGTH)
 
 
 @pytest.fixture
@@ -55,7 +57,7 @@ def take_all(link: Link, other: socket.socket) -> list[Frame]:
     raise AssertionError("the end never came")
 
 
-def test_of_all_identifiers_only_ours_pass_in_order(link: Link, other: socket.socket):
+def test_of_all_identifiers_only_the_robot_s_pass_in_order(link: Link, other: socket.socket):
     arrived = []
     for can_id in EVERY_ID:
         payload = bytes(range(LENGTHS.get(can_id, 8)))
@@ -63,11 +65,11 @@ def test_of_all_identifiers_only_ours_pass_in_order(link: Link, other: socket.so
             other.send(classic_frame(can_id | flags, payload))
         if can_id % 32 == 31:  # a socket's buffer holds some 200
             arrived += take_all(link, other)
-    assert arrived == [Frame(can_id, bytes(range(length))) for can_id, length in sorted(LENGTHS.items())]
+    assert arrived == [Frame(can_id, bytes(range(length))) for can_id, length in sorted(HEARD.items())]
 
 
 def test_a_frame_of_ours_with_another_length_is_dropped_and_counted(link: Link, other: socket.socket):
-    for number, (can_id, expected) in enumerate(LENGTHS.items(), start=1):
+    for number, (can_id, expected) in enumerate(HEARD.items(), start=1):
         for length in range(9):
             if length != expected:
                 other.send(classic_frame(can_id, bytes(length)))
@@ -109,10 +111,10 @@ def test_an_interface_that_goes_down_says_how_to_bring_it_up_and_can_be_opened_a
     again = open_host(parse_link(f"can:socketcan/{bus}"))
     with pytest.raises(OSError, match=rf"\[Errno {errno.ENETDOWN}\]"):
         other.recv(FD.size)  # the other socket was told too
-    other.send(classic_frame(0x10, bytes(2)))
+    other.send(classic_frame(*END))
     received = again.receive(2_000 * MS)
     assert received is not None
-    assert received.frame == Frame(0x10, bytes(2))
+    assert received.frame == END
     again.close()
 
 

@@ -24,6 +24,8 @@ from hil.devices.stm32 import Stm32
 from hil.devices.truth import TruthClient, TruthRecord
 from hil.errors import DeviceError
 from hil.links.delay import DelayedLink
+from hil.links.fault_rows import ScenarioTime
+from hil.links.faults import FaultLink
 from hil.links.opening import open_host
 from hil.links.url import parse_link
 from hil.scenario import load
@@ -231,13 +233,15 @@ def test_a_second_controller_is_turned_away_and_the_first_drives_on(robot: Devic
     def case() -> None:
         with (
             driving(robot) as drive,
-            contextlib.closing(DelayedLink(open_host(AT_HOST_URL), WallClock(), 0, 0)) as link,
+            contextlib.closing(open_host(AT_HOST_URL)) as bus,
         ):
+            clock = WallClock()
+            link = DelayedLink(FaultLink(bus, ScenarioTime(clock), ()), clock, 0, 0)
             expected = Expected(parameter_hash(firmware_values(SCENARIO)), lockstep=False, allow_motion=False)
             second = Stm32(link, CommandMode.TORQUE, expected, iter((1, 2, 3)), wheel_map(SCENARIO))
             second.connect()
             with pytest.raises(DeviceError) as refusal:
-                second.start(WallClock(), PERIOD_NS)
+                second.start(clock, PERIOD_NS)
             drive.go_on(robot_ms=100)
             assert "it is ACTIVE; another controller drives it; stop that one first" in str(refusal.value)
             drive.signal(signal.SIGTERM)

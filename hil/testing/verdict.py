@@ -67,7 +67,7 @@ class Verdict:
     def _problems(self) -> Iterator[str]:
         """Yield a line for each thing that is wrong, the cause before what follows from it."""
         if self.error is not None:
-            kind = _BROKEN.get(type(self.error))
+            kind = next((words for cause, words in _BROKEN.items() if isinstance(self.error, cause)), None)
             yield str(self.error) if kind is None else f"{kind}: {self.error}"
         if self.result is None:
             return
