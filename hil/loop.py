@@ -148,21 +148,23 @@ class Loop:
             self._sample(origin_ns, instant)
             device.poll()
             device.send(self._rest)
-        number = waited_in_vain = 0
+        number = 0
+        in_vain: set[bool] = set()  # since time has passed: waits that ended with a lost link, and a stopped robot
         while number * timing.period_ns < duration_ns:
             try:
                 late_ns = self._wait(origin_ns, number)
             except (LinkError, RobotStoppedError) as error:
                 recovery = self._lose(error)
-                waited_in_vain += 1
-                if waited_in_vain > 1:
+                is_stopped = isinstance(error, RobotStoppedError)
+                if is_stopped in in_vain:
                     # No held command can be the cause any more, so it is STEP: time stands still without the robot.
                     recovery.revive()
-                elif isinstance(error, RobotStoppedError):
+                elif is_stopped:
                     # Lockstep: a robot that was reset counts its ticks from 0, and is asked for them first.
-                    recovery.advance()
+                    recovery.begin_now()
+                in_vain.add(is_stopped)
                 continue
-            waited_in_vain = 0
+            in_vain.clear()
             begin_ns = time.perf_counter_ns()
             self.t_s = number * timing.period_ns * 1e-9
             fix = self._fix_of(number)

@@ -272,3 +272,13 @@ def test_another_robot_on_the_link_is_refused(at_command):
     assert isinstance(result.failure, BadInputError)
     assert "are not the scenario's [firmware]" in str(result.failure)
     assert result.metrics["recoveries"] == []
+
+
+@pytest.mark.parametrize("reset_s", [0.25, 0.255])
+def test_a_robot_that_is_reset_while_its_link_is_cut_comes_back(reset_s) -> None:
+    cut = '{kind = "disconnect", start_s = 0.25, end_s = 0.35}'
+    reset = f'{{kind = "reset", target = "robot", start_s = {reset_s}}}'
+    result = run("circle_speed", set=[*SHORT, "loop.duration_s=1.3", "loop.rearm=true", f"fault=[{cut}, {reset}]"])
+    assert result.failure is None
+    assert result.passed
+    assert len(result.metrics["recoveries"]) == 1

@@ -1,6 +1,6 @@
 """The catalogue's cases: every kind of fault with typical numbers, and how a run with it has to come out.
 
-Disturbances begin at 0.15 s and what stops the robot at 0.25 s, so that in a pair both happen. Windows end early
+Disturbances begin at 0.15 s and what stops the robot later, so that in a pair both happen. Windows end early
 enough for a robot to be back before the end of a run of ``DURATION_S``.
 """
 
@@ -47,7 +47,7 @@ class Case(NamedTuple):
 _GOES_ON, _REARMS, _ENDS = Outcome.GOES_ON, Outcome.REARMS, Outcome.ENDS
 _SHORT = {"start_s": 0.15, "end_s": 0.35}
 _LONG = {"start_s": 0.15, "end_s": 0.55}
-_LATER = {"start_s": 0.25, "end_s": 0.65}  # longer than a watchdog of 0.1 s and a ramp of 0.2 s
+_LATER = {"start_s": 0.2, "end_s": 0.6}  # longer than a watchdog of 0.1 s and a ramp of 0.2 s
 
 
 def _case(
