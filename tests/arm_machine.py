@@ -7,6 +7,7 @@ so many basic blocks, or the rest of it asleep, unless a test lets time stand st
 import functools
 import io
 import struct
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -203,7 +204,9 @@ class Machine:
             self._uc.reg_write(register, argument)
         self._uc.reg_write(arm.UC_ARM_REG_SP, stack)
         self._uc.reg_write(arm.UC_ARM_REG_LR, _RETURN | 1)
+        until_ms, self._until_ms = self._until_ms, sys.maxsize  # a function is not left in the middle
         self._uc.emu_start(self.symbols[name] | 1, _RETURN, count=1_000_000)
+        self._until_ms = until_ms
         assert self._uc.reg_read(arm.UC_ARM_REG_PC) == _RETURN, f"{name} did not return"
         return self._uc.reg_read(arm.UC_ARM_REG_R0)
 
