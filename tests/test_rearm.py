@@ -274,7 +274,7 @@ def test_another_robot_on_the_link_is_refused(at_command):
     assert result.metrics["recoveries"] == []
 
 
-@pytest.mark.parametrize("reset_s", [0.25, 0.255])
+@pytest.mark.parametrize("reset_s", [0.25, 0.255, 0.3])  # of the last it comes back rolling against its commands
 def test_a_robot_that_is_reset_while_its_link_is_cut_comes_back(reset_s) -> None:
     cut = '{kind = "disconnect", start_s = 0.25, end_s = 0.35}'
     reset = f'{{kind = "reset", target = "robot", start_s = {reset_s}}}'

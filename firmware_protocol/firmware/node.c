@@ -36,6 +36,10 @@ static void begin_session(wheel_node *node) {
     memset(&node->speed_loop, 0, sizeof node->speed_loop);
     memset(&node->current_loop, 0, sizeof node->current_loop);
     memset(node->encoder, 0, sizeof node->encoder);
+    for (size_t i = 0; i < WHEEL_COUNT; i++) {
+        /* A wheel may still roll, and be braked from the first tick on: it has not gained this speed. */
+        node->encoder[i].slowest_rad_s = wheel_magnitude(node->speed_rad_s[i]);
+    }
     node->staged.present = false;
     node->stop_reason = WP_STOP_REASON_NONE;
 }
