@@ -4,6 +4,8 @@ Exit codes: 0 the run ended as expected, 1 an expectation failed, 2 bad input, 3
 interrupted.
 """
 
+import errno
+import os
 import signal
 import sys
 from pathlib import Path
@@ -27,7 +29,7 @@ from hil.commands.options import (
 )
 from hil.commands.robot import device, params
 from hil.commands.trace import decode
-from hil.errors import DeviceError, HilError, LinkError, RunInterruptedError
+from hil.errors import BadInputError, DeviceError, HilError, LinkError, RunInterruptedError
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -172,6 +174,13 @@ def main() -> None:
     except HilError as error:
         print(f"hil: {error}", file=sys.stderr)
         sys.exit(error.exit_code)
+    except OSError as error:
+        if error.errno != errno.ENOSPC:
+            raise
+        # What is still in the buffer has no place to go; without this the interpreter would complain at its end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        print("hil: there is no space left where the output goes; free some, or write it elsewhere", file=sys.stderr)
+        sys.exit(BadInputError.exit_code)
 
 
 if __name__ == "__main__":

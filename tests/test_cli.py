@@ -263,3 +263,12 @@ def test_can_down_is_said_with_the_remedy():
 
     error = failure(CanUrl("socketcan", "can0"), can.CanOperationError("Network is down", 100))
     assert "is down; bring it up: ip link set can0 up type can bitrate 1000000" in str(error)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full, as Linux has it")
+def test_a_full_disk_under_the_output_is_one_sentence():
+    with Path("/dev/full").open("wb") as full:
+        command = [sys.executable, "-m", "hil.cli", "list", "signals"]
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False, env=environment())
+    assert done.returncode == 2
+    assert done.stderr == "hil: there is no space left where the output goes; free some, or write it elsewhere\n"

@@ -64,6 +64,7 @@ def test_a_key_that_is_unknown(text: str, sentence: str) -> None:
             "[plant]\nfmu = 'mecanm'",
             'plant.fmu = "mecanm"; expected a shipped FMU or a path to one; did you mean',
         ),
+        ("[[expect]]\nsignal = 'error.x_m'\nwithin = 1.0", "expect.0.within = 1.0; expected two numbers: [low, high]"),
         ("[plant.start]\nx = [1]", "plant.start.x = [1]; expected a finite number, a whole one within 64 bits"),
         ("[plant.start]\nx = inf", "plant.start.x = inf; expected a finite number"),
         ("[plant]\ntimeout_s = 0", "plant.timeout_s = 0; expected a number from 0.05 to 3600"),

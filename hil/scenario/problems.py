@@ -157,6 +157,8 @@ def _expected_of(field: FieldInfo | None) -> str:
         return "expected text in quotation marks"
     if kind is bool:
         return "expected true or false"
+    if any(get_origin(one) is tuple for one in get_args(kind)):
+        return "expected two numbers: [low, high]"
     if kind not in (int, float) and float not in get_args(kind):
         return "expected a table"
     return f"expected a {'whole number' if kind is int else 'number'}{_range(field)}"
