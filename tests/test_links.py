@@ -8,6 +8,8 @@ from pathlib import Path
 
 import can
 import pytest
+import serial
+from can.interfaces.virtual import VirtualBus
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -33,6 +35,31 @@ FRAMES = [
     Frame(m.WheelCommand.ID, bytes(range(8))),
     Frame(m.HelloRequest.ID, b"\1"),
 ]
+
+
+@pytest.mark.parametrize("url", ["serial:pty?symlink={}", "can:virtual/no_pair"])
+def test_a_pair_of_which_the_second_end_fails_leaves_the_first_closed(url, tmp_path, monkeypatch):
+    """A name that leads to a pseudo-terminal goes with it, and python-can tells which buses were shut down."""
+    name = tmp_path / "port"
+    opened, shut = [], []
+    open_bus, shut_down = can.Bus, VirtualBus.shutdown
+
+    def open_once(**options: object) -> can.BusABC:
+        if opened:
+            raise can.CanInitializationError("no second one")
+        opened.append(open_bus(**options))
+        return opened[0]
+
+    def fail(*_: object, **__: object) -> None:
+        raise serial.SerialException("no second one")
+
+    monkeypatch.setattr(VirtualBus, "shutdown", lambda bus: (shut.append(bus), shut_down(bus)))
+    monkeypatch.setattr(can, "Bus", open_once)
+    monkeypatch.setattr(serial, "serial_for_url", fail)
+    with pytest.raises(LinkError, match="no second one"):
+        open_pair(parse_link(url.format(name)), lockstep=True)
+    assert not name.is_symlink()
+    assert shut == opened
 
 
 @given(chunks=st.lists(st.binary(max_size=20)))

@@ -2,6 +2,7 @@
 
 import contextlib
 import itertools
+import os
 import subprocess
 import threading
 from collections.abc import Iterator
@@ -179,6 +180,17 @@ def test_a_replugged_port_is_reopened_and_counters_go_on(tmp_path: Path):
         host.reopen()
         exchange(host, StreamLink(second))
         assert host.rejected() == rejected
+
+
+def test_a_port_that_is_unplugged_while_it_is_opened_is_one_sentence(monkeypatch):
+    """What pyserial flushes then is gone; that is an error of termios, which is no OSError."""
+    master, slave = os.openpty()
+    name = os.ttyname(slave)
+    os.close(slave)
+    monkeypatch.setattr(serial.Serial, "_update_dtr_state", lambda _: os.close(master))
+    monkeypatch.setattr(serial.Serial, "_update_rts_state", lambda _: None)
+    with pytest.raises(LinkError, match=rf"'{name}' could not be opened: Input/output error; list the ports"):
+        SerialStream(name, 921_600)
 
 
 def test_waiting_for_a_port_without_a_descriptor_never_polls_in_waiting(monkeypatch):
