@@ -4,6 +4,7 @@ import contextlib
 import os
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import can
@@ -23,8 +24,8 @@ from hil.links.opening import open_host, open_pair, open_robot
 from hil.links.serial_port import SerialStream
 from hil.links.streams import memory_pair
 from hil.links.url import CanUrl, parse_link
-from hil.links.wire import CanWire
-from tests.processes import environment
+from hil.links.wire import CanWire, ReopeningWire, SerialWire
+from tests.processes import environment, wait_for
 from tests.wheel_rig import WheelRig
 
 pty = pytest.importorskip("hil.links.pty", reason="pseudo-terminals need a POSIX system")
@@ -60,6 +61,33 @@ def test_a_pair_of_which_the_second_end_fails_leaves_the_first_closed(url, tmp_p
         open_pair(parse_link(url.format(name)), lockstep=True)
     assert not name.is_symlink()
     assert shut == opened
+
+
+def test_a_reopening_that_takes_long_does_not_hold_the_firmware_up():
+    host, robot = memory_pair()
+    begun, may_end, said = threading.Event(), threading.Event(), []
+
+    def reopen() -> None:
+        begun.set()
+        assert may_end.wait(10.0)
+        robot.connect(host)
+
+    node = WheelRig().node
+    wire = ReopeningWire(SerialWire(robot), reopen, said.append)
+    robot.close()
+    node.run(5)
+    wire.send_from(node)
+    wait_for(lambda: wire.receive_into(node, 0) or begun.is_set())
+    node.run(100)
+    wire.send_from(node)
+    assert not wire.receive_into(node, 0)
+    assert len(said) == 1
+    may_end.set()
+    wait_for(lambda: wire.receive_into(node, 0) or len(said) == 2)
+    assert said[1] == "link reopened"
+    node.run(5)
+    wire.send_from(node)
+    assert host.read(0), "what the robot sends now, and not what was lost"
 
 
 @given(chunks=st.lists(st.binary(max_size=20)))
