@@ -107,6 +107,7 @@ class SerialStream:
         self._port: Any = None
         self._reader: Reader | None = None
         self._low_latency = False
+        self._unread_bytes = 0  # of the readers before this one
         self.reopen()
 
     def reopen(self) -> None:
@@ -178,6 +179,9 @@ class SerialStream:
         latency = "set" if self._low_latency else "not offered by its driver"
         return f"serial port {self._name} at {self._baud} baud, low latency {latency}"
 
+    def unread_bytes(self) -> int:
+        return self._unread_bytes + (self._reader.unread_bytes if self._reader is not None else 0)
+
     def close(self) -> None:
         if self._reader is not None:
             self._reader.stop()
@@ -187,4 +191,5 @@ class SerialStream:
                 self._port.close()
         if self._reader is not None:
             self._reader.join()
+            self._unread_bytes = self.unread_bytes()
             self._reader = None
