@@ -140,7 +140,17 @@ def _loop_of(scenario: Scenario) -> Callable[[Bench, Sink], Loop]:
         if faults is not None:
             sink = _Faulted(sink, faults)
         parts = Parts(
-            bench.clock, bench.device, bench.wire, bench.truth, estimator, reference, controller, guard, sink, faults
+            bench.clock,
+            bench.device,
+            bench.wire,
+            bench.truth,
+            estimator,
+            reference,
+            controller,
+            guard,
+            sink,
+            bench.robot_failure,
+            faults,
         )
         return Loop(parts, table.mode, timing, rearm=scenario.loop.rearm)
 

@@ -265,6 +265,10 @@ class Bench:
         fix = self.truth.poll() if said is None and self.truth is not None else None
         return said or (fix.pose if fix is not None else Pose(0.0, 0.0, 0.0))
 
+    def robot_failure(self) -> HilError | None:
+        """Return what ended the robot in this process while it ran beside the controller, or None."""
+        return self._thread.failure if self._thread is not None else None
+
     def stop_robot(self) -> HilError | None:
         """Stop the robot in this process, when the run is over, and return what ended it before, if something did.
 
@@ -272,8 +276,8 @@ class Bench:
         """
         if self._thread is not None:
             self._thread.close()
-            if self._thread.failure is not None:
-                return self._thread.failure
+            if (failure := self.robot_failure()) is not None:
+                return failure
         return self._robot.failure() if self._robot is not None else None
 
     @property

@@ -3,6 +3,7 @@
 import contextlib
 import time
 from collections import deque
+from collections.abc import Callable
 from typing import NamedTuple
 
 from firmware_protocol.generated.messages import State as RobotState
@@ -22,10 +23,13 @@ from hil.types import NAN, NAN_WHEELS, ZERO_WHEELS, Applied, CommandMode, PoseFi
 
 _LOST_NS = 250_000_000  # silence that ends the run
 _STOP_LIMIT_NS = 5_000_000_000
+# How far a robot's clock may be from where it should be and still be the same: feedback on its way, and HSI's accuracy.
+_CLOCK_PERIODS = 4
+_CLOCK_SHARE = 50
 
 
 class Parts(NamedTuple):
-    """What a tick is made of."""
+    """What a tick is made of. ``robot_failure`` tells what has ended a robot in this process, None for any other."""
 
     clock: Clock
     device: Stm32
@@ -36,6 +40,7 @@ class Parts(NamedTuple):
     controller: Controller
     guard: Guard
     sink: Sink
+    robot_failure: Callable[[], HilError | None]
     faults: SignalFaults | None = None
 
 
@@ -122,7 +127,8 @@ class Loop:
         wall_s = time.perf_counter() - begin
         stopped = False
         try:
-            if isinstance(failure, DeviceError | LinkError):
+            # One that has not come back is not waited for, and may be somebody else's.
+            if isinstance(failure, DeviceError | LinkError) or self._recovery is not None:
                 self._parts.device.disarm()
             else:
                 stopped = self._stop()
@@ -142,51 +148,72 @@ class Loop:
         return self._parts.device.stop(self._timing.period_ns, _STOP_LIMIT_NS)
 
     def _run(self, origin_ns: int, duration_ns: int) -> None:
-        device, timing, faults = self._parts.device, self._timing, self._parts.faults
-        for instant in range(timing.feedback_latency_ns // timing.period_ns):
-            # What is sampled now is not here yet; the robot is kept armed meanwhile.
-            self._sample(origin_ns, instant)
-            device.poll()
-            device.send(self._rest)
-        number = 0
+        timing = self._timing
+        ticks = -(-duration_ns // timing.period_ns)
+        # Before tick 0 nothing of what is sampled is here yet.
+        number = -(timing.feedback_latency_ns // timing.period_ns)
         in_vain: set[bool] = set()  # since time has passed: waits that ended with a lost link, and a stopped robot
-        while number * timing.period_ns < duration_ns:
+        while number < ticks:
             try:
                 late_ns = self._wait(origin_ns, number)
             except (LinkError, RobotStoppedError) as error:
-                recovery = self._lose(error)
-                is_stopped = isinstance(error, RobotStoppedError)
-                if is_stopped in in_vain:
-                    # No held command can be the cause any more, so it is STEP: time stands still without the robot.
-                    recovery.revive()
-                elif is_stopped:
-                    # Lockstep: a robot that was reset counts its ticks from 0, and is asked for them first.
-                    recovery.begin_now()
-                in_vain.add(is_stopped)
+                self._wait_again(error, in_vain)
                 continue
             in_vain.clear()
-            begin_ns = time.perf_counter_ns()
-            self.t_s = number * timing.period_ns * 1e-9
-            fix = self._fix_of(number)
-            if faults is not None:
-                faults.at(number * timing.period_ns)
-                fix = faults.truth(fix)
-            if self._recovery is None:
-                try:
-                    self._drive(number, late_ns, fix)
-                except (LinkError, RobotStoppedError) as error:
-                    self._lose(error)
-                    self._tell_away(number, late_ns, fix)
+            if number < 0:
+                self._keep_armed()
             else:
-                self._come_back(self._recovery)
-                self._tell_away(number, late_ns, fix)
-            self._tick_us = (time.perf_counter_ns() - begin_ns) * 1e-3
+                self._tick(number, late_ns)
             following = self._next(number, origin_ns)
             # Those of the run alone, also where none comes after them to be recorded.
-            self._misses += min(following, -(-duration_ns // timing.period_ns)) - number - 1
+            self._misses += max(0, min(following, ticks) - max(number, -1) - 1)
             number = following
         if self._recovery is not None:
             raise LinkError(f"{self._recovery.why}; it did not come back until the end: {self._recovery.problem}")
+
+    def _wait_again(self, error: HilError, in_vain: set[bool]) -> None:
+        """Make another wait for the same tick possible after one that failed."""
+        recovery = self._lose(error)
+        is_stopped = isinstance(error, RobotStoppedError)
+        if self._parts.device.is_lockstep:
+            if is_stopped in in_vain:
+                # No held command can be the cause any more, so it is STEP: time stands still without the robot.
+                recovery.revive()
+            elif is_stopped:
+                # A robot that was reset counts its ticks from 0, and is asked for them first.
+                recovery.begin_now()
+        in_vain.add(is_stopped)
+
+    def _keep_armed(self) -> None:
+        """Command zeros until the first feedback is here; no tick of the run."""
+        if self._recovery is not None:
+            self._come_back(self._recovery)
+            return
+        try:
+            self._parts.device.poll()
+            self._parts.device.send(self._rest)
+        except (LinkError, RobotStoppedError) as error:
+            self._lose(error)
+
+    def _tick(self, number: int, late_ns: int) -> None:
+        """Do one tick of the run: drive, or come back, and tell."""
+        begin_ns = time.perf_counter_ns()
+        faults = self._parts.faults
+        self.t_s = number * self._timing.period_ns * 1e-9
+        fix = self._fix_of(number)
+        if faults is not None:
+            faults.at(number * self._timing.period_ns)
+            fix = faults.truth(fix)
+        if self._recovery is None:
+            try:
+                self._drive(number, late_ns, fix)
+            except (LinkError, RobotStoppedError) as error:
+                self._lose(error)
+                self._tell_away(number, late_ns, fix)
+        else:
+            self._come_back(self._recovery)
+            self._tell_away(number, late_ns, fix)
+        self._tick_us = (time.perf_counter_ns() - begin_ns) * 1e-3
 
     def _drive(self, number: int, late_ns: int, fix: PoseFix | None) -> None:
         """Sense, estimate, refer, control, guard, command, tell."""
@@ -216,6 +243,7 @@ class Loop:
 
     def _lose(self, error: HilError) -> Recovery:
         """Begin to bring the robot back, or begin that again; without ``rearm`` the run ends."""
+        self._raise_robot_failure()
         if not self._rearm:
             raise type(error)(f"{error}; to reconnect and arm anew in such a case, set loop.rearm = true") from error
         if self._recovery is None:
@@ -224,7 +252,14 @@ class Loop:
             self._recovery.fail(error)
         return self._recovery
 
+    def _raise_robot_failure(self) -> None:
+        """A robot in this process whose plant has failed is not waited for: it cannot come back."""
+        failure = self._parts.robot_failure()
+        if failure is not None:
+            raise failure
+
     def _come_back(self, recovery: Recovery) -> None:
+        self._raise_robot_failure()
         if not recovery.advance():
             return
         self._recoveries.append(Recovered(recovery.lost_s, self.t_s, recovery.why))
@@ -241,7 +276,9 @@ class Loop:
         if feedback is None or self._heard_ns is None:
             return True
         passed_ns = self._parts.clock.now_ns() - self._heard_ns
-        return abs(feedback.robot_time_ns - self._newest_ns - passed_ns) > max(_LOST_NS, passed_ns // 50)
+        robot_passed_ns = feedback.robot_time_ns - self._newest_ns
+        apart_ns = _CLOCK_PERIODS * self._timing.period_ns + passed_ns // _CLOCK_SHARE
+        return robot_passed_ns < 0 or abs(robot_passed_ns - passed_ns) > apart_ns
 
     def _sample(self, origin_ns: int, instant: int) -> int:
         """Wait for a sampling instant and take the truth there; what the link brings of it comes later."""

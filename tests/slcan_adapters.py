@@ -70,6 +70,10 @@ class SlcanBus:
         with self._opened:
             assert self._opened.wait_for(lambda: all(adapter.is_open for adapter in self._adapters), 10.0)
 
+    def say(self, number: int, data: bytes) -> None:
+        """Have an adapter send these bytes to its host."""
+        os.write(self._adapters[number].master, data)
+
     def close(self) -> None:
         os.write(self._wake, b"x")
         self._thread.join()

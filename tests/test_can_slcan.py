@@ -20,8 +20,8 @@ COMMANDS = [Frame(m.WheelCommand.ID, bytes([i] * 8)) for i in range(80)]
 
 
 @contextlib.contextmanager
-def two_links(filler: bytes = b"", bitrate: int = 1_000_000) -> Iterator[tuple[CanLink, CanLink]]:
-    bus = adapters.SlcanBus(2, filler)
+def two_links(filler: bytes = b"", bitrate: int = 1_000_000, bus=None) -> Iterator[tuple[CanLink, CanLink]]:
+    bus = bus or adapters.SlcanBus(2, filler)
     host = CanLink(parse_link(f"can:slcan/{bus.ports[0]}"), "ROBOT")
     robot = CanLink(parse_link(f"can:slcan/{bus.ports[1]}?bitrate={bitrate}"), "HOST")
     bus.wait_until_open()
@@ -55,6 +55,20 @@ def test_a_poll_without_waiting_takes_all_that_came_past_the_replies():
         while (received := host.receive(0 if len(taken) < len(FEEDBACK) - 3 else 100_000_000)) is not None:
             taken.append(received.frame)
         assert taken == FEEDBACK
+
+
+@pytest.mark.parametrize(
+    "line", [b"t12\r", b"t3028zz00000000000000\r", b"tqqq0\r", b"t302\r", b"d302z\r", b"\xff\xfe\r"]
+)
+def test_a_line_that_is_cut_or_garbled_is_counted_and_the_link_goes_on(line):
+    bus = adapters.SlcanBus(2)
+    with two_links(bus=bus) as (host, robot):
+        bus.say(0, line)
+        assert host.receive(100_000_000) is None
+        assert host.rejected()["garbled"] == 1
+        for feedback in FEEDBACK:
+            robot.send(feedback)
+        assert [host.receive(1_000_000_000).frame for _ in FEEDBACK] == FEEDBACK
 
 
 def test_adapters_of_different_bit_rates_do_not_hear_each_other():

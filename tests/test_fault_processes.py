@@ -1,5 +1,6 @@
 """Faults of a robot in another process: they go through its truth socket, act as in one process, and are counted."""
 
+import contextlib
 import json
 import sys
 from pathlib import Path
@@ -7,7 +8,11 @@ from pathlib import Path
 import pytest
 
 from hil.assembly import run
+from hil.clock import WallClock
+from hil.devices.truth import TruthClient
 from hil.errors import BadInputError
+from hil.faults.injection import RunFaults
+from hil.scenario import load
 from tests.fault_runs import applied, write
 from tests.processes import device, hil, run_json
 
@@ -46,6 +51,20 @@ def test_what_the_robot_there_has_no_part_for_is_refused_before_anything_moves(t
     assert "no tunable parameter or free input 'friction'" in refused.stderr
     with pytest.raises(BadInputError, match="'friction'"):
         run(path)
+
+
+def test_a_robot_that_was_given_other_faults_meanwhile_does_not_know_of_ours(tmp_path: Path) -> None:
+    path = write(tmp_path, ROWS)
+    scenario = load(path)
+    with device(str(path), "--mode", "lockstep", "--link", "serial:pty") as robot, contextlib.ExitStack() as resources:
+        ours, others = (TruthClient(robot.truth, scenario.hash, reset=False) for _ in range(2))
+        resources.callback(ours.close)
+        resources.callback(others.close)
+        faults = RunFaults([table.row for table in scenario.fault], 1, WallClock())
+        faults.arm(ours)
+        assert faults.applied() == [0, 0, 0]
+        others.arm([])
+        assert faults.applied() == [None, None, 0], "the link's own is known here"
 
 
 @pytest.mark.parametrize("kind", ["gyro_bias", "slow_clock"])

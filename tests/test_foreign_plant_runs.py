@@ -12,6 +12,7 @@ import pytest
 
 import hil as bridge
 from hil.errors import BadInputError
+from hil.recovery import Recovery
 from hil.review import read
 from tests.flawed_fmu import build_flawed
 from tests.foreign_fmu import foreign_fmu
@@ -99,6 +100,17 @@ def test_a_foreign_fmu_takes_down_the_run_in_order(flawed: Path, tmp_path: Path,
         assert last_s == pytest.approx(failed_at_s, abs=0.0051), "every tick until then"
     (event,) = (event for event in run.events if event.text.startswith("the plant flawed.fmu failed"))
     assert event.level == "ERROR"
+
+
+def test_a_plant_that_failed_is_not_waited_for(flawed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With loop.rearm a robot that is silent is waited for, but this one cannot come back."""
+    monkeypatch.setenv("FLAW", "error 0.5")
+    revived = []
+    monkeypatch.setattr(Recovery, "revive", lambda _: revived.append(1))
+    changes = [f"plant.fmu={flawed}", *(f"plant.start.{value}" for value in START), "loop.rearm=true", "expect=[]"]
+    result = bridge.run("circle_speed", set=changes, link="serial:pty", mode="lockstep")
+    assert "the plant flawed.fmu failed" in str(result.failure)
+    assert not revived
 
 
 @pytest.mark.parametrize("flaw", ["segfault -1", "exit -1"])

@@ -1,12 +1,17 @@
 """Latency acts on robot time, and leaves lockstep and handshake alone."""
 
+import itertools
+
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m
+from hil.faults.kinds import FaultRow
+from hil.links.bus_faults import FaultBus
 from hil.links.delay import DelayedLink
-from hil.links.fault_rows import ScenarioTime
+from hil.links.fault_rows import ScenarioTime, link_faults
 from hil.links.faults import FaultLink
 from hil.ports import Received
 
@@ -84,3 +89,54 @@ def test_step_is_not_delayed():
     assert link.receive(0) is None
     robot.now = 10
     assert link.receive(0).frame == command(1)
+
+
+FEEDBACK = Frame(m.WheelSpeeds.ID, bytes(8))
+FOR_EVER_NS = 1 << 62
+
+
+def delayed(robot, time):
+    return DelayedLink(FaultLink(robot, time, ()), robot, 0, 1_000)
+
+
+def dropping(robot, time):
+    return FaultLink(robot, time, link_faults([FaultRow("drop", "link", "feedback", 0, FOR_EVER_NS, 1.0)], 1))
+
+
+def cutting(robot, time):
+    return FaultBus(
+        robot, time, link_faults([FaultRow("truncation", "link", "feedback", 0, FOR_EVER_NS, 1.0)], 1), None
+    )
+
+
+@pytest.mark.parametrize("make", [delayed, dropping, cutting])
+def test_a_frame_that_is_held_or_lost_does_not_begin_the_wait_again(make):
+    class Patient(Robot):
+        def receive(self, timeout_ns):
+            waits_ns.append(timeout_ns)
+            return super().receive(timeout_ns)
+
+    waits_ns = []
+    robot = Patient()
+    robot.to_give = [FEEDBACK] * 3
+    time = ScenarioTime(robot)
+    time.begin(0)
+    assert make(robot, time).receive(3_600_000_000_000) is None
+    assert len(waits_ns) == 4
+    assert all(later < earlier for earlier, later in itertools.pairwise(waits_ns))
+
+
+def test_what_a_fault_holds_back_is_forgotten_with_the_session():
+    robot = Robot()
+    time = ScenarioTime(robot)
+    time.begin(0)
+    rows = [FaultRow("delay", "link", way, 0, FOR_EVER_NS, 0.01) for way in ("command", "feedback")]
+    link = DelayedLink(FaultLink(robot, time, link_faults(rows, 1)), robot, 0, 0)
+    link.send(command(1))
+    robot.to_give = [FEEDBACK]
+    assert link.receive(0) is None
+    link.discard()
+    robot.now = 20_000_000
+    link.service()
+    assert robot.sent == []
+    assert link.receive(0) is None

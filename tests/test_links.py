@@ -4,10 +4,13 @@ import contextlib
 import os
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import can
 import pytest
+import serial
+from can.interfaces.virtual import VirtualBus
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -21,8 +24,8 @@ from hil.links.opening import open_host, open_pair, open_robot
 from hil.links.serial_port import SerialStream
 from hil.links.streams import memory_pair
 from hil.links.url import CanUrl, parse_link
-from hil.links.wire import CanWire
-from tests.processes import environment
+from hil.links.wire import CanWire, ReopeningWire, SerialWire
+from tests.processes import environment, wait_for
 from tests.wheel_rig import WheelRig
 
 pty = pytest.importorskip("hil.links.pty", reason="pseudo-terminals need a POSIX system")
@@ -33,6 +36,58 @@ FRAMES = [
     Frame(m.WheelCommand.ID, bytes(range(8))),
     Frame(m.HelloRequest.ID, b"\1"),
 ]
+
+
+@pytest.mark.parametrize("url", ["serial:pty?symlink={}", "can:virtual/no_pair"])
+def test_a_pair_of_which_the_second_end_fails_leaves_the_first_closed(url, tmp_path, monkeypatch):
+    """A name that leads to a pseudo-terminal goes with it, and python-can tells which buses were shut down."""
+    name = tmp_path / "port"
+    opened, shut = [], []
+    open_bus, shut_down = can.Bus, VirtualBus.shutdown
+
+    def open_once(**options: object) -> can.BusABC:
+        if opened:
+            raise can.CanInitializationError("no second one")
+        opened.append(open_bus(**options))
+        return opened[0]
+
+    def fail(*_: object, **__: object) -> None:
+        raise serial.SerialException("no second one")
+
+    monkeypatch.setattr(VirtualBus, "shutdown", lambda bus: (shut.append(bus), shut_down(bus)))
+    monkeypatch.setattr(can, "Bus", open_once)
+    monkeypatch.setattr(serial, "serial_for_url", fail)
+    with pytest.raises(LinkError, match="no second one"):
+        open_pair(parse_link(url.format(name)), lockstep=True)
+    assert not name.is_symlink()
+    assert shut == opened
+
+
+def test_a_reopening_that_takes_long_does_not_hold_the_firmware_up():
+    host, robot = memory_pair()
+    begun, may_end, said = threading.Event(), threading.Event(), []
+
+    def reopen() -> None:
+        begun.set()
+        assert may_end.wait(10.0)
+        robot.connect(host)
+
+    node = WheelRig().node
+    wire = ReopeningWire(SerialWire(robot), reopen, said.append)
+    robot.close()
+    node.run(5)
+    wire.send_from(node)
+    wait_for(lambda: wire.receive_into(node, 0) or begun.is_set())
+    node.run(100)
+    wire.send_from(node)
+    assert not wire.receive_into(node, 0)
+    assert len(said) == 1
+    may_end.set()
+    wait_for(lambda: wire.receive_into(node, 0) or len(said) == 2)
+    assert said[1] == "link reopened"
+    node.run(5)
+    wire.send_from(node)
+    assert host.read(0), "what the robot sends now, and not what was lost"
 
 
 @given(chunks=st.lists(st.binary(max_size=20)))

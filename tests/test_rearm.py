@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from firmware_protocol import codec
@@ -185,6 +186,30 @@ def test_a_reset_of_the_robot_is_recovered_from(source, link):
         assert max(j for j in jumps if not math.isnan(j)) < 0.01, "encoders that began anew are no motion"
 
 
+@pytest.mark.parametrize("resets_s", [[0.2], [0.5, 0.72]])
+def test_a_reset_soon_after_power_on_is_seen_by_odometry(resets_s):
+    """The robot's clock is then near to where it would be without the reset."""
+    rows = ",".join(f'{{kind="reset",target="robot",start_s={at_s}}}' for at_s in resets_s)
+    options = ("expect=[]", "loop.duration_s=1.5", "loop.rearm=true", "estimator.source=odometry", f"fault=[{rows}]")
+    result = run("circle_speed", set=options)
+    assert result.failure is None
+    assert len(result.metrics["recoveries"]) == len(resets_s)
+    x_m, y_m = result.signals["pose.x_m"], result.signals["pose.y_m"]
+    known = ~(np.isnan(x_m) | np.isnan(y_m))
+    leaps_m = np.hypot(np.diff(x_m[known]), np.diff(y_m[known]))
+    assert leaps_m.max() < 0.01
+    after = known & (result.signals["loop.t_s"] > result.metrics["recoveries"][-1]["armed_s"] + 0.1)
+    assert (np.hypot(np.diff(x_m[after]), np.diff(y_m[after])) > 0.0).all(), "and it counts from then on"
+
+
+def test_a_link_that_is_lost_while_the_first_feedback_is_on_its_way_is_recovered_from():
+    result = run_short('fault=[{kind="disconnect",start_s=0.0,end_s=0.2}]', "link.feedback_latency_s=0.02")
+    assert result.failure is None
+    (recovery,) = result.metrics["recoveries"]
+    assert recovery["lost_s"] == 0.0
+    assert (result.metrics["ticks"], result.metrics["deadline_misses"]) == (600, 0)
+
+
 def test_the_clock_of_a_robot_that_was_reset_is_read_anew():
     clock = run_short(RESET).metrics["link_statistics"]["clock"]
     assert clock["steps"] == 1
@@ -261,15 +286,18 @@ def test_an_e_stop_is_not_recovered_from(at_command):
     assert result.metrics["recoveries"] == []
 
 
-def test_another_robot_on_the_link_is_refused(at_command):
+def test_another_robot_on_the_link_is_refused_and_left_alone(at_command, tmp_path):
     def exchange(bench: Bench) -> None:
         robot = bench._robot
         robot._made_of = robot._made_of._replace(firmware=robot._made_of.firmware | {"speed_kp_n_m_s_rad": 1.0})
         robot.power_cycle()
 
     at_command(200, exchange)
-    result = run_short()
+    result = run_short(trace=tmp_path / "line.log")
     assert isinstance(result.failure, BadInputError)
+    since = sent_since_the_second_handshake(tmp_path / "line.log")
+    assert {type(x) for x in since} <= {m.HelloRequest, m.Step, m.TimeSyncRequest}
+    assert not result.metrics["stopped"]
     assert "are not the scenario's [firmware]" in str(result.failure)
     assert result.metrics["recoveries"] == []
 

@@ -1,15 +1,23 @@
 """Unplug and replug between real processes: a serial name that goes and comes back, a CAN bus that goes down and up."""
 
+import contextlib
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
+import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from tests.processes import HIL, ROOT, device, environment
+from hil.assembly import run_scenario
+from hil.errors import LinkError
+from hil.loop import Loop
+from hil.scenario import load
+from tests.processes import HIL, ROOT, device, environment, wait_for
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals need a POSIX system")
 
@@ -53,6 +61,33 @@ def test_a_serial_robot_that_was_killed_and_started_again_is_armed_anew(mode, du
     assert any("lost" in row["why"] for row in figures["recoveries"]), "beside stalls of this machine"
     assert figures["stopped"]
     assert figures["ticks"] + figures["deadline_misses"] == 100 * duration_s
+
+
+def test_a_link_that_falls_silent_and_is_then_unplugged_holds_no_tick_up(tmp_path: Path):
+    """Its TIME_SYNC is never answered, and waiting for that must not be taken for time that stands still."""
+    name = tmp_path / "robot"
+    changes = ["loop.rate_hz=100", "loop.duration_s=3", "expect=[]", "loop.rearm=true", "estimator.source=odometry"]
+    scenario = load("paper_circle", set=[*changes, "loop.mode=realtime", f"link.url=serial:{name}"])
+
+    with device(*REAL_TIME, "--link", f"serial:pty?symlink={name}") as robot:
+
+        def unplug(loop: Loop) -> None:
+            wait_for(lambda: loop.t_s > 0.5)
+            robot.process.send_signal(signal.SIGSTOP)
+            wait_for(lambda: loop.t_s > 1.0)
+            robot.process.kill()
+
+        @contextlib.contextmanager
+        def watch(loop: Loop) -> Iterator[None]:
+            hand = threading.Thread(target=unplug, args=(loop,))
+            hand.start()
+            yield
+            hand.join()
+
+        result = run_scenario(scenario, watch=watch)
+    assert isinstance(result.failure, LinkError)
+    assert "it did not come back until the end" in str(result.failure)
+    assert result.metrics["ticks"] + result.metrics["deadline_misses"] == 300
 
 
 WAIT_UNTIL_DRIVEN = """

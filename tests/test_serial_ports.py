@@ -2,6 +2,7 @@
 
 import contextlib
 import itertools
+import os
 import subprocess
 import threading
 from collections.abc import Iterator
@@ -16,6 +17,7 @@ from hil.devices import handshake
 from hil.errors import DeviceError, LinkError
 from hil.links.framed import StreamLink
 from hil.links.opening import open_host
+from hil.links.reader import Reader
 from hil.links.serial_port import SerialStream
 from hil.links.url import parse_link
 from tests.serial_server import SerialServer, ThreeWirePort
@@ -181,6 +183,17 @@ def test_a_replugged_port_is_reopened_and_counters_go_on(tmp_path: Path):
         assert host.rejected() == rejected
 
 
+def test_a_port_that_is_unplugged_while_it_is_opened_is_one_sentence(monkeypatch):
+    """What pyserial flushes then is gone; that is an error of termios, which is no OSError."""
+    master, slave = os.openpty()
+    name = os.ttyname(slave)
+    os.close(slave)
+    monkeypatch.setattr(serial.Serial, "_update_dtr_state", lambda _: os.close(master))
+    monkeypatch.setattr(serial.Serial, "_update_rts_state", lambda _: None)
+    with pytest.raises(LinkError, match=rf"'{name}' could not be opened: Input/output error; list the ports"):
+        SerialStream(name, 921_600)
+
+
 def test_waiting_for_a_port_without_a_descriptor_never_polls_in_waiting(monkeypatch):
     """loop:// has no descriptor. The wait is over when something comes, and in_waiting is asked only then."""
     from serial.urlhandler import protocol_loop
@@ -234,3 +247,28 @@ def test_a_handshake_in_silence_names_the_link():
         pytest.raises(DeviceError, match=r"did not answer HELLO within 2 s \(serial port .* check that it is"),
     ):
         handshake.greet(host, lambda message: None)
+
+
+class FloodedPort:
+    """A port whose driver gives so many bytes at once, and then fails in a way that nobody thought of."""
+
+    timeout: float | None = None
+    in_waiting = (1 << 20) + 9
+
+    def __init__(self) -> None:
+        self.given = 0
+
+    def read(self, size: int = 1, /) -> bytes:
+        if self.given > self.in_waiting:
+            raise RuntimeError("the driver is mad")
+        self.given += size
+        return bytes(size)
+
+
+def test_a_reading_thread_tells_what_it_dropped_and_what_ended_it():
+    reader = Reader(FloodedPort())
+    reader.join()
+    assert len(reader.read(0)) == 1 << 20
+    assert reader.unread_bytes == 10
+    with pytest.raises(OSError, match="the driver is mad"):
+        reader.read(WAIT_NS)

@@ -83,3 +83,14 @@ def test_wheel_map_is_undone_by_its_inverse(order, reversed_wheels):
     assert wheel_map.from_wire(wheel_map.to_wire(value)) == value
     channel = list(order).index("rl")
     assert wheel_map.to_wire(value)[channel] == (-4.0 if "rl" in reversed_wheels else 4.0)
+
+
+def test_a_burst_that_joins_two_instants_is_told_by_the_inertial_parts_or_counted_as_lost():
+    """PROTOCOL.md, "Feedback": all from ENCODERS to the next TICK is lost, and its parts follow."""
+    assembler = SnapshotAssembler()
+    assert feed(assembler, [snapshot(1)[0], *snapshot(2)[1:], *snapshot(3)]) == feed(SnapshotAssembler(), snapshot(3))
+    assert (assembler.incomplete, assembler.lost) == (1, 1)
+    blind = SnapshotAssembler()
+    joined, _ = feed(blind, [snapshot(1, 3)[0], *snapshot(2, 3)[1:], *snapshot(3, 3)])
+    assert (joined.robot_time_ns, joined.encoder_count[0]) == (5_000_000, 2)
+    assert (blind.incomplete, blind.lost) == (0, 1)

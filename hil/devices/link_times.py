@@ -101,6 +101,10 @@ class ClockSync:
         self.awaiting = True
         return self._sequence
 
+    def give_up(self) -> None:
+        """Expect no answer any more to what is open."""
+        self.awaiting = False
+
     def answered(self, sequence: int, received_us: int, held_us: int, stamp_ns: int) -> None:
         """Take an answer; one to another request, one held too long to say, and one from the future, is ignored."""
         if not self.awaiting or sequence != self._sequence:

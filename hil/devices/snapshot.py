@@ -1,7 +1,8 @@
 """Feedback as one snapshot a tick: TICK opens it, the parts that it announces follow in the order of their ids.
 
-A part out of its turn means that something was lost: the snapshot is dropped whole, so that parts of two sampling
-instants are not mixed.
+A part out of its turn means that something was lost: the snapshot is dropped whole. Parts of two sampling instants are
+not mixed where the snapshot has inertial parts, which name their instant. In one without them, a loss of all from one
+part up to that same part of a later snapshot cannot be told; the later one counts as lost.
 """
 
 from typing import NamedTuple

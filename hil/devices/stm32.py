@@ -74,6 +74,11 @@ class Stm32:
 
     # Connecting
 
+    @property
+    def is_lockstep(self) -> bool:
+        """Whether robot time passes by STEP only, so that it stands still without the robot."""
+        return self._expected.lockstep
+
     def connect(self) -> RobotInfo:
         """Ask for HELLO and check the answer against what the scenario expects."""
         info = handshake.greet(self._link, self._send)
@@ -91,6 +96,7 @@ class Stm32:
         self._next_heartbeat_ns = None
         self._feedback = None
         self.report.status = None
+        self.clock_sync.give_up()
         self._link.discard()
 
     def reopen(self) -> None:

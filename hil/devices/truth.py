@@ -40,7 +40,7 @@ class TruthRecord(NamedTuple):
     state: State
 
 
-def _unpack(data: bytes) -> TruthRecord:
+def _unpack(data: bytes | bytearray) -> TruthRecord:
     time_ns, x, y, heading, vx, vy, yaw_rate, fl, fr, rr, rl, age_ms, state = _RECORD.unpack(data)
     fix = PoseFix(time_ns, Pose(x, y, heading), Twist(vx, vy, yaw_rate))
     return TruthRecord(fix, Wheels(fl, fr, rr, rl), age_ms, State(state))
@@ -231,7 +231,7 @@ class TruthClient:
         self._url = url
         self._scenario_hash = scenario_hash
         self._not_before = not_before
-        self._whole = b""
+        self._whole = bytearray()
         self.newest: TruthRecord | None = None
         self._connection, answer, self._data = _greet(url, {"scenario": scenario_hash, "reset": reset})
         if "error" in answer:
@@ -244,8 +244,10 @@ class TruthClient:
             raise BadInputError(str(answer["error"]))
 
     def begin(self, tick: int) -> None:
-        """Say at which tick of the firmware's the scenario's time began."""
-        self._ask_faults({"begin": tick})
+        """Say at which tick of the firmware's the scenario's time began. Raises DeviceError when that is refused."""
+        answer = self._ask_faults({"begin": tick})
+        if "error" in answer:
+            raise DeviceError(f"truth {self._url!r}: {answer['error']}")
 
     def applied(self) -> list[int]:
         """Return how often each fault was applied so far. Raises DeviceError when the robot's process has gone."""
@@ -261,6 +263,7 @@ class TruthClient:
 
     def poll(self) -> PoseFix | None:
         """Return the newest fix. Raises DeviceError when the robot's process has gone."""
+        self._whole.clear()
         self._read(blocking=False)
         if self._not_before is not None:
             wanted_ns = self._not_before()
@@ -289,10 +292,9 @@ class TruthClient:
             raise DeviceError(f"truth {self._url!r} was lost: {error}") from error
         else:
             raise DeviceError(f"truth {self._url!r} was closed: the robot's process has ended")
-        self._whole = b""
         whole = len(self._data) // _RECORD.size * _RECORD.size
         if whole:
-            self._whole = bytes(self._data[:whole])
+            self._whole += self._data[:whole]
             self.newest = _unpack(self._whole[-_RECORD.size :])
             del self._data[:whole]
 

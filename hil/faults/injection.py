@@ -1,7 +1,7 @@
 """The faults of one run: each row given to the part that applies it, and what they all did."""
 
 import contextlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from hil.devices.faults import RobotFaults
@@ -106,10 +106,15 @@ class RunFaults:
             self._robot.begin(tick)
 
     def applied(self) -> list[int | None]:
-        """Return how often each row of the run was applied; None where the robot that knew has gone."""
-        of_robot: Iterable[int | None] = [None] * len(self._of_robot)
+        """Return how often each row of the run was applied; None where the robot that knew has gone.
+
+        Also where it has other rows now: its process was started anew, or somebody else gave it faults.
+        """
+        of_robot: Sequence[int | None] = [None] * len(self._of_robot)
         with contextlib.suppress(HilError):
-            of_robot = self._robot.applied() if self._robot is not None else ()
+            told = self._robot.applied() if self._robot is not None else []
+            if len(told) == len(self._of_robot):
+                of_robot = told
         counts = {
             "link": iter([fault.applied for fault in self._of_link]),
             "robot": iter(of_robot),

@@ -1,5 +1,6 @@
 """Faults of a CAN bus: frames that are destroyed and sent again, frames with a wrong DLC, and a node that babbles."""
 
+import time
 from collections.abc import Sequence
 
 from firmware_protocol.framing import Frame
@@ -44,6 +45,7 @@ class FaultBus:
         self._link.send(sent)
 
     def receive(self, timeout_ns: int) -> Received | None:
+        deadline_ns = time.monotonic_ns() + timeout_ns if timeout_ns > 0 else 0
         while (received := self._link.receive(timeout_ns)) is not None:
             t_ns = self._time.now_ns()
             self._babble(t_ns)
@@ -53,6 +55,7 @@ class FaultBus:
             if passed is not None and len(passed.payload) == len(received.frame.payload):
                 return received
             self._rejected["length"] += passed is not None
+            timeout_ns = max(0, deadline_ns - time.monotonic_ns())
         return None
 
     def rejected(self) -> dict[str, int]:

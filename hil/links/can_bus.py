@@ -22,6 +22,9 @@ _MOST_FILTERS = 8
 # Here python-can keeps no frame back, and its own wait is not good enough: slcan's polls, and both slcan's and the
 # multicast's end early at what is no frame.
 _SELECTABLE_INTERFACES = ("socketcan", "slcan", "udp_multicast")
+# Where python-can parses lines of text, and raises these at one that is cut or garbled.
+_TEXT_INTERFACES = ("slcan",)
+_NO_FRAME = (IndexError, ValueError)
 # Where the filters are in the kernel or the driver, and error frames come past them. Others would filter in Python, and
 # drop error frames too; there ``_refusal`` does it at no further cost.
 _FILTERING_INTERFACES = ("socketcan", "ixxat")
@@ -30,12 +33,12 @@ _FILTERING_INTERFACES = ("socketcan", "ixxat")
 class CanLink:
     """Frames over a CAN bus; ``hears`` names whose are received, the other side being this one.
 
-    Others are dropped and counted: ``foreign`` (extended or remote), error frames by their class (``error_bus_off``,
-    ``error_passive``, ...) and, for a host that hears the robot, ``unknown_id`` and ``length``. A robot that hears the
-    host gets all standard data frames that pass the filters: its firmware counts those by itself. Dropped and not
-    counted are this side's own messages, which some buses give back (python-can's ``udp_multicast``, without a mark).
-    A bus-off is a lost link, to be reopened. ``on_foreign``, where set, is shown each frame that was counted, as a
-    ``can.Message``.
+    Others are dropped and counted: ``foreign`` (extended or remote), ``garbled`` (an slcan line that is none), error
+    frames by their class (``error_bus_off``, ``error_passive``, ...) and, for a host that hears the robot,
+    ``unknown_id`` and ``length``. A robot that hears the host gets all standard data frames that pass the filters: its
+    firmware counts those by itself. Dropped and not counted are this side's own messages, which some buses give back
+    (python-can's ``udp_multicast``, without a mark). A bus-off is a lost link, to be reopened. ``on_foreign``, where
+    set, is shown each frame that was counted, as a ``can.Message``.
 
     Raises BadInputError for what python-can or its interface does not know, LinkError when it cannot be opened.
     """
@@ -49,7 +52,7 @@ class CanLink:
         self._url = url
         self._hears = hears
         self._failures = (can.CanError, OSError, ValueError)
-        self._rejected = dict.fromkeys(("foreign", "unknown_id", "length", *CAUSES), 0)
+        self._rejected = dict.fromkeys(("foreign", "garbled", "unknown_id", "length", *CAUSES), 0)
         self._bus: Any = None
         self._descriptor: int | None = None
         self.on_foreign: Callable[[Any], None] | None = None
@@ -158,14 +161,27 @@ class CanLink:
     def _next(self, bus: Any, timeout_ns: int) -> Any:
         """Return the next frame of any kind, or None after the timeout."""
         if self._descriptor is None:
-            return bus.recv(max(0, timeout_ns) * 1e-9)
+            return self._recv(bus, max(0, timeout_ns) * 1e-9)
         deadline_ns = time.monotonic_ns() + timeout_ns
         while select.select([self._descriptor], [], [], max(0, timeout_ns) * 1e-9)[0]:
-            if (message := bus.recv(0)) is not None:
+            if (message := self._recv(bus, 0)) is not None:
                 return message
             # What came was no frame, such as an adapter's reply: wait on for what is left of the time.
             timeout_ns = deadline_ns - time.monotonic_ns()
         return None
+
+    def _recv(self, bus: Any, timeout_s: float) -> Any:
+        """Return python-can's next frame, or None when there is none, or when what came was none."""
+        try:
+            return bus.recv(timeout_s)
+        except (IndexError, *self._failures) as error:
+            is_not_text = isinstance(error.__cause__, UnicodeDecodeError)
+            if self._url.interface not in _TEXT_INTERFACES or not (is_not_text or isinstance(error, _NO_FRAME)):
+                raise
+            if is_not_text:
+                bus.flush()  # python-can would try to decode the same bytes with the next line again
+            self._rejected["garbled"] += 1
+            return None
 
     def _count_error(self, message: Any) -> None:
         if self.on_foreign is not None:

@@ -1,5 +1,6 @@
 """Latency on robot time, set per direction; the same meaning in lockstep and in real time."""
 
+import time
 from collections import deque
 from typing import Protocol
 
@@ -27,6 +28,9 @@ class HoldingLink(Link, Protocol):
 
     def flush(self) -> None:
         """Hand over everything that is held, in order: nobody will wait for it to be due."""
+
+    def discard(self) -> None:
+        """Forget what is held: the link was lost, and an old command must not follow a new arming."""
 
 
 class DelayedLink:
@@ -73,6 +77,7 @@ class DelayedLink:
     def receive(self, timeout_ns: int) -> Received | None:
         if not self._feedback_latency_ns:
             return self._link.receive(timeout_ns)
+        deadline_ns = time.monotonic_ns() + timeout_ns if timeout_ns > 0 else 0
         while True:
             # What is due goes first, however the rest comes in: the order is then the same on every transport.
             if self._incoming and self._incoming[0].stamp_ns <= self._clock.now_ns():
@@ -81,6 +86,7 @@ class DelayedLink:
             if received is None or received.frame.id >= FIRST_EXEMPT_ID:
                 return received
             self._incoming.append(Received(received.frame, self._clock.now_ns() + self._feedback_latency_ns))
+            timeout_ns = max(0, deadline_ns - time.monotonic_ns())
 
     def rejected(self) -> dict[str, int]:
         return self._link.rejected()
@@ -93,6 +99,7 @@ class DelayedLink:
         """Forget what is held: the link was lost, and an old command must not follow a new arming."""
         self._outgoing.clear()
         self._incoming.clear()
+        self._link.discard()
 
     def describe(self) -> str:
         return self._link.describe()

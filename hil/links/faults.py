@@ -2,6 +2,7 @@
 
 import heapq
 import itertools
+import time
 from collections import deque
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -150,6 +151,7 @@ class FaultLink:
         self._let_go(t_ns)
 
     def receive(self, timeout_ns: int) -> Received | None:
+        deadline_ns = time.monotonic_ns() + timeout_ns if timeout_ns > 0 else 0
         while True:
             t_ns = self._time.now_ns() if self._has_faults else None
             if t_ns is not None:
@@ -161,6 +163,7 @@ class FaultLink:
                 return received
             if not self._is_cut(t_ns):
                 self._in.take(received.frame, t_ns)
+            timeout_ns = max(0, deadline_ns - time.monotonic_ns())
 
     def next_due_ns(self) -> int | None:
         """Return when, on the clock, the next held command is due, or None when none is held."""
@@ -177,15 +180,19 @@ class FaultLink:
         """Hand over everything that is held, in order: nobody will wait for it to be due."""
         self._let_go(None)
 
+    def discard(self) -> None:
+        """Forget what is held, in both directions."""
+        self._out.forget()
+        self._in.forget()
+        self._ready.clear()
+
     def reopen(self) -> None:
         """Open the link anew after a disconnect; what was on its way is forgotten. Raises LinkError while it lasts."""
         t_ns = self._time.now_ns()
         self._cut = None
         if t_ns is not None:
             self._refuse_if_cut(t_ns)
-        self._out.forget()
-        self._in.forget()
-        self._ready.clear()
+        self.discard()
         self._link.reopen()
 
     def rejected(self) -> dict[str, int]:

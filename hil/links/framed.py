@@ -45,7 +45,8 @@ class StreamLink:
 
     def rejected(self) -> dict[str, int]:
         now = self._deframer.rejected | {"lost": self._deframer.lost}
-        return {cause: count + self._earlier[cause] for cause, count in now.items()}
+        counts = {cause: count + self._earlier[cause] for cause, count in now.items()}
+        return counts | {"unread_bytes": self._stream.unread_bytes()}
 
     def reopen(self) -> None:
         self._stream.reopen()

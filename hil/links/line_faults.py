@@ -48,6 +48,9 @@ class FaultLine:
         self._rest = b""
         self._stream.reopen()
 
+    def unread_bytes(self) -> int:
+        return self._stream.unread_bytes()
+
     def describe(self) -> str:
         return self._stream.describe()
 

@@ -1,6 +1,7 @@
 """From a link's URL to its two ends: the host's, which is a Link, and the robot's, which is a Wire."""
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
@@ -52,9 +53,21 @@ def open_pair(url: LinkUrl, line: Line = _as_it_is, *, lockstep: bool) -> Pair:
             return Pair(StreamLink(line(host)), SerialWire(robot), host)
         case SerialUrl():
             pty = _pty_stream(url, lockstep=lockstep)
-            return Pair(StreamLink(line(_serial_stream(pty.port, url.baud))), LossySerialWire(pty), None)
+            with _closed_on_failure(pty):
+                return Pair(StreamLink(line(_serial_stream(pty.port, url.baud))), LossySerialWire(pty), None)
         case CanUrl():
-            return Pair(_can_link(url, "ROBOT"), CanWire(_can_link(url, "HOST")), None)
+            host_end = _can_link(url, "ROBOT")
+            with _closed_on_failure(host_end):
+                return Pair(host_end, CanWire(_can_link(url, "HOST")), None)
+
+
+@contextlib.contextmanager
+def _closed_on_failure(end: "CanLink | PtyStream") -> Iterator[None]:
+    """Close the one end of a link when the other cannot be opened."""
+    with contextlib.ExitStack() as resources:
+        resources.callback(end.close)
+        yield
+        resources.pop_all()
 
 
 def open_host(url: LinkUrl, line: Line = _as_it_is) -> Link:

@@ -20,7 +20,8 @@ class Port(Protocol):
 class Reader:
     """A thread that blocks in the port's own read, so that ``read`` can wait for any time.
 
-    The port's timeout is set once: for RFC 2217 each change of it is a negotiation over the network.
+    The port's timeout is set once: for RFC 2217 each change of it is a negotiation over the network. ``unread_bytes``
+    counts those that were dropped because nobody read them.
     """
 
     def __init__(self, port: Port) -> None:
@@ -29,6 +30,7 @@ class Reader:
         self._received = bytearray()
         self._failure: Exception | None = None
         self._stopping = False
+        self.unread_bytes = 0
         port.timeout = _PATIENCE_S
         self._thread = threading.Thread(target=self._run, name="serial reader", daemon=True)
         self._thread.start()
@@ -42,9 +44,10 @@ class Reader:
                     data += self._port.read(self._port.in_waiting)
                     with self._arrived:
                         self._received += data
+                        self.unread_bytes += max(0, len(self._received) - _LONGEST)
                         del self._received[:-_LONGEST]
                         self._arrived.notify()
-        except (OSError, ValueError, TypeError, AttributeError) as error:  # SerialException is an OSError
+        except Exception as error:  # noqa: BLE001 - read() raises it where it is seen
             with self._arrived:
                 self._failure = error
                 self._arrived.notify()

@@ -16,13 +16,21 @@ from hil.links.reader import Reader
 _CHUNK = 65536
 _WRITE_TIMEOUT_S = 1.0  # a line that takes no byte for so long is lost
 _OUTPUT_SPEED = 10  # c_ospeed of Linux' struct termios2, in ints
+_TERMIOS_ERROR: tuple[type[Exception], ...] = ()
+if sys.platform != "win32":
+    import termios
+
+    # pyserial lets it through, and it is no OSError.
+    _TERMIOS_ERROR = (termios.error,)
+_OPENING_FAILURES = (serial.SerialException, OSError, ValueError, NotImplementedError, *_TERMIOS_ERROR)
+_LOSSES = (serial.SerialException, OSError, TypeError, *_TERMIOS_ERROR)
 _URL_HANDLERS = ("socket", "rfc2217", "loop", "spy", "hwgrep", "alt")
 
 
 def _open_failure(port: str, baud: int, error: Exception) -> LinkError:
     """Say what is the matter with a port and what to do about it."""
     number = getattr(error, "errno", None)
-    text = str(error)
+    text = _text(error)
     scheme, is_url, _ = port.partition("://")
     if is_url and "protocol" in text and "not known" in text:
         return LinkError(f"serial URL {port!r}: pyserial knows no {scheme!r}{nearest(scheme, _URL_HANDLERS)}")
@@ -48,6 +56,11 @@ def _open_failure(port: str, baud: int, error: Exception) -> LinkError:
     return LinkError(
         f"serial port {port!r} could not be opened: {text}; list the ports with: python -m serial.tools.list_ports"
     )
+
+
+def _text(error: Exception) -> str:
+    """Return what an error says; termios has number and words as a pair."""
+    return str(error.args[-1]) if isinstance(error, _TERMIOS_ERROR) else str(error)
 
 
 def _last_words(text: str) -> str:
@@ -94,6 +107,7 @@ class SerialStream:
         self._port: Any = None
         self._reader: Reader | None = None
         self._low_latency = False
+        self._unread_bytes = 0  # of the readers before this one
         self.reopen()
 
     def reopen(self) -> None:
@@ -108,7 +122,7 @@ class SerialStream:
             self._port.open()
             # What was sent before we listened is not meant for us.
             self._port.reset_input_buffer()
-        except (serial.SerialException, OSError, ValueError, NotImplementedError) as error:
+        except _OPENING_FAILURES as error:
             self.close()
             raise _open_failure(self._name, self._baud, error) from error
         self._check_baud()
@@ -145,7 +159,7 @@ class SerialStream:
                 f"serial port {self._name!r} took no byte for {_WRITE_TIMEOUT_S:g} s; check that the robot reads, and "
                 "the line's flow control"
             ) from error
-        except (serial.SerialException, OSError, TypeError) as error:
+        except _LOSSES as error:
             raise self._lost(error) from error
 
     def read(self, timeout_ns: int) -> bytes:
@@ -155,23 +169,27 @@ class SerialStream:
             if timeout_ns > 0:
                 select.select([self._port.fileno()], [], [], timeout_ns * 1e-9)
             return bytes(self._port.read(_CHUNK))
-        except (serial.SerialException, OSError, TypeError) as error:
+        except _LOSSES as error:
             raise self._lost(error) from error
 
     def _lost(self, error: Exception) -> LinkError:
-        return LinkError(f"serial port {self._name!r} was lost ({error}); check the cable and the robot's power")
+        return LinkError(f"serial port {self._name!r} was lost ({_text(error)}); check the cable and the robot's power")
 
     def describe(self) -> str:
         latency = "set" if self._low_latency else "not offered by its driver"
         return f"serial port {self._name} at {self._baud} baud, low latency {latency}"
+
+    def unread_bytes(self) -> int:
+        return self._unread_bytes + (self._reader.unread_bytes if self._reader is not None else 0)
 
     def close(self) -> None:
         if self._reader is not None:
             self._reader.stop()
         if self._port is not None:
             # A device that was unplugged may refuse even that; its descriptor is gone all the same.
-            with contextlib.suppress(serial.SerialException, OSError):
+            with contextlib.suppress(*_LOSSES):
                 self._port.close()
         if self._reader is not None:
             self._reader.join()
+            self._unread_bytes = self.unread_bytes()
             self._reader = None

@@ -23,6 +23,9 @@ class ByteStream(Protocol):
 class HostStream(ByteStream, Protocol):
     """The host's end of a line, which can be opened anew when it was lost."""
 
+    def unread_bytes(self) -> int:
+        """Return how many bytes that had arrived were dropped because nobody read them; it goes on when reopened."""
+
     def reopen(self) -> None:
         """Close the line and open it anew; bytes that had arrived are forgotten. Raises LinkError when that fails."""
 
@@ -68,6 +71,9 @@ class MemoryStream:
     def reopen(self) -> None:
         with self._arrived:
             self._received.clear()
+
+    def unread_bytes(self) -> int:
+        return 0
 
     def describe(self) -> str:
         return "memory, both sides in one process"
