@@ -31,9 +31,9 @@ def decode(
         read = decoder.read(trace, decoder.Selection.of(message or [], from_s, to_s))
         if counts:
             found = decoder.count(read)
-            if as_json:
+            if as_json and (read.frames or read.trouble is None):
                 print_json([row._asdict() for row in found])
-            else:
+            elif read.frames or read.trouble is None:
                 from hil import report
 
                 report.print_table([("message", "id", "frames", "per s"), *(row.texts() for row in found)])

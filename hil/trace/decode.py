@@ -6,6 +6,7 @@ import struct
 import zlib
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -13,6 +14,7 @@ from firmware_protocol import codec
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated.messages import NAMED_VALUES, NAMES, SENDERS, UNITS
 from hil.errors import BadInputError, nearest
+from hil.trace import damage
 
 READABLE = (".blf", ".asc", ".log", ".trc")
 """Endings of the files that are read: Vector's two, that of ``candump -L``, and PEAK's."""
@@ -130,30 +132,53 @@ class Reading:
                 yield entry
 
     def _messages(self) -> Iterator[Any]:
-        import can
         from can.io.blf import BLFParseError
 
         # What it has to say of a bad file goes into ``trouble``.
         logging.getLogger("can").addHandler(logging.NullHandler())
-        # Vector's text form has seconds since its start, which its head tells.
-        options = {"relative_timestamp": False} if self._path.suffix.lower() == ".asc" else {}
         try:
-            with can.LogReader(self._path, **options) as reader:
-                size = getattr(reader, "file_size", None)  # BLF says how long it was when it was finished
+            yield from self._binary() if self._path.suffix.lower() == ".blf" else self._text()
+        except damage.DamagedError as broken:
+            self._break_off(str(broken))
+        except (*_BROKEN, BLFParseError):
+            self._break_off("what follows makes no sense, it is cut or damaged")
+        else:
+            if not self.frames:
+                self._break_off(f"it is no {self._path.suffix} file, or an empty one")
+
+    def _text(self) -> Iterator[Any]:
+        import can
+
+        ending = self._path.suffix.lower()
+        with self._path.open("rb") as file:
+            # Vector's text form has seconds since its start, which its head tells.
+            readers: dict[str, Any] = {
+                ".asc": partial(can.ASCReader, relative_timestamp=False),
+                ".log": can.CanutilsLogReader,
+                ".trc": can.TRCReader,
+            }
+            for message in readers[ending](damage.sound_lines(file, ending)):
+                damage.check_length(message)
+                self.frames += 1
+                yield message
+
+    def _binary(self) -> Iterator[Any]:
+        import can
+        from can.io.blf import BLFParseError
+
+        with can.BLFReader(self._path) as reader:
+            try:
                 for message in reader:
                     self.frames += 1
                     yield message
-        except (*_BROKEN, BLFParseError):
-            self._break_off("what follows makes no sense, it is cut or damaged")
-            return
-        if size is not None and size != self._path.stat().st_size:
-            self._break_off("it was not finished, or is cut")
-        elif not self.frames:
-            self._break_off(f"it is no {self._path.suffix} file, or an empty one")
+            except (*_BROKEN, BLFParseError):
+                damage.check_blocks(self._path)
+                raise
+            damage.check_blocks(self._path)
+            if reader.file_size != self._path.stat().st_size:  # what it was when it was finished
+                raise damage.DamagedError("it was not finished, or is cut")
 
     def _break_off(self, why: str) -> None:
-        if not self.frames:
-            why = f"expected a trace, one of {', '.join(READABLE)}"
         self.trouble = f"{self._path}: {self.frames or 'no'} frames could be read; {why}"
 
     def _entry(self, message: Any) -> Entry:
