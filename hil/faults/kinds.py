@@ -203,7 +203,8 @@ KINDS: tuple[Kind, ...] = (
     ),
     Kind(
         "low_battery", "device", ("battery",), "`battery`, the default",
-        f"The battery's voltage without load is lower: the FMU's tunable parameter {BATTERY_VARIABLE}.",
+        f"The battery's voltage without load is lower: the FMU's tunable parameter {BATTERY_VARIABLE}. Where "
+        "`plant.start.drive` is `torque`, the default, only what is measured falls.",
         "ticks of 1 ms",
         {"start_s": 2.0, "value": 17.0},
         Quantity("value", "V", "voltage without load", 0.0, 10_000.0),

@@ -22,7 +22,8 @@ if sys.platform != "win32":
 
     # pyserial lets it through, and it is no OSError.
     _TERMIOS_ERROR = (termios.error,)
-_OPENING_FAILURES = (serial.SerialException, OSError, ValueError, NotImplementedError, *_TERMIOS_ERROR)
+# re.error: hwgrep:// takes a pattern.
+_OPENING_FAILURES = (serial.SerialException, OSError, ValueError, NotImplementedError, re.error, *_TERMIOS_ERROR)
 _LOSSES = (serial.SerialException, OSError, TypeError, *_TERMIOS_ERROR)
 _URL_HANDLERS = ("socket", "rfc2217", "loop", "spy", "hwgrep", "alt")
 
