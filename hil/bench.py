@@ -189,12 +189,12 @@ class Bench:
                 self.faults.arm(self.truth)
                 link = open_host(url, self.faults.line)
                 resources.callback(link.close)
-            disturbed = self.faults.around(link, url, resources)
-            self.wire = measured(disturbed, link, url, self.clock, lockstep=lockstep)
+            self.wire = measured(link, url, self.clock, lockstep=lockstep)
             if trace is not None:
                 trace.begin(time.time_ns() - self.clock.now_ns())
                 self.wire.trace_to(trace)
-            faulty = FaultLink(self.wire, self.faults.time, self.faults.of_frames)
+            disturbed = self.faults.around(self.wire, url, resources)
+            faulty = FaultLink(disturbed, self.faults.time, self.faults.of_frames)
             latencies = (scenario.link.command_latency_ns, scenario.link.feedback_latency_ns)
             delayed = DelayedLink(faulty, self.clock, *latencies)
             self.device = Stm32(

@@ -84,7 +84,9 @@ class Runner:
             f"--rootdir={session.config.rootpath}",
         ]
         paths = os.pathsep.join(filter(None, [str(socketcan.ROOT), os.environ.get("PYTHONPATH")]))
-        return socketcan.Inside([*command, *tests], {_INSIDE: "1", "PYTHONPATH": paths})
+        return socketcan.Inside(
+            [*command, *tests], {_INSIDE: "1", "PYTHONPATH": paths}, directory=session.config.rootpath
+        )
 
     def _reports_of(self, item: pytest.Item, inside: socketcan.Inside) -> list[Any]:
         """Return the test's reports, waiting for the last of them; one of a failure when it never comes."""

@@ -2,12 +2,16 @@
 
 import json
 import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from firmware_protocol.build import HERE, SOURCES
+from hil.catalogue.plan import Asked, alone
+from hil.catalogue.pool import perform_all
+from hil.catalogue.runs import perform
 from hil.faults.cases import CASES, DURATION_S, Outcome
 from hil.faults.kinds import KINDS, find
 from hil.scenario.rows import FaultTable
@@ -44,6 +48,30 @@ UNSAFE = {
         "states.c",
         "{WP_STATE_STOPPING, WHEEL_EVENT_STOPPED, WP_STATE_IDLE},",
         "{WP_STATE_STOPPING, WHEEL_EVENT_STOPPED, WP_STATE_ACTIVE},",
+        ("disconnect",),
+    ),
+    "the speed loop does not hear its set point": (
+        "control.c",
+        "const float error = target_rad_s[i] - speed_rad_s[i];",
+        "const float error = 12.0f - speed_rad_s[i];",
+        ("duplicate",),
+    ),
+    "a stop drives on with a set point of zero": (
+        "node.c",
+        "wheel_speed_loop_update(&node->speed_loop, node->set_point_rad_s,",
+        "wheel_speed_loop_update(&node->speed_loop, node->setting.target,",
+        ("disconnect",),
+    ),
+    "the torque outlives the stop": (
+        "node.c",
+        "ramp_set_point(node);\n        limited = drive_by_speed(node, none, drive);",
+        "ramp_set_point(node);\n        memcpy(drive->torque_n_m, node->setting.target, sizeof node->torque_n_m);",
+        ("disconnect",),
+    ),
+    "drives that are off keep their torque": (
+        "node.c",
+        "memset(&node->current_loop, 0, sizeof node->current_loop);\n        return;",
+        "memcpy(drive->torque_n_m, node->torque_n_m, sizeof node->torque_n_m);\n        return;",
         ("disconnect",),
     ),
     "the set point is no number": ("node.c", "float left = 0.0f;", 'float left = __builtin_nanf("");', ("duplicate",)),
@@ -147,6 +175,28 @@ def test_a_run_that_hangs_is_ended_and_one_that_crashes_is_told(tmp_path) -> Non
     assert hung["outcome"] is None
     crashed, *_ = catalogue("--law", "laws.py:Crashes", "--kind", "push", *ONCE, cwd=tmp_path, code=1)
     assert crashed["verdict"].startswith("crashed: exit code 7")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [["/no/such/program"], [sys.executable, "-c", "print('{}')"], [sys.executable, "-c", "print('no JSON')"]],
+    ids=["cannot be started", "answers with too little", "answers with anything"],
+)
+def test_a_worker_that_is_none_is_a_verdict_on_each_job(words, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr("hil.catalogue.pool.module_command", lambda _module: words)
+    jobs = alone(Asked("circle_speed", [], ["memory"], ["push", "mute"], tmp_path))
+    verdicts = perform_all(jobs, 2, 60.0)
+    assert [verdict.fault for verdict in verdicts] == [job.fault for job in jobs]
+    assert all(verdict.verdict.startswith("crashed: ") for verdict in verdicts)
+
+
+def test_a_run_that_ends_for_another_reason_or_with_a_fault_that_did_nothing_is_not_as_it_should_be(tmp_path) -> None:
+    (job,) = alone(Asked("circle_speed", [], ["memory"], ["stuck_encoder"], tmp_path))
+    assert perform(job).is_ok
+    other = perform(job._replace(causes=["OVERSPEED"], causes_of_end=["OVERSPEED"]))
+    assert "the robot was lost, but not for OVERSPEED" in other.verdict
+    idle = {"kind": "mute", "target": "ESTOP", "start_s": 0.2}
+    assert "was never applied" in perform(job._replace(rows=[idle, *job.rows])).verdict
 
 
 def test_a_wrong_outcome_is_a_row_of_the_table_and_its_recording_is_kept(tmp_path) -> None:

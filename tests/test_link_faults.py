@@ -31,6 +31,7 @@ class Wire:
         self.written = b""
         self.to_read = b""
         self.now = 0
+        self.reopened = 0
 
     def now_ns(self) -> int:
         return self.now
@@ -53,6 +54,7 @@ class Wire:
 
     def reopen(self) -> None:
         self.to_give.clear()
+        self.reopened += 1
 
     def close(self) -> None:
         pass
@@ -153,7 +155,13 @@ def test_reordering_swaps_neighbours_and_the_last_one_leaves_at_the_end() -> Non
     wire, link, faults = fault_link(row("reorder", end=105 * MS))
     out = send_each_ms(wire, link, 107)
     assert out[100:] == [(101, 101), (101, 100), (103, 103), (103, 102), (105, 104), (105, 105), (106, 106)]
-    assert faults[0].applied == 3
+    assert faults[0].applied == 2  # nobody overtook the one that the window's end let go
+
+
+def test_a_frame_that_nobody_overtook_is_not_counted() -> None:
+    wire, link, faults = fault_link(row("reorder", end=101 * MS))
+    assert [number for _, number in send_each_ms(wire, link, 103)] == list(range(103))
+    assert faults[0].applied == 0
 
 
 def test_freezing_repeats_what_was_newest_before() -> None:
@@ -302,11 +310,26 @@ def test_on_can_a_frame_that_is_cut_has_a_wrong_length() -> None:
     assert [fault.applied for fault in faults] == [1, 1]
 
 
+def test_a_babbler_that_nobody_let_speak_in_its_window_is_silent_behind_it() -> None:
+    wire, link, faults, babbler = bus(row("babble", value=500.0))
+    wire.now = 110 * MS
+    link.send(command(1))
+    wire.now = 200 * MS
+    link.send(command(2))
+    assert faults[0].applied == len(babbler.sent) == 5
+
+
+def test_a_bus_that_is_opened_anew_has_its_babbler_on_it_again() -> None:
+    wire, link, _, babbler = bus(row("babble", value=500.0))
+    link.reopen()
+    assert wire.reopened == babbler.reopened == 1
+
+
 def test_on_can_a_babbling_node_keeps_its_rate_with_foreign_ids() -> None:
     wire, link, faults, babbler = bus(row("babble", value=500.0))
     for n in range(300):
         wire.now = n * MS
         link.send(command(n))
-    assert faults[0].applied == len(babbler.sent) == 50
+    assert faults[0].applied == len(babbler.sent) == 49  # the last one would be due when the window is over
     assert all(frame.id not in m.LENGTHS for _, frame in babbler.sent)
     assert len(wire.sent) == 300

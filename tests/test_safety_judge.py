@@ -16,15 +16,17 @@ from firmware_protocol.generated.messages import (
     TorqueCommand,
     WheelCommand,
 )
-from hil.catalogue.judge import SafetyJudge, Tick
+from hil.catalogue.judge import Limits, SafetyJudge, Tick
 
 WATCHDOG, RAMP = 100, 200
+LIMITS = Limits(WATCHDOG, RAMP, torque_n_m=2.0)
+OVERSHOOT_TICKS = 20
 NONE = (0.0, 0.0, 0.0, 0.0)
 SPEEDS = (4.0, -2.0, 0.0, 1.0)
 
 
-def drive(set_point=NONE, *, enabled=True, torque=NONE, duty=NONE) -> Tick:
-    return Tick(enabled, tuple(set_point), tuple(torque), tuple(duty))
+def drive(set_point=NONE, *, enabled=True, torque=NONE, duty=NONE, speed=NONE, motor=NONE) -> Tick:
+    return Tick(enabled, tuple(set_point), tuple(torque), tuple(duty), tuple(speed), tuple(motor))
 
 
 OFF = drive(enabled=False)
@@ -35,7 +37,7 @@ class Robot:
 
     def __init__(self) -> None:
         self.judge = SafetyJudge()
-        self.judge.power_on(WATCHDOG, RAMP)
+        self.judge.power_on(LIMITS)
         self.session = 0
         self.sequence = 250
 
@@ -210,7 +212,7 @@ def test_a_session_begins_at_rest_and_a_reset_ends_it() -> None:
     robot.command(SPEEDS)
     robot.hold(drive(SPEEDS))
     assert robot.judge.violation_ticks == 1
-    robot.judge.power_on(WATCHDOG, RAMP)
+    robot.judge.power_on(LIMITS)
     robot.command(SPEEDS)
     robot.hold(drive(SPEEDS))
     assert robot.judge.violation_ticks == 2
@@ -243,3 +245,60 @@ def test_in_torque_mode_torques_are_what_is_asked_and_speeds_only_in_the_stop() 
 def test_what_is_no_number_and_a_duty_beyond_one_are_violations(driving, tick) -> None:
     driving.hold(tick)
     assert not driving.is_sound
+
+
+@pytest.mark.parametrize("how", ["torque", "motor"])
+@pytest.mark.parametrize(
+    ("speed", "torque", "sound"),
+    [
+        ((9.0, 0.0, 0.0, 0.0), (1.5, 0.0, 0.0, 0.0), False),
+        ((0.0, 9.0, 0.0, 0.0), (0.0, 1.5, 0.0, 0.0), False),
+        ((0.0, 0.0, 0.0, -9.0), (0.0, 0.0, 0.0, -1.5), False),
+        ((9.0, 0.0, 0.0, 0.0), (-1.5, 0.0, 0.0, 0.0), True),
+        ((5.0, -3.0, 0.9, 0.0), (1.5, -1.5, 1.5, 1.5), True),
+        ((9.0, 0.0, 0.0, 0.0), (0.05, 0.0, 0.0, 0.0), True),
+    ],
+    ids=["beyond", "against", "backward", "braked", "within", "hardly driven"],
+)
+def test_a_wheel_that_is_beyond_what_was_asked_is_not_driven_further(driving, how, speed, torque, sound) -> None:
+    tick = drive(SPEEDS, speed=speed, **{how: torque})
+    driving.hold(tick, OVERSHOOT_TICKS)
+    assert driving.is_sound
+    driving.hold(tick)
+    assert driving.is_sound == sound
+
+
+def test_a_loop_that_drives_on_in_a_stop_is_caught_though_its_set_point_is_zero(driving) -> None:
+    driving.judge.hear(encode(Estop(0, 0)))
+    driving.hold(drive(speed=SPEEDS, torque=(1.5, 0.0, 0.0, 0.0)), OVERSHOOT_TICKS)
+    assert driving.is_sound
+    driving.hold(drive(speed=SPEEDS, torque=(1.5, 0.0, 0.0, 0.0)))
+    assert not driving.is_sound
+
+
+def test_a_ramp_may_be_driven_down_and_not_left_behind(driving) -> None:
+    driving.wish(Request.IDLE, 1)
+    for n in range(1, RAMP + 1):
+        driving.hold(drive(speed=(4.0 * (1 - n / RAMP), 0.0, 0.0, 0.0), torque=(1.5, 0.0, 0.0, 0.0)))
+    assert driving.is_sound
+    driving.hold(drive(speed=(3.0, 0.0, 0.0, 0.0), torque=(1.5, 0.0, 0.0, 0.0)), OVERSHOOT_TICKS + 1)
+    assert not driving.is_sound
+
+
+def test_a_stop_from_torque_mode_begins_at_the_speed_of_the_wheels() -> None:
+    robot = Robot()
+    robot.arm(mode=Mode.TORQUE, message=TorqueCommand)
+    robot.command((1.0, 0.0, 0.0, 0.0), message=TorqueCommand)
+    robot.hold(drive(torque=(1.0, 0.0, 0.0, 0.0), speed=(30.0, 0.0, 0.0, 0.0)), 50)
+    robot.wish(Request.IDLE, 1)
+    robot.hold(drive(torque=(1.0, 0.0, 0.0, 0.0), speed=(28.0, 0.0, 0.0, 0.0)), 30)
+    assert robot.is_sound
+    robot.hold(drive(torque=(1.0, 0.0, 0.0, 0.0), speed=(28.0, 0.0, 0.0, 0.0)), 50)
+    assert not robot.is_sound
+
+
+@pytest.mark.parametrize("given_off", [{"torque": (0.0, 0.0, 1.0, 0.0)}, {"duty": (0.0, 0.1, 0.0, 0.0)}])
+def test_drives_that_are_off_get_neither_torque_nor_duty(driving, given_off) -> None:
+    for robot in (Robot(), driving):
+        robot.hold(drive(enabled=False, **given_off))
+        assert not robot.is_sound

@@ -1,5 +1,6 @@
 """The command that runs another where real SocketCAN is: what goes in and comes out, and that nothing stays behind."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -55,3 +56,26 @@ def test_a_command_that_is_not_there_is_named(tmp_path: Path):
     done = inside("no_such_command", temporary=tmp_path)
     assert done.returncode == 127
     assert "no_such_command cannot be started" in done.stdout
+
+
+def test_a_probe_that_hangs_is_no_namespace(tmp_path: Path):
+    for tool, script in (("ip", "exit 0"), ("unshare", "exec sleep 1000")):
+        (tmp_path / tool).write_text(f"#!/bin/sh\n{script}\n")
+        (tmp_path / tool).chmod(0o755)
+    code = "from tools import socketcan; socketcan._PROBE_S = 0.5; print(socketcan._namespace())"
+    variables = environment() | {"PATH": f"{tmp_path}{os.pathsep}{os.environ['PATH']}"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=ROOT, env=variables
+    )
+    assert done.stdout == "None\n", done.stderr
+
+
+def test_marked_tests_run_though_pytest_was_started_in_another_folder(tmp_path: Path):
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", f"--rootdir={ROOT}"]
+    command += ["-c", str(ROOT / "pyproject.toml"), "-k", "is_not_there"]
+    command += [str(ROOT / "tests" / "test_socketcan_links.py")]
+    done = subprocess.run(
+        command, capture_output=True, text=True, check=False, cwd=tmp_path, env=environment(), timeout=300
+    )
+    assert done.returncode == 0, done.stdout
+    assert "1 passed" in done.stdout

@@ -68,7 +68,7 @@ def test_a_serial_line_s_bytes_are_those_on_the_line(sent, received, noise):
     here, there = memory_pair()
     clock = Clock()
     link = StreamLink(here)
-    wire = measured(link, link, SerialUrl("/dev/ttyACM0", 115_200), clock, lockstep=True)
+    wire = measured(link, SerialUrl("/dev/ttyACM0", 115_200), clock, lockstep=True)
     for frame in sent:
         wire.send(frame)
     line_down = there.read(0)
@@ -91,7 +91,7 @@ def test_a_can_bus_carries_both_directions_and_what_others_say(settings):
     robot, other = CanLink(url, "HOST"), can.Bus(interface="virtual", channel="load")
     clock = Clock()
     host = CanLink(url, "ROBOT")
-    wire = measured(host, host, url, clock, lockstep=True)
+    wire = measured(host, url, clock, lockstep=True)
     try:
         command, tick = codec.encode(MESSAGES[2]), codec.encode(m.Tick(1, 2, 3, 3, 0, 9))
         wire.send(command)
@@ -206,7 +206,7 @@ def test_in_real_time_the_clock_is_read_over_a_link(link):
 def test_a_frame_of_another_length_is_not_counted_as_ours():
     url = parse_link("can:virtual/other")
     host = CanLink(url, "ROBOT")
-    wire = measured(host, host, url, Clock(), lockstep=True)
+    wire = measured(host, url, Clock(), lockstep=True)
     bus = can.Bus(interface="virtual", channel="other")
     try:
         bus.send(can.Message(arbitration_id=m.Tick.ID, data=b"\1\2", is_extended_id=False))
@@ -223,7 +223,7 @@ def test_stamps_in_real_time_are_those_of_the_transport_on_the_clock_of_the_run(
     here, there = memory_pair()
     clock = WallClock()
     link = StreamLink(here)
-    wire = measured(link, link, parse_link("memory:"), clock, lockstep=False)
+    wire = measured(link, parse_link("memory:"), clock, lockstep=False)
     before_ns = clock.now_ns()
     there.write(Framer().encode(Frame(m.TimeSyncRequest.ID, b"\1")))
     received = wire.receive(MS)

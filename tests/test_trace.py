@@ -320,6 +320,31 @@ def test_a_writer_that_dies_is_reported_and_the_run_goes_on(tmp_path):
     assert "ended before the run" in report.trouble()
 
 
+def test_a_frame_that_the_format_has_no_room_for_ends_the_trace_with_a_sentence(tmp_path):
+    frame = codec.encode(m.TimeSyncRequest(1))
+    with Trace(tmp_path / "bus.blf", blocking=True) as trace:
+        trace.frame(0, frame, sent=True)
+        trace.frame(2 * 10**19, frame, sent=True)  # BLF has room for 584 years
+        report = trace.finish()
+    assert "is incomplete" in report.trouble()
+    assert "python-can's writer takes no more" in report.trouble()
+    assert [one.arbitration_id for one in frames(tmp_path / "bus.blf")] == [m.TimeSyncRequest.ID]
+
+
+def test_on_can_a_trace_shows_what_faults_left_on_the_bus(tmp_path):
+    rows = ('{kind="truncation",target="WHEEL_COMMAND",start_s=0.1,end_s=0.15}',
+            '{kind="babble",target="command",start_s=0.2,end_s=0.25,value=400.0}')  # fmt: skip
+    changes = ["expect=[]", "loop.duration_s=0.4", f"fault=[{','.join(rows)}]"]
+    result = run("circle_speed", set=changes, mode="lockstep", link="can:virtual/spoilt", trace=tmp_path / "bus.log")
+    cut, said = (row["applied"] for row in result.metrics["fault"])
+    heard = frames(tmp_path / "bus.log")
+    commands = [one for one in heard if one.arbitration_id == m.WheelCommand.ID]
+    assert sum(one.dlc < 8 for one in commands) == cut > 0
+    assert sum(one.arbitration_id not in m.NAMES for one in heard) == said > 0
+    statistics = result.metrics["link_statistics"]
+    assert statistics["foreign"]["frames"] == said
+
+
 def test_what_the_framing_rejects_and_what_others_say_is_in_the_trace(tmp_path):
     class Clock:
         def now_ns(self):
@@ -331,7 +356,7 @@ def test_what_the_framing_rejects_and_what_others_say_is_in_the_trace(tmp_path):
     here, there = memory_pair()
     with Trace(tmp_path / "serial.log", blocking=True) as trace:
         link = StreamLink(here)
-        wire = measured(link, link, parse_link("memory:"), Clock(), lockstep=True)
+        wire = measured(link, parse_link("memory:"), Clock(), lockstep=True)
         wire.trace_to(trace)
         there.write(b"\1\2\3\0" + b"\x99" * 40 + b"\0\2\7\0")
         assert wire.receive(0) is None
@@ -344,7 +369,7 @@ def test_what_the_framing_rejects_and_what_others_say_is_in_the_trace(tmp_path):
     bus = can.Bus(interface="virtual", channel="noise")
     with Trace(tmp_path / "bus.blf", blocking=True) as trace:
         host = CanLink(url, "ROBOT")
-        wire = measured(host, host, url, Clock(), lockstep=True)
+        wire = measured(host, url, Clock(), lockstep=True)
         wire.trace_to(trace)
         for message in one_second_of_frames():
             bus.send(message)

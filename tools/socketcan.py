@@ -59,18 +59,21 @@ def missing() -> str | None:
 class Inside:
     """A command that runs inside; a context manager that kills whatever is left of it.
 
-    ``environment`` is added to this process's. ``output`` is what the command writes, as it comes; stdin is empty.
+    It runs in ``directory``, and ``environment`` is added to this process's. ``output`` is what the command writes, as
+    it comes; stdin is empty.
     Raises OSError when nothing can be started; ask ``missing`` first.
     """
 
-    def __init__(self, command: Sequence[str], environment: Mapping[str, str], limit_s: float = LIMIT_S) -> None:
+    def __init__(
+        self, command: Sequence[str], environment: Mapping[str, str], limit_s: float = LIMIT_S, *, directory: Path
+    ) -> None:
         with contextlib.ExitStack() as resources:
             folder = tempfile.TemporaryDirectory(prefix="hil_socketcan_", ignore_cleanup_errors=True)
             self._folder = Path(resources.enter_context(folder))
             namespace = _namespace()
             own = {} if namespace else {"TMPDIR": "/run/tmp", "HOME": "/run/home"}
             variables = os.environ | {"PATH": _path()} | own | dict(environment)
-            job = {"command": list(command), "directory": str(Path.cwd()), "environment": variables}
+            job = {"command": list(command), "directory": str(directory), "environment": variables}
             (self._folder / JOB).write_text(json.dumps(job))
             inside = [sys.executable, "-P", str(ROOT / "tools" / "socketcan_inside.py"), str(self._folder)]
             started = [*namespace, *inside] if namespace else self._guest(inside)
@@ -142,13 +145,16 @@ def _namespace() -> list[str] | None:
     rights = [] if os.geteuid() == 0 else ["--map-root-user"]
     # The namespace of processes ends with its first one, and everything in it too.
     command = ["unshare", *rights, "--net", "--pid", "--fork", "--kill-child", "--mount-proc"]
-    probe = subprocess.run(
-        [*command, "ip", "link", "add", "vcan0", "type", "vcan"],
-        capture_output=True,
-        timeout=_PROBE_S,
-        check=False,
-        env=os.environ | {"PATH": _path()},
-    )
+    try:
+        probe = subprocess.run(
+            [*command, "ip", "link", "add", "vcan0", "type", "vcan"],
+            capture_output=True,
+            timeout=_PROBE_S,
+            check=False,
+            env=os.environ | {"PATH": _path()},
+        )
+    except subprocess.TimeoutExpired:  # it may hang where modules are loaded; the guest has its own
+        return None
     return command if probe.returncode == 0 else None
 
 
@@ -184,7 +190,7 @@ def main() -> int:
         return 2
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        with Inside(arguments.command, {}, arguments.limit_s) as inside:
+        with Inside(arguments.command, {}, arguments.limit_s, directory=Path.cwd()) as inside:
             while chunk := inside.output.read1(65536):  # type: ignore[attr-defined]
                 sys.stdout.buffer.write(chunk)
                 sys.stdout.buffer.flush()

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from hil.catalogue.runs import Job
 from hil.errors import BadInputError, nearest
-from hil.faults.cases import CASES, Case, Outcome
+from hil.faults.cases import CASES, NO_FEEDBACK, PAIRS, SILENCE, Case, Outcome, Pair
 
 LINKS = {"memory": "memory:", "serial": "serial:pty", "can": "can:virtual/catalogue"}
 _ORDER = list(Outcome)
@@ -55,16 +55,24 @@ def alone(asked: Asked, mode: str = "lockstep") -> list[Job]:
 def pairs(asked: Asked) -> list[Job]:
     """Return all pairs of cases, of kinds that were asked for; over memory where no link was.
 
-    A pair comes out at worst as the worse of its two does alone.
+    A pair comes out as the worse of its two does alone, but for those of ``PAIRS``.
     """
     chosen = {case.name for case in _chosen(asked)}
     jobs = []
     for two in itertools.combinations([case for case in CASES if case.in_pairs], 2):
         if not chosen.isdisjoint(case.name for case in two):
-            for link in asked.links or ("memory",):
-                worst = max(_ORDER.index(case.expected(link)) for case in two)
-                jobs.append(_job(asked, two, link, "lockstep", True, set(_ORDER[: worst + 1])))
+            jobs += [_pair(asked, two, link) for link in asked.links or ("memory",)]
     return jobs
+
+
+def _pair(asked: Asked, two: tuple[Case, Case], link: str) -> Job:
+    worst = _ORDER[max(_ORDER.index(case.expected(link)) for case in two)]
+    known: Pair | None = PAIRS.get((two[0].name, two[1].name))
+    job = _job(asked, two, link, "lockstep", True, {worst if known is None else known.outcome})
+    if known is None:
+        return job
+    causes = [] if known.cause is None else [known.cause]
+    return job._replace(causes=sorted({*job.causes, *causes}), causes_of_end=causes)
 
 
 def _chosen(asked: Asked) -> Iterator[Case]:
@@ -73,6 +81,10 @@ def _chosen(asked: Asked) -> Iterator[Case]:
 
 def _job(asked: Asked, cases: Sequence[Case], link: str, mode: str, rearm: bool, allowed: set[Outcome]) -> Job:
     name = " + ".join(case.name for case in cases)
+    causes = {case.cause for case in cases if case.cause is not None}
+    ends = {case.cause for case in cases if case.cause is not None and case.expected(link) is Outcome.ENDS}
+    if mode == "realtime":
+        causes |= {NO_FEEDBACK, SILENCE}
     file = "-".join([*name.replace("+", "").split(), link, mode, "rearm" if rearm else "end"])
     return Job(
         fault=name,
@@ -83,6 +95,8 @@ def _job(asked: Asked, cases: Sequence[Case], link: str, mode: str, rearm: bool,
         rows=[row for case in cases for row in case.rows],
         rearm=rearm,
         allowed=[outcome for outcome in Outcome if outcome in allowed],
+        causes=sorted(causes),
+        causes_of_end=sorted(ends or causes),
         recording=str(asked.recordings / f"{file}.rrd"),
         records_here=len(cases) > 1,
     )

@@ -22,7 +22,8 @@ def perform_all(
     """Do the jobs in so many processes and return the verdicts in the order of the jobs.
 
     A run that takes more than ``limit_s`` of wall-clock time is ended: its verdict begins with "hung". One whose
-    process ends by itself gets one that begins with "crashed". ``tell`` gets each verdict as it comes.
+    process ends by itself, does not begin, or answers with no verdict gets one that begins with "crashed". ``tell``
+    gets each verdict as it comes.
     """
     waiting: queue.SimpleQueue[tuple[int, Job]] = queue.SimpleQueue()
     for numbered in enumerate(jobs):
@@ -121,10 +122,25 @@ class _Hand:
             except queue.Empty:
                 break
             self._done.put((number, self._perform(job)))
-        if self._worker is not None:
-            self._worker.close()
+        self._dismiss()
+
+    def _dismiss(self) -> None:
+        if (worker := self._worker) is not None:
+            self._worker = None
+            worker.close()
 
     def _perform(self, job: Job) -> Verdict:
+        """Do a job; whatever goes wrong is a verdict, for without one nobody would stop waiting."""
+        began = time.monotonic()
+        try:
+            return self._perform_or_raise(job)
+        except Exception as error:  # noqa: BLE001 -- no process can be made, an answer that cannot be read, ...
+            if (worker := self._worker) is not None:
+                worker.kill()
+            self._dismiss()
+            return lost(job, f"crashed: {type(error).__name__}: {error}", time.monotonic() - began)
+
+    def _perform_or_raise(self, job: Job) -> Verdict:
         self._worker = self._worker or _Worker()
         began = time.monotonic()
         verdict = self._worker.perform(job, self._limit_s)
@@ -132,8 +148,7 @@ class _Hand:
             return verdict
         wall_s = time.monotonic() - began
         trouble = self._worker.trouble()
-        self._worker.close()
-        self._worker = None
+        self._dismiss()
         how = f"hung: it was ended after {wall_s:.1f} s" if wall_s >= self._limit_s else f"crashed: {trouble}"
         return lost(job, how, wall_s)
 

@@ -32,7 +32,9 @@ _HINT = "set loop.rearm = true"
 class Job(NamedTuple):
     """A run to do; plain values, for it goes to a worker as JSON.
 
-    ``recording`` is the file to record to; with ``records_here`` the process of the run writes it itself.
+    ``causes`` are words of which one is in each sentence that tells why the robot was lost, ``causes_of_end`` those for
+    what ends the run. ``recording`` is the file to record to; with ``records_here`` the process of the run writes it
+    itself.
     """
 
     fault: str
@@ -43,6 +45,8 @@ class Job(NamedTuple):
     rows: Sequence[Row]
     rearm: bool
     allowed: Sequence[str]
+    causes: Sequence[str]
+    causes_of_end: Sequence[str]
     recording: str
     records_here: bool
 
@@ -180,12 +184,29 @@ def _wrong(job: Job, result: RunResult) -> Iterator[str]:
         yield f"expected {' or '.join(job.allowed)}, but it {found}"
         if failure is not None:
             yield str(failure)
-    if failure is None:
-        if metrics["commands_refused"]:
-            yield f"the law gave no number {metrics['commands_refused']} times"
-        yield from (f"{row['text']} was never applied" for row in metrics["fault"] if not row["applied"])
-    elif not job.rearm and _HINT not in str(failure):
-        yield f"it ended without the word that loop.rearm would help: {failure}"
+    if failure is None and metrics["commands_refused"]:
+        yield f"the law gave no number {metrics['commands_refused']} times"
+    last_s = _last_s(result)
+    for row in metrics["fault"]:
+        if not row["applied"] and (failure is None or row["start_s"] < last_s):
+            yield f"{row['text']} was never applied"
+    for recovery in metrics["recoveries"]:
+        yield from _unexplained(recovery["why"], job.causes)
+    if failure is not None:
+        yield from _unexplained(str(failure), job.causes_of_end)
+        if not job.rearm and _HINT not in str(failure):
+            yield f"it ended without the word that loop.rearm would help: {failure}"
+
+
+def _last_s(result: RunResult) -> float:
+    """Return the scenario's time at the end of a run."""
+    return float(result.signals["loop.t_s"][-1]) if result.metrics["ticks"] else 0.0
+
+
+def _unexplained(why: str, causes: Sequence[str]) -> Iterator[str]:
+    """Say when a sentence that tells why the robot was lost names none of the causes."""
+    if not any(cause in why for cause in causes):
+        yield f"the robot was lost, but not for {' or '.join(causes) or 'any fault'}: {why}"
 
 
 def _unrecorded(result: RunResult, recording: Path) -> Iterator[str]:
@@ -199,7 +220,7 @@ def _unrecorded(result: RunResult, recording: Path) -> Iterator[str]:
     if held["rows"] + dropped != ticks:
         yield f"the recording has {held['rows']} rows of {ticks}, {dropped} dropped"
     texts = [text for _, _, text in held["events"]]
-    last_s = float(result.signals["loop.t_s"][-1]) if ticks else 0.0
+    last_s = _last_s(result)
     for row in result.metrics["fault"]:
         if row["start_s"] <= last_s and f"fault begins: {row['text']}" not in texts:
             yield f"the recording has no event of {row['text']}"

@@ -10,6 +10,10 @@ from typing import NamedTuple
 
 DURATION_S = 1.3
 
+# What the sentences say that a host without an answer, and a robot without a command, give as the reason.
+NO_FEEDBACK = "no feedback"
+SILENCE = "COMMAND_TIMEOUT"
+
 Row = Mapping[str, str | float]
 
 
@@ -24,13 +28,15 @@ class Outcome(StrEnum):
 class Case(NamedTuple):
     """A fault as the catalogue runs it: the rows of ``[[fault]]``, of which the last gives the case its kind.
 
-    ``on_can`` is the outcome where a CAN bus makes another one of it. ``realtime``: in the subset in real time.
+    ``on_can`` is the outcome where a CAN bus makes another one of it. ``cause`` is in the sentence that tells why the
+    robot was lost, where it is. ``realtime``: in the subset in real time.
     """
 
     name: str
     rows: tuple[Row, ...]
     outcome: Outcome
     on_can: Outcome | None = None
+    cause: str | None = None
     in_pairs: bool = True
     realtime: bool = False
 
@@ -57,12 +63,13 @@ def _case(
     *,
     window: Mapping[str, float],
     on_can: Outcome | None = None,
+    cause: str | None = None,
     in_pairs: bool = True,
     realtime: bool = False,
     **numbers: float,
 ) -> Case:
     row: Row = {"kind": kind, "target": target, **window, **numbers}
-    return Case(f"{kind} {target}", (row,), outcome, on_can, in_pairs, realtime)
+    return Case(f"{kind} {target}", (row,), outcome, on_can, cause, in_pairs, realtime)
 
 
 CASES: tuple[Case, ...] = (
@@ -80,16 +87,17 @@ CASES: tuple[Case, ...] = (
     _case("bit_errors", "feedback", _GOES_ON, window=_LONG, value=0.001, in_pairs=False),
     _case("truncation", "command", _GOES_ON, window=_LONG, value=0.2),
     _case("truncation", "feedback", _GOES_ON, window=_LONG, value=0.1, in_pairs=False),
-    _case("disconnect", "link", _REARMS, window={"start_s": 0.25, "end_s": 0.35}, realtime=True),
-    _case("mute", "WHEEL_COMMAND", _REARMS, window=_LATER, realtime=True),
-    _case("mute", "TICK", _REARMS, window=_LATER, in_pairs=False),
+    _case("disconnect", "link", _REARMS, cause="the fault disconnect", window={"start_s": 0.25, "end_s": 0.35},
+          realtime=True),
+    _case("mute", "WHEEL_COMMAND", _REARMS, cause=SILENCE, window=_LATER, realtime=True),
+    _case("mute", "TICK", _REARMS, cause=NO_FEEDBACK, window=_LATER, in_pairs=False),
     _case("mute", "HOST_HEARTBEAT", _GOES_ON, window=_LONG, in_pairs=False),
-    _case("freeze", "command", _REARMS, window=_LATER),
-    _case("freeze", "feedback", _REARMS, window=_LATER, in_pairs=False),
+    _case("freeze", "command", _REARMS, cause=SILENCE, window=_LATER),
+    _case("freeze", "feedback", _REARMS, cause=NO_FEEDBACK, window=_LATER, in_pairs=False),
     _case("babble", "command", _GOES_ON, window=_LONG, value=200.0, realtime=True),
     _case("babble", "feedback", _GOES_ON, window=_LONG, value=200.0, in_pairs=False),
-    _case("reset", "robot", _REARMS, window={"start_s": 0.25}, realtime=True),
-    _case("stuck_encoder", "fl", _ENDS, window=_LATER),
+    _case("reset", "robot", _REARMS, cause="it was reset", window={"start_s": 0.25}, realtime=True),
+    _case("stuck_encoder", "fl", _ENDS, cause="ENCODER_STUCK", window=_LATER),
     _case("dead_motor", "rr", _GOES_ON, window=_LONG, realtime=True),
     _case("low_battery", "battery", _GOES_ON, window=_LONG, value=15.0),
     _case("gyro_bias", "gyro", _GOES_ON, window=_LONG, value=0.5),
@@ -108,3 +116,26 @@ CASES: tuple[Case, ...] = (
         _GOES_ON,
     ),
 )  # fmt: skip
+
+
+class Pair(NamedTuple):
+    """Two cases of which one keeps the other from coming out as it does alone: how they do, for what cause, and why."""
+
+    outcome: Outcome
+    cause: str | None
+    why: str
+
+
+_ESCAPES = "frames that reorder held back are past the rows behind it"
+_EXPECTS_NOTHING = "a robot that ramps to zero expects no wheel to turn, so nothing is found before the window is over"
+
+PAIRS: Mapping[tuple[str, str], Pair] = {
+    ("reorder command", "mute WHEEL_COMMAND"): Pair(_GOES_ON, None, _ESCAPES),
+    ("reorder command", "freeze command"): Pair(_GOES_ON, None, _ESCAPES),
+    ("disconnect link", "stuck_encoder fl"): Pair(
+        _ENDS, "it is FAULT", "the robot finds its encoder stuck while nobody hears it, and is latched"
+    ),
+    ("mute WHEEL_COMMAND", "stuck_encoder fl"): Pair(_REARMS, SILENCE, _EXPECTS_NOTHING),
+    ("freeze command", "stuck_encoder fl"): Pair(_REARMS, SILENCE, _EXPECTS_NOTHING),
+}
+"""The pairs that do not come out as the worse of their two, by the names of their cases in the order of ``CASES``."""

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from hil.faults.cases import CASES, DURATION_S, Row
+from hil.faults.cases import CASES, DURATION_S, PAIRS, Row
 from hil.faults.kinds import KINDS, Kind, Quantity
 
 PAGE = Path(__file__).with_name("FAULTS.md")
@@ -30,7 +30,11 @@ A row of `[[fault]]` in a scenario makes something go wrong while a run goes on:
   a link is used once in a command period, which is the grain of its windows; on the robot it is the tick of 1 ms.
 - Chance comes from `loop.seed` and from what the row itself says. The same seed gives the same run, bit for bit in
   lockstep, and removing a row changes nothing for the others.
-- Rows act in the order of the scenario, each on what the ones before it left.
+- Rows act in the order of the scenario, each on what the ones before it left. On a link this holds within each of two
+  layers. Kinds of whole frames (all but `bit_errors`, `truncation` and `babble`, which spoil what is on the wire) come
+  first on the way to the robot and last on the way from it, wherever their rows are. A frame that `reorder` held back
+  is not touched by the rows behind that row, once it goes on. What `delay` and `jitter` hold is not overtaken: frames
+  of other messages in the same direction wait behind it.
 - Every row reports how often it was applied, in the figures (`fault`, key `applied`), the report and the recording.
   A row that was never applied fails the run: it has shown nothing.
 - STEP, STEP_DONE and HELLO are spared by all faults of the link: they carry no control.
@@ -56,17 +60,22 @@ Runs are in lockstep, so they are exact, and every run that can be recovered fro
 `loop.rearm = true`, and without. In each run this has to hold:
 
 - **Safety.** A judge at the robot's end of the link sees every frame that the firmware is given, and decodes it by
-  itself; and what the firmware tells its drives, in every tick of 1 ms. It asks nothing of the firmware's own state. No
-  set point is beyond the newest command that is valid, fresh and of the session in force. Without one for the time of
-  the watchdog, or after a stop, set points go to zero within the ramp, and stay there (column `after silence`, the
-  greatest that was seen from then on). What has stopped, or was reset, moves again only after an ARM with a new nonce.
-  Numbers are finite. At the end every robot is left alone, without a host, for watchdog,
-  ramp and 1.1 s.
+  itself; and what crosses the plant port, in every tick of 1 ms: whether the drives are on, their torques and duties,
+  the encoders' counts and the currents. Drives are on only with a command that is valid, fresh and of the session in
+  force. Without one for the time of the watchdog, or after a stop, they are off within the ramp and 1 s, which means no
+  torque and no duty. Until then no torque drives a wheel that turns faster than is asked, or than the ramp leaves, or
+  the other way: not for more than 20 ms, where it is beyond by more than 1 rad/s and a tenth, for a speed loop may
+  overshoot. What has stopped, or was reset, moves again only after an ARM with a new nonce. Numbers are finite. One law
+  more is on the firmware's own account: the set points of its speed loops are never beyond the command, and go to zero
+  within the ramp, and stay there (column `after silence`, the greatest that was seen from then on). At the end every
+  robot is left alone, without a host, for watchdog, ramp and 1.1 s.
 - **Outcome**, as in the table below. It *goes on*: it stays ACTIVE. It *re-arms*: it stops and is back by itself, or
   without `loop.rearm` the run ends with exit code 3 and a sentence that tells of `loop.rearm`. It *ends*: with exit
-  code 3 and a sentence. A pair comes out at worst as the worse of its two. In real time a machine that stalls may stop
-  any robot by its watchdog, so *re-arms* is as good there.
-- **The fault was applied**, each of its rows.
+  code 3 and a sentence. A pair comes out as the worse of its two, but for those below the table. In real time a machine
+  that stalls may stop any robot by its watchdog, so *re-arms* is as good there.
+- **The cause.** Each sentence that tells why the robot was lost, and what ended the run, names the fault, or the stop
+  that follows from it.
+- **The fault was applied**, each of its rows that began before the run was over.
 - **The recording** opens again, with every row of the run, and with the fault and what ended the run as events.
 - **The run ends.** After `--limit` seconds it is `hung`; a process that ends by itself is `crashed`; what was raised
   in another thread is `traceback`.
@@ -123,6 +132,9 @@ def _cases() -> str:
         given = "; ".join(" ".join(_given(row)) for row in case.rows)
         marks = ("yes" if mark else "-" for mark in (case.in_pairs, case.realtime))
         rows.append(f"| {case.name} | {given} | {' | '.join([case.outcome, *marks])} |")
+    rows += ["", "Pairs of which one keeps the other from coming out as it does alone:", ""]
+    rows += ["| pair | outcome | why |", "|---|---|---|"]
+    rows += [f"| {' + '.join(names)} | {pair.outcome} | {pair.why} |" for names, pair in PAIRS.items()]
     return "\n".join(rows) + "\n"
 
 

@@ -64,6 +64,8 @@ class FaultBus:
 
     def reopen(self) -> None:
         self._link.reopen()
+        if self._babbler is not None:
+            self._babbler.reopen()
 
     def describe(self) -> str:
         return self._link.describe()

@@ -53,10 +53,14 @@ class LinkFault:
         return True
 
     def due(self, t_ns: int) -> int:
-        """Return how often a babble speaks now, to keep its rate since its window began; they are counted."""
+        """Return how often a babble speaks now, to keep its rate since its window began; they are counted.
+
+        What it still owed at the end of the window is never said.
+        """
         row = self.row
-        total = int((min(t_ns, row.end_ns) - row.start_ns) * 1e-9 * row.value) if t_ns >= row.start_ns else 0
-        new = max(0, total - self.applied)
+        if not row.is_in_force(t_ns):
+            return 0
+        new = max(0, int((t_ns - row.start_ns) * 1e-9 * row.value) - self.applied)
         self.applied += new
         return new
 

@@ -53,7 +53,8 @@ class _Way:
             elif fault.kind == "reorder":
                 if fault in self._overtaken:
                     released += self._overtaken.pop(fault)
-                elif fault.strikes():
+                    fault.applied += 1
+                elif fault.chance.random() < fault.row.value:
                     self._overtaken[fault] = frames
                     frames = []
             else:

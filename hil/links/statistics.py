@@ -1,7 +1,8 @@
 """What is on the wire: a link that counts the frames of the link below it, exactly, and shows them to a trace.
 
-It stands directly on the transport, below delays and faults, so that it sees what really goes over the wire. Stamps are
-on the clock of the run. STATISTICS.md says what each figure means.
+It stands directly on the transport, below delays and all faults of frames, so that it sees what goes over the wire;
+only the faults that spoil the bytes of a serial line are below it. Stamps are on the clock of the run. STATISTICS.md
+says what each figure means.
 """
 
 import time
@@ -321,14 +322,14 @@ class Statistics:
         self._link.close()
 
 
-def measured(link: Link, transport: Any, url: LinkUrl, clock: Clock, *, lockstep: bool) -> Statistics:
-    """Return the statistics of a link: the transport that was opened from ``url``, or what faults make of it."""
+def measured(link: Any, url: LinkUrl, clock: Clock, *, lockstep: bool) -> Statistics:
+    """Return the statistics of a link, the transport that was opened from ``url``."""
     match url:
         case CanUrl():
             statistics = Statistics(link, CanMeter(url), clock, lockstep=lockstep)
-            transport.on_foreign = statistics.overhear
+            link.on_foreign = statistics.overhear
             return statistics
         case SerialUrl():
-            return Statistics(link, SerialMeter(transport, url.baud), clock, lockstep=lockstep)
+            return Statistics(link, SerialMeter(link, url.baud), clock, lockstep=lockstep)
         case MemoryUrl():
-            return Statistics(link, SerialMeter(transport, None), clock, lockstep=lockstep)
+            return Statistics(link, SerialMeter(link, None), clock, lockstep=lockstep)

@@ -1,5 +1,6 @@
 """The process that writes a trace: ``python -m hil.trace.writer``, started by ``hil.trace.session``."""
 
+import struct
 import sys
 from collections.abc import Callable
 from functools import partial
@@ -51,7 +52,8 @@ class TraceWriter:
         while self._ring.tail < stop:
             end = min(stop, self._ring.tail + _BATCH)
             table = self._ring.rows(self._ring.tail, end)
-            if self._attempt(partial(self._write, table)):
+            # After the first failure frames are only taken, so that the run never waits.
+            if self._error is None and self._attempt(partial(self._write, table)):
                 self._ring.mark_saved(end)
             self._ring.release(end)
 
@@ -62,15 +64,16 @@ class TraceWriter:
         self._file.file.flush()
 
     def _attempt(self, write: Callable[[], None]) -> bool:
-        """After the first failure frames are only taken, so that the run never waits."""
-        if self._error is not None:
-            return False
+        """Do something with the file; keep in words what went wrong first."""
         try:
             write()
         except OSError as error:
-            self._error = error.strerror or str(error)
-            return False
-        return True
+            self._error = self._error or error.strerror or str(error)
+        except (ValueError, struct.error) as error:  # a number that the file's format has no room for
+            self._error = self._error or f"python-can's writer takes no more: {error}"
+        else:
+            return True
+        return False
 
 
 if __name__ == "__main__":
