@@ -221,6 +221,7 @@ def test_waiting_for_a_port_without_a_descriptor_never_polls_in_waiting(monkeypa
         ("rfc2217://localhost", r"its port number is missing"),
         ("socket://127.0.0.1:1", r"Connection refused"),
         ("hwgrep://no_such_adapter", r"no ports found.*list the ports with"),
+        ("hwgrep://(", r"unterminated subpattern"),
     ],
 )
 def test_a_url_that_cannot_be_opened_is_one_sentence(port, says):
