@@ -64,16 +64,17 @@ def test_an_asc_line_with_less_data_than_it_says_is_no_frame(tmp_path):
     assert_broken_off(path, 15, "8 bytes and has 6")
 
 
-@pytest.mark.parametrize("ending", ["asc", "log"])
+@pytest.mark.parametrize("ending", ["asc", "log", "trc"])
 @pytest.mark.parametrize(
     "garbage", [b"garbage\n", b"\xff\0\x81\n", b"  0.1 1 0%2 Rx d 1 00\n", b"(1.0) can0 082#123\n"]
 )
 def test_a_line_of_garbage_is_said(tmp_path, ending, garbage):
     path = written(tmp_path / f"bus.{ending}")
     lines = path.read_bytes().splitlines(keepends=True)
-    lines.insert(20, garbage)
+    lines.insert(len(lines) - 10, garbage)
     path.write_bytes(b"".join(lines))
-    assert_broken_off(path, 15 if ending == "asc" else 20, "line 21", "damaged")
+    after = 9 if ending == "asc" else 10  # its last line is no frame
+    assert_broken_off(path, LINES - after, f"line {len(lines) - 10} ", "damaged")
 
 
 def test_the_events_of_other_tools_in_an_asc_file_are_no_damage(tmp_path):

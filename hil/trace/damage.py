@@ -22,7 +22,8 @@ _LOG_LINE = re.compile(
     r"\(\d+\.\d+\)\s+\S+\s+(?:[\da-f]{3}|[\da-f]{8})\#(?:r\d*|(?:\#[\da-f])?(?:[\da-f]{2})*)(?:\s+[rt])?",
     re.IGNORECASE | re.ASCII,
 )
-_FORMS = {".asc": _ASC_LINE, ".log": _LOG_LINE}
+_TRC_LINE = re.compile(r";.*|\d+\)?\s+\d+(?:\.\d+)?\s+\S.*", re.ASCII)
+_FORMS = {".asc": _ASC_LINE, ".log": _LOG_LINE, ".trc": _TRC_LINE}
 
 
 class DamagedError(Exception):
@@ -43,19 +44,15 @@ def sound_lines(file: Iterable[bytes], ending: str) -> Iterator[str]:
     Raises DamagedError at a line without its line feed, at one that the format does not have, and at the end of an
     .asc file whose trigger block is open.
     """
-    form, open_block = _FORMS.get(ending), False
+    open_block = False
     for number, raw in enumerate(file, 1):
         line = raw.decode("utf-8", "replace").strip()
-        if ending == ".asc":
-            ended = _ASC_END.match(line) is not None
-            open_block = not ended and (open_block or _ASC_BEGIN.match(line) is not None)
-            whole = ended or raw.endswith(b"\n")
-        else:
-            whole = raw.endswith(b"\n")
-        if not whole:
+        ended = ending == ".asc" and _ASC_END.match(line) is not None
+        if not (ended or raw.endswith(b"\n")):
             raise DamagedError(f"it is cut within line {number}, which is not read")
-        if line and form is not None and not form.fullmatch(line):
+        if line and not _FORMS[ending].fullmatch(line):
             raise DamagedError(f"line {number} is no line of {ending}, the file is damaged there")
+        open_block = not ended and (open_block or (ending == ".asc" and _ASC_BEGIN.match(line) is not None))
         yield line
     if open_block:
         raise DamagedError("it is cut, or was not finished: its last line is not End TriggerBlock")
