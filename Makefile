@@ -62,7 +62,7 @@ setup: .venv/installed native
 
 # Packages for tests, checks and the FMUs of all platforms.
 .venv/tools: .venv/installed
-	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[dev,mujoco]'
+	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[dev,mujoco,targets]'
 	@touch $@
 
 native: .venv/native
