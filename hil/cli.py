@@ -170,7 +170,10 @@ def view(
 def main() -> None:
     """Entry point: an error that a user is meant to read is one sentence on stderr, and its exit code."""
     try:
-        app(prog_name="hil", standalone_mode=True)
+        try:
+            app(prog_name="hil", standalone_mode=True)
+        finally:
+            sys.stdout.flush()
     except HilError as error:
         print(f"hil: {error}", file=sys.stderr)
         sys.exit(error.exit_code)
