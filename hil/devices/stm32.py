@@ -21,6 +21,7 @@ from hil.links.delay import DelayedLink
 from hil.ports import Clock, Received
 from hil.types import ZERO_WHEELS, CommandMode, WheelCommand
 
+_MOST_A_POLL = 200  # frames; a robot sends at most some ten a tick
 _HEARTBEAT_NS = 100_000_000
 _START_LIMIT_NS = 4_000_000_000
 _ANOTHER_NONCE_HELPS = (
@@ -254,8 +255,11 @@ class Stm32:
 
     def poll(self) -> Feedback | None:
         """Take what has arrived; return the newest snapshot so far. Sends heartbeat and TIME_SYNC when they are due."""
-        while (received := self._link.receive(0)) is not None:
+        taken = 0
+        # In real time the rest is for the next tick: a host that is slower than its robot would never be done.
+        while (taken < _MOST_A_POLL or self._expected.lockstep) and (received := self._link.receive(0)) is not None:
             self._take(received)
+            taken += 1
         if self._clock is not None:
             now_ns = self._clock.now_ns()
             due_ns = self._next_heartbeat_ns

@@ -160,7 +160,7 @@ class CanLink:
 
     def _next(self, bus: Any, timeout_ns: int) -> Any:
         """Return the next frame of any kind, or None after the timeout."""
-        if self._descriptor is None:
+        if self._descriptor is None or self._url.interface not in _TEXT_INTERFACES:
             return self._recv(bus, max(0, timeout_ns) * 1e-9)
         deadline_ns = time.monotonic_ns() + timeout_ns
         while select.select([self._descriptor], [], [], max(0, timeout_ns) * 1e-9)[0]:
