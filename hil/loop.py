@@ -332,8 +332,11 @@ class Loop:
         return max(self._silent_ns, behind_ns) > self._timing.stale_ns
 
     def _why_stopped(self, state: RobotState) -> str:
-        reason = self._parts.device.report.stop_reason()
-        return f"the robot left ACTIVE at t = {self.t_s:.3f} s: it is {state.name} because of {reason}"
+        report = self._parts.device.report
+        # A robot that stopped by itself knows why, and passes through STOPPING, which tells it.
+        was_reset = state in (RobotState.BOOT, RobotState.IDLE) and report.knows_no_reason
+        why = "it was reset" if was_reset else f"it is {state.name} because of {report.stop_reason()}"
+        return f"the robot left ACTIVE at t = {self.t_s:.3f} s: {why}"
 
     def _tell_away(self, number: int, late_ns: int, fix: PoseFix | None) -> None:
         """Tell of a tick in which nothing is commanded: what is heard of the robot, which may be nothing."""

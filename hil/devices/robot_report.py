@@ -60,6 +60,11 @@ class RobotReport:
         fault = m.Fault(self.status.fault)
         return f"{reason} ({fault.name})" if fault else reason
 
+    @property
+    def knows_no_reason(self) -> bool:
+        """Whether the robot says that nothing has stopped it since it was armed, or since its power came on."""
+        return self.status is not None and self.status.stop_reason == m.StopReason.NONE
+
     def why_not_active(self, state: m.State | None) -> str:
         """Return what keeps a robot in this state, None without feedback, from being driven, and what to do."""
         if state is None:
