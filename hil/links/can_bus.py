@@ -21,7 +21,7 @@ _QUEUE_RETRY_S = 0.0005
 _MOST_FILTERS = 8
 # Here python-can keeps no frame back, and its own wait is not good enough: slcan's polls, and both slcan's and the
 # multicast's end early at what is no frame.
-_SELECTABLE_INTERFACES = ("socketcan", "slcan", "udp_multicast")
+_SELECTABLE_INTERFACES = ("slcan", "udp_multicast")
 # Where python-can parses lines of text, and raises these at one that is cut or garbled.
 _TEXT_INTERFACES = ("slcan",)
 _NO_FRAME = (IndexError, ValueError)
@@ -160,7 +160,7 @@ class CanLink:
 
     def _next(self, bus: Any, timeout_ns: int) -> Any:
         """Return the next frame of any kind, or None after the timeout."""
-        if self._descriptor is None or self._url.interface not in _TEXT_INTERFACES:
+        if self._descriptor is None:
             return self._recv(bus, max(0, timeout_ns) * 1e-9)
         deadline_ns = time.monotonic_ns() + timeout_ns
         while select.select([self._descriptor], [], [], max(0, timeout_ns) * 1e-9)[0]:

@@ -12,9 +12,6 @@ from hil.errors import LinkError
 from hil.links.fault_rows import LinkFault, ScenarioTime, is_exempt
 from hil.ports import Link, Received
 
-FRAME_KINDS = ("drop", "burst_loss", "delay", "jitter", "duplicate", "reorder", "mute", "freeze", "disconnect")
-"""The kinds that this link applies on every transport."""
-
 TICK_NS = 1_000_000
 
 
