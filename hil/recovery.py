@@ -6,10 +6,9 @@ from typing import NamedTuple
 
 from hil.devices.stm32 import Stm32
 from hil.errors import HilError, LinkError, RobotStoppedError
+from hil.links.back_off import BackOff
 from hil.ports import Clock
 
-FIRST_WAIT_NS = 100_000_000
-LONGEST_WAIT_NS = 2_000_000_000
 _GREETING_LIMIT_NS = 2_000_000_000
 _ARMING_LIMIT_NS = 4_000_000_000
 # In lockstep time stands still without the robot; by the wall clock this is how long one is waited for.
@@ -40,7 +39,7 @@ class Recovery:
         self.why = str(why)
         self.lost_s = lost_s
         self.problem = self.why
-        self._wait_ns = FIRST_WAIT_NS
+        self._waits = BackOff()
         self._due_ns = 0
         self._standstill_ns: int | None = None  # wall-clock time since which time stands still
         self._step: Callable[[], bool] = self._reopen
@@ -84,7 +83,7 @@ class Recovery:
         if self._standstill_ns is None:
             self._standstill_ns = time.monotonic_ns()
         while time.monotonic_ns() < self._standstill_ns + _STANDSTILL_LIMIT_NS:
-            time.sleep(self._wait_ns * 1e-9)
+            time.sleep(self._waits.wait_ns * 1e-9)
             try:
                 self._device.reopen()
                 self._begin()
@@ -96,8 +95,7 @@ class Recovery:
 
     def _back_off(self) -> None:
         self._step = self._reopen
-        self._due_ns = self._clock.now_ns() + self._wait_ns
-        self._wait_ns = min(2 * self._wait_ns, LONGEST_WAIT_NS)
+        self._due_ns = self._clock.now_ns() + self._waits.take_ns()
 
     def _reopen(self) -> bool:
         if self._clock.now_ns() >= self._due_ns:

@@ -7,11 +7,9 @@ from typing import Protocol
 
 from firmware_protocol.framing import Frame
 from hil.errors import LinkError
+from hil.links.back_off import BackOff
 from hil.links.streams import ByteStream
 from hil.ports import Link
-
-_FIRST_WAIT_NS = 100_000_000
-_LONGEST_WAIT_NS = 2_000_000_000
 
 
 class Node(Protocol):
@@ -133,7 +131,7 @@ class ReopeningWire:
         self._reopen = reopen
         self._say = say
         self._lost = False
-        self._wait_ns = 0
+        self._waits = BackOff()
         self._due_ns = 0
         self._opener = ThreadPoolExecutor(1, "reopening")
         self._attempt: Future[None] | None = None  # while there is one, the wire is left to it
@@ -163,8 +161,8 @@ class ReopeningWire:
 
     def _lose(self, error: LinkError) -> None:
         self._lost = True
-        self._wait_ns = _FIRST_WAIT_NS
-        self._due_ns = time.monotonic_ns() + self._wait_ns
+        self._waits = BackOff()
+        self._due_ns = time.monotonic_ns() + self._waits.take_ns()
         self._say(f"link lost, reopening: {error}")
 
     def _is_there(self) -> bool:
@@ -180,8 +178,7 @@ class ReopeningWire:
         try:
             attempt.result()
         except LinkError:
-            self._wait_ns = min(2 * self._wait_ns, _LONGEST_WAIT_NS)
-            self._due_ns = time.monotonic_ns() + self._wait_ns
+            self._due_ns = time.monotonic_ns() + self._waits.take_ns()
             return False
         self._lost = False
         self._say("link reopened")
