@@ -5,7 +5,6 @@ interrupted.
 """
 
 import errno
-import os
 import signal
 import sys
 from pathlib import Path
@@ -24,6 +23,7 @@ from hil.commands.options import (
     Seed,
     Sets,
     TraceFile,
+    drop_output,
     interrupt,
     print_json,
 )
@@ -167,21 +167,28 @@ def view(
     open_viewer(recording, web=web)
 
 
+def _bring_out() -> None:
+    """Write what is still in the buffer of stdout; its reader may have left, as head does."""
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        drop_output()
+
+
 def main() -> None:
     """Entry point: an error that a user is meant to read is one sentence on stderr, and its exit code."""
     try:
         try:
             app(prog_name="hil", standalone_mode=True)
         finally:
-            sys.stdout.flush()
+            _bring_out()
     except HilError as error:
         print(f"hil: {error}", file=sys.stderr)
         sys.exit(error.exit_code)
     except OSError as error:
         if error.errno != errno.ENOSPC:
             raise
-        # What is still in the buffer has no place to go; without this the interpreter would complain at its end.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        drop_output()
         print("hil: there is no space left where the output goes; free some, or write it elsewhere", file=sys.stderr)
         sys.exit(BadInputError.exit_code)
 

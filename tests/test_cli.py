@@ -272,3 +272,14 @@ def test_a_full_disk_under_the_output_is_one_sentence():
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False, env=environment())
     assert done.returncode == 2
     assert done.stderr == "hil: there is no space left where the output goes; free some, or write it elsewhere\n"
+
+
+def test_a_reader_that_has_left_before_anything_was_printed_is_no_error():
+    buffered = environment() | {"PYTHONUNBUFFERED": ""}
+    command = [sys.executable, "-m", "hil.cli", "list", "signals"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=buffered) as process:
+        assert process.stdout is not None
+        process.stdout.close()
+        assert process.stderr is not None
+        assert process.stderr.read() == b""
+    assert process.returncode == 0

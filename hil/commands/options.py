@@ -2,6 +2,8 @@
 
 import json
 import math
+import os
+import sys
 from pathlib import Path
 from types import FrameType
 from typing import Annotated, Any
@@ -29,6 +31,14 @@ Json = Annotated[bool, typer.Option("--json", help="print one JSON object and no
 def print_json(value: Any) -> None:
     """Print one JSON object on a line."""
     print(json.dumps(_json_safe(value), allow_nan=False, default=str))
+
+
+def drop_output() -> None:
+    """Lose what is in the buffer of stdout, and what comes: it has no place to go.
+
+    Without this the interpreter would complain at its end.
+    """
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def interrupt(_number: int, _frame: FrameType | None) -> None:

@@ -2,7 +2,6 @@
 
 import contextlib
 import math
-import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from hil.commands.options import print_json
+from hil.commands.options import drop_output, print_json
 from hil.errors import BadInputError
 
 
@@ -55,6 +54,5 @@ def _quiet_when_the_reader_leaves() -> Iterator[None]:
     try:
         yield
     except BrokenPipeError:
-        # What is still in the buffer has no reader; without this the interpreter would complain at its end.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        drop_output()
         raise typer.Exit(0) from None
