@@ -4,7 +4,7 @@ C11, freestanding: no libm, no double, no allocation, no dependence on the byte 
 """
 
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 from firmware_protocol.schema import MAX_PAYLOAD, Message, Schema, Signal
 
@@ -80,10 +80,8 @@ def _parameter_lines(schema: Schema) -> Iterator[str]:
     yield f"#define WP_PARAMETER_TABLE_HASH 0x{schema.parameter_table_hash():08X}u"
     yield ""
     yield "/* X(name, type, minimum, maximum) for every parameter. */"
-    yield "/* clang-format off */"
-    yield "#define WP_PARAMETERS(X) \\"
-    rows = [f"    X({p.name}, {p.type}, {_number(p.minimum)}, {_number(p.maximum)})" for p in schema.parameters]
-    yield " \\\n".join(rows)
+    rows = ((p.name, p.type, _number(p.minimum), _number(p.maximum)) for p in schema.parameters)
+    yield from _list_macro("WP_PARAMETERS", rows)
     yield ""
     yield "/* cffi: begin */"
     yield "typedef struct {"
@@ -98,9 +96,15 @@ def _parameter_lines(schema: Schema) -> Iterator[str]:
     yield "#endif"
 
 
+def _list_macro(name: str, rows: Iterable[tuple[str, ...]]) -> Iterator[str]:
+    """Yield a macro that calls its argument X with each row; clang-format, which knows no such list, stays off."""
+    yield "/* clang-format off */"
+    yield f"#define {name}(X) \\"
+    yield " \\\n".join(f"    X({', '.join(row)})" for row in rows)
+
+
 def _number(value: float) -> str:
-    text = repr(float(value))
-    return f"{text}f"
+    return f"{float(value)!r}f"
 
 
 def _header_lines(schema: Schema) -> Iterator[str]:
@@ -123,10 +127,7 @@ def _header_lines(schema: Schema) -> Iterator[str]:
     yield "int wp_payload_length(uint16_t id);"
     yield ""
     yield "/* X(NAME, name) for every message. */"
-    yield "/* clang-format off */"
-    yield "#define WP_MESSAGES(X) \\"
-    rows = [f"    X({m.name}, {m.name.lower()})" for m in schema.messages]
-    yield " \\\n".join(rows)
+    yield from _list_macro("WP_MESSAGES", ((m.name, m.name.lower()) for m in schema.messages))
     yield "/* clang-format on */"
     yield ""
     yield from _comment(
