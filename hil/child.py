@@ -24,3 +24,12 @@ def away_from_terminal() -> dict[str, Any]:
     if sys.platform == "win32":
         return {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
     return {"start_new_session": True}
+
+
+def wait_for_end(descriptor: int) -> None:
+    """Return when a pipe has ended, as when whoever held its other end is gone; for a thread that does nothing else.
+
+    It takes no buffered reader: one's lock, held by this thread, would be fatal when the interpreter ends.
+    """
+    while os.read(descriptor, 4096):
+        pass

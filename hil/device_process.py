@@ -1,7 +1,6 @@
 """``hil device``: the virtual robot as a process of its own, behind a link, with its truth on a socket."""
 
 import contextlib
-import os
 import signal
 import threading
 import time
@@ -9,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from hil.bench import open_trace, virtual_robot
+from hil.child import wait_for_end
 from hil.clock import TICK_NS, WallClock
 from hil.devices.targets.robot import open_server, open_target
 from hil.devices.truth import TruthServer
@@ -92,7 +92,5 @@ def _traced(wire: Wire, trace: Trace, robot: VirtualStm32, *, lockstep: bool) ->
 
 
 def _stop_at_the_end(lifeline: int, stop: Callable[[], None]) -> None:
-    # Not through a buffered reader: its lock, held by this thread, would be fatal when the interpreter ends.
-    while os.read(lifeline, 4096):
-        pass
+    wait_for_end(lifeline)
     stop()

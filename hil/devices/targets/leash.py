@@ -15,6 +15,8 @@ import sys
 import threading
 from collections.abc import Callable
 
+from hil.child import wait_for_end
+
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
@@ -60,9 +62,7 @@ def _dying_with_us() -> Callable[[], None] | None:
 
 
 def _kill_at_end_of_stdin(process: "subprocess.Popen[bytes]") -> None:
-    # Not by sys.stdin, whose lock this thread would hold when the interpreter ends.
-    while os.read(sys.stdin.fileno(), 4096):
-        pass
+    wait_for_end(sys.stdin.fileno())
     process.kill()
 
 
