@@ -86,7 +86,7 @@ class _Worker:
         )
 
     def perform(self, job: Plain, limit_s: float) -> dict[str, Any] | None:
-        """Do a job and return its answer's fields; None when the process has ended, by itself or as it took too long."""
+        """Do a job and return its answer as fields; None when the process has ended, by itself or by the guard."""
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         guard = threading.Timer(limit_s, self._process.kill)
