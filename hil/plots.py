@@ -194,7 +194,9 @@ def draw_bars(axes: "Axes", groups: Sequence[str], bars: Sequence[Bar], *, title
     axes.set_xticks(range(len(groups)), groups)
     axes.grid(visible=False, axis="x")
     axes.set(title=title, ylabel=y_label)
-    axes.legend(ncols=2)
+    axes.margins(y=0.3)  # for the legend above the bars
+    axes.set_ylim(bottom=0.0)
+    axes.legend(ncols=3, loc="upper center")
 
 
 def _rgb(colour: Colour) -> tuple[float, float, float]:

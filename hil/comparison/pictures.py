@@ -7,7 +7,7 @@ import numpy as np
 
 from hil.comparison.conditions import Condition
 from hil.comparison.result import Comparison, Row
-from hil.comparison.tables import COLUMNS
+from hil.comparison.tables import COLUMNS, OVERVIEW, names
 from hil.plots import Bar, Curve, Series, draw_bars, draw_error, draw_path, draw_wheels, drawing
 from hil.types import WHEEL_NAMES
 
@@ -18,7 +18,7 @@ _PANELS = 3
 
 def draw(comparison: Comparison, folder: Path) -> list[Path]:
     """Draw into a folder that exists and return the files. Raises BadInputError when one cannot be written."""
-    files = [_figures(comparison, folder / "figures.png")]
+    files = [_figures(comparison, folder / f"{OVERVIEW}.png")]
     for condition in comparison.conditions():
         rows = [row for row in comparison.under(condition) if row.nominal.curves is not None]
         if rows:
@@ -49,23 +49,23 @@ def _scaled(value: float | None, scale: float) -> float | None:
 def _condition(condition: Condition, rows: Sequence[Row], folder: Path) -> Iterator[Path]:
     runs = [(row.entry.label, _curves(row)) for row in rows]
     reference = runs[0][1]
-    file = folder / f"error-{condition.slug}.png"
-    with drawing(file, columns=2, size_in=(12.0, 4.5)) as (path, error):
+    error_file, torque_file = (folder / f"{name}.png" for name in names(condition))
+    with drawing(error_file, columns=2, size_in=(12.0, 4.5)) as (path, error):
         paths = [Curve(label, curves["truth.x_m"], curves["truth.y_m"]) for label, curves in runs]
         draw_path(path, Curve("reference", reference["reference.x_m"], reference["reference.y_m"]), paths)
         errors = [Curve(label, curves["loop.t_s"], curves["error.planar_m"]) for label, curves in runs]
         draw_error(error, errors, title=f"Planar error, {condition.words}")
-    yield file
-    file = folder / f"torque-{condition.slug}.png"
-    lines = -(-len(runs) // _PANELS)
-    with drawing(file, rows=lines, columns=_PANELS, size_in=(12.0, 2.6 * lines)) as axes:
+    yield error_file
+    columns = min(_PANELS, len(runs))
+    lines = -(-len(runs) // columns)
+    with drawing(torque_file, rows=lines, columns=columns, size_in=(12.0, 2.6 * lines)) as axes:
         for panel, (label, curves) in zip(axes, runs, strict=False):
             shown = curves["loop.t_s"] <= _APPROACH_S
             torques = {wheel: curves[f"torque.{wheel}"][shown] for wheel in WHEEL_NAMES}
             draw_wheels(panel, curves["loop.t_s"][shown], torques, title=label, y_label="torque [N·m]")
         for panel in axes[len(runs) :]:
             panel.set_axis_off()
-    yield file
+    yield torque_file
 
 
 def _curves(row: Row) -> Mapping[str, Series]:

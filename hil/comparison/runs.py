@@ -46,7 +46,7 @@ class Outcome(NamedTuple):
     Attributes:
         figures: those of ``FIGURES`` by name; None where there are none, and ``refused`` or ``failed`` says why.
         reasons: for each figure that is None, one sentence.
-        refused: why the law was not run at all: it does not do this mode, for one.
+        refused: why the run could not begin: the law does not do this mode, for one.
         failed: what ended the run, or why its figures say nothing.
         curves: signals of the run by name, and ``torque.fl`` to ``torque.rl`` [N·m]; None unless asked for.
     """

@@ -6,10 +6,13 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from hil.comparison.conditions import FRICTIONS, MASS_FACTORS
+from hil.comparison.conditions import FRICTIONS, MASS_FACTORS, Condition
 from hil.comparison.result import Comparison, Row
 from hil.comparison.runs import FIGURES
 from hil.errors import BadInputError
+
+OVERVIEW = "figures"
+"""The name of the picture of all figures."""
 
 _NONE = "-"
 
@@ -42,6 +45,11 @@ COLUMNS = (
 assert tuple(column.name for column in COLUMNS) == FIGURES
 
 
+def names(condition: Condition) -> tuple[str, str]:
+    """Return the names of the pictures of a condition: path and error, and torques."""
+    return f"error-{condition.slug}", f"torque-{condition.slug}"
+
+
 def terminal(comparison: Comparison) -> Iterator[tuple[str, list[tuple[str, ...]], list[str]]]:
     """Yield for each condition its title, its table with a head (nominal and worst in a cell), and its notes."""
     for condition in comparison.conditions():
@@ -69,12 +77,8 @@ def write_markdown(comparison: Comparison, file: Path, command: str, pictures: S
             lines.append(f"| {row.entry.label} | " + " | ".join(cells) + " |")
         if notes := list(_notes(rows)):
             lines += ["", *(f"- {note}" for note in notes)]
-        for picture in pictures:
-            if picture.stem.endswith(condition.slug):
-                lines += ["", f"![{picture.stem}]({_relative(picture, file)})"]
-    for picture in pictures:
-        if picture.stem == "figures":
-            lines += ["", f"![{picture.stem}]({_relative(picture, file)})"]
+        lines += _shown(pictures, names(condition), file)
+    lines += _shown(pictures, (OVERVIEW,), file)
     try:
         file.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
     except OSError as error:
@@ -119,9 +123,12 @@ def _notes(rows: Sequence[Row]) -> Iterator[str]:
             yield f"{row.entry.label}: {note}"
 
 
-def _relative(picture: Path, file: Path) -> str:
-    """Return the picture's path from the page, as a page needs it."""
-    return Path(os.path.relpath(picture, file.parent)).as_posix()
+def _shown(pictures: Sequence[Path], wanted: Sequence[str], file: Path) -> Iterator[str]:
+    """Yield the lines that show those of the pictures that have these names, by their paths from the page."""
+    for picture in pictures:
+        if picture.stem in wanted:
+            yield ""
+            yield f"![{picture.stem}]({Path(os.path.relpath(picture, file.parent)).as_posix()})"
 
 
 def write_csv(comparison: Comparison, file: Path) -> None:
