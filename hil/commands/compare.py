@@ -16,8 +16,8 @@ def compare(
     laws_and_scenario: Annotated[
         list[str],
         typer.Argument(
-            metavar="[LAW[,KEY=VALUE]...]... SCENARIO",
-            help="laws, by default all that are shipped, each with gains of its own; last the scenario",
+            metavar="LAW SCENARIO",
+            help="laws as LAW or LAW,KEY=VALUE,..., by default all that are shipped; last the scenario",
         ),
     ],
     torque: Annotated[

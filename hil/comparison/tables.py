@@ -74,7 +74,8 @@ def write_markdown(comparison: Comparison, file: Path, command: str, pictures: S
         lines += ["|---" * (1 + len(COLUMNS)) + "|"]
         for row in rows:
             cells = (_triple(column, row, rows) for column in COLUMNS)
-            lines.append(f"| {row.entry.label} | " + " | ".join(cells) + " |")
+            label = row.entry.label.replace("|", "\\|")
+            lines.append(f"| {label} | " + " | ".join(cells) + " |")
         if notes := list(_notes(rows)):
             lines += ["", *(f"- {note}" for note in notes)]
         lines += _shown(pictures, names(condition), file)
