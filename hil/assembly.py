@@ -202,7 +202,7 @@ def _figures(
     commands_refused: int,
 ) -> dict[str, Any]:
     signals = memory.signals()
-    figures, reasons = signal_figures(signals)
+    figures, reasons = signal_figures(signals, scenario.firmware.torque_constant_n_m_a)
     outcomes = expectations(scenario.expect, signals)
     applied: list[dict[str, Any]] = [
         {"kind": row.kind, "target": row.target, "text": row.words, "applied": count, "counts": row.counts}

@@ -13,6 +13,7 @@ from typing import Annotated
 import typer
 
 from hil.commands.catalogue import catalogue
+from hil.commands.compare import compare
 from hil.commands.fmu import app as fmu_app
 from hil.commands.options import (
     Json,
@@ -102,6 +103,7 @@ def run(
 
 
 app.command()(catalogue)
+app.command()(compare)
 app.command()(device)
 app.command()(decode)
 app.command()(params)

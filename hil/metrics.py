@@ -9,6 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from hil.types import WHEEL_NAMES
+
 Series = npt.NDArray[np.float64]
 
 TRACKED_RATIO = 0.02
@@ -46,6 +48,30 @@ class Tracking(NamedTuple):
         return {name: value for name, value in self._asdict().items() if name != "reasons"}
 
 
+class Demand(NamedTuple):
+    """How far a run went past the reference, and what it took from the motors; None where ``reasons`` says why.
+
+    Attributes:
+        overshoot_m: how far the error went past zero, along the line on which it began: the largest -e(t)·e(0)/|e(0)|,
+            at least 0, e = (x, y) of truth minus reference.
+        effort_n_m_s: control effort, the integral of the four wheels' absolute torques, ∫ Σ|τ| dt [N·m·s].
+        torque_variation_n_m_per_s: mean absolute slew of a wheel's torque, the total variation Σ|τ(t + T) - τ(t)| over
+            the time that it took, mean of the four wheels [N·m/s].
+        saturation_s: for how long in all the guard scaled the four wheels at a limit.
+        reasons: for each figure that is None, one sentence.
+    """
+
+    overshoot_m: float | None
+    effort_n_m_s: float | None
+    torque_variation_n_m_per_s: float | None
+    saturation_s: float | None
+    reasons: dict[str, str]
+
+    def figures(self) -> dict[str, float | None]:
+        """Return the four figures by name, in this order."""
+        return {name: value for name, value in self._asdict().items() if name != "reasons"}
+
+
 class _NoMeaningError(Exception):
     """A figure has no meaning for this run; the text says why."""
 
@@ -65,31 +91,59 @@ def tracking_metrics(t_s: Series, planar_m: Series) -> Tracking:
         "steady_rms_m": lambda: float(np.sqrt(np.mean(_steady(t_s, planar_m) ** 2))),
         "steady_max_m": lambda: float(np.max(_steady(t_s, planar_m))),
     }
-    values: dict[str, float | None] = {}
-    reasons: dict[str, str] = {}
-    for name, compute in computations.items():
-        try:
-            values[name] = compute()
-        except _NoMeaningError as no_meaning:
-            values[name] = None
-            reasons[name] = str(no_meaning)
+    values, reasons = _each(computations)
     return Tracking(**values, reasons=reasons)
 
 
-def signal_figures(signals: Mapping[str, Series]) -> tuple[dict[str, Any], dict[str, str]]:
+def demand_metrics(t_s: Series, error_m: Series, torque_n_m: Series | None, saturated: Series) -> Demand:
+    """Return overshoot, effort, torque variation and time at the limits of a run.
+
+    A torque holds until the next sample. What is between two samples is not seen: the variation that a firmware's speed
+    loop makes faster than the ticks, for one.
+
+    Args:
+        t_s: scenario time [s], ascending, shape (n,); rows before t = 0 do not count.
+        error_m: truth minus reference, x and y [m], shape (n, 2); NaN where there was no truth.
+        torque_n_m: of each wheel, shape (n, 4), NaN where none was measured; None where it cannot be told.
+        saturated: not 0 where the guard scaled the wheels, shape (n,).
+    """
+    active = t_s >= 0.0
+    t_s, error_m, saturated = t_s[active], error_m[active], saturated[active]
+    torque_n_m = None if torque_n_m is None else torque_n_m[active]
+    values, reasons = _each(
+        {
+            "overshoot_m": lambda: _overshoot(t_s, error_m),
+            "effort_n_m_s": lambda: float(_held_s(t_s) @ np.abs(_torque(t_s, torque_n_m)).sum(axis=1)),
+            "torque_variation_n_m_per_s": lambda: _variation(t_s, _torque(t_s, torque_n_m)),
+            "saturation_s": lambda: float(_held_s(t_s) @ (saturated != 0.0)),
+        }
+    )
+    return Demand(**values, reasons=reasons)
+
+
+def signal_figures(
+    signals: Mapping[str, Series], torque_constant_n_m_a: float | None = None
+) -> tuple[dict[str, Any], dict[str, str]]:
     """Return the figures that follow from the signals alone, by name, and for each None the reason.
 
-    They are those of ``tracking_metrics``, ``ticks``, ``tick_us`` with ``p50`` and ``p99``, and
-    ``deadline_misses``. Raises KeyError for a signal that is not there.
+    They are those of ``tracking_metrics`` and ``demand_metrics``, ``ticks``, ``tick_us`` with ``p50`` and ``p99``, and
+    ``deadline_misses``. ``torque_constant_n_m_a`` [N·m/A at the wheel] makes torques of the measured currents: in speed
+    mode nothing else tells them. Raises KeyError for a signal that is not there.
     """
-    tracking = tracking_metrics(signals["loop.t_s"], signals["error.planar_m"])
-    reasons = dict(tracking.reasons)
+    t_s = signals["loop.t_s"]
+    tracking = tracking_metrics(t_s, signals["error.planar_m"])
+    error_m = np.column_stack([signals["error.x_m"], signals["error.y_m"]])
+    current_a = np.column_stack([signals[f"wheel.{wheel}.current_a"] for wheel in WHEEL_NAMES])
+    torque_n_m = None if torque_constant_n_m_a is None else torque_constant_n_m_a * current_a
+    demand = demand_metrics(t_s, error_m, torque_n_m, signals["guard.saturated"])
+    reasons = tracking.reasons | demand.reasons
     tick_us = percentiles(signals["loop.tick_us"])
     if tick_us is None:
         reasons["tick_us"] = "the run has fewer than two ticks"
     misses = signals["loop.deadline_misses"]
     figures = {
         **tracking.figures(),
+        **demand.figures(),
         "ticks": len(signals["loop.t_s"]),
         "tick_us": None if tick_us is None else tick_us._asdict(),
         "deadline_misses": int(misses[-1]) if len(misses) else 0,
@@ -104,6 +158,19 @@ def percentiles(series: Series) -> Percentiles | None:
         return None
     p50, p99 = np.percentile(there, [50.0, 99.0])
     return Percentiles(float(p50), float(p99))
+
+
+def _each(computations: Mapping[str, Callable[[], float]]) -> tuple[dict[str, float | None], dict[str, str]]:
+    """Return each figure by name, None for one without a meaning, and for those the reasons."""
+    values: dict[str, float | None] = {}
+    reasons: dict[str, str] = {}
+    for name, compute in computations.items():
+        try:
+            values[name] = compute()
+        except _NoMeaningError as no_meaning:
+            values[name] = None
+            reasons[name] = str(no_meaning)
+    return values, reasons
 
 
 def _tracked(t_s: Series, planar_m: Series) -> float:
@@ -141,6 +208,42 @@ def _steady(t_s: Series, planar_m: Series) -> Series:
     start = int(np.searchsorted(t_s, t_s[-1] - STEADY_WINDOW_S + period_s / 2))
     _require_truth(t_s[start:], planar_m[start:])
     return planar_m[start:]
+
+
+def _overshoot(t_s: Series, error_m: Series) -> float:
+    _require_truth(t_s, np.hypot(error_m[:, 0], error_m[:, 1]))
+    initial_m = float(np.hypot(*error_m[0]))
+    if initial_m < RESOLUTION_M:
+        raise _NoMeaningError(
+            f"the run began {initial_m * 1e3:.3g} mm from the reference: less than {RESOLUTION_M * 1e3:g} mm has no "
+            "direction in which it could go past it"
+        )
+    return max(0.0, float(np.max(-error_m @ (error_m[0] / initial_m))))
+
+
+def _variation(t_s: Series, torque_n_m: Series) -> float:
+    if len(t_s) < 2:
+        raise _NoMeaningError("the run has fewer than two samples")
+    total_n_m = float(np.abs(np.diff(torque_n_m, axis=0)).sum())
+    return total_n_m / len(WHEEL_NAMES) / float(t_s[-1] - t_s[0])
+
+
+def _held_s(t_s: Series) -> Series:
+    """Return for how long each sample holds; nobody tells how long the last one does."""
+    if len(t_s) < 2:
+        raise _NoMeaningError("the run has fewer than two samples")
+    return np.append(np.diff(t_s), 0.0)
+
+
+def _torque(t_s: Series, torque_n_m: Series | None) -> Series:
+    if torque_n_m is None:
+        raise _NoMeaningError("nothing says which torque the motors make of a current")
+    gaps = np.flatnonzero(~np.isfinite(torque_n_m).all(axis=1))
+    if len(gaps) == len(torque_n_m):
+        raise _NoMeaningError("the robot measured no motor currents")
+    if len(gaps):
+        raise _NoMeaningError(f"the motor currents are missing at t = {t_s[gaps[0]]:.6g} s")
+    return torque_n_m
 
 
 def _require_truth(t_s: Series, planar_m: Series) -> None:

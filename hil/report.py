@@ -17,6 +17,7 @@ from hil.results import RunResult, applied_words
 if TYPE_CHECKING:
     from hil.assembly import Watch
     from hil.catalogue.runs import Verdict
+    from hil.comparison import Comparison
     from hil.loop import Loop
     from hil.plant.info import FmuInfo, VariableInfo
     from hil.plant.tools import CheckResult
@@ -191,6 +192,10 @@ _FIGURES = (
     ("within 10 mm after", "t10_s", "s", 1.0),
     ("steady error rms", "steady_rms_m", "mm", 1e3),
     ("steady error max", "steady_max_m", "mm", 1e3),
+    ("overshoot", "overshoot_m", "mm", 1e3),
+    ("effort", "effort_n_m_s", "N·m·s", 1.0),
+    ("torque variation", "torque_variation_n_m_per_s", "N·m/s a wheel", 1.0),
+    ("saturated for", "saturation_s", "s", 1.0),
     ("ticks", "ticks", "", 1),
     ("deadline misses", "deadline_misses", "", 1),
     ("times real time", "realtime_factor", "", 1.0),
@@ -265,6 +270,24 @@ def _catalogue_row(verdict: "Verdict") -> tuple[str, ...]:
         f"{verdict.wall_s:.1f}",
         "ok" if verdict.is_ok else verdict.verdict.partition(":")[0],
     )
+
+
+def comparison_progress(done: int, of: int) -> None:
+    """Say on stderr how far the comparison is."""
+    print(f"\r{done} of {of} runs", end="\n" if done == of else "", file=sys.stderr, flush=True)
+
+
+def print_comparison(comparison: "Comparison") -> None:
+    """Print a table for each condition, and below it why figures are missing."""
+    from hil.comparison.tables import terminal
+
+    for number, (title, rows, notes) in enumerate(terminal(comparison)):
+        print(title if number == 0 else f"\n{title}")
+        print_table(rows)
+        for note in notes:
+            print(f"  {note}")
+    if len(comparison.rows[0].runs) > 1:
+        print("\nnominal / worst over mass and friction of the plant; less is better in every column")
 
 
 def print_fmu(info: "FmuInfo") -> None:

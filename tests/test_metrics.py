@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.metrics import percentiles, signal_figures, tracking_metrics
+from hil.metrics import demand_metrics, percentiles, signal_figures, tracking_metrics
+from hil.types import WHEEL_NAMES
 
 NAN = float("nan")
 
@@ -101,8 +102,65 @@ def test_percentiles_leave_gaps_out() -> None:
     assert percentiles(np.array([NAN])) is None
 
 
+def test_an_underdamped_step_overshoots_by_what_its_equation_says_along_the_line_it_began_on() -> None:
+    t_s, damping = seconds(10_000, 0.001), 0.4
+    rate_1_s = 6.0 * math.sqrt(1 - damping**2)
+    along = np.exp(-damping * 6.0 * t_s) * (
+        np.cos(rate_1_s * t_s) + damping / math.sqrt(1 - damping**2) * np.sin(rate_1_s * t_s)
+    )
+    sideways = 0.3 * np.sin(20.0 * t_s)  # across that line nothing is past the reference
+    direction, normal = np.array([0.6, -0.8]), np.array([0.8, 0.6])
+    error_m = 0.5 * along[:, None] * direction + sideways[:, None] * normal
+    demand = demand_metrics(t_s, error_m, None, np.zeros(len(t_s)))
+    expected_m = 0.5 * math.exp(-math.pi * damping / math.sqrt(1 - damping**2))
+    assert demand.overshoot_m == pytest.approx(expected_m, rel=1e-4)
+
+
+@given(st.floats(0.5, 20.0), st.floats(0.1, 4.0))
+def test_effort_and_variation_of_sines_are_their_integrals(rate_rad_s: float, peak_n_m: float) -> None:
+    t_s = np.arange(4001) * (2 * math.pi / rate_rad_s / 1000)  # four turns
+    each = np.array([1.0, -1.0, 0.5, 0.0])
+    torque_n_m = peak_n_m * np.sin(rate_rad_s * t_s)[:, None] * each
+    demand = demand_metrics(t_s, np.ones((4001, 2)), torque_n_m, np.zeros(4001))
+    total_s = float(t_s[-1])
+    assert demand.effort_n_m_s == pytest.approx(2 / math.pi * peak_n_m * 2.5 * total_s, rel=1e-4)
+    assert demand.torque_variation_n_m_per_s == pytest.approx(2 / math.pi * peak_n_m * rate_rad_s * 2.5 / 4, rel=1e-4)
+
+
+@given(st.lists(st.booleans(), min_size=2, max_size=60))
+def test_saturation_is_the_time_that_it_held(flags: list[bool]) -> None:
+    t_s = np.cumsum(np.arange(len(flags))) * 0.01 - 0.05  # a skipped tick holds for longer; some are before the start
+    saturated = np.array(flags, dtype=np.float64)
+    demand = demand_metrics(t_s, np.ones((len(flags), 2)), None, saturated)
+    if (t_s >= 0).sum() < 2:
+        assert demand.saturation_s is None
+        return
+    expected_s = sum(
+        later - now for now, later, flag in zip(t_s[:-1], t_s[1:], flags, strict=False) if flag and now >= 0
+    )
+    assert demand.saturation_s == pytest.approx(expected_s)
+
+
+def test_demand_without_a_meaning_has_a_reason() -> None:
+    def reasons(count: int = 100, error_m: float = 0.5, torque_n_m: np.ndarray | None = None) -> dict[str, str]:
+        demand = demand_metrics(seconds(count), np.full((count, 2), error_m), torque_n_m, np.zeros(count))
+        assert {name for name, value in demand.figures().items() if value is None} == set(demand.reasons)
+        return demand.reasons
+
+    gap = np.zeros((100, 4))
+    gap[7, 2] = NAN
+    assert reasons()["effort_n_m_s"] == "nothing says which torque the motors make of a current"
+    assert reasons(torque_n_m=np.full((100, 4), NAN))["effort_n_m_s"] == "the robot measured no motor currents"
+    assert reasons(torque_n_m=gap)["torque_variation_n_m_per_s"] == "the motor currents are missing at t = 0.07 s"
+    assert "no ground truth" in reasons(error_m=NAN)["overshoot_m"]
+    assert "began 0.141 mm from the reference" in reasons(error_m=1e-4)["overshoot_m"]
+    assert set(reasons(count=1, torque_n_m=gap[:1])) == set(reasons(count=1)) - {"overshoot_m"}
+
+
 def test_signal_figures_of_a_run_of_one_tick_name_what_is_missing() -> None:
-    one = {"loop.t_s": 0.0, "error.planar_m": 0.2, "loop.tick_us": NAN, "loop.deadline_misses": 0.0}
+    one = {"loop.t_s": 0.0, "loop.tick_us": NAN, "loop.deadline_misses": 0.0, "guard.saturated": 0.0}
+    one |= {"error.x_m": 0.2, "error.y_m": 0.0, "error.planar_m": 0.2}
+    one |= {f"wheel.{wheel}.current_a": 0.0 for wheel in WHEEL_NAMES}
     figures, reasons = signal_figures({name: np.array([value]) for name, value in one.items()})
     assert figures["ticks"] == 1
     assert {name for name, value in figures.items() if value is None} == set(reasons)

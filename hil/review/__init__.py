@@ -1,5 +1,6 @@
 """Review of a recording: the figures of a run, from its recording alone."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,10 @@ _ORDER = (
     "t10_s",
     "steady_rms_m",
     "steady_max_m",
+    "overshoot_m",
+    "effort_n_m_s",
+    "torque_variation_n_m_per_s",
+    "saturation_s",
     "ticks",
     "realtime_factor",
     "tick_us",
@@ -41,7 +46,7 @@ def review(path: Path) -> dict[str, Any]:
 def figures(run: RecordedRun) -> dict[str, Any]:
     """Return the figures of a recording that was read; see ``review``."""
     try:
-        found, reasons = signal_figures(run.signals)
+        found, reasons = signal_figures(run.signals, _torque_constant_n_m_a(run))
     except KeyError as missing:
         raise BadInputError(f"{run.path}: it has no signal {missing}; no recording of a run") from missing
     found["ticks"] += run.rows_dropped or 0
@@ -52,3 +57,11 @@ def figures(run: RecordedRun) -> dict[str, Any]:
         if found[name] is None:
             reasons[name] = _NO_SUMMARY if run.summary is None else summary.get("reasons", {}).get(name, _UNSAID)
     return {**{name: found[name] for name in _ORDER}, "reasons": reasons}
+
+
+def _torque_constant_n_m_a(run: RecordedRun) -> float | None:
+    """Return what the run's scenario says of the motors; None for a recording that does not hold its scenario."""
+    try:
+        return float(json.loads(run.properties["scenario"])["firmware.torque_constant_n_m_a"])
+    except (KeyError, TypeError, ValueError):
+        return None

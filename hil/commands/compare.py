@@ -1,0 +1,95 @@
+"""``hil compare``."""
+
+import shlex
+import signal
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hil.commands.options import Json, Seed, Sets, interrupt, print_json
+from hil.errors import BadInputError, RunInterruptedError
+
+
+def compare(
+    laws_and_scenario: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="LAW SCENARIO",
+            help="laws as LAW or LAW,KEY=VALUE,..., by default all that are shipped; last the scenario",
+        ),
+    ],
+    torque: Annotated[
+        list[float] | None, typer.Option(metavar="N·M", help="limit of a wheel; by default 5 and 1.8; may be repeated")
+    ] = None,
+    drive: Annotated[
+        list[str] | None, typer.Option(metavar="ideal|motors", help="by default both; may be repeated")
+    ] = None,
+    estimator: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="by default the scenario's; may be repeated")
+    ] = None,
+    contact: Annotated[
+        list[str] | None, typer.Option(metavar="rigid|slip", help="by default the scenario's; may be repeated")
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="nominal runs alone")] = False,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="pictures and every run as CSV")] = None,
+    markdown: Annotated[Path | None, typer.Option(metavar="FILE", help="a page with all tables")] = None,
+    jobs: Annotated[int | None, typer.Option(metavar="N", help="processes; by default one a processor", min=1)] = None,
+    limit_s: Annotated[
+        float, typer.Option("--limit", metavar="S", help="a run that takes longer is ended as hung", min=1.0)
+    ] = 120.0,
+    seed: Seed = None,
+    sets: Sets = None,
+    as_json: Json = False,
+) -> None:
+    """Run laws under the same conditions and print one table for each; exit 1 when a run failed."""
+    from hil import report
+    from hil.comparison import Asked
+    from hil.comparison import compare as run_comparison
+    from hil.comparison.conditions import DRIVES, TORQUES_N_M
+
+    signal.signal(signal.SIGTERM, interrupt)
+    *laws, scenario = laws_and_scenario
+    asked = Asked(
+        laws,
+        scenario,
+        sets or [],
+        seed,
+        torque or TORQUES_N_M,
+        drive or list(DRIVES),
+        estimator or [],
+        contact or [],
+        quick=quick,
+        curves=out is not None,
+    )
+    if out is not None:
+        _make_folder(out)
+    tell = None if as_json or not sys.stderr.isatty() else report.comparison_progress
+    try:
+        comparison = run_comparison(asked, jobs=jobs, limit_s=limit_s, tell=tell)
+    except KeyboardInterrupt:
+        raise RunInterruptedError("interrupted; the runs were ended") from None
+    pictures: list[Path] = []
+    if out is not None:
+        from hil.comparison.pictures import draw
+        from hil.comparison.tables import write_csv
+
+        write_csv(comparison, out / "comparison.csv")
+        pictures = draw(comparison, out)
+    if markdown is not None:
+        from hil.comparison.tables import write_markdown
+
+        write_markdown(comparison, markdown, f"hil {shlex.join(sys.argv[1:])}", pictures)
+    if as_json:
+        print_json(comparison.plain())
+    else:
+        report.print_comparison(comparison)
+    raise typer.Exit(1 if comparison.has_failed else 0)
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInputError(f"--out {folder}: it cannot be made ({error.strerror}); name a folder") from error

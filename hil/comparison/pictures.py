@@ -1,0 +1,72 @@
+"""A comparison in pictures: the figures of all laws as bars, and for each condition path, error and torques."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from hil.comparison.conditions import Condition
+from hil.comparison.result import Comparison, Row
+from hil.comparison.tables import COLUMNS, OVERVIEW, names
+from hil.plots import Bar, Curve, Series, draw_bars, draw_error, draw_path, draw_wheels, drawing
+from hil.types import WHEEL_NAMES
+
+_BARS = ("t10_s", "steady_rms_m", "steady_max_m", "torque_variation_n_m_per_s")
+_APPROACH_S = 3.0
+_PANELS = 3
+
+
+def draw(comparison: Comparison, folder: Path) -> list[Path]:
+    """Draw into a folder that exists and return the files. Raises BadInputError when one cannot be written."""
+    files = [_figures(comparison, folder / f"{OVERVIEW}.png")]
+    for condition in comparison.conditions():
+        rows = [row for row in comparison.under(condition) if row.nominal.curves is not None]
+        if rows:
+            files += _condition(condition, rows, folder)
+    return files
+
+
+def _figures(comparison: Comparison, file: Path) -> Path:
+    tables = comparison.conditions()
+    labels = list(dict.fromkeys(row.entry.label for row in comparison.rows))
+    groups = [table.words.replace(", ", "\n") for table in tables]
+    with drawing(file, rows=2, columns=2, size_in=(12.0, 8.0)) as axes:
+        for panel, column in zip(axes, (column for column in COLUMNS if column.name in _BARS), strict=True):
+            bars = []
+            for label in labels:
+                rows = [row for row in comparison.rows if row.entry.label == label]
+                nominal = [_scaled(row.value(column.name), column.scale) for row in rows]
+                bars.append(Bar(label, nominal, [_scaled(row.worst(column.name), column.scale) for row in rows]))
+            title = f"{column.head}: nominal, and lighter the worst"
+            draw_bars(panel, groups, bars, title=title, y_label=f"{column.head} [{column.unit}]")
+    return file
+
+
+def _scaled(value: float | None, scale: float) -> float | None:
+    return None if value is None else value * scale
+
+
+def _condition(condition: Condition, rows: Sequence[Row], folder: Path) -> Iterator[Path]:
+    runs = [(row.entry.label, _curves(row)) for row in rows]
+    reference = runs[0][1]
+    error_file, torque_file = (folder / f"{name}.png" for name in names(condition))
+    with drawing(error_file, columns=2, size_in=(12.0, 4.5)) as (path, error):
+        paths = [Curve(label, curves["truth.x_m"], curves["truth.y_m"]) for label, curves in runs]
+        draw_path(path, Curve("reference", reference["reference.x_m"], reference["reference.y_m"]), paths)
+        errors = [Curve(label, curves["loop.t_s"], curves["error.planar_m"]) for label, curves in runs]
+        draw_error(error, errors, title=f"Planar error, {condition.words}")
+    yield error_file
+    columns = min(_PANELS, len(runs))
+    lines = -(-len(runs) // columns)
+    with drawing(torque_file, rows=lines, columns=columns, size_in=(12.0, 2.6 * lines)) as axes:
+        for panel, (label, curves) in zip(axes, runs, strict=False):
+            shown = curves["loop.t_s"] <= _APPROACH_S
+            torques = {wheel: curves[f"torque.{wheel}"][shown] for wheel in WHEEL_NAMES}
+            draw_wheels(panel, curves["loop.t_s"][shown], torques, title=label, y_label="torque [N·m]")
+        for panel in axes[len(runs) :]:
+            panel.set_axis_off()
+    yield torque_file
+
+
+def _curves(row: Row) -> Mapping[str, Series]:
+    return {name: np.asarray(values, dtype=np.float64) for name, values in (row.nominal.curves or {}).items()}

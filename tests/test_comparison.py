@@ -1,0 +1,228 @@
+"""hil compare: figures are those of the runs, a law that fails is a row, what is misspelt is a sentence."""
+
+import csv
+import json
+import os
+import signal
+import socket
+import subprocess
+from pathlib import Path
+
+import pytest
+
+import hil
+from hil.comparison import Asked, compare
+from hil.comparison.conditions import FRICTIONS, MASS_FACTORS, Condition, Variation, conditions, variations
+from hil.comparison.entries import Entry, entries
+from hil.comparison.result import Row, Run
+from hil.comparison.runs import FIGURES, Outcome
+from hil.errors import BadInputError
+from hil.types import CommandMode
+from tests.processes import HIL, environment
+from tests.processes import hil as command
+
+SHORT = "loop.duration_s=0.2"
+LAWS = """
+import os
+import socket
+
+from hil.errors import BadInputError
+from hil.types import CommandMode, WheelCommand, Wheels
+
+REST = Wheels(0.0, 0.0, 0.0, 0.0)
+
+
+class Rests:
+    def __init__(self, model, mode):
+        self.mode = mode
+
+    def reset(self, state, reference):
+        pass
+
+    def update(self, reference, state, applied, dt_s):
+        return WheelCommand(self.mode, REST, REST)
+
+
+class SpeedOnly(Rests):
+    def __init__(self, model, mode):
+        super().__init__(model, mode)
+        if mode is CommandMode.TORQUE:
+            raise BadInputError("SpeedOnly: it gives speeds; set controller.command = speed")
+
+
+class Raises(Rests):
+    def update(self, reference, state, applied, dt_s):
+        raise ZeroDivisionError("no gain")
+
+
+class NoNumber(Rests):
+    def update(self, reference, state, applied, dt_s):
+        return WheelCommand(self.mode, REST, Wheels(float("nan"), 0.0, 0.0, 0.0))
+
+
+class Dies(Rests):
+    def update(self, reference, state, applied, dt_s):
+        os._exit(7)
+
+
+class Hangs(Rests):
+    def update(self, reference, state, applied, dt_s):
+        with socket.create_connection(("127.0.0.1", int(os.environ["LAW_PORT"]))) as line:
+            line.recv(1)
+"""
+
+
+def asked(*laws: str, sets: tuple[str, ...] = (SHORT,), **more: object) -> Asked:
+    base = Asked(laws, "circle_speed", sets, None, [5.0], ["ideal"], quick=True)
+    return base._replace(**more)
+
+
+@pytest.fixture
+def in_folder_of_laws(tmp_path, monkeypatch) -> Path:
+    (tmp_path / "laws.py").write_text(LAWS, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_the_command_gives_the_figures_of_the_runs_the_same_every_time_and_writes_them(tmp_path) -> None:
+    laws, sets = ("dsc,speed.k1_1_s=7,torque.k1_1_s=9", "afdsc"), ("loop.duration_s=1.0",)
+    words = (*laws, "circle_speed", "--torque", "3", "--drive", "motors", "--quick", "--set", *sets, "--json")
+    written = ("--out", tmp_path / "pictures", "--markdown", tmp_path / "PAGE.md")
+    first = command("compare", *words, *written)
+    assert first.returncode == 0, first.stderr
+    rows = json.loads(first.stdout)["rows"]
+    again = compare(asked(*laws, sets=sets, torques_n_m=[3.0], drives=["motors", "ideal"]), jobs=1).plain()["rows"]
+    assert [(row["condition"]["drive"], row["law"]) for row in again] == [
+        (drive, law) for drive in ("motors", "ideal") for law in laws
+    ]
+    assert json.loads(json.dumps(again[:2])) == rows
+    limits = {"robot.torque_limit_n_m": 3.0, "firmware.torque_limit_n_m": 3.0, "loop.duration_s": 1.0}
+    motors = {"plant.start.drive": "current", "plant.start.current_limit_a": 4.0, "firmware.current_limit_a": 4.0}
+    for row, more in (
+        (again[0], {"controller.gains.k1_1_s": 7.0, **motors}),
+        (again[2], {"controller.command": "torque", "controller.gains.k1_1_s": 9.0}),
+    ):
+        metrics = hil.run("circle_speed", set=limits | more).metrics
+        assert row["nominal"] == {name: metrics[name] for name in FIGURES}
+        assert row["nominal"]["effort_n_m_s"] > 0.0
+    page = (tmp_path / "PAGE.md").read_text(encoding="utf-8")
+    assert f"{rows[1]['nominal']['effort_n_m_s']:.1f}" in page.partition("| afdsc")[2].partition("\n")[0]
+    pictures = sorted((tmp_path / "pictures").glob("*.png"))
+    assert len(pictures) == 3
+    for picture in pictures:
+        assert picture.read_bytes().startswith(b"\x89PNG")
+        assert f"(pictures/{picture.name})" in page
+    with (tmp_path / "pictures" / "comparison.csv").open(encoding="utf-8", newline="") as stream:
+        table = list(csv.DictReader(stream))
+    assert [float(line["effort_n_m_s"]) for line in table] == [row["nominal"]["effort_n_m_s"] for row in rows]
+
+
+def test_a_law_that_refuses_fails_or_takes_its_process_along_is_a_row_with_its_reason(in_folder_of_laws) -> None:
+    laws = [f"laws.py:{name}" for name in ("Rests", "SpeedOnly", "Raises", "NoNumber", "Dies")]
+    found = compare(asked(*laws, drives=["ideal", "motors"]), jobs=2)
+    rests, refused, raises, no_number, dies, *motors = found.rows
+    assert rests.nominal.figures is not None
+    assert refused.nominal.refused == "SpeedOnly: it gives speeds; set controller.command = speed"
+    assert not refused.has_failed
+    assert motors[1].nominal.figures is not None
+    assert "laws.py:31: ZeroDivisionError: no gain" in raises.nominal.failed
+    assert "gave no number" in no_number.nominal.failed
+    assert dies.nominal.failed == "crashed: exit code 7"
+    assert found.has_failed
+    for row in (refused, raises, no_number, dies):
+        assert list(row.notes())
+        assert all(value is None for value in found.plain()["rows"][found.rows.index(row)]["worst"].values())
+
+
+def test_the_robots_of_a_row_differ_as_they_say_and_the_worst_is_the_largest() -> None:
+    (row,) = compare(asked("dsc", quick=False)).rows
+    assert [run.variation for run in row.runs] == variations(quick=False)
+    assert len(row.runs) == (1 + len(MASS_FACTORS)) * (1 + len(FRICTIONS))
+    efforts_n_m_s = [run.outcome.figures["effort_n_m_s"] for run in row.runs]
+    assert len(set(efforts_n_m_s)) == len(efforts_n_m_s)
+    assert row.worst("effort_n_m_s") == max(efforts_n_m_s)
+    light = {"plant.start.mass_kg": 0.8 * 20.0, "plant.start.friction_coefficient": 0.08, "loop.duration_s": 0.2}
+    both = {"robot.torque_limit_n_m": 5.0, "firmware.torque_limit_n_m": 5.0, "controller.command": "torque"}
+    # circle_speed's gain of 8 1/s is for speed commands: in torque mode the law begins from its own defaults.
+    metrics = hil.run("circle_speed", set=light | both | {"controller.gains.k1_1_s": 15.0}).metrics
+    (run,) = [run for run in row.runs if run.variation == Variation(0.8, 0.08)]
+    assert run.outcome.figures == {name: metrics[name] for name in FIGURES}
+
+
+def test_a_figure_that_one_run_has_not_is_no_worst_figure() -> None:
+    def run(variation: Variation, t10_s: float | None) -> Run:
+        figures = dict.fromkeys(FIGURES, 1.0) | {"t10_s": t10_s}
+        return Run(variation, Outcome(figures, {} if t10_s else {"t10_s": "it never came"}, None, None, None))
+
+    entry = Entry("dsc", "dsc", {CommandMode.TORQUE: {}})
+    runs = [run(Variation(), 0.5), run(Variation(0.8, None), 0.7), run(Variation(0.8, 0.08), None)]
+    row = Row(entry, Condition(5.0, "ideal", None, None), runs)
+    assert (row.value("t10_s"), row.worst_over_mass("t10_s"), row.worst("t10_s")) == (0.5, 0.7, None)
+    assert row.worst("steady_rms_m") == 1.0
+    assert list(row.notes()) == ["no t10_s in 1 of 3 runs (mass x 0.8, friction 0.08): it never came"]
+
+
+def test_gains_are_the_scenarios_in_its_own_mode_and_the_texts_over_them() -> None:
+    plain, changed, other = entries(["dsc", "dsc,speed.k1_1_s=7,filter_s=0.05", "afdsc"], "circle_speed", [])
+    assert plain.gains == {CommandMode.SPEED: {"k1_1_s": 8.0}, CommandMode.TORQUE: {}}
+    assert changed.gains[CommandMode.SPEED] == {"k1_1_s": 7, "filter_s": 0.05}
+    assert changed.gains[CommandMode.TORQUE] == {"filter_s": 0.05}
+    assert other.gains == {CommandMode.SPEED: {}, CommandMode.TORQUE: {}}
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"laws": ["dcs"]}, "'dcs': unknown; did you mean 'dsc'"),
+        ({"laws": ["dsc,k1_s=8"]}, "law dsc,k1_s=8: unknown option 'k1_s'; did you mean"),
+        ({"laws": ["dsc,k1_1_s=-8"]}, "k1_1_s = -8"),
+        ({"laws": ["dsc,fast.k1_1_s=8"]}, "'fast.k1_1_s=8' is no gain; expected key=value, torque.key=value"),
+        ({"laws": ["dsc,k1_1_s"]}, "'k1_1_s' is no gain"),
+        ({"laws": ["laws.py:Rests,k=1"]}, "takes no gains"),
+        ({"laws": ["dsc", "dsc"]}, "law dsc: it is named twice"),
+        ({"scenario": "circle_sped"}, "did you mean 'circle_speed'"),
+        ({"scenario": "afdsc"}, "scenario afdsc: this is a law; the last argument is the scenario"),
+        ({"drives": ["motor"]}, "--drive motor: unknown; did you mean 'motors'"),
+        ({"estimators": ["oddometry"]}, "--estimator oddometry: unknown; did you mean 'odometry'"),
+        ({"contacts": ["slop"]}, "--contact slop: unknown; did you mean 'slip'"),
+        ({"torques_n_m": [5.0, 5.0]}, "--torque: one is named twice in 5.0, 5.0"),
+        ({"torques_n_m": [50.0]}, "torque_limit_n_m = 50"),
+        ({"sets": ["robot.torque_limit_n_m=3"]}, "a comparison sets robot.torque_limit_n_m itself"),
+        ({"sets": ["controller.gains.k1_1_s=3"]}, "laws and gains are named together"),
+        ({"sets": ["robot.mas_kg=3"]}, "mass_kg"),
+        ({"sets": ["plant.fmu=mecanum_mujoco"]}, "plant.fmu = 'mecanum_mujoco' has no drive"),
+    ],
+    ids=lambda value: str(value)[:40],
+)
+def test_what_does_not_exist_is_a_sentence_before_anything_runs(change, words, in_folder_of_laws) -> None:
+    with pytest.raises(BadInputError) as caught:
+        compare(asked("dsc")._replace(**change), tell=lambda *_: pytest.fail("a run was made"))
+    assert words in str(caught.value)
+
+
+def test_conditions_are_all_combinations_and_have_names_of_their_own() -> None:
+    tables = conditions([5.0, 1.8], ["ideal", "motors"], ["truth", "odometry"], ["slip"])
+    assert len(tables) == len({table.words for table in tables}) == len({table.slug for table in tables}) == 8
+    assert tables[-1].words == "1.8 N·m, motors, speed commands, state from odometry, slip contact"
+    assert tables[-1].sets()["plant.start.contact"] == "slip"
+    assert tables[-1].sets()["estimator.source"] == "odometry"
+
+
+def test_ctrl_c_ends_the_runs_and_says_so(in_folder_of_laws) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(60.0)
+        process = subprocess.Popen(
+            [*HIL, "compare", "laws.py:Hangs", "circle_speed", "--quick"],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=environment() | {"LAW_PORT": str(server.getsockname()[1])},
+        )
+        running, _ = server.accept()
+        with running:
+            os.kill(process.pid, signal.SIGINT)
+            _, errors = process.communicate(timeout=60.0)
+            running.settimeout(60.0)
+            assert running.recv(1) == b"", "the worker has ended with its run"
+    assert process.returncode == 130
+    assert errors == "hil: interrupted; the runs were ended\n"
