@@ -135,7 +135,8 @@ def _loop_of(scenario: Scenario) -> Callable[[Bench, Sink], Loop]:
     )
 
     def make(bench: Bench, sink: Sink) -> Loop:
-        estimator = make_estimator(scenario.estimator.source, model, bench.start_pose(), counts)
+        told = scenario.estimator
+        estimator = make_estimator(told.source, model, bench.start_pose(), counts, twist=told.twist)
         faults = bench.faults.signals
         if faults is not None:
             sink = _Faulted(sink, faults)

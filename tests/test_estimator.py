@@ -136,6 +136,16 @@ def test_a_fix_without_twist_takes_it_from_wheels_and_gyro():
     assert state.twist == pytest.approx((0.0, 1.0, 0.4))
 
 
+def test_with_the_twist_of_the_wheels_only_the_pose_is_the_truths():
+    measured = drive(BodyTwist(1.0, 0.0, 0.5), 0, gyro=0.4)[0]
+    fix = PoseFix(0, Pose(0.0, 0.0, math.pi / 2), Twist(9.0, 9.0, 9.0))
+    state = make_estimator("truth", ROBOT, START, COUNTS, twist="wheels").update(measured, fix)
+    assert state.pose == fix.pose
+    assert state.twist == pytest.approx((0.0, 1.0, 0.4))
+    with pytest.raises(BadInputError, match=r"estimator\.twist = 'wheel': unknown; did you mean 'wheels'\?"):
+        make_estimator("truth", ROBOT, START, COUNTS, twist="wheel")
+
+
 def test_sources_by_name():
     assert isinstance(make_estimator("truth", ROBOT, START, COUNTS), TruthEstimator)
     assert isinstance(make_estimator("odometry", ROBOT, START, COUNTS), OdometryEstimator)

@@ -234,6 +234,9 @@ class EstimatorTable(Table):
     """``[estimator]``: where the state that the controller acts on comes from."""
 
     source: Literal["truth", "odometry"] = Field(default="truth", description="true pose, or wheels and gyro alone")
+    twist: Literal["source", "wheels"] = Field(
+        default="source", description="the source's own, or that of wheels and gyro even where the truth has one"
+    )
 
 
 class LoopTable(Table):
