@@ -12,7 +12,7 @@ from hil.bench import NS, Bench, open_trace
 from hil.controllers.registry import make_controller
 from hil.devices.virtual import MakeNode
 from hil.errors import DeviceError, HilError, LinkError
-from hil.estimator import make_estimator
+from hil.estimator import EstimatorOptions, FusedOptions, make_estimator
 from hil.faults.signals import SignalFaults
 from hil.guard import Guard
 from hil.loop import Loop, Parts, Report, Timing
@@ -126,6 +126,10 @@ def _loop_of(scenario: Scenario) -> Callable[[Bench, Sink], Loop]:
     controller = make_controller(table.law, scenario.directory, model, table.mode, table.gains)
     reference = make_reference(scenario.reference.kind, scenario.reference.options)
     counts = scenario.firmware.counts_per_revolution
+    believed = scenario.estimator
+    told = EstimatorOptions(
+        believed.source, believed.twist, believed.slip_threshold_m_s, FusedOptions(**dict(believed.filter))
+    )
     guard = Guard(model.speed_limit_rad_s, model.torque_limit_n_m)
     timing = Timing(
         scenario.loop.period_ns,
@@ -135,8 +139,7 @@ def _loop_of(scenario: Scenario) -> Callable[[Bench, Sink], Loop]:
     )
 
     def make(bench: Bench, sink: Sink) -> Loop:
-        told = scenario.estimator
-        estimator = make_estimator(told.source, model, bench.start_pose(), counts, twist=told.twist)
+        estimator = make_estimator(told, model, bench.start_pose(), counts)
         faults = bench.faults.signals
         if faults is not None:
             sink = _Faulted(sink, faults)
@@ -145,6 +148,7 @@ def _loop_of(scenario: Scenario) -> Callable[[Bench, Sink], Loop]:
             bench.device,
             bench.wire,
             bench.truth,
+            bench.fixes,
             estimator,
             reference,
             controller,
@@ -231,6 +235,7 @@ def _figures(
         "realtime_factor": realtime_factor,
         "frames": {"sent": device.sent, "received": device.received, "rejected": device.rejected()},
         "link_statistics": _link_statistics(bench, signals),
+        "pose_fixes": None if bench.fixes is None else bench.fixes.figures(),
         "wire_sha256": device.wire_sha256(),
         "stopped": report.stopped,
         "commands_refused": commands_refused,

@@ -1,11 +1,22 @@
-"""Where the robot is: by ground truth, or by odometry (ESTIMATORS.md).
+"""Where the robot is: by ground truth, by odometry, or by odometry and pose fixes together (ESTIMATORS.md).
 
 The estimators are pure: they are given what was received and hold no clock.
 """
 
-from hil.estimator.choice import make_estimator
-from hil.estimator.measurement import Estimator, Measurement
+from hil.estimator.choice import EstimatorOptions, make_estimator
+from hil.estimator.fused import FusedEstimator, FusedOptions
+from hil.estimator.measurement import LOST, Estimator, Measurement
 from hil.estimator.odometry import OdometryEstimator
 from hil.estimator.truth import TruthEstimator
 
-__all__ = ["Estimator", "Measurement", "OdometryEstimator", "TruthEstimator", "make_estimator"]
+__all__ = [
+    "LOST",
+    "Estimator",
+    "EstimatorOptions",
+    "FusedEstimator",
+    "FusedOptions",
+    "Measurement",
+    "OdometryEstimator",
+    "TruthEstimator",
+    "make_estimator",
+]

@@ -1,67 +1,61 @@
 """Where the robot is by its wheels and its gyro alone."""
 
 import math
+from collections.abc import Sequence
 
-from hil.errors import BadInputError
-from hil.estimator.measurement import Measurement, measured_twist
-from hil.kinematics import body_twist, to_world
+from hil.estimator.measurement import NO_STATUS, Measurement, measured_twist
+from hil.estimator.motion import Motion, MotionReader
+from hil.estimator.slip import SlipDetector
+from hil.kinematics import to_world
 from hil.model import RobotModel
-from hil.types import Pose, PoseFix, State, Wheels
+from hil.signals import EstimatorSignals
+from hil.types import MeasuredPose, Pose, PoseFix, State
 
 
 class OdometryEstimator:
-    """Integrates the motion of the wheels from a known pose; fixes have no part in it.
+    """Integrates the motion of the wheels (``MotionReader``) from a known pose; truth and fixes have no part in it.
 
-    A wheel's angle comes from its encoder, counted through the wrap of 16 bits: between two measurements it
-    must turn less than 32768 counts (8 revolutions at 4096 a revolution). Without counts it comes from the
-    wheel's speed. The heading comes from the gyro where there is one, because rollers slip sideways first in
-    a turn. The displacement is taken at the heading half way (midpoint rule).
+    The heading comes from the gyro where there is one, because rollers slip sideways first in a turn. The displacement
+    is taken at the heading half way (midpoint rule). Slip is told, and changes nothing: there is nothing better here.
+
+    Raises BadInputError as ``MotionReader``.
     """
 
-    def __init__(self, model: RobotModel, start: Pose, counts_per_revolution: int) -> None:
-        if counts_per_revolution < 1:
-            raise BadInputError(
-                f"firmware.counts_per_revolution = {counts_per_revolution}: expected a whole number from 1 on"
-            )
+    def __init__(self, model: RobotModel, start: Pose, counts_per_revolution: int, slip_threshold_m_s: float) -> None:
         self._model = model
+        self._reader = MotionReader(model, counts_per_revolution)
+        self._slip = SlipDetector(model.lever_m, slip_threshold_m_s)
         self._pose = start
-        self._rad_per_count = math.tau / counts_per_revolution
         self._last: Measurement | None = None
 
-    def update(self, measurement: Measurement, fix: PoseFix | None) -> State | None:
+    @property
+    def status(self) -> EstimatorSignals:
+        """Tell of slip alone."""
+        return NO_STATUS._replace(slip=float(self._slip.is_slipping))
+
+    def update(
+        self, measurement: Measurement, truth: PoseFix | None, fixes: Sequence[MeasuredPose] = ()
+    ) -> State | None:
         """Return the integrated pose, and the twist of wheels and gyro. The first call is at the start."""
         last = self._last
         if last is None or measurement.robot_time_ns > last.robot_time_ns:
             if last is not None:
-                self._pose = self._moved(last, measurement)
+                motion = self._reader.between(last, measurement)
+                self._slip.update(motion)
+                self._pose = _moved(self._pose, motion)
             self._last = last = measurement
         return State(self._pose, to_world(measured_twist(self._model, last), self._pose.heading_rad))
 
     def restart(self) -> None:
         """Count from the next measurement on; how far the wheels rolled meanwhile is not known."""
         self._last = None
-
-    def _moved(self, last: Measurement, now: Measurement) -> Pose:
-        dt_s = (now.robot_time_ns - last.robot_time_ns) * 1e-9
-        forward, left, turned = body_twist(
-            self._wheel_angles(last, now, dt_s), self._model.wheel_radius_m, self._model.lever_m
-        )
-        yaw_rate = 0.5 * (last.yaw_rate_rad_s + now.yaw_rate_rad_s)
-        if not math.isnan(yaw_rate):
-            turned = yaw_rate * dt_s
-        x, y, heading = self._pose
-        middle = heading + 0.5 * turned
-        c, s = math.cos(middle), math.sin(middle)
-        return Pose(x + c * forward - s * left, y + s * forward + c * left, heading + turned)
-
-    def _wheel_angles(self, last: Measurement, now: Measurement, dt_s: float) -> Wheels:
-        """Return how far each wheel turned [rad]."""
-        if last.encoder_count is not None and now.encoder_count is not None:
-            scale = self._rad_per_count
-            return Wheels(*(scale * _forward(a, b) for a, b in zip(last.encoder_count, now.encoder_count, strict=True)))
-        return Wheels(*(0.5 * (a + b) * dt_s for a, b in zip(last.speed_rad_s, now.speed_rad_s, strict=True)))
+        self._slip.restart()
 
 
-def _forward(before: int, after: int) -> int:
-    """Return the signed distance between two 16-bit counts, the shorter way around."""
-    return ((after - before + 0x8000) & 0xFFFF) - 0x8000
+def _moved(pose: Pose, motion: Motion) -> Pose:
+    turned = motion.turned_rad if math.isnan(motion.gyro_rad) else motion.gyro_rad
+    x, y, heading = pose
+    middle = heading + 0.5 * turned
+    c, s = math.cos(middle), math.sin(middle)
+    forward, left = motion.forward_m, motion.left_m
+    return Pose(x + c * forward - s * left, y + s * forward + c * left, heading + turned)
