@@ -1,6 +1,7 @@
 """How the robot moved between two measurements, as its wheels and its inertial sensors tell."""
 
 import math
+import operator
 from typing import NamedTuple
 
 from hil.errors import BadInputError
@@ -15,7 +16,7 @@ class Motion(NamedTuple):
 
     ``turned_rad`` is by the wheels, ``gyro_rad`` by the gyro, NaN without one. ``disagreement_m`` is by how much more
     the front wheels rolled than the rear ones: four wheels with three degrees of freedom roll without slip only where
-    it is zero. The accelerations are means of both measurements, NaN without an accelerometer.
+    it is zero. What was gained in velocity is by the accelerometer, NaN without one.
     """
 
     dt_s: float
@@ -24,8 +25,12 @@ class Motion(NamedTuple):
     turned_rad: float
     gyro_rad: float
     disagreement_m: float
-    acceleration_forward_m_s2: float
-    acceleration_left_m_s2: float
+    gained_forward_m_s: float
+    gained_left_m_s: float
+
+    def and_then(self, after: "Motion") -> "Motion":
+        """Return both motions as one, so short that the turn within it does not count."""
+        return Motion(*map(operator.add, self, after))
 
 
 class MotionReader:
@@ -60,8 +65,8 @@ class MotionReader:
             turned,
             0.5 * (last.yaw_rate_rad_s + now.yaw_rate_rad_s) * dt_s,
             0.25 * radius_m * (fl + fr - rr - rl),
-            0.5 * (before[0] + after[0]),
-            0.5 * (before[1] + after[1]),
+            0.5 * (before[0] + after[0]) * dt_s,
+            0.5 * (before[1] + after[1]) * dt_s,
         )
 
     def _wheel_angles(self, last: Measurement, now: Measurement, dt_s: float) -> Wheels:
