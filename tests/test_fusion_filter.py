@@ -12,7 +12,17 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
-from hil.estimator.belief import Belief, Covariance, Step, corrected, gate_of, moved, position_sigma_m, start
+from hil.estimator.belief import (
+    Acceptance,
+    Belief,
+    Covariance,
+    Step,
+    corrected,
+    gate_of,
+    moved,
+    position_sigma_m,
+    start,
+)
 from hil.estimator.history import History
 from hil.types import MeasuredPose, Pose, PoseCovariance
 
@@ -65,7 +75,7 @@ class World:
 
 
 def history_of(first: Belief, gate: float = OPEN_GATE, streak: int = 1000) -> History:
-    return History(first, 10**10, lambda belief, fix: corrected(belief, fix, gate, streak))
+    return History(first, 10**10, lambda belief, fix: corrected(belief, fix, Acceptance(gate, streak, 0.0)))
 
 
 def believed(
@@ -175,7 +185,7 @@ def test_the_errors_are_as_large_as_the_covariance_says():
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.integers(0, 40), min_size=10, max_size=10), st.integers(0, TICK_NS - 1), st.randoms())
 def test_late_and_out_of_order_is_exactly_in_order(delays, apart_ns, chance):
-    """Bit for bit, gate and streak of rejections included, with fixes between the ticks, two of one instant, outliers."""
+    """Bit for bit, with gate and streak of rejections: fixes between the ticks, two of one instant, outliers."""
     world = World(3)
     wrong = world.fixes[4]
     world.fixes[4] = wrong._replace(pose=wrong.pose._replace(x_m=wrong.pose.x_m + 3.0))
@@ -276,7 +286,7 @@ def test_a_covariance_stays_one(entries, heading, turned):
     belief = start(0, Pose(0.0, 0.0, heading), 1.0, 1.0, 1.0)._replace(covariance=Covariance(*p[TRIANGLE]))
     after = moved(belief, Step(0.05, -0.02, turned, TICK_S, 1e-6, 1e-6, 1e-8), TICK_NS)
     fix = MeasuredPose(TICK_NS, Pose(after.x_m, after.y_m, after.heading_rad), FIX_COVARIANCE)
-    for one in (after, corrected(after, fix, OPEN_GATE, 2)):
+    for one in (after, corrected(after, fix, Acceptance(OPEN_GATE, 2, 0.0))):
         assert np.linalg.eigvalsh(matrix(one.covariance, 4)).min() > 0.0
         worst = np.linalg.eigvalsh(matrix(one.covariance, 4)[:2, :2]).max()
         assert position_sigma_m(one.covariance) == pytest.approx(math.sqrt(worst))

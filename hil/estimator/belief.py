@@ -71,6 +71,17 @@ class Step(NamedTuple):
     bias_rad2_s2: float
 
 
+class Acceptance(NamedTuple):
+    """When fixes are believed: the largest squared Mahalanobis distance, and after how many rejected ones in a row.
+
+    ``bias_rad2_s2`` is the variance that the gyro's bias has then at least: a gyro that leapt may be what was wrong.
+    """
+
+    gate: float
+    streak: int
+    bias_rad2_s2: float
+
+
 def start(time_ns: int, pose: Pose, sigma_m: float, sigma_rad: float, bias_sigma_rad_s: float) -> Belief:
     """Return the belief in a start that is known so well."""
     place, heading = sigma_m**2, sigma_rad**2
@@ -128,15 +139,14 @@ def moved(belief: Belief, step: Step, time_ns: int, share: float = 1.0) -> Belie
     )
 
 
-def corrected(belief: Belief, fix: MeasuredPose, gate: float, streak: int) -> Belief:
+def corrected(belief: Belief, fix: MeasuredPose, acceptance: Acceptance) -> Belief:
     """Return the belief after a fix of its own instant.
 
-    A fix whose squared Mahalanobis distance exceeds ``gate`` is rejected. When ``streak`` rejected ones in a row agree
-    with one another and with the motion between them, the last of them is taken as a new start: the robot was
-    elsewhere than believed.
+    A fix beyond the gate is rejected. When so many rejected ones in a row agree with one another and with the motion
+    between them, the last of them is taken as a new start: the robot was elsewhere than believed.
     """
     if not belief.is_known:
-        return _restarted(belief, fix)._replace(restarts=belief.restarts)
+        return _restarted(belief, fix, acceptance)._replace(restarts=belief.restarts)
     p, r = belief.covariance, fix.covariance
     vx, vy = fix.pose.x_m - belief.x_m, fix.pose.y_m - belief.y_m
     vh = math.remainder(fix.pose.heading_rad - belief.heading_rad, math.tau)
@@ -153,8 +163,8 @@ def corrected(belief: Belief, fix: MeasuredPose, gate: float, streak: int) -> Be
         return first, second, (h - l31 * first - l32 * second) / l33
 
     v = solved(vx, vy, vh)
-    if _dot(v, v) > gate:
-        return _rejected(belief, fix, gate, streak)
+    if _dot(v, v) > acceptance.gate:
+        return _rejected(belief, fix, acceptance)
     x, y, h, b = (
         solved(p.xx, p.xy, p.xh),
         solved(p.xy, p.yy, p.yh),
@@ -226,11 +236,11 @@ def gate_of(probability: float) -> float:
     return high
 
 
-def _rejected(belief: Belief, fix: MeasuredPose, gate: float, streak: int) -> Belief:
-    agrees = belief.streak_fix is not None and _agree(belief, fix, gate)
+def _rejected(belief: Belief, fix: MeasuredPose, acceptance: Acceptance) -> Belief:
+    agrees = belief.streak_fix is not None and _agree(belief, fix, acceptance.gate)
     count = belief.streak + 1 if agrees else 1
-    if count >= streak:
-        return _restarted(belief, fix)
+    if count >= acceptance.streak:
+        return _restarted(belief, fix, acceptance)
     return belief._replace(
         rejected=belief.rejected + 1,
         streak=count,
@@ -239,9 +249,10 @@ def _rejected(belief: Belief, fix: MeasuredPose, gate: float, streak: int) -> Be
     )
 
 
-def _restarted(belief: Belief, fix: MeasuredPose) -> Belief:
-    """Return the belief in a fix alone; what is known of the gyro's bias stays."""
+def _restarted(belief: Belief, fix: MeasuredPose, acceptance: Acceptance) -> Belief:
+    """Return the belief in a fix alone; of the gyro's bias there is doubt."""
     r = fix.covariance
+    bias_rad2_s2 = max(belief.covariance.bb, acceptance.bias_rad2_s2)
     turned = math.remainder(fix.pose.heading_rad - belief.heading_rad, math.tau)
     return Belief(
         belief.time_ns,
@@ -249,7 +260,7 @@ def _restarted(belief: Belief, fix: MeasuredPose) -> Belief:
         fix.pose.y_m,
         belief.heading_rad + turned,
         belief.bias_rad_s,
-        Covariance(r.xx_m2, r.xy_m2, r.xh_m_rad, 0.0, r.yy_m2, r.yh_m_rad, 0.0, r.hh_rad2, 0.0, belief.covariance.bb),
+        Covariance(r.xx_m2, r.xy_m2, r.xh_m_rad, 0.0, r.yy_m2, r.yh_m_rad, 0.0, r.hh_rad2, 0.0, bias_rad2_s2),
         is_known=True,
         fixed_ns=fix.time_ns,
         accepted=belief.accepted + 1,

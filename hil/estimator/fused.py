@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from hil.estimator.belief import (
+    Acceptance,
     Belief,
     Covariance,
     Step,
@@ -72,7 +73,9 @@ class FusedEstimator:
         self._model = model
         self._start_pose = start_pose
         self._options = options
-        self._gate = gate_of(options.gate_probability)
+        self._acceptance = Acceptance(
+            gate_of(options.gate_probability), options.restart_after, options.gyro_bias_sigma_rad_s**2
+        )
         self._reader = MotionReader(model, counts_per_revolution)
         self._slip = SlipDetector(model.lever_m, slip_threshold_m_s)
         self._last: Measurement | None = None
@@ -135,7 +138,7 @@ class FusedEstimator:
         return History(first, round(options.history_s * _NS), self._corrected)
 
     def _corrected(self, belief: Belief, fix: MeasuredPose) -> Belief:
-        return corrected(belief, fix, self._gate, self._options.restart_after)
+        return corrected(belief, fix, self._acceptance)
 
     def _step(self, motion: Motion, slip_m_s: float) -> Step:
         options = self._options
