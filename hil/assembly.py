@@ -108,7 +108,7 @@ def run_scenario(
         with watch(loop) if watch is not None else contextlib.nullcontext():
             report = loop.run(origin_ns, round(scenario.loop.duration_s * NS))
         failure = bench.stop_robot() or report.failure
-        metrics = _figures(scenario, bench, memory, report, failure, loop.commands_refused)
+        metrics = _figures(scenario, bench, memory, report, failure, loop)
         if tracing is not None:
             metrics["trace"] = _finished(tracing)
         if recording is not None:
@@ -204,7 +204,7 @@ def _figures(
     memory: MemorySink,
     report: Report,
     failure: HilError | None,
-    commands_refused: int,
+    loop: Loop,
 ) -> dict[str, Any]:
     signals = memory.signals()
     figures, reasons = signal_figures(signals)
@@ -218,10 +218,13 @@ def _figures(
     # A fault that never happened proves nothing.
     faulted = all(row["applied"] for row in applied)
     # Neither does a run in which the law gave no number and the robot was held still.
-    lawful = commands_refused == 0
+    lawful = loop.commands_refused == 0
     realtime_factor = report.robot_s / report.wall_s if report.ticks else None
     if realtime_factor is None:
         reasons["realtime_factor"] = "the run has no ticks"
+    pose_fixes = loop.pose_fixes()
+    if pose_fixes is None:
+        reasons["pose_fixes"] = f"{scenario.estimator.source!r} takes none"
     device = bench.device
     return {
         "passed": failure is None and held and faulted and lawful,
@@ -235,10 +238,10 @@ def _figures(
         "realtime_factor": realtime_factor,
         "frames": {"sent": device.sent, "received": device.received, "rejected": device.rejected()},
         "link_statistics": _link_statistics(bench, signals),
-        "pose_fixes": None if bench.fixes is None else bench.fixes.figures(),
+        "pose_fixes": pose_fixes,
         "wire_sha256": device.wire_sha256(),
         "stopped": report.stopped,
-        "commands_refused": commands_refused,
+        "commands_refused": loop.commands_refused,
         "stale_ticks": report.stale,
         "recoveries": [recovered._asdict() for recovered in report.recoveries],
         "robot_slipped_ticks": bench.slipped_ticks,

@@ -4,7 +4,7 @@ import contextlib
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from firmware_protocol.generated.messages import State as RobotState
 from hil.devices.snapshot import Feedback
@@ -145,6 +145,11 @@ class Loop:
     def commands_refused(self) -> int:
         """Commands of the law that were no numbers, each replaced by a stop."""
         return self._parts.guard.refused
+
+    def pose_fixes(self) -> dict[str, Any] | None:
+        """Return where pose fixes were lost, from the source to the filter; None where none are taken."""
+        fixes = self._parts.fixes
+        return None if fixes is None else {**fixes.figures(), **self._parts.estimator.fix_figures()}
 
     def _stop(self) -> bool:
         return self._parts.device.stop(self._timing.period_ns, _STOP_LIMIT_NS)

@@ -83,17 +83,18 @@ class FusedEstimator:
         self._before: Belief | None = None
         self._waiting: list[MeasuredPose] = []
         self._status = NO_STATUS
-        self.refused = {"too_late": 0, "double": 0, "ahead": 0}
+        self._refused = {"too_late": 0, "double": 0, "ahead": 0}
 
     @property
     def status(self) -> EstimatorSignals:
         """How sure the last update is."""
         return self._status
 
-    @property
-    def restarts(self) -> int:
-        """How often fixes that agreed with one another, but not with the estimate, were believed."""
-        return self._history.newest.restarts if self._history is not None else 0
+    def fix_figures(self) -> dict[str, int]:
+        """Return what became of the fixes; ``restarts`` are streaks of rejected ones that were believed."""
+        belief = self._history.newest if self._history is not None else self._before
+        accepted, rejected, restarts = (belief.accepted, belief.rejected, belief.restarts) if belief else (0, 0, 0)
+        return {"accepted": accepted, "rejected": rejected, **self._refused, "restarts": restarts}
 
     def update(
         self, measurement: Measurement, truth: PoseFix | None, fixes: Sequence[MeasuredPose] = ()
@@ -161,16 +162,16 @@ class FusedEstimator:
         later: list[MeasuredPose] = []
         for fix in (*self._waiting, *fixes):
             if fix.time_ns <= history.begin_ns:
-                self.refused["too_late"] += 1
+                self._refused["too_late"] += 1
             elif fix.time_ns <= now_ns:
                 due.append(fix)
             elif fix.time_ns <= now_ns + _AHEAD_NS and len(later) < _WAITING_AT_MOST:
                 later.append(fix)
             else:
-                self.refused["ahead"] += 1
+                self._refused["ahead"] += 1
         self._waiting = later
         if due:
-            self.refused["double"] += history.insert(due)
+            self._refused["double"] += history.insert(due)
 
     def _told(self, belief: Belief) -> EstimatorSignals:
         sigma_m = position_sigma_m(belief.covariance)

@@ -1,7 +1,7 @@
 """What an estimator is given and what it gives back. Time is robot time in nanoseconds; nobody here has a clock."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 from hil.kinematics import BodyTwist, body_twist
@@ -56,6 +56,9 @@ class Estimator(Protocol):
         ``truth`` is the newest there is, ``fixes`` are those that have arrived since the last call. The same
         measurement or truth may be given again.
         """
+
+    def fix_figures(self) -> Mapping[str, int]:
+        """Return what became of the pose fixes so far; empty for an estimator that takes none."""
 
     def restart(self) -> None:
         """Go on with a robot that was reset: its clock and its counts began anew, the pose is the last one known."""

@@ -1,7 +1,7 @@
 """Where the robot is by its wheels and its gyro alone."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from hil.estimator.measurement import NO_STATUS, Measurement, measured_twist
 from hil.estimator.motion import Motion, MotionReader
@@ -45,6 +45,10 @@ class OdometryEstimator:
                 self._pose = _moved(self._pose, motion)
             self._last = last = measurement
         return State(self._pose, to_world(measured_twist(self._model, last), self._pose.heading_rad))
+
+    def fix_figures(self) -> Mapping[str, int]:
+        """Fixes have no part in it."""
+        return {}
 
     def restart(self) -> None:
         """Count from the next measurement on; how far the wheels rolled meanwhile is not known."""

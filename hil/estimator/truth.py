@@ -1,7 +1,7 @@
 """Where the robot is by ground truth: for reference, not for a robot that has to find out itself."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from hil.estimator.measurement import NO_STATUS, Measurement, measured_twist
 from hil.kinematics import to_world
@@ -39,6 +39,10 @@ class TruthEstimator:
         if self._uses_wheels or not math.isfinite(sum(twist)):
             twist = to_world(measured_twist(self._model, measurement), pose.heading_rad)
         return State(pose, twist)
+
+    def fix_figures(self) -> Mapping[str, int]:
+        """Fixes have no part in it."""
+        return {}
 
     def restart(self) -> None:
         """Wait for a new sample of the truth."""

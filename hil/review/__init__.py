@@ -11,19 +11,21 @@ __all__ = ["Event", "RecordedRun", "figures", "read", "review", "to_frame"]
 
 _NO_SUMMARY = "the recording has no summary: the run did not come to its end"
 _UNSAID = "the run's summary does not say"
-_FROM_SUMMARY = ("passed", "realtime_factor", "frames", "link_statistics", "wire_sha256")
+_FROM_SUMMARY = ("passed", "realtime_factor", "frames", "link_statistics", "pose_fixes", "wire_sha256")
 _ORDER = (
     "passed",
     "tracked_s",
     "t10_s",
     "steady_rms_m",
     "steady_max_m",
+    "estimation_error",
     "ticks",
     "realtime_factor",
     "tick_us",
     "deadline_misses",
     "frames",
     "link_statistics",
+    "pose_fixes",
     "wire_sha256",
     "recording",
 )
