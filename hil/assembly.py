@@ -12,7 +12,7 @@ from hil.bench import NS, Bench, open_trace
 from hil.controllers.registry import make_controller
 from hil.devices.virtual import MakeNode
 from hil.errors import DeviceError, HilError, LinkError
-from hil.estimator import make_estimator
+from hil.estimator import EstimatorOptions, FusedOptions, make_estimator
 from hil.faults.signals import SignalFaults
 from hil.guard import Guard
 from hil.loop import Loop, Parts, Report, Timing
@@ -108,7 +108,7 @@ def run_scenario(
         with watch(loop) if watch is not None else contextlib.nullcontext():
             report = loop.run(origin_ns, round(scenario.loop.duration_s * NS))
         failure = bench.stop_robot() or report.failure
-        metrics = _figures(scenario, bench, memory, report, failure, loop.commands_refused)
+        metrics = _figures(scenario, bench, memory, report, failure, loop)
         if tracing is not None:
             metrics["trace"] = _finished(tracing)
         if recording is not None:
@@ -126,6 +126,10 @@ def _loop_of(scenario: Scenario) -> Callable[[Bench, Sink], Loop]:
     controller = make_controller(table.law, scenario.directory, model, table.mode, table.gains)
     reference = make_reference(scenario.reference.kind, scenario.reference.options)
     counts = scenario.firmware.counts_per_revolution
+    believed = scenario.estimator
+    told = EstimatorOptions(
+        believed.source, believed.twist, believed.slip_threshold_m_s, FusedOptions(**dict(believed.filter))
+    )
     guard = Guard(model.speed_limit_rad_s, model.torque_limit_n_m)
     timing = Timing(
         scenario.loop.period_ns,
@@ -135,7 +139,7 @@ def _loop_of(scenario: Scenario) -> Callable[[Bench, Sink], Loop]:
     )
 
     def make(bench: Bench, sink: Sink) -> Loop:
-        estimator = make_estimator(scenario.estimator.source, model, bench.start_pose(), counts)
+        estimator = make_estimator(told, model, bench.start_pose(), counts)
         faults = bench.faults.signals
         if faults is not None:
             sink = _Faulted(sink, faults)
@@ -144,6 +148,7 @@ def _loop_of(scenario: Scenario) -> Callable[[Bench, Sink], Loop]:
             bench.device,
             bench.wire,
             bench.truth,
+            bench.fixes,
             estimator,
             reference,
             controller,
@@ -199,7 +204,7 @@ def _figures(
     memory: MemorySink,
     report: Report,
     failure: HilError | None,
-    commands_refused: int,
+    loop: Loop,
 ) -> dict[str, Any]:
     signals = memory.signals()
     figures, reasons = signal_figures(signals, scenario.firmware.torque_constant_n_m_a)
@@ -213,10 +218,13 @@ def _figures(
     # A fault that never happened proves nothing.
     faulted = all(row["applied"] for row in applied)
     # Neither does a run in which the law gave no number and the robot was held still.
-    lawful = commands_refused == 0
+    lawful = loop.commands_refused == 0
     realtime_factor = report.robot_s / report.wall_s if report.ticks else None
     if realtime_factor is None:
         reasons["realtime_factor"] = "the run has no ticks"
+    pose_fixes = loop.pose_fixes()
+    if pose_fixes is None:
+        reasons["pose_fixes"] = f"{scenario.estimator.source!r} takes none"
     device = bench.device
     return {
         "passed": failure is None and held and faulted and lawful,
@@ -230,9 +238,10 @@ def _figures(
         "realtime_factor": realtime_factor,
         "frames": {"sent": device.sent, "received": device.received, "rejected": device.rejected()},
         "link_statistics": _link_statistics(bench, signals),
+        "pose_fixes": pose_fixes,
         "wire_sha256": device.wire_sha256(),
         "stopped": report.stopped,
-        "commands_refused": commands_refused,
+        "commands_refused": loop.commands_refused,
         "stale_ticks": report.stale,
         "recoveries": [recovered._asdict() for recovered in report.recoveries],
         "robot_slipped_ticks": bench.slipped_ticks,

@@ -33,10 +33,11 @@ from hil.links.faults import FaultLink
 from hil.links.opening import is_within_process, open_host, open_pair
 from hil.links.statistics import measured
 from hil.links.url import CanUrl, parse_link
+from hil.localisation import SimulatedFixes, SimulatedOptions, UdpFixes
 from hil.plant import archive
 from hil.plant.description import parameter_names
 from hil.plant.mapping import Row, SignalMap
-from hil.ports import Clock, Link, PoseSource
+from hil.ports import Clock, FixSource, Link, PoseSource
 from hil.scenario import SHIPPED_FMUS, Scenario, StartValue
 from hil.trace import Trace
 from hil.types import Pose
@@ -173,6 +174,9 @@ class Bench:
         self.faults = RunFaults([table.row for table in scenario.fault], scenario.loop.seed, self.clock)
         with contextlib.ExitStack() as resources:
             self.truth: PoseSource | None = None
+            self.fixes = self._fixes()
+            if self.fixes is not None:
+                resources.callback(self.fixes.close)
             if is_within_process(url):
                 if truth is not None:
                     raise BadInputError(
@@ -246,11 +250,26 @@ class Bench:
         self.wire.begin()
 
     def _check_truth_source(self, truth: str | None) -> None:
-        if truth is None and self._scenario.estimator.source == "truth":
+        if truth is not None:
+            return
+        estimator = self._scenario.estimator
+        needs = {"truth": 'estimator.source = "truth"'}
+        if estimator.fix == "simulated":
+            needs["fused"] = 'estimator.fix = "simulated"'
+        if estimator.source in needs:
             raise BadInputError(
-                'estimator.source = "truth", but the robot is elsewhere and no truth was given; add --truth URL as '
+                f"{needs[estimator.source]}, but the robot is elsewhere and no truth was given; add --truth URL as "
                 "hil device prints it, or --set estimator.source=odometry"
             )
+
+    def _fixes(self) -> FixSource | None:
+        """Open where pose fixes come from, None where the estimator takes none."""
+        estimator = self._scenario.estimator
+        if estimator.source != "fused":
+            return None
+        if estimator.fix == "simulated":
+            return SimulatedFixes(SimulatedOptions(**dict(estimator.simulated_fix)), self._scenario.loop.seed)
+        return UdpFixes(estimator.fix, estimator.filter.history_s)
 
     def connect(self) -> RobotInfo:
         """Shake hands with the robot."""

@@ -4,17 +4,17 @@ import contextlib
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from firmware_protocol.generated.messages import State as RobotState
 from hil.devices.snapshot import Feedback
 from hil.devices.stm32 import Stm32
 from hil.errors import DeviceError, HilError, LinkError, RobotStoppedError
-from hil.estimator import Estimator
+from hil.estimator import LOST, Estimator
 from hil.faults.signals import SignalFaults
 from hil.guard import Guard
 from hil.links.statistics import Statistics
-from hil.ports import Clock, Controller, PoseSource, Sink
+from hil.ports import Clock, Controller, FixSource, PoseSource, Sink
 from hil.recovery import Recovered, Recovery
 from hil.references import ReferenceSource
 from hil.rows import Beliefs, Rows
@@ -25,6 +25,7 @@ _LOST_NS = 250_000_000  # silence that ends the run
 _STOP_LIMIT_NS = 5_000_000_000
 # How far a robot's clock may be from where it should be and still be the same: feedback on its way, and HSI's accuracy.
 _CLOCK_PERIODS = 4
+_CLOCKS_APART_NS = 50_000_000
 _CLOCK_SHARE = 50
 
 
@@ -35,6 +36,7 @@ class Parts(NamedTuple):
     device: Stm32
     wire: Statistics
     truth: PoseSource | None
+    fixes: FixSource | None
     estimator: Estimator
     reference: ReferenceSource
     controller: Controller
@@ -144,6 +146,11 @@ class Loop:
         """Commands of the law that were no numbers, each replaced by a stop."""
         return self._parts.guard.refused
 
+    def pose_fixes(self) -> dict[str, Any] | None:
+        """Return where pose fixes were lost, from the source to the filter; None where none are taken."""
+        fixes = self._parts.fixes
+        return None if fixes is None else {**fixes.figures(), **self._parts.estimator.fix_figures()}
+
     def _stop(self) -> bool:
         return self._parts.device.stop(self._timing.period_ns, _STOP_LIMIT_NS)
 
@@ -219,11 +226,13 @@ class Loop:
         """Sense, estimate, refer, control, guard, command, tell."""
         faults = self._parts.faults
         feedback = self._feedback()
-        state = self._parts.estimator.update(feedback, fix)
+        estimator, fixes = self._parts.estimator, self._parts.fixes
+        measured = fixes.poll(self._robot_now_ns(feedback), fix) if fixes is not None else ()
+        state = estimator.update(feedback, fix, measured)
         reference = self._parts.reference.at(self.t_s)
         if faults is not None:
             state, reference = faults.state(state), faults.reference(reference)
-        if state is None or self._is_stale(feedback, fix):
+        if state is None or estimator.status.health == LOST or self._is_stale(feedback, fix):
             command, saturated = self._rest, False
             self._stale += state is not None
         else:
@@ -237,7 +246,7 @@ class Loop:
             command, saturated = self._parts.guard.apply(wanted)
         self._parts.device.send(command)
         self._applied = Applied(command, saturated, self._timing.latency_s)
-        self._tell(number, late_ns, feedback, Beliefs(fix, state, reference, self._applied))
+        self._tell(number, late_ns, feedback, Beliefs(fix, state, reference, self._applied, estimator.status))
         if self._before is not None:
             self._before = number
 
@@ -268,6 +277,8 @@ class Loop:
         self._applied = Applied(self._rest, False, self._timing.latency_s)
         if self._was_reset():
             self._parts.estimator.restart()
+            if self._parts.fixes is not None:
+                self._parts.fixes.restart()
         self._heard_ns = None
 
     def _was_reset(self) -> bool:
@@ -326,6 +337,19 @@ class Loop:
             )
         return feedback
 
+    def _robot_now_ns(self, feedback: Feedback) -> int:
+        """Return the robot time of this instant: by the newest feedback, in real time by TIME_SYNC once it is known.
+
+        Feedback says it only to a tick, because nobody knows how long it has lain there. An offset that says something
+        quite different is that of the clock before a reset.
+        """
+        now_ns = feedback.robot_time_ns + self._timing.feedback_latency_ns + self._silent_ns
+        offset_us = self._parts.device.clock_sync.offset_us
+        if self._parts.device.is_lockstep or offset_us != offset_us:
+            return now_ns
+        synced_ns = self._parts.clock.now_ns() + round(offset_us * 1e3)
+        return synced_ns if abs(synced_ns - now_ns) < _CLOCKS_APART_NS else now_ns
+
     def _is_stale(self, feedback: Feedback, fix: PoseFix | None) -> bool:
         """Nothing is driven by what is older than the firmware's own patience with us."""
         behind_ns = feedback.robot_time_ns - fix.time_ns if fix is not None else 0
@@ -342,7 +366,7 @@ class Loop:
         """Tell of a tick in which nothing is commanded: what is heard of the robot, which may be nothing."""
         applied = Applied(self._nothing, False, self._timing.latency_s)
         feedback, reference = self._parts.device.feedback, self._parts.reference.at(self.t_s)
-        self._tell(number, late_ns, feedback, Beliefs(fix, None, reference, applied))
+        self._tell(number, late_ns, feedback, Beliefs(fix, None, reference, applied, self._parts.estimator.status))
 
     def _tell(self, number: int, late_ns: int, feedback: Feedback | None, beliefs: Beliefs) -> None:
         self._ticks += 1

@@ -126,9 +126,10 @@ def signal_figures(
 ) -> tuple[dict[str, Any], dict[str, str]]:
     """Return the figures that follow from the signals alone, by name, and for each None the reason.
 
-    They are those of ``tracking_metrics`` and ``demand_metrics``, ``ticks``, ``tick_us`` with ``p50`` and ``p99``, and
-    ``deadline_misses``. ``torque_constant_n_m_a`` [N·m/A at the wheel] makes torques of the measured currents: in speed
-    mode nothing else tells them. Raises KeyError for a signal that is not there.
+    They are those of ``tracking_metrics`` and ``demand_metrics``, ``estimation_error`` as of ``estimation_metrics``,
+    ``ticks``, ``tick_us`` with ``p50`` and ``p99``, and ``deadline_misses``. ``torque_constant_n_m_a`` [N·m/A at the
+    wheel] makes torques of the measured currents: in speed mode nothing else tells them. Raises KeyError for a signal
+    that is not there.
     """
     t_s = signals["loop.t_s"]
     tracking = tracking_metrics(t_s, signals["error.planar_m"])
@@ -137,6 +138,9 @@ def signal_figures(
     torque_n_m = None if torque_constant_n_m_a is None else torque_constant_n_m_a * current_a
     demand = demand_metrics(t_s, error_m, torque_n_m, signals["guard.saturated"])
     reasons = tracking.reasons | demand.reasons
+    estimation = estimation_metrics(signals)
+    if estimation is None:
+        reasons["estimation_error"] = "there is no tick with both an estimated and a true pose"
     tick_us = percentiles(signals["loop.tick_us"])
     if tick_us is None:
         reasons["tick_us"] = "the run has fewer than two ticks"
@@ -144,11 +148,33 @@ def signal_figures(
     figures = {
         **tracking.figures(),
         **demand.figures(),
+        "estimation_error": estimation,
         "ticks": len(signals["loop.t_s"]),
         "tick_us": None if tick_us is None else tick_us._asdict(),
         "deadline_misses": int(misses[-1]) if len(misses) else 0,
     }
     return figures, reasons
+
+
+def estimation_metrics(signals: Mapping[str, Series]) -> dict[str, float] | None:
+    """Return how far the pose that the controller acted on was from the truth, over all ticks that have both.
+
+    They are ``rms_m`` and ``max_m`` of the distance, and ``heading_rms_rad``; None where there is no such tick. Raises
+    KeyError for a signal that is not there.
+    """
+    x_m, y_m, heading_rad = (
+        signals[f"pose.{name}"] - signals[f"truth.{name}"] for name in ("x_m", "y_m", "heading_rad")
+    )
+    heading_rad = np.remainder(heading_rad + np.pi, 2 * np.pi) - np.pi
+    square_m2 = x_m**2 + y_m**2
+    there = np.isfinite(square_m2 + heading_rad) & (signals["loop.t_s"] >= 0.0)
+    if not there.any():
+        return None
+    return {
+        "rms_m": float(np.sqrt(np.mean(square_m2[there]))),
+        "max_m": float(np.sqrt(np.max(square_m2[there]))),
+        "heading_rms_rad": float(np.sqrt(np.mean(heading_rad[there] ** 2))),
+    }
 
 
 def percentiles(series: Series) -> Percentiles | None:

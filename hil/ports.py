@@ -1,9 +1,10 @@
 """The ports of the house: what the tick needs, and nothing of how it is provided."""
 
-from typing import NamedTuple, Protocol
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, Protocol
 
 from firmware_protocol.framing import Frame
-from hil.types import Applied, Gains, PoseFix, Reference, State, WheelCommand
+from hil.types import Applied, Gains, MeasuredPose, PoseFix, Reference, State, WheelCommand
 
 
 class Received(NamedTuple):
@@ -63,10 +64,29 @@ class Controller(Protocol):
 
 
 class PoseSource(Protocol):
-    """Ground truth or external localisation; never travels on the wheel link."""
+    """Ground truth; never travels on the wheel link."""
 
     def poll(self) -> PoseFix | None:
         """Return the newest fix, or None when there is none yet. Raises DeviceError when the source is lost."""
+
+    def close(self) -> None:
+        """Release the source."""
+
+
+class FixSource(Protocol):
+    """A localisation of the robot's: pose fixes, late and with errors. Not the ground truth."""
+
+    def poll(self, now_ns: int, truth: PoseFix | None) -> Sequence[MeasuredPose]:
+        """Return the fixes that have arrived since the last call, in the order of their arrival; never waits.
+
+        ``now_ns`` is the robot time of this call; ``truth`` is the newest, of which only a simulation makes use.
+        """
+
+    def restart(self) -> None:
+        """Go on with a robot that was reset: its clock began anew."""
+
+    def figures(self) -> Mapping[str, Any]:
+        """Return what was received and what was refused, for the figures of a run."""
 
     def close(self) -> None:
         """Release the source."""

@@ -10,6 +10,7 @@ from hil.ports import Controller, Sink
 from hil.signals import (
     BatterySignals,
     ErrorSignals,
+    EstimatorSignals,
     GuardSignals,
     LinkSignals,
     LoopSignals,
@@ -30,6 +31,7 @@ class Beliefs(NamedTuple):
     state: State | None
     reference: Reference
     applied: Applied
+    estimator: EstimatorSignals
 
 
 class Rows:
@@ -50,7 +52,7 @@ class Rows:
         device, wire = self._device, self._wire
         if tick.tick % _REJECTED_EVERY == 0:
             self._rejected = sum(device.rejected().values())
-        fix, state, reference, applied = beliefs
+        fix, state, reference, applied, estimator = beliefs
         command = applied.command
         age_ms = (silent_ns + self._feedback_latency_ns) * 1e-6 if feedback is not None else NAN
         truth = fix.pose if fix is not None else NAN_POSE
@@ -70,6 +72,7 @@ class Rows:
                 device.report.health.temperature_degc,
                 _robot(feedback),
                 BatterySignals(device.report.health.battery_v, device.report.health.battery_a),
+                estimator,
                 GuardSignals(applied.saturated),
                 LinkSignals(
                     device.sent,

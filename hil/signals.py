@@ -49,6 +49,17 @@ class BatterySignals(NamedTuple):
     current_a: float
 
 
+class EstimatorSignals(NamedTuple):
+    sigma_position_m: float
+    sigma_heading_rad: float
+    gyro_bias_rad_s: float
+    fixes_accepted: float
+    fixes_rejected: float
+    fix_age_ms: float
+    slip: float
+    health: float
+
+
 class GuardSignals(NamedTuple):
     saturated: float
 
@@ -84,6 +95,7 @@ class Sample(NamedTuple):
     wheel_temperature: Wheels
     robot: RobotSignals
     battery: BatterySignals
+    estimator: EstimatorSignals
     guard: GuardSignals
     link: LinkSignals
 
@@ -126,6 +138,14 @@ _MEANING = {
     "robot.acceleration_z_m_s2": "accelerometer, up, 9.81 at rest; no value where the robot has none",
     "battery.*": "as the robot measures it; no value where it does not",
     "wheel.*.temperature_degc": "of the motor's winding; no value where the robot measures none",
+    "estimator.sigma_position_m": "standard deviation of the estimated position, its worst direction; only fused",
+    "estimator.sigma_heading_rad": "standard deviation of the estimated heading; only fused",
+    "estimator.gyro_bias_rad_s": "bias of the gyro as estimated; only fused",
+    "estimator.fixes_accepted": "pose fixes that the filter took so far; only fused",
+    "estimator.fixes_rejected": "pose fixes that were too far from the estimate so far; only fused",
+    "estimator.fix_age_ms": "age of the newest accepted pose fix; only fused",
+    "estimator.slip": "1 when wheels, gyro and accelerometer contradict one another; no value with true poses",
+    "estimator.health": "0 good, 1 degraded: no fix for too long, 2 lost: the robot is held at rest; only fused",
     "guard.saturated": "1 when the guard scaled the four wheels at a limit",
     "link.sent": "frames sent so far",
     "link.received": "valid frames received so far",

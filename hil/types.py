@@ -102,11 +102,30 @@ class Gains(NamedTuple):
 
 
 class PoseFix(NamedTuple):
-    """Ground truth or an external localisation: robot time of the sample, the pose, and, if known, the twist."""
+    """Ground truth: robot time of the sample, the pose, and, if known, the twist."""
 
     time_ns: int
     pose: Pose
     twist: Twist
+
+
+class PoseCovariance(NamedTuple):
+    """Covariance of a measured pose in the world frame: the upper triangle, row by row; h is the heading."""
+
+    xx_m2: float
+    xy_m2: float
+    xh_m_rad: float
+    yy_m2: float
+    yh_m_rad: float
+    hh_rad2: float
+
+
+class MeasuredPose(NamedTuple):
+    """A pose fix by a localisation of the robot's, such as a lidar's: robot time of its sample, pose, covariance."""
+
+    time_ns: int
+    pose: Pose
+    covariance: PoseCovariance
 
 
 ZERO_WHEELS = Wheels(0.0, 0.0, 0.0, 0.0)

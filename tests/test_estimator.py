@@ -8,13 +8,23 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.errors import BadInputError
-from hil.estimator import OdometryEstimator, TruthEstimator, make_estimator
+from hil.estimator import (
+    Estimator,
+    EstimatorOptions,
+    FusedEstimator,
+    FusedOptions,
+    OdometryEstimator,
+    TruthEstimator,
+    make_estimator,
+)
 from hil.kinematics import BodyTwist, to_world, wheel_speeds
 from hil.model import RobotModel
+from hil.scenario.tables import FilterTable
 from hil.types import NAN, NAN_POSE, ZERO_WHEELS, Pose, PoseFix, Twist, Wheels
 
 ROBOT = RobotModel(20.0, 0.56, 0.075, 0.3, 0.3, 0.005, 0.0, 5.0, 60.0)
 COUNTS = 4096
+OPTIONS = FusedOptions(**dict(FilterTable()))
 START = Pose(0.8, -0.2, 0.4)
 TICK_NS = 5_000_000
 
@@ -26,6 +36,7 @@ class Measured(NamedTuple):
     encoder_count: tuple[int, int, int, int] | None
     speed_rad_s: Wheels
     yaw_rate_rad_s: float = NAN
+    acceleration_m_s2: tuple[float, float, float] = (NAN, NAN, NAN)
 
 
 def arc(start: Pose, body: BodyTwist, t_s: float) -> Pose:
@@ -51,7 +62,7 @@ def drive(body: BodyTwist, ticks: int, *, counts: bool = True, gyro: float = NAN
 
 
 def odometry() -> OdometryEstimator:
-    return OdometryEstimator(ROBOT, START, COUNTS)
+    return OdometryEstimator(ROBOT, START, COUNTS, slip_threshold_m_s=0.1)
 
 
 @given(body_twists, st.integers(0, 0xFFFF), st.booleans())
@@ -136,12 +147,27 @@ def test_a_fix_without_twist_takes_it_from_wheels_and_gyro():
     assert state.twist == pytest.approx((0.0, 1.0, 0.4))
 
 
+def by_name(source: str, twist: str = "source", counts: int = COUNTS) -> Estimator:
+    return make_estimator(EstimatorOptions(source, twist, 0.1, OPTIONS), ROBOT, START, counts)
+
+
+def test_with_the_twist_of_the_wheels_only_the_pose_is_the_truths():
+    measured = drive(BodyTwist(1.0, 0.0, 0.5), 0, gyro=0.4)[0]
+    fix = PoseFix(0, Pose(0.0, 0.0, math.pi / 2), Twist(9.0, 9.0, 9.0))
+    state = by_name("truth", "wheels").update(measured, fix)
+    assert state is not None
+    assert state.pose == fix.pose
+    assert state.twist == pytest.approx((0.0, 1.0, 0.4))
+
+
 def test_sources_by_name():
-    assert isinstance(make_estimator("truth", ROBOT, START, COUNTS), TruthEstimator)
-    assert isinstance(make_estimator("odometry", ROBOT, START, COUNTS), OdometryEstimator)
+    kinds = {"truth": TruthEstimator, "odometry": OdometryEstimator, "fused": FusedEstimator}
+    for name, kind in kinds.items():
+        assert isinstance(by_name(name), kind)
     with pytest.raises(BadInputError, match=r"estimator.source = 'odometer': unknown; did you mean 'odometry'\?"):
-        make_estimator("odometer", ROBOT, START, COUNTS)
-    with pytest.raises(BadInputError, match=r"estimator\.source = 'odometer': .*did you mean 'odometry'"):
-        make_estimator("odometer", ROBOT, START, COUNTS)
-    with pytest.raises(BadInputError, match=r"firmware\.counts_per_revolution = 0: expected"):
-        make_estimator("odometry", ROBOT, START, 0)
+        by_name("odometer")
+    with pytest.raises(BadInputError, match=r"estimator\.twist = 'wheel': unknown; did you mean 'wheels'\?"):
+        by_name("truth", "wheel")
+    for name in ("odometry", "fused"):
+        with pytest.raises(BadInputError, match=r"firmware\.counts_per_revolution = 0: expected"):
+            by_name(name, counts=0)

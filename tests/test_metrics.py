@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.metrics import demand_metrics, percentiles, signal_figures, tracking_metrics
+from hil.metrics import demand_metrics, estimation_metrics, percentiles, signal_figures, tracking_metrics
 from hil.types import WHEEL_NAMES
 
 NAN = float("nan")
@@ -161,6 +161,24 @@ def test_signal_figures_of_a_run_of_one_tick_name_what_is_missing() -> None:
     one = {"loop.t_s": 0.0, "loop.tick_us": NAN, "loop.deadline_misses": 0.0, "guard.saturated": 0.0}
     one |= {"error.x_m": 0.2, "error.y_m": 0.0, "error.planar_m": 0.2}
     one |= {f"wheel.{wheel}.current_a": 0.0 for wheel in WHEEL_NAMES}
+    one |= {f"{group}.{name}": NAN for group in ("pose", "truth") for name in ("x_m", "y_m", "heading_rad")}
     figures, reasons = signal_figures({name: np.array([value]) for name, value in one.items()})
     assert figures["ticks"] == 1
     assert {name for name, value in figures.items() if value is None} == set(reasons)
+
+
+def test_the_error_of_the_estimate_counts_ticks_of_the_run_with_both_poses() -> None:
+    """3-4-5: distances 5 mm and 10 mm; a heading one turn apart is the same; one tick has no truth, one is before 0."""
+    signals = {
+        "loop.t_s": np.array([-0.1, 0.0, 0.1, 0.2]),
+        "pose.x_m": np.array([9.0, 0.003, 0.006, 9.0]),
+        "pose.y_m": np.array([9.0, 0.004, 0.008, 9.0]),
+        "pose.heading_rad": np.array([0.0, 0.01, 0.01 + 2 * np.pi, 0.0]),
+        "truth.x_m": np.array([0.0, 0.0, 0.0, NAN]),
+        "truth.y_m": np.array([0.0, 0.0, 0.0, NAN]),
+        "truth.heading_rad": np.array([0.0, 0.0, 0.0, NAN]),
+    }
+    found = estimation_metrics(signals)
+    assert found is not None
+    assert found == pytest.approx({"rms_m": math.sqrt(62.5e-6), "max_m": 0.010, "heading_rms_rad": 0.01})
+    assert estimation_metrics({name: series[3:] for name, series in signals.items()}) is None

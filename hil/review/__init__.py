@@ -12,7 +12,7 @@ __all__ = ["Event", "RecordedRun", "figures", "read", "review", "to_frame"]
 
 _NO_SUMMARY = "the recording has no summary: the run did not come to its end"
 _UNSAID = "the run's summary does not say"
-_FROM_SUMMARY = ("passed", "realtime_factor", "frames", "link_statistics", "wire_sha256")
+_FROM_SUMMARY = ("passed", "realtime_factor", "frames", "link_statistics", "pose_fixes", "wire_sha256")
 _ORDER = (
     "passed",
     "tracked_s",
@@ -23,12 +23,14 @@ _ORDER = (
     "effort_n_m_s",
     "torque_variation_n_m_per_s",
     "saturation_s",
+    "estimation_error",
     "ticks",
     "realtime_factor",
     "tick_us",
     "deadline_misses",
     "frames",
     "link_statistics",
+    "pose_fixes",
     "wire_sha256",
     "recording",
 )

@@ -57,7 +57,7 @@ def _place_of_reference(tree: Tree, message: str, scenario: str) -> str:
 
 def _contradictions(tables: Tables) -> Iterator[tuple[str, object, str]]:
     """Yield key, value and expectation of what cannot work together."""
-    firmware, loop, robot = tables.firmware, tables.loop, tables.robot
+    estimator, firmware, loop, robot = tables.estimator, tables.firmware, tables.loop, tables.robot
     period_s = 1.0 / loop.rate_hz
     if firmware.watchdog_s <= period_s:
         yield (
@@ -71,4 +71,10 @@ def _contradictions(tables: Tables) -> Iterator[tuple[str, object, str]]:
             firmware.overspeed_rad_s,
             f"expected more than robot.speed_limit_rad_s = {robot.speed_limit_rad_s:g}, "
             "or the robot would trip at a speed that it may be told",
+        )
+    if estimator.source == "fused" and estimator.fix != "simulated" and loop.mode == "lockstep":
+        yield (
+            "estimator.fix",
+            estimator.fix,
+            'expected "simulated" in lockstep, whose time no other program knows; or give loop.mode = "realtime"',
         )

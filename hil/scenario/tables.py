@@ -14,6 +14,7 @@ from pydantic import AfterValidator, ConfigDict, Field, field_validator
 
 from hil.errors import BadInputError, nearest
 from hil.links.url import parse_link
+from hil.localisation.address import parse_address
 from hil.plant_signals import INPUTS, OUTPUTS
 from hil.scenario.fields import Milliseconds, Option, OptionValue, Start, Table, Text, is_path
 from hil.scenario.rows import ExpectTable, FaultTable
@@ -230,10 +231,70 @@ class ReferenceTable(Table):
         return dict(self.__pydantic_extra__)
 
 
+class FilterTable(Table):
+    """``[estimator.filter]``: the filter of source "fused". Sigmas are standard deviations."""
+
+    begin: Literal["start", "fix"] = Field(default="start", description="at the scenario's start pose, or unknown")
+    start_sigma_m: float = Field(default=0.01, ge=0, le=100, description="of the start pose, each axis")
+    start_sigma_rad: float = Field(default=0.01, ge=0, le=10, description="of the start pose's heading")
+    wheels_sigma_m: float = Field(default=0.01, gt=0, le=10, description="of each axis after 1 m rolled")
+    wheels_sigma_rad: float = Field(default=0.02, gt=0, le=10, description="of the heading after 1 m, without gyro")
+    gyro_noise_rad_s: float = Field(default=0.01, gt=0, le=10, description="of one sample of the gyro")
+    gyro_bias_sigma_rad_s: float = Field(default=0.02, ge=0, le=10, description="of the gyro's bias at the start")
+    gyro_bias_walk_rad_s: float = Field(default=0.001, ge=0, le=10, description="of the bias's wandering in 1 s")
+    gate_probability: float = Field(default=0.999, ge=0.5, le=0.999999, description="of a right fix to be accepted")
+    restart_after: int = Field(
+        default=10,
+        ge=2,
+        le=1000,
+        description="rejected fixes that agree, in a row, to be believed",
+    )
+    fix_timeout_s: float = Field(default=0.5, gt=0, le=3600, description="age of the newest fix that is degraded")
+    lost_sigma_m: float = Field(
+        default=0.25, gt=0, le=1000, description="of the position, beyond which the robot is held at rest"
+    )
+    history_s: float = Field(default=1.0, ge=0.01, le=10, description="how late a fix may come")
+
+
+class SimulatedFixTable(Table):
+    """``[estimator.simulated_fix]``: a lidar's SLAM, simulated from the truth in robot time."""
+
+    rate_hz: float = Field(default=10.0, ge=0.1, le=1000, description="fixes a second")
+    latency_s: float = Field(default=0.1, ge=0, le=10, description="from the scan to the fix")
+    sigma_m: float = Field(default=0.02, ge=1e-5, le=100, description="noise of each axis")
+    sigma_rad: float = Field(default=0.01, ge=1e-5, le=10, description="noise of the heading")
+    outlier_probability: float = Field(default=0.0, ge=0, le=1, description="of a fix to be wrong")
+    outlier_m: float = Field(default=1.0, ge=0, le=1000, description="how far off; turned by at most as many rad")
+    dropout_probability: float = Field(default=0.0, ge=0, le=1, description="of a fix to be missing")
+    gap_start_s: float = Field(default=0.0, ge=0, le=86_400, description="from here on, since t = 0, there are none")
+    gap_end_s: float = Field(default=0.0, ge=0, le=86_400, description="up to here")
+
+
 class EstimatorTable(Table):
     """``[estimator]``: where the state that the controller acts on comes from."""
 
-    source: Literal["truth", "odometry"] = Field(default="truth", description="true pose, or wheels and gyro alone")
+    source: Literal["truth", "odometry", "fused"] = Field(
+        default="truth", description="true pose, wheels and gyro alone, or these with pose fixes"
+    )
+    twist: Literal["source", "wheels"] = Field(
+        default="source", description="the source's own, or that of wheels and gyro even where the truth has one"
+    )
+    slip_threshold_m_s: float = Field(
+        default=0.1, gt=0, le=100, description="contradiction of wheels, gyro and accelerometer that is slip"
+    )
+    fix: Text = Field(default="simulated", description='pose fixes of "fused": simulated, or udp://127.0.0.1:PORT')
+    filter: FilterTable = FilterTable()
+    simulated_fix: SimulatedFixTable = SimulatedFixTable()
+
+    @field_validator("fix")
+    @classmethod
+    def _reachable(cls, fix: str) -> str:
+        if fix != "simulated":
+            try:
+                parse_address(fix)
+            except BadInputError as error:
+                raise ValueError(str(error)) from error
+        return fix
 
 
 class LoopTable(Table):

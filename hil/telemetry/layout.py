@@ -109,6 +109,29 @@ _ENTITIES = (
     _wheels("/ctrl/wheel/command/torque", "torque_command_n_m"),
     _wheels("/ctrl/wheel/current", "current_a"),
     _wheels("/ctrl/wheel/temperature", "temperature_degc"),
+    Entity(
+        "/ctrl/estimator/sigma",
+        (
+            Series("estimator.sigma_position_m", "position [m]", PLAIN_COLOUR),
+            Series("estimator.sigma_heading_rad", "heading [rad]", HEADING_COLOUR),
+        ),
+    ),
+    Entity("/ctrl/estimator/gyro_bias", (Series("estimator.gyro_bias_rad_s", "gyro bias", HEADING_COLOUR),)),
+    Entity(
+        "/ctrl/estimator/fixes",
+        (
+            Series("estimator.fixes_accepted", "accepted", ESTIMATE_COLOUR),
+            Series("estimator.fixes_rejected", "rejected", ALARM_COLOUR),
+        ),
+    ),
+    Entity("/ctrl/estimator/fix_age", (Series("estimator.fix_age_ms", "fix age", PLAIN_COLOUR),)),
+    Entity(
+        "/ctrl/estimator/state",
+        (
+            Series("estimator.slip", "slip", REFERENCE_COLOUR),
+            Series("estimator.health", "health", ALARM_COLOUR),
+        ),
+    ),
     Entity("/ctrl/guard", (Series("guard.saturated", "saturated", ALARM_COLOUR),)),
     Entity("/robot/clock", (Series("robot.time_s", "robot time", PLAIN_COLOUR),)),
     Entity("/robot/state_code", (Series("robot.state", "state", PLAIN_COLOUR),)),

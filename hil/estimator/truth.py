@@ -1,0 +1,49 @@
+"""Where the robot is by ground truth: for reference, not for a robot that has to find out itself."""
+
+import math
+from collections.abc import Mapping, Sequence
+
+from hil.estimator.measurement import NO_STATUS, Measurement, measured_twist
+from hil.kinematics import to_world
+from hil.model import RobotModel
+from hil.signals import EstimatorSignals
+from hil.types import MeasuredPose, PoseFix, State
+
+
+class TruthEstimator:
+    """Takes the pose from the truth, and the twist too where it has one and ``twist`` is not ``"wheels"``.
+
+    Else the twist is that of the wheels and the gyro. Between two samples of the truth the last one stands. One whose
+    pose is not finite is ignored. None until there is one.
+    """
+
+    @property
+    def status(self) -> EstimatorSignals:
+        """Nothing to tell: the truth is not estimated."""
+        return NO_STATUS
+
+    def __init__(self, model: RobotModel, twist: str = "source") -> None:
+        self._model = model
+        self._uses_wheels = twist == "wheels"
+        self._truth: PoseFix | None = None
+
+    def update(
+        self, measurement: Measurement, truth: PoseFix | None, fixes: Sequence[MeasuredPose] = ()
+    ) -> State | None:
+        """Return the newest true pose and the twist."""
+        if truth is not None and math.isfinite(sum(truth.pose)):
+            self._truth = truth
+        if self._truth is None:
+            return None
+        pose, twist = self._truth.pose, self._truth.twist
+        if self._uses_wheels or not math.isfinite(sum(twist)):
+            twist = to_world(measured_twist(self._model, measurement), pose.heading_rad)
+        return State(pose, twist)
+
+    def fix_figures(self) -> Mapping[str, int]:
+        """Fixes have no part in it."""
+        return {}
+
+    def restart(self) -> None:
+        """Wait for a new sample of the truth."""
+        self._truth = None

@@ -1,0 +1,37 @@
+"""Where pose fixes are received: udp://HOST:PORT."""
+
+import ipaddress
+from urllib.parse import urlsplit
+
+from hil.errors import BadInputError
+
+LOOPBACK = "127.0.0.1"
+_EXPECTED = 'expected "simulated" or udp://127.0.0.1:PORT with a port from 1 to 65535'
+
+
+def is_udp(fix: str) -> bool:
+    """Return whether fixes come from outside."""
+    return fix.startswith("udp:")
+
+
+def parse_address(fix: str) -> tuple[str, int]:
+    """Return host and port of ``udp://HOST:PORT``; without a host it is 127.0.0.1.
+
+    An address of another network has to be given as such, in numbers: whoever can send there can tell the robot where
+    it is. Raises BadInputError for anything else.
+    """
+    try:
+        parts = urlsplit(fix)
+        host, port = parts.hostname or LOOPBACK, parts.port
+    except ValueError:
+        raise BadInputError(f"estimator.fix = {fix!r}: no address; {_EXPECTED}") from None
+    extra = parts.path or parts.query or parts.fragment or parts.username
+    if parts.scheme != "udp" or not parts.netloc or extra or port is None or port == 0:
+        raise BadInputError(f"estimator.fix = {fix!r}: no address; {_EXPECTED}")
+    try:
+        return str(ipaddress.IPv4Address(LOOPBACK if host == "localhost" else host)), port
+    except ValueError:
+        raise BadInputError(
+            f"estimator.fix = {fix!r}: {host!r} is no IPv4 address in numbers; expected 127.0.0.1, or the address of "
+            "the network card to listen on"
+        ) from None

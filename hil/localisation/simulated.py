@@ -1,0 +1,102 @@
+"""Pose fixes as a lidar's SLAM gives them, made of the truth: seldom, late, noisy, sometimes wrong or missing."""
+
+import math
+import random
+from collections import deque
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from hil.types import MeasuredPose, Pose, PoseCovariance, PoseFix
+
+_NS = 1e9
+
+
+class SimulatedOptions(NamedTuple):
+    """``[estimator.simulated_fix]`` of a scenario, where each is explained and has its default."""
+
+    rate_hz: float
+    latency_s: float
+    sigma_m: float
+    sigma_rad: float
+    outlier_probability: float
+    outlier_m: float
+    dropout_probability: float
+    gap_start_s: float
+    gap_end_s: float
+
+
+class SimulatedFixes:
+    """A FixSource on robot time: in lockstep one seed gives the same fixes in every run.
+
+    The first sample of the truth of each period of 1 / ``rate_hz`` becomes a fix, stamped with its own time, which
+    arrives ``latency_s`` later. An outlier is off by ``outlier_m`` in any direction and turned by up to that many
+    radians; the covariance, as a real one's, does not tell. The random numbers of a fix are drawn in the same order
+    whatever becomes of it, so that an option changes what it says and nothing else.
+    """
+
+    def __init__(self, options: SimulatedOptions, seed: int) -> None:
+        self._options = options
+        self._random = random.Random(f"pose fixes {seed}")
+        self._period_ns = round(_NS / options.rate_hz)
+        self._latency_ns = round(options.latency_s * _NS)
+        position, heading = options.sigma_m**2, options.sigma_rad**2
+        self._covariance = PoseCovariance(position, 0.0, 0.0, position, 0.0, heading)
+        self._on_their_way: deque[MeasuredPose] = deque()
+        self._first_ns: int | None = None
+        self._passed_ns = 0
+        self._period: int | None = None
+        self._counts = {"made": 0, "outliers": 0, "dropped": 0, "received": 0}
+
+    def poll(self, now_ns: int, truth: PoseFix | None) -> Sequence[MeasuredPose]:
+        """Take the newest truth and return the fixes that arrive by now."""
+        if truth is not None and math.isfinite(sum(truth.pose)):
+            self._sample(truth)
+        arrived: list[MeasuredPose] = []
+        while self._on_their_way and self._on_their_way[0].time_ns + self._latency_ns <= now_ns:
+            arrived.append(self._on_their_way.popleft())
+        self._counts["received"] += len(arrived)
+        return arrived
+
+    def restart(self) -> None:
+        """Stamp by the new clock; what was on its way had the stamps of the old one and is lost."""
+        self._on_their_way.clear()
+        self._first_ns = None
+        self._period = None
+
+    def figures(self) -> dict[str, Any]:
+        """Return how many fixes were made, and what became of them."""
+        return dict(self._counts)
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+    def _sample(self, truth: PoseFix) -> None:
+        if self._first_ns is None:
+            self._first_ns = truth.time_ns - self._passed_ns
+        self._passed_ns = truth.time_ns - self._first_ns
+        period = truth.time_ns // self._period_ns
+        if period == self._period:
+            return
+        self._period = period
+        fix = self._made(truth)
+        if fix is not None:
+            self._on_their_way.append(fix)
+
+    def _made(self, truth: PoseFix) -> MeasuredPose | None:
+        options, chance = self._options, self._random
+        x_m, y_m = (chance.gauss(0.0, options.sigma_m) for _ in "xy")
+        heading_rad = chance.gauss(0.0, options.sigma_rad)
+        is_outlier = chance.random() < options.outlier_probability
+        direction_rad, turned_rad = chance.uniform(-math.pi, math.pi), chance.uniform(-1.0, 1.0) * options.outlier_m
+        is_dropped = chance.random() < options.dropout_probability
+        self._counts["made"] += 1
+        if is_dropped or options.gap_start_s <= self._passed_ns / _NS < options.gap_end_s:
+            self._counts["dropped"] += 1
+            return None
+        if is_outlier:
+            self._counts["outliers"] += 1
+            x_m += options.outlier_m * math.cos(direction_rad)
+            y_m += options.outlier_m * math.sin(direction_rad)
+            heading_rad += turned_rad
+        x, y, heading = truth.pose
+        return MeasuredPose(truth.time_ns, Pose(x + x_m, y + y_m, heading + heading_rad), self._covariance)

@@ -1,0 +1,261 @@
+"""The fused estimator and slip detection on measurements of an ideal robot, each policy in turn."""
+
+import math
+from typing import NamedTuple
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hil.estimator import FusedEstimator, FusedOptions
+from hil.estimator.motion import Motion
+from hil.estimator.slip import SlipDetector
+from hil.kinematics import BodyTwist, wheel_speeds
+from hil.model import RobotModel
+from hil.scenario.tables import FilterTable
+from hil.types import NAN, MeasuredPose, Pose, PoseCovariance, State, Wheels
+
+ROBOT = RobotModel(20.0, 0.56, 0.075, 0.3, 0.3, 0.005, 0.0, 5.0, 60.0)
+COUNTS = 4096
+START = Pose(0.8, -0.2, 0.4)
+TICK_NS = 5_000_000
+COVARIANCE = PoseCovariance(1e-4, 0.0, 0.0, 1e-4, 0.0, 1e-4)
+GOOD, DEGRADED, LOST = 0.0, 1.0, 2.0
+AT_REST = BodyTwist(0.0, 0.0, 0.0)
+NO_ACCELERATION = (NAN, NAN, NAN)
+
+
+class Measured(NamedTuple):
+    robot_time_ns: int
+    encoder_count: tuple[int, int, int, int] | None
+    speed_rad_s: Wheels
+    yaw_rate_rad_s: float = NAN
+    acceleration_m_s2: tuple[float, float, float] = NO_ACCELERATION
+
+
+class Drive:
+    """A robot that moves with one body twist, and the estimator that watches it."""
+
+    def __init__(self, body=AT_REST, *, bias=0.0, gyro=True, slip_m_s=0.1, **options) -> None:
+        self.estimator = FusedEstimator(ROBOT, START, COUNTS, slip_m_s, FusedOptions(**(dict(FilterTable()) | options)))
+        self.speed = wheel_speeds(body, ROBOT.wheel_radius_m, ROBOT.lever_m)
+        self.yaw_rate = body.yaw_rate_rad_s + bias if gyro else NAN
+        self.tick, self.epoch_ns = -1, 0
+        self.state: State | None = None
+
+    @property
+    def now_ns(self) -> int:
+        return self.epoch_ns + self.tick * TICK_NS
+
+    @property
+    def status(self):
+        return self.estimator.status
+
+    def go(self, ticks: int, fix_every: int = 0, late_ns: int = 100_000_000, at: Pose | None = None) -> None:
+        """Go on; every so many ticks a fix of ``at`` arrives, else of where a robot at rest is."""
+        for _ in range(ticks):
+            self.tick += 1
+            turns = [math.floor(w * self.tick * TICK_NS * 1e-9 * COUNTS / math.tau) & 0xFFFF for w in self.speed]
+            fl, fr, rr, rl = turns
+            fixes = []
+            if fix_every and self.tick % fix_every == 0:
+                fixes.append(MeasuredPose(self.now_ns - late_ns, at or START, COVARIANCE))
+            measured = Measured(self.now_ns, (fl, fr, rr, rl), self.speed, self.yaw_rate)
+            self.state = self.estimator.update(measured, None, fixes)
+
+    def fix(self, time_ns: int, pose: Pose = START) -> None:
+        """A fix arrives between two ticks."""
+        again = Measured(self.now_ns, None, self.speed, self.yaw_rate)
+        self.state = self.estimator.update(again, None, [MeasuredPose(time_ns, pose, COVARIANCE)])
+
+
+def test_a_bias_of_the_gyro_is_found_and_leaves_pose_and_twist_alone():
+    drive = Drive(bias=0.01)
+    drive.go(2000, fix_every=20)
+    assert drive.status.gyro_bias_rad_s == pytest.approx(0.01, abs=1e-4)
+    assert drive.state.pose == pytest.approx(START, abs=1e-3)
+    assert drive.state.twist.yaw_rate_rad_s == pytest.approx(0.0, abs=1e-4)
+    assert drive.status.health == GOOD
+    assert (drive.status.fixes_accepted, drive.status.fixes_rejected) == (98, 0), (
+        "those of the start and before it come too late"
+    )
+
+
+def test_without_a_gyro_the_wheels_turn_the_robot_and_it_is_less_sure():
+    body = BodyTwist(0.3, 0.0, 0.5)
+    with_gyro, without = Drive(body), Drive(body, gyro=False)
+    with_gyro.go(400)
+    without.go(400)
+    turned = 0.5 * 399 * TICK_NS * 1e-9
+    for drive in (with_gyro, without):
+        assert drive.state.pose.heading_rad == pytest.approx(START.heading_rad + turned, abs=1e-3)
+    assert math.isnan(without.yaw_rate)
+    assert without.status.gyro_bias_rad_s == 0.0
+    way_m = (0.3 + ROBOT.lever_m * 0.5) * 399 * TICK_NS * 1e-9
+    assert without.status.sigma_heading_rad == pytest.approx(math.hypot(0.01, 0.02 * math.sqrt(way_m)), rel=1e-3)
+
+
+def test_over_a_gap_in_the_measurements_the_encoders_are_believed():
+    """A second without feedback in a turn: the gyro's ends say what it is by chance, the counts what it was."""
+    drive = Drive(BodyTwist(0.0, 0.0, 1.0), bias=0.7)
+    drive.go(1)
+    drive.tick += 199
+    drive.go(1)
+    assert drive.state.pose.heading_rad == pytest.approx(START.heading_rad + 1.0, abs=1e-3)
+
+
+def test_when_fixes_stop_the_robot_is_degraded_then_lost_and_comes_back():
+    drive = Drive(BodyTwist(1.0, 0.0, 0.0), wheels_sigma_m=0.1, lost_sigma_m=0.2)
+    drive.go(101)
+    assert (drive.status.health, drive.status.fix_age_ms) == (GOOD, 500.0)
+    drive.go(1)
+    assert drive.status.health == DEGRADED
+    drive.go(1000)
+    assert drive.status.health == LOST
+    assert drive.status.sigma_position_m > 0.2
+    believed = drive.state.pose
+    drive.fix(drive.now_ns, believed)
+    assert drive.status.health == GOOD
+    assert drive.status.fix_age_ms == 0.0
+
+
+def test_a_start_that_is_not_known_waits_for_a_fix():
+    drive = Drive(begin="fix")
+    drive.go(50)
+    assert drive.state is None
+    assert drive.status.health == LOST
+    elsewhere = Pose(40.0, -3.0, 2.0)
+    drive.fix(drive.now_ns - 100_000_000, elsewhere)
+    assert drive.state.pose == pytest.approx(elsewhere)
+    assert drive.status.health == GOOD
+    assert drive.estimator.fix_figures()["restarts"] == 0
+
+
+def test_fixes_that_go_on_to_disagree_are_believed_after_the_streak():
+    drive = Drive(restart_after=5)
+    elsewhere = Pose(2.0, 1.0, -1.0)
+    drive.go(100, fix_every=20, at=elsewhere)
+    assert (drive.estimator.fix_figures()["restarts"], drive.state.pose) == (0, START)
+    drive.go(80, fix_every=20, at=elsewhere)
+    assert drive.estimator.fix_figures()["restarts"] == 1
+    assert drive.state.pose == pytest.approx(elsewhere, abs=1e-6)
+
+
+def test_fixes_out_of_reach_are_counted_by_cause():
+    drive = Drive(history_s=0.5)
+    drive.go(301)
+    drive.fix(drive.now_ns - 600_000_000)
+    drive.fix(drive.now_ns + 200_000_000)
+    drive.fix(drive.now_ns - 50_000_000)
+    drive.fix(drive.now_ns - 50_000_000)
+    assert drive.estimator.fix_figures() == {
+        "accepted": 1,
+        "rejected": 0,
+        "too_late": 1,
+        "double": 1,
+        "ahead": 1,
+        "restarts": 0,
+    }
+    assert drive.status.fixes_accepted == 1
+
+
+def test_a_fix_of_a_moment_to_come_waits_for_it():
+    drive = Drive()
+    drive.go(1)
+    drive.fix(drive.now_ns + 12_000_000)
+    for _ in range(2):
+        drive.go(1)
+        assert drive.status.fixes_accepted == 0
+    drive.go(1)
+    assert drive.status.fixes_accepted == 1
+
+
+def test_no_more_than_32_fixes_wait():
+    drive = Drive()
+    drive.go(1)
+    for n in range(40):
+        drive.fix(drive.now_ns + 1_000_000 + n)
+    assert drive.estimator.fix_figures()["ahead"] == 8
+
+
+def test_after_a_reset_of_the_robot_the_pose_goes_on_with_more_doubt():
+    """Clock and encoders begin anew; the age of the newest fix goes on, the bias stays, and fixes are taken again."""
+    drive = Drive(bias=0.01)
+    drive.go(1000, fix_every=20)
+    before, pose = drive.status, drive.state.pose
+    drive.estimator.restart()
+    drive.tick, drive.epoch_ns = -1, 40_000_000
+    drive.go(1)
+    assert drive.state.pose == pose
+    assert drive.status.fix_age_ms == before.fix_age_ms
+    assert drive.status.gyro_bias_rad_s == before.gyro_bias_rad_s
+    assert drive.status.sigma_position_m > 0.1 > before.sigma_position_m
+    drive.go(100, fix_every=20)
+    assert drive.status.fixes_accepted == before.fixes_accepted + 4
+    assert drive.status.sigma_position_m < 0.02
+
+
+def test_a_restart_before_the_first_measurement_begins_at_the_start():
+    drive = Drive()
+    drive.estimator.restart()
+    drive.go(1)
+    assert drive.state.pose == START
+
+
+def test_slip_makes_the_estimate_less_sure_of_its_place():
+    sure, slipping = Drive(BodyTwist(0.5, 0.0, 0.0)), Drive(BodyTwist(0.5, 0.0, 0.0))
+    fl, fr, rr, rl = slipping.speed
+    slipping.speed = Wheels(fl + 20.0, fr + 20.0, rr, rl)
+    for drive in (sure, slipping):
+        drive.go(200)
+    assert (sure.status.slip, slipping.status.slip) == (0.0, 1.0)
+    assert slipping.status.sigma_position_m > 3 * sure.status.sigma_position_m
+
+
+def rolling(body: BodyTwist, dt_s: float, gained=(0.0, 0.0)) -> Motion:
+    forward, left, rate = (rate * dt_s for rate in body)
+    return Motion(dt_s, forward, left, rate, rate, 0.0, *gained)
+
+
+@given(
+    st.builds(BodyTwist, st.floats(-2, 2), st.floats(-2, 2), st.floats(-3, 3)), st.sampled_from([0.001, 0.005, 0.02])
+)
+def test_a_robot_that_rolls_does_not_slip(body, dt_s):
+    """Driving in a turn at a constant body twist: the accelerometer feels the centripetal acceleration and no more."""
+    detector = SlipDetector(ROBOT.lever_m, 0.05)
+    gained = (-body.yaw_rate_rad_s * body.left_m_s * dt_s, body.yaw_rate_rad_s * body.forward_m_s * dt_s)
+    for _ in range(300):
+        assert detector.update(rolling(body, dt_s, gained)) == 0.0
+
+
+@pytest.mark.parametrize("dt_s", [0.001, 0.005, 0.01])
+@pytest.mark.parametrize(
+    "fault",
+    [
+        {"disagreement_m": 0.3},
+        {"turned_rad": 0.3 / ROBOT.lever_m},
+        {"gained_forward_m_s": 3.0},
+        {"gained_left_m_s": -3.0},
+    ],
+)
+def test_each_contradiction_is_slip_within_a_window_and_over_after_it(fault, dt_s):
+    """A contradiction of 0.3 m/s, or of 3 m/s² for 0.1 s; its speed is told, and half the threshold ends it."""
+    detector = SlipDetector(ROBOT.lever_m, 0.1)
+    plain = rolling(AT_REST, dt_s, (0.0, 0.0))
+    wrong = plain._replace(**{name: value * dt_s for name, value in fault.items()})
+    for _ in range(round(0.1 / dt_s)):
+        found = detector.update(wrong)
+    assert 0.15 < found < 0.3
+    for _ in range(round(0.6 / dt_s)):
+        assert detector.update(plain) <= found
+    assert not detector.is_slipping
+
+
+def test_without_gyro_and_accelerometer_the_rollers_alone_tell():
+    detector = SlipDetector(ROBOT.lever_m, 0.1)
+    motion = Motion(0.005, 0.0, 0.0, 0.1, NAN, 0.0, NAN, NAN)
+    for _ in range(100):
+        assert detector.update(motion) == 0.0
+    for _ in range(100):
+        found = detector.update(motion._replace(disagreement_m=0.001))
+    assert found == pytest.approx(0.2, rel=0.1)

@@ -1,0 +1,292 @@
+"""The filter against oracles of its own: NumPy in order, SciPy over the whole past, chi-square; and late fixes."""
+
+import itertools
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import least_squares
+from scipy.stats import chi2
+
+from hil.estimator.belief import (
+    Acceptance,
+    Belief,
+    Covariance,
+    Step,
+    corrected,
+    gate_of,
+    moved,
+    position_sigma_m,
+    start,
+)
+from hil.estimator.history import History
+from hil.types import MeasuredPose, Pose, PoseCovariance
+
+Array = npt.NDArray[np.float64]
+
+TICK_NS = 20_000_000
+TICK_S = TICK_NS * 1e-9
+FIX_EVERY = 5
+TICKS = 50
+START = Pose(0.5, -0.3, 2.5)
+FIX_COVARIANCE = PoseCovariance(4e-4, 1e-4, 2e-5, 3e-4, -1e-5, 1e-4)
+OPEN_GATE = math.inf
+TRIANGLE = np.triu_indices(4)
+
+
+def matrix(covariance: Sequence[float], size: int) -> Array:
+    full = np.zeros((size, size))
+    full[np.triu_indices(size)] = covariance
+    return full + np.triu(full, 1).T
+
+
+class World:
+    """A drive: true poses, the steps and fixes that a robot measures of it, all from one seed."""
+
+    def __init__(self, seed: int, *, gyro: bool = True, ticks: int = TICKS) -> None:
+        chance = np.random.default_rng(seed)
+        self.first = start(0, START, 0.05, 0.05, 0.05)
+        prior = np.linalg.cholesky(matrix(self.first.covariance, 4)) @ chance.standard_normal(4)
+        x, y, heading, bias = np.array([*START, 0.0]) + prior
+        fix_root = np.linalg.cholesky(matrix(FIX_COVARIANCE, 3))
+        self.steps: list[Step] = []
+        self.fixes: list[MeasuredPose] = []
+        for tick in range(1, ticks + 1):
+            step = Step(0.02, 0.01 * math.sin(tick / 9), 0.03, TICK_S if gyro else 0.0, 1e-6, 4e-6, 1e-8)
+            forward, left = np.array([step.forward_m, step.left_m]) + chance.normal(0.0, 1e-3, 2)
+            turned = step.turned_rad - bias * step.biased_s
+            middle = heading + turned / 2
+            x += math.cos(middle) * forward - math.sin(middle) * left
+            y += math.sin(middle) * forward + math.cos(middle) * left
+            heading += turned + chance.normal(0.0, 2e-3)
+            bias += chance.normal(0.0, 1e-4)
+            self.steps.append(step)
+            if tick % FIX_EVERY == 0:
+                noise = fix_root @ chance.standard_normal(3)
+                wrapped = math.remainder(heading + noise[2], math.tau)
+                self.fixes.append(
+                    MeasuredPose(tick * TICK_NS, Pose(x + noise[0], y + noise[1], wrapped), FIX_COVARIANCE)
+                )
+        self.truth = np.array([x, y, heading, bias])
+
+
+def history_of(first: Belief, gate: float = OPEN_GATE, streak: int = 1000) -> History:
+    return History(first, 10**10, lambda belief, fix: corrected(belief, fix, Acceptance(gate, streak, 0.0)))
+
+
+def believed(
+    world: World, arrivals: Sequence[tuple[int, MeasuredPose]], gate: float = OPEN_GATE, streak: int = 1000
+) -> Belief:
+    """Return what is believed at the end of a drive when each fix arrives at its tick."""
+    history = history_of(world.first, gate, streak)
+    for tick, step in enumerate(world.steps, 1):
+        history.append(step, tick * TICK_NS)
+        if due := [fix for at, fix in arrivals if at == tick]:
+            history.insert(due)
+    return history.newest
+
+
+def in_time(world: World) -> list[tuple[int, MeasuredPose]]:
+    return [(-(-fix.time_ns // TICK_NS), fix) for fix in world.fixes]
+
+
+def numbers(belief: Belief) -> Array:
+    return np.array([belief.x_m, belief.y_m, belief.heading_rad, belief.bias_rad_s])
+
+
+def step_by_matrix(state: Array, step: Step) -> Array:
+    x, y, heading, bias = state
+    turned = step.turned_rad - bias * step.biased_s
+    middle = heading + turned / 2
+    c, s = math.cos(middle), math.sin(middle)
+    return np.array(
+        [x + c * step.forward_m - s * step.left_m, y + s * step.forward_m + c * step.left_m, heading + turned, bias]
+    )
+
+
+def in_order_by_numpy(world: World) -> tuple[Array, Array]:
+    """A textbook extended Kalman filter: Jacobians by differences, full matrices, Joseph's form."""
+    state, p = numbers(world.first), matrix(world.first.covariance, 4)
+    fixes = {fix.time_ns // TICK_NS: fix for fix in world.fixes}
+    h, width = np.eye(3, 4), 1e-6
+    for tick, step in enumerate(world.steps, 1):
+        columns = [(step_by_matrix(state + e, step) - step_by_matrix(state - e, step)) for e in width * np.eye(4)]
+        f = np.array(columns).T / (2 * width)
+        q = np.diag([step.position_m2, step.position_m2, step.heading_rad2, step.bias_rad2_s2])
+        state, p = step_by_matrix(state, step), f @ p @ f.T + q
+        if tick in fixes:
+            r = matrix(fixes[tick].covariance, 3)
+            innovation = np.array(fixes[tick].pose) - state[:3]
+            innovation[2] = math.remainder(innovation[2], math.tau)
+            k = p @ h.T @ np.linalg.inv(h @ p @ h.T + r)
+            rest = np.eye(4) - k @ h
+            state, p = state + k @ innovation, rest @ p @ rest.T + k @ r @ k.T
+    return state, p
+
+
+@pytest.mark.parametrize("gyro", [True, False])
+def test_the_filter_is_the_textbooks(gyro):
+    world = World(1, gyro=gyro)
+    state, p = in_order_by_numpy(world)
+    end = believed(world, in_time(world))
+    assert numbers(end) == pytest.approx(state, abs=1e-7)
+    assert np.array(end.covariance) == pytest.approx(p[TRIANGLE], rel=1e-5, abs=1e-10)
+
+
+def test_the_filter_is_near_the_most_likely_past_of_all():
+    """SciPy finds all states at once from all measurements; the filter, which linearises as it goes, ends beside it."""
+    world = World(2)
+    roots = [np.sqrt([s.position_m2, s.position_m2, s.heading_rad2, s.bias_rad2_s2]) for s in world.steps]
+    whitener = np.linalg.inv(np.linalg.cholesky(matrix(FIX_COVARIANCE, 3)))
+    prior = np.sqrt(np.diag(matrix(world.first.covariance, 4)))
+
+    def residuals(flat: Array) -> Array:
+        states = flat.reshape(TICKS + 1, 4)
+        parts = [(states[0] - numbers(world.first)) / prior]
+        for before, after, step, root in zip(states, states[1:], world.steps, roots, strict=False):
+            parts.append((after - step_by_matrix(before, step)) / root)
+        for fix in world.fixes:
+            miss = states[fix.time_ns // TICK_NS][:3] - np.array(fix.pose)
+            miss[2] = math.remainder(miss[2], math.tau)
+            parts.append(whitener @ miss)
+        return np.concatenate(parts)
+
+    guess = [numbers(world.first)]
+    for step in world.steps:
+        guess.append(step_by_matrix(guess[-1], step))
+    band = np.zeros((4 + 4 * TICKS + 3 * len(world.fixes), 4 * (TICKS + 1)))
+    band[:4, :4] = 1
+    for tick in range(TICKS):
+        band[4 + 4 * tick : 8 + 4 * tick, 4 * tick : 4 * tick + 8] = 1
+    for row, fix in enumerate(world.fixes):
+        at = 4 * (fix.time_ns // TICK_NS)
+        band[4 + 4 * TICKS + 3 * row :, at : at + 4][:3] = 1
+    best = least_squares(residuals, np.concatenate(guess), jac_sparsity=band, x_scale="jac").x.reshape(-1, 4)[-1]
+    end = believed(world, in_time(world))
+    sigma = np.sqrt(np.diag(matrix(end.covariance, 4)))
+    assert abs(numbers(end) - best) / sigma == pytest.approx(np.zeros(4), abs=0.05)
+
+
+def test_the_errors_are_as_large_as_the_covariance_says():
+    """Normalised squared errors over 60 seeds: their sum is chi-square distributed with 4 degrees of freedom each."""
+    total, seeds = 0.0, 60
+    for seed in range(seeds):
+        world = World(seed)
+        end = believed(world, in_time(world))
+        error = numbers(end) - world.truth
+        total += error @ np.linalg.solve(matrix(end.covariance, 4), error)
+    assert chi2.ppf(0.001, 4 * seeds) < total < chi2.ppf(0.999, 4 * seeds)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.integers(0, 40), min_size=10, max_size=10), st.integers(0, TICK_NS - 1), st.randoms())
+def test_late_and_out_of_order_is_exactly_in_order(delays, apart_ns, chance):
+    """Bit for bit, with gate and streak of rejections: fixes between the ticks, two of one instant, outliers."""
+    world = World(3)
+    wrong = world.fixes[4]
+    world.fixes[4] = wrong._replace(pose=wrong.pose._replace(x_m=wrong.pose.x_m + 3.0))
+    world.fixes = [fix._replace(time_ns=fix.time_ns - apart_ns) for fix in world.fixes]
+    world.fixes[7] = world.fixes[7]._replace(time_ns=world.fixes[6].time_ns)
+    late = [(min(at + delay, TICKS), fix) for (at, fix), delay in zip(in_time(world), delays, strict=True)]
+    chance.shuffle(late)
+    expected = believed(world, in_time(world), gate_of(0.999), 3)
+    assert expected.rejected >= 1
+    assert believed(world, late, gate_of(0.999), 3) == expected
+
+
+def test_a_fix_between_two_measurements_is_taken_at_its_own_instant():
+    """Driving at 1 m/s without turning, a perfect fix half way through the step says where the robot is at its end."""
+    history = history_of(start(0, Pose(0.0, 0.0, 0.0), 1.0, 1e-6, 1e-6))
+    history.append(Step(0.02, 0.0, 0.0, TICK_S, 1e-12, 1e-12, 0.0), TICK_NS)
+    fix = MeasuredPose(TICK_NS // 2, Pose(5.0, 1.0, 0.0), PoseCovariance(1e-10, 0.0, 0.0, 1e-10, 0.0, 1e-10))
+    assert history.insert([fix]) == 0
+    assert (history.newest.x_m, history.newest.y_m) == pytest.approx((5.01, 1.0), abs=1e-6)
+    assert history.insert([fix]) == 1, "the same fix again is no news"
+
+
+def test_the_past_is_no_longer_than_asked_for():
+    history = History(start(0, START, 0.1, 0.1, 0.1), 100 * TICK_NS, lambda belief, fix: belief)
+    for tick in range(1, 1000):
+        history.append(Step(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), tick * TICK_NS)
+        assert history.begin_ns == max(0, tick - 100) * TICK_NS
+
+
+@given(st.floats(0.5, 0.999999))
+def test_the_gate_is_chi_squares(probability):
+    assert gate_of(probability) == pytest.approx(chi2.ppf(probability, 3), rel=1e-6)
+
+
+def test_the_gate_lets_through_as_many_right_fixes_as_it_says():
+    """Of first fixes: a right one that is rejected leaves an error behind, and makes the next rejection likelier."""
+    made, taken = 300, 0
+    for seed in range(made):
+        world = World(seed, ticks=FIX_EVERY)
+        taken += believed(world, in_time(world), gate_of(0.9)).accepted
+    assert abs(taken - 0.9 * made) < 4 * math.sqrt(made * 0.9 * 0.1)
+
+
+def test_outliers_are_rejected_and_change_nothing():
+    world = World(5)
+    clean = believed(world, in_time(world), gate_of(0.9999))
+    wrong = [
+        fix._replace(time_ns=fix.time_ns + 1, pose=Pose(fix.pose.x_m + dx, fix.pose.y_m, fix.pose.heading_rad))
+        for fix, dx in zip(world.fixes, itertools.cycle((1.0, -1.0, 2.0)))
+    ]
+    arrivals = in_time(world) + [(fix.time_ns // TICK_NS + 1, fix) for fix in wrong[:-1]]
+    fouled = believed(world, arrivals, gate_of(0.9999), streak=3)
+    assert (clean.rejected, fouled.rejected, fouled.restarts) == (0, len(wrong) - 1, 0)
+    assert fouled.accepted == clean.accepted
+    # A rejected fix splits its step in two, so the numbers differ by what the midpoint rule leaves.
+    assert numbers(fouled) == pytest.approx(numbers(clean), abs=1e-6)
+
+
+@given(st.floats(0.5, 20.0), st.floats(-3.0, 3.0), st.floats(-2.5, 2.5))
+@settings(max_examples=30, deadline=None)
+def test_a_robot_that_was_carried_away_is_found_after_the_streak(dx, dy, turned):
+    """Fixes of another place that agree with one another and with the motion are believed, at any heading."""
+    world = World(6)
+    c, s = math.cos(turned), math.sin(turned)
+    elsewhere = [
+        fix._replace(
+            pose=Pose(
+                dx + c * fix.pose.x_m - s * fix.pose.y_m, dy + s * fix.pose.x_m + c * fix.pose.y_m,
+                fix.pose.heading_rad + turned,
+            ),
+            covariance=PoseCovariance(4e-4, 0.0, 0.0, 4e-4, 0.0, 1e-4),
+        )
+        for fix in world.fixes
+    ]  # fmt: skip
+    world.fixes[4:] = elsewhere[4:]
+    end = believed(world, in_time(world), gate_of(0.999), streak=4)
+    assert end.restarts == 1
+    assert (end.rejected, end.streak) == (3, 0)
+    x, y, heading, _ = world.truth
+    assert (end.x_m, end.y_m) == pytest.approx((dx + c * x - s * y, dy + s * x + c * y), abs=0.1)
+    assert math.remainder(end.heading_rad - heading - turned, math.tau) == pytest.approx(0.0, abs=0.05)
+
+
+def test_fixes_that_disagree_with_one_another_are_never_believed():
+    world = World(7)
+    world.fixes = [
+        fix._replace(pose=fix.pose._replace(x_m=fix.pose.x_m + 3.0 + number))
+        for number, fix in enumerate(world.fixes)
+    ]  # fmt: skip
+    end = believed(world, in_time(world), gate_of(0.999), streak=2)
+    assert (end.accepted, end.restarts, end.streak) == (0, 0, 1)
+
+
+@given(st.lists(st.floats(-1, 1), min_size=16, max_size=16), st.floats(-4, 4), st.floats(-0.1, 0.1))
+def test_a_covariance_stays_one(entries, heading, turned):
+    root = np.array(entries).reshape(4, 4)
+    p = root @ root.T + 1e-6 * np.eye(4)
+    belief = start(0, Pose(0.0, 0.0, heading), 1.0, 1.0, 1.0)._replace(covariance=Covariance(*p[TRIANGLE]))
+    after = moved(belief, Step(0.05, -0.02, turned, TICK_S, 1e-6, 1e-6, 1e-8), TICK_NS)
+    fix = MeasuredPose(TICK_NS, Pose(after.x_m, after.y_m, after.heading_rad), FIX_COVARIANCE)
+    for one in (after, corrected(after, fix, Acceptance(OPEN_GATE, 2, 0.0))):
+        assert np.linalg.eigvalsh(matrix(one.covariance, 4)).min() > 0.0
+        worst = np.linalg.eigvalsh(matrix(one.covariance, 4)[:2, :2]).max()
+        assert position_sigma_m(one.covariance) == pytest.approx(math.sqrt(worst))
