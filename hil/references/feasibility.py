@@ -1,7 +1,7 @@
 """Whether a robot can follow a reference: the wheel speeds and torques that it asks for, against their limits."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from hil.model import RobotModel
 from hil.references.motion import ReferenceSource
@@ -12,35 +12,37 @@ MOST_SAMPLES = 20_000
 
 
 class Demand(NamedTuple):
-    """What a reference asks of the wheels in one quantity.
+    """What a reference asks of the wheels in one quantity, without its sign.
 
     Attributes:
-        signal: such as ``wheel.fl.speed_rad_s``, of the wheel of which most is asked.
-        worst: the most that is asked, without its sign, and when [s].
-        worst_s: see ``worst``.
-        limit: what the wheel can.
-        first_signal: of the first wheel of which more is asked than the limit, None for never.
-        first: how much that is, and when [s].
-        first_s: see ``first``.
+        unit: of the quantity.
+        limit: what a wheel can.
+        worst: the most that is asked, of ``worst_wheel`` at ``worst_s``.
+        worst_wheel: such as ``fl``.
+        worst_s: time of the scenario [s].
+        first: what is asked when it is first more than the limit, None where it never is; so are the next two.
+        first_wheel: the wheel of which it is.
+        first_s: time of the scenario [s].
     """
 
-    signal: str
-    worst: float
-    worst_s: float
+    unit: str
     limit: float
-    first_signal: str | None
+    worst: float
+    worst_wheel: str
+    worst_s: float
     first: float | None
+    first_wheel: str | None
     first_s: float | None
 
     @property
     def sentence(self) -> str | None:
         """What to tell the user; None where the limit is kept."""
-        if self.first_signal is None:
+        if self.first is None:
             return None
-        unit = "N·m" if self.signal.endswith("n_m") else "rad/s"
         return (
-            f"the reference asks for {self.first:.3g} {unit} of {self.first_signal} at t = {self.first_s:.3g} s, more "
-            f"than the limit of {self.limit:g}; most at t = {self.worst_s:.3g} s, {self.worst:.3g} of {self.signal}"
+            f"the reference asks for {self.first:.3g} {self.unit} of wheel {self.first_wheel} at t = {self.first_s:.3g} s "
+            f"where the limit is {self.limit:g} {self.unit}, and for {self.worst:.3g} {self.unit} at most, "
+            f"of wheel {self.worst_wheel} at t = {self.worst_s:.3g} s: the robot cannot follow, make it slower"
         )
 
 
@@ -49,6 +51,10 @@ class Feasibility(NamedTuple):
 
     speed: Demand
     torque: Demand
+
+    def figures(self) -> dict[str, Any]:
+        """Return it by name, with the sentences as ``warnings``."""
+        return {"speed": self.speed._asdict(), "torque": self.torque._asdict(), "warnings": list(self.sentences)}
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -65,7 +71,7 @@ def feasibility(source: ReferenceSource, model: RobotModel, duration_s: float, p
     """
     until_s = min(duration_s, source.span_s)
     step_s = max(period_s, FINEST_S, until_s / MOST_SAMPLES)
-    speed, torque = _Worst("speed_rad_s", model.speed_limit_rad_s), _Worst("torque_n_m", model.torque_limit_n_m)
+    speed, torque = _Worst("rad/s", model.speed_limit_rad_s), _Worst("N·m", model.torque_limit_n_m)
     for number in range(math.floor(until_s / step_s + 1e-9) + 1):
         t_s = number * step_s
         pose, twist, acceleration = source.at(t_s)
@@ -78,32 +84,24 @@ def feasibility(source: ReferenceSource, model: RobotModel, duration_s: float, p
 class _Worst:
     """Keeps the first and the worst demand of one quantity."""
 
-    def __init__(self, quantity: str, limit: float) -> None:
-        self._quantity = quantity
+    def __init__(self, unit: str, limit: float) -> None:
+        self._unit = unit
         self._limit = limit
-        self._worst = (-1.0, 0, 0.0)
-        self._first: tuple[float, int, float] | None = None
+        self._worst = (-1.0, WHEEL_NAMES[0], 0.0)
+        self._first: tuple[float, str, float] | tuple[None, None, None] = (None, None, None)
 
     def take(self, t_s: float, wheels: tuple[float, float, float, float]) -> None:
         largest = max(max(wheels), -min(wheels))
         if largest > self._worst[0]:
             self._worst = (largest, _wheel(wheels), t_s)
-        if largest > self._limit and self._first is None:
+        if largest > self._limit and self._first[0] is None:
             self._first = (largest, _wheel(wheels), t_s)
 
     def demand(self) -> Demand:
-        worst, wheel, worst_s = self._worst
-        signal = self._signal(wheel)
-        if self._first is None:
-            return Demand(signal, worst, worst_s, self._limit, None, None, None)
-        first, first_wheel, first_s = self._first
-        return Demand(signal, worst, worst_s, self._limit, self._signal(first_wheel), first, first_s)
-
-    def _signal(self, wheel: int) -> str:
-        return f"wheel.{WHEEL_NAMES[wheel]}.{self._quantity}"
+        return Demand(self._unit, self._limit, *self._worst, *self._first)
 
 
-def _wheel(wheels: tuple[float, float, float, float]) -> int:
-    """Return the number of the wheel of which most is asked."""
+def _wheel(wheels: tuple[float, float, float, float]) -> str:
+    """Return the wheel of which most is asked."""
     sizes = [abs(value) for value in wheels]
-    return sizes.index(max(sizes))
+    return WHEEL_NAMES[sizes.index(max(sizes))]
