@@ -136,7 +136,7 @@ def list_(
     what: Annotated[str, typer.Argument(metavar="signals|laws|references|scenarios|links|faults")],
     as_json: Json = False,
 ) -> None:
-    """Print the vocabulary of signals, the laws, references and scenarios, the forms of links, or the kinds of faults."""
+    """Print the vocabulary of signals, the laws, references and scenarios, forms of links, or kinds of faults."""
     from hil import report
 
     header, rows = report.listing(what)

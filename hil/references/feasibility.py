@@ -40,9 +40,9 @@ class Demand(NamedTuple):
         if self.first is None:
             return None
         return (
-            f"the reference asks for {self.first:.3g} {self.unit} of wheel {self.first_wheel} at t = {self.first_s:.3g} s "
-            f"where the limit is {self.limit:g} {self.unit}, and for {self.worst:.3g} {self.unit} at most, "
-            f"of wheel {self.worst_wheel} at t = {self.worst_s:.3g} s: the robot cannot follow, make it slower"
+            f"wheel {self.first_wheel} would need {self.first:.3g} {self.unit} at t = {self.first_s:.3g} s, "
+            f"its limit is {self.limit:g} {self.unit}; at most wheel {self.worst_wheel} {self.worst:.3g} {self.unit} at "
+            f"t = {self.worst_s:.3g} s: the robot cannot follow this reference, make it slower"
         )
 
 
