@@ -18,15 +18,15 @@ from hil.guard import Guard
 from hil.loop import Loop, Parts, Report, Timing
 from hil.metrics import percentiles, signal_figures
 from hil.model import RobotModel
-from hil.ports import Sink
-from hil.references import make_reference
+from hil.ports import Controller, Sink
+from hil.references import Feasibility, ReferenceSource, feasibility, make_reference
 from hil.results import MemorySink, RunResult, Series, applied_words, expectations
 from hil.scenario import Scenario, load
 from hil.telemetry import Recording, RunRecording, check_recording_path
 from hil.telemetry.provenance import properties
 from hil.trace import Trace, check_trace_path
 
-__all__ = ["RunResult", "run", "run_scenario"]
+__all__ = ["RunResult", "check_scenario", "run", "run_scenario"]
 
 
 def run(
@@ -71,13 +71,15 @@ def run_scenario(
     live_port: int | None = None,
     allow_motion: bool = False,
     watch: Watch | None = None,
+    warn: Callable[[str], None] | None = None,
     linger: Callable[[], None] | None = None,
     make_node: MakeNode = HostNode,
     make_recording: MakeRecording = Recording,
 ) -> RunResult:
     """Run a scenario that was loaded. Raises as ``run``.
 
-    ``live_port`` serves live viewers on 127.0.0.1. ``watch`` is entered with the loop while it runs; ``linger`` is
+    ``live_port`` serves live viewers on 127.0.0.1. ``watch`` is entered with the loop while it runs; ``warn`` is
+    called before anything is opened, with each sentence on what the robot will not be able to follow; ``linger`` is
     called when all is done and recorded, while the viewers are still served. ``make_node`` makes the firmware of a
     robot that is made in this process, ``make_recording`` the recording.
     """
@@ -85,7 +87,12 @@ def run_scenario(
         check_recording_path(record)
     if trace is not None:
         check_trace_path(trace)
-    make_loop = _loop_of(scenario)
+    model, reference = _model_and_reference(scenario)
+    make_loop = _loop_of(scenario, model, reference)
+    demands = _demands(scenario, model, reference)
+    if warn is not None:
+        for sentence in demands.sentences:
+            warn(sentence)
     blocking = scenario.loop.mode == "lockstep"
     with contextlib.ExitStack() as resources:
         tracing = resources.enter_context(open_trace(scenario, trace)) if trace is not None else None
@@ -102,6 +109,8 @@ def run_scenario(
             )
             recording.event(0.0, "info", f"robot: {robot.describe()}")
             recording.event(0.0, "info", f"link: {bench.device.describe_link()}")
+            for sentence in demands.sentences:
+                recording.event(0.0, "warning", sentence)
         loop = make_loop(bench, memory if recording is None else _Both(memory, recording))
         origin_ns = _reach(bench, lambda: bench.device.start(bench.clock, scenario.loop.period_ns))
         bench.begin(origin_ns)
@@ -109,6 +118,7 @@ def run_scenario(
             report = loop.run(origin_ns, round(scenario.loop.duration_s * NS))
         failure = bench.stop_robot() or report.failure
         metrics = _figures(scenario, bench, memory, report, failure, loop)
+        metrics["reference"] = {"kind": scenario.reference.kind, **demands.figures()}
         if tracing is not None:
             metrics["trace"] = _finished(tracing)
         if recording is not None:
@@ -119,12 +129,33 @@ def run_scenario(
     return RunResult(scenario, metrics, memory.signals(), failure)
 
 
-def _loop_of(scenario: Scenario) -> Callable[[Bench, Sink], Loop]:
-    """Make what a tick needs of the scenario alone, so that bad input is found before anything is opened."""
-    model = RobotModel(**dict(scenario.robot))
+def check_scenario(scenario: Scenario) -> Feasibility:
+    """Make what a run of the scenario needs, without any robot; return what its reference asks of the wheels.
+
+    Raises BadInputError for what the law or the reference refuse.
+    """
+    model, reference = _model_and_reference(scenario)
+    _controller(scenario, model)
+    return _demands(scenario, model, reference)
+
+
+def _model_and_reference(scenario: Scenario) -> tuple[RobotModel, ReferenceSource]:
+    table = scenario.reference
+    return RobotModel(**dict(scenario.robot)), make_reference(table.kind, table.options, scenario.directory)
+
+
+def _demands(scenario: Scenario, model: RobotModel, reference: ReferenceSource) -> Feasibility:
+    return feasibility(reference, model, scenario.loop.duration_s, scenario.loop.period_ns / NS)
+
+
+def _controller(scenario: Scenario, model: RobotModel) -> Controller:
     table = scenario.controller
-    controller = make_controller(table.law, scenario.directory, model, table.mode, table.gains)
-    reference = make_reference(scenario.reference.kind, scenario.reference.options)
+    return make_controller(table.law, scenario.directory, model, table.mode, table.gains)
+
+
+def _loop_of(scenario: Scenario, model: RobotModel, reference: ReferenceSource) -> Callable[[Bench, Sink], Loop]:
+    """Make what a tick needs of the scenario alone, so that bad input is found before anything is opened."""
+    controller = _controller(scenario, model)
     counts = scenario.firmware.counts_per_revolution
     believed = scenario.estimator
     told = EstimatorOptions(
@@ -157,7 +188,7 @@ def _loop_of(scenario: Scenario) -> Callable[[Bench, Sink], Loop]:
             bench.robot_failure,
             faults,
         )
-        return Loop(parts, table.mode, timing, rearm=scenario.loop.rearm)
+        return Loop(parts, scenario.controller.mode, timing, rearm=scenario.loop.rearm)
 
     return make
 

@@ -13,6 +13,7 @@ from typing import Annotated
 import typer
 
 from hil.commands.catalogue import catalogue
+from hil.commands.check import check
 from hil.commands.compare import compare
 from hil.commands.fmu import app as fmu_app
 from hil.commands.options import (
@@ -84,6 +85,7 @@ def run(
             live_port=live_port if live else None,
             allow_motion=allow_motion,
             watch=watch,
+            warn=report.warn,
             linger=linger,
         )
     except KeyboardInterrupt:
@@ -103,6 +105,7 @@ def run(
 
 
 app.command()(catalogue)
+app.command()(check)
 app.command()(compare)
 app.command()(device)
 app.command()(decode)
@@ -132,10 +135,10 @@ def show(
 
 @app.command("list")
 def list_(
-    what: Annotated[str, typer.Argument(metavar="signals|laws|scenarios|links|faults")],
+    what: Annotated[str, typer.Argument(metavar="signals|laws|references|scenarios|links|faults")],
     as_json: Json = False,
 ) -> None:
-    """Print the vocabulary of signals, the shipped laws and scenarios, the forms of links, or the kinds of faults."""
+    """Print the vocabulary of signals, the laws, references and scenarios, forms of links, or kinds of faults."""
     from hil import report
 
     header, rows = report.listing(what)
@@ -146,12 +149,23 @@ def list_(
 
 
 @app.command()
-def review(recording: Annotated[Path, typer.Argument(metavar="RUN.rrd")], as_json: Json = False) -> None:
+def review(
+    recording: Annotated[Path, typer.Argument(metavar="RUN.rrd")],
+    trajectory: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.csv", help="write the robot's poses, for reference.kind = 'trajectory'"),
+    ] = None,
+    as_json: Json = False,
+) -> None:
     """Read the figures of a run back from its recording alone."""
     from hil import report
-    from hil.review import review as read_back
+    from hil.review import figures as figures_of
+    from hil.review import read, write_trajectory
 
-    figures = read_back(recording)
+    recorded = read(recording)
+    figures = figures_of(recorded)
+    if trajectory is not None:
+        write_trajectory(recorded, trajectory)
     if as_json:
         print_json(figures)
     else:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from hil.loop import Loop
     from hil.plant.info import FmuInfo, VariableInfo
     from hil.plant.tools import CheckResult
+    from hil.references import Feasibility
 
 _REFRESH_S = 0.1
 
@@ -88,6 +89,11 @@ def progress(duration_s: float) -> "Watch":
     return make
 
 
+def warn(sentence: str) -> None:
+    """Say on stderr what a user should know before a run."""
+    print(f"hil: warning: {sentence}", file=sys.stderr)
+
+
 def announce_live(port: int) -> None:
     """Say on stderr how a viewer reaches the run, and open one when a person watches and there is a display."""
     from hil.telemetry.view import live_hint, show_live
@@ -142,6 +148,8 @@ def print_figures(metrics: Mapping[str, Any]) -> None:
         print(f"  {'frames':<22} {frames['sent']} sent, {frames['received']} received, rejected: {rejected}")
     if (link := metrics.get("link_statistics")) is not None:
         _print_link(link)
+    for sentence in (metrics.get("reference") or {}).get("warnings", ()):
+        print(f"  {'warning':<22} {sentence}")
     for row in metrics.get("fault") or ():
         print(f"  {'fault':<22} {applied_words(row)}")
     for row in metrics.get("recoveries") or ():
@@ -212,6 +220,10 @@ def listing(what: str) -> tuple[tuple[str, ...], Sequence[tuple[str, ...]]]:
         from hil.controllers.registry import laws
 
         return ("law", "meaning"), list(laws().items())
+    if what == "references":
+        from hil.references import kinds
+
+        return ("reference", "meaning"), list(kinds().items())
     if what == "scenarios":
         from hil.scenario import shipped
 
@@ -225,8 +237,17 @@ def listing(what: str) -> tuple[tuple[str, ...], Sequence[tuple[str, ...]]]:
 
         rows = [(k.name, k.acts_on, k.target_words.replace("`", ""), k.unit, k.meaning) for k in KINDS]
         return ("kind", "acts on", "target", "value", "meaning"), rows
-    known = ("signals", "laws", "scenarios", "links", "faults")
+    known = ("signals", "laws", "references", "scenarios", "links", "faults")
     raise BadInputError(f"there is no list of {what!r}{nearest(what, known)}")
+
+
+def print_demands(demands: "Feasibility") -> None:
+    """Print what a reference asks of the wheels, and what of it they cannot."""
+    for label, demand in (("wheel speed", demands.speed), ("wheel torque", demands.torque)):
+        most = f"at most {demand.worst:.3g} {demand.unit}, of wheel {demand.worst_wheel} at t = {demand.worst_s:.3g} s"
+        print(f"  {label:<22} {most}; the limit is {demand.limit:g} {demand.unit}")
+    for sentence in demands.sentences:
+        print(f"  {'not feasible':<22} {sentence}")
 
 
 def print_table(rows: Sequence[Sequence[str]]) -> None:

@@ -44,7 +44,7 @@ def test_a_shipped_scenario_can_be_built(name: str) -> None:
     assert scenario.name == name
     assert scenario.path is None
     assert scenario.expect
-    make_reference(scenario.reference.kind, scenario.reference.options)
+    make_reference(scenario.reference.kind, scenario.reference.options, scenario.directory)
     make_controller(
         scenario.controller.law,
         scenario.directory,

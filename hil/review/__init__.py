@@ -7,8 +7,9 @@ from typing import Any
 from hil.errors import BadInputError
 from hil.metrics import signal_figures
 from hil.review.reader import Event, RecordedRun, read, to_frame
+from hil.review.trajectory import write_trajectory
 
-__all__ = ["Event", "RecordedRun", "figures", "read", "review", "to_frame"]
+__all__ = ["Event", "RecordedRun", "figures", "read", "review", "to_frame", "write_trajectory"]
 
 _NO_SUMMARY = "the recording has no summary: the run did not come to its end"
 _UNSAID = "the run's summary does not say"

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterator
+from pathlib import Path
 
 from pydantic import ValidationError
 
@@ -26,8 +27,10 @@ def derived(tree: Tree) -> Tree:
     return {"firmware": {"watchdog_s": Given(watchdog_s, _WATCHDOG_RULE)}}
 
 
-def check(tree: Tree, scenario: str) -> Tables:
+def check(tree: Tree, scenario: str, directory: Path) -> Tables:
     """Return the validated tables; ``scenario`` begins the messages about what was not given anywhere.
+
+    ``directory`` is where relative paths start from.
 
     Raises BadInputError with one line for each problem.
     """
@@ -42,7 +45,7 @@ def check(tree: Tree, scenario: str) -> Tables:
     if contradictions:
         raise BadInputError("\n".join(contradictions))
     try:
-        make_reference(tables.reference.kind, tables.reference.options)
+        make_reference(tables.reference.kind, tables.reference.options, directory)
     except BadInputError as error:
         raise BadInputError(f"{_place_of_reference(tree, str(error), scenario)}: {error}") from error
     return tables

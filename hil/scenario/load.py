@@ -86,7 +86,7 @@ def load(
     for key, value in _assignments(set):
         tree = layers.assign(tree, key, value, _SET)
     tree = layers.merge(derived(tree), _rebase(tree, Path.cwd(), directory, only=_SET))
-    tables = check(tree, f"scenario {scenario.display}")
+    tables = check(tree, f"scenario {scenario.display}", directory)
     where = {layers.dotted(path): given.where for path, given in layers.leaves(tree)}
     return Scenario(
         **dict(tables),
@@ -202,7 +202,7 @@ def _rebase(tree: Tree, source: Path, target: Path, only: str | None = None) -> 
     """Make relative paths of files absolute where they do not start from the scenario's own folder."""
     if source == target:
         return tree
-    for table, key, split in (("plant", "fmu", False), ("controller", "law", True)):
+    for table, key, split in (("plant", "fmu", False), ("controller", "law", True), ("reference", "file", False)):
         node = tree.get(table)
         given = node.get(key) if isinstance(node, dict) else None
         if isinstance(given, Given) and isinstance(given.value, str) and only in (None, given.where):

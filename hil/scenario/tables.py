@@ -223,7 +223,7 @@ class ReferenceTable(Table):
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Option] = Field(init=False)
 
-    kind: Text = Field(description="circle, hold, ...")
+    kind: Text = Field(description="circle, hold, ...; `hil list references` prints them all")
 
     @property
     def options(self) -> Mapping[str, OptionValue]:

@@ -1,0 +1,31 @@
+"""Where the robot should be: references as pure functions of the scenario's time (see REFERENCES.md).
+
+One file a kind; ``registry`` makes them from a scenario's table, ``feasibility`` holds them against a robot's limits.
+"""
+
+from hil.references.circle import Circle
+from hil.references.feasibility import Feasibility, feasibility
+from hil.references.figure_eight import FigureEight
+from hil.references.hold import Hold
+from hil.references.motion import ReferenceSource
+from hil.references.registry import KINDS, kinds, make_reference
+from hil.references.rounded_square import RoundedSquare
+from hil.references.spin import Spin
+from hil.references.trajectory import Trajectory
+from hil.references.waypoints import Waypoints
+
+__all__ = [
+    "KINDS",
+    "Circle",
+    "Feasibility",
+    "FigureEight",
+    "Hold",
+    "ReferenceSource",
+    "RoundedSquare",
+    "Spin",
+    "Trajectory",
+    "Waypoints",
+    "feasibility",
+    "kinds",
+    "make_reference",
+]

@@ -1,0 +1,51 @@
+"""The circle."""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from hil.options import require_not_negative, require_positive
+from hil.references.motion import ramped
+from hil.types import Acceleration, Pose, Reference, Twist
+
+
+@dataclass(frozen=True, slots=True)
+class Circle:
+    """A circle at constant speed from its rightmost point, with a heading that is fixed or turns with the path.
+
+    Nguyen Minh et al. 2023, AFDSC, section IV.A: radius 1 m, period 15 s, heading π/4, about the origin. With
+    ``heading = "path"`` the robot looks where it goes, ``heading_rad`` to the left of it.
+    """
+
+    radius_m: float = 1.0
+    period_s: float = 15.0
+    heading_rad: float = 0.0
+    centre_x_m: float = 0.0
+    centre_y_m: float = 0.0
+    heading: Literal["fixed", "path"] = "fixed"
+    clockwise: bool = False
+    ramp_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_positive(self, "radius_m", "period_s")
+        require_not_negative(self, "ramp_s")
+
+    @property
+    def span_s(self) -> float:
+        """The ramp and one turn [s]."""
+        return self.ramp_s + self.period_s
+
+    def at(self, t_s: float) -> Reference:
+        """Return the reference at ``t_s``; after the ramp the acceleration points to the centre."""
+        turn = -math.tau if self.clockwise else math.tau
+        angle, rate, acceleration = ramped(t_s, turn / self.period_s, self.ramp_s)
+        x = self.radius_m * math.cos(angle)
+        y = self.radius_m * math.sin(angle)
+        heading, yaw_rate, yaw_acceleration = self.heading_rad, 0.0, 0.0
+        if self.heading == "path":
+            heading, yaw_rate, yaw_acceleration = heading + 0.25 * turn + angle, rate, acceleration
+        return Reference(
+            Pose(self.centre_x_m + x, self.centre_y_m + y, heading),
+            Twist(-rate * y, rate * x, yaw_rate),
+            Acceleration(-rate * rate * x - acceleration * y, -rate * rate * y + acceleration * x, yaw_acceleration),
+        )

@@ -1,0 +1,184 @@
+"""Pieces of a path by their arc length: lines and bends, and how the heading goes along them.
+
+A curve gives x, y and their first and second derivative with respect to its parameter s, a heading law the heading
+and its two. The parameter is the way in metres, or for a turn on the spot the angle in radians.
+"""
+
+import math
+from typing import NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from hil.references.motion import Point
+
+Series = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
+
+Plane = tuple[float, float, float, float, float, float]
+"""x, y, x', y', x'', y''."""
+
+Angle = tuple[float, float, float]
+"""heading, heading', heading''."""
+
+
+class Curve(Protocol):
+    """A way through the plane."""
+
+    def plane(self, s: float) -> Plane:
+        """Return the place at ``s`` and its derivatives."""
+
+
+class HeadingLaw(Protocol):
+    """How the heading goes along a curve."""
+
+    def angle(self, s: float) -> Angle:
+        """Return the heading at ``s`` and its derivatives."""
+
+
+class Line(NamedTuple):
+    """A straight line; with no direction (0, 0) a point, on which the robot only turns."""
+
+    x: float
+    y: float
+    x1: float
+    y1: float
+
+    def plane(self, s: float) -> Plane:
+        """Return the place at ``s`` and its derivatives."""
+        return self.x + s * self.x1, self.y + s * self.y1, self.x1, self.y1, 0.0, 0.0
+
+
+class Linear(NamedTuple):
+    """A heading that changes evenly with s."""
+
+    heading: float
+    slope: float = 0.0
+
+    def angle(self, s: float) -> Angle:
+        """Return the heading at ``s`` and its derivatives."""
+        return self.heading + s * self.slope, self.slope, 0.0
+
+
+EASED_PEAKS = (15.0 / 8.0, 10.0 / math.sqrt(3.0), 60.0)
+"""Largest first, second and third derivative of 10 u³ - 15 u⁴ + 6 u⁵ for u from 0 to 1."""
+
+
+class Eased(NamedTuple):
+    """A heading that changes from one value to another over a length, with no slope and no bend at either end.
+
+    It follows 10 u³ - 15 u⁴ + 6 u⁵ with u = (s + offset) / length.
+    """
+
+    heading: float
+    change: float
+    length: float
+    offset: float
+
+    def angle(self, s: float) -> Angle:
+        """Return the heading at ``s`` and its derivatives."""
+        u = (s + self.offset) / self.length
+        scale = self.change / self.length
+        return (
+            self.heading + self.change * u * u * u * (10.0 + u * (6.0 * u - 15.0)),
+            scale * 30.0 * u * u * (1.0 - u) * (1.0 - u),
+            scale / self.length * 60.0 * u * (1.0 + u * (2.0 * u - 3.0)),
+        )
+
+
+class Bend:
+    """A curve that turns by an angle, its curvature rising from zero and falling back as 1 - cos does.
+
+    So a robot that drives through at constant speed has an acceleration, and along the path a yaw acceleration,
+    without jumps. The direction is exact, and so are the derivatives of the place; the place itself is a table of
+    quintic Hermite polynomials that match them, within 1e-11 of the length.
+    """
+
+    PIECES = 64
+
+    def __init__(self, x: float, y: float, direction: float, turn: float, tangent_m: float) -> None:
+        """Begin at (x, y) in a direction [rad] and turn [rad], less than half a turn, to the left for a positive one.
+
+        ``tangent_m`` is how far before the corner it begins, and behind it ends.
+        """
+        nodes = np.linspace(0.0, 1.0, self.PIECES + 1)
+        abscissas, weights = np.polynomial.legendre.leggauss(6)
+        u = nodes[:-1, None] + (abscissas + 1.0) * (0.5 / self.PIECES)
+        tangents = np.exp(1j * _turned(u, turn))
+        places = np.concatenate(([0.0], np.cumsum(tangents @ weights) * (0.5 / self.PIECES)))
+        # By symmetry the chord is at half the turn, and the base of a triangle whose sides are the tangents.
+        self.length = tangent_m * 2.0 * math.cos(turn / 2.0) / float(abs(places[-1]))
+        self.direction = direction
+        self.turn = turn
+        start = np.exp(1j * direction)
+        places = complex(x, y) + places * (self.length * start)
+        slopes = np.exp(1j * _turned(nodes, turn)) * (self.length * start)
+        bends = slopes * 1j * turn * (1.0 - np.cos(math.tau * nodes))
+        self._table = _quintics(places, slopes, bends)
+
+    @property
+    def peak_curvature(self) -> float:
+        """The largest curvature [1/m], in its middle; not negative."""
+        return 2.0 * abs(self.turn) / self.length
+
+    @property
+    def peak_sharpness(self) -> float:
+        """The largest change of curvature along the way [1/m²]; not negative."""
+        return math.tau * abs(self.turn) / self.length**2
+
+    def plane(self, s: float) -> Plane:
+        """Return the place at ``s`` and its derivatives."""
+        direction, curvature, _ = self.angle(s)
+        c, sine = math.cos(direction), math.sin(direction)
+        place = s / self.length * self.PIECES
+        piece = min(max(int(place), 0), self.PIECES - 1)
+        r = place - piece
+        p0, p1, p2, p3, p4, p5 = self._table[piece]
+        z = p0 + r * (p1 + r * (p2 + r * (p3 + r * (p4 + r * p5))))
+        return z.real, z.imag, c, sine, -curvature * sine, curvature * c
+
+    def angle(self, s: float) -> Angle:
+        """Return the direction of the path, its curvature, and the slope of that."""
+        u = math.tau * s / self.length
+        scale = self.turn / self.length
+        return (
+            self.direction + self.turn * (u - math.sin(u)) / math.tau,
+            scale * (1.0 - math.cos(u)),
+            scale * math.tau / self.length * math.sin(u),
+        )
+
+
+class Section(NamedTuple):
+    """A curve with the heading along it."""
+
+    curve: Curve
+    law: HeadingLaw
+
+    def point(self, s: float, turned: float = 0.0) -> Point:
+        """Return the point of the path at ``s``, the heading ``turned`` further [rad]."""
+        x, y, x1, y1, x2, y2 = self.curve.plane(s)
+        heading, heading1, heading2 = self.law.angle(s)
+        return Point(x, y, heading + turned, x1, y1, heading1, x2, y2, heading2)
+
+
+def _turned(u: Series, turn: float) -> Series:
+    """Return how far a bend has turned after the share u of its length."""
+    return turn * (u - np.sin(math.tau * u) / math.tau)
+
+
+def _quintics(places: Complexes, slopes: Complexes, bends: Complexes) -> list[tuple[complex, ...]]:
+    """Return the coefficients, lowest first, of the polynomials over 0 to 1 from each node to the next.
+
+    ``slopes`` and ``bends`` are derivatives with respect to what goes from 0 to 1 over all nodes.
+    """
+    h = 1.0 / (len(places) - 1)
+    p, q = places[:-1], places[1:]
+    v, w = slopes[:-1] * h, slopes[1:] * h
+    a, b = bends[:-1] * h * h, bends[1:] * h * h
+    d = q - p - v - 0.5 * a
+    e = w - v - a
+    f = b - a
+    rows = np.stack(
+        [p, v, 0.5 * a, 10.0 * d - 4.0 * e + 0.5 * f, -15.0 * d + 7.0 * e - f, 6.0 * d - 3.0 * e + 0.5 * f], axis=1
+    )
+    return [tuple(row) for row in rows.tolist()]

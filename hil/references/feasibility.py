@@ -1,0 +1,107 @@
+"""Whether a robot can follow a reference: the wheel speeds and torques that it asks for, against their limits."""
+
+import math
+from typing import Any, NamedTuple
+
+from hil.model import RobotModel
+from hil.references.motion import ReferenceSource
+from hil.types import WHEEL_NAMES
+
+FINEST_S = 0.01
+MOST_SAMPLES = 20_000
+
+
+class Demand(NamedTuple):
+    """What a reference asks of the wheels in one quantity, without its sign.
+
+    Attributes:
+        unit: of the quantity.
+        limit: what a wheel can.
+        worst: the most that is asked, of ``worst_wheel`` at ``worst_s``.
+        worst_wheel: such as ``fl``.
+        worst_s: time of the scenario [s].
+        first: what is asked when it is first more than the limit, None where it never is; so are the next two.
+        first_wheel: the wheel of which it is.
+        first_s: time of the scenario [s].
+    """
+
+    unit: str
+    limit: float
+    worst: float
+    worst_wheel: str
+    worst_s: float
+    first: float | None
+    first_wheel: str | None
+    first_s: float | None
+
+    @property
+    def sentence(self) -> str | None:
+        """What to tell the user; None where the limit is kept."""
+        if self.first is None:
+            return None
+        return (
+            f"wheel {self.first_wheel} would need {self.first:.3g} {self.unit} at t = {self.first_s:.3g} s, "
+            f"its limit is {self.limit:g} {self.unit}; at most wheel {self.worst_wheel} {self.worst:.3g} {self.unit} at "
+            f"t = {self.worst_s:.3g} s: the robot cannot follow this reference, make it slower"
+        )
+
+
+class Feasibility(NamedTuple):
+    """What a reference asks of the wheels: speed [rad/s] and torque [N·m]."""
+
+    speed: Demand
+    torque: Demand
+
+    def figures(self) -> dict[str, Any]:
+        """Return it by name, with the sentences as ``warnings``."""
+        return {"speed": self.speed._asdict(), "torque": self.torque._asdict(), "warnings": list(self.sentences)}
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What the robot cannot follow, in words; empty where it can follow all."""
+        return tuple(sentence for demand in self if (sentence := demand.sentence) is not None)
+
+
+def feasibility(source: ReferenceSource, model: RobotModel, duration_s: float, period_s: float) -> Feasibility:
+    """Return what a reference asks of the robot's wheels until ``duration_s``, by inverse kinematics and dynamics.
+
+    It is sampled at the loop's period, but not finer than 10 ms, and in at most 20,000 instants of the time in which
+    it differs: of a periodic one that is its start and one period. A jump of the reference itself, such as a circle
+    without a ramp makes it at t = 0, is no demand: whatever starts away from the reference has to catch up.
+    """
+    until_s = min(duration_s, source.span_s)
+    step_s = max(period_s, FINEST_S, until_s / MOST_SAMPLES)
+    speed, torque = _Worst("rad/s", model.speed_limit_rad_s), _Worst("N·m", model.torque_limit_n_m)
+    for number in range(math.floor(until_s / step_s + 1e-9) + 1):
+        t_s = number * step_s
+        pose, twist, acceleration = source.at(t_s)
+        speeds = model.wheel_speeds(twist, pose.heading_rad)
+        speed.take(t_s, speeds)
+        torque.take(t_s, model.wheel_torques(acceleration, twist, pose.heading_rad, speeds))
+    return Feasibility(speed.demand(), torque.demand())
+
+
+class _Worst:
+    """Keeps the first and the worst demand of one quantity."""
+
+    def __init__(self, unit: str, limit: float) -> None:
+        self._unit = unit
+        self._limit = limit
+        self._worst = (-1.0, WHEEL_NAMES[0], 0.0)
+        self._first: tuple[float, str, float] | tuple[None, None, None] = (None, None, None)
+
+    def take(self, t_s: float, wheels: tuple[float, float, float, float]) -> None:
+        largest = max(max(wheels), -min(wheels))
+        if largest > self._worst[0]:
+            self._worst = (largest, _wheel(wheels), t_s)
+        if largest > self._limit and self._first[0] is None:
+            self._first = (largest, _wheel(wheels), t_s)
+
+    def demand(self) -> Demand:
+        return Demand(self._unit, self._limit, *self._worst, *self._first)
+
+
+def _wheel(wheels: tuple[float, float, float, float]) -> str:
+    """Return the wheel of which most is asked."""
+    sizes = [abs(value) for value in wheels]
+    return WHEEL_NAMES[sizes.index(max(sizes))]

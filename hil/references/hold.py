@@ -1,0 +1,23 @@
+"""A pose to reach and to keep."""
+
+from dataclasses import dataclass
+
+from hil.types import Acceleration, Pose, Reference, Twist
+
+
+@dataclass(frozen=True, slots=True)
+class Hold:
+    """A pose to reach and to keep."""
+
+    x_m: float = 0.0
+    y_m: float = 0.0
+    heading_rad: float = 0.0
+
+    @property
+    def span_s(self) -> float:
+        """Nothing ever happens."""
+        return 0.0
+
+    def at(self, t_s: float) -> Reference:
+        """Return the pose, at rest."""
+        return Reference(Pose(self.x_m, self.y_m, self.heading_rad), Twist(0.0, 0.0, 0.0), Acceleration(0.0, 0.0, 0.0))

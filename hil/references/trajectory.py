@@ -1,0 +1,98 @@
+"""A trajectory that was recorded or computed elsewhere, from a CSV file."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+from hil.errors import BadInputError
+from hil.options import require_not_negative
+from hil.references.motion import Phase, Point, ReferenceSource, moving, ramped
+from hil.references.smoothing import SmoothingSpline
+from hil.references.table import Format, read_table
+from hil.types import Acceleration, Reference, Twist
+
+FORMAT = Format(
+    columns=("t_s", "x_m", "y_m", "heading_rad"),
+    optional={},
+    fewest_rows=4,
+    most_rows=200_000,
+    others=True,
+)
+LONGEST_SMOOTHING_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """Poses over time from a CSV file, smoothed by a spline whose acceleration has no jump; at the end it rests.
+
+    Columns: t_s, x_m, y_m, heading_rad; others are not read. Times count from the first row. A heading that jumps by
+    more than half a turn is taken as wrapped. Motion faster than about 2π ``smoothing_s`` is smoothed away; 0 goes
+    through every row. With ``ramp_s`` it starts from rest and comes to rest within that time.
+    """
+
+    file: str
+    smoothing_s: float = 0.05
+    ramp_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_not_negative(self, "smoothing_s", "ramp_s")
+        if self.smoothing_s > LONGEST_SMOOTHING_S:
+            raise ValueError(f"smoothing_s = {self.smoothing_s:g}: expected at most {LONGEST_SMOOTHING_S:g}")
+
+    def read(self, directory: Path) -> ReferenceSource:
+        """Return the motion of the file's rows; a relative path starts from ``directory``.
+
+        Raises BadInputError for all that is wrong with the file.
+        """
+        rows = read_table(directory, self.file, FORMAT)
+        name = f"reference.file = {self.file!r}"
+        for first, last in pairwise(rows):
+            if last.values[0] <= first.values[0]:
+                raise BadInputError(
+                    f"{name}, line {last.line}: t_s = {last.values[0]:g} after {first.values[0]:g}; "
+                    "expected ascending times"
+                )
+        t_s, x_m, y_m, heading_rad = zip(*(row.values for row in rows), strict=True)
+        from_zero = [t - t_s[0] for t in t_s]
+        if self.ramp_s > from_zero[-1]:
+            raise BadInputError(
+                f"reference: ramp_s = {self.ramp_s:g}: expected at most the {from_zero[-1]:g} s of {self.file!r}"
+            )
+        spline = SmoothingSpline(from_zero, (x_m, y_m, _unwrapped(heading_rad)), self.smoothing_s)
+        return Played(spline, from_zero[-1], self.ramp_s)
+
+
+class Played:
+    """A spline over time as a reference, with a smooth start and end if wanted."""
+
+    def __init__(self, spline: SmoothingSpline, length_s: float, ramp_s: float) -> None:
+        self._spline = spline
+        self._length_s = length_s
+        self._ramp_s = ramp_s
+        self.span_s = length_s + ramp_s
+        end = self._moving(Phase(length_s, 0.0, 0.0))
+        self._end = Reference(end.pose, Twist(0.0, 0.0, 0.0), Acceleration(0.0, 0.0, 0.0))
+
+    def at(self, t_s: float) -> Reference:
+        """Return the reference at ``t_s``; from the end on it rests."""
+        left_s = self.span_s - t_s
+        if left_s <= 0.0:
+            return self._end
+        if left_s < self._ramp_s:
+            gone = ramped(left_s, 1.0, self._ramp_s)
+            return self._moving(Phase(self._length_s - gone.value, gone.rate, -gone.acceleration))
+        return self._moving(ramped(t_s, 1.0, self._ramp_s))
+
+    def _moving(self, phase: Phase) -> Reference:
+        (x, x1, x2), (y, y1, y2), (heading, heading1, heading2) = self._spline.at(phase.value)
+        return moving(Point(x, y, heading, x1, y1, heading1, x2, y2, heading2), phase.rate, phase.acceleration)
+
+
+def _unwrapped(headings: Sequence[float]) -> list[float]:
+    """Return headings whose steps are at most half a turn."""
+    unwrapped = [headings[0]]
+    for first, last in pairwise(headings):
+        unwrapped.append(unwrapped[-1] + math.remainder(last - first, math.tau))
+    return unwrapped

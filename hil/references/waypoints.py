@@ -1,0 +1,86 @@
+"""Waypoints from a CSV file."""
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Literal
+
+from hil.errors import BadInputError
+from hil.options import require_positive
+from hil.references.double_s import Limits
+from hil.references.motion import ReferenceSource
+from hil.references.route import Waypoint, plan
+from hil.references.table import Format, read_table
+
+FORMAT = Format(
+    columns=("x_m", "y_m", "heading_rad"),
+    optional={"speed_m_s": math.inf, "dwell_s": 0.0},
+    fewest_rows=2,
+    most_rows=10_000,
+    others=False,
+)
+
+SLOWEST_M_S = 0.001
+NEAREST_M = 0.001
+
+
+@dataclass(frozen=True, slots=True)
+class Waypoints:
+    """Straight from pose to pose of a CSV file, as fast as limits of speed, acceleration and jerk allow, then rest.
+
+    Columns: x_m, y_m, heading_rad, and if wanted speed_m_s (top speed on the way to the row) and dwell_s (rest there
+    for so long). The robot stops at each corner, or with ``corners = "blend"`` cuts it by ``blend_m`` of either leg.
+    """
+
+    file: str
+    corners: Literal["stop", "blend"] = "stop"
+    blend_m: float = 0.2
+    max_speed_m_s: float = 0.5
+    max_acceleration_m_s2: float = 0.5
+    max_jerk_m_s3: float = 2.0
+    max_yaw_rate_rad_s: float = 1.0
+    max_yaw_acceleration_rad_s2: float = 2.0
+    max_yaw_jerk_rad_s3: float = 10.0
+
+    def __post_init__(self) -> None:
+        require_positive(
+            self,
+            "blend_m",
+            "max_speed_m_s",
+            "max_acceleration_m_s2",
+            "max_jerk_m_s3",
+            "max_yaw_rate_rad_s",
+            "max_yaw_acceleration_rad_s2",
+            "max_yaw_jerk_rad_s3",
+        )
+
+    def read(self, directory: Path) -> ReferenceSource:
+        """Return the motion along the file's waypoints; a relative path starts from ``directory``.
+
+        Raises BadInputError for all that is wrong with the file.
+        """
+        name = f"reference.file = {self.file!r}"
+        rows = read_table(directory, self.file, FORMAT)
+        waypoints = [Waypoint(*row.values) for row in rows]
+        for row, waypoint in zip(rows, waypoints, strict=True):
+            if waypoint.speed_m_s < SLOWEST_M_S:
+                raise BadInputError(
+                    f"{name}, line {row.line}: speed_m_s = {waypoint.speed_m_s:g}; expected at least {SLOWEST_M_S:g}"
+                )
+            if waypoint.dwell_s < 0.0:
+                raise BadInputError(f"{name}, line {row.line}: dwell_s = {waypoint.dwell_s:g}; expected 0 or more")
+        for row, (first, last) in zip(rows[1:], pairwise(waypoints), strict=True):
+            if first[:3] == last[:3]:
+                raise BadInputError(
+                    f"{name}, line {row.line}: the same pose as in the row before; leave it out, "
+                    "and give the one before a dwell_s to rest there"
+                )
+            if 0.0 < math.dist(first[:2], last[:2]) < NEAREST_M:
+                raise BadInputError(
+                    f"{name}, line {row.line}: {math.dist(first[:2], last[:2]):.2g} m from the row before; expected "
+                    f"at least {NEAREST_M:g} m, or the same place to turn on the spot"
+                )
+        limits = Limits(self.max_speed_m_s, self.max_acceleration_m_s2, self.max_jerk_m_s3)
+        yaw = Limits(self.max_yaw_rate_rad_s, self.max_yaw_acceleration_rad_s2, self.max_yaw_jerk_rad_s3)
+        return plan(waypoints, limits, yaw, self.blend_m if self.corners == "blend" else 0.0)

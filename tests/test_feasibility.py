@@ -1,0 +1,89 @@
+"""What a reference asks of the wheels, against matrices written down on their own."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hil.model import RobotModel
+from hil.references import Circle, Hold, Spin, feasibility
+from tests.test_references import circles, eights, routes, spins, squares
+
+MASS, INERTIA, RADIUS, LEVER, WHEEL_INERTIA, FRICTION = 24.0, 0.8, 0.08, 0.55, 0.006, 0.02
+WHEELS = ("fl", "fr", "rr", "rl")
+
+
+def robot(speed_limit: float, torque_limit: float) -> RobotModel:
+    return RobotModel(MASS, INERTIA, RADIUS, 0.3, 0.25, WHEEL_INERTIA, FRICTION, torque_limit, speed_limit)
+
+
+def demanded(source, t_s: np.ndarray):
+    """Return wheel speeds and torques, each of shape (times, 4): one dense system a time, solved by least squares."""
+    h = np.array([[1, -1, -LEVER], [1, 1, LEVER], [1, -1, LEVER], [1, 1, -LEVER]])
+    k = 4 * WHEEL_INERTIA / RADIUS**2
+    mass = np.diag([MASS + k, MASS + k, INERTIA + k * LEVER**2])
+    speeds, torques = [], []
+    for t in t_s:
+        (_, _, heading), twist, acceleration = (np.array(part) for part in source.at(t))
+        c, s = np.cos(heading), np.sin(heading)
+        turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+        speed = h @ turn.T @ twist / RADIUS
+        force = mass @ acceleration + k * twist[2] * np.array([twist[1], -twist[0], 0])
+        friction = FRICTION * MASS * 9.81 * RADIUS / 4 * np.tanh(speed / 0.3)
+        torques.append(np.linalg.pinv(turn @ h.T / RADIUS) @ force + friction)
+        speeds.append(speed)
+    return np.array(speeds), np.array(torques)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.one_of(circles, eights, squares, spins, routes), st.floats(2.0, 20.0), st.floats(0.05, 2.0))
+def test_demands_are_those_of_an_independent_computation(source, speed_limit, torque_limit):
+    found = feasibility(source, robot(speed_limit, torque_limit), 5.0, 0.02)
+    t_s = np.arange(int(min(5.0, source.span_s) / 0.02 + 1e-9) + 1) * 0.02
+    for demand, values, limit in zip(found, demanded(source, t_s), (speed_limit, torque_limit), strict=True):
+        sizes = abs(values)
+        assert demand.limit == limit
+        assert demand.worst == pytest.approx(sizes.max(), abs=1e-9)
+        at = sizes[round(demand.worst_s / 0.02)]
+        assert at[WHEELS.index(demand.worst_wheel)] == pytest.approx(sizes.max(), abs=1e-9)
+        over = np.flatnonzero(sizes.max(axis=1) > limit + 1e-9)
+        if len(over):
+            assert demand.first_s == pytest.approx(t_s[over[0]])
+            first = sizes[over[0]]
+            assert demand.first == pytest.approx(first.max())
+            assert first[WHEELS.index(demand.first_wheel)] == pytest.approx(first.max())
+        else:
+            assert demand.first is None or demand.first == pytest.approx(limit, abs=1e-8)
+
+
+@given(st.floats(0.3, 3.0), st.floats(4.0, 60.0), st.floats(-4.0, 4.0))
+def test_a_circle_with_a_fixed_heading_asks_for_the_diagonal_of_its_speed(radius, period, heading):
+    speed = feasibility(Circle(radius, period, heading), robot(20.0, 2.0), 1e4, 0.01).speed
+    assert speed.worst == pytest.approx(math.sqrt(2.0) * math.tau * radius / period / RADIUS, rel=1e-4)
+
+
+def test_the_time_in_which_a_reference_differs_bounds_the_work():
+    assert feasibility(Hold(1.0, 2.0, 3.0), robot(20.0, 2.0), 1e9, 0.001).speed.worst == 0.0
+    calls: list[float] = []
+
+    class Counted(Spin):
+        def at(self, t_s):
+            calls.append(t_s)
+            return Spin.at(self, t_s)
+
+    feasibility(Counted(yaw_rate_rad_s=1e-3), robot(20.0, 2.0), 86_400.0, 0.001)
+    assert len(calls) <= 20_001
+    assert calls[-1] == pytest.approx(math.tau / 1e-3, rel=1e-3)
+
+
+def test_a_demand_is_told_in_one_sentence_and_only_when_it_is_too_much():
+    source = Circle(1.0, 4.0)
+    assert feasibility(source, robot(40.0, 2.0), 10.0, 0.01).sentences == ()
+    speed, torque = feasibility(source, robot(20.0, 0.6), 10.0, 0.01).sentences
+    assert speed == (
+        "wheel fr would need 20.2 rad/s at t = 0.02 s, its limit is 20 rad/s; at most wheel rr 27.8 rad/s at "
+        "t = 0.5 s: the robot cannot follow this reference, make it slower"
+    ) or speed.startswith("wheel fl would need")
+    assert "N·m" in torque

@@ -1,0 +1,197 @@
+"""References from files: what a file means, and one sentence with the line for each way in which it can be wrong."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hil
+from hil.errors import BadInputError
+from hil.references import Circle, make_reference
+from hil.references.table import LARGEST_BYTES
+from hil.review import read, write_trajectory
+from hil.scenario import load
+from tests.processes import hil as hil_command
+
+HEAD = "x_m,y_m,heading_rad\n"
+TIMED = "t_s,x_m,y_m,heading_rad\n"
+LINE = TIMED + "".join(f"{t},{t},0,0\n" for t in range(8))
+
+
+def made(folder: Path, kind: str, text: str, **options: object):
+    (folder / "way.csv").write_text(text, "utf-8")
+    return make_reference(kind, {"file": "way.csv", **options}, folder)
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "message"),
+    [
+        ("waypoints", "", ": it is empty; expected a line with the columns x_m, y_m, heading_rad"),
+        ("waypoints", "# nothing\n\n", ": it is empty; expected a line"),
+        (
+            "waypoints",
+            "x_m,y_m\n0,0\n1,1\n",
+            ", line 1: there is no column 'heading_rad' among 'x_m, y_m'; expected x_m,",
+        ),
+        ("waypoints", "x_m;y_m;heading_rad\n0;0;0\n1;0;0\n", ", line 1: there is no column 'x_m' among"),
+        ("waypoints", "0,0,0\n1,0,0\n", ", line 1: there is no column 'x_m' among '0, 0, 0'"),
+        (
+            "waypoints",
+            "x_m,y_m,heading_rad,speed\n0,0,0,1\n",
+            ", line 1: unknown column 'speed'; did you mean 'speed_m_s'?",
+        ),
+        ("waypoints", "x_m,y_m,heading_rad,x_m\n0,0,0,1\n", ", line 1: the column 'x_m' is there twice"),
+        ("waypoints", HEAD + "0,0,0\n", ": 1 rows; expected 2 to 10000"),
+        ("waypoints", HEAD + "0,0,0\n" * 10_001, ": 10001 rows; expected 2 to 10000"),
+        ("waypoints", HEAD + "0,0,0\n# on\n\n1,one,0\n", ", line 5: y_m = 'one'; expected a number between ±1000000"),
+        ("waypoints", HEAD + "0,0,0\n1,,0\n", ", line 3: y_m = ''; expected a number"),
+        ("waypoints", HEAD + "0,0,nan\n1,0,0\n", ", line 2: heading_rad = 'nan'; expected a number"),
+        ("waypoints", HEAD + "0,0,0\n-inf,0,0\n", ", line 3: x_m = '-inf'; expected a number"),
+        ("waypoints", HEAD + "0,0,0\n1e7,0,0\n", ", line 3: x_m = '1e7'; expected a number between"),
+        ("waypoints", HEAD + "0,0,0\n1,0\n", ", line 3: 2 values; expected 3, one for each column"),
+        ("waypoints", HEAD + '0,0,0\n1,"0,0\n', ", line 3: it cannot be read as values separated by commas"),
+        ("waypoints", HEAD + "0,0,0\n1,0,0\n1,0,0\n", ", line 4: the same pose as in the row before; leave it out"),
+        ("waypoints", HEAD + "0,0,0\n1e-4,0,0\n", ", line 3: 0.0001 m from the row before; expected at least 0.001 m"),
+        (
+            "waypoints",
+            "x_m,y_m,heading_rad,speed_m_s\n0,0,0,\n1,0,0,0\n",
+            ", line 3: speed_m_s = 0; expected at least 0.001",
+        ),
+        ("waypoints", "x_m,y_m,heading_rad,dwell_s\n0,0,0,-1\n1,0,0,0\n", ", line 2: dwell_s = -1; expected 0 or more"),
+        ("trajectory", HEAD + "0,0,0\n", ", line 1: there is no column 't_s' among"),
+        ("trajectory", TIMED + "0,0,0,0\n1,0,0,0\n2,0,0,0\n", ": 3 rows; expected 4 to 200000"),
+        (
+            "trajectory",
+            TIMED + "0,0,0,0\n1,0,0,0\n1,1,0,0\n3,0,0,0\n",
+            ", line 4: t_s = 1 after 1; expected ascending times",
+        ),
+        (
+            "trajectory",
+            TIMED + "0,0,0,0\n1,0,0,0\n0.5,1,0,0\n3,0,0,0\n",
+            ", line 4: t_s = 0.5 after 1; expected ascending",
+        ),
+        ("trajectory", TIMED + "0,0,0,0\n1,0,0,0\n2,nan,0,0\n3,0,0,0\n", ", line 4: x_m = 'nan'; expected a number"),
+    ],
+)
+def test_what_is_wrong_with_a_file_is_said_with_its_line(tmp_path, kind, text, message):
+    with pytest.raises(BadInputError) as caught:
+        made(tmp_path, kind, text)
+    assert str(caught.value).startswith(f"reference.file = 'way.csv'{message}")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_cannot_be_read_is_named(tmp_path):
+    def complaint(file: str) -> str:
+        with pytest.raises(BadInputError) as caught:
+            make_reference("waypoints", {"file": file}, tmp_path)
+        return str(caught.value)
+
+    assert complaint("no.csv").endswith(f"{str(tmp_path / 'no.csv')!r}; its path starts from the scenario's folder")
+    (tmp_path / "folder.csv").mkdir()
+    assert "there is no file" in complaint("folder.csv")
+    (tmp_path / "latin.csv").write_bytes(HEAD.encode() + "0,0,0 # Höhe\n".encode("latin-1"))
+    assert "cannot be read as text in UTF-8" in complaint("latin.csv")
+    assert "cannot be read as text in UTF-8" in complaint("zero\0.csv") or "there is no file" in complaint("zero\0.csv")
+    assert complaint("points.txt").endswith("expected a file that ends in .csv")
+    assert complaint("run.rrd").endswith("write its poses first: hil review run.rrd --trajectory FILE.csv")
+    with (tmp_path / "huge.csv").open("wb") as file:
+        file.truncate(LARGEST_BYTES + 1_000_000)
+    assert complaint("huge.csv").endswith("51 MB; expected at most 50 MB")
+
+
+def test_a_table_may_have_a_byte_order_mark_spaces_comments_and_another_order(tmp_path):
+    text = "\ufeff# shelves\r\n heading_rad , y_m, x_m ,dwell_s\r\n0, 0 ,0,\r\n\r\n1.5,2,1,0.5\r\n"
+    end = made(tmp_path, "waypoints", text).at(1e3)
+    assert end.pose == (1.0, 2.0, 1.5)
+
+
+def test_the_path_of_a_file_starts_from_the_folder_of_the_scenario_that_names_it(tmp_path, monkeypatch):
+    (tmp_path / "base").mkdir()
+    (tmp_path / "base" / "way.csv").write_text(HEAD + "0,0,0\n1,0,0\n")
+    base = 'extends = "circle_speed"\n[reference]\nkind = "waypoints"\nfile = "way.csv"\n'
+    (tmp_path / "base" / "base.toml").write_text(base)
+    (tmp_path / "mine.toml").write_text('extends = "base/base.toml"\n')
+    monkeypatch.chdir(tmp_path)
+    scenario = load("mine.toml")
+    reference = make_reference(scenario.reference.kind, scenario.reference.options, scenario.directory)
+    assert reference.at(1e3).pose == (1.0, 0.0, 0.0)
+    (tmp_path / "here.csv").write_text(HEAD + "0,0,0\n5,0,0\n")
+    scenario = load("base/base.toml", set={"reference.file": "here.csv"})
+    reference = make_reference(scenario.reference.kind, scenario.reference.options, scenario.directory)
+    assert reference.at(1e3).pose == (5.0, 0.0, 0.0)
+    (tmp_path / "base" / "way.csv").write_text(HEAD + "0,0,0\nx,0,0\n")
+    with pytest.raises(BadInputError, match=r"base\.toml:4: reference\.file = .*way\.csv', line 3: x_m = 'x'"):
+        load("mine.toml")
+
+
+def test_a_trajectory_of_a_circle_is_the_circle_however_its_heading_is_wrapped(tmp_path):
+    circle = Circle(1.0, 10.0, heading="path", ramp_s=2.0)
+    rows = [(3.0 + t, *circle.at(t).pose) for t in np.arange(0.0, 14.0, 0.02)]
+    text = "note,t_s,x_m,y_m,heading_rad\n" + "".join(
+        f"ok,{t!r},{x!r},{y!r},{math.remainder(heading, math.tau)!r}\n" for t, x, y, heading in map(tuple, rows)
+    )
+    played = made(tmp_path, "trajectory", text.replace("np.float64(", "").replace(")", ""), smoothing_s=0.02)
+    for t in np.linspace(0.5, 13.0, 200):
+        for one, other, tolerance in zip(played.at(t), circle.at(t), (1e-6, 1e-5, 2e-3), strict=True):
+            assert one == pytest.approx(other, abs=tolerance)
+    assert played.at(99.0).twist == (0.0, 0.0, 0.0)
+    assert played.at(99.0).pose == pytest.approx(circle.at(13.98).pose, abs=1e-5)
+
+
+def test_a_trajectory_with_a_ramp_starts_and_ends_at_rest_and_lasts_so_much_longer(tmp_path):
+    plain, ramped = made(tmp_path, "trajectory", LINE), made(tmp_path, "trajectory", LINE, ramp_s=2.0)
+    assert (plain.span_s, ramped.span_s) == (7.0, 9.0)
+    assert plain.at(0.0).twist.vx_m_s == pytest.approx(1.0)
+    for t, x, speed in ((0.0, 0.0, 0.0), (4.5, 3.5, 1.0), (9.0, 7.0, 0.0), (20.0, 7.0, 0.0)):
+        pose, twist, _ = ramped.at(t)
+        assert (pose.x_m, twist.vx_m_s) == pytest.approx((x, speed), abs=1e-9)
+    with pytest.raises(BadInputError, match=r"ramp_s = 8: expected at most the 7 s of 'way\.csv'"):
+        made(tmp_path, "trajectory", LINE, ramp_s=8.0)
+    with pytest.raises(BadInputError, match="smoothing_s = 2: expected at most 1"):
+        made(tmp_path, "trajectory", LINE, smoothing_s=2.0)
+
+
+def test_what_a_robot_drove_becomes_a_reference(tmp_path):
+    short = {"loop.duration_s": 0.5, "expect": []}
+    result = hil.run("waypoints", set=short, record=tmp_path / "run.rrd")
+    written = tmp_path / "drove.csv"
+    write_trajectory(read(tmp_path / "run.rrd"), written)
+    reference = make_reference("trajectory", {"file": "drove.csv", "smoothing_s": 0.0}, tmp_path)
+    t, x = result.signals["loop.t_s"], result.signals["truth.x_m"]
+    assert [reference.at(one).pose.x_m for one in t.tolist()] == pytest.approx(x.tolist(), abs=1e-9)
+    with pytest.raises(BadInputError, match=r"drove\.txt: expected the name of a file that ends in \.csv"):
+        write_trajectory(read(tmp_path / "run.rrd"), tmp_path / "drove.txt")
+    with pytest.raises(BadInputError, match="it cannot be written"):
+        write_trajectory(read(tmp_path / "run.rrd"), tmp_path / "nowhere" / "drove.csv")
+
+
+@pytest.mark.parametrize("name", ["figure_eight", "waypoints"])
+def test_the_shipped_references_are_followed_through_the_wire(name):
+    below = 0.002
+    result = hil.run(name, set={"loop.duration_s": 4.0, "expect.0.to_s": 4.0, "expect.0.below": below})
+    assert result.metrics["passed"] is True
+    assert result.metrics["reference"]["warnings"] == []
+
+
+def test_a_run_warns_before_it_begins_and_keeps_the_warning(tmp_path):
+    fast = ["--set", "reference.radius_m=5", "--set", "loop.duration_s=0.1", "--set", "expect=[]"]
+    done = hil_command("run", "circle_speed", *fast, "--record", "run.rrd", "--json", cwd=tmp_path)
+    (warning,) = json.loads(done.stdout)["reference"]["warnings"]
+    assert warning.startswith("wheel fr would need 39.5 rad/s at t = 0 s, its limit is 20 rad/s; at most wheel fr")
+    assert done.stderr == f"hil: warning: {warning}\n"
+    assert [event.text for event in read(tmp_path / "run.rrd").events if event.level == "WARN"] == [warning]
+
+
+def test_check_says_what_the_reference_asks_of_the_wheels(tmp_path):
+    fine = hil_command("check", "figure_eight", cwd=tmp_path)
+    assert (fine.returncode, fine.stderr) == (0, "")
+    assert "wheel speed" in fine.stdout
+    assert "not feasible" not in fine.stdout
+    wild = hil_command("check", "figure_eight", "--set", "reference.period_s=4", "--json", cwd=tmp_path)
+    assert wild.returncode == 1
+    assert len(json.loads(wild.stdout)["reference"]["warnings"]) == 2
+    wrong = hil_command("check", "waypoints", "--set", "reference.file=none.csv", cwd=tmp_path)
+    assert wrong.returncode == 2
+    assert wrong.stderr.count("\n") == 1
