@@ -48,6 +48,14 @@ def require_positive(options: object, *names: str) -> None:
             raise ValueError(f"{name} = {value!r}: expected a finite number, more than zero")
 
 
+def require_not_negative(options: object, *names: str) -> None:
+    """Raise ValueError unless each named attribute is zero or more; for a ``__post_init__``."""
+    for name in names:
+        value = getattr(options, name)
+        if not (math.isfinite(value) and value >= 0.0):
+            raise ValueError(f"{name} = {value!r}: expected a finite number, zero or more")
+
+
 def _checked(value: object, hint: object, where: str) -> object:
     if get_origin(hint) is Literal:
         choice = get_args(hint)

@@ -44,6 +44,10 @@ class Acceleration(NamedTuple):
     yaw_rad_s2: float
 
 
+Axes = tuple[float, float, float]
+"""x, y and heading of a Pose, a Twist or an Acceleration, where a name of its own would cost a law its time."""
+
+
 class State(NamedTuple):
     """What the controller believes of the robot's motion."""
 

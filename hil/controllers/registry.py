@@ -7,7 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from hil.controllers.afdsc import Afdsc
+from hil.controllers.afdsc_corrected import AfdscCorrected
+from hil.controllers.afdsc_eso import AfdscEso
+from hil.controllers.computed_torque import ComputedTorque
 from hil.controllers.dsc import Dsc
+from hil.controllers.dsc_eso import DscEso
+from hil.controllers.lqi import Lqi
+from hil.controllers.pid import Pid
 from hil.controllers.user import UserLaw, find_class
 from hil.errors import BadInputError, nearest
 from hil.model import RobotModel
@@ -17,7 +23,16 @@ from hil.types import CommandMode
 if TYPE_CHECKING:
     from hil.ports import Controller
 
-SHIPPED: dict[str, type] = {"afdsc": Afdsc, "dsc": Dsc}
+SHIPPED: dict[str, type] = {
+    "afdsc": Afdsc,
+    "afdsc_corrected": AfdscCorrected,
+    "afdsc_eso": AfdscEso,
+    "computed_torque": ComputedTorque,
+    "dsc": Dsc,
+    "dsc_eso": DscEso,
+    "lqi": Lqi,
+    "pid": Pid,
+}
 
 _NO_OPTIONS = make_dataclass("Options", [])
 
