@@ -152,7 +152,8 @@ def _loop_of(scenario: Scenario) -> Callable[[Bench, Sink], Loop]:
             bench.robot_failure,
             faults,
         )
-        return Loop(parts, table.mode, timing, rearm=scenario.loop.rearm)
+        by_truth = scenario.estimator.source == "truth"
+        return Loop(parts, table.mode, timing, rearm=scenario.loop.rearm, by_truth=by_truth)
 
     return make
 

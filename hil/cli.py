@@ -133,7 +133,7 @@ def list_(
     what: Annotated[str, typer.Argument(metavar="signals|laws|scenarios|links|faults")],
     as_json: Json = False,
 ) -> None:
-    """Print the vocabulary of signals, the shipped laws and scenarios, the forms of links, or the kinds of faults."""
+    """Print the vocabulary of signals, the laws, the shipped scenarios, the forms of links, or the kinds of faults."""
     from hil import report
 
     header, rows = report.listing(what)

@@ -33,6 +33,5 @@ def lqr_gain(
             cost + step,
         )
         if np.abs(step).max() <= 1e-14 * np.abs(cost).max():
-            gain: NDArray[np.float64] = np.linalg.solve(r + b.T @ cost @ b, b.T @ cost @ a)
-            return gain
+            return np.asarray(np.linalg.solve(r + b.T @ cost @ b, b.T @ cost @ a), dtype=np.float64)
     raise ValueError("the Riccati equation has no stabilising solution for these weights")
