@@ -14,6 +14,7 @@ import typer
 
 from hil.commands.catalogue import catalogue
 from hil.commands.fmu import app as fmu_app
+from hil.commands.fuzzy import fuzzy
 from hil.commands.options import (
     Json,
     LinkUrl,
@@ -105,6 +106,7 @@ app.command()(catalogue)
 app.command()(device)
 app.command()(decode)
 app.command()(params)
+app.command()(fuzzy)
 
 
 @app.command()

@@ -42,7 +42,7 @@ class TorquePrediction:
     With observers, of x, y and heading, their ``disturbance`` is part of the prediction; without, it is none.
     """
 
-    __slots__ = ("_asked", "_latency_s", "_model", "_observers", "_sent", "_way", "disturbance")
+    __slots__ = ("_asked", "_is_new", "_latency_s", "_model", "_observers", "_sent", "_way", "disturbance")
 
     def __init__(self, model: RobotModel, observers: tuple[ExtendedStateObserver, ...] = ()) -> None:
         self._model = model
@@ -51,44 +51,52 @@ class TorquePrediction:
         self._asked = _NONE
         self._sent = ZERO_WHEELS
         self._latency_s = 0.0
+        self._is_new = True
         self.disturbance: Axes = (0.0, 0.0, 0.0)
 
     def reset(self, state: State) -> None:
         """Begin at this state with nothing commanded: no torque on a robot that stands."""
         self._way.reset()
         self._asked, self._sent, self._latency_s = _NONE, ZERO_WHEELS, 0.0
+        self._is_new = True
         self.disturbance = (0.0, 0.0, 0.0)
         for observer, position, rate in zip(self._observers, *state, strict=False):
             observer.reset(position, rate)
 
     def ahead(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> Ahead:
         """Return where both will be when this tick's command takes effect, ``dt_s`` [s] after the last tick."""
-        asked = self._asked
-        command = applied.command
-        if command.torque_n_m != self._sent:
-            # The guard scaled it, or something else was sent in its place.
-            friction_at = self._model.wheel_speeds(reference.twist, state.pose.heading_rad)
-            asked = acceleration_of(self._model, command.torque_n_m, state.twist, state.pose.heading_rad, friction_at)
-        way = self._way
-        moved = way.advance(asked, self._latency_s, dt_s)
+        if self._is_new:
+            self._is_new = False
+        else:
+            self._go_on(reference, state, applied, dt_s)
         self._latency_s = latency_s = applied.latency_s
-        if self._observers:
-            x, y, heading = self._observers
-            pose = state.pose
-            x.update(pose.x_m, moved.x_m, moved.vx_m_s, dt_s)
-            y.update(pose.y_m, moved.y_m, moved.vy_m_s, dt_s)
-            # On the turn of the observer's own, whichever the pose is on.
-            measured = heading.position + wrap_angle(pose.heading_rad - heading.position)
-            heading.update(measured, moved.heading_rad, moved.yaw_rate_rad_s, dt_s)
-            self.disturbance = x.disturbance, y.disturbance, heading.disturbance
         # What the robot does beyond the reference's acceleration, which is in both.
-        dx, dy, dh, dvx, dvy, dvh = way.ahead(latency_s)
+        dx, dy, dh, dvx, dvy, dvh = self._way.ahead(latency_s)
         zx, zy, zh = self.disturbance
         ax, ay, ah = reference.acceleration
         zx, zy, zh = latency_s * (zx - ax), latency_s * (zy - ay), latency_s * (zh - ah)
         half_s = 0.5 * latency_s
         moved_by = dx + half_s * zx, dy + half_s * zy, dh + half_s * zh
         return _ahead(reference, state, latency_s, moved_by, (dvx + zx, dvy + zy, dvh + zh))
+
+    def _go_on(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> None:
+        """Bring the commands on their way, and the observers, from the last tick to this one."""
+        asked = self._asked
+        pose, twist = state
+        torque = applied.command.torque_n_m
+        if torque != self._sent:
+            # The guard scaled it, or something else was sent in its place.
+            friction_at = self._model.wheel_speeds(reference.twist, pose.heading_rad)
+            asked = acceleration_of(self._model, torque, twist, pose.heading_rad, friction_at)
+        dx, dy, dh, dvx, dvy, dvh = self._way.advance(asked, self._latency_s, dt_s)
+        if self._observers:
+            x, y, heading = self._observers
+            x.update(pose.x_m, dx, dvx, dt_s)
+            y.update(pose.y_m, dy, dvy, dt_s)
+            # On the turn of the observer's own, whichever the pose is on.
+            measured = heading.position + wrap_angle(pose.heading_rad - heading.position)
+            heading.update(measured, dh, dvh, dt_s)
+            self.disturbance = x.disturbance, y.disturbance, heading.disturbance
 
     def command(self, acceleration: Axes, ahead: Ahead) -> WheelCommand:
         """Return the torques for a world acceleration at that moment, and remember them for the next ticks."""

@@ -51,8 +51,8 @@ class UserLaw:
     """A controller around a law of the user's own.
 
     The law is made with the first of the argument lists ``choices`` that its constructor takes; it may leave
-    out ``gains``. Messages begin with ``named``. Raises BadInputError, with file and line, for whatever the law raises when it is made or
-    run, and when its update returns something else than a command in the mode of the run.
+    out ``gains``. Messages begin with ``named``. Raises BadInputError, with file and line, for whatever the law
+    raises when it is made or run, and when its update returns something else than a command in the mode of the run.
     """
 
     def __init__(self, named: str, law: type, mode: CommandMode, choices: list[tuple[object, ...]]) -> None:

@@ -70,8 +70,8 @@ class CommandLatency:
     The robot tells it: a TICK says which command is in force and how old it is (TICK.sequence, TICK.command_age_ms),
     and the host knows the sample that each command rests on. Both instants are on the robot's clock, so that no clock
     has to be compared with another; the result has the firmware's grain of 1 ms. ``s`` is the median of the last 33
-    commands, so that a command that was held up changes nothing, and ``configured_s`` until 9 were seen. What is negative
-    or longer than ``longest_ns``, the robot's own patience, is no latency of a command that drives it, and is left out.
+    commands, so that a command that was held up changes nothing, and ``configured_s`` until 9 were seen. What is
+    negative or longer than ``longest_ns``, the robot's own patience, is left out: no such command drives it.
     """
 
     def __init__(self, configured_s: float, longest_ns: int) -> None:
