@@ -31,11 +31,14 @@ def draw_gains(tables: Tables, path: Path) -> None:
 
 
 def _draw(axes: "Axes", title: str, across: Series, surface: Series, rules: Rules) -> None:
+    from matplotlib.patheffects import withStroke
+
+    outline = [withStroke(linewidth=2.0, foreground="#333333")]
     shades = axes.pcolormesh(across, across, surface, cmap="viridis", shading="nearest", rasterized=True)
     axes.contour(across, across, surface, levels=8, colors="white", linewidths=0.5, alpha=0.6)
     for row, place in zip(rules, _PEAKS, strict=True):
         for level, peak in zip(row, _PEAKS, strict=True):
-            axes.text(peak, place, level, ha="center", va="center", color="white", fontweight="bold")
+            axes.text(peak, place, level, ha="center", va="center", color="white", path_effects=outline)
     axes.set_xticks(_PEAKS, _SETS)
     axes.set_yticks(_PEAKS, _SETS)
     axes.grid(visible=False)

@@ -14,7 +14,7 @@ from hil.types import NO_GAINS, Applied, CommandMode, Gains, Reference, State, W
 class AfdscEso:
     """AFDSC with feedforward bypass, extended state observer and latency compensation.
 
-    The gains are AFDSC's, by the error at the sampling instant. In SPEED mode only K1 is in force.
+    The gains are AFDSC's, by the error when the command takes effect. In SPEED mode only K1 is in force.
     """
 
     @dataclass(frozen=True, slots=True)
@@ -48,5 +48,6 @@ class AfdscEso:
 
     def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
         """Return the command of this tick, not limited."""
-        self._last = gains = self._tuner.of(tracking_error(reference, state))
-        return self._surface.command(reference, state, gains, applied, dt_s)
+        ahead = self._surface.ahead(reference, state, applied, dt_s)
+        self._last = gains = self._tuner.of(ahead.error)
+        return self._surface.command(reference, ahead, gains, dt_s)

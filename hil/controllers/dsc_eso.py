@@ -39,4 +39,5 @@ class DscEso:
 
     def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
         """Return the command of this tick, not limited."""
-        return self._surface.command(reference, state, self._gains, applied, dt_s)
+        ahead = self._surface.ahead(reference, state, applied, dt_s)
+        return self._surface.command(reference, ahead, self._gains, dt_s)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from hil.controllers.ahead import Ahead, TorquePrediction, carried_on
 from hil.controllers.riccati import lqr_gain
 from hil.controllers.wheel_commands import speed_command
+from hil.errors import BadInputError
 from hil.model import RobotModel
 from hil.options import require_positive
 from hil.types import NO_GAINS, Applied, Axes, CommandMode, Reference, State, WheelCommand
@@ -106,4 +107,10 @@ def _feedback(options: Lqi.Options, torque: bool, dt_s: float) -> tuple[float, .
         a = np.array([[1.0, t], [0.0, 1.0]])
         b = np.array([[t * t / 2], [t]])
         weights = [options.speed_integral_1_s4, options.speed_error_1_s2]
-    return tuple(lqr_gain(a, b, np.diag(weights), np.eye(1))[0].tolist())
+    try:
+        return tuple(lqr_gain(a, b, np.diag(weights), np.eye(1))[0].tolist())
+    except (ValueError, np.linalg.LinAlgError) as error:
+        raise BadInputError(
+            f"controller.gains: of the weights {weights} no gains follow at {1.0 / t:g} Hz ({error}); take some "
+            "that are nearer to the defaults"
+        ) from error

@@ -11,7 +11,7 @@ model's, a wrong mass. All are taken for the moment at which the command takes e
 
 import math
 
-from hil.controllers.ahead import TorquePrediction, carried_on
+from hil.controllers.ahead import Ahead, TorquePrediction, carried_on
 from hil.controllers.observer import ExtendedStateObserver
 from hil.controllers.surface import TrackingError
 from hil.controllers.wheel_commands import speed_command
@@ -45,15 +45,19 @@ class ObservedSurface:
         self._feedback = _feedback(error, gains)
         self._prediction.reset(state)
 
-    def command(self, reference: Reference, state: State, gains: Gains, applied: Applied, dt_s: float) -> WheelCommand:
+    def ahead(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> Ahead:
+        """Return where robot and reference will be when this tick's command takes effect: once a tick."""
+        if self._torque:
+            return self._prediction.ahead(reference, state, applied, dt_s)
+        return carried_on(reference, state, applied.latency_s)
+
+    def command(self, reference: Reference, ahead: Ahead, gains: Gains, dt_s: float) -> WheelCommand:
         """Return the command of this tick, of ``dt_s`` [s]."""
         if not self._torque:
-            ahead = carried_on(reference, state, applied.latency_s)
             vx_d, vy_d, yaw_rate_d = ahead.moving
             x, y, heading = _feedback(ahead.error, gains)
             wanted = vx_d + x, vy_d + y, yaw_rate_d + heading
             return speed_command(self._model, wanted, ahead.heading_rad, ahead.moving, reference.acceleration)
-        ahead = self._prediction.ahead(reference, state, applied, dt_s)
         wanted_x, wanted_y, wanted_heading = _feedback(ahead.error, gains)
         _, _, _, vx, vy, yaw_rate = ahead.error
         _, _, _, k2_x, k2_y, k2_heading = gains

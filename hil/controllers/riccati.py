@@ -24,14 +24,17 @@ def lqr_gain(
     identity = np.eye(len(a))
     # Of k ticks: A the transition, G what the inputs reach, and H the cost, which tends to the solution.
     transition, reached, cost = a, b @ np.linalg.solve(r, b.T), q
-    for _ in range(_DOUBLINGS):
-        shared = np.linalg.inv(identity + reached @ cost)
-        step = transition.T @ cost @ shared @ transition
-        transition, reached, cost = (
-            transition @ shared @ transition,
-            reached + transition @ shared @ reached @ transition.T,
-            cost + step,
-        )
-        if np.abs(step).max() <= 1e-14 * np.abs(cost).max():
-            return np.asarray(np.linalg.solve(r + b.T @ cost @ b, b.T @ cost @ a), dtype=np.float64)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(_DOUBLINGS):
+            shared = np.linalg.inv(identity + reached @ cost)
+            step = transition.T @ cost @ shared @ transition
+            transition, reached, cost = (
+                transition @ shared @ transition,
+                reached + transition @ shared @ reached @ transition.T,
+                cost + step,
+            )
+            if not np.isfinite(cost).all():
+                break
+            if np.abs(step).max() <= 1e-14 * np.abs(cost).max():
+                return np.asarray(np.linalg.solve(r + b.T @ cost @ b, b.T @ cost @ a), dtype=np.float64)
     raise ValueError("the Riccati equation has no stabilising solution for these weights")
