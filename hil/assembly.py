@@ -188,7 +188,8 @@ def _loop_of(scenario: Scenario, model: RobotModel, reference: ReferenceSource) 
             bench.robot_failure,
             faults,
         )
-        return Loop(parts, scenario.controller.mode, timing, rearm=scenario.loop.rearm)
+        by_truth = scenario.estimator.source == "truth"
+        return Loop(parts, scenario.controller.mode, timing, rearm=scenario.loop.rearm, by_truth=by_truth)
 
     return make
 

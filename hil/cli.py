@@ -16,6 +16,7 @@ from hil.commands.catalogue import catalogue
 from hil.commands.check import check
 from hil.commands.compare import compare
 from hil.commands.fmu import app as fmu_app
+from hil.commands.fuzzy import fuzzy
 from hil.commands.options import (
     Json,
     LinkUrl,
@@ -110,6 +111,7 @@ app.command()(compare)
 app.command()(device)
 app.command()(decode)
 app.command()(params)
+app.command()(fuzzy)
 
 
 @app.command()

@@ -8,7 +8,7 @@ how it is computed.
 The paper's text does not give the ranges of the inputs: they are parameters.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
@@ -55,6 +55,9 @@ RULES: dict[Tables, tuple[Rules, Rules]] = {
 """Rules for K1 and for K2: names of levels, [rate][error]."""
 
 
+Cell = tuple[float, float, float, float, float, float, float, float]
+
+
 @dataclass(frozen=True, slots=True)
 class FuzzyBlock:
     """The tuner of one axis.
@@ -68,6 +71,10 @@ class FuzzyBlock:
     k1_1_s: tuple[float, ...]
     """25 outputs for K1, row by row (rate), each row from error NB to PB."""
     k2_1_s: tuple[float, ...]
+    _cells: tuple[Cell, ...] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_cells", _cells_of(self.k1_1_s, self.k2_1_s))
 
     @classmethod
     def from_tables(cls, tables: Tables, error_range: float, rate_range: float) -> "FuzzyBlock":
@@ -82,35 +89,47 @@ class FuzzyBlock:
 
     def gains(self, error: float, rate: float) -> tuple[float, float]:
         """Return (K1, K2) [1/s] at an error and its rate. NaN counts as NB: the gains are always finite."""
-        a = 2.0 * error / self.error_range + 2.0
-        b = 2.0 * rate / self.rate_range + 2.0
-        # The last cell, not the last point: a weight of 1 on its far side gives that point.
-        i = 3 if a >= 4.0 else int(a) if a > 0.0 else 0
-        j = 3 if b >= 4.0 else int(b) if b > 0.0 else 0
-        p = 1.0 if a >= 4.0 else a - i if a > 0.0 else 0.0
-        q = 1.0 if b >= 4.0 else b - j if b > 0.0 else 0.0
-        n = 5 * j + i
-        w00, w01, w10, w11 = (1.0 - q) * (1.0 - p), (1.0 - q) * p, q * (1.0 - p), q * p
-        k1, k2 = self.k1_1_s, self.k2_1_s
-        return (
-            w00 * k1[n] + w01 * k1[n + 1] + w10 * k1[n + 5] + w11 * k1[n + 6],
-            w00 * k2[n] + w01 * k2[n + 1] + w10 * k2[n + 5] + w11 * k2[n + 6],
-        )
+        p = 2.0 * error / self.error_range + 2.0
+        q = 2.0 * rate / self.rate_range + 2.0
+        # The last cell, not the last point: its far side is that point. What is left of p and q is the place in it.
+        if p >= 4.0:
+            i, p = 3, 1.0
+        elif p > 0.0:
+            i = int(p)
+            p -= i
+        else:
+            i, p = 0, 0.0
+        if q >= 4.0:
+            i += 12
+            q = 1.0
+        elif q > 0.0:
+            j = int(q)
+            i += 4 * j
+            q -= j
+        else:
+            q = 0.0
+        a, b, c, d, e, f, g, h = self._cells[i]
+        return a + b * p + q * (c + d * p), e + f * p + q * (g + h * p)
 
     def gains_batch(
         self, error: "NDArray[np.float64]", rate: "NDArray[np.float64]"
     ) -> "tuple[NDArray[np.float64], NDArray[np.float64]]":
-        """Return (K1, K2) [1/s] for arrays that broadcast together: the control surface, for plots."""
+        """Return (K1, K2) [1/s] for arrays that broadcast together: the surfaces, for plots and sweeps."""
         import numpy as np
 
-        a = np.clip(2.0 * np.asarray(error) / self.error_range, -2.0, 2.0) + 2.0
-        b = np.clip(2.0 * np.asarray(rate) / self.rate_range, -2.0, 2.0) + 2.0
-        i = np.minimum(a.astype(np.intp), 3)
-        j = np.minimum(b.astype(np.intp), 3)
-        p, q = a - i, b - j
-        w00, w01, w10, w11 = (1.0 - q) * (1.0 - p), (1.0 - q) * p, q * (1.0 - p), q * p
-        k1, k2 = np.array(self.k1_1_s).reshape(5, 5), np.array(self.k2_1_s).reshape(5, 5)
-        return (
-            w00 * k1[j, i] + w01 * k1[j, i + 1] + w10 * k1[j + 1, i] + w11 * k1[j + 1, i + 1],
-            w00 * k2[j, i] + w01 * k2[j, i + 1] + w10 * k2[j + 1, i] + w11 * k2[j + 1, i + 1],
-        )
+        p = np.clip(2.0 * np.asarray(error) / self.error_range, -2.0, 2.0) + 2.0
+        q = np.clip(2.0 * np.asarray(rate) / self.rate_range, -2.0, 2.0) + 2.0
+        i, j = np.minimum(p.astype(np.intp), 3), np.minimum(q.astype(np.intp), 3)
+        p, q = p - i, q - j
+        a, b, c, d, e, f, g, h = np.moveaxis(np.array(self._cells)[4 * j + i], -1, 0)
+        return a + b * p + q * (c + d * p), e + f * p + q * (g + h * p)
+
+
+def _cells_of(k1_1_s: tuple[float, ...], k2_1_s: tuple[float, ...]) -> tuple[Cell, ...]:
+    """Return the 16 cells between the peaks, row by row: in each, K = a + b p + c q + d p q with p, q from 0 to 1."""
+    return tuple((*_cell(k1_1_s, 5 * j + i), *_cell(k2_1_s, 5 * j + i)) for j in range(4) for i in range(4))
+
+
+def _cell(outputs: tuple[float, ...], n: int) -> tuple[float, float, float, float]:
+    near, along, across, far = outputs[n], outputs[n + 1], outputs[n + 5], outputs[n + 6]
+    return near, along - near, across - near, near - along - across + far

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from firmware_protocol.generated.messages import State as RobotState
+from hil.devices.link_times import CommandLatency
 from hil.devices.snapshot import Feedback
 from hil.devices.stm32 import Stm32
 from hil.errors import DeviceError, HilError, LinkError, RobotStoppedError
@@ -47,7 +48,10 @@ class Parts(NamedTuple):
 
 
 class Timing(NamedTuple):
-    """The loop's times [ns]. Latencies are the link's, per direction; older than ``stale_ns`` drives nothing."""
+    """The loop's times [ns]. Latencies are those that the scenario gives the link, per direction.
+
+    What is older than ``stale_ns`` drives nothing.
+    """
 
     period_ns: int
     command_latency_ns: int
@@ -56,7 +60,7 @@ class Timing(NamedTuple):
 
     @property
     def latency_s(self) -> float:
-        """From the sampling instant to the first firmware tick that uses the command."""
+        """From the sampling instant to the first firmware tick that uses the command, but for the link's own."""
         return (self.command_latency_ns + self.feedback_latency_ns) * 1e-9
 
 
@@ -85,9 +89,14 @@ class Loop:
 
     With ``rearm`` a lost link or a stopped robot does not end the run: it is brought back while the ticks go on, with
     nothing commanded, and the law begins anew at the reference of the present ``t``.
+
+    The law is told the latency: in lockstep that of the scenario, which is all there is; in real time what the link is
+    measured to have. With ``by_truth`` the state is as old as the truth, else as the feedback.
     """
 
-    def __init__(self, parts: Parts, mode: CommandMode, timing: Timing, *, rearm: bool = False) -> None:
+    def __init__(
+        self, parts: Parts, mode: CommandMode, timing: Timing, *, rearm: bool = False, by_truth: bool = False
+    ) -> None:
         self._parts = parts
         self._timing = timing
         self._rearm = rearm
@@ -96,6 +105,8 @@ class Loop:
         self._recoveries: list[Recovered] = []
         self._rest = WheelCommand(mode, ZERO_WHEELS, ZERO_WHEELS)
         self._nothing = WheelCommand(mode, NAN_WHEELS, NAN_WHEELS)
+        self._latency = CommandLatency(timing.latency_s, timing.stale_ns)
+        self._by_truth = by_truth
         self._applied = Applied(self._rest, False, timing.latency_s)
         self._before: int | None = None  # the tick before, of this session of the law; None where it has not begun
         self._fixes: deque[tuple[int, PoseFix | None]] = deque()
@@ -244,11 +255,20 @@ class Loop:
             if faults is not None:
                 wanted = faults.command(wanted)
             command, saturated = self._parts.guard.apply(wanted)
-        self._parts.device.send(command)
-        self._applied = Applied(command, saturated, self._timing.latency_s)
+        sequence = self._parts.device.send(command)
+        self._measure_latency(sequence, feedback, fix)
+        self._applied = Applied(command, saturated, self._latency.s)
         self._tell(number, late_ns, feedback, Beliefs(fix, state, reference, self._applied, estimator.status))
         if self._before is not None:
             self._before = number
+
+    def _measure_latency(self, sequence: int, feedback: Feedback, fix: PoseFix | None) -> None:
+        """Note on what the command rests, and how late the one acted that the robot says is in force."""
+        if self._parts.device.is_lockstep:
+            return
+        self._latency.acted(feedback.command_sequence, feedback.robot_time_ns, feedback.command_age_ms)
+        sampled_ns = fix.time_ns if self._by_truth and fix is not None else feedback.robot_time_ns
+        self._latency.sent(sequence, sampled_ns)
 
     def _lose(self, error: HilError) -> Recovery:
         """Begin to bring the robot back, or begin that again; without ``rearm`` the run ends."""
@@ -274,7 +294,8 @@ class Loop:
         self._recoveries.append(Recovered(recovery.lost_s, self.t_s, recovery.why))
         self._recovery = None
         self._before = None
-        self._applied = Applied(self._rest, False, self._timing.latency_s)
+        self._latency.restart()
+        self._applied = Applied(self._rest, False, self._latency.s)
         if self._was_reset():
             self._parts.estimator.restart()
             if self._parts.fixes is not None:
@@ -364,7 +385,7 @@ class Loop:
 
     def _tell_away(self, number: int, late_ns: int, fix: PoseFix | None) -> None:
         """Tell of a tick in which nothing is commanded: what is heard of the robot, which may be nothing."""
-        applied = Applied(self._nothing, False, self._timing.latency_s)
+        applied = Applied(self._nothing, False, self._latency.s)
         feedback, reference = self._parts.device.feedback, self._parts.reference.at(self.t_s)
         self._tell(number, late_ns, feedback, Beliefs(fix, None, reference, applied, self._parts.estimator.status))
 

@@ -13,8 +13,8 @@ import math
 from dataclasses import dataclass, field
 
 from hil.errors import BadInputError
-from hil.kinematics import BodyWrench, body_twist, to_body, to_world, wheel_speeds, wheel_torques
-from hil.types import Acceleration, Twist, Wheels
+from hil.kinematics import body_twist, to_world
+from hil.types import Axes, Twist, Wheels
 
 GRAVITY_M_S2 = 9.81
 FRICTION_SPEED_RAD_S = 0.3
@@ -68,16 +68,22 @@ class RobotModel:
         object.__setattr__(self, "effective_inertia_kg_m2", self.inertia_kg_m2 + k * lever**2)
         object.__setattr__(self, "wheel_friction_n_m", friction)
 
-    def wheel_speeds(self, twist: Twist, heading_rad: float) -> Wheels:
+    def wheel_speeds(self, twist: Axes, heading_rad: float) -> Wheels:
         """Return the wheel speeds [rad/s] of a world twist at this heading: ω = H Rᵀ q̇ / r."""
-        return wheel_speeds(to_body(twist, heading_rad), self.wheel_radius_m, self.lever_m)
+        # As wheel_speeds(to_body(...)) in hil.kinematics, in one: every law does it at every tick.
+        vx, vy, yaw_rate = twist
+        c, s = math.cos(heading_rad), math.sin(heading_rad)
+        forward, left = c * vx + s * vy, c * vy - s * vx
+        radius, turn = self.wheel_radius_m, self.lever_m * yaw_rate
+        minus, plus = forward - left, forward + left
+        return Wheels((minus - turn) / radius, (plus + turn) / radius, (minus + turn) / radius, (plus - turn) / radius)
 
     def twist(self, wheel_speed_rad_s: Wheels, heading_rad: float) -> Twist:
         """Return the world twist of wheel speeds [rad/s] at this heading."""
         return to_world(body_twist(wheel_speed_rad_s, self.wheel_radius_m, self.lever_m), heading_rad)
 
     def wheel_torques(
-        self, acceleration: Acceleration, twist: Twist, heading_rad: float, friction_speed_rad_s: Wheels
+        self, acceleration: Axes, twist: Axes, heading_rad: float, friction_speed_rad_s: Wheels
     ) -> Wheels:
         """Return the wheel torques [N·m] for a world acceleration, not limited: τ = B⁺ (M q̈ + C) + ξ.
 
@@ -91,15 +97,18 @@ class RobotModel:
         fx = mass * ax + coupling * vy
         fy = mass * ay - coupling * vx
         c, s = math.cos(heading_rad), math.sin(heading_rad)
-        wrench = BodyWrench(c * fx + s * fy, c * fy - s * fx, self.effective_inertia_kg_m2 * yaw_acceleration)
-        torque = wheel_torques(wrench, self.wheel_radius_m, self.lever_m)
+        # B⁺ as wheel_torques in hil.kinematics, in one with the rest: every law does it at every tick.
+        quarter = self.wheel_radius_m / 4.0
+        forward, left = quarter * (c * fx + s * fy), quarter * (c * fy - s * fx)
+        turn = quarter * (self.effective_inertia_kg_m2 * yaw_acceleration) / self.lever_m
+        minus, plus = forward - left, forward + left
         friction = self.wheel_friction_n_m
         if friction == 0.0:
-            return torque
+            return Wheels(minus - turn, plus + turn, minus + turn, plus - turn)
         fl, fr, rr, rl = friction_speed_rad_s
         return Wheels(
-            torque.fl + friction * math.tanh(fl / FRICTION_SPEED_RAD_S),
-            torque.fr + friction * math.tanh(fr / FRICTION_SPEED_RAD_S),
-            torque.rr + friction * math.tanh(rr / FRICTION_SPEED_RAD_S),
-            torque.rl + friction * math.tanh(rl / FRICTION_SPEED_RAD_S),
+            minus - turn + friction * math.tanh(fl / FRICTION_SPEED_RAD_S),
+            plus + turn + friction * math.tanh(fr / FRICTION_SPEED_RAD_S),
+            minus + turn + friction * math.tanh(rr / FRICTION_SPEED_RAD_S),
+            plus - turn + friction * math.tanh(rl / FRICTION_SPEED_RAD_S),
         )

@@ -219,7 +219,7 @@ def listing(what: str) -> tuple[tuple[str, ...], Sequence[tuple[str, ...]]]:
     if what == "laws":
         from hil.controllers.registry import laws
 
-        return ("law", "meaning"), list(laws().items())
+        return ("law", "package", "meaning"), laws()
     if what == "references":
         from hil.references import kinds
 

@@ -84,6 +84,7 @@ class Rows:
                     wire.received.bytes,
                     wire.load_percent(),
                     device.round_trip.ms,
+                    applied.latency_s * 1e3,
                     device.clock_sync.offset_us,
                     device.clock_sync.drift_ppm,
                 ),

@@ -74,6 +74,7 @@ class LinkSignals(NamedTuple):
     received_bytes: float
     load_percent: float
     rtt_ms: float
+    latency_ms: float
     clock_offset_us: float
     clock_drift_ppm: float
 
@@ -156,6 +157,7 @@ _MEANING = {
     "link.received_bytes": "bytes received since t = 0; on CAN those of the data fields",
     "link.load_percent": "how busy the wire was in the last 100 ms; no value on memory:",
     "link.rtt_ms": "from sending a command to the first feedback that says it is in force; no value before the first",
+    "link.latency_ms": "from a sampling instant to the tick of the firmware that uses the command, as the law is told",
     "link.clock_offset_us": "the robot's clock ahead of the run's, by TIME_SYNC; no value before the first answer",
     "link.clock_drift_ppm": "how much faster the robot's clock goes than the run's; no value in the first second",
 }

@@ -44,6 +44,10 @@ class Acceleration(NamedTuple):
     yaw_rad_s2: float
 
 
+Axes = tuple[float, float, float]
+"""x, y and heading of a Pose, a Twist or an Acceleration, where a name of its own would cost a law its time."""
+
+
 class State(NamedTuple):
     """What the controller believes of the robot's motion."""
 
@@ -82,7 +86,8 @@ class Applied(NamedTuple):
     """What was really commanded at the last tick, after the guard, and how late it takes effect.
 
     ``latency_s`` is the time from the sampling instant to the first firmware tick that uses the command, both
-    directions together, as far as it is known. ``saturated`` says that the guard scaled the wheels.
+    directions together: that of the scenario in lockstep, in real time what was measured of late. ``saturated`` says
+    that the guard scaled the wheels.
     """
 
     command: WheelCommand

@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hil.controllers.afdsc import Afdsc
+from hil.controllers.afdsc_corrected import AfdscCorrected
 from hil.controllers.dsc import Dsc
 from hil.guard import Guard
 from hil.types import ZERO_WHEELS, Acceleration, CommandMode, Pose, Reference, State, Twist
@@ -250,7 +251,7 @@ def test_section_iv_a_behind_the_guard():
         for name, law, options in (
             ("dsc", Dsc, {}),
             ("afdsc", Afdsc, {}),
-            ("afdsc, corrected tables", Afdsc, {"tables": "corrected"}),
+            ("afdsc, corrected tables", AfdscCorrected, {}),
             ("constant 10/20", Dsc, {"k1_1_s": 10.0, "k2_1_s": 20.0}),
         )
     }

@@ -1,13 +1,20 @@
 """From the name of a law in a scenario to a controller that is ready to run."""
 
 import inspect
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import make_dataclass
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from hil.controllers.afdsc import Afdsc
+from hil.controllers.afdsc_corrected import AfdscCorrected
+from hil.controllers.afdsc_eso import AfdscEso
+from hil.controllers.computed_torque import ComputedTorque
 from hil.controllers.dsc import Dsc
+from hil.controllers.dsc_eso import DscEso
+from hil.controllers.lqi import Lqi
+from hil.controllers.pid import Pid
 from hil.controllers.user import UserLaw, find_class
 from hil.errors import BadInputError, nearest
 from hil.model import RobotModel
@@ -17,30 +24,40 @@ from hil.types import CommandMode
 if TYPE_CHECKING:
     from hil.ports import Controller
 
-SHIPPED: dict[str, type] = {"afdsc": Afdsc, "dsc": Dsc}
+SHIPPED: dict[str, type] = {
+    "afdsc": Afdsc,
+    "afdsc_corrected": AfdscCorrected,
+    "afdsc_eso": AfdscEso,
+    "computed_torque": ComputedTorque,
+    "dsc": Dsc,
+    "dsc_eso": DscEso,
+    "lqi": Lqi,
+    "pid": Pid,
+}
+
+_GROUP = "hil.laws"
+_PACKAGE = "mecanum-hil"
 
 _NO_OPTIONS = make_dataclass("Options", [])
 
 
-def laws() -> dict[str, str]:
-    """Return the shipped laws, each with one line on what it is."""
-    return {name: (inspect.getdoc(law) or "").splitlines()[0] for name, law in SHIPPED.items()}
+def laws() -> list[tuple[str, str, str]]:
+    """Return name, package and one line of each law: the shipped ones, then those of other packages, not loaded."""
+    shipped = [(name, _PACKAGE, (inspect.getdoc(law) or "").splitlines()[0]) for name, law in SHIPPED.items()]
+    registered = _registered()
+    others = [(point.name, _package_of(point), _told(point, registered)) for point in registered]
+    return shipped + others
 
 
 def load_law(spec: str, base: Path) -> type:
     """Return the class that a scenario's ``controller.law`` names.
 
-    ``spec`` is a shipped name, ``"./my_law.py:MyLaw"`` (a file, relative to ``base``) or
-    ``"package.module:MyLaw"``. Raises BadInputError for an unknown name (with the nearest), and as
-    ``find_class`` does for a law of the user's.
+    ``spec`` is a shipped name, one that an installed package has registered as an entry point of the group
+    ``hil.laws``, ``"./my_law.py:MyLaw"`` (a file, relative to ``base``) or ``"package.module:MyLaw"``. Raises
+    BadInputError for an unknown name (with the nearest) and one that two packages have registered, and as
+    ``find_class`` does for a law that is not ours.
     """
-    if ":" in spec:
-        return find_class(spec, base)
-    if spec in SHIPPED:
-        return SHIPPED[spec]
-    if spec.endswith(".py"):
-        raise BadInputError(f"controller.law = {spec!r}: name the class too, as in '{spec}:MyLaw'")
-    raise BadInputError(f"controller.law = {spec!r}: unknown{nearest(spec, SHIPPED)}")
+    return _found(spec, base)[0]
 
 
 def make_controller(
@@ -48,14 +65,56 @@ def make_controller(
 ) -> "Controller":
     """Return the controller of a scenario's ``[controller]`` table, ``options`` being ``[controller.gains]``.
 
-    The law's dataclass ``Options`` defines them; the law is made as ``Law(model, mode, options)``. A law of
-    the user's may have no ``Options``: it then takes none, and is made as ``Law(model, mode)``, or as
-    ``Law()`` when it has no constructor. Raises BadInputError as ``load_law`` and ``UserLaw`` do, and for an
-    option that is unknown (with the nearest), of the wrong type or out of range.
+    The law's dataclass ``Options`` defines them; the law is made as ``Law(model, mode, options)``. A law that is
+    not ours may have no ``Options``: it then takes none, and is made as ``Law(model, mode)``, or as ``Law()``
+    when it has no constructor. Raises BadInputError as ``load_law`` and ``UserLaw`` do, for an option that is
+    unknown (with the nearest), of the wrong type or out of range, and for a mode that the law refuses.
     """
-    law = load_law(spec, base)
+    law, named = _found(spec, base)
     kind: Any = getattr(law, "Options", None)
     checked = build(kind or _NO_OPTIONS, options, "controller.gains")
     if spec in SHIPPED:
         return cast("Controller", law(model, mode, checked))
-    return UserLaw(spec, law, mode, [(model, mode, checked)] if kind else [(model, mode), ()])
+    return UserLaw(named, law, mode, [(model, mode, checked)] if kind else [(model, mode), ()])
+
+
+def _found(spec: str, base: Path) -> tuple[type, str]:
+    """Return the law's class, and what messages call it."""
+    named = f"controller.law = {spec!r}"
+    if spec in SHIPPED:
+        return SHIPPED[spec], named
+    if ":" in spec:
+        return find_class(spec, base, named), named
+    if spec.endswith(".py"):
+        raise BadInputError(f"{named}: name the class too, as in '{spec}:MyLaw'")
+    registered = _registered()
+    same = [point for point in registered if point.name == spec]
+    if not same:
+        raise BadInputError(f"{named}: unknown{nearest(spec, [*SHIPPED, *(point.name for point in registered)])}")
+    if len(same) > 1:
+        packages = " and ".join(f"{_package_of(point)} ({point.value})" for point in same)
+        raise BadInputError(f"{named}: registered by {packages}; name one as 'package.module:Class'")
+    named = f"{named}, of the package {_package_of(same[0])}"
+    if ":" not in same[0].value:
+        raise BadInputError(f"{named}: registered as {same[0].value!r}, expected 'package.module:Class'")
+    return find_class(same[0].value, base, named), named
+
+
+def _registered() -> list[EntryPoint]:
+    """Return the laws of other packages; one that is found twice, as on a path that is listed twice, counts once."""
+    points = {(point.name, _package_of(point)): point for point in entry_points(group=_GROUP)}
+    return [points[key] for key in sorted(points)]
+
+
+def _package_of(point: EntryPoint) -> str:
+    """Return the name of the package that has registered a law."""
+    return point.dist.name if point.dist is not None else "unknown"
+
+
+def _told(point: EntryPoint, registered: Sequence[EntryPoint]) -> str:
+    """Return what the list says of a law that is not loaded for it."""
+    if point.name in SHIPPED:
+        return f"not taken: the shipped law has this name; use {point.value!r}"
+    if sum(other.name == point.name for other in registered) > 1:
+        return f"registered by more than one package; use {point.value!r}"
+    return point.value

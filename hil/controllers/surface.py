@@ -10,12 +10,12 @@ The filter makes the robot lag: on a circle of radius r0 at rate ω the steady e
 import math
 from typing import NamedTuple
 
+from hil.controllers.wheel_commands import speed_command, torque_command
 from hil.kinematics import wrap_angle
 from hil.model import RobotModel
 from hil.types import (
     NAN,
-    ZERO_WHEELS,
-    Acceleration,
+    Axes,
     CommandMode,
     Gains,
     Reference,
@@ -38,16 +38,9 @@ class TrackingError(NamedTuple):
 
 def tracking_error(reference: Reference, state: State) -> TrackingError:
     """Return S1 and its rate."""
-    pose, twist = state
-    wanted, moving, _ = reference
-    return TrackingError(
-        pose.x_m - wanted.x_m,
-        pose.y_m - wanted.y_m,
-        wrap_angle(pose.heading_rad - wanted.heading_rad),
-        twist.vx_m_s - moving.vx_m_s,
-        twist.vy_m_s - moving.vy_m_s,
-        twist.yaw_rate_rad_s - moving.yaw_rate_rad_s,
-    )
+    (x, y, heading), (vx, vy, yaw_rate) = state
+    (x_d, y_d, heading_d), (vx_d, vy_d, yaw_rate_d), _ = reference
+    return TrackingError(x - x_d, y - y_d, wrap_angle(heading - heading_d), vx - vx_d, vy - vy_d, yaw_rate - yaw_rate_d)
 
 
 class DynamicSurface:
@@ -65,7 +58,7 @@ class DynamicSurface:
         self._model = model
         self._torque = mode is CommandMode.TORQUE
         self._filter_s = filter_s
-        self._virtual = Twist(0.0, 0.0, 0.0)
+        self._virtual: Axes = (0.0, 0.0, 0.0)
 
     def reset(self, reference: Reference, error: TrackingError, gains: Gains) -> None:
         """Start the filter at rest on its input: x2d(0) = x̄2(0) (equation 17)."""
@@ -75,19 +68,14 @@ class DynamicSurface:
         self, reference: Reference, state: State, error: TrackingError, gains: Gains, dt_s: float
     ) -> WheelCommand:
         """Return the command of this tick, of ``dt_s`` [s]."""
-        model = self._model
-        heading = state.pose.heading_rad
-        wanted = _virtual_control(reference.twist, error, gains)
-        # Friction at the speeds of the reference: known beforehand, so no noise comes back through it.
-        friction_at = model.wheel_speeds(reference.twist, heading) if model.wheel_friction_n_m > 0.0 else ZERO_WHEELS
+        heading, moving = state.pose.heading_rad, reference.twist
+        wanted = _virtual_control(moving, error, gains)
         if not self._torque:
-            feedforward = model.wheel_torques(reference.acceleration, reference.twist, heading, friction_at)
-            return WheelCommand(CommandMode.SPEED, model.wheel_speeds(wanted, heading), feedforward)
+            return speed_command(self._model, wanted, heading, moving, reference.acceleration)
         acceleration = self._inner_surface(wanted, state.twist, gains, dt_s)
-        torque = model.wheel_torques(acceleration, state.twist, heading, friction_at)
-        return WheelCommand(CommandMode.TORQUE, ZERO_WHEELS, torque)
+        return torque_command(self._model, acceleration, heading, state.twist, moving)
 
-    def _inner_surface(self, wanted: Twist, twist: Twist, gains: Gains, dt_s: float) -> Acceleration:
+    def _inner_surface(self, wanted: Axes, twist: Twist, gains: Gains, dt_s: float) -> Axes:
         """Return u = ẋ2d - K2 S2, and advance the filter.
 
         The filter's step is exact for an input held over the tick, and ẋ2d is the mean slope over it: a plant
@@ -95,15 +83,12 @@ class DynamicSurface:
         """
         step = -math.expm1(-dt_s / self._filter_s)
         x, y, heading = self._virtual
-        dx = step * (wanted.vx_m_s - x)
-        dy = step * (wanted.vy_m_s - y)
-        dh = step * (wanted.yaw_rate_rad_s - heading)
-        self._virtual = Twist(x + dx, y + dy, heading + dh)
-        return Acceleration(
-            dx / dt_s - gains.k2_x_1_s * (twist.vx_m_s - x),
-            dy / dt_s - gains.k2_y_1_s * (twist.vy_m_s - y),
-            dh / dt_s - gains.k2_heading_1_s * (twist.yaw_rate_rad_s - heading),
-        )
+        wanted_x, wanted_y, wanted_heading = wanted
+        vx, vy, yaw_rate = twist
+        _, _, _, k2_x, k2_y, k2_heading = gains
+        dx, dy, dh = step * (wanted_x - x), step * (wanted_y - y), step * (wanted_heading - heading)
+        self._virtual = x + dx, y + dy, heading + dh
+        return dx / dt_s - k2_x * (vx - x), dy / dt_s - k2_y * (vy - y), dh / dt_s - k2_heading * (yaw_rate - heading)
 
 
 def without_inner(gains: Gains) -> Gains:
@@ -111,10 +96,9 @@ def without_inner(gains: Gains) -> Gains:
     return gains._replace(k2_x_1_s=NAN, k2_y_1_s=NAN, k2_heading_1_s=NAN)
 
 
-def _virtual_control(moving: Twist, error: TrackingError, gains: Gains) -> Twist:
+def _virtual_control(moving: Twist, error: TrackingError, gains: Gains) -> Axes:
     """Return x̄2 = q̇_d - K1 S1."""
-    return Twist(
-        moving.vx_m_s - gains.k1_x_1_s * error.x_m,
-        moving.vy_m_s - gains.k1_y_1_s * error.y_m,
-        moving.yaw_rate_rad_s - gains.k1_heading_1_s * error.heading_rad,
-    )
+    x, y, heading, _, _, _ = error
+    vx, vy, yaw_rate = moving
+    k1_x, k1_y, k1_heading, _, _, _ = gains
+    return vx - k1_x * x, vy - k1_y * y, yaw_rate - k1_heading * heading

@@ -1,4 +1,4 @@
-"""A law of the user's own: finds its class, and turns whatever its code raises into one readable sentence."""
+"""A law that is not ours: finds its class, and turns whatever its code raises into one readable sentence."""
 
 import importlib
 import importlib.util
@@ -21,28 +21,29 @@ _METHODS = {
 }
 
 
-def find_class(spec: str, base: Path) -> type:
+def find_class(spec: str, base: Path, named: str) -> type:
     """Return the class named by ``"./my_law.py:MyLaw"`` (relative to ``base``) or ``"package.module:MyLaw"``.
 
-    Raises BadInputError when there is no such file, module or class, when it fails on import (with the
-    place), and when the class lacks ``reset`` or ``update`` or they do not take what the tick gives them.
+    Messages begin with ``named``. Raises BadInputError when there is no such file, module or class, when it fails
+    on import (with the place), and when the class lacks ``reset`` or ``update`` or they do not take what the tick
+    gives them.
     """
     location, _, name = spec.rpartition(":")
     is_file = location.endswith(".py")
-    module = _import_file(spec, base / location) if is_file else _import_module(spec, location)
+    module = _import_file(named, base / location) if is_file else _import_module(named, location)
     law = getattr(module, name, None)
     if not isinstance(law, type):
         own = [v for v in vars(module).values() if isinstance(v, type) and v.__module__ == module.__name__]
         hint = nearest(name, [v.__name__ for v in own]) or "; it has none"
-        raise BadInputError(f"{_named(spec)}: no class {name!r} in {location}{hint}")
+        raise BadInputError(f"{named}: no class {name!r} in {location}{hint}")
     for method, arguments in _METHODS.items():
         expected = f"{method}({', '.join(arguments)})"
         function = getattr(law, method, None)
         if not callable(function):
-            raise BadInputError(f"{_named(spec)}: the class has no {method}; expected {expected}")
+            raise BadInputError(f"{named}: the class has no {method}; expected {expected}")
         if not _takes(function, arguments):
             found = f"{method}{inspect.signature(function)}"
-            raise BadInputError(f"{_named(spec)}: found {found}, expected {expected}")
+            raise BadInputError(f"{named}: found {found}, expected {expected}")
     return law
 
 
@@ -50,15 +51,15 @@ class UserLaw:
     """A controller around a law of the user's own.
 
     The law is made with the first of the argument lists ``choices`` that its constructor takes; it may leave
-    out ``gains``. Raises BadInputError, with file and line, for whatever the law raises when it is made or
-    run, and when its update returns something else than a command in the mode of the run.
+    out ``gains``. Messages begin with ``named``. Raises BadInputError, with file and line, for whatever the law
+    raises when it is made or run, and when its update returns something else than a command in the mode of the run.
     """
 
-    def __init__(self, spec: str, law: type, mode: CommandMode, choices: list[tuple[object, ...]]) -> None:
-        self._spec = spec
+    def __init__(self, named: str, law: type, mode: CommandMode, choices: list[tuple[object, ...]]) -> None:
+        self._named = named
         self._mode = mode
-        arguments = _constructor_arguments(spec, law, choices)
-        with _failures_of(spec, "making it"):
+        arguments = _constructor_arguments(named, law, choices)
+        with _failures_of(named, "making it"):
             self._law: Any = law(*arguments)
         self._has_gains = inspect.getattr_static(self._law, "gains", None) is not None
 
@@ -67,12 +68,12 @@ class UserLaw:
         """The law's gains, or NO_GAINS."""
         if not self._has_gains:
             return NO_GAINS
-        with _failures_of(self._spec, "gains"):
+        with _failures_of(self._named, "gains"):
             return Gains(*map(float, self._law.gains))
 
     def reset(self, state: State, reference: Reference) -> None:
         """Pass it on."""
-        with _failures_of(self._spec, "reset"):
+        with _failures_of(self._named, "reset"):
             self._law.reset(state, reference)
 
     def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
@@ -82,37 +83,37 @@ class UserLaw:
         except BadInputError:
             raise
         except (Exception, SystemExit) as error:
-            raise _failure(self._spec, "update", error) from error
+            raise _failure(self._named, "update", error) from error
         if not isinstance(command, WheelCommand):
-            raise BadInputError(f"{_named(self._spec)}: update returned {command!r}, expected a WheelCommand")
+            raise BadInputError(f"{self._named}: update returned {command!r}, expected a WheelCommand")
         if command.mode != self._mode:
             raise BadInputError(
-                f"{_named(self._spec)}: update returned a command of mode {command.mode!r}, "
+                f"{self._named}: update returned a command of mode {command.mode!r}, "
                 f"expected {self._mode.name}, the mode that it was made with"
             )
         try:
             speed, torque = Wheels(*map(float, command.speed_rad_s)), Wheels(*map(float, command.torque_n_m))
         except (TypeError, ValueError) as error:
             raise BadInputError(
-                f"{_named(self._spec)}: update returned {command!r}, expected four numbers in speed_rad_s and four in "
+                f"{self._named}: update returned {command!r}, expected four numbers in speed_rad_s and four in "
                 f"torque_n_m ({error})"
             ) from error
         return WheelCommand(command.mode, speed, torque)
 
 
-def _import_file(spec: str, path: Path) -> ModuleType:
+def _import_file(named: str, path: Path) -> ModuleType:
     if not path.is_file():
-        raise BadInputError(f"{_named(spec)}: no file {path} (relative to the scenario's folder)")
+        raise BadInputError(f"{named}: no file {path} (relative to the scenario's folder)")
     # A name of its own: a user's file called random.py or dsc.py must not stand in for another module.
     name = f"_law_{path.stem}_{zlib.crc32(str(path.resolve()).encode()):08x}"
     description = importlib.util.spec_from_file_location(name, path)
     if description is None or description.loader is None:
-        raise BadInputError(f"{_named(spec)}: {path} is not a Python file")
+        raise BadInputError(f"{named}: {path} is not a Python file")
     module = importlib.util.module_from_spec(description)
     # Dataclasses look their module up there while it is being imported.
     sys.modules[name] = module
     try:
-        with _failures_of(spec, "importing it"):
+        with _failures_of(named, "importing it"):
             description.loader.exec_module(module)
     except BadInputError:
         del sys.modules[name]
@@ -120,28 +121,26 @@ def _import_file(spec: str, path: Path) -> ModuleType:
     return module
 
 
-def _import_module(spec: str, name: str) -> ModuleType:
-    with _failures_of(spec, "importing it"):
+def _import_module(named: str, name: str) -> ModuleType:
+    with _failures_of(named, "importing it"):
         try:
             return importlib.import_module(name)
         except ModuleNotFoundError as error:
             # Only when the module asked for, or a package around it, is what is missing.
             if error.name and (name == error.name or name.startswith(f"{error.name}.")):
                 raise BadInputError(
-                    f"{_named(spec)}: no module {error.name!r}; install it, or name a file as in './my_law.py:MyLaw'"
+                    f"{named}: no module {error.name!r}; install it, or name a file as in './my_law.py:MyLaw'"
                 ) from error
             raise
 
 
-def _constructor_arguments(spec: str, law: type, choices: list[tuple[object, ...]]) -> tuple[object, ...]:
+def _constructor_arguments(named: str, law: type, choices: list[tuple[object, ...]]) -> tuple[object, ...]:
     for arguments in choices:
         if _takes(law, arguments):
             return arguments
     names = ", ".join(("self", "model", "mode", "options")[: 1 + len(choices[0])])
     hint = "" if len(choices[0]) == 3 else "; for options, define a dataclass Options in the class"
-    raise BadInputError(
-        f"{_named(spec)}: found {law.__name__}{inspect.signature(law)}, expected __init__({names}){hint}"
-    )
+    raise BadInputError(f"{named}: found {law.__name__}{inspect.signature(law)}, expected __init__({names}){hint}")
 
 
 def _takes(function: Any, arguments: tuple[object, ...]) -> bool:
@@ -153,17 +152,17 @@ def _takes(function: Any, arguments: tuple[object, ...]) -> bool:
 
 
 @contextmanager
-def _failures_of(spec: str, doing: str) -> Iterator[None]:
+def _failures_of(named: str, doing: str) -> Iterator[None]:
     try:
         yield
     except BadInputError:
         raise
     except (Exception, SystemExit) as error:  # someone else's code may raise anything
-        raise _failure(spec, doing, error) from error
+        raise _failure(named, doing, error) from error
 
 
-def _failure(spec: str, doing: str, error: BaseException) -> BadInputError:
-    return BadInputError(f"{_named(spec)}: {doing} failed at {_place(error)}: {type(error).__name__}: {error}")
+def _failure(named: str, doing: str, error: BaseException) -> BadInputError:
+    return BadInputError(f"{named}: {doing} failed at {_place(error)}: {type(error).__name__}: {error}")
 
 
 def _place(error: BaseException) -> str:
@@ -171,7 +170,3 @@ def _place(error: BaseException) -> str:
         return f"{error.filename}:{error.lineno}"
     frames = [f for f in traceback.extract_tb(error.__traceback__) if not f.filename.startswith("<frozen")]
     return f"{frames[-1].filename}:{frames[-1].lineno}" if frames else "an unknown place"
-
-
-def _named(spec: str) -> str:
-    return f"controller.law = {spec!r}"

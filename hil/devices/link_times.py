@@ -1,4 +1,4 @@
-"""Times over a link, from messages and stamps alone: round trip, and the robot's clock against the host's. Pure.
+"""Times over a link, from messages and stamps alone: round trip, latency, the robot's clock against the host's. Pure.
 
 Stamps are on the clock of the run [ns], taken where the host's side meets the link: latency and faults that a scenario
 puts on the link are part of what is measured, as those of a real one would be.
@@ -19,6 +19,9 @@ _STAGES = 8
 _FITTED = 64
 _STEP_NS = 128_000_000
 _SHORTEST_FIT_NS = 1_000_000_000
+_COMMANDS = 33
+_FEWEST_COMMANDS = 9
+_AGE_AT_MOST_MS = 255  # TICK.command_age_ms stands for this and more
 _WRAP_US = 1 << 32
 _HELD_AT_MOST_US = 0xFFFF  # TIME_SYNC_RESPONSE.held_us stands for this and more
 
@@ -59,6 +62,44 @@ class RoundTrip:
         if not self._all_ms:
             return None
         return {**_percentiles(self._all_ms), "count": len(self._all_ms)}
+
+
+class CommandLatency:
+    """From the instant that a command was worked out from to the first firmware tick that used it (``Applied``).
+
+    The robot tells it: a TICK says which command is in force and how old it is (TICK.sequence, TICK.command_age_ms),
+    and the host knows the sample that each command rests on. Both instants are on the robot's clock, so that no clock
+    has to be compared with another; the result has the firmware's grain of 1 ms. ``s`` is the median of the last 33
+    commands, so that a command that was held up changes nothing, and ``configured_s`` until 9 were seen. What is
+    negative or longer than ``longest_ns``, the robot's own patience, is left out: no such command drives it.
+    """
+
+    def __init__(self, configured_s: float, longest_ns: int) -> None:
+        self._longest_ns = longest_ns
+        self._sampled_ns: list[int | None] = [None] * 256
+        self._recent_ns: deque[int] = deque(maxlen=_COMMANDS)
+        self.s = configured_s
+
+    def sent(self, sequence: int, sampled_ns: int | None) -> None:
+        """Note on which sample, by the robot's clock, a command rests; None for one that rests on none."""
+        self._sampled_ns[sequence] = sampled_ns
+
+    def acted(self, sequence: int, at_ns: int, age_ms: int) -> None:
+        """Note that this command was in force, ``age_ms`` old, at an instant of the robot's clock."""
+        sampled_ns = self._sampled_ns[sequence]
+        if sampled_ns is None or age_ms >= _AGE_AT_MOST_MS:
+            return
+        self._sampled_ns[sequence] = None
+        latency_ns = at_ns - age_ms * 1_000_000 - sampled_ns
+        if not 0 <= latency_ns <= self._longest_ns:
+            return
+        self._recent_ns.append(latency_ns)
+        if len(self._recent_ns) >= _FEWEST_COMMANDS:
+            self.s = statistics.median_low(self._recent_ns) * 1e-9
+
+    def restart(self) -> None:
+        """Begin with a new session, whose robot's clock may have begun anew; what was measured still holds."""
+        self._sampled_ns = [None] * 256
 
 
 class Exchange(NamedTuple):

@@ -281,8 +281,8 @@ class Stm32:
             # No time passes here, so that the answer has the stamp of its tick, not that of the next step's end.
             self._exchange_step(m.Step(self.tick, 0))
 
-    def send(self, command: WheelCommand) -> None:
-        """Send a command that the guard has passed. Raises ValueError for a value that cannot be sent."""
+    def send(self, command: WheelCommand) -> int:
+        """Send a command that the guard has passed; return its sequence. Raises ValueError for what cannot be sent."""
         self._sequence = (self._sequence + 1) & 0xFF
         if self._clock is not None:
             self.round_trip.sent(self._sequence, self._clock.now_ns())
@@ -290,10 +290,11 @@ class Stm32:
         torque = self._map.to_wire(command.torque_n_m)
         if command.mode is CommandMode.TORQUE:
             self._send(m.TorqueCommand(*torque, self._sequence, session))
-            return
+            return self._sequence
         if any(torque):
             self._send(m.TorqueFeedforward(*torque, self._sequence, session))
         self._send(m.WheelCommand(*self._map.to_wire(command.speed_rad_s), self._sequence, session))
+        return self._sequence
 
     def step(self, ticks: int) -> None:
         """Lockstep: let so many firmware ticks pass, and take what the robot sends meanwhile."""

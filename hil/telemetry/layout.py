@@ -175,7 +175,10 @@ _ENTITIES = (
         ),
     ),
     Entity("/link/load", (Series("link.load_percent", "load", PLAIN_COLOUR),)),
-    Entity("/link/round_trip", (Series("link.rtt_ms", "round trip", PLAIN_COLOUR),)),
+    Entity(
+        "/link/delay",
+        (Series("link.rtt_ms", "round trip", PLAIN_COLOUR), Series("link.latency_ms", "latency", REFERENCE_COLOUR)),
+    ),
     Entity("/link/clock/offset", (Series("link.clock_offset_us", "offset", PLAIN_COLOUR),)),
     Entity("/link/clock/drift", (Series("link.clock_drift_ppm", "drift", PLAIN_COLOUR),)),
 )

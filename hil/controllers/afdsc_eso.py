@@ -1,0 +1,53 @@
+"""AFDSC with feedforward bypass and extended state observer."""
+
+from dataclasses import dataclass
+
+from hil.controllers.fuzzy_gains import FuzzyGains, FuzzyRanges
+from hil.controllers.observed_surface import ObservedSurface
+from hil.controllers.surface import tracking_error, without_inner
+from hil.fuzzy import Tables
+from hil.model import RobotModel
+from hil.options import require_positive
+from hil.types import NO_GAINS, Applied, CommandMode, Gains, Reference, State, WheelCommand
+
+
+class AfdscEso:
+    """AFDSC with feedforward bypass, extended state observer and latency compensation.
+
+    The gains are AFDSC's, by the error when the command takes effect. In SPEED mode only K1 is in force.
+    """
+
+    @dataclass(frozen=True, slots=True)
+    class Options(FuzzyRanges):
+        """The ranges of the fuzzy inputs, which tables, the filter's time constant ς [s], and the observer's ωo."""
+
+        tables: Tables = "corrected"
+        filter_s: float = 0.01
+        observer_rad_s: float = 60.0
+
+        def __post_init__(self) -> None:
+            FuzzyRanges.__post_init__(self)
+            require_positive(self, "filter_s", "observer_rad_s")
+
+    def __init__(self, model: RobotModel, mode: CommandMode, options: Options) -> None:
+        self._surface = ObservedSurface(model, mode, options.filter_s, options.observer_rad_s)
+        self._torque = mode is CommandMode.TORQUE
+        self._tuner = FuzzyGains(options.tables, options)
+        self._last = NO_GAINS
+
+    @property
+    def gains(self) -> Gains:
+        """Gains of the last update."""
+        return self._last if self._torque else without_inner(self._last)
+
+    def reset(self, state: State, reference: Reference) -> None:
+        """Start filter and observer from this state and reference."""
+        error = tracking_error(reference, state)
+        self._last = self._tuner.of(error)
+        self._surface.reset(state, error, self._last)
+
+    def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
+        """Return the command of this tick, not limited."""
+        ahead = self._surface.ahead(reference, state, applied, dt_s)
+        self._last = gains = self._tuner.of(ahead.error)
+        return self._surface.command(reference, ahead, gains, dt_s)

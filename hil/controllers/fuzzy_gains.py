@@ -1,0 +1,46 @@
+"""Gains of all three axes by the fuzzy block: what AFDSC and its relatives have in common."""
+
+from dataclasses import dataclass
+
+from hil.controllers.surface import TrackingError
+from hil.fuzzy import FuzzyBlock, Tables
+from hil.options import require_positive
+from hil.types import Gains
+
+
+@dataclass(frozen=True, slots=True)
+class FuzzyRanges:
+    """The ranges of the fuzzy inputs: where the sets NB and PB peak. x and y share theirs, the heading has its own."""
+
+    error_range_m: float = 0.2
+    error_rate_range_m_s: float = 0.7
+    heading_error_range_rad: float = 0.8
+    heading_rate_range_rad_s: float = 4.0
+
+    def __post_init__(self) -> None:
+        require_positive(
+            self,
+            "error_range_m",
+            "error_rate_range_m_s",
+            "heading_error_range_rad",
+            "heading_rate_range_rad_s",
+        )
+
+
+class FuzzyGains:
+    """A fuzzy block an axis."""
+
+    __slots__ = ("_heading", "_planar")
+
+    def __init__(self, tables: Tables, ranges: FuzzyRanges) -> None:
+        self._planar = FuzzyBlock.from_tables(tables, ranges.error_range_m, ranges.error_rate_range_m_s)
+        self._heading = FuzzyBlock.from_tables(tables, ranges.heading_error_range_rad, ranges.heading_rate_range_rad_s)
+
+    def of(self, error: TrackingError) -> Gains:
+        """Return the gains at this error."""
+        x, y, heading, vx, vy, yaw_rate = error
+        planar = self._planar.gains
+        k1_x, k2_x = planar(x, vx)
+        k1_y, k2_y = planar(y, vy)
+        k1_heading, k2_heading = self._heading.gains(heading, yaw_rate)
+        return Gains(k1_x, k1_y, k1_heading, k2_x, k2_y, k2_heading)

@@ -1,0 +1,174 @@
+"""What one step of each control law costs: ``python -m tools.bench.controller_step``.
+
+Each law drives a robot some centimetres off the paper's circle, 500 steps a repetition, and gets back what it asks.
+The measure is AFDSC as one would write it first, in NumPy with matrices and the rules one by one. All take turns, again
+and again; the numbers are medians of CPU time a step. The ratio is what can be compared between machines.
+"""
+
+import argparse
+import itertools
+import math
+import statistics
+import time
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from hil.controllers.afdsc import Afdsc
+from hil.controllers.registry import SHIPPED
+from hil.errors import BadInputError
+from hil.fuzzy import K1_1_S, K2_1_S, RULES
+from hil.model import FRICTION_SPEED_RAD_S, RobotModel
+from hil.references import make_reference
+from hil.types import ZERO_WHEELS, Applied, CommandMode, Pose, Reference, State, Twist, WheelCommand
+
+Array = NDArray[np.float64]
+
+STEPS = 500
+DT_S = 0.005
+LATENCY_S = 0.005
+ROBOT = RobotModel(
+    mass_kg=20.0,
+    inertia_kg_m2=0.56,
+    wheel_radius_m=0.075,
+    half_length_m=0.3,
+    half_width_m=0.3,
+    wheel_inertia_kg_m2=0.005,
+    friction_coefficient=0.03,
+    torque_limit_n_m=5.0,
+    speed_limit_rad_s=20.0,
+)
+
+
+class NumpyAfdsc:
+    """AFDSC in TORQUE mode as its equations stand in the paper."""
+
+    def __init__(self, model: RobotModel, options: Afdsc.Options) -> None:
+        self.model = model
+        self.filter_s = options.filter_s
+        self.ranges = [
+            (options.error_range_m, options.error_rate_range_m_s),
+            (options.error_range_m, options.error_rate_range_m_s),
+            (options.heading_error_range_rad, options.heading_rate_range_rad_s),
+        ]
+        lever = model.lever_m
+        self.h = np.array([[1, -1, -lever], [1, 1, lever], [1, -1, lever], [1, 1, -lever]])
+        self.mass = np.diag([model.effective_mass_kg, model.effective_mass_kg, model.effective_inertia_kg_m2])
+        self.virtual = np.zeros(3)
+
+    def memberships(self, value: float, span: float) -> Array:
+        """Return how much a value is NB, NS, Z, PS and PB."""
+        scaled = np.clip(value / span, -1.0, 1.0)
+        found: Array = np.maximum(0.0, 1.0 - np.abs(scaled - np.linspace(-1.0, 1.0, 5)) / 0.5)
+        return found
+
+    def gains(self, error: Array, rate: Array) -> tuple[Array, Array]:
+        """Return K1 and K2 by product inference and weighted average."""
+        k1, k2 = np.zeros(3), np.zeros(3)
+        k1_levels = np.array([[K1_1_S[level] for level in row] for row in RULES["printed"][0]])
+        k2_levels = np.array([[K2_1_S[level] for level in row] for row in RULES["printed"][1]])
+        for axis, (error_range, rate_range) in enumerate(self.ranges):
+            weights = np.outer(self.memberships(rate[axis], rate_range), self.memberships(error[axis], error_range))
+            k1[axis] = np.sum(weights * k1_levels) / np.sum(weights)
+            k2[axis] = np.sum(weights * k2_levels) / np.sum(weights)
+        return k1, k2
+
+    def update(self, reference: Reference, state: State, dt_s: float) -> Array:
+        """Return the torques of the wheels."""
+        model = self.model
+        q, q_dot = np.array(state.pose), np.array(state.twist)
+        wanted, wanted_dot = np.array(reference.pose), np.array(reference.twist)
+        error = q - wanted
+        error[2] = math.remainder(error[2], math.tau)
+        k1, k2 = self.gains(error, q_dot - wanted_dot)
+        virtual = wanted_dot - k1 * error
+        change = (1.0 - np.exp(-dt_s / self.filter_s)) * (virtual - self.virtual)
+        acceleration = change / dt_s - k2 * (q_dot - self.virtual)
+        self.virtual = self.virtual + change
+        c, s = np.cos(q[2]), np.sin(q[2])
+        rotation = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+        coupling = model.wheels_mass_kg * q_dot[2] * np.array([q_dot[1], -q_dot[0], 0.0])
+        to_wheels = model.wheel_radius_m / 4 * self.h @ np.diag([1, 1, 1 / model.lever_m**2]) @ rotation.T
+        speeds = self.h @ rotation.T @ wanted_dot / model.wheel_radius_m
+        friction = model.wheel_friction_n_m * np.tanh(speeds / FRICTION_SPEED_RAD_S)
+        torque: Array = to_wheels @ (self.mass @ acceleration + coupling) + friction
+        return torque
+
+
+def motion() -> tuple[list[Reference], list[State]]:
+    """Return the circle, and a robot that is beside it."""
+    circle = make_reference("circle", {"heading_rad": math.pi / 4})
+    references = [circle.at(number * DT_S) for number in range(STEPS)]
+    states = []
+    for number, ((x, y, heading), (vx, vy, yaw_rate), _) in enumerate(references):
+        off = 0.05 * math.sin(0.05 * number)
+        states.append(State(Pose(x + off, y - off, heading + off), Twist(vx + off, vy - off, yaw_rate + off)))
+    return references, states
+
+
+def of_law(law: type, mode: CommandMode, references: list[Reference], states: list[State]) -> Callable[[], None]:
+    """Return what does all steps of a law. Raises BadInputError for a mode that it refuses."""
+    options = law.Options()  # type: ignore[attr-defined]
+    controller = law(ROBOT, mode, options)
+
+    def steps() -> None:
+        applied = Applied(WheelCommand(mode, ZERO_WHEELS, ZERO_WHEELS), False, LATENCY_S)
+        controller.reset(states[0], references[0])
+        for reference, state in zip(references, states, strict=True):
+            applied = Applied(controller.update(reference, state, applied, DT_S), False, LATENCY_S)
+
+    return steps
+
+
+def of_numpy(references: list[Reference], states: list[State]) -> Callable[[], None]:
+    """Return what does all steps of AFDSC in NumPy, checked against the law's own."""
+    naive, law = NumpyAfdsc(ROBOT, Afdsc.Options()), Afdsc(ROBOT, CommandMode.TORQUE, Afdsc.Options())
+    law.reset(states[0], references[0])
+    first = states[0].twist  # where the filter begins does not matter for the time that it takes
+    naive.virtual = np.array(first)
+    applied = Applied(WheelCommand(CommandMode.TORQUE, ZERO_WHEELS, ZERO_WHEELS), False, LATENCY_S)
+    expected, found = ZERO_WHEELS, np.zeros(4)
+    for reference, state in zip(references, states, strict=True):
+        expected = law.update(reference, state, applied, DT_S).torque_n_m
+        found = naive.update(reference, state, DT_S)
+    if not np.allclose(found, expected, atol=1e-6):
+        raise SystemExit(f"AFDSC in NumPy gives {found}, the law {expected}: one of them is wrong")
+
+    def steps() -> None:
+        for reference, state in zip(references, states, strict=True):
+            naive.update(reference, state, DT_S)
+
+    return steps
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(prog="tools.bench.controller_step", description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--repeats", type=int, default=21, help="repetitions, of which the median counts")
+    repeats = parser.parse_args().repeats
+    references, states = motion()
+    ways = {("AFDSC in NumPy", "torque"): of_numpy(references, states)}
+    for (name, law), mode in itertools.product(SHIPPED.items(), CommandMode):
+        try:
+            ways[name, mode.name.lower()] = of_law(law, mode, references, states)
+        except BadInputError:
+            continue  # it makes no sense in this mode, and says so
+    taken: dict[tuple[str, str], list[float]] = {way: [] for way in ways}
+    for _ in range(repeats):
+        for way, steps in ways.items():
+            begin_ns = time.process_time_ns()
+            steps()
+            taken[way].append((time.process_time_ns() - begin_ns) * 1e-3 / STEPS)
+    table = Table("law", "command", "µs a step", "of NumPy's", title="a step of a law, CPU time")
+    measure = statistics.median(taken["AFDSC in NumPy", "torque"])
+    for (name, mode_name), values in taken.items():
+        median = statistics.median(values)
+        table.add_row(name, mode_name, f"{median:.2f}", f"1/{measure / median:.0f}")
+    Console().print(table)
+
+
+if __name__ == "__main__":
+    main()
