@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from hil.controllers.afdsc import Afdsc
 from hil.controllers.dsc import Dsc
+from hil.controllers.profile import Profile
 from hil.controllers.user import UserLaw, find_class
 from hil.errors import BadInputError, nearest
 from hil.model import RobotModel
@@ -17,7 +18,7 @@ from hil.types import CommandMode
 if TYPE_CHECKING:
     from hil.ports import Controller
 
-SHIPPED: dict[str, type] = {"afdsc": Afdsc, "dsc": Dsc}
+SHIPPED: dict[str, type] = {"afdsc": Afdsc, "dsc": Dsc, "profile": Profile}
 
 _NO_OPTIONS = make_dataclass("Options", [])
 
