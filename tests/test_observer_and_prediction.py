@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.controllers.observer import ExtendedStateObserver, observer_gains
-from hil.controllers.prediction import CommandsOnTheirWay, acceleration_of, forward
-from hil.types import Acceleration, Pose, State, Twist, Wheels
+from hil.controllers.prediction import CommandsOnTheirWay, acceleration_of
+from hil.types import Acceleration, Twist, Wheels
 from tests.closed_loop import PAPER_ROBOT
 
 DT_S = 0.005
@@ -79,36 +79,35 @@ def test_an_observer_without_a_bandwidth_or_a_limit_is_refused(value):
         ExtendedStateObserver(60.0, value)
 
 
-@given(
-    st.lists(accelerations, min_size=1, max_size=12),
-    st.floats(0.0, 0.03),
-    st.sampled_from([0.001, 0.005, 0.01]),
-    twists,
-    accelerations,
-)
-def test_what_is_predicted_is_what_an_integrator_gives_that_knows_when_each_command_acts(
-    commands, latency_s, dt_s, twist, disturbance
-):
-    """Positions since the last tick and over the latency ahead, for every axis and any latency in periods."""
+@given(st.lists(accelerations, min_size=1, max_size=12), st.floats(0.0, 0.03), st.sampled_from([0.001, 0.005, 0.01]))
+def test_what_is_predicted_is_what_an_integrator_gives_that_knows_when_each_command_acts(commands, latency_s, dt_s):
+    """Since each tick, and over the latency ahead of the last one, for any latency in periods."""
     on_their_way = CommandsOnTheirWay()
-    state = State(Pose(0.0, 0.0, 0.0), twist)
-    for command in commands:
-        state = forward(state, disturbance, on_their_way.advance(command, latency_s, dt_s), dt_s)
-    end_s = len(commands) * dt_s
-    predicted = forward(state, disturbance, on_their_way.ahead(latency_s), latency_s)
+    position, rate = np.zeros(3), np.zeros(3)
 
-    def exact(until_s, axis):
-        x, v, at_s, a = 0.0, twist[axis], 0.0, 0.0
-        for n, command in enumerate(commands):
-            d = max(min(n * dt_s + latency_s, until_s) - at_s, 0.0)
-            x, v, at_s = x + d * v + d * d / 2 * (a + disturbance[axis]), v + d * (a + disturbance[axis]), at_s + d
-            a = command[axis]
-        d = until_s - at_s
-        return x + d * v + d * d / 2 * (a + disturbance[axis]), v + d * (a + disturbance[axis])
+    def move(moved, time_s):
+        nonlocal position, rate
+        position, rate = position + time_s * rate + np.array(moved[:3]), rate + np.array(moved[3:])
 
-    for axis in range(3):
-        assert (state.pose[axis], state.twist[axis]) == pytest.approx(exact(end_s, axis), abs=1e-9)
-        assert (predicted.pose[axis], predicted.twist[axis]) == pytest.approx(exact(end_s + latency_s, axis), abs=1e-9)
+    def exact(until_s):
+        x, v, a, at_s = np.zeros(3), np.zeros(3), np.zeros(3), 0.0
+        for n, following in enumerate([*map(np.array, commands), None]):
+            d = (until_s if following is None else max(min(n * dt_s + latency_s, until_s), at_s)) - at_s
+            x, v, at_s = x + d * v + d * d / 2 * a, v + d * a, at_s + d
+            a = following
+        return np.array([x, v])
+
+    for n, command in enumerate(commands):
+        move(on_their_way.advance(command, latency_s, dt_s), dt_s)
+        assert np.array([position, rate]) == pytest.approx(exact((n + 1) * dt_s), abs=1e-9)
+    move(on_their_way.ahead(latency_s), latency_s)
+    assert np.array([position, rate]) == pytest.approx(exact(len(commands) * dt_s + latency_s), abs=1e-9)
+
+
+def test_an_observer_looks_ahead_by_its_rate_its_disturbance_and_the_commands():
+    observer = ExtendedStateObserver(60.0, 10.0)
+    observer.position, observer.rate, observer.disturbance = 1.0, 2.0, 3.0
+    assert observer.ahead(0.1, 0.5, 0.25) == pytest.approx((1.0 + 0.2 + 0.015 + 0.5, 2.0 + 0.3 + 0.25))
 
 
 def test_a_command_that_a_later_one_overtakes_never_acts():

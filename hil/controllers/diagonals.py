@@ -12,54 +12,39 @@ that as long as one of them has torque to spare there is some for the heading.
 """
 
 import math
-from typing import NamedTuple
 
 from hil.types import Wheels
 
 SQRT2 = math.sqrt(2.0)
 
 
-class Demand(NamedTuple):
-    """Torques a wheel [N·m]: of the pair FL and RR, of the pair FR and RL, and of all four that turn, (a + b) / 2."""
-
-    first_n_m: float
-    second_n_m: float
-    turn_n_m: float
-
-
-class Diagonals(NamedTuple):
-    """The directions in which the two pairs push: unit vectors in the world frame."""
-
-    first_x: float
-    first_y: float
-    second_x: float
-    second_y: float
-
-    @classmethod
-    def at(cls, heading_rad: float) -> "Diagonals":
-        """Return those of a robot with this heading."""
-        c, s = math.cos(heading_rad) / SQRT2, math.sin(heading_rad) / SQRT2
-        return cls(c + s, s - c, c - s, s + c)
+def directions(heading_rad: float) -> tuple[float, float, float, float]:
+    """Return where the pairs FL and RR, FR and RL push: x, y and x, y of unit vectors in the world frame."""
+    c, s = math.cos(heading_rad) / SQRT2, math.sin(heading_rad) / SQRT2
+    plus, minus = c + s, c - s
+    return plus, -minus, minus, plus
 
 
-def allocate(demand: Demand, friction_n_m: Wheels, limit_n_m: float) -> tuple[Wheels, Demand]:
-    """Return wheel torques within the limit, and the share of the demand that is in them.
+def allocate(
+    push_1_n_m: float, push_2_n_m: float, turn_n_m: float, friction_n_m: Wheels, limit_n_m: float
+) -> tuple[Wheels, float, float, float]:
+    """Return wheel torques within the limit, and what is in them of τ_1, τ_2 and (a + b) / 2 as they were wanted.
 
-    Pushing goes first, each pair by itself; turning gets what they leave, and takes it from where it is. On top of
-    the demand comes ``friction_n_m``, what each wheel loses; a loss that differs within a pair would turn the robot,
-    so what of it cannot be made up for counts as turning that was not given.
+    Pushing goes first, each pair by itself; turning gets what they leave, and takes it from where it is. On top
+    comes ``friction_n_m``, what each wheel loses; a loss that differs within a pair turns the robot, so what of it
+    cannot be made up for counts as turning that was not given. All in N·m a wheel.
     """
     fl, fr, rr, rl = friction_n_m
     loss_1, loss_2 = 0.5 * (fl + rr), 0.5 * (fr + rl)
     uneven = 0.5 * (fl - rr - fr + rl)
-    push_1 = _within(demand.first_n_m + loss_1, limit_n_m)
-    push_2 = _within(demand.second_n_m + loss_2, limit_n_m)
+    push_1 = _within(push_1_n_m + loss_1, limit_n_m)
+    push_2 = _within(push_2_n_m + loss_2, limit_n_m)
     room_1, room_2 = limit_n_m - abs(push_1), limit_n_m - abs(push_2)
-    wanted = 2.0 * demand.turn_n_m - uneven
+    wanted = 2.0 * turn_n_m - uneven
     turn_2 = _within(wanted - _within(0.5 * wanted, room_1), room_2)
     turn_1 = _within(wanted - turn_2, room_1)
     torque = Wheels(push_1 - turn_1, push_2 + turn_2, push_1 + turn_1, push_2 - turn_2)
-    return torque, Demand(push_1 - loss_1, push_2 - loss_2, 0.5 * (turn_1 + turn_2 + uneven))
+    return torque, push_1 - loss_1, push_2 - loss_2, 0.5 * (turn_1 + turn_2 + uneven)
 
 
 def _within(value: float, limit: float) -> float:

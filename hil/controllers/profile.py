@@ -5,12 +5,12 @@ Derivation, options and figures: PROFILE.md beside this file.
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
-from hil.controllers.diagonals import SQRT2, Demand, Diagonals, allocate
+from hil.controllers.diagonals import SQRT2, allocate, directions
 from hil.controllers.observer import ExtendedStateObserver
-from hil.controllers.prediction import CommandsOnTheirWay, Moved, acceleration_of, forward
-from hil.controllers.surface import TrackingError, tracking_error
+from hil.controllers.prediction import CommandsOnTheirWay, acceleration_of
+from hil.controllers.surface import tracking_error
+from hil.kinematics import wrap_angle
 from hil.model import FRICTION_SPEED_RAD_S, RobotModel
 from hil.options import require_positive
 from hil.types import (
@@ -20,7 +20,6 @@ from hil.types import (
     Applied,
     CommandMode,
     Gains,
-    Pose,
     Reference,
     State,
     Twist,
@@ -31,7 +30,6 @@ from hil.types import (
 # Of the yaw acceleration that all torque would give: pushing may need it at any time, so little is counted on.
 _TURNING_SHARE = 0.3
 _NO_ACCELERATION = Acceleration(0.0, 0.0, 0.0)
-_NOT_MOVED = Moved(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class Profile:
@@ -84,6 +82,7 @@ class Profile:
         self._on_their_way = CommandsOnTheirWay()
         self._commanded = _NO_ACCELERATION
         self._sent = ZERO_WHEELS
+        self._latency_s = 0.0
         self._is_new = True
 
     def reset(self, state: State, reference: Reference) -> None:
@@ -97,152 +96,134 @@ class Profile:
 
     def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
         """Return the command that acts ``applied.latency_s`` from now, in TORQUE mode within the torque limit."""
-        latency_s = applied.latency_s
         if self._torque:
-            state, disturbance = self._observed(state, applied, dt_s)
-            moved = self._on_their_way.ahead(latency_s)
-            state = forward(state, disturbance, moved, latency_s)
-            return self._torque_command(ahead(reference, latency_s), state, disturbance, dt_s)
-        state = forward(state, _NO_ACCELERATION, _NOT_MOVED, latency_s)
-        return self._speed_command(ahead(reference, latency_s), state)
+            self._observe(state, applied, dt_s)
+            return self._torque_command(reference, applied.latency_s, dt_s)
+        return self._speed_command(reference, state, applied.latency_s)
 
-    def _observed(self, state: State, applied: Applied, dt_s: float) -> tuple[State, Acceleration]:
-        """Return the state with the observers' rates, and the disturbance."""
-        x, y, heading = self._observe_x, self._observe_y, self._observe_heading
+    def _observe(self, state: State, applied: Applied, dt_s: float) -> None:
+        """Bring the observers to this tick, by what the commands did since the last one and by the pose."""
+        latency_s, self._latency_s = self._latency_s, applied.latency_s
         if self._is_new:
             self._is_new = False
-        else:
-            torque = applied.command.torque_n_m
-            if torque != self._sent:  # something else than this law had its say
-                friction_at = self._model.wheel_speeds(state.twist, state.pose.heading_rad)
-                self._commanded = acceleration_of(self._model, torque, state.twist, state.pose.heading_rad, friction_at)
-            moved = self._on_their_way.advance(self._commanded, applied.latency_s, dt_s)
-            x.update(state.pose.x_m, moved.x_m, moved.vx_m_s, dt_s)
-            y.update(state.pose.y_m, moved.y_m, moved.vy_m_s, dt_s)
-            heading.update(state.pose.heading_rad, moved.heading_rad, moved.yaw_rate_rad_s, dt_s)
-        return (
-            State(Pose(x.position, y.position, heading.position), Twist(x.rate, y.rate, heading.rate)),
-            Acceleration(x.disturbance, y.disturbance, heading.disturbance),
-        )
+            return
+        (x, y, heading), twist = state
+        torque = applied.command.torque_n_m
+        if torque != self._sent:  # something else than this law had its say
+            friction_at = self._model.wheel_speeds(twist, heading)
+            self._commanded = acceleration_of(self._model, torque, twist, heading, friction_at)
+        dx, dy, dh, dvx, dvy, dvh = self._on_their_way.advance(self._commanded, latency_s, dt_s)
+        self._observe_x.update(x, dx, dvx, dt_s)
+        self._observe_y.update(y, dy, dvy, dt_s)
+        turned = self._observe_heading.position
+        self._observe_heading.update(turned + wrap_angle(heading - turned), dh, dvh, dt_s)
 
-    def _torque_command(
-        self, reference: Reference, state: State, disturbance: Acceleration, dt_s: float
-    ) -> WheelCommand:
-        """Return τ for q̈ = q̈_d + ẇ(e) + K2 (w(e) - ė) - d, an axis each for the two pairs and the heading."""
+    def _torque_command(self, reference: Reference, latency_s: float, dt_s: float) -> WheelCommand:
+        """Return τ for q̈ = q̈_d + ẇ(e) + K2 (w(e) - ė) - d, an axis each for the two pairs and the heading.
+
+        All at the time at which it begins to act: the reference ahead by its acceleration, the robot by the
+        observers and the commands on their way.
+        """
         model = self._model
-        (_, _, heading), (vx, vy, yaw_rate) = state
-        error = tracking_error(reference, state)
+        dx, dy, dh, dvx, dvy, dvh = self._on_their_way.ahead(latency_s)
+        x, vx = self._observe_x.ahead(latency_s, dx, dvx)
+        y, vy = self._observe_y.ahead(latency_s, dy, dvy)
+        heading, yaw_rate = self._observe_heading.ahead(latency_s, dh, dvh)
+        (x_d, y_d, heading_d), (vx_d, vy_d, yaw_rate_d), (ax, ay, yaw_acceleration) = reference
+        half_s = 0.5 * latency_s
+        x -= x_d + latency_s * (vx_d + half_s * ax)
+        y -= y_d + latency_s * (vy_d + half_s * ay)
+        turned = wrap_angle(heading - heading_d - latency_s * (yaw_rate_d + half_s * yaw_acceleration))
+        vx_d, vy_d = vx_d + latency_s * ax, vy_d + latency_s * ay
+        yaw_rate_d += latency_s * yaw_acceleration
         # The torque is held for a tick: where the wheels push to is taken at the middle of it.
-        diagonals = x1, y1, x2, y2 = Diagonals.at(heading + 0.5 * dt_s * yaw_rate)
-        first, second, turn = self._profiles(reference, error, diagonals)
+        x1, y1, x2, y2 = directions(heading + 0.5 * dt_s * yaw_rate)
+        along_1, along_2 = vx_d * x1 + vy_d * y1, vx_d * x2 + vy_d * y2
+        now_1, now_2, now_turn = vx * x1 + vy * y1 - along_1, vx * x2 + vy * y2 - along_2, yaw_rate - yaw_rate_d
+        k1, braking = self._k1, self._braking_m_s2
+        turn, turn_slope = profile(turned, now_turn, k1, self._turn_braking_rad_s2, -math.inf, math.inf)
+        limit = self._push_speed_m_s(yaw_rate_d + turn)
+        rate_1, slope_1 = profile(x * x1 + y * y1, now_1, k1, braking, -limit - along_1, limit - along_1)
+        rate_2, slope_2 = profile(x * x2 + y * y2, now_2, k1, braking, -limit - along_2, limit - along_2)
         # What brings ė to w within a tick as a pole at K2 does: exact for an acceleration that is held.
         k2 = -math.expm1(-self._k2 * dt_s) / dt_s
         coupling = model.wheels_mass_kg / model.effective_mass_kg * yaw_rate
-        known_x = reference.acceleration.ax_m_s2 - disturbance.ax_m_s2 + coupling * vy
-        known_y = reference.acceleration.ay_m_s2 - disturbance.ay_m_s2 - coupling * vx
-        push = self._push_n_m_per_m_s2
-        demand = Demand(
-            push * (known_x * x1 + known_y * y1 + first.slope + k2 * (first.rate - first.now)),
-            push * (known_x * x2 + known_y * y2 + second.slope + k2 * (second.rate - second.now)),
-            self._turn_n_m_per_rad_s2
-            * (reference.acceleration.yaw_rad_s2 - disturbance.yaw_rad_s2 + turn.slope + k2 * (turn.rate - turn.now)),
+        known_x = ax - self._observe_x.disturbance + coupling * vy
+        known_y = ay - self._observe_y.disturbance - coupling * vx
+        to_push, to_turn = self._push_n_m_per_m_s2, self._turn_n_m_per_rad_s2
+        torque, push_1, push_2, turn = allocate(
+            to_push * (known_x * x1 + known_y * y1 + slope_1 + k2 * (rate_1 - now_1)),
+            to_push * (known_x * x2 + known_y * y2 + slope_2 + k2 * (rate_2 - now_2)),
+            to_turn * (yaw_acceleration - self._observe_heading.disturbance + turn_slope + k2 * (turn - now_turn)),
+            self._friction(along_1, along_2, yaw_rate_d),
+            model.torque_limit_n_m,
         )
-        torque, given = allocate(demand, self._friction(reference, heading), model.torque_limit_n_m)
-        along_1, along_2 = given.first_n_m / push, given.second_n_m / push
+        push_1, push_2 = push_1 / to_push, push_2 / to_push
         self._sent = torque
         self._commanded = Acceleration(
-            along_1 * x1 + along_2 * x2 - coupling * vy,
-            along_1 * y1 + along_2 * y2 + coupling * vx,
-            given.turn_n_m / self._turn_n_m_per_rad_s2,
+            push_1 * x1 + push_2 * x2 - coupling * vy, push_1 * y1 + push_2 * y2 + coupling * vx, turn / to_turn
         )
         return WheelCommand(CommandMode.TORQUE, ZERO_WHEELS, torque)
 
-    def _speed_command(self, reference: Reference, state: State) -> WheelCommand:
+    def _speed_command(self, reference: Reference, state: State, latency_s: float) -> WheelCommand:
         """Return ω for q̇ = q̇_d + w(e), and the torque that the reference and the profile's own slope take."""
         model = self._model
-        heading = state.pose.heading_rad
-        diagonals = x1, y1, x2, y2 = Diagonals.at(heading)
-        first, second, turn = self._profiles(reference, tracking_error(reference, state), diagonals)
-        vx, vy, yaw_rate = reference.twist
-        ax, ay, yaw_acceleration = reference.acceleration
-        twist = Twist(
-            vx + first.rate * x1 + second.rate * x2, vy + first.rate * y1 + second.rate * y2, yaw_rate + turn.rate
-        )
+        x, y, turned, vx, vy, yaw_rate = tracking_error(reference, state)
+        # The robot ahead by its own speed, and by the reference's acceleration, which is in both.
+        x, y, turned = x + latency_s * vx, y + latency_s * vy, turned + latency_s * yaw_rate
+        _, (vx_d, vy_d, yaw_rate_d), (ax, ay, yaw_acceleration) = reference
+        vx_d, vy_d = vx_d + latency_s * ax, vy_d + latency_s * ay
+        yaw_rate_d += latency_s * yaw_acceleration
+        heading = state.pose.heading_rad + latency_s * state.twist.yaw_rate_rad_s
+        x1, y1, x2, y2 = directions(heading)
+        along_1, along_2 = vx_d * x1 + vy_d * y1, vx_d * x2 + vy_d * y2
+        k1, braking = self._k1, self._braking_m_s2
+        turn, turn_slope = profile(turned, yaw_rate, k1, self._turn_braking_rad_s2, -math.inf, math.inf)
+        limit = self._push_speed_m_s(yaw_rate_d + turn)
+        now_1, now_2 = vx * x1 + vy * y1, vx * x2 + vy * y2
+        rate_1, slope_1 = profile(x * x1 + y * y1, now_1, k1, braking, -limit - along_1, limit - along_1)
+        rate_2, slope_2 = profile(x * x2 + y * y2, now_2, k1, braking, -limit - along_2, limit - along_2)
+        moving = Twist(vx_d, vy_d, yaw_rate_d)
+        twist = Twist(vx_d + rate_1 * x1 + rate_2 * x2, vy_d + rate_1 * y1 + rate_2 * y2, yaw_rate_d + turn)
         acceleration = Acceleration(
-            ax + first.slope * x1 + second.slope * x2,
-            ay + first.slope * y1 + second.slope * y2,
-            yaw_acceleration + turn.slope,
+            ax + slope_1 * x1 + slope_2 * x2, ay + slope_1 * y1 + slope_2 * y2, yaw_acceleration + turn_slope
         )
-        friction_at = model.wheel_speeds(reference.twist, heading)
-        torque = model.wheel_torques(acceleration, reference.twist, heading, friction_at)
+        torque = model.wheel_torques(acceleration, moving, heading, model.wheel_speeds(moving, heading))
         return WheelCommand(CommandMode.SPEED, model.wheel_speeds(twist, heading), torque)
 
-    def _profiles(
-        self, reference: Reference, error: TrackingError, diagonals: Diagonals
-    ) -> tuple["Along", "Along", "Along"]:
-        """Return the profile along both diagonals and about the vertical."""
-        x1, y1, x2, y2 = diagonals
-        x, y, heading, vx, vy, yaw_rate = error
-        k1 = self._k1
-        first = profile(x * x1 + y * y1, vx * x1 + vy * y1, k1, self._braking_m_s2)
-        second = profile(x * x2 + y * y2, vx * x2 + vy * y2, k1, self._braking_m_s2)
-        turn = profile(heading, yaw_rate, k1, self._turn_braking_rad_s2)
-        rim_m_s = self._rim_speed_m_s
-        if rim_m_s < math.inf:
-            # A wheel's rim runs at √2 the speed along its diagonal, and L the yaw rate.
-            vx, vy, yaw_rate = reference.twist
-            limit = max(rim_m_s - self._model.lever_m * abs(yaw_rate + turn.rate), 0.0) / SQRT2
-            first = within(first, limit, vx * x1 + vy * y1)
-            second = within(second, limit, vx * x2 + vy * y2)
-        return first, second, turn
+    def _push_speed_m_s(self, yaw_rate_rad_s: float) -> float:
+        """Return the speed limit along a diagonal: a wheel's rim runs √2 as fast, and L times the yaw rate."""
+        return max(self._rim_speed_m_s - self._model.lever_m * abs(yaw_rate_rad_s), 0.0) / SQRT2
 
-    def _friction(self, reference: Reference, heading_rad: float) -> Wheels:
+    def _friction(self, along_1_m_s: float, along_2_m_s: float, yaw_rate_rad_s: float) -> Wheels:
         """Return the friction torques at the speeds of the reference: no noise comes back through them."""
         friction = self._model.wheel_friction_n_m
         if friction == 0.0:
             return ZERO_WHEELS
-        fl, fr, rr, rl = self._model.wheel_speeds(reference.twist, heading_rad)
+        scale = 1.0 / (self._model.wheel_radius_m * FRICTION_SPEED_RAD_S)
+        push_1, push_2 = SQRT2 * scale * along_1_m_s, SQRT2 * scale * along_2_m_s
+        turn = scale * self._model.lever_m * yaw_rate_rad_s
         return Wheels(
-            friction * math.tanh(fl / FRICTION_SPEED_RAD_S),
-            friction * math.tanh(fr / FRICTION_SPEED_RAD_S),
-            friction * math.tanh(rr / FRICTION_SPEED_RAD_S),
-            friction * math.tanh(rl / FRICTION_SPEED_RAD_S),
+            friction * math.tanh(push_1 - turn),
+            friction * math.tanh(push_2 + turn),
+            friction * math.tanh(push_1 + turn),
+            friction * math.tanh(push_2 - turn),
         )
 
 
-class Along(NamedTuple):
-    """The profile of one axis: the rate of its error that is wanted, how that changes on the way, and the rate now."""
-
-    rate: float
-    slope: float
-    now: float
-
-
-def profile(error: float, rate: float, k1: float, braking: float) -> Along:
+def profile(error: float, rate: float, k1: float, braking: float, low: float, high: float) -> tuple[float, float]:
     """Return w(e) = -sign(e) min(K1 ρ, √(2 a (ρ - ρl/2))) with ρ = abs(e), ρl = a / K1², and ẇ = w'(e) ė.
 
-    Far away it is the speed from which ``braking`` a just leads to the linear part, which begins at ρl with the same
-    speed and the same slope.
+    Far away w is the rate from which ``braking`` a just leads to the linear part, which begins at ρl with the same
+    rate and the same slope. ``rate`` is ė. Where w would leave ``low`` to ``high`` it stands there.
     """
     distance = abs(error)
     linear = braking / (k1 * k1)
     if distance <= linear:
-        return Along(-k1 * error, -k1 * rate, rate)
-    speed = math.sqrt(2.0 * braking * (distance - 0.5 * linear))
-    return Along(-math.copysign(speed, error), -braking / speed * rate, rate)
-
-
-def within(along: Along, limit: float, reference_rate: float) -> Along:
-    """Return the profile with the speed over ground within ``limit``; where that holds, it does not change."""
-    low, high = -limit - reference_rate, limit - reference_rate
-    if along.rate > high:
-        return Along(high, 0.0, along.now)
-    return Along(low, 0.0, along.now) if along.rate < low else along
-
-
-def ahead(reference: Reference, time_s: float) -> Reference:
-    """Return the reference ``time_s`` [s] later, its acceleration held: q + v L + a L² / 2."""
-    return Reference(
-        *forward(State(reference.pose, reference.twist), reference.acceleration, _NOT_MOVED, time_s),
-        reference.acceleration,
-    )
+        wanted, slope = -k1 * error, -k1 * rate
+    else:
+        fast = math.sqrt(2.0 * braking * (distance - 0.5 * linear))
+        wanted, slope = -math.copysign(fast, error), -braking / fast * rate
+    if wanted > high:
+        return high, 0.0
+    return (low, 0.0) if wanted < low else (wanted, slope)
