@@ -55,6 +55,7 @@ class Profile:
         observer_rad_s: float = 80.0
         speed_k1_1_s: float = 8.0
         keeps_speed_limit: bool = False
+        speed_lag_s: float = 0.0133
 
         def __post_init__(self) -> None:
             require_positive(self, "k1_1_s", "k2_1_s", "braking_share", "observer_rad_s", "speed_k1_1_s")
@@ -65,6 +66,7 @@ class Profile:
         self._model = model
         self._torque = mode is CommandMode.TORQUE
         self._k1 = k1 = options.k1_1_s if self._torque else options.speed_k1_1_s
+        self._speed_lag_s = options.speed_lag_s
         self._k2 = k2 = options.k2_1_s if self._torque else NAN
         self.gains = Gains(k1, k1, k1, k2, k2, k2)
         self._push_n_m_per_m_s2 = model.wheel_radius_m * model.effective_mass_kg / (2.0 * SQRT2)
@@ -99,7 +101,7 @@ class Profile:
         if self._torque:
             self._observe(state, applied, dt_s)
             return self._torque_command(reference, applied.latency_s, dt_s)
-        return self._speed_command(reference, state, applied.latency_s)
+        return self._speed_command(reference, state, applied.latency_s, dt_s)
 
     def _observe(self, state: State, applied: Applied, dt_s: float) -> None:
         """Bring the observers to this tick, by what the commands did since the last one and by the pose."""
@@ -165,11 +167,13 @@ class Profile:
         )
         return WheelCommand(CommandMode.TORQUE, ZERO_WHEELS, torque)
 
-    def _speed_command(self, reference: Reference, state: State, latency_s: float) -> WheelCommand:
-        """Return ω for q̇ = q̇_d + w(e), and the torque that the reference and the profile's own slope take."""
+    def _speed_command(self, reference: Reference, state: State, latency_s: float, dt_s: float) -> WheelCommand:
+        """Return ω for q̇ = q̇_d + w(e), and the torque that the reference and the profile's own slope take.
+
+        The robot is ahead by its own speed, and by the reference's acceleration, which is in both.
+        """
         model = self._model
         x, y, turned, vx, vy, yaw_rate = tracking_error(reference, state)
-        # The robot ahead by its own speed, and by the reference's acceleration, which is in both.
         x, y, turned = x + latency_s * vx, y + latency_s * vy, turned + latency_s * yaw_rate
         _, (vx_d, vy_d, yaw_rate_d), (ax, ay, yaw_acceleration) = reference
         vx_d, vy_d = vx_d + latency_s * ax, vy_d + latency_s * ay
@@ -183,11 +187,19 @@ class Profile:
         now_1, now_2 = vx * x1 + vy * y1, vx * x2 + vy * y2
         rate_1, slope_1 = profile(x * x1 + y * y1, now_1, k1, braking, -limit - along_1, limit - along_1)
         rate_2, slope_2 = profile(x * x2 + y * y2, now_2, k1, braking, -limit - along_2, limit - along_2)
+        # What the profile asks for on the way, no more than in step with it: its noise is not fed forward.
+        slope_1, slope_2 = slope_1 * in_step(now_1, rate_1), slope_2 * in_step(now_2, rate_2)
+        ax, ay = ax + slope_1 * x1 + slope_2 * x2, ay + slope_1 * y1 + slope_2 * y2
+        yaw_acceleration += turn_slope * in_step(yaw_rate, turn)
         moving = Twist(vx_d, vy_d, yaw_rate_d)
-        twist = Twist(vx_d + rate_1 * x1 + rate_2 * x2, vy_d + rate_1 * y1 + rate_2 * y2, yaw_rate_d + turn)
-        acceleration = Acceleration(
-            ax + slope_1 * x1 + slope_2 * x2, ay + slope_1 * y1 + slope_2 * y2, yaw_acceleration + turn_slope
+        # In the middle of the tick, and less by what the wheels run ahead of the speed that the firmware measures.
+        lead_s = 0.5 * dt_s - self._speed_lag_s
+        twist = Twist(
+            vx_d + rate_1 * x1 + rate_2 * x2 + lead_s * ax,
+            vy_d + rate_1 * y1 + rate_2 * y2 + lead_s * ay,
+            yaw_rate_d + turn + lead_s * yaw_acceleration,
         )
+        acceleration = Acceleration(ax, ay, yaw_acceleration)
         torque = model.wheel_torques(acceleration, moving, heading, model.wheel_speeds(moving, heading))
         return WheelCommand(CommandMode.SPEED, model.wheel_speeds(twist, heading), torque)
 
@@ -227,3 +239,10 @@ def profile(error: float, rate: float, k1: float, braking: float, low: float, hi
     if wanted > high:
         return high, 0.0
     return (low, 0.0) if wanted < low else (wanted, slope)
+
+
+def in_step(rate: float, wanted: float) -> float:
+    """Return how much of ``rate`` is on the way that ``wanted`` asks for: 1 for as fast or more slowly, less beyond."""
+    if rate * wanted <= 0.0:
+        return 0.0
+    return min(1.0, wanted / rate)
