@@ -15,6 +15,7 @@ from hil.controllers.dsc import Dsc
 from hil.controllers.dsc_eso import DscEso
 from hil.controllers.lqi import Lqi
 from hil.controllers.pid import Pid
+from hil.controllers.profile import Profile
 from hil.controllers.user import UserLaw, find_class
 from hil.errors import BadInputError, nearest
 from hil.model import RobotModel
@@ -33,6 +34,7 @@ SHIPPED: dict[str, type] = {
     "dsc_eso": DscEso,
     "lqi": Lqi,
     "pid": Pid,
+    "profile": Profile,
 }
 
 _GROUP = "hil.laws"

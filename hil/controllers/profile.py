@@ -1,0 +1,248 @@
+"""Time-optimal square-root profile with observer and delay prediction, one axis for each diagonal pair of wheels.
+
+Derivation, options and figures: PROFILE.md beside this file.
+"""
+
+import math
+from dataclasses import dataclass
+
+from hil.controllers.diagonals import SQRT2, allocate, directions
+from hil.controllers.observer import ExtendedStateObserver
+from hil.controllers.prediction import CommandsOnTheirWay, acceleration_of
+from hil.controllers.surface import tracking_error
+from hil.kinematics import wrap_angle
+from hil.model import FRICTION_SPEED_RAD_S, RobotModel
+from hil.options import require_positive
+from hil.types import (
+    NAN,
+    ZERO_WHEELS,
+    Acceleration,
+    Applied,
+    CommandMode,
+    Gains,
+    Reference,
+    State,
+    Twist,
+    WheelCommand,
+    Wheels,
+)
+
+# Of the yaw acceleration that all torque would give: pushing may need it at any time, so little is counted on.
+_TURNING_SHARE = 0.3
+_NO_ACCELERATION = Acceleration(0.0, 0.0, 0.0)
+
+
+class Profile:
+    """Time-optimal square-root profile: brakes as late as the torque allows, whatever the latency.
+
+    In TORQUE mode an observer an axis finds friction and a wrong mass, and the state is taken forward by the latency
+    from the commands on their way. In SPEED mode the profile gives the set points and the firmware's speed loop does
+    the rest; the gain is then ``speed_k1_1_s``, and the observer has no part in it.
+    """
+
+    @dataclass(frozen=True, slots=True)
+    class Options:
+        """Gains [1/s], the share of the torque to brake with, and the observer's bandwidth [rad/s].
+
+        ``k1_1_s`` and ``k2_1_s`` are the two poles close to the reference. ``braking_share`` is what a robot that is
+        heavier than believed still has: 0.85 with 20 % more mass. With ``keeps_speed_limit`` the robot's wheel speed
+        limit holds in TORQUE mode too, where nothing else keeps it; in SPEED mode it always does.
+        """
+
+        k1_1_s: float = 20.0
+        k2_1_s: float = 60.0
+        braking_share: float = 0.85
+        observer_rad_s: float = 80.0
+        speed_k1_1_s: float = 8.0
+        keeps_speed_limit: bool = False
+        speed_lag_s: float = 0.0133
+
+        def __post_init__(self) -> None:
+            require_positive(self, "k1_1_s", "k2_1_s", "braking_share", "observer_rad_s", "speed_k1_1_s")
+            if self.braking_share > 1.0:
+                raise ValueError(f"braking_share = {self.braking_share!r}: expected at most 1, all the torque")
+
+    def __init__(self, model: RobotModel, mode: CommandMode, options: Options) -> None:
+        self._model = model
+        self._torque = mode is CommandMode.TORQUE
+        self._k1 = k1 = options.k1_1_s if self._torque else options.speed_k1_1_s
+        self._speed_lag_s = options.speed_lag_s
+        self._k2 = k2 = options.k2_1_s if self._torque else NAN
+        self.gains = Gains(k1, k1, k1, k2, k2, k2)
+        self._push_n_m_per_m_s2 = model.wheel_radius_m * model.effective_mass_kg / (2.0 * SQRT2)
+        self._turn_n_m_per_rad_s2 = model.wheel_radius_m * model.effective_inertia_kg_m2 / (4.0 * model.lever_m)
+        push_m_s2 = model.torque_limit_n_m / self._push_n_m_per_m_s2
+        turn_rad_s2 = model.torque_limit_n_m / self._turn_n_m_per_rad_s2
+        self._braking_m_s2 = options.braking_share * push_m_s2
+        self._turn_braking_rad_s2 = _TURNING_SHARE * turn_rad_s2
+        keeps = options.keeps_speed_limit or not self._torque
+        self._rim_speed_m_s = model.speed_limit_rad_s * model.wheel_radius_m if keeps else math.inf
+        bandwidth = options.observer_rad_s
+        self._observe_x = ExtendedStateObserver(bandwidth, push_m_s2)
+        self._observe_y = ExtendedStateObserver(bandwidth, push_m_s2)
+        self._observe_heading = ExtendedStateObserver(bandwidth, turn_rad_s2)
+        self._on_their_way = CommandsOnTheirWay()
+        self._commanded = _NO_ACCELERATION
+        self._sent = ZERO_WHEELS
+        self._latency_s = 0.0
+        self._is_new = True
+
+    def reset(self, state: State, reference: Reference) -> None:
+        """Begin at this state, with nothing commanded and no disturbance."""
+        (x, y, heading), (vx, vy, yaw_rate) = state
+        self._observe_x.reset(x, vx)
+        self._observe_y.reset(y, vy)
+        self._observe_heading.reset(heading, yaw_rate)
+        self._on_their_way.reset()
+        self._is_new = True
+
+    def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
+        """Return the command that acts ``applied.latency_s`` from now, in TORQUE mode within the torque limit."""
+        if self._torque:
+            self._observe(state, applied, dt_s)
+            return self._torque_command(reference, applied.latency_s, dt_s)
+        return self._speed_command(reference, state, applied.latency_s, dt_s)
+
+    def _observe(self, state: State, applied: Applied, dt_s: float) -> None:
+        """Bring the observers to this tick, by what the commands did since the last one and by the pose."""
+        latency_s, self._latency_s = self._latency_s, applied.latency_s
+        if self._is_new:
+            self._is_new = False
+            return
+        (x, y, heading), twist = state
+        torque = applied.command.torque_n_m
+        if torque != self._sent:  # something else than this law had its say
+            friction_at = self._model.wheel_speeds(twist, heading)
+            self._commanded = acceleration_of(self._model, torque, twist, heading, friction_at)
+        dx, dy, dh, dvx, dvy, dvh = self._on_their_way.advance(self._commanded, latency_s, dt_s)
+        self._observe_x.update(x, dx, dvx, dt_s)
+        self._observe_y.update(y, dy, dvy, dt_s)
+        turned = self._observe_heading.position
+        self._observe_heading.update(turned + wrap_angle(heading - turned), dh, dvh, dt_s)
+
+    def _torque_command(self, reference: Reference, latency_s: float, dt_s: float) -> WheelCommand:
+        """Return τ for q̈ = q̈_d + ẇ(e) + K2 (w(e) - ė) - d, an axis each for the two pairs and the heading.
+
+        All at the time at which it begins to act: the reference ahead by its acceleration, the robot by the
+        observers and the commands on their way.
+        """
+        model = self._model
+        dx, dy, dh, dvx, dvy, dvh = self._on_their_way.ahead(latency_s)
+        x, vx = self._observe_x.ahead(latency_s, dx, dvx)
+        y, vy = self._observe_y.ahead(latency_s, dy, dvy)
+        heading, yaw_rate = self._observe_heading.ahead(latency_s, dh, dvh)
+        (x_d, y_d, heading_d), (vx_d, vy_d, yaw_rate_d), (ax, ay, yaw_acceleration) = reference
+        half_s = 0.5 * latency_s
+        x -= x_d + latency_s * (vx_d + half_s * ax)
+        y -= y_d + latency_s * (vy_d + half_s * ay)
+        turned = wrap_angle(heading - heading_d - latency_s * (yaw_rate_d + half_s * yaw_acceleration))
+        vx_d, vy_d = vx_d + latency_s * ax, vy_d + latency_s * ay
+        yaw_rate_d += latency_s * yaw_acceleration
+        # The torque is held for a tick: where the wheels push to is taken at the middle of it.
+        x1, y1, x2, y2 = directions(heading + 0.5 * dt_s * yaw_rate)
+        along_1, along_2 = vx_d * x1 + vy_d * y1, vx_d * x2 + vy_d * y2
+        now_1, now_2, now_turn = vx * x1 + vy * y1 - along_1, vx * x2 + vy * y2 - along_2, yaw_rate - yaw_rate_d
+        k1, braking = self._k1, self._braking_m_s2
+        turn, turn_slope = profile(turned, now_turn, k1, self._turn_braking_rad_s2, -math.inf, math.inf)
+        limit = self._push_speed_m_s(yaw_rate_d + turn)
+        rate_1, slope_1 = profile(x * x1 + y * y1, now_1, k1, braking, -limit - along_1, limit - along_1)
+        rate_2, slope_2 = profile(x * x2 + y * y2, now_2, k1, braking, -limit - along_2, limit - along_2)
+        # What brings ė to w within a tick as a pole at K2 does: exact for an acceleration that is held.
+        k2 = -math.expm1(-self._k2 * dt_s) / dt_s
+        coupling = model.wheels_mass_kg / model.effective_mass_kg * yaw_rate
+        known_x = ax - self._observe_x.disturbance + coupling * vy
+        known_y = ay - self._observe_y.disturbance - coupling * vx
+        to_push, to_turn = self._push_n_m_per_m_s2, self._turn_n_m_per_rad_s2
+        torque, push_1, push_2, turn = allocate(
+            to_push * (known_x * x1 + known_y * y1 + slope_1 + k2 * (rate_1 - now_1)),
+            to_push * (known_x * x2 + known_y * y2 + slope_2 + k2 * (rate_2 - now_2)),
+            to_turn * (yaw_acceleration - self._observe_heading.disturbance + turn_slope + k2 * (turn - now_turn)),
+            self._friction(along_1, along_2, yaw_rate_d),
+            model.torque_limit_n_m,
+        )
+        push_1, push_2 = push_1 / to_push, push_2 / to_push
+        self._sent = torque
+        self._commanded = Acceleration(
+            push_1 * x1 + push_2 * x2 - coupling * vy, push_1 * y1 + push_2 * y2 + coupling * vx, turn / to_turn
+        )
+        return WheelCommand(CommandMode.TORQUE, ZERO_WHEELS, torque)
+
+    def _speed_command(self, reference: Reference, state: State, latency_s: float, dt_s: float) -> WheelCommand:
+        """Return ω for q̇ = q̇_d + w(e), and the torque that the reference and the profile's own slope take.
+
+        The robot is ahead by its own speed, and by the reference's acceleration, which is in both.
+        """
+        model = self._model
+        x, y, turned, vx, vy, yaw_rate = tracking_error(reference, state)
+        x, y, turned = x + latency_s * vx, y + latency_s * vy, turned + latency_s * yaw_rate
+        _, (vx_d, vy_d, yaw_rate_d), (ax, ay, yaw_acceleration) = reference
+        vx_d, vy_d = vx_d + latency_s * ax, vy_d + latency_s * ay
+        yaw_rate_d += latency_s * yaw_acceleration
+        heading = state.pose.heading_rad + latency_s * state.twist.yaw_rate_rad_s
+        x1, y1, x2, y2 = directions(heading)
+        along_1, along_2 = vx_d * x1 + vy_d * y1, vx_d * x2 + vy_d * y2
+        k1, braking = self._k1, self._braking_m_s2
+        turn, turn_slope = profile(turned, yaw_rate, k1, self._turn_braking_rad_s2, -math.inf, math.inf)
+        limit = self._push_speed_m_s(yaw_rate_d + turn)
+        now_1, now_2 = vx * x1 + vy * y1, vx * x2 + vy * y2
+        rate_1, slope_1 = profile(x * x1 + y * y1, now_1, k1, braking, -limit - along_1, limit - along_1)
+        rate_2, slope_2 = profile(x * x2 + y * y2, now_2, k1, braking, -limit - along_2, limit - along_2)
+        # What the profile asks for on the way, no more than in step with it: its noise is not fed forward.
+        slope_1, slope_2 = slope_1 * in_step(now_1, rate_1), slope_2 * in_step(now_2, rate_2)
+        ax, ay = ax + slope_1 * x1 + slope_2 * x2, ay + slope_1 * y1 + slope_2 * y2
+        yaw_acceleration += turn_slope * in_step(yaw_rate, turn)
+        moving = Twist(vx_d, vy_d, yaw_rate_d)
+        # In the middle of the tick, and less by what the wheels run ahead of the speed that the firmware measures.
+        lead_s = 0.5 * dt_s - self._speed_lag_s
+        twist = Twist(
+            vx_d + rate_1 * x1 + rate_2 * x2 + lead_s * ax,
+            vy_d + rate_1 * y1 + rate_2 * y2 + lead_s * ay,
+            yaw_rate_d + turn + lead_s * yaw_acceleration,
+        )
+        acceleration = Acceleration(ax, ay, yaw_acceleration)
+        torque = model.wheel_torques(acceleration, moving, heading, model.wheel_speeds(moving, heading))
+        return WheelCommand(CommandMode.SPEED, model.wheel_speeds(twist, heading), torque)
+
+    def _push_speed_m_s(self, yaw_rate_rad_s: float) -> float:
+        """Return the speed limit along a diagonal: a wheel's rim runs √2 as fast, and L times the yaw rate."""
+        return max(self._rim_speed_m_s - self._model.lever_m * abs(yaw_rate_rad_s), 0.0) / SQRT2
+
+    def _friction(self, along_1_m_s: float, along_2_m_s: float, yaw_rate_rad_s: float) -> Wheels:
+        """Return the friction torques at the speeds of the reference: no noise comes back through them."""
+        friction = self._model.wheel_friction_n_m
+        if friction == 0.0:
+            return ZERO_WHEELS
+        scale = 1.0 / (self._model.wheel_radius_m * FRICTION_SPEED_RAD_S)
+        push_1, push_2 = SQRT2 * scale * along_1_m_s, SQRT2 * scale * along_2_m_s
+        turn = scale * self._model.lever_m * yaw_rate_rad_s
+        return Wheels(
+            friction * math.tanh(push_1 - turn),
+            friction * math.tanh(push_2 + turn),
+            friction * math.tanh(push_1 + turn),
+            friction * math.tanh(push_2 - turn),
+        )
+
+
+def profile(error: float, rate: float, k1: float, braking: float, low: float, high: float) -> tuple[float, float]:
+    """Return w(e) = -sign(e) min(K1 ρ, √(2 a (ρ - ρl/2))) with ρ = abs(e), ρl = a / K1², and ẇ = w'(e) ė.
+
+    Far away w is the rate from which ``braking`` a just leads to the linear part, which begins at ρl with the same
+    rate and the same slope. ``rate`` is ė. Where w would leave ``low`` to ``high`` it stands there.
+    """
+    distance = abs(error)
+    linear = braking / (k1 * k1)
+    if distance <= linear:
+        wanted, slope = -k1 * error, -k1 * rate
+    else:
+        fast = math.sqrt(2.0 * braking * (distance - 0.5 * linear))
+        wanted, slope = -math.copysign(fast, error), -braking / fast * rate
+    if wanted > high:
+        return high, 0.0
+    return (low, 0.0) if wanted < low else (wanted, slope)
+
+
+def in_step(rate: float, wanted: float) -> float:
+    """Return how much of ``rate`` is on the way that ``wanted`` asks for: 1 for as fast or more slowly, less beyond."""
+    if rate * wanted <= 0.0:
+        return 0.0
+    return min(1.0, wanted / rate)
