@@ -130,7 +130,9 @@ _EXPECTS_NOTHING = "a robot that ramps to zero expects no wheel to turn, so noth
 
 PAIRS: Mapping[tuple[str, str], Pair] = {
     ("disconnect link", "stuck_encoder fl"): Pair(
-        _ENDS, "it is FAULT", "the robot finds its encoder stuck while nobody hears it, and is latched"
+        _ENDS,
+        "it is FAULT because of ENCODER_STUCK of wheel fl",
+        "the robot finds its encoder stuck while nobody hears it, and is latched",
     ),
     ("mute WHEEL_COMMAND", "stuck_encoder fl"): Pair(_REARMS, SILENCE, _EXPECTS_NOTHING),
     ("freeze command", "stuck_encoder fl"): Pair(_REARMS, SILENCE, _EXPECTS_NOTHING),
