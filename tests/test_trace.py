@@ -300,7 +300,8 @@ def test_a_disk_that_is_full_ends_the_trace_and_not_the_run(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("path", "words"), [("nowhere/bus.blf", ["no folder"]), ("bus.pcap", ["format"]), (".", ["format"])]
+    ("path", "words"),
+    [("nowhere/bus.blf", ["no folder"]), ("bus.pcap", ["must end in .blf, .asc or .log"]), (".", ["format"])],
 )
 def test_a_trace_that_cannot_be_written_is_refused_before_anything_starts(tmp_path, path, words):
     with pytest.raises(BadInputError) as refused:
