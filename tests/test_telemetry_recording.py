@@ -173,7 +173,7 @@ def test_a_recorder_that_is_told_to_end_finishes_the_file(tmp_path: Path) -> Non
 
 
 @linux_only
-def test_a_full_disk_costs_rows_and_not_the_run(tmp_path: Path) -> None:
+def test_a_limit_of_the_file_costs_rows_and_not_the_run(tmp_path: Path) -> None:
     import resource
 
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -186,7 +186,7 @@ def test_a_full_disk_costs_rows_and_not_the_run(tmp_path: Path) -> None:
         for row in circle_rows(4000):
             recording.put(row)
         report = recording.finish({})
-    assert report.error is not None
+    assert report.error == "it could not be written any more (File too large)"
     assert report.rows_dropped == 0
     assert 0 < report.rows_written < 4000
     assert report.rows_written + report.rows_lost == 4000

@@ -1,6 +1,8 @@
 """Files that a run writes: what their names must be, and whether they can be written, before anything is started."""
 
+import errno
 import os
+import tempfile
 from pathlib import Path
 
 from hil.errors import BadInputError
@@ -9,6 +11,7 @@ EXPECTED_FILE = "an .rrd file made by 'hil run --record'"
 OUTPUTS = {"recording": (".rrd",), "trace": (".blf", ".asc", ".log")}
 """What a run writes, and how its name may end. A trace: Vector's binary and text form, and that of ``candump -L``."""
 _MAGIC = b"RRF2"
+_PROBE_BYTES = 1 << 20
 
 
 def check_output_path(what: str, path: Path) -> None:
@@ -26,6 +29,23 @@ def check_output_path(what: str, path: Path) -> None:
     else:
         return
     raise BadInputError(f"{what} {path}: {problem}")
+
+
+def why_not_written(path: Path, error: Exception) -> str:
+    """Return why a file that was begun could not be written any more.
+
+    rerun tells of its own threads and not what the system said, so this writes to the same folder, and takes it back.
+    """
+    if not isinstance(error, OSError):
+        try:
+            with tempfile.TemporaryFile(dir=path.parent) as probe:
+                probe.write(bytes(_PROBE_BYTES))
+        except OSError as told:
+            error = told
+    if not isinstance(error, OSError):
+        return str(error)
+    what = "the disk is full" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "it could not be written any more"
+    return f"{what} ({error.strerror})"
 
 
 def check_is_recording(path: Path) -> None:

@@ -42,7 +42,8 @@ class TraceReport:
         if self.complete:
             return None
         why = self.error or "the writer was too slow"
-        return f"trace {self.path} is incomplete, {self.dropped} frames dropped and {self.lost} lost: {why}"
+        counts = f"{self.dropped} frames were dropped and {self.lost} lost, {self.frames} are safe in it"
+        return f"trace {self.path} is incomplete: {why}; {counts}"
 
 
 class Trace:
