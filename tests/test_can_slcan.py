@@ -26,7 +26,7 @@ COMMANDS = [Frame(m.WheelCommand.ID, bytes([i] * 8)) for i in range(80)]
 @pytest.fixture(autouse=True)
 def _adapters_that_start_at_once(monkeypatch):
     """python-can waits 2 s for an adapter that opening its port resets; the emulated ones are ready."""
-    monkeypatch.setattr("can.interfaces.slcan.slcanBus._SLEEP_AFTER_SERIAL_OPEN", 0.0)
+    monkeypatch.setenv("CAN_CONFIG", '{"sleep_after_open": 0.0}')
 
 
 @contextlib.contextmanager
