@@ -13,7 +13,8 @@ from hil.catalogue.plan import Asked, alone
 from hil.catalogue.pool import perform_all
 from hil.catalogue.runs import perform
 from hil.faults.cases import CASES, DURATION_S, Outcome
-from hil.faults.kinds import KINDS, find
+from hil.faults.kinds import KINDS
+from hil.faults.rows import find
 from hil.scenario.rows import FaultTable
 from native_build.compiler import compile_shared
 from tests.processes import HIL, environment, hil

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from firmware_protocol.framing import Deframer, Frame, Framer
 from firmware_protocol.generated import messages as m
 from hil.errors import LinkError
-from hil.faults.kinds import NEVER_NS, FaultRow
+from hil.faults.rows import NEVER_NS, FaultRow
 from hil.links.bus_faults import FaultBus
 from hil.links.fault_rows import ScenarioTime, link_faults
 from hil.links.faults import FaultLink

@@ -6,7 +6,8 @@ import pytest
 
 from hil.controllers.registry import SHIPPED
 from hil.errors import near, nearest
-from hil.faults.kinds import MESSAGES, names
+from hil.faults.kinds import MESSAGES
+from hil.faults.rows import names
 from hil.scenario.run import Scenario
 from hil.signals import SIGNAL_NAMES
 

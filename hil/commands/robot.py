@@ -54,7 +54,7 @@ def params(
     url = parse_link(link)
     if is_within_process(url):
         raise BadInputError(
-            f"link {link!r} reaches no robot outside this process, and one that was made for it would hold the values of "
+            f"link {link!r} reaches no robot outside this process, and one made for it would hold the values of "
             "the build; name the robot's port, such as serial:/dev/ttyACM0, or the link that 'hil device' prints"
         )
     wanted = dict(assignment(change) for change in changes or [])
