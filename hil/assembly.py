@@ -22,9 +22,9 @@ from hil.ports import Controller, Sink
 from hil.references import Feasibility, ReferenceSource, feasibility, make_reference
 from hil.results import MemorySink, RunResult, Series, applied_words, expectations
 from hil.scenario import Scenario, load
-from hil.telemetry import Recording, RunRecording, check_recording_path
+from hil.telemetry import Recording, RunRecording, check_output_path
 from hil.telemetry.provenance import properties
-from hil.trace import Trace, check_trace_path
+from hil.trace import Trace
 
 __all__ = ["RunResult", "check_scenario", "run", "run_scenario"]
 
@@ -84,9 +84,9 @@ def run_scenario(
     robot that is made in this process, ``make_recording`` the recording.
     """
     if record is not None:
-        check_recording_path(record)
+        check_output_path("recording", record)
     if trace is not None:
-        check_trace_path(trace)
+        check_output_path("trace", trace)
     model, reference = _model_and_reference(scenario)
     make_loop = _loop_of(scenario, model, reference)
     demands = _demands(scenario, model, reference)

@@ -11,7 +11,7 @@ from hil.bench import open_trace, virtual_robot
 from hil.child import wait_for_end
 from hil.clock import TICK_NS, WallClock
 from hil.devices.targets.robot import open_server, open_target
-from hil.devices.truth import TruthServer
+from hil.devices.truth_server import TruthServer
 from hil.devices.virtual import VirtualStm32
 from hil.links.opening import open_robot
 from hil.links.url import parse_link

@@ -40,14 +40,54 @@ class RunInterruptedError(HilError):
     exit_code = 130
 
 
+_NEAR = 0.75
+_MOST_NAMED = 3
+
+
+def near(word: str, known: Iterable[str]) -> list[str]:
+    """Return the known words that somebody may have meant who wrote ``word``: at most three, none when none is near.
+
+    Capitals and hyphens do not count, and a word may have been given in part. Only what comes after the names that
+    both have in front, as in ``wheel.fl.``, is compared for the rest: else all signals of a wheel were near each other.
+    """
+    folded = {one: _folded(one) for one in known}
+    meant = _folded(word)
+    if same := [one for one, fold in folded.items() if fold == meant]:
+        return same[:1]
+    parts = [one for one, fold in folded.items() if _is_part(meant, fold)]
+    if 1 <= len(parts) <= _MOST_NAMED:
+        return parts
+    likeness = {one: _likeness(meant, fold) for one, fold in folded.items()}
+    most = max((_NEAR, *likeness.values()))
+    best = [one for one, value in likeness.items() if value == most]
+    return best if len(best) <= _MOST_NAMED else []
+
+
+def _is_part(word: str, known: str) -> bool:
+    """Tell whether a word is the begin of another one, or some of its parts."""
+    parts, words = (f"_{one}_".replace(".", "_") for one in (word, known))
+    return len(word) > 1 and (known.startswith(word) or parts in words)
+
+
+def _folded(word: str) -> str:
+    return word.casefold().replace("-", "_")
+
+
+def _likeness(word: str, known: str) -> float:
+    word_head, word_dot, word_rest = word.partition(".")
+    head, dot, rest = known.partition(".")
+    if word_dot and dot and word_head == head:
+        return _likeness(word_rest, rest)
+    return difflib.SequenceMatcher(None, known, word).ratio()
+
+
 def nearest(word: str, known: Iterable[str]) -> str:
-    """Return ``"; did you mean 'x'?"`` for the known word nearest to ``word``, or the choice itself.
+    """Return ``"; did you mean 'x'?"`` for the known words near to ``word``, or the choice itself where none is.
 
     >>> nearest("mas_kg", ["mass_kg", "law"])
     "; did you mean 'mass_kg'?"
     """
     choice = list(known)
-    found = difflib.get_close_matches(word, choice, n=1, cutoff=0.6)
-    if found:
-        return f"; did you mean {found[0]!r}?"
+    if found := near(word, choice):
+        return f"; did you mean {' or '.join(map(repr, found))}?"
     return f"; known: {', '.join(sorted(choice))}" if choice else ""

@@ -158,13 +158,19 @@ def print_figures(metrics: Mapping[str, Any]) -> None:
         print(f"  {'expect':<22} {row['text']}")
     recorded = metrics.get("recorded")
     if recorded is not None and (recorded["error"] or recorded["dropped"] or recorded["lost"]):
-        lost = f"{recorded['dropped']} rows dropped, {recorded['lost']} lost"
-        print(f"  {'recording':<22} incomplete: {lost}; {recorded['error'] or 'the recorder was too slow'}")
+        print(f"  {'recording':<22} {_what_is_missing(recorded, metrics['recording'])}")
     if (trace := metrics.get("trace")) is not None:
         written = f"{trace['frames']} frames in {trace['path']}"
         print(f"  {'trace':<22} {trace['trouble'] or written}")
     if (passed := metrics.get("passed")) is not None:
         print(f"  {'passed':<22} {'yes' if passed else 'no'}")
+
+
+def _what_is_missing(recorded: Mapping[str, Any], path: str | None) -> str:
+    """Return what a recording lacks, why, and where the rest is."""
+    why = recorded["error"] or "the recorder was too slow"
+    rest = "" if path is None else f", {recorded['rows']} are safe in {path}"
+    return f"incomplete: {why}; {recorded['dropped']} rows were dropped and {recorded['lost']} lost{rest}"
 
 
 def _print_link(link: Mapping[str, Any]) -> None:

@@ -1,7 +1,9 @@
 """slcan, byte for byte over pseudo-terminals: two emulated adapters on one bus."""
 
 import contextlib
+import os
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -13,10 +15,18 @@ from hil.links.opening import open_host
 from hil.links.url import parse_link
 from tests.processes import device, run_json
 
+fcntl = pytest.importorskip("fcntl", reason="pseudo-terminals need a POSIX system")
+termios = pytest.importorskip("termios", reason="pseudo-terminals need a POSIX system")
 adapters = pytest.importorskip("tests.slcan_adapters", reason="pseudo-terminals need a POSIX system")
 
 FEEDBACK = [Frame(m.WheelSpeeds.ID, bytes([i] * 8)) for i in range(80)]
 COMMANDS = [Frame(m.WheelCommand.ID, bytes([i] * 8)) for i in range(80)]
+
+
+@pytest.fixture(autouse=True)
+def _adapters_that_start_at_once(monkeypatch):
+    """python-can waits 2 s for an adapter that opening its port resets; the emulated ones are ready."""
+    monkeypatch.setenv("CAN_CONFIG", '{"sleep_after_open": 0.0}')
 
 
 @contextlib.contextmanager
@@ -84,6 +94,65 @@ def test_a_bit_rate_that_the_adapter_has_not_is_one_sentence():
             open_host(parse_link(f"can:slcan/{bus.ports[0]}?bitrate=800001"))
     finally:
         bus.close()
+
+
+def test_an_adapter_that_is_unplugged_is_lost_and_not_there_when_it_is_opened_again(tmp_path):
+    bus = adapters.SlcanBus(1)
+    port = tmp_path / "adapter"
+    port.symlink_to(bus.ports[0])
+    with contextlib.closing(open_host(parse_link(f"can:slcan/{port}"))) as host:
+        bus.close()
+        with pytest.raises(LinkError) as lost:
+            host.receive(1_000_000_000)
+        port.unlink()
+        with pytest.raises(LinkError) as missing:
+            host.reopen()
+    where = f"CAN interface 'slcan', channel {str(port)!r}"
+    assert str(lost.value) == f"{where} was lost (it is gone); plug the adapter in again, and check its cable"
+    assert str(missing.value).startswith(f"{where} does not exist; list the ports with: ")
+
+
+@contextlib.contextmanager
+def as_nobody() -> Iterator[None]:
+    """Root is neither forbidden anything nor kept out."""
+    is_root = os.geteuid() == 0
+    if is_root:
+        os.seteuid(65534)
+    try:
+        yield
+    finally:
+        if is_root:
+            os.seteuid(0)
+
+
+@pytest.mark.parametrize("scheme", ["serial:", "can:slcan/"])
+@pytest.mark.parametrize(
+    ("what", "says"),
+    [
+        ("no port", "is not a serial port; expected a device such as /dev/ttyACM0 or COM3"),
+        ("missing", "does not exist; list the ports with: python -m serial.tools.list_ports"),
+        (
+            "forbidden",
+            "may not be opened (permission denied); on Linux add yourself to its group, mostly dialout, with",
+        ),
+        ("busy", "is busy: another program holds it; close that program"),
+    ],
+)
+def test_a_port_that_cannot_be_opened_is_the_same_sentence_for_a_line_and_an_adapter(scheme, what, says, tmp_path):
+    (tmp_path / "no port").touch()
+    with contextlib.ExitStack() as held:
+        port = tmp_path / what
+        if what in ("forbidden", "busy"):
+            port = Path(held.enter_context(contextlib.closing(adapters.SlcanBus(1))).ports[0])
+            port.chmod(0o666 if what == "busy" else 0)
+        if what == "busy":
+            fcntl.ioctl(held.enter_context(port.open("rb", buffering=0)), termios.TIOCEXCL)
+        with pytest.raises(LinkError):
+            open_host(parse_link(f"{scheme}{tmp_path}"))  # and all that has to be imported is
+        with pytest.raises(LinkError) as refused, as_nobody() if what in ("forbidden", "busy") else held:
+            open_host(parse_link(f"{scheme}{port}"))
+    assert f"{str(port)!r} {says}" in str(refused.value)
+    assert "Errno" not in str(refused.value)
 
 
 def test_controller_and_robot_in_two_processes_over_two_adapters():

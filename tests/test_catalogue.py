@@ -12,7 +12,8 @@ from firmware_protocol.build import HERE, SOURCES
 from hil.catalogue.plan import Asked, alone
 from hil.catalogue.runs import WORK, perform
 from hil.faults.cases import CASES, DURATION_S, Outcome
-from hil.faults.kinds import KINDS, find
+from hil.faults.kinds import KINDS
+from hil.faults.rows import find
 from hil.pool import perform_all
 from hil.scenario.rows import FaultTable
 from native_build.compiler import compile_shared

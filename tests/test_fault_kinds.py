@@ -3,8 +3,9 @@
 import pytest
 
 from hil.errors import BadInputError
-from hil.faults.kinds import KINDS, FaultRow, generators
+from hil.faults.kinds import KINDS
 from hil.faults.page import PAGE, page
+from hil.faults.rows import FaultRow, generators
 from hil.report import listing
 from hil.scenario import load
 from tests.fault_runs import write

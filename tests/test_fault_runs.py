@@ -130,3 +130,13 @@ def test_the_recording_tells_when_a_fault_began_and_what_it_did(tmp_path) -> Non
     text = [event for event in read(tmp_path / "faulty.rrd").events if "fault" in event.text]
     assert [event.text.split(":")[0] for event in text].count("fault begins") == 2
     assert any(f"applied {applied(recorded)[0]} times (frames lost)" in event.text for event in text)
+
+
+def test_a_robot_that_latched_a_fault_while_its_link_was_cut_is_told_with_fault_wheel_and_way_out(tmp_path) -> None:
+    cut = {"kind": "disconnect", "start_s": 0.25, "end_s": 0.35}
+    stuck = {"kind": "stuck_encoder", "target": "fl", "start_s": 0.2}
+    wired = ("device.wheels=['rr','rl','fl','fr']", "loop.rearm=true", "expect=[]")
+    ended = run_with(tmp_path, cut, stuck, changes=wired)
+    assert ended.exit_code == 3
+    assert "it is FAULT because of ENCODER_STUCK of wheel fl; it is latched; find the cause" in str(ended.failure)
+    assert "CLEAR" in str(ended.failure)

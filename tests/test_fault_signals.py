@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.faults.kinds import NEVER_NS, FaultRow
+from hil.faults.rows import NEVER_NS, FaultRow
 from hil.faults.signals import SignalFaults
 from hil.signals import INDEX, SIGNAL_NAMES
 from hil.types import CommandMode, WheelCommand, Wheels

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m
-from hil.faults.kinds import FaultRow
+from hil.faults.rows import FaultRow
 from hil.links.bus_faults import FaultBus
 from hil.links.delay import DelayedLink
 from hil.links.fault_rows import ScenarioTime, link_faults

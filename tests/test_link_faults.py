@@ -4,13 +4,13 @@ import itertools
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol.framing import Deframer, Frame, Framer
 from firmware_protocol.generated import messages as m
 from hil.errors import LinkError
-from hil.faults.kinds import NEVER_NS, FaultRow
+from hil.faults.rows import NEVER_NS, FaultRow
 from hil.links.bus_faults import FaultBus
 from hil.links.fault_rows import ScenarioTime, link_faults
 from hil.links.faults import FaultLink
@@ -162,6 +162,45 @@ def test_a_frame_that_nobody_overtook_is_not_counted() -> None:
     wire, link, faults = fault_link(row("reorder", end=101 * MS))
     assert [number for _, number in send_each_ms(wire, link, 103)] == list(range(103))
     assert faults[0].applied == 0
+
+
+@pytest.mark.parametrize("leaves", ["overtaken", "at the end of its window", "flushed"])
+def test_what_was_reordered_meets_the_rows_behind_when_it_goes_on(leaves) -> None:
+    wire, link, (_, mute) = fault_link(row("reorder", end=150 * MS), row("mute", "WHEEL_COMMAND", start=120 * MS))
+    wire.now = 110 * MS
+    link.send(command(1))
+    wire.now = {"overtaken": 121 * MS, "at the end of its window": 150 * MS, "flushed": 140 * MS}[leaves]
+    if leaves == "overtaken":
+        link.send(Frame(m.Estop.ID, b""))
+    elif leaves == "flushed":
+        link.flush()
+    else:
+        link.service()
+    assert [frame.id for _, frame in wire.sent] == ([m.Estop.ID] if leaves == "overtaken" else [])
+    assert mute.applied == 1
+    assert link.next_due_ns() is None
+
+
+@pytest.mark.parametrize("kind", ["drop", "duplicate", "freeze", "delay", "reorder"])
+@settings(max_examples=10)
+@given(st.integers(0, 2**32 - 1))
+def test_every_kind_behind_a_reorder_acts_on_all_frames(kind, seed) -> None:
+    behind = row(kind, start=90 * MS, end=NEVER_NS, value=0.01 if kind == "delay" else 1.0)
+    wire, link, faults = fault_link(row("reorder", value=0.3), behind, seed=seed)
+    out = send_each_ms(wire, link, 200)
+    times = {number: t for t, number in out}
+    match kind:
+        case "drop":
+            assert [number for _, number in out] == list(range(90))
+        case "duplicate":
+            assert sorted(number for _, number in out[90:]) == sorted([*range(90, 200)] * 2)
+        case "freeze":
+            assert [number for _, number in out[90:]] == [89] * 110
+        case "delay":
+            assert all(times[number] >= number + 10 for number in range(90, 200))
+        case "reorder":
+            assert sorted(times) == list(range(200)), "none is lost"
+    assert faults[1].applied > 0
 
 
 def test_freezing_repeats_what_was_newest_before() -> None:

@@ -88,7 +88,8 @@ def test_all_problems_are_told_at_once(foreign: Path) -> None:
     )
     no_output = "is of causality parameter; expected an output or a local variable"
     assert refusal(foreign, mapping).splitlines() == [
-        "plant.map.\"wheel.fx.speed_rad_s\": the bridge has no such signal; did you mean 'wheel.fr.speed_rad_s'?",
+        'plant.map."wheel.fx.speed_rad_s": the bridge has no such signal; did you mean '
+        "'wheel.fl.speed_rad_s' or 'wheel.fr.speed_rad_s'?",
         "plant.map.\"wheel.fl.torque_n_m\": wheels2.fmu has no variable 'tua1'; did you mean 'tau1'?",
         "plant.map.\"wheel.fr.torque_n_m\": 'x' of wheels2.fmu is of causality output; expected an input",
         f"plant.map.\"pose.x_m\": 'gear' of wheels2.fmu {no_output}",

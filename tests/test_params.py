@@ -3,6 +3,8 @@
 import json
 from pathlib import Path
 
+import pytest
+
 from tests.processes import device, hil
 
 
@@ -16,6 +18,14 @@ def test_parameters_are_shown_changed_and_kept(tmp_path: Path) -> None:
         assert "speed_kp_n_m_s_rad        1.5" in hil("params", robot.link).stdout
         restored = json.loads(hil("params", robot.link, "--restore", "--json").stdout)
         assert restored == before
+
+
+@pytest.mark.parametrize("link", ["serial:pty", "memory:", "can:virtual/x"])
+def test_a_link_that_reaches_no_robot_elsewhere_is_one_sentence(link) -> None:
+    done = hil("params", link)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert f"link '{link}' reaches no robot outside this process" in done.stderr
+    assert "serial:/dev/ttyACM0, or the link that 'hil device' prints" in done.stderr
 
 
 def test_a_wrong_parameter_is_one_sentence(tmp_path: Path) -> None:

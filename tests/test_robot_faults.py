@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from hil.devices.faults import Body, RobotFaults
 from hil.errors import BadInputError
-from hil.faults.kinds import NEVER_NS, FaultRow
+from hil.faults.rows import NEVER_NS, FaultRow
 from hil.plant import archive
 from hil.plant.fmu import FmuPlant
 from hil.plant.remote import RemotePlant

@@ -22,7 +22,8 @@ from hil.bench import firmware_values, wheel_map
 from hil.clock import WallClock
 from hil.devices.handshake import Expected
 from hil.devices.stm32 import Stm32
-from hil.devices.truth import TruthClient, TruthRecord
+from hil.devices.truth import TruthClient
+from hil.devices.truth_wire import TruthRecord
 from hil.errors import DeviceError
 from hil.links.delay import DelayedLink
 from hil.links.fault_rows import ScenarioTime

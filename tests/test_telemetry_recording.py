@@ -15,7 +15,7 @@ from hil.errors import BadInputError
 from hil.review import figures, read
 from hil.review.decode import decode
 from hil.signals import SIGNAL_NAMES
-from hil.telemetry import Recording, RecordingReport, check_recording_path
+from hil.telemetry import Recording, RecordingReport, check_output_path
 from tests.processes import wait_for
 from tests.recorded_circle import circle_rows, circle_table
 
@@ -173,7 +173,7 @@ def test_a_recorder_that_is_told_to_end_finishes_the_file(tmp_path: Path) -> Non
 
 
 @linux_only
-def test_a_full_disk_costs_rows_and_not_the_run(tmp_path: Path) -> None:
+def test_a_limit_of_the_file_costs_rows_and_not_the_run(tmp_path: Path) -> None:
     import resource
 
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -186,7 +186,7 @@ def test_a_full_disk_costs_rows_and_not_the_run(tmp_path: Path) -> None:
         for row in circle_rows(4000):
             recording.put(row)
         report = recording.finish({})
-    assert report.error is not None
+    assert report.error == "it could not be written any more (File too large)"
     assert report.rows_dropped == 0
     assert 0 < report.rows_written < 4000
     assert report.rows_written + report.rows_lost == 4000
@@ -198,9 +198,9 @@ def test_a_full_disk_costs_rows_and_not_the_run(tmp_path: Path) -> None:
 def test_paths_that_cannot_be_written_are_refused_before_the_run(tmp_path: Path) -> None:
     (tmp_path / "directory.rrd").mkdir()
     cases = {
-        tmp_path / "directory.rrd": "is a directory",
-        tmp_path / "missing" / "run.rrd": "there is no directory",
-        tmp_path / "run.mcap": "must end in .rrd",
+        tmp_path / "directory.rrd": "is a folder",
+        tmp_path / "missing" / "run.rrd": "there is no folder",
+        tmp_path / "run.mcap": r"must end in \.rrd, ",
     }
     for path, problem in cases.items():
         with pytest.raises(BadInputError, match=problem) as refused:
@@ -213,7 +213,7 @@ def test_paths_that_cannot_be_written_are_refused_before_the_run(tmp_path: Path)
 def test_a_read_only_directory_is_refused(tmp_path: Path) -> None:
     tmp_path.chmod(0o500)
     with pytest.raises(BadInputError, match="is not writable"):
-        check_recording_path(tmp_path / "run.rrd")
+        check_output_path("recording", tmp_path / "run.rrd")
 
 
 @linux_only

@@ -6,7 +6,8 @@ from types import SimpleNamespace
 import pytest
 
 from firmware_protocol.generated.messages import State
-from hil.devices.truth import TruthClient, TruthServer
+from hil.devices.truth import TruthClient
+from hil.devices.truth_server import TruthServer
 from hil.errors import DeviceError
 from hil.types import ZERO_WHEELS, Pose, PoseFix, Twist
 from tests.processes import wait_for

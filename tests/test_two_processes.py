@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from firmware_protocol.generated.messages import State
-from hil.devices.truth import TruthClient, TruthRecord
+from hil.devices.truth import TruthClient
+from hil.devices.truth_wire import TruthRecord
 from hil.errors import BadInputError, DeviceError
 from hil.review import read, review
 from hil.scenario import load

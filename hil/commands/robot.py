@@ -47,11 +47,18 @@ def params(
     """Show and change the parameters of a robot's firmware; it must be in IDLE to change."""
     from hil import report
     from hil.devices.parameters import ParameterClient, assignment
-    from hil.links.opening import open_host
+    from hil.errors import BadInputError
+    from hil.links.opening import is_within_process, open_host
     from hil.links.url import parse_link
 
+    url = parse_link(link)
+    if is_within_process(url):
+        raise BadInputError(
+            f"link {link!r} reaches no robot outside this process, and one made for it would hold the values of "
+            "the build; name the robot's port, such as serial:/dev/ttyACM0, or the link that 'hil device' prints"
+        )
     wanted = dict(assignment(change) for change in changes or [])
-    with contextlib.closing(open_host(parse_link(link))) as opened:
+    with contextlib.closing(open_host(url)) as opened:
         client = ParameterClient(opened)
         if restore:
             client.restore()

@@ -5,7 +5,8 @@ from typing import Any, NamedTuple
 
 from hil.clock import TICK_NS
 from hil.errors import BadInputError, nearest
-from hil.faults.kinds import BATTERY_VARIABLE, GRIP_VARIABLES, PUSHES, FaultRow
+from hil.faults.kinds import BATTERY_VARIABLE, GRIP_VARIABLES, PUSHES
+from hil.faults.rows import FaultRow
 from hil.plant import shim
 from hil.plant.fmu import FmuPlant
 from hil.plant.remote import RemotePlant

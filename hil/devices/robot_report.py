@@ -5,7 +5,7 @@ from typing import NamedTuple
 from firmware_protocol.codec import Message
 from firmware_protocol.generated import messages as m
 from hil.devices.wheel_map import WheelMap
-from hil.types import NAN, NAN_WHEELS, Wheels
+from hil.types import NAN, NAN_WHEELS, WHEEL_NAMES, Wheels
 
 
 class Health(NamedTuple):
@@ -57,8 +57,22 @@ class RobotReport:
         if self.status is None:
             return "a reason that it has not told yet"
         reason = m.StopReason(self.status.stop_reason).name
-        fault = m.Fault(self.status.fault)
-        return f"{reason} ({fault.name})" if fault else reason
+        fault = self._fault()
+        return f"{reason} ({fault})" if fault else reason
+
+    def _fault(self) -> str:
+        """Return the fault that STATUS tells, with the wheel where it is one wheel's; empty without any."""
+        if self.status is None or not self.status.fault:
+            return ""
+        fault = m.Fault(self.status.fault).name
+        if not self.status.fault_wheel:
+            return fault
+        wheel = self._map.wheel_of_channel[self.status.fault_wheel - m.FaultWheel.FL]
+        return f"{fault} of wheel {WHEEL_NAMES[wheel]}"
+
+    def explains(self, state: m.State) -> bool:
+        """Tell whether STATUS has told of a robot in this state; feedback may be there before."""
+        return self.status is not None and self.status.state == state
 
     @property
     def knows_no_reason(self) -> bool:
@@ -69,10 +83,12 @@ class RobotReport:
         """Return what keeps a robot in this state, None without feedback, from being driven, and what to do."""
         if state is None:
             return "the robot answered HELLO but sends no feedback; reset it and try again"
+        clear = 'restart the robot, or have its own host send CLEAR (PROTOCOL.md, "States")'
         advice = {
             m.State.ACTIVE: "another controller drives it; stop that one first",
-            m.State.ESTOP: "it is latched; release the e-stop and restart the robot",
-            m.State.FAULT: "it is latched; find the cause and restart the robot",
+            m.State.ESTOP: f"it is latched; release the e-stop, then {clear}",
+            m.State.FAULT: f"it is latched; find the cause, then {clear}",
         }.get(state, "restart the robot and look at its link counters")
-        fault = f", fault {m.Fault(self.status.fault).name}" if self.status is not None and self.status.fault else ""
-        return f"the robot did not become ACTIVE: it is {state.name}{fault}; {advice}"
+        fault = self._fault()
+        because = f" because of {fault}" if fault else ""
+        return f"the robot did not become ACTIVE: it is {state.name}{because}; {advice}"

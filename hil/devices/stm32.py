@@ -187,7 +187,7 @@ class Stm32:
             self._ask_to_arm()
         elif state is m.State.ARMED and ours:
             self.send(WheelCommand(self._mode, ZERO_WHEELS, ZERO_WHEELS))
-        elif state in (m.State.FAULT, m.State.ESTOP):
+        elif state in (m.State.FAULT, m.State.ESTOP) and self.report.explains(state):
             raise DeviceError(self.why_not_active())
         return False
 

@@ -126,14 +126,13 @@ class Pair(NamedTuple):
     why: str
 
 
-_ESCAPES = "frames that reorder held back are past the rows behind it"
 _EXPECTS_NOTHING = "a robot that ramps to zero expects no wheel to turn, so nothing is found before the window is over"
 
 PAIRS: Mapping[tuple[str, str], Pair] = {
-    ("reorder command", "mute WHEEL_COMMAND"): Pair(_GOES_ON, None, _ESCAPES),
-    ("reorder command", "freeze command"): Pair(_GOES_ON, None, _ESCAPES),
     ("disconnect link", "stuck_encoder fl"): Pair(
-        _ENDS, "it is FAULT", "the robot finds its encoder stuck while nobody hears it, and is latched"
+        _ENDS,
+        "it is FAULT because of ENCODER_STUCK of wheel fl",
+        "the robot finds its encoder stuck while nobody hears it, and is latched",
     ),
     ("mute WHEEL_COMMAND", "stuck_encoder fl"): Pair(_REARMS, SILENCE, _EXPECTS_NOTHING),
     ("freeze command", "stuck_encoder fl"): Pair(_REARMS, SILENCE, _EXPECTS_NOTHING),

@@ -6,7 +6,7 @@ from typing import Protocol
 
 from hil.devices.faults import RobotFaults
 from hil.errors import BadInputError, HilError
-from hil.faults.kinds import FaultRow
+from hil.faults.rows import FaultRow
 from hil.faults.signals import SignalFaults
 from hil.links.bus_faults import FaultBus
 from hil.links.delay import NowNs

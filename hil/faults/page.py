@@ -33,7 +33,7 @@ A row of `[[fault]]` in a scenario makes something go wrong while a run goes on:
 - Rows act in the order of the scenario, each on what the ones before it left. On a link this holds within each of two
   layers. Kinds of whole frames (all but `bit_errors`, `truncation` and `babble`, which spoil what is on the wire) come
   first on the way to the robot and last on the way from it, wherever their rows are. A frame that `reorder` held back
-  is not touched by the rows behind that row, once it goes on. What `delay` and `jitter` hold is not overtaken: frames
+  meets the rows behind that row when it goes on. What `delay` and `jitter` hold is not overtaken: frames
   of other messages in the same direction wait behind it.
 - Every row reports how often it was applied, in the figures (`fault`, key `applied`), the report and the recording.
   A row that was never applied fails the run: it has shown nothing.

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from firmware_protocol.generated.messages import State as RobotState
 from hil.devices.snapshot import Feedback
-from hil.faults.kinds import FaultRow
+from hil.faults.rows import FaultRow
 from hil.signals import INDEX
 from hil.types import WHEEL_NAMES, Pose, PoseFix, Reference, State, Twist, WheelCommand, Wheels
 

@@ -1,8 +1,10 @@
 """What is the matter with a CAN interface, and what to do about it: one sentence for each failure."""
 
 import errno
+import re
 
 from hil.errors import LinkError
+from hil.links.serial_failures import LIST_PORTS, is_gone, opening_problem, words_of
 from hil.links.url import CanUrl
 
 _INSTEAD = "; on Linux most adapters need none with can:socketcan/can0"
@@ -19,13 +21,17 @@ _LIBRARIES = {
     "canalystii": "the canalystii package: pip install 'python-can[canalystii]'",
     "udp_multicast": "msgpack: pip install 'python-can[multicast]'",
 }
+# What the system and python-can number their errors with; their words follow, or stand before.
+_NUMBERS = re.compile(r"\[(Errno|Error Code) -?\d+\] ?")
 _SERIAL_INTERFACES = ("slcan", "serial", "robotell", "seeedstudio")
 
 
 def failure(url: CanUrl, error: Exception) -> LinkError:
     """Return the sentence for a failure of python-can."""
     where = f"CAN interface {url.interface!r}, channel {url.channel!r}"
-    number, text = _number(error), " ".join(str(error).split())
+    number, text = _number(error), " ".join(_NUMBERS.sub("", str(error)).split())
+    if url.interface in _SERIAL_INTERFACES and "bitrate" not in text:
+        return _of_serial_adapter(where, error)
     up = f"bring it up: ip link set {url.channel} up type can bitrate {url.bitrate}"
     if number == errno.ENETDOWN or "Network is down" in text:
         return LinkError(f"{where} is down; {up}")
@@ -47,11 +53,15 @@ def failure(url: CanUrl, error: Exception) -> LinkError:
         return LinkError(f"{where} cannot run at {url.bitrate} bit/s ({text}); set bitrate= to one of these")
     if url.interface == "socketcand":
         return LinkError(f"{where} failed ({text}); start socketcand on that host, with the channel in its list")
-    if url.interface in _SERIAL_INTERFACES:
-        return LinkError(
-            f"{where} failed ({text}); check that the adapter is plugged in and free: python -m serial.tools.list_ports"
-        )
     return LinkError(f"{where} failed ({text}); check that the adapter is plugged in and that nobody else uses it")
+
+
+def _of_serial_adapter(where: str, error: Exception) -> LinkError:
+    if is_gone(error):
+        return LinkError(f"{where} was lost (it is gone); plug the adapter in again, and check its cable")
+    if (problem := opening_problem(error)) is not None:
+        return LinkError(f"{where} {problem}")
+    return LinkError(f"{where} failed ({words_of(error)}); check that the adapter is plugged in and free; {LIST_PORTS}")
 
 
 def _number(error: BaseException) -> int | None:

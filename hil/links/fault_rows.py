@@ -4,7 +4,8 @@ import random
 from collections.abc import Sequence
 
 from firmware_protocol.generated.messages import NAMES
-from hil.faults.kinds import DIRECTIONS, FaultRow, generators
+from hil.faults.kinds import DIRECTIONS
+from hil.faults.rows import FaultRow, generators
 from hil.links.delay import FIRST_EXEMPT_ID, NowNs
 
 

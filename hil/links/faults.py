@@ -37,26 +37,33 @@ class _Way:
 
     def take(self, frame: Frame, t_ns: int) -> None:
         """Take a frame that is not exempt; what becomes of it is in ``held``."""
-        frames, delay_ns, released = [frame], 0, list[Frame]()
-        for fault in self.faults:
-            if not frames or not fault.concerns(self.direction, frame.id):
+        self._pass([frame], 0, t_ns)
+
+    def _pass(self, frames: list[Frame], first: int, t_ns: int, delay_ns: int = 0) -> None:
+        """Let a frame and its copies pass the rows from the one numbered ``first`` on."""
+        for place, fault in enumerate(self.faults[first:], first):
+            if not frames:
+                return
+            if not fault.concerns(self.direction, frames[0].id):
                 continue
             if fault.kind == "freeze" and t_ns < fault.row.start_ns:
-                self._newest[fault, frame.id] = frame
+                self._newest[fault, frames[0].id] = frames[0]
             if not fault.row.is_in_force(t_ns):
                 continue
             if fault.kind in ("delay", "jitter"):
                 delay_ns += self._delay_ns(fault)
+            elif fault.kind == "reorder" and fault in self._overtaken:
+                fault.applied += 1
+                self._pass(frames, place + 1, t_ns, delay_ns)
+                self._pass(self._overtaken.pop(fault), place + 1, t_ns, delay_ns)
+                return
             elif fault.kind == "reorder":
-                if fault in self._overtaken:
-                    released += self._overtaken.pop(fault)
-                    fault.applied += 1
-                elif fault.chance.random() < fault.row.value:
+                if fault.chance.random() < fault.row.value:
                     self._overtaken[fault] = frames
-                    frames = []
+                    return
             else:
                 frames = self._changed(fault, frames)
-        for one in (*frames, *released):
+        for one in frames:
             self._hold(one, t_ns + delay_ns)
 
     def _changed(self, fault: LinkFault, frames: list[Frame]) -> list[Frame]:
@@ -112,13 +119,13 @@ class _Way:
             ends.append(self.held[0].due_ns)
         return min(ends, default=None)
 
-    def due(self, t_ns: int | None) -> list[Frame]:
-        """Return what has to go on, in order; all of it with None."""
-        for fault in [fault for fault in self._overtaken if t_ns is None or fault.row.end_ns <= t_ns]:
-            for frame in self._overtaken.pop(fault):
-                self._hold(frame, fault.row.end_ns)
+    def due(self, t_ns: int, *, everything: bool = False) -> list[Frame]:
+        """Return what has to go on, in order; with ``everything`` also what has time left."""
+        for place, fault in enumerate(self.faults):
+            if fault in self._overtaken and (everything or fault.row.end_ns <= t_ns):
+                self._pass(self._overtaken.pop(fault), place + 1, min(t_ns, fault.row.end_ns))
         frames = []
-        while self.held and (t_ns is None or self.held[0].due_ns <= t_ns):
+        while self.held and (everything or self.held[0].due_ns <= t_ns):
             frames.append(heapq.heappop(self.held).frame)
         return frames
 
@@ -168,15 +175,15 @@ class FaultLink:
         due_ns = self._out.next_due_ns()
         return None if due_ns is None else self._time.on_clock_ns(due_ns)
 
-    def service(self) -> None:
-        """Hand over the commands that are due."""
+    def service(self, *, everything: bool = False) -> None:
+        """Hand over the commands that are due, or with ``everything`` all that are held."""
         t_ns = self._time.now_ns()
         if t_ns is not None:
-            self._let_go(t_ns)
+            self._let_go(t_ns, everything=everything)
 
     def flush(self) -> None:
         """Hand over everything that is held, in order: nobody will wait for it to be due."""
-        self._let_go(None)
+        self.service(everything=True)
 
     def discard(self) -> None:
         """Forget what is held, in both directions."""
@@ -202,10 +209,10 @@ class FaultLink:
     def close(self) -> None:
         self._link.close()
 
-    def _let_go(self, t_ns: int | None) -> None:
-        if t_ns is not None and self._is_cut(t_ns):
+    def _let_go(self, t_ns: int, *, everything: bool = False) -> None:
+        if self._is_cut(t_ns):
             self._out.forget()
-        for frame in self._out.due(t_ns):
+        for frame in self._out.due(t_ns, everything=everything):
             self._link.send(frame)
 
     def _is_cut(self, t_ns: int) -> bool:

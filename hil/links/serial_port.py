@@ -2,7 +2,6 @@
 
 import array
 import contextlib
-import errno
 import re
 import select
 import sys
@@ -12,62 +11,40 @@ import serial
 
 from hil.errors import LinkError, nearest
 from hil.links.reader import Reader
+from hil.links.serial_failures import LIST_PORTS, PORT_ERRORS, is_gone, opening_problem, words_of
 
 _CHUNK = 65536
 _WRITE_TIMEOUT_S = 1.0  # a line that takes no byte for so long is lost
 _OUTPUT_SPEED = 10  # c_ospeed of Linux' struct termios2, in ints
-_TERMIOS_ERROR: tuple[type[Exception], ...] = ()
-if sys.platform != "win32":
-    import termios
-
-    # pyserial lets it through, and it is no OSError.
-    _TERMIOS_ERROR = (termios.error,)
 # re.error: hwgrep:// takes a pattern.
-_OPENING_FAILURES = (serial.SerialException, OSError, ValueError, NotImplementedError, re.error, *_TERMIOS_ERROR)
-_LOSSES = (serial.SerialException, OSError, TypeError, *_TERMIOS_ERROR)
+_OPENING_FAILURES: tuple[type[Exception], ...] = (
+    serial.SerialException,
+    ValueError,
+    NotImplementedError,
+    re.error,
+    *PORT_ERRORS,
+)
+_LOSSES: tuple[type[Exception], ...] = (serial.SerialException, TypeError, *PORT_ERRORS)
 _URL_HANDLERS = ("socket", "rfc2217", "loop", "spy", "hwgrep", "alt")
 
 
 def _open_failure(port: str, baud: int, error: Exception) -> LinkError:
     """Say what is the matter with a port and what to do about it."""
-    number = getattr(error, "errno", None)
-    text = _text(error)
+    text = str(error)
     scheme, is_url, _ = port.partition("://")
     if is_url and "protocol" in text and "not known" in text:
         return LinkError(f"serial URL {port!r}: pyserial knows no {scheme!r}{nearest(scheme, _URL_HANDLERS)}")
     if "baudrate" in text or "baud rate" in text:
         return _baud_refused(port, baud)
     if is_url and scheme in ("socket", "rfc2217"):
-        reason = "its port number is missing" if "NoneType" in text else _last_words(text)
+        reason = "its port number is missing" if "NoneType" in text else words_of(error)
         return LinkError(
             f"serial URL {port!r} could not be opened ({reason}); expected {scheme}://HOST:PORT, with the "
             "serial server running there and nobody else connected to it"
         )
-    if number == errno.ENOENT or ("could not open port" in text and "FileNotFoundError" in text):
-        return LinkError(f"serial port {port!r} does not exist; list the ports with: python -m serial.tools.list_ports")
-    if number == errno.EACCES or "PermissionError" in text:
-        return LinkError(
-            f"serial port {port!r} may not be opened (permission denied); on Linux add yourself to its group, "
-            "mostly dialout, and log in again; on Windows another program may hold it"
-        )
-    if number in (errno.EAGAIN, errno.EBUSY, errno.EWOULDBLOCK) or "exclusively lock" in text:
-        return LinkError(f"serial port {port!r} is busy: another program holds it; close that program")
-    if number == errno.ENOTTY or "Could not configure port" in text:
-        return LinkError(f"{port!r} is not a serial port ({text}); expected a device such as /dev/ttyACM0 or COM3")
-    return LinkError(
-        f"serial port {port!r} could not be opened: {text}; list the ports with: python -m serial.tools.list_ports"
-    )
-
-
-def _text(error: Exception) -> str:
-    """Return what an error says; termios has number and words as a pair."""
-    return str(error.args[-1]) if isinstance(error, _TERMIOS_ERROR) else str(error)
-
-
-def _last_words(text: str) -> str:
-    """Return what the system said, without pyserial's words around it."""
-    found = re.search(r"\[Errno [^]]*\] ([^'\"]+)$", text)
-    return found.group(1) if found else text
+    if (problem := opening_problem(error)) is not None:
+        return LinkError(f"serial port {port!r} {problem}")
+    return LinkError(f"serial port {port!r} could not be opened: {words_of(error)}; {LIST_PORTS}")
 
 
 def _baud_refused(port: str, baud: int, alternative: int | None = None) -> LinkError:
@@ -174,7 +151,8 @@ class SerialStream:
             raise self._lost(error) from error
 
     def _lost(self, error: Exception) -> LinkError:
-        return LinkError(f"serial port {self._name!r} was lost ({_text(error)}); check the cable and the robot's power")
+        why = "it is gone" if is_gone(error) else words_of(error)
+        return LinkError(f"serial port {self._name!r} was lost ({why}); check the cable and the robot's power")
 
     def describe(self) -> str:
         latency = "set" if self._low_latency else "not offered by its driver"

@@ -1,13 +1,12 @@
 """Sentences for what is wrong with a scenario: where it was given, the key, the value, what was expected."""
 
-import difflib
 from collections.abc import Iterator, Mapping
 from typing import Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
-from hil.errors import nearest
+from hil.errors import near, nearest
 from hil.scenario.fields import Table
 from hil.scenario.layers import Given, Node, Path, Tree, dotted, leaves
 from hil.scenario.tables import Tables
@@ -76,10 +75,8 @@ def did_you_mean(path: Path) -> str:
     here = keys.get(table, ())
     if name in elsewhere:
         return f"; did you mean {elsewhere[name]!r}?"
-    if not difflib.get_close_matches(name, here, n=1, cutoff=0.6):
-        found = difflib.get_close_matches(name, elsewhere, n=1, cutoff=0.6)
-        if found:
-            return f"; did you mean {elsewhere[found[0]]!r}?"
+    if not near(name, here) and (found := near(name, elsewhere)):
+        return f"; did you mean {' or '.join(repr(elsewhere[one]) for one in found)}?"
     return nearest(name, here)
 
 

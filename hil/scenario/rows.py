@@ -6,7 +6,7 @@ from typing import Any
 from pydantic import Field, field_validator, model_validator
 
 from hil.errors import nearest
-from hil.faults.kinds import NEVER_NS, NS_PER_S, FaultRow, check_numbers, check_target, find
+from hil.faults.rows import NEVER_NS, NS_PER_S, FaultRow, check_numbers, check_target, find
 from hil.scenario.fields import Table, Text
 from hil.signals import SIGNAL_NAMES
 

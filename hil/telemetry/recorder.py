@@ -12,6 +12,7 @@ from pathlib import Path
 
 import rerun as rr
 
+from hil.telemetry.files import why_not_written
 from hil.telemetry.live import LiveServer
 from hil.telemetry.ring import RingReader
 from hil.telemetry.ring_child import Record, RefusedError, run
@@ -29,6 +30,7 @@ class Recorder:
 
     def __init__(self, config: Record, ring: RingReader) -> None:
         self._ring = ring
+        self._config = config
         self._file = None if config["path"] is None else _open_file(config)
         self._live = None if config["live_port"] is None else _open_live(config)
         # A run that waits for room must not wait for a batch that its ring cannot hold.
@@ -95,7 +97,7 @@ class Recorder:
             write(self._file)
             self._file.flush()
         except (RuntimeError, OSError) as error:
-            self._error = str(error)
+            self._error = why_not_written(Path(self._config["path"]), error)
             return False
         return True
 

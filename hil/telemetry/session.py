@@ -9,7 +9,7 @@ from typing import Any, Protocol, Self
 
 from hil.signals import SIGNAL_NAMES
 from hil.telemetry.environment import rerun_environment
-from hil.telemetry.files import check_recording_path
+from hil.telemetry.files import check_output_path
 from hil.telemetry.ring_process import RingProcess
 
 
@@ -94,7 +94,7 @@ class Recording:
         signals: Sequence[str] = SIGNAL_NAMES,
     ) -> None:
         if path is not None:
-            check_recording_path(path)
+            check_output_path("recording", path)
         self._path = path
         self._live_port = live_port
         self._report: RecordingReport | None = None

@@ -1,6 +1,5 @@
 """Traces of the bus in the files of other tools: ``session`` writes them, ``decode`` reads them in our terms."""
 
-from hil.trace.files import check_trace_path
 from hil.trace.session import Trace, TraceReport
 
-__all__ = ["Trace", "TraceReport", "check_trace_path"]
+__all__ = ["Trace", "TraceReport"]

@@ -7,9 +7,9 @@ from typing import Any, Self
 
 from firmware_protocol.framing import Frame
 from hil.child import child_environment
+from hil.telemetry.files import check_output_path
 from hil.telemetry.ring_process import RingProcess
 from hil.trace import rows
-from hil.trace.files import check_trace_path
 
 _CAPACITY = 16384
 
@@ -42,7 +42,8 @@ class TraceReport:
         if self.complete:
             return None
         why = self.error or "the writer was too slow"
-        return f"trace {self.path} is incomplete, {self.dropped} frames dropped and {self.lost} lost: {why}"
+        counts = f"{self.dropped} frames were dropped and {self.lost} lost, {self.frames} are safe in it"
+        return f"trace {self.path} is incomplete: {why}; {counts}"
 
 
 class Trace:
@@ -56,7 +57,7 @@ class Trace:
     """
 
     def __init__(self, path: Path, *, blocking: bool, fd: bool = False, switched: bool = False) -> None:
-        check_trace_path(path)
+        check_output_path("trace", path)
         self._path = path
         self._zero_unix_us = 0
         self._flags = rows.FD * fd + rows.SWITCHED * (fd and switched)

@@ -4,10 +4,12 @@ import struct
 import sys
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import can
 
+from hil.telemetry.files import why_not_written
 from hil.telemetry.ring import RingReader
 from hil.telemetry.ring_child import Record, RefusedError, run
 from hil.trace import rows
@@ -25,11 +27,11 @@ class TraceWriter:
         self._ring = ring
         self._head_seen = 0
         self._error: str | None = None
-        path = config["path"]
+        self._path = Path(config["path"])
         try:
-            self._file: Any = can.Logger(path)
+            self._file: Any = can.Logger(self._path)
         except OSError as error:
-            raise RefusedError(f"trace {path}: {error.strerror}; choose a path that can be written") from error
+            raise RefusedError(f"trace {self._path}: {error.strerror}; choose a path that can be written") from error
 
     def poll(self) -> None:
         """Write the frames that the ring held at the last poll; younger ones may not have settled in memory."""
@@ -68,7 +70,7 @@ class TraceWriter:
         try:
             write()
         except OSError as error:
-            self._error = self._error or error.strerror or str(error)
+            self._error = self._error or why_not_written(self._path, error)
         except (ValueError, struct.error) as error:  # a number that the file's format has no room for
             self._error = self._error or f"python-can's writer takes no more: {error}"
         else:

@@ -1,0 +1,60 @@
+"""What is the matter with a serial port, and what to do about it, for a line and for an adapter that is one."""
+
+import errno
+import os
+import re
+import sys
+
+_TERMIOS_ERROR: tuple[type[Exception], ...] = ()
+if sys.platform != "win32":
+    import termios
+
+    # pyserial lets it through, and it is no OSError: it has number and words as a pair.
+    _TERMIOS_ERROR = (termios.error,)
+PORT_ERRORS: tuple[type[Exception], ...] = (OSError, *_TERMIOS_ERROR)
+"""What a port raises besides pyserial's own, which is an OSError mostly without a number."""
+
+LIST_PORTS = "list the ports with: python -m serial.tools.list_ports"
+_GONE = (errno.EIO, errno.ENODEV, errno.ENXIO, errno.EBADF)
+# pyserial's words where a device is gone: on reading, on Windows, and python-can's.
+_GONE_WORDS = ("disconnected", "ClearCommError failed", "Could not read from serial", "Could not write to serial")
+
+
+def _number_of(error: BaseException | None) -> int | None:
+    """Return the system's error number, which pyserial and python-can may have wrapped or put into words."""
+    while error is not None:
+        number = error.args[0] if isinstance(error, _TERMIOS_ERROR) else getattr(error, "errno", None)
+        if isinstance(number, int):
+            return number
+        if found := re.search(r"(?:\[Errno |configure port: \()(\d+)", str(error)):
+            return int(found.group(1))
+        error = error.__cause__
+    return None
+
+
+def words_of(error: Exception) -> str:
+    """Return what the system said, without its number and pyserial's words around it."""
+    number = _number_of(error)
+    return os.strerror(number) if number is not None else " ".join(str(error).split())
+
+
+def opening_problem(error: Exception) -> str | None:
+    """Return what is the matter with a port that could not be opened, to follow its name; None for anything else."""
+    number, text = _number_of(error), str(error)
+    if number == errno.ENOENT or "FileNotFoundError" in text:
+        return f"does not exist; {LIST_PORTS}"
+    if number in (errno.EACCES, errno.EPERM) or "PermissionError" in text:
+        return (
+            "may not be opened (permission denied); on Linux add yourself to its group, mostly dialout, with: "
+            "sudo usermod -aG dialout $USER, and log in again; on Windows another program may hold it"
+        )
+    if number in (errno.EAGAIN, errno.EBUSY, errno.EWOULDBLOCK) or "exclusively lock" in text:
+        return "is busy: another program holds it; close that program"
+    if number in (errno.ENOTTY, errno.EISDIR):
+        return "is not a serial port; expected a device such as /dev/ttyACM0 or COM3"
+    return None
+
+
+def is_gone(error: Exception) -> bool:
+    """Tell whether a port that was open is there no more."""
+    return _number_of(error) in _GONE or any(words in str(error) for words in _GONE_WORDS)

@@ -1,0 +1,45 @@
+"""A disk that is full costs the run nothing but what had no room, and the run says so."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.processes import HIL, environment, hil
+
+SHORT = ("--set", "loop.duration_s=12", "--set", "expect=[]")
+# A disk of its own that goes away with the process, whatever becomes of that.
+ON_A_SMALL_DISK = 'mount -t tmpfs -o size=1400k tmpfs "$1" || exit 77; shift; exec "$@"'
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="mounts a disk in a namespace, as Linux can")
+def test_a_recording_says_that_the_disk_is_full_what_is_lost_and_what_is_safe(tmp_path) -> None:
+    own = ["unshare", "--mount"] if os.geteuid() == 0 else ["unshare", "--mount", "--map-root-user"]
+    path = tmp_path / "run.rrd"
+    command = [*own, "sh", "-c", ON_A_SMALL_DISK, "sh", tmp_path, *HIL, "run", "circle_speed", *SHORT, "--record", path]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment(), timeout=120)
+    if done.returncode == 77 or done.stderr.startswith("unshare"):
+        pytest.skip(f"no disk may be mounted here: {done.stderr}")
+    assert done.returncode == 0, done.stderr
+    why = "incomplete: the disk is full (No space left on device); 0 rows were dropped and "
+    told = re.search(rf"{re.escape(why)}(\d+) lost, (\d+) are safe in {re.escape(str(path))}\n", done.stdout)
+    assert told, done.stdout
+    lost, safe = map(int, told.groups())
+    assert safe > 0
+    assert lost + safe == 2400
+
+
+def test_a_disk_that_is_full_ends_the_trace_and_not_the_run(tmp_path):
+    if not Path("/dev/full").exists():
+        pytest.skip("needs /dev/full, as Linux has it")
+    path = tmp_path / "bus.log"
+    path.symlink_to("/dev/full")
+    done = hil("run", "paper_circle", "--set", "loop.duration_s=0.4", "--set", "expect=[]", "--record", "none",
+               "--mode", "lockstep", "--trace", path)  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "is incomplete: the disk is full (No space left on device)" in done.stdout
+    assert "lost, 0 are safe in it" in done.stdout
+    assert "Traceback" not in done.stdout + done.stderr
