@@ -50,12 +50,14 @@ class Row(NamedTuple):
             if trouble is not None and trouble not in said:
                 said.add(trouble)
                 yield f"failed ({run.variation.words}): {trouble}"
+        first: dict[str, tuple[list[str], list[Run]]] = {}  # by the reason of the first run that lacks a figure
         for name in FIGURES:
             without = [run for run in self.runs if name in run.outcome.reasons]
-            if without and (reason := without[0].outcome.reasons[name]) not in said:
-                said.add(reason)
-                among = "" if len(self.runs) == 1 else f" in {len(without)} of {len(self.runs)} runs"
-                yield f"no {name}{among} ({without[0].variation.words}): {reason}"
+            if without:
+                first.setdefault(without[0].outcome.reasons[name], ([], without))[0].append(name)
+        for reason, (names, without) in first.items():
+            among = "" if len(self.runs) == 1 else f" in {len(without)} of {len(self.runs)} runs"
+            yield f"no {', '.join(names)}{among} ({without[0].variation.words}): {reason}"
 
     @property
     def has_failed(self) -> bool:
