@@ -10,10 +10,10 @@ import pytest
 
 from firmware_protocol.build import HERE, SOURCES
 from hil.catalogue.plan import Asked, alone
-from hil.catalogue.pool import perform_all
-from hil.catalogue.runs import perform
+from hil.catalogue.runs import WORK, perform
 from hil.faults.cases import CASES, DURATION_S, Outcome
 from hil.faults.kinds import KINDS, find
+from hil.pool import perform_all
 from hil.scenario.rows import FaultTable
 from native_build.compiler import compile_shared
 from tests.processes import HIL, environment, hil
@@ -183,9 +183,9 @@ def test_a_run_that_hangs_is_ended_and_one_that_crashes_is_told(tmp_path) -> Non
     ids=["cannot be started", "answers with too little", "answers with anything"],
 )
 def test_a_worker_that_is_none_is_a_verdict_on_each_job(words, tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr("hil.catalogue.pool.module_command", lambda _module: words)
+    monkeypatch.setattr("hil.pool.module_command", lambda _module: words)
     jobs = alone(Asked("circle_speed", [], ["memory"], ["push", "mute"], tmp_path))
-    verdicts = perform_all(jobs, 2, 60.0)
+    verdicts = perform_all(WORK, jobs, 2, 60.0)
     assert [verdict.fault for verdict in verdicts] == [job.fault for job in jobs]
     assert all(verdict.verdict.startswith("crashed: ") for verdict in verdicts)
 

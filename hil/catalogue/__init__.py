@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 from hil.catalogue import plan
 from hil.catalogue.plan import Asked
-from hil.catalogue.pool import perform_all
-from hil.catalogue.runs import Verdict, scenario
+from hil.catalogue.runs import WORK, Verdict, scenario
+from hil.pool import perform_all
 
 __all__ = ["Asked", "Verdict", "catalogue"]
 
@@ -43,8 +43,8 @@ def catalogue(
             tell(done, len(lockstep) + len(in_real_time), verdict)
 
     asked.recordings.mkdir(parents=True, exist_ok=True)
-    verdicts = perform_all(lockstep, jobs or os.cpu_count() or 1, limit_s, count)
-    verdicts += perform_all(in_real_time, 1, limit_s, count)
+    verdicts = perform_all(WORK, lockstep, jobs or os.cpu_count() or 1, limit_s, count)
+    verdicts += perform_all(WORK, in_real_time, 1, limit_s, count)
     with contextlib.suppress(OSError):  # what is not empty has recordings to look at
         asked.recordings.rmdir()
     return verdicts

@@ -11,6 +11,7 @@ from hil.catalogue.recording import RecordingHere
 from hil.catalogue.watched import WatchedNode
 from hil.errors import HilError
 from hil.faults.cases import DURATION_S, Outcome, Row
+from hil.pool import Work
 from hil.review.decode import DamagedError, decode
 from hil.scenario import Scenario, format_value, load
 from hil.telemetry import Recording
@@ -98,6 +99,10 @@ class _Watched:
 def lost(job: Job, verdict: str, wall_s: float) -> Verdict:
     """Return the verdict on a run that told nothing."""
     return Verdict(job.fault, job.link, job.mode, job.rearm, verdict, None, None, None, None, None, wall_s, None)
+
+
+WORK = Work("hil.catalogue.worker", Verdict, lost)
+"""What the pool is told of a run of the catalogue."""
 
 
 def perform(job: Job) -> Verdict:

@@ -20,7 +20,7 @@ Y_COLOUR: Colour = (97, 201, 122)
 HEADING_COLOUR: Colour = (187, 134, 252)
 PLAIN_COLOUR: Colour = (220, 220, 220)
 ALARM_COLOUR: Colour = (235, 87, 87)
-_WHEEL_COLOURS: tuple[Colour, ...] = ((86, 180, 233), (230, 159, 0), (0, 190, 140), (214, 117, 176))
+WHEEL_COLOURS: tuple[Colour, ...] = ((86, 180, 233), (230, 159, 0), (0, 190, 140), (214, 117, 176))
 _AXIS_COLOURS = (X_COLOUR, Y_COLOUR, HEADING_COLOUR)
 
 
@@ -43,7 +43,7 @@ class Entity(NamedTuple):
 def _wheels(path: str, quantity: str) -> Entity:
     series = (
         Series(f"wheel.{wheel}.{quantity}", wheel.upper(), colour)
-        for wheel, colour in zip(WHEEL_NAMES, _WHEEL_COLOURS, strict=True)
+        for wheel, colour in zip(WHEEL_NAMES, WHEEL_COLOURS, strict=True)
     )
     return Entity(path, tuple(series))
 

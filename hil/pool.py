@@ -1,4 +1,4 @@
-"""Worker processes that do many runs each, and a hang guard: a run that takes too long is ended with its worker."""
+"""Worker processes that do many jobs each, and a hang guard: a job that takes too long is ended with its worker."""
 
 import json
 import queue
@@ -7,35 +7,60 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Sequence
-from typing import IO
+from dataclasses import dataclass
+from typing import IO, Any, Generic, Protocol, TypeVar
 
-from hil.catalogue.runs import Job, Verdict, lost
 from hil.child import away_from_terminal, module_command
 from hil.telemetry.environment import rerun_environment
 
 _END_S = 10.0
 
 
-def perform_all(
-    jobs: Sequence[Job], workers: int, limit_s: float, tell: Callable[[Verdict], None] = lambda _: None
-) -> list[Verdict]:
-    """Do the jobs in so many processes and return the verdicts in the order of the jobs.
+class Plain(Protocol):
+    """A NamedTuple of plain values: it goes to another process as JSON."""
 
-    A run that takes more than ``limit_s`` of wall-clock time is ended: its verdict begins with "hung". One whose
-    process ends by itself, does not begin, or answers with no verdict gets one that begins with "crashed". ``tell``
-    gets each verdict as it comes.
+    def _asdict(self) -> dict[str, Any]: ...
+
+
+J = TypeVar("J", bound=Plain)
+A = TypeVar("A", bound=Plain)
+
+
+@dataclass(frozen=True)
+class Work(Generic[J, A]):
+    """A kind of job.
+
+    Attributes:
+        worker: the module whose process does the jobs, by ``hil.worker.serve``.
+        answer: makes an answer of its fields by name.
+        lost: the answer for a job that told nothing, from what became of it and the wall-clock time [s] it took.
     """
-    waiting: queue.SimpleQueue[tuple[int, Job]] = queue.SimpleQueue()
+
+    worker: str
+    answer: Callable[..., A]
+    lost: Callable[[J, str, float], A]
+
+
+def perform_all(
+    work: Work[J, A], jobs: Sequence[J], workers: int, limit_s: float, tell: Callable[[A], None] = lambda _: None
+) -> list[A]:
+    """Do the jobs in so many processes and return the answers in the order of the jobs.
+
+    A job that takes more than ``limit_s`` of wall-clock time is ended: it is lost, with words that begin with "hung".
+    One whose process ends by itself, does not begin, or gives no answer is lost with words that begin with "crashed".
+    ``tell`` gets each answer as it comes.
+    """
+    waiting: queue.SimpleQueue[tuple[int, J]] = queue.SimpleQueue()
     for numbered in enumerate(jobs):
         waiting.put(numbered)
-    done: queue.SimpleQueue[tuple[int, Verdict]] = queue.SimpleQueue()
-    hands = [_Hand(waiting, done, limit_s) for _ in range(min(workers, len(jobs)))]
-    verdicts: dict[int, Verdict] = {}
+    done: queue.SimpleQueue[tuple[int, A]] = queue.SimpleQueue()
+    hands = [_Hand(work, waiting, done, limit_s) for _ in range(min(workers, len(jobs)))]
+    answers: dict[int, A] = {}
     try:
-        while len(verdicts) < len(jobs):
-            number, verdict = done.get()
-            verdicts[number] = verdict
-            tell(verdict)
+        while len(answers) < len(jobs):
+            number, answer = done.get()
+            answers[number] = answer
+            tell(answer)
     except BaseException:
         for hand in hands:
             hand.abort()
@@ -43,16 +68,16 @@ def perform_all(
     finally:
         for hand in hands:
             hand.join()
-    return [verdicts[number] for number in range(len(jobs))]
+    return [answers[number] for number in range(len(jobs))]
 
 
 class _Worker:
     """One worker process."""
 
-    def __init__(self) -> None:
+    def __init__(self, module: str) -> None:
         self._words: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 -- closed in close()
         self._process = subprocess.Popen(
-            module_command("hil.catalogue.worker"),
+            module_command(module),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._words,
@@ -60,8 +85,8 @@ class _Worker:
             **away_from_terminal(),
         )
 
-    def perform(self, job: Job, limit_s: float) -> Verdict | None:
-        """Do a job; None when the process has ended, by itself or because it took too long."""
+    def perform(self, job: Plain, limit_s: float) -> dict[str, Any] | None:
+        """Do a job and return its answer's fields; None when the process has ended, by itself or as it took too long."""
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         guard = threading.Timer(limit_s, self._process.kill)
@@ -74,7 +99,10 @@ class _Worker:
             line = b""
         finally:
             guard.cancel()
-        return Verdict(**json.loads(line)) if line.endswith(b"\n") else None
+        if not line.endswith(b"\n"):
+            return None
+        fields: dict[str, Any] = json.loads(line)
+        return fields
 
     def trouble(self) -> str:
         """Return how the process ended, with its last words."""
@@ -98,21 +126,23 @@ class _Worker:
         self._process.kill()
 
 
-class _Hand:
+class _Hand(Generic[J, A]):
     """A thread that gives one worker at a time its jobs, and starts another where that has ended."""
 
     def __init__(
         self,
-        waiting: "queue.SimpleQueue[tuple[int, Job]]",
-        done: "queue.SimpleQueue[tuple[int, Verdict]]",
+        work: Work[J, A],
+        waiting: "queue.SimpleQueue[tuple[int, J]]",
+        done: "queue.SimpleQueue[tuple[int, A]]",
         limit_s: float,
     ) -> None:
+        self._work = work
         self._waiting = waiting
         self._done = done
         self._limit_s = limit_s
         self._closing = False
         self._worker: _Worker | None = None
-        self._thread = threading.Thread(target=self._run, name="catalogue", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="pool", daemon=True)
         self._thread.start()
 
     def _run(self) -> None:
@@ -129,8 +159,8 @@ class _Hand:
             self._worker = None
             worker.close()
 
-    def _perform(self, job: Job) -> Verdict:
-        """Do a job; whatever goes wrong is a verdict, for without one nobody would stop waiting."""
+    def _perform(self, job: J) -> A:
+        """Do a job; whatever goes wrong is an answer, for without one nobody would stop waiting."""
         began = time.monotonic()
         try:
             return self._perform_or_raise(job)
@@ -138,19 +168,19 @@ class _Hand:
             if (worker := self._worker) is not None:
                 worker.kill()
             self._dismiss()
-            return lost(job, f"crashed: {type(error).__name__}: {error}", time.monotonic() - began)
+            return self._work.lost(job, f"crashed: {type(error).__name__}: {error}", time.monotonic() - began)
 
-    def _perform_or_raise(self, job: Job) -> Verdict:
-        self._worker = self._worker or _Worker()
+    def _perform_or_raise(self, job: J) -> A:
+        self._worker = self._worker or _Worker(self._work.worker)
         began = time.monotonic()
-        verdict = self._worker.perform(job, self._limit_s)
-        if verdict is not None:
-            return verdict
+        fields = self._worker.perform(job, self._limit_s)
+        if fields is not None:
+            return self._work.answer(**fields)
         wall_s = time.monotonic() - began
         trouble = self._worker.trouble()
         self._dismiss()
         how = f"hung: it was ended after {wall_s:.1f} s" if wall_s >= self._limit_s else f"crashed: {trouble}"
-        return lost(job, how, wall_s)
+        return self._work.lost(job, how, wall_s)
 
     def abort(self) -> None:
         """Leave the other jobs, and the one in hand."""

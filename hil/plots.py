@@ -1,0 +1,202 @@
+"""Pictures of runs as PNG, in one style, with the colours that recordings have.
+
+    with drawing(Path("circle.png"), columns=2) as (left, right):
+        draw_path(left, reference, [Curve("afdsc", x_m, y_m)])
+        draw_error(right, [Curve("afdsc", t_s, planar_m)])
+
+matplotlib is imported when something is drawn, not before, and always without pyplot: no display and no window. Two
+drawings of the same data are the same bytes.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hil.errors import BadInputError
+from hil.telemetry.layout import ALARM_COLOUR, REFERENCE_COLOUR, WHEEL_COLOURS, Colour
+from hil.types import WHEEL_NAMES
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Series = npt.NDArray[np.float64]
+
+# Those of Okabe and Ito, which colour-blind readers can tell apart, without the yellow that white paper swallows.
+_CYCLE: tuple[Colour, ...] = (
+    (0, 114, 178),
+    (213, 94, 0),
+    (0, 158, 115),
+    (204, 121, 167),
+    (86, 180, 233),
+    (230, 159, 0),
+    (90, 90, 90),
+    (120, 60, 160),
+    (120, 80, 40),
+)
+_DASHES = ("-", (0, (5, 2)))
+_INK = "#333333"
+_STYLE: Any = {
+    "font.size": 9.0,
+    "axes.titlesize": 10.0,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.edgecolor": _INK,
+    "axes.labelcolor": _INK,
+    "text.color": _INK,
+    "xtick.color": _INK,
+    "ytick.color": _INK,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#dddddd",
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.4,
+    "legend.frameon": False,
+    "legend.fontsize": 8.0,
+    "figure.dpi": 130.0,
+    "savefig.facecolor": "white",
+}
+_LEAST_ERROR_MM = 0.01  # below the encoders' resolution a logarithmic scale shows noise alone
+_BAR_SHARE = 0.8
+
+
+class Curve(NamedTuple):
+    """Points in the order in which they are joined; ``x`` and ``y`` of one shape (n,), NaN leaves a gap.
+
+    ``colour`` is the next of the house's cycle when None.
+    """
+
+    label: str
+    x: Series
+    y: Series
+    colour: Colour | None = None
+    dashed: bool = False
+
+
+class Bar(NamedTuple):
+    """The bars of one name, one for each group: what is nominal in full colour, up to the worst lighter.
+
+    None stands for what has no number, and leaves a mark in place of the bar.
+    """
+
+    label: str
+    nominal: Sequence[float | None]
+    worst: Sequence[float | None]
+
+
+@contextmanager
+def drawing(
+    path: Path, *, rows: int = 1, columns: int = 1, size_in: tuple[float, float] = (6.4, 4.0)
+) -> Iterator[list["Axes"]]:
+    """Give the axes to draw on, row by row, and write them to a PNG file; ``size_in`` is the whole picture's.
+
+    What matplotlib makes inside has the house's style. Raises BadInputError when the file cannot be written; after
+    an error of the caller's nothing is written.
+    """
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context(_STYLE):
+        figure = Figure(figsize=size_in, layout="constrained")
+        FigureCanvasAgg(figure)
+        yield list(figure.subplots(rows, columns, squeeze=False).flat)
+        try:
+            figure.savefig(path, format="png")
+        except OSError as error:
+            raise BadInputError(
+                f"picture {path}: it cannot be written ({error.strerror}); name a folder that exists and may be written"
+            ) from error
+
+
+def colour_of(number: int) -> Colour:
+    """Return the colour of the law, or whatever is compared, of this number."""
+    return _CYCLE[number % len(_CYCLE)]
+
+
+def draw_curves(
+    axes: "Axes", curves: Sequence[Curve], *, title: str = "", x_label: str = "t [s]", y_label: str = ""
+) -> None:
+    """Draw curves with a legend; from the tenth on, where colours come again, they are dashed."""
+    for number, curve in enumerate(curves):
+        dashed = curve.dashed or (curve.colour is None and number >= len(_CYCLE))
+        axes.plot(
+            curve.x,
+            curve.y,
+            label=curve.label,
+            color=_rgb(curve.colour or colour_of(number)),
+            linestyle=_DASHES[dashed],
+        )
+    axes.set(title=title, xlabel=x_label, ylabel=y_label)
+    if any(curve.label for curve in curves):
+        axes.legend()
+
+
+def draw_path(axes: "Axes", reference: Curve, curves: Sequence[Curve], *, title: str = "Path") -> None:
+    """Draw where robots went, x and y in m on one scale, over the reference; a dot marks where each began."""
+    axes.plot(
+        reference.x,
+        reference.y,
+        label=reference.label,
+        color=_rgb(reference.colour or REFERENCE_COLOUR),
+        linewidth=4.0,
+        alpha=0.5,
+    )
+    draw_curves(axes, curves, title=title, x_label="x [m]", y_label="y [m]")
+    for number, curve in enumerate(curves):
+        there = np.flatnonzero(np.isfinite(curve.x) & np.isfinite(curve.y))
+        if len(there):
+            colour = _rgb(curve.colour or colour_of(number))
+            axes.plot(curve.x[there[0]], curve.y[there[0]], "o", color=colour, markersize=4.0)
+    axes.set_aspect("equal", adjustable="datalim")
+
+
+def draw_error(axes: "Axes", curves: Sequence[Curve], *, title: str = "Planar error", log: bool = True) -> None:
+    """Draw the planar error over time, given in s and m and shown in mm, on a logarithmic scale or not.
+
+    On the logarithmic scale a line marks 10 mm, the error of t10.
+    """
+    scaled = [curve._replace(y=curve.y * 1e3) for curve in curves]
+    if log:
+        scaled = [curve._replace(y=np.maximum(curve.y, _LEAST_ERROR_MM)) for curve in scaled]
+        axes.set_yscale("log")
+        axes.axhline(10.0, color=_rgb(ALARM_COLOUR), linewidth=0.8, linestyle=":")
+    draw_curves(axes, scaled, title=title, y_label="planar error [mm]")
+
+
+def draw_wheels(axes: "Axes", t_s: Series, wheels: Mapping[str, Series], *, title: str, y_label: str) -> None:
+    """Draw a quantity of the four wheels over time; ``wheels`` has it by wheel, as in ``WHEEL_NAMES``."""
+    each = zip(WHEEL_NAMES, WHEEL_COLOURS, strict=True)
+    curves = [Curve(wheel.upper(), t_s, wheels[wheel], colour) for wheel, colour in each]
+    draw_curves(axes, curves, title=title, y_label=y_label)
+
+
+def draw_bars(axes: "Axes", groups: Sequence[str], bars: Sequence[Bar], *, title: str, y_label: str) -> None:
+    """Draw groups of bars, those of one name in one colour: nominal in full, the worst behind it lighter.
+
+    Raises ValueError when a bar has not one value for each group.
+    """
+    width = _BAR_SHARE / max(1, len(bars))
+    for number, bar in enumerate(bars):
+        colour = _rgb(colour_of(number))
+        for group, nominal, worst in zip(range(len(groups)), bar.nominal, bar.worst, strict=True):
+            place = group + (number - (len(bars) - 1) / 2) * width
+            label = bar.label if group == 0 else None
+            axes.bar(place, worst or 0.0, width * 0.9, color=colour, alpha=0.35)
+            axes.bar(place, nominal or 0.0, width * 0.9, color=colour, label=label)
+            if nominal is None:
+                axes.plot(place, 0.0, "x", color=colour, markersize=5.0, clip_on=False)
+    axes.set_xticks(range(len(groups)), groups)
+    axes.grid(visible=False, axis="x")
+    axes.set(title=title, ylabel=y_label)
+    axes.legend(ncols=2)
+
+
+def _rgb(colour: Colour) -> tuple[float, float, float]:
+    red, green, blue = colour
+    return red / 255, green / 255, blue / 255

@@ -1,0 +1,51 @@
+"""The other end of ``hil.pool``: a process that takes jobs as lines of JSON and answers each.
+
+What raises in another thread, or where nothing can be raised, becomes the answer; what raises in the job itself ends
+the process, which is an answer too.
+"""
+
+import json
+import os
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import TypeVar
+
+from hil.pool import Plain
+
+J = TypeVar("J", bound=Plain)
+A = TypeVar("A", bound=Plain)
+
+
+def serve(job_type: type[J], perform: Callable[[J], A], lost: Callable[[J, str, float], A]) -> int:
+    """Serve until the jobs end; the arguments are as in ``hil.pool.Work``, ``perform`` does a job."""
+    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)  # what a law prints must not get between the answers
+    stray: list[str] = []
+
+    def keep(kind: type[BaseException], error: BaseException | None, trace: TracebackType | None) -> None:
+        stray.append(_words(kind, error, trace))
+
+    threading.excepthook = lambda args: keep(args.exc_type, args.exc_value, args.exc_traceback)
+    sys.unraisablehook = lambda args: keep(args.exc_type, args.exc_value, args.exc_traceback)
+    for line in sys.stdin:
+        job = job_type(**json.loads(line))
+        began = time.monotonic()
+        answer = perform(job)
+        if stray:
+            answer = lost(job, f"traceback: {stray[0]}", time.monotonic() - began)
+            stray.clear()
+        answers.write(json.dumps(answer._asdict()) + "\n")
+        answers.flush()
+    return 0
+
+
+def _words(kind: type[BaseException], error: BaseException | None, trace: TracebackType | None) -> str:
+    """Return what was raised and where, in one line."""
+    frames = traceback.extract_tb(trace)
+    where = f" at {Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""
+    return f"{kind.__name__}: {error}{where}"
