@@ -27,6 +27,7 @@ from hil.commands.options import (
     interrupt,
     print_json,
 )
+from hil.commands.reproduce import reproduce
 from hil.commands.robot import device, params
 from hil.commands.trace import decode
 from hil.errors import BadInputError, DeviceError, HilError, LinkError, RunInterruptedError
@@ -105,6 +106,7 @@ app.command()(catalogue)
 app.command()(device)
 app.command()(decode)
 app.command()(params)
+app.command()(reproduce)
 
 
 @app.command()
