@@ -72,8 +72,9 @@ _CIRCLE = (
     ),
     _Row(
         "Tables III and IV",
-        (_GAINS + "tables",),
-        "VS and VB stand the other way round at a big error with rate zero; run as printed, and corrected",
+        (),
+        "VS and VB stand the other way round at a big error with rate zero; run too with them corrected",
+        "as printed",
     ),
     _Row("when it has tracked", (), "the usual settling time", "the planar error stays below 2 % of its first value"),
     _Row("the rate of the controller", ("loop.rate_hz",), "near to its continuous time"),

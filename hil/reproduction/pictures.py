@@ -9,7 +9,8 @@ import numpy.typing as npt
 
 from hil.plots import Curve, colour_of, draw_curves, draw_path, draw_wheels, drawing
 from hil.reproduction import published
-from hil.reproduction.plan import DRIVEN
+from hil.reproduction.margin import delay_margin
+from hil.reproduction.plan import DRIVEN, EXPERIMENT_PERIOD_S
 from hil.reproduction.verdicts import Results
 from hil.types import WHEEL_NAMES
 
@@ -105,7 +106,7 @@ def control_signals(path: Path, run: Signals) -> None:
 
 def delay(path: Path, results: Results) -> None:
     """Draw the amplitude and the frequency of the oscillation over latency."""
-    with drawing(path, rows=1, columns=2, size_in=(9.0, 4.0)) as (left, right):
+    with drawing(path, rows=1, columns=2, size_in=(10.0, 4.5)) as (left, right):
         left.set_yscale("log")
         for axes, name, scale, label in (
             (left, "amplitude_m", 1e3, "amplitude [mm]"),
@@ -120,4 +121,14 @@ def delay(path: Path, results: Results) -> None:
             draw_curves(axes, curves, title=f"Oscillation: {label.split()[0]}", x_label="latency [ms]", y_label=label)
             for line in axes.get_lines():
                 line.set_marker("o")
-            axes.legend()
+        for number, (k1_1_s, k2_1_s) in enumerate((published.FUZZY_CENTRE, published.DSC_GAINS)):
+            margin = delay_margin(k1_1_s, k2_1_s, published.COMMON_FILTER_S, EXPERIMENT_PERIOD_S)
+            red, green, blue = colour_of(number)
+            left.axvline(
+                margin.latency_s * 1e3,
+                color=(red / 255, green / 255, blue / 255),
+                linestyle=":",
+                label=f"unstable by the equations, K1 = {k1_1_s:g}, K2 = {k2_1_s:g}",
+            )
+        left.legend(loc="upper left")
+        right.legend()

@@ -30,10 +30,10 @@ AFDSC_STEADY = Printed("afdsc", "steady_rms_m", 0.00038, 0.00001)
 FIGURES = (DSC_TRACKED, AFDSC_TRACKED, DSC_STEADY, AFDSC_STEADY)
 """Section IV.A: when the laws are on the trajectory, and what then remains of the error."""
 
-DSC_K1_1_S, DSC_K2_1_S = 15.0, 40.0
-"""Table V."""
-FUZZY_CENTRE_1_S = K1_1_S["M"]
-"""K1 of Table III where error and rate are zero."""
+DSC_GAINS = (15.0, 40.0)
+"""Table V: K1 and K2 [1/s]."""
+FUZZY_CENTRE = (K1_1_S["M"], K2_1_S["M"])
+"""K1 and K2 [1/s] of Tables III and IV where error and rate are zero."""
 
 RADIUS_M, PERIOD_S = 1.0, 15.0
 """Section IV.A, Table V: the circle."""
@@ -77,7 +77,7 @@ def stiffest_rule_1_s2() -> float:
     )
 
 
-COMMON_FILTER_S = round(filter_for(DSC_STEADY.value, DSC_K1_1_S), 4)
+COMMON_FILTER_S = round(filter_for(DSC_STEADY.value, DSC_GAINS[0]), 4)
 """The filter constant that DSC's steady error asks for, here for both laws."""
-SHORT_FILTER_S = round(filter_for(AFDSC_STEADY.value, FUZZY_CENTRE_1_S), 4)
+SHORT_FILTER_S = round(filter_for(AFDSC_STEADY.value, FUZZY_CENTRE[0]), 4)
 """The one that AFDSC's steady error asks for."""

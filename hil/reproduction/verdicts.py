@@ -3,11 +3,13 @@
 Pure: outcomes in, verdicts out. No sentence holds a number that was not computed here or printed in the paper.
 """
 
+import math
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 from hil.reproduction import published
-from hil.reproduction.plan import DRIVEN, FILTERS, LIMITS, Case
+from hil.reproduction.margin import delay_margin
+from hil.reproduction.plan import DRIVEN, EXPERIMENT_PERIOD_S, FILTERS, LIMITS, Case
 from hil.reproduction.published import Printed
 from hil.reproduction.runs import Outcome
 
@@ -146,10 +148,10 @@ def _closer(results: Results) -> Verdict:
     """AFDSC's steady error is smaller than DSC's."""
     dsc, afdsc = (results.circle(law, "common", "together", "steady_rms_m") for law in ("dsc", "afdsc"))
     less = dsc - afdsc if dsc is not None and afdsc is not None else None
-    stiffest, dsc_stiffness = published.stiffest_rule_1_s2(), published.DSC_K1_1_S * published.DSC_K2_1_S
+    stiffest, dsc_stiffness = published.stiffest_rule_1_s2(), math.prod(published.DSC_GAINS)
     why = (
-        f"of a filter's lag the error goes with 1 / K1, and K1 is {published.FUZZY_CENTRE_1_S:g} 1/s at zero error "
-        f"against {published.DSC_K1_1_S:g}; of a disturbance it goes with 1 / (K1 K2), at most {stiffest:g} 1/s² by "
+        f"of a filter's lag the error goes with 1 / K1, and K1 is {published.FUZZY_CENTRE[0]:g} 1/s at zero error "
+        f"against {published.DSC_GAINS[0]:g}; of a disturbance it goes with 1 / (K1 K2), at most {stiffest:g} 1/s² by "
         f"any rule against {dsc_stiffness:g}: no cause that both laws share makes AFDSC the more exact"
     )
     paper = round(published.DSC_STEADY.value - published.AFDSC_STEADY.value, 8)
@@ -248,17 +250,21 @@ def _delay(results: Results) -> Verdict:
         why += f": less than {_GROWTH:g} times as much, so none of it is due to latency"
     if lost:
         why += f"; the run did not end at {', '.join(lost)}"
-    why += "; the paper gives neither amplitude nor delay, so that the size cannot be compared"
+    margin = delay_margin(*published.FUZZY_CENTRE, published.COMMON_FILTER_S, EXPERIMENT_PERIOD_S)
+    why += (
+        f"; by the equations AFDSC's gains at zero error swing from {margin.latency_s * 1e3:.0f} ms on, at "
+        f"{margin.frequency_hz:.1f} Hz; the paper gives neither amplitude nor delay, so that no size can be compared"
+    )
     return Verdict("IV.B", claim, "m", None, known[first], None, COMES_OUT if swinging else DOES_NOT, why)
 
 
 def _why_not_closer(results: Results) -> str:
     """Say what AFDSC's steady error would need."""
     needed = published.gain_for(published.AFDSC_STEADY.value, published.COMMON_FILTER_S)
-    lag_m = published.steady_error_m(published.COMMON_FILTER_S, published.FUZZY_CENTRE_1_S)
+    lag_m = published.steady_error_m(published.COMMON_FILTER_S, published.FUZZY_CENTRE[0])
     return (
-        f"with this filter it needs K1 = {needed:.0f} 1/s, and Table II ends at {published.DSC_K1_1_S:g}; at the "
-        f"{published.FUZZY_CENTRE_1_S:g} of Table III for zero error the equations leave {_millimetres(lag_m)}"
+        f"with this filter it needs K1 = {needed:.0f} 1/s, and Table II ends at {published.DSC_GAINS[0]:g}; at the "
+        f"{published.FUZZY_CENTRE[0]:g} of Table III for zero error the equations leave {_millimetres(lag_m)}"
     )
 
 
