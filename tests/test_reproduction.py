@@ -38,7 +38,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def summary(folder: Path) -> dict[str, Any]:
     """The JSON of a quick run, as the command prints it."""
-    result = CliRunner().invoke(app, ["reproduce", "--quick", "--json", "--jobs", "2", "--out", str(folder)])
+    result = CliRunner().invoke(app, ["reproduce", "--quick", "--json", "--jobs", "1", "--out", str(folder)])
     assert result.exit_code == 0, result.output
     return json.loads(result.stdout)
 
@@ -46,7 +46,7 @@ def summary(folder: Path) -> dict[str, Any]:
 # ---------------------------------------------------------------------------------------- by the equations
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(st.floats(0.01, 0.1), st.floats(3.0, 20.0))
 def test_the_steady_error_follows_from_equation_17(filter_s, k1_1_s):
     """The periodic solution of ς (ë + q̈_d) + ė + K1 e = 0 with q_d = r0 exp(j ω t), by putting it in."""
@@ -67,7 +67,7 @@ def test_the_loop_swings_up_beyond_the_delay_margin_and_dies_away_below_it(k1, k
         swing = _delayed(k1, k2, filter_s, margin.latency_s * share)
         half = len(swing) // 2
         early, late = np.abs(swing[half // 2 : half]).max(), np.abs(swing[-half // 2 :]).max()
-        assert (late > early) is grows
+        assert bool(late > early) is grows
     crossings = np.flatnonzero(np.diff(np.sign(_delayed(k1, k2, filter_s, margin.latency_s)[-20000:])))
     assert 1.0 / (2e-4 * np.diff(crossings).mean()) == pytest.approx(margin.frequency_hz, rel=0.02)
     assert margin.latency_s - delay_margin(k1, k2, filter_s, 0.005).latency_s == pytest.approx(0.0025)
@@ -108,9 +108,10 @@ def test_the_scenarios_have_the_numbers_of_the_paper():
     assert experiment.fault[0].end_s == published.SILENT_TO_S - published.SILENT_FROM_S
 
 
+@settings(max_examples=10)
 @given(st.floats(0.001, 0.1), st.floats(1.0, 20.0), st.floats(-0.01, 0.01), st.floats(0.0, 6.0))
 def test_an_oscillation_is_found_beside_what_turns_with_the_path(amplitude_m, frequency_hz, lag_m, phase):
-    t = np.arange(6000) * 0.005
+    t = np.arange(1700) * 0.01
     path = lag_m + lag_m * np.cos(3.0 * math.tau / 15.0 * t)
     swing = amplitude_m * np.sin(math.tau * frequency_hz * t + phase)
     found = oscillation(t, path + swing, path, 15.0)
@@ -128,7 +129,7 @@ def test_less_than_a_lap_has_no_oscillation():
 # ---------------------------------------------------------------------------------------- verdicts on made-up numbers
 
 
-def judge(change: dict[str, dict[str, float | None]]) -> dict[str, verdicts.Verdict]:
+def made_up(change: dict[str, dict[str, float | None]]) -> dict[str, verdicts.Verdict]:
     """Return the verdicts by claim for runs that agree with the paper but for ``change``, by name of the case."""
     planned = cases()
     outcomes = []
@@ -143,11 +144,11 @@ def judge(change: dict[str, dict[str, float | None]]) -> dict[str, verdicts.Verd
         if case.row.get("latency_ms") == 70.0:
             figures["amplitude_m"] = 0.02
         outcomes.append(Outcome(case.name, figures | change.get(case.name, {}), None, 1.0))
-    return {verdict.claim: verdict for verdict in verdicts.verdicts(verdicts.Results(planned, outcomes))}
+    return {verdict.claim: verdict for verdict in verdicts.judge(verdicts.Results(planned, outcomes))}
 
 
 def test_a_run_that_agrees_comes_out():
-    found = judge({})
+    found = made_up({})
     assert {verdict.verdict for verdict in found.values()} == {verdicts.COMES_OUT, verdicts.FITTED}
     fitted = [claim for claim, verdict in found.items() if verdict.verdict == verdicts.FITTED]
     assert fitted == ["DSC steady error", "AFDSC steady error, with a filter of its own", "no control signal for"]
@@ -177,17 +178,17 @@ def test_a_run_that_agrees_comes_out():
     ],
 )
 def test_each_verdict_turns_with_its_figure(case, figures, claim):
-    assert judge({})[claim].verdict != verdicts.DOES_NOT
-    assert judge({case: figures})[claim].verdict == verdicts.DOES_NOT
+    assert made_up({})[claim].verdict != verdicts.DOES_NOT
+    assert made_up({case: figures})[claim].verdict == verdicts.DOES_NOT
 
 
 def test_without_the_calm_run_an_oscillation_cannot_be_compared():
-    found = judge({"afdsc torque 0 ms": {"amplitude_m": None}})["a slight oscillation from the delay"]
+    found = made_up({"afdsc torque 0 ms": {"amplitude_m": None}})["a slight oscillation from the delay"]
     assert found.verdict == verdicts.NO_NUMBER
 
 
 def test_a_verdict_says_where_the_lead_is_lost():
-    found = judge({"dsc short each": {"tracked_s": 0.5}})["AFDSC tracks sooner than DSC, by"]
+    found = made_up({"dsc short each": {"tracked_s": 0.5}})["AFDSC tracks sooner than DSC, by"]
     assert found.verdict == verdicts.COMES_OUT
     assert "0.0217 s and 5 N·m, each motor by itself -0.10 s" in found.why
 
@@ -205,7 +206,7 @@ def test_the_json_keeps_its_form(summary: dict[str, Any], folder: Path) -> None:
     swing = ["transition_s", "steady_rms_m", "steady_max_m", "amplitude_m", "frequency_hz"]
     assert list(summary["delay"][0]) == ["name", "driven", "latency_ms", *swing, "failure"]
     assert list(summary["verdicts"][0]) == list(verdicts.Verdict._fields)
-    assert [row["failure"] for group in ("circle", "experiment", "delay") for row in summary[group]] == [None] * 7
+    assert [row["failure"] for group in ("circle", "experiment", "delay") for row in summary[group]] == [None] * 6
     assert all(row["what"] and row["value"] and row["why"] for row in summary["assumptions"])
 
 
@@ -222,7 +223,9 @@ def test_the_pictures_open(summary: dict[str, Any], folder: Path) -> None:
 def test_nothing_is_commanded_until_the_host_comes(summary: dict[str, Any], folder: Path) -> None:
     (row,) = summary["experiment"]
     assert 7.0 <= row["driven_s"] < 7.5
-    signals = review.read(folder / "experiment.rrd").signals
+    recorded = review.read(folder / "experiment.rrd")
+    signals = recorded.signals
+    assert review.figures(recorded)["steady_max_m"] == row["steady_max_m"]
     silent = (signals["loop.t_s"] > 0.0) & (signals["loop.t_s"] < row["driven_s"])
     for wheel in ("fl", "fr", "rr", "rl"):
         assert np.isnan(signals[f"wheel.{wheel}.torque_command_n_m"][silent]).all()
@@ -232,10 +235,10 @@ def test_nothing_is_commanded_until_the_host_comes(summary: dict[str, Any], fold
 
 
 def test_the_main_runs_are_recorded(summary: dict[str, Any], folder: Path) -> None:
-    assert len(summary["recordings"]) == 4
-    figures = review.review(folder / "afdsc_common_together.rrd")
-    (row,) = (row for row in summary["circle"] if row["name"] == "afdsc common together")
-    assert figures["tracked_s"] == row["tracked_s"]
+    assert summary["recordings"] == [f"{row['name'].replace(' ', '_')}.rrd" for row in summary["circle"]] + [
+        "experiment.rrd"
+    ]
+    assert all((folder / name).stat().st_size > 100_000 for name in summary["recordings"])
 
 
 def test_what_is_printed_has_every_verdict(summary: dict[str, Any], capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,8 +16,8 @@ from hil.pool import perform_all
 from hil.reproduction import pictures
 from hil.reproduction.plan import FILTERS, LAWS, Case, cases
 from hil.reproduction.runs import WORK, Job, Outcome
-from hil.reproduction.summary import summary
-from hil.reproduction.verdicts import Results, verdicts
+from hil.reproduction.summary import summarise
+from hil.reproduction.verdicts import Results, judge
 
 __all__ = ["reproduce"]
 
@@ -65,10 +65,10 @@ def reproduce(
         results = Results(planned, outcomes)
         drawn = _draw(folder, results, {label: found for label, found in signals.items() if found is not None})
     recordings = [Path(job.recording) for job in asked if job.recording is not None]
-    found = summary(
+    found = summarise(
         planned,
         outcomes,
-        verdicts(results),
+        judge(results),
         quick=quick,
         folder=folder,
         pictures=drawn,

@@ -27,7 +27,7 @@ _FIGURES = {
 }
 
 
-def summary(
+def summarise(
     cases: Sequence[Case],
     outcomes: Sequence[Outcome],
     verdicts: Sequence[Verdict],

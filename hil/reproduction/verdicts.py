@@ -71,7 +71,7 @@ class Results:
         }
 
 
-def verdicts(results: Results) -> list[Verdict]:
+def judge(results: Results) -> list[Verdict]:
     """Return the verdict on each result of section IV, in the order of the paper."""
     return [
         *(_printed(results, printed) for printed in published.FIGURES),
