@@ -100,8 +100,8 @@ def control_signals(path: Path, run: Signals) -> None:
             axes.set_xlim(t_s[0], t_s[-1])
         place = (published.SILENT_FROM_S + published.SILENT_TO_S) / 2
         above.annotate("nobody commands", (place, 0.5), xycoords=("data", "axes fraction"), ha="center", fontsize=8)
-        place = published.SILENT_TO_S + 0.1
-        below.annotate("the paper: transition", (place, 0.93), xycoords=("data", "axes fraction"), fontsize=8)
+        place = published.SILENT_TO_S + published.TRANSITION_S + 0.1
+        below.annotate("the paper's transition", (place, 0.5), xycoords=("data", "axes fraction"), fontsize=8)
 
 
 def delay(path: Path, results: Results) -> None:
@@ -121,14 +121,15 @@ def delay(path: Path, results: Results) -> None:
             draw_curves(axes, curves, title=f"Oscillation: {label.split()[0]}", x_label="latency [ms]", y_label=label)
             for line in axes.get_lines():
                 line.set_marker("o")
+        left.set_ylim(top=1e3)
         for number, (k1_1_s, k2_1_s) in enumerate((published.FUZZY_CENTRE, published.DSC_GAINS)):
             margin = delay_margin(k1_1_s, k2_1_s, published.COMMON_FILTER_S, EXPERIMENT_PERIOD_S)
             red, green, blue = colour_of(number)
-            left.axvline(
-                margin.latency_s * 1e3,
-                color=(red / 255, green / 255, blue / 255),
-                linestyle=":",
-                label=f"unstable by the equations, K1 = {k1_1_s:g}, K2 = {k2_1_s:g}",
-            )
+            colour = (red / 255, green / 255, blue / 255)
+            left.axvline(margin.latency_s * 1e3, color=colour, linestyle=":")
+            text = f"unstable by the equations, K1 = {k1_1_s:g}"
+            place = (margin.latency_s * 1e3, 0.98)
+            at = ("data", "axes fraction")
+            left.annotate(text, place, xycoords=at, rotation=90, ha="right", va="top", color=colour, fontsize=8)
         left.legend(loc="upper left")
         right.legend()
