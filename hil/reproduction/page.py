@@ -1,12 +1,8 @@
-"""The page PAPER.md: ``python -m hil.reproduction.page SUMMARY.json`` writes the results of a run between its marks.
-
-``named`` finds what the page names, so that a test can look it up.
-"""
+"""The page PAPER.md: ``python -m hil.reproduction.page SUMMARY.json`` writes the results of a run between its marks."""
 
 import json
-import re
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -33,14 +29,6 @@ def with_results(page: str, summary: Mapping[str, Any]) -> str:
     before, _, rest = page.partition(_BEGIN)
     _, _, after = rest.partition(_END)
     return f"{before}{_BEGIN}\n{results(summary)}\n{_END}{after}"
-
-
-def rows(page: str) -> Iterator[tuple[str, list[str]]]:
-    """Yield the rows of the page's tables of places: the place, and every name in the row's other cells."""
-    for line in page.partition(_BEGIN)[0].splitlines():
-        cells = [cell.strip() for cell in line.strip("|").split(" | ")]
-        if line.startswith("| ") and len(cells) == 5 and cells[0].strip("| ") not in ("place", "---"):
-            yield cells[0].strip("| "), re.findall(r"`([^`]+)`", " ".join(cells[2:4]))
 
 
 def main(arguments: list[str]) -> int:

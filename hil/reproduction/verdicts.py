@@ -53,6 +53,10 @@ class Results:
         """Yield the cases of a table with their outcomes."""
         return ((case, outcome) for case, outcome in self._pairs if case.group == group)
 
+    def failure(self, name: str) -> str | None:
+        """Return what ended a run early."""
+        return next((outcome.failure for case, outcome in self._pairs if case.name == name), None)
+
     def circle(self, law: str, filter_name: str, limit: str, figure: str) -> float | None:
         """Return a figure of section IV.A."""
         row = {"law": law, "filter": filter_name, "limit": limit}
@@ -73,18 +77,27 @@ class Results:
 
 def judge(results: Results) -> list[Verdict]:
     """Return the verdict on each result of section IV, in the order of the paper."""
-    return [
+    circle = [
         *(_printed(results, printed) for printed in published.FIGURES),
         _own_filter(results),
         _sooner(results),
         _closer(results),
         _by_the_tuner(results),
         _heading(results),
-        _silence(results),
-        _transition(results),
-        _converged(results),
-        _delay(results),
     ]
+    experiment = [_silence(results), _transition(results), _converged(results), _delay(results)]
+    return [
+        *_as_far_as_run(results, circle, ("dsc common together", "afdsc common together", "afdsc short together")),
+        *_as_far_as_run(results, experiment, ("experiment",)),
+    ]
+
+
+def _as_far_as_run(results: Results, found: list[Verdict], needed: tuple[str, ...]) -> list[Verdict]:
+    """Take back verdicts on runs that did not come to their end: that says nothing of the paper."""
+    failed = [f"{name}: {failure}" for name in needed if (failure := results.failure(name)) is not None]
+    if not failed:
+        return found
+    return [verdict._replace(verdict=NO_NUMBER, why=f"a run ended early, {'; '.join(failed)}") for verdict in found]
 
 
 def _printed(results: Results, printed: Printed) -> Verdict:
