@@ -30,6 +30,7 @@ from hil.commands.options import (
     interrupt,
     print_json,
 )
+from hil.commands.reproduce import reproduce
 from hil.commands.robot import device, params
 from hil.commands.trace import decode
 from hil.errors import BadInputError, DeviceError, HilError, LinkError, RunInterruptedError
@@ -112,6 +113,7 @@ app.command()(device)
 app.command()(decode)
 app.command()(params)
 app.command()(fuzzy)
+app.command()(reproduce)
 
 
 @app.command()

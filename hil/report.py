@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from hil.plant.info import FmuInfo, VariableInfo
     from hil.plant.tools import CheckResult
     from hil.references import Feasibility
+    from hil.reproduction.runs import Outcome
 
 _REFRESH_S = 0.1
 
@@ -315,6 +316,37 @@ def print_comparison(comparison: "Comparison") -> None:
             print(f"  {note}")
     if len(comparison.rows[0].runs) > 1:
         print("\nnominal / worst over mass and friction of the plant; less is better in every column")
+
+
+def reproduction_progress(done: int, of: int, outcome: "Outcome") -> None:
+    """Say on stderr how far a reproduction is, and what ended a run of it early."""
+    if outcome.failure is not None:
+        print(f"\r{outcome.name}: {outcome.failure}", file=sys.stderr)
+    print(f"\r{done} of {of} runs", end="\n" if done == of else "", file=sys.stderr, flush=True)
+
+
+def print_reproduction(summary: Mapping[str, Any]) -> None:
+    """Print the tables of a reproduction, then what comes out of the paper and what does not."""
+    from hil.reproduction import tables
+
+    print("Assumed, for the paper does not say\n")
+    for place, what, ours, why in tables.assumptions(summary)[1:]:
+        print(f"  {place}, {what}: {ours}\n    {why}")
+    for title, table in (
+        ("Section IV.A, the circle", tables.circle(summary)),
+        ("Section IV.B, the experiment: oscillation over latency", tables.delay(summary)),
+        ("Section IV.B, the experiment: the transition", tables.transition(summary)),
+    ):
+        if len(table) > 1:
+            print(f"\n{title}\n")
+            print_table(table)
+    print("\nWhat comes out\n")
+    for place, claim, paper, ours, tolerance, verdict, why in tables.verdicts(summary)[1:]:
+        within = "" if tolerance == "-" else f", within {tolerance}"
+        print(f"  {verdict}: {claim} ({place}): the paper {paper}, ours {ours}{within}")
+        print(f"    {why}")
+    files = ", ".join([*summary["pictures"], *summary["recordings"]])
+    print(f"\n{summary['wall_s']:.0f} s; in {summary['folder']}: {files}")
 
 
 def print_fmu(info: "FmuInfo") -> None:

@@ -187,7 +187,10 @@ def test_a_file_that_is_no_toml(text: str, line: str) -> None:
             "paper_circel",
             "scenario paper_circel: no shipped scenario has this name; did you mean 'paper_circle'?",
         ),
-        ("zzz", "known: circle_slip, circle_speed, compare_circle, paper_circle, paper_circle_dsc"),
+        (
+            "zzz",
+            "known: circle_slip, circle_speed, compare_circle, figure_eight, paper_circle, paper_circle_dsc, paper_experiment, waypoints",
+        ),
         ("nowhere.toml", "scenario nowhere.toml: there is no file"),
         ("./", "cannot be read"),
     ],
