@@ -41,8 +41,8 @@ class Demand(NamedTuple):
             return None
         return (
             f"wheel {self.first_wheel} would need {self.first:.3g} {self.unit} at t = {self.first_s:.3g} s, "
-            f"its limit is {self.limit:g} {self.unit}; at most wheel {self.worst_wheel} {self.worst:.3g} {self.unit} at "
-            f"t = {self.worst_s:.3g} s: the robot cannot follow this reference, make it slower"
+            f"its limit is {self.limit:g} {self.unit}; at most wheel {self.worst_wheel} {self.worst:.3g} {self.unit} "
+            f"at t = {self.worst_s:.3g} s: the robot cannot follow this reference, make it slower"
         )
 
 
