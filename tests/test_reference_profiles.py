@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import make_smoothing_spline
 
-from hil.references.double_s import Limits, after, profile, reachable_speed
+from hil.references.double_s import Limits, after, change_way, profile, reachable_speed
 from hil.references.route import Waypoint, plan
 from hil.references.smoothing import SmoothingSpline
 from tests.test_references import limits, waypoints
@@ -17,12 +17,11 @@ blends = st.sampled_from([0.0, 0.1, 0.5])
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.floats(0.01, 5.0), st.floats(0.0, 1.0), st.floats(0.0, 1.0), limits)
-def test_a_profile_is_as_fast_as_the_fastest_of_ruckig(way, first_share, last_share, within):
+@given(st.floats(0.001, 5.0), st.floats(0.0, 1.0), st.floats(0.0, 1.0), limits)
+def test_a_profile_is_as_fast_as_the_fastest_of_ruckig(spare, first_share, last_share, within):
     ruckig = pytest.importorskip("ruckig", reason="it has no wheel for Linux on ARM")
-    first = first_share * within.speed
-    last = min(last_share * within.speed, reachable_speed(first, way, within))
-    first = min(first, reachable_speed(last, way, within))
+    first, last = first_share * within.speed, last_share * within.speed
+    way = change_way(first, last, within) + spare
     phases = profile(way, first, last, within)
     asked = ruckig.InputParameter(1)
     asked.current_velocity, asked.target_velocity, asked.target_position = [first], [last], [way]
@@ -44,11 +43,11 @@ def test_the_reachable_speed_is_reached_on_just_this_way(speed, way, within):
         assert peak <= reached + 1e-6  # nothing is left for a detour over a higher speed
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(waypoints, limits, limits, blends)
 def test_waypoints_keep_the_limits_of_speed_acceleration_and_jerk(points, plane, yaw, blend_m):
     route = plan(points, plane, yaw, blend_m)
-    h = min(route.span_s / 700.0, 0.02)
+    h = min(route.span_s / 500.0, 0.02)
     rows = np.array([route.at(t) for t in np.arange(0.0, route.span_s + 5 * h, h)])
     assert np.linalg.norm(rows[:, 1, :2], axis=1).max() <= plane.speed * (1 + 1e-9)
     assert np.linalg.norm(rows[:, 2, :2], axis=1).max() <= plane.acceleration * (1 + 1e-9)
@@ -94,7 +93,7 @@ def test_a_dwell_rests_and_a_speed_of_the_file_holds_on_the_way_to_its_row():
 def test_blended_corners_are_faster_than_stops_and_do_not_stop():
     fast = Limits(0.6, 0.6, 3.0)
     points = [Waypoint(x, y, 0.0, math.inf, 0.0) for x, y in ((0, 0), (2, 0), (2, 2), (0, 2))]
-    stopping, blended = plan(points, fast, fast, 0.0), plan(points, fast, fast, 0.3)
+    stopping, blended = plan(points, fast, fast, 0.0), plan(points, fast, fast, 0.5)
     assert blended.span_s < stopping.span_s - 1.0
     inner = [math.hypot(*blended.at(t).twist[:2]) for t in np.linspace(1.5, blended.span_s - 1.5, 500)]
     assert min(inner) > 0.25
@@ -109,12 +108,10 @@ def test_the_smoothing_spline_is_that_of_scipy(seed, count, smoothing_s):
     stands = np.convolve(np.diff(t), (0.5, 0.5))
     oracle = make_smoothing_spline(t, y, w=stands, lam=smoothing_s**4)
     spline = SmoothingSpline(t.tolist(), [y.tolist()], smoothing_s)
-    for one in np.linspace(t[0], t[-1], 50):
-        ((value, slope, bend),) = spline.at(float(one))
-        scale = 1e-7 / np.diff(t).min() ** 2
-        assert value == pytest.approx(oracle(one), abs=1e-6)
-        assert slope == pytest.approx(oracle.derivative()(one), abs=1e-6 * scale)
-        assert bend == pytest.approx(oracle.derivative(2)(one), abs=1e-6 * scale**2)
+    times = np.linspace(t[0], t[-1], 50)
+    found = np.array([spline.at(one)[0] for one in times.tolist()])
+    for order in range(3):
+        np.testing.assert_allclose(found[:, order], oracle.derivative(order)(times), rtol=1e-6, atol=1e-7 * 50.0**order)
 
 
 @pytest.mark.parametrize("period_s", [0.005, 0.02, 0.05])
