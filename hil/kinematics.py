@@ -15,7 +15,7 @@ of squares.
 import math
 from typing import NamedTuple
 
-from hil.types import Twist, Wheels
+from hil.types import Axes, Twist, Wheels
 
 
 class BodyTwist(NamedTuple):
@@ -55,8 +55,8 @@ def to_world(body: BodyTwist, heading_rad: float) -> Twist:
     )
 
 
-def wheel_speeds(body: BodyTwist, wheel_radius_m: float, lever_m: float) -> Wheels:
-    """Return the wheel speeds [rad/s] with which the robot moves like this: ω = H v / r."""
+def wheel_speeds(body: Axes, wheel_radius_m: float, lever_m: float) -> Wheels:
+    """Return the wheel speeds [rad/s] with which the robot moves like this ``BodyTwist``: ω = H v / r."""
     forward, left, yaw_rate = body
     turn = lever_m * yaw_rate
     minus, plus = forward - left, forward + left
@@ -82,11 +82,11 @@ def body_twist(wheel_speed_rad_s: Wheels, wheel_radius_m: float, lever_m: float)
     )
 
 
-def wheel_torques(wrench: BodyWrench, wheel_radius_m: float, lever_m: float) -> Wheels:
-    """Return the wheel torques [N·m] of least norm that give this wrench: B⁺ in the body frame."""
+def wheel_torques(wrench: Axes, wheel_radius_m: float, lever_m: float) -> Wheels:
+    """Return the wheel torques [N·m] of least norm that give this ``BodyWrench``: B⁺ in the body frame."""
     quarter = wheel_radius_m / 4.0
-    forward, left = quarter * wrench.forward_n, quarter * wrench.left_n
-    turn = quarter * wrench.yaw_n_m / lever_m
+    forward_n, left_n, yaw_n_m = wrench
+    forward, left, turn = quarter * forward_n, quarter * left_n, quarter * yaw_n_m / lever_m
     minus, plus = forward - left, forward + left
     return Wheels(minus - turn, plus + turn, minus + turn, plus - turn)
 

@@ -13,7 +13,7 @@ import math
 from dataclasses import dataclass, field
 
 from hil.errors import BadInputError
-from hil.kinematics import body_twist, to_world
+from hil.kinematics import body_twist, to_world, wheel_speeds, wheel_torques
 from hil.types import Axes, Twist, Wheels
 
 GRAVITY_M_S2 = 9.81
@@ -70,13 +70,9 @@ class RobotModel:
 
     def wheel_speeds(self, twist: Axes, heading_rad: float) -> Wheels:
         """Return the wheel speeds [rad/s] of a world twist at this heading: ω = H Rᵀ q̇ / r."""
-        # As wheel_speeds(to_body(...)) in hil.kinematics, in one: every law does it at every tick.
         vx, vy, yaw_rate = twist
         c, s = math.cos(heading_rad), math.sin(heading_rad)
-        forward, left = c * vx + s * vy, c * vy - s * vx
-        radius, turn = self.wheel_radius_m, self.lever_m * yaw_rate
-        minus, plus = forward - left, forward + left
-        return Wheels((minus - turn) / radius, (plus + turn) / radius, (minus + turn) / radius, (plus - turn) / radius)
+        return wheel_speeds((c * vx + s * vy, c * vy - s * vx, yaw_rate), self.wheel_radius_m, self.lever_m)
 
     def twist(self, wheel_speed_rad_s: Wheels, heading_rad: float) -> Twist:
         """Return the world twist of wheel speeds [rad/s] at this heading."""
@@ -97,18 +93,16 @@ class RobotModel:
         fx = mass * ax + coupling * vy
         fy = mass * ay - coupling * vx
         c, s = math.cos(heading_rad), math.sin(heading_rad)
-        # B⁺ as wheel_torques in hil.kinematics, in one with the rest: every law does it at every tick.
-        quarter = self.wheel_radius_m / 4.0
-        forward, left = quarter * (c * fx + s * fy), quarter * (c * fy - s * fx)
-        turn = quarter * (self.effective_inertia_kg_m2 * yaw_acceleration) / self.lever_m
-        minus, plus = forward - left, forward + left
+        wrench = c * fx + s * fy, c * fy - s * fx, self.effective_inertia_kg_m2 * yaw_acceleration
+        torque = wheel_torques(wrench, self.wheel_radius_m, self.lever_m)
         friction = self.wheel_friction_n_m
         if friction == 0.0:
-            return Wheels(minus - turn, plus + turn, minus + turn, plus - turn)
+            return torque
+        to_fl, to_fr, to_rr, to_rl = torque
         fl, fr, rr, rl = friction_speed_rad_s
         return Wheels(
-            minus - turn + friction * math.tanh(fl / FRICTION_SPEED_RAD_S),
-            plus + turn + friction * math.tanh(fr / FRICTION_SPEED_RAD_S),
-            minus + turn + friction * math.tanh(rr / FRICTION_SPEED_RAD_S),
-            plus - turn + friction * math.tanh(rl / FRICTION_SPEED_RAD_S),
+            to_fl + friction * math.tanh(fl / FRICTION_SPEED_RAD_S),
+            to_fr + friction * math.tanh(fr / FRICTION_SPEED_RAD_S),
+            to_rr + friction * math.tanh(rr / FRICTION_SPEED_RAD_S),
+            to_rl + friction * math.tanh(rl / FRICTION_SPEED_RAD_S),
         )

@@ -45,7 +45,7 @@ class Acceleration(NamedTuple):
 
 
 Axes = tuple[float, float, float]
-"""x, y and heading of a Pose, a Twist or an Acceleration, where a name of its own would cost a law its time."""
+"""A Pose, a Twist or another triple along x, y and heading, where a class of its own would cost a law its time."""
 
 
 class State(NamedTuple):

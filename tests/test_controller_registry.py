@@ -1,11 +1,13 @@
 """Laws by name, from files and from modules; and the sentence that each mistake gets."""
 
+import dataclasses
 import sys
 from pathlib import Path
 from textwrap import dedent
 
 import pytest
 
+from hil.controllers import registry
 from hil.controllers.afdsc import Afdsc
 from hil.controllers.dsc import Dsc
 from hil.controllers.registry import SHIPPED, laws, load_law, make_controller
@@ -89,6 +91,14 @@ def test_shipped_laws_have_a_name_and_a_line():
     listed = {name: line for name, package, line in laws() if package == "mecanum-hil"}
     assert set(listed) == set(SHIPPED)
     assert all(line.endswith(".") and len(line) < 110 for line in listed.values())
+
+
+def test_the_page_of_laws_has_every_option_of_every_law():
+    page = (Path(registry.__file__).parent / "LAWS.md").read_text(encoding="utf-8")
+    for name, law in SHIPPED.items():
+        assert f"`{name}`" in page
+        own = [field.name for field in dataclasses.fields(law.Options)]
+        assert not [option for option in own if f"`{option}`" not in page and name != "profile"]
 
 
 def test_options_reach_the_law():

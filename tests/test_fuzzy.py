@@ -1,13 +1,18 @@
 """The fuzzy block, against the inference that it stands for, and the paper's tables against their pattern."""
 
 import itertools
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import Image
 
+from hil.errors import BadInputError
 from hil.fuzzy import K1_1_S, K2_1_S, RULES, FuzzyBlock
+from hil.gain_picture import draw_gains
 
 LEVELS = ["VS", "S", "M", "B", "VB"]
 PEAKS = [-1.0, -0.5, 0.0, 0.5, 1.0]  # NB, NS, Z, PS, PB, in units of the range
@@ -86,3 +91,34 @@ def test_gains_stay_finite_for_what_is_not_a_number():
     nan = float("nan")
     assert block.gains(nan, nan) == block.gains(-9.0, -9.0)
     assert block.gains(float("inf"), 0.0) == block.gains(9.0, 0.0)
+
+
+@pytest.mark.parametrize("which", ["printed", "corrected"])
+def test_the_picture_of_the_surfaces_is_the_same_each_time(which, tmp_path):
+    pictures = [tmp_path / "one.png", tmp_path / "two.png"]
+    for path in pictures:
+        draw_gains(which, path)
+    first, second = (path.read_bytes() for path in pictures)
+    assert first == second
+    pixels = np.asarray(Image.open(pictures[0]).convert("RGB"))
+    assert pixels.shape[1] > pixels.shape[0] > 400
+    assert len(np.unique(pixels.reshape(-1, 3), axis=0)) > 100
+
+
+def test_pictures_of_different_tables_differ(tmp_path):
+    draw_gains("printed", tmp_path / "printed.png")
+    draw_gains("corrected", tmp_path / "corrected.png")
+    assert (tmp_path / "printed.png").read_bytes() != (tmp_path / "corrected.png").read_bytes()
+
+
+def test_a_picture_that_cannot_be_written_is_bad_input(tmp_path):
+    with pytest.raises(BadInputError, match="cannot be written"):
+        draw_gains("printed", tmp_path / "no_such_folder" / "gains.png")
+
+
+def test_the_command_line_names_the_nearest_tables():
+    said = subprocess.run(
+        [sys.executable, "-m", "hil.cli", "fuzzy", "--tables", "printd"], capture_output=True, text=True, check=False
+    )
+    assert said.returncode == 2
+    assert said.stderr == "hil: --tables printd: there are none of this name; did you mean 'printed'?\n"

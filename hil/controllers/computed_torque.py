@@ -21,7 +21,7 @@ class ComputedTorque:
     class Options:
         """Natural frequency ωn [rad/s] and damping ratio ζ [1] of all three axes."""
 
-        frequency_rad_s: float = 18.0
+        frequency_rad_s: float = 14.0
         damping: float = 1.0
 
         def __post_init__(self) -> None:

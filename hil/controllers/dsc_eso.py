@@ -19,7 +19,7 @@ class DscEso:
     class Options:
         """Gains of all three axes [1/s], the filter's time constant ς [s], and the observer's ωo."""
 
-        k1_1_s: float = 12.0
+        k1_1_s: float = 8.0
         k2_1_s: float = 30.0
         filter_s: float = 0.01
         observer_rad_s: float = 60.0

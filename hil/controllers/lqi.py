@@ -27,9 +27,9 @@ class Lqi:
         TORQUE asks for accelerations, SPEED for speeds: each mode has weights of its own.
         """
 
-        torque_integral_1_s6: float = 2.0e6
-        torque_error_1_s4: float = 1.5e5
-        torque_rate_1_s2: float = 200.0
+        torque_integral_1_s6: float = 2.0e5
+        torque_error_1_s4: float = 4.0e4
+        torque_rate_1_s2: float = 400.0
         speed_integral_1_s4: float = 400.0
         speed_error_1_s2: float = 64.0
 
