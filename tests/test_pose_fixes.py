@@ -265,14 +265,16 @@ def test_a_gap_has_no_fixes() -> None:
     assert source.figures() == {"made": 30, "outliers": 0, "dropped": 10, "received": 19}
 
 
-def test_a_reset_of_the_robots_clock_loses_what_is_on_its_way() -> None:
-    source = simulated()
-    source.poll(7_000 * MS, truth_at(7_000 * MS))
+def test_after_a_reset_fixes_are_stamped_by_the_robots_new_clock() -> None:
+    """The truth's clock goes on; what was on its way has stamps of the old one, and is lost."""
+    source = SimulatedFixes(SimulatedOptions(**dict(SimulatedFixTable())), 1, truth_age_ns=2 * MS)
+    source.poll(7_002 * MS, truth_at(7_000 * MS))
     source.restart()
-    assert list(source.poll(7_100 * MS, None)) == []
-    source.poll(20 * MS, truth_at(20 * MS))
-    (fix,) = source.poll(120 * MS, truth_at(25 * MS))
+    assert list(source.poll(7_102 * MS, None)) == []
+    source.poll(22 * MS, truth_at(7_120 * MS))
+    (fix,) = source.poll(120 * MS, None)
     assert fix.time_ns == 20 * MS
+    assert fix.pose.x_m == pytest.approx(7.12, abs=0.1)
 
 
 @pytest.mark.parametrize("pose", [Pose(NAN, 0.0, 0.0), Pose(0.0, math.inf, 0.0)])
