@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from scipy.stats import chi2, kstest
 
 from hil.errors import BadInputError
-from hil.localisation import SimulatedFixes, SimulatedOptions, UdpFixes, parse_address
+from hil.localisation import SimulatedFixes, SimulatedOptions, UdpFixes
+from hil.localisation.address import parse_address
 from hil.localisation.message import Refused, parse
 from hil.scenario.tables import SimulatedFixTable
 from hil.types import NAN, MeasuredPose, Pose, PoseFix, Twist
