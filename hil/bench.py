@@ -268,7 +268,8 @@ class Bench:
         if estimator.source != "fused":
             return None
         if estimator.fix == "simulated":
-            return SimulatedFixes(SimulatedOptions(**dict(estimator.simulated_fix)), self._scenario.loop.seed)
+            options = SimulatedOptions(**dict(estimator.simulated_fix))
+            return SimulatedFixes(options, self._scenario.loop.seed, self._scenario.link.feedback_latency_ns)
         return UdpFixes(estimator.fix, estimator.filter.history_s)
 
     def connect(self) -> RobotInfo:

@@ -65,9 +65,10 @@ class Timing(NamedTuple):
 
 
 class Report(NamedTuple):
-    """How the loop went. ``stale`` counts ticks that rested on old feedback or truth, ``failure`` is what ended it.
+    """How the loop went. ``failure`` is what ended it, ``recoveries`` are the losses that were recovered from.
 
-    ``recoveries`` are the losses that were recovered from.
+    ``stale`` counts ticks in which the robot was held at rest: for old feedback, an old truth where the state rests on
+    it, or an estimator that is lost.
     """
 
     ticks: int
@@ -373,7 +374,9 @@ class Loop:
 
     def _is_stale(self, feedback: Feedback, fix: PoseFix | None) -> bool:
         """Nothing is driven by what is older than the firmware's own patience with us."""
-        behind_ns = feedback.robot_time_ns - fix.time_ns if fix is not None else 0
+        behind_ns = 0
+        if fix is not None and self._parts.estimator.uses_truth:
+            behind_ns = feedback.robot_time_ns - fix.time_ns
         return max(self._silent_ns, behind_ns) > self._timing.stale_ns
 
     def _why_stopped(self, state: RobotState) -> str:

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import hil
 from hil.errors import BadInputError
 from hil.estimator import (
     Estimator,
@@ -171,3 +172,14 @@ def test_sources_by_name():
     for name in ("odometry", "fused"):
         with pytest.raises(BadInputError, match=r"firmware\.counts_per_revolution = 0: expected"):
             by_name(name, counts=0)
+
+
+def test_only_where_the_pose_is_the_truths_an_old_truth_holds_the_robot():
+    """The robot's clock leaps by half a second: every truth is that much older than the feedback."""
+    fault = [{"kind": "bias", "target": "robot.time_s", "start_s": 0.2, "value": 0.5}]
+    options = {"loop.duration_s": 0.4, "loop.rate_hz": 200, "expect": [], "fault": fault}
+    stale = {
+        source: hil.run("circle_speed", set=options | {"estimator.source": source}).metrics["stale_ticks"]
+        for source in ("truth", "odometry")
+    }
+    assert stale == {"truth": 40, "odometry": 0}

@@ -173,7 +173,7 @@ RESET = 'fault=[{kind="reset",target="robot",start_s=1.0}]'
 
 
 @pytest.mark.parametrize("link", LINKS)
-@pytest.mark.parametrize("source", ["truth", "odometry"])
+@pytest.mark.parametrize("source", ["truth", "odometry", "fused"])
 def test_a_reset_of_the_robot_is_recovered_from(source, link):
     result = run_short(RESET, f"estimator.source={source}", link=link)
     assert result.failure is None

@@ -62,6 +62,8 @@ class FusedEstimator:
     standard deviation exceeds ``lost_sigma_m`` it is LOST, until fixes bring it back.
     """
 
+    uses_truth = False
+
     def __init__(
         self,
         model: RobotModel,

@@ -45,6 +45,10 @@ class Estimator(Protocol):
     """Turns measurements into the state that the controller acts on."""
 
     @property
+    def uses_truth(self) -> bool:
+        """Whether the state rests on the truth, and is too old when the truth is."""
+
+    @property
     def status(self) -> EstimatorSignals:
         """How sure the last update is; NaN for what an estimator does not know."""
 

@@ -21,6 +21,8 @@ class OdometryEstimator:
     Raises BadInputError as ``MotionReader``.
     """
 
+    uses_truth = False
+
     def __init__(self, model: RobotModel, start: Pose, counts_per_revolution: int, slip_threshold_m_s: float) -> None:
         self._model = model
         self._reader = MotionReader(model, counts_per_revolution)

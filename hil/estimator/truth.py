@@ -22,6 +22,8 @@ class TruthEstimator:
         """Nothing to tell: the truth is not estimated."""
         return NO_STATUS
 
+    uses_truth = True
+
     def __init__(self, model: RobotModel, twist: str = "source") -> None:
         self._model = model
         self._uses_wheels = twist == "wheels"

@@ -9,11 +9,6 @@ LOOPBACK = "127.0.0.1"
 _EXPECTED = 'expected "simulated" or udp://127.0.0.1:PORT with a port from 1 to 65535'
 
 
-def is_udp(fix: str) -> bool:
-    """Return whether fixes come from outside."""
-    return fix.startswith("udp:")
-
-
 def parse_address(fix: str) -> tuple[str, int]:
     """Return host and port of ``udp://HOST:PORT``; without a host it is 127.0.0.1.
 

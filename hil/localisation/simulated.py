@@ -32,10 +32,15 @@ class SimulatedFixes:
     arrives ``latency_s`` later. An outlier is off by ``outlier_m`` in any direction and turned by up to that many
     radians; the covariance, as a real one's, does not tell. The random numbers of a fix are drawn in the same order
     whatever becomes of it, so that an option changes what it says and nothing else.
+
+    ``truth_age_ns`` is how old the truth is when it is told: the link's feedback latency. A reset of the robot leaves
+    the truth's clock, which is the plant's, as it is; what its clock says then follows from this age.
     """
 
-    def __init__(self, options: SimulatedOptions, seed: int) -> None:
+    def __init__(self, options: SimulatedOptions, seed: int, truth_age_ns: int = 0) -> None:
         self._options = options
+        self._truth_age_ns = truth_age_ns
+        self._ahead_ns: int | None = 0  # the robot's clock ahead of the truth's; None until the robot is heard again
         self._random = random.Random(f"pose fixes {seed}")
         self._period_ns = round(_NS / options.rate_hz)
         self._latency_ns = round(options.latency_s * _NS)
@@ -43,14 +48,15 @@ class SimulatedFixes:
         self._covariance = PoseCovariance(position, 0.0, 0.0, position, 0.0, heading)
         self._on_their_way: deque[MeasuredPose] = deque()
         self._first_ns: int | None = None
-        self._passed_ns = 0
         self._period: int | None = None
         self._counts = {"made": 0, "outliers": 0, "dropped": 0, "received": 0}
 
     def poll(self, now_ns: int, truth: PoseFix | None) -> Sequence[MeasuredPose]:
         """Take the newest truth and return the fixes that arrive by now."""
         if truth is not None and math.isfinite(sum(truth.pose)):
-            self._sample(truth)
+            if self._ahead_ns is None:
+                self._ahead_ns = now_ns - self._truth_age_ns - truth.time_ns
+            self._sample(truth, truth.time_ns + self._ahead_ns)
         arrived: list[MeasuredPose] = []
         while self._on_their_way and self._on_their_way[0].time_ns + self._latency_ns <= now_ns:
             arrived.append(self._on_their_way.popleft())
@@ -60,7 +66,7 @@ class SimulatedFixes:
     def restart(self) -> None:
         """Stamp by the new clock; what was on its way had the stamps of the old one and is lost."""
         self._on_their_way.clear()
-        self._first_ns = None
+        self._ahead_ns = None
         self._period = None
 
     def figures(self) -> dict[str, Any]:
@@ -70,19 +76,18 @@ class SimulatedFixes:
     def close(self) -> None:
         """Nothing is held."""
 
-    def _sample(self, truth: PoseFix) -> None:
+    def _sample(self, truth: PoseFix, time_ns: int) -> None:
         if self._first_ns is None:
-            self._first_ns = truth.time_ns - self._passed_ns
-        self._passed_ns = truth.time_ns - self._first_ns
-        period = truth.time_ns // self._period_ns
+            self._first_ns = truth.time_ns
+        period = time_ns // self._period_ns
         if period == self._period:
             return
         self._period = period
-        fix = self._made(truth)
+        fix = self._made(truth.pose, time_ns, (truth.time_ns - self._first_ns) / _NS)
         if fix is not None:
             self._on_their_way.append(fix)
 
-    def _made(self, truth: PoseFix) -> MeasuredPose | None:
+    def _made(self, truth: Pose, time_ns: int, t_s: float) -> MeasuredPose | None:
         options, chance = self._options, self._random
         x_m, y_m = (chance.gauss(0.0, options.sigma_m) for _ in "xy")
         heading_rad = chance.gauss(0.0, options.sigma_rad)
@@ -90,7 +95,7 @@ class SimulatedFixes:
         direction_rad, turned_rad = chance.uniform(-math.pi, math.pi), chance.uniform(-1.0, 1.0) * options.outlier_m
         is_dropped = chance.random() < options.dropout_probability
         self._counts["made"] += 1
-        if is_dropped or options.gap_start_s <= self._passed_ns / _NS < options.gap_end_s:
+        if is_dropped or options.gap_start_s <= t_s < options.gap_end_s:
             self._counts["dropped"] += 1
             return None
         if is_outlier:
@@ -98,5 +103,5 @@ class SimulatedFixes:
             x_m += options.outlier_m * math.cos(direction_rad)
             y_m += options.outlier_m * math.sin(direction_rad)
             heading_rad += turned_rad
-        x, y, heading = truth.pose
-        return MeasuredPose(truth.time_ns, Pose(x + x_m, y + y_m, heading + heading_rad), self._covariance)
+        x, y, heading = truth
+        return MeasuredPose(time_ns, Pose(x + x_m, y + y_m, heading + heading_rad), self._covariance)

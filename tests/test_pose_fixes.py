@@ -1,0 +1,286 @@
+"""Pose fixes: the message from outside, its socket, and the simulation; each thing that can be wrong with one."""
+
+import contextlib
+import json
+import math
+import socket
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import chi2, kstest
+
+from hil.errors import BadInputError
+from hil.localisation import SimulatedFixes, SimulatedOptions, UdpFixes
+from hil.localisation.address import parse_address
+from hil.localisation.message import Refused, parse
+from hil.scenario.tables import SimulatedFixTable
+from hil.types import NAN, MeasuredPose, Pose, PoseFix, Twist
+from tools.pose_fix_client import datagram
+
+GOOD: dict[str, Any] = {
+    "version": 1,
+    "age_s": 0.1,
+    "x_m": 1.0,
+    "y_m": -2.0,
+    "heading_rad": 0.5,
+    "covariance": [4e-4, 1e-5, 0, 4e-4, 0, 1e-4],
+}
+
+
+def encoded(**changes: object) -> bytes:
+    return json.dumps(GOOD | changes).encode()
+
+
+def without(*names: str) -> bytes:
+    return json.dumps({name: value for name, value in GOOD.items() if name not in names}).encode()
+
+
+def test_a_message_says_when_where_and_how_sure() -> None:
+    found = parse(encoded())
+    assert (found.age_s, found.unix_time_s, found.pose) == (0.1, None, Pose(1.0, -2.0, 0.5))
+    assert found.covariance == (4e-4, 1e-5, 0.0, 4e-4, 0.0, 1e-4)
+    assert found.age_at(12345.0) == 0.1
+    client = parse(datagram(1000.25, 1.0, -2.0, 0.5, 0.02, 0.01))
+    assert client.pose == found.pose
+    assert client.covariance == pytest.approx((4e-4, 0.0, 0.0, 4e-4, 0.0, 1e-4))
+    assert client.age_at(1000.5) == 0.25
+
+
+WRONG = [
+    (b"", "malformed"),
+    (b"\xff\xfe", "malformed"),
+    (b"1.0 2.0 3.0", "malformed"),
+    (b"[1, 2, 3]", "malformed"),
+    (b"null", "malformed"),
+    (b'{"version": 1}', "malformed"),
+    (b"[" * 1000, "malformed"),
+    (encoded(surprise=1), "malformed"),
+    (encoded(unix_time_s=1.0), "malformed"),
+    (without("age_s"), "malformed"),
+    (without("covariance"), "malformed"),
+    (without("version"), "malformed"),
+    (encoded(version=True), "malformed"),
+    (encoded(version=1.0), "malformed"),
+    (encoded(version="1"), "malformed"),
+    (encoded(x_m="1.0"), "malformed"),
+    (encoded(x_m=True), "malformed"),
+    (encoded(heading_rad=None), "malformed"),
+    (encoded(covariance=4e-4), "malformed"),
+    (encoded(covariance=[4e-4] * 9), "malformed"),
+    (encoded(covariance=[4e-4, 0, 0, 4e-4, 0, "x"]), "malformed"),
+    (encoded(version=2), "version"),
+    (json.dumps({"version": 2, "pose": [1, 2, 3]}).encode(), "version"),
+    (encoded(x_m=NAN), "not_finite"),
+    (encoded(y_m=math.inf), "not_finite"),
+    (encoded(age_s=NAN), "not_finite"),
+    (encoded(heading_rad=10**400), "not_finite"),
+    (encoded(x_m=1e7), "not_finite"),
+    (encoded(covariance=[NAN, 0, 0, 4e-4, 0, 1e-4]), "not_finite"),
+    (encoded(covariance=[0, 0, 0, 0, 0, 0]), "covariance"),
+    (encoded(covariance=[-4e-4, 0, 0, 4e-4, 0, 1e-4]), "covariance"),
+    (encoded(covariance=[4e-4, 5e-4, 0, 4e-4, 0, 1e-4]), "covariance"),
+    (encoded(covariance=[4e-4, 0, 3e-4, 4e-4, 0, 1e-4]), "covariance"),
+    (encoded(covariance=[1e9, 0, 0, 4e-4, 0, 1e-4]), "covariance"),
+    (encoded(x_m=1.0, y_m=2.0) + b" " * 1024, "too_long"),
+]
+
+
+@pytest.mark.parametrize(("data", "cause"), WRONG)
+def test_what_is_no_message_is_refused_for_its_cause(data: bytes, cause: str) -> None:
+    with pytest.raises(Refused) as refused:
+        parse(data)
+    assert refused.value.cause == cause
+
+
+@given(st.binary(max_size=200) | st.recursive(
+    st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=6) | st.dictionaries(st.sampled_from(list(GOOD)), inner, max_size=6),
+).map(lambda tree: json.dumps(tree).encode()))  # fmt: skip
+def test_nothing_that_is_received_raises_anything_else(data: bytes) -> None:
+    with contextlib.suppress(Refused):
+        parse(data)
+
+
+@given(st.lists(st.floats(-1, 1), min_size=9, max_size=9))
+def test_a_covariance_that_is_taken_can_be_inverted(entries: list[float]) -> None:
+    root = np.array(entries).reshape(3, 3)
+    p = root @ root.T + 1e-8 * np.eye(3)
+    found = parse(encoded(covariance=list(p[np.triu_indices(3)])))
+    full = np.zeros((3, 3))
+    full[np.triu_indices(3)] = found.covariance
+    assert np.linalg.eigvalsh(full + np.triu(full, 1).T).min() > 0.0
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def received(source: UdpFixes, count: int, now_ns: int = 0) -> list[MeasuredPose]:
+    """Poll until so many datagrams were read; loopback delivers all of them, in order."""
+    fixes: list[MeasuredPose] = []
+    give_up = time.monotonic() + 10.0
+    while source.figures()["received"] < count:
+        assert time.monotonic() < give_up, "loopback lost a datagram"
+        fixes += source.poll(now_ns, None)
+    return fixes
+
+
+def test_datagrams_become_fixes_or_are_counted_and_nothing_waits() -> None:
+    port = free_port()
+    source = UdpFixes(f"udp://127.0.0.1:{port}", 1.0, unix_time_s=lambda: 1000.0)
+    sent = [data for data, _ in WRONG]
+    sent += [encoded(age_s=1.5), encoded(age_s=-0.02), datagram(998.0, 0, 0, 0, 1, 1), datagram(1001.0, 0, 0, 0, 1, 1)]
+    sent += [encoded(), datagram(999.75, 1.0, -2.0, 0.5, 0.02, 0.01)]
+    assert list(source.poll(0, None)) == [], "an empty socket is no reason to wait"
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        for data in sent:
+            sender.sendto(data, ("127.0.0.1", port))
+    fixes = received(source, len(sent), now_ns=5_000_000_000)
+    assert [fix.time_ns for fix in fixes] == [4_900_000_000, 4_750_000_000]
+    assert fixes[0].pose == fixes[1].pose == (1.0, -2.0, 0.5)
+    refused = source.figures()["refused"]
+    assert refused.pop("stale") == refused.pop("future") == 2
+    expected = {cause: sum(one == cause for _, one in WRONG) for _, cause in WRONG}
+    assert refused == expected
+    source.close()
+    source.close()
+
+
+def test_a_flood_is_taken_in_portions() -> None:
+    port = free_port()
+    source = UdpFixes(f"udp://127.0.0.1:{port}", 1.0)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        for _ in range(40):
+            sender.sendto(encoded(), ("127.0.0.1", port))
+    while not (first := source.poll(0, None)):
+        pass
+    assert len(first) <= 16
+    assert len(first) + len(received(source, 40)) == 40
+    source.close()
+
+
+def test_a_port_that_is_taken_is_said() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+        port = other.getsockname()[1]
+        with pytest.raises(BadInputError, match=rf"udp://127\.0\.0\.1:{port}' cannot be opened .*; choose another"):
+            UdpFixes(f"udp://127.0.0.1:{port}", 1.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "address"),
+    [
+        ("udp://127.0.0.1:5005", ("127.0.0.1", 5005)),
+        ("udp://:5005", ("127.0.0.1", 5005)),
+        ("udp://localhost:5005", ("127.0.0.1", 5005)),
+        ("udp://192.168.1.7:5005", ("192.168.1.7", 5005)),
+    ],
+)
+def test_addresses(text: str, address: tuple[str, int]) -> None:
+    assert parse_address(text) == address
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("simulatd", "no address"),
+        ("tcp://127.0.0.1:5005", "no address"),
+        ("udp://127.0.0.1", "no address"),
+        ("udp://127.0.0.1:0", "no address"),
+        ("udp://127.0.0.1:70000", "no address"),
+        ("udp://127.0.0.1:5005/x", "no address"),
+        ("udp:5005", "no address"),
+        ("udp://my-robot:5005", "'my-robot' is no IPv4 address in numbers"),
+        ("udp://[::1]:5005", "'::1' is no IPv4 address in numbers"),
+    ],
+)
+def test_what_is_no_address_is_said(text: str, words: str) -> None:
+    with pytest.raises(BadInputError) as refused:
+        parse_address(text)
+    assert words in str(refused.value)
+
+
+MS = 1_000_000
+
+
+def simulated(seed: int = 1, **changes: float) -> SimulatedFixes:
+    return SimulatedFixes(SimulatedOptions(**(dict(SimulatedFixTable()) | changes)), seed)
+
+
+def truth_at(time_ns: int) -> PoseFix:
+    t_s = time_ns * 1e-9
+    return PoseFix(time_ns, Pose(t_s, -t_s, 0.3), Twist(1.0, -1.0, 0.0))
+
+
+def run_of(source: SimulatedFixes, duration_s: float, period_ms: int = 5) -> list[tuple[int, MeasuredPose]]:
+    """Return arrival and fix of a run with a tick each period."""
+    found = []
+    for now_ns in range(0, round(duration_s * 1e9), period_ms * MS):
+        found += [(now_ns, fix) for fix in source.poll(now_ns, truth_at(now_ns))]
+    return found
+
+
+def test_simulated_fixes_come_at_their_rate_and_late() -> None:
+    found = run_of(simulated(), 2.0)
+    assert [fix.time_ns for _, fix in found] == [n * 100 * MS for n in range(19)]
+    assert all(now_ns - fix.time_ns == 100 * MS for now_ns, fix in found)
+
+
+def residuals(found: list[tuple[int, MeasuredPose]]) -> np.ndarray:
+    return np.array([np.array(fix.pose) - np.array(truth_at(fix.time_ns).pose) for _, fix in found])
+
+
+def test_their_errors_are_what_the_covariance_says() -> None:
+    found = run_of(simulated(rate_hz=200.0), 5.0)
+    errors = residuals(found)
+    sigma = np.sqrt([found[0][1].covariance[i] for i in (0, 3, 5)])
+    assert sigma == pytest.approx([0.02, 0.02, 0.01])
+    distances = ((errors / sigma) ** 2).sum(axis=1)
+    assert kstest(distances, chi2(3).cdf).pvalue > 0.001
+
+
+def test_one_seed_gives_one_run_and_an_option_changes_what_it_says_alone() -> None:
+    plain = run_of(simulated(), 5.0)
+    assert run_of(simulated(), 5.0) == plain
+    assert run_of(simulated(seed=2), 5.0) != plain
+    thinned = run_of(simulated(dropout_probability=0.5), 5.0)
+    assert 0 < len(thinned) < len(plain)
+    assert set(thinned) < set(plain)
+    fouled = run_of(simulated(outlier_probability=0.3, outlier_m=2.0), 5.0)
+    far = {fix.time_ns for (_, fix), (_, other) in zip(fouled, plain, strict=True) if fix != other}
+    apart = [math.dist(fix.pose[:2], other.pose[:2]) for (_, fix), (_, other) in zip(fouled, plain, strict=True)]
+    assert 0 < len(far) < len(plain)
+    assert sorted({round(distance, 9) for distance in apart}) == [0.0, 2.0]
+
+
+def test_a_gap_has_no_fixes() -> None:
+    source = simulated(gap_start_s=1.0, gap_end_s=2.0)
+    times = [fix.time_ns // MS for _, fix in run_of(source, 3.0)]
+    assert times == [*range(0, 1000, 100), *range(2000, 2900, 100)]
+    assert source.figures() == {"made": 30, "outliers": 0, "dropped": 10, "received": 19}
+
+
+def test_after_a_reset_fixes_are_stamped_by_the_robots_new_clock() -> None:
+    """The truth's clock goes on; what was on its way has stamps of the old one, and is lost."""
+    source = SimulatedFixes(SimulatedOptions(**dict(SimulatedFixTable())), 1, truth_age_ns=2 * MS)
+    source.poll(7_002 * MS, truth_at(7_000 * MS))
+    source.restart()
+    assert list(source.poll(7_102 * MS, None)) == []
+    source.poll(22 * MS, truth_at(7_120 * MS))
+    (fix,) = source.poll(120 * MS, None)
+    assert fix.time_ns == 20 * MS
+    assert fix.pose.x_m == pytest.approx(7.12, abs=0.1)
+
+
+@pytest.mark.parametrize("pose", [Pose(NAN, 0.0, 0.0), Pose(0.0, math.inf, 0.0)])
+def test_a_truth_that_is_no_number_makes_no_fix(pose: Pose) -> None:
+    source = simulated()
+    assert list(source.poll(0, None)) == []
+    assert list(source.poll(0, PoseFix(0, pose, Twist(0.0, 0.0, 0.0)))) == []
+    assert source.figures()["made"] == 0
