@@ -41,5 +41,5 @@ def lag(folder: Path, fmi: int, fault: str = "NO_FAULT", change: Change = same) 
     """Build an FMU that can be run, with a fault of lag.h."""
     library = folder / f"lag_{fmi}_{fault}{archive.LIBRARY_SUFFIX}"
     sources = (HERE / "lag.c", HERE / f"lag_fmi{fmi}.c")
-    compile_shared(sources, library, include=(HERE, HEADERS), flags=(f"-DBREAK={fault}",))
+    compile_shared(sources, library, include=(HERE, HEADERS), flags=(f"-DBREAK={fault}", "-O0"))
     return pack(folder / f"lag_fmi{fmi}.fmu", fmi, change, library=library.read_bytes())

@@ -18,27 +18,10 @@ hypothesis.settings.load_profile("hil")
 _MAY_SKIP = tuple(filter(None, os.environ.get("HIL_CI_MAY_SKIP", "").split()))
 
 
-# Files with tests in real time, which on two cores is none beside other tests. `make test` runs these by themselves.
-_ALONE = {
-    "test_cli",
-    "test_fault_processes",
-    "test_foreign_plant_runs",
-    "test_pty_line",
-    "test_pytest_plugin_fixtures",
-    "test_rearm",
-    "test_rearm_processes",
-    "test_run",
-    "test_statistics",
-    "test_telemetry_recording",
-    "test_trace",
-    "test_two_processes",
-}
-
-
 @pytest.hookimpl(tryfirst=True)  # before -m
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
-        if item.path.stem in _ALONE or item.get_closest_marker(socketcan_runner.MARKER) is not None:
+        if item.get_closest_marker(socketcan_runner.MARKER) is not None:
             item.add_marker(pytest.mark.alone)
 
 

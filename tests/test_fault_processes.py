@@ -67,6 +67,7 @@ def test_a_robot_that_was_given_other_faults_meanwhile_does_not_know_of_ours(tmp
         assert faults.applied() == [None, None, 0], "the link's own is known here"
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize("kind", ["gyro_bias", "slow_clock"])
 def test_in_real_time_faults_begin_when_the_scenario_does(tmp_path: Path, kind: str) -> None:
     value = 50_000.0 if kind == "slow_clock" else 0.2

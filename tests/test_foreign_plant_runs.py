@@ -21,6 +21,7 @@ from tests.processes import HIL, ROOT, device, environment, hil, run_json, wait_
 START = ("start_x_m=0.8", "start_y_m=-0.2", "start_heading_rad=0.0")  # those of paper_circle
 LAST_WORDS = "SIGSEGV (Segmentation fault); its last words: 'the last words of a crash'"
 FAILED = re.compile(r"hil: the plant flawed\.fmu failed at (?P<at>[\d.]+) s: (?P<why>.*)\n")
+REAL_TIME = pytest.param("realtime", marks=pytest.mark.alone)
 FLAWS = {
     "segfault": LAST_WORDS,
     "hang": "it gave no answer within 0.5 s and was ended",
@@ -73,7 +74,7 @@ def test_the_example_of_the_page_runs_as_written(tmp_path: Path) -> None:
     assert wrong.failure is not None or np.max(wrong.signals["error.planar_m"][-100:]) > 0.1
 
 
-@pytest.mark.parametrize("mode", ["lockstep", "realtime"])
+@pytest.mark.parametrize("mode", ["lockstep", REAL_TIME])
 @pytest.mark.parametrize("flaw", FLAWS)
 def test_a_foreign_fmu_takes_down_the_run_in_order(flawed: Path, tmp_path: Path, flaw: str, mode: str) -> None:
     recording = tmp_path / "run.rrd"
@@ -132,8 +133,8 @@ def test_an_fmu_that_cannot_be_opened_ends_with_exit_code_3(
         ("lockstep", "segfault", True),
         ("lockstep", "hang", True),
         ("lockstep", "nan", False),
-        ("realtime", "segfault", True),
-        ("realtime", "hang", False),
+        pytest.param("realtime", "segfault", True, marks=pytest.mark.alone),
+        pytest.param("realtime", "hang", False, marks=pytest.mark.alone),
     ],
 )
 def test_in_two_processes_both_end_with_exit_code_3(
@@ -196,7 +197,7 @@ def test_odometry_of_a_robot_in_another_process_begins_there_too(flawed: Path) -
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="process groups need a POSIX system")
-@pytest.mark.parametrize("mode", ["lockstep", "realtime"])
+@pytest.mark.parametrize("mode", ["lockstep", REAL_TIME])
 def test_ctrl_c_stops_the_robot_while_its_plant_goes_on(flawed: Path, tmp_path: Path, mode: str) -> None:
     """The signal goes to the whole group, as from a terminal, in the middle of the run."""
     recording = tmp_path / "run.rrd"

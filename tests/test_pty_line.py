@@ -43,6 +43,7 @@ def opened(stream):
         stream.close()
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize("at_once", [1, 7, 500])
 def test_in_real_time_whole_frames_are_lost_and_counted(at_once: int):
     """Whatever is written at once, before and after the host begins to read."""

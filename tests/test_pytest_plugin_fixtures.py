@@ -117,6 +117,7 @@ def test_a_robot_in_another_process_gives_the_bytes_of_one_process_and_ends_with
     assert not is_running(pid_in(suite.path / "pid"))
 
 
+@pytest.mark.alone
 def test_an_open_link_carries_frames_made_by_hand(suite: pytest.Pytester):
     suite.makepyfile(
         """

@@ -127,6 +127,7 @@ def test_a_link_that_stays_away_fails_the_run_at_its_end():
     assert result.metrics["ticks"] == 600
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize("link", LINKS)
 def test_a_lost_link_is_reopened_in_real_time_too(link):
     options = ("loop.rate_hz=100", "loop.duration_s=4", "expect=[]", "loop.rearm=true", BACK_AT_THE_SECOND)
@@ -217,6 +218,7 @@ def test_the_clock_of_a_robot_that_was_reset_is_read_anew():
     assert clock["drift_ppm"] == pytest.approx(0.0, abs=1e-6)
 
 
+@pytest.mark.alone
 def test_a_reset_in_real_time_is_recovered_from():
     options = ("loop.rate_hz=100", "loop.duration_s=3", "expect=[]", "loop.rearm=true", RESET)
     result = run("paper_circle", set=options, mode="realtime", link="serial:pty")

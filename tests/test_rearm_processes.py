@@ -43,7 +43,7 @@ def wait_until_driven(truth: str) -> None:
     subprocess.run([sys.executable, "-c", WAIT_UNTIL_DRIVEN, truth], env=environment(), timeout=60, check=True)
 
 
-@pytest.mark.parametrize(("mode", "duration_s"), [(REAL_TIME, 20), (LOCKSTEP, 40)])
+@pytest.mark.parametrize(("mode", "duration_s"), [pytest.param(REAL_TIME, 20, marks=pytest.mark.alone), (LOCKSTEP, 40)])
 def test_a_serial_robot_that_was_killed_and_started_again_is_armed_anew(mode, duration_s, tmp_path: Path):
     name = tmp_path / "robot"
     serial = ("--link", f"serial:pty?symlink={name}")
@@ -63,6 +63,7 @@ def test_a_serial_robot_that_was_killed_and_started_again_is_armed_anew(mode, du
     assert figures["ticks"] + figures["deadline_misses"] == 100 * duration_s
 
 
+@pytest.mark.alone
 def test_a_link_that_falls_silent_and_is_then_unplugged_holds_no_tick_up(tmp_path: Path):
     """Its TIME_SYNC is never answered, and waiting for that must not be taken for time that stands still."""
     name = tmp_path / "robot"

@@ -96,6 +96,7 @@ def test_seed_changes_the_wire_and_nothing_else():
     assert np.array_equal(one.signals["truth.x_m"], other.signals["truth.x_m"])
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize("link", ["memory:", "serial:pty", "can:virtual/test_run_rt"])
 def test_real_time_in_one_process(link):
     result = hil.run("paper_circle", set={"loop.duration_s": 7.0, "expect": []}, mode="realtime", link=link)
@@ -324,6 +325,7 @@ class Law:
 """
 
 
+@pytest.mark.alone
 def test_ticks_that_are_skipped_last_are_counted_up_to_the_end_and_no_further(tmp_path):
     (tmp_path / "slow.py").write_text(SLOW_AT_LAST, encoding="utf-8")
     overrides = {"controller.law": f"{tmp_path / 'slow.py'}:Law", "controller.gains": {}, "loop.rate_hz": 200}

@@ -190,6 +190,7 @@ def test_the_signals_say_how_the_link_is_at_each_tick():
     assert math.isnan(statistics("memory:").signals["link.load_percent"][-1])
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize("link", ["serial:pty", "can:virtual/realtime", "memory:"])
 def test_in_real_time_the_clock_is_read_over_a_link(link):
     result = run("paper_circle", set=SHORT | {"loop.rate_hz": 100}, mode="realtime", link=link)
@@ -217,6 +218,7 @@ def test_a_frame_of_another_length_is_not_counted_as_ours():
         bus.shutdown()
 
 
+@pytest.mark.alone
 def test_stamps_in_real_time_are_those_of_the_transport_on_the_clock_of_the_run():
     from hil.clock import WallClock
 

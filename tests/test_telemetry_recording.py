@@ -66,6 +66,7 @@ def test_lockstep_waits_for_room_and_leaves_nothing_behind(tmp_path: Path) -> No
     assert_same_bits(tmp_path / "run.rrd", 2000)
 
 
+@pytest.mark.alone
 @posix_only
 def test_real_time_drops_what_a_stopped_recorder_has_no_room_for(tmp_path: Path) -> None:
     with record(tmp_path / "run.rrd", blocking=False, capacity=256) as recording:

@@ -1,13 +1,10 @@
 """Traces: written by a run, read back by python-can, and decoded with wheel.dbc by cantools."""
 
 import itertools
-import json
 import os
-import random
 import signal
 import subprocess
 import time
-from pathlib import Path
 
 import can
 import cantools
@@ -26,17 +23,11 @@ from hil.links.streams import memory_pair
 from hil.links.url import parse_link
 from hil.trace import Trace, decode, rows
 from tests.processes import HIL, ROOT, device, environment, hil, run_json
+from tests.traced_runs import SHORT, one_second_of_frames, traced
 
 DATABASE = cantools.database.load_file(ROOT / "firmware_protocol" / "wheel.dbc")
-SHORT = {"loop.duration_s": 0.15, "expect": []}
 EVERYTHING = decode.Selection.of([], 0, 10)
 LINKS = ["memory:", "serial:pty", "can:virtual/traced", "can:virtual/traced?fd=1&data_bitrate=4000000"]
-
-
-def traced(path, link="memory:", **options):
-    result = run("paper_circle", set=SHORT | options, mode="lockstep", link=link, trace=path)
-    assert result.failure is None
-    return result
 
 
 def frames(path) -> list[can.Message]:
@@ -96,174 +87,6 @@ def test_decode_agrees_with_cantools_on_every_frame_of_a_run(tmp_path):
             unit = expected.get_signal_by_name(name).unit
             shown = str(value) if unit is None else f"{value} "
             assert f"  {name} {shown}" in text.replace(expected.name, "", 1), text
-
-
-def one_second_of_frames():
-    """What a bus with somebody else on it carries."""
-    command = codec.encode(m.WheelCommand(1.5, -2.25, 10.0, 0.015625, 17, 5))
-    tick = codec.encode(m.Tick(1_234_567, 17, 3, m.State.ACTIVE, 3, 200))
-    status = codec.encode(m.Status(m.State.FAULT, 0, m.Fault.OVERCURRENT, m.FaultWheel.RR, 5, 0x1235, 0, 12))
-    yield can.Message(1.7e9, command.id, False, data=command.payload, is_rx=False)
-    yield can.Message(1.7e9 + 0.005, tick.id, False, data=tick.payload)
-    yield can.Message(1.7e9 + 0.006, 0x18FF1234, True, data=b"\1\2\3")
-    yield can.Message(1.7e9 + 0.007, 0x123, False, data=b"")
-    yield can.Message(1.7e9 + 0.008, tick.id, False, data=b"\1\2")
-    yield can.Message(1.7e9 + 0.009, status.id, False, data=b"\x0f" * 8)
-    yield can.Message(1.7e9 + 0.010, 0x080, False, is_remote_frame=True, dlc=8)
-    yield can.Message(1.7e9 + 0.011, is_error_frame=True)
-    yield can.Message(1.7e9 + 1.0, status.id, False, data=status.payload)
-
-
-NOISE = random.Random(5).randbytes(2000)
-GOLDEN = """\
-   0.000000  Tx  WHEEL_COMMAND       fl_rad_s 1.5 rad/s  fr_rad_s -2.25 rad/s  rr_rad_s 10.0 rad/s  \
-rl_rad_s 0.015625 rad/s  sequence 17  session 5
-   0.005000  Rx  TICK                time_us 1234567 µs  sequence 17  command_age_ms 3 ms  state ACTIVE  parts 3  \
-snapshot 200
-   0.006000  Rx  foreign             18FF1234 [3] 01 02 03
-   0.007000  Rx  foreign             123 [0]
-   0.008000  Rx  TICK                080 not valid: length [2] 01 02
-   0.009000  Rx  STATUS              100 not valid: range [8] 0f 0f 0f 0f 0f 0f 0f 0f
-   0.010000  Rx  foreign             080 remote [0]
-   0.011000  Rx  error               error frame, or bytes that are no frame
-   1.000000  Rx  STATUS              state FAULT  mode SPEED  fault OVERCURRENT  fault_wheel RR  stop_reason FAULT  \
-nonce 4661  arm_refusal NONE  limited 12
-"""
-
-
-def written(path):
-    with can.Logger(path) as log:
-        for message in one_second_of_frames():
-            log.on_message_received(message)
-    return path
-
-
-@pytest.mark.parametrize("ending", ["blf", "asc", "log"])
-def test_decode_prints_a_foreign_tool_s_trace_in_our_terms(tmp_path, ending):
-    done = hil("decode", written(tmp_path / f"bus.{ending}"))
-    assert (done.stdout, done.stderr, done.returncode) == (GOLDEN, "", 0)
-
-
-def test_decode_reads_what_peak_writes(tmp_path):
-    path = tmp_path / "bus.trc"
-    written(path)
-    read = [line for line in hil("decode", path).stdout.splitlines() if "error" not in line and "remote" not in line]
-    expected = [line for line in GOLDEN.splitlines() if "error" not in line and "remote" not in line]
-    assert [line.split()[2:] for line in read] == [line.split()[2:] for line in expected]
-
-
-def test_decode_reads_candump_s_log_without_directions(tmp_path):
-    path = tmp_path / "candump.log"
-    path.write_text("(1700000000.000000) vcan0 040#6000EE038A001051\n(1700000000.005000) vcan0 1FFFFFFF#R\n")
-    lines = hil("decode", path).stdout.splitlines()
-    assert lines[0].split()[:4] == ["0.000000", "Rx", "WHEEL_COMMAND", "fl_rad_s"]
-    assert lines[1].split()[:4] == ["0.005000", "Rx", "foreign", "1FFFFFFF"]
-
-
-def test_decode_takes_what_is_asked_for(tmp_path):
-    path = written(tmp_path / "bus.asc")
-    lines = GOLDEN.splitlines()
-    assert hil("decode", path, "--message", "status").stdout.splitlines() == [lines[5], lines[8]]
-    both = hil("decode", path, "--message", "TICK", "--message", "foreign").stdout.splitlines()
-    assert both == [lines[i] for i in (1, 2, 3, 4, 6)]
-    assert hil("decode", path, "--from", "0.005", "--to", "0.007").stdout.splitlines() == lines[1:4]
-    counted = [line.split() for line in hil("decode", path, "--counts").stdout.splitlines()]
-    assert counted == [
-        ["message", "id", "frames", "per", "s"],
-        ["WHEEL_COMMAND", "040", "1", "1"],
-        ["TICK", "080", "2", "2"],
-        ["STATUS", "100", "2", "2"],
-        ["foreign", "3", "3"],
-        ["error", "1", "1"],
-    ]
-
-
-def test_decode_gives_each_frame_as_json(tmp_path):
-    path = written(tmp_path / "bus.blf")
-    records = [json.loads(line) for line in hil("decode", path, "--json").stdout.splitlines()]
-    assert len(records) == 9
-    assert records[1]["signals"]["time_us"] == 1_234_567
-    assert (records[1]["names"], records[1]["sender"]) == ({"state": "ACTIVE"}, "ROBOT")
-    assert (records[2]["id"], records[2]["extended"], records[2]["sender"]) == (0x18FF1234, True, None)
-    assert records[4]["refusal"] == "not valid: length"
-    tally = json.loads(hil("decode", path, "--counts", "--json").stdout)
-    assert {row["message"]: row["frames"] for row in tally} == {
-        "WHEEL_COMMAND": 1,
-        "TICK": 2,
-        "STATUS": 2,
-        "foreign": 3,
-        "error": 1,
-    }
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["nowhere.blf"], ["nowhere.blf", "No such file", ".blf"]),
-        (["bus.pcap"], ["bus.pcap", "ending", ".log"]),
-        (["bus.log", "--message", "WHEEL_COMAND"], ["WHEEL_COMAND", "did you mean 'WHEEL_COMMAND'"]),
-        (["bus.log", "--from", "3", "--to", "2"], ["--from 3", "--to 2"]),
-    ],
-)
-def test_decode_refuses_in_one_sentence(tmp_path, arguments, words):
-    written(tmp_path / "bus.log")
-    done = hil("decode", *arguments, cwd=tmp_path)
-    assert done.returncode == 2
-    assert done.stdout == ""
-    assert done.stderr.count("\n") == 1
-    assert all(word in done.stderr for word in words)
-
-
-@pytest.mark.parametrize("ending", ["blf", "asc", "log", "trc"])
-@pytest.mark.parametrize(
-    "content", [b"", b"\0" * 500, b"LOGG" + b"\xff" * 300, b"no trace at all\n" * 20, os.urandom(2000)]
-)
-def test_what_is_no_trace_is_refused_in_one_sentence(tmp_path, ending, content):
-    path = tmp_path / f"bus.{ending}"
-    path.write_bytes(content)
-    done = hil("decode", path)
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1, done.stderr
-    assert "no frames could be read" in done.stderr
-    assert "Traceback" not in done.stderr
-
-
-@pytest.mark.parametrize("share", [0.05, 0.31, 0.5, 0.83, 0.95])
-@pytest.mark.parametrize("ending", ["blf", "asc", "log"])
-def test_a_trace_that_is_cut_is_read_as_far_as_it_goes(ending, share, tmp_path_factory):
-    whole = _a_whole_trace(tmp_path_factory, ending)
-    expected = list(decode.read(whole, EVERYTHING))
-    cut = whole.with_name(f"cut.{ending}")
-    content = whole.read_bytes()
-    cut.write_bytes(content[: int(share * len(content))])
-    reading = decode.read(cut, EVERYTHING)
-    got = list(reading)
-    assert [entry.payload for entry in got] == [entry.payload for entry in expected[: len(got)]]
-    assert "cut" in reading.trouble or "no frames" in reading.trouble
-    if ending != "blf":
-        assert len(got) == pytest.approx(share * len(expected), abs=0.05 * len(expected))
-
-
-_WHOLE: dict[str, Path] = {}
-
-
-def _a_whole_trace(factory, ending):
-    if ending not in _WHOLE:
-        _WHOLE[ending] = factory.mktemp("whole") / f"bus.{ending}"
-        traced(_WHOLE[ending])
-    return _WHOLE[ending]
-
-
-def test_decode_ends_quietly_when_nobody_reads_on(tmp_path):
-    path = tmp_path / "bus.log"
-    traced(path)
-    process = subprocess.Popen(
-        [*HIL, "decode", str(path)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment()
-    )
-    assert process.stdout.readline()
-    process.stdout.close()
-    assert process.stderr.read() == b""
-    assert process.wait() == 0
 
 
 @pytest.mark.parametrize("ending", ["log", "asc"])
@@ -384,6 +207,7 @@ def test_the_page_s_worked_output_is_what_decode_prints(tmp_path):
     assert [line for line in printed if line in shown] == shown
 
 
+@pytest.mark.alone
 def test_a_run_in_real_time_is_traced_as_it_goes(tmp_path):
     path = tmp_path / "bus.blf"
     with device("paper_circle", "--mode", "realtime", "--link", "serial:pty", "--set", "loop.rate_hz=100") as robot:

@@ -42,6 +42,7 @@ def test_lockstep_in_two_processes_gives_the_bytes_of_one(tmp_path: Path):
     assert robot.process.returncode == 0
 
 
+@pytest.mark.alone
 def test_real_time_in_two_processes_tracks_the_circle():
     with device("paper_circle", "--mode", "realtime", "--link", "serial:pty") as robot:
         there = ("--link", robot.link, "--truth", robot.truth, "--record", "none")
@@ -51,6 +52,7 @@ def test_real_time_in_two_processes_tracks_the_circle():
     assert figures["realtime_factor"] == pytest.approx(1.0, abs=0.02)
 
 
+@pytest.mark.alone
 def test_killed_controller_leaves_stopped_wheels_and_a_recording_that_opens(tmp_path: Path):
     """SIGKILL in mid-run: the set point is zero within watchdog and ramp of robot time."""
     recording = tmp_path / "run.rrd"
@@ -102,6 +104,7 @@ def finished(recording: Path):
     return run if len(run.signals.get("loop.t_s", ())) > 200 else None
 
 
+@pytest.mark.alone
 def test_sigterm_stops_the_robot_and_closes_the_recording(tmp_path: Path):
     recording = tmp_path / "run.rrd"
     scenario = load("paper_circle", set=["loop.rate_hz=200"])
@@ -145,6 +148,7 @@ def test_an_abandoned_lockstep_robot_is_put_back_to_its_start():
     assert '"passed": true' in again.stdout
 
 
+@pytest.mark.alone
 def test_lost_robot_ends_the_run_with_exit_code_3():
     with device("paper_circle", "--mode", "realtime", "--link", "serial:pty", *RATE) as robot:
         controller = subprocess.Popen(

@@ -1,6 +1,7 @@
 """What the catalogue runs: every case alone over each link, all pairs, and the subset in real time."""
 
 import itertools
+import random
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -14,13 +15,18 @@ _ORDER = list(Outcome)
 
 
 class Asked(NamedTuple):
-    """What a user asks the catalogue for: base scenario with changes, links and kinds, and where recordings go."""
+    """What a user asks the catalogue for: base scenario with changes, links and kinds, and where recordings go.
+
+    ``sample`` is how many of the pairs, None for all; ``seed`` chooses them.
+    """
 
     scenario: str
     sets: Sequence[str]
     links: Sequence[str]
     kinds: Sequence[str]
     recordings: Path
+    sample: int | None = None
+    seed: int = 0
 
 
 def check(asked: Asked) -> None:
@@ -53,7 +59,7 @@ def alone(asked: Asked, mode: str = "lockstep") -> list[Job]:
 
 
 def pairs(asked: Asked) -> list[Job]:
-    """Return all pairs of cases, of kinds that were asked for; over memory where no link was.
+    """Return all pairs of cases, of kinds that were asked for, or a sample; over memory where no link was.
 
     A pair comes out as the worse of its two does alone, but for those of ``PAIRS``.
     """
@@ -62,7 +68,10 @@ def pairs(asked: Asked) -> list[Job]:
     for two in itertools.combinations([case for case in CASES if case.in_pairs], 2):
         if not chosen.isdisjoint(case.name for case in two):
             jobs += [_pair(asked, two, link) for link in asked.links or ("memory",)]
-    return jobs
+    if asked.sample is None or asked.sample >= len(jobs):
+        return jobs
+    chosen_jobs = random.Random(asked.seed).sample(range(len(jobs)), asked.sample)
+    return [jobs[number] for number in sorted(chosen_jobs)]
 
 
 def _pair(asked: Asked, two: tuple[Case, Case], link: str) -> Job:
@@ -98,5 +107,6 @@ def _job(asked: Asked, cases: Sequence[Case], link: str, mode: str, rearm: bool,
         causes=sorted(causes),
         causes_of_end=sorted(ends or causes),
         recording=str(asked.recordings / f"{file}.rrd"),
-        records_here=len(cases) > 1,
+        # A recorder of its own costs a second, and is the same whatever the link.
+        records_here=len(cases) > 1 or (mode == "lockstep" and link != "serial"),
     )

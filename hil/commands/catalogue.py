@@ -24,6 +24,10 @@ def catalogue(
         list[str] | None, typer.Option("--kind", metavar="KIND", help="only faults of this kind; may be repeated")
     ] = None,
     pairs: Annotated[bool, typer.Option("--pairs", help="all pairs too, over memory unless --link says more")] = False,
+    sample: Annotated[
+        int | None, typer.Option("--sample", metavar="N", help="only so many of the pairs, chosen by --seed", min=0)
+    ] = None,
+    seed: Annotated[int, typer.Option("--seed", metavar="N", help="which pairs --sample takes")] = 0,
     realtime: Annotated[bool, typer.Option("--realtime", help="a part of them in real time too")] = False,
     sets: Sets = None,
     jobs: Annotated[int | None, typer.Option(metavar="N", help="processes; by default one a processor", min=1)] = None,
@@ -39,7 +43,7 @@ def catalogue(
 
     signal.signal(signal.SIGTERM, interrupt)
     laws = [] if law is None else [f"controller.law={law}"]
-    asked = Asked(scenario, [*laws, *(sets or [])], link or [], kind or [], report.catalogue_folder())
+    asked = Asked(scenario, [*laws, *(sets or [])], link or [], kind or [], report.catalogue_folder(), sample, seed)
     tell = None if as_json or not sys.stderr.isatty() else report.catalogue_progress
     try:
         verdicts = run_catalogue(asked, pairs=pairs, realtime=realtime, jobs=jobs, limit_s=limit_s, tell=tell)

@@ -53,6 +53,7 @@ table with a row for each run; with exit code 1 where one is not as it should be
 
     hil catalogue                               # every fault alone
     hil catalogue --pairs --realtime            # all pairs too, and a part of them in real time
+    hil catalogue --pairs --sample 60 --seed 7  # 60 of the pairs; another seed takes others
     hil catalogue --law ./my_law.py:MyLaw       # your law on the same circle
     hil catalogue my_robot.toml --kind mute     # your scenario, one kind
 

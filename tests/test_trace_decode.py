@@ -1,0 +1,168 @@
+"""``hil decode``: traces of other tools, of a run, and damaged ones, in our terms."""
+
+import json
+import os
+import random
+import subprocess
+from pathlib import Path
+
+import can
+import pytest
+
+from hil.trace import decode
+from tests.processes import HIL, environment, hil
+from tests.traced_runs import one_second_of_frames, traced
+
+EVERYTHING = decode.Selection.of([], 0, 10)
+
+
+NOISE = random.Random(5).randbytes(2000)
+GOLDEN = """\
+   0.000000  Tx  WHEEL_COMMAND       fl_rad_s 1.5 rad/s  fr_rad_s -2.25 rad/s  rr_rad_s 10.0 rad/s  \
+rl_rad_s 0.015625 rad/s  sequence 17  session 5
+   0.005000  Rx  TICK                time_us 1234567 µs  sequence 17  command_age_ms 3 ms  state ACTIVE  parts 3  \
+snapshot 200
+   0.006000  Rx  foreign             18FF1234 [3] 01 02 03
+   0.007000  Rx  foreign             123 [0]
+   0.008000  Rx  TICK                080 not valid: length [2] 01 02
+   0.009000  Rx  STATUS              100 not valid: range [8] 0f 0f 0f 0f 0f 0f 0f 0f
+   0.010000  Rx  foreign             080 remote [0]
+   0.011000  Rx  error               error frame, or bytes that are no frame
+   1.000000  Rx  STATUS              state FAULT  mode SPEED  fault OVERCURRENT  fault_wheel RR  stop_reason FAULT  \
+nonce 4661  arm_refusal NONE  limited 12
+"""
+
+
+def written(path):
+    with can.Logger(path) as log:
+        for message in one_second_of_frames():
+            log.on_message_received(message)
+    return path
+
+
+@pytest.mark.parametrize("ending", ["blf", "asc", "log"])
+def test_decode_prints_a_foreign_tool_s_trace_in_our_terms(tmp_path, ending):
+    done = hil("decode", written(tmp_path / f"bus.{ending}"))
+    assert (done.stdout, done.stderr, done.returncode) == (GOLDEN, "", 0)
+
+
+def test_decode_reads_what_peak_writes(tmp_path):
+    path = tmp_path / "bus.trc"
+    written(path)
+    read = [line for line in hil("decode", path).stdout.splitlines() if "error" not in line and "remote" not in line]
+    expected = [line for line in GOLDEN.splitlines() if "error" not in line and "remote" not in line]
+    assert [line.split()[2:] for line in read] == [line.split()[2:] for line in expected]
+
+
+def test_decode_reads_candump_s_log_without_directions(tmp_path):
+    path = tmp_path / "candump.log"
+    path.write_text("(1700000000.000000) vcan0 040#6000EE038A001051\n(1700000000.005000) vcan0 1FFFFFFF#R\n")
+    lines = hil("decode", path).stdout.splitlines()
+    assert lines[0].split()[:4] == ["0.000000", "Rx", "WHEEL_COMMAND", "fl_rad_s"]
+    assert lines[1].split()[:4] == ["0.005000", "Rx", "foreign", "1FFFFFFF"]
+
+
+def test_decode_takes_what_is_asked_for(tmp_path):
+    path = written(tmp_path / "bus.asc")
+    lines = GOLDEN.splitlines()
+    assert hil("decode", path, "--message", "status").stdout.splitlines() == [lines[5], lines[8]]
+    both = hil("decode", path, "--message", "TICK", "--message", "foreign").stdout.splitlines()
+    assert both == [lines[i] for i in (1, 2, 3, 4, 6)]
+    assert hil("decode", path, "--from", "0.005", "--to", "0.007").stdout.splitlines() == lines[1:4]
+    counted = [line.split() for line in hil("decode", path, "--counts").stdout.splitlines()]
+    assert counted == [
+        ["message", "id", "frames", "per", "s"],
+        ["WHEEL_COMMAND", "040", "1", "1"],
+        ["TICK", "080", "2", "2"],
+        ["STATUS", "100", "2", "2"],
+        ["foreign", "3", "3"],
+        ["error", "1", "1"],
+    ]
+
+
+def test_decode_gives_each_frame_as_json(tmp_path):
+    path = written(tmp_path / "bus.blf")
+    records = [json.loads(line) for line in hil("decode", path, "--json").stdout.splitlines()]
+    assert len(records) == 9
+    assert records[1]["signals"]["time_us"] == 1_234_567
+    assert (records[1]["names"], records[1]["sender"]) == ({"state": "ACTIVE"}, "ROBOT")
+    assert (records[2]["id"], records[2]["extended"], records[2]["sender"]) == (0x18FF1234, True, None)
+    assert records[4]["refusal"] == "not valid: length"
+    tally = json.loads(hil("decode", path, "--counts", "--json").stdout)
+    assert {row["message"]: row["frames"] for row in tally} == {
+        "WHEEL_COMMAND": 1,
+        "TICK": 2,
+        "STATUS": 2,
+        "foreign": 3,
+        "error": 1,
+    }
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["nowhere.blf"], ["nowhere.blf", "No such file", ".blf"]),
+        (["bus.pcap"], ["bus.pcap", "ending", ".log"]),
+        (["bus.log", "--message", "WHEEL_COMAND"], ["WHEEL_COMAND", "did you mean 'WHEEL_COMMAND'"]),
+        (["bus.log", "--from", "3", "--to", "2"], ["--from 3", "--to 2"]),
+    ],
+)
+def test_decode_refuses_in_one_sentence(tmp_path, arguments, words):
+    written(tmp_path / "bus.log")
+    done = hil("decode", *arguments, cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.count("\n") == 1
+    assert all(word in done.stderr for word in words)
+
+
+@pytest.mark.parametrize("ending", ["blf", "asc", "log", "trc"])
+@pytest.mark.parametrize(
+    "content", [b"", b"\0" * 500, b"LOGG" + b"\xff" * 300, b"no trace at all\n" * 20, os.urandom(2000)]
+)
+def test_what_is_no_trace_is_refused_in_one_sentence(tmp_path, ending, content):
+    path = tmp_path / f"bus.{ending}"
+    path.write_bytes(content)
+    done = hil("decode", path)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1, done.stderr
+    assert "no frames could be read" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("share", [0.05, 0.31, 0.5, 0.83, 0.95])
+@pytest.mark.parametrize("ending", ["blf", "asc", "log"])
+def test_a_trace_that_is_cut_is_read_as_far_as_it_goes(ending, share, tmp_path_factory):
+    whole = _a_whole_trace(tmp_path_factory, ending)
+    expected = list(decode.read(whole, EVERYTHING))
+    cut = whole.with_name(f"cut.{ending}")
+    content = whole.read_bytes()
+    cut.write_bytes(content[: int(share * len(content))])
+    reading = decode.read(cut, EVERYTHING)
+    got = list(reading)
+    assert [entry.payload for entry in got] == [entry.payload for entry in expected[: len(got)]]
+    assert "cut" in reading.trouble or "no frames" in reading.trouble
+    if ending != "blf":
+        assert len(got) == pytest.approx(share * len(expected), abs=0.05 * len(expected))
+
+
+_WHOLE: dict[str, Path] = {}
+
+
+def _a_whole_trace(factory, ending):
+    if ending not in _WHOLE:
+        _WHOLE[ending] = factory.mktemp("whole") / f"bus.{ending}"
+        traced(_WHOLE[ending])
+    return _WHOLE[ending]
+
+
+def test_decode_ends_quietly_when_nobody_reads_on(tmp_path):
+    path = tmp_path / "bus.log"
+    traced(path)
+    process = subprocess.Popen(
+        [*HIL, "decode", str(path)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment()
+    )
+    assert process.stdout.readline()
+    process.stdout.close()
+    assert process.stderr.read() == b""
+    assert process.wait() == 0
