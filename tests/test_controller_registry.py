@@ -86,7 +86,7 @@ def message_of(call, *arguments) -> str:
 def test_shipped_laws_have_a_name_and_a_line():
     assert load_law("dsc", HERE) is Dsc
     assert load_law("afdsc", HERE) is Afdsc
-    assert set(laws()) == {"dsc", "afdsc"}
+    assert set(laws()) == {"dsc", "afdsc", "profile"}
     assert all(line.endswith(".") and len(line) < 110 for line in laws().values())
 
 
@@ -130,7 +130,7 @@ def test_a_law_without_options_takes_none(write, constructor):
     ("spec", "message"),
     [
         ("afdcs", "controller.law = 'afdcs': unknown; did you mean 'afdsc'?"),
-        ("lqr", "controller.law = 'lqr': unknown; known: afdsc, dsc"),
+        ("lqr", "controller.law = 'lqr': unknown; known: afdsc, dsc, profile"),
         ("my_law.py", "controller.law = 'my_law.py': name the class too, as in 'my_law.py:MyLaw'"),
         (
             "no_such_package.law:Law",
