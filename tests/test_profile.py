@@ -195,6 +195,11 @@ def test_with_speed_commands_the_steady_error_is_as_small():
     assert metrics["steady_rms_m"] <= 0.1e-3
 
 
+def test_from_far_off_the_heading_no_wheel_is_dragged_backwards_for_so_long_that_it_counts_as_a_fault():
+    changes = {"controller.law": "profile", "controller.command": "speed", "loop.duration_s": 0.4}
+    assert hil.run("circle_slip", set=changes).failure is None
+
+
 @pytest.mark.parametrize(("keeps", "is_beyond"), [(True, False), (False, True)])
 def test_the_robots_speed_limit_holds_in_torque_mode_when_it_is_asked_for(keeps, is_beyond):
     signals = circle(5.0, 20.0, 1.0, controller__gains__keeps_speed_limit=keeps).signals

@@ -30,6 +30,9 @@ from hil.types import (
 # Of the yaw acceleration and the yaw rate that wheels which only turn the robot would give. Pushing goes first: of the
 # torque little can be counted on, and of the speed little may be taken.
 _TURNING_SHARE = 0.3
+# How far in time the set points may be from the speeds. Further away the firmware's limit would have the wheels that
+# have most to gain drag the others backwards, which it takes for a fault (WRONG_DIRECTION).
+_STEP_S = 0.05
 _NO_ACCELERATION = Acceleration(0.0, 0.0, 0.0)
 
 
@@ -80,6 +83,8 @@ class Profile:
         turn_rad_s2 = model.torque_limit_n_m / self._turn_n_m_per_rad_s2
         self._braking_m_s2 = options.braking_share * push_m_s2
         self._turn_braking_rad_s2 = _TURNING_SHARE * turn_rad_s2
+        self._push_step_m_s = _STEP_S * push_m_s2
+        self._turn_step_rad_s = _STEP_S * turn_rad_s2
         keeps = options.keeps_speed_limit or not self._torque
         self._rim_speed_m_s = model.speed_limit_rad_s * model.wheel_radius_m if keeps else math.inf
         self._turn_rad_s = _TURNING_SHARE * self._rim_speed_m_s / model.lever_m
@@ -189,12 +194,15 @@ class Profile:
         x1, y1, x2, y2 = directions(heading)
         along_1, along_2 = vx_d * x1 + vy_d * y1, vx_d * x2 + vy_d * y2
         k1, braking = self._k1, self._braking_m_s2
-        limit = self._turn_rad_s
-        turn, turn_slope = profile(turned, yaw_rate, k1, self._turn_braking_rad_s2, -limit, limit)
-        limit = self._push_speed_m_s(yaw_rate_d + turn)
+        limit, step = self._turn_rad_s, self._turn_step_rad_s
+        low, high = max(-limit, yaw_rate - step), min(limit, yaw_rate + step)
+        turn, turn_slope = profile(turned, yaw_rate, k1, self._turn_braking_rad_s2, low, high)
+        limit, step = self._push_speed_m_s(yaw_rate_d + turn), self._push_step_m_s
         now_1, now_2 = vx * x1 + vy * y1, vx * x2 + vy * y2
-        rate_1, slope_1 = profile(x * x1 + y * y1, now_1, k1, braking, -limit - along_1, limit - along_1)
-        rate_2, slope_2 = profile(x * x2 + y * y2, now_2, k1, braking, -limit - along_2, limit - along_2)
+        low, high = max(-limit - along_1, now_1 - step), min(limit - along_1, now_1 + step)
+        rate_1, slope_1 = profile(x * x1 + y * y1, now_1, k1, braking, low, high)
+        low, high = max(-limit - along_2, now_2 - step), min(limit - along_2, now_2 + step)
+        rate_2, slope_2 = profile(x * x2 + y * y2, now_2, k1, braking, low, high)
         # What the profile asks for on the way, no more than in step with it: its noise is not fed forward.
         slope_1, slope_2 = slope_1 * in_step(now_1, rate_1), slope_2 * in_step(now_2, rate_2)
         ax, ay = ax + slope_1 * x1 + slope_2 * x2, ay + slope_1 * y1 + slope_2 * y2
