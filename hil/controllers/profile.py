@@ -27,8 +27,12 @@ from hil.types import (
     Wheels,
 )
 
-# Of the yaw acceleration that all torque would give: pushing may need it at any time, so little is counted on.
+# Of the yaw acceleration and the yaw rate that wheels which only turn the robot would give. Pushing goes first: of the
+# torque little can be counted on, and of the speed little may be taken.
 _TURNING_SHARE = 0.3
+# How far in time the set points may be from the speeds. Further away the firmware's limit would have the wheels that
+# have most to gain drag the others backwards, which it takes for a fault (WRONG_DIRECTION).
+_STEP_S = 0.05
 _NO_ACCELERATION = Acceleration(0.0, 0.0, 0.0)
 
 
@@ -42,25 +46,29 @@ class Profile:
 
     @dataclass(frozen=True, slots=True)
     class Options:
-        """Gains [1/s], the share of the torque to brake with, and the observer's bandwidth [rad/s].
+        """Gains [1/s], the share of the torque to brake with, the observers' bandwidth [rad/s], a lag [s].
 
-        ``k1_1_s`` and ``k2_1_s`` are the two poles close to the reference. ``braking_share`` is what a robot that is
-        heavier than believed still has: 0.85 with 20 % more mass. With ``keeps_speed_limit`` the robot's wheel speed
-        limit holds in TORQUE mode too, where nothing else keeps it; in SPEED mode it always does.
+        ``k1_1_s`` and ``k2_1_s`` are the two poles close to the reference in TORQUE mode, ``speed_k1_1_s`` is the one
+        in SPEED mode. ``braking_share`` is what a robot that is heavier than believed still has: 0.85 with 20 % more
+        mass. ``speed_lag_s`` is how late the firmware's estimate of a wheel's speed is, 2 / tracking_bandwidth_rad_s.
+        With ``keeps_speed_limit`` the profile stays within the robot's wheel speed limit in TORQUE mode too, where
+        nothing else keeps it; in SPEED mode it always does.
         """
 
         k1_1_s: float = 20.0
-        k2_1_s: float = 60.0
+        k2_1_s: float = 50.0
         braking_share: float = 0.85
-        observer_rad_s: float = 80.0
-        speed_k1_1_s: float = 8.0
-        keeps_speed_limit: bool = False
+        observer_rad_s: float = 70.0
+        speed_k1_1_s: float = 12.0
         speed_lag_s: float = 0.0133
+        keeps_speed_limit: bool = False
 
         def __post_init__(self) -> None:
             require_positive(self, "k1_1_s", "k2_1_s", "braking_share", "observer_rad_s", "speed_k1_1_s")
             if self.braking_share > 1.0:
                 raise ValueError(f"braking_share = {self.braking_share!r}: expected at most 1, all the torque")
+            if self.speed_lag_s < 0.0:
+                raise ValueError(f"speed_lag_s = {self.speed_lag_s!r}: expected zero or more")
 
     def __init__(self, model: RobotModel, mode: CommandMode, options: Options) -> None:
         self._model = model
@@ -75,8 +83,11 @@ class Profile:
         turn_rad_s2 = model.torque_limit_n_m / self._turn_n_m_per_rad_s2
         self._braking_m_s2 = options.braking_share * push_m_s2
         self._turn_braking_rad_s2 = _TURNING_SHARE * turn_rad_s2
+        self._push_step_m_s = _STEP_S * push_m_s2
+        self._turn_step_rad_s = _STEP_S * turn_rad_s2
         keeps = options.keeps_speed_limit or not self._torque
         self._rim_speed_m_s = model.speed_limit_rad_s * model.wheel_radius_m if keeps else math.inf
+        self._turn_rad_s = _TURNING_SHARE * self._rim_speed_m_s / model.lever_m
         bandwidth = options.observer_rad_s
         self._observe_x = ExtendedStateObserver(bandwidth, push_m_s2)
         self._observe_y = ExtendedStateObserver(bandwidth, push_m_s2)
@@ -143,8 +154,9 @@ class Profile:
         along_1, along_2 = vx_d * x1 + vy_d * y1, vx_d * x2 + vy_d * y2
         now_1, now_2, now_turn = vx * x1 + vy * y1 - along_1, vx * x2 + vy * y2 - along_2, yaw_rate - yaw_rate_d
         k1, braking = self._k1, self._braking_m_s2
-        turn, turn_slope = profile(turned, now_turn, k1, self._turn_braking_rad_s2, -math.inf, math.inf)
-        limit = self._push_speed_m_s(yaw_rate_d + turn)
+        limit = self._turn_rad_s
+        turn, turn_slope = profile(turned, now_turn, k1, self._turn_braking_rad_s2, -limit, limit)
+        limit = self._push_speed_m_s(yaw_rate)
         rate_1, slope_1 = profile(x * x1 + y * y1, now_1, k1, braking, -limit - along_1, limit - along_1)
         rate_2, slope_2 = profile(x * x2 + y * y2, now_2, k1, braking, -limit - along_2, limit - along_2)
         # What brings ė to w within a tick as a pole at K2 does: exact for an acceleration that is held.
@@ -182,11 +194,15 @@ class Profile:
         x1, y1, x2, y2 = directions(heading)
         along_1, along_2 = vx_d * x1 + vy_d * y1, vx_d * x2 + vy_d * y2
         k1, braking = self._k1, self._braking_m_s2
-        turn, turn_slope = profile(turned, yaw_rate, k1, self._turn_braking_rad_s2, -math.inf, math.inf)
-        limit = self._push_speed_m_s(yaw_rate_d + turn)
+        limit, step = self._turn_rad_s, self._turn_step_rad_s
+        low, high = max(-limit, yaw_rate - step), min(limit, yaw_rate + step)
+        turn, turn_slope = profile(turned, yaw_rate, k1, self._turn_braking_rad_s2, low, high)
+        limit, step = self._push_speed_m_s(yaw_rate_d + turn), self._push_step_m_s
         now_1, now_2 = vx * x1 + vy * y1, vx * x2 + vy * y2
-        rate_1, slope_1 = profile(x * x1 + y * y1, now_1, k1, braking, -limit - along_1, limit - along_1)
-        rate_2, slope_2 = profile(x * x2 + y * y2, now_2, k1, braking, -limit - along_2, limit - along_2)
+        low, high = max(-limit - along_1, now_1 - step), min(limit - along_1, now_1 + step)
+        rate_1, slope_1 = profile(x * x1 + y * y1, now_1, k1, braking, low, high)
+        low, high = max(-limit - along_2, now_2 - step), min(limit - along_2, now_2 + step)
+        rate_2, slope_2 = profile(x * x2 + y * y2, now_2, k1, braking, low, high)
         # What the profile asks for on the way, no more than in step with it: its noise is not fed forward.
         slope_1, slope_2 = slope_1 * in_step(now_1, rate_1), slope_2 * in_step(now_2, rate_2)
         ax, ay = ax + slope_1 * x1 + slope_2 * x2, ay + slope_1 * y1 + slope_2 * y2
