@@ -113,7 +113,7 @@ class Inside:
         root = ["root=/dev/root", "rootfstype=hostfs", "rootflags=/", "ro"]
         # Its terminals lead nowhere, its first serial line to our pipe; it makes its control socket in our folder.
         lines = ["con=null", "ssl0=null,fd:1", f"uml_dir={self._folder}"]
-        # Each system call is a change from one process of the guest's to another: 15 us on one processor, 40 between two.
+        # Each system call changes from one process of the guest to another: 15 us on one processor, 40 between two.
         processors = sorted(os.sched_getaffinity(0))
         one = ["taskset", "--cpu-list", str(processors[os.getpid() % len(processors)])]
         return [*one, _KERNEL, f"mem={_MEMORY_MB}M", "quiet", *root, *lines, f"init={script}"]

@@ -29,6 +29,7 @@ _RECORD = struct.Struct("<q6d4dIB")
 _HOST = "127.0.0.1"
 _ANSWER_S = 2.0
 _LONGEST_ANSWER = 65536
+_CHUNK = 65536
 
 
 class TruthRecord(NamedTuple):
@@ -281,17 +282,23 @@ class TruthClient:
 
     def _read(self, *, blocking: bool) -> None:
         """Take all that has arrived; with ``blocking``, wait for something first."""
-        self._connection.settimeout(_ANSWER_S if blocking else 0)
+        timeout_s = _ANSWER_S if blocking else 0.0
         try:
-            while chunk := self._connection.recv(65536):
+            # One system call where it can be: a tick has no time for those that change nothing and find nothing.
+            if self._connection.gettimeout() != timeout_s:
+                self._connection.settimeout(timeout_s)
+            while chunk := self._connection.recv(_CHUNK):
                 self._data += chunk
+                if len(chunk) < _CHUNK:
+                    break
                 self._connection.settimeout(0)
         except (BlockingIOError, TimeoutError):
             pass
         except OSError as error:
             raise DeviceError(f"truth {self._url!r} was lost: {error}") from error
         else:
-            raise DeviceError(f"truth {self._url!r} was closed: the robot's process has ended")
+            if not chunk:
+                raise DeviceError(f"truth {self._url!r} was closed: the robot's process has ended")
         whole = len(self._data) // _RECORD.size * _RECORD.size
         if whole:
             self._whole += self._data[:whole]

@@ -170,7 +170,7 @@ class FaultLink:
 
     def service(self) -> None:
         """Hand over the commands that are due."""
-        t_ns = self._time.now_ns()
+        t_ns = self._time.now_ns() if self._has_faults else None
         if t_ns is not None:
             self._let_go(t_ns)
 
