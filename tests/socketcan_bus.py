@@ -53,11 +53,11 @@ def vcan(name: str) -> Iterator[str]:
 
 
 @contextlib.contextmanager
-def cable(host: str, robot: str) -> Iterator[None]:
+def cable(host: str, robot: str, *, is_fd: bool) -> Iterator[None]:
     """Make a cable with an interface at each end; what one end sends is received at the other."""
     ip("add", host, "type", "vxcan", "peer", "name", robot)
     for name in (host, robot):
-        ip("set", name, "up")
+        ip("set", name, "mtu", str(FD.size if is_fd else CLASSIC.size), "up")
     try:
         yield
     finally:

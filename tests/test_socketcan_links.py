@@ -2,15 +2,18 @@
 
 import errno
 import socket
+import subprocess
 from collections.abc import Iterator
 
+import can
 import pytest
 
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated.messages import LENGTHS, SENDERS
 from hil.errors import LinkError
+from hil.links.can_ports import SocketCan
 from hil.links.opening import open_host
-from hil.links.url import parse_link
+from hil.links.url import CanUrl, parse_link
 from hil.ports import Link
 from tests.socketcan_bus import CLASSIC, ERROR, EXTENDED, FD, REMOTE, classic_frame, ip, raw_socket, set_up, vcan
 
@@ -57,6 +60,11 @@ def take_all(link: Link, other: socket.socket) -> list[Frame]:
     raise AssertionError("the end never came")
 
 
+def send_often(link: Link, frame: Frame) -> None:
+    for _ in range(100_000):
+        link.send(frame)
+
+
 def test_of_all_identifiers_only_the_robot_s_pass_in_order(link: Link, other: socket.socket):
     arrived = []
     for can_id in EVERY_ID:
@@ -91,6 +99,39 @@ def test_what_a_link_sends_is_a_classic_frame_with_its_bits(link: Link, other: s
         sent = CLASSIC.unpack(other.recv(FD.size))
         assert sent == (can_id, length, bytes(range(1, length + 1)).ljust(8, b"\0"))
     assert take_all(link, other) == [], "a link does not hear itself"
+
+
+@pytest.mark.parametrize("options", ["vcan0", "vcan1?fd=1", "vcan1?fd=1&data_bitrate=4000000"])
+def test_frames_are_read_and_written_as_python_can_does(options: str):
+    url = parse_link(f"can:socketcan/{options}")
+    assert isinstance(url, CanUrl)
+    sent = [classic_frame(can_id, bytes(range(8))) for can_id in (0x7FF, ERROR | 0x88, EXTENDED | 0x1ABCDEF0, EXTENDED)]
+    sent += [classic_frame(0x123 | flags, bytes(length)) for flags in (0, REMOTE) for length in (0, 3, 8)]
+    if url.fd:
+        sent += [FD.pack(0x234, length, flags, bytes(range(length))) for length in (0, 8, 64) for flags in range(4)]
+    with (
+        can.Bus(interface="socketcan", channel=url.channel, fd=url.fd) as bus,
+        can.Bus(interface="socketcan", channel=url.channel, fd=url.fd) as oracle,
+        raw_socket(url.channel) as stranger,
+    ):
+        port = SocketCan(can, bus, url)
+        for raw in sent:
+            stranger.send(raw)
+        for _ in sent:
+            read, expected = port.message_of(port.receive(2_000 * MS)), oracle.recv(2)
+            assert expected is not None
+            assert read.equals(expected, timestamp_delta=None, check_channel=False, check_direction=False)
+        port.send(END)
+        written = oracle.recv(2)
+        assert written is not None
+        assert (written.arbitration_id, bytes(written.data)) == END
+        assert (written.is_fd, written.bitrate_switch) == (url.fd, url.data_bitrate is not None)
+
+
+def test_a_queue_that_stays_full_is_a_lost_link(bus: str, link: Link):
+    subprocess.run(["tc", "qdisc", "add", "dev", bus, "root", "netem", "delay", "100s"], check=True)
+    with pytest.raises(LinkError, match=r"the transmit queue stays full; nobody acknowledges"):
+        send_often(link, END)
 
 
 def test_an_interface_that_is_not_there_is_named_with_the_remedy():

@@ -11,6 +11,8 @@ from hil.errors import BadInputError, DeviceError
 from hil.faults.rows import FaultRow
 from hil.types import PoseFix
 
+_CHUNK = 65536
+
 
 class TruthClient:
     """Reads the truth of a robot in another process: a PoseSource.
@@ -76,17 +78,23 @@ class TruthClient:
 
     def _read(self, *, blocking: bool) -> None:
         """Take all that has arrived; with ``blocking``, wait for something first."""
-        self._connection.settimeout(ANSWER_S if blocking else 0)
+        timeout_s = ANSWER_S if blocking else 0.0
         try:
-            while chunk := self._connection.recv(65536):
+            # One system call where it can be: a tick has no time for those that change nothing and find nothing.
+            if self._connection.gettimeout() != timeout_s:
+                self._connection.settimeout(timeout_s)
+            while chunk := self._connection.recv(_CHUNK):
                 self._data += chunk
+                if len(chunk) < _CHUNK:
+                    break
                 self._connection.settimeout(0)
         except (BlockingIOError, TimeoutError):
             pass
         except OSError as error:
             raise DeviceError(f"truth {self._url!r} was lost: {error}") from error
         else:
-            raise DeviceError(f"truth {self._url!r} was closed: the robot's process has ended")
+            if not chunk:
+                raise DeviceError(f"truth {self._url!r} was closed: the robot's process has ended")
         whole = len(self._data) // RECORD.size * RECORD.size
         if whole:
             self._whole += self._data[:whole]

@@ -2,7 +2,6 @@
 
 import errno
 import logging
-import select
 import time
 from collections.abc import Callable, Iterator
 from typing import Any, Literal
@@ -13,18 +12,13 @@ from hil.errors import BadInputError, LinkError, nearest
 from hil.links.can_errors import BUS_OFF, CAUSES, causes_of
 from hil.links.can_failures import failure
 from hil.links.can_filters import filters_for
+from hil.links.can_ports import CanPort, PythonCan, SocketCan
 from hil.links.url import CanUrl, format_link
 from hil.ports import Received
 
 _QUEUE_FULL_S = 0.05  # at 1 Mbit/s and full load a queue of 100 frames is empty after 13 ms
 _QUEUE_RETRY_S = 0.0005
 _MOST_FILTERS = 8
-# Here python-can keeps no frame back, and its own wait is not good enough: slcan's polls, and both slcan's and the
-# multicast's end early at what is no frame.
-_SELECTABLE_INTERFACES = ("slcan", "udp_multicast")
-# Where python-can parses lines of text, and raises these at one that is cut or garbled.
-_TEXT_INTERFACES = ("slcan",)
-_NO_FRAME = (IndexError, ValueError)
 # Where the filters are in the kernel or the driver, and error frames come past them. Others would filter in Python, and
 # drop error frames too; there ``_refusal`` does it at no further cost.
 _FILTERING_INTERFACES = ("socketcan", "ixxat")
@@ -54,7 +48,7 @@ class CanLink:
         self._failures = (can.CanError, OSError, ValueError)
         self._rejected = dict.fromkeys(("foreign", "garbled", "unknown_id", "length", *CAUSES), 0)
         self._bus: Any = None
-        self._descriptor: int | None = None
+        self._port: CanPort | None = None
         self.on_foreign: Callable[[Any], None] | None = None
         if url.interface not in can.VALID_INTERFACES:
             raise BadInputError(
@@ -78,7 +72,10 @@ class CanLink:
                 f"link {format_link(self._url)!r}: the interface {self._url.interface!r} has no CAN FD in python-can; "
                 "remove fd=1, or use another interface"
             )
-        self._descriptor = self._find_descriptor()
+        if self._url.interface == "socketcan":
+            self._port = SocketCan(self._can, self._bus, self._url)
+        else:
+            self._port = PythonCan(self._can, self._bus, self._url, self._count_garbled)
 
     def _options(self) -> Iterator[tuple[str, Any]]:
         url = self._url
@@ -102,27 +99,11 @@ class CanLink:
         else:
             yield "channel", url.channel
 
-    def _find_descriptor(self) -> int | None:
-        """Return what to wait on, or None where python-can is to wait."""
-        if self._url.interface not in _SELECTABLE_INTERFACES:
-            return None
-        try:
-            return int(self._bus.fileno())
-        except (*self._failures, NotImplementedError):
-            return None  # slcan over a URL, or on Windows
-
     def send(self, frame: Frame) -> None:
-        message = self._can.Message(
-            arbitration_id=frame.id,
-            data=frame.payload,
-            is_extended_id=False,
-            is_fd=self._url.fd,
-            bitrate_switch=self._url.fd and self._url.data_bitrate is not None,
-        )
-        bus, deadline = self._open_bus(), 0.0
+        port, deadline = self._open_port(), 0.0
         while True:
             try:
-                bus.send(message)
+                port.send(frame)
             except self._failures as error:
                 if not _is_queue_full(error) or (deadline and time.monotonic() > deadline):
                     raise failure(self._url, error) from error
@@ -133,62 +114,39 @@ class CanLink:
 
     def receive(self, timeout_ns: int) -> Received | None:
         deadline_ns = time.monotonic_ns() + timeout_ns if timeout_ns > 0 else 0
-        bus = self._open_bus()
+        port = self._open_port()
         while True:
             try:
-                message = self._next(bus, timeout_ns)
+                raw = port.receive(timeout_ns)
             except self._failures as error:
                 raise failure(self._url, error) from error
-            if message is None:
-                if bus.state is self._can.BusState.ERROR:
+            if raw is None:
+                if self._bus.state is self._can.BusState.ERROR:
                     raise self._bus_off()
                 return None
-            if message.is_error_frame:
-                self._count_error(message)
-            elif (cause := self._refusal(message)) is None:
-                return Received(Frame(message.arbitration_id, bytes(message.data)), time.monotonic_ns())
-            elif cause in self._rejected:
-                self._rejected[cause] += 1
-                if self.on_foreign is not None:
-                    self.on_foreign(message)
+            frame = port.frame_of(raw)
+            cause = self._refusal(frame) if frame is not None else "foreign"
+            if frame is not None and cause is None:
+                return Received(frame, time.monotonic_ns())
+            if cause in self._rejected:
+                self._count(cause, port.message_of(raw))
             timeout_ns = max(0, deadline_ns - time.monotonic_ns())
 
-    def _open_bus(self) -> Any:
-        if self._bus is None:
+    def _open_port(self) -> CanPort:
+        if self._port is None:
             raise LinkError(f"{self.describe()}, is closed; reopen it")
-        return self._bus
+        return self._port
 
-    def _next(self, bus: Any, timeout_ns: int) -> Any:
-        """Return the next frame of any kind, or None after the timeout."""
-        if self._descriptor is None:
-            return self._recv(bus, max(0, timeout_ns) * 1e-9)
-        deadline_ns = time.monotonic_ns() + timeout_ns
-        while select.select([self._descriptor], [], [], max(0, timeout_ns) * 1e-9)[0]:
-            if (message := self._recv(bus, 0)) is not None:
-                return message
-            # What came was no frame, such as an adapter's reply: wait on for what is left of the time.
-            timeout_ns = deadline_ns - time.monotonic_ns()
-        return None
+    def _count_garbled(self) -> None:
+        self._rejected["garbled"] += 1
 
-    def _recv(self, bus: Any, timeout_s: float) -> Any:
-        """Return python-can's next frame, or None when there is none, or when what came was none."""
-        try:
-            return bus.recv(timeout_s)
-        except (IndexError, *self._failures) as error:
-            is_not_text = isinstance(error.__cause__, UnicodeDecodeError)
-            if self._url.interface not in _TEXT_INTERFACES or not (is_not_text or isinstance(error, _NO_FRAME)):
-                raise
-            if is_not_text:
-                bus.flush()  # python-can would try to decode the same bytes with the next line again
-            self._rejected["garbled"] += 1
-            return None
-
-    def _count_error(self, message: Any) -> None:
+    def _count(self, cause: str, message: Any) -> None:
+        """Count what is refused, an error frame by what it tells."""
+        causes = causes_of(message.arbitration_id, bytes(message.data)) if message.is_error_frame else (cause,)
         if self.on_foreign is not None:
             self.on_foreign(message)
-        causes = causes_of(message.arbitration_id, bytes(message.data))
-        for cause in causes:
-            self._rejected[cause] += 1
+        for one in causes:
+            self._rejected[one] += 1
         if BUS_OFF in causes:
             raise self._bus_off()
 
@@ -199,17 +157,15 @@ class CanLink:
             f"ip link set {self._url.channel} type can restart-ms 100"
         )
 
-    def _refusal(self, message: Any) -> str | None:
-        if message.is_extended_id or message.is_remote_frame:
-            return "foreign"
-        if SENDERS.get(message.arbitration_id, self._hears) != self._hears:
+    def _refusal(self, frame: Frame) -> str | None:
+        if SENDERS.get(frame.id, self._hears) != self._hears:
             return "own"
         if self._hears == "HOST":
             return None
-        expected = LENGTHS.get(message.arbitration_id)
+        expected = LENGTHS.get(frame.id)
         if expected is None:
             return "unknown_id"
-        return None if len(message.data) == expected else "length"
+        return None if len(frame.payload) == expected else "length"
 
     def rejected(self) -> dict[str, int]:
         return dict(self._rejected)
@@ -220,7 +176,7 @@ class CanLink:
         return f"CAN{' FD' if url.fd else ''} interface {url.interface}, channel {url.channel}, {rate}"
 
     def close(self) -> None:
-        bus, self._bus = self._bus, None
+        bus, self._bus, self._port = self._bus, None, None
         if bus is not None:
             try:
                 bus.shutdown()

@@ -63,9 +63,10 @@ class DelayedLink:
 
     def service(self) -> None:
         """Hand over the commands that are due."""
-        now_ns = self._clock.now_ns()
-        while self._outgoing and self._outgoing[0][0] <= now_ns:
-            self._link.send(self._outgoing.popleft()[1])
+        if self._outgoing:
+            now_ns = self._clock.now_ns()
+            while self._outgoing and self._outgoing[0][0] <= now_ns:
+                self._link.send(self._outgoing.popleft()[1])
         self._link.service()
 
     def flush(self) -> None:

@@ -177,7 +177,7 @@ class FaultLink:
 
     def service(self, *, everything: bool = False) -> None:
         """Hand over the commands that are due, or with ``everything`` all that are held."""
-        t_ns = self._time.now_ns()
+        t_ns = self._time.now_ns() if self._has_faults else None
         if t_ns is not None:
             self._let_go(t_ns, everything=everything)
 
