@@ -52,7 +52,7 @@ class Profile:
         in SPEED mode. ``braking_share`` is what a robot that is heavier than believed still has: 0.85 with 20 % more
         mass. ``speed_lag_s`` is how late the firmware's estimate of a wheel's speed is, 2 / tracking_bandwidth_rad_s.
         With ``keeps_speed_limit`` the profile stays within the robot's wheel speed limit in TORQUE mode too, where
-        nothing else keeps it; in SPEED mode it always does.
+        nothing else keeps it and no other law does; in SPEED mode it always does.
         """
 
         k1_1_s: float = 20.0
@@ -61,7 +61,7 @@ class Profile:
         observer_rad_s: float = 70.0
         speed_k1_1_s: float = 12.0
         speed_lag_s: float = 0.0133
-        keeps_speed_limit: bool = False
+        keeps_speed_limit: bool = True
 
         def __post_init__(self) -> None:
             require_positive(self, "k1_1_s", "k2_1_s", "braking_share", "observer_rad_s", "speed_k1_1_s")
