@@ -6,6 +6,8 @@
 
 static const int MOST_SECANTS = 10;
 static const int MOST_SEARCHES = 60;
+/* Below this a battery is empty. A search for its voltage may end at any number next to zero. */
+static const double EMPTY_V = 1e-6;
 
 static double clamp(double x, double low, double high) {
     return fmin(fmax(x, low), high);
@@ -39,7 +41,7 @@ static double winding_heat_w(const mecanum_parameters *p, const double *current_
 
 static void load_battery(const mecanum_parameters *p, double voltage_v, double power, mecanum_drive *drive) {
     drive->battery_v = voltage_v;
-    drive->battery_a = voltage_v > 0.0 ? power / voltage_v : 0.0;
+    drive->battery_a = voltage_v > EMPTY_V ? power / voltage_v : 0.0;
     drive->lost_w = p->battery_resistance_ohm * drive->battery_a * drive->battery_a;
     drive->supplied_w = power + drive->lost_w;
 }
@@ -122,9 +124,13 @@ static double searched_voltage_v(const mecanum_parameters *p, double axle_consta
     return voltage_v;
 }
 
-/* The same from a guess, by the secant method: a few steps, where the battery is far from its end. */
+/* The same from a guess, by the secant method: a few steps, where the battery is far from its end and not
+ * empty. */
 static double pushing_voltage_v(const mecanum_parameters *p, double axle_constant, const double *set_a,
                                 const double *speed_rad_s, double guess_v, double *current_a) {
+    if (guess_v <= EMPTY_V) {
+        return searched_voltage_v(p, axle_constant, set_a, speed_rad_s, current_a);
+    }
     double before_v = guess_v;
     double before = surplus_v(p, axle_constant, set_a, speed_rad_s, before_v, current_a);
     double now_v = before_v + before;

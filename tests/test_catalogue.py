@@ -179,7 +179,7 @@ def test_an_unsafe_firmware_is_caught(flaw, tmp_path, monkeypatch) -> None:
     library = tmp_path / "libunsafe.so"
     compile_shared(sources, library, flags=("-w", "-O0", f"-I{HERE / 'firmware'}"))
     monkeypatch.setenv("WHEEL_HOST_LIBRARY", str(library))
-    verdicts = perform_all(alone(Asked("circle_speed", [], ["memory"], kinds, tmp_path)), 1, 60.0)
+    verdicts = perform_all(WORK, alone(Asked("circle_speed", [], ["memory"], kinds, tmp_path)), 1, 60.0)
     assert any(verdict.verdict.startswith("unsafe") for verdict in verdicts), verdicts
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from tests.plant_testbed import (
@@ -74,6 +74,10 @@ def internal_step_s(parameters: Mapping[str, float]) -> float:
 
 @settings(max_examples=150, suppress_health_check=[HealthCheck.too_slow])
 @given(extremes(), inputs)
+@example(
+    dict.fromkeys(START, 0.0) | {"battery_voltage_v": 0.0, "gear_ratio": 0.01, "com_x_m": -10.0, "drive": 2.0},
+    [((0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0, 0.0), (1.0, 0.0, 0.0))],
+)
 def test_extreme_robots_stay_finite_and_make_no_energy(parameters: dict[str, float], run: list[Any]) -> None:
     """Where sampled motion cannot follow, a step is an error that names the trouble; elsewhere heat only grows."""
     with slave(initialised=False) as fmu:
