@@ -78,6 +78,8 @@ def _likeness(word: str, known: str) -> float:
     head, dot, rest = known.partition(".")
     if word_dot and dot and word_head == head:
         return _likeness(word_rest, rest)
+    if sorted(word) == sorted(known):
+        return 1.0  # the right letters in another order, which matters in short names
     return difflib.SequenceMatcher(None, known, word).ratio()
 
 

@@ -141,7 +141,7 @@ def test_a_law_without_options_takes_none(write, constructor):
     ("spec", "message"),
     [
         ("afdcs", "controller.law = 'afdcs': unknown; did you mean 'afdsc'?"),
-        ("lqr", "controller.law = 'lqr': unknown; did you mean 'lqi'?"),
+        ("lqr", f"controller.law = 'lqr': unknown; known: {', '.join(sorted(SHIPPED))}"),
         ("my_law.py", "controller.law = 'my_law.py': name the class too, as in 'my_law.py:MyLaw'"),
         (
             "no_such_package.law:Law",
