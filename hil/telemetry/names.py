@@ -5,6 +5,8 @@ RUN_PROPERTY = "run"
 SIGNALS_PROPERTY = "signals"
 SUMMARY_PROPERTY = "summary"
 RECORDER_PROPERTY = "recorder"
+PART_PROPERTY = "part"
+"""Which file of the run it is: the run's ``recording_id``, its ``number`` from 1, and the run's row that it begins at."""
 
 
 def state_names() -> dict[int, str]:
