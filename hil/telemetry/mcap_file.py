@@ -73,7 +73,7 @@ class McapFile:
         self._last_ns = zero_unix_ns
         tree = _tree(signals)
         self._order = _leaves(tree)
-        self._writer = Writer(self._file, compression=CompressionType.ZSTD)
+        self._writer: Any = Writer(self._file, compression=CompressionType.ZSTD)
         self._writer.start(library=APPLICATION)
         self._writer.add_metadata(RUN_PROPERTY, dict(properties))
         held = {SIGNALS_TOPIC: [signals[i] for i in self._order]}

@@ -60,6 +60,11 @@ class Parts:
         self._t_column = config["signals"].index("loop.t_s")
         self._events: list[tuple[float, str, str]] = []
         self._file: RunFile | None = None
+        self._part_path = self._path
+        self._identity: tuple[int, int] | None = None
+        self._rows = 0
+        self._begun_s: float | None = None
+        self._look_s = 0.0
         self._abandoned: list[RunFile] = []  # a file whose disk is full is better never closed: rerun waits for it
         self._next_try_s = self._back_off_s = 0.0
         try:
@@ -161,7 +166,7 @@ class Parts:
         self._identity = _identity(path)
         self._part_path = path
         self._rows = 0
-        self._begun_s: float | None = None
+        self._begun_s = None
         self._look_s = time.monotonic() + _LOOK_AFTER_S
 
     def _give_up(self, error: Exception) -> None:

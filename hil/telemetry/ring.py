@@ -2,8 +2,9 @@
 
 ``head`` and ``tail`` count rows from the start and never wrap; only the producer writes ``head``, only the
 consumer writes ``tail``. Each is stored as one aligned 64-bit word, so that the other side sees the old or
-the new value. What the consumer counts lies there too, so that another can take its place. Python has no memory barrier: a consumer on a processor with weak ordering must not read a row
-the moment ``head`` covers it. The recorder reads up to the ``head`` of its previous poll, milliseconds old.
+the new value. What the consumer counts lies there too, so that another can take the place of one that died.
+Python has no memory barrier: a consumer on a processor with weak ordering must not read a row the moment
+``head`` covers it. The recorder reads up to the ``head`` of its previous poll, milliseconds old.
 """
 
 import struct

@@ -80,8 +80,8 @@ class Recording:
     next part (``RUN-2.rrd``), with the rows that were not safe yet. See RECORDING.md.
 
     Args:
-        path: the ``.rrd`` or ``.mcap`` file, or None for a live view alone. properties: what the run is, as texts by name
-        (see ``hil.telemetry.provenance``). blocking: in lockstep, ``put`` waits for room in the ring; in real
+        path: the ``.rrd`` or ``.mcap`` file, or None for a live view alone. properties: what the run is, as texts by
+        name (see ``hil.telemetry.provenance``). blocking: in lockstep, ``put`` waits for room in the ring; in real
         time it drops the row and counts. live_port: serve live viewers on this port of 127.0.0.1. capacity:
         rows that the ring holds. signals: the names of a row's values; ``loop.t_s``, ``loop.tick`` and what
         is drawn must be among them. rotation: when the recording goes on in another file.

@@ -27,13 +27,13 @@ from hil.telemetry.names import (
     PART_PROPERTY,
     RECORDER_PROPERTY,
     RUN_PROPERTY,
+    SIGNALS_PATH,
     SIGNALS_PROPERTY,
     SUMMARY_PROPERTY,
     state_names,
 )
 from hil.telemetry.ring import Rows
 
-SIGNALS_PATH = "/signals"
 DRAWN_PERIOD_S = 0.005
 _DRAWN_AT_ONCE = 500
 TRAIL_PERIOD_S = 0.04
@@ -121,7 +121,7 @@ class Stream:
         drawn = self._drawn_decimator.keep(times[:, 0])
         indexes = _indexes(times[drawn])
         for path, columns in self._entities:
-            values = rows[np.ix_(drawn, columns)]
+            values = rows[drawn][:, columns]
             self._rerun.send_columns(path, indexes=indexes, columns=rr.Scalars.columns(scalars=values))
         keep = self._trail_decimator.keep(times[:, 0])
         if len(keep):
