@@ -12,6 +12,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
+
 from hil.telemetry.files import Rotation, part_path, why_not_written
 from hil.telemetry.ring import RingReader, Rows
 from hil.telemetry.ring_child import Record, RefusedError
@@ -20,7 +22,6 @@ BATCH_ROWS = 1000
 _FIRST_BACK_OFF_S = 0.5
 _LONGEST_BACK_OFF_S = 8.0
 _ROOM_BYTES = 16 << 20
-_LOOK_AFTER_S = 1.0
 
 
 class RunFile(Protocol):
@@ -64,7 +65,6 @@ class Parts:
         self._identity: tuple[int, int] | None = None
         self._rows = 0
         self._begun_s: float | None = None
-        self._look_s = 0.0
         self._abandoned: list[RunFile] = []  # a file whose disk is full is better never closed: rerun waits for it
         self._next_try_s = self._back_off_s = 0.0
         try:
@@ -83,20 +83,19 @@ class Parts:
         """Write what events there are, and see whether the file is still there."""
         if self._events:
             self._write(lambda _file: None)
-        if self._file is not None and time.monotonic() >= self._look_s:
-            self._look_s = time.monotonic() + _LOOK_AFTER_S
-            self._write(lambda _file: self._check_there())
+        if self._file is not None and _identity(self._part_path) != self._identity:
+            self._write(lambda _file: None)
 
     def take(self, stop: int) -> None:
         """Write the rows of the ring before ``stop``, and release those that are safe."""
         while (start := self._ring.tail) < stop:
-            end = min(stop, start + BATCH_ROWS)
-            rows = self._ring.rows(start, end)
+            rows = self._of_one_part(self._ring.rows(start, min(stop, start + BATCH_ROWS)))
+            end = start + len(rows)
             if self._write(lambda file, rows=rows: file.rows(rows)):  # type: ignore[misc]
                 self._ring.add_saved(len(rows))
                 self._rows += len(rows)
                 self._ring.release(end)
-                self._rotate(float(rows[0, self._t_column]), float(rows[-1, self._t_column]))
+                self._end_by_size()
             elif self._ring.head - start > self._ring.capacity // 2:
                 self._ring.release(end)
             else:
@@ -106,8 +105,6 @@ class Parts:
         """Write all that is in the ring and close the file; what cannot be written now is lost."""
         self._next_try_s = 0.0
         self.take(self._ring.head)
-        if self._file is not None:
-            self._write(lambda _file: self._check_there())
         if self._ring.tail < self._ring.head:  # the file went with the last rows: the ring may still reach another
             self._next_try_s = 0.0
             self.take(self._ring.head)
@@ -135,6 +132,7 @@ class Parts:
             write(file)
             if flush:
                 file.flush()
+                self._check_there()
         except (RuntimeError, OSError) as error:
             self._give_up(error)
             return False
@@ -166,8 +164,6 @@ class Parts:
         self._identity = _identity(path)
         self._part_path = path
         self._rows = 0
-        self._begun_s = None
-        self._look_s = time.monotonic() + _LOOK_AFTER_S
 
     def _give_up(self, error: Exception) -> None:
         """Leave the file as it is; the next try comes after a while, and then after twice as long."""
@@ -185,17 +181,29 @@ class Parts:
             self._ring.add_saved(-self._rows)
             raise FileNotFoundError(errno.ENOENT, f"{self._part_path.name} was removed")
 
-    def _rotate(self, first_s: float, last_s: float) -> None:
-        """Close the file when it has its size or time; the next rows open another."""
-        if self._begun_s is None:
-            self._begun_s = first_s
-        size_bytes, duration_s = self._rotation
-        long = duration_s is not None and last_s - self._begun_s >= duration_s
-        if long or (size_bytes is not None and _size_bytes(self._part_path) >= size_bytes):
-            self._write(lambda file: file.finish(None, self._counts()))
-            self._write(lambda file: file.close(), flush=False)
-            self._file = None
-            self._next_try_s = self._back_off_s = 0.0
+    def _of_one_part(self, rows: Rows) -> Rows:
+        """Return those of the rows that belong into one part, by their time; ends the part that is over before them."""
+        duration_s = self._rotation.duration_s
+        if duration_s is None:
+            return rows
+        t_s = rows[:, self._t_column]
+        if self._file is not None and self._begun_s is not None and t_s[0] - self._begun_s >= duration_s:
+            self._end()
+        if self._file is None or self._begun_s is None:
+            self._begun_s = float(t_s[0])
+        return rows[: max(1, int(np.searchsorted(t_s - self._begun_s, duration_s)))]
+
+    def _end_by_size(self) -> None:
+        size_bytes = self._rotation.size_bytes
+        if size_bytes is not None and _size_bytes(self._part_path) >= size_bytes:
+            self._end()
+
+    def _end(self) -> None:
+        """Close the file; the next rows open another."""
+        self._write(lambda file: file.finish(None, self._counts()))
+        self._write(lambda file: file.close(), flush=False)
+        self._file = None
+        self._next_try_s = self._back_off_s = 0.0
 
 
 def _identity(path: Path) -> tuple[int, int] | None:
