@@ -8,6 +8,7 @@ Python has no memory barrier: a consumer on a processor with weak ordering must 
 """
 
 import struct
+from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +31,10 @@ class RingWriter:
     """The producer's side.
 
     Raises ValueError for a capacity or width below one.
+
+    Attributes:
+        try_put: stores one row; returns False, and stores and counts nothing, when the ring is full. Raises struct.error
+            when the row has another width or holds something that is not a number.
     """
 
     def __init__(self, block: SharedBlock, capacity: int, width: int) -> None:
@@ -37,18 +42,14 @@ class RingWriter:
             raise ValueError(f"ring of {capacity} rows of {width} floats: both must be at least 1")
         self._words = block.buffer[:_HEADER_BYTES].cast("q")
         self._rows = block.buffer[_HEADER_BYTES : ring_bytes(capacity, width)]
-        self._pack_into = struct.Struct(f"{width}d").pack_into
-        self._row_bytes = width * 8
-        self._capacity = capacity
-        self._head = 0
-        self._tail_seen = 0
         self._words[_CAPACITY] = capacity
         self._words[_WIDTH] = width
+        self.try_put = _putter(self._words, self._rows, capacity, width)
 
     @property
     def head(self) -> int:
         """Rows put so far, without the dropped ones."""
-        return self._head
+        return self._words[_HEAD]
 
     @property
     def tail(self) -> int:
@@ -75,20 +76,6 @@ class RingWriter:
         """Rows dropped because the ring was full."""
         return self._words[_DROPPED]
 
-    def try_put(self, row: tuple[float, ...]) -> bool:
-        """Store one row; return False, and store and count nothing, when the ring is full.
-
-        Raises struct.error when the row has another width or holds something that is not a number.
-        """
-        head = self._head
-        if head - self._tail_seen >= self._capacity:
-            self._tail_seen = self._words[_TAIL]
-            if head - self._tail_seen >= self._capacity:
-                return False
-        self._pack_into(self._rows, head % self._capacity * self._row_bytes, *row)
-        self._head = self._words[_HEAD] = head + 1
-        return True
-
     def count_dropped(self) -> None:
         """Count one row that was given up."""
         self._words[_DROPPED] += 1
@@ -97,6 +84,28 @@ class RingWriter:
         """Release the views of the block, so that it can be closed."""
         self._words.release()
         self._rows.release()
+
+
+def _putter(
+    words: "memoryview[int]", rows: "memoryview[int]", capacity: int, width: int
+) -> Callable[[tuple[float, ...]], bool]:
+    """Return ``RingWriter.try_put``. It is called in each tick: a closure looks nothing up in an object."""
+    pack_into = struct.Struct(f"{width}d").pack_into
+    row_bytes = width * 8
+    head = tail_seen = 0
+
+    def try_put(row: tuple[float, ...]) -> bool:
+        nonlocal head, tail_seen
+        if head - tail_seen >= capacity:
+            tail_seen = words[_TAIL]
+            if head - tail_seen >= capacity:
+                return False
+        pack_into(rows, head % capacity * row_bytes, *row)
+        head += 1
+        words[_HEAD] = head
+        return True
+
+    return try_put
 
 
 class RingReader:

@@ -13,7 +13,7 @@ import tempfile
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import IO, Any
 
 from hil.child import away_from_terminal, module_command
@@ -40,6 +40,7 @@ class RingProcess:
     Raises BadInputError when the process refuses the config, DeviceError when it does not start.
 
     Attributes:
+        put: takes one row; raises struct.error when its width is another.
         restarts: how often it was started again.
         troubles: how each of those before it ended, in words.
     """
@@ -65,6 +66,7 @@ class RingProcess:
         size = ring_bytes(capacity, width)
         self._block = SharedBlock.create(size)
         self._ring = RingWriter(self._block, capacity, width)
+        self.put = self._putter()
         self._config = {**config, "block": self._block.token, "block_bytes": size, "parent_pid": os.getpid()}
         self._swap = threading.Lock()  # held while the process is exchanged for the next
         self._unsaved: deque[Mapping[str, object]] = deque()
@@ -119,11 +121,6 @@ class RingProcess:
         with self._swap:
             self._forget_saved_lines()
             return self._lines_dropped + len(self._unsaved)
-
-    def put(self, row: tuple[float, ...]) -> None:
-        """Take one row. Raises struct.error when its width is another."""
-        if not self._ring.try_put(row) and not (self._waits and self._put_later(row)):
-            self._ring.count_dropped()
 
     def send(self, record: Mapping[str, object]) -> None:
         """Pass a line on. Never waits for the process."""
@@ -240,6 +237,16 @@ class RingProcess:
         while self._unsaved and self._lines_seen_saved < saved:
             self._unsaved.popleft()
             self._lines_seen_saved += 1
+
+    def _putter(self) -> Callable[[tuple[float, ...]], None]:
+        """Return ``put``, which is called in each tick: a closure looks nothing up in an object."""
+        try_put = self._ring.try_put
+
+        def put(row: tuple[float, ...]) -> None:
+            if not try_put(row) and not (self._waits and self._put_later(row)):
+                self._ring.count_dropped()
+
+        return put
 
     def _put_later(self, row: tuple[float, ...]) -> bool:
         """Wait for room; False, now and for good, when the process has ended or makes no progress."""

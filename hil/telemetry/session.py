@@ -89,6 +89,9 @@ class Recording:
     Raises:
         BadInputError: the path cannot be written, or the port not be used.
         DeviceError: the recorder process did not start.
+
+    Attributes:
+        put: takes one row in the order of the signals; raises struct.error when its length is another.
     """
 
     def __init__(
@@ -126,6 +129,7 @@ class Recording:
             remedy="run without a recording to go on",
             restart=True,
         )
+        self.put = self._process.put
 
     @property
     def path(self) -> Path | None:
@@ -146,10 +150,6 @@ class Recording:
     def restarts(self) -> int:
         """How often the recorder was started again by now."""
         return self._process.restarts
-
-    def put(self, row: tuple[float, ...]) -> None:
-        """Take one row in the order of the signals. Raises struct.error when its length is another."""
-        self._process.put(row)
 
     def event(self, t_s: float, level: str, text: str) -> None:
         """Add a line to the event log; ``level`` is debug, info, warning or error. Never waits."""
