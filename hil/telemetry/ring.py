@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from hil.telemetry.memory import SharedBlock
 
+Row = tuple[float, ...]
 Rows = npt.NDArray[np.float64]
 
 # Words of the header, 8 bytes each. What the two sides write lies in cache lines of its own.
@@ -33,18 +34,21 @@ class RingWriter:
     Raises ValueError for a capacity or width below one.
 
     Attributes:
-        try_put: stores one row; returns False, and stores and counts nothing, when the ring is full. Raises struct.error
-            when the row has another width or holds something that is not a number.
+        try_put: stores one row; when the ring is full, it stores and counts nothing and returns what ``when_full``
+            makes of the row. Raises struct.error when the row has another width or holds something that is not a number.
     """
 
-    def __init__(self, block: SharedBlock, capacity: int, width: int) -> None:
+    def __init__(
+        self, block: SharedBlock, capacity: int, width: int, when_full: Callable[[Row], bool] = lambda _row: False
+    ) -> None:
         if capacity < 1 or width < 1:
             raise ValueError(f"ring of {capacity} rows of {width} floats: both must be at least 1")
         self._words = block.buffer[:_HEADER_BYTES].cast("q")
         self._rows = block.buffer[_HEADER_BYTES : ring_bytes(capacity, width)]
         self._words[_CAPACITY] = capacity
         self._words[_WIDTH] = width
-        self.try_put = _putter(self._words, self._rows, capacity, width)
+        self.try_put = _putter(self._words, self._rows, capacity, width, when_full)
+        self._capacity = capacity
 
     @property
     def head(self) -> int:
@@ -76,6 +80,11 @@ class RingWriter:
         """Rows dropped because the ring was full."""
         return self._words[_DROPPED]
 
+    @property
+    def full(self) -> bool:
+        """Whether there is no room for another row."""
+        return self.head - self.tail >= self._capacity
+
     def count_dropped(self) -> None:
         """Count one row that was given up."""
         self._words[_DROPPED] += 1
@@ -87,19 +96,23 @@ class RingWriter:
 
 
 def _putter(
-    words: "memoryview[int]", rows: "memoryview[int]", capacity: int, width: int
-) -> Callable[[tuple[float, ...]], bool]:
+    words: "memoryview[int]",
+    rows: "memoryview[int]",
+    capacity: int,
+    width: int,
+    when_full: Callable[[Row], bool],
+) -> Callable[[Row], bool]:
     """Return ``RingWriter.try_put``. It is called in each tick: a closure looks nothing up in an object."""
     pack_into = struct.Struct(f"{width}d").pack_into
     row_bytes = width * 8
     head = tail_seen = 0
 
-    def try_put(row: tuple[float, ...]) -> bool:
+    def try_put(row: Row) -> bool:
         nonlocal head, tail_seen
         if head - tail_seen >= capacity:
             tail_seen = words[_TAIL]
             if head - tail_seen >= capacity:
-                return False
+                return when_full(row)
         pack_into(rows, head % capacity * row_bytes, *row)
         head += 1
         words[_HEAD] = head

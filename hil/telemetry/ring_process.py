@@ -14,13 +14,13 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from typing import IO, Any
+from typing import IO, Any, cast
 
 from hil.child import away_from_terminal, module_command
 from hil.errors import BadInputError, DeviceError
 from hil.telemetry.channel import LineReader, LineWriter, Patience
 from hil.telemetry.memory import SharedBlock
-from hil.telemetry.ring import RingWriter, ring_bytes
+from hil.telemetry.ring import RingWriter, Row, ring_bytes
 
 _PATIENCE_WAITS = 60_000  # of 0.5 ms, without any progress of the other process: about 30 s
 _EXIT_TIMEOUT_S = 10.0
@@ -65,8 +65,8 @@ class RingProcess:
         self._environment = dict(environment)
         size = ring_bytes(capacity, width)
         self._block = SharedBlock.create(size)
-        self._ring = RingWriter(self._block, capacity, width)
-        self.put = self._putter()
+        self._ring = RingWriter(self._block, capacity, width, self._put_later)
+        self.put = cast(Callable[[Row], None], self._ring.try_put)
         self._config = {**config, "block": self._block.token, "block_bytes": size, "parent_pid": os.getpid()}
         self._swap = threading.Lock()  # held while the process is exchanged for the next
         self._unsaved: deque[Mapping[str, object]] = deque()
@@ -79,7 +79,7 @@ class RingProcess:
         self.troubles: list[str] = []
         self._last_line: Mapping[str, object] | None = None
         self._ready = False
-        self._launch()
+        self._launch(0)
         self._keeper = threading.Thread(target=self._keep, name="keeper", daemon=True)
         self._keeper.start()
         reply = self._report()
@@ -162,14 +162,14 @@ class RingProcess:
         self._block.close()
         self._stderr.close()
 
-    def _launch(self) -> None:
+    def _launch(self, restarts: int) -> None:
         """Start a process and give it its config."""
         self._stderr: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 -- closed with the process
         self._process = _start(self._module, self._block, self._stderr, self._environment)
         self._started_s = time.monotonic()
         self._lines = LineWriter(_descriptor(self._process.stdin))
         self._replies = LineReader(_descriptor(self._process.stdout))
-        self._lines.send({**self._config, "restarts": self.restarts}, always=True)
+        self._lines.send({**self._config, "restarts": restarts}, always=True)
 
     def _report(self) -> dict[str, Any]:
         """Return the next reply; empty when the process ended without one for good, or makes no progress."""
@@ -219,9 +219,9 @@ class RingProcess:
             for pipe in (self._process.stdin, self._process.stdout, self._stderr):
                 if pipe is not None:
                     pipe.close()
-            self.restarts += 1
             self._ready = False
-            self._launch()
+            self._launch(self.restarts + 1)
+            self.restarts += 1
         return True
 
     def _say_again(self) -> None:
@@ -238,23 +238,14 @@ class RingProcess:
             self._unsaved.popleft()
             self._lines_seen_saved += 1
 
-    def _putter(self) -> Callable[[tuple[float, ...]], None]:
-        """Return ``put``, which is called in each tick: a closure looks nothing up in an object."""
-        try_put = self._ring.try_put
-
-        def put(row: tuple[float, ...]) -> None:
-            if not try_put(row) and not (self._waits and self._put_later(row)):
-                self._ring.count_dropped()
-
-        return put
-
-    def _put_later(self, row: tuple[float, ...]) -> bool:
-        """Wait for room; False, now and for good, when the process has ended or makes no progress."""
+    def _put_later(self, row: Row) -> bool:
+        """Wait for room, in lockstep; else, and when there is no hope of any, drop the row and count."""
         patience = Patience(_PATIENCE_WAITS)
-        while not self._gone.is_set() and patience.wait((self._ring.tail, self.restarts)):
-            if self._ring.try_put(row):
-                return True
+        while self._waits and not self._gone.is_set() and patience.wait((self._ring.tail, self.restarts)):
+            if not self._ring.full:
+                return self._ring.try_put(row)
         self._waits = False
+        self._ring.count_dropped()
         return False
 
     def _trouble(self) -> str:

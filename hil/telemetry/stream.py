@@ -35,7 +35,7 @@ from hil.telemetry.names import (
 from hil.telemetry.ring import Rows
 
 DRAWN_PERIOD_S = 0.005
-_DRAWN_AT_ONCE = 500
+_DRAWN_AT_ONCE = 1000
 TRAIL_PERIOD_S = 0.04
 _TRAILS: tuple[tuple[str, str, Colour, float], ...] = (
     # path, group of signals, colour, line width [px]; drawn in this order, the reference widest and lowest
