@@ -35,7 +35,7 @@ class RingWriter:
 
     Attributes:
         try_put: stores one row; when the ring is full, it stores and counts nothing and returns what ``when_full``
-            makes of the row. Raises struct.error when the row has another width or holds something that is not a number.
+            makes of the row. Raises struct.error when the row has another width or holds what is no number.
     """
 
     def __init__(

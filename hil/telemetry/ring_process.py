@@ -189,6 +189,7 @@ class RingProcess:
 
     def _keep(self) -> None:
         """Take the replies, and see to it that there is a process; in a thread that else only waits."""
+        _start_children_as_ordinary()
         starts = 0
         finished = False
         while True:
@@ -269,6 +270,17 @@ def _start(module: str, block: SharedBlock, stderr: Any, environment: Mapping[st
         env=dict(environment),
         **options,
     )
+
+
+def _start_children_as_ordinary() -> None:
+    """Have processes that this thread starts begin without a real-time priority that it may have inherited.
+
+    One that imports its libraries with the loop's own priority makes ticks late by tens of milliseconds.
+    """
+    if sys.platform == "linux":
+        policy = os.sched_getscheduler(0)
+        if policy in (os.SCHED_FIFO, os.SCHED_RR):
+            os.sched_setscheduler(0, policy | os.SCHED_RESET_ON_FORK, os.sched_getparam(0))
 
 
 def _descriptor(pipe: Any) -> int:
