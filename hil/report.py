@@ -173,7 +173,7 @@ def _what_became_of(recorded: Mapping[str, Any], path: str | None) -> str:
     if recorded["error"] or recorded["dropped"] or recorded["lost"] or recorded["events_lost"]:
         why = recorded["error"] or "the recorder was too slow"
         events = f", {recorded['events_lost']} events lost" if recorded["events_lost"] else ""
-        rest = "" if path is None else f"; {recorded['rows']} are safe in {path}{parts}"
+        rest = "" if path is None else f", {recorded['rows']} are safe in {path}{parts}"
         counts = f"{recorded['dropped']} rows were dropped and {recorded['lost']} lost{events}"
         return f"incomplete: {why}; {counts}{rest}"
     if recorded["troubles"]:
