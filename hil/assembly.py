@@ -22,7 +22,7 @@ from hil.ports import Controller, Sink
 from hil.references import Feasibility, ReferenceSource, feasibility, make_reference
 from hil.results import MemorySink, RunResult, Series, applied_words, expectations
 from hil.scenario import Scenario, load
-from hil.telemetry import Recording, RunRecording, check_output_path
+from hil.telemetry import Recording, Rotation, RunRecording, check_output_path, rotation
 from hil.telemetry.provenance import properties
 from hil.trace import Trace
 
@@ -39,21 +39,24 @@ def run(
     seed: int | None = None,
     truth: str | None = None,
     record: str | Path | None = None,
+    rotate: str | None = None,
     trace: str | Path | None = None,
     allow_motion: bool = False,
 ) -> RunResult:
     """Run a scenario and return its result; the same as ``hil run``.
 
     ``scenario`` is a shipped name or a path; ``set`` overrides any of its keys, ``robot`` merges a robot's own file.
-    ``truth`` is the URL of the truth socket of a robot in another process, ``record`` an ``.rrd`` file, ``trace`` a
-    ``.blf``, ``.asc`` or ``.log`` file for what is on the wire.
+    ``truth`` is the URL of the truth socket of a robot in another process, ``record`` an ``.rrd`` or ``.mcap``
+    file, ``rotate`` when it goes on in another, as in ``1GB|10min``, ``trace`` a ``.blf``, ``.asc`` or ``.log`` file
+    for what is on the wire.
 
     Raises BadInputError for a wrong scenario or option, LinkError or DeviceError when the robot cannot be reached or
     does not arm. What fails later is in the result.
     """
     loaded = load(scenario, set=set, robot=robot, mode=mode, link=link, seed=seed)
     recording, traced = (Path(path) if path is not None else None for path in (record, trace))
-    return run_scenario(loaded, truth=truth, record=recording, trace=traced, allow_motion=allow_motion)
+    parts = rotation(rotate) if rotate is not None else Rotation()
+    return run_scenario(loaded, truth=truth, record=recording, rotate=parts, trace=traced, allow_motion=allow_motion)
 
 
 MakeRecording = Callable[..., RunRecording]
@@ -67,6 +70,7 @@ def run_scenario(
     *,
     truth: str | None = None,
     record: Path | None = None,
+    rotate: Rotation = Rotation(),  # noqa: B008 -- immutable
     trace: Path | None = None,
     live_port: int | None = None,
     allow_motion: bool = False,
@@ -104,9 +108,8 @@ def run_scenario(
         memory = MemorySink()
         recording: RunRecording | None = None
         if record is not None or live_port is not None:
-            recording = resources.enter_context(
-                make_recording(record, properties=properties(scenario), blocking=blocking, live_port=live_port)
-            )
+            options = {"blocking": blocking, "live_port": live_port} | ({"rotation": rotate} if any(rotate) else {})
+            recording = resources.enter_context(make_recording(record, properties=properties(scenario), **options))
             recording.event(0.0, "info", f"robot: {robot.describe()}")
             recording.event(0.0, "info", f"link: {bench.device.describe_link()}")
             for sentence in demands.sentences:
@@ -359,5 +362,9 @@ def _close_recording(recording: RunRecording, metrics: dict[str, Any], *, keep_l
         "rows": report.rows_written,
         "dropped": report.rows_dropped,
         "lost": report.rows_lost,
+        "events_lost": report.events_lost,
         "error": report.error,
+        "restarts": report.restarts,
+        "troubles": list(report.troubles),
+        "parts": [str(path) for path in report.parts],
     }

@@ -55,7 +55,11 @@ def run(
     ] = None,
     robot: RobotFile = None,
     record: Annotated[
-        str | None, typer.Option(metavar="FILE|none", help="recording; by default runs/SCENARIO-TIME.rrd")
+        str | None,
+        typer.Option(metavar="FILE|none", help="recording (.rrd, .mcap); by default runs/SCENARIO-TIME.rrd"),
+    ] = None,
+    rotate: Annotated[
+        str | None, typer.Option(metavar="SIZE|TIME", help="record on in another file, as in 1GB, 10min or '1GB|10min'")
     ] = None,
     trace: TraceFile = None,
     live: Annotated[bool, typer.Option("--live", help="serve the rerun viewer on 127.0.0.1 while it runs")] = False,
@@ -69,9 +73,11 @@ def run(
     from hil import report
     from hil.assembly import run_scenario
     from hil.scenario import load
+    from hil.telemetry import Rotation, rotation
 
     signal.signal(signal.SIGTERM, interrupt)
     resolved = load(scenario, set=sets or [], robot=robot, mode=mode, link=link, seed=seed)
+    parts = rotation(rotate) if rotate is not None else Rotation()
     path = report.recording_path(resolved.name, record)
     watch = None if as_json or not sys.stderr.isatty() else report.progress(resolved.loop.duration_s)
     linger = None
@@ -83,6 +89,7 @@ def run(
             resolved,
             truth=truth,
             record=path,
+            rotate=parts,
             trace=trace,
             live_port=live_port if live else None,
             allow_motion=allow_motion,
@@ -163,10 +170,12 @@ def review(
 ) -> None:
     """Read the figures of a run back from its recording alone."""
     from hil import report
+    from hil.review import FIGURE_SIGNALS, read, write_trajectory
     from hil.review import figures as figures_of
-    from hil.review import read, write_trajectory
 
-    recorded = read(recording)
+    recorded = read(recording, FIGURE_SIGNALS)
+    for note in recorded.notes:
+        print(f"hil: {recording}: {note}", file=sys.stderr)
     figures = figures_of(recorded)
     if trajectory is not None:
         write_trajectory(recorded, trajectory)

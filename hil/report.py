@@ -158,8 +158,8 @@ def print_figures(metrics: Mapping[str, Any]) -> None:
     for row in metrics.get("expect") or ():
         print(f"  {'expect':<22} {row['text']}")
     recorded = metrics.get("recorded")
-    if recorded is not None and (recorded["error"] or recorded["dropped"] or recorded["lost"]):
-        print(f"  {'recording':<22} {_what_is_missing(recorded, metrics['recording'])}")
+    if recorded is not None and (text := _what_became_of(recorded, metrics["recording"])):
+        print(f"  {'recording':<22} {text}")
     if (trace := metrics.get("trace")) is not None:
         written = f"{trace['frames']} frames in {trace['path']}"
         print(f"  {'trace':<22} {trace['trouble'] or written}")
@@ -167,11 +167,18 @@ def print_figures(metrics: Mapping[str, Any]) -> None:
         print(f"  {'passed':<22} {'yes' if passed else 'no'}")
 
 
-def _what_is_missing(recorded: Mapping[str, Any], path: str | None) -> str:
-    """Return what a recording lacks, why, and where the rest is."""
-    why = recorded["error"] or "the recorder was too slow"
-    rest = "" if path is None else f", {recorded['rows']} are safe in {path}"
-    return f"incomplete: {why}; {recorded['dropped']} rows were dropped and {recorded['lost']} lost{rest}"
+def _what_became_of(recorded: Mapping[str, Any], path: str | None) -> str:
+    """Return what a recording lacks, why, and where the rest is; empty when all of it is in one file."""
+    parts = f" in {len(recorded['parts'])} parts" if len(recorded["parts"]) > 1 else ""
+    if recorded["error"] or recorded["dropped"] or recorded["lost"] or recorded["events_lost"]:
+        why = recorded["error"] or "the recorder was too slow"
+        events = f", {recorded['events_lost']} events lost" if recorded["events_lost"] else ""
+        rest = "" if path is None else f", {recorded['rows']} are safe in {path}{parts}"
+        counts = f"{recorded['dropped']} rows were dropped and {recorded['lost']} lost{events}"
+        return f"incomplete: {why}; {counts}{rest}"
+    if recorded["troubles"]:
+        return f"complete{parts}, though {'; '.join(recorded['troubles'])}"
+    return f"complete{parts}" if parts else ""
 
 
 def _print_link(link: Mapping[str, Any]) -> None:

@@ -7,13 +7,16 @@ import subprocess
 import sys
 import time
 import urllib.request
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hil.errors import BadInputError
-from hil.review.decode import DamagedError, decode
+from hil.review.contents import DamagedError
+from hil.review.decode import decode
 from hil.telemetry import Recording
 from hil.telemetry.view import (
     free_port,
@@ -24,6 +27,7 @@ from hil.telemetry.view import (
     view,
     viewer_executable,
 )
+from tests.processes import wait_for
 from tests.recorded_circle import circle_rows
 
 linux_only = pytest.mark.skipif(sys.platform != "linux", reason="needs /proc")
@@ -67,7 +71,7 @@ def test_a_run_is_served_thinned_on_the_loopback_interface_alone(tmp_path: Path)
                 try:
                     decoded, signals = decode(received)
                     summary = decoded["summary"]
-                except (DamagedError, FileNotFoundError):
+                except (DamagedError, BadInputError):
                     time.sleep(0.02)
         finally:
             viewer.terminate()
@@ -77,6 +81,52 @@ def test_a_run_is_served_thinned_on_the_loopback_interface_alone(tmp_path: Path)
     assert len(t_s) == 200
     np.testing.assert_allclose(np.diff(t_s), 0.01, atol=1e-9)
     assert listening_addresses(port) == set()
+
+
+@linux_only
+def test_a_viewer_that_is_absent_frozen_killed_and_restarted_costs_no_row(tmp_path: Path) -> None:
+    """The second viewer sees the run again from its beginning, with what came while the first one was frozen."""
+    port, path = free_port(), tmp_path / "run.rrd"
+    rows = list(circle_rows(9000))
+    with Recording(path, properties={}, blocking=False, live_port=port) as recording:
+
+        def put(begin: int, end: int) -> None:
+            for row in rows[begin:end]:
+                recording.put(row)
+            wait_for(lambda: recording.rows_saved == end)
+
+        put(0, 3000)
+        with receiving(port, tmp_path / "first.rrd") as (first, received):
+            wait_for(lambda: received() >= 300)
+            os.kill(first.pid, signal.SIGSTOP)
+            put(3000, 6000)
+            first.kill()
+        put(6000, 9000)
+        report = recording.finish({"passed": True}, keep_live=True)
+        with receiving(port, tmp_path / "second.rrd") as (_, received):
+            wait_for(lambda: received() == 900)
+    assert report.complete
+    assert report.rows_written == 9000
+    _, signals = decode(path)
+    assert signals["loop.tick"].tobytes() == np.arange(9000.0).tobytes()
+
+
+@contextmanager
+def receiving(port: int, path: Path) -> Iterator[tuple["subprocess.Popen[bytes]", Callable[[], int]]]:
+    """A real viewer without a window that saves what it receives, and how many rows that were so far."""
+
+    def received() -> int:
+        try:
+            return decode(path)[0]["rows"]
+        except (DamagedError, BadInputError):
+            return 0
+
+    command = [str(viewer_executable()), "--bind", "127.0.0.1", "--port", str(free_port()), "--save", str(path)]
+    with subprocess.Popen([*command, live_address(port)], env={**os.environ, "RUST_LOG": "off"}) as viewer:
+        try:
+            yield viewer, received
+        finally:
+            viewer.kill()
 
 
 def test_a_port_in_use_is_refused() -> None:

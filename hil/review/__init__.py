@@ -8,8 +8,17 @@ from hil.errors import BadInputError
 from hil.metrics import signal_figures
 from hil.review.reader import Event, RecordedRun, read, to_frame
 from hil.review.trajectory import write_trajectory
+from hil.types import WHEEL_NAMES
 
-__all__ = ["Event", "RecordedRun", "figures", "read", "review", "to_frame", "write_trajectory"]
+__all__ = ["FIGURE_SIGNALS", "Event", "RecordedRun", "figures", "read", "review", "to_frame", "write_trajectory"]
+
+FIGURE_SIGNALS = (
+    *("loop.t_s", "loop.tick_us", "loop.deadline_misses", "error.planar_m", "error.x_m", "error.y_m"),
+    *(f"wheel.{wheel}.current_a" for wheel in WHEEL_NAMES),
+    *(f"{pose}.{name}" for pose in ("pose", "truth") for name in ("x_m", "y_m", "heading_rad")),
+    "guard.saturated",
+)
+"""The signals that ``figures`` needs: those of a long run fit memory, all of them may not."""
 
 _NO_SUMMARY = "the recording has no summary: the run did not come to its end"
 _UNSAID = "the run's summary does not say"
@@ -43,7 +52,7 @@ def review(path: Path) -> dict[str, Any]:
     What the signals tell is computed from them again; the rest comes from the summary that the run left.
     Raises BadInputError when the file is no recording (see ``hil.review.reader.read``).
     """
-    return figures(read(path))
+    return figures(read(path, FIGURE_SIGNALS))
 
 
 def figures(run: RecordedRun) -> dict[str, Any]:
@@ -52,7 +61,7 @@ def figures(run: RecordedRun) -> dict[str, Any]:
         found, reasons = signal_figures(run.signals, _torque_constant_n_m_a(run))
     except KeyError as missing:
         raise BadInputError(f"{run.path}: it has no signal {missing}; no recording of a run") from missing
-    found["ticks"] += run.rows_dropped or 0
+    found["ticks"] += (run.rows_dropped or 0) + run.rows_missing
     found["recording"] = str(run.path)
     summary = run.summary or {}
     for name in _FROM_SUMMARY:

@@ -1,7 +1,8 @@
-"""Decoding of a recording, in a process of its own: ``python -m hil.review.decode RUN.rrd``.
+"""Decoding of a recording, in a process of its own: ``python -m hil.review.decode RUN.rrd [SIGNALS]``.
 
 rerun's reader aborts its whole process on some damaged files; ``hil.review.reader`` starts this one and outlives it.
-The answer on standard output is one line of JSON (``Decoded``), then the values as float64, signal by signal.
+The answer on standard output is one line of JSON (``Decoded``), then the values as float64, signal by signal; SIGNALS
+is a JSON list of those that are wanted.
 """
 
 import functools
@@ -19,12 +20,20 @@ from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, TypedDict
 import numpy as np
 import numpy.typing as npt
 
-from hil.telemetry.names import RECORDER_PROPERTY, RUN_PROPERTY, SIGNALS_PROPERTY, SUMMARY_PROPERTY
+from hil.errors import BadInputError
+from hil.review.contents import Contents, DamagedError, Series, Wanted, json_property
+from hil.telemetry.files import check_is_recording, later_parts
+from hil.telemetry.names import (
+    PART_PROPERTY,
+    RECORDER_PROPERTY,
+    RUN_PROPERTY,
+    SIGNALS_PATH,
+    SIGNALS_PROPERTY,
+    SUMMARY_PROPERTY,
+)
 
 if TYPE_CHECKING:
     import pyarrow as pa
-
-Series = npt.NDArray[np.float64]
 
 # An .rrd file: header of 12 bytes, then messages of (kind u64, length u64, payload), and a footer.
 _HEADER_BYTES = 12
@@ -43,10 +52,78 @@ class Decoded(TypedDict):
     properties: dict[str, str]
     summary: dict[str, Any] | None
     rows_dropped: int | None
+    rows_missing: int
+    parts: list[str]
+    notes: list[str]
 
 
-class DamagedError(Exception):
-    """The file cannot be read as a recording of a run; the text says what is wrong with it."""
+def decode(path: Path, wanted: Wanted = None) -> tuple[Decoded, dict[str, Series]]:
+    """Return what a recording and its later parts hold, and its signals by name. Raises DamagedError."""
+    parts, notes = _parts(path, wanted)
+    first, last = parts[0][1], parts[-1][1]
+    spans, missing = _spans([contents for _, contents in parts])
+    if missing:
+        notes.append(f"{missing} rows between its parts were lost")
+    signals = {
+        name: np.concatenate([c.signals[name][:n] for (_, c), n in zip(parts, spans, strict=True)])
+        if len(parts) > 1
+        else series
+        for name, series in first.signals.items()
+    }
+    recorder = last.json(RECORDER_PROPERTY)
+    decoded = Decoded(
+        signals=list(signals),
+        rows=len(next(iter(signals.values()), ())),
+        events=[event for _, contents in parts for event in contents.events],
+        properties=first.properties.get(RUN_PROPERTY, {}),
+        summary=last.json(SUMMARY_PROPERTY),
+        rows_dropped=None if recorder is None else recorder.get("rows_dropped"),
+        rows_missing=missing,
+        parts=[str(one) for one, _ in parts],
+        notes=notes,
+    )
+    return decoded, signals
+
+
+def _parts(path: Path, wanted: Wanted) -> tuple[list[tuple[Path, Contents]], list[str]]:
+    """Read a file, and those after it that are of the same run; say which of these could not be read."""
+    first = _read(path, wanted)
+    parts, notes = [(path, first)], []
+    part = first.json(PART_PROPERTY)
+    for other in later_parts(path) if part is not None and part["number"] == 1 else ():
+        try:
+            check_is_recording(other)
+            contents = _read(other, wanted)
+        except (DamagedError, BadInputError) as error:
+            notes.append(f"{other.name}, by its name a part of it, is left out: {error}")
+            continue
+        later = contents.json(PART_PROPERTY)
+        if later is not None and part is not None and later["recording_id"] == part["recording_id"]:
+            parts.append((other, contents))
+    return parts, notes
+
+
+def _spans(parts: list[Contents]) -> tuple[list[int], int]:
+    """Return how many rows to take of each part, and how many are in none.
+
+    A recorder that was killed had saved rows that it had no time to say so of: these are in the next part too.
+    """
+    told = [contents.json(PART_PROPERTY) or {"first_row": 0} for contents in parts]
+    lengths = [len(next(iter(contents.signals.values()), ())) for contents in parts]
+    missing = 0
+    for i, after in enumerate(told[1:]):
+        span = int(after["first_row"]) - int(told[i]["first_row"])
+        missing += max(0, span - lengths[i])
+        lengths[i] = min(lengths[i], span)
+    return lengths, missing
+
+
+def _read(path: Path, wanted: Wanted) -> Contents:
+    if check_is_recording(path) == ".mcap":
+        from hil.review.decode_mcap import decode_mcap
+
+        return decode_mcap(path, wanted)
+    return _decode_rrd(path, wanted)
 
 
 class _Part(NamedTuple):
@@ -57,106 +134,108 @@ class _Part(NamedTuple):
     values: Series
 
 
-class _Contents(NamedTuple):
-    parts: dict[str, list[_Part]]
-    properties: dict[str, dict[str, str]]
-    events: list[tuple[float, str, str]]
+class _Entities:
+    """The entities of a file, of which those that hold signals are kept."""
+
+    def __init__(self, wanted: Wanted) -> None:
+        self.wanted = wanted
+        self.parts: dict[str, list[_Part]] = {}
+        self.properties: dict[str, dict[str, str]] = {}
+        self.events: list[tuple[float, str, str]] = []
+
+    def held(self) -> dict[str, list[str]] | None:
+        """Which signals each entity holds, or None while that was not read."""
+        return json_property(self.properties, SIGNALS_PROPERTY)
 
 
-def decode(path: Path) -> tuple[Decoded, dict[str, Series]]:
-    """Return what a recording holds, and its signals by name. Raises DamagedError."""
-    contents = _contents(path)
-    held = _json(contents, SIGNALS_PROPERTY)
-    if held is None:
-        raise DamagedError("a recording of another program")
-    signals = _signals(held, contents.parts)
-    recorder = _json(contents, RECORDER_PROPERTY)
-    decoded = Decoded(
-        signals=list(signals),
-        rows=len(next(iter(signals.values()), ())),
-        events=contents.events,
-        properties=contents.properties.get(RUN_PROPERTY, {}),
-        summary=_json(contents, SUMMARY_PROPERTY),
-        rows_dropped=None if recorder is None else recorder.get("rows_dropped"),
-    )
-    return decoded, signals
-
-
-def _contents(path: Path) -> _Contents:
+def _decode_rrd(path: Path, wanted: Wanted) -> Contents:
     import rerun.chunk as rrc
 
-    contents = _Contents({}, {}, [])
+    entities = _Entities(wanted)
     with _whole_messages(path) as readable, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # "has no footer": so it is, after a kill
         try:
-            for chunk in rrc.RrdReader(readable).stream():
-                _take(chunk.entity_path, chunk.to_record_batch(), contents)
+            stream = rrc.RrdReader(readable).stream
+            held: dict[str, list[str]] | None = None
+            for chunk in stream().filter(content=["/__properties/**", "/events", SIGNALS_PATH]):
+                _take(chunk.entity_path, chunk.to_record_batch(), entities, held)
+                held = held or entities.held()
+            if held is None:
+                raise DamagedError("a recording of another program")
+            # What was received live, and files of before, have their signals where they are drawn.
+            drawn = [path for path, names in held.items() if path != SIGNALS_PATH and _columns(names, wanted)]
+            if drawn:
+                for chunk in stream().filter(content=drawn):
+                    _take(chunk.entity_path, chunk.to_record_batch(), entities, held)
         except (RuntimeError, ValueError, OSError) as error:
             what = str(error).removeprefix(f"Failed to read RRD file at {readable}: ")
             raise DamagedError(f"damaged: {what}") from error
-    return contents
+    return Contents(_signals(held, entities), entities.events, entities.properties)
 
 
-def _json(contents: _Contents, name: str) -> dict[str, Any] | None:
-    """Return a property that holds a JSON object, or None when the recording does not have it."""
-    texts = contents.properties.get(name)
-    if texts is None:
-        return None
-    try:
-        value = json.loads(texts["json"])
-    except (KeyError, ValueError):
-        value = None
-    if not isinstance(value, dict):
-        raise DamagedError(f"damaged: its property {name!r} is not readable")
-    return value
+def _columns(names: list[str], wanted: Wanted) -> list[int]:
+    return [i for i, name in enumerate(names) if wanted is None or name in wanted]
 
 
-def _take(entity: str, batch: "pa.RecordBatch", contents: _Contents) -> None:
+def _take(entity: str, batch: "pa.RecordBatch", entities: _Entities, held: dict[str, list[str]] | None) -> None:
     columns = {name: batch.column(name) for name in batch.schema.names}
     if entity.startswith(_PROPERTIES):
-        texts = contents.properties.setdefault(entity.removeprefix(_PROPERTIES), {})
+        texts = entities.properties.setdefault(entity.removeprefix(_PROPERTIES), {})
         for name, column in columns.items():
             if str(column.type) == "list<item: string>" and (held := column[-1].as_py()):
                 texts[name] = held[0]
     elif {"TextLog:text", "TextLog:level", "t"} <= columns.keys():
         times = columns["t"].cast("int64").to_pylist()
         levels, texts_ = (columns[f"TextLog:{name}"].to_pylist() for name in ("level", "text"))
-        contents.events.extend(
+        entities.events.extend(
             (t_ns / 1e9, level[0], text[0]) for t_ns, level, text in zip(times, levels, texts_, strict=True)
         )
     elif {"Scalars:scalars", "tick"} <= columns.keys():
+        names = (held or {}).get(entity, [])
         ids = columns["rerun.controls.RowId"]
         row_ids = np.frombuffer(ids.buffers()[1], ">u8", count=2 * len(ids), offset=16 * ids.offset)
         values = columns["Scalars:scalars"].flatten().to_numpy()
+        if len(values) != len(batch) * len(names):
+            raise DamagedError(
+                f"damaged: {entity} has {len(values)} values for {len(batch)} rows of {len(names)} signals"
+            )
         part = _Part(
             row_ids.astype(np.uint64).reshape(len(batch), 2),
-            columns["tick"].to_numpy(),
-            values.reshape(len(batch), -1),
+            columns["tick"].to_numpy().copy(),
+            values.reshape(len(batch), -1)[:, _columns(names, entities.wanted)],
         )
-        contents.parts.setdefault(entity, []).append(part)
+        entities.parts.setdefault(entity, []).append(part)
 
 
-def _signals(held: dict[str, list[str]], parts: dict[str, list[_Part]]) -> dict[str, Series]:
+def _signals(held: dict[str, list[str]], entities: _Entities) -> dict[str, Series]:
     """Put the entities' parts in order and side by side."""
-    entities = {entity: _joined(parts.get(entity, [_nothing(len(names))])) for entity, names in held.items()}
-    for entity, names in held.items():
-        width = entities[entity].values.shape[1]
-        if width != len(names):
-            raise DamagedError(f"damaged: {entity} has {width} values for {len(names)} signals")
-    ticks = [entity.ticks for entity in entities.values()]
+    joined: dict[str, tuple[list[str], _Part]] = {}
+    for path, names in held.items():
+        kept = [names[i] for i in _columns(names, entities.wanted)]
+        if kept:
+            joined[path] = kept, _joined(entities.parts.pop(path, [_nothing(len(kept))]))
+    ticks = [part.ticks for _, part in joined.values()]
     if not all(np.array_equal(one, ticks[0]) for one in ticks):
         # After a kill the last rows may have reached some entities only; after a repair any may lack some.
         common = functools.reduce(np.intersect1d, ticks)
-        entities = {path: _only(part, common) for path, part in entities.items()}
-    signals: dict[str, Series] = {}
-    for entity, names in held.items():
-        signals.update(zip(names, entities[entity].values.T.copy(), strict=True))
-    return signals
+        joined = {path: (names, _only(part, common)) for path, (names, part) in joined.items()}
+    return {name: part.values[:, i] for names, part in joined.values() for i, name in enumerate(names)}
 
 
 def _joined(parts: list[_Part]) -> _Part:
-    row_ids, ticks, values = (np.concatenate(column) for column in zip(*parts, strict=True))
-    order = np.lexsort((row_ids[:, 1], row_ids[:, 0]))
+    """Put the pieces of an entity together in the order of writing; takes them out of the list, to save memory."""
+    row_ids = np.concatenate([part.row_ids for part in parts])
+    ticks = np.concatenate([part.ticks for part in parts])
+    values = np.empty((len(ticks), parts[0].values.shape[1]))
+    end = len(ticks)
+    while parts:
+        piece = parts.pop().values
+        values[end - len(piece) : end] = piece
+        end -= len(piece)
+    upper, lower = row_ids.T
+    if ((upper[1:] > upper[:-1]) | ((upper[1:] == upper[:-1]) & (lower[1:] > lower[:-1]))).all():
+        return _Part(row_ids, ticks, values)
+    order = np.lexsort((lower, upper))
     return _Part(row_ids[order], ticks[order], values[order])
 
 
@@ -209,13 +288,13 @@ def main() -> int:
     os.dup2(2, 1)  # what a library prints must not get into the answer
     with output:
         try:
-            decoded, signals = decode(Path(sys.argv[1]))
+            decoded, signals = decode(Path(sys.argv[1]), json.loads(sys.argv[2]) if len(sys.argv) > 2 else None)
         except DamagedError as damage:
             output.write(json.dumps({"damage": str(damage)}).encode() + b"\n")
             return 1
         output.write(json.dumps(decoded).encode() + b"\n")
         for name in decoded["signals"]:
-            output.write(signals[name].tobytes())
+            output.write(np.ascontiguousarray(signals[name]).data)
     return 0
 
 

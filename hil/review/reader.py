@@ -5,9 +5,10 @@ Works for a file without an end too: one whose recorder was killed.
 
 import json
 import subprocess
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -38,12 +39,15 @@ class RecordedRun:
     """What a recording holds.
 
     Attributes:
-        path: the file.
+        path: the file; the first of its parts.
         signals: float64 arrays of one length by the signal's name, in the order in which the rows were recorded.
         events: the event log.
         properties: what the run was, as texts by name.
         summary: what the run said at its end; None when it never came to that.
         rows_dropped: rows that the run had to drop; None when the recorder never came to say.
+        rows_missing: rows that are in none of its parts.
+        parts: the files, in order.
+        notes: what a reader should know of the files: what is missing, or could not be read.
     """
 
     path: Path
@@ -52,27 +56,37 @@ class RecordedRun:
     properties: dict[str, str]
     summary: dict[str, Any] | None
     rows_dropped: int | None
+    rows_missing: int = 0
+    parts: tuple[Path, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
-def read(path: Path) -> RecordedRun:
-    """Read a recording made by ``hil run``.
+def read(path: Path, signals: Collection[str] | None = None) -> RecordedRun:
+    """Read a recording made by ``hil run``, with its later parts when it is the first of several.
+
+    ``signals`` names the ones to read, for a long run that would not fit memory; None reads all.
 
     Raises BadInputError when the file is missing, empty, no recording, damaged, or one of another program.
     """
     check_is_recording(path)
+    wanted = [] if signals is None else [json.dumps(sorted(signals))]
     # A process of its own: the library aborts on some damaged files.
-    answer = subprocess.run(
-        module_command("hil.review.decode", str(path)),
+    with subprocess.Popen(
+        module_command("hil.review.decode", str(path), *wanted),
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         env=rerun_environment(),
-        check=False,
-    )
-    line, _, values = answer.stdout.partition(b"\n")
-    head: dict[str, Any] = json.loads(line) if line else {"damage": "damaged: its content makes no sense"}
-    if "damage" in head:
-        raise BadInputError(f"{path}: {head['damage']}; expected {EXPECTED_FILE}; {_REPAIR}")
-    table = np.frombuffer(values, dtype=np.float64).reshape(len(head["signals"]), head["rows"])
+    ) as decoder:
+        assert decoder.stdout is not None
+        line = decoder.stdout.readline()
+        head: dict[str, Any] = (
+            json.loads(line) if line.endswith(b"\n") else {"damage": "damaged: its content makes no sense"}
+        )
+        if "damage" in head:
+            repair = f"; {_REPAIR}" if path.suffix == ".rrd" else ""
+            raise BadInputError(f"{path}: {head['damage']}; expected {EXPECTED_FILE}{repair}")
+        table = np.empty((len(head["signals"]), head["rows"]))
+        _read_into(decoder.stdout, table)
     return RecordedRun(
         path=path,
         signals=dict(zip(head["signals"], table, strict=True)),
@@ -80,7 +94,21 @@ def read(path: Path) -> RecordedRun:
         properties=head["properties"],
         summary=head["summary"],
         rows_dropped=head["rows_dropped"],
+        rows_missing=head["rows_missing"],
+        parts=tuple(map(Path, head["parts"])),
+        notes=tuple(head["notes"]),
     )
+
+
+def _read_into(stream: IO[bytes], table: npt.NDArray[np.float64]) -> None:
+    """Fill a table without a second copy of it in memory."""
+    left = memoryview(table.reshape(-1).view(np.uint8).data)
+    while len(left):
+        piece = stream.read(min(len(left), 1 << 20))
+        if not piece:
+            raise BadInputError("the decoder of the recording ended too early; is there memory enough for it?")
+        left[: len(piece)] = piece
+        left = left[len(piece) :]
 
 
 def to_frame(run: RecordedRun) -> "pd.DataFrame":

@@ -1,6 +1,14 @@
 """Telemetry: one tap, in another process. ``session`` is the run's side."""
 
-from hil.telemetry.files import check_is_recording, check_output_path
+from hil.telemetry.files import Rotation, check_is_recording, check_output_path, rotation
 from hil.telemetry.session import Recording, RecordingReport, RunRecording
 
-__all__ = ["Recording", "RecordingReport", "RunRecording", "check_is_recording", "check_output_path"]
+__all__ = [
+    "Recording",
+    "RecordingReport",
+    "Rotation",
+    "RunRecording",
+    "check_is_recording",
+    "check_output_path",
+    "rotation",
+]

@@ -2,19 +2,24 @@
 
 ``head`` and ``tail`` count rows from the start and never wrap; only the producer writes ``head``, only the
 consumer writes ``tail``. Each is stored as one aligned 64-bit word, so that the other side sees the old or
-the new value. Python has no memory barrier: a consumer on a processor with weak ordering must not read a row
-the moment ``head`` covers it. The recorder reads up to the ``head`` of its previous poll, milliseconds old.
+the new value. What the consumer counts lies there too, so that another can take the place of one that died.
+Python has no memory barrier: a consumer on a processor with weak ordering must not read a row the moment
+``head`` covers it. The recorder reads up to the ``head`` of its previous poll, milliseconds old.
 """
 
 import struct
+from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
 
 from hil.telemetry.memory import SharedBlock
 
+Row = tuple[float, ...]
+Rows = npt.NDArray[np.float64]
+
 # Words of the header, 8 bytes each. What the two sides write lies in cache lines of its own.
-_CAPACITY, _WIDTH, _HEAD, _DROPPED, _TAIL, _SAVED = 0, 1, 8, 9, 16, 17
+_CAPACITY, _WIDTH, _HEAD, _DROPPED, _TAIL, _SAVED, _LINES, _PART = 0, 1, 8, 9, 16, 17, 18, 19
 _HEADER_BYTES = 192
 
 
@@ -27,25 +32,28 @@ class RingWriter:
     """The producer's side.
 
     Raises ValueError for a capacity or width below one.
+
+    Attributes:
+        try_put: stores one row; when the ring is full, it stores and counts nothing and returns what ``when_full``
+            makes of the row. Raises struct.error when the row has another width or holds what is no number.
     """
 
-    def __init__(self, block: SharedBlock, capacity: int, width: int) -> None:
+    def __init__(
+        self, block: SharedBlock, capacity: int, width: int, when_full: Callable[[Row], bool] = lambda _row: False
+    ) -> None:
         if capacity < 1 or width < 1:
             raise ValueError(f"ring of {capacity} rows of {width} floats: both must be at least 1")
         self._words = block.buffer[:_HEADER_BYTES].cast("q")
         self._rows = block.buffer[_HEADER_BYTES : ring_bytes(capacity, width)]
-        self._pack_into = struct.Struct(f"{width}d").pack_into
-        self._row_bytes = width * 8
-        self._capacity = capacity
-        self._head = 0
-        self._tail_seen = 0
         self._words[_CAPACITY] = capacity
         self._words[_WIDTH] = width
+        self.try_put = _putter(self._words, self._rows, capacity, width, when_full)
+        self._capacity = capacity
 
     @property
     def head(self) -> int:
         """Rows put so far, without the dropped ones."""
-        return self._head
+        return self._words[_HEAD]
 
     @property
     def tail(self) -> int:
@@ -58,23 +66,24 @@ class RingWriter:
         return self._words[_SAVED]
 
     @property
+    def lines_saved(self) -> int:
+        """Lines beside the ring that the consumer said are safe."""
+        return self._words[_LINES]
+
+    @property
+    def part(self) -> int:
+        """Number of the file that the consumer opened last, from 1."""
+        return self._words[_PART]
+
+    @property
     def dropped(self) -> int:
         """Rows dropped because the ring was full."""
         return self._words[_DROPPED]
 
-    def try_put(self, row: tuple[float, ...]) -> bool:
-        """Store one row; return False, and store and count nothing, when the ring is full.
-
-        Raises struct.error when the row has another width or holds something that is not a number.
-        """
-        head = self._head
-        if head - self._tail_seen >= self._capacity:
-            self._tail_seen = self._words[_TAIL]
-            if head - self._tail_seen >= self._capacity:
-                return False
-        self._pack_into(self._rows, head % self._capacity * self._row_bytes, *row)
-        self._head = self._words[_HEAD] = head + 1
-        return True
+    @property
+    def full(self) -> bool:
+        """Whether there is no room for another row."""
+        return self.head - self.tail >= self._capacity
 
     def count_dropped(self) -> None:
         """Count one row that was given up."""
@@ -84,6 +93,32 @@ class RingWriter:
         """Release the views of the block, so that it can be closed."""
         self._words.release()
         self._rows.release()
+
+
+def _putter(
+    words: "memoryview[int]",
+    rows: "memoryview[int]",
+    capacity: int,
+    width: int,
+    when_full: Callable[[Row], bool],
+) -> Callable[[Row], bool]:
+    """Return ``RingWriter.try_put``. It is called in each tick: a closure looks nothing up in an object."""
+    pack_into = struct.Struct(f"{width}d").pack_into
+    row_bytes = width * 8
+    head = tail_seen = 0
+
+    def try_put(row: Row) -> bool:
+        nonlocal head, tail_seen
+        if head - tail_seen >= capacity:
+            tail_seen = words[_TAIL]
+            if head - tail_seen >= capacity:
+                return when_full(row)
+        pack_into(rows, head % capacity * row_bytes, *row)
+        head += 1
+        words[_HEAD] = head
+        return True
+
+    return try_put
 
 
 class RingReader:
@@ -115,7 +150,7 @@ class RingReader:
         """Rows that the producer dropped so far."""
         return self._words[_DROPPED]
 
-    def rows(self, start: int, stop: int) -> npt.NDArray[np.float64]:
+    def rows(self, start: int, stop: int) -> Rows:
         """Return a copy of the rows ``start`` to ``stop`` (exclusive), counted from the first ever put.
 
         Raises IndexError for rows that are not in the ring.
@@ -133,9 +168,22 @@ class RingReader:
         """Rows that are safe."""
         return self._words[_SAVED]
 
-    def mark_saved(self, count: int) -> None:
-        """Tell the producer that the first ``count`` rows are safe, whatever happens to this process."""
-        self._words[_SAVED] = count
+    def add_saved(self, count: int) -> None:
+        """Tell the producer that so many more rows are safe, whatever happens to this process; less when negative."""
+        self._words[_SAVED] += count
+
+    def add_lines_saved(self, count: int) -> None:
+        """Tell the producer that so many more lines are safe."""
+        self._words[_LINES] += count
+
+    @property
+    def part(self) -> int:
+        """Number of the file that was opened last, by this process or the one before it; 0 before the first."""
+        return self._words[_PART]
+
+    def set_part(self, number: int) -> None:
+        """Note which file was opened."""
+        self._words[_PART] = number
 
     def close(self) -> None:
         """Release the views of the block, so that it can be closed."""
