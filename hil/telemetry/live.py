@@ -13,7 +13,8 @@ from collections.abc import Callable, Mapping, Sequence
 import rerun as rr
 
 from hil.telemetry.decimate import Decimator
-from hil.telemetry.stream import Rows, Stream
+from hil.telemetry.stream import Stream
+from hil.telemetry.timeline import Rows
 
 LIVE_PERIOD_S = 0.01
 HOST = "127.0.0.1"
