@@ -19,7 +19,7 @@ from PIL import Image
 from rerun.experimental import View, ViewerClient
 
 from hil.errors import HilError
-from hil.telemetry.view import HOST, free_port, live_address, viewer_executable, wait_until_listening
+from hil.telemetry.view import free_port, live_address, viewer_command, wait_until_listening
 
 MOST_SHOTS = 100
 NOTICES_FADE_S = 6.0
@@ -98,15 +98,7 @@ def headless_viewer() -> Iterator[ViewerClient]:
     """Give a viewer without a window, on this machine alone, that ends with the context."""
     port = free_port()
     # Not ViewerClient.spawn(): a viewer of its making listens on every interface.
-    command = [
-        str(viewer_executable()),
-        "--headless",
-        "--hide-welcome-screen",
-        "--bind",
-        HOST,
-        "--port",
-        str(port),
-    ]
+    command = viewer_command("--headless", "--hide-welcome-screen", "--port", str(port))
     viewer = subprocess.Popen(command, stderr=subprocess.DEVNULL, env={**os.environ, "RUST_LOG": "off"})
     try:
         wait_until_listening(viewer, port)

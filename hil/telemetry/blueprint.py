@@ -34,7 +34,7 @@ def blueprint(
     A recording under review shows the whole run, with the time cursor at its end; a live one follows the last
     ``LIVE_WINDOW_S`` seconds.
     """
-    views = _Views([entity.path for entity in entities], limits, _window(live=live))
+    views = _Views([entity.path for entity in entities], limits, live=live)
     tabs = [
         _robot(views, shape),
         _column_pair("Wheels", views.wheels()),
@@ -82,12 +82,12 @@ def _there(*views: Part | None) -> list[Part]:
 class _Views:
     """Makes the views of a run, each over the same range of time."""
 
-    def __init__(
-        self, paths: Sequence[str], limits: Mapping[str, Sequence[Limit]], window: rrb.VisibleTimeRange
-    ) -> None:
+    def __init__(self, paths: Sequence[str], limits: Mapping[str, Sequence[Limit]], *, live: bool) -> None:
         self._paths = paths
         self._limits = limits
-        self._window = window
+        self._window = _window(live=live)
+        # Where it hides the least: what is new when live, what happened first in review.
+        self._corner = rrb.Corner2D.LeftTop if live else rrb.Corner2D.RightTop
 
     def plot(
         self, name: str, *paths: str, limits: bool = False, y_range: tuple[float, float] | None = None
@@ -102,7 +102,7 @@ class _Views:
             contents=[*shown, *lines],
             time_ranges=self._window,
             axis_y=None if y_range is None else rrb.ScalarAxis(range=y_range),
-            plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop),
+            plot_legend=rrb.PlotLegend(corner=self._corner),
         )
 
     def position_error(self) -> Part | None:
@@ -180,7 +180,7 @@ class _Views:
 
     def scene(self, shape: RobotShape) -> Part:
         """The robot from behind and above; the eye goes with it."""
-        far = 1.6 * (shape.half_length_m + shape.half_width_m)
+        far = 1.3 * (shape.half_length_m + shape.half_width_m)
         scale = f"{1e3 * shape.force_scale_m_n:g} mm/N"
         return rrb.Spatial3DView(
             name=f"Robot: wheel forces {scale}, reference orange, error red",

@@ -25,6 +25,7 @@ _WHEEL_WIDTH = 0.62
 # A roller as it is drawn: rings along its axis, corners of a ring.
 _RINGS = 3
 _CORNERS = 6
+_PLAIN_ACCELERATION_M_S2 = 0.5
 _ROUND_TO = (5.0, 2.0, 1.0)
 
 
@@ -52,11 +53,11 @@ class RobotShape:
 
     @property
     def force_scale_m_n(self) -> float:
-        """Length of a force arrow [m/N]: a wheel that gives the robot 1 m/s² alone has an arrow of half its length.
+        """Length of a force arrow [m/N]: what gives the robot 0.5 m/s² is half as long as the robot.
 
         Rounded down to 1, 2 or 5 times a power of ten.
         """
-        exact = self.half_length_m / self.mass_kg
+        exact = self.half_length_m / (_PLAIN_ACCELERATION_M_S2 * self.mass_kg)
         power = 10.0 ** math.floor(math.log10(exact))
         return next(digit for digit in _ROUND_TO if digit * power <= exact * (1 + 1e-9)) * power
 
