@@ -48,7 +48,7 @@ class LiveServer:
         """Queue rows of shape (n, signals); one each 10 ms of scenario time is served."""
         kept = rows[self._decimator.keep(rows[:, self._t_column])]
         if len(kept):
-            self._put(lambda: self._stream.rows(kept))
+            self._put(lambda: self._stream.draw(kept))
 
     def event(self, t_s: float, level: str, text: str) -> None:
         """Queue a line of the event log."""

@@ -17,13 +17,23 @@ from hil.telemetry.known import scenario_values
 from hil.telemetry.lanes import Lane, lanes
 from hil.telemetry.layout import ALARM_COLOUR, layout
 from hil.telemetry.limits import LIMITS_PATH, limit_values, limits
-from hil.telemetry.names import APPLICATION, RECORDER_PROPERTY, RUN_PROPERTY, SIGNALS_PROPERTY, SUMMARY_PROPERTY
+from hil.telemetry.names import (
+    APPLICATION,
+    PART_PROPERTY,
+    RECORDER_PROPERTY,
+    RUN_PROPERTY,
+    SIGNALS_PATH,
+    SIGNALS_PROPERTY,
+    SUMMARY_PROPERTY,
+)
 from hil.telemetry.page import page
 from hil.telemetry.robot_model import RobotShape
 from hil.telemetry.scene import Scene
-from hil.telemetry.timeline import Rows, Times, indexes, seconds_index
+from hil.telemetry.timeline import Rows, RowTimes, Times, indexes, seconds_index
 from hil.telemetry.trails import Trails
 
+DRAWN_PERIOD_S = 0.005
+_DRAWN_AT_ONCE = 500
 _LIMIT_PERIOD_S = 0.1
 _LIMIT_WIDTH_PX = 1.0
 _LEVELS = {"debug": "DEBUG", "info": "INFO", "warning": "WARN", "error": "ERROR"}
@@ -39,7 +49,8 @@ class Stream:
         signals: names of the columns of every row.
         properties: what the run was, as texts by name. Its ``scenario`` tells how large the robot is, and the limits
             and faults: what it does not tell is not drawn.
-        live: chooses the views' time window.
+        live: chooses the views' time window, and that only what is drawn is served.
+        part: which file of the run it is (see ``hil.telemetry.names``); None for a run in one file.
     """
 
     def __init__(
@@ -50,6 +61,7 @@ class Stream:
         signals: Sequence[str],
         properties: Mapping[str, str],
         live: bool,
+        part: Mapping[str, object] | None = None,
     ) -> None:
         self._column = {name: i for i, name in enumerate(signals)}
         self._layout = layout(signals)
@@ -62,7 +74,10 @@ class Stream:
         self._lanes = [(lane, _LaneEnd()) for lane in lanes(self._column, values)]
         self._limits = limits(values, self._layout)
         self._limit_decimator = Decimator(_LIMIT_PERIOD_S)
-        self._last_time = np.zeros(2)
+        self._drawn_decimator = Decimator(DRAWN_PERIOD_S)
+        self._times = RowTimes(self._column)
+        self._drawn_times = RowTimes(self._column)
+        self._undrawn: list[Rows] = []
         self._rerun = rr.RecordingStream(APPLICATION, recording_id=recording_id)
         layout_of_views = blueprint(self._layout, limits=self._limits, shape=shape, live=live)
         self._rerun.set_sinks(sink, default_blueprint=layout_of_views)
@@ -70,17 +85,32 @@ class Stream:
         if shape is not None:
             torque_constant = values.get("firmware.torque_constant_n_m_a")
             self._drawings.append(Scene(self._rerun, self._column, shape, torque_constant))
-        self._describe()
+        if part is not None:
+            self._rerun.send_property(PART_PROPERTY, rr.AnyValues(json=json.dumps(part)))
+        self._describe(live=live)
         self.flush()
 
     def rows(self, rows: Rows) -> None:
-        """Write rows of shape (n, signals) at full rate, and what is drawn from them."""
-        times = self._times(rows)
-        index = indexes(times)
-        for path, columns in self._entities:
-            self._rerun.send_columns(path, indexes=index, columns=rr.Scalars.columns(scalars=rows[:, columns]))
+        """Write rows of shape (n, signals) as they are, all in one entity: this is what is read back.
+
+        What is drawn of them follows some hundred rows later: few large pieces take less of the disk.
+        """
+        index = indexes(self._times(rows))
+        self._rerun.send_columns(SIGNALS_PATH, indexes=index, columns=rr.Scalars.columns(scalars=rows))
+        self._undrawn.append(rows)
+        if sum(map(len, self._undrawn)) >= _DRAWN_AT_ONCE:
+            self._draw_rest()
+
+    def draw(self, rows: Rows) -> None:
+        """Write what is drawn of rows of shape (n, signals): signals at no more than one each ``DRAWN_PERIOD_S``."""
+        times = self._drawn_times(rows)
         for lane, end in self._lanes:
             self._state_changes(lane, end, rows, times)
+        drawn = self._drawn_decimator.keep(times[:, 0])
+        if len(drawn):
+            index, values = indexes(times[drawn]), rows[drawn]
+            for path, columns in self._entities:
+                self._rerun.send_columns(path, indexes=index, columns=rr.Scalars.columns(scalars=values[:, columns]))
         self._draw_limits(times)
         for drawing in self._drawings:
             drawing.rows(rows, times)
@@ -95,6 +125,7 @@ class Stream:
 
     def finish(self, summary: Mapping[str, object] | None, recorder: Mapping[str, int]) -> None:
         """Write the recorder's counts and, when there is one, the run's summary, also into the page."""
+        self._draw_rest()
         self._rerun.send_property(RECORDER_PROPERTY, rr.AnyValues(json=json.dumps(recorder)))
         if summary is not None:
             self._rerun.send_property(SUMMARY_PROPERTY, rr.AnyValues(json=json.dumps(summary)))
@@ -110,8 +141,10 @@ class Stream:
         self.flush()
         self._rerun.disconnect()
 
-    def _describe(self) -> None:
-        held = {entity.path: [series.signal for series in entity.series] for entity in self._layout}
+    def _describe(self, *, live: bool) -> None:
+        drawn = {entity.path: [series.signal for series in entity.series] for entity in self._layout}
+        # Where a reader finds every signal: viewers get no more than what is drawn.
+        held = drawn if live else {SIGNALS_PATH: list(self._column)}
         self._rerun.send_property(SIGNALS_PROPERTY, rr.AnyValues(json=json.dumps(held)))
         if self._properties:
             texts = rr.AnyValues(drop_untyped_nones=True, **self._properties)
@@ -144,14 +177,12 @@ class Stream:
         text = rr.TextDocument(page(self._properties, summary), media_type=rr.MediaType.MARKDOWN)
         self._rerun.log("/run", text, static=True)
 
-    def _times(self, rows: Rows) -> Times:
-        """Scenario time and tick of each row; where one is not finite, the last one that was."""
-        times = np.vstack([self._last_time, rows[:, [self._column["loop.t_s"], self._column["loop.tick"]]]])
-        finite = np.isfinite(times)
-        newest = np.maximum.accumulate(np.where(finite, np.arange(len(times))[:, None], 0), axis=0)
-        times = np.take_along_axis(times, newest, axis=0)
-        self._last_time = times[-1]
-        return times[1:]
+    def _draw_rest(self) -> None:
+        """Draw the rows that were written and not drawn yet."""
+        if self._undrawn:
+            rows = np.concatenate(self._undrawn)
+            self._undrawn.clear()
+            self.draw(rows)
 
     def _state_changes(self, lane: Lane, end: "_LaneEnd", rows: Rows, times: Times) -> None:
         codes = lane.codes(rows)
