@@ -20,7 +20,7 @@ from tests.recorded_circle import PERIOD_S, circle_rows, circle_table, column
 ROWS = 1600
 FAULTS = """
 [[fault]]
-kind = "loss"
+kind = "drop"
 target = "command"
 value = 0.1
 start_s = 0.5
@@ -34,7 +34,7 @@ start_s = 1.2
 [[expect]]
 signal = "error.planar_m"
 from_s = 1.0
-to_s = 1.4
+to_s = 1.45
 below = 0.02
 
 [[expect]]
@@ -121,7 +121,7 @@ def test_a_bound_is_drawn_while_it_is_claimed_and_never_ahead_of_the_run(recordi
 
 
 def test_faults_have_lanes_of_their_own(recording: Path) -> None:
-    assert states(recording, "/fault/0_loss_command") == [(0.0, "-"), (0.5, "IN FORCE"), (0.75, "-")]
+    assert states(recording, "/fault/0_drop_command") == [(0.0, "-"), (0.5, "IN FORCE"), (0.75, "-")]
     assert states(recording, "/fault/1_reset_robot") == [(0.0, "-"), (1.2, "HAPPENED")]
 
 

@@ -63,7 +63,7 @@ def test_the_rollers_make_a_round_wheel_and_lie_along_the_force_on_the_floor(sid
     assert lowest[:, 2].max() < 0
     spread, axes = np.linalg.eigh(np.cov((lowest - lowest.mean(axis=0)).T))
     longest = axes[:, np.argmax(spread)]
-    assert abs(longest @ np.array([1.0, sideways, 0.0])) / np.sqrt(2) == pytest.approx(1.0, abs=1e-6)
+    assert abs(longest @ np.array([1.0, sideways, 0.0])) / np.sqrt(2) == pytest.approx(1.0, abs=1e-4)
 
 
 @given(st.tuples(*[st.floats(-5, 5)] * 4))
