@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from typing import Any
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome")
+_LOOK_S = 2.0  # a picture costs the browser time that it needs for the page
 _FLAGS = (
     "--headless=new",
     "--no-sandbox",
@@ -73,7 +74,7 @@ class Page:
         while time.monotonic() < deadline:
             if is_shown(picture := self.picture()):
                 return picture
-            time.sleep(0.5)
+            time.sleep(_LOOK_S)
         raise BrowserError(f"the page does not show it after {timeout_s:g} s; its errors: {self.errors}")
 
     def _call(self, method: str, **parameters: object) -> dict[str, Any]:

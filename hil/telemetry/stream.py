@@ -166,8 +166,10 @@ class Stream:
             )
             self._rerun.log(LIMITS_PATH + path, style, static=True)
         for lane, _ in self._lanes:
-            names = list(lane.names.values())
-            self._rerun.log(lane.path, rr.StateConfiguration(values=names, colors=lane.colours), static=True)
+            # As an array: rerun would take three or four numbers for the parts of one colour.
+            colours = np.array(lane.colours, dtype=np.uint32)
+            style_of_states = rr.StateConfiguration(values=list(lane.names.values()), colors=colours)
+            self._rerun.log(lane.path, style_of_states, static=True)
         for drawing in self._drawings:
             drawing.describe()
         self._page(None)
