@@ -44,7 +44,8 @@ proof: setup .venv/tools
 
 picture: setup .venv/tools
 	$(BIN)/hil run paper_circle --record runs/picture.rrd
-	$(BIN)/python tools/screenshot.py runs/picture.rrd tools/pictures/paper_circle.png
+	$(BIN)/python tools/screenshot.py runs/picture.rrd tools/pictures/paper_circle.png --at 0.5
+	$(BIN)/python tools/screenshot.py runs/picture.rrd tools/pictures/paper_circle_law.png --tab Law
 
 format: .venv/tools
 	$(BIN)/ruff check --fix

@@ -12,6 +12,7 @@ from typing import Annotated
 
 import typer
 
+from hil.commands import live as live_view
 from hil.commands.catalogue import catalogue
 from hil.commands.check import check
 from hil.commands.compare import compare
@@ -62,8 +63,8 @@ def run(
         str | None, typer.Option(metavar="SIZE|TIME", help="record on in another file, as in 1GB, 10min or '1GB|10min'")
     ] = None,
     trace: TraceFile = None,
-    live: Annotated[bool, typer.Option("--live", help="serve the rerun viewer on 127.0.0.1 while it runs")] = False,
-    live_port: Annotated[int, typer.Option(metavar="PORT", help="for --live", min=1, max=65535)] = 9876,
+    live: Annotated[bool, typer.Option("--live", help="serve live viewers on 127.0.0.1 while it runs")] = False,
+    live_port: Annotated[int, typer.Option(metavar="PORT", help="for --live", min=1, max=65535)] = live_view.LIVE_PORT,
     seed: Seed = None,
     sets: Sets = None,
     allow_motion: Annotated[bool, typer.Option("--allow-motion", help="real motors may move")] = False,
@@ -120,6 +121,7 @@ app.command()(device)
 app.command()(decode)
 app.command()(params)
 app.command()(fuzzy)
+app.command()(live_view.live)
 app.command()(reproduce)
 
 

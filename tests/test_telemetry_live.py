@@ -139,7 +139,7 @@ def test_a_port_in_use_is_refused() -> None:
 
 
 def test_the_hint_is_the_command_that_attaches() -> None:
-    assert live_hint(9876) == "live view: run 'rerun rerun+http://127.0.0.1:9876/proxy' on this machine"
+    assert live_hint(9876) == ("live view: run 'hil live --port 9876' on this machine; with --web in a browser")
 
 
 @linux_only

@@ -10,35 +10,57 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from PIL import Image
 from rerun.experimental import View, ViewerClient
 
 from hil.errors import HilError
-from hil.telemetry.view import HOST, free_port, live_address, viewer_executable, wait_until_listening
+from hil.telemetry.view import free_port, live_address, viewer_command, wait_until_listening
 
 MOST_SHOTS = 100
 NOTICES_FADE_S = 6.0
 BAR_PX = 37
+_CONTAINER = "ContainerBlueprint"
 
 
 class ScreenshotError(Exception):
     """No picture could be taken, or the picture shows a broken view."""
 
 
-def take_screenshot(recording: Path, picture: Path, *, at_least_s: float = 0.0) -> list[View]:
-    """Write a PNG of the viewer's views and return them; ``at_least_s`` lets the viewer's notices fade.
+def take_screenshot(
+    recording: Path, picture: Path, *, tab: str | None = None, at_s: float | None = None, at_least_s: float = 0.0
+) -> list[View]:
+    """Write a PNG of the viewer's views and return those that were shown.
+
+    ``tab`` is the name of the one to show, by default the one that the recording opens with; ``at_s`` the time under
+    the cursor, by default the end; ``at_least_s`` lets the viewer's notices fade. Raises as ``take_screenshots``.
+    """
+    return take_screenshots(recording, {tab: picture}, at_s=at_s, at_least_s=at_least_s)
+
+
+def take_screenshots(
+    recording: Path, pictures: Mapping[str | None, Path], *, at_s: float | None = None, at_least_s: float = 0.0
+) -> list[View]:
+    """Write a PNG of each tab that is named, and return the views that were shown.
 
     Shots are taken until two in a row are alike: everything has been loaded and drawn then. Raises
-    ScreenshotError when the recording does not load, a view reports a problem, or no two shots are alike;
-    DeviceError when the viewer does not start.
+    ScreenshotError when the recording does not load, has no such tab, a view reports a problem, or no two shots are
+    alike; DeviceError when the viewer does not start.
     """
-    with _headless_viewer() as viewer:
+    with headless_viewer() as viewer:
         viewer.open(str(recording.resolve()))
-        _settle(viewer, picture, at_least_s)
+        for tab, picture in pictures.items():
+            if tab is not None:
+                _show_tab(viewer, tab)
+            if at_s is not None:
+                viewer.set_time("t", duration=at_s, play_state="paused")
+            _settle(viewer, picture, at_least_s)
+            at_least_s = 0.0
+        # A view's reports are those of the last time that it was shown.
         state = viewer.get_state()
     if not state.recordings or not state.views:
         raise ScreenshotError(f"{recording}: the viewer shows no recording")
@@ -48,19 +70,35 @@ def take_screenshot(recording: Path, picture: Path, *, at_least_s: float = 0.0) 
     return state.views
 
 
+def tabs(recording: Path) -> list[str]:
+    """Return the names of the tabs of the layout that a recording ships."""
+    with headless_viewer() as viewer:
+        viewer.open(str(recording.resolve()))
+        return list(_tabs(viewer.get_blueprint().blueprint)[1])
+
+
+def _show_tab(viewer: ViewerClient, name: str) -> None:
+    shown = viewer.get_blueprint()
+    root, found = _tabs(shown.blueprint)
+    if name not in found:
+        raise ScreenshotError(f"there is no tab {name!r}; there are {', '.join(found)}")
+    shown.blueprint[root][_CONTAINER]["active_tab"] = found[name]
+    viewer.set_blueprint(shown.blueprint, "recording")
+
+
+def _tabs(blueprint: Mapping[str, Any]) -> tuple[str, dict[str, str]]:
+    """Return the path of the container of tabs, and the tabs' own paths by name."""
+    root = next(path for path, held in blueprint.items() if "active_tab" in held.get(_CONTAINER, {}))
+    paths = blueprint[root][_CONTAINER]["contents"]
+    return root, {blueprint[f"/{path}"][_CONTAINER]["display_name"]: path for path in paths}
+
+
 @contextmanager
-def _headless_viewer() -> Iterator[ViewerClient]:
+def headless_viewer() -> Iterator[ViewerClient]:
+    """Give a viewer without a window, on this machine alone, that ends with the context."""
     port = free_port()
     # Not ViewerClient.spawn(): a viewer of its making listens on every interface.
-    command = [
-        str(viewer_executable()),
-        "--headless",
-        "--hide-welcome-screen",
-        "--bind",
-        HOST,
-        "--port",
-        str(port),
-    ]
+    command = viewer_command("--headless", "--hide-welcome-screen", "--port", str(port))
     viewer = subprocess.Popen(command, stderr=subprocess.DEVNULL, env={**os.environ, "RUST_LOG": "off"})
     try:
         wait_until_listening(viewer, port)
@@ -96,12 +134,16 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Take a picture of a recording as a viewer shows it.")
     parser.add_argument("recording", type=Path)
     parser.add_argument("picture", type=Path)
+    parser.add_argument("--tab", help="the tab to show; by default the one that the recording opens with")
+    parser.add_argument("--at", type=float, metavar="SECONDS", help="the time under the cursor; by default the end")
     options = parser.parse_args()
     if not options.recording.is_file():
         print(f"screenshot: {options.recording}: no such file", file=sys.stderr)
         return 2
     try:
-        views = take_screenshot(options.recording, options.picture, at_least_s=NOTICES_FADE_S)
+        views = take_screenshot(
+            options.recording, options.picture, tab=options.tab, at_s=options.at, at_least_s=NOTICES_FADE_S
+        )
     except (HilError, ScreenshotError, RuntimeError, OSError) as error:
         print(f"screenshot: {error}", file=sys.stderr)
         return 1

@@ -2,7 +2,7 @@
 
 import inspect
 from collections.abc import Mapping, Sequence
-from dataclasses import make_dataclass
+from dataclasses import asdict, make_dataclass
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -78,6 +78,12 @@ def make_controller(
     if spec in SHIPPED:
         return cast("Controller", law(model, mode, checked))
     return UserLaw(named, law, mode, [(model, mode, checked)] if kind else [(model, mode), ()])
+
+
+def gains_in_force(spec: str, base: Path, options: Mapping[str, object]) -> dict[str, object]:
+    """Return every option of a law by name, given or left to its default. Raises as ``make_controller``."""
+    kind: Any = getattr(load_law(spec, base), "Options", None)
+    return asdict(build(kind or _NO_OPTIONS, options, "controller.gains"))
 
 
 def _found(spec: str, base: Path) -> tuple[type, str]:

@@ -5,9 +5,11 @@ stored in the file, so that a reader needs no table of its own and an old file s
 vocabulary grows.
 """
 
+import itertools
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
+from hil.signals import unit_of
 from hil.types import WHEEL_NAMES
 
 Colour = tuple[int, int, int]
@@ -18,9 +20,14 @@ ESTIMATE_COLOUR: Colour = (97, 201, 122)
 X_COLOUR: Colour = (238, 102, 119)
 Y_COLOUR: Colour = (97, 201, 122)
 HEADING_COLOUR: Colour = (187, 134, 252)
-PLAIN_COLOUR: Colour = (220, 220, 220)
+PLAIN_COLOUR: Colour = (160, 165, 170)  # shows on a dark and on a light ground
 ALARM_COLOUR: Colour = (235, 87, 87)
 WHEEL_COLOURS: tuple[Colour, ...] = ((86, 180, 233), (230, 159, 0), (0, 190, 140), (214, 117, 176))
+MORE_PATH = "/more"
+SHADOW_GROUP = "shadow"
+_MORE_COLOURS = (*WHEEL_COLOURS, X_COLOUR, HEADING_COLOUR, PLAIN_COLOUR, TRUTH_COLOUR)
+# A unit as part of a path.
+_UNIT_PATHS = {"m/s²": "m_s2", "rad/s": "rad_s", "m/s": "m_s", "N·m": "n_m", "1/s": "1_s", "°C": "degc", "%": "percent"}
 _AXIS_COLOURS = (X_COLOUR, Y_COLOUR, HEADING_COLOUR)
 
 
@@ -187,8 +194,8 @@ _ENTITIES = (
 def layout(signals: Sequence[str]) -> tuple[Entity, ...]:
     """Return the entities that hold exactly these signals.
 
-    Signals that the table above does not place go to ``/more/GROUP``, one entity for each first part of a
-    name.
+    Signals that the table above does not place go to ``/more/GROUP/UNIT``, one entity for each first part of a name
+    and each unit: what one plot can show. The group of a shadow law is ``shadow/LAW``.
     """
     missing = dict.fromkeys(signals)
     placed = []
@@ -204,6 +211,23 @@ def layout(signals: Sequence[str]) -> tuple[Entity, ...]:
 def _remaining(signals: Iterable[str]) -> list[Entity]:
     groups: dict[str, list[Series]] = {}
     for signal in signals:
-        group, _, label = signal.partition(".")
-        groups.setdefault(group, []).append(Series(signal, label or signal, PLAIN_COLOUR))
-    return [Entity(f"/more/{group}", tuple(series)) for group, series in groups.items()]
+        group, label = _group(signal)
+        path = f"{MORE_PATH}/{group}/{_UNIT_PATHS.get(unit := unit_of(signal), unit) or 'number'}"
+        groups.setdefault(path, []).append(Series(signal, label or signal, PLAIN_COLOUR))
+    return [Entity(path, _coloured(series)) for path, series in groups.items()]
+
+
+def _group(signal: str) -> tuple[str, str]:
+    """Split a name into its group and its label in there."""
+    parts = signal.split(".")
+    depth = 2 if parts[0] == SHADOW_GROUP and len(parts) > 2 else 1
+    return "/".join(parts[:depth]), ".".join(parts[depth:])
+
+
+def _coloured(series: Sequence[Series]) -> tuple[Series, ...]:
+    """Give each series a colour: that of its wheel, if it names one, else the next one."""
+    by_wheel = dict(zip(WHEEL_NAMES, WHEEL_COLOURS, strict=True))
+    return tuple(
+        one._replace(colour=next((by_wheel[part] for part in one.label.split(".") if part in by_wheel), other))
+        for one, other in zip(series, itertools.cycle(_MORE_COLOURS), strict=False)
+    )

@@ -17,22 +17,26 @@ if TYPE_CHECKING:
 def properties(scenario: "Scenario") -> dict[str, str]:
     """Return a recording's properties.
 
-    ``scenario`` is a JSON object of every resolved value by its dotted key, and ``scenario_sources`` one of
-    where each was given; ``scenario_sha256`` is the hash that a controller and a device compare. ``fmu_sha256`` is
-    there where the plant's FMU is on this machine, ``commit`` only when the code runs from a checkout.
+    ``scenario`` is a JSON object of every resolved value by its dotted key, ``scenario_sources`` one of where each was
+    given, and ``gains`` one of all options of the law, given or left to their defaults; ``scenario_sha256`` is the hash
+    that a controller and a device compare. ``fmu_sha256`` is there where the plant's FMU is on this machine, ``commit``
+    only when the code runs from a checkout.
     """
+    from hil.controllers.registry import gains_in_force
     from hil.scenario import resolved
 
     values = resolved(scenario)
+    law = scenario.controller
     return {
         "scenario_name": scenario.name,
-        "law": scenario.controller.law,
-        "command": scenario.controller.command,
+        "law": law.law,
+        "command": law.command,
         "mode": scenario.loop.mode,
         "link": scenario.link.url,
         "seed": str(scenario.loop.seed),
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         **versions(),
+        "gains": json.dumps(gains_in_force(law.law, scenario.directory, law.gains)),
         "scenario_sha256": scenario.hash,
         **_fmu(scenario),
         "scenario": json.dumps({key: value for key, value, _ in values}, default=str),

@@ -29,7 +29,7 @@ def view(path: Path, *, web: bool, say: Callable[[str], None] = print) -> None:
     if web:
         _serve_web(path, say)
     elif has_display():
-        _run(subprocess.Popen([*_command(), "--port", "auto", str(path)], env=_environment()), path)
+        _run(subprocess.Popen(viewer_command("--port", "auto", str(path)), env=viewer_environment()), path)
     else:
         raise BadInputError(f"no display to show {path} on; use 'hil view {path} --web' and a browser")
 
@@ -39,9 +39,14 @@ def live_address(port: int) -> str:
     return f"rerun+http://{HOST}:{port}/proxy"
 
 
+def web_address(port: int, source: str) -> str:
+    """Return where a browser finds rerun's page, served on this port, with what the source serves."""
+    return f"http://{HOST}:{port}/?url={quote(source, safe='')}"
+
+
 def live_hint(port: int) -> str:
     """Return a sentence that says how to look at a run under way."""
-    return f"live view: run 'rerun {live_address(port)}' on this machine"
+    return f"live view: run 'hil live --port {port}' on this machine; with --web in a browser"
 
 
 def show_live(port: int) -> bool:
@@ -52,7 +57,7 @@ def show_live(port: int) -> bool:
     if not has_display():
         return False
     try:
-        command = [*_command(), "--port", "auto", live_address(port)]
+        command = viewer_command("--port", "auto", live_address(port))
     except DeviceError:
         return False
     subprocess.Popen(
@@ -60,7 +65,7 @@ def show_live(port: int) -> bool:
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
-        env=_environment(),
+        env=viewer_environment(),
         start_new_session=sys.platform != "win32",
     )
     return True
@@ -90,6 +95,16 @@ def viewer_executable() -> Path:
     return Path(found)
 
 
+def viewer_command(*options: str) -> list[str]:
+    """Return the command of a viewer that listens on this machine alone. Raises DeviceError when there is none."""
+    return [str(viewer_executable()), "--bind", HOST, *options]
+
+
+def viewer_environment() -> dict[str, str]:
+    """Return the environment of a viewer: ours, and its log keeps to errors."""
+    return {**os.environ, "RUST_LOG": "error"}
+
+
 def free_port() -> int:
     """Return a port of this machine that nothing listens on at the moment."""
     with socket.socket() as probe:
@@ -113,11 +128,10 @@ def wait_until_listening(process: "subprocess.Popen[bytes]", port: int) -> None:
 def _serve_web(path: Path, say: Callable[[str], None]) -> None:
     data_port, page_port = free_port(), free_port()
     ports = ["--port", str(data_port), "--web-viewer-port", str(page_port)]
-    process = subprocess.Popen([*_command(), "--serve-web", *ports, str(path)], env=_environment())
+    process = subprocess.Popen(viewer_command("--serve-web", *ports, str(path)), env=viewer_environment())
     try:
         wait_until_listening(process, page_port)
-        source = quote(f"rerun+http://{HOST}:{data_port}/proxy", safe="")
-        say(f"showing {path} at http://{HOST}:{page_port}/?url={source} until Ctrl-C")
+        say(f"showing {path} at {web_address(page_port, live_address(data_port))} until Ctrl-C")
         _run(process, path)
     except KeyboardInterrupt:
         pass  # the way to end it
@@ -130,11 +144,3 @@ def _run(process: "subprocess.Popen[bytes]", path: Path) -> None:
     status = process.wait()
     if status != 0:
         raise DeviceError(f"the rerun viewer ended with exit status {status}; try 'hil view {path} --web'")
-
-
-def _command() -> list[str]:
-    return [str(viewer_executable()), "--bind", HOST]
-
-
-def _environment() -> dict[str, str]:
-    return {**os.environ, "RUST_LOG": "error"}

@@ -1,0 +1,23 @@
+"""``hil live``: the viewer for a run under way."""
+
+import signal
+from typing import Annotated
+
+import typer
+
+from hil.commands.options import interrupt
+
+LIVE_PORT = 9876
+
+
+def live(
+    web: Annotated[bool, typer.Option("--web", help="in the browser, served on 127.0.0.1")] = False,
+    port: Annotated[
+        int, typer.Option(metavar="PORT", help="that hil run --live serves on", min=1, max=65535)
+    ] = LIVE_PORT,
+) -> None:
+    """Open the rerun viewer on a run under way, and on each one after it; start it before or after the run."""
+    from hil.telemetry.follow import live as show
+
+    signal.signal(signal.SIGTERM, interrupt)
+    show(port, web=web, say=lambda sentence: print(sentence, flush=True))
