@@ -15,12 +15,13 @@ from hil.errors import DeviceError, HilError, LinkError
 from hil.estimator import EstimatorOptions, FusedOptions, make_estimator
 from hil.faults.signals import SignalFaults
 from hil.guard import Guard
-from hil.loop import Loop, Parts, Report, Timing
+from hil.loop import Loop, Parts, Report
 from hil.metrics import percentiles, signal_figures
 from hil.model import RobotModel
 from hil.ports import Controller, Sink
 from hil.references import Feasibility, ReferenceSource, feasibility, make_reference
 from hil.results import MemorySink, RunResult, Series, applied_words, expectations
+from hil.sampling import Timing
 from hil.scenario import Scenario, load
 from hil.telemetry import Recording, RunRecording, check_output_path
 from hil.telemetry.provenance import properties
