@@ -9,7 +9,6 @@ from typing import Any, TypeVar
 
 from firmware_protocol.host import HostNode
 from hil.bench import NS, Bench, open_trace
-from hil.controllers.registry import make_controller
 from hil.devices.virtual import MakeNode
 from hil.errors import DeviceError, HilError, LinkError
 from hil.estimator import EstimatorOptions, FusedOptions, make_estimator
@@ -18,11 +17,12 @@ from hil.guard import Guard
 from hil.loop import Loop, Parts, Report
 from hil.metrics import percentiles, signal_figures
 from hil.model import RobotModel
-from hil.ports import Controller, Sink
+from hil.ports import Sink
 from hil.references import Feasibility, ReferenceSource, feasibility, make_reference
 from hil.results import MemorySink, RunResult, Series, applied_words, expectations
 from hil.sampling import Timing
 from hil.scenario import Scenario, load
+from hil.scenario.laws import Laws, make_laws
 from hil.telemetry import Recording, RunRecording, check_output_path
 from hil.telemetry.provenance import properties
 from hil.trace import Trace
@@ -89,7 +89,8 @@ def run_scenario(
     if trace is not None:
         check_output_path("trace", trace)
     model, reference = _model_and_reference(scenario)
-    make_loop = _loop_of(scenario, model, reference)
+    laws = make_laws(scenario, scenario.directory)
+    make_loop = _loop_of(scenario, model, reference, laws)
     demands = _demands(scenario, model, reference)
     if warn is not None:
         for sentence in demands.sentences:
@@ -98,15 +99,28 @@ def run_scenario(
     with contextlib.ExitStack() as resources:
         tracing = resources.enter_context(open_trace(scenario, trace)) if trace is not None else None
         bench = resources.enter_context(
-            Bench(scenario, truth, allow_motion=allow_motion, trace=tracing, make_node=make_node)
+            Bench(
+                scenario,
+                truth,
+                allow_motion=allow_motion,
+                trace=tracing,
+                make_node=make_node,
+                signals=laws.signals,
+            )
         )
         # First the robot, then the recorder: a robot that is not there leaves no empty recording behind.
         robot = _reach(bench, bench.connect)
-        memory = MemorySink()
+        memory = MemorySink(laws.signals)
         recording: RunRecording | None = None
         if record is not None or live_port is not None:
             recording = resources.enter_context(
-                make_recording(record, properties=properties(scenario), blocking=blocking, live_port=live_port)
+                make_recording(
+                    record,
+                    properties=properties(scenario),
+                    blocking=blocking,
+                    live_port=live_port,
+                    signals=laws.signals,
+                )
             )
             recording.event(0.0, "info", f"robot: {robot.describe()}")
             recording.event(0.0, "info", f"link: {bench.device.describe_link()}")
@@ -119,6 +133,7 @@ def run_scenario(
             report = loop.run(origin_ns, round(scenario.loop.duration_s * NS))
         failure = bench.stop_robot() or report.failure
         metrics = _figures(scenario, bench, memory, report, failure, loop)
+        metrics["shadows"] = [] if laws.shadows is None else laws.shadows.figures()
         metrics["reference"] = {"kind": scenario.reference.kind, **demands.figures()}
         if tracing is not None:
             metrics["trace"] = _finished(tracing)
@@ -136,7 +151,7 @@ def check_scenario(scenario: Scenario) -> Feasibility:
     Raises BadInputError for what the law or the reference refuse.
     """
     model, reference = _model_and_reference(scenario)
-    _controller(scenario, model)
+    make_laws(scenario, scenario.directory)
     return _demands(scenario, model, reference)
 
 
@@ -149,14 +164,10 @@ def _demands(scenario: Scenario, model: RobotModel, reference: ReferenceSource) 
     return feasibility(reference, model, scenario.loop.duration_s, scenario.loop.period_ns / NS)
 
 
-def _controller(scenario: Scenario, model: RobotModel) -> Controller:
-    table = scenario.controller
-    return make_controller(table.law, scenario.directory, model, table.mode, table.gains)
-
-
-def _loop_of(scenario: Scenario, model: RobotModel, reference: ReferenceSource) -> Callable[[Bench, Sink], Loop]:
+def _loop_of(
+    scenario: Scenario, model: RobotModel, reference: ReferenceSource, laws: Laws
+) -> Callable[[Bench, Sink], Loop]:
     """Make what a tick needs of the scenario alone, so that bad input is found before anything is opened."""
-    controller = _controller(scenario, model)
     counts = scenario.firmware.counts_per_revolution
     believed = scenario.estimator
     told = EstimatorOptions(
@@ -183,11 +194,13 @@ def _loop_of(scenario: Scenario, model: RobotModel, reference: ReferenceSource) 
             bench.fixes,
             estimator,
             reference,
-            controller,
+            laws.controller,
             guard,
             sink,
             bench.robot_failure,
             faults,
+            laws.shadows,
+            laws.extra,
         )
         by_truth = scenario.estimator.source == "truth"
         return Loop(parts, scenario.controller.mode, timing, rearm=scenario.loop.rearm, by_truth=by_truth)
@@ -339,6 +352,9 @@ def _note_events(recording: RunRecording, loop: Loop, metrics: Mapping[str, Any]
         if begin_s <= loop.t_s:
             recording.event(begin_s, "info", f"fault begins: {row['text']}")
         recording.event(max(begin_s, end_s), level, f"fault ends: {applied_words(row)}")
+    for row in metrics["shadows"]:
+        if row["dropped"] is not None:
+            recording.event(row["dropped_s"], "warning", row["dropped"])
     for row in metrics["recoveries"]:
         recording.event(row["lost_s"], "warning", f"{row['why']}; ACTIVE again at t = {row['armed_s']:.3f} s")
     for row in metrics["expect"]:

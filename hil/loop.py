@@ -2,7 +2,7 @@
 
 import contextlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from hil.devices.link_times import CommandLatency
@@ -14,19 +14,24 @@ from hil.faults.signals import SignalFaults
 from hil.freshness import Freshness
 from hil.guard import Guard
 from hil.links.statistics import Statistics
-from hil.ports import Clock, Controller, FixSource, PoseSource, Sink
+from hil.ports import Clock, Controller, FixSource, OwnSignals, PoseSource, Sink
 from hil.recovery import Recovered, Recovery
 from hil.references import ReferenceSource
 from hil.rows import Beliefs, Rows
 from hil.sampling import Sampling, Timing
+from hil.shadows import Shadows
 from hil.signals import LoopSignals
-from hil.types import NAN, NAN_WHEELS, ZERO_WHEELS, Applied, CommandMode, PoseFix, WheelCommand
+from hil.types import NAN, NAN_WHEELS, ZERO_WHEELS, Applied, CommandMode, PoseFix, Reference, State, WheelCommand
 
 _STOP_LIMIT_NS = 5_000_000_000
 
 
 class Parts(NamedTuple):
-    """What a tick is made of. ``robot_failure`` tells what has ended a robot in this process, None for any other."""
+    """What a tick is made of.
+
+    ``robot_failure`` tells what has ended a robot in this process, None for any other. ``extra`` has the signals that
+    are recorded behind those of the vocabulary.
+    """
 
     clock: Clock
     device: Stm32
@@ -40,6 +45,8 @@ class Parts(NamedTuple):
     sink: Sink
     robot_failure: Callable[[], HilError | None]
     faults: SignalFaults | None = None
+    shadows: Shadows | None = None
+    extra: Sequence[OwnSignals] = ()
 
 
 class Report(NamedTuple):
@@ -57,6 +64,14 @@ class Report(NamedTuple):
     stopped: bool
     failure: HilError | None
     recoveries: tuple[Recovered, ...]
+
+
+class _Asked(NamedTuple):
+    """With what a law is asked; ``begins`` where it was reset for this tick."""
+
+    state: State
+    dt_s: float
+    begins: bool
 
 
 class Loop:
@@ -79,7 +94,9 @@ class Loop:
         self._parts = parts
         self._timing = timing
         self._rearm = rearm
-        self._rows = Rows(parts.device, parts.wire, parts.controller, parts.sink, timing.feedback_latency_ns)
+        self._rows = Rows(
+            parts.device, parts.wire, parts.controller, parts.extra, parts.sink, timing.feedback_latency_ns
+        )
         self._sampling = Sampling(parts.clock, parts.device, parts.truth, timing)
         self._freshness = Freshness(parts.clock, parts.device, parts.faults, timing)
         self._recovery: Recovery | None = None
@@ -223,23 +240,38 @@ class Loop:
             or estimator.status.health == LOST
             or self._freshness.is_stale(feedback, fix if estimator.uses_truth else None)
         ):
-            command, saturated = self._rest, False
+            command, saturated, asked = self._rest, False, None
             self._stale += state is not None
         else:
+            begins = self._before is None
             if self._before is None:
                 self._parts.controller.reset(state, reference)
                 self._before = number - 1
             dt_s = (number - self._before) * self._timing.period_ns * 1e-9
+            asked = _Asked(state, dt_s, begins)
             wanted = self._parts.controller.update(reference, state, self._applied, dt_s)
             if faults is not None:
                 wanted = faults.command(wanted)
             command, saturated = self._parts.guard.apply(wanted)
         sequence = self._parts.device.send(command)
         self._measure_latency(sequence, feedback, fix)
+        self._ask_shadows(reference, asked)
         self._applied = Applied(command, saturated, self._latency.s)
-        self._tell(number, late_ns, feedback, Beliefs(fix, state, reference, self._applied, estimator.status))
+        beliefs = Beliefs(fix, state, reference, self._applied, estimator.status, asked is None)
+        self._tell(number, late_ns, feedback, beliefs)
         if self._before is not None:
             self._before = number
+
+    def _ask_shadows(self, reference: Reference, asked: "_Asked | None") -> None:
+        """Compute the shadows: after the command has gone, from what the law in command was told."""
+        shadows = self._parts.shadows
+        if shadows is None:
+            return
+        if asked is None:
+            shadows.hold()
+        else:
+            state, dt_s, begins = asked
+            shadows.update(self.t_s, reference, state, self._applied, dt_s, begins=begins)
 
     def _measure_latency(self, sequence: int, feedback: Feedback, fix: PoseFix | None) -> None:
         """Note on what the command rests, and how late the one acted that the robot says is in force."""
@@ -284,7 +316,9 @@ class Loop:
         """Tell of a tick in which nothing is commanded: what is heard of the robot, which may be nothing."""
         applied = Applied(self._nothing, False, self._latency.s)
         feedback, reference = self._parts.device.feedback, self._parts.reference.at(self.t_s)
-        self._tell(number, late_ns, feedback, Beliefs(fix, None, reference, applied, self._parts.estimator.status))
+        self._ask_shadows(reference, None)
+        beliefs = Beliefs(fix, None, reference, applied, self._parts.estimator.status, True)
+        self._tell(number, late_ns, feedback, beliefs)
 
     def _tell(self, number: int, late_ns: int, feedback: Feedback | None, beliefs: Beliefs) -> None:
         self._ticks += 1

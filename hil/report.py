@@ -153,6 +153,9 @@ def print_figures(metrics: Mapping[str, Any]) -> None:
         print(f"  {'warning':<22} {sentence}")
     for row in metrics.get("fault") or ():
         print(f"  {'fault':<22} {applied_words(row)}")
+    for row in metrics.get("shadows") or ():
+        if row["dropped"] is not None:
+            print(f"  {'shadow':<22} {row['dropped']}")
     for row in metrics.get("recoveries") or ():
         print(f"  {'recovery':<22} lost at {row['lost_s']:.3f} s, ACTIVE again at {row['armed_s']:.3f} s: {row['why']}")
     for row in metrics.get("expect") or ():
