@@ -30,6 +30,7 @@ from hil.commands.options import (
     interrupt,
     print_json,
 )
+from hil.commands.replay import replay
 from hil.commands.reproduce import reproduce
 from hil.commands.robot import device, params
 from hil.commands.trace import decode
@@ -113,6 +114,7 @@ app.command()(device)
 app.command()(decode)
 app.command()(params)
 app.command()(fuzzy)
+app.command()(replay)
 app.command()(reproduce)
 
 

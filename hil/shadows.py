@@ -14,12 +14,13 @@ from hil.model import RobotModel
 from hil.ports import Controller
 from hil.types import NAN_WHEELS, WHEEL_NAMES, Applied, CommandMode, Reference, State, Wheels
 
-_QUANTITY = {CommandMode.SPEED: "speed_command_rad_s", CommandMode.TORQUE: "torque_command_n_m"}
+QUANTITY = {CommandMode.SPEED: "speed_command_rad_s", CommandMode.TORQUE: "torque_command_n_m"}
+"""What the signals of set points are called."""
 
 
 def command_names(prefix: str, mode: CommandMode) -> tuple[str, ...]:
     """Return the names of a law's four set points, such as ``shadow.dsc.wheel.fl.torque_command_n_m``."""
-    return tuple(f"{prefix}.wheel.{wheel}.{_QUANTITY[mode]}" for wheel in WHEEL_NAMES)
+    return tuple(f"{prefix}.wheel.{wheel}.{QUANTITY[mode]}" for wheel in WHEEL_NAMES)
 
 
 class Shadows:
