@@ -25,6 +25,7 @@ from hil.scenario import Scenario, load
 from hil.scenario.laws import Laws, make_laws
 from hil.telemetry import Recording, RunRecording, check_output_path
 from hil.telemetry.provenance import properties
+from hil.telemetry.udp import UdpStream, parse_destination
 from hil.trace import Trace
 
 __all__ = ["RunResult", "check_scenario", "run", "run_scenario"]
@@ -41,20 +42,22 @@ def run(
     truth: str | None = None,
     record: str | Path | None = None,
     trace: str | Path | None = None,
+    stream: str | None = None,
     allow_motion: bool = False,
 ) -> RunResult:
     """Run a scenario and return its result; the same as ``hil run``.
 
     ``scenario`` is a shipped name or a path; ``set`` overrides any of its keys, ``robot`` merges a robot's own file.
     ``truth`` is the URL of the truth socket of a robot in another process, ``record`` an ``.rrd`` file, ``trace`` a
-    ``.blf``, ``.asc`` or ``.log`` file for what is on the wire.
+    ``.blf``, ``.asc`` or ``.log`` file for what is on the wire, ``stream`` the URL ``udp://127.0.0.1:PORT`` of a
+    program that plots JSON datagrams.
 
     Raises BadInputError for a wrong scenario or option, LinkError or DeviceError when the robot cannot be reached or
     does not arm. What fails later is in the result.
     """
     loaded = load(scenario, set=set, robot=robot, mode=mode, link=link, seed=seed)
     recording, traced = (Path(path) if path is not None else None for path in (record, trace))
-    return run_scenario(loaded, truth=truth, record=recording, trace=traced, allow_motion=allow_motion)
+    return run_scenario(loaded, truth=truth, record=recording, trace=traced, stream=stream, allow_motion=allow_motion)
 
 
 MakeRecording = Callable[..., RunRecording]
@@ -70,6 +73,7 @@ def run_scenario(
     record: Path | None = None,
     trace: Path | None = None,
     live_port: int | None = None,
+    stream: str | None = None,
     allow_motion: bool = False,
     watch: Watch | None = None,
     warn: Callable[[str], None] | None = None,
@@ -88,6 +92,7 @@ def run_scenario(
         check_output_path("recording", record)
     if trace is not None:
         check_output_path("trace", trace)
+    destination = parse_destination(stream) if stream is not None else None
     model, reference = _model_and_reference(scenario)
     laws = make_laws(scenario, scenario.directory)
     make_loop = _loop_of(scenario, model, reference, laws)
@@ -126,7 +131,10 @@ def run_scenario(
             recording.event(0.0, "info", f"link: {bench.device.describe_link()}")
             for sentence in demands.sentences:
                 recording.event(0.0, "warning", sentence)
-        loop = make_loop(bench, memory if recording is None else _Both(memory, recording))
+        streaming: UdpStream | None = None
+        if destination is not None:
+            streaming = resources.enter_context(UdpStream(destination, signals=laws.signals, blocking=blocking))
+        loop = make_loop(bench, _All([sink for sink in (memory, recording, streaming) if sink is not None]))
         origin_ns = _reach(bench, lambda: bench.device.start(bench.clock, scenario.loop.period_ns))
         bench.begin(origin_ns)
         with watch(loop) if watch is not None else contextlib.nullcontext():
@@ -137,6 +145,8 @@ def run_scenario(
         metrics["reference"] = {"kind": scenario.reference.kind, **demands.figures()}
         if tracing is not None:
             metrics["trace"] = _finished(tracing)
+        if streaming is not None:
+            metrics["streamed"] = streaming.finish()
         if recording is not None:
             _note_events(recording, loop, metrics)
             _close_recording(recording, metrics, keep_live=linger is not None)
@@ -221,16 +231,15 @@ def _reach(bench: Bench, step: Callable[[], T]) -> T:
         raise
 
 
-class _Both:
-    """Two sinks as one."""
+class _All:
+    """Some sinks as one."""
 
-    def __init__(self, first: Sink, second: Sink) -> None:
-        self._first = first
-        self._second = second
+    def __init__(self, sinks: Sequence[Sink]) -> None:
+        self._sinks = sinks
 
     def put(self, row: tuple[float, ...]) -> None:
-        self._first.put(row)
-        self._second.put(row)
+        for sink in self._sinks:
+            sink.put(row)
 
 
 class _Faulted:

@@ -61,6 +61,14 @@ def run(
     trace: TraceFile = None,
     live: Annotated[bool, typer.Option("--live", help="serve the rerun viewer on 127.0.0.1 while it runs")] = False,
     live_port: Annotated[int, typer.Option(metavar="PORT", help="for --live", min=1, max=65535)] = 9876,
+    stream: Annotated[
+        str | None,
+        typer.Option(
+            metavar="udp://127.0.0.1:PORT",
+            help="send JSON at 100 Hz, for PlotJuggler's UDP server; stays on this machine unless another's address "
+            "is given",
+        ),
+    ] = None,
     seed: Seed = None,
     sets: Sets = None,
     allow_motion: Annotated[bool, typer.Option("--allow-motion", help="real motors may move")] = False,
@@ -86,6 +94,7 @@ def run(
             record=path,
             trace=trace,
             live_port=live_port if live else None,
+            stream=stream,
             allow_motion=allow_motion,
             watch=watch,
             warn=report.warn,

@@ -166,8 +166,22 @@ def print_figures(metrics: Mapping[str, Any]) -> None:
     if (trace := metrics.get("trace")) is not None:
         written = f"{trace['frames']} frames in {trace['path']}"
         print(f"  {'trace':<22} {trace['trouble'] or written}")
+    if (stream := metrics.get("streamed")) is not None:
+        print(f"  {'stream':<22} {_streamed(stream)}")
     if (passed := metrics.get("passed")) is not None:
         print(f"  {'passed':<22} {'yes' if passed else 'no'}")
+
+
+def _streamed(stream: Mapping[str, Any]) -> str:
+    """Return what became of a stream."""
+    if stream["sent"] is None:
+        return f"to {stream['url']} incomplete: {stream['error']}"
+    text = f"{stream['sent']} datagrams to {stream['url']}"
+    if stream["lost"]:
+        text += f", {stream['lost']} lost: {stream['error']}"
+    if stream["rows_dropped"]:
+        text += f", {stream['rows_dropped']} rows dropped: the sender was too slow"
+    return text
 
 
 def _what_is_missing(recorded: Mapping[str, Any], path: str | None) -> str:

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from hil.ports import Controller, OwnSignals
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*(\.[a-z0-9_]+)+")
-_TAKEN = GROUPS | {"shadow", "replay", "timestamp"}
+_TAKEN = GROUPS | {"shadow", "replay", "timestamp", "sequence"}
 
 
 def own_signals(law: "Controller") -> "tuple[OwnSignals, ...]":
