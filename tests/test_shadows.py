@@ -6,13 +6,17 @@ import pytest
 import hil
 from hil.controllers.registry import SHIPPED
 from hil.errors import BadInputError
+from hil.review import read
 from hil.scenario import load
 from hil.types import WHEEL_NAMES
 
 SHORT = {"loop.duration_s": 0.5, "loop.rate_hz": 200, "expect": []}
 BROKEN = """
+from hil.types import WheelCommand, ZERO_WHEELS
+
 class Broken:
     def __init__(self, model, mode):
+        self.mode = mode
         self.left = 20
 
     def reset(self, state, reference):
@@ -20,7 +24,8 @@ class Broken:
 
     def update(self, reference, state, applied, dt_s):
         self.left -= 1
-        return 1 / self.left
+        1 / self.left
+        return WheelCommand(self.mode, ZERO_WHEELS, ZERO_WHEELS)
 """
 
 
@@ -67,19 +72,13 @@ def test_a_shadow_that_raises_is_dropped_with_a_sentence_and_the_run_goes_on(tmp
     assert result.passed
     dsc, broken = result.metrics["shadows"]
     assert dsc["dropped"] is None
-    assert broken["asked"] == 0
-    assert broken["dropped"].startswith("shadow Broken dropped at t = 0.000 s: controller.shadow.1 = ")
-    assert "update returned" in broken["dropped"]
-    assert np.isnan(commands(result, "shadow.Broken.")).all()
+    assert broken["asked"] == 19
+    assert broken["dropped"].startswith("shadow Broken dropped at t = 0.095 s: controller.shadow.1 = ")
+    assert broken["dropped"].endswith(f"update failed at {path}:14: ZeroDivisionError: division by zero")
+    assert np.isnan(commands(result, "shadow.Broken.")[0]).tolist() == [False] * 19 + [True] * 81
     assert np.isfinite(commands(result, "shadow.dsc.")).all()
-    told = [event for event in hil_events(record) if event.text == broken["dropped"]]
-    assert [event.level for event in told] == ["WARN"]
-
-
-def hil_events(record):
-    from hil.review import read
-
-    return read(record).events
+    told = [event for event in read(record).events if event.text == broken["dropped"]]
+    assert [(event.level, event.t_s) for event in told] == [("WARN", 0.095)]
 
 
 def test_a_shadow_is_not_asked_while_the_law_in_command_is_not():
