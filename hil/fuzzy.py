@@ -9,7 +9,7 @@ The paper's text does not give the ranges of the inputs: they are parameters.
 """
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
     import numpy as np
@@ -58,21 +58,8 @@ RULES: dict[Tables, tuple[Rules, Rules]] = {
 Cell = tuple[float, float, float, float, float, float, float, float]
 
 
-class Firing(NamedTuple):
-    """What fires in a block: from it follow the memberships of all sets, and with them all rules.
-
-    Attributes:
-        error: place of the error on the scale of the sets, -2 for NB, 0 for Z, 2 for PB; what is in between belongs to
-            both neighbours, to the nearer one more.
-        rate: place of the error's rate.
-        rule: the strongest rule, 5 times the row (rate) plus the column (error) of tables III and IV, 0 to 24.
-        degree: to which that rule fires, the product of its two memberships, 0.25 to 1.
-    """
-
-    error: float
-    rate: float
-    rule: float
-    degree: float
+FIRING = ("error", "rate", "rule", "degree")
+"""What ``FuzzyBlock.firing`` returns."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,12 +115,20 @@ class FuzzyBlock:
         a, b, c, d, e, f, g, h = self._cells[i]
         return a + b * p + q * (c + d * p), e + f * p + q * (g + h * p)
 
-    def firing(self, error: float, rate: float) -> Firing:
-        """Return where the inputs lie among the sets, and which rule is strongest there. NaN counts as NB."""
-        p = _place(error, self.error_range)
-        q = _place(rate, self.rate_range)
+    def firing(self, error: float, rate: float) -> tuple[float, float, float, float]:
+        """Return what fires at an error and its rate (``FIRING``). NaN counts as NB.
+
+        First the places of both among the sets, -2 for NB, 0 for Z, 2 for PB; what is in between belongs to its two
+        neighbours, to the nearer one more, so that all memberships follow. Then the strongest rule, 5 times the row
+        (rate) plus the column (error) of tables III and IV, 0 to 24, and its degree, the product of its two
+        memberships, 0.25 to 1.
+        """
+        p = 2.0 * error / self.error_range + 2.0
+        q = 2.0 * rate / self.rate_range + 2.0
+        p = 4.0 if p >= 4.0 else p if p > 0.0 else 0.0
+        q = 4.0 if q >= 4.0 else q if q > 0.0 else 0.0
         column, row = int(p + 0.5), int(q + 0.5)
-        return Firing(p - 2.0, q - 2.0, 5.0 * row + column, (1.0 - abs(p - column)) * (1.0 - abs(q - row)))
+        return p - 2.0, q - 2.0, 5.0 * row + column, (1.0 - abs(p - column)) * (1.0 - abs(q - row))
 
     def gains_batch(
         self, error: "NDArray[np.float64]", rate: "NDArray[np.float64]"
@@ -147,12 +142,6 @@ class FuzzyBlock:
         p, q = p - i, q - j
         a, b, c, d, e, f, g, h = np.moveaxis(np.array(self._cells)[4 * j + i], -1, 0)
         return a + b * p + q * (c + d * p), e + f * p + q * (g + h * p)
-
-
-def _place(value: float, reach: float) -> float:
-    """Return the place of an input among the five sets, 0 to 4."""
-    place = 2.0 * value / reach + 2.0
-    return min(place, 4.0) if place > 0.0 else 0.0
 
 
 def _cells_of(k1_1_s: tuple[float, ...], k2_1_s: tuple[float, ...]) -> tuple[Cell, ...]:

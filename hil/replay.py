@@ -5,6 +5,7 @@ and how late that took effect. It is asked and reset where that one was. What it
 against the commands that were recorded. The law that made the run says again what it said then.
 """
 
+import array
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -41,6 +42,8 @@ from hil.types import (
 )
 
 Series = npt.NDArray[np.float64]
+
+_BLOCK = 10_000
 
 _LABEL = "open loop: computed afterwards from the recorded states; it never drove the robot"
 _LEVELS = {"DEBUG": "debug", "WARN": "warning", "ERROR": "error"}
@@ -139,20 +142,22 @@ def replay(run: RecordedRun, text: str) -> Replay:
     model = _model(run, scenario)
     law = make_controller(spec, Path.cwd(), model, mode, gains, law_key="--law", gains_key=f"--law {spec}")
     guard = Guard(model.speed_limit_rad_s, model.torque_limit_n_m)
-    said = list(_commands(run, law, guard, mode, scenario))
-    asked = np.array([command is not None for command in said], dtype=bool)
+    names = _compared(mode)
+    said = array.array("d")
+    for command in _commands(run, law, guard, mode, scenario):
+        said.extend(_flat(command, mode))
+    table = np.frombuffer(said, dtype=np.float64).reshape(-1, len(names))
+    asked = np.isfinite(table[:, 0])
     if not asked.any():
         raise BadInputError(f"{run.path}: there is no tick in which the law was asked; nothing can be replayed")
-    names = _compared(mode)
-    columns = np.array([_flat(command, mode) for command in said]).T
-    commands = dict(zip(names, columns, strict=True))
+    commands = dict(zip(names, table.T, strict=True))
     return Replay(
         path=run.path,
         law=spec,
         recorded_law=str(scenario["controller.law"]),
         mode=mode,
         gains=gains,
-        ticks=len(said),
+        ticks=len(table),
         asked=int(asked.sum()),
         commands_refused=guard.refused,
         commands=commands,
@@ -185,7 +190,7 @@ def write_replay(run: RecordedRun, replayed: Replay, path: Path) -> None:
             recording.event(event.t_s, _LEVELS.get(event.level, "info"), event.text)
         for sentence in (told, *replayed.notes):
             recording.event(float(run.signals["loop.t_s"][0]), "warning", sentence)
-        for row in zip(*(series.tolist() for series in signals.values()), strict=True):
+        for row in _tuples(list(signals.values())):
             recording.put(row)
         report = recording.finish(run.summary or {})
     if not report.complete:
@@ -286,25 +291,23 @@ class _Row(NamedTuple):
 
 
 def _rows(run: RecordedRun, mode: CommandMode) -> Iterator[_Row]:
-    def columns(*names: str) -> Iterator[tuple[float, ...]]:
-        return zip(*(run.signals[name].tolist() for name in names), strict=True)
-
     def group(prefix: str, names: Sequence[str]) -> Iterator[tuple[float, ...]]:
-        return columns(*(f"{prefix}.{name}" for name in names))
+        return _tuples([run.signals[f"{prefix}.{name}"] for name in names])
 
-    speeds, torques = (columns(*(f"wheel.{w}.{quantity}" for w in WHEEL_NAMES)) for quantity in QUANTITY.values())
-    for loop, refer, twist_d, acceleration, pose, twist, speed, torque in zip(
-        columns("loop.tick", "guard.held", "guard.saturated", "link.latency_ms"),
+    def wheels(quantity: str) -> Iterator[tuple[float, ...]]:
+        return _tuples([run.signals[f"wheel.{wheel}.{quantity}"] for wheel in WHEEL_NAMES])
+
+    loop = [run.signals[name] for name in ("loop.tick", "guard.held", "guard.saturated", "link.latency_ms")]
+    for (tick, held, saturated, latency_ms), refer, twist_d, acceleration, pose, twist, speed, torque in zip(
+        _tuples(loop),
         group("reference", _POSE),
         group("reference", _TWIST),
         group("reference", _ACCELERATION),
         group("pose", _POSE),
         group("twist", _TWIST),
-        speeds,
-        torques,
+        *map(wheels, QUANTITY.values()),
         strict=True,
     ):
-        tick, held, saturated, latency_ms = loop
         speed_rad_s = ZERO_WHEELS if mode is CommandMode.TORQUE else Wheels(*speed)
         yield _Row(
             int(tick),
@@ -314,6 +317,12 @@ def _rows(run: RecordedRun, mode: CommandMode) -> Iterator[_Row]:
             State(Pose(*pose), Twist(*twist)),
             Applied(WheelCommand(mode, speed_rad_s, Wheels(*torque)), saturated != 0.0, latency_ms / 1e3),
         )
+
+
+def _tuples(columns: Sequence[Series]) -> Iterator[tuple[float, ...]]:
+    """Yield the rows of some columns; by the block, because Python's floats take four times the room of an array's."""
+    for start in range(0, len(columns[0]), _BLOCK):
+        yield from zip(*(column[start : start + _BLOCK].tolist() for column in columns), strict=True)
 
 
 def _compared(mode: CommandMode) -> list[str]:

@@ -53,14 +53,14 @@ def counting(folder, signals='("mine.count",)', telemetry="(self.count,)") -> st
 @given(st.floats(-3, 3), st.floats(-3, 3))
 def test_the_strongest_rule_is_the_product_of_the_largest_memberships(error, rate):
     """The place alone gives all memberships, so that nothing of the inference is lost."""
-    fired = FuzzyBlock.from_tables("printed", 1.0, 1.0).firing(error, rate)
+    at_error, at_rate, rule, degree = FuzzyBlock.from_tables("printed", 1.0, 1.0).firing(error, rate)
     of_error, of_rate = memberships(error), memberships(rate)
-    row, column = divmod(int(fired.rule), 5)
-    assert fired.degree == pytest.approx(max(of_error) * max(of_rate))
+    row, column = divmod(int(rule), 5)
+    assert degree == pytest.approx(max(of_error) * max(of_rate))
     assert of_rate[row] == pytest.approx(max(of_rate))
     assert of_error[column] == pytest.approx(max(of_error))
-    assert memberships(fired.error / 2) == pytest.approx(of_error)
-    assert memberships(fired.rate / 2) == pytest.approx(of_rate)
+    assert memberships(at_error / 2) == pytest.approx(of_error)
+    assert memberships(at_rate / 2) == pytest.approx(of_rate)
 
 
 def test_firing_is_finite_for_every_input():

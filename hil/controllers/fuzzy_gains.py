@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from hil.controllers.surface import TrackingError
-from hil.fuzzy import Firing, FuzzyBlock, Tables
+from hil.fuzzy import FIRING, FuzzyBlock, Tables
 from hil.options import require_positive
 from hil.types import NAN, Gains
 
@@ -28,11 +28,11 @@ class FuzzyRanges:
 
 
 class FuzzyGains:
-    """A fuzzy block an axis. It has ``OwnSignals``: what fires in each block, see ``hil.fuzzy.Firing``."""
+    """A fuzzy block an axis. It has ``OwnSignals``: what fires in each block, see ``hil.fuzzy.FuzzyBlock.firing``."""
 
     __slots__ = ("_error", "_heading", "_planar")
 
-    signals = tuple(f"fuzzy.{axis}.{name}" for axis in ("x", "y", "heading") for name in Firing._fields)
+    signals = tuple(f"fuzzy.{axis}.{name}" for axis in ("x", "y", "heading") for name in FIRING)
 
     def __init__(self, tables: Tables, ranges: FuzzyRanges) -> None:
         self._planar = FuzzyBlock.from_tables(tables, ranges.error_range_m, ranges.error_rate_range_m_s)
@@ -46,7 +46,7 @@ class FuzzyGains:
             return (NAN,) * len(self.signals)
         x, y, heading, vx, vy, yaw_rate = self._error
         firing = self._planar.firing
-        return (*firing(x, vx), *firing(y, vy), *self._heading.firing(heading, yaw_rate))
+        return firing(x, vx) + firing(y, vy) + self._heading.firing(heading, yaw_rate)
 
     def of(self, error: TrackingError) -> Gains:
         """Return the gains at this error."""
