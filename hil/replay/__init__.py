@@ -22,6 +22,7 @@ from hil.errors import BadInputError, DeviceError
 from hil.guard import Guard
 from hil.model import RobotModel
 from hil.ports import Controller
+from hil.replay.recorded import check_signals, model_of, recorded_gains, rows, scenario_of, tuples
 from hil.review import RecordedRun
 from hil.scenario.toml_text import parse_value
 from hil.shadows import QUANTITY
@@ -41,26 +42,12 @@ from hil.types import (
     Wheels,
 )
 
-Series = npt.NDArray[np.float64]
+__all__ = ["Difference", "Replay", "replay", "write_replay"]
 
-_BLOCK = 10_000
+Series = npt.NDArray[np.float64]
 
 _LABEL = "open loop: computed afterwards from the recorded states; it never drove the robot"
 _LEVELS = {"DEBUG": "debug", "WARN": "warning", "ERROR": "error"}
-_POSE, _TWIST = ("x_m", "y_m", "heading_rad"), ("vx_m_s", "vy_m_s", "yaw_rate_rad_s")
-_ACCELERATION = ("ax_m_s2", "ay_m_s2", "yaw_acceleration_rad_s2")
-_INPUTS = (
-    "loop.t_s",
-    "loop.tick",
-    "loop.deadline_misses",
-    "guard.held",
-    "guard.saturated",
-    "link.latency_ms",
-    *(f"reference.{name}" for name in (*_POSE, *_TWIST, *_ACCELERATION)),
-    *(f"pose.{name}" for name in _POSE),
-    *(f"twist.{name}" for name in _TWIST),
-    *(f"wheel.{wheel}.{quantity}" for quantity in QUANTITY.values() for wheel in WHEEL_NAMES),
-)
 
 
 class Difference(NamedTuple):
@@ -130,16 +117,12 @@ def replay(run: RecordedRun, text: str) -> Replay:
     over these come those of the text. Raises BadInputError for a recording that does not hold what a law hears, for a
     law or gains as ``make_controller`` does, and with what a law that is not ours raises.
     """
-    missing = [name for name in _INPUTS if name not in run.signals]
-    if missing:
-        raise BadInputError(
-            f"{run.path}: it has no signal {missing[0]!r}, which a law has to be told; record the run again"
-        )
-    scenario = _scenario(run)
+    check_signals(run)
+    scenario = scenario_of(run)
     spec, *assignments = text.split(",")
     mode = CommandMode[str(scenario["controller.command"]).upper()]
-    gains = _recorded_gains(scenario, spec) | _given(text, assignments)
-    model = _model(run, scenario)
+    gains = recorded_gains(scenario, spec) | _given(text, assignments)
+    model = model_of(run, scenario)
     law = make_controller(spec, Path.cwd(), model, mode, gains, law_key="--law", gains_key=f"--law {spec}")
     guard = Guard(model.speed_limit_rad_s, model.torque_limit_n_m)
     names = _compared(mode)
@@ -190,54 +173,12 @@ def write_replay(run: RecordedRun, replayed: Replay, path: Path) -> None:
             recording.event(event.t_s, _LEVELS.get(event.level, "info"), event.text)
         for sentence in (told, *replayed.notes):
             recording.event(float(run.signals["loop.t_s"][0]), "warning", sentence)
-        for row in _tuples(list(signals.values())):
+        for row in tuples(list(signals.values())):
             recording.put(row)
         report = recording.finish(run.summary or {})
     if not report.complete:
         why = report.error or "not all rows or events could be passed on"
         raise DeviceError(f"recording {path} is incomplete: {why}; {report.rows_written} rows are safe in it")
-
-
-def _scenario(run: RecordedRun) -> dict[str, Any]:
-    """Return the values of the run's scenario by their dotted keys."""
-    try:
-        scenario = json.loads(run.properties["scenario"])
-        for key in ("controller.law", "controller.command", "loop.rate_hz", "robot.mass_kg"):
-            scenario[key]
-    except (KeyError, TypeError, ValueError):
-        raise BadInputError(
-            f"{run.path}: it does not hold the scenario of its run; replay needs a recording made by 'hil run'"
-        ) from None
-    return dict(scenario)
-
-
-def _below(scenario: Mapping[str, Any], table: str) -> dict[str, Any]:
-    """Return the values of a table by their keys; JSON's lists are arrays again."""
-    values = {key.removeprefix(f"{table}."): value for key, value in scenario.items() if key.startswith(f"{table}.")}
-    return {key: tuple(value) if isinstance(value, list) else value for key, value in values.items()}
-
-
-def _model(run: RecordedRun, scenario: Mapping[str, Any]) -> RobotModel:
-    try:
-        return RobotModel(**_below(scenario, "robot"))
-    except TypeError as error:
-        raise BadInputError(f"{run.path}: its [robot] is that of another version ({error})") from error
-
-
-def _recorded_gains(scenario: Mapping[str, Any], spec: str) -> dict[str, object]:
-    """Return the gains that the recording has for a law."""
-    if _is_same(spec, scenario["controller.law"]):
-        return _below(scenario, "controller.gains")
-    for shadow in scenario.get("controller.shadow", ()):
-        if _is_same(spec, shadow):
-            return _below(scenario, f"controller.shadow_gains.{short_name(shadow)}")
-    return {}
-
-
-def _is_same(spec: str, other: str) -> bool:
-    """Tell whether two texts name one law; a file counts by its name, because the paths start elsewhere."""
-    (file, _, name), (other_file, _, other_name) = spec.rpartition(":"), other.rpartition(":")
-    return (PurePath(file).name, name) == (PurePath(other_file).name, other_name)
 
 
 def _given(text: str, assignments: Sequence[str]) -> dict[str, object]:
@@ -259,7 +200,7 @@ def _commands(
     latency_s = sum(float(scenario.get(f"link.{way}_latency_s", 0.0)) for way in ("command", "feedback"))
     applied = Applied(rest, False, latency_s)
     before: int | None = None  # the tick before, as hil.loop counts it
-    for row in _rows(run, mode):
+    for row in rows(run, mode):
         if row.is_away:
             yield None
             before = None
@@ -277,52 +218,6 @@ def _commands(
         applied = row.applied
         if before is not None:
             before = row.tick
-
-
-class _Row(NamedTuple):
-    """A tick as it was recorded. ``is_away``: the robot was away, and nothing was commanded."""
-
-    tick: int
-    is_away: bool
-    is_held: bool
-    reference: Reference
-    state: State
-    applied: Applied
-
-
-def _rows(run: RecordedRun, mode: CommandMode) -> Iterator[_Row]:
-    def group(prefix: str, names: Sequence[str]) -> Iterator[tuple[float, ...]]:
-        return _tuples([run.signals[f"{prefix}.{name}"] for name in names])
-
-    def wheels(quantity: str) -> Iterator[tuple[float, ...]]:
-        return _tuples([run.signals[f"wheel.{wheel}.{quantity}"] for wheel in WHEEL_NAMES])
-
-    loop = [run.signals[name] for name in ("loop.tick", "guard.held", "guard.saturated", "link.latency_ms")]
-    for (tick, held, saturated, latency_ms), refer, twist_d, acceleration, pose, twist, speed, torque in zip(
-        _tuples(loop),
-        group("reference", _POSE),
-        group("reference", _TWIST),
-        group("reference", _ACCELERATION),
-        group("pose", _POSE),
-        group("twist", _TWIST),
-        *map(wheels, QUANTITY.values()),
-        strict=True,
-    ):
-        speed_rad_s = ZERO_WHEELS if mode is CommandMode.TORQUE else Wheels(*speed)
-        yield _Row(
-            int(tick),
-            math.isnan(torque[0]),
-            held != 0.0,
-            Reference(Pose(*refer), Twist(*twist_d), Acceleration(*acceleration)),
-            State(Pose(*pose), Twist(*twist)),
-            Applied(WheelCommand(mode, speed_rad_s, Wheels(*torque)), saturated != 0.0, latency_ms / 1e3),
-        )
-
-
-def _tuples(columns: Sequence[Series]) -> Iterator[tuple[float, ...]]:
-    """Yield the rows of some columns; by the block, because Python's floats take four times the room of an array's."""
-    for start in range(0, len(columns[0]), _BLOCK):
-        yield from zip(*(column[start : start + _BLOCK].tolist() for column in columns), strict=True)
 
 
 def _compared(mode: CommandMode) -> list[str]:
