@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +17,13 @@ from hil.types import WHEEL_NAMES, CommandMode
 
 SHORT = {"loop.duration_s": 0.5, "loop.rate_hz": 200, "expect": []}
 DELAYED = {"link.command_latency_s": 0.003, "link.feedback_latency_s": 0.007}
-NOT_THERE = "wheel.fl.torque_command_n_m"
+FRONT_LEFT = "wheel.fl.torque_command_n_m"
+
+
+def changed(run, key, value):
+    """The run's properties with another value in its scenario."""
+    scenario = json.loads(run.properties["scenario"]) | {key: value}
+    return {"properties": run.properties | {"scenario": json.dumps(scenario)}}
 
 
 @pytest.fixture(scope="module")
@@ -98,15 +105,13 @@ def test_the_recording_of_a_replay_holds_the_run_and_the_difference_and_says_wha
         "error.x_m": list(recorded.signals["error.x_m"])
     }
     told = again.signals["replay.pid.wheel.fl.torque_difference_n_m"]
-    assert np.array_equal(told, replayed.commands[NOT_THERE] - recorded.signals[NOT_THERE], equal_nan=True)
+    assert np.array_equal(told, replayed.commands[FRONT_LEFT] - recorded.signals[FRONT_LEFT], equal_nan=True)
     assert "open loop" in again.properties["replay"]
     assert any("open loop" in event.text for event in again.events)
     assert again.summary == recorded.summary
 
 
 def test_ticks_that_are_missing_are_told(recorded):
-    from dataclasses import replace
-
     kept = np.r_[10:40, 45:100]
     part = replace(recorded, signals={name: series[kept] for name, series in recorded.signals.items()})
     notes = replay(part, "dsc").notes
@@ -150,12 +155,13 @@ def test_a_law_that_refuses_the_mode_of_the_recording_is_refused(by_speed, tmp_p
         (lambda run: {"signals": {k: v for k, v in run.signals.items() if k != "reference.ax_m_s2"}}, "no signal"),
         (lambda run: {"properties": {}}, "it does not hold the scenario of its run"),
         (lambda run: {"properties": {"scenario": "[]"}}, "it does not hold the scenario of its run"),
+        (lambda run: changed(run, "controller.command", "banana"), "it does not hold the scenario of its run"),
+        (lambda run: changed(run, "robot.wings_m", 1.0), "its [robot] is that of another version"),
+        (lambda run: changed(run, "robot.mass_kg", "heavy"), "its [robot] is that of another version"),
         (lambda run: {"signals": {k: v[:0] for k, v in run.signals.items()}}, "no tick in which the law was asked"),
     ],
 )
 def test_a_recording_that_cannot_be_replayed_is_refused_in_one_sentence(recorded, change, message):
-    from dataclasses import replace
-
     with pytest.raises(BadInputError) as refusal:
         replay(replace(recorded, **change(recorded)), "dsc")
     assert message in str(refusal.value)

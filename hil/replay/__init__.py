@@ -6,11 +6,9 @@ against the commands that were recorded. The law that made the run says again wh
 """
 
 import array
-import json
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,27 +18,13 @@ from hil.controllers.own_signals import short_name
 from hil.controllers.registry import make_controller
 from hil.errors import BadInputError, DeviceError
 from hil.guard import Guard
-from hil.model import RobotModel
 from hil.ports import Controller
 from hil.replay.recorded import check_signals, model_of, recorded_gains, rows, scenario_of, tuples
 from hil.review import RecordedRun
 from hil.scenario.toml_text import parse_value
 from hil.shadows import QUANTITY
 from hil.telemetry import Recording, check_output_path
-from hil.types import (
-    NAN,
-    WHEEL_NAMES,
-    ZERO_WHEELS,
-    Acceleration,
-    Applied,
-    CommandMode,
-    Pose,
-    Reference,
-    State,
-    Twist,
-    WheelCommand,
-    Wheels,
-)
+from hil.types import NAN, WHEEL_NAMES, ZERO_WHEELS, Applied, CommandMode, WheelCommand
 
 __all__ = ["Difference", "Replay", "replay", "write_replay"]
 

@@ -57,16 +57,18 @@ def check_signals(run: RecordedRun) -> None:
 
 
 def scenario_of(run: RecordedRun) -> dict[str, Any]:
-    """Return the values of the run's scenario by their dotted keys."""
+    """Return the values of the run's scenario by their dotted keys. Raises BadInputError where it is not there."""
     try:
-        scenario = json.loads(run.properties["scenario"])
-        for key in ("controller.law", "controller.command", "loop.rate_hz", "robot.mass_kg"):
-            scenario[key]
+        scenario: dict[str, Any] = dict(json.loads(run.properties["scenario"]))
+        known = str(scenario["controller.law"]) and int(scenario["loop.rate_hz"]) > 0
+        CommandMode[str(scenario["controller.command"]).upper()]
     except (KeyError, TypeError, ValueError):
+        known = False
+    if not known:
         raise BadInputError(
             f"{run.path}: it does not hold the scenario of its run; replay needs a recording made by 'hil run'"
-        ) from None
-    return dict(scenario)
+        )
+    return scenario
 
 
 def _below(scenario: Mapping[str, Any], table: str) -> dict[str, Any]:
@@ -79,7 +81,7 @@ def model_of(run: RecordedRun, scenario: Mapping[str, Any]) -> RobotModel:
     """Return what the law in command believed of the robot. Raises BadInputError for one of another version."""
     try:
         return RobotModel(**_below(scenario, "robot"))
-    except TypeError as error:
+    except (TypeError, ValueError) as error:
         raise BadInputError(f"{run.path}: its [robot] is that of another version ({error})") from error
 
 
