@@ -124,7 +124,7 @@ _MEANING = {
     "loop.lateness_us": "how late the tick began; 0 in lockstep",
     "loop.tick_us": "wall-clock time that the previous tick's work took",
     "loop.deadline_misses": "ticks skipped so far because the one before ran over",
-    "reference.*": "where the robot should be, how it should move there, and how that changes, world frame",
+    "reference.*": "pose, twist and acceleration that the robot should have, world frame",
     "pose.*": "pose that the controller acts on, world frame",
     "twist.*": "twist that the controller acts on, world frame",
     "truth.*": "true pose, by a path of its own; no value without one",
