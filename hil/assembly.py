@@ -9,21 +9,23 @@ from typing import Any, TypeVar
 
 from firmware_protocol.host import HostNode
 from hil.bench import NS, Bench, open_trace
-from hil.controllers.registry import make_controller
 from hil.devices.virtual import MakeNode
 from hil.errors import DeviceError, HilError, LinkError
 from hil.estimator import EstimatorOptions, FusedOptions, make_estimator
 from hil.faults.signals import SignalFaults
 from hil.guard import Guard
-from hil.loop import Loop, Parts, Report, Timing
+from hil.loop import Loop, Parts, Report
 from hil.metrics import percentiles, signal_figures
 from hil.model import RobotModel
-from hil.ports import Controller, Sink
+from hil.ports import Sink
 from hil.references import Feasibility, ReferenceSource, feasibility, make_reference
 from hil.results import MemorySink, RunResult, Series, applied_words, expectations
+from hil.sampling import Timing
 from hil.scenario import Scenario, load
+from hil.scenario.laws import Laws, make_laws
 from hil.telemetry import Recording, Rotation, RunRecording, check_output_path, rotation
 from hil.telemetry.provenance import properties
+from hil.telemetry.udp import UdpStream, parse_destination
 from hil.trace import Trace
 
 __all__ = ["RunResult", "check_scenario", "run", "run_scenario"]
@@ -41,6 +43,7 @@ def run(
     record: str | Path | None = None,
     rotate: str | None = None,
     trace: str | Path | None = None,
+    stream: str | None = None,
     allow_motion: bool = False,
 ) -> RunResult:
     """Run a scenario and return its result; the same as ``hil run``.
@@ -48,7 +51,7 @@ def run(
     ``scenario`` is a shipped name or a path; ``set`` overrides any of its keys, ``robot`` merges a robot's own file.
     ``truth`` is the URL of the truth socket of a robot in another process, ``record`` an ``.rrd`` or ``.mcap``
     file, ``rotate`` when it goes on in another, as in ``1GB|10min``, ``trace`` a ``.blf``, ``.asc`` or ``.log`` file
-    for what is on the wire.
+    for what is on the wire, ``stream`` the URL ``udp://127.0.0.1:PORT`` of a program that plots JSON datagrams.
 
     Raises BadInputError for a wrong scenario or option, LinkError or DeviceError when the robot cannot be reached or
     does not arm. What fails later is in the result.
@@ -56,7 +59,15 @@ def run(
     loaded = load(scenario, set=set, robot=robot, mode=mode, link=link, seed=seed)
     recording, traced = (Path(path) if path is not None else None for path in (record, trace))
     parts = rotation(rotate) if rotate is not None else Rotation()
-    return run_scenario(loaded, truth=truth, record=recording, rotate=parts, trace=traced, allow_motion=allow_motion)
+    return run_scenario(
+        loaded,
+        truth=truth,
+        record=recording,
+        rotate=parts,
+        trace=traced,
+        stream=stream,
+        allow_motion=allow_motion,
+    )
 
 
 MakeRecording = Callable[..., RunRecording]
@@ -73,6 +84,7 @@ def run_scenario(
     rotate: Rotation = Rotation(),  # noqa: B008 -- immutable
     trace: Path | None = None,
     live_port: int | None = None,
+    stream: str | None = None,
     allow_motion: bool = False,
     watch: Watch | None = None,
     warn: Callable[[str], None] | None = None,
@@ -91,8 +103,10 @@ def run_scenario(
         check_output_path("recording", record)
     if trace is not None:
         check_output_path("trace", trace)
+    destination = parse_destination(stream) if stream is not None else None
     model, reference = _model_and_reference(scenario)
-    make_loop = _loop_of(scenario, model, reference)
+    laws = make_laws(scenario, scenario.directory)
+    make_loop = _loop_of(scenario, model, reference, laws)
     demands = _demands(scenario, model, reference)
     if warn is not None:
         for sentence in demands.sentences:
@@ -101,29 +115,51 @@ def run_scenario(
     with contextlib.ExitStack() as resources:
         tracing = resources.enter_context(open_trace(scenario, trace)) if trace is not None else None
         bench = resources.enter_context(
-            Bench(scenario, truth, allow_motion=allow_motion, trace=tracing, make_node=make_node)
+            Bench(
+                scenario,
+                truth,
+                allow_motion=allow_motion,
+                trace=tracing,
+                make_node=make_node,
+                signals=laws.signals,
+            )
         )
         # First the robot, then the recorder: a robot that is not there leaves no empty recording behind.
         robot = _reach(bench, bench.connect)
-        memory = MemorySink()
+        memory = MemorySink(laws.signals)
         recording: RunRecording | None = None
         if record is not None or live_port is not None:
-            options = {"blocking": blocking, "live_port": live_port} | ({"rotation": rotate} if any(rotate) else {})
-            recording = resources.enter_context(make_recording(record, properties=properties(scenario), **options))
+            options = {"rotation": rotate} if any(rotate) else {}
+            recording = resources.enter_context(
+                make_recording(
+                    record,
+                    properties=properties(scenario),
+                    blocking=blocking,
+                    live_port=live_port,
+                    signals=laws.signals,
+                    **options,
+                )
+            )
             recording.event(0.0, "info", f"robot: {robot.describe()}")
             recording.event(0.0, "info", f"link: {bench.device.describe_link()}")
             for sentence in demands.sentences:
                 recording.event(0.0, "warning", sentence)
-        loop = make_loop(bench, memory if recording is None else _Both(memory, recording))
+        streaming: UdpStream | None = None
+        if destination is not None:
+            streaming = resources.enter_context(UdpStream(destination, signals=laws.signals, blocking=blocking))
+        loop = make_loop(bench, _All([sink for sink in (memory, recording, streaming) if sink is not None]))
         origin_ns = _reach(bench, lambda: bench.device.start(bench.clock, scenario.loop.period_ns))
         bench.begin(origin_ns)
         with watch(loop) if watch is not None else contextlib.nullcontext():
             report = loop.run(origin_ns, round(scenario.loop.duration_s * NS))
         failure = bench.stop_robot() or report.failure
         metrics = _figures(scenario, bench, memory, report, failure, loop)
+        metrics["shadows"] = [] if laws.shadows is None else laws.shadows.figures()
         metrics["reference"] = {"kind": scenario.reference.kind, **demands.figures()}
         if tracing is not None:
             metrics["trace"] = _finished(tracing)
+        if streaming is not None:
+            metrics["streamed"] = streaming.finish()
         if recording is not None:
             _note_events(recording, loop, metrics)
             _close_recording(recording, metrics, keep_live=linger is not None)
@@ -138,7 +174,7 @@ def check_scenario(scenario: Scenario) -> Feasibility:
     Raises BadInputError for what the law or the reference refuse.
     """
     model, reference = _model_and_reference(scenario)
-    _controller(scenario, model)
+    make_laws(scenario, scenario.directory)
     return _demands(scenario, model, reference)
 
 
@@ -151,14 +187,10 @@ def _demands(scenario: Scenario, model: RobotModel, reference: ReferenceSource) 
     return feasibility(reference, model, scenario.loop.duration_s, scenario.loop.period_ns / NS)
 
 
-def _controller(scenario: Scenario, model: RobotModel) -> Controller:
-    table = scenario.controller
-    return make_controller(table.law, scenario.directory, model, table.mode, table.gains)
-
-
-def _loop_of(scenario: Scenario, model: RobotModel, reference: ReferenceSource) -> Callable[[Bench, Sink], Loop]:
+def _loop_of(
+    scenario: Scenario, model: RobotModel, reference: ReferenceSource, laws: Laws
+) -> Callable[[Bench, Sink], Loop]:
     """Make what a tick needs of the scenario alone, so that bad input is found before anything is opened."""
-    controller = _controller(scenario, model)
     counts = scenario.firmware.counts_per_revolution
     believed = scenario.estimator
     told = EstimatorOptions(
@@ -185,11 +217,13 @@ def _loop_of(scenario: Scenario, model: RobotModel, reference: ReferenceSource) 
             bench.fixes,
             estimator,
             reference,
-            controller,
+            laws.controller,
             guard,
             sink,
             bench.robot_failure,
             faults,
+            laws.shadows,
+            laws.extra,
         )
         by_truth = scenario.estimator.source == "truth"
         return Loop(parts, scenario.controller.mode, timing, rearm=scenario.loop.rearm, by_truth=by_truth)
@@ -210,16 +244,15 @@ def _reach(bench: Bench, step: Callable[[], T]) -> T:
         raise
 
 
-class _Both:
-    """Two sinks as one."""
+class _All:
+    """Some sinks as one."""
 
-    def __init__(self, first: Sink, second: Sink) -> None:
-        self._first = first
-        self._second = second
+    def __init__(self, sinks: Sequence[Sink]) -> None:
+        self._sinks = sinks
 
     def put(self, row: tuple[float, ...]) -> None:
-        self._first.put(row)
-        self._second.put(row)
+        for sink in self._sinks:
+            sink.put(row)
 
 
 class _Faulted:
@@ -341,6 +374,9 @@ def _note_events(recording: RunRecording, loop: Loop, metrics: Mapping[str, Any]
         if begin_s <= loop.t_s:
             recording.event(begin_s, "info", f"fault begins: {row['text']}")
         recording.event(max(begin_s, end_s), level, f"fault ends: {applied_words(row)}")
+    for row in metrics["shadows"]:
+        if row["dropped"] is not None:
+            recording.event(row["dropped_s"], "warning", row["dropped"])
     for row in metrics["recoveries"]:
         recording.event(row["lost_s"], "warning", f"{row['why']}; ACTIVE again at t = {row['armed_s']:.3f} s")
     for row in metrics["expect"]:

@@ -5,7 +5,7 @@ import random
 import secrets
 import threading
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -39,6 +39,7 @@ from hil.plant.description import parameter_names
 from hil.plant.mapping import Row, SignalMap
 from hil.ports import Clock, FixSource, Link, PoseSource
 from hil.scenario import SHIPPED_FMUS, Scenario, StartValue
+from hil.signals import SIGNAL_NAMES
 from hil.trace import Trace
 from hil.types import Pose
 
@@ -148,7 +149,7 @@ class Bench:
 
     With a link that stays within this process the virtual robot is made here too; else the robot is elsewhere, and
     ``truth`` is the URL of its truth socket, if it has one. ``trace`` is shown what is on the wire. ``make_node`` makes
-    the firmware of a robot that is made here.
+    the firmware of a robot that is made here; ``signals`` are those of the run.
 
     Raises BadInputError, LinkError or DeviceError when a part cannot be opened.
     """
@@ -161,6 +162,7 @@ class Bench:
         allow_motion: bool,
         trace: Trace | None = None,
         make_node: MakeNode = HostNode,
+        signals: Sequence[str] = SIGNAL_NAMES,
     ) -> None:
         self._scenario = scenario
         self._make_node = make_node
@@ -171,7 +173,7 @@ class Bench:
         lockstep = scenario.loop.mode == "lockstep"
         url = parse_link(scenario.link.url)
         self.clock: Clock = LockstepClock(lambda ticks: self.device.step(ticks)) if lockstep else WallClock()
-        self.faults = RunFaults([table.row for table in scenario.fault], scenario.loop.seed, self.clock)
+        self.faults = RunFaults([table.row for table in scenario.fault], scenario.loop.seed, self.clock, signals)
         with contextlib.ExitStack() as resources:
             self.truth: PoseSource | None = None
             self.fixes = self._fixes()

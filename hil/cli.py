@@ -31,6 +31,7 @@ from hil.commands.options import (
     interrupt,
     print_json,
 )
+from hil.commands.replay import replay
 from hil.commands.reproduce import reproduce
 from hil.commands.robot import device, params
 from hil.commands.trace import decode
@@ -65,6 +66,14 @@ def run(
     trace: TraceFile = None,
     live: Annotated[bool, typer.Option("--live", help="serve live viewers on 127.0.0.1 while it runs")] = False,
     live_port: Annotated[int, typer.Option(metavar="PORT", help="for --live", min=1, max=65535)] = live_view.LIVE_PORT,
+    stream: Annotated[
+        str | None,
+        typer.Option(
+            metavar="udp://127.0.0.1:PORT",
+            help="send JSON at 100 Hz, for PlotJuggler's UDP server; stays on this machine unless another's address "
+            "is given",
+        ),
+    ] = None,
     seed: Seed = None,
     sets: Sets = None,
     allow_motion: Annotated[bool, typer.Option("--allow-motion", help="real motors may move")] = False,
@@ -93,6 +102,7 @@ def run(
             rotate=parts,
             trace=trace,
             live_port=live_port if live else None,
+            stream=stream,
             allow_motion=allow_motion,
             watch=watch,
             warn=report.warn,
@@ -122,6 +132,7 @@ app.command()(decode)
 app.command()(params)
 app.command()(fuzzy)
 app.command()(live_view.live)
+app.command()(replay)
 app.command()(reproduce)
 
 

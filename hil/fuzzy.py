@@ -58,6 +58,10 @@ RULES: dict[Tables, tuple[Rules, Rules]] = {
 Cell = tuple[float, float, float, float, float, float, float, float]
 
 
+FIRING = ("error", "rate", "rule", "degree")
+"""What ``FuzzyBlock.firing`` returns."""
+
+
 @dataclass(frozen=True, slots=True)
 class FuzzyBlock:
     """The tuner of one axis.
@@ -110,6 +114,21 @@ class FuzzyBlock:
             q = 0.0
         a, b, c, d, e, f, g, h = self._cells[i]
         return a + b * p + q * (c + d * p), e + f * p + q * (g + h * p)
+
+    def firing(self, error: float, rate: float) -> tuple[float, float, float, float]:
+        """Return what fires at an error and its rate (``FIRING``). NaN counts as NB.
+
+        First the places of both among the sets, -2 for NB, 0 for Z, 2 for PB; what is in between belongs to its two
+        neighbours, to the nearer one more, so that all memberships follow. Then the strongest rule, 5 times the row
+        (rate) plus the column (error) of tables III and IV, 0 to 24, and its degree, the product of its two
+        memberships, 0.25 to 1.
+        """
+        p = 2.0 * error / self.error_range + 2.0
+        q = 2.0 * rate / self.rate_range + 2.0
+        p = 4.0 if p >= 4.0 else p if p > 0.0 else 0.0
+        q = 4.0 if q >= 4.0 else q if q > 0.0 else 0.0
+        column, row = int(p + 0.5), int(q + 0.5)
+        return p - 2.0, q - 2.0, 5.0 * row + column, (1.0 - abs(p - column)) * (1.0 - abs(q - row))
 
     def gains_batch(
         self, error: "NDArray[np.float64]", rate: "NDArray[np.float64]"

@@ -2,36 +2,36 @@
 
 import contextlib
 import time
-from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from firmware_protocol.generated.messages import State as RobotState
 from hil.devices.link_times import CommandLatency
 from hil.devices.snapshot import Feedback
 from hil.devices.stm32 import Stm32
 from hil.errors import DeviceError, HilError, LinkError, RobotStoppedError
 from hil.estimator import LOST, Estimator
 from hil.faults.signals import SignalFaults
+from hil.freshness import Freshness
 from hil.guard import Guard
 from hil.links.statistics import Statistics
-from hil.ports import Clock, Controller, FixSource, PoseSource, Sink
+from hil.ports import Clock, Controller, FixSource, OwnSignals, PoseSource, Sink
 from hil.recovery import Recovered, Recovery
 from hil.references import ReferenceSource
 from hil.rows import Beliefs, Rows
+from hil.sampling import Sampling, Timing
+from hil.shadows import Shadows
 from hil.signals import LoopSignals
-from hil.types import NAN, NAN_WHEELS, ZERO_WHEELS, Applied, CommandMode, PoseFix, WheelCommand
+from hil.types import NAN, NAN_WHEELS, ZERO_WHEELS, Applied, CommandMode, PoseFix, Reference, State, WheelCommand
 
-_LOST_NS = 250_000_000  # silence that ends the run
 _STOP_LIMIT_NS = 5_000_000_000
-# How far a robot's clock may be from where it should be and still be the same: feedback on its way, and HSI's accuracy.
-_CLOCK_PERIODS = 4
-_CLOCKS_APART_NS = 50_000_000
-_CLOCK_SHARE = 50
 
 
 class Parts(NamedTuple):
-    """What a tick is made of. ``robot_failure`` tells what has ended a robot in this process, None for any other."""
+    """What a tick is made of.
+
+    ``robot_failure`` tells what has ended a robot in this process, None for any other. ``extra`` has the signals that
+    are recorded behind those of the vocabulary.
+    """
 
     clock: Clock
     device: Stm32
@@ -45,23 +45,8 @@ class Parts(NamedTuple):
     sink: Sink
     robot_failure: Callable[[], HilError | None]
     faults: SignalFaults | None = None
-
-
-class Timing(NamedTuple):
-    """The loop's times [ns]. Latencies are those that the scenario gives the link, per direction.
-
-    What is older than ``stale_ns`` drives nothing.
-    """
-
-    period_ns: int
-    command_latency_ns: int
-    feedback_latency_ns: int
-    stale_ns: int
-
-    @property
-    def latency_s(self) -> float:
-        """From the sampling instant to the first firmware tick that uses the command, but for the link's own."""
-        return (self.command_latency_ns + self.feedback_latency_ns) * 1e-9
+    shadows: Shadows | None = None
+    extra: Sequence[OwnSignals] = ()
 
 
 class Report(NamedTuple):
@@ -79,6 +64,14 @@ class Report(NamedTuple):
     stopped: bool
     failure: HilError | None
     recoveries: tuple[Recovered, ...]
+
+
+class _Asked(NamedTuple):
+    """With what a law is asked; ``begins`` where it was reset for this tick."""
+
+    state: State
+    dt_s: float
+    begins: bool
 
 
 class Loop:
@@ -101,7 +94,11 @@ class Loop:
         self._parts = parts
         self._timing = timing
         self._rearm = rearm
-        self._rows = Rows(parts.device, parts.wire, parts.controller, parts.sink, timing.feedback_latency_ns)
+        self._rows = Rows(
+            parts.device, parts.wire, parts.controller, parts.extra, parts.sink, timing.feedback_latency_ns
+        )
+        self._sampling = Sampling(parts.clock, parts.device, parts.truth, timing)
+        self._freshness = Freshness(parts.clock, parts.device, parts.faults, timing)
         self._recovery: Recovery | None = None
         self._recoveries: list[Recovered] = []
         self._rest = WheelCommand(mode, ZERO_WHEELS, ZERO_WHEELS)
@@ -110,11 +107,6 @@ class Loop:
         self._by_truth = by_truth
         self._applied = Applied(self._rest, False, timing.latency_s)
         self._before: int | None = None  # the tick before, of this session of the law; None where it has not begun
-        self._fixes: deque[tuple[int, PoseFix | None]] = deque()
-        self._fix: PoseFix | None = None
-        self._newest_ns = 0
-        self._heard_ns: int | None = None
-        self._silent_ns = 0
         self._misses = 0
         self._ticks = 0
         self._stale = 0
@@ -169,12 +161,11 @@ class Loop:
     def _run(self, origin_ns: int, duration_ns: int) -> None:
         timing = self._timing
         ticks = -(-duration_ns // timing.period_ns)
-        # Before tick 0 nothing of what is sampled is here yet.
-        number = -(timing.feedback_latency_ns // timing.period_ns)
+        number = self._sampling.begin(origin_ns)
         in_vain: set[bool] = set()  # since time has passed: waits that ended with a lost link, and a stopped robot
         while number < ticks:
             try:
-                late_ns = self._wait(origin_ns, number)
+                late_ns = self._sampling.wait(number)
             except (LinkError, RobotStoppedError) as error:
                 self._wait_again(error, in_vain)
                 continue
@@ -183,7 +174,7 @@ class Loop:
                 self._keep_armed()
             else:
                 self._tick(number, late_ns)
-            following = self._next(number, origin_ns)
+            following = self._sampling.following(number)
             # Those of the run alone, also where none comes after them to be recorded.
             self._misses += max(0, min(following, ticks) - max(number, -1) - 1)
             number = following
@@ -219,7 +210,7 @@ class Loop:
         begin_ns = time.perf_counter_ns()
         faults = self._parts.faults
         self.t_s = number * self._timing.period_ns * 1e-9
-        fix = self._fix_of(number)
+        fix = self._sampling.fix_of(number)
         if faults is not None:
             faults.at(number * self._timing.period_ns)
             fix = faults.truth(fix)
@@ -237,31 +228,50 @@ class Loop:
     def _drive(self, number: int, late_ns: int, fix: PoseFix | None) -> None:
         """Sense, estimate, refer, control, guard, command, tell."""
         faults = self._parts.faults
-        feedback = self._feedback()
+        feedback = self._freshness.poll(self.t_s)
         estimator, fixes = self._parts.estimator, self._parts.fixes
-        measured = fixes.poll(self._robot_now_ns(feedback), fix) if fixes is not None else ()
+        measured = fixes.poll(self._freshness.robot_now_ns(feedback), fix) if fixes is not None else ()
         state = estimator.update(feedback, fix, measured)
         reference = self._parts.reference.at(self.t_s)
         if faults is not None:
             state, reference = faults.state(state), faults.reference(reference)
-        if state is None or estimator.status.health == LOST or self._is_stale(feedback, fix):
-            command, saturated = self._rest, False
+        if (
+            state is None
+            or estimator.status.health == LOST
+            or self._freshness.is_stale(feedback, fix if estimator.uses_truth else None)
+        ):
+            command, saturated, asked = self._rest, False, None
             self._stale += state is not None
         else:
+            begins = self._before is None
             if self._before is None:
                 self._parts.controller.reset(state, reference)
                 self._before = number - 1
             dt_s = (number - self._before) * self._timing.period_ns * 1e-9
+            asked = _Asked(state, dt_s, begins)
             wanted = self._parts.controller.update(reference, state, self._applied, dt_s)
             if faults is not None:
                 wanted = faults.command(wanted)
             command, saturated = self._parts.guard.apply(wanted)
         sequence = self._parts.device.send(command)
         self._measure_latency(sequence, feedback, fix)
+        self._ask_shadows(reference, asked)
         self._applied = Applied(command, saturated, self._latency.s)
-        self._tell(number, late_ns, feedback, Beliefs(fix, state, reference, self._applied, estimator.status))
+        beliefs = Beliefs(fix, state, reference, self._applied, estimator.status, asked is None)
+        self._tell(number, late_ns, feedback, beliefs)
         if self._before is not None:
             self._before = number
+
+    def _ask_shadows(self, reference: Reference, asked: "_Asked | None") -> None:
+        """Compute the shadows: after the command has gone, from what the law in command was told."""
+        shadows = self._parts.shadows
+        if shadows is None:
+            return
+        if asked is None:
+            shadows.hold()
+        else:
+            state, dt_s, begins = asked
+            shadows.update(self.t_s, reference, state, self._applied, dt_s, begins=begins)
 
     def _measure_latency(self, sequence: int, feedback: Feedback, fix: PoseFix | None) -> None:
         """Note on what the command rests, and how late the one acted that the robot says is in force."""
@@ -297,102 +307,20 @@ class Loop:
         self._before = None
         self._latency.restart()
         self._applied = Applied(self._rest, False, self._latency.s)
-        if self._was_reset():
+        if self._freshness.restart():
             self._parts.estimator.restart()
             if self._parts.fixes is not None:
                 self._parts.fixes.restart()
-        self._heard_ns = None
-
-    def _was_reset(self) -> bool:
-        """Return whether the robot's clock, and with it its encoder counts, began anew since it was last heard."""
-        feedback = self._parts.device.feedback
-        if feedback is None or self._heard_ns is None:
-            return True
-        passed_ns = self._parts.clock.now_ns() - self._heard_ns
-        robot_passed_ns = feedback.robot_time_ns - self._newest_ns
-        apart_ns = _CLOCK_PERIODS * self._timing.period_ns + passed_ns // _CLOCK_SHARE
-        return robot_passed_ns < 0 or abs(robot_passed_ns - passed_ns) > apart_ns
-
-    def _sample(self, origin_ns: int, instant: int) -> int:
-        """Wait for a sampling instant and take the truth there; what the link brings of it comes later."""
-        late_ns = self._parts.device.wait_until(origin_ns + instant * self._timing.period_ns)
-        self._fixes.append((instant, self._parts.truth.poll() if self._parts.truth is not None else None))
-        return late_ns
-
-    def _wait(self, origin_ns: int, number: int) -> int:
-        """Wait until what was sampled at the tick's instant has arrived; return the lateness [ns]."""
-        periods, rest_ns = divmod(self._timing.feedback_latency_ns, self._timing.period_ns)
-        late_ns = self._sample(origin_ns, number + periods)
-        if rest_ns:
-            due_ns = origin_ns + number * self._timing.period_ns + self._timing.feedback_latency_ns
-            late_ns = self._parts.device.wait_until(due_ns)
-        return late_ns
-
-    def _fix_of(self, number: int) -> PoseFix | None:
-        """Return the truth of the tick's sampling instant, or of the last one before it when ticks were skipped."""
-        while self._fixes and self._fixes[0][0] <= number:
-            self._fix = self._fixes.popleft()[1]
-        return self._fix
-
-    def _next(self, number: int, origin_ns: int) -> int:
-        """Return the next tick that can still begin on time."""
-        elapsed_ns = self._parts.clock.now_ns() - origin_ns - self._timing.feedback_latency_ns
-        return max(number + 1, -(-elapsed_ns // self._timing.period_ns))
-
-    def _feedback(self) -> Feedback:
-        feedback = self._parts.device.poll()
-        now_ns = self._parts.clock.now_ns()
-        if feedback is None:
-            raise RobotStoppedError("the robot sends no feedback")
-        if self._parts.faults is not None:
-            feedback = self._parts.faults.feedback(feedback)
-        if self._heard_ns is None or feedback.robot_time_ns != self._newest_ns:
-            self._newest_ns, self._heard_ns = feedback.robot_time_ns, now_ns
-        self._silent_ns = now_ns - self._heard_ns
-        if feedback.state is not RobotState.ACTIVE:
-            latched = feedback.state in (RobotState.FAULT, RobotState.ESTOP)
-            raise (DeviceError if latched else RobotStoppedError)(self._why_stopped(feedback.state))
-        if self._silent_ns > _LOST_NS:
-            raise LinkError(
-                f"no feedback for {self._silent_ns * 1e-6:.0f} ms at t = {self.t_s:.3f} s: the link or the robot was "
-                "lost"
-            )
-        return feedback
-
-    def _robot_now_ns(self, feedback: Feedback) -> int:
-        """Return the robot time of this instant: by the newest feedback, in real time by TIME_SYNC once it is known.
-
-        Feedback says it only to a tick, because nobody knows how long it has lain there. An offset that says something
-        quite different is that of the clock before a reset.
-        """
-        now_ns = feedback.robot_time_ns + self._timing.feedback_latency_ns + self._silent_ns
-        offset_us = self._parts.device.clock_sync.offset_us
-        if self._parts.device.is_lockstep or offset_us != offset_us:
-            return now_ns
-        synced_ns = self._parts.clock.now_ns() + round(offset_us * 1e3)
-        return synced_ns if abs(synced_ns - now_ns) < _CLOCKS_APART_NS else now_ns
-
-    def _is_stale(self, feedback: Feedback, fix: PoseFix | None) -> bool:
-        """Nothing is driven by what is older than the firmware's own patience with us."""
-        behind_ns = 0
-        if fix is not None and self._parts.estimator.uses_truth:
-            behind_ns = feedback.robot_time_ns - fix.time_ns
-        return max(self._silent_ns, behind_ns) > self._timing.stale_ns
-
-    def _why_stopped(self, state: RobotState) -> str:
-        report = self._parts.device.report
-        # A robot that stopped by itself knows why, and passes through STOPPING, which tells it.
-        was_reset = state in (RobotState.BOOT, RobotState.IDLE) and report.knows_no_reason
-        why = "it was reset" if was_reset else f"it is {state.name} because of {report.stop_reason()}"
-        return f"the robot left ACTIVE at t = {self.t_s:.3f} s: {why}"
 
     def _tell_away(self, number: int, late_ns: int, fix: PoseFix | None) -> None:
         """Tell of a tick in which nothing is commanded: what is heard of the robot, which may be nothing."""
         applied = Applied(self._nothing, False, self._latency.s)
         feedback, reference = self._parts.device.feedback, self._parts.reference.at(self.t_s)
-        self._tell(number, late_ns, feedback, Beliefs(fix, None, reference, applied, self._parts.estimator.status))
+        self._ask_shadows(reference, None)
+        beliefs = Beliefs(fix, None, reference, applied, self._parts.estimator.status, True)
+        self._tell(number, late_ns, feedback, beliefs)
 
     def _tell(self, number: int, late_ns: int, feedback: Feedback | None, beliefs: Beliefs) -> None:
         self._ticks += 1
         tick = LoopSignals(self.t_s, number, late_ns * 1e-3, self._tick_us, self._misses)
-        self._rows.tell(tick, feedback, self._silent_ns, beliefs)
+        self._rows.tell(tick, feedback, self._freshness.silent_ns, beliefs)

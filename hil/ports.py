@@ -63,6 +63,18 @@ class Controller(Protocol):
         """Return the command for this tick."""
 
 
+class OwnSignals(Protocol):
+    """What has signals of its own, recorded behind those of ``hil.signals.SIGNALS``. A law may be one."""
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """Their names, always the same: dotted, the unit at the end, as ``fuzzy.x.rule`` or ``observer.x_m_s2``."""
+
+    @property
+    def telemetry(self) -> tuple[float, ...]:
+        """Their values as of the last update, NaN before the first."""
+
+
 class PoseSource(Protocol):
     """Ground truth; never travels on the wheel link."""
 
@@ -96,4 +108,4 @@ class Sink(Protocol):
     """Takes samples; in real time it never blocks, and counts what it had to drop."""
 
     def put(self, row: tuple[float, ...]) -> None:
-        """Take one row in the order of ``hil.signals.SIGNALS``."""
+        """Take one row in the order of the run's signals: ``hil.signals.SIGNALS``, then the extra ones."""

@@ -153,6 +153,9 @@ def print_figures(metrics: Mapping[str, Any]) -> None:
         print(f"  {'warning':<22} {sentence}")
     for row in metrics.get("fault") or ():
         print(f"  {'fault':<22} {applied_words(row)}")
+    for row in metrics.get("shadows") or ():
+        if row["dropped"] is not None:
+            print(f"  {'shadow':<22} {row['dropped']}")
     for row in metrics.get("recoveries") or ():
         print(f"  {'recovery':<22} lost at {row['lost_s']:.3f} s, ACTIVE again at {row['armed_s']:.3f} s: {row['why']}")
     for row in metrics.get("expect") or ():
@@ -163,6 +166,8 @@ def print_figures(metrics: Mapping[str, Any]) -> None:
     if (trace := metrics.get("trace")) is not None:
         written = f"{trace['frames']} frames in {trace['path']}"
         print(f"  {'trace':<22} {trace['trouble'] or written}")
+    if (stream := metrics.get("streamed")) is not None:
+        print(f"  {'stream':<22} {_streamed(stream)}")
     if (passed := metrics.get("passed")) is not None:
         print(f"  {'passed':<22} {'yes' if passed else 'no'}")
 
@@ -179,6 +184,18 @@ def _what_became_of(recorded: Mapping[str, Any], path: str | None) -> str:
     if recorded["troubles"]:
         return f"complete{parts}, though {'; '.join(recorded['troubles'])}"
     return f"complete{parts}" if parts else ""
+
+
+def _streamed(stream: Mapping[str, Any]) -> str:
+    """Return what became of a stream."""
+    if stream["sent"] is None:
+        return f"to {stream['url']} incomplete: {stream['error']}"
+    text = f"{stream['sent']} datagrams to {stream['url']}"
+    if stream["lost"]:
+        text += f", {stream['lost']} lost: {stream['error']}"
+    if stream["rows_dropped"]:
+        text += f", {stream['rows_dropped']} rows dropped: the sender was too slow"
+    return text
 
 
 def _print_link(link: Mapping[str, Any]) -> None:

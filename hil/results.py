@@ -12,7 +12,6 @@ import numpy.typing as npt
 from hil.errors import HilError
 from hil.expectations import check_expectation
 from hil.scenario import ExpectTable, Scenario
-from hil.signals import SIGNAL_NAMES
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -21,9 +20,10 @@ Series = npt.NDArray[np.float64]
 
 
 class MemorySink:
-    """Keeps every row in memory."""
+    """Keeps every row in memory; ``names`` are the signals of the run."""
 
-    def __init__(self) -> None:
+    def __init__(self, names: Sequence[str]) -> None:
+        self._names = names
         self._values = array.array("d")
 
     def put(self, row: tuple[float, ...]) -> None:
@@ -32,8 +32,8 @@ class MemorySink:
 
     def signals(self) -> dict[str, Series]:
         """Return every signal by name, each of shape (ticks,)."""
-        rows = np.frombuffer(self._values, dtype=np.float64).reshape(-1, len(SIGNAL_NAMES))
-        return {name: rows[:, i] for i, name in enumerate(SIGNAL_NAMES)}
+        rows = np.frombuffer(self._values, dtype=np.float64).reshape(-1, len(self._names))
+        return {name: rows[:, i] for i, name in enumerate(self._names)}
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,8 @@ class RunResult:
         scenario: what was run.
         metrics: the figures, as ``hil run --json`` prints them; a figure without a meaning is None, with the reason
             under ``reasons``.
-        signals: every signal of ``hil list signals`` by name, each of shape (ticks,).
+        signals: every signal of the run by name, each of shape (ticks,): those of ``hil list signals``, then the extra
+            ones.
         failure: what ended the run early, or None.
     """
 

@@ -1,12 +1,13 @@
 """What a run tells of each tick: one row of all signals, for the recording and for the judge."""
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from hil.devices.snapshot import Feedback
 from hil.devices.stm32 import Stm32
 from hil.links.statistics import Statistics
-from hil.ports import Controller, Sink
+from hil.ports import Controller, OwnSignals, Sink
 from hil.signals import (
     BatterySignals,
     ErrorSignals,
@@ -25,24 +26,35 @@ _REJECTED_EVERY = 100  # ticks; the sum over all causes is too dear for each of 
 
 
 class Beliefs(NamedTuple):
-    """What a tick rests on and what came of it; ``fix`` and ``state`` are None where nothing is known."""
+    """What a tick rests on and what came of it; ``fix`` and ``state`` are None where nothing is known.
+
+    ``is_held`` says that the law was not asked.
+    """
 
     fix: PoseFix | None
     state: State | None
     reference: Reference
     applied: Applied
     estimator: EstimatorSignals
+    is_held: bool
 
 
 class Rows:
-    """Puts one row a tick into a sink."""
+    """Puts one row a tick into a sink: ``SIGNALS``, then what each of ``extra`` has."""
 
     def __init__(
-        self, device: Stm32, wire: Statistics, controller: Controller, sink: Sink, feedback_latency_ns: int
+        self,
+        device: Stm32,
+        wire: Statistics,
+        controller: Controller,
+        extra: Sequence[OwnSignals],
+        sink: Sink,
+        feedback_latency_ns: int,
     ) -> None:
         self._device = device
         self._wire = wire
         self._controller = controller
+        self._extra = extra
         self._sink = sink
         self._feedback_latency_ns = feedback_latency_ns
         self._rejected = 0
@@ -52,44 +64,45 @@ class Rows:
         device, wire = self._device, self._wire
         if tick.tick % _REJECTED_EVERY == 0:
             self._rejected = sum(device.rejected().values())
-        fix, state, reference, applied, estimator = beliefs
+        fix, state, reference, applied, estimator, is_held = beliefs
         command = applied.command
         age_ms = (silent_ns + self._feedback_latency_ns) * 1e-6 if feedback is not None else NAN
         truth = fix.pose if fix is not None else NAN_POSE
-        self._sink.put(
-            Sample(
-                tick,
-                ReferenceSignals(*reference.pose, *reference.twist),
-                state.pose if state is not None else NAN_POSE,
-                state.twist if state is not None else _NAN_TWIST,
-                truth,
-                _error(truth, reference.pose),
-                self._controller.gains,
-                feedback.speed_rad_s if feedback is not None else NAN_WHEELS,
-                command.speed_rad_s if command.mode is CommandMode.SPEED else NAN_WHEELS,
-                command.torque_n_m,
-                feedback.current_a if feedback is not None else NAN_WHEELS,
-                device.report.health.temperature_degc,
-                _robot(feedback),
-                BatterySignals(device.report.health.battery_v, device.report.health.battery_a),
-                estimator,
-                GuardSignals(applied.saturated),
-                LinkSignals(
-                    device.sent,
-                    device.received,
-                    self._rejected,
-                    age_ms,
-                    device.snapshots_lost,
-                    wire.sent.bytes,
-                    wire.received.bytes,
-                    wire.load_percent(),
-                    device.round_trip.ms,
-                    applied.latency_s * 1e3,
-                    device.clock_sync.offset_us,
-                    device.clock_sync.drift_ppm,
-                ),
-            ).row()
-        )
+        row = Sample(
+            tick,
+            ReferenceSignals(*reference.pose, *reference.twist, *reference.acceleration),
+            state.pose if state is not None else NAN_POSE,
+            state.twist if state is not None else _NAN_TWIST,
+            truth,
+            _error(truth, reference.pose),
+            self._controller.gains,
+            feedback.speed_rad_s if feedback is not None else NAN_WHEELS,
+            command.speed_rad_s if command.mode is CommandMode.SPEED else NAN_WHEELS,
+            command.torque_n_m,
+            feedback.current_a if feedback is not None else NAN_WHEELS,
+            device.report.health.temperature_degc,
+            _robot(feedback),
+            BatterySignals(device.report.health.battery_v, device.report.health.battery_a),
+            estimator,
+            GuardSignals(applied.saturated, is_held),
+            LinkSignals(
+                device.sent,
+                device.received,
+                self._rejected,
+                age_ms,
+                device.snapshots_lost,
+                wire.sent.bytes,
+                wire.received.bytes,
+                wire.load_percent(),
+                device.round_trip.ms,
+                applied.latency_s * 1e3,
+                device.clock_sync.offset_us,
+                device.clock_sync.drift_ppm,
+            ),
+        ).row()
+        for own in self._extra:
+            row += own.telemetry
+        self._sink.put(row)
 
 
 def _robot(feedback: Feedback | None) -> RobotSignals:

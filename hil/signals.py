@@ -1,7 +1,8 @@
 """The one vocabulary of signals: expectations, recordings and exports all use these names.
 
 A sample is one row of floats in the order of ``SIGNALS``. The names and their order come from the fields of the
-groups below, so that a signal is defined once; the unit is the end of its name.
+groups below, so that a signal is defined once; the unit is the end of its name. A run may have extra ones behind them
+(``hil.ports.OwnSignals``), with the unit at the end of the name too.
 """
 
 from itertools import chain
@@ -25,6 +26,9 @@ class ReferenceSignals(NamedTuple):
     vx_m_s: float
     vy_m_s: float
     yaw_rate_rad_s: float
+    ax_m_s2: float
+    ay_m_s2: float
+    yaw_acceleration_rad_s2: float
 
 
 class ErrorSignals(NamedTuple):
@@ -62,6 +66,7 @@ class EstimatorSignals(NamedTuple):
 
 class GuardSignals(NamedTuple):
     saturated: float
+    held: float
 
 
 class LinkSignals(NamedTuple):
@@ -119,7 +124,7 @@ _MEANING = {
     "loop.lateness_us": "how late the tick began; 0 in lockstep",
     "loop.tick_us": "wall-clock time that the previous tick's work took",
     "loop.deadline_misses": "ticks skipped so far because the one before ran over",
-    "reference.*": "where the robot should be, world frame",
+    "reference.*": "pose, twist and acceleration that the robot should have, world frame",
     "pose.*": "pose that the controller acts on, world frame",
     "twist.*": "twist that the controller acts on, world frame",
     "truth.*": "true pose, by a path of its own; no value without one",
@@ -148,6 +153,7 @@ _MEANING = {
     "estimator.slip": "1 when wheels, gyro and accelerometer contradict one another; no value with true poses",
     "estimator.health": "0 good, 1 degraded: no fix for too long, 2 lost: the robot is held at rest; only fused",
     "guard.saturated": "1 when the guard scaled the four wheels at a limit",
+    "guard.held": "1 when the law was not asked: nothing to rely on, the robot held at rest, or the robot away",
     "link.sent": "frames sent so far",
     "link.received": "valid frames received so far",
     "link.rejected": "frames dropped so far, all causes; looked up every 100 ticks",
@@ -172,6 +178,7 @@ _WHEEL_GROUPS = {
 
 # Longest ending first: "rad_s" must win over "s".
 _UNITS = (
+    ("_rad_s2", "rad/s²"),
     ("_m_s2", "m/s²"),
     ("_rad_s", "rad/s"),
     ("_m_s", "m/s"),
@@ -215,3 +222,4 @@ def _names() -> list[str]:
 SIGNALS: tuple[Signal, ...] = tuple(Signal(n, unit_of(n), _meaning_of(n)) for n in _names())
 SIGNAL_NAMES: tuple[str, ...] = tuple(s.name for s in SIGNALS)
 INDEX: dict[str, int] = {name: i for i, name in enumerate(SIGNAL_NAMES)}
+GROUPS: frozenset[str] = frozenset(name.partition(".")[0] for name in SIGNAL_NAMES)

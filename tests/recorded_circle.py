@@ -53,7 +53,9 @@ def _row(tick: int, t_s: float, state: float) -> tuple[float, ...]:
     speed = Wheels(*(8 * math.cos(_RATE_RAD_S * t_s + phase) for phase in (0.0, 1.5, 0.0, 1.5)))
     return Sample(
         LoopSignals(t_s, float(tick), 50 + 20 * math.sin(tick), NAN if tick == 0 else 120 + math.sin(tick), 0.0),
-        ReferenceSignals(x, y, math.pi / 4, -_RATE_RAD_S * y, _RATE_RAD_S * x, 0.0),
+        ReferenceSignals(
+            x, y, math.pi / 4, -_RATE_RAD_S * y, _RATE_RAD_S * x, 0.0, -(_RATE_RAD_S**2) * x, -(_RATE_RAD_S**2) * y, 0.0
+        ),
         pose,
         Twist(-_RATE_RAD_S * y, _RATE_RAD_S * x, 0.0),
         pose,
@@ -67,6 +69,6 @@ def _row(tick: int, t_s: float, state: float) -> tuple[float, ...]:
         RobotSignals(t_s + 0.02, state, 1.0, 0.01, 0.1, -0.1, 9.81),
         BatterySignals(24 - 0.01 * t_s, 2.0),
         EstimatorSignals(0.01, 0.02, 1e-3, float(tick // 100), 1.0, float(tick % 100), 0.0, 0.0),
-        GuardSignals(float(t_s < 0.2)),
-        LinkSignals(2.0 * tick, 5.0 * tick, 0.0, 1.0, 0.0, 28.0 * tick, 70.0 * tick, 40.0, 5.0, 5.0, 20e3 - t_s, -1.0),
+        GuardSignals(float(t_s < 0.2), 0.0),
+        LinkSignals(2.0 * tick, 5.0 * tick, 0.0, 1.0, 0.0, 28.0 * tick, 70.0 * tick, 40.0, 5.0, 6.0, 20e3 - t_s, -1.0),
     ).row()

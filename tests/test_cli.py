@@ -280,7 +280,7 @@ def test_a_full_disk_under_the_output_is_one_sentence():
 
 def test_a_reader_that_has_left_before_anything_was_printed_is_no_error():
     buffered = environment() | {"PYTHONUNBUFFERED": ""}
-    command = [sys.executable, "-m", "hil.cli", "list", "signals"]
+    command = [sys.executable, "-m", "hil.cli", "list", "links"]  # less than a buffer holds
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=buffered) as process:
         assert process.stdout is not None
         process.stdout.close()

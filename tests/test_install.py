@@ -43,7 +43,15 @@ def test_a_machine_without_a_compiler_builds_installs_and_runs_the_wheel(tmp_pat
     fmus = {f"plant_fmu/{plant_fmu.path(fmi).name}" for fmi in pack.DESCRIPTIONS}
     assert {*fmus, f"firmware_protocol/libwheel_host{SUFFIX}", f"hil/plant/libcosim{SUFFIX}"} <= names
     assert {"hil/pytest_plugin.py", "hil/py.typed", "firmware_protocol/py.typed", "plant_fmu/py.typed"} <= names
-    pages = {"PYTEST.md", "controllers/LAWS.md", "faults/FAULTS.md", "links/LINKS.md", "links/STATISTICS.md"}
+    pages = {
+        "PYTEST.md",
+        "controllers/LAWS.md",
+        "controllers/SHADOWS.md",
+        "telemetry/STREAMS.md",
+        "faults/FAULTS.md",
+        "links/LINKS.md",
+        "links/STATISTICS.md",
+    }
     assert {f"hil/{page}" for page in pages} <= names
     assert "[pytest11]\nhil.pytest_plugin = hil.pytest_plugin" in entry_points
     assert not wheel.name.endswith("-any.whl")

@@ -2,7 +2,7 @@
 
 import array
 import uuid
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -22,17 +22,24 @@ class RecordingHere:
     """
 
     def __init__(
-        self, path: Path | None, *, properties: Mapping[str, str], blocking: bool, live_port: int | None = None
+        self,
+        path: Path | None,
+        *,
+        properties: Mapping[str, str],
+        blocking: bool,
+        live_port: int | None = None,
+        signals: Sequence[str] = SIGNAL_NAMES,
     ) -> None:
         assert path is not None, "there is no live view here"
         assert blocking, "in real time nothing waits for it"
         assert live_port is None, "there is no live view here"
         self.path: Path | None = path
         self._rows = array.array("d")
+        self._width = len(signals)
         self._stream = Stream(
             rr.FileSink(path),
             recording_id=str(uuid.uuid4()),
-            signals=SIGNAL_NAMES,
+            signals=signals,
             properties=properties,
             live=False,
         )
@@ -48,7 +55,7 @@ class RecordingHere:
     def finish(self, summary: Mapping[str, object], *, keep_live: bool = False) -> RecordingReport:
         """Write the rows and the summary."""
         assert self.path is not None
-        rows = np.frombuffer(self._rows, dtype=np.float64).reshape(-1, len(SIGNAL_NAMES))
+        rows = np.frombuffer(self._rows, dtype=np.float64).reshape(-1, self._width)
         if len(rows):
             self._stream.rows(rows)
         self._stream.finish(summary, {"rows_written": len(rows), "rows_dropped": 0})

@@ -34,11 +34,17 @@ class AfdscEso:
         self._torque = mode is CommandMode.TORQUE
         self._tuner = FuzzyGains(options.tables, options)
         self._last = NO_GAINS
+        self.signals = self._tuner.signals
 
     @property
     def gains(self) -> Gains:
         """Gains of the last update."""
         return self._last if self._torque else without_inner(self._last)
+
+    @property
+    def telemetry(self) -> tuple[float, ...]:
+        """What fires in the fuzzy block of each axis."""
+        return self._tuner.telemetry
 
     def reset(self, state: State, reference: Reference) -> None:
         """Start filter and observer from this state and reference."""

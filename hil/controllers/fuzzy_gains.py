@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 from hil.controllers.surface import TrackingError
-from hil.fuzzy import FuzzyBlock, Tables
+from hil.fuzzy import FIRING, FuzzyBlock, Tables
 from hil.options import require_positive
-from hil.types import Gains
+from hil.types import NAN, Gains
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,16 +28,29 @@ class FuzzyRanges:
 
 
 class FuzzyGains:
-    """A fuzzy block an axis."""
+    """A fuzzy block an axis. It has ``OwnSignals``: what fires in each block, see ``hil.fuzzy.FuzzyBlock.firing``."""
 
-    __slots__ = ("_heading", "_planar")
+    __slots__ = ("_error", "_heading", "_planar")
+
+    signals = tuple(f"fuzzy.{axis}.{name}" for axis in ("x", "y", "heading") for name in FIRING)
 
     def __init__(self, tables: Tables, ranges: FuzzyRanges) -> None:
         self._planar = FuzzyBlock.from_tables(tables, ranges.error_range_m, ranges.error_rate_range_m_s)
         self._heading = FuzzyBlock.from_tables(tables, ranges.heading_error_range_rad, ranges.heading_rate_range_rad_s)
+        self._error: TrackingError | None = None
+
+    @property
+    def telemetry(self) -> tuple[float, ...]:
+        """What fires at the error of the last gains."""
+        if self._error is None:
+            return (NAN,) * len(self.signals)
+        x, y, heading, vx, vy, yaw_rate = self._error
+        firing = self._planar.firing
+        return firing(x, vx) + firing(y, vy) + self._heading.firing(heading, yaw_rate)
 
     def of(self, error: TrackingError) -> Gains:
         """Return the gains at this error."""
+        self._error = error
         x, y, heading, vx, vy, yaw_rate = error
         planar = self._planar.gains
         k1_x, k2_x = planar(x, vx)

@@ -38,6 +38,7 @@ SHIPPED: dict[str, type] = {
 }
 
 _GROUP = "hil.laws"
+_LAW_KEY = "controller.law"
 _PACKAGE = "mecanum-hil"
 
 _NO_OPTIONS = make_dataclass("Options", [])
@@ -59,22 +60,31 @@ def load_law(spec: str, base: Path) -> type:
     BadInputError for an unknown name (with the nearest) and one that two packages have registered, and as
     ``find_class`` does for a law that is not ours.
     """
-    return _found(spec, base)[0]
+    return _found(spec, base, _LAW_KEY)[0]
 
 
 def make_controller(
-    spec: str, base: Path, model: RobotModel, mode: CommandMode, options: Mapping[str, object]
+    spec: str,
+    base: Path,
+    model: RobotModel,
+    mode: CommandMode,
+    options: Mapping[str, object],
+    *,
+    law_key: str = _LAW_KEY,
+    gains_key: str = "controller.gains",
 ) -> "Controller":
     """Return the controller of a scenario's ``[controller]`` table, ``options`` being ``[controller.gains]``.
+
+    ``law_key`` and ``gains_key`` are what messages call the two.
 
     The law's dataclass ``Options`` defines them; the law is made as ``Law(model, mode, options)``. A law that is
     not ours may have no ``Options``: it then takes none, and is made as ``Law(model, mode)``, or as ``Law()``
     when it has no constructor. Raises BadInputError as ``load_law`` and ``UserLaw`` do, for an option that is
     unknown (with the nearest), of the wrong type or out of range, and for a mode that the law refuses.
     """
-    law, named = _found(spec, base)
+    law, named = _found(spec, base, law_key)
     kind: Any = getattr(law, "Options", None)
-    checked = build(kind or _NO_OPTIONS, options, "controller.gains")
+    checked = build(kind or _NO_OPTIONS, options, gains_key)
     if spec in SHIPPED:
         return cast("Controller", law(model, mode, checked))
     return UserLaw(named, law, mode, [(model, mode, checked)] if kind else [(model, mode), ()])
@@ -86,9 +96,9 @@ def gains_in_force(spec: str, base: Path, options: Mapping[str, object]) -> dict
     return asdict(build(kind or _NO_OPTIONS, options, "controller.gains"))
 
 
-def _found(spec: str, base: Path) -> tuple[type, str]:
+def _found(spec: str, base: Path, key: str) -> tuple[type, str]:
     """Return the law's class, and what messages call it."""
-    named = f"controller.law = {spec!r}"
+    named = f"{key} = {spec!r}"
     if spec in SHIPPED:
         return SHIPPED[spec], named
     if ":" in spec:

@@ -12,6 +12,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from hil.controllers.own_signals import check_names
 from hil.errors import BadInputError, nearest
 from hil.types import NO_GAINS, Applied, CommandMode, Gains, Reference, State, WheelCommand, Wheels
 
@@ -50,9 +51,10 @@ def find_class(spec: str, base: Path, named: str) -> type:
 class UserLaw:
     """A controller around a law of the user's own.
 
-    The law is made with the first of the argument lists ``choices`` that its constructor takes; it may leave
-    out ``gains``. Messages begin with ``named``. Raises BadInputError, with file and line, for whatever the law
-    raises when it is made or run, and when its update returns something else than a command in the mode of the run.
+    The law is made with the first of the argument lists ``choices`` that its constructor takes; it may leave out
+    ``gains``, and ``signals`` with ``telemetry`` (``hil.ports.OwnSignals``). Messages begin with ``named``. Raises
+    BadInputError, with file and line, for whatever the law raises when it is made or run, and when its update returns
+    something else than a command in the mode of the run.
     """
 
     def __init__(self, named: str, law: type, mode: CommandMode, choices: list[tuple[object, ...]]) -> None:
@@ -62,6 +64,7 @@ class UserLaw:
         with _failures_of(named, "making it"):
             self._law: Any = law(*arguments)
         self._has_gains = inspect.getattr_static(self._law, "gains", None) is not None
+        self.signals = self._own_names()
 
     @property
     def gains(self) -> Gains:
@@ -70,6 +73,15 @@ class UserLaw:
             return NO_GAINS
         with _failures_of(self._named, "gains"):
             return Gains(*map(float, self._law.gains))
+
+    @property
+    def telemetry(self) -> tuple[float, ...]:
+        """The values of the law's own signals."""
+        with _failures_of(self._named, "telemetry"):
+            values = tuple(map(float, self._law.telemetry))
+        if len(values) != len(self.signals):
+            raise BadInputError(f"{self._named}: telemetry has {len(values)} values for {len(self.signals)} signals")
+        return values
 
     def reset(self, state: State, reference: Reference) -> None:
         """Pass it on."""
@@ -99,6 +111,18 @@ class UserLaw:
                 f"torque_n_m ({error})"
             ) from error
         return WheelCommand(command.mode, speed, torque)
+
+    def _own_names(self) -> tuple[str, ...]:
+        has = [name for name in ("signals", "telemetry") if inspect.getattr_static(self._law, name, None) is not None]
+        if not has:
+            return ()
+        if len(has) == 1:
+            raise BadInputError(f"{self._named}: it has {has[0]} alone; signals of its own take signals and telemetry")
+        with _failures_of(self._named, "signals"):
+            names = self._law.signals
+        if not isinstance(names, list | tuple):
+            raise BadInputError(f"{self._named}: signals is {names!r}, expected a tuple of names")
+        return check_names(self._named, names)
 
 
 def _import_file(named: str, path: Path) -> ModuleType:

@@ -49,16 +49,19 @@ class LocalFaults:
 
 
 class RunFaults:
-    """Gives every row to its part: link, signals of the tick, or the robot with its plant."""
+    """Gives every row to its part: link, signals of the tick, or the robot with its plant.
 
-    def __init__(self, rows: Sequence[FaultRow], seed: int, clock: NowNs) -> None:
+    ``names`` are the signals of the run.
+    """
+
+    def __init__(self, rows: Sequence[FaultRow], seed: int, clock: NowNs, names: Sequence[str]) -> None:
         self._rows = rows
         self._robot: RobotWithFaults | None = None
         self._of_robot = [row for row in rows if row.acts_on in ("device", "plant")]
         self._of_link = link_faults([row for row in rows if row.acts_on == "link"], seed)
         of_signals = [row for row in rows if row.acts_on == "signal"]
         self.time = ScenarioTime(clock)
-        self.signals = SignalFaults(of_signals) if of_signals else None
+        self.signals = SignalFaults(of_signals, names) if of_signals else None
 
     @property
     def of_frames(self) -> list[LinkFault]:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 from firmware_protocol.generated.messages import State
 from hil.errors import nearest
 from hil.faults.kinds import KINDS, Kind
+from hil.signals import SIGNAL_NAMES
 
 NS_PER_S = 1_000_000_000
 NEVER_NS = 2**62
@@ -60,8 +61,14 @@ def names() -> tuple[str, ...]:
 
 
 def check_target(kind: Kind, target: str, value: float | None) -> None:
-    """Raise ValueError with part of a sentence unless the kind acts on the target."""
-    if kind.targets and target not in kind.targets:
+    """Raise ValueError with part of a sentence unless the kind acts on the target.
+
+    Of a signal's name only the scenario knows whether the run has it.
+    """
+    if kind.acts_on == "signal":
+        if target in SIGNAL_NAMES and target not in kind.targets:
+            raise ValueError(f"target = {target!r} is nothing that {kind.name} acts on; it is the time of the run")
+    elif kind.targets and target not in kind.targets:
         hint = nearest(target, kind.targets)
         if "did you mean" not in hint and len(kind.targets) > 12:
             hint = f"; expected {kind.target_words.replace('`', '')}"

@@ -10,8 +10,8 @@ from typing import TypeVar
 from firmware_protocol.generated.messages import State as RobotState
 from hil.devices.snapshot import Feedback
 from hil.faults.rows import FaultRow
-from hil.signals import INDEX
-from hil.types import WHEEL_NAMES, Pose, PoseFix, Reference, State, Twist, WheelCommand, Wheels
+from hil.signals import SIGNAL_NAMES, ReferenceSignals
+from hil.types import WHEEL_NAMES, Acceleration, Pose, PoseFix, Reference, State, Twist, WheelCommand, Wheels
 
 _PER_WHEEL = {
     "speed_rad_s": "speed",
@@ -40,18 +40,20 @@ class _Fault:
         return new
 
 
-def _place(signal: str) -> tuple[str, int]:
-    """Return where a signal is: the group that passes through at once, and the place in it."""
+def _place(signal: str, names: Sequence[str]) -> tuple[str, int]:
+    """Return where a signal of the run is: the group that passes through at once, and the place in it."""
     group, *wheel, name = signal.split(".")
     if wheel and name in _PER_WHEEL:
         return _PER_WHEEL[name], WHEEL_NAMES.index(wheel[0])
     if group == "robot":
         return group, (*_ROBOT, *_AXES).index(name)
-    if group in ("truth", "pose", "reference"):
-        return group, (*Pose._fields, *Twist._fields).index(name)
+    if group == "reference":
+        return group, ReferenceSignals._fields.index(name)
+    if group in ("truth", "pose"):
+        return group, Pose._fields.index(name)
     if group == "twist":
         return "pose", len(Pose._fields) + Twist._fields.index(name)
-    return "recorded", INDEX[signal]
+    return "recorded", names.index(signal)
 
 
 Made = TypeVar("Made")
@@ -60,15 +62,16 @@ Made = TypeVar("Made")
 class SignalFaults:
     """The faults of a run that act on signals. ``at`` begins a tick; then each group is passed through once.
 
-    Rows act in the order of the scenario, each on what the one before it made of the value.
+    Rows act in the order of the scenario, each on what the one before it made of the value. ``names`` are the signals
+    of the run.
     """
 
-    def __init__(self, rows: Sequence[FaultRow]) -> None:
+    def __init__(self, rows: Sequence[FaultRow], names: Sequence[str] = SIGNAL_NAMES) -> None:
         self._faults = [_Fault(row) for row in rows]
         self._groups: dict[str, list[tuple[int, _Fault]]] = {}
         for fault in self._faults:
             if fault.row.kind != "reset":
-                group, index = _place(fault.row.target)
+                group, index = _place(fault.row.target, names)
                 self._groups.setdefault(group, []).append((index, fault))
         self._resets = sorted((f for f in self._faults if f.row.kind == "reset"), key=lambda f: f.row.start_ns)
         self._t_ns = 0
@@ -130,8 +133,8 @@ class SignalFaults:
         """Return the reference as the law hears it."""
         if "reference" not in self._groups:
             return reference
-        numbers = self._passed("reference", (*reference.pose, *reference.twist), list)
-        return reference._replace(pose=Pose._make(numbers[:3]), twist=Twist._make(numbers[3:]))
+        numbers = self._passed("reference", (*reference.pose, *reference.twist, *reference.acceleration), list)
+        return Reference(Pose._make(numbers[:3]), Twist._make(numbers[3:6]), Acceleration._make(numbers[6:]))
 
     def command(self, command: WheelCommand) -> WheelCommand:
         """Return what the law says, as the guard hears it."""

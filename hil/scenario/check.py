@@ -1,17 +1,19 @@
 """Checking a stacked scenario: each table by itself, then the tables against each other."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from pydantic import ValidationError
 
-from hil.errors import BadInputError
+from hil.errors import BadInputError, nearest
 from hil.references import make_reference
 from hil.scenario import layers
+from hil.scenario.laws import make_laws
 from hil.scenario.layers import Given, Tree
 from hil.scenario.problems import complaint, describe, place
 from hil.scenario.tables import RATES_HZ, Tables
+from hil.signals import INDEX
 
 WATCHDOG_PERIODS = 5
 _WATCHDOG_RULE = f"default: {WATCHDOG_PERIODS} command periods, within 0.02 to 0.1 s"
@@ -44,11 +46,38 @@ def check(tree: Tree, scenario: str, directory: Path) -> Tables:
     ]
     if contradictions:
         raise BadInputError("\n".join(contradictions))
+    unknown = [
+        complaint(tree, path, name, f"expected the name of a signal{hint}", scenario)
+        for path, name, hint in _unknown_signals(tables, directory)
+    ]
+    if unknown:
+        raise BadInputError("\n".join(unknown))
     try:
         make_reference(tables.reference.kind, tables.reference.options, directory)
     except BadInputError as error:
         raise BadInputError(f"{_place_of_reference(tree, str(error), scenario)}: {error}") from error
     return tables
+
+
+def _unknown_signals(tables: Tables, directory: Path) -> list[tuple[tuple[str, ...], str, str]]:
+    """Return path, name and hint of each row of a signal that the run does not have."""
+    named = [(("expect", str(index), "signal"), row.signal) for index, row in enumerate(tables.expect)]
+    named += [
+        (("fault", str(index), "target"), table.target)
+        for index, table in enumerate(tables.fault)
+        if table.row.acts_on == "signal"
+    ]
+    if all(name in INDEX for _, name in named):
+        return []
+    # Only now, because it runs the code of laws that are not ours.
+    known = make_laws(tables, directory).signals
+    return [(path, name, _nearest_signal(name, known)) for path, name in named if name not in known]
+
+
+def _nearest_signal(name: str, known: Sequence[str]) -> str:
+    """Return the nearest signal; the whole vocabulary is too long for a sentence."""
+    hint = nearest(name, known)
+    return hint if "did you mean" in hint else "; `hil list signals` prints them all"
 
 
 def _place_of_reference(tree: Tree, message: str, scenario: str) -> str:
@@ -61,6 +90,16 @@ def _place_of_reference(tree: Tree, message: str, scenario: str) -> str:
 def _contradictions(tables: Tables) -> Iterator[tuple[str, object, str]]:
     """Yield key, value and expectation of what cannot work together."""
     estimator, firmware, loop, robot = tables.estimator, tables.firmware, tables.loop, tables.robot
+    shadows = tables.controller.shadow_names
+    for name in sorted({name for name in shadows if shadows.count(name) > 1}):
+        yield (
+            "controller.shadow",
+            tables.controller.shadow,
+            f"expected one law of the name {name!r}, which its signals go by; leave the others out",
+        )
+    for name, gains in tables.controller.shadow_gains.items():
+        if name not in shadows:
+            yield f"controller.shadow_gains.{name}", gains, f"there is no such shadow{nearest(name, shadows)}"
     period_s = 1.0 / loop.rate_hz
     if firmware.watchdog_s <= period_s:
         yield (

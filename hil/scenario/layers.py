@@ -28,7 +28,11 @@ Node = dict[str, "Node"] | list["Node"] | Given
 Tree = dict[str, Node]
 
 # table, the key that chooses, and the keys that do not belong to the choice
-_CHOICES = (("controller", "law", ("command",)), ("reference", "kind", ()), ("plant", "fmu", ("timeout_s",)))
+_CHOICES = (
+    ("controller", "law", ("command", "shadow", "shadow_gains")),
+    ("reference", "kind", ()),
+    ("plant", "fmu", ("timeout_s",)),
+)
 _DEFAULT_FMU = Given(PlantTable().fmu, "default")
 
 

@@ -202,11 +202,25 @@ def _rebase(tree: Tree, source: Path, target: Path, only: str | None = None) -> 
     """Make relative paths of files absolute where they do not start from the scenario's own folder."""
     if source == target:
         return tree
-    for table, key, split in (("plant", "fmu", False), ("controller", "law", True), ("reference", "file", False)):
+    for table, key, rebase in (
+        ("plant", "fmu", _rebased_file),
+        ("controller", "law", _rebased_law),
+        ("controller", "shadow", _rebased_law),
+        ("reference", "file", _rebased_file),
+    ):
         node = tree.get(table)
         given = node.get(key) if isinstance(node, dict) else None
-        if isinstance(given, Given) and isinstance(given.value, str) and only in (None, given.where):
-            file, colon, name = given.value.rpartition(":") if split else (given.value, "", "")
-            if is_path(file) and (not split or file.endswith(".py")):
-                tree = layers.merge(tree, {table: {key: Given(f"{source / file}{colon}{name}", given.where)}})
+        if isinstance(given, Given) and only in (None, given.where):
+            value = given.value
+            moved = [rebase(one, source) for one in value] if isinstance(value, list) else rebase(value, source)
+            tree = layers.merge(tree, {table: {key: Given(moved, given.where)}})
     return tree
+
+
+def _rebased_file(value: object, source: Path) -> object:
+    return str(source / value) if isinstance(value, str) and is_path(value) else value
+
+
+def _rebased_law(value: object, source: Path) -> object:
+    file, colon, name = value.rpartition(":") if isinstance(value, str) else ("", "", "")
+    return f"{source / file}{colon}{name}" if is_path(file) and file.endswith(".py") else value

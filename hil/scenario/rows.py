@@ -3,12 +3,10 @@
 import math
 from typing import Any
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
-from hil.errors import nearest
 from hil.faults.rows import NEVER_NS, NS_PER_S, FaultRow, check_numbers, check_target, find
 from hil.scenario.fields import Table, Text
-from hil.signals import SIGNAL_NAMES
 
 _NUMBERS = ("value", "burst_frames", "x_m", "y_m", "radius_m")
 
@@ -89,7 +87,7 @@ class ExpectTable(Table):
     ``settles_to`` with a ``tolerance``: from some time on it stays that near, until to_s.
     """
 
-    signal: Text = Field(description="a dotted name of the vocabulary")
+    signal: Text = Field(description="a dotted name, of the vocabulary or an extra one of the run")
     from_s: float = Field(default=0.0, ge=0)
     to_s: float = Field(default=math.inf, gt=0, allow_inf_nan=True)
     below: float | None = None
@@ -98,13 +96,6 @@ class ExpectTable(Table):
     equals: float | None = None
     settles_to: float | None = None
     tolerance: float | None = Field(default=None, ge=0, description="of equals (by default 0) and settles_to")
-
-    @field_validator("signal")
-    @classmethod
-    def _known(cls, signal: str) -> str:
-        if signal not in SIGNAL_NAMES:
-            raise ValueError(f"expected the name of a signal{_nearest_signal(signal)}")
-        return signal
 
     @model_validator(mode="after")
     def _consistent(self) -> "ExpectTable":
@@ -123,9 +114,3 @@ class ExpectTable(Table):
         if math.isnan(self.to_s) or self.to_s < self.from_s:
             raise ValueError(f"to_s = {self.to_s} is before from_s = {self.from_s}")
         return self
-
-
-def _nearest_signal(signal: str) -> str:
-    """Return the nearest signal; the whole vocabulary is too long for a sentence."""
-    hint = nearest(signal, SIGNAL_NAMES)
-    return hint if "did you mean" in hint else "; `hil list signals` prints them all"

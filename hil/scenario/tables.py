@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, ConfigDict, Field, field_validator
 
+from hil.controllers.own_signals import short_name
 from hil.errors import BadInputError, nearest
 from hil.links.url import parse_link
 from hil.localisation.address import parse_address
@@ -210,6 +211,15 @@ class ControllerTable(Table):
         default="speed", description="what the wheels are told; fixed at arming"
     )
     gains: Mapping[Text, Option] = Field(default_factory=dict, description="the law's own numbers")
+    shadow: tuple[Text, ...] = Field(default=(), description="laws that are computed beside it and drive nothing")
+    shadow_gains: Mapping[Text, Mapping[Text, Option]] = Field(
+        default_factory=dict, description="of each shadow by its name; that of a class is its own, without the file"
+    )
+
+    @property
+    def shadow_names(self) -> tuple[str, ...]:
+        """What the signals of the shadows and their gains go by."""
+        return tuple(short_name(spec) for spec in self.shadow)
 
     @property
     def mode(self) -> CommandMode:

@@ -96,6 +96,12 @@ _ENTITIES = (
     Entity("/loop/deadline_misses", (Series("loop.deadline_misses", "deadline misses", ALARM_COLOUR),)),
     _pose("/ctrl/pose/reference", "reference"),
     _twist("/ctrl/twist/reference", "reference"),
+    _axes(
+        "/ctrl/acceleration/reference",
+        "reference.ax_m_s2",
+        "reference.ay_m_s2",
+        "reference.yaw_acceleration_rad_s2",
+    ),
     _pose("/ctrl/pose/estimate", "pose"),
     _twist("/ctrl/twist/estimate", "twist"),
     _pose("/ctrl/pose/truth", "truth"),
@@ -139,7 +145,10 @@ _ENTITIES = (
             Series("estimator.health", "health", ALARM_COLOUR),
         ),
     ),
-    Entity("/ctrl/guard", (Series("guard.saturated", "saturated", ALARM_COLOUR),)),
+    Entity(
+        "/ctrl/guard",
+        (Series("guard.saturated", "saturated", ALARM_COLOUR), Series("guard.held", "held", REFERENCE_COLOUR)),
+    ),
     Entity("/robot/clock", (Series("robot.time_s", "robot time", PLAIN_COLOUR),)),
     Entity("/robot/state_code", (Series("robot.state", "state", PLAIN_COLOUR),)),
     Entity(

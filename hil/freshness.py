@@ -1,0 +1,98 @@
+"""The newest feedback of the robot, how old it is, and whether it may drive anything."""
+
+from firmware_protocol.generated.messages import State as RobotState
+from hil.devices.snapshot import Feedback
+from hil.devices.stm32 import Stm32
+from hil.errors import DeviceError, LinkError, RobotStoppedError
+from hil.faults.signals import SignalFaults
+from hil.ports import Clock
+from hil.sampling import Timing
+from hil.types import PoseFix
+
+_LOST_NS = 250_000_000  # silence that ends the run
+# How far a robot's clock may be from where it should be and still be the same: feedback on its way, and HSI's accuracy.
+_CLOCK_PERIODS = 4
+_CLOCKS_APART_NS = 50_000_000
+_CLOCK_SHARE = 50
+
+
+class Freshness:
+    """Takes the robot's feedback once a tick. ``silent_ns`` is how long the newest one has been the newest."""
+
+    def __init__(self, clock: Clock, device: Stm32, faults: SignalFaults | None, timing: Timing) -> None:
+        self._clock = clock
+        self._device = device
+        self._faults = faults
+        self._timing = timing
+        self._newest_ns = 0
+        self._heard_ns: int | None = None
+        self.silent_ns = 0
+
+    def poll(self, t_s: float) -> Feedback:
+        """Return the newest feedback; ``t_s`` is the tick's, for messages.
+
+        Raises RobotStoppedError or DeviceError for a robot that is not ACTIVE, LinkError after a long silence.
+        """
+        feedback = self._device.poll()
+        now_ns = self._clock.now_ns()
+        if feedback is None:
+            raise RobotStoppedError("the robot sends no feedback")
+        if self._faults is not None:
+            feedback = self._faults.feedback(feedback)
+        if self._heard_ns is None or feedback.robot_time_ns != self._newest_ns:
+            self._newest_ns, self._heard_ns = feedback.robot_time_ns, now_ns
+        self.silent_ns = now_ns - self._heard_ns
+        if feedback.state is not RobotState.ACTIVE:
+            latched = feedback.state in (RobotState.FAULT, RobotState.ESTOP)
+            raise (DeviceError if latched else RobotStoppedError)(self._why_stopped(feedback.state, t_s))
+        if self.silent_ns > _LOST_NS:
+            raise LinkError(
+                f"no feedback for {self.silent_ns * 1e-6:.0f} ms at t = {t_s:.3f} s: the link or the robot was lost"
+            )
+        return feedback
+
+    def robot_now_ns(self, feedback: Feedback) -> int:
+        """Return the robot time of this instant: by the newest feedback, in real time by TIME_SYNC once it is known.
+
+        Feedback says it only to a tick, because nobody knows how long it has lain there. An offset that says something
+        quite different is that of the clock before a reset.
+        """
+        now_ns = feedback.robot_time_ns + self._timing.feedback_latency_ns + self.silent_ns
+        offset_us = self._device.clock_sync.offset_us
+        if self._device.is_lockstep or offset_us != offset_us:
+            return now_ns
+        synced_ns = self._clock.now_ns() + round(offset_us * 1e3)
+        return synced_ns if abs(synced_ns - now_ns) < _CLOCKS_APART_NS else now_ns
+
+    def is_stale(self, feedback: Feedback, fix: PoseFix | None) -> bool:
+        """Nothing is driven by what is older than the firmware's own patience with us.
+
+        ``fix`` is the truth where the state rests on it, else None.
+        """
+        behind_ns = 0 if fix is None else feedback.robot_time_ns - fix.time_ns
+        return max(self.silent_ns, behind_ns) > self._timing.stale_ns
+
+    def restart(self) -> bool:
+        """Begin anew with a robot that came back; return whether it was reset.
+
+        Then its clock, and with it its encoder counts, began anew since it was last heard.
+        """
+        was_reset = self._was_reset()
+        self._heard_ns = None
+        return was_reset
+
+    def _was_reset(self) -> bool:
+        feedback = self._device.feedback
+        if feedback is None or self._heard_ns is None:
+            return True
+        passed_ns = self._clock.now_ns() - self._heard_ns
+        robot_passed_ns = feedback.robot_time_ns - self._newest_ns
+        apart_ns = _CLOCK_PERIODS * self._timing.period_ns + passed_ns // _CLOCK_SHARE
+        return robot_passed_ns < 0 or abs(robot_passed_ns - passed_ns) > apart_ns
+
+    def _why_stopped(self, state: RobotState, t_s: float) -> str:
+        report = self._device.report
+        # A robot that stopped by itself knows why, and passes through STOPPING, which tells it.
+        was_reset = state in (RobotState.BOOT, RobotState.IDLE) and report.knows_no_reason
+        why = "it was reset" if was_reset else f"it is {state.name} because of {report.stop_reason()}"
+        return f"the robot left ACTIVE at t = {t_s:.3f} s: {why}"

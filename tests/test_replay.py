@@ -1,0 +1,185 @@
+"""Replay: the law that made a run says the same again; another one says what it would have, and is labelled so."""
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import hil
+from hil.controllers.registry import SHIPPED
+from hil.errors import BadInputError
+from hil.replay import replay, write_replay
+from hil.review import read
+from hil.types import WHEEL_NAMES, CommandMode
+
+SHORT = {"loop.duration_s": 0.5, "loop.rate_hz": 200, "expect": []}
+DELAYED = {"link.command_latency_s": 0.003, "link.feedback_latency_s": 0.007}
+FRONT_LEFT = "wheel.fl.torque_command_n_m"
+
+
+def changed(run, key, value):
+    """The run's properties with another value in its scenario."""
+    scenario = json.loads(run.properties["scenario"]) | {key: value}
+    return {"properties": run.properties | {"scenario": json.dumps(scenario)}}
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """A run by torque with all laws as shadows, under latency and with old feedback for a while."""
+    path = tmp_path_factory.mktemp("replay") / "run.rrd"
+    fault = [{"kind": "drop", "target": "feedback", "start_s": 0.2, "end_s": 0.35, "value": 1.0}]
+    shadows = [law for law in SHIPPED if law != "afdsc"]
+    keys = {"controller.shadow": shadows, "controller.shadow_gains.dsc": {"k1_1_s": 5.0}}
+    keys |= {"fault": fault, "firmware.watchdog_s": 0.05}
+    result = hil.run("paper_circle", set=SHORT | DELAYED | keys, record=path)
+    assert result.metrics["failure"] is None
+    assert result.metrics["stale_ticks"] > 0
+    return read(path)
+
+
+@pytest.fixture(scope="module")
+def by_speed(tmp_path_factory):
+    path = tmp_path_factory.mktemp("replay") / "speed.rrd"
+    hil.run("circle_speed", set=SHORT, record=path)
+    return read(path)
+
+
+def test_the_law_that_made_the_run_says_the_same_again(recorded):
+    replayed = replay(recorded, "afdsc")
+    assert replayed.asked < replayed.ticks == 100
+    for one in replayed.differences.values():
+        assert one.max < 1e-12  # a recording holds doubles; only the latency went through a unit
+        assert one.recorded_rms > 0.1
+
+
+def test_so_does_the_law_of_a_run_by_speed_with_its_feedforward(by_speed):
+    replayed = replay(by_speed, by_speed.properties["law"])
+    assert replayed.mode is CommandMode.SPEED
+    assert len(replayed.differences) == 8
+    assert max(one.max for one in replayed.differences.values()) < 1e-12
+
+
+@pytest.mark.parametrize("law", [law for law in SHIPPED if law != "afdsc"])
+def test_a_replay_says_what_the_shadow_said(recorded, law):
+    """Also its gains are those that the recording has for the shadow."""
+    replayed = replay(recorded, law)
+    for wheel in WHEEL_NAMES:
+        shadow = recorded.signals[f"shadow.{law}.wheel.{wheel}.torque_command_n_m"]
+        again = replayed.commands[f"wheel.{wheel}.torque_command_n_m"]
+        assert np.allclose(again, shadow, rtol=0, atol=1e-12, equal_nan=True)
+    assert replayed.gains == ({"k1_1_s": 5.0} if law == "dsc" else {})
+
+
+def test_a_run_that_lost_its_link_is_replayed_from_where_the_law_began_anew(tmp_path):
+    record = tmp_path / "lost.rrd"
+    fault = [{"kind": "disconnect", "target": "link", "start_s": 0.2, "end_s": 0.25}]
+    keys = SHORT | {"loop.duration_s": 1.0, "loop.rearm": True, "fault": fault, "controller.law": "dsc_eso"}
+    result = hil.run("paper_circle", set=keys, record=record)
+    assert result.metrics["recoveries"]
+    replayed = replay(read(record), "dsc_eso")
+    assert replayed.asked < replayed.ticks
+    assert max(one.max for one in replayed.differences.values()) < 1e-12
+
+
+def test_given_gains_go_over_the_recorded_ones_and_the_figures_are_what_they_say(recorded):
+    replayed = replay(recorded, "afdsc,filter_s=0.02")
+    assert replayed.gains["filter_s"] == 0.02
+    name = "wheel.fr.torque_command_n_m"
+    apart = replayed.commands[name] - recorded.signals[name]
+    asked = np.isfinite(replayed.commands[name])
+    one = replayed.differences[name]
+    assert one.rms == pytest.approx(np.sqrt(np.mean(apart[asked] ** 2)))
+    assert one.max == np.nanmax(np.abs(apart))
+    assert recorded.signals["loop.t_s"][np.nanargmax(np.abs(apart))] == one.max_s
+
+
+def test_the_recording_of_a_replay_holds_the_run_and_the_difference_and_says_what_it_is(recorded, tmp_path):
+    replayed = replay(recorded, "pid")
+    path = tmp_path / "replayed.rrd"
+    write_replay(recorded, replayed, path)
+    again = read(path)
+    assert {name: list(series) for name, series in again.signals.items() if name == "error.x_m"} == {
+        "error.x_m": list(recorded.signals["error.x_m"])
+    }
+    told = again.signals["replay.pid.wheel.fl.torque_difference_n_m"]
+    assert np.array_equal(told, replayed.commands[FRONT_LEFT] - recorded.signals[FRONT_LEFT], equal_nan=True)
+    assert "open loop" in again.properties["replay"]
+    assert any("open loop" in event.text for event in again.events)
+    assert again.summary == recorded.summary
+
+
+def test_ticks_that_are_missing_are_told(recorded):
+    kept = np.r_[10:40, 45:100]
+    part = replace(recorded, signals={name: series[kept] for name, series in recorded.signals.items()})
+    notes = replay(part, "dsc").notes
+    assert notes[0].startswith("the recording begins at tick 10")
+    assert notes[1].startswith("5 ticks were not recorded")
+
+
+@pytest.mark.parametrize(
+    ("law", "message"),
+    [
+        ("dcs", "--law = 'dcs': unknown"),
+        ("dsc,k1=3", "--law dsc: unknown option 'k1'; did you mean 'k1_1_s'?"),
+        ("dsc,k1_1_s", "'k1_1_s' is no gain; expected key=value"),
+        ("./no.py:Law", "no file"),
+    ],
+)
+def test_a_bad_law_is_refused_in_one_sentence(recorded, law, message):
+    with pytest.raises(BadInputError) as refusal:
+        replay(recorded, law)
+    assert message in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_law_that_refuses_the_mode_of_the_recording_is_refused(by_speed, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "only.py").write_text(
+        "from hil.errors import BadInputError\nfrom hil.types import CommandMode\n"
+        "class Torque:\n    def __init__(self, model, mode):\n"
+        "        if mode is not CommandMode.TORQUE: raise BadInputError('it has no speed mode')\n"
+        "    def reset(self, state, reference): pass\n"
+        "    def update(self, reference, state, applied, dt_s): pass\n",
+        encoding="utf-8",
+    )
+    with pytest.raises(BadInputError, match="no speed mode"):
+        replay(by_speed, "./only.py:Torque")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda run: {"signals": {k: v for k, v in run.signals.items() if k != "reference.ax_m_s2"}}, "no signal"),
+        (lambda run: {"properties": {}}, "it does not hold the scenario of its run"),
+        (lambda run: {"properties": {"scenario": "[]"}}, "it does not hold the scenario of its run"),
+        (lambda run: changed(run, "controller.command", "banana"), "it does not hold the scenario of its run"),
+        (lambda run: changed(run, "robot.wings_m", 1.0), "its [robot] is that of another version"),
+        (lambda run: changed(run, "robot.mass_kg", "heavy"), "its [robot] is that of another version"),
+        (lambda run: {"signals": {k: v[:0] for k, v in run.signals.items()}}, "no tick in which the law was asked"),
+    ],
+)
+def test_a_recording_that_cannot_be_replayed_is_refused_in_one_sentence(recorded, change, message):
+    with pytest.raises(BadInputError) as refusal:
+        replay(replace(recorded, **change(recorded)), "dsc")
+    assert message in str(refusal.value)
+
+
+def test_a_recording_is_not_written_over_itself(recorded):
+    with pytest.raises(BadInputError, match="choose another name"):
+        write_replay(recorded, replay(recorded, "pid"), recorded.path)
+
+
+def test_the_command_prints_a_table_and_json_and_says_open_loop(recorded):
+    command = [sys.executable, "-m", "hil.cli", "replay", str(recorded.path), "--law", "dsc,k1_1_s=9"]
+    shown = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert shown.count("open loop") == 2
+    figures = json.loads(subprocess.run([*command, "--json"], capture_output=True, text=True, check=True).stdout)
+    assert figures["open_loop"] is True
+    assert figures["gains"] == {"k1_1_s": 9}
+    assert set(figures["difference"]) == {f"wheel.{wheel}.torque_command_n_m" for wheel in WHEEL_NAMES}
+    bad = subprocess.run([*command[:3], "replay", str(recorded.path.parent), "--law", "dsc"], capture_output=True)
+    assert bad.returncode == 2
+    assert bad.stderr.count(b"\n") == 1
