@@ -23,6 +23,7 @@ SUMMARY = {
     "realtime_factor": None,
     "frames": {"sent": 12, "received": 34, "rejected": {"crc": 1}},
     "link_statistics": {"lost": {"snapshots": 3}, "load": None, "reasons": {"load": "memory has no bit rate"}},
+    "pose_fixes": {"received": 60, "accepted": 58},
     "wire_sha256": "ab" * 32,
     "reasons": {"realtime_factor": "because"},
 }
@@ -64,7 +65,8 @@ def test_a_review_has_the_figures_of_the_run(recording: Path) -> None:
     figures, reasons = signal_figures({name: column(table, name) for name in SIGNAL_NAMES})
     reviewed = review(recording)
     assert reviewed.pop("reasons") == {**reasons, "realtime_factor": "because"}
-    stored = {name: SUMMARY[name] for name in ("passed", "realtime_factor", "frames", "link_statistics", "wire_sha256")}
+    kept = ("passed", "realtime_factor", "frames", "link_statistics", "pose_fixes", "wire_sha256")
+    stored = {name: SUMMARY[name] for name in kept}
     assert reviewed == {**figures, **stored, "recording": str(recording)}
 
 
