@@ -1,4 +1,4 @@
-"""Decoding of a recording, in a process of its own: ``python -m hil.review.decode RUN.rrd``.
+"""Decoding of a recording, in a process of its own: ``python -m hil.review.decode RUN.rrd [SIGNAL ...]``.
 
 rerun's reader aborts its whole process on some damaged files; ``hil.review.reader`` starts this one and outlives it.
 The answer on standard output is one line of JSON (``Decoded``), then the values as float64, signal by signal.
@@ -11,7 +11,7 @@ import struct
 import sys
 import tempfile
 import warnings
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, TypedDict
@@ -23,6 +23,7 @@ from hil.telemetry.names import RECORDER_PROPERTY, RUN_PROPERTY, SIGNALS_PROPERT
 
 if TYPE_CHECKING:
     import pyarrow as pa
+    from rerun.chunk import Chunk
 
 Series = npt.NDArray[np.float64]
 
@@ -32,17 +33,24 @@ _MESSAGE = struct.Struct("<QQ")
 _END_MESSAGE = 0
 _COPY_BYTES = 1 << 20
 _PROPERTIES = "/__properties/"
+_EVENTS = "/events"
 
 
 class Decoded(TypedDict):
-    """What the answer's first line holds; ``signals`` names the rows of the table that follows."""
+    """What the answer's first line holds; ``signals`` names the rows of the table that follows.
+
+    ``held`` names all signals of the recording, asked for or not. ``repairs`` has a sentence for each thing that was
+    wrong with the file and what was lost by it.
+    """
 
     signals: list[str]
+    held: list[str]
     rows: int
     events: list[tuple[float, str, str]]
     properties: dict[str, str]
     summary: dict[str, Any] | None
     rows_dropped: int | None
+    repairs: list[str]
 
 
 class DamagedError(Exception):
@@ -50,56 +58,106 @@ class DamagedError(Exception):
 
 
 class _Part(NamedTuple):
-    """A piece of an entity: row ids (n, 2) in the order of writing, ticks (n,), values (n, signals)."""
+    """A chunk of an entity: id of its first row, ticks (n,), values (signals, n) in the order of writing."""
 
-    row_ids: npt.NDArray[np.uint64]
+    row_id: tuple[int, int]
     ticks: npt.NDArray[np.int64]
     values: Series
 
 
+class _Entity(NamedTuple):
+    """An entity of the recording: the places of the wanted signals in its vector, and its chunks."""
+
+    width: int
+    wanted: list[int]
+    parts: list[_Part]
+
+
 class _Contents(NamedTuple):
-    parts: dict[str, list[_Part]]
+    entities: dict[str, _Entity]
     properties: dict[str, dict[str, str]]
     events: list[tuple[float, str, str]]
+    ticks: dict[bytes, npt.NDArray[np.int64]]  # entities of one row have the same: kept once
 
 
-def decode(path: Path) -> tuple[Decoded, dict[str, Series]]:
-    """Return what a recording holds, and its signals by name. Raises DamagedError."""
-    contents = _contents(path)
-    held = _json(contents, SIGNALS_PROPERTY)
-    if held is None:
-        raise DamagedError("a recording of another program")
-    signals = _signals(held, contents.parts)
-    recorder = _json(contents, RECORDER_PROPERTY)
-    decoded = Decoded(
-        signals=list(signals),
-        rows=len(next(iter(signals.values()), ())),
-        events=contents.events,
-        properties=contents.properties.get(RUN_PROPERTY, {}),
-        summary=_json(contents, SUMMARY_PROPERTY),
-        rows_dropped=None if recorder is None else recorder.get("rows_dropped"),
-    )
-    return decoded, signals
+def decode(path: Path, wanted: Collection[str] | None = None) -> tuple[Decoded, dict[str, Series]]:
+    """Return what a recording holds, and its signals by name, or those of them that are wanted. Raises DamagedError."""
+    decoded, signals = _decoded(path, wanted)
+    return decoded, dict(signals)
 
 
-def _contents(path: Path) -> _Contents:
-    import rerun.chunk as rrc
-
-    contents = _Contents({}, {}, [])
-    with _whole_messages(path) as readable, warnings.catch_warnings():
+def _decoded(path: Path, wanted: Collection[str] | None) -> tuple[Decoded, Iterator[tuple[str, Series]]]:
+    """Return what a recording holds, and its signals one after the other: what was taken is kept no longer."""
+    repairs: list[str] = []
+    with _whole_messages(path, repairs) as readable, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # "has no footer": so it is, after a kill
         try:
-            for chunk in rrc.RrdReader(readable).stream():
-                _take(chunk.entity_path, chunk.to_record_batch(), contents)
+            held = _held(readable)
+            contents = _contents(readable, held, wanted)
         except (RuntimeError, ValueError, OSError) as error:
             what = str(error).removeprefix(f"Failed to read RRD file at {readable}: ")
             raise DamagedError(f"damaged: {what}") from error
+    recorder = _json(contents.properties, RECORDER_PROPERTY)
+    if recorder is None and not repairs:
+        repairs.append("it has no end: the recorder was killed, and what it had not yet written is lost")
+    kept = _kept_rows(contents.entities, repairs)
+    decoded = Decoded(
+        signals=[names[i] for path_, names in held.items() for i in contents.entities[path_].wanted],
+        held=[name for names in held.values() for name in names],
+        rows=kept.rows,
+        events=sorted(contents.events, key=lambda event: event[0]),
+        properties=contents.properties.get(RUN_PROPERTY, {}),
+        summary=_json(contents.properties, SUMMARY_PROPERTY),
+        rows_dropped=None if recorder is None else recorder.get("rows_dropped"),
+        repairs=repairs,
+    )
+    return decoded, _columns(held, contents.entities, kept)
+
+
+def _held(path: Path) -> dict[str, list[str]]:
+    """Return which signals each entity holds: the recording begins with it."""
+    properties: dict[str, dict[str, str]] = {}
+    for chunk in _stream(path, [f"{_PROPERTIES}{SIGNALS_PROPERTY}"]):
+        _take_property(chunk.entity_path, _columns_of(chunk), properties)
+        if (held := _json(properties, SIGNALS_PROPERTY)) is not None:
+            return held
+    raise DamagedError("a recording of another program")
+
+
+def _contents(path: Path, held: dict[str, list[str]], wanted: Collection[str] | None) -> _Contents:
+    """Read the entities that hold what is wanted, and all that is no signal."""
+    entities = {
+        entity: _Entity(len(names), [i for i, name in enumerate(names) if wanted is None or name in wanted], [])
+        for entity, names in held.items()
+    }
+    contents = _Contents(entities, {}, [], {})
+    needed = [entity for entity, one in entities.items() if one.wanted]
+    for chunk in _stream(path, [f"{_PROPERTIES}**", _EVENTS, *(needed or list(entities)[:1])]):
+        _take(chunk.entity_path, _columns_of(chunk), contents)
+    contents.ticks.clear()
     return contents
 
 
-def _json(contents: _Contents, name: str) -> dict[str, Any] | None:
+def _stream(path: Path, entities: list[str]) -> Iterator["Chunk"]:
+    """Yield the chunks of these entities: by the file's own index where it has one, without reading the rest."""
+    import rerun.chunk as rrc
+
+    reader = rrc.RrdReader(path)
+    try:
+        stream = reader.store().stream()
+    except (RuntimeError, ValueError, OSError):
+        stream = reader.stream()  # no footer: all is looked at
+    yield from stream.filter(content=entities)
+
+
+def _columns_of(chunk: "Chunk") -> dict[str, "pa.Array"]:
+    batch = chunk.to_record_batch()
+    return {name: batch.column(name) for name in batch.schema.names}
+
+
+def _json(properties: dict[str, dict[str, str]], name: str) -> dict[str, Any] | None:
     """Return a property that holds a JSON object, or None when the recording does not have it."""
-    texts = contents.properties.get(name)
+    texts = properties.get(name)
     if texts is None:
         return None
     try:
@@ -111,66 +169,73 @@ def _json(contents: _Contents, name: str) -> dict[str, Any] | None:
     return value
 
 
-def _take(entity: str, batch: "pa.RecordBatch", contents: _Contents) -> None:
-    columns = {name: batch.column(name) for name in batch.schema.names}
+def _take_property(entity: str, columns: dict[str, "pa.Array"], properties: dict[str, dict[str, str]]) -> None:
+    texts = properties.setdefault(entity.removeprefix(_PROPERTIES), {})
+    for name, column in columns.items():
+        if str(column.type) == "list<item: string>" and (held := column[-1].as_py()):
+            texts[name] = held[0]
+
+
+def _take(entity: str, columns: dict[str, "pa.Array"], contents: _Contents) -> None:
     if entity.startswith(_PROPERTIES):
-        texts = contents.properties.setdefault(entity.removeprefix(_PROPERTIES), {})
-        for name, column in columns.items():
-            if str(column.type) == "list<item: string>" and (held := column[-1].as_py()):
-                texts[name] = held[0]
+        _take_property(entity, columns, contents.properties)
     elif {"TextLog:text", "TextLog:level", "t"} <= columns.keys():
         times = columns["t"].cast("int64").to_pylist()
-        levels, texts_ = (columns[f"TextLog:{name}"].to_pylist() for name in ("level", "text"))
+        levels, texts = (columns[f"TextLog:{name}"].to_pylist() for name in ("level", "text"))
         contents.events.extend(
-            (t_ns / 1e9, level[0], text[0]) for t_ns, level, text in zip(times, levels, texts_, strict=True)
+            (t_ns / 1e9, level[0], text[0]) for t_ns, level, text in zip(times, levels, texts, strict=True)
         )
-    elif {"Scalars:scalars", "tick"} <= columns.keys():
+    elif {"Scalars:scalars", "tick"} <= columns.keys() and entity in contents.entities:
+        one = contents.entities[entity]
         ids = columns["rerun.controls.RowId"]
-        row_ids = np.frombuffer(ids.buffers()[1], ">u8", count=2 * len(ids), offset=16 * ids.offset)
+        first = np.frombuffer(ids.buffers()[1], ">u8", count=2, offset=16 * ids.offset)
         values = columns["Scalars:scalars"].flatten().to_numpy()
-        part = _Part(
-            row_ids.astype(np.uint64).reshape(len(batch), 2),
-            columns["tick"].to_numpy(),
-            values.reshape(len(batch), -1),
-        )
-        contents.parts.setdefault(entity, []).append(part)
+        if len(values) != len(ids) * one.width:
+            found = len(values) // max(1, len(ids))
+            raise DamagedError(f"damaged: {entity} has {found} values for {one.width} signals")
+        ticks = np.array(columns["tick"].to_numpy(), dtype=np.int64)
+        ticks = contents.ticks.setdefault(ticks.tobytes(), ticks)
+        # A copy of what is wanted: the chunk's own buffers hold its row ids and times too.
+        kept = np.ascontiguousarray(values.reshape(-1, one.width)[:, one.wanted].T)
+        one.parts.append(_Part((int(first[0]), int(first[1])), ticks, kept))
 
 
-def _signals(held: dict[str, list[str]], parts: dict[str, list[_Part]]) -> dict[str, Series]:
-    """Put the entities' parts in order and side by side."""
-    entities = {entity: _joined(parts.get(entity, [_nothing(len(names))])) for entity, names in held.items()}
-    for entity, names in held.items():
-        width = entities[entity].values.shape[1]
-        if width != len(names):
-            raise DamagedError(f"damaged: {entity} has {width} values for {len(names)} signals")
-    ticks = [entity.ticks for entity in entities.values()]
-    if not all(np.array_equal(one, ticks[0]) for one in ticks):
-        # After a kill the last rows may have reached some entities only; after a repair any may lack some.
-        common = functools.reduce(np.intersect1d, ticks)
-        entities = {path: _only(part, common) for path, part in entities.items()}
-    signals: dict[str, Series] = {}
-    for entity, names in held.items():
-        signals.update(zip(names, entities[entity].values.T.copy(), strict=True))
-    return signals
+class _Kept(NamedTuple):
+    """The rows that every entity has: how many, and for each entity which of its own, or None for all of them."""
+
+    rows: int
+    places: dict[str, npt.NDArray[np.intp] | None]
 
 
-def _joined(parts: list[_Part]) -> _Part:
-    row_ids, ticks, values = (np.concatenate(column) for column in zip(*parts, strict=True))
-    order = np.lexsort((row_ids[:, 1], row_ids[:, 0]))
-    return _Part(row_ids[order], ticks[order], values[order])
+def _kept_rows(entities: dict[str, _Entity], repairs: list[str]) -> _Kept:
+    """Put the chunks of each entity in the order of writing, and find the rows that all of them have."""
+    ticks: dict[str, npt.NDArray[np.int64]] = {}
+    for path, entity in entities.items():
+        if entity.wanted or entity.parts:
+            entity.parts.sort(key=lambda part: part.row_id)
+            ticks[path] = np.concatenate([part.ticks for part in entity.parts] or [np.empty(0, np.int64)])
+    first = next(iter(ticks.values()), np.empty(0, np.int64))
+    if all(np.array_equal(one, first) for one in ticks.values()):
+        return _Kept(len(first), dict.fromkeys(ticks))
+    # After a kill the last rows may have reached some entities only; after a repair any may lack some.
+    common = functools.reduce(np.intersect1d, ticks.values())
+    most = max(map(len, ticks.values()))
+    repairs.append(f"{most - len(common)} of {most} rows are there in part only, and were left out")
+    return _Kept(len(common), {path: np.flatnonzero(np.isin(one, common)) for path, one in ticks.items()})
 
 
-def _only(part: _Part, ticks: npt.NDArray[np.int64]) -> _Part:
-    rows = np.isin(part.ticks, ticks)
-    return _Part(part.row_ids[rows], part.ticks[rows], part.values[rows])
-
-
-def _nothing(width: int) -> _Part:
-    return _Part(np.empty((0, 2), np.uint64), np.empty(0, np.int64), np.empty((0, width)))
+def _columns(held: dict[str, list[str]], entities: dict[str, _Entity], kept: _Kept) -> Iterator[tuple[str, Series]]:
+    """Yield the wanted signals, each as one array."""
+    for path, names in held.items():
+        _, wanted, parts = entities.pop(path)
+        for place, i in enumerate(wanted):
+            whole = np.concatenate([part.values[place] for part in parts] or [np.empty(0)])
+            places = kept.places[path]
+            yield names[i], whole if places is None else whole[places]
 
 
 @contextmanager
-def _whole_messages(path: Path) -> Iterator[Path]:
+def _whole_messages(path: Path, repairs: list[str]) -> Iterator[Path]:
     """Yield the file, or, if its last message was cut short, a temporary copy without that message."""
     with path.open("rb") as file:
         size = file.seek(0, os.SEEK_END)
@@ -178,6 +243,8 @@ def _whole_messages(path: Path) -> Iterator[Path]:
         if end == size:
             yield path
             return
+        cut = f", and its last {size - end} bytes are a message that was cut short" if size > end else ""
+        repairs.append(f"it has no end: the recorder was killed or the file was cut{cut}; what came after is lost")
         with tempfile.TemporaryDirectory() as directory:
             copy = Path(directory) / "whole.rrd"
             with copy.open("wb") as target:
@@ -209,13 +276,13 @@ def main() -> int:
     os.dup2(2, 1)  # what a library prints must not get into the answer
     with output:
         try:
-            decoded, signals = decode(Path(sys.argv[1]))
+            decoded, signals = _decoded(Path(sys.argv[1]), set(sys.argv[2:]) or None)
         except DamagedError as damage:
             output.write(json.dumps({"damage": str(damage)}).encode() + b"\n")
             return 1
         output.write(json.dumps(decoded).encode() + b"\n")
-        for name in decoded["signals"]:
-            output.write(signals[name].tobytes())
+        for _, values in signals:
+            output.write(values.data)
     return 0
 
 
