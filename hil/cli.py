@@ -31,6 +31,7 @@ from hil.commands.options import (
     print_json,
 )
 from hil.commands.reproduce import reproduce
+from hil.commands.review import review
 from hil.commands.robot import device, params
 from hil.commands.trace import decode
 from hil.errors import BadInputError, DeviceError, HilError, LinkError, RunInterruptedError
@@ -114,6 +115,7 @@ app.command()(decode)
 app.command()(params)
 app.command()(fuzzy)
 app.command()(reproduce)
+app.command()(review)
 
 
 @app.command()
@@ -150,30 +152,6 @@ def list_(
         print_json([dict(zip(header, row, strict=True)) for row in rows])
     else:
         report.print_table(rows)
-
-
-@app.command()
-def review(
-    recording: Annotated[Path, typer.Argument(metavar="RUN.rrd")],
-    trajectory: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.csv", help="write the robot's poses, for reference.kind = 'trajectory'"),
-    ] = None,
-    as_json: Json = False,
-) -> None:
-    """Read the figures of a run back from its recording alone."""
-    from hil import report
-    from hil.review import figures as figures_of
-    from hil.review import read, write_trajectory
-
-    recorded = read(recording)
-    figures = figures_of(recorded)
-    if trajectory is not None:
-        write_trajectory(recorded, trajectory)
-    if as_json:
-        print_json(figures)
-    else:
-        report.print_figures(figures)
 
 
 @app.command()
