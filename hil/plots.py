@@ -98,8 +98,8 @@ def drawing(
 ) -> Iterator[list["Axes"]]:
     """Give the axes to draw on, row by row, and write them: as PNG to a path, as SVG to a buffer, for a page.
 
-    ``size_in`` is the whole picture's. What matplotlib makes inside has the house's style. Raises BadInputError when the
-    file cannot be written; after an error of the caller's nothing is written.
+    ``size_in`` is the whole picture's. What matplotlib makes inside has the house's style. Raises BadInputError when
+    the file cannot be written; after an error of the caller's nothing is written.
     """
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
