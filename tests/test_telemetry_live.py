@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from hil.errors import BadInputError
-from hil.review.decode import DamagedError, decode
+from hil.review.contents import DamagedError
+from hil.review.decode import decode
 from hil.telemetry import Recording
 from hil.telemetry.view import (
     free_port,

@@ -12,7 +12,7 @@ from hil.catalogue.watched import WatchedNode
 from hil.errors import HilError
 from hil.faults.cases import DURATION_S, Outcome, Row
 from hil.pool import Work
-from hil.review.decode import DamagedError, decode
+from hil.review.contents import DamagedError, decode
 from hil.scenario import Scenario, format_value, load
 from hil.telemetry import Recording
 from hil.types import CommandMode

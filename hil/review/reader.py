@@ -7,9 +7,8 @@ import json
 import subprocess
 from collections.abc import Collection
 from dataclasses import dataclass
-from io import BufferedReader
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
 
 Series = npt.NDArray[np.float64]
 
-_SENSELESS = "damaged: its content makes no sense"
 _REPAIR = "'rerun rrd optimize --continue-on-error' may recover what is whole"
 
 
@@ -41,14 +39,15 @@ class RecordedRun:
     """What a recording holds.
 
     Attributes:
-        path: the file.
+        path: the file; the first of its parts.
         signals: float64 arrays of one length by the signal's name, in the order in which the rows were recorded.
         events: the event log.
         properties: what the run was, as texts by name.
         summary: what the run said at its end; None when it never came to that.
         rows_dropped: rows that the run had to drop; None when the recorder never came to say.
-        repairs: a sentence for each thing that was wrong with the file, and what was lost by it.
-        held: the names of all signals of the file, read or not.
+        rows_missing: rows that are in none of its parts.
+        parts: the files, in order.
+        notes: what a reader should know of the files: what is missing, or could not be read.
     """
 
     path: Path
@@ -57,46 +56,59 @@ class RecordedRun:
     properties: dict[str, str]
     summary: dict[str, Any] | None
     rows_dropped: int | None
-    repairs: tuple[str, ...]
-    held: tuple[str, ...]
+    rows_missing: int = 0
+    parts: tuple[Path, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 def read(path: Path, signals: Collection[str] | None = None) -> RecordedRun:
-    """Read a recording made by ``hil run``: all of its signals, or of those named the ones that it has.
+    """Read a recording made by ``hil run``, with its later parts when it is the first of several.
 
-    A long run has a gigabyte of them; only what is asked for is read.
+    ``signals`` names the ones to read, for a long run that would not fit memory; None reads all.
 
     Raises BadInputError when the file is missing, empty, no recording, damaged, or one of another program.
     """
     check_is_recording(path)
+    wanted = [] if signals is None else [json.dumps(sorted(signals))]
     # A process of its own: the library aborts on some damaged files.
     with subprocess.Popen(
-        module_command("hil.review.decode", str(path), *(signals or ())),
+        module_command("hil.review.decode", str(path), *wanted),
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         env=rerun_environment(),
     ) as decoder:
-        answer = cast(BufferedReader, decoder.stdout)
-        line = answer.readline()
-        head: dict[str, Any] = json.loads(line) if line else {"damage": _SENSELESS}
-        found: dict[str, Series] = {}
-        for name in head.get("signals", ()):
-            found[name] = np.empty(head["rows"])
-            if answer.readinto(found[name].data.cast("B")) != found[name].nbytes:
-                head = {"damage": _SENSELESS}
-                break
-    if "damage" in head:
-        raise BadInputError(f"{path}: {head['damage']}; expected {EXPECTED_FILE}; {_REPAIR}")
+        assert decoder.stdout is not None
+        line = decoder.stdout.readline()
+        head: dict[str, Any] = (
+            json.loads(line) if line.endswith(b"\n") else {"damage": "damaged: its content makes no sense"}
+        )
+        if "damage" in head:
+            repair = f"; {_REPAIR}" if path.suffix == ".rrd" else ""
+            raise BadInputError(f"{path}: {head['damage']}; expected {EXPECTED_FILE}{repair}")
+        table = np.empty((len(head["signals"]), head["rows"]))
+        _read_into(decoder.stdout, table)
     return RecordedRun(
         path=path,
-        signals=found,
+        signals=dict(zip(head["signals"], table, strict=True)),
         events=tuple(Event(*event) for event in head["events"]),
         properties=head["properties"],
         summary=head["summary"],
         rows_dropped=head["rows_dropped"],
-        repairs=tuple(head["repairs"]),
-        held=tuple(head["held"]),
+        rows_missing=head["rows_missing"],
+        parts=tuple(map(Path, head["parts"])),
+        notes=tuple(head["notes"]),
     )
+
+
+def _read_into(stream: IO[bytes], table: npt.NDArray[np.float64]) -> None:
+    """Fill a table without a second copy of it in memory."""
+    left = memoryview(table.reshape(-1).view(np.uint8).data)
+    while len(left):
+        piece = stream.read(min(len(left), 1 << 20))
+        if not piece:
+            raise BadInputError("the decoder of the recording ended too early; is there memory enough for it?")
+        left[: len(piece)] = piece
+        left = left[len(piece) :]
 
 
 def to_frame(run: RecordedRun) -> "pd.DataFrame":

@@ -25,15 +25,19 @@ class LineWriter:
         if sys.platform != "win32":
             os.set_blocking(fd, False)
 
-    def send(self, record: Mapping[str, object], *, always: bool = False) -> None:
-        """Write one record, or keep it back, or count it as lost; ``always`` keeps it back whatever its size."""
+    def send(self, record: Mapping[str, object], *, always: bool = False) -> bool:
+        """Write one record, or keep it back, or count it as lost; ``always`` keeps it back whatever its size.
+
+        Return False when it was lost because too much is kept back already.
+        """
         line = json.dumps(record).encode() + b"\n"
-        full = len(self._kept_back) + len(line) > KEPT_BACK_BYTES
-        if self._broken or (full and not always):
+        full = len(self._kept_back) + len(line) > KEPT_BACK_BYTES and not always
+        if self._broken or full:
             self.lost += 1
-            return
-        self._kept_back += line
-        self.flush()
+        else:
+            self._kept_back += line
+            self.flush()
+        return self._broken or not full
 
     def flush(self) -> bool:
         """Write what was kept back as far as the pipe takes it; True when there is nothing left to write."""

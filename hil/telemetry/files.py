@@ -2,16 +2,19 @@
 
 import errno
 import os
+import re
 import tempfile
 from pathlib import Path
+from typing import NamedTuple
 
 from hil.errors import BadInputError
 
-EXPECTED_FILE = "an .rrd file made by 'hil run --record'"
-OUTPUTS = {"recording": (".rrd",), "trace": (".blf", ".asc", ".log")}
+EXPECTED_FILE = "an .rrd or .mcap file made by 'hil run --record'"
+OUTPUTS = {"recording": (".rrd", ".mcap"), "trace": (".blf", ".asc", ".log")}
 """What a run writes, and how its name may end. A trace: Vector's binary and text form, and that of ``candump -L``."""
-_MAGIC = b"RRF2"
+_MAGICS = {".rrd": b"RRF2", ".mcap": b"\x89MCAP0\r\n"}
 _PROBE_BYTES = 1 << 20
+_SMALLEST_BYTES = 1_000_000
 
 
 def check_output_path(what: str, path: Path) -> None:
@@ -48,14 +51,57 @@ def why_not_written(path: Path, error: Exception) -> str:
     return f"{what} ({error.strerror})"
 
 
-def check_is_recording(path: Path) -> None:
-    """Raise BadInputError unless the path is a file that begins like a recording."""
+def check_is_recording(path: Path) -> str:
+    """Return the format of a recording, ``.rrd`` or ``.mcap``, by how it begins.
+
+    Raises BadInputError unless the path is a file that begins like one.
+    """
     try:
         with path.open("rb") as file:
-            start = file.read(len(_MAGIC))
+            start = file.read(max(map(len, _MAGICS.values())))
     except OSError as error:
         raise BadInputError(f"{path}: {error.strerror}; expected {EXPECTED_FILE}") from error
     if not start:
         raise BadInputError(f"{path}: the file is empty; expected {EXPECTED_FILE}")
-    if start != _MAGIC:
-        raise BadInputError(f"{path}: not a recording; expected {EXPECTED_FILE}")
+    for kind, magic in _MAGICS.items():
+        if start.startswith(magic):
+            return kind
+    raise BadInputError(f"{path}: not a recording; expected {EXPECTED_FILE}")
+
+
+def part_path(path: Path, number: int) -> Path:
+    """Return the file of a recording's part: RUN.rrd is the first, RUN-2.rrd the second."""
+    return path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")
+
+
+def later_parts(path: Path) -> list[Path]:
+    """Return the files beside a recording that by their names are later parts of it, in order."""
+    name = re.compile(rf"{re.escape(path.stem)}-([1-9]\d*){re.escape(path.suffix)}")
+    found = {int(match[1]): other for other in path.parent.iterdir() if (match := name.fullmatch(other.name))}
+    return [found[number] for number in sorted(found) if number > 1]
+
+
+class Rotation(NamedTuple):
+    """When a recording goes on in another file: at a size, after a time of the run, or at whatever comes first."""
+
+    size_bytes: int | None = None
+    duration_s: float | None = None
+
+
+def rotation(text: str) -> Rotation:
+    """Read a rotation as a user writes it: ``1GB``, ``10min``, or both as ``1GB|10min``.
+
+    Raises BadInputError for anything else, and for parts of less than 1 MB or 1 s.
+    """
+    sizes, times = {"kb": 1e3, "mb": 1e6, "gb": 1e9}, {"s": 1.0, "min": 60.0, "h": 3600.0}
+    found: dict[str, float] = {}
+    for part in text.split("|"):
+        match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([a-z]+)\s*", part.lower())
+        unit = match[2] if match else ""
+        kind = "size" if unit in sizes else "time" if unit in times else ""
+        if match is None or not kind or kind in found:
+            raise BadInputError(f"rotate {text!r}: expected a size, a time or both, as in 1GB, 10min or 1GB|10min")
+        found[kind] = float(match[1]) * (sizes | times)[unit]
+    if found.get("size", _SMALLEST_BYTES) < _SMALLEST_BYTES or found.get("time", 1.0) < 1.0:
+        raise BadInputError(f"rotate {text!r}: a part must have 1MB or 1s at least")
+    return Rotation(round(found["size"]) if "size" in found else None, found.get("time"))

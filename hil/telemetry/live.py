@@ -13,7 +13,8 @@ from collections.abc import Callable, Mapping, Sequence
 import rerun as rr
 
 from hil.telemetry.decimate import Decimator
-from hil.telemetry.stream import Rows, Stream
+from hil.telemetry.ring import Rows
+from hil.telemetry.stream import Stream
 
 LIVE_PERIOD_S = 0.01
 HOST = "127.0.0.1"
@@ -26,6 +27,7 @@ class LiveServer:
     """A gRPC server on 127.0.0.1 with the run's rows at 100 Hz. Raises OSError for a port that is in use."""
 
     def __init__(self, port: int, *, recording_id: str, signals: Sequence[str], properties: Mapping[str, str]) -> None:
+        rr.set_strict_mode(True)
         _check_port(port)
         self._stream = Stream(
             rr.GrpcServerSink(HOST, port, server_memory_limit=_MEMORY_LIMIT),
@@ -47,7 +49,7 @@ class LiveServer:
         """Queue rows of shape (n, signals); one each 10 ms of scenario time is served."""
         kept = rows[self._decimator.keep(rows[:, self._t_column])]
         if len(kept):
-            self._put(lambda: self._stream.rows(kept))
+            self._put(lambda: self._stream.draw(kept))
 
     def event(self, t_s: float, level: str, text: str) -> None:
         """Queue a line of the event log."""

@@ -5,6 +5,10 @@ RUN_PROPERTY = "run"
 SIGNALS_PROPERTY = "signals"
 SUMMARY_PROPERTY = "summary"
 RECORDER_PROPERTY = "recorder"
+SIGNALS_PATH = "/signals"
+"""The entity of an .rrd file that holds every signal of every row."""
+PART_PROPERTY = "part"
+"""Which file of the run it is: the run's ``recording_id``, its ``number`` from 1, and its ``first_row``."""
 
 
 def state_names() -> dict[int, str]:

@@ -6,39 +6,43 @@ live viewers at about 100 Hz.
 
 import sys
 import time
-from collections.abc import Callable
-from functools import partial
-from pathlib import Path
+from typing import TYPE_CHECKING
 
-import rerun as rr
-
-from hil.telemetry.files import why_not_written
-from hil.telemetry.live import LiveServer
+from hil.telemetry.parts import BATCH_ROWS, Parts
 from hil.telemetry.ring import RingReader
 from hil.telemetry.ring_child import Record, RefusedError, run
-from hil.telemetry.stream import Stream
 
-BATCH_ROWS = 1000
-BATCH_AGE_S = 0.5
+if TYPE_CHECKING:
+    from hil.telemetry.live import LiveServer
+
+# With two polls and the write itself, a row is safe 150 ms after it was put.
+BATCH_AGE_S = 0.08
 
 
 class Recorder:
-    """Moves rows from the ring to the file and the live server, and events to both.
+    """Moves rows from the ring to the files and the live server, and events to both.
+
+    One that takes the place of another (``restarts`` above 0) refuses nothing: the run is under way.
 
     Raises RefusedError when the file cannot be written or the port not be bound.
     """
 
     def __init__(self, config: Record, ring: RingReader) -> None:
         self._ring = ring
-        self._config = config
-        self._file = None if config["path"] is None else _open_file(config)
-        self._live = None if config["live_port"] is None else _open_live(config)
+        self._parts = None if config["path"] is None else Parts(config, ring)
+        self._live: LiveServer | None = None
+        self._live_error: str | None = None
+        if config["live_port"] is not None:
+            try:
+                self._live = _open_live(config)
+            except RefusedError as refusal:
+                if not config["restarts"]:
+                    raise
+                self._live_error = str(refusal)
         # A run that waits for room must not wait for a batch that its ring cannot hold.
         self._batch_rows = min(BATCH_ROWS, (ring.capacity + 1) // 2)
-        self._head_seen = 0
-        self._passed_on = 0
+        self._head_seen = self._passed_on = ring.tail
         self._batch_since = time.monotonic()
-        self._error: str | None = None
 
     def poll(self) -> None:
         """Take the rows that the ring held at the last poll; younger ones may not have settled in memory."""
@@ -46,16 +50,21 @@ class Recorder:
         self._pass_to_live(settled)
         waiting = settled - self._ring.tail
         now = time.monotonic()
-        if waiting == 0:
+        if waiting <= 0:
             self._batch_since = now
         elif waiting >= self._batch_rows or now - self._batch_since >= BATCH_AGE_S:
             self._take(settled)
             self._batch_since = now
+        if self._parts is not None:
+            self._parts.look_after()
 
     def line(self, record: Record) -> None:
         """Pass a line of the event log on."""
         t_s, level, text = record["event"]
-        self._write(lambda file: file.event(t_s, level, text))
+        if self._parts is not None:
+            self._parts.event(t_s, level, text)
+        else:
+            self._ring.add_lines_saved(1)
         if self._live is not None:
             self._live.event(t_s, level, text)
 
@@ -63,14 +72,18 @@ class Recorder:
         """Drain the ring, close the file, and return the report; live viewers stay served."""
         end = self._ring.head
         self._pass_to_live(end)
-        self._take(end)
-        counts = {"rows_written": self._ring.saved, "rows_dropped": self._ring.dropped}
-        self._write(lambda file: file.finish(summary, counts))
-        self._write(Stream.close)
+        if self._parts is not None:
+            self._parts.finish(summary)
+        else:
+            self._take(end)
         if self._live is not None:
-            self._live.finish(summary, counts)
-        live_error = None if self._live is None else self._live.error
-        return {"rows_written": self._ring.saved, "error": self._error, "live_error": live_error}
+            self._live.finish(summary, {"rows_written": self._ring.saved, "rows_dropped": self._ring.dropped})
+            self._live_error = self._live.error
+        return {
+            "rows_written": self._ring.saved,
+            "trouble": None if self._parts is None else self._parts.trouble,
+            "live_error": self._live_error,
+        }
 
     def close(self) -> None:
         """Stop serving live viewers."""
@@ -83,47 +96,23 @@ class Recorder:
             self._passed_on = stop
 
     def _take(self, stop: int) -> None:
-        while self._ring.tail < stop:
-            end = min(stop, self._ring.tail + BATCH_ROWS)
-            if self._write(partial(Stream.rows, rows=self._ring.rows(self._ring.tail, end))):
-                self._ring.mark_saved(end)
-            self._ring.release(end)
-
-    def _write(self, write: Callable[[Stream], None]) -> bool:
-        """Write and flush; after the first failure rows are only taken, so that the run never waits."""
-        if self._file is None or self._error is not None:
-            return False
-        try:
-            write(self._file)
-            self._file.flush()
-        except (RuntimeError, OSError) as error:
-            self._error = why_not_written(Path(self._config["path"]), error)
-            return False
-        return True
+        if self._parts is not None:
+            self._parts.take(stop)
+        else:
+            self._ring.release(stop)
 
 
 def main() -> int:
     """Record until told to finish, or until the run has gone; 0 when the file was finished."""
-    rr.set_strict_mode(True)
     return run(Recorder)
 
 
-def _open_file(config: Record) -> Stream:
-    path = Path(config["path"])
-    try:
-        return Stream(
-            rr.FileSink(path),
-            recording_id=config["recording_id"],
-            signals=config["signals"],
-            properties=config["properties"],
-            live=False,
-        )
-    except (RuntimeError, OSError) as error:
-        raise RefusedError(f"recording {path}: {error}; choose a path that can be written") from error
-
-
-def _open_live(config: Record) -> LiveServer:
+def _open_live(config: Record) -> "LiveServer":
     port = config["live_port"]
+    try:
+        from hil.telemetry.live import LiveServer
+    except ImportError as error:
+        raise RefusedError(f"live port {port}: {error}; install rerun-sdk==0.41.*, or run without --live") from error
     try:
         return LiveServer(
             port,

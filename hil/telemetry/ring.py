@@ -2,8 +2,9 @@
 
 ``head`` and ``tail`` count rows from the start and never wrap; only the producer writes ``head``, only the
 consumer writes ``tail``. Each is stored as one aligned 64-bit word, so that the other side sees the old or
-the new value. Python has no memory barrier: a consumer on a processor with weak ordering must not read a row
-the moment ``head`` covers it. The recorder reads up to the ``head`` of its previous poll, milliseconds old.
+the new value. What the consumer counts lies there too, so that another can take the place of one that died.
+Python has no memory barrier: a consumer on a processor with weak ordering must not read a row the moment
+``head`` covers it. The recorder reads up to the ``head`` of its previous poll, milliseconds old.
 """
 
 import struct
@@ -13,8 +14,10 @@ import numpy.typing as npt
 
 from hil.telemetry.memory import SharedBlock
 
+Rows = npt.NDArray[np.float64]
+
 # Words of the header, 8 bytes each. What the two sides write lies in cache lines of its own.
-_CAPACITY, _WIDTH, _HEAD, _DROPPED, _TAIL, _SAVED = 0, 1, 8, 9, 16, 17
+_CAPACITY, _WIDTH, _HEAD, _DROPPED, _TAIL, _SAVED, _LINES, _PART = 0, 1, 8, 9, 16, 17, 18, 19
 _HEADER_BYTES = 192
 
 
@@ -56,6 +59,16 @@ class RingWriter:
     def saved(self) -> int:
         """Rows that the consumer said are safe."""
         return self._words[_SAVED]
+
+    @property
+    def lines_saved(self) -> int:
+        """Lines beside the ring that the consumer said are safe."""
+        return self._words[_LINES]
+
+    @property
+    def part(self) -> int:
+        """Number of the file that the consumer opened last, from 1."""
+        return self._words[_PART]
 
     @property
     def dropped(self) -> int:
@@ -115,7 +128,7 @@ class RingReader:
         """Rows that the producer dropped so far."""
         return self._words[_DROPPED]
 
-    def rows(self, start: int, stop: int) -> npt.NDArray[np.float64]:
+    def rows(self, start: int, stop: int) -> Rows:
         """Return a copy of the rows ``start`` to ``stop`` (exclusive), counted from the first ever put.
 
         Raises IndexError for rows that are not in the ring.
@@ -133,9 +146,22 @@ class RingReader:
         """Rows that are safe."""
         return self._words[_SAVED]
 
-    def mark_saved(self, count: int) -> None:
-        """Tell the producer that the first ``count`` rows are safe, whatever happens to this process."""
-        self._words[_SAVED] = count
+    def add_saved(self, count: int) -> None:
+        """Tell the producer that so many more rows are safe, whatever happens to this process; less when negative."""
+        self._words[_SAVED] += count
+
+    def add_lines_saved(self, count: int) -> None:
+        """Tell the producer that so many more lines are safe."""
+        self._words[_LINES] += count
+
+    @property
+    def part(self) -> int:
+        """Number of the file that was opened last, by this process or the one before it; 0 before the first."""
+        return self._words[_PART]
+
+    def set_part(self, number: int) -> None:
+        """Note which file was opened."""
+        self._words[_PART] = number
 
     def close(self) -> None:
         """Release the views of the block, so that it can be closed."""

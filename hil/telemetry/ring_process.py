@@ -1,16 +1,20 @@
 """A process of its own that writes down what a run gives it: rows through a ring, lines through a pipe.
 
-Nothing that it does can delay a tick. When the run dies, it finishes its file by itself; when it dies, the run goes on
-and is told what is missing. ``hil.telemetry.ring_child`` is the other side.
+Nothing that it does can delay a tick. When the run dies, it finishes its file by itself; when it dies, the run goes on,
+and where that is wanted another takes its place: rows that were not safe yet are still in the ring, and lines that were
+not are sent again. ``hil.telemetry.ring_child`` is the other side.
 """
 
 import os
+import queue
 import subprocess
 import sys
 import tempfile
 import threading
+import time
+from collections import deque
 from collections.abc import Mapping
-from typing import Any
+from typing import IO, Any
 
 from hil.child import away_from_terminal, module_command
 from hil.errors import BadInputError, DeviceError
@@ -20,6 +24,9 @@ from hil.telemetry.ring import RingWriter, ring_bytes
 
 _PATIENCE_WAITS = 60_000  # of 0.5 ms, without any progress of the other process: about 30 s
 _EXIT_TIMEOUT_S = 10.0
+_STARTS_IN_A_ROW = 6
+_FIRST_BACK_OFF_S = 0.1
+_LONG_LIFE_S = 60.0  # after which a death is not one of a row
 
 
 class RingProcess:
@@ -27,9 +34,14 @@ class RingProcess:
 
     The constructor returns when the process is ready. ``config`` is its own, as JSON has it; ``name`` is how messages
     call it, ``remedy`` what they advise. With ``blocking`` a put waits for room in the ring, as lockstep may; else it
-    drops the row and counts.
+    drops the row and counts. With ``restart`` a process that ends before it should is started again, six times in a
+    row at most, after 0.1 s and then twice as long each time; its config then has ``restarts`` above 0.
 
     Raises BadInputError when the process refuses the config, DeviceError when it does not start.
+
+    Attributes:
+        restarts: how often it was started again.
+        troubles: how each of those before it ended, in words.
     """
 
     def __init__(
@@ -43,29 +55,42 @@ class RingProcess:
         environment: Mapping[str, str],
         name: str,
         remedy: str,
+        restart: bool = False,
     ) -> None:
         self._name = name
         self._waits = blocking
+        self._restart = restart
+        self._module = module
+        self._environment = dict(environment)
         size = ring_bytes(capacity, width)
         self._block = SharedBlock.create(size)
         self._ring = RingWriter(self._block, capacity, width)
-        self._stderr = tempfile.TemporaryFile()  # noqa: SIM115 -- closed in close()
-        self._process = _start(module, self._block, self._stderr, environment)
-        self._lines = LineWriter(_descriptor(self._process.stdin))
-        self._replies = LineReader(_descriptor(self._process.stdout))
-        shared = {"block": self._block.token, "block_bytes": size, "parent_pid": os.getpid()}
-        self._lines.send({**config, **shared}, always=True)
-        reply = self._reply()
-        if "ready" not in reply:
-            trouble = self._trouble()
+        self._config = {**config, "block": self._block.token, "block_bytes": size, "parent_pid": os.getpid()}
+        self._swap = threading.Lock()  # held while the process is exchanged for the next
+        self._unsaved: deque[Mapping[str, object]] = deque()
+        self._lines_dropped = 0
+        self._lines_seen_saved = 0
+        self._reports: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
+        self._closing = threading.Event()
+        self._gone = threading.Event()
+        self.restarts = 0
+        self.troubles: list[str] = []
+        self._last_line: Mapping[str, object] | None = None
+        self._ready = False
+        self._launch()
+        self._keeper = threading.Thread(target=self._keep, name="keeper", daemon=True)
+        self._keeper.start()
+        reply = self._report()
+        self._ready = "ready" in reply
+        if not self._ready:
             self.close()
             if "refused" in reply:
                 raise BadInputError(str(reply["refused"]))
-            raise DeviceError(f"{name} did not start: {trouble}; {remedy}")
+            raise DeviceError(f"{name} did not start: {self.troubles[-1]}; {remedy}")
 
     @property
     def pid(self) -> int:
-        """Process id."""
+        """Process id; after a restart, that of the newest."""
         return self._process.pid
 
     @property
@@ -84,9 +109,16 @@ class RingProcess:
         return self._ring.dropped
 
     @property
+    def part(self) -> int:
+        """Number of the file that was opened last, from 1."""
+        return self._ring.part
+
+    @property
     def lines_lost(self) -> int:
-        """Lines that could not be passed on."""
-        return self._lines.lost
+        """Lines that are not known to be safe; those on their way are among them."""
+        with self._swap:
+            self._forget_saved_lines()
+            return self._lines_dropped + len(self._unsaved)
 
     def put(self, row: tuple[float, ...]) -> None:
         """Take one row. Raises struct.error when its width is another."""
@@ -94,55 +126,129 @@ class RingProcess:
             self._ring.count_dropped()
 
     def send(self, record: Mapping[str, object]) -> None:
-        """Pass a line on. Never waits."""
-        self._lines.send(record)
+        """Pass a line on. Never waits for the process."""
+        with self._swap:
+            self._forget_saved_lines()
+            if not self._gone.is_set() and (not self._ready or self._lines.send(record)):
+                self._unsaved.append(record)
+            else:
+                self._lines_dropped += 1
 
     def finish(self, record: Mapping[str, object]) -> dict[str, Any]:
         """Have the rest written, and return the report: ``rows_written`` and ``error`` among it.
 
         Never raises for a process that died: the report then says so.
         """
-        self._lines.send(record, always=True)
-        reply = self._reply()
-        if not reply:
-            return {"error": f"{self._name} ended before the run: {self._trouble()}"}
-        return reply
+        with self._swap:
+            self._forget_saved_lines()
+            self._last_line = record
+            if self._ready:
+                self._lines.send(record, always=True)
+        return self._report() or {"error": f"{self._name} ended before the run: {self.troubles[-1]}"}
 
     def close(self) -> None:
         """End the process, if need be without a report, and free everything. Closing twice is allowed."""
-        for pipe in (self._process.stdin, self._process.stdout):
-            if pipe is not None:
-                pipe.close()
+        self._closing.set()
+        with self._swap:
+            process = self._process
+            if process.stdin is not None:
+                process.stdin.close()
         try:
-            self._process.wait(_EXIT_TIMEOUT_S)
+            process.wait(_EXIT_TIMEOUT_S)
         except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+            process.kill()
+            process.wait()
+        self._keeper.join()
+        if process.stdout is not None:
+            process.stdout.close()
         self._ring.close()
         self._block.close()
         self._stderr.close()
 
+    def _launch(self) -> None:
+        """Start a process and give it its config."""
+        self._stderr: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 -- closed with the process
+        self._process = _start(self._module, self._block, self._stderr, self._environment)
+        self._started_s = time.monotonic()
+        self._lines = LineWriter(_descriptor(self._process.stdin))
+        self._replies = LineReader(_descriptor(self._process.stdout))
+        self._lines.send({**self._config, "restarts": self.restarts}, always=True)
+
+    def _report(self) -> dict[str, Any]:
+        """Return the next reply; empty when the process ended without one for good, or makes no progress."""
+        patience = Patience(_PATIENCE_WAITS)
+        while True:
+            ended = self._gone.is_set()
+            try:
+                return self._reports.get(timeout=0.005)
+            except queue.Empty:
+                if ended:
+                    return {}
+            with self._swap:
+                flushed = self._lines.flush()
+            if not patience.wait((flushed, self._ring.tail, self.restarts)):
+                self._restart = False
+                self._process.kill()
+
+    def _keep(self) -> None:
+        """Take the replies, and see to it that there is a process; in a thread that else only waits."""
+        starts = 0
+        finished = False
+        while True:
+            reply = self._replies.read()
+            if reply is not None:
+                if self.restarts and "ready" in reply:
+                    self._say_again()
+                else:
+                    self._reports.put(reply)
+                    finished = "ready" not in reply
+                continue
+            trouble = self._trouble()
+            if finished or self._closing.is_set():
+                break
+            self.troubles.append(trouble)
+            starts = 1 if time.monotonic() - self._started_s > _LONG_LIFE_S else starts + 1
+            if not (self._restart and (self._ready or self.restarts)) or starts > _STARTS_IN_A_ROW:
+                break
+            if self._closing.wait(_FIRST_BACK_OFF_S * 2 ** (starts - 1)) or not self._start_next():
+                break
+        self._gone.set()
+
+    def _start_next(self) -> bool:
+        """Start another process in the place of one that ended; False when there shall be none any more."""
+        with self._swap:
+            if self._closing.is_set():
+                return False
+            for pipe in (self._process.stdin, self._process.stdout, self._stderr):
+                if pipe is not None:
+                    pipe.close()
+            self.restarts += 1
+            self._ready = False
+            self._launch()
+        return True
+
+    def _say_again(self) -> None:
+        """Send the lines that the process before had not saved to one that has just become ready."""
+        with self._swap:
+            self._ready = True
+            self._forget_saved_lines()
+            for record in self._unsaved if self._last_line is None else [*self._unsaved, self._last_line]:
+                self._lines.send(record, always=True)
+
+    def _forget_saved_lines(self) -> None:
+        saved = self._ring.lines_saved
+        while self._unsaved and self._lines_seen_saved < saved:
+            self._unsaved.popleft()
+            self._lines_seen_saved += 1
+
     def _put_later(self, row: tuple[float, ...]) -> bool:
         """Wait for room; False, now and for good, when the process has ended or makes no progress."""
         patience = Patience(_PATIENCE_WAITS)
-        while self._process.poll() is None and patience.wait(self._ring.tail):
+        while not self._gone.is_set() and patience.wait((self._ring.tail, self.restarts)):
             if self._ring.try_put(row):
                 return True
         self._waits = False
         return False
-
-    def _reply(self) -> dict[str, Any]:
-        """Return the next reply; empty when the process ended without one, or makes no progress."""
-        replies: list[dict[str, Any]] = []
-        reader = threading.Thread(target=lambda: replies.append(self._replies.read() or {}), daemon=True)
-        reader.start()
-        patience = Patience(_PATIENCE_WAITS)
-        while reader.is_alive():
-            progress = (self._lines.flush(), self._ring.tail)
-            if not patience.wait(progress):
-                self._process.kill()
-            reader.join(0.005)
-        return replies[0]
 
     def _trouble(self) -> str:
         """Say how the process ended: its last words, or else its exit status."""

@@ -1,5 +1,6 @@
 """The run's side of a recording: starts the recorder process, gives it rows, and takes its report."""
 
+import time
 import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,7 +10,7 @@ from typing import Any, Protocol, Self
 
 from hil.signals import SIGNAL_NAMES
 from hil.telemetry.environment import rerun_environment
-from hil.telemetry.files import check_output_path
+from hil.telemetry.files import Rotation, check_output_path, part_path
 from hil.telemetry.ring_process import RingProcess
 
 
@@ -22,10 +23,13 @@ class RecordingReport:
         rows_put: rows that the run gave.
         rows_written: rows that are safe in the file.
         rows_dropped: rows that found the ring full and were given up.
-        rows_lost: rows that were taken, but are not known to be in the file: the recorder ended, or could
+        rows_lost: rows that were taken, but are not known to be in a file: the recorder ended, or could
             not write.
-        events_lost: events that could not be passed on.
-        error: what went wrong with the recorder, or None.
+        events_lost: events that are not known to be in a file.
+        error: why something is missing, or None.
+        parts: the files, in order; more than one when it was rotated, or went on elsewhere after a trouble.
+        restarts: how often the recorder ended before its time and was started again.
+        troubles: what went wrong on the way, also where nothing is missing in the end.
     """
 
     path: Path | None
@@ -35,6 +39,9 @@ class RecordingReport:
     rows_lost: int
     events_lost: int
     error: str | None
+    parts: tuple[Path, ...] = ()
+    restarts: int = 0
+    troubles: tuple[str, ...] = ()
 
     @property
     def complete(self) -> bool:
@@ -69,14 +76,15 @@ class Recording:
     """A sink that records in a process of its own; a context manager.
 
     The constructor returns when the recorder is ready, about a second later. When the run dies, the recorder
-    finishes the file by itself; when the recorder dies, the run goes on and the report says what is missing.
+    finishes the file by itself; when the recorder dies, the run goes on, and another takes its place and writes the
+    next part (``RUN-2.rrd``), with the rows that were not safe yet. See RECORDING.md.
 
     Args:
-        path: the ``.rrd`` file, or None for a live view alone. properties: what the run is, as texts by name
-        (see ``hil.telemetry.provenance``). blocking: in lockstep, ``put`` waits for room in the ring; in real
+        path: the ``.rrd`` or ``.mcap`` file, or None for a live view alone. properties: what the run is, as texts by
+        name (see ``hil.telemetry.provenance``). blocking: in lockstep, ``put`` waits for room in the ring; in real
         time it drops the row and counts. live_port: serve live viewers on this port of 127.0.0.1. capacity:
         rows that the ring holds. signals: the names of a row's values; ``loop.t_s``, ``loop.tick`` and what
-        is drawn must be among them.
+        is drawn must be among them. rotation: when the recording goes on in another file.
 
     Raises:
         BadInputError: the path cannot be written, or the port not be used.
@@ -92,6 +100,7 @@ class Recording:
         live_port: int | None = None,
         capacity: int = 16384,
         signals: Sequence[str] = SIGNAL_NAMES,
+        rotation: Rotation = Rotation(),  # noqa: B008 -- immutable
     ) -> None:
         if path is not None:
             check_output_path("recording", path)
@@ -106,6 +115,8 @@ class Recording:
                 "properties": dict(properties),
                 "signals": list(signals),
                 "recording_id": str(uuid.uuid4()),
+                "zero_unix_ns": time.time_ns(),
+                "rotate": list(rotation),
             },
             width=len(signals),
             capacity=capacity,
@@ -113,6 +124,7 @@ class Recording:
             environment=rerun_environment(),
             name="the recorder",
             remedy="run without a recording to go on",
+            restart=True,
         )
 
     @property
@@ -122,13 +134,18 @@ class Recording:
 
     @property
     def pid(self) -> int:
-        """Process id of the recorder."""
+        """Process id of the recorder; after a restart, that of the newest."""
         return self._process.pid
 
     @property
     def rows_saved(self) -> int:
-        """Rows that are safe in the file by now."""
+        """Rows that are safe in a file by now."""
         return self._process.rows_saved
+
+    @property
+    def restarts(self) -> int:
+        """How often the recorder was started again by now."""
+        return self._process.restarts
 
     def put(self, row: tuple[float, ...]) -> None:
         """Take one row in the order of the signals. Raises struct.error when its length is another."""
@@ -165,12 +182,21 @@ class Recording:
     def _make_report(self, reply: Mapping[str, Any]) -> RecordingReport:
         process = self._process
         written = int(reply["rows_written"]) if "rows_written" in reply else process.rows_saved
+        lost = 0 if self._path is None else process.rows_taken - written
+        troubles = [f"the recorder ended: {trouble}" for trouble in process.troubles]
+        if reply.get("trouble"):
+            troubles.append(reply["trouble"])
+        missing = lost or process.rows_dropped or process.lines_lost
+        error = reply.get("error") or reply.get("live_error") or (troubles[-1] if missing and troubles else None)
         return RecordingReport(
             path=self._path,
             rows_put=process.rows_taken + process.rows_dropped,
             rows_written=written,
             rows_dropped=process.rows_dropped,
-            rows_lost=0 if self._path is None else process.rows_taken - written,
+            rows_lost=lost,
             events_lost=process.lines_lost,
-            error=reply.get("error") or reply.get("live_error"),
+            error=error,
+            parts=() if self._path is None else tuple(part_path(self._path, n + 1) for n in range(process.part)),
+            restarts=process.restarts,
+            troubles=tuple(troubles),
         )

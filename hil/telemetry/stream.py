@@ -24,15 +24,18 @@ from hil.telemetry.layout import (
 )
 from hil.telemetry.names import (
     APPLICATION,
+    PART_PROPERTY,
     RECORDER_PROPERTY,
     RUN_PROPERTY,
+    SIGNALS_PATH,
     SIGNALS_PROPERTY,
     SUMMARY_PROPERTY,
     state_names,
 )
+from hil.telemetry.ring import Rows
 
-Rows = npt.NDArray[np.float64]
-
+DRAWN_PERIOD_S = 0.005
+_DRAWN_AT_ONCE = 500
 TRAIL_PERIOD_S = 0.04
 _TRAILS: tuple[tuple[str, str, Colour, float], ...] = (
     # path, group of signals, colour, line width [px]; drawn in this order, the reference widest and lowest
@@ -66,7 +69,8 @@ class Stream:
         recording_id: the same for the file and the live stream of a run: viewers merge them.
         signals: names of the columns of every row.
         properties: what the run was, as texts by name.
-        live: chooses the views' time window.
+        live: chooses the views' time window, and that only what is drawn is served.
+        part: which file of the run it is (see ``hil.telemetry.names``); None for a run in one file.
     """
 
     def __init__(
@@ -77,6 +81,7 @@ class Stream:
         signals: Sequence[str],
         properties: Mapping[str, str],
         live: bool,
+        part: Mapping[str, object] | None = None,
     ) -> None:
         self._column = {name: i for i, name in enumerate(signals)}
         self._entities = [
@@ -84,22 +89,40 @@ class Stream:
         ]
         self._states = state_names()
         self._state_seen: str | None = None
+        self._drawn_decimator = Decimator(DRAWN_PERIOD_S)
         self._trail_decimator = Decimator(TRAIL_PERIOD_S)
         self._trail_end: dict[str, npt.NDArray[np.float64]] = {}
-        self._last_time = np.zeros(2)
+        self._times = _Times(self._column)
+        self._drawn_times = _Times(self._column)
+        self._undrawn: list[Rows] = []
         self._properties = dict(properties)
         self._rerun = rr.RecordingStream(APPLICATION, recording_id=recording_id)
         self._rerun.set_sinks(sink, default_blueprint=blueprint(live=live))
-        self._describe(signals)
+        if part is not None:
+            self._rerun.send_property(PART_PROPERTY, rr.AnyValues(json=json.dumps(part)))
+        self._describe(signals, live=live)
         self.flush()
 
     def rows(self, rows: Rows) -> None:
-        """Write rows of shape (n, signals) at full rate, and what is drawn from them."""
-        times = self._times(rows)
-        indexes = _indexes(times)
-        for path, columns in self._entities:
-            self._rerun.send_columns(path, indexes=indexes, columns=rr.Scalars.columns(scalars=rows[:, columns]))
+        """Write rows of shape (n, signals) as they are, all in one entity: this is what is read back.
+
+        What is drawn of them follows some hundred rows later: few large pieces take less of the disk.
+        """
+        indexes = _indexes(self._times(rows))
+        self._rerun.send_columns(SIGNALS_PATH, indexes=indexes, columns=rr.Scalars.columns(scalars=rows))
+        self._undrawn.append(rows)
+        if sum(map(len, self._undrawn)) >= _DRAWN_AT_ONCE:
+            self._draw_rest()
+
+    def draw(self, rows: Rows) -> None:
+        """Write what is drawn of rows of shape (n, signals), at no more than one each ``DRAWN_PERIOD_S``."""
+        times = self._drawn_times(rows)
         self._state_changes(rows, times)
+        drawn = self._drawn_decimator.keep(times[:, 0])
+        indexes = _indexes(times[drawn])
+        for path, columns in self._entities:
+            values = rows[drawn][:, columns]
+            self._rerun.send_columns(path, indexes=indexes, columns=rr.Scalars.columns(scalars=values))
         keep = self._trail_decimator.keep(times[:, 0])
         if len(keep):
             self._trails(rows[keep], times[keep])
@@ -114,6 +137,7 @@ class Stream:
 
     def finish(self, summary: Mapping[str, object] | None, recorder: Mapping[str, int]) -> None:
         """Write the recorder's counts and, when there is one, the run's summary, also into the page."""
+        self._draw_rest()
         self._rerun.send_property(RECORDER_PROPERTY, rr.AnyValues(json=json.dumps(recorder)))
         if summary is not None:
             self._rerun.send_property(SUMMARY_PROPERTY, rr.AnyValues(json=json.dumps(summary)))
@@ -129,9 +153,11 @@ class Stream:
         self.flush()
         self._rerun.disconnect()
 
-    def _describe(self, signals: Sequence[str]) -> None:
+    def _describe(self, signals: Sequence[str], *, live: bool) -> None:
         entities = layout(signals)
-        held = {entity.path: [series.signal for series in entity.series] for entity in entities}
+        drawn = {entity.path: [series.signal for series in entity.series] for entity in entities}
+        # Where a reader finds every signal: viewers get no more than what is drawn.
+        held = drawn if live else {SIGNALS_PATH: list(signals)}
         self._rerun.send_property(SIGNALS_PROPERTY, rr.AnyValues(json=json.dumps(held)))
         if self._properties:
             texts = rr.AnyValues(drop_untyped_nones=True, **self._properties)
@@ -172,14 +198,12 @@ class Stream:
         page = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
         self._rerun.log("/run", page, static=True)
 
-    def _times(self, rows: Rows) -> npt.NDArray[np.float64]:
-        """Scenario time and tick of each row; where one is not finite, the last one that was."""
-        times = np.vstack([self._last_time, rows[:, [self._column["loop.t_s"], self._column["loop.tick"]]]])
-        finite = np.isfinite(times)
-        newest = np.maximum.accumulate(np.where(finite, np.arange(len(times))[:, None], 0), axis=0)
-        times = np.take_along_axis(times, newest, axis=0)
-        self._last_time = times[-1]
-        return times[1:]
+    def _draw_rest(self) -> None:
+        """Draw the rows that were written and not drawn yet."""
+        if self._undrawn:
+            rows = np.concatenate(self._undrawn)
+            self._undrawn.clear()
+            self.draw(rows)
 
     def _state_changes(self, rows: Rows, times: npt.NDArray[np.float64]) -> None:
         codes = rows[:, self._column["robot.state"]]
@@ -213,6 +237,22 @@ class Stream:
         if seen.any():
             bodies = rr.LineStrips2D.columns(strips=list(_outlines(poses[seen])))
             self._rerun.send_columns("/xy/robot", indexes=_indexes(times[seen]), columns=bodies)
+
+
+class _Times:
+    """Scenario time and tick of rows; where one is not finite, the last one that was, in an earlier call too."""
+
+    def __init__(self, column: Mapping[str, int]) -> None:
+        self._columns = [column["loop.t_s"], column["loop.tick"]]
+        self._last = np.zeros(2)
+
+    def __call__(self, rows: Rows) -> Rows:
+        times = np.vstack([self._last, rows[:, self._columns]])
+        finite = np.isfinite(times)
+        newest = np.maximum.accumulate(np.where(finite, np.arange(len(times))[:, None], 0), axis=0)
+        times = np.take_along_axis(times, newest, axis=0)
+        self._last = times[-1]
+        return times[1:]
 
 
 def _outlines(poses: Rows) -> Rows:

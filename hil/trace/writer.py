@@ -56,7 +56,7 @@ class TraceWriter:
             table = self._ring.rows(self._ring.tail, end)
             # After the first failure frames are only taken, so that the run never waits.
             if self._error is None and self._attempt(partial(self._write, table)):
-                self._ring.mark_saved(end)
+                self._ring.add_saved(len(table))
             self._ring.release(end)
 
     def _write(self, table: Any) -> None:

@@ -1,0 +1,115 @@
+"""Decoding of a recording in MCAP, as ``hil.telemetry.mcap_file`` writes it, also without its end."""
+
+import json
+import struct
+from pathlib import Path
+
+import numpy as np
+import zstandard
+from mcap.exceptions import EndOfFile, McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, Message, Metadata
+from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk, get_chunk_data_stream
+
+from hil.review.contents import Contents, DamagedError, Series, Wanted, json_property
+from hil.telemetry.mcap_file import CDR_HEADER, EVENTS_TOPIC, LEVELS, SIGNALS_TOPIC, ZERO_KEY
+from hil.telemetry.names import SIGNALS_PROPERTY
+
+_LEVEL_NAMES = {number: {"warning": "WARN"}.get(name, name.upper()) for name, number in LEVELS.items()}
+_LONGEST_RECORD_BYTES = 256 << 20
+
+
+def decode_mcap(path: Path, wanted: Wanted = None) -> Contents:
+    """Return what an MCAP file of ours holds; without its end, up to where it was cut. Raises DamagedError."""
+    reader = _Reader(wanted)
+    with path.open("rb") as file:
+        stream = StreamReader(file, emit_chunks=True, record_size_limit=_LONGEST_RECORD_BYTES)
+        try:
+            for record in stream.records:
+                reader.take(record)
+        except EndOfFile:
+            pass  # so it is, after a kill
+        except (McapError, CRCValidationError, zstandard.ZstdError, struct.error, ValueError, KeyError) as error:
+            raise DamagedError(f"damaged: {error or type(error).__name__}") from error
+        except (RuntimeError, MemoryError, OverflowError) as error:  # of lz4, and of lengths that make no sense
+            raise DamagedError(f"damaged: {error}") from error
+    return reader.contents()
+
+
+class _Reader:
+    def __init__(self, wanted: Wanted) -> None:
+        self._wanted = wanted
+        self._properties: dict[str, dict[str, str]] = {}
+        self._events: list[tuple[float, str, str]] = []
+        self._topics: dict[int, str] = {}
+        self._pieces: list[Series] = []
+        self._names: list[str] | None = None
+        self._zero_ns = 0
+
+    def take(self, record: object) -> None:
+        """Take a record of the file."""
+        if isinstance(record, Metadata):
+            self._properties[record.name] = record.metadata
+            if record.name == SIGNALS_PROPERTY:
+                self._begin()
+        elif isinstance(record, Channel):
+            self._topics[record.id] = record.topic
+        elif isinstance(record, Message):
+            self._message(record)
+        elif isinstance(record, Chunk) and not self._rows_alone(record):
+            for inner in breakup_chunk(record, validate_crc=True):
+                self.take(inner)
+
+    def contents(self) -> Contents:
+        """Return what was taken. Raises DamagedError for a file that is not of ours."""
+        if self._names is None:
+            raise DamagedError("a recording of another program")
+        table = np.concatenate([np.empty((0, len(self._columns))), *self._pieces])
+        self._pieces.clear()
+        names = [self._names[column] for column in self._columns]
+        return Contents({name: table[:, i] for i, name in enumerate(names)}, self._events, self._properties)
+
+    def _begin(self) -> None:
+        held = json_property(self._properties, SIGNALS_PROPERTY)
+        if held is None or list(held) != [SIGNALS_TOPIC]:
+            raise DamagedError("damaged: it does not say what its signals are")
+        self._names = held[SIGNALS_TOPIC]
+        self._zero_ns = int(self._properties[SIGNALS_PROPERTY][ZERO_KEY])
+        self._columns = [i for i, name in enumerate(self._names) if self._wanted is None or name in self._wanted]
+        self._row = np.dtype(
+            [
+                ("opcode", "u1"),
+                ("length", "<u8"),
+                ("channel", "<u2"),
+                ("stamps", "V20"),
+                ("header", f"V{len(CDR_HEADER)}"),
+                ("values", "<f8", (len(self._names),)),
+            ]
+        )
+
+    def _rows_alone(self, chunk: Chunk) -> bool:
+        """Take a chunk at once, when there is nothing but rows in it."""
+        if self._names is None:
+            return False
+        stream, length = get_chunk_data_stream(chunk, validate_crc=True)
+        if length % self._row.itemsize:
+            return False
+        rows = np.frombuffer(stream.read(length), self._row)
+        expected = self._row.itemsize - 9
+        if (rows["opcode"] != Opcode.MESSAGE).any() or (rows["length"] != expected).any():
+            return False
+        if {self._topics.get(int(number)) for number in np.unique(rows["channel"])} - {SIGNALS_TOPIC}:
+            return False
+        self._pieces.append(rows["values"][:, self._columns])
+        return True
+
+    def _message(self, message: Message) -> None:
+        topic = self._topics.get(message.channel_id)
+        if topic == EVENTS_TOPIC:
+            log = json.loads(message.data)
+            self._events.append(
+                ((message.log_time - self._zero_ns) / 1e9, _LEVEL_NAMES.get(log["level"], "INFO"), log["message"])
+            )
+        elif topic == SIGNALS_TOPIC and self._names is not None:
+            values = np.frombuffer(message.data, "<f8", count=len(self._names), offset=len(CDR_HEADER))
+            self._pieces.append(values[None, self._columns])

@@ -1,0 +1,235 @@
+"""The files of a recording: one after another, when one is long enough, cannot be written any more, or is gone.
+
+Rows stay in the ring until they are safe in a file, so that the next file begins where the last one ended. While none
+can be written, the newest half of the ring is kept for when there is room again; what is older is lost, and counted.
+"""
+
+import errno
+import os
+import shutil
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Protocol
+
+from hil.telemetry.files import Rotation, part_path, why_not_written
+from hil.telemetry.ring import RingReader, Rows
+from hil.telemetry.ring_child import Record, RefusedError
+
+BATCH_ROWS = 1000
+_FIRST_BACK_OFF_S = 0.5
+_LONGEST_BACK_OFF_S = 8.0
+_ROOM_BYTES = 16 << 20
+_LOOK_AFTER_S = 1.0
+
+
+class RunFile(Protocol):
+    """A file of a recording. Its methods raise RuntimeError or OSError when it cannot be written."""
+
+    def rows(self, rows: Rows) -> None:
+        """Write rows of shape (n, signals)."""
+
+    def event(self, t_s: float, level: str, text: str) -> None:
+        """Write a line of the event log."""
+
+    def finish(self, summary: Mapping[str, object] | None, recorder: Mapping[str, int]) -> None:
+        """Write the recorder's counts and the run's summary."""
+
+    def flush(self) -> None:
+        """Hand everything to the operating system."""
+
+    def close(self) -> None:
+        """Write the file's end."""
+
+
+class Parts:
+    """Writes what is in the ring, and events, to the file in ``config`` and to those after it.
+
+    Raises RefusedError when the first of a run cannot be opened.
+
+    Attributes:
+        trouble: why a file could not be written, or None; the newest reason.
+    """
+
+    def __init__(self, config: Record, ring: RingReader) -> None:
+        self.trouble: str | None = None
+        self._config = config
+        self._path = Path(config["path"])
+        self._rotation = Rotation(*config["rotate"])
+        self._ring = ring
+        self._t_column = config["signals"].index("loop.t_s")
+        self._events: list[tuple[float, str, str]] = []
+        self._file: RunFile | None = None
+        self._part_path = self._path
+        self._identity: tuple[int, int] | None = None
+        self._rows = 0
+        self._begun_s: float | None = None
+        self._look_s = 0.0
+        self._abandoned: list[RunFile] = []  # a file whose disk is full is better never closed: rerun waits for it
+        self._next_try_s = self._back_off_s = 0.0
+        try:
+            self._open()
+        except (RuntimeError, OSError) as error:
+            if not config["restarts"]:
+                reason = getattr(error, "strerror", None) or error
+                raise RefusedError(f"recording {self._path}: {reason}; choose a path that can be written") from error
+            self._give_up(error)
+
+    def event(self, t_s: float, level: str, text: str) -> None:
+        """Take a line of the event log; it is written with the next rows, or when the file is looked after."""
+        self._events.append((t_s, level, text))
+
+    def look_after(self) -> None:
+        """Write what events there are, and see whether the file is still there."""
+        if self._events:
+            self._write(lambda _file: None)
+        if self._file is not None and time.monotonic() >= self._look_s:
+            self._look_s = time.monotonic() + _LOOK_AFTER_S
+            self._write(lambda _file: self._check_there())
+
+    def take(self, stop: int) -> None:
+        """Write the rows of the ring before ``stop``, and release those that are safe."""
+        while (start := self._ring.tail) < stop:
+            end = min(stop, start + BATCH_ROWS)
+            rows = self._ring.rows(start, end)
+            if self._write(lambda file, rows=rows: file.rows(rows)):  # type: ignore[misc]
+                self._ring.add_saved(len(rows))
+                self._rows += len(rows)
+                self._ring.release(end)
+                self._rotate(float(rows[0, self._t_column]), float(rows[-1, self._t_column]))
+            elif self._ring.head - start > self._ring.capacity // 2:
+                self._ring.release(end)
+            else:
+                return
+
+    def finish(self, summary: Record | None) -> None:
+        """Write all that is in the ring and close the file; what cannot be written now is lost."""
+        self._next_try_s = 0.0
+        self.take(self._ring.head)
+        if self._file is not None:
+            self._write(lambda _file: self._check_there())
+        if self._ring.tail < self._ring.head:  # the file went with the last rows: the ring may still reach another
+            self._next_try_s = 0.0
+            self.take(self._ring.head)
+        self._ring.release(self._ring.head)
+        self._write(lambda file: file.finish(summary, self._counts()))
+        self._write(lambda file: file.close(), flush=False)
+
+    def _counts(self) -> dict[str, int]:
+        ring = self._ring
+        return {
+            "rows_written": ring.saved,
+            "rows_dropped": ring.dropped,
+            "rows_lost": ring.tail - ring.saved,
+        }
+
+    def _write(self, write: Callable[[RunFile], None], *, flush: bool = True) -> bool:
+        """Do something with the file, with the events that wait before it; False when that failed."""
+        if self._file is None and not self._opened():
+            return False
+        file = self._file
+        assert file is not None
+        try:
+            for event in self._events:
+                file.event(*event)
+            write(file)
+            if flush:
+                file.flush()
+        except (RuntimeError, OSError) as error:
+            self._give_up(error)
+            return False
+        self._ring.add_lines_saved(len(self._events))
+        self._events.clear()
+        return True
+
+    def _opened(self) -> bool:
+        """Open the next file, unless the last try was a moment ago."""
+        if time.monotonic() < self._next_try_s:
+            return False
+        try:
+            self._open()
+        except (RuntimeError, OSError) as error:
+            self._give_up(error)
+            return False
+        return True
+
+    def _open(self) -> None:
+        number = self._ring.part + 1
+        path = part_path(self._path, number)
+        if number > 1:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if shutil.disk_usage(path.parent).free < _ROOM_BYTES:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        part = {"recording_id": self._config["recording_id"], "number": number, "first_row": self._ring.tail}
+        self._file = _open_file(path, self._config, part)
+        self._ring.set_part(number)
+        self._identity = _identity(path)
+        self._part_path = path
+        self._rows = 0
+        self._begun_s = None
+        self._look_s = time.monotonic() + _LOOK_AFTER_S
+
+    def _give_up(self, error: Exception) -> None:
+        """Leave the file as it is; the next try comes after a while, and then after twice as long."""
+        self.trouble = why_not_written(part_path(self._path, max(1, self._ring.part)), error)
+        if self._file is not None:
+            self._abandoned.append(self._file)
+            self._file = None
+            self._back_off_s = _FIRST_BACK_OFF_S
+        self._next_try_s = time.monotonic() + self._back_off_s
+        self._back_off_s = min(max(2 * self._back_off_s, _FIRST_BACK_OFF_S), _LONGEST_BACK_OFF_S)
+
+    def _check_there(self) -> None:
+        """Raise FileNotFoundError, and count its rows as lost, when the file has been removed."""
+        if _identity(self._part_path) != self._identity:
+            self._ring.add_saved(-self._rows)
+            raise FileNotFoundError(errno.ENOENT, f"{self._part_path.name} was removed")
+
+    def _rotate(self, first_s: float, last_s: float) -> None:
+        """Close the file when it has its size or time; the next rows open another."""
+        if self._begun_s is None:
+            self._begun_s = first_s
+        size_bytes, duration_s = self._rotation
+        long = duration_s is not None and last_s - self._begun_s >= duration_s
+        if long or (size_bytes is not None and _size_bytes(self._part_path) >= size_bytes):
+            self._write(lambda file: file.finish(None, self._counts()))
+            self._write(lambda file: file.close(), flush=False)
+            self._file = None
+            self._next_try_s = self._back_off_s = 0.0
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return status.st_dev, status.st_ino
+
+
+def _size_bytes(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except OSError:
+        return 0
+
+
+def _open_file(path: Path, config: Record, part: Mapping[str, object]) -> RunFile:
+    if path.suffix == ".mcap":
+        from hil.telemetry.mcap_file import McapFile
+
+        zero_ns = int(config["zero_unix_ns"])
+        return McapFile(path, zero_ns, signals=config["signals"], properties=config["properties"], part=part)
+    # Only here, and for live viewers: a machine for which there is no rerun records to .mcap.
+    import rerun as rr
+
+    from hil.telemetry.stream import Stream
+
+    rr.set_strict_mode(True)
+    return Stream(
+        rr.FileSink(path),
+        recording_id=config["recording_id"],
+        signals=config["signals"],
+        properties=config["properties"],
+        live=False,
+        part=part,
+    )
