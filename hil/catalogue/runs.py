@@ -12,7 +12,8 @@ from hil.catalogue.watched import WatchedNode
 from hil.errors import HilError
 from hil.faults.cases import DURATION_S, Outcome, Row
 from hil.pool import Work
-from hil.review.contents import DamagedError, decode
+from hil.review.contents import DamagedError
+from hil.review.decode import decode
 from hil.scenario import Scenario, format_value, load
 from hil.telemetry import Recording
 from hil.types import CommandMode

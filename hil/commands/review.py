@@ -1,6 +1,6 @@
 """``hil review``."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -35,15 +35,16 @@ def review(
     as_json: Json = False,
 ) -> None:
     """Say from its recording alone how a run went and why; with two runs, what became better and what worse."""
-    from hil.review import changes, differences, write_trajectory
+    from hil.review import changes, differences, read, write_trajectory
     from hil.review.figures import figures, read_for_figures
 
-    _check(recordings, overlay, export, trajectory)
+    _check(recordings, html, overlay, export, trajectory)
+    needed: Collection[str] = ()
     if html is not None:
         from hil.review.page import page_signals, write_page
 
         needed = page_signals()
-    runs = [read_for_figures(path, needed if html is not None else ()) for path in recordings]
+    runs = [read(path) if export else read_for_figures(path, needed) for path in recordings]
     found = [figures(run) for run in runs]
     if html is not None:
         write_page(html, runs, found)
@@ -56,7 +57,7 @@ def review(
     if export is not None:
         from hil.review.export import write_export
 
-        write_export(runs[0].path, export)
+        write_export(runs[0], export)
     if len(runs) == 1:
         print_json(found[0]) if as_json else _print_run(found[0])
         return
@@ -68,8 +69,12 @@ def review(
         _print_two(found, rows, changed)
 
 
-def _check(recordings: Sequence[Path], overlay: Path | None, export: Path | None, trajectory: Path | None) -> None:
-    """Refuse what does not go together, before anything long is done."""
+def _check(
+    recordings: Sequence[Path], html: Path | None, overlay: Path | None, export: Path | None, trajectory: Path | None
+) -> None:
+    """Refuse what does not go together and what cannot be written, before anything long is done."""
+    from hil.telemetry.files import check_output_path
+
     if len(recordings) > 2:
         raise BadInputError(f"{len(recordings)} recordings were given; hil review takes one, or two to compare")
     if overlay is not None and len(recordings) == 1:
@@ -77,6 +82,12 @@ def _check(recordings: Sequence[Path], overlay: Path | None, export: Path | None
     for option, file in (("--export", export), ("--trajectory", trajectory)):
         if file is not None and len(recordings) == 2:
             raise BadInputError(f"{option} {file}: it is of one run; name one recording")
+    for what, file in (("page", html), ("overlay", overlay), ("export", export)):
+        if file is None:
+            continue
+        check_output_path(what, file)
+        if any(file.exists() and recording.exists() and file.samefile(recording) for recording in recordings):
+            raise BadInputError(f"{what} {file}: it is a recording that is reviewed; choose another name")
 
 
 def _print_run(found: Mapping[str, Any]) -> None:
@@ -85,7 +96,7 @@ def _print_run(found: Mapping[str, Any]) -> None:
     from hil.figure_words import figure_rows, link_rows, outcome_rows
 
     report.print_rows(_about(found))
-    report.print_rows([("note", sentence) for sentence in found["repairs"]])
+    report.print_rows([("note", sentence) for sentence in found["notes"]])
     passed = found["passed"]
     report.print_rows([("passed", "not known" if passed is None else "yes" if passed else "no")])
     if found["failure"] is not None:
@@ -130,7 +141,7 @@ def _print_two(found: Sequence[Mapping[str, Any]], rows: "Sequence[Difference]",
     for which, figures in zip(("first", "second"), found, strict=True):
         report.print_rows([(which, figures["recording"])])
         report.print_rows(_about(figures))
-        report.print_rows([("note", sentence) for sentence in figures["repairs"]])
+        report.print_rows([("note", sentence) for sentence in figures["notes"]])
         if figures["failure"] is not None:
             report.print_rows([("failure", figures["failure"])])
     print()

@@ -65,7 +65,7 @@ def read_for_figures(path: Path, more: Collection[str] = ()) -> RecordedRun:
 def figures(run: RecordedRun) -> dict[str, Any]:
     """Return the figures of a recording that was read; see ``review``.
 
-    ``made`` says when and by what it was made, ``repairs`` what was wrong with the file, and ``events`` what happened.
+    ``made`` says when and by what it was made, ``notes`` what was wrong with the file, and ``events`` what happened.
     Expectations of a run that did not come to its end are checked over what there is of it.
     """
     missing = figure_signals() - run.signals.keys()
@@ -77,7 +77,7 @@ def figures(run: RecordedRun) -> dict[str, Any]:
         if lacking := [signal for signal in needed if signal in missing]:
             found[name] = None
             reasons[name] = f"the recording has no signal {lacking[0]}: another version of the program made it"
-    found["ticks"] += run.rows_dropped or 0
+    found["ticks"] += (run.rows_dropped or 0) + run.rows_missing
     summary = run.summary or {}
     for name in _FROM_SUMMARY:
         found[name] = summary.get(name)
@@ -94,7 +94,7 @@ def figures(run: RecordedRun) -> dict[str, Any]:
         **outcome,
         **found,
         "recording": str(run.path),
-        "repairs": [*run.repairs, *_other_version(run)],
+        "notes": [*run.notes, *_other_version(run)],
         "made": {name: text for name, text in run.properties.items() if name in _MADE},
         "events": [event._asdict() for event in run.events],
         "reasons": reasons,

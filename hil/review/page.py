@@ -11,6 +11,7 @@ from hil.review.difference import Difference, changes, differences
 from hil.review.figures import figure_signals, scenario_of, sources_of
 from hil.review.pictures import SIGNALS, Picture, Shown, pictures
 from hil.review.reader import RecordedRun
+from hil.telemetry.files import check_output_path
 
 _STYLE = """
 :root { color-scheme: light; }
@@ -20,7 +21,8 @@ h1 { font-size: 1.5em; margin: 0 0 .2em; }
 h2 { font-size: 1.15em; margin: 1.6em 0 .4em; border-bottom: 1px solid #ccc; }
 table { border-collapse: collapse; width: 100%; font-size: .87em; }
 th, td { text-align: left; vertical-align: top; padding: .2em .7em .2em 0; border-bottom: 1px solid #e6e6e6;
-  overflow-wrap: anywhere; }
+  overflow-wrap: break-word; }
+td:last-child { overflow-wrap: anywhere; }
 th { font-weight: 600; } td.n { text-align: right; white-space: nowrap; font-variant-numeric: tabular-nums; }
 figure { margin: 1em 0; } figure svg { width: 100%; height: auto; } figcaption { font-size: .87em; color: #555; }
 .passed, .better { color: #00704a; } .failed, .worse { color: #b3261e; } .verdict { font-weight: 700; }
@@ -48,20 +50,14 @@ def write_page(path: Path, runs: Sequence[RecordedRun], figures: Sequence[Mappin
 
     Raises BadInputError when the file's name does not end in .html, and where it cannot be written.
     """
-    check_page_path(path)
+    check_output_path("page", path)
     text = page(runs, figures)
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise BadInputError(
-            f"--html {path}: it cannot be written ({error.strerror}); name a folder that exists and may be written"
+            f"page {path}: it cannot be written ({error.strerror}); name a folder that exists and may be written"
         ) from error
-
-
-def check_page_path(path: Path) -> None:
-    """Raise BadInputError unless the name is a page's."""
-    if path.suffix.lower() not in (".html", ".htm"):
-        raise BadInputError(f"--html {path}: expected the name of a file that ends in .html")
 
 
 def page(runs: Sequence[RecordedRun], figures: Sequence[Mapping[str, Any]]) -> str:
@@ -117,7 +113,7 @@ def _head(labels: Sequence[str], figures: Sequence[Mapping[str, Any]]) -> Iterat
         name = f"{label}: " if len(figures) > 1 else ""
         yield f'<p class="verdict {kind}">{escape(name + verdict)}</p><p class="about">{escape(about)}</p>'
         yield f'<p class="about">{escape(one["recording"])}</p>'
-        yield from (f'<p class="note">{escape(sentence)}</p>' for sentence in one["repairs"])
+        yield from (f'<p class="note">{escape(sentence)}</p>' for sentence in one["notes"])
         if one["failure"] is not None:
             yield f'<p class="failed">{escape(one["failure"])}</p>'
         yield from _outcomes(one)

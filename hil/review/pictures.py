@@ -2,16 +2,18 @@
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from io import BytesIO
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from hil.plots import ALARM_COLOUR, Curve, colour_of, draw_curves, draw_error, draw_path, drawing, rgb, thinned
+from hil.plots import Curve, colour_of, draw_curves, draw_error, draw_path, drawing, rgb, thinned
 from hil.review.figures import scenario_of, torque_constant_n_m_a
 from hil.review.reader import RecordedRun
 from hil.review.spectrum import spectrum
+from hil.telemetry.layout import ALARM_COLOUR
 from hil.types import WHEEL_NAMES
 
 if TYPE_CHECKING:
@@ -81,22 +83,23 @@ def pictures(runs: Sequence[Shown], faults: Sequence[Mapping[str, Any]]) -> Iter
     caption = "Truth minus reference. The dotted line is at 10 mm." + (
         " Shaded: a fault is in force." if faults else ""
     )
-    yield _picture("Errors", caption, 7.2, 1, lambda axes, all_: _errors(axes, all_, faults), runs, rows=4)
+    yield _picture("Errors", caption, 7.2, 1, partial(_errors, faults=faults), runs, rows=4)
     caption = "Thin what the firmware measures, broad and pale what it was told; dotted the limit."
     yield _picture("Wheel speeds", caption, 4.8, 2, _speeds, runs, rows=2)
     caption = "Thin what the motors make, by their currents; broad and pale the command; dotted the limit."
     yield _picture("Wheel torques", caption, 4.8, 2, _torques, runs, rows=2)
-    if any(shown.has("gain.k1_x_1_s") or shown.has("gain.k2_x_1_s") for shown in runs):
-        yield _picture("Gains", "Those in force.", 4.2, 3, _gains, runs, rows=2)
+    if gains := [gain for gain in ("k1", "k2") if any(shown.has(f"gain.{gain}_x_1_s") for shown in runs)]:
+        height_in = 2.1 * len(gains)
+        draw = partial(_gains, gains=gains)
+        yield _picture("Gains", "Those in force.", height_in, 3, draw, runs, rows=len(gains))
     if any(_torque(shown, wheel) is not None for shown in runs for wheel in WHEEL_NAMES):
         caption = "Amplitude spectral density by Welch's method, Hann window, without the mean. " + _resolution(runs)
         yield _picture("Spectra of the wheel torques", caption, 4.8, 2, _spectra, runs, rows=2)
-    caption = (
-        "How late ticks began, and how long their work took."
-        if any(np.any(shown.series("loop.lateness_us") > 0.0) for shown in runs)
-        else "How long the work of a tick took. The run was in lockstep: no tick can be late."
-    )
-    yield _picture("Lateness", caption, 2.6, 2, _lateness, runs)
+    if any(np.any(shown.series("loop.lateness_us") > 0.0) for shown in runs):
+        caption = "How late ticks began, and how long their work took."
+    else:
+        caption = "How long the work of a tick took. No tick was late: in lockstep none can be."
+    yield _picture("Lateness", caption, 2.4, 2, _lateness, runs)
     yield _picture("Link", "As each tick found it; counters since the start.", 4.4, 2, _link, runs, rows=2)
 
 
@@ -128,15 +131,13 @@ def _path(axes: "list[Axes]", runs: Sequence[Shown]) -> None:
         x_m, y_m = shown.series(f"{group}.x_m"), shown.series(f"{group}.y_m")
         step = -(-len(x_m) // _PATH_POINTS) or 1
         curves.append(Curve(shown.label, x_m[::step], y_m[::step], colour_of(number)))
-    reference = runs[0]
-    step = -(-len(reference.series("loop.t_s")) // _PATH_POINTS) or 1
-    names = ("reference.x_m", "reference.y_m")
-    draw_path(path, Curve("reference", *(reference.series(name)[::step] for name in names)), curves)
+    x_m, y_m = runs[0].series("reference.x_m"), runs[0].series("reference.y_m")
+    step = -(-len(x_m) // _PATH_POINTS) or 1
+    draw_path(path, Curve("reference", x_m[::step], y_m[::step]), curves)
     draw_error(error, [_coloured(shown.curve("error.planar_m"), number) for number, shown in enumerate(runs)])
-    error.set_xlabel("t [s]")
 
 
-def _errors(axes: "list[Axes]", runs: Sequence[Shown], faults: Sequence[Mapping[str, Any]]) -> None:
+def _errors(axes: "list[Axes]", runs: Sequence[Shown], *, faults: Sequence[Mapping[str, Any]]) -> None:
     for panel, (name, label, scale) in zip(
         axes,
         (
@@ -178,8 +179,8 @@ def _torques(axes: "list[Axes]", runs: Sequence[Shown]) -> None:
         _limits(panel, runs, "robot.torque_limit_n_m")
 
 
-def _gains(axes: "list[Axes]", runs: Sequence[Shown]) -> None:
-    places = [(gain, axis) for gain in ("k1", "k2") for axis in ("x", "y", "heading")]
+def _gains(axes: "list[Axes]", runs: Sequence[Shown], *, gains: Sequence[str]) -> None:
+    places = [(gain, axis) for gain in gains for axis in ("x", "y", "heading")]
     for panel, (gain, axis) in zip(axes, places, strict=True):
         name = f"gain.{gain}_{axis}_1_s"
         curves = [_coloured(shown.curve(name), number) for number, shown in enumerate(runs) if shown.has(name)]
@@ -206,7 +207,7 @@ def _lateness(axes: "list[Axes]", runs: Sequence[Shown]) -> None:
         values = [one[np.isfinite(one) & (one > 0.0)] for one in values]
         there = np.concatenate(values)
         if len(there):
-            bins = np.geomspace(there.min(), max(there.max(), there.min() * 1.01), _BINS)
+            bins = np.geomspace(there.min(), max(there.max(), there.min() * 1.01), _BINS).tolist()
             for number, (shown, one) in enumerate(zip(runs, values, strict=True)):
                 panel.hist(one, bins, histtype="step", color=rgb(colour_of(number)), label=shown.label)
             panel.set_xscale("log")

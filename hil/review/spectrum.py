@@ -49,7 +49,7 @@ def spectrum(t_s: Series, values: Series) -> Spectrum | None:
         total += np.abs(np.fft.rfft((stretch - stretch.mean()) * window)) ** 2
     density = total / len(stretches) * period_s / np.sum(window**2)
     density[1 : -1 if size % 2 == 0 else None] *= 2  # what is at negative frequencies
-    return Spectrum(np.fft.rfftfreq(size, period_s), density, len(stretches), size * period_s)
+    return Spectrum(np.asarray(np.fft.rfftfreq(size, period_s)), density, len(stretches), size * period_s)
 
 
 def _longest_part(t_s: Series, values: Series, period_s: float) -> slice:
