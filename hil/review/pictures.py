@@ -83,18 +83,18 @@ def pictures(runs: Sequence[Shown], faults: Sequence[Mapping[str, Any]]) -> Iter
     caption = "Truth minus reference. The dotted line is at 10 mm." + (
         " Shaded: a fault is in force." if faults else ""
     )
-    yield _picture("Errors", caption, 7.2, 1, partial(_errors, faults=faults), runs, rows=4)
+    yield _picture("Errors", caption, 5.6, 1, partial(_errors, faults=faults), runs, rows=4)
     caption = "Thin what the firmware measures, broad and pale what it was told; dotted the limit."
-    yield _picture("Wheel speeds", caption, 4.8, 2, _speeds, runs, rows=2)
+    yield _picture("Wheel speeds", caption, 4.3, 2, _speeds, runs, rows=2)
     caption = "Thin what the motors make, by their currents; broad and pale the command; dotted the limit."
-    yield _picture("Wheel torques", caption, 4.8, 2, _torques, runs, rows=2)
+    yield _picture("Wheel torques", caption, 4.3, 2, _torques, runs, rows=2)
     if gains := [gain for gain in ("k1", "k2") if any(shown.has(f"gain.{gain}_x_1_s") for shown in runs)]:
         height_in = 2.1 * len(gains)
         draw = partial(_gains, gains=gains)
         yield _picture("Gains", "Those in force.", height_in, 3, draw, runs, rows=len(gains))
     if any(_torque(shown, wheel) is not None for shown in runs for wheel in WHEEL_NAMES):
         caption = "Amplitude spectral density by Welch's method, Hann window, without the mean. " + _resolution(runs)
-        yield _picture("Spectra of the wheel torques", caption, 4.8, 2, _spectra, runs, rows=2)
+        yield _picture("Spectra of the wheel torques", caption, 4.3, 2, _spectra, runs, rows=2)
     if any(np.any(shown.series("loop.lateness_us") > 0.0) for shown in runs):
         caption = "How late ticks began, and how long their work took."
     else:
