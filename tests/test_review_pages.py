@@ -98,7 +98,7 @@ def test_a_review_says_on_one_screen_why_a_run_failed(failed: Path) -> None:
 def test_an_expectation_of_a_run_that_was_cut_off_is_checked_over_what_there_is(failed: Path, tmp_path: Path) -> None:
     whole = failed.read_bytes()
     cut = tmp_path / "cut.rrd"
-    cut.write_bytes(whole[: int(0.9 * len(whole))])
+    cut.write_bytes(whole[: len(whole) // 2])  # the rows are in the first half, the summary is not
     found = review(cut)
     assert found["passed"] is None
     assert "did not come to its end" in found["failure"]
