@@ -12,14 +12,16 @@ from hil.bench import NS, Bench, open_trace
 from hil.devices.virtual import MakeNode
 from hil.errors import DeviceError, HilError, LinkError
 from hil.estimator import EstimatorOptions, FusedOptions, make_estimator
+from hil.expectations import outcomes_of
 from hil.faults.signals import SignalFaults
+from hil.figure_words import applied_words
 from hil.guard import Guard
 from hil.loop import Loop, Parts, Report
 from hil.metrics import percentiles, signal_figures
 from hil.model import RobotModel
 from hil.ports import Sink
 from hil.references import Feasibility, ReferenceSource, feasibility, make_reference
-from hil.results import MemorySink, RunResult, Series, applied_words, expectations
+from hil.results import MemorySink, RunResult, Series
 from hil.sampling import Timing
 from hil.scenario import Scenario, load
 from hil.scenario.laws import Laws, make_laws
@@ -276,7 +278,7 @@ def _figures(
 ) -> dict[str, Any]:
     signals = memory.signals()
     figures, reasons = signal_figures(signals, scenario.firmware.torque_constant_n_m_a)
-    outcomes = expectations(scenario.expect, signals)
+    outcomes = outcomes_of(scenario.expect, signals)
     applied: list[dict[str, Any]] = [
         {"kind": row.kind, "target": row.target, "text": row.words, "applied": count, "counts": row.counts}
         | {"start_s": row.start_s, "end_s": row.end_s if math.isfinite(row.end_s) else None, "value": row.value}

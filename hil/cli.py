@@ -33,6 +33,7 @@ from hil.commands.options import (
 )
 from hil.commands.replay import replay
 from hil.commands.reproduce import reproduce
+from hil.commands.review import review
 from hil.commands.robot import device, params
 from hil.commands.trace import decode
 from hil.errors import BadInputError, DeviceError, HilError, LinkError, RunInterruptedError
@@ -134,6 +135,7 @@ app.command()(fuzzy)
 app.command()(live_view.live)
 app.command()(replay)
 app.command()(reproduce)
+app.command()(review)
 
 
 @app.command()
@@ -170,32 +172,6 @@ def list_(
         print_json([dict(zip(header, row, strict=True)) for row in rows])
     else:
         report.print_table(rows)
-
-
-@app.command()
-def review(
-    recording: Annotated[Path, typer.Argument(metavar="RUN.rrd")],
-    trajectory: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.csv", help="write the robot's poses, for reference.kind = 'trajectory'"),
-    ] = None,
-    as_json: Json = False,
-) -> None:
-    """Read the figures of a run back from its recording alone."""
-    from hil import report
-    from hil.review import FIGURE_SIGNALS, read, write_trajectory
-    from hil.review import figures as figures_of
-
-    recorded = read(recording, FIGURE_SIGNALS)
-    for note in recorded.notes:
-        print(f"hil: {recording}: {note}", file=sys.stderr)
-    figures = figures_of(recorded)
-    if trajectory is not None:
-        write_trajectory(recorded, trajectory)
-    if as_json:
-        print_json(figures)
-    else:
-        report.print_figures(figures)
 
 
 @app.command()

@@ -3,8 +3,8 @@
 Pure: NumPy arrays in, plain numbers and sentences out.
 """
 
-from collections.abc import Mapping
-from typing import NamedTuple, Protocol
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -72,6 +72,24 @@ def check_expectation(expect: Expect, signals: Mapping[str, Series]) -> Outcome:
     if holds.all():
         return Outcome(True, None, None, None, f"{claim}: held over {len(values)} samples")
     return _failed(claim, "", t_s, values, int(np.argmin(holds)))
+
+
+def outcomes_of(rows: Sequence[Expect], signals: Mapping[str, Series]) -> list[dict[str, Any]]:
+    """Return each expectation with how it went, in words and numbers, as the figures of a run have it."""
+    outcomes = []
+    for row in rows:
+        outcome = check_expectation(row, signals)
+        outcomes.append(
+            {
+                "signal": row.signal,
+                "passed": outcome.passed,
+                "violation_s": outcome.at_s,
+                "violation_value": outcome.value,
+                "settled_s": outcome.settled_s,
+                "text": outcome.sentence,
+            }
+        )
+    return outcomes
 
 
 def _settling(claim: str, holds: Mask, t_s: Series, values: Series) -> Outcome:

@@ -19,6 +19,28 @@ RESOLUTION_M = 0.001
 STEADY_WINDOW_S = 5.0
 
 
+_TORQUE_SIGNALS = ("loop.t_s", *(f"wheel.{wheel}.current_a" for wheel in WHEEL_NAMES))
+_ERROR_SIGNALS = ("loop.t_s", "error.planar_m")
+FIGURE_SIGNALS: dict[str, tuple[str, ...]] = {
+    "tracked_s": _ERROR_SIGNALS,
+    "t10_s": _ERROR_SIGNALS,
+    "steady_rms_m": _ERROR_SIGNALS,
+    "steady_max_m": _ERROR_SIGNALS,
+    "overshoot_m": ("loop.t_s", "error.x_m", "error.y_m"),
+    "effort_n_m_s": _TORQUE_SIGNALS,
+    "torque_variation_n_m_per_s": _TORQUE_SIGNALS,
+    "saturation_s": ("loop.t_s", "guard.saturated"),
+    "estimation_error": (
+        "loop.t_s",
+        *(f"{group}.{name}" for group in ("pose", "truth") for name in ("x_m", "y_m", "heading_rad")),
+    ),
+    "ticks": ("loop.t_s",),
+    "tick_us": ("loop.tick_us",),
+    "deadline_misses": ("loop.deadline_misses",),
+}
+"""The signals from which ``signal_figures`` makes each figure."""
+
+
 class Percentiles(NamedTuple):
     """Median and 99th percentile, in the unit of the signal."""
 

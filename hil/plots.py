@@ -1,4 +1,4 @@
-"""Pictures of runs as PNG, in one style, with the colours that recordings have.
+"""Pictures of runs, in one style, with the colours that recordings have.
 
     with drawing(Path("circle.png"), columns=2) as (left, right):
         draw_path(left, reference, [Curve("afdsc", x_m, y_m)])
@@ -10,6 +10,7 @@ drawings of the same data are the same bytes.
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -60,6 +61,8 @@ _STYLE: Any = {
     "legend.fontsize": 8.0,
     "figure.dpi": 130.0,
     "savefig.facecolor": "white",
+    "svg.fonttype": "none",  # text stays text: it can be searched, and is as small
+    "svg.hashsalt": "mecanum-hil",
 }
 _LEAST_ERROR_MM = 0.01  # below the encoders' resolution a logarithmic scale shows noise alone
 _BAR_SHARE = 0.8
@@ -91,12 +94,12 @@ class Bar(NamedTuple):
 
 @contextmanager
 def drawing(
-    path: Path, *, rows: int = 1, columns: int = 1, size_in: tuple[float, float] = (6.4, 4.0)
+    file: Path | BytesIO, *, rows: int = 1, columns: int = 1, size_in: tuple[float, float] = (6.4, 4.0)
 ) -> Iterator[list["Axes"]]:
-    """Give the axes to draw on, row by row, and write them to a PNG file; ``size_in`` is the whole picture's.
+    """Give the axes to draw on, row by row, and write them: as PNG to a path, as SVG to a buffer, for a page.
 
-    What matplotlib makes inside has the house's style. Raises BadInputError when the file cannot be written; after
-    an error of the caller's nothing is written.
+    ``size_in`` is the whole picture's. What matplotlib makes inside has the house's style. Raises BadInputError when
+    the file cannot be written; after an error of the caller's nothing is written.
     """
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -106,12 +109,36 @@ def drawing(
         figure = Figure(figsize=size_in, layout="constrained")
         FigureCanvasAgg(figure)
         yield list(figure.subplots(rows, columns, squeeze=False).flat)
+        if isinstance(file, BytesIO):
+            figure.savefig(file, format="svg", metadata={"Date": None})
+            return
         try:
-            figure.savefig(path, format="png")
+            figure.savefig(file, format="png")
         except OSError as error:
             raise BadInputError(
-                f"picture {path}: it cannot be written ({error.strerror}); name a folder that exists and may be written"
+                f"picture {file}: it cannot be written ({error.strerror}); name a folder that exists and may be written"
             ) from error
+
+
+def thinned(curve: Curve, points: int = 1200) -> Curve:
+    """Return a curve over time with about this many points that looks the same: least and greatest of each stretch.
+
+    Gaps (NaN) stay where whole stretches are empty. A curve that has no more points is returned as it is.
+    """
+    count = len(curve.x)
+    if count <= points:
+        return curve
+    size = -(-2 * count // points)
+    padding = (0, -count % size)
+    x = np.pad(curve.x, padding, mode="edge").reshape(-1, size)
+    y = np.pad(curve.y, padding, mode="edge").reshape(-1, size)
+    there = np.isfinite(y)
+    least = np.argmin(np.where(there, y, np.inf), axis=1)
+    greatest = np.argmax(np.where(there, y, -np.inf), axis=1)
+    places = np.sort(np.stack([least, greatest], axis=1), axis=1)
+    return curve._replace(
+        x=np.take_along_axis(x, places, axis=1).ravel(), y=np.take_along_axis(y, places, axis=1).ravel()
+    )
 
 
 def colour_of(number: int) -> Colour:
@@ -129,7 +156,7 @@ def draw_curves(
             curve.x,
             curve.y,
             label=curve.label,
-            color=_rgb(curve.colour or colour_of(number)),
+            color=rgb(curve.colour or colour_of(number)),
             linestyle=_DASHES[dashed],
         )
     axes.set(title=title, xlabel=x_label, ylabel=y_label)
@@ -143,7 +170,7 @@ def draw_path(axes: "Axes", reference: Curve, curves: Sequence[Curve], *, title:
         reference.x,
         reference.y,
         label=reference.label,
-        color=_rgb(reference.colour or REFERENCE_COLOUR),
+        color=rgb(reference.colour or REFERENCE_COLOUR),
         linewidth=4.0,
         alpha=0.5,
     )
@@ -151,7 +178,7 @@ def draw_path(axes: "Axes", reference: Curve, curves: Sequence[Curve], *, title:
     for number, curve in enumerate(curves):
         there = np.flatnonzero(np.isfinite(curve.x) & np.isfinite(curve.y))
         if len(there):
-            colour = _rgb(curve.colour or colour_of(number))
+            colour = rgb(curve.colour or colour_of(number))
             axes.plot(curve.x[there[0]], curve.y[there[0]], "o", color=colour, markersize=4.0)
     axes.set_aspect("equal", adjustable="datalim")
 
@@ -165,7 +192,7 @@ def draw_error(axes: "Axes", curves: Sequence[Curve], *, title: str = "Planar er
     if log:
         scaled = [curve._replace(y=np.maximum(curve.y, _LEAST_ERROR_MM)) for curve in scaled]
         axes.set_yscale("log")
-        axes.axhline(10.0, color=_rgb(ALARM_COLOUR), linewidth=0.8, linestyle=":")
+        axes.axhline(10.0, color=rgb(ALARM_COLOUR), linewidth=0.8, linestyle=":")
     draw_curves(axes, scaled, title=title, y_label="planar error [mm]")
 
 
@@ -183,7 +210,7 @@ def draw_bars(axes: "Axes", groups: Sequence[str], bars: Sequence[Bar], *, title
     """
     width = _BAR_SHARE / max(1, len(bars))
     for number, bar in enumerate(bars):
-        colour = _rgb(colour_of(number))
+        colour = rgb(colour_of(number))
         for group, nominal, worst in zip(range(len(groups)), bar.nominal, bar.worst, strict=True):
             place = group + (number - (len(bars) - 1) / 2) * width
             label = bar.label if group == 0 else None
@@ -199,6 +226,7 @@ def draw_bars(axes: "Axes", groups: Sequence[str], bars: Sequence[Bar], *, title
     axes.legend(ncols=3, loc="upper center")
 
 
-def _rgb(colour: Colour) -> tuple[float, float, float]:
+def rgb(colour: Colour) -> tuple[float, float, float]:
+    """Return a colour as matplotlib takes it."""
     red, green, blue = colour
     return red / 255, green / 255, blue / 255

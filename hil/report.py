@@ -1,28 +1,25 @@
 """What the commands print for a person."""
 
-import math
 import shutil
 import sys
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.errors import BadInputError, nearest
+from hil.figure_words import belief_rows, figure_rows, link_rows, outcome_rows
 from hil.plant.words import one_line
-from hil.results import RunResult, applied_words
+from hil.results import RunResult
 
 if TYPE_CHECKING:
     from hil.assembly import Watch
-    from hil.catalogue.runs import Verdict
-    from hil.comparison import Comparison
     from hil.loop import Loop
     from hil.plant.info import FmuInfo, VariableInfo
     from hil.plant.tools import CheckResult
     from hil.references import Feasibility
-    from hil.reproduction.runs import Outcome
 
 _REFRESH_S = 0.1
 
@@ -132,58 +129,20 @@ def _command() -> str:
 
 
 def print_figures(metrics: Mapping[str, Any]) -> None:
-    """Print the figures of a run or of a recording, with the reason where there is none."""
-    reasons = metrics.get("reasons", {})
-    for label, name, unit, scale in _FIGURES:
-        value = metrics.get(name)
-        if value is not None:
-            print(f"  {label:<22} {value * scale:.5g} {unit}")
-        elif name in reasons:
-            print(f"  {label:<22} -      {reasons[name]}")
-    tick = metrics.get("tick_us")
-    if tick is not None:
-        print(f"  {'tick p50, p99':<22} {tick['p50']:.1f}, {tick['p99']:.1f} µs")
-    frames = metrics.get("frames")
-    if frames is not None:
-        rejected = ", ".join(f"{cause} {count}" for cause, count in frames["rejected"].items()) or "none"
-        print(f"  {'frames':<22} {frames['sent']} sent, {frames['received']} received, rejected: {rejected}")
-    if (link := metrics.get("link_statistics")) is not None:
-        _print_link(link)
+    """Print the figures of a run, with the reason where there is none, its expectations, and whether it passed."""
+    print_rows(figure_rows(metrics))
+    print_rows(belief_rows(metrics))
+    print_rows(link_rows(metrics))
     for sentence in (metrics.get("reference") or {}).get("warnings", ()):
-        print(f"  {'warning':<22} {sentence}")
-    for row in metrics.get("fault") or ():
-        print(f"  {'fault':<22} {applied_words(row)}")
-    for row in metrics.get("shadows") or ():
-        if row["dropped"] is not None:
-            print(f"  {'shadow':<22} {row['dropped']}")
-    for row in metrics.get("recoveries") or ():
-        print(f"  {'recovery':<22} lost at {row['lost_s']:.3f} s, ACTIVE again at {row['armed_s']:.3f} s: {row['why']}")
-    for row in metrics.get("expect") or ():
-        print(f"  {'expect':<22} {row['text']}")
-    recorded = metrics.get("recorded")
-    if recorded is not None and (text := _what_became_of(recorded, metrics["recording"])):
-        print(f"  {'recording':<22} {text}")
+        print_rows([("warning", sentence)])
+    print_rows(outcome_rows(metrics))
     if (trace := metrics.get("trace")) is not None:
         written = f"{trace['frames']} frames in {trace['path']}"
-        print(f"  {'trace':<22} {trace['trouble'] or written}")
+        print_rows([("trace", trace["trouble"] or written)])
     if (stream := metrics.get("streamed")) is not None:
-        print(f"  {'stream':<22} {_streamed(stream)}")
+        print_rows([("stream", _streamed(stream))])
     if (passed := metrics.get("passed")) is not None:
-        print(f"  {'passed':<22} {'yes' if passed else 'no'}")
-
-
-def _what_became_of(recorded: Mapping[str, Any], path: str | None) -> str:
-    """Return what a recording lacks, why, and where the rest is; empty when all of it is in one file."""
-    parts = f" in {len(recorded['parts'])} parts" if len(recorded["parts"]) > 1 else ""
-    if recorded["error"] or recorded["dropped"] or recorded["lost"] or recorded["events_lost"]:
-        why = recorded["error"] or "the recorder was too slow"
-        events = f", {recorded['events_lost']} events lost" if recorded["events_lost"] else ""
-        rest = "" if path is None else f", {recorded['rows']} are safe in {path}{parts}"
-        counts = f"{recorded['dropped']} rows were dropped and {recorded['lost']} lost{events}"
-        return f"incomplete: {why}; {counts}{rest}"
-    if recorded["troubles"]:
-        return f"complete{parts}, though {'; '.join(recorded['troubles'])}"
-    return f"complete{parts}" if parts else ""
+        print_rows([("passed", "yes" if passed else "no")])
 
 
 def _streamed(stream: Mapping[str, Any]) -> str:
@@ -198,47 +157,10 @@ def _streamed(stream: Mapping[str, Any]) -> str:
     return text
 
 
-def _print_link(link: Mapping[str, Any]) -> None:
-    """Print what became of the link, as far as there is something to say."""
-    ways = [way for way in ("sent", "received", "foreign") if link[way] is not None and link[way]["frames"]]
-    rows = [("on the wire", ", ".join(_traffic(link, way) for way in ways) or "nothing")]
-    for way, load in (link["load"] or {}).items():
-        if load["mean_percent"] is not None:
-            worst = load["worst_100_ms_percent"]
-            rows.append((f"load, {way}", f"{load['mean_percent']:.1f} %, in the worst 100 ms {worst:.1f} %"))
-    lost = {name.replace("_", " "): count for name, count in link["lost"].items() if count}
-    if lost:
-        rows.append(("lost", ", ".join(f"{name} {count}" for name, count in lost.items())))
-    for label, name in (("feedback age p50, p99", "feedback_age_ms"), ("round trip p50, p99", "round_trip_ms")):
-        if (figure := link[name]) is not None:
-            rows.append((label, f"{figure['p50']:.3g}, {figure['p99']:.3g} ms"))
-    if (clock := link["clock"]) is not None:
-        drift_ppm = clock["drift_ppm"]  # NaN, or null in a recording, while the run is too short for it
-        drift = "" if drift_ppm is None or math.isnan(drift_ppm) else f", drift {drift_ppm:+.1f} ppm"
-        rows.append(("robot's clock", f"{clock['offset_us'] * 1e-3:+.3f} ms{drift}"))
-        way = clock["round_trip_us"]
-        rows.append(("TIME_SYNC p50, p99", f"{way['p50']:.0f}, {way['p99']:.0f} µs"))
+def print_rows(rows: Iterable[tuple[str, str]]) -> None:
+    """Print what is said of a run: a label and a text a line."""
     for label, text in rows:
-        print(f"  {label:<22} {text}")
-
-
-def _traffic(link: Mapping[str, Any], way: str) -> str:
-    return f"{way} {link[way]['frames']} frames, {link[way]['bytes'] * 1e-3:.1f} kB"
-
-
-_FIGURES = (
-    ("tracked after", "tracked_s", "s", 1.0),
-    ("within 10 mm after", "t10_s", "s", 1.0),
-    ("steady error rms", "steady_rms_m", "mm", 1e3),
-    ("steady error max", "steady_max_m", "mm", 1e3),
-    ("overshoot", "overshoot_m", "mm", 1e3),
-    ("effort", "effort_n_m_s", "N·m·s", 1.0),
-    ("torque variation", "torque_variation_n_m_per_s", "N·m/s a wheel", 1.0),
-    ("saturated for", "saturation_s", "s", 1.0),
-    ("ticks", "ticks", "", 1),
-    ("deadline misses", "deadline_misses", "", 1),
-    ("times real time", "realtime_factor", "", 1.0),
-)
+        print(f"  {label:<22} {text}".rstrip())
 
 
 def listing(what: str) -> tuple[tuple[str, ...], Sequence[tuple[str, ...]]]:
@@ -287,90 +209,6 @@ def print_table(rows: Sequence[Sequence[str]]) -> None:
     for row in rows:
         padded = [text.ljust(width) for text, width in zip(row, widths, strict=False)]
         print("  ".join([*padded, row[-1]]).rstrip())
-
-
-def catalogue_progress(done: int, of: int, verdict: "Verdict") -> None:
-    """Say on stderr how far the catalogue is, and what is not as it should be."""
-    if not verdict.is_ok:
-        print(f"\r{verdict.fault} over {verdict.link}: {verdict.verdict}", file=sys.stderr)
-    print(f"\r{done} of {of} runs", end="\n" if done == of else "", file=sys.stderr, flush=True)
-
-
-def print_catalogue(verdicts: Sequence["Verdict"]) -> None:
-    """Print a row for each run of the catalogue, and how many were as they should be."""
-    head = ("fault", "link", "re-arm", "outcome", "applied", "recoveries", "after silence", "wall s", "verdict")
-    print_table([head, *(_catalogue_row(verdict) for verdict in verdicts)])
-    failed = [verdict for verdict in verdicts if not verdict.is_ok]
-    wall_s = sum(verdict.wall_s for verdict in verdicts)
-    print(f"\n{len(verdicts) - len(failed)} of {len(verdicts)} runs are as they should be, {wall_s:.0f} s of runs")
-    for verdict in failed:
-        where = "" if verdict.recording is None else f" (hil view {verdict.recording})"
-        print(f"  {verdict.fault} over {verdict.link}: {verdict.verdict}{where}")
-
-
-def _catalogue_row(verdict: "Verdict") -> tuple[str, ...]:
-    realtime = ", real time" if verdict.mode == "realtime" else ""
-    silence = "-" if verdict.silent_rad_s is None else f"{verdict.silent_rad_s:g} rad/s"
-    return (
-        verdict.fault,
-        verdict.link + realtime,
-        "yes" if verdict.rearm else "no",
-        verdict.outcome or "-",
-        "-" if verdict.applied is None else " ".join(map(str, verdict.applied)),
-        "-" if verdict.recoveries is None else str(verdict.recoveries),
-        silence,
-        f"{verdict.wall_s:.1f}",
-        "ok" if verdict.is_ok else verdict.verdict.partition(":")[0],
-    )
-
-
-def comparison_progress(done: int, of: int) -> None:
-    """Say on stderr how far the comparison is."""
-    print(f"\r{done} of {of} runs", end="\n" if done == of else "", file=sys.stderr, flush=True)
-
-
-def print_comparison(comparison: "Comparison") -> None:
-    """Print a table for each condition, and below it why figures are missing."""
-    from hil.comparison.tables import terminal
-
-    for number, (title, rows, notes) in enumerate(terminal(comparison)):
-        print(title if number == 0 else f"\n{title}")
-        print_table(rows)
-        for note in notes:
-            print(f"  {note}")
-    if len(comparison.rows[0].runs) > 1:
-        print("\nnominal / worst over mass and friction of the plant; less is better in every column")
-
-
-def reproduction_progress(done: int, of: int, outcome: "Outcome") -> None:
-    """Say on stderr how far a reproduction is, and what ended a run of it early."""
-    if outcome.failure is not None:
-        print(f"\r{outcome.name}: {outcome.failure}", file=sys.stderr)
-    print(f"\r{done} of {of} runs", end="\n" if done == of else "", file=sys.stderr, flush=True)
-
-
-def print_reproduction(summary: Mapping[str, Any]) -> None:
-    """Print the tables of a reproduction, then what comes out of the paper and what does not."""
-    from hil.reproduction import tables
-
-    print("Assumed, for the paper does not say\n")
-    for place, what, ours, why in tables.assumptions(summary)[1:]:
-        print(f"  {place}, {what}: {ours}\n    {why}")
-    for title, table in (
-        ("Section IV.A, the circle", tables.circle(summary)),
-        ("Section IV.B, the experiment: oscillation over latency", tables.delay(summary)),
-        ("Section IV.B, the experiment: the transition", tables.transition(summary)),
-    ):
-        if len(table) > 1:
-            print(f"\n{title}\n")
-            print_table(table)
-    print("\nWhat comes out\n")
-    for place, claim, paper, ours, tolerance, verdict, why in tables.verdicts(summary)[1:]:
-        within = "" if tolerance == "-" else f", within {tolerance}"
-        print(f"  {verdict}: {claim} ({place}): the paper {paper}, ours {ours}{within}")
-        print(f"    {why}")
-    files = ", ".join([*summary["pictures"], *summary["recordings"]])
-    print(f"\n{summary['wall_s']:.0f} s; in {summary['folder']}: {files}")
 
 
 def print_fmu(info: "FmuInfo") -> None:

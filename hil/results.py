@@ -1,4 +1,4 @@
-"""What a run leaves behind: signals as arrays, figures, expectations, and what they mean for the exit code."""
+"""What a run leaves behind: signals as arrays, figures, and what they mean for the exit code."""
 
 import array
 from collections.abc import Mapping, Sequence
@@ -10,8 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.errors import HilError
-from hil.expectations import check_expectation
-from hil.scenario import ExpectTable, Scenario
+from hil.scenario import Scenario
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -75,28 +74,3 @@ class RunResult:
     def frame(self) -> "pd.DataFrame":
         """Return the signals as a pandas frame, one row a tick, indexed by ``loop.t_s``."""
         return self._frame
-
-
-def expectations(rows: Sequence[ExpectTable], signals: Mapping[str, Series]) -> list[dict[str, Any]]:
-    """Return each expectation with how it went, in words and numbers."""
-    outcomes = []
-    for row in rows:
-        outcome = check_expectation(row, signals)
-        outcomes.append(
-            {
-                "signal": row.signal,
-                "passed": outcome.passed,
-                "violation_s": outcome.at_s,
-                "violation_value": outcome.value,
-                "settled_s": outcome.settled_s,
-                "text": outcome.sentence,
-            }
-        )
-    return outcomes
-
-
-def applied_words(fault: Mapping[str, Any]) -> str:
-    """Return in words what a fault of a run did, from its entry in the figures."""
-    if fault["applied"] is None:
-        return f"{fault['text']}: the robot that knew how often it was applied has gone"
-    return f"{fault['text']}: applied {fault['applied']} times ({fault['counts']})"

@@ -19,8 +19,8 @@ from typer.testing import CliRunner
 
 from hil import review
 from hil.cli import app
+from hil.commands.reproduce import print_reproduction
 from hil.errors import BadInputError
-from hil.report import print_reproduction
 from hil.reproduction import page, published, reproduce, tables, verdicts
 from hil.reproduction.margin import delay_margin
 from hil.reproduction.oscillation import oscillation

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hil.errors import BadInputError
-from hil.metrics import signal_figures
+from hil.metrics import FIGURE_SIGNALS, signal_figures
 from hil.review import Event, RecordedRun, read, review, to_frame
 from hil.review.decode import decode
 from hil.signals import SIGNAL_NAMES
@@ -66,8 +66,10 @@ def test_a_review_has_the_figures_of_the_run(recording: Path) -> None:
     reviewed = review(recording)
     assert reviewed.pop("reasons") == {**reasons, "realtime_factor": "because"}
     kept = ("passed", "realtime_factor", "frames", "link_statistics", "pose_fixes", "wire_sha256")
-    stored = {name: SUMMARY[name] for name in kept}
-    assert reviewed == {**figures, **stored, "recording": str(recording)}
+    expected = {**figures, **{name: SUMMARY[name] for name in kept}, "recording": str(recording)}
+    assert {name: reviewed[name] for name in expected} == expected
+    assert (reviewed["scenario"], reviewed["law"], reviewed["notes"]) == ("made_up_circle", "none", [])
+    assert reviewed["events"][0] == {"t_s": -0.02, "level": "INFO", "text": "ARMED"}
 
 
 @pytest.mark.skipif(importlib.util.find_spec("pandas") is None, reason="needs pandas")
@@ -113,7 +115,9 @@ def test_a_recording_without_a_row_has_a_reason_for_each_figure_that_it_lacks(tm
         pass  # the run ended before it began, and without a summary
     figures = review(path)
     assert figures["ticks"] == 0
-    assert {name for name, value in figures.items() if value is None} == set(figures["reasons"])
+    without = {name for name in (*FIGURE_SIGNALS, *SUMMARY) if figures.get(name) is None} - {"reasons"}
+    assert without == set(figures["reasons"])
+    assert figures["failure"] == "the recording has no summary: the run did not come to its end"
 
 
 def problem_of(path: Path) -> str | None:

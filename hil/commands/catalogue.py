@@ -2,12 +2,16 @@
 
 import signal
 import sys
-from typing import Annotated
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from hil.commands.options import Json, Sets, interrupt, print_json
 from hil.errors import RunInterruptedError
+
+if TYPE_CHECKING:
+    from hil.catalogue.runs import Verdict
 
 
 def catalogue(
@@ -44,7 +48,7 @@ def catalogue(
     signal.signal(signal.SIGTERM, interrupt)
     laws = [] if law is None else [f"controller.law={law}"]
     asked = Asked(scenario, [*laws, *(sets or [])], link or [], kind or [], report.catalogue_folder(), sample, seed)
-    tell = None if as_json or not sys.stderr.isatty() else report.catalogue_progress
+    tell = None if as_json or not sys.stderr.isatty() else _progress
     try:
         verdicts = run_catalogue(asked, pairs=pairs, realtime=realtime, jobs=jobs, limit_s=limit_s, tell=tell)
     except KeyboardInterrupt:
@@ -53,5 +57,42 @@ def catalogue(
     if as_json:
         print_json({"passed": passed, "runs": [verdict._asdict() for verdict in verdicts]})
     else:
-        report.print_catalogue(verdicts)
+        _print_verdicts(verdicts)
     raise typer.Exit(0 if passed else 1)
+
+
+def _progress(done: int, of: int, verdict: "Verdict") -> None:
+    """Say on stderr how far the catalogue is, and what is not as it should be."""
+    if not verdict.is_ok:
+        print(f"\r{verdict.fault} over {verdict.link}: {verdict.verdict}", file=sys.stderr)
+    print(f"\r{done} of {of} runs", end="\n" if done == of else "", file=sys.stderr, flush=True)
+
+
+def _print_verdicts(verdicts: Sequence["Verdict"]) -> None:
+    """Print a row for each run of the catalogue, and how many were as they should be."""
+    from hil import report
+
+    head = ("fault", "link", "re-arm", "outcome", "applied", "recoveries", "after silence", "wall s", "verdict")
+    report.print_table([head, *(_catalogue_row(verdict) for verdict in verdicts)])
+    failed = [verdict for verdict in verdicts if not verdict.is_ok]
+    wall_s = sum(verdict.wall_s for verdict in verdicts)
+    print(f"\n{len(verdicts) - len(failed)} of {len(verdicts)} runs are as they should be, {wall_s:.0f} s of runs")
+    for verdict in failed:
+        where = "" if verdict.recording is None else f" (hil view {verdict.recording})"
+        print(f"  {verdict.fault} over {verdict.link}: {verdict.verdict}{where}")
+
+
+def _catalogue_row(verdict: "Verdict") -> tuple[str, ...]:
+    realtime = ", real time" if verdict.mode == "realtime" else ""
+    silence = "-" if verdict.silent_rad_s is None else f"{verdict.silent_rad_s:g} rad/s"
+    return (
+        verdict.fault,
+        verdict.link + realtime,
+        "yes" if verdict.rearm else "no",
+        verdict.outcome or "-",
+        "-" if verdict.applied is None else " ".join(map(str, verdict.applied)),
+        "-" if verdict.recoveries is None else str(verdict.recoveries),
+        silence,
+        f"{verdict.wall_s:.1f}",
+        "ok" if verdict.is_ok else verdict.verdict.partition(":")[0],
+    )

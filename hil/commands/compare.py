@@ -4,12 +4,15 @@ import shlex
 import signal
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from hil.commands.options import Json, Seed, Sets, interrupt, print_json
 from hil.errors import BadInputError, RunInterruptedError
+
+if TYPE_CHECKING:
+    from hil.comparison import Comparison
 
 
 def compare(
@@ -44,7 +47,6 @@ def compare(
     as_json: Json = False,
 ) -> None:
     """Run laws under the same conditions and print one table for each; exit 1 when a run failed."""
-    from hil import report
     from hil.comparison import Asked
     from hil.comparison import compare as run_comparison
     from hil.comparison.conditions import DRIVES, TORQUES_N_M
@@ -65,7 +67,7 @@ def compare(
     )
     if out is not None:
         _make_folder(out)
-    tell = None if as_json or not sys.stderr.isatty() else report.comparison_progress
+    tell = None if as_json or not sys.stderr.isatty() else _progress
     try:
         comparison = run_comparison(asked, jobs=jobs, limit_s=limit_s, tell=tell)
     except KeyboardInterrupt:
@@ -84,7 +86,7 @@ def compare(
     if as_json:
         print_json(comparison.plain())
     else:
-        report.print_comparison(comparison)
+        _print_comparison(comparison)
     raise typer.Exit(1 if comparison.has_failed else 0)
 
 
@@ -93,3 +95,22 @@ def _make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BadInputError(f"--out {folder}: it cannot be made ({error.strerror}); name a folder") from error
+
+
+def _progress(done: int, of: int) -> None:
+    """Say on stderr how far the comparison is."""
+    print(f"\r{done} of {of} runs", end="\n" if done == of else "", file=sys.stderr, flush=True)
+
+
+def _print_comparison(comparison: "Comparison") -> None:
+    """Print a table for each condition, and below it why figures are missing."""
+    from hil import report
+    from hil.comparison.tables import terminal
+
+    for number, (title, rows, notes) in enumerate(terminal(comparison)):
+        print(title if number == 0 else f"\n{title}")
+        report.print_table(rows)
+        for note in notes:
+            print(f"  {note}")
+    if len(comparison.rows[0].runs) > 1:
+        print("\nnominal / worst over mass and friction of the plant; less is better in every column")

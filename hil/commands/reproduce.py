@@ -2,13 +2,17 @@
 
 import signal
 import sys
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from hil.commands.options import Json, interrupt, print_json
 from hil.errors import RunInterruptedError
+
+if TYPE_CHECKING:
+    from hil.reproduction.runs import Outcome
 
 
 def reproduce(
@@ -20,11 +24,10 @@ def reproduce(
     as_json: Json = False,
 ) -> None:
     """Run section IV of the paper and say which of its figures come out, which do not, and why."""
-    from hil import report
     from hil.reproduction import reproduce as run_reproduction
 
     signal.signal(signal.SIGTERM, interrupt)
-    tell = None if as_json or not sys.stderr.isatty() else report.reproduction_progress
+    tell = None if as_json or not sys.stderr.isatty() else _progress
     try:
         summary = run_reproduction(out, quick=quick, jobs=jobs, tell=tell)
     except KeyboardInterrupt:
@@ -32,4 +35,36 @@ def reproduce(
     if as_json:
         print_json(summary)
     else:
-        report.print_reproduction(summary)
+        print_reproduction(summary)
+
+
+def _progress(done: int, of: int, outcome: "Outcome") -> None:
+    """Say on stderr how far a reproduction is, and what ended a run of it early."""
+    if outcome.failure is not None:
+        print(f"\r{outcome.name}: {outcome.failure}", file=sys.stderr)
+    print(f"\r{done} of {of} runs", end="\n" if done == of else "", file=sys.stderr, flush=True)
+
+
+def print_reproduction(summary: Mapping[str, Any]) -> None:
+    """Print the tables of a reproduction, then what comes out of the paper and what does not."""
+    from hil import report
+    from hil.reproduction import tables
+
+    print("Assumed, for the paper does not say\n")
+    for place, what, ours, why in tables.assumptions(summary)[1:]:
+        print(f"  {place}, {what}: {ours}\n    {why}")
+    for title, table in (
+        ("Section IV.A, the circle", tables.circle(summary)),
+        ("Section IV.B, the experiment: oscillation over latency", tables.delay(summary)),
+        ("Section IV.B, the experiment: the transition", tables.transition(summary)),
+    ):
+        if len(table) > 1:
+            print(f"\n{title}\n")
+            report.print_table(table)
+    print("\nWhat comes out\n")
+    for place, claim, paper, ours, tolerance, verdict, why in tables.verdicts(summary)[1:]:
+        within = "" if tolerance == "-" else f", within {tolerance}"
+        print(f"  {verdict}: {claim} ({place}): the paper {paper}, ours {ours}{within}")
+        print(f"    {why}")
+    files = ", ".join([*summary["pictures"], *summary["recordings"]])
+    print(f"\n{summary['wall_s']:.0f} s; in {summary['folder']}: {files}")

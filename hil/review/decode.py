@@ -12,7 +12,7 @@ import struct
 import sys
 import tempfile
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, TypedDict
@@ -24,6 +24,7 @@ from hil.errors import BadInputError
 from hil.review.contents import Contents, DamagedError, Series, Wanted, json_property
 from hil.telemetry.files import check_is_recording, later_parts
 from hil.telemetry.names import (
+    OVERLAY_PROPERTY,
     PART_PROPERTY,
     RECORDER_PROPERTY,
     RUN_PROPERTY,
@@ -34,6 +35,7 @@ from hil.telemetry.names import (
 
 if TYPE_CHECKING:
     import pyarrow as pa
+    from rerun.chunk import LazyChunkStream, RrdReader
 
 # An .rrd file: header of 12 bytes, then messages of (kind u64, length u64, payload), and a footer.
 _HEADER_BYTES = 12
@@ -44,9 +46,10 @@ _PROPERTIES = "/__properties/"
 
 
 class Decoded(TypedDict):
-    """What the answer's first line holds; ``signals`` names the rows of the table that follows."""
+    """What the answer's first line holds; ``signals`` names the rows of the table after it, ``held`` all there are."""
 
     signals: list[str]
+    held: list[str]
     rows: int
     events: list[tuple[float, str, str]]
     properties: dict[str, str]
@@ -71,8 +74,11 @@ def decode(path: Path, wanted: Wanted = None) -> tuple[Decoded, dict[str, Series
         for name, series in first.signals.items()
     }
     recorder = last.json(RECORDER_PROPERTY)
+    if recorder is None:
+        notes.append(_no_end(parts[-1][0]))
     decoded = Decoded(
         signals=list(signals),
+        held=[name for names in (first.json(SIGNALS_PROPERTY) or {}).values() for name in names],
         rows=len(next(iter(signals.values()), ())),
         events=[event for _, contents in parts for event in contents.events],
         properties=first.properties.get(RUN_PROPERTY, {}),
@@ -83,6 +89,17 @@ def decode(path: Path, wanted: Wanted = None) -> tuple[Decoded, dict[str, Series
         notes=notes,
     )
     return decoded, signals
+
+
+def _no_end(path: Path) -> str:
+    """Say what a file without an end has lost, as far as it tells."""
+    cut = ""
+    if path.suffix == ".rrd":
+        with path.open("rb") as file:
+            size = file.seek(0, os.SEEK_END)
+            left = size - _end_of_messages(file, size)
+        cut = f", with its last {left} bytes, a message cut short," if left else ""
+    return f"{path.name} has no end: the recorder was killed or the file was cut, and what came after{cut} is lost"
 
 
 def _parts(path: Path, wanted: Wanted) -> tuple[list[tuple[Path, Contents]], list[str]]:
@@ -155,13 +172,14 @@ def _decode_rrd(path: Path, wanted: Wanted) -> Contents:
     with _whole_messages(path) as readable, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # "has no footer": so it is, after a kill
         try:
-            stream = rrc.RrdReader(readable).stream
+            stream = _indexed(rrc.RrdReader(readable))
             held: dict[str, list[str]] | None = None
             for chunk in stream().filter(content=["/__properties/**", "/events", SIGNALS_PATH]):
                 _take(chunk.entity_path, chunk.to_record_batch(), entities, held)
                 held = held or entities.held()
             if held is None:
-                raise DamagedError("a recording of another program")
+                is_overlay = OVERLAY_PROPERTY in entities.properties
+                raise DamagedError(f"a{'n overlay of two runs' if is_overlay else ' recording of another program'}")
             # What was received live, and files of before, have their signals where they are drawn.
             drawn = [path for path, names in held.items() if path != SIGNALS_PATH and _columns(names, wanted)]
             if drawn:
@@ -171,6 +189,14 @@ def _decode_rrd(path: Path, wanted: Wanted) -> Contents:
             what = str(error).removeprefix(f"Failed to read RRD file at {readable}: ")
             raise DamagedError(f"damaged: {what}") from error
     return Contents(_signals(held, entities), entities.events, entities.properties)
+
+
+def _indexed(reader: "RrdReader") -> "Callable[[], LazyChunkStream]":
+    """Return what streams chunks: by the file's index, so that only the wanted are read, or all of a file without."""
+    try:
+        return reader.store().stream
+    except (RuntimeError, ValueError, OSError):
+        return reader.stream
 
 
 def _columns(names: list[str], wanted: Wanted) -> list[int]:

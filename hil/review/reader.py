@@ -47,6 +47,7 @@ class RecordedRun:
         rows_dropped: rows that the run had to drop; None when the recorder never came to say.
         rows_missing: rows that are in none of its parts.
         parts: the files, in order.
+        held: the names of all signals of the recording, read or not.
         notes: what a reader should know of the files: what is missing, or could not be read.
     """
 
@@ -58,6 +59,7 @@ class RecordedRun:
     rows_dropped: int | None
     rows_missing: int = 0
     parts: tuple[Path, ...] = ()
+    held: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
 
@@ -83,7 +85,7 @@ def read(path: Path, signals: Collection[str] | None = None) -> RecordedRun:
             json.loads(line) if line.endswith(b"\n") else {"damage": "damaged: its content makes no sense"}
         )
         if "damage" in head:
-            repair = f"; {_REPAIR}" if path.suffix == ".rrd" else ""
+            repair = f"; {_REPAIR}" if path.suffix == ".rrd" and head["damage"].startswith("damaged") else ""
             raise BadInputError(f"{path}: {head['damage']}; expected {EXPECTED_FILE}{repair}")
         table = np.empty((len(head["signals"]), head["rows"]))
         _read_into(decoder.stdout, table)
@@ -96,6 +98,7 @@ def read(path: Path, signals: Collection[str] | None = None) -> RecordedRun:
         rows_dropped=head["rows_dropped"],
         rows_missing=head["rows_missing"],
         parts=tuple(map(Path, head["parts"])),
+        held=tuple(head["held"]),
         notes=tuple(head["notes"]),
     )
 

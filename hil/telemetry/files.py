@@ -10,8 +10,17 @@ from typing import NamedTuple
 from hil.errors import BadInputError
 
 EXPECTED_FILE = "an .rrd or .mcap file made by 'hil run --record'"
-OUTPUTS = {"recording": (".rrd", ".mcap"), "trace": (".blf", ".asc", ".log")}
-"""What a run writes, and how its name may end. A trace: Vector's binary and text form, and that of ``candump -L``."""
+OUTPUTS = {
+    "recording": (".rrd", ".mcap"),
+    "trace": (".blf", ".asc", ".log"),
+    "page": (".html",),
+    "overlay": (".rrd",),
+    "export": (".csv", ".parquet", ".mcap"),
+}
+"""What a run or its review writes, and how its name may end.
+
+A trace is in Vector's binary or text form, or in that of ``candump -L``.
+"""
 _MAGICS = {".rrd": b"RRF2", ".mcap": b"\x89MCAP0\r\n"}
 _PROBE_BYTES = 1 << 20
 _SMALLEST_BYTES = 1_000_000

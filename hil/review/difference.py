@@ -1,0 +1,117 @@
+"""Two runs side by side: the difference of every figure, which of the two is better, and what was different before."""
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+from hil.figure_words import FIGURES
+from hil.review.figures import scenario_of
+from hil.review.reader import RecordedRun
+
+_SAME = 1e-9
+# Neither less nor more of these is better.
+_NEUTRAL = frozenset({"ticks", "realtime_factor", "frames.sent", "frames.received"})
+
+
+class Difference(NamedTuple):
+    """A figure of both runs: ``difference`` is the second less the first, in the figure's own unit.
+
+    ``verdict`` tells of the second run: better, worse or same; None where that has no meaning, or a run lacks the
+    figure for a reason which ``notes`` says.
+    """
+
+    label: str
+    name: str
+    unit: str
+    scale: float
+    first: float | None
+    second: float | None
+    difference: float | None
+    verdict: str | None
+    notes: tuple[str, ...]
+
+
+class Change(NamedTuple):
+    """A value of the scenario, or of what the program was, that is not the same in both; None where it is not there."""
+
+    key: str
+    first: object
+    second: object
+
+
+_NESTED = (
+    ("estimation error rms", "estimation_error.rms_m", "mm", 1e3),
+    ("estimation error max", "estimation_error.max_m", "mm", 1e3),
+    ("heading error rms", "estimation_error.heading_rms_rad", "mrad", 1e3),
+    ("tick p50", "tick_us.p50", "µs", 1.0),
+    ("tick p99", "tick_us.p99", "µs", 1.0),
+    ("frames sent", "frames.sent", "", 1),
+    ("frames received", "frames.received", "", 1),
+    ("frames rejected", "frames.rejected", "", 1),
+    ("snapshots lost", "link_statistics.lost.snapshots", "", 1),
+    ("feedback age p50", "link_statistics.feedback_age_ms.p50", "ms", 1.0),
+    ("feedback age p99", "link_statistics.feedback_age_ms.p99", "ms", 1.0),
+    ("round trip p50", "link_statistics.round_trip_ms.p50", "ms", 1.0),
+    ("round trip p99", "link_statistics.round_trip_ms.p99", "ms", 1.0),
+    ("commands refused", "commands_refused", "", 1),
+    ("stale ticks", "stale_ticks", "", 1),
+    ("recoveries", "recoveries", "", 1),
+    ("expectations failed", "expect", "", 1),
+)
+
+
+def differences(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[Difference]:
+    """Return every figure that one of two runs has, from their figures as ``hil.review.review`` returns them."""
+    return list(_differences(first, second))
+
+
+def changes(first: RecordedRun, second: RecordedRun) -> list[Change]:
+    """Return what the two runs do not share of scenario, seed, versions, commit and machine, the scenario first."""
+    scenarios = scenario_of(first), scenario_of(second)
+    about = [
+        {name: text for name, text in run.properties.items() if name not in ("scenario", "scenario_sources", "started")}
+        for run in (first, second)
+    ]
+    return [*_unequal(*scenarios), *_unequal(*about)]
+
+
+def _differences(first: Mapping[str, Any], second: Mapping[str, Any]) -> Iterator[Difference]:
+    for label, name, unit, scale in (*FIGURES, *_NESTED):
+        one, other = _value(first, name), _value(second, name)
+        if one is None and other is None:
+            continue
+        notes = tuple(
+            f"{which} has none: {reason}"
+            for which, value, run in (("the first", one, first), ("the second", other, second))
+            if value is None and (reason := run.get("reasons", {}).get(name.partition(".")[0])) is not None
+        )
+        if one is None or other is None:
+            yield Difference(label, name, unit, scale, one, other, None, None, notes)
+            continue
+        yield Difference(label, name, unit, scale, one, other, other - one, _verdict(name, one, other), notes)
+
+
+def _verdict(name: str, first: float, second: float) -> str | None:
+    if name in _NEUTRAL:
+        return None
+    if math.isclose(first, second, rel_tol=_SAME):
+        return "same"
+    return "better" if second < first else "worse"
+
+
+def _value(figures: Mapping[str, Any], name: str) -> float | None:
+    """Return a figure by its dotted name: a number as it is, of a table of counts the sum, of rows how many."""
+    value: Any = figures
+    for part in name.split("."):
+        value = value.get(part) if isinstance(value, Mapping) else None
+    if isinstance(value, Mapping):
+        return sum(value.values())
+    if isinstance(value, list):
+        return sum(not row.get("passed", False) for row in value)
+    return value if isinstance(value, int | float) and math.isfinite(value) else None
+
+
+def _unequal(first: Mapping[str, Any], second: Mapping[str, Any]) -> Iterator[Change]:
+    for key in dict.fromkeys([*first, *second]):
+        if first.get(key) != second.get(key):
+            yield Change(key, first.get(key), second.get(key))

@@ -1,0 +1,115 @@
+"""A recording for other programs: every signal as CSV, Parquet or MCAP, by the names of ``hil list signals``.
+
+The ending of a name is the signal's unit. A value that is not there is an empty cell in CSV, a null in Parquet, and NaN
+in MCAP.
+"""
+
+import json
+from collections.abc import Iterator
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from hil.errors import BadInputError
+from hil.review.reader import RecordedRun
+from hil.signals import SIGNALS, unit_of
+from hil.telemetry.files import check_output_path
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+_ROWS_AT_ONCE = 50_000
+
+
+def write_export(run: RecordedRun, file: Path) -> None:
+    """Write all signals of a run that was read whole; the file's name tells the format.
+
+    Raises BadInputError when the name tells none, and where the file cannot be written.
+    """
+    check_output_path("export", file)
+    write = {".csv": _write_csv, ".parquet": _write_parquet, ".mcap": _write_mcap}[file.suffix]
+    try:
+        write(run, file)
+    except OSError as error:
+        raise BadInputError(f"export {file}: it cannot be written ({error.strerror or error})") from error
+
+
+def _write_csv(run: RecordedRun, file: Path) -> None:
+    from pyarrow.csv import CSVWriter, WriteOptions
+
+    # The header without quotes, which not every program takes off.
+    options = WriteOptions(include_header=False, quoting_style="none")
+    with file.open("wb") as output, CSVWriter(output, _schema(run), write_options=options) as writer:
+        output.write(",".join(run.signals).encode() + b"\n")
+        for batch in _batches(run):
+            writer.write_batch(batch)
+
+
+def _write_parquet(run: RecordedRun, file: Path) -> None:
+    from pyarrow.parquet import ParquetWriter
+
+    with ParquetWriter(file, _schema(run), compression="zstd") as writer:
+        for batch in _batches(run):
+            writer.write_batch(batch)
+
+
+def _write_mcap(run: RecordedRun, file: Path) -> None:
+    from hil.telemetry.mcap_file import McapFile
+
+    writer = McapFile(
+        file,
+        _zero_unix_ns(run),
+        signals=list(run.signals),
+        properties=run.properties,
+        part={"recording_id": f"export of {run.path.name}", "number": 1, "first_row": 0},
+    )
+    count = len(run.signals["loop.t_s"])
+    for start in range(0, count, _ROWS_AT_ONCE):
+        writer.rows(np.column_stack([values[start : start + _ROWS_AT_ONCE] for values in run.signals.values()]))
+        writer.flush()
+    for event in run.events:
+        writer.event(event.t_s, {"WARN": "warning"}.get(event.level, event.level.lower()), event.text)
+    if run.rows_dropped is not None:
+        writer.finish(run.summary, {"rows_written": count, "rows_dropped": run.rows_dropped})
+    writer.close()
+
+
+def _schema(run: RecordedRun) -> "pa.Schema":
+    """Return the columns with unit and meaning, and what the run was and said."""
+    import pyarrow as pa
+
+    meanings = {signal.name: signal.meaning for signal in SIGNALS}
+    fields = [
+        pa.field(name, pa.float64(), metadata={"unit": unit_of(name), "meaning": meanings.get(name, "")})
+        for name in run.signals
+    ]
+    about = {**run.properties, "events": json.dumps([event._asdict() for event in run.events])}
+    if run.summary is not None:
+        about["summary"] = json.dumps(run.summary)
+    return pa.schema(fields, metadata=about)
+
+
+def _batches(run: RecordedRun) -> Iterator["pa.RecordBatch"]:
+    import pyarrow as pa
+
+    schema = _schema(run)
+    for start in range(0, len(run.signals["loop.t_s"]), _ROWS_AT_ONCE):
+        columns = [_column(values[start : start + _ROWS_AT_ONCE]) for values in run.signals.values()]
+        yield pa.record_batch(columns, schema=schema)
+
+
+def _column(values: npt.NDArray[np.float64]) -> "pa.Array":
+    import pyarrow as pa
+
+    return pa.array(values, from_pandas=True)  # NaN becomes null
+
+
+def _zero_unix_ns(run: RecordedRun) -> int:
+    """Return the Unix time of t = 0, as near as the recording tells it: 0 when it does not say when it was made."""
+    try:
+        return int(datetime.fromisoformat(run.properties["started"]).timestamp() * 1e9)
+    except (KeyError, ValueError):
+        return 0

@@ -1,0 +1,147 @@
+"""The figures of a recorded run: what the signals tell is computed again, the rest is what the run said at its end."""
+
+import json
+from collections.abc import Collection, Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hil.errors import BadInputError
+from hil.expectations import outcomes_of
+from hil.metrics import FIGURE_SIGNALS, signal_figures
+from hil.review.reader import RecordedRun, read
+from hil.signals import SIGNAL_NAMES
+
+_NO_SUMMARY = "the recording has no summary: the run did not come to its end"
+_UNSAID = "the run's summary does not say"
+_WHAT_IT_WAS = {"scenario": "scenario_name", "law": "law", "mode": "mode", "link": "link", "seed": "seed"}
+_FROM_SUMMARY = ("passed", "realtime_factor", "frames", "link_statistics", "pose_fixes", "wire_sha256")
+# What may well have nothing to say, so that no reason is given where it does not.
+_OUTCOME = ("failure", "stopped", "expect", "fault", "recoveries", "commands_refused", "stale_ticks", "recorded")
+_MADE = ("command", "started", "mecanum_hil", "commit", "python", "machine")
+_NAMED = 4
+
+
+class _Expect(NamedTuple):
+    """A row of ``[[expect]]`` as a recording has it; see ``hil.expectations.Expect``."""
+
+    signal: str
+    from_s: float = 0.0
+    to_s: float = np.inf
+    below: float | None = None
+    above: float | None = None
+    within: tuple[float, float] | None = None
+    equals: float | None = None
+    settles_to: float | None = None
+    tolerance: float | None = None
+
+
+@cache
+def figure_signals() -> frozenset[str]:
+    """Return the names of all signals that the figures need."""
+    return frozenset(name for names in FIGURE_SIGNALS.values() for name in names)
+
+
+def review(path: Path) -> dict[str, Any]:
+    """Return the figures that ``hil run --json`` gives, with ``reasons`` for those that are None.
+
+    Only the signals that they need are read. Raises BadInputError when the file is no recording of a run (see
+    ``hil.review.reader.read``).
+    """
+    return figures(read_for_figures(path))
+
+
+def read_for_figures(path: Path, more: Collection[str] = ()) -> RecordedRun:
+    """Read a recording with the signals that its figures and expectations need, and more. Raises BadInputError."""
+    needed = figure_signals().union(more)
+    run = read(path, needed)
+    if run.summary is None and (further := {row.signal for row in expected(run)} - needed):
+        run = read(path, needed | further)
+    return run
+
+
+def figures(run: RecordedRun) -> dict[str, Any]:
+    """Return the figures of a recording that was read; see ``review``.
+
+    ``made`` says when and by what it was made, ``notes`` what was wrong with the file, and ``events`` what happened.
+    Expectations of a run that did not come to its end are checked over what there is of it.
+    """
+    missing = figure_signals() - run.signals.keys()
+    if "loop.t_s" in missing:
+        raise BadInputError(f"{run.path}: it has no signal 'loop.t_s'; no recording of a run")
+    blank = np.zeros(len(run.signals["loop.t_s"]))
+    found, reasons = signal_figures({**dict.fromkeys(missing, blank), **run.signals}, torque_constant_n_m_a(run))
+    for name, needed in FIGURE_SIGNALS.items():
+        if lacking := [signal for signal in needed if signal in missing]:
+            found[name] = None
+            reasons[name] = f"the recording has no signal {lacking[0]}: another version of the program made it"
+    found["ticks"] += (run.rows_dropped or 0) + run.rows_missing
+    summary = run.summary or {}
+    for name in _FROM_SUMMARY:
+        found[name] = summary.get(name)
+        if found[name] is None:
+            reasons[name] = _NO_SUMMARY if run.summary is None else summary.get("reasons", {}).get(name, _UNSAID)
+    was = {name: summary.get(name, run.properties.get(stored)) for name, stored in _WHAT_IT_WAS.items()}
+    outcome = {name: summary.get(name) for name in _OUTCOME}
+    if run.summary is None:
+        outcome["failure"] = _NO_SUMMARY
+        outcome["expect"] = outcomes_of([row for row in expected(run) if row.signal in run.signals], run.signals)
+    return {
+        "passed": found.pop("passed"),
+        **was,
+        **outcome,
+        **found,
+        "recording": str(run.path),
+        "notes": [*run.notes, *_other_version(run)],
+        "made": {name: text for name, text in run.properties.items() if name in _MADE},
+        "events": [event._asdict() for event in run.events],
+        "reasons": reasons,
+    }
+
+
+def scenario_of(run: RecordedRun) -> dict[str, Any]:
+    """Return every value of the run's scenario by its dotted key; empty where the recording does not hold it."""
+    return _object(run.properties, "scenario")
+
+
+def sources_of(run: RecordedRun) -> dict[str, Any]:
+    """Return where each value of the scenario was given, by its dotted key."""
+    return _object(run.properties, "scenario_sources")
+
+
+def torque_constant_n_m_a(run: RecordedRun) -> float | None:
+    """Return what the run's scenario says of the motors [N·m/A at the wheel]; None where it says nothing."""
+    value = scenario_of(run).get("firmware.torque_constant_n_m_a")
+    return float(value) if isinstance(value, int | float) else None
+
+
+def expected(run: RecordedRun) -> list[_Expect]:
+    """Return the rows of ``[[expect]]`` of the run's scenario, those that this version understands."""
+    rows: dict[str, dict[str, Any]] = {}
+    for key, value in scenario_of(run).items():
+        table, _, rest = key.partition(".")
+        number, _, name = rest.partition(".")
+        if table == "expect":
+            rows.setdefault(number, {})[name] = value
+    return [_Expect(**row) for row in rows.values() if "signal" in row and row.keys() <= set(_Expect._fields)]
+
+
+def _other_version(run: RecordedRun) -> list[str]:
+    """Say which signals of today the recording does not have."""
+    missing = [name for name in SIGNAL_NAMES if name not in run.held]
+    if not missing:
+        return []
+    more = f" and {len(missing) - _NAMED} more" if len(missing) > _NAMED else ""
+    commit = run.properties.get("commit")
+    made = f"another version (commit {commit})" if commit else "another version"
+    return [f"{made} made it: it lacks {', '.join(missing[:_NAMED])}{more}, which this one records"]
+
+
+def _object(properties: Mapping[str, str], name: str) -> dict[str, Any]:
+    try:
+        value = json.loads(properties[name])
+    except (KeyError, ValueError):
+        return {}
+    return value if isinstance(value, dict) else {}

@@ -1,0 +1,237 @@
+"""A review as one HTML file that needs nothing else: verdict, figures, plots, events, scenario; made to print."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from hil.errors import BadInputError
+from hil.figure_words import applied_words, figure_rows, link_rows, outcome_rows
+from hil.review.difference import Difference, changes, differences
+from hil.review.figures import figure_signals, scenario_of, sources_of
+from hil.review.pictures import SIGNALS, Picture, Shown, pictures
+from hil.review.reader import RecordedRun
+from hil.telemetry.files import check_output_path
+
+_STYLE = """
+:root { color-scheme: light; }
+body { font: 15px/1.45 system-ui, "Segoe UI", "DejaVu Sans", sans-serif; color: #222; margin: 2em auto; max-width: 62em;
+  padding: 0 1em; }
+h1 { font-size: 1.5em; margin: 0 0 .2em; }
+h2 { font-size: 1.15em; margin: 1.6em 0 .4em; border-bottom: 1px solid #ccc; }
+table { border-collapse: collapse; width: 100%; font-size: .87em; }
+th, td { text-align: left; vertical-align: top; padding: .2em .7em .2em 0; border-bottom: 1px solid #e6e6e6;
+  overflow-wrap: break-word; }
+td:last-child { overflow-wrap: anywhere; }
+th { font-weight: 600; } td.n { text-align: right; white-space: nowrap; font-variant-numeric: tabular-nums; }
+figure { margin: 1em 0; } figure svg { width: 100%; height: auto; } figcaption { font-size: .87em; color: #555; }
+.passed, .better { color: #00704a; } .failed, .worse { color: #b3261e; } .verdict { font-weight: 700; }
+.note { color: #7a5200; } .about { color: #555; margin: .1em 0; }
+.columns { columns: 2; column-gap: 2em; }
+@page { size: A4; margin: 15mm 14mm; }
+@media print {
+  body { font-size: 9.5pt; margin: 0; max-width: none; padding: 0; }
+  h2 { break-after: avoid; } figure, tr { break-inside: avoid; } thead { display: table-header-group; }
+  .passed, .failed, .better, .worse { print-color-adjust: exact; }
+}
+""".strip()
+_LEVELS = {"ERROR": "failed", "WARN": "note"}
+# A browser that would load something for this page must not.
+_POLICY = "default-src 'none'; style-src 'unsafe-inline'"
+
+
+def page_signals() -> frozenset[str]:
+    """Return the names of the signals that a page shows."""
+    return figure_signals().union(SIGNALS)
+
+
+def write_page(path: Path, runs: Sequence[RecordedRun], figures: Sequence[Mapping[str, Any]]) -> None:
+    """Write the page of one run, or of two; ``figures`` are those of ``hil.review.figures.figures``.
+
+    Raises BadInputError when the file's name does not end in .html, and where it cannot be written.
+    """
+    check_output_path("page", path)
+    text = page(runs, figures)
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise BadInputError(
+            f"page {path}: it cannot be written ({error.strerror}); name a folder that exists and may be written"
+        ) from error
+
+
+def page(runs: Sequence[RecordedRun], figures: Sequence[Mapping[str, Any]]) -> str:
+    """Return the page of one run, or of two, as HTML."""
+    labels = _labels(figures)
+    shown = [Shown(label, run) for label, run in zip(labels, runs, strict=True)]
+    title = " against ".join(dict.fromkeys(f"{one['scenario']}: {one['law']}" for one in figures))
+    faults = [fault for fault in figures[0].get("fault") or () if fault.get("applied")]
+    parts = [
+        *_head(labels, figures),
+        "<h2>Figures</h2>",
+        *(_figures(figures[0]) if len(runs) == 1 else _differences(labels, differences(*figures))),
+        *(part for picture in pictures(shown, faults) for part in _plot(picture)),
+        *_links(labels, figures),
+        *_events(labels, figures),
+        *_scenario(labels, runs),
+    ]
+    return "\n".join(
+        [
+            "<!doctype html>",
+            '<html lang="en"><head><meta charset="utf-8">',
+            f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">',
+            '<meta name="viewport" content="width=device-width">',
+            f"<title>{escape(title)}</title><style>{_STYLE}</style></head><body>",
+            f"<h1>{escape(title)}</h1>",
+            *parts,
+            "</body></html>\n",
+        ]
+    )
+
+
+def _labels(figures: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return what the runs are called: by their law, else by their file, else by their order."""
+    for labels in ([str(one["law"]) for one in figures], [Path(one["recording"]).stem for one in figures]):
+        if len(set(labels)) == len(figures) and labels != ["None"]:
+            return labels
+    return ["first", "second"][: len(figures)]
+
+
+def _head(labels: Sequence[str], figures: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    for label, one in zip(labels, figures, strict=True):
+        passed = one["passed"]
+        verdict, kind = ("passed", "passed") if passed else ("failed", "failed")
+        if passed is None:
+            verdict, kind = "not known whether it passed", "note"
+        made = one["made"]
+        known = (("version", "mecanum_hil"), ("commit", "commit"), ("on", "machine"))
+        by = " ".join(f"{word} {made[key]}" for word, key in known if key in made)
+        about = (
+            f"{one['law']} in {made.get('command', '?')} mode, {one['mode']} over {one['link']}, seed {one['seed']}; "
+            f"{made.get('started', '')} {by}"
+        )
+        name = f"{label}: " if len(figures) > 1 else ""
+        yield f'<p class="verdict {kind}">{escape(name + verdict)}</p><p class="about">{escape(about)}</p>'
+        yield f'<p class="about">{escape(one["recording"])}</p>'
+        yield from (f'<p class="note">{escape(sentence)}</p>' for sentence in one["notes"])
+        if one["failure"] is not None:
+            yield f'<p class="failed">{escape(one["failure"])}</p>'
+        yield from _outcomes(one)
+
+
+def _outcomes(figures: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the expectations, those that failed first, then what went wrong with the run on its way."""
+    rows = sorted(figures["expect"] or (), key=lambda row: bool(row["passed"]))
+    if rows:
+        yield "<h2>Expectations</h2>"
+        cells = [
+            (_mark("held" if row["passed"] else "failed", bool(row["passed"])), escape(row["text"])) for row in rows
+        ]
+        yield from _table(("", "expectation"), cells)
+    if figures["fault"]:
+        yield "<h2>Faults</h2>"
+        cells = [
+            (_mark("applied" if row["applied"] else "never applied", bool(row["applied"])), escape(applied_words(row)))
+            for row in figures["fault"]
+        ]
+        yield from _table(("", "fault"), cells)
+    others = [row for row in outcome_rows(figures) if row[0] not in ("expect", "fault")]
+    if others:
+        yield "<h2>What happened on the way</h2>"
+        yield from _table(("", ""), [(escape(label), escape(text)) for label, text in others])
+
+
+def _figures(figures: Mapping[str, Any]) -> Iterator[str]:
+    yield from _table(("figure", "value"), [(escape(label), escape(text)) for label, text in figure_rows(figures)])
+
+
+def _differences(labels: Sequence[str], rows: Sequence[Difference]) -> Iterator[str]:
+    def number(value: float | None, form: str, row: Difference) -> str:
+        return "-" if value is None else escape(f"{value * row.scale:{form}} {row.unit}".rstrip())
+
+    yield from _table(
+        ("figure", *map(escape, labels), "difference", f"{escape(labels[1])} is"),
+        [
+            (
+                escape(row.label),
+                number(row.first, ".5g", row),
+                number(row.second, ".5g", row),
+                number(row.difference, "+.4g", row),
+                f'<span class="{row.verdict or ""}">{row.verdict or ""}</span>',
+            )
+            for row in rows
+        ],
+        numbers=(1, 2, 3),
+    )
+    notes = dict.fromkeys(f"{row.label}: {note}" for row in rows for note in row.notes)
+    yield from (f'<p class="note">{escape(note)}</p>' for note in notes)
+
+
+def _plot(picture: Picture) -> Iterator[str]:
+    yield f"<h2>{escape(picture.title)}</h2>"
+    yield f"<figure>{picture.svg}<figcaption>{escape(picture.caption)}</figcaption></figure>"
+
+
+def _links(labels: Sequence[str], figures: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    yield "<h2>Link statistics</h2>"
+    each = [dict(link_rows(one)) for one in figures]
+    names = list(dict.fromkeys(name for one in each for name in one))
+    rows = [(escape(name), *(escape(one.get(name, "-")) for one in each)) for name in names]
+    yield from _table(("", *map(escape, labels)), rows) if rows else ["<p>The recording has none.</p>"]
+
+
+def _events(labels: Sequence[str], figures: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    yield "<h2>Events</h2>"
+    rows = [
+        (
+            f"{event['t_s']:.3f}",
+            escape(label),
+            _mark(event["level"], event["level"] not in ("ERROR", "WARN")),
+            event["text"],
+        )
+        for label, one in zip(labels, figures, strict=True)
+        for event in one["events"]
+    ]
+    cells = [
+        (t_s, label, level, escape(text)) for t_s, label, level, text in sorted(rows, key=lambda row: float(row[0]))
+    ]
+    yield from _table(("t [s]", "run", "level", "event"), cells, numbers=(0,)) if cells else ["<p>None.</p>"]
+
+
+def _scenario(labels: Sequence[str], runs: Sequence[RecordedRun]) -> Iterator[str]:
+    """Yield every value of the scenario with where it was given; of two runs, what differs comes first."""
+    if len(runs) > 1:
+        yield "<h2>What is different</h2>"
+        rows = [(change.key, _value(change.first), _value(change.second)) for change in changes(*runs)]
+        cells = [tuple(map(escape, row)) for row in rows]
+        yield from _table(("", *map(escape, labels)), cells) if cells else ["<p>Nothing.</p>"]
+    for label, run in zip(labels, runs, strict=True):
+        name = f" of {label}" if len(runs) > 1 else ""
+        yield f"<h2>Scenario{escape(name)}</h2>"
+        sources = sources_of(run)
+        cells = [
+            (escape(key), escape(_value(value)), escape(str(sources.get(key, ""))))
+            for key, value in scenario_of(run).items()
+        ]
+        yield from _table(("key", "value", "given by"), cells) if cells else ["<p>The recording does not hold it.</p>"]
+
+
+def _value(value: object) -> str:
+    return "-" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _level(level: str) -> str:
+    return f'<span class="{_LEVELS.get(level, "")}">{escape(level)}</span>'
+
+
+def _mark(text: str, good: bool) -> str:
+    return f'<span class="{"passed" if good else "failed"}">{escape(text)}</span>'
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]], numbers: Sequence[int] = ()) -> Iterator[str]:
+    """Yield a table; cells are HTML already."""
+    yield f"<table><thead><tr>{''.join(f'<th>{cell}</th>' for cell in head)}</tr></thead><tbody>"
+    for row in rows:
+        cells = (f'<td class="{"n" if i in numbers else "t"}">{cell}</td>' for i, cell in enumerate(row))
+        yield f"<tr>{''.join(cells)}</tr>"
+    yield "</tbody></table>"

@@ -1,0 +1,272 @@
+"""The plots of a review's page, of one run or of two over the same axes, each as SVG."""
+
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from io import BytesIO
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hil.plots import Curve, colour_of, draw_curves, draw_error, draw_path, drawing, rgb, thinned
+from hil.review.figures import scenario_of, torque_constant_n_m_a
+from hil.review.reader import RecordedRun
+from hil.review.spectrum import spectrum
+from hil.telemetry.layout import ALARM_COLOUR
+from hil.types import WHEEL_NAMES
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Series = npt.NDArray[np.float64]
+
+SIGNALS = (
+    *("loop.t_s", "loop.lateness_us", "loop.tick_us", "reference.x_m", "reference.y_m"),
+    *(f"{group}.{name}" for group in ("pose", "truth") for name in ("x_m", "y_m")),
+    *("error.x_m", "error.y_m", "error.planar_m", "error.heading_rad", "guard.saturated"),
+    *(f"gain.{gain}_{axis}_1_s" for gain in ("k1", "k2") for axis in ("x", "y", "heading")),
+    *(
+        f"wheel.{wheel}.{quantity}"
+        for quantity in ("speed_rad_s", "speed_command_rad_s", "torque_command_n_m", "current_a")
+        for wheel in WHEEL_NAMES
+    ),
+    *("link.feedback_age_ms", "link.rtt_ms", "link.load_percent", "link.rejected", "link.lost"),
+)
+"""What the plots are made of."""
+
+_WIDTH_IN = 7.2
+_PATH_POINTS = 2000
+_BINS = 60
+
+
+class Shown(NamedTuple):
+    """A run on a page: what it is called there, and what was read of it."""
+
+    label: str
+    run: RecordedRun
+
+    def series(self, name: str) -> Series:
+        """Return a signal from t = 0 on; gaps alone where the recording does not have it."""
+        t_s = self.run.signals["loop.t_s"]
+        return self.run.signals.get(name, np.full(len(t_s), np.nan))[t_s >= 0.0]
+
+    def curve(self, name: str, label: str | None = None, scale: float = 1.0) -> Curve:
+        """Return a signal over time, as many points as a plot can show."""
+        return thinned(
+            Curve(self.label if label is None else label, self.series("loop.t_s"), scale * self.series(name))
+        )
+
+    def limit(self, key: str) -> float | None:
+        """Return a limit of the run's scenario."""
+        value = scenario_of(self.run).get(key)
+        return float(value) if isinstance(value, int | float) else None
+
+    def has(self, name: str) -> bool:
+        """Whether the signal has a value anywhere."""
+        return bool(np.isfinite(self.series(name)).any())
+
+
+class Picture(NamedTuple):
+    """A plot: its title and caption, and the SVG as it stands in a page."""
+
+    title: str
+    caption: str
+    svg: str
+
+
+def pictures(runs: Sequence[Shown], faults: Sequence[Mapping[str, Any]]) -> Iterator[Picture]:
+    """Yield the plots that have something to show; ``faults`` of the first run are shaded in its errors."""
+    if not any(len(shown.series("loop.t_s")) for shown in runs):
+        return
+    yield _picture("Path", "Broad and orange the reference; a dot marks where a robot began.", 3.6, 2, _path, runs)
+    caption = "Truth minus reference. The dotted line is at 10 mm." + (
+        " Shaded: a fault is in force." if faults else ""
+    )
+    yield _picture("Errors", caption, 5.6, 1, partial(_errors, faults=faults), runs, rows=4)
+    caption = "Thin what the firmware measures, broad and pale what it was told; dotted the limit."
+    yield _picture("Wheel speeds", caption, 4.3, 2, _speeds, runs, rows=2)
+    caption = "Thin what the motors make, by their currents; broad and pale the command; dotted the limit."
+    yield _picture("Wheel torques", caption, 4.3, 2, _torques, runs, rows=2)
+    if gains := [gain for gain in ("k1", "k2") if any(shown.has(f"gain.{gain}_x_1_s") for shown in runs)]:
+        height_in = 2.1 * len(gains)
+        draw = partial(_gains, gains=gains)
+        yield _picture("Gains", "Those in force.", height_in, 3, draw, runs, rows=len(gains))
+    if any(_torque(shown, wheel) is not None for shown in runs for wheel in WHEEL_NAMES):
+        caption = "Amplitude spectral density by Welch's method, Hann window, without the mean. " + _resolution(runs)
+        yield _picture("Spectra of the wheel torques", caption, 4.3, 2, _spectra, runs, rows=2)
+    if any(np.any(shown.series("loop.lateness_us") > 0.0) for shown in runs):
+        caption = "How late ticks began, and how long their work took."
+    else:
+        caption = "How long the work of a tick took. No tick was late: in lockstep none can be."
+    yield _picture("Lateness", caption, 2.4, 2, _lateness, runs)
+    yield _picture("Link", "As each tick found it; counters since the start.", 4.4, 2, _link, runs, rows=2)
+
+
+def _picture(
+    title: str,
+    caption: str,
+    height_in: float,
+    columns: int,
+    draw: "Callable[[list[Axes], Sequence[Shown]], None]",
+    runs: Sequence[Shown],
+    rows: int = 1,
+) -> Picture:
+    buffer = BytesIO()
+    with drawing(buffer, rows=rows, columns=columns, size_in=(_WIDTH_IN, height_in)) as axes:
+        draw(axes, runs)
+    svg = buffer.getvalue().decode()
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+    # Names of groups: nothing refers to them, and those of two plots on a page would be the same.
+    svg = re.sub(r'<g id="[^"]*"', "<g", svg)
+    return Picture(title, caption, svg.replace("<svg ", f'<svg role="img" aria-label="{title}" ', 1))
+
+
+def _path(axes: "list[Axes]", runs: Sequence[Shown]) -> None:
+    path, error = axes
+    curves = []
+    for number, shown in enumerate(runs):
+        group = "truth" if shown.has("truth.x_m") else "pose"
+        x_m, y_m = shown.series(f"{group}.x_m"), shown.series(f"{group}.y_m")
+        step = -(-len(x_m) // _PATH_POINTS) or 1
+        curves.append(Curve(shown.label, x_m[::step], y_m[::step], colour_of(number)))
+    x_m, y_m = runs[0].series("reference.x_m"), runs[0].series("reference.y_m")
+    step = -(-len(x_m) // _PATH_POINTS) or 1
+    draw_path(path, Curve("reference", x_m[::step], y_m[::step]), curves)
+    draw_error(error, [_coloured(shown.curve("error.planar_m"), number) for number, shown in enumerate(runs)])
+
+
+def _errors(axes: "list[Axes]", runs: Sequence[Shown], *, faults: Sequence[Mapping[str, Any]]) -> None:
+    for panel, (name, label, scale) in zip(
+        axes,
+        (
+            ("error.x_m", "x [mm]", 1e3),
+            ("error.y_m", "y [mm]", 1e3),
+            ("error.planar_m", "planar [mm]", 1e3),
+            ("error.heading_rad", "heading [mrad]", 1e3),
+        ),
+        strict=True,
+    ):
+        curves = [_coloured(shown.curve(name, scale=scale), number) for number, shown in enumerate(runs)]
+        draw_curves(panel, curves, y_label=label, x_label="t [s]" if name == "error.heading_rad" else "")
+        if name == "error.planar_m":
+            panel.axhline(10.0, color=rgb(ALARM_COLOUR), linewidth=0.8, linestyle=":")
+        end_s = max(float(shown.series("loop.t_s")[-1]) for shown in runs if len(shown.series("loop.t_s")))
+        for fault in faults:
+            stop_s = end_s if fault["end_s"] is None else min(fault["end_s"], end_s)
+            panel.axvspan(fault["start_s"], stop_s, color=rgb(ALARM_COLOUR), alpha=0.12, linewidth=0.0)
+
+
+def _speeds(axes: "list[Axes]", runs: Sequence[Shown]) -> None:
+    for panel, wheel in zip(axes, WHEEL_NAMES, strict=True):
+        for number, shown in enumerate(runs):
+            _told(panel, shown.curve(f"wheel.{wheel}.speed_command_rad_s"), number)
+            measured = _coloured(shown.curve(f"wheel.{wheel}.speed_rad_s"), number)
+            draw_curves(panel, [measured], title=wheel.upper(), y_label="speed [rad/s]")
+        _limits(panel, runs, "robot.speed_limit_rad_s")
+
+
+def _torques(axes: "list[Axes]", runs: Sequence[Shown]) -> None:
+    for panel, wheel in zip(axes, WHEEL_NAMES, strict=True):
+        for number, shown in enumerate(runs):
+            _told(panel, shown.curve(f"wheel.{wheel}.torque_command_n_m"), number)
+            torque_n_m = _torque(shown, wheel)
+            if torque_n_m is not None:
+                curve = thinned(Curve(shown.label, shown.series("loop.t_s"), torque_n_m, colour_of(number)))
+                draw_curves(panel, [curve], title=wheel.upper(), y_label="torque [N·m]")
+        panel.set(title=wheel.upper(), ylabel="torque [N·m]", xlabel="t [s]")
+        _limits(panel, runs, "robot.torque_limit_n_m")
+
+
+def _gains(axes: "list[Axes]", runs: Sequence[Shown], *, gains: Sequence[str]) -> None:
+    places = [(gain, axis) for gain in gains for axis in ("x", "y", "heading")]
+    for panel, (gain, axis) in zip(axes, places, strict=True):
+        name = f"gain.{gain}_{axis}_1_s"
+        curves = [_coloured(shown.curve(name), number) for number, shown in enumerate(runs) if shown.has(name)]
+        draw_curves(panel, curves, title=f"{gain.upper()} {axis}", y_label="[1/s]")
+
+
+def _spectra(axes: "list[Axes]", runs: Sequence[Shown]) -> None:
+    for panel, wheel in zip(axes, WHEEL_NAMES, strict=True):
+        for number, shown in enumerate(runs):
+            torque_n_m = _torque(shown, wheel)
+            found = None if torque_n_m is None else spectrum(shown.series("loop.t_s"), torque_n_m)
+            if found is not None:
+                amplitude = np.sqrt(found.density[1:])
+                panel.loglog(found.frequency_hz[1:], amplitude, color=rgb(colour_of(number)), label=shown.label)
+                panel.legend()
+        panel.set(title=wheel.upper(), xlabel="f [Hz]", ylabel="torque [N·m/√Hz]")
+
+
+def _lateness(axes: "list[Axes]", runs: Sequence[Shown]) -> None:
+    for panel, name, label in zip(
+        axes, ("loop.lateness_us", "loop.tick_us"), ("lateness [µs]", "work of a tick [µs]"), strict=True
+    ):
+        values = [shown.series(name) for shown in runs]
+        values = [one[np.isfinite(one) & (one > 0.0)] for one in values]
+        there = np.concatenate(values)
+        if len(there):
+            bins = np.geomspace(there.min(), max(there.max(), there.min() * 1.01), _BINS).tolist()
+            for number, (shown, one) in enumerate(zip(runs, values, strict=True)):
+                panel.hist(one, bins, histtype="step", color=rgb(colour_of(number)), label=shown.label)
+            panel.set_xscale("log")
+            panel.set_yscale("log")
+            panel.legend()
+        else:
+            panel.text(0.5, 0.5, "none", transform=panel.transAxes, ha="center")
+        panel.set(xlabel=label, ylabel="ticks")
+
+
+def _link(axes: "list[Axes]", runs: Sequence[Shown]) -> None:
+    for panel, (name, label) in zip(
+        axes,
+        (
+            ("link.feedback_age_ms", "feedback age [ms]"),
+            ("link.rtt_ms", "round trip [ms]"),
+            ("link.load_percent", "load [%]"),
+            ("link.rejected", "frames so far"),
+        ),
+        strict=True,
+    ):
+        suffix = " rejected" if name == "link.rejected" else ""
+        curves = [_coloured(shown.curve(name, shown.label + suffix), number) for number, shown in enumerate(runs)]
+        if suffix:
+            lost = [shown.curve("link.lost", f"{shown.label} snapshots lost") for shown in runs]
+            curves += [_coloured(curve._replace(dashed=True), number) for number, curve in enumerate(lost)]
+        draw_curves(panel, curves, y_label=label)
+        if not any(np.isfinite(curve.y).any() for curve in curves):
+            panel.text(0.5, 0.5, "no value on this link", transform=panel.transAxes, ha="center")
+
+
+def _coloured(curve: Curve, number: int) -> Curve:
+    return curve._replace(colour=colour_of(number))
+
+
+def _told(axes: "Axes", curve: Curve, number: int) -> None:
+    """Draw a command, below what was made of it."""
+    axes.plot(curve.x, curve.y, color=rgb(colour_of(number)), linewidth=4.0, alpha=0.3)
+
+
+def _limits(axes: "Axes", runs: Sequence[Shown], key: str) -> None:
+    for limit in {shown.limit(key) for shown in runs}:
+        for sign in (-1.0, 1.0) if limit is not None else ():
+            axes.axhline(sign * (limit or 0.0), color=rgb(ALARM_COLOUR), linewidth=0.9, linestyle=":")
+
+
+def _torque(shown: Shown, wheel: str) -> Series | None:
+    """Return what a motor makes, by its current; None where nothing tells."""
+    constant_n_m_a = torque_constant_n_m_a(shown.run)
+    name = f"wheel.{wheel}.current_a"
+    return None if constant_n_m_a is None or not shown.has(name) else constant_n_m_a * shown.series(name)
+
+
+def _resolution(runs: Sequence[Shown]) -> str:
+    """Say what the spectra's averages are made of."""
+    words = []
+    for shown in runs:
+        torque_n_m = _torque(shown, WHEEL_NAMES[0])
+        found = None if torque_n_m is None else spectrum(shown.series("loop.t_s"), torque_n_m)
+        if found is not None:
+            words.append(f"{shown.label}: {found.stretches} stretches of {found.stretch_s:.3g} s")
+    return f"{'; '.join(words)}." if words else "The run is too short for one."

@@ -1,0 +1,289 @@
+"""hil review of real runs: why one failed, two side by side, the page, the overlay, exports, and an old recording."""
+
+import json
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+import scipy.signal
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hil.assembly import run_scenario
+from hil.errors import BadInputError
+from hil.plots import Curve, thinned
+from hil.review import changes, differences, figures, read, review
+from hil.review.export import write_export
+from hil.review.overlay import write_overlay
+from hil.review.page import page, page_signals, write_page
+from hil.review.spectrum import LEAST_SAMPLES, spectrum
+from hil.scenario import load
+from hil.signals import SIGNAL_NAMES, unit_of
+from tests.processes import hil
+
+OLD = Path(__file__).parent / "recordings" / "circle_speed_ca92b7a.rrd"
+EXPECT = 'expect=[{signal="loop.t_s",below=9.0},{signal="error.planar_m",from_s=0.2,below=0.001}]'
+
+
+def recorded(path: Path, *sets: str) -> Path:
+    run_scenario(load("circle_speed", set=["loop.duration_s=0.5", *sets]), record=path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def failed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return recorded(tmp_path_factory.mktemp("failed") / "failed.rrd", EXPECT)
+
+
+@pytest.fixture(scope="module")
+def other(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return recorded(tmp_path_factory.mktemp("other") / "other.rrd", "controller.law=afdsc", "loop.seed=2")
+
+
+class Tags(HTMLParser):
+    """Collects what a page has, and that each tag is closed."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.addresses: list[str] = []
+        self.ids: list[str] = []
+        self.seen: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.seen.append(tag)
+        self.addresses += [value or "" for name, value in attrs if name in ("src", "href", "xlink:href", "data")]
+        self.ids += [value or "" for name, value in attrs if name == "id"]
+        if tag not in ("meta", "link", "img", "br"):
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.handle_starttag(tag, attrs)
+        if self.open and self.open[-1] == tag:
+            self.open.pop()
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def assert_self_contained(text: str) -> Tags:
+    tags = Tags()
+    tags.feed(text)
+    tags.close()
+    assert tags.open == []
+    assert all(address.startswith("#") for address in tags.addresses)
+    assert not {"script", "link", "img", "iframe", "object"} & set(tags.seen)
+    assert re.findall(r"url\((?!#)|@import", text) == []
+    assert {address[1:] for address in tags.addresses} <= set(tags.ids)
+    return tags
+
+
+def test_a_review_says_on_one_screen_why_a_run_failed(failed: Path) -> None:
+    done = hil("review", failed)
+    lines = done.stdout.splitlines()
+    assert done.returncode == 0, done.stderr
+    assert len(lines) <= 40
+    assert [line.split()[0] for line in lines[:5]] == ["run", "made", "passed", "expect", "expect"]
+    assert "error.planar_m below 0.001 from 0.2 s to the end: failed" in lines[3]
+    assert lines[4].endswith("held over 100 samples")
+
+
+def test_an_expectation_of_a_run_that_was_cut_off_is_checked_over_what_there_is(failed: Path, tmp_path: Path) -> None:
+    whole = failed.read_bytes()
+    cut = tmp_path / "cut.rrd"
+    cut.write_bytes(whole[: len(whole) // 2])  # the rows are in the first half, the summary is not
+    found = review(cut)
+    assert found["passed"] is None
+    assert "did not come to its end" in found["failure"]
+    assert "has no end" in found["notes"][0]
+    assert [row["signal"] for row in found["expect"]] == ["loop.t_s", "error.planar_m"]
+
+
+def test_two_runs_side_by_side_say_what_is_better_and_what_was_different(failed: Path, other: Path) -> None:
+    done = hil("review", failed, other, "--json")
+    found = json.loads(done.stdout)
+    rows = {row["name"]: row for row in found["differences"]}
+    first, second = found["runs"]
+    row = rows["effort_n_m_s"]
+    assert row["difference"] == second["effort_n_m_s"] - first["effort_n_m_s"]
+    assert row["verdict"] == ("better" if row["difference"] < 0 else "worse")
+    assert rows["deadline_misses"]["verdict"] == "same"
+    assert rows["ticks"]["verdict"] is None
+    assert rows["expect"]["first"] == 1
+    changed = {change["key"]: (change["first"], change["second"]) for change in found["changes"]}
+    assert changed["controller.law"] == ("dsc", "afdsc")
+    assert changed["loop.seed"] == (1, 2)
+    assert "robot.mass_kg" not in changed
+
+
+def test_the_differences_of_a_run_and_itself_are_none(failed: Path) -> None:
+    run = read(failed)
+    one, other = figures(run), review(OLD)
+    assert changes(run, run) == []
+    for row in differences(one, one):
+        assert row.difference == 0
+        assert row.verdict in ("same", None)
+    swapped = differences(one, other), differences(other, one)
+    opposite = {"better": "worse", "worse": "better", "same": "same", None: None}
+    assert [opposite[row.verdict] for row in swapped[0]] == [row.verdict for row in swapped[1]]
+
+
+def test_a_page_of_two_runs_needs_nothing_but_itself(failed: Path, other: Path) -> None:
+    runs = [read(path, page_signals()) for path in (failed, other)]
+    text = page(runs, [figures(run) for run in runs])
+    tags = assert_self_contained(text)
+    assert tags.seen.count("svg") == 8
+    assert len(text) < 1_500_000
+    for words in (
+        "Expectations",
+        "Wheel torques",
+        "Spectra",
+        "Lateness",
+        "Link statistics",
+        "Events",
+        "circle_speed.toml:9",
+    ):
+        assert words in text
+    assert "afdsc" in text
+
+
+def test_a_page_shows_what_a_scenario_says_as_text_and_not_as_tags(tmp_path: Path) -> None:
+    run = read(OLD, page_signals())
+    odd = figures(run) | {"failure": "<script>alert('1')</script> & more", "scenario": "<b>"}
+    text = page([run], [odd])
+    assert_self_contained(text)
+    assert "&lt;script&gt;alert(&#x27;1&#x27;)&lt;/script&gt; &amp; more" in text
+    with pytest.raises(BadInputError, match=r"must end in \.html"):
+        write_page(tmp_path / "page.txt", [run], [odd])
+
+
+@pytest.mark.skipif(shutil.which("chromium") is None, reason="needs Chromium")
+def test_a_browser_prints_a_page(tmp_path: Path) -> None:
+    file, printed = tmp_path / "page.html", tmp_path / "page.pdf"
+    run = read(OLD, page_signals())
+    write_page(file, [run], [figures(run)])
+    command = ["chromium", "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path}/profile"]
+    subprocess.run([*command, f"--print-to-pdf={printed}", file.as_uri()], check=True, timeout=120, capture_output=True)
+    assert printed.read_bytes().startswith(b"%PDF")
+
+
+def test_an_export_has_every_value_by_its_name(failed: Path, tmp_path: Path) -> None:
+    run = read(failed)
+    for ending in ("csv", "parquet", "mcap"):
+        write_export(run, tmp_path / f"run.{ending}")
+    back = read(tmp_path / "run.mcap")
+    table, frame = pd.read_csv(tmp_path / "run.csv"), pd.read_parquet(tmp_path / "run.parquet")
+    assert (tmp_path / "run.csv").read_text().partition("\n")[0].split(",") == list(run.signals)
+    assert sorted(table.columns) == sorted(frame.columns) == sorted(back.signals) == sorted(SIGNAL_NAMES)
+    for name, values in run.signals.items():
+        for there in (table[name].to_numpy(), frame[name].to_numpy(), back.signals[name]):
+            np.testing.assert_array_equal(there, values, err_msg=name)
+    assert (back.summary, back.properties, back.events) == (run.summary, run.properties, run.events)
+    schema = pq.read_schema(tmp_path / "run.parquet")
+    for name in SIGNAL_NAMES:
+        assert schema.field(name).metadata[b"unit"].decode() == unit_of(name)
+        assert schema.field(name).metadata[b"meaning"]
+    assert json.loads(schema.metadata[b"summary"])["passed"] is False
+
+
+def test_an_overlay_is_for_the_viewer_and_holds_both_runs_over_one_time(failed: Path, tmp_path: Path) -> None:
+    import rerun.chunk as rrc
+
+    file = tmp_path / "overlay.rrd"
+    write_overlay(failed, OLD, file)
+    for which, path in (("first", failed), ("second", OLD)):
+        signals = read(path).signals
+        chunks = rrc.RrdReader(file).stream().filter(content=f"/wheel/fl/speed_rad_s/{which}", has_timeline="t")
+        batches = [chunk.to_record_batch() for chunk in chunks]
+        values = np.concatenate([batch.column("Scalars:scalars").flatten().to_numpy() for batch in batches])
+        t_s = np.concatenate([batch.column("t").cast("int64").to_numpy() for batch in batches]) / 1e9
+        np.testing.assert_array_equal(values, signals["wheel.fl.speed_rad_s"])
+        np.testing.assert_allclose(t_s, signals["loop.t_s"], atol=1e-9)
+    assert len(rrc.RrdReader(file).blueprints()) == 1
+    with pytest.raises(BadInputError, match="an overlay of two runs"):
+        read(file)
+
+
+def test_an_old_recording_is_read_and_what_it_lacks_is_said() -> None:
+    found = review(OLD)
+    assert found["ticks"] == 40
+    assert found["made"]["commit"] == "ca92b7a90e78"
+    assert found["tracked_s"] is None
+    assert "it lacks estimator.sigma_position_m" in found["notes"][0]
+    assert read(OLD).signals["loop.t_s"][-1] == pytest.approx(0.195)
+
+
+def test_a_figure_whose_signal_is_missing_has_that_for_a_reason() -> None:
+    run = read(OLD)
+    for name in ("guard.saturated", "wheel.rl.current_a"):
+        del run.signals[name]
+    found = figures(run)
+    assert found["saturation_s"] is None
+    assert found["effort_n_m_s"] is None
+    assert "no signal guard.saturated" in found["reasons"]["saturation_s"]
+    assert found["overshoot_m"] == review(OLD)["overshoot_m"]
+    del run.signals["loop.t_s"]
+    with pytest.raises(BadInputError, match=r"no signal 'loop\.t_s'"):
+        figures(run)
+
+
+@pytest.mark.parametrize(
+    ("options", "problem"),
+    [
+        (["--overlay", "o.rrd"], "an overlay is of two runs"),
+        ([OLD, OLD], "takes one, or two"),
+        ([OLD, "--export", "x.csv"], "it is of one run"),
+        (["--export", "x.xlsx"], "must end in .csv, .parquet or .mcap"),
+        (["--html", "missing/x.html"], "there is no folder"),
+        ([OLD, "--overlay", OLD], "it is a recording that is reviewed"),
+    ],
+)
+def test_what_a_review_cannot_do_is_one_sentence(options: list[str | Path], problem: str) -> None:
+    done = hil("review", OLD, *options)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert problem in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+@given(st.integers(LEAST_SAMPLES, 3000), st.sampled_from([200.0, 1000.0]), st.integers(0, 2**32 - 1))
+@settings(max_examples=25, deadline=None)
+def test_a_spectrum_is_that_of_scipy(count: int, rate_hz: float, seed: int) -> None:
+    values = np.random.default_rng(seed).normal(size=count) + 3.0
+    found = spectrum(np.arange(count) / rate_hz, values)
+    assert found is not None
+    size = round(found.stretch_s * rate_hz)
+    frequency_hz, density = scipy.signal.welch(values, rate_hz, "hann", size, size // 2, detrend="constant")
+    np.testing.assert_allclose(found.frequency_hz, frequency_hz)
+    np.testing.assert_allclose(found.density, density, rtol=1e-9, atol=1e-15)
+
+
+def test_a_spectrum_leaves_out_gaps_and_needs_enough_without_one() -> None:
+    t_s, values = np.arange(1000) / 1000.0, np.sin(np.arange(1000.0))
+    values[300] = np.nan
+    part = spectrum(t_s[301:], values[301:])
+    whole = spectrum(t_s, values)
+    assert part is not None
+    assert whole is not None
+    np.testing.assert_array_equal(whole.density, part.density)
+    values[::LEAST_SAMPLES] = np.nan
+    assert spectrum(t_s, values) is None
+    assert spectrum(t_s[:2], values[:2]) is None
+
+
+@given(st.integers(0, 5000), st.integers(0, 2**32 - 1))
+@settings(max_examples=25, deadline=None)
+def test_a_thinned_curve_keeps_its_extremes_and_its_order(count: int, seed: int) -> None:
+    y: npt.NDArray[np.float64] = np.random.default_rng(seed).normal(size=count)
+    curve = thinned(Curve("", np.arange(count, dtype=np.float64), y), 100)
+    assert len(curve.x) <= max(count if count <= 100 else 0, 102)
+    assert (np.diff(curve.x) >= 0).all()
+    if count:
+        assert (curve.y.min(), curve.y.max()) == (y.min(), y.max())
+        np.testing.assert_array_equal(y[curve.x.astype(int)], curve.y)
