@@ -17,6 +17,7 @@ from hil.telemetry.memory import SharedBlock
 from hil.telemetry.ring import RingReader
 
 POLL_S = 0.02
+LAST_LINES_S = 0.5
 
 Record = dict[str, Any]
 _Inbox = queue.SimpleQueue[Record | None]
@@ -100,9 +101,14 @@ def _next(inbox: _Inbox, parent_pid: int) -> Record | None:
     try:
         return inbox.get(timeout=POLL_S)
     except queue.Empty:
-        # A process that the run forked may still hold the pipe open after the run's own end.
-        orphaned = sys.platform != "win32" and os.getppid() != parent_pid
-        return None if orphaned else {}
+        if sys.platform == "win32" or os.getppid() == parent_pid:
+            return {}
+    # The run has ended. A process that it forked may hold the pipe open still, so its end is not waited for; but what
+    # the run wrote last may be in the pipe.
+    try:
+        return inbox.get(timeout=LAST_LINES_S)
+    except queue.Empty:
+        return None
 
 
 def _read_lines(lines: LineReader, inbox: _Inbox) -> None:
