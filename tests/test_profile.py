@@ -122,6 +122,21 @@ def test_set_points_are_within_the_speed_limit_before_the_guard_sees_them(state,
     assert max(map(abs, command.speed_rad_s)) <= ROBOT.speed_limit_rad_s
 
 
+@pytest.mark.parametrize("mode", CommandMode)
+@pytest.mark.parametrize("place", range(6))
+@pytest.mark.parametrize("rest", [0.0, 0.3])
+def test_a_state_that_is_no_number_raises_nothing(mode, place, rest):
+    """A law is pure: what is wrong with its state is for the loop to say."""
+    values = [rest] * 6
+    values[place] = math.nan
+    reference = Reference(Pose(0.0, 0.0, 0.0), Twist(0.0, 0.0, 0.0), Acceleration(0.0, 0.0, 0.0))
+    controller = law(mode)
+    controller.reset(State(Pose(*[rest] * 3), Twist(*[rest] * 3)), reference)
+    for _ in range(2):
+        command = controller.update(reference, State(Pose(*values[:3]), Twist(*values[3:])), AT_REST, 0.005)
+        assert command.mode is mode
+
+
 @pytest.mark.parametrize("share", [1.0, 0.4, 0.0])
 def test_what_became_of_a_command_on_its_way_is_no_disturbance(share):
     """The guard, a fault or a stop changed it; the observers are told what was really commanded."""

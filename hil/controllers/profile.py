@@ -213,7 +213,7 @@ class Profile:
         moving = Twist(vx_d, vy_d, yaw_rate_d)
         # In the middle of the tick, and less by what the wheels run ahead of the speed that the firmware measures.
         lead_s = 0.5 * dt_s - self._speed_lag_s
-        # The limit comes last: over the lead, over the reference, and over how far the set points may be from the speeds.
+        # The limit comes last: over the lead, the reference, and how far the set points may be from the speeds.
         turn = within(yaw_rate_d + turn + lead_s * yaw_acceleration, self._rim_speed_m_s / model.lever_m)
         limit = self._push_speed_m_s(turn)
         push_1 = within(along_1 + rate_1 + lead_s * (ax * x1 + ay * y1), limit)
@@ -262,7 +262,8 @@ def profile(error: float, rate: float, k1: float, braking: float, low: float, hi
 
 
 def in_step(rate: float, wanted: float) -> float:
-    """Return how much of ``rate`` is on the way that ``wanted`` asks for: 1 for as fast or more slowly, less beyond."""
-    if rate * wanted <= 0.0:
-        return 0.0
-    return min(1.0, wanted / rate)
+    """Return how much of ``rate`` is on the way that ``wanted`` asks for: 1 for as fast or more slowly, less beyond.
+
+    None of a rate that is NaN.
+    """
+    return min(1.0, wanted / rate) if rate * wanted > 0.0 else 0.0
