@@ -15,7 +15,7 @@ from hil.estimator import EstimatorOptions, FusedOptions, make_estimator
 from hil.faults.signals import SignalFaults
 from hil.guard import Guard
 from hil.loop import Loop, Parts, Report
-from hil.metrics import percentiles, signal_figures
+from hil.metrics import CommandLimits, percentiles, signal_figures
 from hil.model import RobotModel
 from hil.ports import Sink
 from hil.references import Feasibility, ReferenceSource, feasibility, make_reference
@@ -275,7 +275,8 @@ def _figures(
     loop: Loop,
 ) -> dict[str, Any]:
     signals = memory.signals()
-    figures, reasons = signal_figures(signals, scenario.firmware.torque_constant_n_m_a)
+    limits = CommandLimits(scenario.robot.speed_limit_rad_s, scenario.robot.torque_limit_n_m)
+    figures, reasons = signal_figures(signals, scenario.firmware.torque_constant_n_m_a, limits)
     outcomes = expectations(scenario.expect, signals)
     applied: list[dict[str, Any]] = [
         {"kind": row.kind, "target": row.target, "text": row.words, "applied": count, "counts": row.counts}

@@ -40,7 +40,7 @@ COLUMNS = (
     Column("overshoot_m", "overshoot", "mm", 1e3, 1, "how far past the reference, along the line of the initial error"),
     Column("effort_n_m_s", "effort", "N·m·s", 1.0, 1, "∫ Σ abs(τ) dt over the four wheels, by the measured currents"),
     Column("torque_variation_n_m_per_s", "variation", "N·m/s", 1.0, 2, "mean absolute slew of a wheel's torque"),
-    Column("saturation_s", "saturated", "s", 1.0, 2, "how long the guard scaled the wheels at a limit"),
+    Column("saturation_s", "saturated", "s", 1.0, 2, "how long a wheel's command was at its limit"),
 )
 assert tuple(column.name for column in COLUMNS) == FIGURES
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.errors import BadInputError
-from hil.metrics import signal_figures
+from hil.metrics import CommandLimits, signal_figures
 from hil.review.reader import Event, RecordedRun, read, to_frame
 from hil.review.trajectory import write_trajectory
 from hil.types import WHEEL_NAMES
@@ -14,7 +14,11 @@ __all__ = ["FIGURE_SIGNALS", "Event", "RecordedRun", "figures", "read", "review"
 
 FIGURE_SIGNALS = (
     *("loop.t_s", "loop.tick_us", "loop.deadline_misses", "error.planar_m", "error.x_m", "error.y_m"),
-    *(f"wheel.{wheel}.current_a" for wheel in WHEEL_NAMES),
+    *(
+        f"wheel.{wheel}.{name}"
+        for wheel in WHEEL_NAMES
+        for name in ("current_a", "speed_command_rad_s", "torque_command_n_m")
+    ),
     *(f"{pose}.{name}" for pose in ("pose", "truth") for name in ("x_m", "y_m", "heading_rad")),
     "guard.saturated",
 )
@@ -58,7 +62,7 @@ def review(path: Path) -> dict[str, Any]:
 def figures(run: RecordedRun) -> dict[str, Any]:
     """Return the figures of a recording that was read; see ``review``."""
     try:
-        found, reasons = signal_figures(run.signals, _torque_constant_n_m_a(run))
+        found, reasons = signal_figures(run.signals, _torque_constant_n_m_a(run), _limits(run))
     except KeyError as missing:
         raise BadInputError(f"{run.path}: it has no signal {missing}; no recording of a run") from missing
     found["ticks"] += (run.rows_dropped or 0) + run.rows_missing
@@ -73,7 +77,20 @@ def figures(run: RecordedRun) -> dict[str, Any]:
 
 def _torque_constant_n_m_a(run: RecordedRun) -> float | None:
     """Return what the run's scenario says of the motors; None for a recording that does not hold its scenario."""
+    found = _of_scenario(run, "firmware.torque_constant_n_m_a")
+    return None if found is None else found[0]
+
+
+def _limits(run: RecordedRun) -> CommandLimits | None:
+    """Return what the run's scenario allows a wheel to be told; None for a recording that does not hold it."""
+    found = _of_scenario(run, "robot.speed_limit_rad_s", "robot.torque_limit_n_m")
+    return None if found is None else CommandLimits(*found)
+
+
+def _of_scenario(run: RecordedRun, *keys: str) -> list[float] | None:
+    """Return numbers of the run's scenario; None for a recording that does not hold them."""
     try:
-        return float(json.loads(run.properties["scenario"])["firmware.torque_constant_n_m_a"])
+        scenario = json.loads(run.properties["scenario"])
+        return [float(scenario[key]) for key in keys]
     except (KeyError, TypeError, ValueError):
         return None
