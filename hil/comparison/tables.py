@@ -55,7 +55,7 @@ def terminal(comparison: Comparison) -> Iterator[tuple[str, list[tuple[str, ...]
     for condition in comparison.conditions():
         rows = comparison.under(condition)
         head = ("law", *(f"{column.head} {column.unit}" for column in COLUMNS))
-        cells = [(row.entry.label, *(_pair(column, row) for column in COLUMNS)) for row in rows]
+        cells = [(row.entry.title(condition.mode), *(_pair(column, row) for column in COLUMNS)) for row in rows]
         yield condition.words, [head, *cells], list(_notes(rows))
 
 
@@ -74,7 +74,7 @@ def write_markdown(comparison: Comparison, file: Path, command: str, pictures: S
         lines += ["|---" * (1 + len(COLUMNS)) + "|"]
         for row in rows:
             cells = (_triple(column, row, rows) for column in COLUMNS)
-            label = row.entry.label.replace("|", "\\|")
+            label = row.entry.title(condition.mode).replace("|", "\\|")
             lines.append(f"| {label} | " + " | ".join(cells) + " |")
         if notes := list(_notes(rows)):
             lines += ["", *(f"- {note}" for note in notes)]
@@ -92,7 +92,8 @@ def _preface(comparison: Comparison, command: str) -> Iterator[str]:
     yield "# Laws compared"
     yield ""
     yield f"Made by `{command}`; do not edit. Scenario `{comparison.scenario}`, seed {comparison.seed}, every run in"
-    yield "lockstep through the wire in memory. Less is better in every column."
+    yield "lockstep through the wire in memory. Less is better in every column. In brackets behind a law are gains of"
+    yield "the scenario that are not its defaults."
     yield ""
     if varied:
         yield "A cell has three figures: nominal / worst over the plant's mass / worst over its mass and friction. The"
