@@ -22,6 +22,7 @@ def reproduce(
     """Run section IV of the paper and say which of its figures come out, which do not, and why."""
     from hil import report
     from hil.reproduction import reproduce as run_reproduction
+    from hil.reproduction.summary import failures
 
     signal.signal(signal.SIGTERM, interrupt)
     tell = None if as_json or not sys.stderr.isatty() else report.reproduction_progress
@@ -33,3 +34,4 @@ def reproduce(
         print_json(summary)
     else:
         report.print_reproduction(summary)
+    raise typer.Exit(1 if failures(summary) else 0)

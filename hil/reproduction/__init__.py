@@ -118,7 +118,8 @@ def _draw(folder: Path, results: Results, shown: Mapping[str, Signals]) -> list[
     if "experiment" in shown:
         pictures.path_in_plane(place("figure_10.png"), shown["experiment"])
         pictures.control_signals(place("figure_11.png"), shown["experiment"])
-    pictures.delay(place("delay.png"), results)
+    if any(results.rows("delay")):
+        pictures.delay(place("delay.png"), results)
     return drawn
 
 
