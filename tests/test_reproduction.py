@@ -161,7 +161,9 @@ def made_up(change: dict[str, dict[str, float | None]]) -> dict[str, verdicts.Ve
 
 def test_a_run_that_agrees_comes_out():
     found = made_up({})
-    assert {verdict.verdict for verdict in found.values()} == {verdicts.COMES_OUT, verdicts.FITTED}
+    assert {verdict.verdict for verdict in found.values()} == {verdicts.COMES_OUT, verdicts.FITTED, verdicts.NO_NUMBER}
+    swings = found["a slight oscillation from the delay"]
+    assert (swings.verdict, swings.ours) == (verdicts.NO_NUMBER, 0.02)  # there is one, and no number of the paper's
     fitted = [claim for claim, verdict in found.items() if verdict.verdict == verdicts.FITTED]
     assert fitted == ["DSC steady error", "AFDSC steady error, with a filter of its own", "no control signal for"]
 
@@ -230,7 +232,7 @@ def test_the_command_fails_when_a_run_did(tmp_path: Path, monkeypatch: pytest.Mo
 
 def test_without_the_calm_run_an_oscillation_cannot_be_compared():
     found = made_up({"afdsc torque 0 ms": {"amplitude_m": None}})["a slight oscillation from the delay"]
-    assert found.verdict == verdicts.NO_NUMBER
+    assert (found.verdict, found.ours) == (verdicts.NO_NUMBER, None)
 
 
 def test_a_verdict_says_where_the_lead_is_lost():

@@ -250,7 +250,11 @@ def _converged(results: Results) -> Verdict:
 
 
 def _delay(results: Results) -> Verdict:
-    """Section IV.B: a slight oscillation about the path, due to the controller's delay."""
+    """Section IV.B: a slight oscillation about the path, due to the controller's delay.
+
+    That there is none can come out. That there is one says nothing for the paper: it has no number, and the sweep goes
+    beyond the latency at which the loop is no longer stable, where every loop swings.
+    """
     sweep = {ms: figures.get("amplitude_m") for ms, figures in results.delay("afdsc torque").items()}
     known = {ms: value for ms, value in sweep.items() if value is not None}
     calm = known.get(0.0)
@@ -271,9 +275,9 @@ def _delay(results: Results) -> Verdict:
     margin = delay_margin(*published.FUZZY_CENTRE, published.COMMON_FILTER_S, EXPERIMENT_PERIOD_S)
     why += (
         f"; by the equations AFDSC's gains at zero error swing from {margin.latency_s * 1e3:.0f} ms on, at "
-        f"{margin.frequency_hz:.1f} Hz; the paper gives neither amplitude nor delay, so that no size can be compared"
+        f"{margin.frequency_hz:.1f} Hz; every loop swings once it is late enough, and the paper gives neither amplitude nor delay"
     )
-    return Verdict("IV.B", claim, "m", None, known[first], None, COMES_OUT if swinging else DOES_NOT, why)
+    return Verdict("IV.B", claim, "m", None, known[first], None, NO_NUMBER if swinging else DOES_NOT, why)
 
 
 def _why_not_closer(results: Results) -> str:
