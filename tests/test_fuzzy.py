@@ -18,6 +18,7 @@ LEVELS = ["VS", "S", "M", "B", "VB"]
 PEAKS = [-1.0, -0.5, 0.0, 0.5, 1.0]  # NB, NS, Z, PS, PB, in units of the range
 tables = st.sampled_from(["printed", "corrected"])
 value = st.floats(-3.0, 3.0)
+any_value = value | st.sampled_from([float("nan"), float("inf"), -float("inf")])
 span = st.floats(0.05, 5.0)
 
 
@@ -46,7 +47,7 @@ def test_look_up_is_product_inference_with_weighted_average(which, error, rate, 
     assert block.gains(error, rate) == pytest.approx(expected, rel=1e-9)
 
 
-@given(tables, st.lists(st.tuples(value, value), min_size=1, max_size=20), span, span)
+@given(tables, st.lists(st.tuples(any_value, any_value), min_size=1, max_size=20), span, span)
 def test_batch_and_single_agree_to_the_bit(which, points, error_range, rate_range):
     block = FuzzyBlock.from_tables(which, error_range, rate_range)
     error, rate = np.array(points).T
