@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from hil.plant.info import FmuInfo, VariableInfo
     from hil.plant.tools import CheckResult
     from hil.references import Feasibility
-    from hil.reproduction.runs import Outcome
 
 _REFRESH_S = 0.1
 
@@ -289,13 +288,6 @@ def print_table(rows: Sequence[Sequence[str]]) -> None:
         print("  ".join([*padded, row[-1]]).rstrip())
 
 
-def catalogue_progress(done: int, of: int, verdict: "Verdict") -> None:
-    """Say on stderr how far the catalogue is, and what is not as it should be."""
-    if not verdict.is_ok:
-        print(f"\r{verdict.fault} over {verdict.link}: {verdict.verdict}", file=sys.stderr)
-    print(f"\r{done} of {of} runs", end="\n" if done == of else "", file=sys.stderr, flush=True)
-
-
 def print_catalogue(verdicts: Sequence["Verdict"]) -> None:
     """Print a row for each run of the catalogue, and how many were as they should be."""
     head = ("fault", "link", "re-arm", "outcome", "applied", "recoveries", "after silence", "wall s", "verdict")
@@ -324,11 +316,6 @@ def _catalogue_row(verdict: "Verdict") -> tuple[str, ...]:
     )
 
 
-def comparison_progress(done: int, of: int) -> None:
-    """Say on stderr how far the comparison is."""
-    print(f"\r{done} of {of} runs", end="\n" if done == of else "", file=sys.stderr, flush=True)
-
-
 def print_comparison(comparison: "Comparison") -> None:
     """Print a table for each condition, and below it why figures are missing."""
     from hil.comparison.tables import terminal
@@ -340,13 +327,6 @@ def print_comparison(comparison: "Comparison") -> None:
             print(f"  {note}")
     if len(comparison.rows[0].runs) > 1:
         print("\nnominal / worst over mass and friction of the plant; less is better in every column")
-
-
-def reproduction_progress(done: int, of: int, outcome: "Outcome") -> None:
-    """Say on stderr how far a reproduction is, and what ended a run of it early."""
-    if outcome.failure is not None:
-        print(f"\r{outcome.name}: {outcome.failure}", file=sys.stderr)
-    print(f"\r{done} of {of} runs", end="\n" if done == of else "", file=sys.stderr, flush=True)
 
 
 def print_reproduction(summary: Mapping[str, Any]) -> None:

@@ -2,12 +2,15 @@
 
 import signal
 import sys
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from hil.commands.options import Json, Sets, interrupt, print_json
 from hil.errors import RunInterruptedError
+
+if TYPE_CHECKING:
+    from hil.catalogue.runs import Verdict
 
 
 def catalogue(
@@ -40,11 +43,12 @@ def catalogue(
     from hil import report
     from hil.catalogue import catalogue as run_catalogue
     from hil.catalogue.plan import Asked
+    from hil.progress import runs_progress
 
     signal.signal(signal.SIGTERM, interrupt)
     laws = [] if law is None else [f"controller.law={law}"]
     asked = Asked(scenario, [*laws, *(sets or [])], link or [], kind or [], report.catalogue_folder(), sample, seed)
-    tell = None if as_json or not sys.stderr.isatty() else report.catalogue_progress
+    tell = None if as_json or not sys.stderr.isatty() else runs_progress(_trouble)
     try:
         verdicts = run_catalogue(asked, pairs=pairs, realtime=realtime, jobs=jobs, limit_s=limit_s, tell=tell)
     except KeyboardInterrupt:
@@ -55,3 +59,7 @@ def catalogue(
     else:
         report.print_catalogue(verdicts)
     raise typer.Exit(0 if passed else 1)
+
+
+def _trouble(verdict: "Verdict") -> str | None:
+    return None if verdict.is_ok else f"{verdict.fault} over {verdict.link}: {verdict.verdict}"

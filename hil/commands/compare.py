@@ -48,6 +48,7 @@ def compare(
     from hil.comparison import Asked
     from hil.comparison import compare as run_comparison
     from hil.comparison.conditions import DRIVES, TORQUES_N_M
+    from hil.progress import runs_progress
 
     signal.signal(signal.SIGTERM, interrupt)
     *laws, scenario = laws_and_scenario
@@ -65,7 +66,7 @@ def compare(
     )
     if out is not None:
         _make_folder(out)
-    tell = None if as_json or not sys.stderr.isatty() else report.comparison_progress
+    tell = None if as_json or not sys.stderr.isatty() else runs_progress(lambda _: None)
     try:
         comparison = run_comparison(asked, jobs=jobs, limit_s=limit_s, tell=tell)
     except KeyboardInterrupt:

@@ -3,12 +3,15 @@
 import signal
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from hil.commands.options import Json, interrupt, print_json
 from hil.errors import RunInterruptedError
+
+if TYPE_CHECKING:
+    from hil.reproduction.runs import Outcome
 
 
 def reproduce(
@@ -21,11 +24,12 @@ def reproduce(
 ) -> None:
     """Run section IV of the paper and say which of its figures come out, which do not, and why."""
     from hil import report
+    from hil.progress import runs_progress
     from hil.reproduction import reproduce as run_reproduction
     from hil.reproduction.summary import failures
 
     signal.signal(signal.SIGTERM, interrupt)
-    tell = None if as_json or not sys.stderr.isatty() else report.reproduction_progress
+    tell = None if as_json or not sys.stderr.isatty() else runs_progress(_trouble)
     try:
         summary = run_reproduction(out, quick=quick, jobs=jobs, tell=tell)
     except KeyboardInterrupt:
@@ -35,3 +39,7 @@ def reproduce(
     else:
         report.print_reproduction(summary)
     raise typer.Exit(1 if failures(summary) else 0)
+
+
+def _trouble(outcome: "Outcome") -> str | None:
+    return None if outcome.failure is None else f"{outcome.name}: {outcome.failure}"

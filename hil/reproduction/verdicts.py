@@ -275,8 +275,8 @@ def _delay(results: Results) -> Verdict:
     margin = delay_margin(*published.FUZZY_CENTRE, published.COMMON_FILTER_S, EXPERIMENT_PERIOD_S)
     why += (
         f"; by the equations AFDSC's gains at zero error swing from {margin.latency_s * 1e3:.0f} ms on, at "
-        f"{margin.frequency_hz:.1f} Hz; every loop swings once it is late enough, and the paper gives neither amplitude "
-        "nor delay"
+        f"{margin.frequency_hz:.1f} Hz; every loop swings once it is late enough, and the paper gives neither "
+        "amplitude nor delay"
     )
     return Verdict("IV.B", claim, "m", None, known[first], None, NO_NUMBER if swinging else DOES_NOT, why)
 
