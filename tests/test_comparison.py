@@ -86,7 +86,7 @@ def in_folder_of_laws(tmp_path, monkeypatch) -> Path:
 
 
 def test_the_command_gives_the_figures_of_the_runs_the_same_every_time_and_writes_them(tmp_path) -> None:
-    laws, sets = ("dsc,speed.k1_1_s=7,torque.k1_1_s=9", "afdsc"), ("loop.duration_s=1.0",)
+    laws, sets = ("dsc,speed.k1_1_s=7,torque.k1_1_s=9", "afdsc"), (SHORT,)
     words = (*laws, "circle_speed", "--torque", "3", "--drive", "motors", "--quick", "--set", *sets, "--json")
     written = ("--out", tmp_path / "pictures", "--markdown", tmp_path / "PAGE.md")
     first = command("compare", *words, *written)
@@ -97,7 +97,7 @@ def test_the_command_gives_the_figures_of_the_runs_the_same_every_time_and_write
         (drive, law) for drive in ("motors", "ideal") for law in laws
     ]
     assert json.loads(json.dumps(again[:2])) == rows
-    limits = {"robot.torque_limit_n_m": 3.0, "firmware.torque_limit_n_m": 3.0, "loop.duration_s": 1.0}
+    limits = {"robot.torque_limit_n_m": 3.0, "firmware.torque_limit_n_m": 3.0, "loop.duration_s": 0.2}
     motors = {"plant.start.drive": "current", "plant.start.current_limit_a": 4.0, "firmware.current_limit_a": 4.0}
     for row, more in (
         (again[0], {"controller.gains.k1_1_s": 7.0, **motors}),
