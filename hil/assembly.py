@@ -17,7 +17,7 @@ from hil.faults.signals import SignalFaults
 from hil.figure_words import applied_words
 from hil.guard import Guard
 from hil.loop import Loop, Parts, Report
-from hil.metrics import percentiles, signal_figures
+from hil.metrics import CommandLimits, percentiles, signal_figures
 from hil.model import RobotModel
 from hil.ports import Sink
 from hil.references import Feasibility, ReferenceSource, feasibility, make_reference
@@ -277,7 +277,8 @@ def _figures(
     loop: Loop,
 ) -> dict[str, Any]:
     signals = memory.signals()
-    figures, reasons = signal_figures(signals, scenario.firmware.torque_constant_n_m_a)
+    limits = CommandLimits(scenario.robot.speed_limit_rad_s, scenario.robot.torque_limit_n_m)
+    figures, reasons = signal_figures(signals, scenario.firmware.torque_constant_n_m_a, limits)
     outcomes = outcomes_of(scenario.expect, signals)
     applied: list[dict[str, Any]] = [
         {"kind": row.kind, "target": row.target, "text": row.words, "applied": count, "counts": row.counts}

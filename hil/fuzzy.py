@@ -133,11 +133,15 @@ class FuzzyBlock:
     def gains_batch(
         self, error: "NDArray[np.float64]", rate: "NDArray[np.float64]"
     ) -> "tuple[NDArray[np.float64], NDArray[np.float64]]":
-        """Return (K1, K2) [1/s] for arrays that broadcast together: the surfaces, for plots and sweeps."""
+        """Return (K1, K2) [1/s] for arrays that broadcast together: the surfaces, for plots and sweeps.
+
+        NaN counts as NB here too.
+        """
         import numpy as np
 
-        p = np.clip(2.0 * np.asarray(error) / self.error_range, -2.0, 2.0) + 2.0
-        q = np.clip(2.0 * np.asarray(rate) / self.rate_range, -2.0, 2.0) + 2.0
+        # fmax goes first: of NaN and -2 it returns -2.
+        p = np.fmin(np.fmax(2.0 * np.asarray(error) / self.error_range, -2.0), 2.0) + 2.0
+        q = np.fmin(np.fmax(2.0 * np.asarray(rate) / self.rate_range, -2.0), 2.0) + 2.0
         i, j = np.minimum(p.astype(np.intp), 3), np.minimum(q.astype(np.intp), 3)
         p, q = p - i, q - j
         a, b, c, d, e, f, g, h = np.moveaxis(np.array(self._cells)[4 * j + i], -1, 0)

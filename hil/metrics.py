@@ -17,6 +17,8 @@ TRACKED_RATIO = 0.02
 TRACKED_DISTANCE_M = 0.010
 RESOLUTION_M = 0.001
 STEADY_WINDOW_S = 5.0
+AT_LIMIT = 0.999
+"""Share of a limit from which on a command is at it: codecs and rounding take a little."""
 
 
 _TORQUE_SIGNALS = ("loop.t_s", *(f"wheel.{wheel}.current_a" for wheel in WHEEL_NAMES))
@@ -29,7 +31,11 @@ FIGURE_SIGNALS: dict[str, tuple[str, ...]] = {
     "overshoot_m": ("loop.t_s", "error.x_m", "error.y_m"),
     "effort_n_m_s": _TORQUE_SIGNALS,
     "torque_variation_n_m_per_s": _TORQUE_SIGNALS,
-    "saturation_s": ("loop.t_s", "guard.saturated"),
+    "saturation_s": (
+        "loop.t_s",
+        "guard.saturated",
+        *(f"wheel.{wheel}.{name}" for wheel in WHEEL_NAMES for name in ("speed_command_rad_s", "torque_command_n_m")),
+    ),
     "estimation_error": (
         "loop.t_s",
         *(f"{group}.{name}" for group in ("pose", "truth") for name in ("x_m", "y_m", "heading_rad")),
@@ -46,6 +52,13 @@ class Percentiles(NamedTuple):
 
     p50: float
     p99: float
+
+
+class CommandLimits(NamedTuple):
+    """What the scenario's ``[robot]`` allows one wheel to be told, in SPEED mode [rad/s] and in TORQUE mode [N·m]."""
+
+    speed_rad_s: float
+    torque_n_m: float
 
 
 class Tracking(NamedTuple):
@@ -79,7 +92,7 @@ class Demand(NamedTuple):
         effort_n_m_s: control effort, the integral of the four wheels' absolute torques, ∫ Σ|τ| dt [N·m·s].
         torque_variation_n_m_per_s: mean absolute slew of a wheel's torque, the total variation Σ|τ(t + T) - τ(t)| over
             the time that it took, mean of the four wheels [N·m/s].
-        saturation_s: for how long in all the guard scaled the four wheels at a limit.
+        saturation_s: for how long in all a wheel's command was at its limit, kept by the law or by the guard.
         reasons: for each figure that is None, one sentence.
     """
 
@@ -127,7 +140,7 @@ def demand_metrics(t_s: Series, error_m: Series, torque_n_m: Series | None, satu
         t_s: scenario time [s], ascending, shape (n,); rows before t = 0 do not count.
         error_m: truth minus reference, x and y [m], shape (n, 2); NaN where there was no truth.
         torque_n_m: of each wheel, shape (n, 4), NaN where none was measured; None where it cannot be told.
-        saturated: not 0 where the guard scaled the wheels, shape (n,).
+        saturated: not 0 where a command is at its limit, shape (n,).
     """
     active = t_s >= 0.0
     t_s, error_m, saturated = t_s[active], error_m[active], saturated[active]
@@ -144,21 +157,24 @@ def demand_metrics(t_s: Series, error_m: Series, torque_n_m: Series | None, satu
 
 
 def signal_figures(
-    signals: Mapping[str, Series], torque_constant_n_m_a: float | None = None
+    signals: Mapping[str, Series],
+    torque_constant_n_m_a: float | None = None,
+    limits: CommandLimits | None = None,
 ) -> tuple[dict[str, Any], dict[str, str]]:
     """Return the figures that follow from the signals alone, by name, and for each None the reason.
 
     They are those of ``tracking_metrics`` and ``demand_metrics``, ``estimation_error`` as of ``estimation_metrics``,
     ``ticks``, ``tick_us`` with ``p50`` and ``p99``, and ``deadline_misses``. ``torque_constant_n_m_a`` [N·m/A at the
-    wheel] makes torques of the measured currents: in speed mode nothing else tells them. Raises KeyError for a signal
-    that is not there.
+    wheel] makes torques of the measured currents: in speed mode nothing else tells them. Without ``limits`` only
+    what the guard scaled counts as saturated: a law that keeps the limits itself is then never. Raises KeyError for a
+    signal that is not there.
     """
     t_s = signals["loop.t_s"]
     tracking = tracking_metrics(t_s, signals["error.planar_m"])
     error_m = np.column_stack([signals["error.x_m"], signals["error.y_m"]])
     current_a = np.column_stack([signals[f"wheel.{wheel}.current_a"] for wheel in WHEEL_NAMES])
     torque_n_m = None if torque_constant_n_m_a is None else torque_constant_n_m_a * current_a
-    demand = demand_metrics(t_s, error_m, torque_n_m, signals["guard.saturated"])
+    demand = demand_metrics(t_s, error_m, torque_n_m, _at_limit(signals, limits))
     reasons = tracking.reasons | demand.reasons
     estimation = estimation_metrics(signals)
     if estimation is None:
@@ -274,6 +290,19 @@ def _variation(t_s: Series, torque_n_m: Series) -> float:
         raise _NoMeaningError("the run has fewer than two samples")
     total_n_m = float(np.abs(np.diff(torque_n_m, axis=0)).sum())
     return total_n_m / len(WHEEL_NAMES) / float(t_s[-1] - t_s[0])
+
+
+def _at_limit(signals: Mapping[str, Series], limits: CommandLimits | None) -> Series:
+    """Return 1 where a wheel is told its limit of speed or, where it is told no speed, of torque."""
+    at_limit = signals["guard.saturated"] != 0.0
+    if limits is not None:
+        speed, torque = (
+            np.abs(np.column_stack([signals[f"wheel.{wheel}.{name}"] for wheel in WHEEL_NAMES])).max(axis=1)
+            for name in ("speed_command_rad_s", "torque_command_n_m")
+        )
+        in_speed_mode = np.isfinite(speed)
+        at_limit |= np.where(in_speed_mode, speed / limits.speed_rad_s, torque / limits.torque_n_m) >= AT_LIMIT
+    return np.asarray(at_limit, dtype=np.float64)
 
 
 def _held_s(t_s: Series) -> Series:

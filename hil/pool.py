@@ -1,5 +1,6 @@
 """Worker processes that do many jobs each, and a hang guard: a job that takes too long is ended with its worker."""
 
+import itertools
 import json
 import queue
 import subprocess
@@ -39,6 +40,17 @@ class Work(Generic[J, A]):
     worker: str
     answer: Callable[..., A]
     lost: Callable[[J, str, float], A]
+
+
+def counted(tell: Callable[[int, int, A], None] | None, of: int) -> Callable[[A], None]:
+    """Return what tells of each answer with how many there are by then, and of how many; None to tell nobody."""
+    numbers = itertools.count(1)
+
+    def count(answer: A) -> None:
+        if tell is not None:
+            tell(next(numbers), of, answer)
+
+    return count
 
 
 def perform_all(

@@ -14,7 +14,8 @@ from hil.catalogue.runs import WORK, perform
 from hil.faults.cases import CASES, DURATION_S, Outcome
 from hil.faults.kinds import KINDS
 from hil.faults.rows import find
-from hil.pool import perform_all
+from hil.pool import counted, perform_all
+from hil.progress import runs_progress
 from hil.scenario.rows import FaultTable
 from native_build.compiler import compile_shared
 from tests.processes import HIL, environment, hil
@@ -197,10 +198,17 @@ def test_a_run_that_hangs_is_ended_and_one_that_crashes_is_told(tmp_path) -> Non
     [["/no/such/program"], [sys.executable, "-c", "print('{}')"], [sys.executable, "-c", "print('no JSON')"]],
     ids=["cannot be started", "answers with too little", "answers with anything"],
 )
-def test_a_worker_that_is_none_is_a_verdict_on_each_job(words, tmp_path, monkeypatch) -> None:
+def test_a_worker_that_is_none_is_a_verdict_on_each_job_and_a_line_of_progress(
+    words, tmp_path, monkeypatch, capsys
+) -> None:
     monkeypatch.setattr("hil.pool.module_command", lambda _module: words)
     jobs = alone(Asked("circle_speed", [], ["memory"], ["push", "mute"], tmp_path))
-    verdicts = perform_all(WORK, jobs, 2, 60.0)
+    tell = counted(runs_progress(lambda verdict: verdict.fault), len(jobs))
+    verdicts = perform_all(WORK, jobs, 2, 60.0, tell)
+    shown = capsys.readouterr().err.replace("\r", "\n").split("\n")
+    counts = [line for line in shown if line.endswith(" runs")]
+    assert counts == [f"{done} of {len(jobs)} runs" for done in range(1, len(jobs) + 1)]
+    assert sorted(set(shown) - set(counts) - {""}) == sorted({verdict.fault for verdict in verdicts})
     assert [verdict.fault for verdict in verdicts] == [job.fault for job in jobs]
     assert all(verdict.verdict.startswith("crashed: ") for verdict in verdicts)
 

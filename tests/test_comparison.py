@@ -14,8 +14,9 @@ import hil
 from hil.comparison import Asked, compare
 from hil.comparison.conditions import FRICTIONS, MASS_FACTORS, Condition, Variation, conditions, variations
 from hil.comparison.entries import Entry, entries
-from hil.comparison.result import Row, Run
+from hil.comparison.result import Comparison, Row, Run
 from hil.comparison.runs import FIGURES, Outcome
+from hil.comparison.tables import terminal, write_markdown
 from hil.errors import BadInputError
 from hil.types import CommandMode
 from tests.processes import HIL, environment
@@ -85,7 +86,7 @@ def in_folder_of_laws(tmp_path, monkeypatch) -> Path:
 
 
 def test_the_command_gives_the_figures_of_the_runs_the_same_every_time_and_writes_them(tmp_path) -> None:
-    laws, sets = ("dsc,speed.k1_1_s=7,torque.k1_1_s=9", "afdsc"), ("loop.duration_s=1.0",)
+    laws, sets = ("dsc,speed.k1_1_s=7,torque.k1_1_s=9", "afdsc"), (SHORT,)
     words = (*laws, "circle_speed", "--torque", "3", "--drive", "motors", "--quick", "--set", *sets, "--json")
     written = ("--out", tmp_path / "pictures", "--markdown", tmp_path / "PAGE.md")
     first = command("compare", *words, *written)
@@ -96,7 +97,7 @@ def test_the_command_gives_the_figures_of_the_runs_the_same_every_time_and_write
         (drive, law) for drive in ("motors", "ideal") for law in laws
     ]
     assert json.loads(json.dumps(again[:2])) == rows
-    limits = {"robot.torque_limit_n_m": 3.0, "firmware.torque_limit_n_m": 3.0, "loop.duration_s": 1.0}
+    limits = {"robot.torque_limit_n_m": 3.0, "firmware.torque_limit_n_m": 3.0, "loop.duration_s": 0.2}
     motors = {"plant.start.drive": "current", "plant.start.current_limit_a": 4.0, "firmware.current_limit_a": 4.0}
     for row, more in (
         (again[0], {"controller.gains.k1_1_s": 7.0, **motors}),
@@ -154,7 +155,7 @@ def test_a_figure_that_one_run_has_not_is_no_worst_figure() -> None:
         figures = dict.fromkeys(FIGURES, 1.0) | {"t10_s": t10_s}
         return Run(variation, Outcome(figures, {} if t10_s else {"t10_s": "it never came"}, None, None, None))
 
-    entry = Entry("dsc", "dsc", {CommandMode.TORQUE: {}})
+    entry = Entry("dsc", "dsc", {CommandMode.TORQUE: {}}, {CommandMode.TORQUE: {}})
     runs = [run(Variation(), 0.5), run(Variation(0.8, None), 0.7), run(Variation(0.8, 0.08), None)]
     row = Row(entry, Condition(5.0, "ideal", None, None), runs)
     assert (row.value("t10_s"), row.worst_over_mass("t10_s"), row.worst("t10_s")) == (0.5, 0.7, None)
@@ -168,6 +169,21 @@ def test_gains_are_the_scenarios_in_its_own_mode_and_the_texts_over_them() -> No
     assert changed.gains[CommandMode.SPEED] == {"k1_1_s": 7, "filter_s": 0.05}
     assert changed.gains[CommandMode.TORQUE] == {"filter_s": 0.05}
     assert other.gains == {CommandMode.SPEED: {}, CommandMode.TORQUE: {}}
+
+
+def test_gains_of_the_scenario_that_are_not_the_laws_defaults_are_in_the_tables(tmp_path) -> None:
+    profile, said, same = entries(["profile", "profile,keeps_speed_limit=false", "dsc"], "compare_circle", [])
+    assert profile.title(CommandMode.TORQUE) == "profile (keeps_speed_limit = false)"
+    assert profile.title(CommandMode.SPEED) == "profile"
+    assert said.title(CommandMode.TORQUE) == "profile,keeps_speed_limit=false"
+    assert same.title(CommandMode.TORQUE) == "dsc"
+    condition = Condition(5.0, "ideal", None, None)
+    run = Run(Variation(), Outcome(dict.fromkeys(FIGURES, 1.0), {}, None, None, None))
+    found = Comparison("compare_circle", 1, [Row(profile, condition, [run])])
+    ((_, (_, (label, *_)), _),) = terminal(found)
+    assert label == "profile (keeps_speed_limit = false)"
+    write_markdown(found, tmp_path / "PAGE.md", "hil compare")
+    assert f"| {label} |" in (tmp_path / "PAGE.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(

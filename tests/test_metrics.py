@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.metrics import demand_metrics, estimation_metrics, percentiles, signal_figures, tracking_metrics
+from hil.metrics import CommandLimits, demand_metrics, estimation_metrics, percentiles, signal_figures, tracking_metrics
 from hil.types import WHEEL_NAMES
 
 NAN = float("nan")
@@ -139,6 +139,32 @@ def test_saturation_is_the_time_that_it_held(flags: list[bool]) -> None:
         later - now for now, later, flag in zip(t_s[:-1], t_s[1:], flags, strict=False) if flag and now >= 0
     )
     assert demand.saturation_s == pytest.approx(expected_s)
+
+
+@pytest.mark.parametrize(
+    ("speed_rad_s", "torque_n_m", "is_at_limit"),
+    [
+        ((NAN,) * 4, (0.0, 0.0, -4.996, 0.0), True),
+        ((NAN,) * 4, (4.9, 0.0, 0.0, 0.0), False),
+        ((0.0, 19.99, 0.0, 0.0), (0.0,) * 4, True),
+        ((0.0, 19.9, 0.0, 0.0), (5.0,) * 4, False),  # the feedforward of a set point
+        ((NAN,) * 4, (NAN,) * 4, False),  # nothing was sent
+    ],
+)
+def test_a_law_that_keeps_the_limits_itself_is_saturated_too(speed_rad_s, torque_n_m, is_at_limit) -> None:
+    t_s = seconds(11)
+    signals = {f"error.{name}": np.full(11, 0.2) for name in ("x_m", "y_m", "planar_m")} | {"loop.t_s": t_s}
+    signals |= {name: np.zeros(11) for name in ("loop.tick_us", "loop.deadline_misses", "guard.saturated")}
+    signals |= {
+        f"{group}.{name}": np.zeros(11) for group in ("pose", "truth") for name in ("x_m", "y_m", "heading_rad")
+    }
+    for wheel, speed, torque in zip(WHEEL_NAMES, speed_rad_s, torque_n_m, strict=True):
+        signals[f"wheel.{wheel}.current_a"] = np.zeros(11)
+        signals[f"wheel.{wheel}.speed_command_rad_s"] = np.full(11, speed)
+        signals[f"wheel.{wheel}.torque_command_n_m"] = np.full(11, torque)
+    figures, _ = signal_figures(signals, None, CommandLimits(20.0, 5.0))
+    assert figures["saturation_s"] == pytest.approx(t_s[-1] if is_at_limit else 0.0)
+    assert signal_figures(signals)[0]["saturation_s"] == 0.0
 
 
 def test_demand_without_a_meaning_has_a_reason() -> None:

@@ -113,14 +113,28 @@ def test_torques_are_within_the_limit_before_the_guard_sees_them(state, referenc
         applied = Applied(command, False, latency_s)
 
 
-@given(states)
-def test_set_points_are_within_the_speed_limit(state):
-    """The guard would scale all four, the reference's own part too. Without the lead over the firmware's lag."""
-    reference = Reference(Pose(0.1, 0.2, 0.3), Twist(0.2, -0.1, 0.1), Acceleration(0.0, 0.0, 0.0))
-    controller = law(CommandMode.SPEED, speed_lag_s=0.0)
+@given(states, references, st.floats(0.0, 0.02))
+def test_set_points_are_within_the_speed_limit_before_the_guard_sees_them(state, reference, latency_s):
+    """With all defaults, the lead over the firmware's lag too: the guard would scale the reference's part as well."""
+    controller = law(CommandMode.SPEED)
     controller.reset(state, reference)
-    command = controller.update(reference, State(state.pose, reference.twist), AT_REST, 1e-9)
-    assert max(map(abs, command.speed_rad_s)) <= ROBOT.speed_limit_rad_s * (1.0 + 1e-6)
+    command = controller.update(reference, state, AT_REST._replace(latency_s=latency_s), 0.005)
+    assert max(map(abs, command.speed_rad_s)) <= ROBOT.speed_limit_rad_s
+
+
+@pytest.mark.parametrize("mode", CommandMode)
+@pytest.mark.parametrize("place", range(6))
+@pytest.mark.parametrize("rest", [0.0, 0.3])
+def test_a_state_that_is_no_number_raises_nothing(mode, place, rest):
+    """A law is pure: what is wrong with its state is for the loop to say."""
+    values = [rest] * 6
+    values[place] = math.nan
+    reference = Reference(Pose(0.0, 0.0, 0.0), Twist(0.0, 0.0, 0.0), Acceleration(0.0, 0.0, 0.0))
+    controller = law(mode)
+    controller.reset(State(Pose(*[rest] * 3), Twist(*[rest] * 3)), reference)
+    for _ in range(2):
+        command = controller.update(reference, State(Pose(*values[:3]), Twist(*values[3:])), AT_REST, 0.005)
+        assert command.mode is mode
 
 
 @pytest.mark.parametrize("share", [1.0, 0.4, 0.0])

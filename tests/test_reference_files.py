@@ -6,14 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import hil
+from hil.cli import app
 from hil.errors import BadInputError
 from hil.references import Circle, make_reference
 from hil.references.table import LARGEST_BYTES
 from hil.review import RecordedRun, read, write_trajectory
 from hil.scenario import load
-from tests.processes import hil as hil_command
 
 HEAD = "x_m,y_m,heading_rad\n"
 TIMED = "t_s,x_m,y_m,heading_rad\n"
@@ -184,21 +185,23 @@ def test_the_shipped_references_are_followed_through_the_wire(name):
     assert result.metrics["reference"]["warnings"] == []
 
 
-def test_a_run_warns_before_it_begins_and_keeps_the_warning(tmp_path):
+def test_a_run_warns_before_it_begins_and_keeps_the_warning(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     fast = ["--set", "reference.radius_m=5", "--set", "loop.duration_s=0.1", "--set", "expect=[]"]
-    done = hil_command("run", "circle_speed", *fast, "--record", "run.rrd", cwd=tmp_path)
-    (warning,) = read(tmp_path / "run.rrd").summary["reference"]["warnings"]
+    done = CliRunner().invoke(app, ["run", "circle_speed", *fast, "--record", "run.rrd"])
+    recorded = read(tmp_path / "run.rrd")
+    (warning,) = recorded.summary["reference"]["warnings"]
     assert warning.startswith("wheel fr would need 39.5 rad/s at t = 0 s, its limit is 20 rad/s; at most wheel fr")
     assert done.stderr == f"hil: warning: {warning}\n"
     assert f"  warning                {warning}\n" in done.stdout
-    assert [event.text for event in read(tmp_path / "run.rrd").events if event.level == "WARN"] == [warning]
+    assert [event.text for event in recorded.events if event.level == "WARN"] == [warning]
 
 
-def test_check_says_what_the_reference_asks_of_the_wheels(tmp_path):
-    fine = hil_command("check", "figure_eight", cwd=tmp_path)
-    assert (fine.returncode, fine.stderr) == (0, "")
+def test_check_says_what_the_reference_asks_of_the_wheels():
+    fine = CliRunner().invoke(app, ["check", "figure_eight"])
+    assert (fine.exit_code, fine.stderr) == (0, "")
     assert "wheel speed" in fine.stdout
     assert "not feasible" not in fine.stdout
-    wild = hil_command("check", "figure_eight", "--set", "reference.period_s=4", "--json", cwd=tmp_path)
-    assert wild.returncode == 1
+    wild = CliRunner().invoke(app, ["check", "figure_eight", "--set", "reference.period_s=4", "--json"])
+    assert wild.exit_code == 1
     assert len(json.loads(wild.stdout)["reference"]["warnings"]) == 2

@@ -24,7 +24,7 @@ from hil.errors import BadInputError
 from hil.reproduction import page, published, reproduce, tables, verdicts
 from hil.reproduction.margin import delay_margin
 from hil.reproduction.oscillation import oscillation
-from hil.reproduction.plan import EXPERIMENT, EXPERIMENT_PERIOD_S, cases
+from hil.reproduction.plan import EXPERIMENT, EXPERIMENT_PERIOD_S, Case, cases
 from hil.reproduction.runs import Outcome
 from hil.scenario import load
 
@@ -130,14 +130,25 @@ def test_less_than_a_lap_has_no_oscillation():
 # ---------------------------------------------------------------------------------------- verdicts on made-up numbers
 
 
+CASE_FIGURES: dict[str, float | None] = {
+    "heading_rad": 0.0,
+    "amplitude_m": 0.001,
+    "frequency_hz": 3.0,
+    "tracked_s": 0.6,
+    "steady_rms_m": 0.00038,
+    "steady_max_m": 0.002,
+    "driven_s": 7.1,
+    "from_m": 1.0,
+    "transition_s": 4.2,
+}
+
+
 def made_up(change: dict[str, dict[str, float | None]]) -> dict[str, verdicts.Verdict]:
     """Return the verdicts by claim for runs that agree with the paper but for ``change``, by name of the case."""
     planned = cases()
     outcomes = []
     for case in planned:
-        figures: dict[str, float | None] = {"heading_rad": 0.0, "amplitude_m": 0.001, "frequency_hz": 3.0}
-        figures |= {"tracked_s": 0.6, "steady_rms_m": 0.00038, "driven_s": 7.1, "from_m": 1.0, "transition_s": 4.2}
-        figures |= {"steady_max_m": 0.002}
+        figures = dict(CASE_FIGURES)
         if str(case.row.get("law")) == "dsc":
             figures |= {"tracked_s": 1.1, "steady_rms_m": 0.00079}
         if str(case.row.get("law")) == "constant":
@@ -150,7 +161,9 @@ def made_up(change: dict[str, dict[str, float | None]]) -> dict[str, verdicts.Ve
 
 def test_a_run_that_agrees_comes_out():
     found = made_up({})
-    assert {verdict.verdict for verdict in found.values()} == {verdicts.COMES_OUT, verdicts.FITTED}
+    assert {verdict.verdict for verdict in found.values()} == {verdicts.COMES_OUT, verdicts.FITTED, verdicts.NO_NUMBER}
+    swings = found["a slight oscillation from the delay"]
+    assert (swings.verdict, swings.ours) == (verdicts.NO_NUMBER, 0.02)  # there is one, and no number of the paper's
     fitted = [claim for claim, verdict in found.items() if verdict.verdict == verdicts.FITTED]
     assert fitted == ["DSC steady error", "AFDSC steady error, with a filter of its own", "no control signal for"]
 
@@ -191,9 +204,35 @@ def test_a_run_that_failed_says_nothing_of_the_paper(name, count):
     assert sum(f"{name}: hung" in verdict.why for verdict in found) == count
 
 
+def test_a_variant_that_failed_feeds_no_verdict() -> None:
+    """What it came to before it ended is not held against the paper, nor for it."""
+    planned = cases()
+    names = ("constant common together", "dsc short each", "afdsc torque 70 ms", "from x = 0 m")
+    outcomes = [
+        Outcome(case.name, dict(CASE_FIGURES, tracked_s=0.12345, transition_s=0.12345), None, 1.0) for case in planned
+    ]
+    broken = [o._replace(failure="hung") if o.name in names else o for o in outcomes]
+    blank = [o._replace(failure="hung", figures={}) if o.name in names else o for o in outcomes]
+    assert verdicts.judge(verdicts.Results(planned, broken)) == verdicts.judge(verdicts.Results(planned, blank))
+    tuner = {verdict.claim: verdict for verdict in verdicts.judge(verdicts.Results(planned, broken))}[
+        "the fuzzy tuner makes it sooner than its middle gains held constant, by"
+    ]
+    assert (tuner.verdict, tuner.why) == (verdicts.NO_NUMBER, "a run is missing, constant common together: hung")
+
+
+def test_the_command_fails_when_a_run_did(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A real worker is given one run that cannot begin."""
+    row = {"law": "dsc", "filter": "common", "limit": "together"}
+    planned = [Case("dsc common together", "circle", row, "no_such_scenario", {})]
+    monkeypatch.setattr("hil.reproduction.cases", lambda *, quick: planned)
+    result = CliRunner().invoke(app, ["reproduce", "--json", "--out", str(tmp_path)])
+    assert result.exit_code == 1, result.output
+    assert "no_such_scenario" in json.loads(result.stdout)["circle"][0]["failure"]
+
+
 def test_without_the_calm_run_an_oscillation_cannot_be_compared():
     found = made_up({"afdsc torque 0 ms": {"amplitude_m": None}})["a slight oscillation from the delay"]
-    assert found.verdict == verdicts.NO_NUMBER
+    assert (found.verdict, found.ours) == (verdicts.NO_NUMBER, None)
 
 
 def test_a_verdict_says_where_the_lead_is_lost():
@@ -244,9 +283,9 @@ def test_nothing_is_commanded_until_the_host_comes(summary: dict[str, Any], fold
 
 
 def test_the_main_runs_are_recorded(summary: dict[str, Any], folder: Path) -> None:
-    assert summary["recordings"] == [f"{row['name'].replace(' ', '_')}.rrd" for row in summary["circle"]] + [
-        "experiment.rrd"
-    ]
+    assert summary["recordings"] == ["afdsc_common_together.rrd", "experiment.rrd"]
+    whole = [case.name for case in cases() if case.records]
+    assert whole == [*(row["name"] for row in summary["circle"]), "experiment"]
     assert all((folder / name).stat().st_size > 100_000 for name in summary["recordings"])
 
 

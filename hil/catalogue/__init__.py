@@ -7,7 +7,7 @@ from collections.abc import Callable
 from hil.catalogue import plan
 from hil.catalogue.plan import Asked
 from hil.catalogue.runs import WORK, Verdict, scenario
-from hil.pool import perform_all
+from hil.pool import counted, perform_all
 
 __all__ = ["Asked", "Verdict", "catalogue"]
 
@@ -34,14 +34,7 @@ def catalogue(
     lockstep = plan.alone(asked) + (plan.pairs(asked) if pairs else [])
     in_real_time = plan.alone(asked, "realtime") if realtime else []
     scenario(lockstep[0])
-    done = 0
-
-    def count(verdict: Verdict) -> None:
-        nonlocal done
-        done += 1
-        if tell is not None:
-            tell(done, len(lockstep) + len(in_real_time), verdict)
-
+    count = counted(tell, len(lockstep) + len(in_real_time))
     asked.recordings.mkdir(parents=True, exist_ok=True)
     verdicts = perform_all(WORK, lockstep, jobs or os.cpu_count() or 1, limit_s, count)
     verdicts += perform_all(WORK, in_real_time, 1, limit_s, count)

@@ -44,11 +44,12 @@ def catalogue(
     from hil import report
     from hil.catalogue import catalogue as run_catalogue
     from hil.catalogue.plan import Asked
+    from hil.progress import runs_progress
 
     signal.signal(signal.SIGTERM, interrupt)
     laws = [] if law is None else [f"controller.law={law}"]
     asked = Asked(scenario, [*laws, *(sets or [])], link or [], kind or [], report.catalogue_folder(), sample, seed)
-    tell = None if as_json or not sys.stderr.isatty() else _progress
+    tell = None if as_json or not sys.stderr.isatty() else runs_progress(_trouble)
     try:
         verdicts = run_catalogue(asked, pairs=pairs, realtime=realtime, jobs=jobs, limit_s=limit_s, tell=tell)
     except KeyboardInterrupt:
@@ -59,13 +60,6 @@ def catalogue(
     else:
         _print_verdicts(verdicts)
     raise typer.Exit(0 if passed else 1)
-
-
-def _progress(done: int, of: int, verdict: "Verdict") -> None:
-    """Say on stderr how far the catalogue is, and what is not as it should be."""
-    if not verdict.is_ok:
-        print(f"\r{verdict.fault} over {verdict.link}: {verdict.verdict}", file=sys.stderr)
-    print(f"\r{done} of {of} runs", end="\n" if done == of else "", file=sys.stderr, flush=True)
 
 
 def _print_verdicts(verdicts: Sequence["Verdict"]) -> None:
@@ -96,3 +90,7 @@ def _catalogue_row(verdict: "Verdict") -> tuple[str, ...]:
         f"{verdict.wall_s:.1f}",
         "ok" if verdict.is_ok else verdict.verdict.partition(":")[0],
     )
+
+
+def _trouble(verdict: "Verdict") -> str | None:
+    return None if verdict.is_ok else f"{verdict.fault} over {verdict.link}: {verdict.verdict}"

@@ -50,6 +50,7 @@ def compare(
     from hil.comparison import Asked
     from hil.comparison import compare as run_comparison
     from hil.comparison.conditions import DRIVES, TORQUES_N_M
+    from hil.progress import runs_progress
 
     signal.signal(signal.SIGTERM, interrupt)
     *laws, scenario = laws_and_scenario
@@ -67,7 +68,7 @@ def compare(
     )
     if out is not None:
         _make_folder(out)
-    tell = None if as_json or not sys.stderr.isatty() else _progress
+    tell = None if as_json or not sys.stderr.isatty() else runs_progress(lambda _: None)
     try:
         comparison = run_comparison(asked, jobs=jobs, limit_s=limit_s, tell=tell)
     except KeyboardInterrupt:
@@ -95,11 +96,6 @@ def _make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BadInputError(f"--out {folder}: it cannot be made ({error.strerror}); name a folder") from error
-
-
-def _progress(done: int, of: int) -> None:
-    """Say on stderr how far the comparison is."""
-    print(f"\r{done} of {of} runs", end="\n" if done == of else "", file=sys.stderr, flush=True)
 
 
 def _print_comparison(comparison: "Comparison") -> None:

@@ -24,10 +24,12 @@ def reproduce(
     as_json: Json = False,
 ) -> None:
     """Run section IV of the paper and say which of its figures come out, which do not, and why."""
+    from hil.progress import runs_progress
     from hil.reproduction import reproduce as run_reproduction
+    from hil.reproduction.summary import failures
 
     signal.signal(signal.SIGTERM, interrupt)
-    tell = None if as_json or not sys.stderr.isatty() else _progress
+    tell = None if as_json or not sys.stderr.isatty() else runs_progress(_trouble)
     try:
         summary = run_reproduction(out, quick=quick, jobs=jobs, tell=tell)
     except KeyboardInterrupt:
@@ -36,13 +38,11 @@ def reproduce(
         print_json(summary)
     else:
         print_reproduction(summary)
+    raise typer.Exit(1 if failures(summary) else 0)
 
 
-def _progress(done: int, of: int, outcome: "Outcome") -> None:
-    """Say on stderr how far a reproduction is, and what ended a run of it early."""
-    if outcome.failure is not None:
-        print(f"\r{outcome.name}: {outcome.failure}", file=sys.stderr)
-    print(f"\r{done} of {of} runs", end="\n" if done == of else "", file=sys.stderr, flush=True)
+def _trouble(outcome: "Outcome") -> str | None:
+    return None if outcome.failure is None else f"{outcome.name}: {outcome.failure}"
 
 
 def print_reproduction(summary: Mapping[str, Any]) -> None:

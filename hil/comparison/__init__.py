@@ -21,7 +21,7 @@ from hil.comparison.result import Comparison, Row, Run
 from hil.comparison.runs import LINK, MODE, WORK, Job, Outcome
 from hil.controllers.registry import SHIPPED
 from hil.errors import BadInputError, nearest
-from hil.pool import perform_all
+from hil.pool import counted, perform_all
 from hil.scenario import SHIPPED_FMUS, Scenario, load, set_texts
 from plant_fmu.shipped import variable_names
 
@@ -54,13 +54,13 @@ def compare(
     *,
     jobs: int | None = None,
     limit_s: float = 120.0,
-    tell: Callable[[int, int], None] | None = None,
+    tell: Callable[[int, int, Outcome], None] | None = None,
 ) -> Comparison:
     """Run what is asked for and return what came of it.
 
     ``jobs`` is the number of processes, by default one a processor; the figures do not depend on it. A run that takes
     more than ``limit_s`` of wall-clock time is ended, and is a failed one as is one whose process ends. ``tell`` gets
-    how many runs are done, and of how many.
+    how many runs are done, of how many, and the newest outcome.
 
     Raises BadInputError, before anything is run, for a law, a gain, a scenario or a condition that does not exist.
     """
@@ -85,15 +85,7 @@ def compare(
         for table, entry in rows
         for robot, texts in zip(robots, sets[table], strict=True)
     ]
-    done = 0
-
-    def count(_outcome: Outcome) -> None:
-        nonlocal done
-        done += 1
-        if tell is not None:
-            tell(done, len(work))
-
-    outcomes = iter(perform_all(WORK, work, jobs or os.cpu_count() or 1, limit_s, count))
+    outcomes = iter(perform_all(WORK, work, jobs or os.cpu_count() or 1, limit_s, counted(tell, len(work))))
     return Comparison(
         base.name,
         base.loop.seed,

@@ -1,5 +1,6 @@
 """What is compared: a law with its gains, as in ``dsc,k1_1_s=8`` or ``./my_law.py:MyLaw,speed.gain=3``."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -14,11 +15,20 @@ Gains = dict[str, object]
 
 
 class Entry(NamedTuple):
-    """A law with its gains in either mode; ``law`` is as a scenario would have it, ``label`` as the user wrote it."""
+    """A law with its gains in either mode; ``law`` is as a scenario would have it, ``label`` as the user wrote it.
+
+    ``unsaid`` are those of the gains that are not the law's defaults, and that the label does not name: the scenario's.
+    """
 
     label: str
     law: str
     gains: Mapping[CommandMode, Gains]
+    unsaid: Mapping[CommandMode, Gains]
+
+    def title(self, mode: CommandMode) -> str:
+        """Return what a table calls it in a mode: nothing by which it differs from the law's defaults is hidden."""
+        unsaid = ", ".join(f"{name} = {format_value(value)}" for name, value in self.unsaid[mode].items())
+        return f"{self.label} ({unsaid})" if unsaid else self.label
 
 
 def entries(texts: Sequence[str], scenario: str, sets: Sequence[str]) -> list[Entry]:
@@ -47,7 +57,12 @@ def _entry(text: str, scenario: str, sets: Sequence[str]) -> Entry:
             build(kind, gains[mode], f"law {text}")
         elif gains[mode]:
             raise BadInputError(f"law {text}: it has no dataclass Options, so it takes no gains; leave them out")
-    return Entry(text, base.controller.law, gains)
+    defaults = {field.name: field.default for field in dataclasses.fields(kind)} if kind is not None else {}
+    unsaid = {
+        mode: {name: value for name, value in of_mode.items() if name not in given[mode] and value != defaults[name]}
+        for mode, of_mode in gains.items()
+    }
+    return Entry(text, base.controller.law, gains, unsaid)
 
 
 def _of_scenario(base: Scenario, mode: CommandMode) -> Gains:

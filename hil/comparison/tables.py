@@ -40,7 +40,7 @@ COLUMNS = (
     Column("overshoot_m", "overshoot", "mm", 1e3, 1, "how far past the reference, along the line of the initial error"),
     Column("effort_n_m_s", "effort", "N·m·s", 1.0, 1, "∫ Σ abs(τ) dt over the four wheels, by the measured currents"),
     Column("torque_variation_n_m_per_s", "variation", "N·m/s", 1.0, 2, "mean absolute slew of a wheel's torque"),
-    Column("saturation_s", "saturated", "s", 1.0, 2, "how long the guard scaled the wheels at a limit"),
+    Column("saturation_s", "saturated", "s", 1.0, 2, "how long a wheel's command was at its limit"),
 )
 assert tuple(column.name for column in COLUMNS) == FIGURES
 
@@ -55,7 +55,7 @@ def terminal(comparison: Comparison) -> Iterator[tuple[str, list[tuple[str, ...]
     for condition in comparison.conditions():
         rows = comparison.under(condition)
         head = ("law", *(f"{column.head} {column.unit}" for column in COLUMNS))
-        cells = [(row.entry.label, *(_pair(column, row) for column in COLUMNS)) for row in rows]
+        cells = [(row.entry.title(condition.mode), *(_pair(column, row) for column in COLUMNS)) for row in rows]
         yield condition.words, [head, *cells], list(_notes(rows))
 
 
@@ -74,7 +74,7 @@ def write_markdown(comparison: Comparison, file: Path, command: str, pictures: S
         lines += ["|---" * (1 + len(COLUMNS)) + "|"]
         for row in rows:
             cells = (_triple(column, row, rows) for column in COLUMNS)
-            label = row.entry.label.replace("|", "\\|")
+            label = row.entry.title(condition.mode).replace("|", "\\|")
             lines.append(f"| {label} | " + " | ".join(cells) + " |")
         if notes := list(_notes(rows)):
             lines += ["", *(f"- {note}" for note in notes)]
@@ -92,7 +92,8 @@ def _preface(comparison: Comparison, command: str) -> Iterator[str]:
     yield "# Laws compared"
     yield ""
     yield f"Made by `{command}`; do not edit. Scenario `{comparison.scenario}`, seed {comparison.seed}, every run in"
-    yield "lockstep through the wire in memory. Less is better in every column."
+    yield "lockstep through the wire in memory. Less is better in every column. In brackets behind a law are gains of"
+    yield "the scenario that are not its defaults."
     yield ""
     if varied:
         yield "A cell has three figures: nominal / worst over the plant's mass / worst over its mass and friction. The"

@@ -37,15 +37,16 @@ def allocate(
     fl, fr, rr, rl = friction_n_m
     loss_1, loss_2 = 0.5 * (fl + rr), 0.5 * (fr + rl)
     uneven = 0.5 * (fl - rr - fr + rl)
-    push_1 = _within(push_1_n_m + loss_1, limit_n_m)
-    push_2 = _within(push_2_n_m + loss_2, limit_n_m)
+    push_1 = within(push_1_n_m + loss_1, limit_n_m)
+    push_2 = within(push_2_n_m + loss_2, limit_n_m)
     room_1, room_2 = limit_n_m - abs(push_1), limit_n_m - abs(push_2)
     wanted = 2.0 * turn_n_m - uneven
-    turn_2 = _within(wanted - _within(0.5 * wanted, room_1), room_2)
-    turn_1 = _within(wanted - turn_2, room_1)
+    turn_2 = within(wanted - within(0.5 * wanted, room_1), room_2)
+    turn_1 = within(wanted - turn_2, room_1)
     torque = Wheels(push_1 - turn_1, push_2 + turn_2, push_1 + turn_1, push_2 - turn_2)
     return torque, push_1 - loss_1, push_2 - loss_2, 0.5 * (turn_1 + turn_2 + uneven)
 
 
-def _within(value: float, limit: float) -> float:
+def within(value: float, limit: float) -> float:
+    """Return the value, but no further from zero than the limit. NaN stays NaN."""
     return limit if value > limit else -limit if value < -limit else value

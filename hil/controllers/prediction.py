@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from hil.kinematics import body_wrench
 from hil.model import FRICTION_SPEED_RAD_S, RobotModel
-from hil.types import Acceleration, Pose, State, Twist, Wheels
+from hil.types import Acceleration, Twist, Wheels
 
 
 class Moved(NamedTuple):
@@ -87,25 +87,6 @@ class CommandsOnTheirWay:
             vy + d * ay,
             vh + d * ah,
         )
-
-
-def forward(state: State, disturbance: Acceleration, moved: Moved, horizon_s: float) -> State:
-    """Return the state ``horizon_s`` [s] later: by its own speed, a constant disturbance, and the commands."""
-    (x, y, heading), (vx, vy, yaw_rate) = state
-    ax, ay, ah = disturbance
-    half = 0.5 * horizon_s
-    return State(
-        Pose(
-            x + horizon_s * (vx + half * ax) + moved.x_m,
-            y + horizon_s * (vy + half * ay) + moved.y_m,
-            heading + horizon_s * (yaw_rate + half * ah) + moved.heading_rad,
-        ),
-        Twist(
-            vx + horizon_s * ax + moved.vx_m_s,
-            vy + horizon_s * ay + moved.vy_m_s,
-            yaw_rate + horizon_s * ah + moved.yaw_rate_rad_s,
-        ),
-    )
 
 
 def acceleration_of(

@@ -6,7 +6,7 @@ Derivation, options and figures: PROFILE.md beside this file.
 import math
 from dataclasses import dataclass
 
-from hil.controllers.diagonals import SQRT2, allocate, directions
+from hil.controllers.diagonals import SQRT2, allocate, directions, within
 from hil.controllers.observer import ExtendedStateObserver
 from hil.controllers.prediction import CommandsOnTheirWay, acceleration_of
 from hil.controllers.surface import tracking_error
@@ -33,6 +33,8 @@ _TURNING_SHARE = 0.3
 # How far in time the set points may be from the speeds. Further away the firmware's limit would have the wheels that
 # have most to gain drag the others backwards, which it takes for a fault (WRONG_DIRECTION).
 _STEP_S = 0.05
+# By so much less than the speed limit, that no rounding takes a wheel beyond it.
+_ROUNDING = 1e-12
 _NO_ACCELERATION = Acceleration(0.0, 0.0, 0.0)
 
 
@@ -86,7 +88,8 @@ class Profile:
         self._push_step_m_s = _STEP_S * push_m_s2
         self._turn_step_rad_s = _STEP_S * turn_rad_s2
         keeps = options.keeps_speed_limit or not self._torque
-        self._rim_speed_m_s = model.speed_limit_rad_s * model.wheel_radius_m if keeps else math.inf
+        rim_speed_m_s = model.speed_limit_rad_s * model.wheel_radius_m * (1.0 - _ROUNDING)
+        self._rim_speed_m_s = rim_speed_m_s if keeps else math.inf
         self._turn_rad_s = _TURNING_SHARE * self._rim_speed_m_s / model.lever_m
         bandwidth = options.observer_rad_s
         self._observe_x = ExtendedStateObserver(bandwidth, push_m_s2)
@@ -210,11 +213,12 @@ class Profile:
         moving = Twist(vx_d, vy_d, yaw_rate_d)
         # In the middle of the tick, and less by what the wheels run ahead of the speed that the firmware measures.
         lead_s = 0.5 * dt_s - self._speed_lag_s
-        twist = Twist(
-            vx_d + rate_1 * x1 + rate_2 * x2 + lead_s * ax,
-            vy_d + rate_1 * y1 + rate_2 * y2 + lead_s * ay,
-            yaw_rate_d + turn + lead_s * yaw_acceleration,
-        )
+        # The limit comes last: over the lead, the reference, and how far the set points may be from the speeds.
+        turn = within(yaw_rate_d + turn + lead_s * yaw_acceleration, self._rim_speed_m_s / model.lever_m)
+        limit = self._push_speed_m_s(turn)
+        push_1 = within(along_1 + rate_1 + lead_s * (ax * x1 + ay * y1), limit)
+        push_2 = within(along_2 + rate_2 + lead_s * (ax * x2 + ay * y2), limit)
+        twist = Twist(push_1 * x1 + push_2 * x2, push_1 * y1 + push_2 * y2, turn)
         acceleration = Acceleration(ax, ay, yaw_acceleration)
         torque = model.wheel_torques(acceleration, moving, heading, model.wheel_speeds(moving, heading))
         return WheelCommand(CommandMode.SPEED, model.wheel_speeds(twist, heading), torque)
@@ -258,7 +262,8 @@ def profile(error: float, rate: float, k1: float, braking: float, low: float, hi
 
 
 def in_step(rate: float, wanted: float) -> float:
-    """Return how much of ``rate`` is on the way that ``wanted`` asks for: 1 for as fast or more slowly, less beyond."""
-    if rate * wanted <= 0.0:
-        return 0.0
-    return min(1.0, wanted / rate)
+    """Return how much of ``rate`` is on the way that ``wanted`` asks for: 1 for as fast or more slowly, less beyond.
+
+    None of a rate that is NaN.
+    """
+    return min(1.0, wanted / rate) if rate * wanted > 0.0 else 0.0

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.errors import BadInputError
-from hil.pool import perform_all
+from hil.pool import counted, perform_all
 from hil.reproduction import pictures
 from hil.reproduction.plan import FILTERS, LAWS, Case, cases
 from hil.reproduction.runs import WORK, Job, Outcome
@@ -50,17 +50,9 @@ def reproduce(
     began = time.monotonic()
     _make(folder)
     planned = cases(quick=quick)
-    done = 0
-
-    def count(outcome: Outcome) -> None:
-        nonlocal done
-        done += 1
-        if tell is not None:
-            tell(done, len(planned), outcome)
-
     with tempfile.TemporaryDirectory(prefix="hil-reproduce-") as scratch:
         asked = [_job(case, folder, Path(scratch)) for case in planned]
-        outcomes = perform_all(WORK, asked, jobs or os.cpu_count() or 1, limit_s, count)
+        outcomes = perform_all(WORK, asked, jobs or os.cpu_count() or 1, limit_s, counted(tell, len(planned)))
         signals = {label: _signals(Path(scratch) / f"{name}.npz") for label, name in _SHOWN.items()}
         results = Results(planned, outcomes)
         drawn = _draw(folder, results, {label: found for label, found in signals.items() if found is not None})
@@ -118,7 +110,8 @@ def _draw(folder: Path, results: Results, shown: Mapping[str, Signals]) -> list[
     if "experiment" in shown:
         pictures.path_in_plane(place("figure_10.png"), shown["experiment"])
         pictures.control_signals(place("figure_11.png"), shown["experiment"])
-    pictures.delay(place("delay.png"), results)
+    if any(results.rows("delay")):
+        pictures.delay(place("delay.png"), results)
     return drawn
 
 

@@ -60,6 +60,12 @@ def summarise(
     }
 
 
+def failures(summary: Mapping[str, Any]) -> list[str]:
+    """Return the runs of a summary that did not come to their end, each with what ended it."""
+    rows = (row for group in _FIGURES for row in summary[group])
+    return [f"{row['name']}: {row['failure']}" for row in rows if row["failure"] is not None]
+
+
 def _rows(
     group: str, figures: Sequence[str], cases: Sequence[Case], outcomes: Sequence[Outcome]
 ) -> Iterator[Mapping[str, Any]]:

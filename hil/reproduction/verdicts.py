@@ -44,18 +44,22 @@ class Verdict(NamedTuple):
 
 
 class Results:
-    """The outcomes of the runs by what they are runs of; a figure that is not there is None."""
+    """The outcomes of the runs by what they are runs of; a figure that is not there is None.
+
+    A run that ended early has none: what it got to by then says nothing of the paper.
+    """
 
     def __init__(self, cases: list[Case], outcomes: list[Outcome]) -> None:
-        self._pairs = list(zip(cases, outcomes, strict=True))
+        ended = (outcome if outcome.failure is None else outcome._replace(figures={}) for outcome in outcomes)
+        self._pairs = list(zip(cases, ended, strict=True))
 
     def rows(self, group: str) -> Iterator[tuple[Case, Outcome]]:
         """Yield the cases of a table with their outcomes."""
         return ((case, outcome) for case, outcome in self._pairs if case.group == group)
 
     def failure(self, name: str) -> str | None:
-        """Return what ended a run early."""
-        return next((outcome.failure for case, outcome in self._pairs if case.name == name), None)
+        """Return what ended a run early, or that it was not made."""
+        return next((outcome.failure for case, outcome in self._pairs if case.name == name), "it was not run")
 
     def circle(self, law: str, filter_name: str, limit: str, figure: str) -> float | None:
         """Return a figure of section IV.A."""
@@ -77,17 +81,18 @@ class Results:
 
 def judge(results: Results) -> list[Verdict]:
     """Return the verdict on each result of section IV, in the order of the paper."""
+    both = ("dsc common together", "afdsc common together", "afdsc short together")
     circle = [
         *(_printed(results, printed) for printed in published.FIGURES),
         _own_filter(results),
         _sooner(results),
         _closer(results),
-        _by_the_tuner(results),
+        *_as_far_as_run(results, [_by_the_tuner(results)], ("constant common together",)),
         _heading(results),
     ]
     experiment = [_silence(results), _transition(results), _converged(results), _delay(results)]
     return [
-        *_as_far_as_run(results, circle, ("dsc common together", "afdsc common together", "afdsc short together")),
+        *_as_far_as_run(results, circle, both),
         *_as_far_as_run(results, experiment, ("experiment",)),
     ]
 
@@ -97,7 +102,7 @@ def _as_far_as_run(results: Results, found: list[Verdict], needed: tuple[str, ..
     failed = [f"{name}: {failure}" for name in needed if (failure := results.failure(name)) is not None]
     if not failed:
         return found
-    return [verdict._replace(verdict=NO_NUMBER, why=f"a run ended early, {'; '.join(failed)}") for verdict in found]
+    return [verdict._replace(verdict=NO_NUMBER, why=f"a run is missing, {'; '.join(failed)}") for verdict in found]
 
 
 def _printed(results: Results, printed: Printed) -> Verdict:
@@ -245,7 +250,11 @@ def _converged(results: Results) -> Verdict:
 
 
 def _delay(results: Results) -> Verdict:
-    """Section IV.B: a slight oscillation about the path, due to the controller's delay."""
+    """Section IV.B: a slight oscillation about the path, due to the controller's delay.
+
+    That there is none can come out. That there is one says nothing for the paper: it has no number, and the sweep goes
+    beyond the latency at which the loop is no longer stable, where every loop swings.
+    """
     sweep = {ms: figures.get("amplitude_m") for ms, figures in results.delay("afdsc torque").items()}
     known = {ms: value for ms, value in sweep.items() if value is not None}
     calm = known.get(0.0)
@@ -266,9 +275,10 @@ def _delay(results: Results) -> Verdict:
     margin = delay_margin(*published.FUZZY_CENTRE, published.COMMON_FILTER_S, EXPERIMENT_PERIOD_S)
     why += (
         f"; by the equations AFDSC's gains at zero error swing from {margin.latency_s * 1e3:.0f} ms on, at "
-        f"{margin.frequency_hz:.1f} Hz; the paper gives neither amplitude nor delay, so that no size can be compared"
+        f"{margin.frequency_hz:.1f} Hz; every loop swings once it is late enough, and the paper gives neither "
+        "amplitude nor delay"
     )
-    return Verdict("IV.B", claim, "m", None, known[first], None, COMES_OUT if swinging else DOES_NOT, why)
+    return Verdict("IV.B", claim, "m", None, known[first], None, NO_NUMBER if swinging else DOES_NOT, why)
 
 
 def _why_not_closer(results: Results) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.errors import BadInputError
 from hil.expectations import outcomes_of
-from hil.metrics import FIGURE_SIGNALS, signal_figures
+from hil.metrics import FIGURE_SIGNALS, CommandLimits, signal_figures
 from hil.review.reader import RecordedRun, read
 from hil.signals import SIGNAL_NAMES
 
@@ -72,7 +72,9 @@ def figures(run: RecordedRun) -> dict[str, Any]:
     if "loop.t_s" in missing:
         raise BadInputError(f"{run.path}: it has no signal 'loop.t_s'; no recording of a run")
     blank = np.zeros(len(run.signals["loop.t_s"]))
-    found, reasons = signal_figures({**dict.fromkeys(missing, blank), **run.signals}, torque_constant_n_m_a(run))
+    found, reasons = signal_figures(
+        {**dict.fromkeys(missing, blank), **run.signals}, torque_constant_n_m_a(run), _limits(run)
+    )
     for name, needed in FIGURE_SIGNALS.items():
         if lacking := [signal for signal in needed if signal in missing]:
             found[name] = None
@@ -115,6 +117,14 @@ def torque_constant_n_m_a(run: RecordedRun) -> float | None:
     """Return what the run's scenario says of the motors [N·m/A at the wheel]; None where it says nothing."""
     value = scenario_of(run).get("firmware.torque_constant_n_m_a")
     return float(value) if isinstance(value, int | float) else None
+
+
+def _limits(run: RecordedRun) -> CommandLimits | None:
+    """Return what the run's scenario allows a wheel to be told; None where it says nothing."""
+    scenario = scenario_of(run)
+    limits = [scenario.get(f"robot.{name}") for name in ("speed_limit_rad_s", "torque_limit_n_m")]
+    numbers = [float(limit) for limit in limits if isinstance(limit, int | float)]
+    return CommandLimits(*numbers) if len(numbers) == len(limits) else None
 
 
 def expected(run: RecordedRun) -> list[_Expect]:
