@@ -152,7 +152,14 @@ def test_a_run_that_agrees_comes_out():
     found = made_up({})
     assert {verdict.verdict for verdict in found.values()} == {verdicts.COMES_OUT, verdicts.FITTED}
     fitted = [claim for claim, verdict in found.items() if verdict.verdict == verdicts.FITTED]
-    assert fitted == ["DSC steady error", "AFDSC steady error, with a filter of its own", "no control signal for"]
+    assert fitted == [
+        "DSC tracks after",
+        "AFDSC tracks after",
+        "DSC steady error",
+        "AFDSC steady error, with a filter of its own",
+        "AFDSC tracks sooner than DSC, by",
+        "no control signal for",
+    ]
 
 
 @pytest.mark.parametrize(
@@ -209,7 +216,7 @@ def test_what_a_quick_reproduction_leaves_out_has_no_verdict():
 
 def test_a_verdict_says_where_the_lead_is_lost():
     found = made_up({"dsc short each": {"tracked_s": 0.5}})["AFDSC tracks sooner than DSC, by"]
-    assert found.verdict == verdicts.COMES_OUT
+    assert found.verdict == verdicts.FITTED
     assert "0.0217 s and 5 N·m, each motor by itself -0.10 s" in found.why
 
 
