@@ -24,18 +24,25 @@ def reproduce(
     as_json: Json = False,
 ) -> None:
     """Run section IV of the paper and say which of its figures come out, which do not, and why."""
+    from hil.reproduction import NotWrittenError
     from hil.reproduction import reproduce as run_reproduction
 
     signal.signal(signal.SIGTERM, interrupt)
+    not_written: NotWrittenError | None = None
     tell = None if as_json or not sys.stderr.isatty() else _progress
     try:
         summary = run_reproduction(out, quick=quick, jobs=jobs, tell=tell)
     except KeyboardInterrupt:
         raise RunInterruptedError("interrupted; the runs were ended") from None
+    except NotWrittenError as error:
+        not_written, summary = error, error.summary
     if as_json:
         print_json(summary)
     else:
         print_reproduction(summary)
+    if not_written is not None:
+        sys.stdout.flush()
+        raise not_written
 
 
 def _progress(done: int, of: int, outcome: "Outcome") -> None:
