@@ -95,9 +95,10 @@ def _write(comparison: "Comparison", out: Path | None, markdown: Path | None) ->
     troubles: list[BadInputError] = []
     if out is not None:
         from hil.comparison.pictures import draw
-        from hil.comparison.tables import write_csv
+        from hil.comparison.tables import remove_older, write_csv
 
         try:
+            remove_older(out)
             write_csv(comparison, out / "comparison.csv")
         except BadInputError as error:
             troubles.append(error)

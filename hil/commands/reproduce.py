@@ -16,9 +16,14 @@ if TYPE_CHECKING:
 
 
 def reproduce(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="folder for pictures, recordings and summary.json")] = Path(
-        "runs/reproduction"
-    ),
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="folder for pictures, recordings and summary.json; by default runs/reproduction, "
+            "with --quick runs/reproduction-quick",
+        ),
+    ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="a few short runs instead of all")] = False,
     jobs: Annotated[int | None, typer.Option(metavar="N", help="processes; by default one a processor", min=1)] = None,
     as_json: Json = False,
@@ -28,6 +33,8 @@ def reproduce(
     from hil.reproduction import reproduce as run_reproduction
 
     signal.signal(signal.SIGTERM, interrupt)
+    if out is None:
+        out = Path("runs/reproduction-quick" if quick else "runs/reproduction")
     not_written: NotWrittenError | None = None
     tell = None if as_json or not sys.stderr.isatty() else _progress
     try:

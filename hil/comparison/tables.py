@@ -2,14 +2,16 @@
 
 import csv
 import os
+import re
 from collections.abc import Iterator, Sequence
 from io import StringIO
 from pathlib import Path
 from typing import NamedTuple
 
-from hil.comparison.conditions import FRICTIONS, MASS_FACTORS, Condition
+from hil.comparison.conditions import DRIVES, FRICTIONS, MASS_FACTORS, Condition
 from hil.comparison.result import Comparison, Row
 from hil.comparison.runs import FIGURES
+from hil.errors import BadInputError
 from hil.whole_file import write_whole
 
 OVERVIEW = "figures"
@@ -49,6 +51,20 @@ assert tuple(column.name for column in COLUMNS) == FIGURES
 def names(condition: Condition) -> tuple[str, str]:
     """Return the names of the pictures of a condition: path and error, and torques."""
     return f"error-{condition.slug}", f"torque-{condition.slug}"
+
+
+def remove_older(folder: Path) -> None:
+    """Remove the files that an earlier comparison wrote into a folder, whatever its conditions; nothing else."""
+    drives = "|".join(DRIVES)
+    own = re.compile(rf"comparison\.csv|{OVERVIEW}\.png|(error|torque)-[0-9.e+-]+nm-({drives})(-[a-z-]+)?\.png")
+    for file in folder.iterdir():
+        if own.fullmatch(file.name) and file.is_file():
+            try:
+                file.unlink()
+            except OSError as error:
+                raise BadInputError(
+                    f"file {file}: this older result cannot be removed ({error.strerror}); name another folder"
+                ) from error
 
 
 def terminal(comparison: Comparison) -> Iterator[tuple[str, list[tuple[str, ...]], list[str]]]:
