@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hil.errors import BadInputError
 from hil.telemetry.layout import ALARM_COLOUR, REFERENCE_COLOUR, WHEEL_COLOURS, Colour
 from hil.types import WHEEL_NAMES
+from hil.whole_file import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -112,12 +112,9 @@ def drawing(
         if isinstance(file, BytesIO):
             figure.savefig(file, format="svg", metadata={"Date": None})
             return
-        try:
-            figure.savefig(file, format="png")
-        except OSError as error:
-            raise BadInputError(
-                f"picture {file}: it cannot be written ({error.strerror}); name a folder that exists and may be written"
-            ) from error
+        png = BytesIO()
+        figure.savefig(png, format="png")
+        write_whole(file, png.getvalue(), "picture")
 
 
 def thinned(curve: Curve, points: int = 1200) -> Curve:

@@ -242,3 +242,20 @@ def test_ctrl_c_ends_the_runs_and_says_so(in_folder_of_laws) -> None:
             assert running.recv(1) == b"", "the worker has ended with its run"
     assert process.returncode == 130
     assert errors == "hil: interrupted; the runs were ended\n"
+
+
+def test_what_cannot_be_written_is_said_after_the_table_and_keeps_nothing_else_back(tmp_path) -> None:
+    (tmp_path / "figures.png").mkdir()
+    for name in ("error-1.8nm-motors-truth-wheels-slip.png", "torque-3nm-ideal.png", "error-mine.png", "notes.txt"):
+        (tmp_path / name).write_text("older")
+    page = tmp_path / "PAGE.md"
+    words = ("dsc", "circle_speed", "--quick", "--torque", "5", "--drive", "ideal", "--set", SHORT)
+    done = command("compare", *words, "--out", tmp_path, "--markdown", page)
+    assert done.returncode == 2
+    assert "\ndsc " in done.stdout
+    assert done.stderr.startswith(f"hil: picture {tmp_path / 'figures.png'}: it cannot be written")
+    assert done.stderr.count("\n") == 1
+    assert page.stat().st_size
+    assert (tmp_path / "comparison.csv").stat().st_size
+    older = [path.name for path in tmp_path.iterdir() if path.is_file() and path.read_bytes() == b"older"]
+    assert sorted(older) == ["error-mine.png", "notes.txt"], "what it wrote for other conditions before is gone"

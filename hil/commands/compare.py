@@ -73,21 +73,13 @@ def compare(
         comparison = run_comparison(asked, jobs=jobs, limit_s=limit_s, tell=tell)
     except KeyboardInterrupt:
         raise RunInterruptedError("interrupted; the runs were ended") from None
-    pictures: list[Path] = []
-    if out is not None:
-        from hil.comparison.pictures import draw
-        from hil.comparison.tables import write_csv
-
-        write_csv(comparison, out / "comparison.csv")
-        pictures = draw(comparison, out)
-    if markdown is not None:
-        from hil.comparison.tables import write_markdown
-
-        write_markdown(comparison, markdown, f"hil {shlex.join(sys.argv[1:])}", pictures)
+    # First what was found, for it took long: a disk may be full.
     if as_json:
         print_json(comparison.plain())
     else:
         _print_comparison(comparison)
+    sys.stdout.flush()
+    _write(comparison, out, markdown)
     raise typer.Exit(1 if comparison.has_failed else 0)
 
 
@@ -96,6 +88,34 @@ def _make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BadInputError(f"--out {folder}: it cannot be made ({error.strerror}); name a folder") from error
+
+
+def _write(comparison: "Comparison", out: Path | None, markdown: Path | None) -> None:
+    """Write the files; one that cannot be written keeps none of the others back. Raises BadInputError for the first."""
+    pictures: list[Path] = []
+    troubles: list[BadInputError] = []
+    if out is not None:
+        from hil.comparison.pictures import draw
+        from hil.comparison.tables import remove_older, write_csv
+
+        try:
+            remove_older(out)
+            write_csv(comparison, out / "comparison.csv")
+        except BadInputError as error:
+            troubles.append(error)
+        try:
+            draw(comparison, out, pictures)
+        except BadInputError as error:
+            troubles.append(error)
+    if markdown is not None:
+        from hil.comparison.tables import write_markdown
+
+        try:
+            write_markdown(comparison, markdown, f"hil {shlex.join(sys.argv[1:])}", pictures)
+        except BadInputError as error:
+            troubles.append(error)
+    if troubles:
+        raise troubles[0]
 
 
 def _print_comparison(comparison: "Comparison") -> None:

@@ -16,28 +16,42 @@ if TYPE_CHECKING:
 
 
 def reproduce(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="folder for pictures, recordings and summary.json")] = Path(
-        "runs/reproduction"
-    ),
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="folder for pictures, recordings and summary.json; by default runs/reproduction, "
+            "with --quick runs/reproduction-quick",
+        ),
+    ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="a few short runs instead of all")] = False,
     jobs: Annotated[int | None, typer.Option(metavar="N", help="processes; by default one a processor", min=1)] = None,
     as_json: Json = False,
 ) -> None:
     """Run section IV of the paper and say which of its figures come out, which do not, and why."""
     from hil.progress import runs_progress
+    from hil.reproduction import NotWrittenError
     from hil.reproduction import reproduce as run_reproduction
     from hil.reproduction.summary import failures
 
     signal.signal(signal.SIGTERM, interrupt)
+    if out is None:
+        out = Path("runs/reproduction-quick" if quick else "runs/reproduction")
+    not_written: NotWrittenError | None = None
     tell = None if as_json or not sys.stderr.isatty() else runs_progress(_trouble)
     try:
         summary = run_reproduction(out, quick=quick, jobs=jobs, tell=tell)
     except KeyboardInterrupt:
         raise RunInterruptedError("interrupted; the runs were ended") from None
+    except NotWrittenError as error:
+        not_written, summary = error, error.summary
     if as_json:
         print_json(summary)
     else:
         print_reproduction(summary)
+    if not_written is not None:
+        sys.stdout.flush()
+        raise not_written
     raise typer.Exit(1 if failures(summary) else 0)
 
 

@@ -16,14 +16,13 @@ _APPROACH_S = 3.0
 _PANELS = 3
 
 
-def draw(comparison: Comparison, folder: Path) -> list[Path]:
-    """Draw into a folder that exists and return the files. Raises BadInputError when one cannot be written."""
-    files = [_figures(comparison, folder / f"{OVERVIEW}.png")]
+def draw(comparison: Comparison, folder: Path, files: list[Path]) -> None:
+    """Draw into a folder that exists, and add each file to ``files``. Raises BadInputError."""
+    files.append(_figures(comparison, folder / f"{OVERVIEW}.png"))
     for condition in comparison.conditions():
         rows = [row for row in comparison.under(condition) if row.nominal.curves is not None]
         if rows:
-            files += _condition(condition, rows, folder)
-    return files
+            files.extend(_condition(condition, rows, folder))
 
 
 def _figures(comparison: Comparison, file: Path) -> Path:

@@ -2,14 +2,17 @@
 
 import csv
 import os
+import re
 from collections.abc import Iterator, Sequence
+from io import StringIO
 from pathlib import Path
 from typing import NamedTuple
 
-from hil.comparison.conditions import FRICTIONS, MASS_FACTORS, Condition
+from hil.comparison.conditions import DRIVES, FRICTIONS, MASS_FACTORS, Condition
 from hil.comparison.result import Comparison, Row
 from hil.comparison.runs import FIGURES
 from hil.errors import BadInputError
+from hil.whole_file import write_whole
 
 OVERVIEW = "figures"
 """The name of the picture of all figures."""
@@ -50,6 +53,20 @@ def names(condition: Condition) -> tuple[str, str]:
     return f"error-{condition.slug}", f"torque-{condition.slug}"
 
 
+def remove_older(folder: Path) -> None:
+    """Remove the files that an earlier comparison wrote into a folder, whatever its conditions; nothing else."""
+    drives = "|".join(DRIVES)
+    own = re.compile(rf"comparison\.csv|{OVERVIEW}\.png|(error|torque)-[0-9.e+-]+nm-({drives})(-[a-z-]+)?\.png")
+    for file in folder.iterdir():
+        if own.fullmatch(file.name) and file.is_file():
+            try:
+                file.unlink()
+            except OSError as error:
+                raise BadInputError(
+                    f"file {file}: this older result cannot be removed ({error.strerror}); name another folder"
+                ) from error
+
+
 def terminal(comparison: Comparison) -> Iterator[tuple[str, list[tuple[str, ...]], list[str]]]:
     """Yield for each condition its title, its table with a head (nominal and worst in a cell), and its notes."""
     for condition in comparison.conditions():
@@ -80,10 +97,7 @@ def write_markdown(comparison: Comparison, file: Path, command: str, pictures: S
             lines += ["", *(f"- {note}" for note in notes)]
         lines += _shown(pictures, names(condition), file)
     lines += _shown(pictures, (OVERVIEW,), file)
-    try:
-        file.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
-    except OSError as error:
-        raise _unwritable(file, error) from error
+    write_whole(file, ("\n".join(lines) + "\n").encode("utf-8"))
 
 
 def _preface(comparison: Comparison, command: str) -> Iterator[str]:
@@ -135,22 +149,14 @@ def _shown(pictures: Sequence[Path], wanted: Sequence[str], file: Path) -> Itera
 
 def write_csv(comparison: Comparison, file: Path) -> None:
     """Write a row for each run. Raises BadInputError when it cannot be written."""
-    try:
-        with file.open("w", encoding="utf-8", newline="") as stream:
-            writer = csv.writer(stream, lineterminator="\n")
-            first = comparison.rows[0]
-            head = (*first.condition._fields, *first.runs[0].variation._fields)
-            writer.writerow(["law", *head, *FIGURES, "refused", "failed"])
-            for row in comparison.rows:
-                for variation, outcome in row.runs:
-                    figures = [None if outcome.figures is None else outcome.figures[name] for name in FIGURES]
-                    places = (*row.condition, *variation)
-                    writer.writerow([row.entry.label, *places, *figures, outcome.refused, outcome.failed])
-    except OSError as error:
-        raise _unwritable(file, error) from error
-
-
-def _unwritable(file: Path, error: OSError) -> BadInputError:
-    return BadInputError(
-        f"file {file}: it cannot be written ({error.strerror}); name a folder that exists and may be written"
-    )
+    stream = StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    first = comparison.rows[0]
+    head = (*first.condition._fields, *first.runs[0].variation._fields)
+    writer.writerow(["law", *head, *FIGURES, "refused", "failed"])
+    for row in comparison.rows:
+        for variation, outcome in row.runs:
+            figures = [None if outcome.figures is None else outcome.figures[name] for name in FIGURES]
+            places = (*row.condition, *variation)
+            writer.writerow([row.entry.label, *places, *figures, outcome.refused, outcome.failed])
+    write_whole(file, stream.getvalue().encode("utf-8"))

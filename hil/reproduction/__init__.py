@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -18,8 +19,9 @@ from hil.reproduction.plan import FILTERS, LAWS, Case, cases
 from hil.reproduction.runs import WORK, Job, Outcome
 from hil.reproduction.summary import summarise
 from hil.reproduction.verdicts import Results, judge
+from hil.whole_file import write_whole
 
-__all__ = ["reproduce"]
+__all__ = ["NotWrittenError", "reproduce"]
 
 _SUMMARY = "summary.json"
 
@@ -36,6 +38,14 @@ _SHOWN = {
 """Runs that are in the pictures."""
 
 
+class NotWrittenError(BadInputError):
+    """The runs are done and a file could not be written; ``summary`` is what was found, of the files that are there."""
+
+    def __init__(self, error: BadInputError, summary: dict[str, Any]) -> None:
+        super().__init__(str(error))
+        self.summary = summary
+
+
 def reproduce(
     folder: Path, *, quick: bool = False, jobs: int | None = None, limit_s: float = 120.0, tell: Tell | None = None
 ) -> dict[str, Any]:
@@ -45,18 +55,32 @@ def reproduce(
     processor; a run that takes more than ``limit_s`` of wall-clock time is ended. ``tell`` gets how many runs are done,
     of how many, and the newest outcome.
 
-    Raises BadInputError when ``folder`` cannot be made or written to.
+    Raises BadInputError when ``folder`` cannot be made or written to, and NotWrittenError, which has the summary, when
+    it could be at first and a file then could not be written.
     """
     began = time.monotonic()
     _make(folder)
     planned = cases(quick=quick)
     with tempfile.TemporaryDirectory(prefix="hil-reproduce-") as scratch:
-        asked = [_job(case, folder, Path(scratch)) for case in planned]
+        asked = [_job(case, Path(scratch)) for case in planned]
         outcomes = perform_all(WORK, asked, jobs or os.cpu_count() or 1, limit_s, counted(tell, len(planned)))
         signals = {label: _signals(Path(scratch) / f"{name}.npz") for label, name in _SHOWN.items()}
         results = Results(planned, outcomes)
-        drawn = _draw(folder, results, {label: found for label, found in signals.items() if found is not None})
-    recordings = [Path(job.recording) for job in asked if job.recording is not None]
+        drawn: list[str] = []
+        trouble: BadInputError | None = None
+        try:
+            _draw(folder, results, {label: found for label, found in signals.items() if found is not None}, drawn)
+        except BadInputError as error:
+            trouble = error
+        # Recordings are the largest, so that pictures go first, and a disk that is full ends no run.
+        recordings: list[str] = []
+        try:
+            for job, outcome in zip(asked, outcomes, strict=True):
+                if job.recording is not None and outcome.figures:  # what was lost has left half a recording at most
+                    _move(Path(job.recording), folder)
+                    recordings.append(Path(job.recording).name)
+        except BadInputError as error:
+            trouble = trouble or error
     found = summarise(
         planned,
         outcomes,
@@ -64,10 +88,16 @@ def reproduce(
         quick=quick,
         folder=folder,
         pictures=drawn,
-        recordings=[path.name for path in recordings if path.exists()],
+        recordings=recordings,
         wall_s=time.monotonic() - began,
     )
-    (folder / _SUMMARY).write_text(json.dumps(found, indent=1, ensure_ascii=False, allow_nan=False), encoding="utf-8")
+    text = json.dumps(found, indent=1, ensure_ascii=False, allow_nan=False)
+    try:
+        write_whole(folder / _SUMMARY, text.encode("utf-8"))
+    except BadInputError as error:
+        trouble = trouble or error
+    if trouble is not None:
+        raise NotWrittenError(trouble, found)
     return found
 
 
@@ -82,9 +112,21 @@ def _make(folder: Path) -> None:
         ) from error
 
 
-def _job(case: Case, folder: Path, scratch: Path) -> Job:
+def _move(recording: Path, folder: Path) -> None:
+    place = folder / recording.name
+    try:
+        shutil.move(recording, place)
+    except OSError as error:
+        if place.is_file():
+            place.unlink()
+        raise BadInputError(
+            f"recording {place}: it cannot be written ({error.strerror}); name a folder with more room"
+        ) from error
+
+
+def _job(case: Case, scratch: Path) -> Job:
     series = str(scratch / f"{case.name}.npz") if case.name in _SHOWN.values() else None
-    recording = str(folder / f"{case.name.replace(' ', '_')}.rrd") if case.records else None
+    recording = str(scratch / f"{case.name.replace(' ', '_')}.rrd") if case.records else None
     return Job(case.name, case.scenario, dict(case.sets), series, recording)
 
 
@@ -96,23 +138,20 @@ def _signals(path: Path) -> Signals | None:
         return dict(held)
 
 
-def _draw(folder: Path, results: Results, shown: Mapping[str, Signals]) -> list[str]:
-    """Draw what there are runs for; return the names of the pictures."""
-    drawn: list[str] = []
-
-    def place(name: str) -> Path:
-        drawn.append(name)
-        return folder / name
-
+def _draw(folder: Path, results: Results, shown: Mapping[str, Signals], drawn: list[str]) -> None:
+    """Draw what there are runs for, and add the name of each picture to ``drawn``."""
+    wanted: dict[str, Callable[[Path], None]] = {}
     if "dsc" in shown and "afdsc" in shown:
-        pictures.circle(place("figure_8.png"), shown["dsc"], shown["afdsc"])
-        pictures.convergence(place("convergence.png"), list(_labelled(shown)))
+        wanted["figure_8.png"] = lambda path: pictures.circle(path, shown["dsc"], shown["afdsc"])
+        wanted["convergence.png"] = lambda path: pictures.convergence(path, list(_labelled(shown)))
     if "experiment" in shown:
-        pictures.path_in_plane(place("figure_10.png"), shown["experiment"])
-        pictures.control_signals(place("figure_11.png"), shown["experiment"])
+        wanted["figure_10.png"] = lambda path: pictures.path_in_plane(path, shown["experiment"])
+        wanted["figure_11.png"] = lambda path: pictures.control_signals(path, shown["experiment"])
     if any(results.rows("delay")):
-        pictures.delay(place("delay.png"), results)
-    return drawn
+        wanted["delay.png"] = lambda path: pictures.delay(path, results)
+    for name, draw in wanted.items():
+        draw(folder / name)
+        drawn.append(name)
 
 
 def _labelled(shown: Mapping[str, Signals]) -> Sequence[tuple[str, Signals]]:
