@@ -110,7 +110,7 @@ def test_the_scenarios_have_the_numbers_of_the_paper():
 
 
 @settings(max_examples=10)
-@given(st.floats(0.001, 0.1), st.floats(1.0, 20.0), st.floats(-0.01, 0.01), st.floats(0.0, 6.0))
+@given(st.floats(0.001, 0.1), st.floats(2.0, 20.0), st.floats(-0.01, 0.01), st.floats(0.0, 6.0))
 def test_an_oscillation_is_found_beside_what_turns_with_the_path(amplitude_m, frequency_hz, lag_m, phase):
     t = np.arange(1700) * 0.01
     path = lag_m + lag_m * np.cos(3.0 * math.tau / 15.0 * t)

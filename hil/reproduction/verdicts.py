@@ -92,7 +92,7 @@ def judge(results: Results) -> list[Verdict]:
         _own_filter(results),
         _sooner(results),
         _closer(results),
-        *_as_far_as_run(results, [_by_the_tuner(results)], ("constant common together",)),
+        _by_the_tuner(results),
         _heading(results),
     ]
     experiment = [_silence(results), _transition(results), _converged(results), _delay(results)]
