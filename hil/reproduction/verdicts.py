@@ -209,7 +209,8 @@ def _by_the_tuner(results: Results) -> Verdict:
         why = "--quick leaves out the run with its middle gains held constant"
         return Verdict("IV.A", claim, "s", None, None, tolerance, NOT_RUN, why)
     if gain is None:
-        why = f"one of the two did not track; {why}" if (failure := results.failure(run)) is None else failure
+        failure = results.failure(run)
+        why = f"one of the two did not track; {why}" if failure is None else f"a run is missing, {run}: {failure}"
         return Verdict("IV.A", claim, "s", None, None, tolerance, NO_NUMBER, why)
     return Verdict("IV.A", claim, "s", None, gain, tolerance, COMES_OUT if is_so else DOES_NOT, why)
 
