@@ -1,8 +1,9 @@
 """A client example: sends pose fixes to a run that has ``estimator.fix = "udp://127.0.0.1:PORT"``.
 
 Reads one pose a line from standard input, ``unix_time_s x_m y_m heading_rad``, and sends each at once as a message of
-version 1 (hil/estimator/ESTIMATORS.md). A time of ``now`` stands for the present. A line that is no pose is skipped; how
-many were is said at the end. It needs Python's own library alone; put in its place whatever your localisation gives::
+version 1 (hil/estimator/ESTIMATORS.md). A time of ``now`` stands for the present. A line that is no pose is skipped;
+how many were is said at the end. It needs Python's own library alone; put in its place whatever your localisation
+gives::
 
     my_slam | python tools/pose_fix_client.py --port 5005 --sigma-m 0.02 --sigma-rad 0.01
 """
