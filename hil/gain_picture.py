@@ -1,11 +1,12 @@
 """A picture of the fuzzy tuner's two gain surfaces."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hil.fuzzy import RULES, FuzzyBlock, Rules, Tables
+from hil.fuzzy import K1_1_S, K2_1_S, RULES, FuzzyBlock, Rules, Tables
 from hil.plots import Series, drawing
 
 if TYPE_CHECKING:
@@ -26,21 +27,33 @@ def draw_gains(tables: Tables, path: Path) -> None:
     error, rate = np.meshgrid(across, across)
     surfaces = FuzzyBlock.from_tables(tables, 1.0, 1.0).gains_batch(error, rate)
     with drawing(path, columns=2, size_in=(10.0, 4.6)) as both:
-        for axes, name, surface, rules in zip(both, ("K1", "K2"), surfaces, RULES[tables], strict=True):
-            _draw(axes, f"{name}, tables {tables}", across, surface, rules)
+        for axes, name, levels, surface, rules in zip(
+            both, ("K1", "K2"), (K1_1_S, K2_1_S), surfaces, RULES[tables], strict=True
+        ):
+            _draw(axes, f"{name}, tables {tables}", across, surface, rules, levels)
 
 
-def _draw(axes: "Axes", title: str, across: Series, surface: Series, rules: Rules) -> None:
+def _draw(axes: "Axes", title: str, across: Series, surface: Series, rules: Rules, levels: Mapping[str, float]) -> None:
     from matplotlib.patheffects import withStroke
 
     outline = [withStroke(linewidth=2.0, foreground="#333333")]
-    shades = axes.pcolormesh(across, across, surface, cmap="viridis", shading="nearest", rasterized=True)
+    # From the least level to the largest, which not every table reaches: two pictures have one scale.
+    least, most = min(levels.values()), max(levels.values())
+    shades = axes.pcolormesh(
+        across, across, surface, cmap="viridis", shading="nearest", rasterized=True, vmin=least, vmax=most
+    )
     axes.contour(across, across, surface, levels=8, colors="white", linewidths=0.5, alpha=0.6)
     for row, place in zip(rules, _PEAKS, strict=True):
         for level, peak in zip(row, _PEAKS, strict=True):
             axes.text(peak, place, level, ha="center", va="center", color="white", path_effects=outline)
-    axes.set_xticks(_PEAKS, _SETS)
-    axes.set_yticks(_PEAKS, _SETS)
+    marks = [f"{name}\n{peak:g}" for name, peak in zip(_SETS, _PEAKS, strict=True)]
+    axes.set_xticks(_PEAKS, marks)
+    axes.set_yticks(_PEAKS, marks)
     axes.grid(visible=False)
-    axes.set(title=title, xlabel="error, NB and PB at its range", ylabel="rate of the error", aspect="equal")
+    axes.set(
+        title=title,
+        xlabel="error, in units of its range",
+        ylabel="rate of the error, in units of its range",
+        aspect="equal",
+    )
     axes.figure.colorbar(shades, ax=axes, label="gain [1/s]")

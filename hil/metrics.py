@@ -139,7 +139,8 @@ def demand_metrics(t_s: Series, error_m: Series, torque_n_m: Series | None, satu
     Args:
         t_s: scenario time [s], ascending, shape (n,); rows before t = 0 do not count.
         error_m: truth minus reference, x and y [m], shape (n, 2); NaN where there was no truth.
-        torque_n_m: of each wheel, shape (n, 4), NaN where none was measured; None where it cannot be told.
+        torque_n_m: of each wheel, shape (n, 4); None where it cannot be told. Rows in which none was measured, as
+            before the first feedback or while the robot is away, are left out of effort and variation.
         saturated: not 0 where a command is at its limit, shape (n,).
     """
     active = t_s >= 0.0
@@ -148,7 +149,7 @@ def demand_metrics(t_s: Series, error_m: Series, torque_n_m: Series | None, satu
     values, reasons = _each(
         {
             "overshoot_m": lambda: _overshoot(t_s, error_m),
-            "effort_n_m_s": lambda: float(_held_s(t_s) @ np.abs(_torque(t_s, torque_n_m)).sum(axis=1)),
+            "effort_n_m_s": lambda: float(_held_s(t_s) @ np.nansum(np.abs(_torque(t_s, torque_n_m)), axis=1)),
             "torque_variation_n_m_per_s": lambda: _variation(t_s, _torque(t_s, torque_n_m)),
             "saturation_s": lambda: float(_held_s(t_s) @ (saturated != 0.0)),
         }
@@ -288,8 +289,11 @@ def _overshoot(t_s: Series, error_m: Series) -> float:
 def _variation(t_s: Series, torque_n_m: Series) -> float:
     if len(t_s) < 2:
         raise _NoMeaningError("the run has fewer than two samples")
-    total_n_m = float(np.abs(np.diff(torque_n_m, axis=0)).sum())
-    return total_n_m / len(WHEEL_NAMES) / float(t_s[-1] - t_s[0])
+    slew_n_m = np.abs(np.diff(torque_n_m, axis=0)).sum(axis=1)
+    there = np.isfinite(slew_n_m)
+    if not there.any():
+        raise _NoMeaningError("no two ticks in a row have measured motor currents")
+    return float(slew_n_m[there].sum()) / len(WHEEL_NAMES) / float(np.diff(t_s)[there].sum())
 
 
 def _at_limit(signals: Mapping[str, Series], limits: CommandLimits | None) -> Series:
@@ -313,10 +317,12 @@ def _held_s(t_s: Series) -> Series:
 
 
 def _torque(t_s: Series, torque_n_m: Series | None) -> Series:
+    """Return the torques; a row of NaN is one in which the robot was not heard: before its first feedback, or away."""
     if torque_n_m is None:
         raise _NoMeaningError("nothing says which torque the motors make of a current")
-    gaps = np.flatnonzero(~np.isfinite(torque_n_m).all(axis=1))
-    if len(gaps) == len(torque_n_m):
+    measured = np.isfinite(torque_n_m)
+    gaps = np.flatnonzero(measured.any(axis=1) & ~measured.all(axis=1))
+    if not measured.any():
         raise _NoMeaningError("the robot measured no motor currents")
     if len(gaps):
         raise _NoMeaningError(f"the motor currents are missing at t = {t_s[gaps[0]]:.6g} s")

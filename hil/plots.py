@@ -66,6 +66,8 @@ _STYLE: Any = {
 }
 _LEAST_ERROR_MM = 0.01  # below the encoders' resolution a logarithmic scale shows noise alone
 _BAR_SHARE = 0.8
+_MOST_INSIDE = 5
+"""Names that a legend has within the axes."""
 
 
 class Curve(NamedTuple):
@@ -143,12 +145,17 @@ def colour_of(number: int) -> Colour:
     return _CYCLE[number % len(_CYCLE)]
 
 
+def is_dashed(number: int) -> bool:
+    """Return whether what has this number is drawn dashed, because its colour is another one's already."""
+    return number >= len(_CYCLE)
+
+
 def draw_curves(
     axes: "Axes", curves: Sequence[Curve], *, title: str = "", x_label: str = "t [s]", y_label: str = ""
 ) -> None:
     """Draw curves with a legend; from the tenth on, where colours come again, they are dashed."""
     for number, curve in enumerate(curves):
-        dashed = curve.dashed or (curve.colour is None and number >= len(_CYCLE))
+        dashed = curve.dashed or (curve.colour is None and is_dashed(number))
         axes.plot(
             curve.x,
             curve.y,
@@ -158,7 +165,16 @@ def draw_curves(
         )
     axes.set(title=title, xlabel=x_label, ylabel=y_label)
     if any(curve.label for curve in curves):
-        axes.legend()
+        _legend(axes)
+
+
+def _legend(axes: "Axes", **inside: Any) -> None:
+    """Show the legend within the axes, or beside them when it is so long that it would hide what they show."""
+    _, labels = axes.get_legend_handles_labels()
+    if len(labels) > _MOST_INSIDE:
+        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    else:
+        axes.legend(**inside)
 
 
 def draw_path(axes: "Axes", reference: Curve, curves: Sequence[Curve], *, title: str = "Path") -> None:
@@ -183,14 +199,17 @@ def draw_path(axes: "Axes", reference: Curve, curves: Sequence[Curve], *, title:
 def draw_error(axes: "Axes", curves: Sequence[Curve], *, title: str = "Planar error", log: bool = True) -> None:
     """Draw the planar error over time, given in s and m and shown in mm, on a logarithmic scale or not.
 
-    On the logarithmic scale a line marks 10 mm, the error of t10.
+    On the logarithmic scale a line marks 10 mm, the error of t10, and what is less than 0.01 mm is shown as that.
     """
+    label = "planar error [mm]"
     scaled = [curve._replace(y=curve.y * 1e3) for curve in curves]
     if log:
+        if any(np.any(curve.y < _LEAST_ERROR_MM) for curve in scaled):
+            label += f", less than {_LEAST_ERROR_MM:g} shown as that"
         scaled = [curve._replace(y=np.maximum(curve.y, _LEAST_ERROR_MM)) for curve in scaled]
         axes.set_yscale("log")
         axes.axhline(10.0, color=rgb(ALARM_COLOUR), linewidth=0.8, linestyle=":")
-    draw_curves(axes, scaled, title=title, y_label="planar error [mm]")
+    draw_curves(axes, scaled, title=title, y_label=label)
 
 
 def draw_wheels(axes: "Axes", t_s: Series, wheels: Mapping[str, Series], *, title: str, y_label: str) -> None:
@@ -200,8 +219,12 @@ def draw_wheels(axes: "Axes", t_s: Series, wheels: Mapping[str, Series], *, titl
     draw_curves(axes, curves, title=title, y_label=y_label)
 
 
-def draw_bars(axes: "Axes", groups: Sequence[str], bars: Sequence[Bar], *, title: str, y_label: str) -> None:
+def draw_bars(
+    axes: "Axes", groups: Sequence[str], bars: Sequence[Bar], *, title: str, y_label: str, log: bool = False
+) -> None:
     """Draw groups of bars, those of one name in one colour: nominal in full, the worst behind it lighter.
+
+    On a logarithmic scale the axis begins at the power of ten below the least bar.
 
     Raises ValueError when a bar has not one value for each group.
     """
@@ -214,13 +237,22 @@ def draw_bars(axes: "Axes", groups: Sequence[str], bars: Sequence[Bar], *, title
             axes.bar(place, worst or 0.0, width * 0.9, color=colour, alpha=0.35)
             axes.bar(place, nominal or 0.0, width * 0.9, color=colour, label=label)
             if nominal is None:
-                axes.plot(place, 0.0, "x", color=colour, markersize=5.0, clip_on=False)
+                foot = axes.get_xaxis_transform()
+                axes.plot(place, 0.0, "x", color=colour, markersize=5.0, clip_on=False, transform=foot)
+    if any(nominal is None for bar in bars for nominal in bar.nominal):
+        axes.plot([], [], "x", color=_INK, markersize=5.0, label="refused, or no figure")
     axes.set_xticks(range(len(groups)), groups)
     axes.grid(visible=False, axis="x")
     axes.set(title=title, ylabel=y_label)
-    axes.margins(y=0.3)  # for the legend above the bars
-    axes.set_ylim(bottom=0.0)
-    axes.legend(ncols=3, loc="upper center")
+    there = [value for bar in bars for value in (*bar.nominal, *bar.worst) if value]
+    if log and there:
+        axes.set_yscale("log")
+        least, most = 10.0 ** np.floor(np.log10(min(there))), max(there)
+        axes.set_ylim(least, most * (most / least) ** 0.3)
+    else:
+        axes.margins(y=0.3)  # for the legend above the bars
+        axes.set_ylim(bottom=0.0)
+    _legend(axes, ncols=3, loc="upper center")
 
 
 def rgb(colour: Colour) -> tuple[float, float, float]:

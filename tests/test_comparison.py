@@ -190,7 +190,9 @@ def test_gains_of_the_scenario_that_are_not_the_laws_defaults_are_in_the_tables(
     ("change", "words"),
     [
         ({"laws": ["dcs"]}, "'dcs': unknown; did you mean 'dsc'"),
-        ({"laws": ["dsc,k1_s=8"]}, "law dsc,k1_s=8: unknown option 'k1_s'; did you mean"),
+        ({"laws": ["dsc,k1_s=8"]}, "law dsc: unknown option 'k1_s'; did you mean"),
+        ({"laws": ["dsc,k1_1_s=abc"]}, "law dsc.k1_1_s = 'abc': expected a number"),
+        ({"torques_n_m": [0.0]}, "--torque 0: expected the limit of a wheel in N·m, more than 0"),
         ({"laws": ["dsc,k1_1_s=-8"]}, "k1_1_s = -8"),
         ({"laws": ["dsc,fast.k1_1_s=8"]}, "'fast.k1_1_s=8' is no gain; expected key=value, torque.key=value"),
         ({"laws": ["dsc,k1_1_s"]}, "'k1_1_s' is no gain"),

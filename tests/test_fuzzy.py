@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
+from hil.commands.fuzzy import fuzzy
 from hil.errors import BadInputError
 from hil.fuzzy import K1_1_S, K2_1_S, RULES, FuzzyBlock
 from hil.gain_picture import draw_gains
@@ -127,3 +128,9 @@ def test_the_command_line_names_the_nearest_tables():
     )
     assert said.returncode == 2
     assert said.stderr == "hil: --tables printd: there are none of this name; did you mean 'printed'?\n"
+
+
+def test_the_command_refuses_a_picture_that_it_would_not_write_as_its_name_says(tmp_path):
+    with pytest.raises(BadInputError, match=r"gains\.jpg: a picture is written as PNG"):
+        fuzzy("printed", tmp_path / "gains.jpg")
+    assert not list(tmp_path.iterdir())

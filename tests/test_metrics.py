@@ -208,3 +208,12 @@ def test_the_error_of_the_estimate_counts_ticks_of_the_run_with_both_poses() -> 
     assert found is not None
     assert found == pytest.approx({"rms_m": math.sqrt(62.5e-6), "max_m": 0.010, "heading_rms_rad": 0.01})
     assert estimation_metrics({name: series[3:] for name, series in signals.items()}) is None
+
+
+def test_rows_in_which_the_robot_was_not_heard_are_left_out_of_effort_and_variation():
+    t_s = np.arange(8) * 0.5
+    torque_n_m = np.repeat([[np.nan], [1.0], [2.0], [np.nan], [np.nan], [4.0], [4.0], [4.0]], 4, axis=1)
+    found = demand_metrics(t_s, np.ones((8, 2)), torque_n_m, np.zeros(8))
+    assert found.effort_n_m_s == 4 * 0.5 * (1.0 + 2.0 + 4.0 + 4.0)
+    assert found.torque_variation_n_m_per_s == 1.0 / (3 * 0.5), "one step of 1 N·m in three pairs of ticks"
+    assert not found.reasons

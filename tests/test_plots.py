@@ -24,11 +24,13 @@ def draw(path: Path) -> bytes:
         draw_wheels(third, t_s, dict.fromkeys(WHEEL_NAMES, gap), title="torque", y_label="N·m")
         draw_bars(fourth, ["one", "two"], [Bar("law", [1.0, None], [2.0, None])], title="t10", y_label="s")
         shown = {
-            "marked": [line.get_ydata()[0] for line in fourth.lines],
+            "marked": [line.get_ydata()[0] for line in fourth.lines if len(line.get_ydata())],
+            "told": [text.get_text() for text in fourth.get_legend().get_texts()],
             "least": min(float(line.get_ydata()[0]) for line in second.lines),
             "styles": {line.get_linestyle() for line in second.lines[1:]},
         }
     assert shown["marked"] == [0.0], "a bar without a number is marked"
+    assert "refused, or no figure" in shown["told"]
     assert shown["least"] > 0.0, "an error of zero has no logarithm"
     assert shown["styles"] == {"-", "--"}, "colours that come again are dashed"
     return path.read_bytes()

@@ -205,3 +205,9 @@ def test_check_says_what_the_reference_asks_of_the_wheels():
     wild = CliRunner().invoke(app, ["check", "figure_eight", "--set", "reference.period_s=4", "--json"])
     assert wild.exit_code == 1
     assert len(json.loads(wild.stdout)["reference"]["warnings"]) == 2
+
+
+def test_a_file_in_another_encoding_is_a_sentence_with_what_to_do(tmp_path):
+    (tmp_path / "way.csv").write_bytes((HEAD + "# Stra\xdfe\n0,0,0\n").encode("latin-1"))
+    with pytest.raises(BadInputError, match=r"way\.csv' is not UTF-8 \(byte 0xDF, .* save it as UTF-8$"):
+        make_reference("waypoints", {"file": "way.csv"}, tmp_path)

@@ -1,14 +1,16 @@
 """A client example: sends pose fixes to a run that has ``estimator.fix = "udp://127.0.0.1:PORT"``.
 
 Reads one pose a line from standard input, ``unix_time_s x_m y_m heading_rad``, and sends each at once as a message of
-version 1 (hil/estimator/ESTIMATORS.md). A time of ``now`` stands for the present. It needs Python's own library alone;
-put in its place whatever your localisation gives::
+version 1 (hil/estimator/ESTIMATORS.md). A time of ``now`` stands for the present. A line that is no pose is skipped;
+how many were is said at the end. It needs Python's own library alone; put in its place whatever your localisation
+gives::
 
     my_slam | python tools/pose_fix_client.py --port 5005 --sigma-m 0.02 --sigma-rad 0.01
 """
 
 import argparse
 import json
+import math
 import socket
 import sys
 import time
@@ -27,22 +29,42 @@ def datagram(unix_time_s: float, x_m: float, y_m: float, heading_rad: float, sig
     return json.dumps(message).encode("utf-8")
 
 
-def main() -> None:
-    """Send until standard input ends."""
-    parser = argparse.ArgumentParser(description="Send pose fixes, one a line: unix_time_s x_m y_m heading_rad")
+def pose_of(line: str) -> tuple[float, float, float, float]:
+    """Return the time and the pose that a line says. Raises ValueError for a line that says none."""
+    stamp, *words = line.split()
+    x_m, y_m, heading_rad = map(float, words)
+    pose = (time.time() if stamp == "now" else float(stamp), x_m, y_m, heading_rad)
+    if not all(map(math.isfinite, pose)):
+        raise ValueError("not finite")
+    return pose
+
+
+def main() -> int:
+    """Send until standard input ends; return 1 when a line was skipped."""
+    parser = argparse.ArgumentParser(
+        description="Send pose fixes, one a line of standard input: unix_time_s x_m y_m heading_rad. "
+        "In place of unix_time_s, 'now' stands for the present."
+    )
     parser.add_argument("--host", default="127.0.0.1")
     parser.add_argument("--port", type=int, required=True)
     parser.add_argument("--sigma-m", type=float, default=0.02, help="standard deviation of x and of y")
     parser.add_argument("--sigma-rad", type=float, default=0.01, help="standard deviation of the heading")
     options = parser.parse_args()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-        for line in sys.stdin:
-            stamp, *pose = line.split()
-            x_m, y_m, heading_rad = map(float, pose)
-            unix_time_s = time.time() if stamp == "now" else float(stamp)
-            data = datagram(unix_time_s, x_m, y_m, heading_rad, options.sigma_m, options.sigma_rad)
+        skipped = 0
+        for number, line in enumerate(sys.stdin, start=1):
+            try:
+                data = datagram(*pose_of(line), options.sigma_m, options.sigma_rad)
+            except ValueError:
+                if not skipped:
+                    print(f"line {number} is skipped: expected unix_time_s x_m y_m heading_rad", file=sys.stderr)
+                skipped += 1
+                continue
             sender.sendto(data, (options.host, options.port))
+    if skipped:
+        print(f"lines skipped: {skipped}", file=sys.stderr)
+    return 1 if skipped else 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

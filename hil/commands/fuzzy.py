@@ -18,5 +18,7 @@ def fuzzy(
 
     if tables not in RULES:
         raise BadInputError(f"--tables {tables}: there are none of this name{nearest(tables, RULES)}")
+    if out.suffix.lower() != ".png":
+        raise BadInputError(f"--out {out}: a picture is written as PNG; name a file that ends in .png")
     draw_gains(tables, out)
     print(out)

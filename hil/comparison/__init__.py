@@ -131,6 +131,9 @@ def _check_choices(asked: Asked) -> None:
         for name in given:
             if name not in known:
                 raise BadInputError(f"{option} {name}: unknown{nearest(name, known)}")
+    for torque_n_m in asked.torques_n_m:
+        if not torque_n_m > 0.0:
+            raise BadInputError(f"--torque {torque_n_m:g}: expected the limit of a wheel in N·m, more than 0")
     for option, values in (
         ("--torque", asked.torques_n_m),
         ("--drive", asked.drives),

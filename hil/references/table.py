@@ -51,8 +51,13 @@ def read_table(directory: Path, file: str, form: Format) -> list[Row]:
         lines = path.read_text("utf-8-sig").splitlines()
     except OSError as error:
         raise BadInputError(f"{name}: {str(path)!r} cannot be read: {error.strerror}") from error
-    except ValueError as error:  # not UTF-8, or a zero byte in the path
-        raise BadInputError(f"{name}: {str(path)!r} cannot be read as text in UTF-8: {error}") from error
+    except UnicodeDecodeError as error:
+        raise BadInputError(
+            f"{name}: {str(path)!r} is not UTF-8 (byte 0x{error.object[error.start]:02X}, {error.start} from its "
+            "begin); save it as UTF-8"
+        ) from error
+    except ValueError as error:  # a zero byte in the path
+        raise BadInputError(f"{name}: {str(path)!r} cannot be read: {error}") from error
     numbered = [(number, text) for number, text in enumerate(lines, start=1) if not _is_comment(text)]
     if not numbered:
         raise BadInputError(f"{name}: it is empty; expected a line with the columns {', '.join(form.columns)}")

@@ -303,7 +303,7 @@ class EstimatorTable(Table):
             try:
                 parse_address(fix)
             except BadInputError as error:
-                raise ValueError(str(error)) from error
+                raise ValueError(str(error).removeprefix(f"estimator.fix = {fix!r}: ")) from error
         return fix
 
 
