@@ -1,4 +1,6 @@
-"""The newest feedback of the robot, how old it is, and whether it may drive anything."""
+"""The newest feedback of the robot and the newest truth, how old they are, and whether they may drive anything."""
+
+import math
 
 from firmware_protocol.generated.messages import State as RobotState
 from hil.devices.snapshot import Feedback
@@ -26,6 +28,7 @@ class Freshness:
         self._timing = timing
         self._newest_ns = 0
         self._heard_ns: int | None = None
+        self._truth_ns: int | None = None
         self.silent_ns = 0
 
     def poll(self, t_s: float) -> Feedback:
@@ -64,12 +67,14 @@ class Freshness:
         synced_ns = self._clock.now_ns() + round(offset_us * 1e3)
         return synced_ns if abs(synced_ns - now_ns) < _CLOCKS_APART_NS else now_ns
 
-    def is_stale(self, feedback: Feedback, fix: PoseFix | None) -> bool:
-        """Nothing is driven by what is older than the firmware's own patience with us.
+    def take_truth(self, fix: PoseFix | None) -> None:
+        """Note the truth of this tick, where the state rests on it; one that is no number makes nothing newer."""
+        if fix is not None and math.isfinite(sum(fix.pose)):
+            self._truth_ns = fix.time_ns
 
-        ``fix`` is the truth where the state rests on it, else None.
-        """
-        behind_ns = 0 if fix is None else feedback.robot_time_ns - fix.time_ns
+    def is_stale(self, feedback: Feedback) -> bool:
+        """Nothing is driven by what is older than the firmware's own patience with us: feedback, or truth taken."""
+        behind_ns = 0 if self._truth_ns is None else feedback.robot_time_ns - self._truth_ns
         return max(self.silent_ns, behind_ns) > self._timing.stale_ns
 
     def restart(self) -> bool:

@@ -231,15 +231,12 @@ class Loop:
         feedback = self._freshness.poll(self.t_s)
         estimator, fixes = self._parts.estimator, self._parts.fixes
         measured = fixes.poll(self._freshness.robot_now_ns(feedback), fix) if fixes is not None else ()
+        self._freshness.take_truth(fix if estimator.uses_truth else None)
         state = estimator.update(feedback, fix, measured)
         reference = self._parts.reference.at(self.t_s)
         if faults is not None:
             state, reference = faults.state(state), faults.reference(reference)
-        if (
-            state is None
-            or estimator.status.health == LOST
-            or self._freshness.is_stale(feedback, fix if estimator.uses_truth else None)
-        ):
+        if state is None or estimator.status.health == LOST or self._freshness.is_stale(feedback):
             command, saturated, asked = self._rest, False, None
             self._stale += state is not None
         else:

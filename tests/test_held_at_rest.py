@@ -1,0 +1,53 @@
+"""When the loop holds the robot instead of driving it: what it drives by is old, is no number, or is not known."""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hil
+from hil.sampling import Sampling
+from hil.types import WHEEL_NAMES, PoseFix
+
+PERIOD_S = 0.005
+PATIENCE_S = 0.1  # of the firmware: [firmware] watchdog_s
+
+
+def run(scenario: str = "circle_speed", *, fault: dict[str, Any] | None = None, **changes: Any) -> hil.RunResult:
+    """Run 0.6 s at 200 Hz unless told otherwise; ``loop__seed`` is ``loop.seed``."""
+    keys = {key.replace("__", "."): value for key, value in changes.items()}
+    base = {"loop.rate_hz": 200, "loop.duration_s": 0.6, "expect": [], "firmware.watchdog_s": PATIENCE_S}
+    faults = {} if fault is None else {"fault": [fault]}
+    return hil.run(scenario, set=base | faults | keys)
+
+
+def commands(result: hil.RunResult, quantity: str = "speed_command_rad_s") -> np.ndarray:
+    """Return what was commanded, one row a tick."""
+    return np.array([result.signals[f"wheel.{wheel}.{quantity}"] for wheel in WHEEL_NAMES]).T
+
+
+def truth_with(monkeypatch: pytest.MonkeyPatch, changed: Callable[[float, PoseFix], PoseFix]) -> None:
+    """Let the truth fail as a plant may and no fault of a scenario does: ``changed`` is told t and the fix."""
+    right = Sampling.fix_of
+
+    def fix_of(sampling: Sampling, number: int) -> PoseFix | None:
+        fix = right(sampling, number)
+        return None if fix is None else changed(number * PERIOD_S, fix)
+
+    monkeypatch.setattr(Sampling, "fix_of", fix_of)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_a_truth_that_is_no_number_any_more_drives_no_longer_than_one_that_stopped(value, monkeypatch):
+    def changed(t_s: float, fix: PoseFix) -> PoseFix:
+        return fix._replace(pose=fix.pose._replace(x_m=value)) if 0.2 <= t_s < 0.5 else fix
+
+    truth_with(monkeypatch, changed)
+    result = run()
+    t_s = result.signals["loop.t_s"]
+    held = (t_s > 0.195 + PATIENCE_S + 1e-9) & (t_s < 0.5 - 1e-9)
+    assert not commands(result)[held].any()
+    assert commands(result)[~held].any(axis=1).all()
+    assert result.metrics["stale_ticks"] == held.sum() == 40
