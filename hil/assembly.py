@@ -225,8 +225,7 @@ def _loop_of(
             laws.shadows,
             laws.extra,
         )
-        by_truth = scenario.estimator.source == "truth"
-        return Loop(parts, scenario.controller.mode, timing, rearm=scenario.loop.rearm, by_truth=by_truth)
+        return Loop(parts, scenario.controller.mode, timing, rearm=scenario.loop.rearm)
 
     return make
 

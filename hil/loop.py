@@ -85,12 +85,10 @@ class Loop:
     nothing commanded, and the law begins anew at the reference of the present ``t``.
 
     The law is told the latency: in lockstep that of the scenario, which is all there is; in real time what the link is
-    measured to have. With ``by_truth`` the state is as old as the truth, else as the feedback.
+    measured to have.
     """
 
-    def __init__(
-        self, parts: Parts, mode: CommandMode, timing: Timing, *, rearm: bool = False, by_truth: bool = False
-    ) -> None:
+    def __init__(self, parts: Parts, mode: CommandMode, timing: Timing, *, rearm: bool = False) -> None:
         self._parts = parts
         self._timing = timing
         self._rearm = rearm
@@ -104,7 +102,6 @@ class Loop:
         self._rest = WheelCommand(mode, ZERO_WHEELS, ZERO_WHEELS)
         self._nothing = WheelCommand(mode, NAN_WHEELS, NAN_WHEELS)
         self._latency = CommandLatency(timing.latency_s, timing.stale_ns)
-        self._by_truth = by_truth
         self._applied = Applied(self._rest, False, timing.latency_s)
         self._before: int | None = None  # the tick before, of this session of the law; None where it has not begun
         self._misses = 0
@@ -231,12 +228,12 @@ class Loop:
         feedback = self._freshness.poll(self.t_s)
         estimator, fixes = self._parts.estimator, self._parts.fixes
         measured = fixes.poll(self._freshness.robot_now_ns(feedback), fix) if fixes is not None else ()
-        self._freshness.take_truth(fix if estimator.uses_truth else None)
+        truth_ns = self._freshness.take_truth(feedback, fix if estimator.uses_truth else None)
         state = estimator.update(feedback, fix, measured)
         reference = self._parts.reference.at(self.t_s)
         if faults is not None:
             state, reference = faults.state(state), faults.reference(reference)
-        if state is None or estimator.status.health == LOST or self._freshness.is_stale(feedback):
+        if state is None or estimator.status.health == LOST or self._freshness.is_stale(feedback, truth_ns):
             command, saturated, asked = self._rest, False, None
             self._stale += state is not None
         else:
@@ -251,7 +248,7 @@ class Loop:
                 wanted = faults.command(wanted)
             command, saturated = self._parts.guard.apply(wanted)
         sequence = self._parts.device.send(command)
-        self._measure_latency(sequence, feedback, fix)
+        self._measure_latency(sequence, feedback, truth_ns)
         self._ask_shadows(reference, asked)
         self._applied = Applied(command, saturated, self._latency.s)
         beliefs = Beliefs(fix, state, reference, self._applied, estimator.status, asked is None)
@@ -270,13 +267,15 @@ class Loop:
             state, dt_s, begins = asked
             shadows.update(self.t_s, reference, state, self._applied, dt_s, begins=begins)
 
-    def _measure_latency(self, sequence: int, feedback: Feedback, fix: PoseFix | None) -> None:
-        """Note on what the command rests, and how late the one acted that the robot says is in force."""
+    def _measure_latency(self, sequence: int, feedback: Feedback, truth_ns: int | None) -> None:
+        """Note on what the command rests, and how late the one acted that the robot says is in force.
+
+        A state that rests on the truth is as old as that, else as the feedback.
+        """
         if self._parts.device.is_lockstep:
             return
         self._latency.acted(feedback.command_sequence, feedback.robot_time_ns, feedback.command_age_ms)
-        sampled_ns = fix.time_ns if self._by_truth and fix is not None else feedback.robot_time_ns
-        self._latency.sent(sequence, sampled_ns)
+        self._latency.sent(sequence, feedback.robot_time_ns if truth_ns is None else truth_ns)
 
     def _lose(self, error: HilError) -> Recovery:
         """Begin to bring the robot back, or begin that again; without ``rearm`` the run ends."""

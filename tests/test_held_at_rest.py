@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import hil
+from hil.devices.link_times import CommandLatency
 from hil.sampling import Sampling
 from hil.types import WHEEL_NAMES, PoseFix
 
@@ -51,3 +52,39 @@ def test_a_truth_that_is_no_number_any_more_drives_no_longer_than_one_that_stopp
     assert not commands(result)[held].any()
     assert commands(result)[~held].any(axis=1).all()
     assert result.metrics["stale_ticks"] == held.sum() == 40
+
+
+RESET = {"kind": "reset", "target": "robot", "start_s": 0.1}
+
+
+@pytest.mark.parametrize("frozen_s", [0.8, 0.2])  # the robot is back at 0.4 s: after that, and while it is away
+def test_a_truth_that_stops_is_noticed_after_a_reset_too(frozen_s, monkeypatch):
+    """The robot's clock began anew and the truth's did not: one is not simply behind the other any more."""
+    last: list[PoseFix] = []
+
+    def changed(t_s: float, fix: PoseFix) -> PoseFix:
+        if t_s < frozen_s or not last:
+            last[:] = [fix]
+        return last[0]
+
+    truth_with(monkeypatch, changed)
+    result = run(fault=RESET, loop__rearm=True, loop__duration_s=1.2)
+    (recovery,) = result.metrics["recoveries"]
+    t_s = result.signals["loop.t_s"]
+    held_s = max(frozen_s, recovery["armed_s"]) + PATIENCE_S
+    drives = (t_s > recovery["armed_s"]) & (t_s < held_s - PERIOD_S)
+    assert commands(result)[drives].any(axis=1).all()
+    assert not commands(result)[t_s > held_s + PERIOD_S].any()
+
+
+def test_after_a_reset_the_latency_is_measured_by_the_truth_as_before(monkeypatch):
+    restart = CommandLatency.restart
+
+    def forgetful(meter: CommandLatency) -> None:
+        restart(meter)
+        meter.s = 0.077
+
+    monkeypatch.setattr(CommandLatency, "restart", forgetful)
+    found = run(fault=RESET, loop__rearm=True, loop__duration_s=0.9, loop__mode="realtime").signals["link.latency_ms"]
+    assert 77.0 in found
+    assert found[-1] != 77.0
