@@ -159,6 +159,7 @@ class Loop:
         timing = self._timing
         ticks = -(-duration_ns // timing.period_ns)
         number = self._sampling.begin(origin_ns)
+        self._skip_fixes()
         in_vain: set[bool] = set()  # since time has passed: waits that ended with a lost link, and a stopped robot
         while number < ticks:
             try:
@@ -193,6 +194,7 @@ class Loop:
 
     def _keep_armed(self) -> None:
         """Command zeros until the first feedback is here; no tick of the run."""
+        self._skip_fixes()
         if self._recovery is not None:
             self._come_back(self._recovery)
             return
@@ -218,6 +220,7 @@ class Loop:
                 self._lose(error)
                 self._tell_away(number, late_ns, fix)
         else:
+            self._skip_fixes()
             self._come_back(self._recovery)
             self._tell_away(number, late_ns, fix)
         self._tick_us = (time.perf_counter_ns() - begin_ns) * 1e-3
@@ -307,6 +310,10 @@ class Loop:
             self._parts.estimator.restart()
             if self._parts.fixes is not None:
                 self._parts.fixes.restart()
+
+    def _skip_fixes(self) -> None:
+        if self._parts.fixes is not None:
+            self._parts.fixes.skip()
 
     def _tell_away(self, number: int, late_ns: int, fix: PoseFix | None) -> None:
         """Tell of a tick in which nothing is commanded: what is heard of the robot, which may be nothing."""
