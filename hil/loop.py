@@ -256,8 +256,8 @@ class Loop:
         self._applied = Applied(command, saturated, self._latency.s)
         beliefs = Beliefs(fix, state, reference, self._applied, estimator.status, asked is None)
         self._tell(number, late_ns, feedback, beliefs)
-        if self._before is not None:
-            self._before = number
+        # After a hold the law begins anew: what it has integrated and awaits is of before it.
+        self._before = None if asked is None else number
 
     def _ask_shadows(self, reference: Reference, asked: "_Asked | None") -> None:
         """Compute the shadows: after the command has gone, from what the law in command was told."""

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 import hil
+from hil.controllers.registry import SHIPPED
 from hil.devices.link_times import CommandLatency
 from hil.sampling import Sampling
-from hil.types import WHEEL_NAMES, PoseFix
+from hil.types import WHEEL_NAMES, PoseFix, State
 
 PERIOD_S = 0.005
 PATIENCE_S = 0.1  # of the firmware: [firmware] watchdog_s
@@ -88,3 +89,48 @@ def test_after_a_reset_the_latency_is_measured_by_the_truth_as_before(monkeypatc
     found = run(fault=RESET, loop__rearm=True, loop__duration_s=0.9, loop__mode="realtime").signals["link.latency_ms"]
     assert 77.0 in found
     assert found[-1] != 77.0
+
+
+COUNTING = """
+from hil.types import NO_GAINS, ZERO_WHEELS, WheelCommand
+
+class Counting:
+    gains = NO_GAINS
+    signals = ("counting.resets",)
+
+    def __init__(self, model, mode):
+        self.rest = WheelCommand(mode, ZERO_WHEELS, ZERO_WHEELS)
+        self.resets = 0
+
+    @property
+    def telemetry(self):
+        return (float(self.resets),)
+
+    def reset(self, state, reference):
+        self.resets += 1
+
+    def update(self, reference, state, applied, dt_s):
+        assert sum(state.pose) + sum(state.twist) < 1e9
+        return self.rest
+"""
+
+
+@pytest.fixture
+def counting(tmp_path):
+    """A law that counts how often it begins, and raises for a state that is no number."""
+    (tmp_path / "counting.py").write_text(COUNTING, encoding="utf-8")
+    return {"controller.law": f"{tmp_path / 'counting.py'}:Counting", "controller.gains": {}}
+
+
+def test_after_a_hold_the_law_and_its_shadows_begin_anew(counting, monkeypatch):
+    resets: list[State] = []
+    reset = SHIPPED["dsc"].reset
+    monkeypatch.setattr(SHIPPED["dsc"], "reset", lambda law, state, q: (resets.append(state), reset(law, state, q)))
+    silence = {"kind": "drop", "target": "feedback", "start_s": 0.2, "end_s": 0.4, "value": 1.0}
+    result = run(fault=silence, **counting, controller__shadow=["dsc"])
+    begun, held = result.signals["counting.resets"], result.signals["guard.held"] == 1.0
+    assert 0 < held.sum() < 40
+    first = int(np.flatnonzero(held)[0])
+    assert set(begun[:first]) == {1.0}
+    assert set(begun[first + held.sum() :]) == {2.0}
+    assert len(resets) == 2
