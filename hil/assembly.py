@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 from firmware_protocol.host import HostNode
 from hil.bench import NS, Bench, open_trace
+from hil.brake import Brake
 from hil.devices.virtual import MakeNode
 from hil.errors import DeviceError, HilError, LinkError
 from hil.estimator import EstimatorOptions, FusedOptions, make_estimator
@@ -197,6 +198,7 @@ def _loop_of(
         believed.source, believed.twist, believed.slip_threshold_m_s, FusedOptions(**dict(believed.filter))
     )
     guard = Guard(model.speed_limit_rad_s, model.torque_limit_n_m)
+    brake = Brake(scenario.controller.mode, guard, scenario.firmware.speed_kp_n_m_s_rad)
     timing = Timing(
         scenario.loop.period_ns,
         scenario.link.command_latency_ns,
@@ -219,6 +221,7 @@ def _loop_of(
             reference,
             laws.controller,
             guard,
+            brake,
             sink,
             bench.robot_failure,
             faults,

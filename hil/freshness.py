@@ -85,6 +85,10 @@ class Freshness:
             return None
         return self._truth_ns + self._ahead_ns
 
+    def is_silent(self) -> bool:
+        """Whether the feedback itself is too old to be driven by."""
+        return self.silent_ns > self._timing.stale_ns
+
     def is_stale(self, feedback: Feedback, truth_ns: int | None) -> bool:
         """Nothing is driven by what is older than the firmware's own patience with us.
 

@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+from hil.brake import Brake
 from hil.devices.link_times import CommandLatency
 from hil.devices.snapshot import Feedback
 from hil.devices.stm32 import Stm32
@@ -42,6 +43,7 @@ class Parts(NamedTuple):
     reference: ReferenceSource
     controller: Controller
     guard: Guard
+    brake: Brake
     sink: Sink
     robot_failure: Callable[[], HilError | None]
     faults: SignalFaults | None = None
@@ -53,7 +55,8 @@ class Report(NamedTuple):
     """How the loop went. ``failure`` is what ended it, ``recoveries`` are the losses that were recovered from.
 
     ``stale`` counts ticks in which the robot was held at rest: for old feedback, an old truth where the state rests on
-    it, or an estimator that is lost.
+    it, or an estimator that is lost. In TORQUE mode
+    it is braked by its wheel speeds; while they too are old, no torque holds it, and it coasts.
     """
 
     ticks: int
@@ -227,9 +230,9 @@ class Loop:
 
     def _drive(self, number: int, late_ns: int, fix: PoseFix | None) -> None:
         """Sense, estimate, refer, control, guard, command, tell."""
-        faults = self._parts.faults
+        parts = self._parts
+        faults, estimator, fixes = parts.faults, parts.estimator, parts.fixes
         feedback = self._freshness.poll(self.t_s)
-        estimator, fixes = self._parts.estimator, self._parts.fixes
         measured = fixes.poll(self._freshness.robot_now_ns(feedback), fix) if fixes is not None else ()
         truth_ns = self._freshness.take_truth(feedback, fix if estimator.uses_truth else None)
         state = estimator.update(feedback, fix, measured)
@@ -237,7 +240,8 @@ class Loop:
         if faults is not None:
             state, reference = faults.state(state), faults.reference(reference)
         if state is None or estimator.status.health == LOST or self._freshness.is_stale(feedback, truth_ns):
-            command, saturated, asked = self._rest, False, None
+            asked = None
+            command, saturated = parts.brake.command(None if self._freshness.is_silent() else feedback.speed_rad_s)
             self._stale += state is not None
         else:
             begins = self._before is None

@@ -134,3 +134,23 @@ def test_after_a_hold_the_law_and_its_shadows_begin_anew(counting, monkeypatch):
     assert set(begun[:first]) == {1.0}
     assert set(begun[first + held.sum() :]) == {2.0}
     assert len(resets) == 2
+
+
+def test_in_torque_mode_a_robot_that_is_held_is_braked_to_rest_within_a_second():
+    """Lost at 1.2 m/s, with the latency of the speed runs; zero torque would let it roll."""
+    lost = {
+        "estimator__source": "fused",
+        "estimator__filter__lost_sigma_m": 0.05,
+        "estimator__filter__wheels_sigma_m": 0.1,
+        "estimator__simulated_fix__gap_start_s": 0.3,
+        "estimator__simulated_fix__gap_end_s": 9.0,
+    }
+    result = run("circle_speed", controller__command="torque", loop__duration_s=3.0, **lost)
+    t_s, held = result.signals["loop.t_s"], result.signals["guard.held"] == 1.0
+    speed_m_s = np.hypot(*(np.gradient(result.signals[f"truth.{axis}"], PERIOD_S) for axis in ("x_m", "y_m")))
+    first_s = t_s[held][0]
+    assert speed_m_s[held][0] > 0.5
+    after = t_s > first_s + 0.9
+    assert held[after].all()
+    assert speed_m_s[after].max() < 0.01
+    assert np.abs(commands(result, "torque_command_n_m")[after]).max() < 0.05
