@@ -1,6 +1,7 @@
 """The tick: sense, estimate, refer, control, guard, command, tell. The same loop in lockstep and in real time."""
 
 import contextlib
+import math
 import time
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -239,6 +240,8 @@ class Loop:
         reference = self._parts.reference.at(self.t_s)
         if faults is not None:
             state, reference = faults.state(state), faults.reference(reference)
+        if state is not None and not math.isfinite(sum(state.pose) + sum(state.twist)):
+            state = None  # no law is asked with it: what it integrates would be no number for ever
         if state is None or estimator.status.health == LOST or self._freshness.is_stale(feedback, truth_ns):
             asked = None
             command, saturated = parts.brake.command(None if self._freshness.is_silent() else feedback.speed_rad_s)

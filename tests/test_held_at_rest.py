@@ -10,6 +10,7 @@ import pytest
 import hil
 from hil.controllers.registry import SHIPPED
 from hil.devices.link_times import CommandLatency
+from hil.estimator.truth import TruthEstimator
 from hil.sampling import Sampling
 from hil.types import WHEEL_NAMES, PoseFix, State
 
@@ -154,3 +155,21 @@ def test_in_torque_mode_a_robot_that_is_held_is_braked_to_rest_within_a_second()
     assert held[after].all()
     assert speed_m_s[after].max() < 0.01
     assert np.abs(commands(result, "torque_command_n_m")[after]).max() < 0.05
+
+
+def test_a_state_that_is_no_number_reaches_no_law(counting, monkeypatch):
+    """The law raises for one, which would end the run."""
+    update = TruthEstimator.update
+    calls: list[int] = []
+
+    def flawed(estimator: TruthEstimator, *measured: Any) -> State | None:
+        state = update(estimator, *measured)
+        calls.append(1)
+        if state is None or not 40 <= len(calls) < 50:
+            return state
+        return state._replace(twist=state.twist._replace(yaw_rate_rad_s=math.nan))
+
+    monkeypatch.setattr(TruthEstimator, "update", flawed)
+    result = run(**counting)
+    assert result.failure is None
+    assert (result.signals["guard.held"] == 1.0).sum() == 10
