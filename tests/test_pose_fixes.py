@@ -88,6 +88,8 @@ WRONG = [
     (encoded(covariance=[-4e-4, 0, 0, 4e-4, 0, 1e-4]), "covariance"),
     (encoded(covariance=[4e-4, 5e-4, 0, 4e-4, 0, 1e-4]), "covariance"),
     (encoded(covariance=[4e-4, 0, 3e-4, 4e-4, 0, 1e-4]), "covariance"),
+    (encoded(covariance=[1.147, 0, 0, 2.418e-9, 0.006976, 20124.4]), "covariance"),
+    (encoded(covariance=[4e-4, 3.9975e-4, 0, 4e-4, 0, 1e-4]), "covariance"),
     (encoded(covariance=[1e9, 0, 0, 4e-4, 0, 1e-4]), "covariance"),
     (encoded(x_m=1.0, y_m=2.0) + b" " * 1024, "too_long"),
 ]
@@ -112,7 +114,8 @@ def test_nothing_that_is_received_raises_anything_else(data: bytes) -> None:
 @given(st.lists(st.floats(-1, 1), min_size=9, max_size=9))
 def test_a_covariance_that_is_taken_can_be_inverted(entries: list[float]) -> None:
     root = np.array(entries).reshape(3, 3)
-    p = root @ root.T + 1e-8 * np.eye(3)
+    p = root @ root.T
+    p += (0.01 * p.trace() + 1e-8) * np.eye(3)  # far enough from singular to be taken
     found = parse(encoded(covariance=list(p[np.triu_indices(3)])))
     full = np.zeros((3, 3))
     full[np.triu_indices(3)] = found.covariance
