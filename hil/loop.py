@@ -88,8 +88,8 @@ class Loop:
     With ``rearm`` a lost link or a stopped robot does not end the run: it is brought back while the ticks go on, with
     nothing commanded, and the law begins anew at the reference of the present ``t``.
 
-    The law is told the latency: in lockstep that of the scenario, which is all there is; in real time what the link is
-    measured to have.
+    The law is told the latency: in lockstep that of the scenario's ``[link]``, so that a fault that delays
+    frames is unknown to it there; in real time what the link is measured to have, faults and all.
     """
 
     def __init__(self, parts: Parts, mode: CommandMode, timing: Timing, *, rearm: bool = False) -> None:
