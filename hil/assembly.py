@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 from firmware_protocol.host import HostNode
 from hil.bench import NS, Bench, open_trace
+from hil.brake import Brake
 from hil.devices.virtual import MakeNode
 from hil.errors import DeviceError, HilError, LinkError
 from hil.estimator import EstimatorOptions, FusedOptions, make_estimator
@@ -199,6 +200,7 @@ def _loop_of(
         believed.source, believed.twist, believed.slip_threshold_m_s, FusedOptions(**dict(believed.filter))
     )
     guard = Guard(model.speed_limit_rad_s, model.torque_limit_n_m)
+    brake = Brake(scenario.controller.mode, guard, scenario.firmware.speed_kp_n_m_s_rad)
     timing = Timing(
         scenario.loop.period_ns,
         scenario.link.command_latency_ns,
@@ -221,14 +223,14 @@ def _loop_of(
             reference,
             laws.controller,
             guard,
+            brake,
             sink,
             bench.robot_failure,
             faults,
             laws.shadows,
             laws.extra,
         )
-        by_truth = scenario.estimator.source == "truth"
-        return Loop(parts, scenario.controller.mode, timing, rearm=scenario.loop.rearm, by_truth=by_truth)
+        return Loop(parts, scenario.controller.mode, timing, rearm=scenario.loop.rearm)
 
     return make
 

@@ -1,4 +1,6 @@
-"""The newest feedback of the robot, how old it is, and whether it may drive anything."""
+"""The newest feedback of the robot and the newest truth, how old they are, and whether they may drive anything."""
+
+import math
 
 from firmware_protocol.generated.messages import State as RobotState
 from hil.devices.snapshot import Feedback
@@ -26,6 +28,9 @@ class Freshness:
         self._timing = timing
         self._newest_ns = 0
         self._heard_ns: int | None = None
+        self._truth_ns: int | None = None
+        self._truth_heard_ns = 0
+        self._ahead_ns: int | None = 0  # the robot's clock ahead of the truth's; None until both are heard again
         self.silent_ns = 0
 
     def poll(self, t_s: float) -> Feedback:
@@ -64,13 +69,35 @@ class Freshness:
         synced_ns = self._clock.now_ns() + round(offset_us * 1e3)
         return synced_ns if abs(synced_ns - now_ns) < _CLOCKS_APART_NS else now_ns
 
-    def is_stale(self, feedback: Feedback, fix: PoseFix | None) -> bool:
+    def take_truth(self, feedback: Feedback, fix: PoseFix | None) -> int | None:
+        """Take the truth on which the state rests, if it does; return its time by the robot's clock, None before any.
+
+        One that is no number makes nothing newer. A reset of the robot leaves the truth's clock, which is the plant's,
+        as it is; the first sample after it, or after a truth that began anew, is taken to be as old as the feedback.
+        """
+        if fix is not None and math.isfinite(sum(fix.pose)):
+            began_anew = self._truth_ns is not None and fix.time_ns < self._truth_ns - self._timing.stale_ns
+            if self._ahead_ns is None or began_anew:
+                self._ahead_ns = feedback.robot_time_ns - fix.time_ns
+            if fix.time_ns != self._truth_ns:
+                self._truth_ns, self._truth_heard_ns = fix.time_ns, self._clock.now_ns()
+        if self._truth_ns is None or self._ahead_ns is None:
+            return None
+        return self._truth_ns + self._ahead_ns
+
+    def is_silent(self) -> bool:
+        """Whether the feedback itself is too old to be driven by."""
+        return self.silent_ns > self._timing.stale_ns
+
+    def is_stale(self, feedback: Feedback, truth_ns: int | None) -> bool:
         """Nothing is driven by what is older than the firmware's own patience with us.
 
-        ``fix`` is the truth where the state rests on it, else None.
+        ``truth_ns`` is what ``take_truth`` said: a truth is too old by its stamp, and where no other has come so long.
         """
-        behind_ns = 0 if fix is None else feedback.robot_time_ns - fix.time_ns
-        return max(self.silent_ns, behind_ns) > self._timing.stale_ns
+        age_ns = self.silent_ns
+        if truth_ns is not None:
+            age_ns = max(age_ns, feedback.robot_time_ns - truth_ns, self._clock.now_ns() - self._truth_heard_ns)
+        return age_ns > self._timing.stale_ns
 
     def restart(self) -> bool:
         """Begin anew with a robot that came back; return whether it was reset.
@@ -79,6 +106,8 @@ class Freshness:
         """
         was_reset = self._was_reset()
         self._heard_ns = None
+        if was_reset:
+            self._ahead_ns = None
         return was_reset
 
     def _was_reset(self) -> bool:

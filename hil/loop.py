@@ -1,10 +1,12 @@
 """The tick: sense, estimate, refer, control, guard, command, tell. The same loop in lockstep and in real time."""
 
 import contextlib
+import math
 import time
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+from hil.brake import Brake
 from hil.devices.link_times import CommandLatency
 from hil.devices.snapshot import Feedback
 from hil.devices.stm32 import Stm32
@@ -42,6 +44,7 @@ class Parts(NamedTuple):
     reference: ReferenceSource
     controller: Controller
     guard: Guard
+    brake: Brake
     sink: Sink
     robot_failure: Callable[[], HilError | None]
     faults: SignalFaults | None = None
@@ -53,7 +56,8 @@ class Report(NamedTuple):
     """How the loop went. ``failure`` is what ended it, ``recoveries`` are the losses that were recovered from.
 
     ``stale`` counts ticks in which the robot was held at rest: for old feedback, an old truth where the state rests on
-    it, or an estimator that is lost.
+    it, or an estimator that is lost. In TORQUE mode
+    it is braked by its wheel speeds; while they too are old, no torque holds it, and it coasts.
     """
 
     ticks: int
@@ -84,13 +88,11 @@ class Loop:
     With ``rearm`` a lost link or a stopped robot does not end the run: it is brought back while the ticks go on, with
     nothing commanded, and the law begins anew at the reference of the present ``t``.
 
-    The law is told the latency: in lockstep that of the scenario, which is all there is; in real time what the link is
-    measured to have. With ``by_truth`` the state is as old as the truth, else as the feedback.
+    The law is told the latency: in lockstep that of the scenario's ``[link]``, so that a fault that delays
+    frames is unknown to it there; in real time what the link is measured to have, faults and all.
     """
 
-    def __init__(
-        self, parts: Parts, mode: CommandMode, timing: Timing, *, rearm: bool = False, by_truth: bool = False
-    ) -> None:
+    def __init__(self, parts: Parts, mode: CommandMode, timing: Timing, *, rearm: bool = False) -> None:
         self._parts = parts
         self._timing = timing
         self._rearm = rearm
@@ -104,7 +106,6 @@ class Loop:
         self._rest = WheelCommand(mode, ZERO_WHEELS, ZERO_WHEELS)
         self._nothing = WheelCommand(mode, NAN_WHEELS, NAN_WHEELS)
         self._latency = CommandLatency(timing.latency_s, timing.stale_ns)
-        self._by_truth = by_truth
         self._applied = Applied(self._rest, False, timing.latency_s)
         self._before: int | None = None  # the tick before, of this session of the law; None where it has not begun
         self._misses = 0
@@ -162,6 +163,7 @@ class Loop:
         timing = self._timing
         ticks = -(-duration_ns // timing.period_ns)
         number = self._sampling.begin(origin_ns)
+        self._skip_fixes()
         in_vain: set[bool] = set()  # since time has passed: waits that ended with a lost link, and a stopped robot
         while number < ticks:
             try:
@@ -196,6 +198,7 @@ class Loop:
 
     def _keep_armed(self) -> None:
         """Command zeros until the first feedback is here; no tick of the run."""
+        self._skip_fixes()
         if self._recovery is not None:
             self._come_back(self._recovery)
             return
@@ -221,26 +224,27 @@ class Loop:
                 self._lose(error)
                 self._tell_away(number, late_ns, fix)
         else:
+            self._skip_fixes()
             self._come_back(self._recovery)
             self._tell_away(number, late_ns, fix)
         self._tick_us = (time.perf_counter_ns() - begin_ns) * 1e-3
 
     def _drive(self, number: int, late_ns: int, fix: PoseFix | None) -> None:
         """Sense, estimate, refer, control, guard, command, tell."""
-        faults = self._parts.faults
+        parts = self._parts
+        faults, estimator, fixes = parts.faults, parts.estimator, parts.fixes
         feedback = self._freshness.poll(self.t_s)
-        estimator, fixes = self._parts.estimator, self._parts.fixes
         measured = fixes.poll(self._freshness.robot_now_ns(feedback), fix) if fixes is not None else ()
+        truth_ns = self._freshness.take_truth(feedback, fix if estimator.uses_truth else None)
         state = estimator.update(feedback, fix, measured)
         reference = self._parts.reference.at(self.t_s)
         if faults is not None:
             state, reference = faults.state(state), faults.reference(reference)
-        if (
-            state is None
-            or estimator.status.health == LOST
-            or self._freshness.is_stale(feedback, fix if estimator.uses_truth else None)
-        ):
-            command, saturated, asked = self._rest, False, None
+        if state is not None and not math.isfinite(sum(state.pose) + sum(state.twist)):
+            state = None  # no law is asked with it: what it integrates would be no number for ever
+        if state is None or estimator.status.health == LOST or self._freshness.is_stale(feedback, truth_ns):
+            asked = None
+            command, saturated = parts.brake.command(None if self._freshness.is_silent() else feedback.speed_rad_s)
             self._stale += state is not None
         else:
             begins = self._before is None
@@ -254,13 +258,13 @@ class Loop:
                 wanted = faults.command(wanted)
             command, saturated = self._parts.guard.apply(wanted)
         sequence = self._parts.device.send(command)
-        self._measure_latency(sequence, feedback, fix)
+        self._measure_latency(sequence, feedback, truth_ns)
         self._ask_shadows(reference, asked)
         self._applied = Applied(command, saturated, self._latency.s)
         beliefs = Beliefs(fix, state, reference, self._applied, estimator.status, asked is None)
         self._tell(number, late_ns, feedback, beliefs)
-        if self._before is not None:
-            self._before = number
+        # After a hold the law begins anew: what it has integrated and awaits is of before it.
+        self._before = None if asked is None else number
 
     def _ask_shadows(self, reference: Reference, asked: "_Asked | None") -> None:
         """Compute the shadows: after the command has gone, from what the law in command was told."""
@@ -273,13 +277,15 @@ class Loop:
             state, dt_s, begins = asked
             shadows.update(self.t_s, reference, state, self._applied, dt_s, begins=begins)
 
-    def _measure_latency(self, sequence: int, feedback: Feedback, fix: PoseFix | None) -> None:
-        """Note on what the command rests, and how late the one acted that the robot says is in force."""
+    def _measure_latency(self, sequence: int, feedback: Feedback, truth_ns: int | None) -> None:
+        """Note on what the command rests, and how late the one acted that the robot says is in force.
+
+        A state that rests on the truth is as old as that, else as the feedback.
+        """
         if self._parts.device.is_lockstep:
             return
         self._latency.acted(feedback.command_sequence, feedback.robot_time_ns, feedback.command_age_ms)
-        sampled_ns = fix.time_ns if self._by_truth and fix is not None else feedback.robot_time_ns
-        self._latency.sent(sequence, sampled_ns)
+        self._latency.sent(sequence, feedback.robot_time_ns if truth_ns is None else truth_ns)
 
     def _lose(self, error: HilError) -> Recovery:
         """Begin to bring the robot back, or begin that again; without ``rearm`` the run ends."""
@@ -311,6 +317,10 @@ class Loop:
             self._parts.estimator.restart()
             if self._parts.fixes is not None:
                 self._parts.fixes.restart()
+
+    def _skip_fixes(self) -> None:
+        if self._parts.fixes is not None:
+            self._parts.fixes.skip()
 
     def _tell_away(self, number: int, late_ns: int, fix: PoseFix | None) -> None:
         """Tell of a tick in which nothing is commanded: what is heard of the robot, which may be nothing."""

@@ -94,6 +94,9 @@ class FixSource(Protocol):
         ``now_ns`` is the robot time of this call; ``truth`` is the newest, of which only a simulation makes use.
         """
 
+    def skip(self) -> None:
+        """Do a tick in which no fix can be used, before the first one or without the robot; never waits."""
+
     def restart(self) -> None:
         """Go on with a robot that was reset: its clock began anew."""
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from scipy.stats import chi2
@@ -290,3 +290,34 @@ def test_a_covariance_stays_one(entries, heading, turned):
         assert np.linalg.eigvalsh(matrix(one.covariance, 4)).min() > 0.0
         worst = np.linalg.eigvalsh(matrix(one.covariance, 4)[:2, :2]).max()
         assert position_sigma_m(one.covariance) == pytest.approx(math.sqrt(worst))
+
+
+EXPONENTS = st.floats(-10.0, 6.0)
+COVARIANCES = st.builds(
+    lambda x, y, h, c, d, e: PoseCovariance(
+        10**x, c * 10 ** ((x + y) / 2), d * 10 ** ((x + h) / 2), 10**y, e * 10 ** ((y + h) / 2), 10**h
+    ),
+    *[EXPONENTS] * 3,
+    *[st.floats(-1.0, 1.0)] * 3,
+)
+ADVERSE = [
+    PoseCovariance(1.147, 0, 0, 2.418e-9, 0.006976, 20124.4),
+    PoseCovariance(1e-10, 0, 0, 1e-10, 0, 1e-10),
+    PoseCovariance(724.25, 0, 0, 1.058e-10, -0.0037205, 130810.8),
+]
+
+
+@given(st.lists(COVARIANCES, min_size=1, max_size=8), st.booleans())
+@example(ADVERSE, False)
+@example(ADVERSE, True)
+def test_no_sequence_of_covariances_makes_a_variance_negative_or_ends_the_run(covariances, moves):
+    """Singular and impossible ones among them, which a message is refused for: the filter stands them all the same."""
+    belief = start(0, START, 0.05, 0.05, 0.05)
+    for number, covariance in enumerate(covariances, 1):
+        if moves:
+            belief = moved(belief, Step(0.5, 0.1, 0.3, 0.01, 1e-6, 1e-6, 1e-8), number * TICK_NS)
+        pose = Pose(belief.x_m, belief.y_m, belief.heading_rad + 1e-3 * (-1) ** number)
+        belief = corrected(belief, MeasuredPose(belief.time_ns, pose, covariance), Acceptance(16.0, 3, 0.0))
+        p = belief.covariance
+        assert all(math.isfinite(entry) for entry in (*belief[1:5], *p))
+        assert min(p.xx, p.yy, p.hh, p.bb) > 0.0

@@ -5,6 +5,7 @@ import json
 import math
 import socket
 import time
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -13,10 +14,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import chi2, kstest
 
+from hil.assembly import run_scenario
 from hil.errors import BadInputError
 from hil.localisation import SimulatedFixes, SimulatedOptions, UdpFixes
 from hil.localisation.address import parse_address
 from hil.localisation.message import Refused, parse
+from hil.loop import Loop
+from hil.scenario import load
 from hil.scenario.tables import SimulatedFixTable
 from hil.types import NAN, MeasuredPose, Pose, PoseFix, Twist
 from tools.pose_fix_client import datagram
@@ -84,6 +88,8 @@ WRONG = [
     (encoded(covariance=[-4e-4, 0, 0, 4e-4, 0, 1e-4]), "covariance"),
     (encoded(covariance=[4e-4, 5e-4, 0, 4e-4, 0, 1e-4]), "covariance"),
     (encoded(covariance=[4e-4, 0, 3e-4, 4e-4, 0, 1e-4]), "covariance"),
+    (encoded(covariance=[1.147, 0, 0, 2.418e-9, 0.006976, 20124.4]), "covariance"),
+    (encoded(covariance=[4e-4, 3.9975e-4, 0, 4e-4, 0, 1e-4]), "covariance"),
     (encoded(covariance=[1e9, 0, 0, 4e-4, 0, 1e-4]), "covariance"),
     (encoded(x_m=1.0, y_m=2.0) + b" " * 1024, "too_long"),
 ]
@@ -108,7 +114,8 @@ def test_nothing_that_is_received_raises_anything_else(data: bytes) -> None:
 @given(st.lists(st.floats(-1, 1), min_size=9, max_size=9))
 def test_a_covariance_that_is_taken_can_be_inverted(entries: list[float]) -> None:
     root = np.array(entries).reshape(3, 3)
-    p = root @ root.T + 1e-8 * np.eye(3)
+    p = root @ root.T
+    p += (0.01 * p.trace() + 1e-8) * np.eye(3)  # far enough from singular to be taken
     found = parse(encoded(covariance=list(p[np.triu_indices(3)])))
     full = np.zeros((3, 3))
     full[np.triu_indices(3)] = found.covariance
@@ -150,6 +157,33 @@ def test_datagrams_become_fixes_or_are_counted_and_nothing_waits() -> None:
     assert refused == expected
     source.close()
     source.close()
+
+
+def test_what_waits_before_the_first_tick_is_refused_not_taken_for_new() -> None:
+    """In real time; ``watch`` is entered when the port is open and no tick has been."""
+    port = free_port()
+
+    @contextlib.contextmanager
+    def sending(_: Loop) -> Iterator[None]:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            for _ in range(3):
+                sender.sendto(encoded(age_s=0.0), ("127.0.0.1", port))
+        yield
+
+    keys = {"estimator.source": "fused", "estimator.fix": f"udp://127.0.0.1:{port}", "loop.duration_s": 0.1}
+    result = run_scenario(load("circle_speed", mode="realtime", set={**keys, "expect": []}), watch=sending)
+    assert result.metrics["pose_fixes"]["refused"] == {"waited": 3}
+
+
+def test_fixes_are_skipped_in_every_tick_without_the_robot(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the loop; what UDP makes of it is above, and takes real time."""
+    calls: list[str] = []
+    monkeypatch.setattr(SimulatedFixes, "skip", lambda _: calls.append("skip"))
+    fault = [{"kind": "reset", "target": "robot", "start_s": 0.1}]
+    keys = {"estimator.source": "fused", "loop.duration_s": 0.6, "loop.rearm": True, "fault": fault, "expect": []}
+    result = run_scenario(load("circle_speed", set=keys))
+    (recovery,) = result.metrics["recoveries"]
+    assert len(calls) >= round((recovery["armed_s"] - recovery["lost_s"]) * 200)
 
 
 def test_a_flood_is_taken_in_portions() -> None:

@@ -13,6 +13,7 @@ from typing import NamedTuple
 from hil.types import MeasuredPose, Pose, PoseCovariance
 
 _UNKNOWN_VARIANCE = 1e6
+_ROUNDING = 1e-13
 
 
 class Covariance(NamedTuple):
@@ -153,9 +154,9 @@ def corrected(belief: Belief, fix: MeasuredPose, acceptance: Acceptance) -> Beli
     # L Lᵀ = P + R, written out; W = L⁻¹ H P has one column each of x, y, heading, bias.
     l11 = math.sqrt(p.xx + r.xx_m2)
     l21, l31 = (p.xy + r.xy_m2) / l11, (p.xh + r.xh_m_rad) / l11
-    l22 = math.sqrt(p.yy + r.yy_m2 - l21 * l21)
+    l22 = _root(p.yy + r.yy_m2, l21 * l21)
     l32 = (p.yh + r.yh_m_rad - l31 * l21) / l22
-    l33 = math.sqrt(p.hh + r.hh_rad2 - l31 * l31 - l32 * l32)
+    l33 = _root(p.hh + r.hh_rad2, l31 * l31 + l32 * l32)
 
     def solved(x: float, y: float, h: float) -> tuple[float, float, float]:
         first = x / l11
@@ -172,16 +173,16 @@ def corrected(belief: Belief, fix: MeasuredPose, acceptance: Acceptance) -> Beli
         solved(p.xb, p.yb, p.hb),
     )
     covariance = Covariance(
-        p.xx - _dot(x, x),
+        _less(p.xx, _dot(x, x)),
         p.xy - _dot(x, y),
         p.xh - _dot(x, h),
         p.xb - _dot(x, b),
-        p.yy - _dot(y, y),
+        _less(p.yy, _dot(y, y)),
         p.yh - _dot(y, h),
         p.yb - _dot(y, b),
-        p.hh - _dot(h, h),
+        _less(p.hh, _dot(h, h)),
         p.hb - _dot(h, b),
-        p.bb - _dot(b, b),
+        _less(p.bb, _dot(b, b)),
     )
     return Belief(
         belief.time_ns,
@@ -199,19 +200,13 @@ def corrected(belief: Belief, fix: MeasuredPose, acceptance: Acceptance) -> Beli
 
 
 def squared_distance(x: float, y: float, h: float, covariance: PoseCovariance) -> float:
-    """Return the squared Mahalanobis distance of (x, y, heading). Raises ValueError unless positive definite."""
+    """Return the squared Mahalanobis distance of (x, y, heading)."""
     xx, xy, xh, yy, yh, hh = covariance
     l11 = math.sqrt(xx)
-    if l11 == 0.0:
-        raise ValueError("singular")
     l21, l31 = xy / l11, xh / l11
-    l22 = math.sqrt(yy - l21 * l21)
-    if l22 == 0.0:
-        raise ValueError("singular")
+    l22 = _root(yy, l21 * l21)
     l32 = (yh - l31 * l21) / l22
-    l33 = math.sqrt(hh - l31 * l31 - l32 * l32)
-    if l33 == 0.0:
-        raise ValueError("singular")
+    l33 = _root(hh, l31 * l31 + l32 * l32)
     first = x / l11
     second = (y - l21 * first) / l22
     third = (h - l31 * first - l32 * second) / l33
@@ -299,6 +294,15 @@ def _agree(belief: Belief, fix: MeasuredPose, gate: float) -> bool:
         )
         <= gate
     )
+
+
+def _less(variance: float, known: float) -> float:
+    """Return what is left of a variance; at least what rounding may have made of it, so that it stays positive."""
+    return max(variance - known, _ROUNDING * variance)
+
+
+def _root(variance: float, known: float) -> float:
+    return math.sqrt(_less(variance, known))
 
 
 def _dot(a: tuple[float, float, float], b: tuple[float, float, float]) -> float:

@@ -63,6 +63,9 @@ class SimulatedFixes:
         self._counts["received"] += len(arrived)
         return arrived
 
+    def skip(self) -> None:
+        """Nothing waits that would be taken for newer than it is: each fix has its stamp."""
+
     def restart(self) -> None:
         """Stamp by the new clock; what was on its way had the stamps of the old one and is lost."""
         self._on_their_way.clear()

@@ -3,7 +3,7 @@
 import socket
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from hil.errors import BadInputError
@@ -12,6 +12,7 @@ from hil.localisation.message import Refused, parse
 from hil.types import MeasuredPose, PoseFix
 
 _AT_MOST = 16  # datagrams a poll; the rest waits for the next one
+_SKIPPED_AT_MOST = 1024  # more than a socket of the usual size holds; a flood does not hold up the tick for ever
 _BUFFER_BYTES = 65536
 _FUTURE_S = 0.010
 _NS = 1e9
@@ -46,7 +47,20 @@ class UdpFixes:
     def poll(self, now_ns: int, truth: PoseFix | None) -> Sequence[MeasuredPose]:
         """Return the fixes that have come; ``truth`` has no part in it."""
         fixes: list[MeasuredPose] = []
-        for _ in range(_AT_MOST):
+        for datagram in self._datagrams(_AT_MOST):
+            try:
+                fixes.append(self._taken(datagram, now_ns))
+            except Refused as refused:
+                self._refused[refused.cause] += 1
+        return fixes
+
+    def skip(self) -> None:
+        """Refuse what has come as ``waited``: read later, an age would be counted from a time that is too late."""
+        for _ in self._datagrams(_SKIPPED_AT_MOST):
+            self._refused["waited"] += 1
+
+    def _datagrams(self, at_most: int) -> Iterator[bytes]:
+        for _ in range(at_most):
             try:
                 datagram = self._socket.recv(_BUFFER_BYTES)
             except BlockingIOError:
@@ -56,14 +70,10 @@ class UdpFixes:
                 self._refused["socket"] += 1
                 continue
             self._received += 1
-            try:
-                fixes.append(self._taken(datagram, now_ns))
-            except Refused as refused:
-                self._refused[refused.cause] += 1
-        return fixes
+            yield datagram
 
     def restart(self) -> None:
-        """Nothing is held: ages are turned into stamps when datagrams are read."""
+        """Nothing is held: what came without the robot was skipped."""
 
     def figures(self) -> dict[str, Any]:
         """Return how many datagrams were read and how many of them were refused, by cause."""
