@@ -117,8 +117,9 @@ def print_result(result: RunResult) -> None:
     hil = _command()
     hints = [(f"  {hil} show {result.scenario.path or result.scenario.name}", "# every value and where it came from")]
     if path is not None:
-        hints.insert(0, (f"  {hil} view {path}", "# see it in the rerun viewer; --web for a browser"))
-        hints.insert(1, (f"  {hil} review {path}", "# the figures again, from the recording alone"))
+        hints.insert(0, (f"  {hil} review {path}", "# how it went, from the recording alone"))
+        if path.endswith(".rrd"):
+            hints.insert(0, (f"  {hil} view {path}", "# see it in the rerun viewer; --web for a browser"))
     print_table(hints)
 
 
