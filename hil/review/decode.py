@@ -115,8 +115,12 @@ def _parts(path: Path, wanted: Wanted) -> tuple[list[tuple[Path, Contents]], lis
             notes.append(f"{other.name}, by its name a part of it, is left out: {error}")
             continue
         later = contents.json(PART_PROPERTY)
-        if later is not None and part is not None and later["recording_id"] == part["recording_id"]:
-            parts.append((other, contents))
+        if later is None or part is None or later["recording_id"] != part["recording_id"]:
+            continue
+        if later["number"] != int(other.stem.rpartition("-")[2]):
+            notes.append(f"{other.name} is left out: it is part {later['number']} of the run, by what it says itself")
+            continue
+        parts.append((other, contents))
     return parts, notes
 
 

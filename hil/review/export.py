@@ -5,6 +5,7 @@ in MCAP.
 """
 
 import json
+import uuid
 from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
@@ -64,7 +65,7 @@ def _write_mcap(run: RecordedRun, file: Path) -> None:
         _zero_unix_ns(run),
         signals=list(run.signals),
         properties=run.properties,
-        part={"recording_id": f"export of {run.path.name}", "number": 1, "first_row": 0},
+        part={"recording_id": str(uuid.uuid4()), "number": 1, "first_row": 0},
     )
     count = len(run.signals["loop.t_s"])
     for start in range(0, count, _ROWS_AT_ONCE):

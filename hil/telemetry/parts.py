@@ -108,7 +108,9 @@ class Parts:
         if self._ring.tail < self._ring.head:  # the file went with the last rows: the ring may still reach another
             self._next_try_s = 0.0
             self.take(self._ring.head)
-        self._ring.release(self._ring.head)
+        if summary is not None:
+            # Without one the run may go on: what came meanwhile is for whoever takes this process's place.
+            self._ring.release(self._ring.head)
         self._write(lambda file: file.finish(summary, self._counts()))
         self._write(lambda file: file.close(), flush=False)
 

@@ -23,6 +23,7 @@ from hil.telemetry.memory import SharedBlock
 from hil.telemetry.ring import RingWriter, Row, ring_bytes
 
 _PATIENCE_WAITS = 60_000  # of 0.5 ms, without any progress of the other process: about 30 s
+_WAITS_A_TURN = 11  # of these in a turn that also waits 5 ms for a reply
 _EXIT_TIMEOUT_S = 10.0
 _STARTS_IN_A_ROW = 6
 _FIRST_BACK_OFF_S = 0.1
@@ -173,7 +174,7 @@ class RingProcess:
 
     def _report(self) -> dict[str, Any]:
         """Return the next reply; empty when the process ended without one for good, or makes no progress."""
-        patience = Patience(_PATIENCE_WAITS)
+        patience = Patience(_PATIENCE_WAITS // _WAITS_A_TURN)
         while True:
             ended = self._gone.is_set()
             try:
@@ -221,7 +222,11 @@ class RingProcess:
                 if pipe is not None:
                     pipe.close()
             self._ready = False
-            self._launch(self.restarts + 1)
+            try:
+                self._launch(self.restarts + 1)
+            except OSError as error:
+                self.troubles.append(f"{self._name} could not be started again: {error}")
+                return False
             self.restarts += 1
         return True
 
