@@ -191,6 +191,7 @@ def _commands(
             applied = Applied(rest, False, row.applied.latency_s)
             continue
         if row.is_held:
+            before = None  # after a hold the law begins anew
             yield None
         else:
             if before is None:
