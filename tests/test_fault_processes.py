@@ -13,6 +13,7 @@ from hil.devices.truth import TruthClient
 from hil.errors import BadInputError
 from hil.faults.injection import RunFaults
 from hil.scenario import load
+from hil.signals import SIGNAL_NAMES
 from tests.fault_runs import applied, write
 from tests.processes import device, hil, run_json
 
@@ -60,7 +61,7 @@ def test_a_robot_that_was_given_other_faults_meanwhile_does_not_know_of_ours(tmp
         ours, others = (TruthClient(robot.truth, scenario.hash, reset=False) for _ in range(2))
         resources.callback(ours.close)
         resources.callback(others.close)
-        faults = RunFaults([table.row for table in scenario.fault], 1, WallClock())
+        faults = RunFaults([table.row for table in scenario.fault], 1, WallClock(), SIGNAL_NAMES)
         faults.arm(ours)
         assert faults.applied() == [0, 0, 0]
         others.arm([])
