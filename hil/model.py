@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 from hil.errors import BadInputError
 from hil.kinematics import body_twist, to_world, wheel_speeds, wheel_torques
-from hil.types import Axes, Twist, Wheels
+from hil.types import ZERO_WHEELS, Axes, Twist, Wheels
 
 GRAVITY_M_S2 = 9.81
 FRICTION_SPEED_RAD_S = 0.3
@@ -83,7 +83,7 @@ class RobotModel:
     ) -> Wheels:
         """Return the wheel torques [N·m] for a world acceleration, not limited: τ = B⁺ (M q̈ + C) + ξ.
 
-        ``twist`` is the world twist in C. Friction ξ = (μ m g r / 4) tanh(ω / 0.3 rad/s) is taken at
+        ``twist`` is the world twist in C. Friction ξ (``friction_torques``) is taken at
         ``friction_speed_rad_s``: the intended wheel speeds, because measured ones would feed their noise
         back.
         """
@@ -95,14 +95,21 @@ class RobotModel:
         c, s = math.cos(heading_rad), math.sin(heading_rad)
         wrench = c * fx + s * fy, c * fy - s * fx, self.effective_inertia_kg_m2 * yaw_acceleration
         torque = wheel_torques(wrench, self.wheel_radius_m, self.lever_m)
-        friction = self.wheel_friction_n_m
-        if friction == 0.0:
+        if self.wheel_friction_n_m == 0.0:
             return torque
         to_fl, to_fr, to_rr, to_rl = torque
-        fl, fr, rr, rl = friction_speed_rad_s
+        fl, fr, rr, rl = self.friction_torques(friction_speed_rad_s)
+        return Wheels(to_fl + fl, to_fr + fr, to_rr + rr, to_rl + rl)
+
+    def friction_torques(self, speed_rad_s: Wheels) -> Wheels:
+        """Return the friction torque [N·m] of each wheel at these speeds: ξ = (μ m g r / 4) tanh(ω / 0.3 rad/s)."""
+        friction = self.wheel_friction_n_m
+        if friction == 0.0:
+            return ZERO_WHEELS
+        fl, fr, rr, rl = speed_rad_s
         return Wheels(
-            to_fl + friction * math.tanh(fl / FRICTION_SPEED_RAD_S),
-            to_fr + friction * math.tanh(fr / FRICTION_SPEED_RAD_S),
-            to_rr + friction * math.tanh(rr / FRICTION_SPEED_RAD_S),
-            to_rl + friction * math.tanh(rl / FRICTION_SPEED_RAD_S),
+            friction * math.tanh(fl / FRICTION_SPEED_RAD_S),
+            friction * math.tanh(fr / FRICTION_SPEED_RAD_S),
+            friction * math.tanh(rr / FRICTION_SPEED_RAD_S),
+            friction * math.tanh(rl / FRICTION_SPEED_RAD_S),
         )

@@ -9,11 +9,9 @@ with ẑ the acceleration that the commands do not explain, as an extended state
 model's, a wrong mass. All are taken for the moment at which the command takes effect.
 """
 
-import math
-
 from hil.controllers.ahead import Ahead, TorquePrediction, carried_on
 from hil.controllers.observer import ExtendedStateObserver
-from hil.controllers.surface import TrackingError
+from hil.controllers.surface import TrackingError, filter_step
 from hil.controllers.wheel_commands import speed_command
 from hil.model import RobotModel
 from hil.types import Applied, Axes, CommandMode, Gains, Reference, State, WheelCommand
@@ -58,20 +56,17 @@ class ObservedSurface:
             x, y, heading = _feedback(ahead.error, gains)
             wanted = vx_d + x, vy_d + y, yaw_rate_d + heading
             return speed_command(self._model, wanted, ahead.heading_rad, ahead.moving, reference.acceleration)
-        wanted_x, wanted_y, wanted_heading = _feedback(ahead.error, gains)
         _, _, _, vx, vy, yaw_rate = ahead.error
         _, _, _, k2_x, k2_y, k2_heading = gains
-        # The filter's step as the paper's: exact for an input that is held over the tick.
-        step = -math.expm1(-dt_s / self._filter_s)
         x, y, heading = self._feedback
-        dx, dy, dh = step * (wanted_x - x), step * (wanted_y - y), step * (wanted_heading - heading)
-        self._feedback = x + dx, y + dy, heading + dh
+        wanted = _feedback(ahead.error, gains)
+        self._feedback, (slope_x, slope_y, slope_heading) = filter_step(self._feedback, wanted, self._filter_s, dt_s)
         ax, ay, ah = reference.acceleration
         zx, zy, zh = self._prediction.disturbance
         asked = (
-            ax + dx / dt_s - k2_x * (vx - x) - zx,
-            ay + dy / dt_s - k2_y * (vy - y) - zy,
-            ah + dh / dt_s - k2_heading * (yaw_rate - heading) - zh,
+            ax + slope_x - k2_x * (vx - x) - zx,
+            ay + slope_y - k2_y * (vy - y) - zy,
+            ah + slope_heading - k2_heading * (yaw_rate - heading) - zh,
         )
         return self._prediction.command(asked, ahead)
 

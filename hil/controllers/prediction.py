@@ -7,11 +7,12 @@ motions are exact for a double integrator an axis, whatever the latency is in pe
 """
 
 import math
+import operator
 from collections import deque
 from typing import NamedTuple
 
 from hil.kinematics import body_wrench
-from hil.model import FRICTION_SPEED_RAD_S, RobotModel
+from hil.model import RobotModel
 from hil.types import Acceleration, Twist, Wheels
 
 
@@ -97,15 +98,9 @@ def acceleration_of(
     What a law wanted and what the guard let through differ; this turns the latter into what an observer needs.
     Of torques that work against each other the share that moves the robot counts.
     """
-    friction = model.wheel_friction_n_m
-    if friction > 0.0:
-        torque_n_m = Wheels(
-            *(
-                torque - friction * math.tanh(speed / FRICTION_SPEED_RAD_S)
-                for torque, speed in zip(torque_n_m, friction_speed_rad_s, strict=True)
-            )
-        )
-    forward_n, left_n, yaw_n_m = body_wrench(torque_n_m, model.wheel_radius_m, model.lever_m)
+    friction_n_m = model.friction_torques(friction_speed_rad_s)
+    moving = Wheels(*map(operator.sub, torque_n_m, friction_n_m))
+    forward_n, left_n, yaw_n_m = body_wrench(moving, model.wheel_radius_m, model.lever_m)
     c, s = math.cos(heading_rad), math.sin(heading_rad)
     coupling = model.wheels_mass_kg * twist.yaw_rate_rad_s
     mass = model.effective_mass_kg

@@ -11,7 +11,7 @@ from hil.controllers.observer import ExtendedStateObserver
 from hil.controllers.prediction import CommandsOnTheirWay, acceleration_of
 from hil.controllers.surface import tracking_error
 from hil.kinematics import wrap_angle
-from hil.model import FRICTION_SPEED_RAD_S, RobotModel
+from hil.model import RobotModel
 from hil.options import require_positive
 from hil.types import (
     NAN,
@@ -229,18 +229,10 @@ class Profile:
 
     def _friction(self, along_1_m_s: float, along_2_m_s: float, yaw_rate_rad_s: float) -> Wheels:
         """Return the friction torques at the speeds of the reference: no noise comes back through them."""
-        friction = self._model.wheel_friction_n_m
-        if friction == 0.0:
-            return ZERO_WHEELS
-        scale = 1.0 / (self._model.wheel_radius_m * FRICTION_SPEED_RAD_S)
+        scale = 1.0 / self._model.wheel_radius_m
         push_1, push_2 = SQRT2 * scale * along_1_m_s, SQRT2 * scale * along_2_m_s
         turn = scale * self._model.lever_m * yaw_rate_rad_s
-        return Wheels(
-            friction * math.tanh(push_1 - turn),
-            friction * math.tanh(push_2 + turn),
-            friction * math.tanh(push_1 + turn),
-            friction * math.tanh(push_2 - turn),
-        )
+        return self._model.friction_torques(Wheels(push_1 - turn, push_2 + turn, push_1 + turn, push_2 - turn))
 
 
 def profile(error: float, rate: float, k1: float, braking: float, low: float, high: float) -> tuple[float, float]:

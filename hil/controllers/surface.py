@@ -76,19 +76,29 @@ class DynamicSurface:
         return torque_command(self._model, acceleration, heading, state.twist, moving)
 
     def _inner_surface(self, wanted: Axes, twist: Twist, gains: Gains, dt_s: float) -> Axes:
-        """Return u = ẋ2d - K2 S2, and advance the filter.
-
-        The filter's step is exact for an input held over the tick, and ẋ2d is the mean slope over it: a plant
-        that holds u over the tick too keeps q̇ on x2d exactly. With (x̄2 - x2d) / ς it would not.
-        """
-        step = -math.expm1(-dt_s / self._filter_s)
+        """Return u = ẋ2d - K2 S2, and advance the filter."""
         x, y, heading = self._virtual
-        wanted_x, wanted_y, wanted_heading = wanted
+        self._virtual, (slope_x, slope_y, slope_heading) = filter_step(self._virtual, wanted, self._filter_s, dt_s)
         vx, vy, yaw_rate = twist
         _, _, _, k2_x, k2_y, k2_heading = gains
-        dx, dy, dh = step * (wanted_x - x), step * (wanted_y - y), step * (wanted_heading - heading)
-        self._virtual = x + dx, y + dy, heading + dh
-        return dx / dt_s - k2_x * (vx - x), dy / dt_s - k2_y * (vy - y), dh / dt_s - k2_heading * (yaw_rate - heading)
+        return (
+            slope_x - k2_x * (vx - x),
+            slope_y - k2_y * (vy - y),
+            slope_heading - k2_heading * (yaw_rate - heading),
+        )
+
+
+def filter_step(value: Axes, wanted: Axes, filter_s: float, dt_s: float) -> tuple[Axes, Axes]:
+    """Return a first-order filter ``dt_s`` [s] later, and its mean slope on the way.
+
+    Exact for an input held over the tick: a plant that holds its acceleration over the tick too keeps to the filter
+    exactly. With the slope at its beginning, (x̄2 - x2d) / ς, it would not.
+    """
+    step = -math.expm1(-dt_s / filter_s)
+    x, y, heading = value
+    wanted_x, wanted_y, wanted_heading = wanted
+    dx, dy, dh = step * (wanted_x - x), step * (wanted_y - y), step * (wanted_heading - heading)
+    return (x + dx, y + dy, heading + dh), (dx / dt_s, dy / dt_s, dh / dt_s)
 
 
 def without_inner(gains: Gains) -> Gains:
