@@ -3,15 +3,15 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from hil.controllers.fuzzy_gains import FuzzyGains, FuzzyRanges
-from hil.controllers.surface import DynamicSurface, tracking_error, without_inner
+from hil.controllers.fuzzy_gains import FuzzyLaw, FuzzyRanges
+from hil.controllers.surface import DynamicSurface, tracking_error
 from hil.fuzzy import Tables
 from hil.model import RobotModel
 from hil.options import require_positive
-from hil.types import NO_GAINS, Applied, CommandMode, Gains, Reference, State, WheelCommand
+from hil.types import Applied, CommandMode, Reference, State, WheelCommand
 
 
-class Afdsc:
+class Afdsc(FuzzyLaw):
     """Adaptive fuzzy dynamic surface control: DSC with fuzzy gains, by the paper's tables as printed.
 
     A fuzzy block an axis sets the gains at every tick: K1 from 3 to 15 1/s and K2 from 10 to 40 1/s. In SPEED mode
@@ -36,21 +36,8 @@ class Afdsc:
             require_positive(self, "filter_s")
 
     def __init__(self, model: RobotModel, mode: CommandMode, options: Options) -> None:
+        super().__init__(mode, self.tables, options)
         self._surface = DynamicSurface(model, mode, options.filter_s)
-        self._torque = mode is CommandMode.TORQUE
-        self._tuner = FuzzyGains(self.tables, options)
-        self._last = NO_GAINS
-        self.signals = self._tuner.signals
-
-    @property
-    def gains(self) -> Gains:
-        """Gains of the last update."""
-        return self._last if self._torque else without_inner(self._last)
-
-    @property
-    def telemetry(self) -> tuple[float, ...]:
-        """What fires in the fuzzy block of each axis."""
-        return self._tuner.telemetry
 
     def reset(self, state: State, reference: Reference) -> None:
         """Start the filter from this state and reference."""

@@ -2,16 +2,16 @@
 
 from dataclasses import dataclass
 
-from hil.controllers.fuzzy_gains import FuzzyGains, FuzzyRanges
+from hil.controllers.fuzzy_gains import FuzzyLaw, FuzzyRanges
 from hil.controllers.observed_surface import ObservedSurface
-from hil.controllers.surface import tracking_error, without_inner
+from hil.controllers.surface import tracking_error
 from hil.fuzzy import Tables
 from hil.model import RobotModel
 from hil.options import require_positive
-from hil.types import NO_GAINS, Applied, CommandMode, Gains, Reference, State, WheelCommand
+from hil.types import Applied, CommandMode, Reference, State, WheelCommand
 
 
-class AfdscEso:
+class AfdscEso(FuzzyLaw):
     """AFDSC with feedforward bypass, extended state observer and latency compensation.
 
     The gains are AFDSC's, by the error when the command takes effect. In SPEED mode only K1 is in force.
@@ -30,21 +30,8 @@ class AfdscEso:
             require_positive(self, "filter_s", "observer_rad_s")
 
     def __init__(self, model: RobotModel, mode: CommandMode, options: Options) -> None:
+        super().__init__(mode, options.tables, options)
         self._surface = ObservedSurface(model, mode, options.filter_s, options.observer_rad_s)
-        self._torque = mode is CommandMode.TORQUE
-        self._tuner = FuzzyGains(options.tables, options)
-        self._last = NO_GAINS
-        self.signals = self._tuner.signals
-
-    @property
-    def gains(self) -> Gains:
-        """Gains of the last update."""
-        return self._last if self._torque else without_inner(self._last)
-
-    @property
-    def telemetry(self) -> tuple[float, ...]:
-        """What fires in the fuzzy block of each axis."""
-        return self._tuner.telemetry
 
     def reset(self, state: State, reference: Reference) -> None:
         """Start filter and observer from this state and reference."""

@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass
 
-from hil.controllers.surface import TrackingError
+from hil.controllers.surface import TrackingError, without_inner
 from hil.fuzzy import FIRING, FuzzyBlock, Tables
 from hil.options import require_positive
-from hil.types import NAN, Gains
+from hil.types import NAN, NO_GAINS, CommandMode, Gains
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,3 +57,24 @@ class FuzzyGains:
         k1_y, k2_y = planar(y, vy)
         k1_heading, k2_heading = self._heading.gains(heading, yaw_rate)
         return Gains(k1_x, k1_y, k1_heading, k2_x, k2_y, k2_heading)
+
+
+class FuzzyLaw:
+    """A law whose gains a ``FuzzyGains`` sets at every tick, and what it tells of them."""
+
+    signals = FuzzyGains.signals
+
+    def __init__(self, mode: CommandMode, tables: Tables, ranges: FuzzyRanges) -> None:
+        self._torque = mode is CommandMode.TORQUE
+        self._tuner = FuzzyGains(tables, ranges)
+        self._last = NO_GAINS
+
+    @property
+    def gains(self) -> Gains:
+        """Gains of the last update; in SPEED mode K2 is not in force."""
+        return self._last if self._torque else without_inner(self._last)
+
+    @property
+    def telemetry(self) -> tuple[float, ...]:
+        """What fires in the fuzzy block of each axis."""
+        return self._tuner.telemetry
