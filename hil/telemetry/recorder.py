@@ -41,12 +41,12 @@ class Recorder:
                 self._live_error = str(refusal)
         # A run that waits for room must not wait for a batch that its ring cannot hold.
         self._batch_rows = min(BATCH_ROWS, (ring.capacity + 1) // 2)
-        self._head_seen = self._passed_on = ring.tail
+        self._passed_on = ring.tail
         self._batch_since = time.monotonic()
 
     def poll(self) -> None:
-        """Take the rows that the ring held at the last poll; younger ones may not have settled in memory."""
-        settled, self._head_seen = self._head_seen, self._ring.head
+        """Take the rows that have settled in the ring."""
+        settled = self._ring.settled()
         self._pass_to_live(settled)
         waiting = settled - self._ring.tail
         now = time.monotonic()

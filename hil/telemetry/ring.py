@@ -134,6 +134,7 @@ class RingReader:
         self._rows = np.frombuffer(
             block.buffer, dtype=np.float64, count=self.capacity * self.width, offset=_HEADER_BYTES
         ).reshape(self.capacity, self.width)
+        self._head_seen = self.tail
 
     @property
     def head(self) -> int:
@@ -149,6 +150,11 @@ class RingReader:
     def dropped(self) -> int:
         """Rows that the producer dropped so far."""
         return self._words[_DROPPED]
+
+    def settled(self) -> int:
+        """Return how far rows may be read: to where the head was at the last call. Younger ones may not have settled."""
+        settled, self._head_seen = self._head_seen, self.head
+        return settled
 
     def rows(self, start: int, stop: int) -> Rows:
         """Return a copy of the rows ``start`` to ``stop`` (exclusive), counted from the first ever put.

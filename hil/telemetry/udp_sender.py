@@ -26,7 +26,6 @@ class UdpSender:
         self._time = config["signals"].index("loop.t_s")
         self._writer = DatagramWriter(config["signals"])
         self._decimator = Decimator(PERIOD_S)
-        self._head_seen = 0
         self._sent = 0
         self._lost = 0
         self._why: str | None = None
@@ -40,9 +39,8 @@ class UdpSender:
             ) from error
 
     def poll(self) -> None:
-        """Send of the rows that the ring held at the last poll; younger ones may not have settled in memory."""
-        settled, self._head_seen = self._head_seen, self._ring.head
-        self._take(settled)
+        """Send of the rows that have settled in the ring."""
+        self._take(self._ring.settled())
 
     def line(self, _record: Record) -> None:
         """There are no lines but the last."""

@@ -25,7 +25,6 @@ class TraceWriter:
 
     def __init__(self, config: Record, ring: RingReader) -> None:
         self._ring = ring
-        self._head_seen = 0
         self._error: str | None = None
         self._path = Path(config["path"])
         try:
@@ -34,9 +33,8 @@ class TraceWriter:
             raise RefusedError(f"trace {self._path}: {error.strerror}; choose a path that can be written") from error
 
     def poll(self) -> None:
-        """Write the frames that the ring held at the last poll; younger ones may not have settled in memory."""
-        settled, self._head_seen = self._head_seen, self._ring.head
-        self._take(settled)
+        """Write the frames that have settled in the ring."""
+        self._take(self._ring.settled())
 
     def line(self, _record: Record) -> None:
         """There are no lines but the last."""
