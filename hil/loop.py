@@ -56,8 +56,8 @@ class Report(NamedTuple):
     """How the loop went. ``failure`` is what ended it, ``recoveries`` are the losses that were recovered from.
 
     ``stale`` counts ticks in which the robot was held at rest: for old feedback, an old truth where the state rests on
-    it, or an estimator that is lost. In TORQUE mode
-    it is braked by its wheel speeds; while they too are old, no torque holds it, and it coasts.
+    it, or an estimator that is lost. In TORQUE mode it is braked by its wheel speeds; while they too are old, no torque
+    holds it, and it coasts.
     """
 
     ticks: int

@@ -31,7 +31,6 @@ __all__ = ["Difference", "Replay", "replay", "write_replay"]
 Series = npt.NDArray[np.float64]
 
 _LABEL = "open loop: computed afterwards from the recorded states; it never drove the robot"
-_LEVELS = {"DEBUG": "debug", "WARN": "warning", "ERROR": "error"}
 
 
 class Difference(NamedTuple):
@@ -154,7 +153,7 @@ def write_replay(run: RecordedRun, replayed: Replay, path: Path) -> None:
     properties = dict(run.properties) | {"replay": told}
     with Recording(path, properties=properties, blocking=True, signals=tuple(signals)) as recording:
         for event in run.events:
-            recording.event(event.t_s, _LEVELS.get(event.level, "info"), event.text)
+            recording.event(event.t_s, event.severity, event.text)
         for sentence in (told, *replayed.notes):
             recording.event(float(run.signals["loop.t_s"][0]), "warning", sentence)
         for row in tuples(list(signals.values())):
@@ -200,9 +199,8 @@ def _commands(
             dt_s = (row.tick - before) * period_ns * 1e-9
             command, _ = guard.apply(law.update(row.reference, row.state, applied, dt_s))
             yield command
-        applied = row.applied
-        if before is not None:
             before = row.tick
+        applied = row.applied
 
 
 def _compared(mode: CommandMode) -> list[str]:

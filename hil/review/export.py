@@ -72,7 +72,7 @@ def _write_mcap(run: RecordedRun, file: Path) -> None:
         writer.rows(np.column_stack([values[start : start + _ROWS_AT_ONCE] for values in run.signals.values()]))
         writer.flush()
     for event in run.events:
-        writer.event(event.t_s, {"WARN": "warning"}.get(event.level, event.level.lower()), event.text)
+        writer.event(event.t_s, event.severity, event.text)
     if run.rows_dropped is not None:
         writer.finish(run.summary, {"rows_written": count, "rows_dropped": run.rows_dropped})
     writer.close()

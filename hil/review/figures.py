@@ -13,6 +13,7 @@ from hil.expectations import outcomes_of
 from hil.metrics import FIGURE_SIGNALS, CommandLimits, signal_figures
 from hil.review.reader import RecordedRun, read
 from hil.signals import SIGNAL_NAMES
+from hil.telemetry.known import table_rows
 
 _NO_SUMMARY = "the recording has no summary: the run did not come to its end"
 _UNSAID = "the run's summary does not say"
@@ -129,13 +130,8 @@ def _limits(run: RecordedRun) -> CommandLimits | None:
 
 def expected(run: RecordedRun) -> list[_Expect]:
     """Return the rows of ``[[expect]]`` of the run's scenario, those that this version understands."""
-    rows: dict[str, dict[str, Any]] = {}
-    for key, value in scenario_of(run).items():
-        table, _, rest = key.partition(".")
-        number, _, name = rest.partition(".")
-        if table == "expect":
-            rows.setdefault(number, {})[name] = value
-    return [_Expect(**row) for row in rows.values() if "signal" in row and row.keys() <= set(_Expect._fields)]
+    rows = table_rows(scenario_of(run), "expect")
+    return [_Expect(**row) for row in rows if "signal" in row and row.keys() <= set(_Expect._fields)]
 
 
 def _other_version(run: RecordedRun) -> list[str]:

@@ -33,6 +33,11 @@ class Event(NamedTuple):
     level: str
     text: str
 
+    @property
+    def severity(self) -> str:
+        """The level as a recording takes it: debug, info, warning or error."""
+        return "warning" if self.level == "WARN" else self.level.lower()
+
 
 @dataclass(frozen=True, slots=True)
 class RecordedRun:
