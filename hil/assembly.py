@@ -17,7 +17,7 @@ from hil.expectations import outcomes_of
 from hil.faults.signals import SignalFaults
 from hil.figure_words import applied_words
 from hil.guard import Guard
-from hil.loop import Loop, Parts, Report
+from hil.loop import Loop, Report
 from hil.metrics import CommandLimits, percentiles, signal_figures
 from hil.model import RobotModel
 from hil.ports import Sink
@@ -29,6 +29,7 @@ from hil.scenario.laws import Laws, make_laws
 from hil.telemetry import Recording, Rotation, RunRecording, check_output_path, rotation
 from hil.telemetry.provenance import properties
 from hil.telemetry.udp import UdpStream, parse_destination
+from hil.tick import Parts
 from hil.trace import Trace
 
 __all__ = ["RunResult", "check_scenario", "run", "run_scenario"]

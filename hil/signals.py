@@ -13,7 +13,7 @@ from hil.types import WHEEL_NAMES, Gains, Pose, Twist, Wheels
 
 class LoopSignals(NamedTuple):
     t_s: float
-    tick: float
+    tick: int
     lateness_us: float
     tick_us: float
     deadline_misses: float

@@ -88,8 +88,8 @@ class Status:
     """The service at one instant; what is not known is None. Sent 20 times a second, and at each change of phase.
 
     Attributes:
-        time_unix_s: when it was taken. phase, task: see there; ``task`` only while ACTIVE. why: the last thing that went
-            wrong, as a sentence, or None since the last success.
+        time_unix_s: when it was taken. phase, task: see there; ``task`` only while ACTIVE. why: the last thing that
+            went wrong, as a sentence, or None since the last success.
         scenario, law, command: what is served. link, robot: in words. power_stage: whether the robot has motors; None
             before it has answered.
         pose: x [m], y [m], heading [rad]; twist: in the world frame [m/s, rad/s]; reference: pose, while ACTIVE.

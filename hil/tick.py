@@ -1,0 +1,195 @@
+"""One tick: sense, estimate, refer, control, guard, command, tell. When it is due, its caller knows."""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+from hil.brake import Brake
+from hil.devices.link_times import CommandLatency
+from hil.devices.snapshot import Feedback
+from hil.devices.stm32 import Stm32
+from hil.errors import HilError
+from hil.estimator import LOST, Estimator
+from hil.faults.signals import SignalFaults
+from hil.freshness import Freshness
+from hil.guard import Guard
+from hil.links.statistics import Statistics
+from hil.ports import Clock, Controller, FixSource, OwnSignals, PoseSource, Sink
+from hil.references import ReferenceSource
+from hil.rows import Beliefs, Rows
+from hil.sampling import Timing
+from hil.shadows import Shadows
+from hil.signals import LoopSignals
+from hil.types import NAN_WHEELS, ZERO_WHEELS, Applied, CommandMode, PoseFix, Reference, State, WheelCommand
+
+
+class Parts(NamedTuple):
+    """What a tick is made of.
+
+    ``robot_failure`` tells what has ended a robot in this process, None for any other. ``extra`` has the signals that
+    are recorded behind those of the vocabulary.
+    """
+
+    clock: Clock
+    device: Stm32
+    wire: Statistics
+    truth: PoseSource | None
+    fixes: FixSource | None
+    estimator: Estimator
+    reference: ReferenceSource
+    controller: Controller
+    guard: Guard
+    brake: Brake
+    sink: Sink
+    robot_failure: Callable[[], HilError | None]
+    faults: SignalFaults | None = None
+    shadows: Shadows | None = None
+    extra: Sequence[OwnSignals] = ()
+
+
+class Sensed(NamedTuple):
+    """What a tick knows of the robot; ``state`` is None where nothing sure is known."""
+
+    feedback: Feedback
+    fix: PoseFix | None
+    truth_ns: int | None
+    state: State | None
+
+
+class _Asked(NamedTuple):
+    """With what a law is asked; ``begins`` where it was reset for this tick."""
+
+    state: State
+    dt_s: float
+    begins: bool
+
+
+class Tick:
+    """Does one tick after another of a robot that is driven, and tells of each in one row.
+
+    Either ``sense`` and then ``drive``, or, for a robot that is not to be driven or not there, ``tell_away``.
+
+    The law is told the latency: in lockstep that of the scenario's ``[link]``, so that a fault that delays
+    frames is unknown to it there; in real time what the link is measured to have, faults and all.
+
+    Attributes:
+        count: ticks that were told of. stale: those in which the robot was held at rest: for old feedback, an old
+            truth where the state rests on it, or an estimator that is lost. In TORQUE mode it is braked by its wheel
+            speeds; while they too are old, no torque holds it, and it coasts.
+    """
+
+    def __init__(self, parts: Parts, mode: CommandMode, timing: Timing) -> None:
+        self._parts = parts
+        self._timing = timing
+        self._rows = Rows(
+            parts.device, parts.wire, parts.controller, parts.extra, parts.sink, timing.feedback_latency_ns
+        )
+        self._freshness = Freshness(parts.clock, parts.device, parts.faults, timing)
+        self._rest = WheelCommand(mode, ZERO_WHEELS, ZERO_WHEELS)
+        self._nothing = WheelCommand(mode, NAN_WHEELS, NAN_WHEELS)
+        self._latency = CommandLatency(timing.latency_s, timing.stale_ns)
+        self._applied = Applied(self._rest, False, timing.latency_s)
+        self._before: int | None = None  # the tick before, of this session of the law; None where it has not begun
+        self.count = 0
+        self.stale = 0
+
+    def sense(self, t_s: float, fix: PoseFix | None) -> Sensed:
+        """Take what has arrived and estimate; ``fix`` is the truth of the sampling instant.
+
+        Raises RobotStoppedError or DeviceError for a robot that is not ACTIVE, LinkError for one that is lost.
+        """
+        parts = self._parts
+        estimator, fixes = parts.estimator, parts.fixes
+        feedback = self._freshness.poll(t_s)
+        measured = fixes.poll(self._freshness.robot_now_ns(feedback), fix) if fixes is not None else ()
+        truth_ns = self._freshness.take_truth(feedback, fix if estimator.uses_truth else None)
+        return Sensed(feedback, fix, truth_ns, estimator.update(feedback, fix, measured))
+
+    def drive(self, now: LoopSignals, sensed: Sensed, reference: Reference) -> None:
+        """Control, guard, command, tell. Raises LinkError when the link is lost."""
+        parts = self._parts
+        feedback, fix, truth_ns, state = sensed
+        faults, status = parts.faults, parts.estimator.status
+        if faults is not None:
+            state, reference = faults.state(state), faults.reference(reference)
+        if state is not None and not math.isfinite(sum(state.pose) + sum(state.twist)):
+            state = None  # no law is asked with it: what it integrates would be no number for ever
+        if state is None or status.health == LOST or self._freshness.is_stale(feedback, truth_ns):
+            asked = None
+            command, saturated = parts.brake.command(None if self._freshness.is_silent() else feedback.speed_rad_s)
+            self.stale += state is not None
+        else:
+            begins = self._before is None
+            if self._before is None:
+                parts.controller.reset(state, reference)
+                self._before = now.tick - 1
+            dt_s = (now.tick - self._before) * self._timing.period_ns * 1e-9
+            asked = _Asked(state, dt_s, begins)
+            wanted = parts.controller.update(reference, state, self._applied, dt_s)
+            if faults is not None:
+                wanted = faults.command(wanted)
+            command, saturated = parts.guard.apply(wanted)
+        sequence = parts.device.send(command)
+        self._measure_latency(sequence, feedback, truth_ns)
+        self._ask_shadows(now.t_s, reference, asked)
+        self._applied = Applied(command, saturated, self._latency.s)
+        self._tell(now, feedback, Beliefs(fix, state, reference, self._applied, status, asked is None))
+        # After a hold the law begins anew: what it has integrated and awaits is of before it.
+        self._before = None if asked is None else now.tick
+
+    def tell_away(self, now: LoopSignals, fix: PoseFix | None, reference: Reference) -> None:
+        """Tell of a tick in which nothing is commanded: what is heard of the robot, which may be nothing."""
+        parts = self._parts
+        self._ask_shadows(now.t_s, reference, None)
+        applied = Applied(self._nothing, False, self._latency.s)
+        self._tell(now, parts.device.feedback, Beliefs(fix, None, reference, applied, parts.estimator.status, True))
+
+    def keep_armed(self) -> None:
+        """Command zeros until the first feedback is here; no tick that is told of. Raises as ``sense``."""
+        self._parts.device.poll()
+        self._parts.device.send(self._rest)
+
+    def restart(self) -> None:
+        """Begin anew with a robot that was lost or stopped and is ACTIVE again."""
+        self._before = None
+        self._latency.restart()
+        self._applied = Applied(self._rest, False, self._latency.s)
+        if self._freshness.restart():
+            self._parts.estimator.restart()
+            if self._parts.fixes is not None:
+                self._parts.fixes.restart()
+
+    def skip_fixes(self) -> None:
+        """Let go of pose fixes that nothing can be made of, without a robot."""
+        if self._parts.fixes is not None:
+            self._parts.fixes.skip()
+
+    def pose_fixes(self) -> dict[str, Any] | None:
+        """Return where pose fixes were lost, from the source to the filter; None where none are taken."""
+        fixes = self._parts.fixes
+        return None if fixes is None else {**fixes.figures(), **self._parts.estimator.fix_figures()}
+
+    def _ask_shadows(self, t_s: float, reference: Reference, asked: "_Asked | None") -> None:
+        """Compute the shadows: after the command has gone, from what the law in command was told."""
+        shadows = self._parts.shadows
+        if shadows is None:
+            return
+        if asked is None:
+            shadows.hold()
+        else:
+            state, dt_s, begins = asked
+            shadows.update(t_s, reference, state, self._applied, dt_s, begins=begins)
+
+    def _measure_latency(self, sequence: int, feedback: Feedback, truth_ns: int | None) -> None:
+        """Note on what the command rests, and how late the one acted that the robot says is in force.
+
+        A state that rests on the truth is as old as that, else as the feedback.
+        """
+        if self._parts.device.is_lockstep:
+            return
+        self._latency.acted(feedback.command_sequence, feedback.robot_time_ns, feedback.command_age_ms)
+        self._latency.sent(sequence, feedback.robot_time_ns if truth_ns is None else truth_ns)
+
+    def _tell(self, now: LoopSignals, feedback: Feedback | None, beliefs: Beliefs) -> None:
+        self.count += 1
+        self._rows.tell(now, feedback, self._freshness.silent_ns, beliefs)
