@@ -33,10 +33,11 @@ class Freshness:
         self._ahead_ns: int | None = 0  # the robot's clock ahead of the truth's; None until both are heard again
         self.silent_ns = 0
 
-    def poll(self, t_s: float) -> Feedback:
+    def poll(self, t_s: float, *, active: bool = True) -> Feedback:
         """Return the newest feedback; ``t_s`` is the tick's, for messages.
 
-        Raises RobotStoppedError or DeviceError for a robot that is not ACTIVE, LinkError after a long silence.
+        Raises RobotStoppedError or DeviceError for a robot that is not ACTIVE, LinkError after a long silence. One that
+        need not be ``active`` is only stopped when it was reset.
         """
         feedback = self._device.poll()
         now_ns = self._clock.now_ns()
@@ -45,9 +46,11 @@ class Freshness:
         if self._faults is not None:
             feedback = self._faults.feedback(feedback)
         if self._heard_ns is None or feedback.robot_time_ns != self._newest_ns:
+            if not active and self._heard_ns is not None and self._was_reset():
+                raise RobotStoppedError(f"the robot was reset at t = {t_s:.3f} s")
             self._newest_ns, self._heard_ns = feedback.robot_time_ns, now_ns
         self.silent_ns = now_ns - self._heard_ns
-        if feedback.state is not RobotState.ACTIVE:
+        if active and feedback.state is not RobotState.ACTIVE:
             latched = feedback.state in (RobotState.FAULT, RobotState.ESTOP)
             raise (DeviceError if latched else RobotStoppedError)(self._why_stopped(feedback.state, t_s))
         if self.silent_ns > _LOST_NS:

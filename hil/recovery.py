@@ -30,10 +30,11 @@ class Recovery:
     handshake is repeated, the parameters are compared again, and the robot is armed with a new nonce. What fails on
     the way begins it again from the link.
 
-    ``why`` is what was lost at ``lost_s`` of the scenario's time.
+    ``why`` is what was lost at ``lost_s`` of the scenario's time. Where it is not to arm, the way ends with the first
+    feedback after the handshake.
     """
 
-    def __init__(self, device: Stm32, clock: Clock, why: HilError, lost_s: float) -> None:
+    def __init__(self, device: Stm32, clock: Clock, why: HilError, lost_s: float, *, arm: bool = True) -> None:
         self._device = device
         self._clock = clock
         self.why = str(why)
@@ -43,6 +44,7 @@ class Recovery:
         self._due_ns = 0
         self._standstill_ns: int | None = None  # wall-clock time since which time stands still
         self._step: Callable[[], bool] = self._reopen
+        self._last_step = self._arm if arm else self._hear
         device.leave()
         if isinstance(why, LinkError):
             self._back_off()
@@ -50,7 +52,7 @@ class Recovery:
             self._step = self._begin
 
     def advance(self) -> bool:
-        """Take the step that is due; return whether the robot is ACTIVE again.
+        """Take the step that is due; return whether the robot is ACTIVE again, or heard where it is not to arm.
 
         Raises DeviceError when it refuses to arm or has latched FAULT or ESTOP, BadInputError when it is another robot.
         """
@@ -112,13 +114,20 @@ class Recovery:
     def _greet(self) -> bool:
         if self._device.greeted():
             self._due_ns = self._clock.now_ns() + _ARMING_LIMIT_NS
-            self._step = self._arm
+            self._step = self._last_step
         elif self._clock.now_ns() > self._due_ns:
             raise RobotStoppedError("the robot did not answer HELLO within 2 s")
         return False
 
     def _arm(self) -> bool:
         if self._device.armed():
+            return True
+        if self._clock.now_ns() > self._due_ns:
+            raise RobotStoppedError(self._device.why_not_active())
+        return False
+
+    def _hear(self) -> bool:
+        if self._device.poll() is not None:
             return True
         if self._clock.now_ns() > self._due_ns:
             raise RobotStoppedError(self._device.why_not_active())

@@ -93,14 +93,15 @@ class Tick:
         self.count = 0
         self.stale = 0
 
-    def sense(self, t_s: float, fix: PoseFix | None) -> Sensed:
+    def sense(self, t_s: float, fix: PoseFix | None, *, active: bool = True) -> Sensed:
         """Take what has arrived and estimate; ``fix`` is the truth of the sampling instant.
 
-        Raises RobotStoppedError or DeviceError for a robot that is not ACTIVE, LinkError for one that is lost.
+        Raises RobotStoppedError or DeviceError for a robot that is not ACTIVE, LinkError for one that is lost. One that
+        need not be ``active`` is only stopped when it was reset.
         """
         parts = self._parts
         estimator, fixes = parts.estimator, parts.fixes
-        feedback = self._freshness.poll(t_s)
+        feedback = self._freshness.poll(t_s, active=active)
         measured = fixes.poll(self._freshness.robot_now_ns(feedback), fix) if fixes is not None else ()
         truth_ns = self._freshness.take_truth(feedback, fix if estimator.uses_truth else None)
         return Sensed(feedback, fix, truth_ns, estimator.update(feedback, fix, measured))
@@ -137,12 +138,14 @@ class Tick:
         # After a hold the law begins anew: what it has integrated and awaits is of before it.
         self._before = None if asked is None else now.tick
 
-    def tell_away(self, now: LoopSignals, fix: PoseFix | None, reference: Reference) -> None:
+    def tell_away(
+        self, now: LoopSignals, fix: PoseFix | None, reference: Reference, state: State | None = None
+    ) -> None:
         """Tell of a tick in which nothing is commanded: what is heard of the robot, which may be nothing."""
         parts = self._parts
         self._ask_shadows(now.t_s, reference, None)
         applied = Applied(self._nothing, False, self._latency.s)
-        self._tell(now, parts.device.feedback, Beliefs(fix, None, reference, applied, parts.estimator.status, True))
+        self._tell(now, parts.device.feedback, Beliefs(fix, state, reference, applied, parts.estimator.status, True))
 
     def keep_armed(self) -> None:
         """Command zeros until the first feedback is here; no tick that is told of. Raises as ``sense``."""

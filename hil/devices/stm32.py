@@ -24,6 +24,7 @@ from hil.types import ZERO_WHEELS, CommandMode, WheelCommand
 _MOST_A_POLL = 200  # frames; a robot sends at most some ten a tick
 _HEARTBEAT_NS = 100_000_000
 _START_LIMIT_NS = 4_000_000_000
+_ESTOP_BY_HOST = 1
 _ANOTHER_NONCE_HELPS = (
     m.ArmRefusal.NONCE_USED,
     m.ArmRefusal.SESSION_USED,
@@ -89,6 +90,11 @@ class Stm32:
             self.tick = self._exchange_step(m.Step(0, 0))
         return info
 
+    @property
+    def info(self) -> RobotInfo | None:
+        """What the robot said of itself, None before it has."""
+        return self._info
+
     # Coming back after a loss, in steps that do not wait: the tick of the loop goes on meanwhile
 
     def leave(self) -> None:
@@ -121,7 +127,9 @@ class Stm32:
 
     def _check_same(self, info: RobotInfo) -> None:
         handshake.check(info, self._expected)
-        if self._info is not None and info != self._info:
+        if self._info is None:
+            self._info = info
+        elif info != self._info:
             raise BadInputError(
                 f"another robot answers on the link: {info.describe()}; the run began with {self._info.describe()}; "
                 "plug in the first one, or start a new run"
@@ -142,12 +150,16 @@ class Stm32:
 
     # The way to ACTIVE and back
 
+    def attend(self, clock: Clock) -> None:
+        """Be there on this clock; nothing is asked of the robot yet."""
+        self._clock = clock
+
     def start(self, clock: Clock, period_ns: int) -> int:
         """Arm and begin with zero commands; return the clock's time of the first ACTIVE tick [ns].
 
         The robot must be seen in IDLE first: arming is an edge.
         """
-        self._clock = clock
+        self.attend(clock)
         try:
             return self._start(clock.now_ns(), period_ns)
         except BaseException:
@@ -160,6 +172,17 @@ class Stm32:
             with contextlib.suppress(HilError):
                 self._wish(m.Request.IDLE)
                 self._link.flush()
+
+    def estop(self) -> None:
+        """Stop the robot at once and latch that; to be repeated until its feedback says ESTOP."""
+        self._request = m.Request.IDLE
+        self._send(m.Estop(_ESTOP_BY_HOST, 0))
+        self._link.flush()
+
+    def clear(self) -> None:
+        """Ask for the way out of a latched FAULT or ESTOP, until ``disarm``; arms nothing, and waits for the cause."""
+        self._nonce = next(self._nonces)  # each CLEAR is an edge of its own
+        self._wish(m.Request.CLEAR)
 
     def _start(self, begin_ns: int, period_ns: int) -> int:
         n = 0

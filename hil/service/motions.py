@@ -1,0 +1,188 @@
+"""What a served robot is to do, as references: driven by twist or held, sent to a pose, or along a path. Pure.
+
+Time is the service's own, in seconds; it only grows.
+"""
+
+import math
+from typing import NamedTuple, Protocol
+
+from hil.kinematics import BodyTwist, to_body, to_world, wrap_angle
+from hil.references import ReferenceSource
+from hil.references.double_s import Limits
+from hil.references.route import Route, Waypoint, plan
+from hil.types import Acceleration, Pose, Reference, Twist
+
+_NO_TWIST = BodyTwist(0.0, 0.0, 0.0)
+_STILL = Acceleration(0.0, 0.0, 0.0)
+_SAME_M, _SAME_RAD = 0.001, 0.001
+"""A way that is shorter is none."""
+
+
+class Speeds(NamedTuple):
+    """What the service itself asks of the robot at most, in the plane and in yaw (``[service]``)."""
+
+    speed_m_s: float
+    acceleration_m_s2: float
+    jerk_m_s3: float
+    yaw_rate_rad_s: float
+    yaw_acceleration_rad_s2: float
+    yaw_jerk_rad_s3: float
+
+    @property
+    def plane(self) -> Limits:
+        """Those of the robot's centre."""
+        return Limits(self.speed_m_s, self.acceleration_m_s2, self.jerk_m_s3)
+
+    @property
+    def yaw(self) -> Limits:
+        """Those of the heading."""
+        return Limits(self.yaw_rate_rad_s, self.yaw_acceleration_rad_s2, self.yaw_jerk_rad_s3)
+
+
+class Motion(Protocol):
+    """Where the robot should be at each tick."""
+
+    def at(self, t_s: float, pose: Pose | None) -> Reference:
+        """Return the reference of this tick; ``pose`` is where the robot is believed to be, None if that is unknown."""
+
+
+class Drive:
+    """By a twist in the body frame, which is approached with limited acceleration; without one, to rest, and held.
+
+    The reference runs ahead of a robot that does not come after it by at most ``LEASH_M`` and ``LEASH_RAD``: one that
+    was blocked does not jump when it is free, and one that was carried away is not driven back.
+
+    ``start`` is the reference, or the robot's state, at ``t_s``.
+    """
+
+    LEASH_M = 0.1
+    LEASH_RAD = 0.2
+
+    def __init__(self, start: Reference, t_s: float, speeds: Speeds) -> None:
+        self._pose = start.pose
+        self._twist = to_body(start.twist, start.pose.heading_rad)
+        self._t_s = t_s
+        self._speeds = speeds
+        self.wanted = _NO_TWIST
+
+    @property
+    def rests(self) -> bool:
+        """Whether the reference stands still."""
+        return self._twist == _NO_TWIST
+
+    def want(self, twist: BodyTwist) -> BodyTwist:
+        """Drive by this twist from now on, or by what the limits leave of it; return that."""
+        speeds = self._speeds
+        forward, left, yaw_rate = twist
+        largest = max(math.hypot(forward, left) / speeds.speed_m_s, abs(yaw_rate) / speeds.yaw_rate_rad_s, 1.0)
+        self.wanted = BodyTwist(forward / largest, left / largest, yaw_rate / largest)
+        return self.wanted
+
+    def at(self, t_s: float, pose: Pose | None) -> Reference:
+        """Return the reference of this tick."""
+        dt_s = t_s - self._t_s
+        self._t_s = t_s
+        before, self._twist = self._twist, self._towards(dt_s)
+        forward, left, yaw_rate = ((a + b) / 2.0 for a, b in zip(before, self._twist, strict=True))
+        x_m, y_m, heading_rad = self._pose
+        vx_m_s, vy_m_s, _ = to_world(BodyTwist(forward, left, yaw_rate), heading_rad + yaw_rate * dt_s / 2.0)
+        self._pose = Pose(x_m + vx_m_s * dt_s, y_m + vy_m_s * dt_s, heading_rad + yaw_rate * dt_s)
+        if pose is not None:
+            self._pose = _on_leash(self._pose, pose)
+        twist = to_world(self._twist, self._pose.heading_rad)
+        return Reference(self._pose, twist, self._acceleration(before, dt_s, twist))
+
+    def _towards(self, dt_s: float) -> BodyTwist:
+        """Return the twist after this time, on the way to the wanted one."""
+        speeds = self._speeds
+        forward, left, yaw_rate = (b - a for a, b in zip(self._twist, self.wanted, strict=True))
+        plane, turn = math.hypot(forward, left), abs(yaw_rate)
+        share = min(1.0, speeds.acceleration_m_s2 * dt_s / plane) if plane else 1.0
+        turn_share = min(1.0, speeds.yaw_acceleration_rad_s2 * dt_s / turn) if turn else 1.0
+        if share == turn_share == 1.0:
+            return self.wanted
+        now = self._twist
+        return BodyTwist(
+            now.forward_m_s + share * forward, now.left_m_s + share * left, now.yaw_rate_rad_s + turn_share * yaw_rate
+        )
+
+    def _acceleration(self, before: BodyTwist, dt_s: float, twist: Twist) -> Acceleration:
+        if dt_s <= 0.0:
+            return _STILL
+        change = BodyTwist(*((b - a) / dt_s for a, b in zip(before, self._twist, strict=True)))
+        ax, ay, yaw = to_world(change, self._pose.heading_rad)
+        # The body frame turns with the robot: a = R u' + ω × R u.
+        return Acceleration(ax - twist.yaw_rate_rad_s * twist.vy_m_s, ay + twist.yaw_rate_rad_s * twist.vx_m_s, yaw)
+
+
+def _on_leash(reference: Pose, pose: Pose) -> Pose:
+    x_m, y_m = reference.x_m - pose.x_m, reference.y_m - pose.y_m
+    turn_rad = wrap_angle(reference.heading_rad - pose.heading_rad)
+    share = min(1.0, Drive.LEASH_M / max(math.hypot(x_m, y_m), Drive.LEASH_M))
+    limit = Drive.LEASH_RAD
+    if share == 1.0 and abs(turn_rad) <= limit:
+        return reference
+    return Pose(pose.x_m + share * x_m, pose.y_m + share * y_m, pose.heading_rad + min(max(turn_rad, -limit), limit))
+
+
+class Follow:
+    """Along a path from ``start_s`` on, after the ``way`` to its begin if there is one.
+
+    ``frame`` is where the path's own origin lies, None for that of the world.
+    """
+
+    def __init__(
+        self, path: ReferenceSource, start_s: float, way: Route | None = None, frame: Pose | None = None
+    ) -> None:
+        self._path = path
+        self._way = way
+        self._start_s = start_s
+        self._begin_s = start_s + (way.span_s if way is not None else 0.0)
+        self._frame = frame
+
+    def at(self, t_s: float, pose: Pose | None) -> Reference:
+        """Return the reference of this tick."""
+        if self._way is not None and t_s < self._begin_s:
+            return self._way.at(t_s - self._start_s)
+        reference = self._path.at(max(t_s - self._begin_s, 0.0))
+        return reference if self._frame is None else _moved(reference, self._frame)
+
+
+def way_to(start: Pose, end: Pose, speeds: Speeds) -> Route | None:
+    """Return the straight way from rest to rest, by the shorter turn; None when there is next to none."""
+    turn_rad = wrap_angle(end.heading_rad - start.heading_rad)
+    length_m = math.dist(start[:2], end[:2])
+    if length_m < _SAME_M and abs(turn_rad) < _SAME_RAD:
+        return None
+    x_m, y_m = (start[:2]) if length_m < _SAME_M else end[:2]
+    first = Waypoint(*start, math.inf, 0.0)
+    return plan([first, Waypoint(x_m, y_m, start.heading_rad + turn_rad, math.inf, 0.0)], speeds.plane, speeds.yaw, 0.0)
+
+
+def frame_at(pose: Pose, begin: Pose) -> Pose:
+    """Return where the origin of a path lies that begins at ``begin`` in its own frame and at ``pose`` in the world."""
+    turn_rad = pose.heading_rad - begin.heading_rad
+    c, s = math.cos(turn_rad), math.sin(turn_rad)
+    return Pose(
+        pose.x_m - c * begin.x_m + s * begin.y_m,
+        pose.y_m - s * begin.x_m - c * begin.y_m,
+        turn_rad,
+    )
+
+
+def _moved(reference: Reference, frame: Pose) -> Reference:
+    pose, twist, acceleration = reference
+    c, s = math.cos(frame.heading_rad), math.sin(frame.heading_rad)
+    return Reference(
+        Pose(
+            frame.x_m + c * pose.x_m - s * pose.y_m,
+            frame.y_m + s * pose.x_m + c * pose.y_m,
+            frame.heading_rad + pose.heading_rad,
+        ),
+        Twist(c * twist.vx_m_s - s * twist.vy_m_s, s * twist.vx_m_s + c * twist.vy_m_s, twist.yaw_rate_rad_s),
+        Acceleration(
+            c * acceleration.ax_m_s2 - s * acceleration.ay_m_s2,
+            s * acceleration.ax_m_s2 + c * acceleration.ay_m_s2,
+            acceleration.yaw_rad_s2,
+        ),
+    )
