@@ -81,9 +81,7 @@ class Tick:
     def __init__(self, parts: Parts, mode: CommandMode, timing: Timing) -> None:
         self._parts = parts
         self._timing = timing
-        self._rows = Rows(
-            parts.device, parts.wire, parts.controller, parts.extra, parts.sink, timing.feedback_latency_ns
-        )
+        self._rows = self._make_rows()
         self._freshness = Freshness(parts.clock, parts.device, parts.faults, timing)
         self._rest = WheelCommand(mode, ZERO_WHEELS, ZERO_WHEELS)
         self._nothing = WheelCommand(mode, NAN_WHEELS, NAN_WHEELS)
@@ -146,21 +144,37 @@ class Tick:
         self._ask_shadows(now.t_s, reference, None)
         applied = Applied(self._nothing, False, self._latency.s)
         self._tell(now, parts.device.feedback, Beliefs(fix, state, reference, applied, parts.estimator.status, True))
+        self._before = None
+
+    @property
+    def is_held(self) -> bool:
+        """Whether the last tick held the robot at rest, or was told of without driving it."""
+        return self._before is None
 
     def keep_armed(self) -> None:
         """Command zeros until the first feedback is here; no tick that is told of. Raises as ``sense``."""
         self._parts.device.poll()
         self._parts.device.send(self._rest)
 
-    def restart(self) -> None:
-        """Begin anew with a robot that was lost or stopped and is ACTIVE again."""
+    def begin(self) -> None:
+        """Let the law begin anew, with a robot that has just become ACTIVE."""
         self._before = None
         self._latency.restart()
         self._applied = Applied(self._rest, False, self._latency.s)
+
+    def restart(self) -> None:
+        """Begin anew with a robot that was lost or stopped and is heard again."""
+        self.begin()
         if self._freshness.restart():
             self._parts.estimator.restart()
             if self._parts.fixes is not None:
                 self._parts.fixes.restart()
+
+    def use(self, parts: Parts) -> None:
+        """Go on with other laws."""
+        self._parts = parts
+        self._rows = self._make_rows()
+        self._before = None
 
     def skip_fixes(self) -> None:
         """Let go of pose fixes that nothing can be made of, without a robot."""
@@ -171,6 +185,11 @@ class Tick:
         """Return where pose fixes were lost, from the source to the filter; None where none are taken."""
         fixes = self._parts.fixes
         return None if fixes is None else {**fixes.figures(), **self._parts.estimator.fix_figures()}
+
+    def _make_rows(self) -> Rows:
+        parts = self._parts
+        latency_ns = self._timing.feedback_latency_ns
+        return Rows(parts.device, parts.wire, parts.controller, parts.extra, parts.sink, latency_ns)
 
     def _ask_shadows(self, t_s: float, reference: Reference, asked: "_Asked | None") -> None:
         """Compute the shadows: after the command has gone, from what the law in command was told."""

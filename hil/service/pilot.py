@@ -1,0 +1,329 @@
+"""What a served robot does, tick by tick: reconnected, armed, driven, stopped. Moves only for who asks, and when armed.
+
+It has no clock of its own and knows nothing of HTTP: orders are method calls between two ticks, and one that makes no
+sense in the present phase is refused with a sentence.
+"""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+from firmware_protocol.generated.messages import State as RobotState
+from hil.errors import BadInputError, DeviceError, HilError, LinkError, RobotStoppedError
+from hil.kinematics import BodyTwist
+from hil.recovery import Recovery
+from hil.references import ReferenceSource
+from hil.sampling import Timing
+from hil.scenario.laws import Laws
+from hil.service.messages import Phase, Task
+from hil.service.motions import Drive, Follow, Motion, Speeds, frame_at, way_to
+from hil.signals import LoopSignals
+from hil.tick import Parts, Sensed, Tick
+from hil.types import NAN_POSE, Acceleration, CommandMode, Pose, PoseFix, Reference, State, Twist
+
+_REST = Twist(0.0, 0.0, 0.0), Acceleration(0.0, 0.0, 0.0)
+_NOWHERE = Reference(NAN_POSE, *_REST)
+_ARMING_LIMIT_S = 4.0
+_STOPPING_LIMIT_S = 5.0
+_CLEARING_LIMIT_S = 2.0
+
+
+class Rules(NamedTuple):
+    """``[service]`` as the pilot needs it."""
+
+    speeds: Speeds
+    twist_timeout_s: float
+    error_limit_m: float
+
+
+class Pilot:
+    """The state machine of a service. ``tick`` is called once a tick; it raises only for what ends the service.
+
+    A robot that was lost is reconnected for ever, and is disarmed then: only ``arm`` arms. What ends ACTIVE from
+    outside ends the task with it. ``why`` is the last thing that went wrong, as a sentence.
+    """
+
+    def __init__(self, parts: Parts, mode: CommandMode, timing: Timing, rules: Rules) -> None:
+        self._parts = parts
+        self._mode = mode
+        self._timing = timing
+        self._rules = rules
+        self._doing = Tick(parts, mode, timing)
+        self._t_s = 0.0
+        self._deadline_s = math.inf
+        self._estop_owed = False  # asked for, and not yet confirmed by the robot
+        self._motion: Motion | None = None
+        self._after_rest: Callable[[Reference], Motion] | None = None
+        self._twist_until_s = -math.inf
+        self.phase = Phase.AWAY
+        self.task: Task | None = None
+        self.why: str | None = None
+        self.state: State | None = None
+        self.reference: Reference | None = None
+        self.recoveries = 0
+        self._was_connected = False
+        parts.device.attend(parts.clock)
+        self._recovery = Recovery(parts.device, parts.clock, RobotStoppedError("not connected yet"), 0.0, arm=False)
+        self._steps: dict[Phase, Callable[[LoopSignals, PoseFix | None], None]] = {
+            Phase.AWAY: self._come_back,
+            Phase.DISARMED: self._wait,
+            Phase.ARMING: self._arm,
+            Phase.ACTIVE: self._drive,
+            Phase.STOPPING: self._ramp_down,
+            Phase.FAULT: self._be_latched,
+            Phase.ESTOP: self._be_latched,
+        }
+
+    # Orders
+
+    def arm(self) -> None:
+        """Arm the robot, which is then held where it is. Raises BadInputError unless it is DISARMED."""
+        if self.phase is not Phase.DISARMED:
+            raise BadInputError(f"the robot is {self.phase}; it can be armed when it is disarmed{self._because()}")
+        self.why = None
+        self._enter(Phase.ARMING, _ARMING_LIMIT_S)
+
+    def disarm(self) -> None:
+        """Ramp down and go to IDLE; also what ends arming and clearing. Changes nothing where nothing is armed."""
+        if self.phase in (Phase.ARMING, Phase.ACTIVE):
+            self._parts.device.disarm()
+            self._enter(Phase.STOPPING, _STOPPING_LIMIT_S)
+
+    def estop(self) -> None:
+        """Stop at once and latch that. A robot that is away gets it as soon as it is back."""
+        self._estop_owed = True
+        self.why = "an e-stop was asked for"
+        if self.phase is Phase.AWAY:
+            self.why += "; the robot is away and stops by itself, and gets it as soon as it is back"
+            return
+        self._parts.device.estop()
+        self._enter(Phase.ESTOP)
+
+    def clear(self) -> None:
+        """Leave FAULT or ESTOP, which arms nothing. Raises BadInputError where nothing is latched."""
+        if self.phase not in (Phase.FAULT, Phase.ESTOP):
+            raise BadInputError(f"the robot is {self.phase}; there is nothing to clear")
+        if self._estop_owed:
+            raise BadInputError("the robot has not confirmed the e-stop yet; clear it when it has")
+        self._parts.device.clear()
+        self._deadline_s = self._t_s + _CLEARING_LIMIT_S
+
+    def stop(self) -> None:
+        """Ramp down to rest and hold. Raises BadInputError unless the robot is ACTIVE."""
+        self._need_active()
+        self._rest()
+        self.task = Task.HOLD
+
+    def twist(self, twist: BodyTwist) -> BodyTwist:
+        """Drive by this for ``twist_timeout_s``; return what the limits leave of it. Raises as ``stop``."""
+        self._need_active()
+        drive = self._motion if self.task is Task.TWIST and isinstance(self._motion, Drive) else self._rest()
+        self.task = Task.TWIST
+        self._twist_until_s = self._t_s + self._rules.twist_timeout_s
+        return drive.want(twist)
+
+    def track(self, path: ReferenceSource, *, here: bool) -> None:
+        """Follow a path once the robot rests; where it stands (``here``), or in the world, after going to its begin.
+
+        Raises BadInputError as ``stop``.
+        """
+        self._need_active()
+        begin = path.at(0.0).pose
+
+        def follow(at: Reference) -> Motion:
+            if here:
+                return Follow(path, self._t_s, frame=frame_at(at.pose, begin))
+            return Follow(path, self._t_s, way_to(at.pose, begin, self._rules.speeds))
+
+        self._rest()
+        self.task, self._after_rest = Task.TRACK, follow
+
+    def go(self, pose: Pose) -> None:
+        """Go to a pose in the world and hold there. Raises BadInputError as ``stop``."""
+        self._need_active()
+
+        def follow(at: Reference) -> Motion:
+            way = way_to(at.pose, pose, self._rules.speeds)
+            return Follow(way, self._t_s) if way is not None else self._hold(at)
+
+        self._rest()
+        self.task, self._after_rest = Task.GO, follow
+
+    def use(self, laws: Laws) -> None:
+        """Control by other laws from the next tick on, as with other gains; they begin anew there."""
+        self._parts = self._parts._replace(controller=laws.controller, shadows=laws.shadows, extra=laws.extra)
+        self._doing.use(self._parts)
+
+    # The tick
+
+    def tick(self, now: LoopSignals, fix: PoseFix | None) -> None:
+        """Do one tick, and tell of it. Raises what ended a robot in this process, which cannot come back."""
+        self._t_s = now.t_s
+        faults = self._parts.faults
+        if faults is not None:
+            faults.at(round(now.t_s * 1e9))
+            fix = faults.truth(fix)
+        try:
+            self._steps[self.phase](now, fix)
+        except HilError as error:
+            self.lose(error)
+            self._doing.tell_away(now, fix, _NOWHERE)
+
+    def lose(self, error: HilError) -> None:
+        """Take what went wrong, in a tick or while waiting for it. Raises as ``tick``."""
+        if (failure := self._parts.robot_failure()) is not None:
+            raise failure
+        self.why = str(error)
+        latched = {RobotState.FAULT: Phase.FAULT, RobotState.ESTOP: Phase.ESTOP}
+        feedback = self._parts.device.feedback
+        if isinstance(error, LinkError | RobotStoppedError):
+            self._enter(Phase.AWAY)
+            self._recovery = Recovery(self._parts.device, self._parts.clock, error, self._t_s, arm=False)
+        elif isinstance(error, DeviceError) and feedback is not None and feedback.state in latched:
+            self._parts.device.disarm()
+            self._enter(latched[feedback.state])
+        else:  # the law, or a robot that refuses
+            self._parts.device.disarm()
+            self._enter(Phase.STOPPING, _STOPPING_LIMIT_S)
+
+    def _come_back(self, now: LoopSignals, fix: PoseFix | None) -> None:
+        if (failure := self._parts.robot_failure()) is not None:
+            raise failure
+        self._doing.skip_fixes()
+        try:
+            is_back = self._recovery.advance()
+        except (BadInputError, DeviceError) as error:  # another robot, or one that refuses: it may be exchanged
+            self._recovery.fail(error)
+            is_back = False
+        if not is_back:
+            if not self._was_connected:
+                self.why = self._recovery.problem
+            self._doing.tell_away(now, fix, _NOWHERE)
+            return
+        self._doing.restart()
+        self.recoveries += self._was_connected
+        if not self._was_connected:
+            self._was_connected, self.why = True, None
+        if self._estop_owed:
+            self._parts.device.estop()
+            self._enter(Phase.ESTOP)
+        else:
+            self._enter(Phase.STOPPING, _STOPPING_LIMIT_S)  # until its feedback says that it is none
+        self._doing.tell_away(now, fix, _NOWHERE)
+
+    def _wait(self, now: LoopSignals, fix: PoseFix | None) -> None:
+        robot = self._look(now, fix).feedback.state
+        if robot in (RobotState.FAULT, RobotState.ESTOP):
+            self._latch(robot)
+
+    def _arm(self, now: LoopSignals, fix: PoseFix | None) -> None:
+        device = self._parts.device
+        if not device.armed():
+            self._look(now, fix)
+            if now.t_s > self._deadline_s:
+                raise DeviceError(device.why_not_active())
+            return
+        self._doing.begin()
+        self._enter(Phase.ACTIVE)
+        self.task = Task.HOLD
+        self._drive(now, fix)
+
+    def _drive(self, now: LoopSignals, fix: PoseFix | None) -> None:
+        sensed = self._doing.sense(now.t_s, fix)
+        self.state = state = sensed.state
+        pose = state.pose if state is not None else None
+        self.reference = reference = self._where(now.t_s, pose)
+        self._doing.drive(now, sensed, reference)
+        if self._motion is not None and self._doing.is_held:
+            self._give_up("the robot was held at rest: what is known of it is too old, or not sure enough")
+        elif pose is not None and math.dist(reference.pose[:2], pose[:2]) > self._rules.error_limit_m:
+            self._give_up(f"the robot is more than {self._rules.error_limit_m:g} m from where it should be")
+
+    def _where(self, t_s: float, pose: Pose | None) -> Reference:
+        if self._motion is None:
+            if pose is None:
+                return _NOWHERE
+            self._motion = self._hold(Reference(pose, *_REST))
+        if self.task is Task.TWIST and t_s > self._twist_until_s:
+            self._rest()
+            self.task = Task.HOLD
+        reference = self._motion.at(t_s, pose)
+        if self._after_rest is not None and isinstance(self._motion, Drive) and self._motion.rests:
+            self._motion, self._after_rest = self._after_rest(reference), None
+        return reference
+
+    def _give_up(self, why: str) -> None:
+        """End the task; the robot is held where it is."""
+        self.why = why
+        self._motion = self._after_rest = None
+        self.task = Task.HOLD
+
+    def _ramp_down(self, now: LoopSignals, fix: PoseFix | None) -> None:
+        robot = self._look(now, fix).feedback.state
+        if robot is RobotState.IDLE:
+            self._enter(Phase.DISARMED)
+        elif robot in (RobotState.FAULT, RobotState.ESTOP):
+            self._latch(robot)
+        elif now.t_s > self._deadline_s:
+            self.why = f"the robot did not come to rest within {_STOPPING_LIMIT_S:g} s: it is {robot.name}"
+
+    def _be_latched(self, now: LoopSignals, fix: PoseFix | None) -> None:
+        device = self._parts.device
+        robot = self._look(now, fix).feedback.state
+        if self._estop_owed:
+            if robot is not RobotState.ESTOP:
+                device.estop()
+                return
+            self._estop_owed = False
+        if robot is RobotState.IDLE:
+            device.disarm()
+            self.why = None
+            self._enter(Phase.DISARMED)
+        elif now.t_s > self._deadline_s:
+            device.disarm()
+            self._deadline_s = math.inf
+            self.why = f"clearing was refused: {device.why_not_active()}"
+
+    def _look(self, now: LoopSignals, fix: PoseFix | None) -> Sensed:
+        """Sense and tell, without driving."""
+        sensed = self._doing.sense(now.t_s, fix, active=False)
+        self.state = sensed.state
+        self._doing.tell_away(now, fix, _NOWHERE, sensed.state)
+        return sensed
+
+    # Changes
+
+    def _enter(self, phase: Phase, limit_s: float = math.inf) -> None:
+        self.phase = phase
+        self._deadline_s = self._t_s + limit_s
+        self._motion = self._after_rest = self.task = self.reference = None
+        if phase is Phase.AWAY:
+            self.state = None
+
+    def _latch(self, robot: RobotState) -> None:
+        if not self._parts.device.report.explains(robot):
+            return  # STATUS says why, and comes a little later
+        self.why = self._parts.device.why_not_active()
+        self._enter(Phase.FAULT if robot is RobotState.FAULT else Phase.ESTOP)
+
+    def _need_active(self) -> None:
+        if self.phase is not Phase.ACTIVE:
+            raise BadInputError(f"the robot is {self.phase}; arm it first{self._because()}")
+
+    def _because(self) -> str:
+        return f" ({self.why})" if self.why else ""
+
+    def _hold(self, at: Reference) -> Drive:
+        return Drive(at, self._t_s, self._rules.speeds)
+
+    def _rest(self) -> Drive:
+        """Come to rest from the motion of now, whatever it is."""
+        self._after_rest = None
+        at = self.reference or _NOWHERE
+        if not math.isfinite(sum(at.pose)):
+            if self.state is None:
+                raise BadInputError("it is not known where the robot is; wait until the status has a pose")
+            at = Reference(self.state.pose, *_REST)
+        drive = self._hold(at)
+        self._motion = drive
+        return drive
