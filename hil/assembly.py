@@ -13,16 +13,16 @@ from hil.brake import Brake
 from hil.devices.virtual import MakeNode
 from hil.errors import DeviceError, HilError, LinkError
 from hil.estimator import EstimatorOptions, FusedOptions, make_estimator
-from hil.expectations import outcomes_of
 from hil.faults.signals import SignalFaults
 from hil.figure_words import applied_words
 from hil.guard import Guard
 from hil.loop import Loop, Parts, Report
 from hil.metrics import CommandLimits, percentiles, signal_figures
 from hil.model import RobotModel
-from hil.ports import Sink
+from hil.ports import Note, Sink
 from hil.references import Feasibility, ReferenceSource, feasibility, make_reference
 from hil.results import MemorySink, RunResult, Series
+from hil.run_events import RunEvents
 from hil.sampling import Timing
 from hil.scenario import Scenario, load
 from hil.scenario.laws import Laws, make_laws
@@ -150,13 +150,17 @@ def run_scenario(
         streaming: UdpStream | None = None
         if destination is not None:
             streaming = resources.enter_context(UdpStream(destination, signals=laws.signals, blocking=blocking))
-        loop = make_loop(bench, _All([sink for sink in (memory, recording, streaming) if sink is not None]))
+        note = recording.event if recording is not None else _unheard
+        events = RunEvents(scenario, laws.signals, note)
+        sinks: list[Sink] = [sink for sink in (memory, recording, streaming, events) if sink is not None]
+        loop = make_loop(bench, _All(sinks), note)
         origin_ns = _reach(bench, lambda: bench.device.start(bench.clock, scenario.loop.period_ns))
         bench.begin(origin_ns)
         with watch(loop) if watch is not None else contextlib.nullcontext():
             report = loop.run(origin_ns, round(scenario.loop.duration_s * NS))
         failure = bench.stop_robot() or report.failure
-        metrics = _figures(scenario, bench, memory, report, failure, loop)
+        outcomes = events.finish(loop.t_s)
+        metrics = _figures(scenario, bench, memory, report, failure, loop, outcomes)
         metrics["shadows"] = [] if laws.shadows is None else laws.shadows.figures()
         metrics["reference"] = {"kind": scenario.reference.kind, **demands.figures()}
         if tracing is not None:
@@ -192,7 +196,7 @@ def _demands(scenario: Scenario, model: RobotModel, reference: ReferenceSource) 
 
 def _loop_of(
     scenario: Scenario, model: RobotModel, reference: ReferenceSource, laws: Laws
-) -> Callable[[Bench, Sink], Loop]:
+) -> Callable[[Bench, Sink, Note], Loop]:
     """Make what a tick needs of the scenario alone, so that bad input is found before anything is opened."""
     counts = scenario.firmware.counts_per_revolution
     believed = scenario.estimator
@@ -208,7 +212,7 @@ def _loop_of(
         round(scenario.firmware.watchdog_s * NS),
     )
 
-    def make(bench: Bench, sink: Sink) -> Loop:
+    def make(bench: Bench, sink: Sink, note: Note) -> Loop:
         estimator = make_estimator(told, model, bench.start_pose(), counts)
         faults = bench.faults.signals
         if faults is not None:
@@ -225,6 +229,7 @@ def _loop_of(
             guard,
             brake,
             sink,
+            note,
             bench.robot_failure,
             faults,
             laws.shadows,
@@ -246,6 +251,10 @@ def _reach(bench: Bench, step: Callable[[], T]) -> T:
         if (failure := bench.stop_robot()) is not None:
             raise failure from None
         raise
+
+
+def _unheard(_t_s: float, _level: str, _text: str) -> None:
+    """Take a line of the event log of a run that keeps none."""
 
 
 class _All:
@@ -277,11 +286,11 @@ def _figures(
     report: Report,
     failure: HilError | None,
     loop: Loop,
+    outcomes: list[dict[str, Any]],
 ) -> dict[str, Any]:
     signals = memory.signals()
     limits = CommandLimits(scenario.robot.speed_limit_rad_s, scenario.robot.torque_limit_n_m)
     figures, reasons = signal_figures(signals, scenario.firmware.torque_constant_n_m_a, limits)
-    outcomes = outcomes_of(scenario.expect, signals)
     applied: list[dict[str, Any]] = [
         {"kind": row.kind, "target": row.target, "text": row.words, "applied": count, "counts": row.counts}
         | {"start_s": row.start_s, "end_s": row.end_s if math.isfinite(row.end_s) else None, "value": row.value}
@@ -372,21 +381,9 @@ def _finished(trace: Trace) -> dict[str, Any]:
 
 
 def _note_events(recording: RunRecording, loop: Loop, metrics: Mapping[str, Any]) -> None:
-    """Put into the event log what became of the run, at the time to which it belongs."""
+    """Put into the event log what is only known when the run is over; what happened in it has been told then."""
     for row in metrics["fault"]:
-        level = "info" if row["applied"] else "error"
-        begin_s, end_s = row["start_s"], loop.t_s if row["end_s"] is None else min(row["end_s"], loop.t_s)
-        if begin_s <= loop.t_s:
-            recording.event(begin_s, "info", f"fault begins: {row['text']}")
-        recording.event(max(begin_s, end_s), level, f"fault ends: {applied_words(row)}")
-    for row in metrics["shadows"]:
-        if row["dropped"] is not None:
-            recording.event(row["dropped_s"], "warning", row["dropped"])
-    for row in metrics["recoveries"]:
-        recording.event(row["lost_s"], "warning", f"{row['why']}; ACTIVE again at t = {row['armed_s']:.3f} s")
-    for row in metrics["expect"]:
-        at_s = loop.t_s if row["violation_s"] is None else row["violation_s"]
-        recording.event(at_s, "info" if row["passed"] else "error", row["text"])
+        recording.event(loop.t_s, "info" if row["applied"] else "error", f"fault: {applied_words(row)}")
     if (trace := metrics.get("trace")) is not None and trace["trouble"] is not None:
         recording.event(loop.t_s, "warning", trace["trouble"])
     if metrics["failure"] is not None:

@@ -16,7 +16,7 @@ from hil.faults.signals import SignalFaults
 from hil.freshness import Freshness
 from hil.guard import Guard
 from hil.links.statistics import Statistics
-from hil.ports import Clock, Controller, FixSource, OwnSignals, PoseSource, Sink
+from hil.ports import Clock, Controller, FixSource, Note, OwnSignals, PoseSource, Sink
 from hil.recovery import Recovered, Recovery
 from hil.references import ReferenceSource
 from hil.rows import Beliefs, Rows
@@ -31,8 +31,8 @@ _STOP_LIMIT_NS = 5_000_000_000
 class Parts(NamedTuple):
     """What a tick is made of.
 
-    ``robot_failure`` tells what has ended a robot in this process, None for any other. ``extra`` has the signals that
-    are recorded behind those of the vocabulary.
+    ``note`` is told of losses and of what follows. ``robot_failure`` tells what has ended a robot in this process, None
+    for any other. ``extra`` has the signals that are recorded behind those of the vocabulary.
     """
 
     clock: Clock
@@ -46,6 +46,7 @@ class Parts(NamedTuple):
     guard: Guard
     brake: Brake
     sink: Sink
+    note: Note
     robot_failure: Callable[[], HilError | None]
     faults: SignalFaults | None = None
     shadows: Shadows | None = None
@@ -275,7 +276,8 @@ class Loop:
             shadows.hold()
         else:
             state, dt_s, begins = asked
-            shadows.update(self.t_s, reference, state, self._applied, dt_s, begins=begins)
+            for sentence in shadows.update(self.t_s, reference, state, self._applied, dt_s, begins=begins):
+                self._parts.note(self.t_s, "warning", sentence)
 
     def _measure_latency(self, sequence: int, feedback: Feedback, truth_ns: int | None) -> None:
         """Note on what the command rests, and how late the one acted that the robot says is in force.
@@ -294,6 +296,7 @@ class Loop:
             raise type(error)(f"{error}; to reconnect and arm anew in such a case, set loop.rearm = true") from error
         if self._recovery is None:
             self._recovery = Recovery(self._parts.device, self._parts.clock, error, self.t_s)
+            self._parts.note(self.t_s, "warning", f"{error}; it is being brought back")
         else:
             self._recovery.fail(error)
         return self._recovery
@@ -309,6 +312,8 @@ class Loop:
         if not recovery.advance():
             return
         self._recoveries.append(Recovered(recovery.lost_s, self.t_s, recovery.why))
+        away_s = self.t_s - recovery.lost_s
+        self._parts.note(self.t_s, "info", f"ACTIVE again after {away_s:.3f} s: {recovery.why}")
         self._recovery = None
         self._before = None
         self._latency.restart()
