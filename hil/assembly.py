@@ -17,12 +17,13 @@ from hil.faults.signals import SignalFaults
 from hil.figure_words import applied_words
 from hil.guard import Guard
 from hil.loop import Loop, Parts, Report
-from hil.metrics import CommandLimits, percentiles, signal_figures
+from hil.metrics import CommandLimits, SignalFigures
 from hil.model import RobotModel
 from hil.ports import Note, Sink
 from hil.references import Feasibility, ReferenceSource, feasibility, make_reference
-from hil.results import MemorySink, RunResult, Series
+from hil.results import MemorySink, RunResult
 from hil.run_events import RunEvents
+from hil.samples import Percentiles
 from hil.sampling import Timing
 from hil.scenario import Scenario, load
 from hil.scenario.laws import Laws, make_laws
@@ -94,13 +95,15 @@ def run_scenario(
     linger: Callable[[], None] | None = None,
     make_node: MakeNode = HostNode,
     make_recording: MakeRecording = Recording,
+    keep_signals: bool = True,
 ) -> RunResult:
     """Run a scenario that was loaded. Raises as ``run``.
 
     ``live_port`` serves live viewers on 127.0.0.1. ``watch`` is entered with the loop while it runs; ``warn`` is
     called before anything is opened, with each sentence on what the robot will not be able to follow; ``linger`` is
     called when all is done and recorded, while the viewers are still served. ``make_node`` makes the firmware of a
-    robot that is made in this process, ``make_recording`` the recording.
+    robot that is made in this process, ``make_recording`` the recording. Without ``keep_signals`` the result has none,
+    and memory does not grow with the length of the run.
     """
     if record is not None:
         check_output_path("recording", record)
@@ -129,7 +132,7 @@ def run_scenario(
         )
         # First the robot, then the recorder: a robot that is not there leaves no empty recording behind.
         robot = _reach(bench, bench.connect)
-        memory = MemorySink(laws.signals)
+        memory = MemorySink(laws.signals, _signal_figures(scenario), keep=keep_signals)
         recording: RunRecording | None = None
         if record is not None or live_port is not None:
             options = {"rotation": rotate} if any(rotate) else {}
@@ -279,6 +282,11 @@ class _Faulted:
         self._sink.put(self._faults.recorded(row))
 
 
+def _signal_figures(scenario: Scenario) -> SignalFigures:
+    limits = CommandLimits(scenario.robot.speed_limit_rad_s, scenario.robot.torque_limit_n_m)
+    return SignalFigures(scenario.firmware.torque_constant_n_m_a, limits)
+
+
 def _figures(
     scenario: Scenario,
     bench: Bench,
@@ -288,9 +296,7 @@ def _figures(
     loop: Loop,
     outcomes: list[dict[str, Any]],
 ) -> dict[str, Any]:
-    signals = memory.signals()
-    limits = CommandLimits(scenario.robot.speed_limit_rad_s, scenario.robot.torque_limit_n_m)
-    figures, reasons = signal_figures(signals, scenario.firmware.torque_constant_n_m_a, limits)
+    figures, reasons = memory.figures()
     applied: list[dict[str, Any]] = [
         {"kind": row.kind, "target": row.target, "text": row.words, "applied": count, "counts": row.counts}
         | {"start_s": row.start_s, "end_s": row.end_s if math.isfinite(row.end_s) else None, "value": row.value}
@@ -319,7 +325,7 @@ def _figures(
         "deadline_misses": report.deadline_misses,  # the rows do not know of those after the last one
         "realtime_factor": realtime_factor,
         "frames": {"sent": device.sent, "received": device.received, "rejected": device.rejected()},
-        "link_statistics": _link_statistics(bench, signals),
+        "link_statistics": _link_statistics(bench, memory.feedback_age_ms()),
         "pose_fixes": pose_fixes,
         "wire_sha256": device.wire_sha256(),
         "stopped": report.stopped,
@@ -346,7 +352,7 @@ _NO_VALUE = {
 }
 
 
-def _link_statistics(bench: Bench, signals: Mapping[str, Series]) -> dict[str, Any]:
+def _link_statistics(bench: Bench, age_ms: Percentiles | None) -> dict[str, Any]:
     """Return what became of the link (hil/links/STATISTICS.md); for a figure that is None, ``reasons`` tells why."""
     device, wire = bench.device, bench.wire
     rejected = device.rejected()
@@ -356,7 +362,6 @@ def _link_statistics(bench: Bench, signals: Mapping[str, Series]) -> dict[str, A
         "frames_to_host": rejected.pop("lost", 0) if counted else None,
         "frames_to_robot": rejected.pop("robot_serial_lost", 0) if counted else None,
     }
-    age_ms = percentiles(signals["link.feedback_age_ms"])
     figures = {
         **wire.figures(),
         "lost": lost,
