@@ -136,13 +136,13 @@ def test_percentiles_leave_gaps_out() -> None:
 
 def test_percentiles_are_exact_up_to_a_million_values_and_close_beyond_in_bounded_memory() -> None:
     values = np.random.default_rng(3).lognormal(size=4 * MOST_SAMPLES)
+    values[::200] = 1e6  # taken by a stride of 2, 4 or 8 these would be more than one of a hundred
     samples = Samples()
     for value in values[:2000]:
         samples.append(value)
     for block in np.split(values[2000:MOST_SAMPLES], [5, 5, 70_000]):
         samples.take(block)
     assert samples.percentiles() == percentiles(values[:MOST_SAMPLES])
-    values[::200] = 1e6  # taken by a stride of 2, 4 or 8 these would be more than one of a hundred
     for start in range(MOST_SAMPLES, len(values), 5000):
         samples.take(values[start : start + 5000])
     assert len(samples) == len(values)
