@@ -9,27 +9,21 @@ from typing import Any, TypeVar
 
 from firmware_protocol.host import HostNode
 from hil.bench import NS, Bench, open_trace
-from hil.brake import Brake
 from hil.devices.virtual import MakeNode
 from hil.errors import DeviceError, HilError, LinkError
-from hil.estimator import EstimatorOptions, FusedOptions, make_estimator
-from hil.expectations import outcomes_of
-from hil.faults.signals import SignalFaults
 from hil.figure_words import applied_words
-from hil.guard import Guard
 from hil.loop import Loop, Report
-from hil.metrics import CommandLimits, percentiles, signal_figures
-from hil.model import RobotModel
+from hil.metrics import CommandLimits, SignalFigures
+from hil.parts import PartsOf
 from hil.ports import Sink
-from hil.references import Feasibility, ReferenceSource, feasibility, make_reference
-from hil.results import MemorySink, RunResult, Series
-from hil.sampling import Timing
+from hil.references import Feasibility
+from hil.results import MemorySink, RunResult
+from hil.run_events import RunEvents
+from hil.samples import Percentiles
 from hil.scenario import Scenario, load
-from hil.scenario.laws import Laws, make_laws
 from hil.telemetry import Recording, Rotation, RunRecording, check_output_path, rotation
 from hil.telemetry.provenance import properties
 from hil.telemetry.udp import UdpStream, parse_destination
-from hil.tick import Parts
 from hil.trace import Trace
 
 __all__ = ["RunResult", "check_scenario", "run", "run_scenario"]
@@ -95,23 +89,23 @@ def run_scenario(
     linger: Callable[[], None] | None = None,
     make_node: MakeNode = HostNode,
     make_recording: MakeRecording = Recording,
+    keep_signals: bool = True,
 ) -> RunResult:
     """Run a scenario that was loaded. Raises as ``run``.
 
     ``live_port`` serves live viewers on 127.0.0.1. ``watch`` is entered with the loop while it runs; ``warn`` is
     called before anything is opened, with each sentence on what the robot will not be able to follow; ``linger`` is
     called when all is done and recorded, while the viewers are still served. ``make_node`` makes the firmware of a
-    robot that is made in this process, ``make_recording`` the recording.
+    robot that is made in this process, ``make_recording`` the recording. Without ``keep_signals`` the result has none,
+    and memory does not grow with the length of the run.
     """
     if record is not None:
         check_output_path("recording", record)
     if trace is not None:
         check_output_path("trace", trace)
     destination = parse_destination(stream) if stream is not None else None
-    model, reference = _model_and_reference(scenario)
-    laws = make_laws(scenario, scenario.directory)
-    make_loop = _loop_of(scenario, model, reference, laws)
-    demands = _demands(scenario, model, reference)
+    parts = PartsOf(scenario)
+    laws, demands = parts.laws, parts.demands()
     if warn is not None:
         for sentence in demands.sentences:
             warn(sentence)
@@ -130,7 +124,7 @@ def run_scenario(
         )
         # First the robot, then the recorder: a robot that is not there leaves no empty recording behind.
         robot = _reach(bench, bench.connect)
-        memory = MemorySink(laws.signals)
+        memory = MemorySink(laws.signals, _signal_figures(scenario), keep=keep_signals)
         recording: RunRecording | None = None
         if record is not None or live_port is not None:
             options = {"rotation": rotate} if any(rotate) else {}
@@ -151,13 +145,18 @@ def run_scenario(
         streaming: UdpStream | None = None
         if destination is not None:
             streaming = resources.enter_context(UdpStream(destination, signals=laws.signals, blocking=blocking))
-        loop = make_loop(bench, _All([sink for sink in (memory, recording, streaming) if sink is not None]))
+        note = recording.event if recording is not None else _unheard
+        events = RunEvents(scenario, laws.signals, note)
+        sinks: list[Sink] = [sink for sink in (memory, recording, streaming, events) if sink is not None]
+        made = parts.make(bench, _All(sinks), note)
+        loop = Loop(made, scenario.controller.mode, parts.timing, rearm=scenario.loop.rearm)
         origin_ns = _reach(bench, lambda: bench.device.start(bench.clock, scenario.loop.period_ns))
         bench.begin(origin_ns)
         with watch(loop) if watch is not None else contextlib.nullcontext():
             report = loop.run(origin_ns, round(scenario.loop.duration_s * NS))
         failure = bench.stop_robot() or report.failure
-        metrics = _figures(scenario, bench, memory, report, failure, loop)
+        outcomes = events.finish(loop.t_s)
+        metrics = _figures(scenario, bench, memory, report, failure, loop, outcomes)
         metrics["shadows"] = [] if laws.shadows is None else laws.shadows.figures()
         metrics["reference"] = {"kind": scenario.reference.kind, **demands.figures()}
         if tracing is not None:
@@ -177,63 +176,7 @@ def check_scenario(scenario: Scenario) -> Feasibility:
 
     Raises BadInputError for what the law or the reference refuse.
     """
-    model, reference = _model_and_reference(scenario)
-    make_laws(scenario, scenario.directory)
-    return _demands(scenario, model, reference)
-
-
-def _model_and_reference(scenario: Scenario) -> tuple[RobotModel, ReferenceSource]:
-    table = scenario.reference
-    return RobotModel(**dict(scenario.robot)), make_reference(table.kind, table.options, scenario.directory)
-
-
-def _demands(scenario: Scenario, model: RobotModel, reference: ReferenceSource) -> Feasibility:
-    return feasibility(reference, model, scenario.loop.duration_s, scenario.loop.period_ns / NS)
-
-
-def _loop_of(
-    scenario: Scenario, model: RobotModel, reference: ReferenceSource, laws: Laws
-) -> Callable[[Bench, Sink], Loop]:
-    """Make what a tick needs of the scenario alone, so that bad input is found before anything is opened."""
-    counts = scenario.firmware.counts_per_revolution
-    believed = scenario.estimator
-    told = EstimatorOptions(
-        believed.source, believed.twist, believed.slip_threshold_m_s, FusedOptions(**dict(believed.filter))
-    )
-    guard = Guard(model.speed_limit_rad_s, model.torque_limit_n_m)
-    brake = Brake(scenario.controller.mode, guard, scenario.firmware.speed_kp_n_m_s_rad)
-    timing = Timing(
-        scenario.loop.period_ns,
-        scenario.link.command_latency_ns,
-        scenario.link.feedback_latency_ns,
-        round(scenario.firmware.watchdog_s * NS),
-    )
-
-    def make(bench: Bench, sink: Sink) -> Loop:
-        estimator = make_estimator(told, model, bench.start_pose(), counts)
-        faults = bench.faults.signals
-        if faults is not None:
-            sink = _Faulted(sink, faults)
-        parts = Parts(
-            bench.clock,
-            bench.device,
-            bench.wire,
-            bench.truth,
-            bench.fixes,
-            estimator,
-            reference,
-            laws.controller,
-            guard,
-            brake,
-            sink,
-            bench.robot_failure,
-            faults,
-            laws.shadows,
-            laws.extra,
-        )
-        return Loop(parts, scenario.controller.mode, timing, rearm=scenario.loop.rearm)
-
-    return make
+    return PartsOf(scenario).demands()
 
 
 T = TypeVar("T")
@@ -249,6 +192,10 @@ def _reach(bench: Bench, step: Callable[[], T]) -> T:
         raise
 
 
+def _unheard(_t_s: float, _level: str, _text: str) -> None:
+    """Take a line of the event log of a run that keeps none."""
+
+
 class _All:
     """Some sinks as one."""
 
@@ -260,15 +207,9 @@ class _All:
             sink.put(row)
 
 
-class _Faulted:
-    """A sink that is told what faults make of the signals that nothing else reads."""
-
-    def __init__(self, sink: Sink, faults: SignalFaults) -> None:
-        self._sink = sink
-        self._faults = faults
-
-    def put(self, row: tuple[float, ...]) -> None:
-        self._sink.put(self._faults.recorded(row))
+def _signal_figures(scenario: Scenario) -> SignalFigures:
+    limits = CommandLimits(scenario.robot.speed_limit_rad_s, scenario.robot.torque_limit_n_m)
+    return SignalFigures(scenario.firmware.torque_constant_n_m_a, limits)
 
 
 def _figures(
@@ -278,11 +219,9 @@ def _figures(
     report: Report,
     failure: HilError | None,
     loop: Loop,
+    outcomes: list[dict[str, Any]],
 ) -> dict[str, Any]:
-    signals = memory.signals()
-    limits = CommandLimits(scenario.robot.speed_limit_rad_s, scenario.robot.torque_limit_n_m)
-    figures, reasons = signal_figures(signals, scenario.firmware.torque_constant_n_m_a, limits)
-    outcomes = outcomes_of(scenario.expect, signals)
+    figures, reasons = memory.figures()
     applied: list[dict[str, Any]] = [
         {"kind": row.kind, "target": row.target, "text": row.words, "applied": count, "counts": row.counts}
         | {"start_s": row.start_s, "end_s": row.end_s if math.isfinite(row.end_s) else None, "value": row.value}
@@ -311,7 +250,7 @@ def _figures(
         "deadline_misses": report.deadline_misses,  # the rows do not know of those after the last one
         "realtime_factor": realtime_factor,
         "frames": {"sent": device.sent, "received": device.received, "rejected": device.rejected()},
-        "link_statistics": _link_statistics(bench, signals),
+        "link_statistics": _link_statistics(bench, memory.feedback_age_ms()),
         "pose_fixes": pose_fixes,
         "wire_sha256": device.wire_sha256(),
         "stopped": report.stopped,
@@ -338,7 +277,7 @@ _NO_VALUE = {
 }
 
 
-def _link_statistics(bench: Bench, signals: Mapping[str, Series]) -> dict[str, Any]:
+def _link_statistics(bench: Bench, age_ms: Percentiles | None) -> dict[str, Any]:
     """Return what became of the link (hil/links/STATISTICS.md); for a figure that is None, ``reasons`` tells why."""
     device, wire = bench.device, bench.wire
     rejected = device.rejected()
@@ -348,7 +287,6 @@ def _link_statistics(bench: Bench, signals: Mapping[str, Series]) -> dict[str, A
         "frames_to_host": rejected.pop("lost", 0) if counted else None,
         "frames_to_robot": rejected.pop("robot_serial_lost", 0) if counted else None,
     }
-    age_ms = percentiles(signals["link.feedback_age_ms"])
     figures = {
         **wire.figures(),
         "lost": lost,
@@ -373,21 +311,9 @@ def _finished(trace: Trace) -> dict[str, Any]:
 
 
 def _note_events(recording: RunRecording, loop: Loop, metrics: Mapping[str, Any]) -> None:
-    """Put into the event log what became of the run, at the time to which it belongs."""
+    """Put into the event log what is only known when the run is over; what happened in it has been told then."""
     for row in metrics["fault"]:
-        level = "info" if row["applied"] else "error"
-        begin_s, end_s = row["start_s"], loop.t_s if row["end_s"] is None else min(row["end_s"], loop.t_s)
-        if begin_s <= loop.t_s:
-            recording.event(begin_s, "info", f"fault begins: {row['text']}")
-        recording.event(max(begin_s, end_s), level, f"fault ends: {applied_words(row)}")
-    for row in metrics["shadows"]:
-        if row["dropped"] is not None:
-            recording.event(row["dropped_s"], "warning", row["dropped"])
-    for row in metrics["recoveries"]:
-        recording.event(row["lost_s"], "warning", f"{row['why']}; ACTIVE again at t = {row['armed_s']:.3f} s")
-    for row in metrics["expect"]:
-        at_s = loop.t_s if row["violation_s"] is None else row["violation_s"]
-        recording.event(at_s, "info" if row["passed"] else "error", row["text"])
+        recording.event(loop.t_s, "info" if row["applied"] else "error", f"fault: {applied_words(row)}")
     if (trace := metrics.get("trace")) is not None and trace["trouble"] is not None:
         recording.event(loop.t_s, "warning", trace["trouble"])
     if metrics["failure"] is not None:

@@ -108,6 +108,7 @@ def run(
             watch=watch,
             warn=report.warn,
             linger=linger,
+            keep_signals=False,
         )
     except KeyboardInterrupt:
         kept = f"; recorded until then: {path}" if path is not None and path.exists() else ""

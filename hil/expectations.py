@@ -1,16 +1,17 @@
 """Expectations: what a row of ``[[expect]]`` claims of a signal, and what became of it.
 
-Pure: NumPy arrays in, plain numbers and sentences out.
+Pure: numbers in, plain numbers and sentences out. A run asks one sample after the other, in its ticks, so that it can
+tell of an expectation when it is decided; a review asks of a whole recording.
 """
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 Series = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 
 class Expect(Protocol):
@@ -54,73 +55,97 @@ class Outcome(NamedTuple):
     sentence: str
 
 
+class Watch:
+    """One expectation that is checked sample by sample.
+
+    It fails when there are no samples in its time, or when one that counts is NaN: nothing was shown then.
+    """
+
+    def __init__(self, expect: Expect) -> None:
+        self.expect = expect
+        self._holds = _predicate(expect)
+        self._settles = expect.settles_to is not None
+        self._samples = 0
+        self._held = 0  # the samples of the end that held without a break
+        self._held_since_s = 0.0
+        self._place = (0.0, 0.0)  # time and value of the sample that tells of a failure
+
+    def take(self, t_s: float, value: float) -> bool:
+        """Take a sample of the expectation's time; return whether it decides that the claim failed."""
+        self._samples += 1
+        if self._holds(value):
+            if not self._held:
+                self._held_since_s = t_s
+            self._held += 1
+            return False
+        self._held = 0
+        self._place = (t_s, value)
+        return not self._settles
+
+    def outcome(self) -> Outcome:
+        """Return what became of it with the samples so far. After one that decides, no more may be taken."""
+        expect, samples = self.expect, self._samples
+        claim = f"{expect.signal} {_claim(expect)} {_span(expect)}"
+        if not samples:
+            return Outcome(False, None, None, None, f"{claim}: failed, the run has no samples there")
+        if not self._held:
+            at_s, value = self._place
+            found = "no value" if math.isnan(value) else f"{value:.6g}"
+            where = " at the end" if self._settles else ""
+            return Outcome(False, at_s, value, None, f"{claim}: failed{where}, {found} at t = {at_s:.6g} s")
+        if self._settles:
+            settled_s, count = self._held_since_s, self._held
+            return Outcome(
+                True, None, None, settled_s, f"{claim}: settled at t = {settled_s:.6g} s, over {count} samples"
+            )
+        return Outcome(True, None, None, None, f"{claim}: held over {samples} samples")
+
+
 def check_expectation(expect: Expect, signals: Mapping[str, Series]) -> Outcome:
     """Check one expectation against the signals of a run, ``loop.t_s`` among them.
 
-    It fails when there are no samples in its time, or when one that counts is NaN: nothing was shown then. Raises
-    KeyError for a signal that is not there.
+    Raises KeyError for a signal that is not there.
     """
     t_s, values = signals["loop.t_s"], signals[expect.signal]
     inside = (t_s >= expect.from_s) & (t_s <= expect.to_s)
-    t_s, values = t_s[inside], values[inside]
-    claim = f"{expect.signal} {_claim(expect)} {_span(expect)}"
-    if not len(values):
-        return Outcome(False, None, None, None, f"{claim}: failed, the run has no samples there")
-    holds = _holds(expect, values)
-    if expect.settles_to is not None:
-        return _settling(claim, holds, t_s, values)
-    if holds.all():
-        return Outcome(True, None, None, None, f"{claim}: held over {len(values)} samples")
-    return _failed(claim, "", t_s, values, int(np.argmin(holds)))
+    watch = Watch(expect)
+    for at_s, value in zip(t_s[inside].tolist(), values[inside].tolist(), strict=True):
+        if watch.take(at_s, value):
+            break
+    return watch.outcome()
+
+
+def outcome_figures(expect: Expect, outcome: Outcome) -> dict[str, Any]:
+    """Return an expectation with how it went, in words and numbers, as the figures of a run have it."""
+    return {
+        "signal": expect.signal,
+        "passed": outcome.passed,
+        "violation_s": outcome.at_s,
+        "violation_value": outcome.value,
+        "settled_s": outcome.settled_s,
+        "text": outcome.sentence,
+    }
 
 
 def outcomes_of(rows: Sequence[Expect], signals: Mapping[str, Series]) -> list[dict[str, Any]]:
-    """Return each expectation with how it went, in words and numbers, as the figures of a run have it."""
-    outcomes = []
-    for row in rows:
-        outcome = check_expectation(row, signals)
-        outcomes.append(
-            {
-                "signal": row.signal,
-                "passed": outcome.passed,
-                "violation_s": outcome.at_s,
-                "violation_value": outcome.value,
-                "settled_s": outcome.settled_s,
-                "text": outcome.sentence,
-            }
-        )
-    return outcomes
+    """Return the figures of each expectation, checked against the signals of a run."""
+    return [outcome_figures(row, check_expectation(row, signals)) for row in rows]
 
 
-def _settling(claim: str, holds: Mask, t_s: Series, values: Series) -> Outcome:
-    outside = np.flatnonzero(~holds)
-    first = int(outside[-1]) + 1 if len(outside) else 0
-    if first == len(values):
-        return _failed(claim, " at the end", t_s, values, len(values) - 1)
-    settled_s = float(t_s[first])
-    samples = len(values) - first
-    return Outcome(True, None, None, settled_s, f"{claim}: settled at t = {settled_s:.6g} s, over {samples} samples")
-
-
-def _failed(claim: str, where: str, t_s: Series, values: Series, place: int) -> Outcome:
-    at_s, value = float(t_s[place]), float(values[place])
-    found = "no value" if np.isnan(value) else f"{value:.6g}"
-    return Outcome(False, at_s, value, None, f"{claim}: failed{where}, {found} at t = {at_s:.6g} s")
-
-
-def _holds(expect: Expect, values: Series) -> Mask:
-    """Tell for each value whether the claim holds of it. A NaN compares false, and no claim holds of it."""
-    holds: Mask = ~np.isnan(values)
-    if expect.below is not None:
-        holds &= values < expect.below
-    if expect.above is not None:
-        holds &= values > expect.above
+def _predicate(expect: Expect) -> Callable[[float], bool]:
+    """Return what tells whether the claim holds of a value. A NaN compares false, and no claim holds of it."""
+    above, below = expect.above, expect.below
     if expect.within is not None:
-        holds &= (values >= expect.within[0]) & (values <= expect.within[1])
-    for target in (expect.equals, expect.settles_to):
-        if target is not None:
-            holds &= np.abs(values - target) <= (expect.tolerance or 0.0)
-    return holds
+        low, high = expect.within
+        return lambda value: low <= value <= high
+    target = expect.equals if expect.settles_to is None else expect.settles_to
+    if target is not None:
+        centre, tolerance = target, expect.tolerance or 0.0
+        return lambda value: abs(value - centre) <= tolerance
+    if below is None:
+        assert above is not None, "a scenario's expectation has one claim"
+        return lambda value: value > above
+    return (lambda value: value < below) if above is None else (lambda value: above < value < below)
 
 
 def _claim(expect: Expect) -> str:
@@ -140,5 +165,5 @@ def _claim(expect: Expect) -> str:
 
 
 def _span(expect: Expect) -> str:
-    stop = "to the end" if np.isinf(expect.to_s) else f"to {expect.to_s:g} s"
+    stop = "to the end" if math.isinf(expect.to_s) else f"to {expect.to_s:g} s"
     return f"from {expect.from_s:g} s {stop}"

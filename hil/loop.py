@@ -175,6 +175,7 @@ class Loop:
             raise type(error)(f"{error}; to reconnect and arm anew in such a case, set loop.rearm = true") from error
         if self._recovery is None:
             self._recovery = Recovery(self._parts.device, self._parts.clock, error, self.t_s)
+            self._parts.note(self.t_s, "warning", f"{error}; it is being brought back")
         else:
             self._recovery.fail(error)
         return self._recovery
@@ -190,5 +191,7 @@ class Loop:
         if not recovery.advance():
             return
         self._recoveries.append(Recovered(recovery.lost_s, self.t_s, recovery.why))
+        away_s = self.t_s - recovery.lost_s
+        self._parts.note(self.t_s, "info", f"ACTIVE again after {away_s:.3f} s: {recovery.why}")
         self._recovery = None
         self._doing.restart()

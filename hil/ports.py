@@ -112,3 +112,10 @@ class Sink(Protocol):
 
     def put(self, row: tuple[float, ...]) -> None:
         """Take one row in the order of the run's signals: ``hil.signals.SIGNALS``, then the extra ones."""
+
+
+class Note(Protocol):
+    """Takes a line of a run's event log; never waits."""
+
+    def __call__(self, t_s: float, level: str, text: str, /) -> None:
+        """``t_s`` is the scenario's time [s], ``level`` debug, info, warning or error."""

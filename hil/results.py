@@ -1,7 +1,7 @@
 """What a run leaves behind: signals as arrays, figures, and what they mean for the exit code."""
 
 import array
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -10,6 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.errors import HilError
+from hil.metrics import BLOCK_ROWS, SignalFigures
+from hil.samples import Percentiles, Samples
 from hil.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -19,20 +21,68 @@ Series = npt.NDArray[np.float64]
 
 
 class MemorySink:
-    """Keeps every row in memory; ``names`` are the signals of the run."""
+    """Makes the figures of a run from its rows, and keeps the rows only for who wants the signals.
 
-    def __init__(self, names: Sequence[str]) -> None:
+    A block of rows is worked on in small steps, one a tick, so that no tick pays for all of it. ``names`` are the
+    signals of the run; with ``keep`` every row stays in memory: 0.8 MB a second at 1 kHz.
+    """
+
+    def __init__(self, names: Sequence[str], figures: SignalFigures, *, keep: bool) -> None:
         self._names = names
+        self._figures = figures
+        self._keep = keep
+        self._age_place = names.index("link.feedback_age_ms")
+        self._age_ms = Samples()
+        self._blocks: list[Series] = []
         self._values = array.array("d")
+        self._full = BLOCK_ROWS * len(names)
+        self._steps: Iterator[None] = iter(())
 
     def put(self, row: tuple[float, ...]) -> None:
         """Take one row in the order of the signals."""
         self._values.extend(row)
+        if len(self._values) >= self._full:
+            self._begin_block()
+        else:
+            next(self._steps, None)
+
+    def figures(self) -> tuple[dict[str, Any], dict[str, str]]:
+        """Return the figures and reasons of the run so far, as ``SignalFigures``."""
+        self._begin_block()
+        self._finish_block()
+        return self._figures.figures()
+
+    def feedback_age_ms(self) -> Percentiles | None:
+        """Return the percentiles of ``link.feedback_age_ms`` over the rows that ``figures`` has taken."""
+        return self._age_ms.percentiles()
 
     def signals(self) -> dict[str, Series]:
-        """Return every signal by name, each of shape (ticks,)."""
-        rows = np.frombuffer(self._values, dtype=np.float64).reshape(-1, len(self._names))
-        return {name: rows[:, i] for i, name in enumerate(self._names)}
+        """Return every signal by name, each of shape (ticks,); none of them when no rows are kept."""
+        if not self._keep:
+            return {}
+        self._blocks = [np.concatenate([*self._blocks, self._rest()])]
+        self._values = array.array("d")
+        return {name: self._blocks[0][:, i] for i, name in enumerate(self._names)}
+
+    def _rest(self) -> Series:
+        return np.frombuffer(self._values, dtype=np.float64).reshape(-1, len(self._names))
+
+    def _begin_block(self) -> None:
+        """Begin with the work on the rows since the last block."""
+        self._finish_block()
+        rows, self._values = self._rest(), array.array("d")
+        if self._keep:
+            self._blocks.append(rows)
+        self._steps = self._work(rows)
+
+    def _finish_block(self) -> None:
+        for _ in self._steps:
+            pass
+
+    def _work(self, rows: Series) -> Iterator[None]:
+        self._age_ms.take(rows[:, self._age_place])
+        yield
+        yield from self._figures.take({name: rows[:, i] for i, name in enumerate(self._names)})
 
 
 @dataclass(frozen=True)
@@ -44,7 +94,7 @@ class RunResult:
         metrics: the figures, as ``hil run --json`` prints them; a figure without a meaning is None, with the reason
             under ``reasons``.
         signals: every signal of the run by name, each of shape (ticks,): those of ``hil list signals``, then the extra
-            ones.
+            ones. Empty when the run was told to keep none.
         failure: what ended the run early, or None.
     """
 

@@ -5,7 +5,7 @@ tick, not how it would drive: the robot moves as the law in command has it, and 
 integrates one that it cannot remove.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from hil.errors import HilError
@@ -52,8 +52,12 @@ class Shadows:
 
     def update(
         self, t_s: float, reference: Reference, state: State, applied: Applied, dt_s: float, *, begins: bool
-    ) -> None:
-        """Ask each for its command of the tick at ``t_s``; where the run ``begins``, or begins anew, reset it first."""
+    ) -> Sequence[str]:
+        """Ask each for its command of the tick at ``t_s``; where the run ``begins``, or begins anew, reset it first.
+
+        Return a sentence for each that was dropped for what it did.
+        """
+        dropped: Sequence[str] = ()
         for name, law in list(self._laws.items()):
             try:
                 if begins:
@@ -61,13 +65,16 @@ class Shadows:
                 wanted = law.update(reference, state, applied, dt_s)
             except Exception as error:  # noqa: BLE001 - whatever it is, the run goes on, and it is told
                 why = str(error) if isinstance(error, HilError) else f"{type(error).__name__}: {error}"
-                self.dropped[name] = (t_s, f"shadow {name} dropped at t = {t_s:.3f} s: {why}")
+                sentence = f"shadow {name} dropped at t = {t_s:.3f} s: {why}"
+                self.dropped[name] = (t_s, sentence)
+                dropped = (*dropped, sentence)
                 self._commands[name] = NAN_WHEELS
                 del self._laws[name]
                 continue
             command, _ = self._guards[name].apply(wanted)
             self._asked[name] += 1
             self._commands[name] = command.speed_rad_s if self._mode is CommandMode.SPEED else command.torque_n_m
+        return dropped
 
     def figures(self) -> list[dict[str, Any]]:
         """Return for each shadow what became of it: ticks in which it was asked, commands that were no numbers."""

@@ -14,7 +14,7 @@ from hil.faults.signals import SignalFaults
 from hil.freshness import Freshness
 from hil.guard import Guard
 from hil.links.statistics import Statistics
-from hil.ports import Clock, Controller, FixSource, OwnSignals, PoseSource, Sink
+from hil.ports import Clock, Controller, FixSource, Note, OwnSignals, PoseSource, Sink
 from hil.references import ReferenceSource
 from hil.rows import Beliefs, Rows
 from hil.sampling import Timing
@@ -26,8 +26,8 @@ from hil.types import NAN_WHEELS, ZERO_WHEELS, Applied, CommandMode, PoseFix, Re
 class Parts(NamedTuple):
     """What a tick is made of.
 
-    ``robot_failure`` tells what has ended a robot in this process, None for any other. ``extra`` has the signals that
-    are recorded behind those of the vocabulary.
+    ``note`` is told of losses and of what follows. ``robot_failure`` tells what has ended a robot in this process, None
+    for any other. ``extra`` has the signals that are recorded behind those of the vocabulary.
     """
 
     clock: Clock
@@ -41,6 +41,7 @@ class Parts(NamedTuple):
     guard: Guard
     brake: Brake
     sink: Sink
+    note: Note
     robot_failure: Callable[[], HilError | None]
     faults: SignalFaults | None = None
     shadows: Shadows | None = None
@@ -200,7 +201,8 @@ class Tick:
             shadows.hold()
         else:
             state, dt_s, begins = asked
-            shadows.update(t_s, reference, state, self._applied, dt_s, begins=begins)
+            for sentence in shadows.update(t_s, reference, state, self._applied, dt_s, begins=begins):
+                self._parts.note(t_s, "warning", sentence)
 
     def _measure_latency(self, sequence: int, feedback: Feedback, truth_ns: int | None) -> None:
         """Note on what the command rests, and how late the one acted that the robot says is in force.

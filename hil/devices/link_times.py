@@ -5,13 +5,10 @@ puts on the link are part of what is measured, as those of a real one would be.
 """
 
 import statistics
-from array import array
 from collections import deque
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from hil.metrics import percentiles
+from hil.samples import Samples
 from hil.types import NAN
 
 SYNC_PERIOD_NS = 250_000_000  # PROTOCOL.md, "Time": 4 Hz
@@ -35,7 +32,7 @@ class RoundTrip:
     def __init__(self) -> None:
         self._sent_ns: list[int | None] = [None] * 256
         self._echoed: int | None = None
-        self._all_ms = array("d")
+        self._all_ms = Samples()
         self.ms = NAN
 
     def sent(self, sequence: int, now_ns: int) -> None:
@@ -59,7 +56,7 @@ class RoundTrip:
 
     def figures(self) -> dict[str, Any] | None:
         """Return median and 99th percentile [ms], and how many there were; None when there were none."""
-        if not self._all_ms:
+        if not len(self._all_ms):
             return None
         return {**_percentiles(self._all_ms), "count": len(self._all_ms)}
 
@@ -127,7 +124,7 @@ class ClockSync:
         self._sent_ns = 0
         self._stages: deque[Exchange] = deque(maxlen=_STAGES)
         self._believed: deque[Exchange] = deque(maxlen=_FITTED)
-        self._delays_us = array("d")
+        self._delays_us = Samples()
         self.awaiting = False
         self.offset_us = NAN
         self.drift_ppm = NAN
@@ -192,7 +189,7 @@ class ClockSync:
 
     def figures(self) -> dict[str, Any] | None:
         """Return the figures of the exchanges, None when none was answered."""
-        if not self._delays_us:
+        if not len(self._delays_us):
             return None
         return {
             "requests": self.requests,
@@ -204,7 +201,7 @@ class ClockSync:
         }
 
 
-def _percentiles(values: "array[float]") -> dict[str, float]:
-    found = percentiles(np.asarray(values))
+def _percentiles(values: Samples) -> dict[str, float]:
+    found = values.percentiles()
     assert found is not None
     return found._asdict()

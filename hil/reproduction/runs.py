@@ -10,11 +10,12 @@ import numpy as np
 from hil.assembly import RunResult, run_scenario
 from hil.catalogue.recording import RecordingHere
 from hil.errors import HilError
-from hil.metrics import STEADY_WINDOW_S, TRACKED_RATIO, Series
 from hil.pool import Work
 from hil.reproduction.oscillation import oscillation
 from hil.scenario import load
+from hil.so_far import Series
 from hil.telemetry import Recording
+from hil.tracking import STEADY_WINDOW_S, TRACKED_RATIO
 from hil.types import WHEEL_NAMES
 
 _SERIES = (

@@ -70,6 +70,7 @@ class RingProcess:
         self.put = cast(Callable[[Row], None], self._ring.try_put)
         self._config = {**config, "block": self._block.token, "block_bytes": size, "parent_pid": os.getpid()}
         self._swap = threading.Lock()  # held while the process is exchanged for the next
+        self._unsent: deque[Mapping[str, object]] = deque()
         self._unsaved: deque[Mapping[str, object]] = deque()
         self._lines_dropped = 0
         self._lines_seen_saved = 0
@@ -120,17 +121,13 @@ class RingProcess:
     def lines_lost(self) -> int:
         """Lines that are not known to be safe; those on their way are among them."""
         with self._swap:
-            self._forget_saved_lines()
+            self._send_unsent()
             return self._lines_dropped + len(self._unsaved)
 
     def send(self, record: Mapping[str, object]) -> None:
-        """Pass a line on. Never waits for the process."""
-        with self._swap:
-            self._forget_saved_lines()
-            if not self._gone.is_set() and (not self._ready or self._lines.send(record)):
-                self._unsaved.append(record)
-            else:
-                self._lines_dropped += 1
+        """Pass a line on. Never waits: not for the process, and not for the start of another in its place."""
+        self._unsent.append(record)
+        self._send_waiting()
 
     def finish(self, record: Mapping[str, object]) -> dict[str, Any]:
         """Have the rest written, and return the report: ``rows_written`` and ``error`` among it.
@@ -138,7 +135,7 @@ class RingProcess:
         Never raises for a process that died: the report then says so.
         """
         with self._swap:
-            self._forget_saved_lines()
+            self._send_unsent()
             self._last_line = record
             if self._ready:
                 self._lines.send(record, always=True)
@@ -228,6 +225,7 @@ class RingProcess:
                 self.troubles.append(f"{self._name} could not be started again: {error}")
                 return False
             self.restarts += 1
+        self._send_waiting()
         return True
 
     def _say_again(self) -> None:
@@ -237,6 +235,24 @@ class RingProcess:
             self._forget_saved_lines()
             for record in self._unsaved if self._last_line is None else [*self._unsaved, self._last_line]:
                 self._lines.send(record, always=True)
+        self._send_waiting()
+
+    def _send_waiting(self) -> None:
+        """Send what waits unless another thread has the process in hand, which then does this when it lets go."""
+        while self._unsent and self._swap.acquire(blocking=False):
+            try:
+                self._send_unsent()
+            finally:
+                self._swap.release()
+
+    def _send_unsent(self) -> None:
+        self._forget_saved_lines()
+        while self._unsent:
+            record = self._unsent.popleft()
+            if not self._gone.is_set() and (not self._ready or self._lines.send(record)):
+                self._unsaved.append(record)
+            else:
+                self._lines_dropped += 1
 
     def _forget_saved_lines(self) -> None:
         saved = self._ring.lines_saved

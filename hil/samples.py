@@ -1,0 +1,70 @@
+"""Median and 99th percentile of values that come one by one, in bounded memory."""
+
+from array import array
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+Series = npt.NDArray[np.float64]
+
+MOST_SAMPLES = 1 << 20
+"""Values of which percentiles are exact; of more, they are those of so many that chance picked."""
+_AT_ONCE = 1024
+
+
+class Percentiles(NamedTuple):
+    """Median and 99th percentile, in the unit of the signal."""
+
+    p50: float
+    p99: float
+
+
+class Samples:
+    """Values for percentiles: all of them up to ``MOST_SAMPLES``, then each with the same chance to be among these."""
+
+    def __init__(self) -> None:
+        self._pending = array("d")
+        self._kept = array("d")
+        self._seen = 0
+        self._chance = np.random.default_rng(1)
+
+    def append(self, value: float) -> None:
+        """Take a value."""
+        self._pending.append(value)
+        if len(self._pending) >= _AT_ONCE:
+            self._fold()
+
+    def take(self, values: Series) -> None:
+        """Take those of the values that are there, of shape (n,)."""
+        self._pending.frombytes(values[np.isfinite(values)].tobytes())
+        self._fold()
+
+    def percentiles(self) -> Percentiles | None:
+        """Return median and 99th percentile, or None when there were no values."""
+        self._fold()
+        return percentiles(np.frombuffer(self._kept))
+
+    def __len__(self) -> int:
+        """Return how many values were taken."""
+        return self._seen + len(self._pending)
+
+    def _fold(self) -> None:
+        room = MOST_SAMPLES - len(self._kept)
+        self._kept += self._pending[:room]
+        self._seen += min(room, len(self._pending))
+        if len(more := self._pending[room:]):
+            places = self._chance.integers(0, self._seen + 1 + np.arange(len(more)))
+            lucky = places < MOST_SAMPLES
+            np.frombuffer(self._kept)[places[lucky]] = np.frombuffer(more)[lucky]
+            self._seen += len(more)
+        self._pending = array("d")
+
+
+def percentiles(series: Series) -> Percentiles | None:
+    """Return median and 99th percentile of the values that are there, or None when there are none."""
+    there = series[np.isfinite(series)]
+    if not len(there):
+        return None
+    p50, p99 = np.percentile(there, [50.0, 99.0])
+    return Percentiles(float(p50), float(p99))
