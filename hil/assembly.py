@@ -21,6 +21,7 @@ from hil.loop import Loop, Parts, Report
 from hil.metrics import CommandLimits, percentiles, signal_figures
 from hil.model import RobotModel
 from hil.ports import Sink
+from hil.realtime import RealTime, Wanted, real_time
 from hil.references import Feasibility, ReferenceSource, feasibility, make_reference
 from hil.results import MemorySink, RunResult, Series
 from hil.sampling import Timing
@@ -151,12 +152,15 @@ def run_scenario(
         if destination is not None:
             streaming = resources.enter_context(UdpStream(destination, signals=laws.signals, blocking=blocking))
         loop = make_loop(bench, _All([sink for sink in (memory, recording, streaming) if sink is not None]))
-        origin_ns = _reach(bench, lambda: bench.device.start(bench.clock, scenario.loop.period_ns))
-        bench.begin(origin_ns)
-        with watch(loop) if watch is not None else contextlib.nullcontext():
-            report = loop.run(origin_ns, round(scenario.loop.duration_s * NS))
+        # Behind all other processes, which inherit the processors, and before the robot arms: locking takes its time.
+        with _real_time(scenario, bench) as granted:
+            origin_ns = _reach(bench, lambda: bench.device.start(bench.clock, scenario.loop.period_ns))
+            bench.begin(origin_ns)
+            with watch(loop) if watch is not None else contextlib.nullcontext():
+                report = loop.run(origin_ns, round(scenario.loop.duration_s * NS))
         failure = bench.stop_robot() or report.failure
         metrics = _figures(scenario, bench, memory, report, failure, loop)
+        metrics["realtime"] = None if granted is None else granted.figures()
         metrics["shadows"] = [] if laws.shadows is None else laws.shadows.figures()
         metrics["reference"] = {"kind": scenario.reference.kind, **demands.figures()}
         if tracing is not None:
@@ -235,6 +239,13 @@ def _loop_of(
     return make
 
 
+def _real_time(scenario: Scenario, bench: Bench) -> AbstractContextManager[RealTime | None]:
+    """Return what takes ``[realtime]``, for the controller and for a robot in this process; in lockstep nothing."""
+    if scenario.loop.mode == "lockstep":
+        return contextlib.nullcontext()
+    return real_time(Wanted(**dict(scenario.realtime)), bench.robot_threads)
+
+
 T = TypeVar("T")
 
 
@@ -307,6 +318,7 @@ def _figures(
         "link": scenario.link.url,
         "seed": scenario.loop.seed,
         **figures,
+        "lateness_us": loop.lateness.figures(),
         "deadline_misses": report.deadline_misses,  # the rows do not know of those after the last one
         "realtime_factor": realtime_factor,
         "frames": {"sent": device.sent, "received": device.received, "rejected": device.rejected()},

@@ -42,6 +42,7 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,  # to lay the help out in boxes takes longer to import than all else together
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Test a Mecanum robot's controller against a plant FMU before the wheels touch the ground.",
 )

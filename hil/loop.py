@@ -15,6 +15,7 @@ from hil.estimator import LOST, Estimator
 from hil.faults.signals import SignalFaults
 from hil.freshness import Freshness
 from hil.guard import Guard
+from hil.lateness import Lateness
 from hil.links.statistics import Statistics
 from hil.ports import Clock, Controller, FixSource, OwnSignals, PoseSource, Sink
 from hil.recovery import Recovered, Recovery
@@ -112,6 +113,7 @@ class Loop:
         self._ticks = 0
         self._stale = 0
         self._tick_us = NAN
+        self.lateness = Lateness()
         self.t_s = 0.0
 
     def run(self, origin_ns: int, duration_ns: int) -> Report:
@@ -332,5 +334,6 @@ class Loop:
 
     def _tell(self, number: int, late_ns: int, feedback: Feedback | None, beliefs: Beliefs) -> None:
         self._ticks += 1
+        self.lateness.add(late_ns)
         tick = LoopSignals(self.t_s, number, late_ns * 1e-3, self._tick_us, self._misses)
         self._rows.tell(tick, feedback, self._freshness.silent_ns, beliefs)
