@@ -18,6 +18,7 @@ from hil.commands.check import check
 from hil.commands.compare import compare
 from hil.commands.fmu import app as fmu_app
 from hil.commands.fuzzy import fuzzy
+from hil.commands.group import Commands
 from hil.commands.options import (
     Json,
     LinkUrl,
@@ -39,6 +40,7 @@ from hil.commands.trace import decode
 from hil.errors import BadInputError, DeviceError, HilError, LinkError, RunInterruptedError
 
 app = typer.Typer(
+    cls=Commands,
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
