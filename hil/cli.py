@@ -16,6 +16,7 @@ from hil.commands import live as live_view
 from hil.commands.catalogue import catalogue
 from hil.commands.check import check
 from hil.commands.compare import compare
+from hil.commands.doctor import doctor
 from hil.commands.fmu import app as fmu_app
 from hil.commands.fuzzy import fuzzy
 from hil.commands.group import Commands
@@ -133,6 +134,7 @@ app.command()(check)
 app.command()(compare)
 app.command()(device)
 app.command()(decode)
+app.command()(doctor)
 app.command()(params)
 app.command()(fuzzy)
 app.command()(live_view.live)

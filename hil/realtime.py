@@ -16,9 +16,12 @@ from typing import Any, NamedTuple
 
 SWITCH_INTERVAL_S = 1e-4
 GC_THRESHOLD = 100_000
+PRIORITY = 40
+"""Asked for by default. A real-time kernel's threads for interrupts, the serial port's among them, have 50."""
 ISOLATED = Path("/sys/devices/system/cpu/isolated")
 DMA_LATENCY = Path("/dev/cpu_dma_latency")
 CAP_IPC_LOCK = 14
+CAP_SYS_NICE = 23
 LIMITS_REMEDY = "give the user {item} in /etc/security/limits.d (hil doctor prints the line), or run with {capability}"
 _PR_SET_TIMERSLACK = 29
 _PR_GET_TIMERSLACK = 30
@@ -202,13 +205,11 @@ def _pin(cpus: tuple[int, ...], threads: Sequence[int], undo: contextlib.ExitSta
 def _lock_memory(undo: contextlib.ExitStack) -> str:
     if sys.platform != "linux":
         raise _RefusedError(f"memory: {_NO_SUCH}")
-    import resource
-
     if _locked_bytes():
         return "memory: locked before already"
-    limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
+    limit = memory_limit_bytes()
     # With a limit the lock might be granted now and the next allocation refused, in the middle of the run.
-    if limit != resource.RLIM_INFINITY and not has_capability(CAP_IPC_LOCK):
+    if limit is not None and not has_capability(CAP_IPC_LOCK):
         remedy = LIMITS_REMEDY.format(item="memlock unlimited", capability="CAP_IPC_LOCK")
         raise _RefusedError(f"memory: not locked, for only {limit >> 10} KiB may be; {remedy}")
     libc = _libc()
@@ -262,6 +263,16 @@ def priority_limit() -> int:
 
     limit, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
     return 99 if limit == resource.RLIM_INFINITY else limit
+
+
+def memory_limit_bytes() -> int | None:
+    """Return how much memory this user's limits permit to lock; None for any amount."""
+    if sys.platform != "linux":
+        return 0
+    import resource
+
+    limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
+    return None if limit == resource.RLIM_INFINITY else limit
 
 
 def has_capability(bit: int) -> bool:

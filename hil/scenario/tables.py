@@ -17,6 +17,7 @@ from hil.errors import BadInputError, nearest
 from hil.links.url import parse_link
 from hil.localisation.address import parse_address
 from hil.plant_signals import INPUTS, OUTPUTS
+from hil.realtime import PRIORITY
 from hil.scenario.fields import Milliseconds, Option, OptionValue, Start, Table, Text, is_path
 from hil.scenario.rows import ExpectTable, FaultTable
 from hil.types import WHEEL_NAMES, CommandMode
@@ -338,7 +339,10 @@ class RealtimeTable(Table):
     """``[realtime]``: what is asked of the operating system in mode realtime; a run says what of it was refused."""
 
     priority: int = Field(
-        default=40, ge=0, le=98, description="of SCHED_FIFO, 0 for none; a real-time kernel's interrupt threads have 50"
+        default=PRIORITY,
+        ge=0,
+        le=98,
+        description="of SCHED_FIFO, 0 for none; a real-time kernel's interrupt threads have 50",
     )
     cpus: tuple[int, ...] = Field(
         default=(), description="processors to run on; by default the isolated ones, where there are any"
