@@ -20,6 +20,7 @@ from hil.commands.doctor import doctor
 from hil.commands.fmu import app as fmu_app
 from hil.commands.fuzzy import fuzzy
 from hil.commands.group import Commands
+from hil.commands.init import init
 from hil.commands.options import (
     Json,
     LinkUrl,
@@ -137,6 +138,7 @@ app.command()(decode)
 app.command()(doctor)
 app.command()(params)
 app.command()(fuzzy)
+app.command()(init)
 app.command()(live_view.live)
 app.command()(replay)
 app.command()(reproduce)
