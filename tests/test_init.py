@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 
 import hil
 from hil.assembly import check_scenario
+from hil.commands.init import init
 from hil.errors import BadInputError
 from hil.init import QUESTIONS, ROBOT_FILE, SCENARIO_FILE, begin
 from hil.scenario import load
 from tests.processes import HIL, environment
-from tests.processes import hil as command
 
 
 def _answers(**known: Any) -> dict[str, Any]:
@@ -60,32 +60,29 @@ def test_the_first_circle_is_driven_and_passes(tmp_path: Path, sizes: tuple[floa
     assert run.passed, run.metrics["expect"]
 
 
-def test_by_flags_both_files_are_written_and_never_over_others(tmp_path: Path) -> None:
-    flags = ("--mass-kg", "12", "--link", "serial:/dev/ttyACM0", "--defaults")
-    done = command("init", tmp_path / "new", *flags)
-    assert done.returncode == 0, done.stderr
-    robot = tomllib.loads((tmp_path / "new" / ROBOT_FILE).read_text("utf-8"))
+def test_by_flags_both_files_are_written_and_never_over_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "new"
+    init(folder, mass_kg=12.0, link="serial:/dev/ttyACM0", defaults=True)
+    robot = tomllib.loads((folder / ROBOT_FILE).read_text("utf-8"))
     assert robot["robot"]["mass_kg"] == 12.0
     assert robot["link"]["url"] == "serial:/dev/ttyACM0"
-    assert done.stdout.splitlines()[1].startswith(f"Next: hil run {tmp_path / 'new' / SCENARIO_FILE} --link memory:")
-    checked = command("check", "paper_circle", "--robot", tmp_path / "new" / ROBOT_FILE)
-    assert checked.returncode in (0, 1), checked.stderr
-    again = command("init", tmp_path / "new", "--defaults")
-    assert again.returncode == 2
-    assert "is there already; name another folder, or replace it with --force" in again.stderr
-    with pytest.raises(BadInputError, match="is there already"):
-        begin(tmp_path / "new", _answers(), force=False)
-    begin(tmp_path / "new", _answers(), force=True)
-    assert tomllib.loads((tmp_path / "new" / ROBOT_FILE).read_text("utf-8"))["robot"]["mass_kg"] == 20.0
+    hint = capsys.readouterr().out.splitlines()[1]
+    assert hint.startswith(f"Next: hil run {folder / SCENARIO_FILE} --link memory:")
+    assert load("paper_circle", robot=folder / ROBOT_FILE).robot.mass_kg == 12.0
+    with pytest.raises(BadInputError, match="is there already; name another folder, or replace it with --force"):
+        init(folder, defaults=True)
+    init(folder, defaults=True, force=True)
+    assert tomllib.loads((folder / ROBOT_FILE).read_text("utf-8"))["robot"]["mass_kg"] == 20.0
 
 
 def test_a_wrong_flag_is_answered_as_the_scenario_answers_it(tmp_path: Path) -> None:
-    done = command("init", tmp_path, "--wheel-radius-m", "75", "--defaults")
-    assert done.returncode == 2
-    assert done.stderr == ("hil: --wheel-radius-m: robot.wheel_radius_m = 75.0; expected a number from 0.001 to 1\n")
-    done = command("init", tmp_path, "--mass-kg", "12")
-    assert done.returncode == 2
-    assert "stdin is no terminal; give --wheel-radius-m, " in done.stderr
+    with pytest.raises(BadInputError) as wrong:
+        init(tmp_path, wheel_radius_m=75.0, defaults=True)
+    assert str(wrong.value) == "--wheel-radius-m: robot.wheel_radius_m = 75.0; expected a number from 0.001 to 1"
+    with pytest.raises(BadInputError, match="stdin is no terminal; give --wheel-radius-m, "):
+        init(tmp_path, mass_kg=12.0)
     assert list(tmp_path.iterdir()) == []
 
 
