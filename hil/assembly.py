@@ -16,6 +16,7 @@ from hil.loop import Loop, Report
 from hil.metrics import CommandLimits, SignalFigures
 from hil.parts import PartsOf
 from hil.ports import Sink
+from hil.realtime import RealTime, Wanted, real_time
 from hil.references import Feasibility
 from hil.results import MemorySink, RunResult
 from hil.run_events import RunEvents
@@ -150,13 +151,16 @@ def run_scenario(
         sinks: list[Sink] = [sink for sink in (memory, recording, streaming, events) if sink is not None]
         made = parts.make(bench, _All(sinks), note)
         loop = Loop(made, scenario.controller.mode, parts.timing, rearm=scenario.loop.rearm)
-        origin_ns = _reach(bench, lambda: bench.device.start(bench.clock, scenario.loop.period_ns))
-        bench.begin(origin_ns)
-        with watch(loop) if watch is not None else contextlib.nullcontext():
-            report = loop.run(origin_ns, round(scenario.loop.duration_s * NS))
+        # Behind all other processes, which inherit the processors, and before the robot arms: locking takes its time.
+        with _real_time(scenario, bench) as granted:
+            origin_ns = _reach(bench, lambda: bench.device.start(bench.clock, scenario.loop.period_ns))
+            bench.begin(origin_ns)
+            with watch(loop) if watch is not None else contextlib.nullcontext():
+                report = loop.run(origin_ns, round(scenario.loop.duration_s * NS))
         failure = bench.stop_robot() or report.failure
         outcomes = events.finish(loop.t_s)
         metrics = _figures(scenario, bench, memory, report, failure, loop, outcomes)
+        metrics["realtime"] = None if granted is None else granted.figures()
         metrics["shadows"] = [] if laws.shadows is None else laws.shadows.figures()
         metrics["reference"] = {"kind": scenario.reference.kind, **demands.figures()}
         if tracing is not None:
@@ -177,6 +181,13 @@ def check_scenario(scenario: Scenario) -> Feasibility:
     Raises BadInputError for what the law or the reference refuse.
     """
     return PartsOf(scenario).demands()
+
+
+def _real_time(scenario: Scenario, bench: Bench) -> AbstractContextManager[RealTime | None]:
+    """Return what takes ``[realtime]``, for the controller and for a robot in this process; in lockstep nothing."""
+    if scenario.loop.mode == "lockstep":
+        return contextlib.nullcontext()
+    return real_time(Wanted(**dict(scenario.realtime)), bench.robot_threads)
 
 
 T = TypeVar("T")
@@ -247,6 +258,7 @@ def _figures(
         "link": scenario.link.url,
         "seed": scenario.loop.seed,
         **figures,
+        "lateness_us": loop.lateness.figures(),
         "deadline_misses": report.deadline_misses,  # the rows do not know of those after the last one
         "realtime_factor": realtime_factor,
         "frames": {"sent": device.sent, "received": device.received, "rejected": device.rejected()},

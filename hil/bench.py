@@ -303,6 +303,12 @@ class Bench:
         return self._robot.failure() if self._robot is not None else None
 
     @property
+    def robot_threads(self) -> tuple[int, ...]:
+        """Native ids of the threads that are the robot in this process."""
+        native_id = None if self._thread is None else self._thread.native_id
+        return () if native_id is None else (native_id,)
+
+    @property
     def slipped_ticks(self) -> int:
         """Robot time that the virtual robot in this process lost to stalls of this machine, in ms."""
         return self._server.slipped_ticks if self._server is not None else 0

@@ -16,8 +16,11 @@ from hil.commands import live as live_view
 from hil.commands.catalogue import catalogue
 from hil.commands.check import check
 from hil.commands.compare import compare
+from hil.commands.doctor import doctor
 from hil.commands.fmu import app as fmu_app
 from hil.commands.fuzzy import fuzzy
+from hil.commands.group import Commands
+from hil.commands.init import init
 from hil.commands.options import (
     Json,
     LinkUrl,
@@ -39,9 +42,11 @@ from hil.commands.trace import decode
 from hil.errors import BadInputError, DeviceError, HilError, LinkError, RunInterruptedError
 
 app = typer.Typer(
+    cls=Commands,
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,  # to lay the help out in boxes takes longer to import than all else together
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Test a Mecanum robot's controller against a plant FMU before the wheels touch the ground.",
 )
@@ -131,8 +136,10 @@ app.command()(check)
 app.command()(compare)
 app.command()(device)
 app.command()(decode)
+app.command()(doctor)
 app.command()(params)
 app.command()(fuzzy)
+app.command()(init)
 app.command()(live_view.live)
 app.command()(replay)
 app.command()(reproduce)

@@ -16,6 +16,7 @@ from hil.devices.virtual import VirtualStm32
 from hil.links.opening import open_robot
 from hil.links.url import parse_link
 from hil.links.wire import Wire
+from hil.realtime import Wanted, real_time
 from hil.scenario import Scenario
 from hil.trace import Trace
 from hil.trace.tap import TracedWire
@@ -34,7 +35,8 @@ def serve(
     ``trace`` is a file for what is on the wire. With a ``lifeline``, the descriptor of a pipe, it ends with that too:
     when whoever held the other end is gone.
 
-    ``say`` gets one line when the robot is ready: how to reach it; and one at the end each if this machine's stalls
+    ``say`` gets one line when the robot is ready: how to reach it; one for each part of ``[realtime]`` that was not
+    granted; and one at the end each if this machine's stalls
     cost robot time, and if the trace is incomplete. Raises BadInputError when a part cannot be made, LinkError when
     the link is lost, DeviceError when the plant fails.
     """
@@ -50,6 +52,9 @@ def serve(
             wire = _traced(wire, tracing, robot, lockstep=lockstep)
         truth = TruthServer(scenario.hash, truth_port)
         resources.callback(truth.close)
+        # Before robot time begins: to lock memory takes a tenth of a second.
+        wanted = Wanted(**dict(scenario.realtime))
+        granted = None if lockstep else resources.enter_context(real_time(wanted))
         server = open_server(robot, wire, truth, lockstep=lockstep)
         truth.request_reset = server.request_reset
         truth.ask_faults = server.ask
@@ -60,6 +65,8 @@ def serve(
                 target=_stop_at_the_end, args=(lifeline, server.stop), name="lifeline", daemon=True
             ).start()
         say(f"ready link={reach} truth={truth.url} mode={scenario.loop.mode} scenario={scenario.name}")
+        for sentence in granted.figures()["refused"].values() if granted is not None else ():
+            say(f"not granted: {sentence}")
         try:
             server.serve()
         finally:

@@ -46,6 +46,14 @@ def figure_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
     tick = metrics.get("tick_us")
     if tick is not None:
         yield "tick p50, p99", f"{tick['p50']:.1f}, {tick['p99']:.1f} µs"
+    late = metrics.get("lateness_us")
+    if late is not None and late["max"] > 0.0:  # in lockstep no tick can be late
+        shown = ", ".join(f"{late[name]:.0f}" for name in ("p50", "p99", "p99.9", "max"))
+        yield "late p50, 99, 99.9, max", f"{shown} µs"
+    if (realtime := metrics.get("realtime")) is not None:
+        yield "granted", "; ".join(realtime["granted"].values()) or "nothing"
+        for sentence in realtime["refused"].values():
+            yield "not granted", sentence
     frames = metrics.get("frames")
     if frames is not None:
         rejected = ", ".join(f"{cause} {count}" for cause, count in frames["rejected"].items()) or "none"

@@ -5,6 +5,7 @@ import time
 from typing import Any, NamedTuple
 
 from hil.errors import DeviceError, HilError, LinkError, RobotStoppedError
+from hil.lateness import Lateness
 from hil.recovery import Recovered, Recovery
 from hil.sampling import Sampling, Timing
 from hil.signals import LoopSignals
@@ -51,6 +52,7 @@ class Loop:
         self._recoveries: list[Recovered] = []
         self._misses = 0
         self._tick_us = NAN
+        self.lateness = Lateness()
         self.t_s = 0.0
 
     def run(self, origin_ns: int, duration_ns: int) -> Report:
@@ -152,6 +154,7 @@ class Loop:
         parts, doing = self._parts, self._doing
         self.t_s = number * self._timing.period_ns * 1e-9
         now = LoopSignals(self.t_s, number, late_ns * 1e-3, self._tick_us, self._misses)
+        self.lateness.add(late_ns)
         fix = self._sampling.fix_of(number)
         if parts.faults is not None:
             parts.faults.at(number * self._timing.period_ns)

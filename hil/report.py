@@ -16,6 +16,7 @@ from hil.results import RunResult
 
 if TYPE_CHECKING:
     from hil.assembly import Watch
+    from hil.doctor import Finding
     from hil.loop import Loop
     from hil.plant.info import FmuInfo, VariableInfo
     from hil.plant.tools import CheckResult
@@ -202,6 +203,14 @@ def print_demands(demands: "Feasibility") -> None:
         print(f"  {label:<22} {most}; the limit is {demand.limit:g} {demand.unit}")
     for sentence in demands.sentences:
         print(f"  {'not feasible':<22} {sentence}")
+
+
+def print_findings(findings: Sequence["Finding"]) -> None:
+    """Print what was found of this machine, the verdict first, and below it what to do."""
+    for verdict, subject, sentence, remedy in findings:
+        print(f"{verdict:<8} {subject:<15} {sentence}")
+        if remedy:
+            print(f"{'':<24} -> {remedy}")
 
 
 def print_table(rows: Sequence[Sequence[str]]) -> None:

@@ -27,6 +27,7 @@ FIGURES = {
     "realtime_factor",
     "tick_us",
     "deadline_misses",
+    "lateness_us",
     "frames",
     "wire_sha256",
     "recording",

@@ -21,6 +21,7 @@ PROPERTIES = {"scenario_name": "made_up_circle", "law": "none", "scenario": '{"r
 SUMMARY = {
     "passed": True,
     "realtime_factor": None,
+    "lateness_us": {"p50": 31.0, "p99": 65.0, "p99.9": 640.0, "max": 8700.0, "edges": [1.0], "counts": [0, 12]},
     "frames": {"sent": 12, "received": 34, "rejected": {"crc": 1}},
     "link_statistics": {"lost": {"snapshots": 3}, "load": None, "reasons": {"load": "memory has no bit rate"}},
     "pose_fixes": {"received": 60, "accepted": 58},

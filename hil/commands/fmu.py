@@ -6,10 +6,11 @@ from typing import Annotated
 
 import typer
 
+from hil.commands.group import Commands
 from hil.commands.options import Json, print_json
 from hil.errors import BadInputError
 
-app = typer.Typer(no_args_is_help=True, help="The plant: build, look at and check FMUs.")
+app = typer.Typer(cls=Commands, no_args_is_help=True, help="The plant: build, look at and check FMUs.")
 
 
 @app.command("build")

@@ -319,6 +319,11 @@ class ServerThread:
         except HilError as error:
             self.failure = error
 
+    @property
+    def native_id(self) -> int | None:
+        """Id of the thread as the operating system has it; None where it has ended already."""
+        return self._thread.native_id if self._thread.is_alive() else None
+
     def close(self) -> None:
         """Stop the robot and wait for its thread."""
         self._server.stop()

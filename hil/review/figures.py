@@ -18,9 +18,19 @@ from hil.telemetry.known import table_rows
 _NO_SUMMARY = "the recording has no summary: the run did not come to its end"
 _UNSAID = "the run's summary does not say"
 _WHAT_IT_WAS = {"scenario": "scenario_name", "law": "law", "mode": "mode", "link": "link", "seed": "seed"}
-_FROM_SUMMARY = ("passed", "realtime_factor", "frames", "link_statistics", "pose_fixes", "wire_sha256")
+_FROM_SUMMARY = ("passed", "realtime_factor", "lateness_us", "frames", "link_statistics", "pose_fixes", "wire_sha256")
 # What may well have nothing to say, so that no reason is given where it does not.
-_OUTCOME = ("failure", "stopped", "expect", "fault", "recoveries", "commands_refused", "stale_ticks", "recorded")
+_OUTCOME = (
+    "failure",
+    "stopped",
+    "expect",
+    "fault",
+    "recoveries",
+    "commands_refused",
+    "stale_ticks",
+    "realtime",
+    "recorded",
+)
 _MADE = ("command", "started", "mecanum_hil", "commit", "python", "machine")
 _NAMED = 4
 

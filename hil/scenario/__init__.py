@@ -18,6 +18,7 @@ from hil.scenario.tables import (
     LinkTable,
     LoopTable,
     PlantTable,
+    RealtimeTable,
     ReferenceTable,
     RobotTable,
 )
@@ -34,6 +35,7 @@ __all__ = [
     "LinkTable",
     "LoopTable",
     "PlantTable",
+    "RealtimeTable",
     "ReferenceTable",
     "RobotTable",
     "Scenario",

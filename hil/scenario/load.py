@@ -20,7 +20,7 @@ from hil.scenario.toml_text import format_value, key_lines, parse, parse_value
 from hil.suffix import TEST_SUFFIX
 
 SHIPPED_DIRECTORY = Path(__file__).parent.parent / "scenarios"
-ROBOT_TABLES = ("robot", "firmware", "device", "link")
+ROBOT_TABLES = ("robot", "firmware", "device", "link", "realtime")
 """What a robot's own file may hold, so that any scenario runs on it."""
 
 _SUFFIX = ".toml"

@@ -131,8 +131,8 @@ def _expected(problem: Any, path: Path) -> str:
         return str(problem["ctx"]["error"])
     field, in_array = _field(path), path[-1].isdigit()
     if in_array and field is not None:
-        choice = get_args(get_args(field.annotation)[0])
-        return f"expected {_either(choice)}" if choice else "expected a table"
+        item = get_args(field.annotation)[0]
+        return f"expected {_item(item)}" if get_origin(item) is Literal or item is int else "expected a table"
     if problem["type"] == "finite_number":
         return _expected_of(field).replace("a number", "a finite number")
     return _expected_of(field)
@@ -149,7 +149,7 @@ def _expected_of(field: FieldInfo | None) -> str:
     if get_origin(kind) is Literal:
         return f"expected {_either(get_args(kind))}"
     if get_origin(kind) is tuple:
-        return f"expected an array, each item {_either(get_args(get_args(kind)[0]))}"
+        return f"expected an array, each item {_item(get_args(kind)[0])}"
     if kind is str:
         return "expected text in quotation marks"
     if kind is bool:
@@ -159,6 +159,11 @@ def _expected_of(field: FieldInfo | None) -> str:
     if kind not in (int, float) and float not in get_args(kind):
         return "expected a table"
     return f"expected a {'whole number' if kind is int else 'number'}{_range(field)}"
+
+
+def _item(kind: Any) -> str:
+    """Return what an item of an array is."""
+    return "a whole number" if kind is int else _either(get_args(kind))
 
 
 def _either(choice: tuple[object, ...]) -> str:

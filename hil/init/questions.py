@@ -1,0 +1,116 @@
+"""What is asked of a robot, in this order, and what is proposed: the paper's robot, and what follows from answers."""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
+
+from hil.scenario.layers import assign
+from hil.scenario.problems import describe
+from hil.scenario.tables import Tables
+
+Value = float | int | str
+Answers = Mapping[str, Value]
+
+_GRAVITY_M_S2 = 9.81
+_GRIP = 0.7
+_SPEED_M_S = 1.5
+_WHEEL_SHARE = 0.09
+"""Of the robot's mass in one wheel with its rollers and motor, a disc."""
+
+
+class Question(NamedTuple):
+    """A key of a robot's file, and what is proposed for it, from the answers before it."""
+
+    key: str
+    proposed: Callable[[Answers], Value]
+    option: str = ""
+
+    @property
+    def flag(self) -> str:
+        """How the command line has it."""
+        return self.option or f"--{self.key.partition('.')[2].replace('_', '-')}"
+
+    @property
+    def description(self) -> str:
+        """What the scenario's table says of it."""
+        return field_of(self.key).description or ""
+
+    def read(self, text: str) -> Value:
+        """Return the value that a text is meant as: a number where the table has one. Raises ValueError."""
+        kind = field_of(self.key).annotation
+        if kind is int:
+            return int(text)
+        return float(text) if kind is float else text
+
+
+def _number(answers: Answers, name: str) -> float:
+    return float(answers[f"robot.{name}"])
+
+
+def _rounded(value: float) -> float:
+    """Return a value with the three digits that a proposal deserves."""
+    return float(f"{value:.3g}")
+
+
+def _box_inertia(answers: Answers) -> float:
+    """Return the yaw inertia of a plate as long and wide as the wheels stand, m (l1² + l2²) / 3."""
+    length_m, width_m = _number(answers, "half_length_m"), _number(answers, "half_width_m")
+    return _rounded(_number(answers, "mass_kg") * (length_m**2 + width_m**2) / 3)
+
+
+def _wheel_inertia(answers: Answers) -> float:
+    return _rounded(_WHEEL_SHARE * _number(answers, "mass_kg") * _number(answers, "wheel_radius_m") ** 2 / 2)
+
+
+def _gripping_torque(answers: Answers) -> float:
+    """Return the torque at which rollers begin to slip on a floor of 0.7: mu m g / 4 r / sqrt(2)."""
+    weight_n = _number(answers, "mass_kg") * _GRAVITY_M_S2
+    return min(15.0, _rounded(_GRIP * weight_n / 4 * _number(answers, "wheel_radius_m") / math.sqrt(2)))
+
+
+def _walking_speed(answers: Answers) -> float:
+    return min(60.0, _rounded(_SPEED_M_S / _number(answers, "wheel_radius_m")))
+
+
+def _torque_constant(answers: Answers) -> float:
+    """Return a constant with which the torque limit is some 1.4 A."""
+    return max(0.001, _rounded(0.7 * _number(answers, "torque_limit_n_m")))
+
+
+QUESTIONS = (
+    Question("robot.mass_kg", lambda _: 20.0),
+    Question("robot.wheel_radius_m", lambda _: 0.075),
+    Question("robot.half_length_m", lambda _: 0.3),
+    Question("robot.half_width_m", lambda _: 0.3),
+    Question("robot.inertia_kg_m2", _box_inertia),
+    Question("robot.wheel_inertia_kg_m2", _wheel_inertia),
+    Question("robot.torque_limit_n_m", _gripping_torque),
+    Question("robot.speed_limit_rad_s", _walking_speed),
+    Question("firmware.counts_per_revolution", lambda _: 4096),
+    Question("firmware.torque_constant_n_m_a", _torque_constant),
+    Question("link.url", lambda _: "memory:", "--link"),
+)
+
+
+def field_of(key: str) -> FieldInfo:
+    """Return the field of a dotted key of a scenario."""
+    table, _, name = key.partition(".")
+    model = Tables.model_fields[table].annotation
+    assert isinstance(model, type)
+    assert issubclass(model, BaseModel)
+    return model.model_fields[name]
+
+
+def problem_with(question: Question, value: Value) -> str | None:
+    """Return what is wrong with an answer, as the scenario's own check says it; None where nothing is."""
+    table, _, name = question.key.partition(".")
+    place = f"{question.flag}: "
+    try:
+        Tables.model_validate({table: {name: value}})
+    except ValidationError as error:
+        said = describe(error, assign({}, question.key, value, question.flag), "")
+        return next((sentence.removeprefix(place) for sentence in said if sentence.startswith(place)), None)
+    return None

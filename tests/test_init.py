@@ -1,0 +1,110 @@
+"""``hil init``: what it writes is a robot and a scenario that run, whatever the robot."""
+
+import os
+import sys
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import hil
+from hil.assembly import check_scenario
+from hil.commands.init import init
+from hil.errors import BadInputError
+from hil.init import QUESTIONS, ROBOT_FILE, SCENARIO_FILE, begin
+from hil.scenario import load
+from tests.processes import HIL, environment
+
+
+def _answers(**known: Any) -> dict[str, Any]:
+    """Return answers to all questions: those known, and else what is proposed."""
+    answers: dict[str, Any] = {}
+    for question in QUESTIONS:
+        name = question.key.partition(".")[2]
+        answers[question.key] = known.get(name, question.proposed(answers))
+    return answers
+
+
+@settings(max_examples=8, deadline=None)
+@given(
+    st.floats(0.5, 2000.0),
+    st.floats(0.02, 0.3),
+    st.floats(0.05, 1.5),
+    st.floats(0.05, 1.5),
+)
+def test_whatever_the_robot_its_first_circle_is_one_that_it_can_drive(
+    tmp_path_factory: pytest.TempPathFactory, mass: float, radius: float, length: float, width: float
+) -> None:
+    folder = tmp_path_factory.mktemp("robot")
+    answers = _answers(mass_kg=mass, wheel_radius_m=radius, half_length_m=length, half_width_m=width)
+    _, path = begin(folder, answers, force=False)
+    scenario = load(path)
+    assert check_scenario(scenario).sentences == ()
+    assert scenario.robot.mass_kg == mass
+    assert scenario.provenance["robot.mass_kg"].endswith(f"{ROBOT_FILE}:4")
+
+
+@pytest.mark.parametrize(
+    "sizes",
+    [(1.2, 0.03, 0.08, 0.09), (20.0, 0.075, 0.3, 0.3), (400.0, 0.2, 0.8, 0.5)],
+    ids=["desk", "paper", "pallet"],
+)
+def test_the_first_circle_is_driven_and_passes(tmp_path: Path, sizes: tuple[float, ...]) -> None:
+    names = ("mass_kg", "wheel_radius_m", "half_length_m", "half_width_m")
+    _, path = begin(tmp_path, _answers(**dict(zip(names, sizes, strict=True))), force=False)
+    (expected,) = load(path).expect
+    run = hil.run(path, set={"loop.duration_s": expected.from_s + 1.0})
+    assert run.passed, run.metrics["expect"]
+
+
+def test_by_flags_both_files_are_written_and_never_over_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "new"
+    init(folder, mass_kg=12.0, link="serial:/dev/ttyACM0", defaults=True)
+    robot = tomllib.loads((folder / ROBOT_FILE).read_text("utf-8"))
+    assert robot["robot"]["mass_kg"] == 12.0
+    assert robot["link"]["url"] == "serial:/dev/ttyACM0"
+    hint = capsys.readouterr().out.splitlines()[1]
+    assert hint.startswith(f"Next: hil run {folder / SCENARIO_FILE} --link memory:")
+    assert load("paper_circle", robot=folder / ROBOT_FILE).robot.mass_kg == 12.0
+    with pytest.raises(BadInputError, match="is there already; name another folder, or replace it with --force"):
+        init(folder, defaults=True)
+    init(folder, defaults=True, force=True)
+    assert tomllib.loads((folder / ROBOT_FILE).read_text("utf-8"))["robot"]["mass_kg"] == 20.0
+
+
+def test_a_wrong_flag_is_answered_as_the_scenario_answers_it(tmp_path: Path) -> None:
+    with pytest.raises(BadInputError) as wrong:
+        init(tmp_path, wheel_radius_m=75.0, defaults=True)
+    assert str(wrong.value) == "--wheel-radius-m: robot.wheel_radius_m = 75.0; expected a number from 0.001 to 1"
+    with pytest.raises(BadInputError, match="stdin is no terminal; give --wheel-radius-m, "):
+        init(tmp_path, mass_kg=12.0)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a pseudo-terminal stands for the person")
+def test_a_person_is_asked_again_until_the_answer_is_one(tmp_path: Path) -> None:
+    import pty
+
+    pid, terminal = pty.fork()
+    if pid == 0:
+        os.execve(sys.executable, [*HIL, "init", str(tmp_path), "--mass-kg", "12"], environment())
+    os.write(terminal, b"75\nwide\n0.06\n" + b"\n" * len(QUESTIONS))
+    said = b""
+    while True:
+        try:
+            said += os.read(terminal, 4096)
+        except OSError:  # how a pseudo-terminal ends
+            break
+    os.close(terminal)
+    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0, said.decode()
+    text = said.decode()
+    assert "robot.wheel_radius_m: r [0.075]" in text
+    assert "robot.wheel_radius_m = 75.0; expected a number from 0.001 to 1" in text
+    assert "'wide' is no number" in text
+    robot = tomllib.loads((tmp_path / ROBOT_FILE).read_text("utf-8"))["robot"]
+    assert (robot["mass_kg"], robot["wheel_radius_m"]) == (12.0, 0.06)

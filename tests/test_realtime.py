@@ -1,0 +1,136 @@
+"""What a process asks of the operating system for a run in real time, and that it gives it back."""
+
+import gc
+import json
+import os
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+import hil
+from hil.figure_words import figure_rows
+from hil.realtime import GC_THRESHOLD, Wanted, parse_cpus, real_time
+from tests.processes import environment
+
+linux = pytest.mark.skipif(sys.platform != "linux", reason="the scheduler asked is Linux's")
+
+_AS_NOBODY = """
+import json, os, resource, sys
+from hil.realtime import Wanted, real_time
+resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
+resource.setrlimit(resource.RLIMIT_MEMLOCK, (65536, 65536))
+if os.geteuid() == 0:
+    os.setuid(65534)
+with real_time(Wanted(40, (4096,), True)) as granted:
+    print(json.dumps([granted.figures(), os.sched_getscheduler(0)]))
+"""
+
+
+def _state() -> tuple[object, ...]:
+    """Return all that ``real_time`` may change of this thread and process."""
+    mine = (os.sched_getscheduler(0), os.sched_getparam(0).sched_priority, os.sched_getaffinity(0))
+    slack, status = (Path(f"/proc/self/{name}").read_text() for name in ("timerslack_ns", "status"))
+    locked = [line for line in status.splitlines() if line.startswith("VmLck")]
+    return (*mine, slack, locked, gc.get_threshold(), gc.get_freeze_count(), sys.getswitchinterval())
+
+
+@linux
+def test_every_setting_is_taken_back() -> None:
+    gc.collect()
+    before = _state()
+    with real_time(Wanted(40, (min(os.sched_getaffinity(0)),), True)) as granted:
+        within = _state()
+        assert gc.get_threshold()[0] == GC_THRESHOLD
+        assert len(os.sched_getaffinity(0)) == 1
+    assert within != before
+    assert _state() == before
+    names = {setting.name for setting in granted.settings}
+    assert names == {
+        *("garbage collector", "switch interval", "timer slack", "idle states", "processors", "memory", "priority")
+    }
+
+
+@linux
+def test_what_is_not_wanted_is_not_asked_for() -> None:
+    before = _state()[:3]
+    with real_time(Wanted(0, (), False)) as granted:
+        assert _state()[:3] == before
+    assert not {"priority", "memory"} & {setting.name for setting in granted.settings}
+
+
+@linux
+def test_a_refusal_is_a_sentence_that_says_what_to_do() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", _AS_NOBODY], capture_output=True, text=True, check=False, env=environment()
+    )
+    assert done.returncode == 0, done.stderr
+    figures, policy = json.loads(done.stdout)
+    refused = figures["refused"]
+    assert policy == os.SCHED_OTHER
+    assert refused["priority"].startswith("SCHED_FIFO 40: refused (Operation not permitted), the user's rtprio is 0; ")
+    assert refused["memory"].startswith("memory: not locked, for only 64 KiB may be; give the user memlock unlimited")
+    assert refused["processors"].startswith("processors 4096: refused")
+    assert set(figures["granted"]) >= {"garbage collector", "switch interval", "timer slack"}
+
+
+@linux
+def test_children_begin_as_ordinary() -> None:
+    ask = [sys.executable, "-c", "import os; print(os.sched_getscheduler(0))"]
+    with real_time(Wanted(40, (), False)) as granted:
+        child = subprocess.run(ask, capture_output=True, text=True, check=True)
+    if "priority" in granted.figures()["refused"]:
+        pytest.skip("a real-time priority takes root or a limit")
+    assert int(child.stdout) == os.SCHED_OTHER
+
+
+@linux
+def test_a_thread_that_has_ended_is_not_given_anything_back() -> None:
+    done = threading.Event()
+    thread = threading.Thread(target=done.wait)
+    thread.start()
+    assert thread.native_id is not None
+    with real_time(Wanted(1, (), False), [thread.native_id]):
+        done.set()
+        thread.join()
+    assert os.sched_getscheduler(0) == os.SCHED_OTHER
+
+
+def test_processors_are_read_as_the_kernel_writes_them() -> None:
+    assert parse_cpus("0-3,7\n") == (0, 1, 2, 3, 7)
+    assert parse_cpus("\n") == ()
+
+
+@linux
+@pytest.mark.alone
+def test_a_run_in_real_time_says_what_was_granted_and_leaves_the_process_as_it_was() -> None:
+    gc.collect()
+    before = _state()
+    run = hil.run("circle_speed", mode="realtime", set={"loop.duration_s": 0.5, "realtime.priority": 1})
+    assert run.failure is None
+    said = run.metrics["realtime"]
+    assert "garbage collector" in said["granted"]
+    assert "priority" in said["granted"] | said["refused"]
+    assert _state() == before
+    late = run.metrics["lateness_us"]
+    assert sum(late["counts"]) == run.metrics["ticks"]
+    assert 0.0 < late["p50"] <= late["p99"] <= late["p99.9"] <= late["max"]
+
+
+def test_a_run_says_in_words_how_late_it_was_and_what_it_was_refused() -> None:
+    late = {"p50": 31.0, "p99": 65.4, "p99.9": 640.0, "max": 8700.0}
+    said = {"granted": {"a": "timer slack: 1 ns", "b": "SCHED_FIFO 40"}, "refused": {"c": "memory: not locked"}}
+    rows = list(figure_rows({"lateness_us": late, "realtime": said}))
+    assert ("late p50, 99, 99.9, max", "31, 65, 640, 8700 µs") in rows
+    assert ("granted", "timer slack: 1 ns; SCHED_FIFO 40") in rows
+    assert ("not granted", "memory: not locked") in rows
+    still = {"lateness_us": dict.fromkeys(late, 0.0), "realtime": None}
+    assert list(figure_rows(still)) == []
+
+
+def test_a_run_in_lockstep_asks_for_nothing() -> None:
+    run = hil.run("circle_speed", set={"loop.duration_s": 0.1})
+    assert run.metrics["realtime"] is None
+    assert run.metrics["lateness_us"]["max"] == 0.0
