@@ -16,6 +16,7 @@ from hil.commands import live as live_view
 from hil.commands.catalogue import catalogue
 from hil.commands.check import check
 from hil.commands.compare import compare
+from hil.commands.ctl import app as ctl_app
 from hil.commands.fmu import app as fmu_app
 from hil.commands.fuzzy import fuzzy
 from hil.commands.options import (
@@ -46,6 +47,7 @@ app = typer.Typer(
     help="Test a Mecanum robot's controller against a plant FMU before the wheels touch the ground.",
 )
 app.add_typer(fmu_app, name="fmu")
+app.add_typer(ctl_app, name="ctl")
 
 
 @app.command()

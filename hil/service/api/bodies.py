@@ -3,6 +3,7 @@
 The same models check HTTP bodies and the arguments on the WebSocket, and make up the OpenAPI document.
 """
 
+import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -104,8 +105,7 @@ def _part(error: Mapping[str, Any]) -> str:
         return f"{where or 'the body'} is missing"
     value = error["input"]
     given = f" = {value!r}" if isinstance(value, bool | int | float | str) else ""
-    message = error["msg"].removeprefix("Input ")
-    return f"{where}{given}: it {message}" if message != error["msg"] else f"{where}{given}: {message}"
+    return f"{where}{given}: {re.sub('^(Input|String) ', 'it ', error['msg'])}"
 
 
 _MOST_HEADING_RAD = 1000.0
