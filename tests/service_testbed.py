@@ -57,7 +57,7 @@ class ControlSide:
 
     Attributes:
         orders: what has come, in order. answer: what it says to an order, None for nothing. speaks: whether it sends
-        the status. status: what it sends.
+        the status. status: what it sends. turn: whoever holds it stops the loop.
     """
 
     def __init__(self, child: ApiChild) -> None:
@@ -66,6 +66,7 @@ class ControlSide:
         self.answer: Callable[[Order], Answer | None] = lambda order: Answer(order.number)
         self.speaks = True
         self.status = STATUS
+        self.turn = threading.Lock()
         self._late: deque[Answer] = deque()
         # With verify, each client would load all certificates, for 0.1 s.
         self._http = httpx.Client(trust_env=False, verify=False, timeout=30.0)
@@ -114,15 +115,16 @@ class ControlSide:
     def _run(self) -> None:
         due_s = 0.0
         while not self._ends.wait(0.001):
-            for order in self.child.orders():
-                self.orders.append(order)
-                if (answer := self.answer(order)) is not None:
-                    self.child.send(answer)
-            while self._late:
-                self.child.send(self._late.popleft())
-            if self.speaks and time.monotonic() >= due_s:
-                due_s = time.monotonic() + 0.05
-                self.child.send(replace(self.status, time_unix_s=time.time()))
+            with self.turn:
+                for order in self.child.orders():
+                    self.orders.append(order)
+                    if (answer := self.answer(order)) is not None:
+                        self.child.send(answer)
+                while self._late:
+                    self.child.send(self._late.popleft())
+                if self.speaks and time.monotonic() >= due_s:
+                    due_s = time.monotonic() + 0.05
+                    self.child.send(replace(self.status, time_unix_s=time.time()))
 
 
 @contextlib.contextmanager
