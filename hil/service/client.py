@@ -71,10 +71,10 @@ class Client:
         return result
 
     def watch(self) -> Iterator[dict[str, Any]]:
-        """Yield the status as it comes, until the service ends."""
+        """Yield the status as it comes. Raises LinkError when the service ends."""
         with self._live() as socket:
-            for message in socket:
-                told = json.loads(message)
+            while True:
+                told = json.loads(socket.recv())
                 if "status" in told:
                     yield told["status"]
 

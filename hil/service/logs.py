@@ -29,17 +29,17 @@ def configure(style: LogStyle, process: str, descriptor: int = 2) -> None:
     _LOGGER.setLevel(logging.INFO)
 
 
-def info(event: str, **fields: object) -> None:
+def info(event: str, /, **fields: object) -> None:
     """Log something that is as it should be. The event is a constant text; what varies goes into the fields."""
     _LOGGER.info(event, extra={"fields": fields})
 
 
-def warning(event: str, **fields: object) -> None:
+def warning(event: str, /, **fields: object) -> None:
     """Log something that went wrong and was put right, or that somebody should look at."""
     _LOGGER.warning(event, extra={"fields": fields})
 
 
-def error(event: str, **fields: object) -> None:
+def error(event: str, /, **fields: object) -> None:
     """Log something that failed."""
     _LOGGER.error(event, extra={"fields": fields})
 
