@@ -26,6 +26,17 @@ def away_from_terminal() -> dict[str, Any]:
     return {"start_new_session": True}
 
 
+def start_children_as_ordinary() -> None:
+    """Have processes that this thread starts begin without a real-time priority that it may have inherited.
+
+    One that imports its libraries with the loop's own priority makes ticks late by tens of milliseconds.
+    """
+    if sys.platform == "linux":
+        policy = os.sched_getscheduler(0)
+        if policy in (os.SCHED_FIFO, os.SCHED_RR):
+            os.sched_setscheduler(0, policy | os.SCHED_RESET_ON_FORK, os.sched_getparam(0))
+
+
 def wait_for_end(descriptor: int) -> None:
     """Return when a pipe has ended, as when whoever held its other end is gone; for a thread that does nothing else.
 

@@ -16,6 +16,7 @@ from hil.commands import live as live_view
 from hil.commands.catalogue import catalogue
 from hil.commands.check import check
 from hil.commands.compare import compare
+from hil.commands.ctl import app as ctl_app
 from hil.commands.doctor import doctor
 from hil.commands.fmu import app as fmu_app
 from hil.commands.fuzzy import fuzzy
@@ -51,6 +52,7 @@ app = typer.Typer(
     help="Test a Mecanum robot's controller against a plant FMU before the wheels touch the ground.",
 )
 app.add_typer(fmu_app, name="fmu")
+app.add_typer(ctl_app, name="ctl")
 
 
 @app.command()

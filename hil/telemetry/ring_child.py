@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from hil.telemetry.channel import LineReader, LineWriter
+from hil.json_lines import LineReader, LineWriter
 from hil.telemetry.memory import SharedBlock
 from hil.telemetry.ring import RingReader
 

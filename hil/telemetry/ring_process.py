@@ -16,10 +16,11 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import IO, Any, cast
 
-from hil.child import away_from_terminal, module_command
+from hil.child import away_from_terminal, module_command, start_children_as_ordinary
 from hil.errors import BadInputError, DeviceError
-from hil.telemetry.channel import LineReader, LineWriter, Patience
+from hil.json_lines import LineReader, LineWriter
 from hil.telemetry.memory import SharedBlock
+from hil.telemetry.patience import Patience
 from hil.telemetry.ring import RingWriter, Row, ring_bytes
 
 _PATIENCE_WAITS = 60_000  # of 0.5 ms, without any progress of the other process: about 30 s
@@ -187,7 +188,7 @@ class RingProcess:
 
     def _keep(self) -> None:
         """Take the replies, and see to it that there is a process; in a thread that else only waits."""
-        _start_children_as_ordinary()
+        start_children_as_ordinary()
         starts = 0
         finished = False
         while True:
@@ -291,17 +292,6 @@ def _start(module: str, block: SharedBlock, stderr: Any, environment: Mapping[st
         env=dict(environment),
         **options,
     )
-
-
-def _start_children_as_ordinary() -> None:
-    """Have processes that this thread starts begin without a real-time priority that it may have inherited.
-
-    One that imports its libraries with the loop's own priority makes ticks late by tens of milliseconds.
-    """
-    if sys.platform == "linux":
-        policy = os.sched_getscheduler(0)
-        if policy in (os.SCHED_FIFO, os.SCHED_RR):
-            os.sched_setscheduler(0, policy | os.SCHED_RESET_ON_FORK, os.sched_getparam(0))
 
 
 def _descriptor(pipe: Any) -> int:

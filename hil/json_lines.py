@@ -1,9 +1,11 @@
-"""One JSON text a line over a pipe: what the run tells the recorder besides rows, and what it answers."""
+"""One JSON text a line over a pipe: how processes of ours talk to each other."""
 
 import json
 import os
+import select
 import sys
-import time
+import threading
+from collections import deque
 from collections.abc import Mapping
 
 KEPT_BACK_BYTES = 256 * 1024
@@ -77,20 +79,52 @@ class LineReader:
         return record
 
 
-class Patience:
-    """Counts waits without progress: a suspended program must not mistake its own absence for a dead peer."""
+class LinePoll:
+    """Reads the records that are at hand, without ever waiting; for a loop that has no time (0.6 µs when none is).
 
-    def __init__(self, waits: int, wait_s: float = 0.0005) -> None:
-        self._waits = waits
-        self._wait_s = wait_s
-        self._left = waits
-        self._progress: object = None
+    ``ended`` tells that the pipe has ended, after its last record. (Windows cannot look into a pipe without waiting:
+    there a thread reads.)
+    """
 
-    def wait(self, progress: object) -> bool:
-        """Wait a little; False when ``progress`` has stayed the same for all the waits that were granted."""
-        if progress != self._progress:
-            self._progress = progress
-            self._left = self._waits
-        self._left -= 1
-        time.sleep(self._wait_s)
-        return self._left > 0
+    ended = False
+
+    if sys.platform == "win32":
+
+        def __init__(self, fd: int) -> None:
+            self._arrived: deque[dict[str, object] | None] = deque()
+            threading.Thread(target=self._read, args=(LineReader(fd),), name="lines", daemon=True).start()
+
+        def _read(self, lines: LineReader) -> None:
+            record: dict[str, object] | None = {}
+            while record is not None:
+                record = lines.read()
+                self._arrived.append(record)
+
+        def take(self) -> list[dict[str, object]]:
+            """Return the records that have arrived, oldest first."""
+            records = []
+            while self._arrived:
+                record = self._arrived.popleft()
+                if record is None:
+                    self.ended = True
+                else:
+                    records.append(record)
+            return records
+
+    else:
+
+        def __init__(self, fd: int) -> None:
+            self._fd = fd
+            self._buffer = b""
+            # Half as long as a read that fails for want of data, which raises.
+            self._poll = select.poll()
+            self._poll.register(fd, select.POLLIN)
+
+        def take(self) -> list[dict[str, object]]:
+            """Return the records that have arrived, oldest first."""
+            if not self._poll.poll(0):
+                return []
+            data = os.read(self._fd, 65536)
+            self.ended = not data
+            *lines, self._buffer = (self._buffer + data).split(b"\n")
+            return [json.loads(line) for line in lines]

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from hil.telemetry.channel import KEPT_BACK_BYTES, LineReader, LineWriter
+from hil.json_lines import KEPT_BACK_BYTES, LineReader, LineWriter
 
 
 @pytest.fixture

@@ -1,0 +1,137 @@
+"""The WebSocket of the API: the status as it comes, and orders with their answers.
+
+Messages are JSON objects, as on the pipe between the processes:
+
+    to the client    {"status": {...}}    {"answer": {"number": 7, "refused": null, "result": {}}}
+    from the client  {"order": {"number": 7, "action": "twist", "arguments": {"vx_m_s": 0.2, ...}}}
+
+The number is the client's own. A client that reads slowly gets fewer statuses, the newest each time, but every answer.
+"""
+
+import asyncio
+import contextlib
+from collections import deque
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from hil.service import logs
+from hil.service.api.bodies import Body, sentence
+from hil.service.api.control import BusyError, Control, NoAnswerError
+from hil.service.messages import Action, Answer, to_line
+
+GOING_AWAY = 1001
+"""Close code: the control process has ended (RFC 6455, 7.4.1)."""
+POLICY_VIOLATION = 1008
+"""Close code: the client does not read its answers."""
+
+_MOST_UNREAD = 256
+
+
+class _Order(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    number: int = Field(ge=0, le=2**53)
+    action: Literal[tuple(action.value for action in Action)]  # type: ignore[valid-type]
+    arguments: dict[str, Any] = {}
+
+
+class _Message(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    order: _Order
+
+
+class LiveClient:
+    """One client on the WebSocket, from its handshake to its end."""
+
+    def __init__(self, socket: WebSocket, control: Control, bodies: Mapping[Action, type[Body]]) -> None:
+        self._socket = socket
+        self._control = control
+        self._bodies = bodies
+        self._answers: deque[Answer] = deque()
+        self._news = asyncio.Event()
+        self._pending: set[asyncio.Task[None]] = set()
+
+    async def serve(self) -> None:
+        """Serve the client until it or the control process goes."""
+        await self._socket.accept()
+        self._control.watch(self._news)
+        self._news.set()
+        parts = [asyncio.create_task(part) for part in (self._listen(), self._tell(), self._control.gone.wait())]
+        try:
+            await asyncio.wait(parts, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            self._control.unwatch(self._news)
+            for task in (*parts, *self._pending):
+                task.cancel()
+            ends = await asyncio.gather(*parts, return_exceptions=True)
+        if self._control.gone.is_set():
+            await self._close(GOING_AWAY, "the control process has ended")
+        for end in ends:
+            if isinstance(end, Exception) and not isinstance(end, WebSocketDisconnect):
+                raise end
+
+    async def _listen(self) -> None:
+        """Take orders, in their order, until the client goes."""
+        while True:
+            message = await self._socket.receive()
+            if message["type"] == "websocket.disconnect":
+                return
+            self._take(message.get("text") or "")
+            if len(self._answers) + len(self._pending) > _MOST_UNREAD:
+                logs.warning("live client is closed: it does not read its answers", unread=len(self._answers))
+                await self._close(POLICY_VIOLATION, f"{_MOST_UNREAD} answers are unread")
+                return
+
+    def _take(self, text: str) -> None:
+        try:
+            order = _Message.model_validate_json(text).order
+        except ValidationError as error:
+            # Without a number there is no order that this could be the answer to.
+            self._put(Answer(_NO_NUMBER, f"this is no order: {sentence(error.errors())}"))
+            return
+        action = Action(order.action)
+        try:
+            body = self._bodies[action].model_validate(order.arguments)
+            sent = self._control.submit(action, body.model_dump())
+        except ValidationError as error:
+            self._put(Answer(order.number, sentence(error.errors())))
+        except BusyError as error:
+            self._put(Answer(order.number, str(error)))
+        else:
+            task = asyncio.create_task(self._answer(order.number, action, sent))
+            self._pending.add(task)
+            task.add_done_callback(self._pending.discard)
+
+    async def _answer(self, number: int, action: Action, sent: "asyncio.Future[Answer]") -> None:
+        try:
+            answer = await self._control.answer(action, sent)
+        except (NoAnswerError, BusyError) as error:
+            self._put(Answer(number, str(error)))
+        else:
+            self._put(Answer(number, answer.refused, answer.result))
+
+    def _put(self, answer: Answer) -> None:
+        self._answers.append(answer)
+        self._news.set()
+
+    async def _tell(self) -> None:
+        """Send answers as they come, and the newest status."""
+        told: Mapping[str, Any] | None = None
+        while True:
+            await self._news.wait()
+            self._news.clear()
+            while self._answers:
+                await self._socket.send_json(to_line(self._answers.popleft()))
+            if self._control.status is not told and (told := self._control.status) is not None:
+                await self._socket.send_json({"status": told})
+
+    async def _close(self, code: int, reason: str) -> None:
+        with contextlib.suppress(RuntimeError):  # the client was first
+            await self._socket.close(code, reason)
+
+
+_NO_NUMBER = -1

@@ -1,0 +1,217 @@
+"""The control process's end of the API process: starts it, takes orders from it and answers, and never waits for it.
+
+When the API process ends it is started again; no orders come meanwhile, and a twist times out as it always does. One
+that takes nothing for ``_HUNG_S`` is killed, for an emergency stop must find somebody who listens.
+"""
+
+import contextlib
+import os
+import subprocess
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from hil.child import away_from_terminal, child_environment, module_command, start_children_as_ordinary
+from hil.errors import BadInputError, DeviceError
+from hil.json_lines import LinePoll, LineWriter
+from hil.service import logs
+from hil.service.api_config import ApiConfig
+from hil.service.claims import Claim
+from hil.service.discovery import Service, announce
+from hil.service.messages import Action, Answer, Order, Status, from_line, to_line
+
+_READY_S = 60.0
+_EXIT_S = 5.0
+_HUNG_S = 5.0
+_FIRST_BACK_OFF_S = 0.1
+_LONGEST_BACK_OFF_S = 5.0
+_LONG_LIFE_S = 60.0  # after which an end is not one of a row
+_NONE: list[Order] = []
+
+
+class ApiChild:
+    """The API process of a service, from the constructor to ``close``; for one thread, that of the ticks.
+
+    The constructor returns when the API listens, and the service can be found by ``hil ctl``. Raises BadInputError when
+    it cannot listen or the token file is not usable, and DeviceError when the process does not start.
+
+    Attributes:
+        url: where it answers; the same after a restart.
+        token_file: the file with the token that its clients show.
+        restarts: how often it was started again.
+    """
+
+    def __init__(self, config: ApiConfig) -> None:
+        self._config = config
+        self._own_token = config.token_file is None
+        # The ticks may be pinned to a core later on, which would pin the API to the same.
+        self._cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else None
+        self._closing = threading.Event()
+        self._starter: threading.Thread | None = None
+        self._process: subprocess.Popen[bytes] | None = None
+        self._lines: LinePoll | None = None
+        self._ready = False
+        self._back_off_s = _FIRST_BACK_OFF_S
+        self._claim: Claim | None = None
+        self._writer: LineWriter
+        self._started_s = self._taken_s = 0.0
+        self.url = ""
+        self.token_file: Path | None = None
+        self.restarts = 0
+        with contextlib.ExitStack() as started:
+            started.callback(self.close)
+            self._start()
+            self._wait_until_ready()
+            service = Service(self.url, os.getpid(), config.title, config.device, str(self.token_file))
+            self._claim = announce(service)
+            started.pop_all()
+
+    @property
+    def alive(self) -> bool:
+        """Whether there is an API process that listens."""
+        return self._ready
+
+    @property
+    def pid(self) -> int | None:
+        """Process id of the API process; None while there is none."""
+        return None if self._process is None else self._process.pid
+
+    def orders(self) -> list[Order]:
+        """Return the orders that have come, emergency stops first; for each tick (0.8 µs when there are none)."""
+        lines = self._lines
+        if lines is None:
+            return _NONE
+        records = lines.take()
+        if not records and not lines.ended:
+            return _NONE
+        orders = [order for record in records if (order := self._heard(record)) is not None]
+        if lines.ended:
+            self._lost()
+        orders.sort(key=_not_estop)
+        return orders
+
+    def send(self, message: Answer | Status) -> None:
+        """Send an answer or the status. Never waits: a status without room is left out, as the next is as good."""
+        if not self._ready:
+            return
+        if self._writer.flush():
+            self._taken_s = time.monotonic()
+        elif time.monotonic() - self._taken_s > _HUNG_S:
+            logs.error("API process takes nothing and is killed", pid=self.pid, for_s=_HUNG_S)
+            self._ready = False
+            if self._process is not None:
+                self._process.kill()  # the end of its pipe is seen by ``orders``
+        elif isinstance(message, Status):
+            return
+        self._writer.send(to_line(message), always=isinstance(message, Answer))
+
+    def close(self) -> None:
+        """End the API process, which tells its clients so, and be found no more. Twice is allowed."""
+        if self._claim is not None:
+            self._claim.release()
+        self._closing.set()
+        if self._starter is not None:
+            self._starter.join()
+        self._ready = False
+        self._lines = None
+        self._end_process()
+        if self._own_token and self.token_file is not None:
+            self.token_file.unlink(missing_ok=True)
+
+    def _start(self) -> None:
+        """Start a process and give it its config. Raises OSError."""
+        self._process = subprocess.Popen(
+            module_command("hil.service.api_process"),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            bufsize=0,
+            env=child_environment(),
+            **away_from_terminal(),
+        )
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._started_s = self._taken_s = time.monotonic()
+        self._writer = LineWriter(self._process.stdin.fileno())
+        self._writer.send({"config": self._config.to_record()}, always=True)
+        self._lines = LinePoll(self._process.stdout.fileno())  # last: from here on the ticks look at it
+
+    def _wait_until_ready(self) -> None:
+        """Wait for the first start. Raises BadInputError for a refusal, DeviceError for no answer."""
+        deadline_s = time.monotonic() + _READY_S
+        while not self._ready and time.monotonic() < deadline_s:
+            assert self._lines is not None
+            for record in self._lines.take():
+                if "refused" in record:
+                    raise BadInputError(str(record["refused"]))
+                self._heard(record)
+            if self._lines.ended:
+                break
+            time.sleep(0.005)
+        if not self._ready:
+            raise DeviceError(
+                "the API process did not start; what it said is above, and 'pip install --force-reinstall fastapi "
+                "uvicorn' helps where a package of it is broken"
+            )
+
+    def _heard(self, record: dict[str, Any]) -> Order | None:
+        """Return the order of a line, and see to those that are none."""
+        if "ready" in record:
+            self.url = record["ready"]["url"]
+            self.token_file = Path(record["ready"]["token_file"])
+            # Whoever has found the service finds it again after a restart.
+            port = int(self.url.rpartition(":")[2])
+            self._config = replace(self._config, port=port, token_file=str(self.token_file))
+            self._ready = True
+            logs.info("API listens", url=self.url, pid=self.pid)
+            return None
+        if "refused" in record:
+            logs.error("API process cannot start again", why=record["refused"])
+            return None
+        message = from_line(record)
+        return message if isinstance(message, Order) else None
+
+    def _lost(self) -> None:
+        """Take note that the process has ended, and have a thread start the next: that takes longer than a tick."""
+        self._lines = None
+        self._ready = False
+        self.restarts += 1
+        self._starter = threading.Thread(target=self._start_next, name="API starter")
+        self._starter.start()
+
+    def _start_next(self) -> None:
+        """Start processes until one starts, or this one closes."""
+        start_children_as_ordinary()
+        if self._cores is not None:
+            os.sched_setaffinity(0, self._cores)
+        status = self._end_process()
+        if time.monotonic() - self._started_s > _LONG_LIFE_S:
+            self._back_off_s = _FIRST_BACK_OFF_S
+        logs.error("API process ended", exit_status=status, again_in_s=self._back_off_s)
+        while not self._closing.wait(self._back_off_s):
+            self._back_off_s = min(2 * self._back_off_s, _LONGEST_BACK_OFF_S)
+            try:
+                self._start()
+            except OSError as error:
+                logs.error("API process could not be started", why=str(error), again_in_s=self._back_off_s)
+            else:
+                break
+
+    def _end_process(self) -> int | None:
+        """Close the pipes, which ends the process, and return its exit status."""
+        process, self._process = self._process, None
+        if process is None:
+            return None
+        for pipe in (process.stdin, process.stdout):
+            if pipe is not None:
+                pipe.close()
+        try:
+            return process.wait(_EXIT_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            return process.wait()
+
+
+def _not_estop(order: Order) -> bool:
+    return order.action is not Action.ESTOP

@@ -1,0 +1,169 @@
+"""A client of a service's API: finds the service, shows the token, and turns refusals into errors with a sentence."""
+
+import contextlib
+import itertools
+import json
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import httpx
+from websockets.exceptions import ConnectionClosed, InvalidStatus, WebSocketException
+from websockets.sync.client import ClientConnection, connect
+
+from hil.errors import BadInputError, DeviceError, LinkError, RunInterruptedError
+from hil.service.discovery import Service, read_token, running
+from hil.service.messages import Action
+
+TWIST_PERIOD_S = 0.05
+
+# More than the API gives the control process.
+_TIMEOUT_S = 5.0
+_NONE_RUNS = "no service of yours runs on this machine; start one with 'hil serve CONFIG', or name one with --url"
+_PATHS = {Action.STOP_RECORDING: ("DELETE", "/v1/record")}
+
+
+def find(url: str | None = None, port: int | None = None, token_file: Path | None = None) -> "Client":
+    """Return a client of the service at ``url``, or of the only one of this user that runs (at ``port``).
+
+    Raises LinkError when none runs, BadInputError when several do, or the token cannot be read.
+    """
+    if url is not None and token_file is not None:
+        return Client(url.rstrip("/"), token_file)
+    services = running()
+    if url is not None:
+        found = [service for service in services if service.url == url.rstrip("/")]
+        if not found:
+            raise BadInputError(f"service {url}: it is none of yours; name the file with its token with --token-file")
+    else:
+        found = [service for service in services if port in (None, service.port)]
+    if not found:
+        known = f": yours are {_listed(services)}" if services else ""
+        raise LinkError(_NONE_RUNS if port is None else f"no service of yours runs at port {port}{known}")
+    if len(found) > 1:
+        raise BadInputError(f"{len(found)} services run: {_listed(found)}; choose one with --port")
+    return Client(found[0].url, token_file or Path(found[0].token_file))
+
+
+def _listed(services: list[Service]) -> str:
+    return ", ".join(f"port {service.port} ({service.title} on {service.device})" for service in services)
+
+
+class Client:
+    """Speaks to one service. Every method raises the errors of ``_checked``."""
+
+    def __init__(self, url: str, token_file: Path) -> None:
+        if not url.startswith("http://") or not url.rpartition(":")[2].isdecimal():
+            raise BadInputError(f"service {url!r}: expected http://127.0.0.1:PORT")
+        self._url = url
+        self._token_file = token_file
+        self._headers = {"Authorization": f"Bearer {read_token(token_file)}"}
+
+    def status(self) -> dict[str, Any]:
+        """Return the service's status, by the names of ``hil.service.messages.Status``."""
+        return self._ask("GET", "/v1/status", None)
+
+    def order(self, action: Action, arguments: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """Have an order carried out or begun, and return what the service says of it."""
+        method, path = _PATHS.get(action, ("POST", f"/v1/{action.value}"))
+        result: dict[str, Any] = self._ask(method, path, arguments)["result"]
+        return result
+
+    def watch(self) -> Iterator[dict[str, Any]]:
+        """Yield the status as it comes. Raises LinkError when the service ends."""
+        with self._live() as socket:
+            while True:
+                told = json.loads(socket.recv())
+                if "status" in told:
+                    yield told["status"]
+
+    def twist(self, arguments: Mapping[str, float], for_s: float) -> None:
+        """Drive by twist for a time, and then stop. Ctrl-C stops at once, and raises RunInterruptedError."""
+        numbers = itertools.count()
+        with self._live() as socket:
+            end_s = time.monotonic() + for_s
+            try:
+                while (now_s := time.monotonic()) < end_s:
+                    _order(socket, next(numbers), Action.TWIST, arguments)
+                    _hear(socket, min(now_s + TWIST_PERIOD_S, end_s))
+            except KeyboardInterrupt:
+                _stop(socket, next(numbers))
+                raise RunInterruptedError("interrupted; the robot was told to stop") from None
+            _stop(socket, next(numbers))
+
+    def _ask(self, method: str, path: str, body: Mapping[str, Any] | None) -> dict[str, Any]:
+        try:
+            # A proxy of the environment has no business here, and without TLS no certificates need be loaded (0.1 s).
+            with httpx.Client(trust_env=False, verify=False, timeout=_TIMEOUT_S) as http:
+                response = http.request(method, self._url + path, headers=self._headers, json=body)
+        except httpx.TimeoutException:
+            raise LinkError(f"service {self._url}: no answer within {_TIMEOUT_S:g} s; see what it logs") from None
+        except httpx.HTTPError as error:
+            raise LinkError(f"service {self._url}: {error}; it may be starting again, or has ended") from None
+        return self._checked(response.status_code, response.content)
+
+    def _checked(self, status: int, content: bytes | bytearray) -> dict[str, Any]:
+        """Return what a response says.
+
+        Raises BadInputError for a wrong token or wrong arguments, DeviceError when the service refuses, LinkError when
+        it cannot be reached or its control process does not answer.
+        """
+        try:
+            said = json.loads(content)
+            sentence = said["detail"] if status != 200 else ""
+        except (ValueError, KeyError, TypeError):
+            raise LinkError(
+                f"service {self._url}: status {status} without words of ours; it is another program"
+            ) from None
+        if status == 401:
+            raise BadInputError(
+                f"service {self._url}: it does not take the token in {self._token_file}; each start makes a new one, "
+                "so name the file of this start with --token-file"
+            )
+        if status == 409:
+            raise DeviceError(f"refused: {sentence}")
+        if status == 422:
+            raise BadInputError(sentence)
+        if status != 200:
+            raise LinkError(f"service {self._url}: {sentence}")
+        return dict(said)
+
+    @contextlib.contextmanager
+    def _live(self) -> Iterator[ClientConnection]:
+        address = "ws" + self._url.removeprefix("http") + "/v1/live"
+        try:
+            with connect(address, additional_headers=self._headers, proxy=None, open_timeout=_TIMEOUT_S) as socket:
+                yield socket
+        except InvalidStatus as error:
+            self._checked(error.response.status_code, error.response.body or b"")
+        except ConnectionClosed as error:
+            why = error.rcvd.reason if error.rcvd is not None and error.rcvd.reason else "the connection was lost"
+            raise LinkError(f"service {self._url}: {why}") from None
+        except (OSError, WebSocketException) as error:
+            raise LinkError(f"service {self._url}: {error}; it may be starting again, or has ended") from None
+
+
+def _order(socket: ClientConnection, number: int, action: Action, arguments: Mapping[str, Any]) -> None:
+    socket.send(json.dumps({"order": {"number": number, "action": action.value, "arguments": dict(arguments)}}))
+
+
+def _stop(socket: ClientConnection, number: int) -> None:
+    _order(socket, number, Action.STOP, {})
+    if not _hear(socket, time.monotonic() + _TIMEOUT_S, number):
+        raise LinkError("the service did not answer that it stops the robot; it does so when the twist times out")
+
+
+def _hear(socket: ClientConnection, until_s: float, number: int | None = None) -> bool:
+    """Read what comes until then, or until the answer to ``number``. Raises DeviceError when an order was refused."""
+    while (left_s := until_s - time.monotonic()) > 0.0:
+        try:
+            told = json.loads(socket.recv(timeout=left_s))
+        except TimeoutError:
+            break
+        answer = told.get("answer")
+        if answer is not None and answer["refused"] is not None:
+            raise DeviceError(f"refused: {answer['refused']}")
+        if answer is not None and answer["number"] == number:
+            return True
+    return False

@@ -1,0 +1,118 @@
+"""What a service says of itself: lines on stderr, as text for a person or as one JSON object each for a collector.
+
+A line is never waited for. When stderr is a pipe or a journal that nobody reads, lines are dropped, and the next one
+that is written says how many: a control loop must not stand still for a full pipe.
+"""
+
+import json
+import logging
+import os
+import select
+import sys
+from datetime import UTC, datetime
+from typing import Any
+
+from hil.service.api_config import LogStyle
+
+# What a pipe takes whole without waiting when it takes anything (POSIX: PIPE_BUF is at least 512, on Linux 4096).
+_LONGEST_LINE_BYTES = 4096 if sys.platform == "linux" else 512
+_LOGGER = logging.getLogger("hil.service")
+
+
+def configure(style: LogStyle, process: str, descriptor: int = 2) -> None:
+    """Have everything that is logged in this process written to stderr; ``process`` names it in each line."""
+    handler = _Handler(descriptor)
+    handler.setFormatter(_JsonFormatter(process) if style == "json" else _TextFormatter(process))
+    root = logging.getLogger()
+    root.handlers[:] = [handler]
+    root.setLevel(logging.WARNING)  # of libraries
+    _LOGGER.setLevel(logging.INFO)
+
+
+def info(event: str, /, **fields: object) -> None:
+    """Log something that is as it should be. The event is a constant text; what varies goes into the fields."""
+    _LOGGER.info(event, extra={"fields": fields})
+
+
+def warning(event: str, /, **fields: object) -> None:
+    """Log something that went wrong and was put right, or that somebody should look at."""
+    _LOGGER.warning(event, extra={"fields": fields})
+
+
+def error(event: str, /, **fields: object) -> None:
+    """Log something that failed."""
+    _LOGGER.error(event, extra={"fields": fields})
+
+
+class _Handler(logging.Handler):
+    def __init__(self, descriptor: int) -> None:
+        super().__init__()
+        self._descriptor = descriptor
+        self._dropped = 0
+
+    def emit(self, record: logging.LogRecord) -> None:
+        if not self._takes_a_line():
+            self._dropped += 1
+            return
+        if self._dropped:
+            record.dropped = self._dropped
+        line = self.format(record).encode("utf-8", "backslashreplace")
+        if len(line) >= _LONGEST_LINE_BYTES:
+            record.exc_info, record.msg, record.args = None, f"{record.getMessage()[:200]}… (cut)", ()
+            record.fields = {}
+            line = self.format(record).encode("utf-8", "backslashreplace")
+        try:
+            os.write(self._descriptor, line + b"\n")
+            self._dropped = 0
+        except OSError:
+            self._dropped += 1  # its reader has gone: there is nobody to tell
+
+    def _takes_a_line(self) -> bool:
+        if sys.platform == "win32":
+            return True  # which cannot look into a pipe
+        poll = select.poll()
+        poll.register(self._descriptor, select.POLLOUT)
+        return bool(poll.poll(0))
+
+
+class _Formatter(logging.Formatter):
+    def __init__(self, process: str) -> None:
+        super().__init__()
+        self._process = process
+
+    def parts(self, record: logging.LogRecord) -> tuple[datetime, str, dict[str, Any]]:
+        """Return time, event and fields of a line."""
+        fields = dict(getattr(record, "fields", {}))
+        if record.name != _LOGGER.name:
+            fields["logger"] = record.name
+        if record.exc_info:
+            fields["traceback"] = self.formatException(record.exc_info)
+        if hasattr(record, "dropped"):
+            fields["lines_dropped"] = record.dropped
+        return datetime.fromtimestamp(record.created, UTC), record.getMessage(), fields
+
+
+class _JsonFormatter(_Formatter):
+    def format(self, record: logging.LogRecord) -> str:
+        time, event, fields = self.parts(record)
+        line = {
+            "time": time.isoformat(timespec="milliseconds").replace("+00:00", "Z"),
+            "level": record.levelname.lower(),
+            "process": self._process,
+            "event": event,
+        }
+        # What a line says of itself cannot be overwritten by a field of the same name.
+        return json.dumps(fields | line, default=str)
+
+
+class _TextFormatter(_Formatter):
+    def format(self, record: logging.LogRecord) -> str:
+        time, event, fields = self.parts(record)
+        said = " ".join(f"{name}={_word(value)}" for name, value in fields.items())
+        clock = time.astimezone().strftime("%H:%M:%S.%f")[:-3]
+        return f"{clock} {record.levelname.lower():7} {self._process}: {event}{said and ' '}{said}"
+
+
+def _word(value: object) -> str:
+    text = str(value)
+    return json.dumps(text, ensure_ascii=False) if not text or any(c in text for c in ' "=\n\t') else text

@@ -1,0 +1,107 @@
+"""A service under systemd: its unit, and what it tells the manager (sd_notify(3)) over a datagram socket.
+
+Without ``NOTIFY_SOCKET`` in the environment all this does nothing, so that the same program runs by hand.
+"""
+
+import getpass
+import os
+import shutil
+import socket
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+from hil.errors import BadInputError
+
+_UNIT = Path(__file__).with_name("hil-serve.service")
+
+
+class Notifier:
+    """Tells systemd that the service is ready, how it is, that it lives, and that it ends.
+
+    ``environment`` has ``NOTIFY_SOCKET``, and ``WATCHDOG_USEC`` where the unit has a watchdog. Nothing here waits: what
+    the manager's full socket does not take is lost, but for the beat, which is tried again at the next call.
+    """
+
+    def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
+        self._socket: socket.socket | None = None
+        address = environment.get("NOTIFY_SOCKET", "")
+        if sys.platform == "linux" and address[:1] in ("/", "@"):
+            self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
+            try:
+                # A name that begins with @ is an abstract one, which begins with a zero byte.
+                self._socket.connect("\0" + address[1:] if address[0] == "@" else address)
+            except OSError:
+                self._socket.close()
+                self._socket = None  # the manager that started this process has gone
+        meant_for_us = environment.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
+        watchdog_us = environment.get("WATCHDOG_USEC", "0")
+        watched = self._socket is not None and meant_for_us and watchdog_us.isdecimal() and int(watchdog_us) > 0
+        # A third, so that one beat may be lost.
+        self._beat_ns = int(watchdog_us) * 1000 // 3 if watched else 0
+        # Without a watchdog the next beat is never due.
+        self._next_beat_ns = 0 if watched else sys.maxsize
+        self._status = ""
+
+    def ready(self) -> None:
+        """The service does what it is for: units that come after it may start."""
+        self._send("READY=1")
+
+    def status(self, sentence: str) -> None:
+        """Have ``systemctl status`` show a sentence; the same one is not said twice."""
+        if sentence != self._status:
+            self._status = sentence
+            self._send("STATUS=" + sentence.replace("\n", " "))
+
+    def beat(self, now_ns: int) -> None:
+        """Say that the loop turns; for each tick. ``now_ns`` is of any clock that goes on (0.1 µs when none is due)."""
+        if now_ns >= self._next_beat_ns and self._send("WATCHDOG=1"):
+            self._next_beat_ns = now_ns + self._beat_ns
+
+    def stopping(self) -> None:
+        """The service is on its way out: it is no failure that it answers no more."""
+        self._send("STOPPING=1")
+
+    def close(self) -> None:
+        """Say nothing any more."""
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+    def _send(self, assignment: str) -> bool:
+        if self._socket is None:
+            return False
+        try:
+            self._socket.send(assignment.encode())
+        except OSError:
+            return False
+        return True
+
+
+def unit(config: str) -> str:
+    """Return the unit that serves a configuration as the user who asks: a file's absolute path, or a shipped name.
+
+    Raises BadInputError for a path that systemd cannot take in a unit.
+    """
+    path = Path(config)
+    what = str(path.absolute()) if path.suffix == ".toml" else config
+    if any(character in what for character in "\n\r\0"):
+        raise BadInputError(f"configuration {config!r}: a line break has no place in a unit; rename the file")
+    hil = shutil.which("hil", path=str(Path(sys.executable).parent))
+    command = [hil] if hil else [sys.executable, "-P", "-m", "hil.cli"]
+    filled = {
+        "@CONFIG@": _quoted(what),
+        "@HIL@": " ".join(_quoted(word) for word in command),
+        "@USER@": getpass.getuser(),
+        "@FOLDER@": str(Path.cwd()).replace("%", "%%"),
+    }
+    text = _UNIT.read_text(encoding="utf-8")
+    for place, value in filled.items():
+        text = text.replace(place, value)
+    return text
+
+
+def _quoted(word: str) -> str:
+    """Return a word of a command line as a unit has it: ``%`` and ``$`` stand for themselves (systemd.service(5))."""
+    escaped = word.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%").replace("$", "$$")
+    return f'"{escaped}"' if escaped != word or " " in word or "'" in word else word

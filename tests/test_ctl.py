@@ -1,0 +1,172 @@
+"""``hil ctl`` as processes, against a real API process: what it orders, what it prints, and how it fails."""
+
+import json
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+import pytest
+
+from hil.errors import BadInputError, LinkError
+from hil.service.client import Client, find
+from hil.service.discovery import announce, running
+from hil.service.messages import Action, Answer
+from tests.processes import HIL, environment, hil, wait_for
+from tests.service_testbed import ControlSide, own_state, served
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ControlSide]:
+    with own_state(tmp_path_factory.mktemp("state")), served() as side:
+        yield side
+
+
+@pytest.fixture
+def side(service: ControlSide) -> ControlSide:
+    service.forget()
+    wait_for(lambda: service.request("GET", "/v1/status").status_code == 200)
+    return service
+
+
+@pytest.mark.parametrize(
+    ("command", "action", "arguments"),
+    [
+        ("estop", Action.ESTOP, {}),
+        ("stop-recording", Action.STOP_RECORDING, {}),
+        (
+            "track circle --set radius_m=0.5 --set name=east --here",
+            Action.TRACK,
+            {"reference": {"kind": "circle", "radius_m": 0.5, "name": "east"}, "here": True},
+        ),
+        ("go -1 .5 -90", Action.GO, {"x_m": -1.0, "y_m": 0.5, "heading_rad": pytest.approx(-1.5707963)}),
+        ("gains kp=2.5 law=true", Action.GAINS, {"gains": {"kp": 2.5, "law": True}}),
+        ("record a.mcap", Action.RECORD, {"path": str(Path("a.mcap").absolute())}),
+    ],
+)
+def test_a_command_is_an_order(side: ControlSide, command: str, action: Action, arguments: dict) -> None:
+    side.answer = lambda order: Answer(order.number, result={"note": "begun"})
+    done = hil("ctl", *command.split())
+    assert (done.returncode, done.stdout, done.stderr) == (0, "note: begun\n", "")
+    assert [(order.action, order.arguments) for order in side.orders] == [(action, arguments)]
+
+
+def test_a_refusal_is_a_sentence_and_exit_code_3(side: ControlSide) -> None:
+    side.refuse("the robot is not armed; arm it first")
+    done = hil("ctl", "twist", "0.1", "0", "0", "--for", "60")
+    assert (done.returncode, done.stderr) == (3, "hil: refused: the robot is not armed; arm it first\n")
+    done = hil("ctl", "go", "1", "2", "3")
+    assert (done.returncode, done.stderr) == (3, "hil: refused: the robot is not armed; arm it first\n")
+
+
+@pytest.mark.parametrize(
+    ("command", "sentence"),
+    [
+        ("go nan 0 0", "hil: x_m = nan: expected a finite number\n"),
+        ("gains kp=inf", "hil: 'kp=inf': expected a finite number, true, false, a text or a list of them\n"),
+        ("twist 9 0 0", "hil: vx_m_s = 9.0: it should be less than or equal to 2\n"),
+        ("--url http://127.0.0.1:1 status", "hil: service http://127.0.0.1:1: it is none of yours; name the file"),
+    ],
+)
+def test_bad_input_is_a_sentence_and_exit_code_2(side: ControlSide, command: str, sentence: str) -> None:
+    done = hil("ctl", *command.split())
+    assert (done.returncode, done.stderr[: len(sentence)]) == (2, sentence)
+    assert side.orders == []
+
+
+def test_a_twist_is_repeated_for_its_time_and_then_stopped(side: ControlSide) -> None:
+    done = hil("ctl", "twist", "0.2", "-0.1", "0", "--for", "0.5")
+    assert (done.returncode, done.stderr) == (0, "")
+    *twists, last = side.orders
+    assert last.action is Action.STOP
+    assert {order.action for order in twists} == {Action.TWIST}
+    assert 2 <= len(twists) <= 11, "20 a second at most"
+    assert twists[0].arguments == {"vx_m_s": 0.2, "vy_m_s": -0.1, "yaw_rate_rad_s": 0.0}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
+def test_ctrl_c_stops_a_twist(side: ControlSide) -> None:
+    command = [*HIL, "ctl", "twist", "0.2", "0", "0", "--for", "600"]
+    driver = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment())
+    wait_for(lambda: len(side.orders) > 2)
+    driver.send_signal(signal.SIGINT)
+    _, errors = driver.communicate(timeout=60)
+    assert (driver.returncode, errors) == (130, "hil: interrupted; the robot was told to stop\n")
+    assert side.actions[-1] is Action.STOP
+
+
+def test_the_status_is_a_table_or_json(side: ControlSide) -> None:
+    shown = dict(re.split(r"\s{2,}", line.strip(), maxsplit=1) for line in hil("ctl", "status").stdout.splitlines())
+    assert shown["phase"] == "active, hold"
+    assert shown["pose"] == "1.000 m, -0.500 m, 28.6°"
+    assert shown["frames"] == "10 sent, 9 received, rejected: 1 crc"
+    assert "why" not in shown
+    status = json.loads(hil("ctl", "status", "--json").stdout)
+    assert (status["phase"], status["battery_v"]) == ("active", 24.5)
+
+
+def test_to_watch_is_a_line_a_status_until_the_service_ends(tmp_path: Path) -> None:
+    with own_state(tmp_path), served() as side:
+        watcher = subprocess.Popen(
+            [*HIL, "ctl", "status", "--watch", "--json"],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=environment(),
+        )
+        assert watcher.stdout is not None
+        assert [json.loads(watcher.stdout.readline())["ticks"] for _ in range(3)] == [1234] * 3
+        side.close()
+        _, errors = watcher.communicate(timeout=60)
+        assert watcher.returncode == 3
+        assert errors.endswith("the control process has ended\n")
+
+
+def test_the_service_is_found_or_it_is_said_why_not(tmp_path: Path, side: ControlSide) -> None:
+    (mine,) = running()
+    with own_state(tmp_path):
+        none = hil("ctl", "status")
+        assert (none.returncode, "no service of yours runs" in none.stderr) == (3, True)
+        find(mine.url, token_file=Path(mine.token_file)).order(Action.ARM)
+        token = tmp_path / "token"
+        token.write_text("another-token-of-enough-length")
+        token.chmod(0o600)
+        for ask in (Client.status, lambda client: next(client.watch())):
+            with pytest.raises(BadInputError, match=f"does not take the token in {token}"):
+                ask(find(mine.url, token_file=token))
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        claim = announce(replace(mine, url=f"http://127.0.0.1:{port}", title="other"))
+        with pytest.raises(
+            BadInputError, match=rf"2 services run: port {min(port, mine.port)} .*choose one with --port"
+        ):
+            find()
+        find(port=mine.port).order(Action.ARM)
+        with pytest.raises(LinkError, match="no service of yours runs at port 1: yours are port"):
+            find(port=1)
+    with pytest.raises(LinkError, match="it may be starting again"):
+        find(port=port).status()
+    claim.release()
+    assert side.actions == [Action.ARM, Action.ARM]
+
+
+def test_another_program_at_the_services_port_is_told_from_it(tmp_path: Path) -> None:
+    web = ThreadingHTTPServer(("127.0.0.1", 0), SimpleHTTPRequestHandler)
+    server = threading.Thread(target=web.serve_forever)
+    server.start()
+    token = tmp_path / "token"
+    token.write_text("a-token-of-enough-length")
+    token.chmod(0o600)
+    try:
+        with pytest.raises(LinkError, match="it is another program"):
+            Client(f"http://127.0.0.1:{web.server_port}", token).status()
+    finally:
+        web.shutdown()
+        server.join()
+        web.server_close()

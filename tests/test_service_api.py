@@ -1,0 +1,242 @@
+"""The API over HTTP: who is let in, what is refused, and what reaches the control process."""
+
+import json
+import socket
+import stat
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from urllib.parse import urlsplit
+
+import httpx
+import pytest
+from openapi_spec_validator import validate
+from prometheus_client.openmetrics.parser import text_string_to_metric_families as openmetrics_families
+from prometheus_client.parser import text_string_to_metric_families
+
+from hil.service.messages import Action, Answer, Phase
+from tests.processes import wait_for
+from tests.service_testbed import STATUS, ControlSide, own_state, served
+
+ROUTES = {
+    ("GET", "/v1/status"): None,
+    ("GET", "/metrics"): None,
+    ("GET", "/openapi.json"): None,
+    ("POST", "/v1/arm"): Action.ARM,
+    ("POST", "/v1/disarm"): Action.DISARM,
+    ("POST", "/v1/estop"): Action.ESTOP,
+    ("POST", "/v1/clear"): Action.CLEAR,
+    ("POST", "/v1/track"): Action.TRACK,
+    ("POST", "/v1/go"): Action.GO,
+    ("POST", "/v1/twist"): Action.TWIST,
+    ("POST", "/v1/stop"): Action.STOP,
+    ("POST", "/v1/gains"): Action.GAINS,
+    ("POST", "/v1/record"): Action.RECORD,
+    ("DELETE", "/v1/record"): Action.STOP_RECORDING,
+    ("POST", "/v1/shutdown"): Action.SHUTDOWN,
+}
+BODIES = {
+    "/v1/track": {"reference": {"kind": "circle", "radius_m": 0.5}, "here": True},
+    "/v1/go": {"x_m": 1.0, "y_m": -2.0, "heading_rad": 3},
+    "/v1/twist": {"vx_m_s": 0.5, "vy_m_s": 0.0, "yaw_rate_rad_s": -0.1},
+    "/v1/gains": {"gains": {"kp": 2.0}},
+    "/v1/record": {"path": "a.mcap"},
+}
+TWIST = BODIES["/v1/twist"]
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ControlSide]:
+    with own_state(tmp_path_factory.mktemp("state")), served() as side:
+        yield side
+
+
+@pytest.fixture
+def side(service: ControlSide) -> ControlSide:
+    service.forget()
+    wait_for(lambda: service.request("GET", "/v1/status").status_code == 200)
+    return service
+
+
+def body(method: str, path: str) -> dict:
+    return {"json": BODIES[path]} if method == "POST" and path in BODIES else {}
+
+
+def test_every_route_is_in_the_document_and_in_this_table(side: ControlSide) -> None:
+    document = side.request("GET", "/openapi.json").json()
+    validate(document)
+    told = {(method.upper(), path) for path, methods in document["paths"].items() for method in methods}
+    assert told == ROUTES.keys() - {("GET", "/openapi.json")}
+    twist = document["components"]["schemas"]["Twist"]["properties"]["vx_m_s"]
+    assert (twist["minimum"], twist["maximum"], twist["description"]) == (-2.0, 2.0, "forward [m/s]")
+
+
+@pytest.mark.parametrize(("method", "path"), ROUTES)
+def test_no_route_lets_anybody_in_without_the_token_or_under_a_foreign_name(
+    side: ControlSide, method: str, path: str
+) -> None:
+    port = urlsplit(side.child.url).port
+    wrong = [
+        ({}, 401),
+        ({"Authorization": "Bearer wrong"}, 401),
+        ({"Authorization": side.headers["Authorization"].replace("Bearer ", "")}, 401),
+        (side.headers | {"Host": "robot.example.com"}, 421),
+        (side.headers | {"Host": f"robot.example.com:{port}"}, 421),
+        (side.headers | {"Host": "127.0.0.1:1"}, 421),
+        ({"Host": "robot.example.com"}, 421),
+    ]
+    for headers, expected in wrong:
+        response = side.request(method, path, headers=headers, **body(method, path))
+        assert (response.status_code, list(response.json())) == (expected, ["detail"]), headers
+    assert side.orders == []
+    allowed = side.request(method, path, headers=side.headers | {"Host": f"localhost:{port}"}, **body(method, path))
+    assert allowed.status_code == 200
+
+
+def test_the_websocket_lets_nobody_in_without_the_token_or_under_a_foreign_name(side: ControlSide) -> None:
+    upgrade = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13"}
+    upgrade["Sec-WebSocket-Key"] = "dGhlIHNhbXBsZSBub25jZQ=="
+    for headers, expected in [({}, 401), (side.headers | {"Host": "robot.example.com"}, 421)]:
+        response = side.request("GET", "/v1/live", headers=upgrade | headers)
+        assert (response.status_code, list(response.json())) == (expected, ["detail"])
+
+
+@pytest.mark.parametrize(("method", "path"), [route for route, action in ROUTES.items() if action])
+def test_an_order_reaches_the_control_process_as_it_was_given_and_its_answer_comes_back(
+    side: ControlSide, method: str, path: str
+) -> None:
+    side.answer = lambda order: Answer(order.number, result={"note": "there we go"})
+    response = side.request(method, path, **body(method, path))
+    assert (response.status_code, response.json()) == (200, {"result": {"note": "there we go"}})
+    assert [order.action for order in side.orders] == [ROUTES[method, path]]
+    assert side.orders[0].arguments == body(method, path).get("json", {})
+    side.refuse("the robot is not armed; arm it first")
+    response = side.request(method, path, **body(method, path))
+    assert (response.status_code, response.json()) == (409, {"detail": "the robot is not armed; arm it first"})
+
+
+@pytest.mark.parametrize("path", ["/v1/track", "/v1/gains", "/v1/record"])
+def test_a_body_that_may_be_left_out_has_its_defaults(side: ControlSide, path: str) -> None:
+    assert side.request("POST", path).status_code == 200
+    assert set(side.orders[0].arguments.values()) <= {None, False}
+
+
+@pytest.mark.parametrize(
+    ("path", "text", "part"),
+    [
+        ("/v1/twist", '{"vx_m_s": NaN, "vy_m_s": 0, "yaw_rate_rad_s": 0}', "vx_m_s = nan: it should be"),
+        ("/v1/twist", '{"vx_m_s": 1e999, "vy_m_s": 0, "yaw_rate_rad_s": 0}', "vx_m_s = inf: it should be"),
+        ("/v1/twist", '{"vx_m_s": 2.1, "vy_m_s": 0, "yaw_rate_rad_s": 0}', "vx_m_s = 2.1: it should be less than"),
+        ("/v1/twist", '{"vx_m_s": "1", "vy_m_s": 0, "yaw_rate_rad_s": 0}', "vx_m_s = '1': it should be a valid number"),
+        ("/v1/twist", '{"vx_m_s": true, "vy_m_s": 0, "yaw_rate_rad_s": 0}', "vx_m_s = True: it should be a"),
+        ("/v1/twist", '{"vx_m_s": 1, "vy_m_s": 0}', "yaw_rate_rad_s is missing"),
+        ("/v1/twist", '{"vx": 1, "vx_m_s": 1, "vy_m_s": 0, "yaw_rate_rad_s": 0}', "vx: there is no such name"),
+        ("/v1/twist", "[1, 2", "the body is no JSON"),
+        ("/v1/twist", "", "the body is missing"),
+        ("/v1/go", '{"x_m": -Infinity, "y_m": 0, "heading_rad": 0}', "x_m = -inf: it should be"),
+        ("/v1/go", '{"x_m": 101, "y_m": 0, "heading_rad": 0}', "x_m = 101: it should be less than or equal to 100"),
+        ("/v1/track", '{"reference": {"kind": "circle", "radius_m": NaN}}', "reference.radius_m"),
+        ("/v1/track", '{"reference": {"radius_m": 1}}', "reference.kind is missing"),
+        ("/v1/gains", '{"gains": {"kp": NaN}}', "gains.kp"),
+        ("/v1/gains", '{"gains": {"kp": {"deep": 1}}}', "gains.kp"),
+        ("/v1/record", '{"path": "run.txt"}', "path = 'run.txt': it"),
+    ],
+)  # fmt: skip
+def test_a_body_that_is_not_as_it_should_be_is_refused_with_a_sentence(
+    side: ControlSide, path: str, text: str, part: str
+) -> None:
+    response = side.request("POST", path, content=text, headers=side.headers | {"Content-Type": "application/json"})
+    assert response.status_code == 422
+    assert part in response.json()["detail"]
+    assert side.orders == []
+
+
+def test_a_body_that_is_too_long_or_of_unknown_length_is_refused_unread(side: ControlSide) -> None:
+    long = side.request("POST", "/v1/gains", content=b"x" * 70_000)
+    assert long.status_code == 413
+    chunked = side.request("POST", "/v1/gains", content=iter([b"{}"]))
+    assert chunked.status_code == 411
+    assert side.orders == []
+
+
+def test_the_status_is_the_newest_and_fits_its_schema(side: ControlSide) -> None:
+    status = side.request("GET", "/v1/status").json()
+    assert status["phase"] == "active"
+    assert status["pose"] == list(STATUS.pose or ())
+    assert status["lateness_us"]["p99.9"] is None, "JSON has no NaN"
+    side.status = STATUS.__class__(**{**_values(), "phase": Phase.FAULT, "task": None, "why": "encoder fl stands"})
+    wait_for(lambda: side.request("GET", "/v1/status").json()["why"] == "encoder fl stands")
+    schema = side.request("GET", "/openapi.json").json()["components"]["schemas"]["Status"]
+    assert set(status) == set(schema["properties"])
+
+
+def _values() -> dict:
+    return {name: getattr(STATUS, name) for name in STATUS.__slots__}
+
+
+def test_a_control_process_that_says_nothing_is_a_gateway_timeout(side: ControlSide) -> None:
+    side.answer = lambda _order: None
+    side.speaks = False
+    response = side.request("POST", "/v1/arm")
+    assert (response.status_code, "has not answered arm" in response.json()["detail"]) == (504, True)
+    late = side.request("GET", "/v1/status")
+    assert (late.status_code, "no status for" in late.json()["detail"]) == (504, True)
+
+
+def test_an_emergency_stop_goes_through_when_nothing_else_does(side: ControlSide) -> None:
+    side.answer = lambda _order: None
+    with ThreadPoolExecutor(72) as pool:
+        twists = [pool.submit(side.request, "POST", "/v1/twist", json=TWIST) for _ in range(72)]
+        statuses = sorted(twist.result().status_code for twist in twists)
+    assert statuses == [503] * 8 + [504] * 64
+    side.answer = lambda order: Answer(order.number)
+    assert side.request("POST", "/v1/stop").status_code == 503
+    assert side.request("POST", "/v1/estop").status_code == 200
+    side.answer_all()
+    wait_for(lambda: side.request("POST", "/v1/stop").status_code == 200)
+
+
+def test_the_metrics_are_what_the_status_says_in_base_units(side: ControlSide) -> None:
+    side.request("POST", "/v1/clear")
+    wait_for(lambda: side.request("GET", "/v1/status").status_code == 200)
+    response = side.request("GET", "/metrics")
+    assert response.headers["content-type"].startswith("text/plain")
+    families = {family.name: family for family in text_string_to_metric_families(response.text)}
+    assert all(family.documentation and family.type != "unknown" for family in families.values())
+    assert families["hil_ticks"].samples[0][:3] == ("hil_ticks_total", {}, 1234.0)
+    assert families["hil_lateness_seconds"].type == "summary"
+    quantiles = {sample.labels.get("quantile"): sample.value for sample in families["hil_lateness_seconds"].samples}
+    assert quantiles["0.99"] == pytest.approx(90e-6)
+    assert families["hil_feedback_age_seconds"].samples[0].value == pytest.approx(1.5e-3)
+    phases = {sample.labels["hil_phase"]: sample.value for sample in families["hil_phase"].samples}
+    assert {name for name, value in phases.items() if value} == {"active"}
+    assert phases.keys() == {phase.value for phase in Phase}
+    assert families["hil_frames_rejected"].samples[0][:3] == ("hil_frames_rejected_total", {"cause": "crc"}, 1.0)
+    assert {sample.labels["wheel"] for sample in families["hil_wheel_speed_radians_per_second"].samples} == {
+        "fl",
+        "fr",
+        "rr",
+        "rl",
+    }
+    assert "hil_round_trip_seconds" not in families, "it is not known"
+    orders = {tuple(sample.labels.values()): sample.value for sample in families["hil_api_orders"].samples}
+    assert orders["clear", "accepted"] >= 1
+    accept = side.headers | {"Accept": "application/openmetrics-text; version=1.0.0"}
+    stricter = list(openmetrics_families(side.request("GET", "/metrics", headers=accept).text))
+    assert {family.name for family in stricter} == (families.keys() | {"hil_service"}) - {"hil_service_info"}
+
+
+def test_only_this_machine_is_served(side: ControlSide) -> None:
+    port = urlsplit(side.child.url).port
+    own = socket.gethostbyname(socket.gethostname())
+    addresses = {own, "127.0.0.2"} - {"127.0.0.1"}
+    for address in addresses:
+        with pytest.raises(httpx.ConnectError):
+            httpx.get(f"http://{address}:{port}/v1/status", trust_env=False)
+
+
+def test_the_token_is_new_long_and_for_this_user_only(side: ControlSide) -> None:
+    path = side.child.token_file
+    assert path is not None
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert len(path.read_text().strip()) >= 43, "32 bytes in base 64"
+    assert json.loads(path.with_name(f"{urlsplit(side.child.url).port}.json").read_text())["token_file"] == str(path)

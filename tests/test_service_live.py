@@ -1,0 +1,228 @@
+"""The WebSocket, and the life of the API process beside the control process."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import ClientConnection
+
+from hil.child import module_command
+from hil.errors import BadInputError
+from hil.service.api_child import ApiChild
+from hil.service.api_config import ApiConfig
+from hil.service.messages import Action, Answer, Phase
+from tests.processes import environment, is_running, wait_for
+from tests.service_testbed import LIMITS, STATUS, ControlSide, own_state, served
+
+CONFIG = ApiConfig(title="paper_circle", device="a test", limits=LIMITS, port=0)
+TWIST = {"vx_m_s": 0.5, "vy_m_s": 0.0, "yaw_rate_rad_s": 0.0}
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ControlSide]:
+    with own_state(tmp_path_factory.mktemp("state")), served() as side:
+        yield side
+
+
+@pytest.fixture
+def side(service: ControlSide) -> ControlSide:
+    service.forget()
+    return service
+
+
+def order(live: ClientConnection, number: int, action: str, arguments: object) -> None:
+    live.send(json.dumps({"order": {"number": number, "action": action, "arguments": arguments}}))
+
+
+def next_answer(live: ClientConnection) -> dict[str, Any]:
+    while "answer" not in (told := json.loads(live.recv(timeout=30.0))):
+        pass
+    answer: dict[str, Any] = told["answer"]
+    return answer
+
+
+def read_on(live: ClientConnection) -> None:
+    while True:
+        live.recv(timeout=30.0)
+
+
+def test_orders_on_the_websocket_come_in_their_order_and_answers_by_the_clients_numbers(side: ControlSide) -> None:
+    with side.live() as live:
+        for number in range(100, 150):
+            order(live, number, "twist", TWIST | {"vx_m_s": number / 100.0})
+        order(live, 7, "stop", {})
+        answers = [next_answer(live) for _ in range(51)]
+    assert [answer["number"] for answer in answers] == [*range(100, 150), 7]
+    assert {answer["refused"] for answer in answers} == {None}
+    assert [one.arguments.get("vx_m_s") for one in side.orders] == [*(n / 100.0 for n in range(100, 150)), None]
+
+
+@pytest.mark.parametrize(
+    ("message", "number", "part"),
+    [
+        ('{"order": {"number": 3, "action": "twist", "arguments": {"vx_m_s": NaN}}}', 3, "vx_m_s = nan: it should be"),
+        ('{"order": {"number": 3, "action": "twist", "arguments": {"vx_m_s": 1}}}', 3, "vy_m_s is missing"),
+        ('{"order": {"number": 3, "action": "arm", "arguments": {"now": true}}}', 3, "now: there is no such name"),
+        ('{"order": {"number": 3, "action": "dance"}}', -1, "order.action = 'dance'"),
+        ("hello", -1, "no order"),
+    ],
+)
+def test_a_message_that_is_no_order_is_answered_with_a_sentence_and_the_client_stays(
+    side: ControlSide, message: str, number: int, part: str
+) -> None:
+    with side.live() as live:
+        live.send(message)
+        answer = next_answer(live)
+        assert answer["number"] == number
+        assert part in answer["refused"]
+        order(live, 4, "arm", {})
+        assert next_answer(live) == {"number": 4, "refused": None, "result": {}}
+    assert side.actions == [Action.ARM]
+
+
+def test_a_refusal_and_a_missing_answer_reach_the_client(side: ControlSide) -> None:
+    side.answer = lambda one: Answer(one.number, "not armed") if one.action is Action.TWIST else None
+    with side.live() as live:
+        order(live, 1, "twist", TWIST)
+        order(live, 2, "arm", {})
+        assert next_answer(live)["refused"] == "not armed"
+        assert "has not answered arm" in next_answer(live)["refused"]
+
+
+def test_a_client_that_does_not_read_holds_nobody_up_and_then_gets_the_newest_status(side: ControlSide) -> None:
+    with side.live() as slow, side.live() as quick:
+        # What the sockets take in is read away, so that only the newest is left to be sent.
+        for ticks in range(2000, 2020):
+            side.status = replace(STATUS, ticks=ticks, why="x" * 1000)
+            while json.loads(quick.recv(timeout=30.0)).get("status", {}).get("ticks") != ticks:
+                pass
+        side.status = replace(STATUS, phase=Phase.ESTOP)
+        while json.loads(slow.recv(timeout=30.0)).get("status", {}).get("phase") != "estop":
+            pass
+
+
+def test_when_a_client_that_drives_is_killed_nothing_more_is_sent_for_it(side: ControlSide) -> None:
+    script = (
+        "import sys, json, time\nfrom websockets.sync.client import connect\n"
+        "with connect(sys.argv[1], additional_headers={'Authorization': sys.argv[2]}, proxy=None) as live:\n"
+        "    for number in range(10**6):\n"
+        f"        live.send(json.dumps({{'order': {{'number': number, 'action': 'twist', 'arguments': {TWIST}}}}}))\n"
+        "        time.sleep(0.02)\n"
+    )
+    address = side.child.url.replace("http", "ws", 1) + "/v1/live"
+    driver = subprocess.Popen([sys.executable, "-c", script, address, side.headers["Authorization"]], env=environment())
+    wait_for(lambda: len(side.orders) > 3)
+    driver.kill()
+    driver.wait()
+    wait_for(lambda: "hil_api_live_clients 0.0" in side.request("GET", "/metrics").text)
+    taken = len(side.orders)
+    assert side.request("POST", "/v1/stop").status_code == 200
+    assert side.actions[taken:] == [Action.STOP], "that the twist times out is the control process's doing"
+
+
+def test_emergency_stops_come_first_of_what_is_at_hand(side: ControlSide) -> None:
+    with side.live() as live:
+        with side.turn:
+            order(live, 1, "twist", TWIST)
+            order(live, 2, "estop", {})
+            order(live, 3, "stop", {})
+            live.send("so that what came before has been taken")
+            next_answer(live)
+        assert [next_answer(live)["number"] for _ in range(3)] == [2, 1, 3]
+    assert side.actions == [Action.ESTOP, Action.TWIST, Action.STOP]
+
+
+def test_an_api_process_that_is_killed_or_hangs_is_started_again_where_it_was_with_its_token(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hil.service.api_child._HUNG_S", 0.2)
+    with own_state(tmp_path), served() as side:
+        before = (side.child.url, side.headers)
+        side.status = replace(STATUS, why="x" * 60_000)  # so that the pipe of one that hangs is soon full
+        for restarts, how in enumerate([signal.SIGKILL, signal.SIGSTOP], 1):
+            pid = side.child.pid
+            assert pid is not None
+            os.kill(pid, how)
+            wait_for(lambda restarts=restarts: side.child.restarts == restarts and side.child.alive)
+            assert (side.child.url, side.headers) == before
+            assert side.request("POST", "/v1/estop").status_code == 200
+            assert not is_running(pid)
+
+
+def test_at_the_end_clients_are_told_and_nothing_is_left_behind(tmp_path: Path) -> None:
+    with own_state(tmp_path):
+        with served() as side, side.live() as live:
+            token, pid = side.child.token_file, side.child.pid
+            side.close()
+            with pytest.raises(ConnectionClosed) as end:
+                read_on(live)
+        assert end.value.rcvd is not None
+        assert (end.value.rcvd.code, end.value.rcvd.reason) == (1001, "the control process has ended")
+        assert token is not None
+        assert pid is not None
+        assert not is_running(pid)
+        assert {path.suffix for path in token.parent.iterdir()} == {".lock"}
+
+
+def test_the_api_process_ends_when_its_control_process_is_killed(tmp_path: Path) -> None:
+    script = (
+        "import sys, time\nfrom hil.service.api_child import ApiChild\n"
+        "from hil.service.api_config import ApiConfig, Limits\n"
+        "child = ApiChild(ApiConfig(title='t', device='d', limits=Limits(1, 1, 1), port=0))\n"
+        "print(child.pid, flush=True)\ntime.sleep(600)\n"
+    )
+    control = subprocess.Popen(
+        [sys.executable, "-c", script],
+        stdout=subprocess.PIPE,
+        text=True,
+        env=environment() | {"XDG_STATE_HOME": str(tmp_path)},
+    )
+    assert control.stdout is not None
+    pid = int(control.stdout.readline())
+    assert is_running(pid)
+    control.kill()
+    control.communicate()
+    wait_for(lambda: not is_running(pid))
+
+
+def test_a_port_in_use_is_refused_with_a_sentence(tmp_path: Path) -> None:
+    with own_state(tmp_path), socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        with pytest.raises(BadInputError, match=rf"cannot listen on 127\.0\.0\.1:{port} .* choose another port"):
+            ApiChild(replace(CONFIG, port=port))
+
+
+def test_a_token_file_of_the_users_is_used_and_kept_and_one_that_others_may_read_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "token"
+    path.write_text("a token of my own, no: it has spaces")
+    path.chmod(0o644)
+    with own_state(tmp_path):
+        with pytest.raises(BadInputError, match=r"others may read it .* chmod 600"):
+            ApiChild(replace(CONFIG, token_file=str(path)))
+        path.chmod(0o600)
+        with pytest.raises(BadInputError, match="are no token"):
+            ApiChild(replace(CONFIG, token_file=str(path)))
+        path.write_text("a-token-of-my-own-which-is-long-enough\n")
+        with served(token_file=str(path)) as side:
+            assert side.request("GET", "/metrics", headers={"Authorization": "Bearer nonsense"}).status_code == 401
+        assert path.exists()
+
+
+def test_an_api_process_without_a_control_process_ends_at_once() -> None:
+    done = subprocess.run(
+        module_command("hil.service.api_process"),
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        check=False,
+        timeout=60,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, b"", b"")

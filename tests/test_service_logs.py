@@ -1,0 +1,103 @@
+"""Structured lines on stderr, that are never waited for."""
+
+import json
+import logging
+import os
+import sys
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from hil.service import logs
+from hil.service.api_config import LogStyle
+
+Read = Callable[[], str]
+
+
+@pytest.fixture
+def pipe() -> Iterator[tuple[int, Read]]:
+    root = logging.getLogger()
+    before = root.handlers[:], root.level
+    ends = os.pipe()
+    os.set_blocking(ends[0], False)
+
+    def read() -> str:
+        try:
+            return os.read(ends[0], 1 << 20).decode()
+        except BlockingIOError:
+            return ""
+
+    yield ends[1], read
+    root.handlers[:], level = before
+    root.setLevel(level)
+    for end in ends:
+        os.close(end)
+
+
+def configured(style: LogStyle, pipe: tuple[int, Read]) -> Read:
+    logs.configure(style, "control", pipe[0])
+    return pipe[1]
+
+
+def test_a_line_of_json_has_time_level_process_event_and_fields(pipe: tuple[int, Read]) -> None:
+    read = configured("json", pipe)
+    logs.warning("link lost", link="serial:/dev/ttyACM0", silent_s=0.25, event="not to be mistaken", why="a\nb")
+    line = json.loads(read())
+    assert (line["level"], line["process"], line["event"]) == ("warning", "control", "link lost")
+    assert (line["silent_s"], line["why"]) == (0.25, "a\nb")
+    assert line["time"].endswith("Z")
+
+
+def test_a_line_of_text_is_one_line_whatever_is_in_it(pipe: tuple[int, Read]) -> None:
+    read = configured("text", pipe)
+    logs.info("order", action="arm", why="the robot\nis away", none="")
+    assert read().partition(" ")[2] == 'info    control: order action=arm why="the robot\\nis away" none=""\n'
+
+
+def test_what_libraries_say_and_tracebacks_are_lines_too(pipe: tuple[int, Read]) -> None:
+    read = configured("json", pipe)
+    try:
+        raise ValueError("bad")
+    except ValueError:
+        logging.getLogger("uvicorn.error").exception("it %s", "failed")
+    logging.getLogger("uvicorn.error").info("not this one")
+    (text,) = read().splitlines()
+    line = json.loads(text)
+    assert (line["event"], line["logger"], line["level"]) == ("it failed", "uvicorn.error", "error")
+    assert line["traceback"].endswith("ValueError: bad")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows waits")
+def test_a_reader_that_stands_still_holds_nobody_up_and_learns_what_it_missed(pipe: tuple[int, Read]) -> None:
+    read = configured("json", pipe)
+    for number in range(2000):
+        logs.info("tick", number=number)
+    taken = [json.loads(line)["number"] for line in read().splitlines()]
+    assert taken == list(range(len(taken)))
+    assert 100 < len(taken) < 2000
+    logs.info("tick", number=2000)
+    logs.info("tick", number=2001)
+    first, second = map(json.loads, read().splitlines())
+    assert (first["number"], first["lines_dropped"]) == (2000, 2000 - len(taken))
+    assert "lines_dropped" not in second
+
+
+def test_a_line_too_long_to_be_written_at_once_is_cut(pipe: tuple[int, Read]) -> None:
+    read = configured("json", pipe)
+    logs.error("bad frame", data="x" * 10_000)
+    assert json.loads(read())["event"] == "bad frame… (cut)"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such pipes")
+def test_a_reader_that_has_gone_is_no_error() -> None:
+    root = logging.getLogger()
+    before = root.handlers[:], root.level
+    reader, writer = os.pipe()
+    os.close(reader)
+    try:
+        logs.configure("text", "control", writer)
+        logs.info("nobody hears this")
+    finally:
+        root.handlers[:], level = before
+        root.setLevel(level)
+        os.close(writer)
