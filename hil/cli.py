@@ -39,6 +39,7 @@ from hil.commands.replay import replay
 from hil.commands.reproduce import reproduce
 from hil.commands.review import review
 from hil.commands.robot import device, params
+from hil.commands.serve import serve
 from hil.commands.trace import decode
 from hil.errors import BadInputError, DeviceError, HilError, LinkError, RunInterruptedError
 
@@ -146,6 +147,7 @@ app.command()(live_view.live)
 app.command()(replay)
 app.command()(reproduce)
 app.command()(review)
+app.command()(serve)
 
 
 @app.command()

@@ -152,6 +152,11 @@ class Tick:
         """Whether the last tick held the robot at rest, or was told of without driving it."""
         return self._before is None
 
+    @property
+    def feedback_age_ms(self) -> float:
+        """How long the newest feedback had been the newest at the last tick, and on its way before."""
+        return (self._freshness.silent_ns + self._timing.feedback_latency_ns) * 1e-6
+
     def keep_armed(self) -> None:
         """Command zeros until the first feedback is here; no tick that is told of. Raises as ``sense``."""
         self._parts.device.poll()

@@ -7,6 +7,7 @@ shipped()                                         -> what can be loaded by name
 
 from hil.scenario.fields import StartValue
 from hil.scenario.load import load, set_texts, shipped
+from hil.scenario.process_tables import RealtimeTable, ServiceTable
 from hil.scenario.rows import ExpectTable, FaultTable
 from hil.scenario.run import Scenario, resolved
 from hil.scenario.tables import (
@@ -18,7 +19,6 @@ from hil.scenario.tables import (
     LinkTable,
     LoopTable,
     PlantTable,
-    RealtimeTable,
     ReferenceTable,
     RobotTable,
 )
@@ -39,6 +39,7 @@ __all__ = [
     "ReferenceTable",
     "RobotTable",
     "Scenario",
+    "ServiceTable",
     "StartValue",
     "format_value",
     "load",

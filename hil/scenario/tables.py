@@ -17,8 +17,8 @@ from hil.errors import BadInputError, nearest
 from hil.links.url import parse_link
 from hil.localisation.address import parse_address
 from hil.plant_signals import INPUTS, OUTPUTS
-from hil.realtime import PRIORITY
 from hil.scenario.fields import Milliseconds, Option, OptionValue, Start, Table, Text, is_path
+from hil.scenario.process_tables import RealtimeTable, ServiceTable
 from hil.scenario.rows import ExpectTable, FaultTable
 from hil.types import WHEEL_NAMES, CommandMode
 from plant_fmu import SHIPPED
@@ -335,28 +335,6 @@ class LoopTable(Table):
         return TICKS_PER_SECOND // self.rate_hz
 
 
-class RealtimeTable(Table):
-    """``[realtime]``: what is asked of the operating system in mode realtime; a run says what of it was refused."""
-
-    priority: int = Field(
-        default=PRIORITY,
-        ge=0,
-        le=98,
-        description="of SCHED_FIFO, 0 for none; a real-time kernel's interrupt threads have 50",
-    )
-    cpus: tuple[int, ...] = Field(
-        default=(), description="processors to run on; by default the isolated ones, where there are any"
-    )
-    lock_memory: bool = Field(default=True, description="keep memory from being swapped out")
-
-    @field_validator("cpus")
-    @classmethod
-    def _numbers(cls, cpus: tuple[int, ...]) -> tuple[int, ...]:
-        if min(cpus, default=0) < 0 or len(set(cpus)) != len(cpus):
-            raise ValueError("expected the numbers of processors, from 0 and each once")
-        return cpus
-
-
 class Tables(Table):
     """All tables of a scenario, in the order in which they are written and shown."""
 
@@ -370,5 +348,6 @@ class Tables(Table):
     estimator: EstimatorTable = EstimatorTable()
     loop: LoopTable
     realtime: RealtimeTable = RealtimeTable()
+    service: ServiceTable = ServiceTable()
     fault: tuple[FaultTable, ...] = ()
     expect: tuple[ExpectTable, ...] = ()

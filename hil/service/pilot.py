@@ -74,6 +74,23 @@ class Pilot:
             Phase.ESTOP: self._be_latched,
         }
 
+    @property
+    def parts(self) -> Parts:
+        """What the ticks are made of; the law in command among them."""
+        return self._parts
+
+    @property
+    def feedback_age_ms(self) -> float | None:
+        """Age of the newest feedback; None while there is none."""
+        return None if self.phase is Phase.AWAY else self._doing.feedback_age_ms
+
+    @property
+    def twist_age_s(self) -> float | None:
+        """Age of the twist in force; None where none is."""
+        if self.task is not Task.TWIST:
+            return None
+        return self._t_s - (self._twist_until_s - self._rules.twist_timeout_s)
+
     # Orders
 
     def arm(self) -> None:
@@ -110,13 +127,13 @@ class Pilot:
 
     def stop(self) -> None:
         """Ramp down to rest and hold. Raises BadInputError unless the robot is ACTIVE."""
-        self._need_active()
+        self.need_active()
         self._rest()
         self.task = Task.HOLD
 
     def twist(self, twist: BodyTwist) -> BodyTwist:
         """Drive by this for ``twist_timeout_s``; return what the limits leave of it. Raises as ``stop``."""
-        self._need_active()
+        self.need_active()
         drive = self._motion if self.task is Task.TWIST and isinstance(self._motion, Drive) else self._rest()
         self.task = Task.TWIST
         self._twist_until_s = self._t_s + self._rules.twist_timeout_s
@@ -127,7 +144,7 @@ class Pilot:
 
         Raises BadInputError as ``stop``.
         """
-        self._need_active()
+        self.need_active()
         begin = path.at(0.0).pose
 
         def follow(at: Reference) -> Motion:
@@ -140,7 +157,7 @@ class Pilot:
 
     def go(self, pose: Pose) -> None:
         """Go to a pose in the world and hold there. Raises BadInputError as ``stop``."""
-        self._need_active()
+        self.need_active()
 
         def follow(at: Reference) -> Motion:
             way = way_to(at.pose, pose, self._rules.speeds)
@@ -306,7 +323,8 @@ class Pilot:
         self.why = self._parts.device.why_not_active()
         self._enter(Phase.FAULT if robot is RobotState.FAULT else Phase.ESTOP)
 
-    def _need_active(self) -> None:
+    def need_active(self) -> None:
+        """Raise BadInputError unless the robot is ACTIVE."""
         if self.phase is not Phase.ACTIVE:
             raise BadInputError(f"the robot is {self.phase}; arm it first{self._because()}")
 

@@ -147,6 +147,11 @@ class Recording:
         return self._process.rows_saved
 
     @property
+    def rows_dropped(self) -> int:
+        """Rows that found the ring full and were given up by now."""
+        return self._process.rows_dropped
+
+    @property
     def restarts(self) -> int:
         """How often the recorder was started again by now."""
         return self._process.restarts

@@ -1,0 +1,204 @@
+"""Takes the orders of a service: those of a moment are done at once, others by a thread beside the ticks."""
+
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import Executor, Future
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from hil.errors import BadInputError, HilError
+from hil.kinematics import BodyTwist
+from hil.references import make_reference
+from hil.scenario import Scenario
+from hil.scenario.laws import make_laws
+from hil.service import logs
+from hil.service.messages import Action, Answer, Order
+from hil.service.pilot import Pilot
+from hil.service.records import Records, finished
+from hil.telemetry import Recording, check_output_path
+from hil.telemetry.provenance import properties
+from hil.types import Pose
+
+Result = Mapping[str, Any]
+Then = Callable[[Any], Result]
+"""Ends an order in the ticks' own thread, with what the thread beside has made; returns the answer's result."""
+
+
+class Desk:
+    """Has orders done, and answers each by ``answer``.
+
+    ``reload`` loads the configuration again; ``beside`` does one thing at a time, in order.
+
+    Attributes:
+        shutdown: whether the service was asked to end.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        pilot: Pilot,
+        records: Records,
+        answer: Callable[[Answer], None],
+        reload: Callable[[], Scenario],
+        beside: Executor,
+    ) -> None:
+        self._scenario = scenario
+        self._pilot = pilot
+        self._records = records
+        self._answer = answer
+        self._reload = reload
+        self._beside = beside
+        self._signals = make_laws(scenario, scenario.directory).signals
+        self._under_way: list[tuple[Order, Future[Any], Then]] = []
+        self._records_busy = False
+        self.shutdown = False
+        self._actions: dict[Action, Callable[[Order], Result | None]] = {
+            Action.ARM: lambda _: self._now(pilot.arm),
+            Action.DISARM: lambda _: self._now(pilot.disarm),
+            Action.ESTOP: lambda _: self._now(pilot.estop),
+            Action.CLEAR: lambda _: self._now(pilot.clear),
+            Action.STOP: lambda _: self._now(pilot.stop),
+            Action.TWIST: self._twist,
+            Action.GO: self._go,
+            Action.TRACK: self._track,
+            Action.GAINS: self._gains,
+            Action.RECORD: self._record,
+            Action.STOP_RECORDING: self._stop_recording,
+            Action.SHUTDOWN: self._shut_down,
+        }
+
+    def take(self, orders: Iterable[Order]) -> None:
+        """Have orders done, and answer those and earlier ones that have come to their end. Never waits."""
+        for order in orders:
+            if order.action is not Action.TWIST:  # of which there are many
+                logs.info("order", action=order.action.value, **order.arguments)
+            self._try(order, lambda order=order: self._actions[order.action](order))  # type: ignore[misc]
+        if self._under_way:
+            ended, self._under_way = self._under_way, []
+            for order, future, then in ended:
+                if future.done():
+                    self._try(order, lambda future=future, then=then: then(future.result()))  # type: ignore[misc]
+                else:
+                    self._under_way.append((order, future, then))
+
+    def _try(self, order: Order, do: Callable[[], Result | None]) -> None:
+        try:
+            result = do()
+        except (HilError, OSError) as refusal:
+            logs.warning("order refused", action=order.action.value, why=str(refusal))
+            self._answer(Answer(order.number, str(refusal)))
+        else:
+            if result is not None:
+                self._answer(Answer(order.number, None, result))
+
+    def _later(self, order: Order, make: Callable[[], Any], then: Then) -> None:
+        self._under_way.append((order, self._beside.submit(make), then))
+
+    @staticmethod
+    def _now(do: Callable[[], None]) -> Result:
+        do()
+        return {}
+
+    def _twist(self, order: Order) -> Result:
+        wanted = order.arguments
+        twist = self._pilot.twist(BodyTwist(wanted["vx_m_s"], wanted["vy_m_s"], wanted["yaw_rate_rad_s"]))
+        return {"vx_m_s": twist.forward_m_s, "vy_m_s": twist.left_m_s, "yaw_rate_rad_s": twist.yaw_rate_rad_s}
+
+    def _go(self, order: Order) -> Result:
+        wanted = order.arguments
+        self._pilot.go(Pose(wanted["x_m"], wanted["y_m"], wanted["heading_rad"]))
+        return {}
+
+    def _track(self, order: Order) -> None:
+        self._pilot.need_active()  # or a path would be read for nothing
+        here, wanted = bool(order.arguments["here"]), order.arguments["reference"]
+        table = self._scenario.reference
+        kind, options = table.kind, table.options
+        if wanted is not None:
+            kind, options = wanted["kind"], {name: value for name, value in wanted.items() if name != "kind"}
+
+        def then(path: Any) -> Result:
+            self._pilot.track(path, here=here)
+            return {"kind": kind}
+
+        self._later(order, lambda: make_reference(kind, options, self._scenario.directory), then)
+
+    def _gains(self, order: Order) -> None:
+        def make() -> Any:
+            wanted, now = order.arguments["gains"], self._scenario.controller
+            gains = self._reload_gains() if wanted is None else {**now.gains, **wanted}
+            tables = self._scenario.model_copy(update={"controller": now.model_copy(update={"gains": gains})})
+            return tables, make_laws(tables, tables.directory)
+
+        def then(made: Any) -> Result:
+            scenario, laws = made
+            if laws.signals != self._signals:
+                raise BadInputError("these gains change what the law records; restart the service to use them")
+            self._scenario = scenario
+            self._pilot.use(laws)
+            return {"gains": dict(self._scenario.controller.gains)}
+
+        self._later(order, make, then)
+
+    def _reload_gains(self) -> Mapping[str, Any]:
+        now, new = self._scenario.controller, self._reload().controller
+        if (new.law, new.command) != (now.law, now.command):
+            raise BadInputError(
+                f"the file has law {new.law!r} in {new.command} mode now, and {now.law!r} in {now.command} mode is "
+                "served; restart the service to change that"
+            )
+        return new.gains
+
+    def _record(self, order: Order) -> None:
+        if self._records_busy or self._records.path is not None:
+            raise BadInputError(f"{self._records.path or 'a recording'} is being written; stop that first")
+        self._records_busy = True
+        wanted = order.arguments["path"]
+        path = Path(wanted) if wanted is not None else Path("runs") / f"{self._scenario.name}-{_stamp()}.rrd"
+
+        def make() -> Recording:
+            if wanted is None:
+                path.parent.mkdir(exist_ok=True)
+            check_output_path("recording", path)
+            return Recording(path, properties=properties(self._scenario), blocking=False, signals=self._signals)
+
+        def then(recording: Any) -> Result:
+            self._records.begin(recording)
+            return {"path": str(path)}
+
+        self._later(order, self._freeing(make), then)
+
+    def _stop_recording(self, order: Order) -> None:
+        recording = None if self._records_busy else self._records.end()
+        if recording is None:
+            raise BadInputError("nothing is being recorded")
+        self._records_busy = True
+
+        def then(report: Any) -> Result:
+            return {
+                "path": str(report.path),
+                "rows": report.rows_written,
+                "complete": report.complete,
+                "error": report.error,
+            }
+
+        self._later(order, self._freeing(lambda: finished(recording, {})), then)
+
+    def _freeing(self, make: Callable[[], Any]) -> Callable[[], Any]:
+        """Return the same, which lets the next order on recordings be taken when it has ended, whatever way."""
+
+        def made() -> Any:
+            try:
+                return make()
+            finally:
+                self._records_busy = False
+
+        return made
+
+    def _shut_down(self, order: Order) -> Result:
+        self.shutdown = True
+        return {}
+
+
+def _stamp() -> str:
+    return f"{datetime.now():%Y%m%d-%H%M%S}"  # noqa: DTZ005 - a name for a person

@@ -1,0 +1,261 @@
+"""``hil serve``: the control process. It ticks, owns link, robot and recording, and has the API process beside it."""
+
+import contextlib
+import signal
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from hil.bench import Bench
+from hil.errors import BadInputError, HilError, LinkError
+from hil.links.back_off import BackOff
+from hil.links.url import parse_link
+from hil.parts import PartsOf
+from hil.realtime import RealTime, Wanted, real_time
+from hil.sampling import Sampling
+from hil.scenario import Scenario
+from hil.service import logs
+from hil.service.api_child import ApiChild
+from hil.service.api_config import ApiConfig, Limits, LogStyle
+from hil.service.desk import Desk
+from hil.service.lock import device_held
+from hil.service.messages import Action, Answer, Phase
+from hil.service.motions import Speeds
+from hil.service.now import Counts, Now
+from hil.service.pilot import Pilot, Rules
+from hil.service.records import Records, finished
+from hil.service.systemd import Notifier
+from hil.signals import LoopSignals
+from hil.telemetry import Recording
+from hil.telemetry.provenance import properties
+from hil.types import NAN
+
+_STATUS_HZ = 20
+_FARTHEST_M = 1000.0  # of a pose to go to; beyond it a float32 on the way would lose millimetres
+_POLL_S = 0.02
+_ENDING_LIMIT_S = 7.0  # longer than a robot is waited for that is told to stop
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What ``hil serve`` takes besides the configuration.
+
+    ``record`` is a file to record to from the start, ``live_port`` serves viewers, ``token_file`` has the API's token,
+    ``truth`` is the URL of a virtual robot's truth socket, ``log`` the form of the log's lines.
+    """
+
+    record: Path | None = None
+    live_port: int | None = None
+    token_file: str | None = None
+    truth: str | None = None
+    allow_motion: bool = False
+    log: LogStyle = "text"
+
+
+class _Ending:
+    """Whether the service is to end: a first SIGTERM or SIGINT asks for it, a second one insists."""
+
+    def __init__(self) -> None:
+        self.asked = 0
+
+    def __call__(self, number: int, _frame: object) -> None:
+        self.asked += 1
+        logs.info("told to end", signal=signal.Signals(number).name)
+
+
+def serve(scenario: Scenario, options: Options, reload: Callable[[], Scenario]) -> None:
+    """Serve a scenario's robot until SIGTERM, SIGINT or an order to shut down: then it stops, disarms and returns.
+
+    ``reload`` loads the configuration again. Raises BadInputError for what is wrong with it, LinkError when another
+    process has the device, DeviceError when a robot in this process has failed.
+    """
+    if scenario.loop.mode == "lockstep":
+        raise BadInputError("a service runs in real time; leave loop.mode out, or set it to 'realtime'")
+    parts = PartsOf(scenario)
+    ending = _Ending()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, ending)
+    with contextlib.ExitStack() as resources:
+        resources.enter_context(device_held(parse_link(scenario.link.url), f"hil serve {scenario.name}"))
+        notifier = Notifier()
+        resources.callback(notifier.close)
+        records = Records(_live(scenario, parts, options, resources))
+        if options.record is not None:
+            recording = Recording(
+                options.record, properties=properties(scenario), blocking=False, signals=parts.laws.signals
+            )
+            records.begin(recording)
+        resources.callback(_finish, records)
+        api = ApiChild(_api_config(scenario, options))
+        resources.callback(api.close)
+        service = _Service(scenario, options, parts, records, api, notifier, ending)
+        service.run(reload)
+        notifier.stopping()
+        logs.info("service ends")
+
+
+def _live(scenario: Scenario, parts: PartsOf, options: Options, resources: contextlib.ExitStack) -> Recording | None:
+    if options.live_port is None:
+        return None
+    live = Recording(
+        None,
+        properties=properties(scenario),
+        blocking=False,
+        live_port=options.live_port,
+        signals=parts.laws.signals,
+    )
+    return resources.enter_context(live)
+
+
+def _finish(records: Records) -> None:
+    recording = records.end()
+    if recording is not None:
+        finished(recording, {})
+
+
+def _api_config(scenario: Scenario, options: Options) -> ApiConfig:
+    table = scenario.service
+    limits = Limits(table.speed_m_s, table.yaw_rate_rad_s, _FARTHEST_M)
+    return ApiConfig(
+        scenario.name, scenario.link.url, limits, port=table.port, token_file=options.token_file, log=options.log
+    )
+
+
+class _Service:
+    """The control process between its start and its end."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        options: Options,
+        parts: PartsOf,
+        records: Records,
+        api: ApiChild,
+        notifier: Notifier,
+        ending: _Ending,
+    ) -> None:
+        self._scenario = scenario
+        self._options = options
+        self._parts = parts
+        self._records = records
+        self._api = api
+        self._notifier = notifier
+        self._ending = ending
+        self._counts = Counts()
+        self._now = Now(scenario, records, self._counts)
+
+    def run(self, reload: Callable[[], Scenario]) -> None:
+        """Serve until the end."""
+        with contextlib.ExitStack() as resources:
+            self._notifier.ready()
+            bench = self._open_bench(resources)
+            if bench is None:
+                return
+            beside = resources.enter_context(ThreadPoolExecutor(1, "beside"))
+            beside.submit(time.monotonic).result()  # its thread begins here, before this one has real-time priority
+            pilot = self._pilot(bench)
+            resources.callback(bench.device.disarm)
+            desk = Desk(self._scenario, pilot, self._records, self._api.send, reload, beside)
+            with real_time(Wanted(**dict(self._scenario.realtime)), bench.robot_threads) as granted:
+                self._tick(bench, pilot, desk, granted)
+
+    def _open_bench(self, resources: contextlib.ExitStack) -> Bench | None:
+        """Open link and robot, again and again while that fails; None when the service is to end before."""
+        waits = BackOff()
+        while True:
+            try:
+                options = self._options
+                return resources.enter_context(
+                    Bench(
+                        self._scenario,
+                        options.truth,
+                        allow_motion=options.allow_motion,
+                        signals=self._parts.laws.signals,
+                    )
+                )
+            except LinkError as error:
+                logs.warning("link cannot be opened", why=str(error))
+                if not self._wait_for_link(str(error), waits.take_ns()):
+                    return None
+
+    def _wait_for_link(self, why: str, wait_ns: int) -> bool:
+        """Answer orders for so long; False when the service is to end."""
+        until_ns = time.monotonic_ns() + wait_ns
+        while time.monotonic_ns() < until_ns:
+            for order in self._api.orders():
+                if order.action is Action.SHUTDOWN:
+                    self._api.send(Answer(order.number))
+                    return False
+                self._api.send(Answer(order.number, f"the robot is away: {why}"))
+            if self._ending.asked:
+                return False
+            self._api.send(self._now.without_bench(why))
+            self._notifier.beat(time.monotonic_ns())
+            time.sleep(_POLL_S)
+        return True
+
+    def _pilot(self, bench: Bench) -> Pilot:
+        table = self._scenario.service
+        speeds = Speeds(**{name: getattr(table, name) for name in Speeds._fields})
+        rules = Rules(speeds, table.twist_timeout_s, table.error_limit_m)
+        made = self._parts.make(bench, self._records, self._records.note)
+        return Pilot(made, self._scenario.controller.mode, self._parts.timing, rules)
+
+    def _tick(self, bench: Bench, pilot: Pilot, desk: Desk, granted: RealTime) -> None:
+        timing, counts, clock = self._parts.timing, self._counts, bench.clock
+        sampling = Sampling(clock, bench.device, bench.truth, timing)
+        origin_ns = clock.now_ns()
+        number = sampling.begin(origin_ns)
+        bench.begin(origin_ns)
+        every = max(1, round(1e9 / _STATUS_HZ / timing.period_ns))
+        told = pilot.phase
+        tick_us = NAN
+        for _ in self._until_stopped(pilot, desk):
+            try:
+                late_ns = sampling.wait(number)
+            except HilError as error:
+                pilot.lose(error)
+                number = sampling.following(number)
+                continue
+            begin_ns = time.perf_counter_ns()
+            desk.take(self._api.orders())
+            if number >= 0:
+                counts.ticks += 1
+                counts.lateness.add(late_ns)
+                t_s = number * timing.period_ns * 1e-9
+                now = LoopSignals(t_s, number, late_ns * 1e-3, tick_us, counts.deadline_misses)
+                pilot.tick(now, sampling.fix_of(number))
+            if pilot.phase is not told or number % every == 0:
+                if pilot.phase is not told:
+                    self._tell(pilot, number * timing.period_ns * 1e-9)
+                    told = pilot.phase
+                self._api.send(self._now.status(pilot, bench, granted))
+            self._notifier.beat(begin_ns)
+            tick_us = (time.perf_counter_ns() - begin_ns) * 1e-3
+            following = sampling.following(number)
+            counts.deadline_misses += max(0, following - max(number, -1) - 1)
+            number = following
+
+    def _until_stopped(self, pilot: Pilot, desk: Desk) -> Iterator[None]:
+        """Yield until the service is to end and its robot is disarmed, or is not to be waited for any more."""
+        limit_s = None
+        while True:
+            if limit_s is None and (self._ending.asked or desk.shutdown):
+                pilot.disarm()
+                limit_s = time.monotonic() + _ENDING_LIMIT_S
+            if limit_s is not None:
+                if pilot.phase not in (Phase.ARMING, Phase.ACTIVE, Phase.STOPPING):
+                    return
+                if self._ending.asked > 1 or time.monotonic() > limit_s:
+                    logs.error("robot did not come to rest in time; its watchdog stops it")
+                    return
+            yield
+
+    def _tell(self, pilot: Pilot, t_s: float) -> None:
+        """Have the log, the recording and systemd know of another phase."""
+        why = f": {pilot.why}" if pilot.why is not None else ""
+        lost = pilot.phase in (Phase.AWAY, Phase.FAULT, Phase.ESTOP) or why
+        self._records.note(t_s, "warning" if lost else "info", f"the robot is {pilot.phase}{why}")
+        self._notifier.status(f"the robot is {pilot.phase}{why}")
