@@ -112,7 +112,8 @@ def _no_end(path: Path) -> str:
             size = file.seek(0, os.SEEK_END)
             left = size - _end_of_messages(file, size)
         cut = f", with its last {left} bytes, a message cut short," if left else ""
-    return f"{path.name} has no end: the recorder was killed or the file was cut, and what came after{cut} is lost"
+    why = "the recorder was killed or could not write it, or the file was cut"
+    return f"{path.name} has no end: {why}, and what came after{cut} is lost"
 
 
 def _parts(path: Path, wanted: Wanted) -> tuple[list[tuple[Path, Contents]], list[str]]:

@@ -16,6 +16,7 @@ from hil.signals import SIGNAL_NAMES
 from hil.telemetry.known import table_rows
 
 _NO_SUMMARY = "the recording has no summary: the run did not come to its end"
+_NO_END = "the recording has no summary, for it has no end: what became of the run is not known"
 _NOT_HERE = "the recording has no summary: it is in a later part, which was not read"
 _UNSAID = "the run's summary does not say"
 _WHAT_IT_WAS = {"scenario": "scenario_name", "law": "law", "mode": "mode", "link": "link", "seed": "seed"}
@@ -92,7 +93,7 @@ def figures(run: RecordedRun) -> dict[str, Any]:
             reasons[name] = f"the recording has no signal {lacking[0]}: another version of the program made it"
     found["ticks"] += (run.rows_dropped or 0) + run.rows_missing
     summary = run.summary or {}
-    no_summary = _NOT_HERE if run.goes_on else _NO_SUMMARY
+    no_summary = _NOT_HERE if run.goes_on else _NO_END if run.rows_dropped is None else _NO_SUMMARY
     for name in _FROM_SUMMARY:
         found[name] = summary.get(name)
         if found[name] is None:

@@ -24,7 +24,8 @@ A trace is in Vector's binary or text form, or in that of ``candump -L``.
 _MAGICS = {".rrd": b"RRF2", ".mcap": b"\x89MCAP0\r\n"}
 _ENDS = {".rrd": b"RRF2FOOT", ".mcap": b"\x89MCAP0\r\n"}
 _END_BYTES = 12
-_PROBE_BYTES = 1 << 18  # more than a file begins with
+_BEGINNING_BYTES = 1 << 18  # more than a recording begins with
+_PROBE_BYTES = 1 << 20
 _SMALLEST_BYTES = 1_000_000
 
 
@@ -56,10 +57,10 @@ def _first_part(path: Path) -> Path | None:
     return first if first.exists() else None
 
 
-def check_writable(folder: Path) -> None:
-    """Raise OSError unless a file in the folder can have as much as a recording begins with; leaves none behind."""
+def check_writable(folder: Path, size_bytes: int = _BEGINNING_BYTES) -> None:
+    """Raise OSError unless a file in the folder can have this size, by default a beginning; leaves none behind."""
     with tempfile.TemporaryFile(dir=folder) as probe:
-        probe.write(bytes(_PROBE_BYTES))
+        probe.write(bytes(size_bytes))
 
 
 def why_not_written(path: Path, error: Exception) -> str:
@@ -69,7 +70,7 @@ def why_not_written(path: Path, error: Exception) -> str:
     """
     if not isinstance(error, OSError):
         try:
-            check_writable(path.parent)
+            check_writable(path.parent, _PROBE_BYTES)
         except OSError as told:
             error = told
     if not isinstance(error, OSError):

@@ -214,4 +214,4 @@ class Recording:
         """Say which files of other runs stand where one of this run would have been written."""
         if self._path is not None and len(kept) < max(kept, default=0):
             others = [part_path(self._path, number).name for number in range(1, max(kept)) if number not in kept]
-            yield f"{', '.join(others)} was there before, and was left alone"
+            yield f"it did not go on in {', '.join(others)}: there was such a file before, which was left alone"
