@@ -66,8 +66,8 @@ class Parts:
         self._part_path = self._path
         self._identity: tuple[int, int] | None = None
         self._begun_s: float | None = None
-        # A file whose disk is full is better never closed: rerun may wait for it for ever. One that was not even begun
-        # is held by the error that says so.
+        # A file whose disk is full is better never closed: rerun may wait for it for ever. One that was half made is
+        # held by rerun's error.
         self._abandoned: list[object] = []
         self._next_try_s = self._back_off_s = 0.0
         try:
@@ -111,8 +111,7 @@ class Parts:
             self.take(self._ring.head)
         if summary is None:
             # The run may go on: what came meanwhile is for whoever takes this process's place.
-            if self._file is not None or self._events:
-                self._finish_file(None)
+            self._finish_file(None)
             return
         self._ring.give_up(self._ring.head)
         # A file that goes now has another after it.
@@ -182,7 +181,8 @@ class Parts:
             if shutil.disk_usage(path.parent).free < _ROOM_BYTES:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         # rerun may wait for ever for a file of which it cannot write the beginning.
-        check_writable(path.parent)
+        if os.access(path.parent, os.W_OK):
+            check_writable(path.parent)
         part = {
             "recording_id": self._config["recording_id"],
             "number": number,
@@ -204,8 +204,10 @@ class Parts:
     def _give_up(self, error: Exception) -> None:
         """Leave the file as it is; the next try comes after a while, and then after twice as long."""
         self.trouble = why_not_written(part_path(self._path, max(1, self._ring.part)), error)
-        self._abandoned.append(error if self._file is None else self._file)
+        if isinstance(error, RuntimeError):
+            self._abandoned.append(error)
         if self._file is not None:
+            self._abandoned.append(self._file)
             self._file = None
             self._back_off_s = _FIRST_BACK_OFF_S
         self._next_try_s = time.monotonic() + self._back_off_s
