@@ -127,8 +127,8 @@ def applied_words(fault: Mapping[str, Any]) -> str:
 def _what_became_of(recorded: Mapping[str, Any], path: str | None) -> str:
     """Return what a recording lacks, why, and where the rest is; empty when all of it is in one file."""
     parts = f" in {len(recorded['parts'])} parts" if len(recorded["parts"]) > 1 else ""
-    if recorded["error"] or recorded["dropped"] or recorded["lost"] or recorded["events_lost"]:
-        why = recorded["error"] or "the recorder was too slow"
+    if (why := why_incomplete(recorded)) is not None:
+        path = recorded_at(recorded, path)
         events = f", {recorded['events_lost']} events lost" if recorded["events_lost"] else ""
         rest = "" if path is None else f", {recorded['rows']} are safe in {path}{parts}"
         counts = f"{recorded['dropped']} rows were dropped and {recorded['lost']} lost{events}"
@@ -136,6 +136,18 @@ def _what_became_of(recorded: Mapping[str, Any], path: str | None) -> str:
     if recorded["troubles"]:
         return f"complete{parts}, though {'; '.join(recorded['troubles'])}"
     return f"complete{parts}" if parts else ""
+
+
+def why_incomplete(recorded: Mapping[str, Any]) -> str | None:
+    """Return why something is missing in a recording, or None where nothing is."""
+    if recorded["error"] or recorded["dropped"] or recorded["lost"] or recorded["events_lost"]:
+        return recorded["error"] or "the recorder was too slow"
+    return None
+
+
+def recorded_at(recorded: Mapping[str, Any], path: str | None) -> str | None:
+    """Return the first file of a recording that is still there; ``path`` is the one that was begun with."""
+    return path if path in recorded["parts"] else next(iter(recorded["parts"]), None)
 
 
 def _traffic(link: Mapping[str, Any], way: str) -> str:

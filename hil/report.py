@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.errors import BadInputError, nearest
-from hil.figure_words import belief_rows, figure_rows, link_rows, outcome_rows
+from hil.figure_words import belief_rows, figure_rows, link_rows, outcome_rows, recorded_at
 from hil.plant.words import one_line
 from hil.results import RunResult
 
@@ -112,7 +112,8 @@ def linger() -> None:
 def print_result(result: RunResult) -> None:
     """Print the figures of a run, its expectations, and what to do next."""
     print_figures(result.metrics)
-    path = result.metrics["recording"]
+    recorded = result.metrics.get("recorded")
+    path = None if recorded is None else recorded_at(recorded, result.metrics["recording"])
     print()
     print("Next:")
     hil = _command()

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hil.commands.review import review as command
 from hil.errors import BadInputError
 from hil.metrics import FIGURE_SIGNALS, signal_figures
-from hil.review import Event, RecordedRun, read, review, to_frame
+from hil.review import Event, RecordedRun, figures, read, review, to_frame
 from hil.review.decode import decode
 from hil.signals import SIGNAL_NAMES
 from hil.telemetry import Recording
@@ -26,6 +27,8 @@ SUMMARY = {
     "link_statistics": {"lost": {"snapshots": 3}, "load": None, "reasons": {"load": "memory has no bit rate"}},
     "pose_fixes": {"received": 60, "accepted": 58},
     "wire_sha256": "ab" * 32,
+    "stale_ticks": 3,
+    "robot_slipped_ticks": 7,
     "reasons": {"realtime_factor": "because"},
 }
 
@@ -61,16 +64,24 @@ def test_what_the_run_was_and_said_comes_back(run: RecordedRun) -> None:
     assert run.events == (Event(-0.02, "INFO", "ARMED"), Event(5.4, "WARN", "STOPPING: host request"))
 
 
-def test_a_review_has_the_figures_of_the_run(recording: Path) -> None:
+def test_a_review_has_the_figures_of_the_run(recording: Path, run: RecordedRun) -> None:
     table = circle_table(ROWS)
-    figures, reasons = signal_figures({name: column(table, name) for name in SIGNAL_NAMES})
-    reviewed = review(recording)
+    of_signals, reasons = signal_figures({name: column(table, name) for name in SIGNAL_NAMES})
+    reviewed = figures(run)
     assert reviewed.pop("reasons") == {**reasons, "realtime_factor": "because"}
     kept = ("passed", "realtime_factor", "frames", "link_statistics", "pose_fixes", "wire_sha256")
-    expected = {**figures, **{name: SUMMARY[name] for name in kept}, "recording": str(recording)}
+    expected = {**of_signals, **{name: SUMMARY[name] for name in kept}, "recording": str(recording)}
     assert {name: reviewed[name] for name in expected} == expected
     assert (reviewed["scenario"], reviewed["law"], reviewed["notes"]) == ("made_up_circle", "none", [])
     assert reviewed["events"][0] == {"t_s": -0.02, "level": "INFO", "text": "ARMED"}
+
+
+def test_a_review_prints_what_the_robot_knew_of_itself(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command([recording])
+    printed = capsys.readouterr().out
+    assert "pose fixes             60 received, 58 accepted" in printed
+    assert "virtual robot          lost 7 ms of its time to stalls of this machine" in printed
+    assert "held                   for 3 ticks" in printed
 
 
 @pytest.mark.skipif(importlib.util.find_spec("pandas") is None, reason="needs pandas")
@@ -114,11 +125,12 @@ def test_a_recording_without_a_row_has_a_reason_for_each_figure_that_it_lacks(tm
     path = tmp_path / "run.rrd"
     with Recording(path, properties={}, blocking=True):
         pass  # the run ended before it began, and without a summary
-    figures = review(path)
-    assert figures["ticks"] == 0
-    without = {name for name in (*FIGURE_SIGNALS, *SUMMARY) if figures.get(name) is None} - {"reasons"}
-    assert without == set(figures["reasons"])
-    assert figures["failure"] == "the recording has no summary: the run did not come to its end"
+    found = review(path)
+    assert found["ticks"] == 0
+    judged = (*FIGURE_SIGNALS, *SUMMARY)
+    without = {name for name in judged if found.get(name) is None} - {"reasons", "stale_ticks", "robot_slipped_ticks"}
+    assert without == set(found["reasons"])
+    assert found["failure"] == "the recording has no summary: the run did not come to its end"
 
 
 def problem_of(path: Path) -> str | None:

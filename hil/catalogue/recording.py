@@ -68,6 +68,7 @@ class RecordingHere:
             rows_lost=0,
             events_lost=0,
             error=None,
+            parts=(self.path,),
         )
 
     def __enter__(self) -> Self:

@@ -93,7 +93,7 @@ def _check(
 def _print_run(found: Mapping[str, Any]) -> None:
     """Print on one screen what the run was, why it failed, what happened to it, and its figures."""
     from hil import report
-    from hil.figure_words import figure_rows, link_rows, outcome_rows
+    from hil.figure_words import belief_rows, figure_rows, link_rows, outcome_rows
 
     report.print_rows(_about(found))
     report.print_rows([("note", sentence) for sentence in found["notes"]])
@@ -105,6 +105,7 @@ def _print_run(found: Mapping[str, Any]) -> None:
     report.print_rows(_event_rows(found))
     print()
     report.print_rows(figure_rows(found))
+    report.print_rows(belief_rows(found))
     report.print_rows(link_rows(found))
 
 

@@ -6,7 +6,9 @@ is a JSON list of those that are wanted.
 """
 
 import functools
+import itertools
 import json
+import operator
 import os
 import struct
 import sys
@@ -43,6 +45,7 @@ _MESSAGE = struct.Struct("<QQ")
 _END_MESSAGE = 0
 _COPY_BYTES = 1 << 20
 _PROPERTIES = "/__properties/"
+_ROW_ID = "rerun.controls.RowId"
 
 
 class Decoded(TypedDict):
@@ -56,6 +59,7 @@ class Decoded(TypedDict):
     summary: dict[str, Any] | None
     rows_dropped: int | None
     rows_missing: int
+    goes_on: bool
     parts: list[str]
     notes: list[str]
 
@@ -64,9 +68,14 @@ def decode(path: Path, wanted: Wanted = None) -> tuple[Decoded, dict[str, Series
     """Return what a recording and its later parts hold, and its signals by name. Raises DamagedError."""
     parts, notes = _parts(path, wanted)
     first, last = parts[0][1], parts[-1][1]
-    spans, missing = _spans([contents for _, contents in parts])
-    if missing:
-        notes.append(f"{missing} rows between its parts were lost")
+    told = [contents.json(PART_PROPERTY) or {} for _, contents in parts]
+    spans, missing = _spans([one.get("first_row") for one in told], [_length(contents) for _, contents in parts])
+    event_spans, events_missing = _spans(
+        [one.get("first_event") for one in told], [len(contents.events) for _, contents in parts]
+    )
+    for count, what in ((missing, "rows"), (events_missing, "events")):
+        if count:
+            notes.append(f"{count} {what} between its parts were lost")
     signals = {
         name: np.concatenate([c.signals[name][:n] for (_, c), n in zip(parts, spans, strict=True)])
         if len(parts) > 1
@@ -76,15 +85,19 @@ def decode(path: Path, wanted: Wanted = None) -> tuple[Decoded, dict[str, Series
     recorder = last.json(RECORDER_PROPERTY)
     if recorder is None:
         notes.append(_no_end(parts[-1][0]))
+    next_part = (recorder or {}).get("next_part")
+    if next_part is not None:
+        notes.append(f"the run went on in part {next_part}, which is not read here")
     decoded = Decoded(
         signals=list(signals),
         held=[name for names in (first.json(SIGNALS_PROPERTY) or {}).values() for name in names],
         rows=len(next(iter(signals.values()), ())),
-        events=[event for _, contents in parts for event in contents.events],
+        events=[event for (_, c), n in zip(parts, event_spans, strict=True) for event in c.events[:n]],
         properties=first.properties.get(RUN_PROPERTY, {}),
         summary=last.json(SUMMARY_PROPERTY),
         rows_dropped=None if recorder is None else recorder.get("rows_dropped"),
         rows_missing=missing,
+        goes_on=next_part is not None,
         parts=[str(one) for one, _ in parts],
         notes=notes,
     )
@@ -99,7 +112,8 @@ def _no_end(path: Path) -> str:
             size = file.seek(0, os.SEEK_END)
             left = size - _end_of_messages(file, size)
         cut = f", with its last {left} bytes, a message cut short," if left else ""
-    return f"{path.name} has no end: the recorder was killed or the file was cut, and what came after{cut} is lost"
+    why = "the recorder was killed or could not write it, or the file was cut"
+    return f"{path.name} has no end: {why}, and what came after{cut} is lost"
 
 
 def _parts(path: Path, wanted: Wanted) -> tuple[list[tuple[Path, Contents]], list[str]]:
@@ -107,6 +121,8 @@ def _parts(path: Path, wanted: Wanted) -> tuple[list[tuple[Path, Contents]], lis
     first = _read(path, wanted)
     parts, notes = [(path, first)], []
     part = first.json(PART_PROPERTY)
+    if part is not None and _is_later_part(part, first):
+        notes.append(_alone(path, part))
     for other in later_parts(path) if part is not None and part["number"] == 1 else ():
         try:
             check_is_recording(other)
@@ -124,19 +140,43 @@ def _parts(path: Path, wanted: Wanted) -> tuple[list[tuple[Path, Contents]], lis
     return parts, notes
 
 
-def _spans(parts: list[Contents]) -> tuple[list[int], int]:
-    """Return how many rows to take of each part, and how many are in none.
+def _is_later_part(part: dict[str, Any], contents: Contents) -> bool:
+    """Whether a file is one of the later parts alone; parts that rerun has merged say what the last of them said."""
+    in_part = (contents.json(RECORDER_PROPERTY) or {}).get("rows_in_part")
+    return bool(part["number"] > 1 and (in_part is None or not contents.signals or _length(contents) <= in_part))
 
-    A recorder that was killed had saved rows that it had no time to say so of: these are in the next part too.
+
+def _alone(path: Path, part: dict[str, Any]) -> str:
+    """Say that a file is a part of a run, and where by its name the others are."""
+    number = part["number"]
+    told = f"{path.name} is part {number} of its run, from row {part['first_row']} on, and read alone"
+    stem = path.stem.removesuffix(f"-{number}")
+    if stem == path.stem:
+        return f"{told}; the others are not known by its name"
+    first = path.with_name(stem + path.suffix)
+    if first.exists():
+        return f"{told}; review {first.name} for the whole run"
+    others = ", ".join(other.name for other in later_parts(first) if other.name != path.name)
+    return f"{told}; {first.name}, with which the run began, is not beside it{', but ' * bool(others)}{others}"
+
+
+def _length(contents: Contents) -> int:
+    return len(next(iter(contents.signals.values()), ()))
+
+
+def _spans(starts: list[int | None], lengths: list[int]) -> tuple[list[int], int]:
+    """Return how many rows (or events) to take of each part, by the numbers that they begin with, and how many lack.
+
+    What a recorder had written that was killed before it could say so is in the next part too. Recordings of before do
+    not say with which event a part begins.
     """
-    told = [contents.json(PART_PROPERTY) or {"first_row": 0} for contents in parts]
-    lengths = [len(next(iter(contents.signals.values()), ())) for contents in parts]
+    taken = list(lengths)
     missing = 0
-    for i, after in enumerate(told[1:]):
-        span = int(after["first_row"]) - int(told[i]["first_row"])
-        missing += max(0, span - lengths[i])
-        lengths[i] = min(lengths[i], span)
-    return lengths, missing
+    for i, (start, after) in enumerate(itertools.pairwise(starts)):
+        if start is not None and after is not None:
+            missing += max(0, after - start - lengths[i])
+            taken[i] = min(lengths[i], after - start)
+    return taken, missing
 
 
 def _read(path: Path, wanted: Wanted) -> Contents:
@@ -162,7 +202,8 @@ class _Entities:
         self.wanted = wanted
         self.parts: dict[str, list[_Part]] = {}
         self.properties: dict[str, dict[str, str]] = {}
-        self.events: list[tuple[float, str, str]] = []
+        self.told: dict[str, bytes] = {}  # the row id of each property's newest word
+        self.events: list[tuple[bytes, tuple[float, str, str]]] = []  # with their row ids
 
     def held(self) -> dict[str, list[str]] | None:
         """Which signals each entity holds, or None while that was not read."""
@@ -178,9 +219,16 @@ def _decode_rrd(path: Path, wanted: Wanted) -> Contents:
         try:
             stream = _indexed(rrc.RrdReader(readable))
             held: dict[str, list[str]] | None = None
+            early: list[pa.RecordBatch] = []  # rerun's own tools may put the rows before what says whose they are
             for chunk in stream().filter(content=["/__properties/**", "/events", SIGNALS_PATH]):
-                _take(chunk.entity_path, chunk.to_record_batch(), entities, held)
                 held = held or entities.held()
+                if held is None and chunk.entity_path == SIGNALS_PATH:
+                    early.append(chunk.to_record_batch())
+                else:
+                    _take(chunk.entity_path, chunk.to_record_batch(), entities, held)
+            held = entities.held()
+            while early:
+                _take(SIGNALS_PATH, early.pop(0), entities, held)
             if held is None:
                 is_overlay = OVERLAY_PROPERTY in entities.properties
                 raise DamagedError(f"a{'n overlay of two runs' if is_overlay else ' recording of another program'}")
@@ -192,7 +240,8 @@ def _decode_rrd(path: Path, wanted: Wanted) -> Contents:
         except (RuntimeError, ValueError, OSError) as error:
             what = str(error).removeprefix(f"Failed to read RRD file at {readable}: ")
             raise DamagedError(f"damaged: {what}") from error
-    return Contents(_signals(held, entities), entities.events, entities.properties)
+    events = [event for _, event in sorted(entities.events, key=operator.itemgetter(0))]
+    return Contents(_signals(held, entities), events, entities.properties)
 
 
 def _indexed(reader: "RrdReader") -> "Callable[[], LazyChunkStream]":
@@ -210,19 +259,22 @@ def _columns(names: list[str], wanted: Wanted) -> list[int]:
 def _take(entity: str, batch: "pa.RecordBatch", entities: _Entities, held: dict[str, list[str]] | None) -> None:
     columns = {name: batch.column(name) for name in batch.schema.names}
     if entity.startswith(_PROPERTIES):
+        row_id = columns[_ROW_ID][-1].as_py()
         texts = entities.properties.setdefault(entity.removeprefix(_PROPERTIES), {})
+        if row_id < entities.told.setdefault(entity, row_id):
+            return
+        entities.told[entity] = row_id
         for name, column in columns.items():
-            if str(column.type) == "list<item: string>" and (held := column[-1].as_py()):
-                texts[name] = held[0]
+            if str(column.type) == "list<item: string>" and (words := column[-1].as_py()):
+                texts[name] = words[0]
     elif {"TextLog:text", "TextLog:level", "t"} <= columns.keys():
         times = columns["t"].cast("int64").to_pylist()
-        levels, texts_ = (columns[f"TextLog:{name}"].to_pylist() for name in ("level", "text"))
-        entities.events.extend(
-            (t_ns / 1e9, level[0], text[0]) for t_ns, level, text in zip(times, levels, texts_, strict=True)
-        )
+        others = (columns[name].to_pylist() for name in (_ROW_ID, "TextLog:level", "TextLog:text"))
+        written = zip(times, *others, strict=True)
+        entities.events.extend((row_id, (t_ns / 1e9, level[0], text[0])) for t_ns, row_id, level, text in written)
     elif {"Scalars:scalars", "tick"} <= columns.keys():
         names = (held or {}).get(entity, [])
-        ids = columns["rerun.controls.RowId"]
+        ids = columns[_ROW_ID]
         row_ids = np.frombuffer(ids.buffers()[1], ">u8", count=2 * len(ids), offset=16 * ids.offset)
         values = columns["Scalars:scalars"].flatten().to_numpy()
         if len(values) != len(batch) * len(names):
@@ -280,7 +332,10 @@ def _nothing(width: int) -> _Part:
 
 @contextmanager
 def _whole_messages(path: Path) -> Iterator[Path]:
-    """Yield the file, or, if its last message was cut short, a temporary copy without that message."""
+    """Yield the file, or, if its last message was cut short, a temporary copy without that message.
+
+    ``hil.review.reader`` says where temporary files go, and takes the copy away when rerun aborts this process.
+    """
     with path.open("rb") as file:
         size = file.seek(0, os.SEEK_END)
         end = _end_of_messages(file, size)
@@ -321,6 +376,9 @@ def main() -> int:
             decoded, signals = decode(Path(sys.argv[1]), json.loads(sys.argv[2]) if len(sys.argv) > 2 else None)
         except DamagedError as damage:
             output.write(json.dumps({"damage": str(damage)}).encode() + b"\n")
+            return 1
+        except ImportError as error:
+            output.write(json.dumps({"missing": str(error)}).encode() + b"\n")
             return 1
         output.write(json.dumps(decoded).encode() + b"\n")
         for name in decoded["signals"]:

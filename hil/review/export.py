@@ -34,6 +34,9 @@ def write_export(run: RecordedRun, file: Path) -> None:
     write = {".csv": _write_csv, ".parquet": _write_parquet, ".mcap": _write_mcap}[file.suffix]
     try:
         write(run, file)
+    except ImportError as error:
+        remedy = "install pyarrow, or export to .mcap, which needs no more than this machine has"
+        raise BadInputError(f"export {file}: what writes {file.suffix} is not installed ({error}); {remedy}") from error
     except OSError as error:
         raise BadInputError(f"export {file}: it cannot be written ({error.strerror or error})") from error
 

@@ -16,6 +16,8 @@ from hil.signals import SIGNAL_NAMES
 from hil.telemetry.known import table_rows
 
 _NO_SUMMARY = "the recording has no summary: the run did not come to its end"
+_NO_END = "the recording has no summary, for it has no end: what became of the run is not known"
+_NOT_HERE = "the recording has no summary: it is in a later part, which was not read"
 _UNSAID = "the run's summary does not say"
 _WHAT_IT_WAS = {"scenario": "scenario_name", "law": "law", "mode": "mode", "link": "link", "seed": "seed"}
 _FROM_SUMMARY = ("passed", "realtime_factor", "lateness_us", "frames", "link_statistics", "pose_fixes", "wire_sha256")
@@ -29,7 +31,7 @@ _OUTCOME = (
     "commands_refused",
     "stale_ticks",
     "realtime",
-    "recorded",
+    "robot_slipped_ticks",
 )
 _MADE = ("command", "started", "mecanum_hil", "commit", "python", "machine")
 _NAMED = 4
@@ -92,14 +94,15 @@ def figures(run: RecordedRun) -> dict[str, Any]:
             reasons[name] = f"the recording has no signal {lacking[0]}: another version of the program made it"
     found["ticks"] += (run.rows_dropped or 0) + run.rows_missing
     summary = run.summary or {}
+    no_summary = _NOT_HERE if run.goes_on else _NO_END if run.rows_dropped is None else _NO_SUMMARY
     for name in _FROM_SUMMARY:
         found[name] = summary.get(name)
         if found[name] is None:
-            reasons[name] = _NO_SUMMARY if run.summary is None else summary.get("reasons", {}).get(name, _UNSAID)
+            reasons[name] = no_summary if run.summary is None else summary.get("reasons", {}).get(name, _UNSAID)
     was = {name: summary.get(name, run.properties.get(stored)) for name, stored in _WHAT_IT_WAS.items()}
     outcome = {name: summary.get(name) for name in _OUTCOME}
     if run.summary is None:
-        outcome["failure"] = _NO_SUMMARY
+        outcome["failure"] = no_summary
         outcome["expect"] = outcomes_of([row for row in expected(run) if row.signal in run.signals], run.signals)
     return {
         "passed": found.pop("passed"),

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.errors import BadInputError
-from hil.figure_words import applied_words, figure_rows, link_rows, outcome_rows
+from hil.figure_words import applied_words, belief_rows, figure_rows, link_rows, outcome_rows
 from hil.review.difference import Difference, changes, differences
 from hil.review.figures import figure_signals, scenario_of, sources_of
 from hil.review.pictures import SIGNALS, Picture, Shown, pictures
@@ -142,7 +142,8 @@ def _outcomes(figures: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _figures(figures: Mapping[str, Any]) -> Iterator[str]:
-    yield from _table(("figure", "value"), [(escape(label), escape(text)) for label, text in figure_rows(figures)])
+    rows = (*figure_rows(figures), *belief_rows(figures))
+    yield from _table(("figure", "value"), [(escape(label), escape(text)) for label, text in rows])
 
 
 def _differences(labels: Sequence[str], rows: Sequence[Difference]) -> Iterator[str]:

@@ -5,6 +5,7 @@ Works for a file without an end too: one whose recorder was killed.
 
 import json
 import subprocess
+import tempfile
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
 Series = npt.NDArray[np.float64]
 
+_INSTALL = "install rerun-sdk==0.41.*, or read it on a machine that has it"
 _REPAIR = "'rerun rrd optimize --continue-on-error' may recover what is whole"
 
 
@@ -51,6 +53,7 @@ class RecordedRun:
         summary: what the run said at its end; None when it never came to that.
         rows_dropped: rows that the run had to drop; None when the recorder never came to say.
         rows_missing: rows that are in none of its parts.
+        goes_on: whether the run went on in a part that was not read.
         parts: the files, in order.
         held: the names of all signals of the recording, read or not.
         notes: what a reader should know of the files: what is missing, or could not be read.
@@ -63,6 +66,7 @@ class RecordedRun:
     summary: dict[str, Any] | None
     rows_dropped: int | None
     rows_missing: int = 0
+    goes_on: bool = False
     parts: tuple[Path, ...] = ()
     held: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
@@ -77,18 +81,23 @@ def read(path: Path, signals: Collection[str] | None = None) -> RecordedRun:
     """
     check_is_recording(path)
     wanted = [] if signals is None else [json.dumps(sorted(signals))]
-    # A process of its own: the library aborts on some damaged files.
-    with subprocess.Popen(
-        module_command("hil.review.decode", str(path), *wanted),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        env=rerun_environment(),
-    ) as decoder:
+    # A process of its own: the library aborts on some damaged files, and then leaves its temporary files behind.
+    with (
+        tempfile.TemporaryDirectory() as scratch,
+        subprocess.Popen(
+            module_command("hil.review.decode", str(path), *wanted),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env=rerun_environment() | {"TMPDIR": scratch},
+        ) as decoder,
+    ):
         assert decoder.stdout is not None
         line = decoder.stdout.readline()
         head: dict[str, Any] = (
             json.loads(line) if line.endswith(b"\n") else {"damage": "damaged: its content makes no sense"}
         )
+        if "missing" in head:
+            raise BadInputError(f"{path}: what reads it is not installed ({head['missing']}); {_INSTALL}")
         if "damage" in head:
             repair = f"; {_REPAIR}" if path.suffix == ".rrd" and head["damage"].startswith("damaged") else ""
             raise BadInputError(f"{path}: {head['damage']}; expected {EXPECTED_FILE}{repair}")
@@ -102,6 +111,7 @@ def read(path: Path, signals: Collection[str] | None = None) -> RecordedRun:
         summary=head["summary"],
         rows_dropped=head["rows_dropped"],
         rows_missing=head["rows_missing"],
+        goes_on=head["goes_on"],
         parts=tuple(map(Path, head["parts"])),
         held=tuple(head["held"]),
         notes=tuple(head["notes"]),

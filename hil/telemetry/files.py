@@ -22,6 +22,9 @@ OUTPUTS = {
 A trace is in Vector's binary or text form, or in that of ``candump -L``.
 """
 _MAGICS = {".rrd": b"RRF2", ".mcap": b"\x89MCAP0\r\n"}
+_ENDS = {".rrd": b"RRF2FOOT", ".mcap": b"\x89MCAP0\r\n"}
+_END_BYTES = 12
+_BEGINNING_BYTES = 1 << 18  # more than a recording begins with
 _PROBE_BYTES = 1 << 20
 _SMALLEST_BYTES = 1_000_000
 
@@ -34,6 +37,8 @@ def check_output_path(what: str, path: Path) -> None:
         problem = f"its name must end in {', '.join(others)}{' or ' * bool(others)}{last}, which tells its format"
     elif path.is_dir():
         problem = "it is a folder; name a file in it"
+    elif (first := _first_part(path)) is not None:
+        problem = f"by its name it is a later part of {first.name}; choose another name, or remove it before"
     elif not folder.is_dir():
         problem = f"there is no folder {folder}; make it, or choose another path"
     elif not os.access(path if path.exists() else folder, os.W_OK):
@@ -43,6 +48,21 @@ def check_output_path(what: str, path: Path) -> None:
     raise BadInputError(f"{what} {path}: {problem}")
 
 
+def _first_part(path: Path) -> Path | None:
+    """Return the recording of which a file that is there is a later part by its name, and must not be written anew."""
+    name = re.fullmatch(r"(.+)-([1-9]\d*)", path.stem)
+    if name is None or int(name[2]) < 2 or path.suffix not in _MAGICS or not path.exists():
+        return None
+    first = path.with_name(name[1] + path.suffix)
+    return first if first.exists() else None
+
+
+def check_writable(folder: Path, size_bytes: int = _BEGINNING_BYTES) -> None:
+    """Raise OSError unless a file in the folder can have this size, by default a beginning; leaves none behind."""
+    with tempfile.TemporaryFile(dir=folder) as probe:
+        probe.write(bytes(size_bytes))
+
+
 def why_not_written(path: Path, error: Exception) -> str:
     """Return why a file that was begun could not be written any more.
 
@@ -50,8 +70,7 @@ def why_not_written(path: Path, error: Exception) -> str:
     """
     if not isinstance(error, OSError):
         try:
-            with tempfile.TemporaryFile(dir=path.parent) as probe:
-                probe.write(bytes(_PROBE_BYTES))
+            check_writable(path.parent, _PROBE_BYTES)
         except OSError as told:
             error = told
     if not isinstance(error, OSError):
@@ -81,6 +100,17 @@ def check_is_recording(path: Path) -> str:
 def part_path(path: Path, number: int) -> Path:
     """Return the file of a recording's part: RUN.rrd is the first, RUN-2.rrd the second."""
     return path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")
+
+
+def has_end(path: Path) -> bool:
+    """Whether a recording has the index with which a file of its format ends."""
+    end = _ENDS[path.suffix]
+    try:
+        with path.open("rb") as file:
+            file.seek(-_END_BYTES, os.SEEK_END)
+            return end in file.read()
+    except OSError:
+        return False
 
 
 def later_parts(path: Path) -> list[Path]:

@@ -107,11 +107,11 @@ class McapFile:
         self._writer.flush()
 
     def finish(self, summary: Mapping[str, object] | None, recorder: Mapping[str, int]) -> None:
-        """Write the recorder's counts and, when there is one, the run's summary."""
+        """Write the run's summary, when there is one, and last the recorder's counts: where they are, all is."""
         self._writer.flush()
-        self._writer.add_metadata(RECORDER_PROPERTY, {"json": json.dumps(recorder)})
         if summary is not None:
             self._writer.add_metadata(SUMMARY_PROPERTY, {"json": json.dumps(summary)})
+        self._writer.add_metadata(RECORDER_PROPERTY, {"json": json.dumps(recorder)})
 
     def flush(self) -> None:
         """Close the chunk and hand everything to the operating system."""

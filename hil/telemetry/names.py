@@ -10,7 +10,11 @@ OVERLAY_PROPERTY = "overlay"
 SIGNALS_PATH = "/signals"
 """The entity of an .rrd file that holds every signal of every row."""
 PART_PROPERTY = "part"
-"""Which file of the run it is: the run's ``recording_id``, its ``number`` from 1, and its ``first_row``."""
+"""Which file of the run it is: the run's ``recording_id``, its ``number`` from 1, ``first_row`` and ``first_event``.
+
+The last two count the run's rows and events from 0: one that is in two parts, for a recorder was killed before it could
+say that it had written it, is taken from the later part.
+"""
 
 
 def state_names() -> dict[int, str]:

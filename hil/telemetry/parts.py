@@ -14,8 +14,8 @@ from typing import Protocol
 
 import numpy as np
 
-from hil.telemetry.files import Rotation, part_path, why_not_written
-from hil.telemetry.ring import RingReader, Rows
+from hil.telemetry.files import Rotation, check_writable, has_end, part_path, why_not_written
+from hil.telemetry.ring import MOST_PARTS, RingReader, Rows
 from hil.telemetry.ring_child import Record, RefusedError
 
 BATCH_ROWS = 1000
@@ -34,7 +34,7 @@ class RunFile(Protocol):
         """Write a line of the event log."""
 
     def finish(self, summary: Mapping[str, object] | None, recorder: Mapping[str, int]) -> None:
-        """Write the recorder's counts and the run's summary."""
+        """Write what the recorder says of this part and, when there is one, the run's summary."""
 
     def flush(self) -> None:
         """Hand everything to the operating system."""
@@ -50,10 +50,12 @@ class Parts:
 
     Attributes:
         trouble: why a file could not be written, or None; the newest reason.
+        without_summary: why the run's summary is in none of the files, or None.
     """
 
     def __init__(self, config: Record, ring: RingReader) -> None:
         self.trouble: str | None = None
+        self.without_summary: str | None = None
         self._config = config
         self._path = Path(config["path"])
         self._rotation = Rotation(*config["rotate"])
@@ -63,9 +65,10 @@ class Parts:
         self._file: RunFile | None = None
         self._part_path = self._path
         self._identity: tuple[int, int] | None = None
-        self._rows = 0
         self._begun_s: float | None = None
-        self._abandoned: list[RunFile] = []  # a file whose disk is full is better never closed: rerun waits for it
+        # A file whose disk is full is better never closed: rerun may wait for it for ever. One that was half made is
+        # held by rerun's error.
+        self._abandoned: list[object] = []
         self._next_try_s = self._back_off_s = 0.0
         try:
             self._open()
@@ -92,12 +95,10 @@ class Parts:
             rows = self._of_one_part(self._ring.rows(start, min(stop, start + BATCH_ROWS)))
             end = start + len(rows)
             if self._write(lambda file, rows=rows: file.rows(rows)):  # type: ignore[misc]
-                self._ring.add_saved(len(rows))
-                self._rows += len(rows)
                 self._ring.release(end)
                 self._end_by_size()
             elif self._ring.head - start > self._ring.capacity // 2:
-                self._ring.release(end)
+                self._ring.give_up(end)
             else:
                 return
 
@@ -108,19 +109,38 @@ class Parts:
         if self._ring.tail < self._ring.head:  # the file went with the last rows: the ring may still reach another
             self._next_try_s = 0.0
             self.take(self._ring.head)
-        if summary is not None:
-            # Without one the run may go on: what came meanwhile is for whoever takes this process's place.
-            self._ring.release(self._ring.head)
-        self._write(lambda file: file.finish(summary, self._counts()))
-        self._write(lambda file: file.close(), flush=False)
+        if summary is None:
+            # The run may go on: what came meanwhile is for whoever takes this process's place.
+            self._finish_file(None)
+            return
+        self._ring.give_up(self._ring.head)
+        # A file that goes now has another after it.
+        if not self._finish_file(summary) and not self._finish_file(summary):
+            self.without_summary = f"its summary could not be written: {self.trouble}"
 
-    def _counts(self) -> dict[str, int]:
+    def _finish_file(self, summary: Record | None, next_part: int | None = None) -> bool:
+        """Write the end of the file and close it; False when what belongs there could not be written."""
+        self._next_try_s = 0.0
+        if not self._write(lambda file: file.finish(summary, self._counts(next_part))):
+            return False
+        self._write(lambda file: file.close(), flush=False)
+        if not has_end(self._part_path):
+            told = f"the index at the end of {self._part_path.name} could not be written"
+            self.trouble = told if self.trouble is None else f"{self.trouble}; {told}"
+        return True
+
+    def _counts(self, next_part: int | None) -> dict[str, int]:
         ring = self._ring
-        return {
-            "rows_written": ring.saved,
+        kept = ring.parts()
+        gone = [kept[number].rows for number in kept if not part_path(self._path, number).exists()]
+        written = ring.saved - sum(gone)
+        counts = {
+            "rows_written": written,
             "rows_dropped": ring.dropped,
-            "rows_lost": ring.tail - ring.saved,
+            "rows_lost": ring.tail - written,
+            "rows_in_part": kept[max(kept)].rows,
         }
+        return counts if next_part is None else {**counts, "next_part": next_part}
 
     def _write(self, write: Callable[[RunFile], None], *, flush: bool = True) -> bool:
         """Do something with the file, with the events that wait before it; False when that failed."""
@@ -138,7 +158,7 @@ class Parts:
         except (RuntimeError, OSError) as error:
             self._give_up(error)
             return False
-        self._ring.add_lines_saved(len(self._events))
+        self._ring.add_lines_taken(len(self._events))
         self._events.clear()
         return True
 
@@ -154,22 +174,38 @@ class Parts:
         return True
 
     def _open(self) -> None:
-        number = self._ring.part + 1
+        number = self._next_number()
         path = part_path(self._path, number)
         if number > 1:
             path.parent.mkdir(parents=True, exist_ok=True)
             if shutil.disk_usage(path.parent).free < _ROOM_BYTES:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        part = {"recording_id": self._config["recording_id"], "number": number, "first_row": self._ring.tail}
+        # rerun may wait for ever for a file of which it cannot write the beginning.
+        if os.access(path.parent, os.W_OK):
+            check_writable(path.parent)
+        part = {
+            "recording_id": self._config["recording_id"],
+            "number": number,
+            "first_row": self._ring.tail,
+            "first_event": self._ring.lines_taken,
+        }
         self._file = _open_file(path, self._config, part)
-        self._ring.set_part(number)
+        self._ring.begin_part(number)
         self._identity = _identity(path)
         self._part_path = path
-        self._rows = 0
+
+    def _next_number(self) -> int:
+        """Return the number of the next part: one whose file is not there, for that would be another run's."""
+        number = self._ring.part + 1
+        while number > 1 and part_path(self._path, number).exists():
+            number += 1
+        return number
 
     def _give_up(self, error: Exception) -> None:
         """Leave the file as it is; the next try comes after a while, and then after twice as long."""
         self.trouble = why_not_written(part_path(self._path, max(1, self._ring.part)), error)
+        if isinstance(error, RuntimeError):
+            self._abandoned.append(error)
         if self._file is not None:
             self._abandoned.append(self._file)
             self._file = None
@@ -180,7 +216,7 @@ class Parts:
     def _check_there(self) -> None:
         """Raise FileNotFoundError, and count its rows as lost, when the file has been removed."""
         if _identity(self._part_path) != self._identity:
-            self._ring.add_saved(-self._rows)
+            self._ring.lose_part()
             raise FileNotFoundError(errno.ENOENT, f"{self._part_path.name} was removed")
 
     def _of_one_part(self, rows: Rows) -> Rows:
@@ -201,11 +237,11 @@ class Parts:
             self._end()
 
     def _end(self) -> None:
-        """Close the file; the next rows open another."""
-        self._write(lambda file: file.finish(None, self._counts()))
-        self._write(lambda file: file.close(), flush=False)
-        self._file = None
-        self._next_try_s = self._back_off_s = 0.0
+        """Close the file, unless there may be no other; the next rows open it."""
+        if self._ring.part < MOST_PARTS:
+            self._finish_file(None, self._next_number())
+            self._file = None
+            self._next_try_s = self._back_off_s = 0.0
 
 
 def _identity(path: Path) -> tuple[int, int] | None:

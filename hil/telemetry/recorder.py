@@ -64,7 +64,7 @@ class Recorder:
         if self._parts is not None:
             self._parts.event(t_s, level, text)
         else:
-            self._ring.add_lines_saved(1)
+            self._ring.add_lines_taken(1)
         if self._live is not None:
             self._live.event(t_s, level, text)
 
@@ -82,6 +82,7 @@ class Recorder:
         return {
             "rows_written": self._ring.saved,
             "trouble": None if self._parts is None else self._parts.trouble,
+            "error": None if self._parts is None else self._parts.without_summary,
             "live_error": self._live_error,
         }
 
@@ -99,7 +100,7 @@ class Recorder:
         if self._parts is not None:
             self._parts.take(stop)
         else:
-            self._ring.release(stop)
+            self._ring.give_up(stop)
 
 
 def main() -> int:

@@ -2,13 +2,15 @@
 
 ``head`` and ``tail`` count rows from the start and never wrap; only the producer writes ``head``, only the
 consumer writes ``tail``. Each is stored as one aligned 64-bit word, so that the other side sees the old or
-the new value. What the consumer counts lies there too, so that another can take the place of one that died.
+the new value. What the consumer counts lies there too, so that another can take the place of one that died: a row is
+saved by moving the tail past it, one word, and not by a count of its own that a kill could leave behind.
 Python has no memory barrier: a consumer on a processor with weak ordering must not read a row the moment
 ``head`` covers it. The recorder reads up to the ``head`` of its previous poll, milliseconds old.
 """
 
 import struct
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -19,8 +21,18 @@ Row = tuple[float, ...]
 Rows = npt.NDArray[np.float64]
 
 # Words of the header, 8 bytes each. What the two sides write lies in cache lines of its own.
-_CAPACITY, _WIDTH, _HEAD, _DROPPED, _TAIL, _SAVED, _LINES, _PART = 0, 1, 8, 9, 16, 17, 18, 19
-_HEADER_BYTES = 192
+_CAPACITY, _WIDTH, _HEAD, _DROPPED, _TAIL, _LOST, _LINES, _LINES_LOST, _PART = 0, 1, 8, 9, 16, 17, 18, 19, 20
+_TABLE = 24  # after these, for each part, the rows and the lines that were kept when it was begun
+MOST_PARTS = 16384
+_SKIPPED = -1
+_HEADER_BYTES = 8 * (_TABLE + 2 * MOST_PARTS)
+
+
+class Kept(NamedTuple):
+    """How many rows and lines are in a file."""
+
+    rows: int
+    lines: int
 
 
 def ring_bytes(capacity: int, width: int) -> int:
@@ -28,7 +40,63 @@ def ring_bytes(capacity: int, width: int) -> int:
     return _HEADER_BYTES + capacity * width * 8
 
 
-class RingWriter:
+class _Counts:
+    """What both sides read of the header."""
+
+    _words: "memoryview[int]"
+
+    @property
+    def head(self) -> int:
+        """Rows put so far, without the dropped ones; those from ``tail`` to here are in the ring."""
+        return self._words[_HEAD]
+
+    @property
+    def tail(self) -> int:
+        """Rows that the consumer is done with."""
+        return self._words[_TAIL]
+
+    @property
+    def dropped(self) -> int:
+        """Rows that the producer dropped because the ring was full."""
+        return self._words[_DROPPED]
+
+    @property
+    def saved(self) -> int:
+        """Rows that the consumer said are safe."""
+        return self._words[_TAIL] - self._words[_LOST]
+
+    @property
+    def lines_taken(self) -> int:
+        """Lines beside the ring that the consumer has written, and needs no more."""
+        return self._words[_LINES]
+
+    @property
+    def lines_lost(self) -> int:
+        """Those of them that were in a file that is lost."""
+        return self._words[_LINES_LOST]
+
+    @property
+    def part(self) -> int:
+        """Number of the file that was opened last, by this consumer or the one before it; 0 before the first."""
+        return self._words[_PART]
+
+    def parts(self) -> dict[int, Kept]:
+        """Return what is in each file by its number; the last of ``MOST_PARTS`` has what came in others after it."""
+        begun = {number: self._begun(number) for number in range(1, min(self.part, MOST_PARTS) + 1)}
+        numbers = [number for number, kept in begun.items() if kept.rows != _SKIPPED]
+        ends = [*(begun[number] for number in numbers[1:]), Kept(self.saved, self.lines_taken - self.lines_lost)]
+        return {
+            number: Kept(end.rows - begun[number].rows, end.lines - begun[number].lines)
+            for number, end in zip(numbers, ends, strict=False)
+        }
+
+    def _begun(self, number: int) -> Kept:
+        """Return what was kept when a part was begun."""
+        at = _TABLE + 2 * (number - 1)
+        return Kept(self._words[at], self._words[at + 1])
+
+
+class RingWriter(_Counts):
     """The producer's side.
 
     Raises ValueError for a capacity or width below one.
@@ -49,36 +117,6 @@ class RingWriter:
         self._words[_WIDTH] = width
         self.try_put = _putter(self._words, self._rows, capacity, width, when_full)
         self._capacity = capacity
-
-    @property
-    def head(self) -> int:
-        """Rows put so far, without the dropped ones."""
-        return self._words[_HEAD]
-
-    @property
-    def tail(self) -> int:
-        """Rows that the consumer is done with."""
-        return self._words[_TAIL]
-
-    @property
-    def saved(self) -> int:
-        """Rows that the consumer said are safe."""
-        return self._words[_SAVED]
-
-    @property
-    def lines_saved(self) -> int:
-        """Lines beside the ring that the consumer said are safe."""
-        return self._words[_LINES]
-
-    @property
-    def part(self) -> int:
-        """Number of the file that the consumer opened last, from 1."""
-        return self._words[_PART]
-
-    @property
-    def dropped(self) -> int:
-        """Rows dropped because the ring was full."""
-        return self._words[_DROPPED]
 
     @property
     def full(self) -> bool:
@@ -121,7 +159,7 @@ def _putter(
     return try_put
 
 
-class RingReader:
+class RingReader(_Counts):
     """The consumer's side. Raises ValueError when the block is smaller than its header says."""
 
     def __init__(self, block: SharedBlock) -> None:
@@ -136,23 +174,8 @@ class RingReader:
         ).reshape(self.capacity, self.width)
         self._head_seen = self.tail
 
-    @property
-    def head(self) -> int:
-        """Rows put so far; those from ``tail`` to here are in the ring."""
-        return self._words[_HEAD]
-
-    @property
-    def tail(self) -> int:
-        """Rows released so far."""
-        return self._words[_TAIL]
-
-    @property
-    def dropped(self) -> int:
-        """Rows that the producer dropped so far."""
-        return self._words[_DROPPED]
-
     def settled(self) -> int:
-        """Return how far rows may be read: to where the head was at the last call. Younger ones may be half there."""
+        """Return how far rows may be read: to where the head was at the last call. Others may not have settled."""
         settled, self._head_seen = self._head_seen, self.head
         return settled
 
@@ -166,30 +189,32 @@ class RingReader:
         return self._rows[np.arange(start, stop) % self.capacity]
 
     def release(self, stop: int) -> None:
-        """Give the rows before ``stop`` back to the producer."""
+        """Tell the producer that the rows before ``stop`` are safe, and give their room back."""
         self._words[_TAIL] = stop
 
-    @property
-    def saved(self) -> int:
-        """Rows that are safe."""
-        return self._words[_SAVED]
+    def give_up(self, stop: int) -> None:
+        """Give the room of the rows before ``stop`` back, and count them as lost."""
+        self._words[_LOST] += stop - self._words[_TAIL]
+        self._words[_TAIL] = stop
 
-    def add_saved(self, count: int) -> None:
-        """Tell the producer that so many more rows are safe, whatever happens to this process; less when negative."""
-        self._words[_SAVED] += count
-
-    def add_lines_saved(self, count: int) -> None:
+    def add_lines_taken(self, count: int) -> None:
         """Tell the producer that so many more lines are safe."""
         self._words[_LINES] += count
 
-    @property
-    def part(self) -> int:
-        """Number of the file that was opened last, by this process or the one before it; 0 before the first."""
-        return self._words[_PART]
-
-    def set_part(self, number: int) -> None:
-        """Note which file was opened."""
+    def begin_part(self, number: int) -> None:
+        """Note that this file was opened, and those between it and the last were left out."""
+        for skipped in range(self.part + 1, min(number, MOST_PARTS + 1)):
+            self._words[_TABLE + 2 * (skipped - 1)] = _SKIPPED
+        if number <= MOST_PARTS:
+            at = _TABLE + 2 * (number - 1)
+            self._words[at], self._words[at + 1] = self.saved, self.lines_taken - self.lines_lost
         self._words[_PART] = number
+
+    def lose_part(self) -> None:
+        """Count what is in the file that was opened last as lost."""
+        kept = self.parts()[min(self.part, MOST_PARTS)]
+        self._words[_LOST] += kept.rows
+        self._words[_LINES_LOST] += kept.lines
 
     def close(self) -> None:
         """Release the views of the block, so that it can be closed."""

@@ -21,10 +21,11 @@ from hil.errors import BadInputError, DeviceError
 from hil.json_lines import LineReader, LineWriter
 from hil.telemetry.memory import SharedBlock
 from hil.telemetry.patience import Patience
-from hil.telemetry.ring import RingWriter, Row, ring_bytes
+from hil.telemetry.ring import Kept, RingWriter, Row, ring_bytes
 
 _PATIENCE_WAITS = 60_000  # of 0.5 ms, without any progress of the other process: about 30 s
 _WAITS_A_TURN = 11  # of these in a turn that also waits 5 ms for a reply
+_FLUSH_PERIOD_S = 0.005
 _EXIT_TIMEOUT_S = 10.0
 _STARTS_IN_A_ROW = 6
 _FIRST_BACK_OFF_S = 0.1
@@ -114,16 +115,16 @@ class RingProcess:
         return self._ring.dropped
 
     @property
-    def part(self) -> int:
-        """Number of the file that was opened last, from 1."""
-        return self._ring.part
+    def parts(self) -> dict[int, Kept]:
+        """What was put into each file by its number, from 1, without those that had to be given up."""
+        return self._ring.parts()
 
     @property
     def lines_lost(self) -> int:
         """Lines that are not known to be safe; those on their way are among them."""
         with self._swap:
             self._send_unsent()
-            return self._lines_dropped + len(self._unsaved)
+            return self._lines_dropped + len(self._unsaved) + self._ring.lines_lost
 
     def send(self, record: Mapping[str, object]) -> None:
         """Pass a line on. Never waits: not for the process, and not for the start of another in its place."""
@@ -196,6 +197,7 @@ class RingProcess:
             if reply is not None:
                 if self.restarts and "ready" in reply:
                     self._say_again()
+                    self._hand_over()
                 else:
                     self._reports.put(reply)
                     finished = "ready" not in reply
@@ -209,6 +211,7 @@ class RingProcess:
                 break
             if self._closing.wait(_FIRST_BACK_OFF_S * 2 ** (starts - 1)) or not self._start_next():
                 break
+            self._hand_over()
         self._gone.set()
 
     def _start_next(self) -> bool:
@@ -255,8 +258,18 @@ class RingProcess:
             else:
                 self._lines_dropped += 1
 
+    def _hand_over(self) -> None:
+        """Write what a pipe did not take at once, a large config or many lines: who is to read it waits for it."""
+        while True:
+            with self._swap:
+                is_done = self._closing.is_set() or self._lines.flush()
+            self._send_waiting()
+            if is_done:
+                return
+            self._closing.wait(_FLUSH_PERIOD_S)
+
     def _forget_saved_lines(self) -> None:
-        saved = self._ring.lines_saved
+        saved = self._ring.lines_taken
         while self._unsaved and self._lines_seen_saved < saved:
             self._unsaved.popleft()
             self._lines_seen_saved += 1

@@ -2,7 +2,7 @@
 
 import time
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -11,6 +11,7 @@ from typing import Any, Protocol, Self
 from hil.signals import SIGNAL_NAMES
 from hil.telemetry.environment import rerun_environment
 from hil.telemetry.files import Rotation, check_output_path, part_path
+from hil.telemetry.ring import Kept
 from hil.telemetry.ring_process import RingProcess
 
 
@@ -21,13 +22,13 @@ class RecordingReport:
     Attributes:
         path: the file, or None for a live view alone.
         rows_put: rows that the run gave.
-        rows_written: rows that are safe in the file.
+        rows_written: rows that are safe in the files.
         rows_dropped: rows that found the ring full and were given up.
         rows_lost: rows that were taken, but are not known to be in a file: the recorder ended, or could
             not write.
         events_lost: events that are not known to be in a file.
-        error: why something is missing, or None.
-        parts: the files, in order; more than one when it was rotated, or went on elsewhere after a trouble.
+        error: why something is missing, a row, an event or the summary, or None.
+        parts: the files that are there, in order; several when it was rotated, or went on elsewhere after a trouble.
         restarts: how often the recorder ended before its time and was started again.
         troubles: what went wrong on the way, also where nothing is missing in the end.
     """
@@ -186,22 +187,36 @@ class Recording:
 
     def _make_report(self, reply: Mapping[str, Any]) -> RecordingReport:
         process = self._process
-        written = int(reply["rows_written"]) if "rows_written" in reply else process.rows_saved
+        kept = {} if self._path is None else process.parts
+        paths = {} if self._path is None else {number: part_path(self._path, number) for number in kept}
+        gone = [number for number, path in paths.items() if not path.exists()]
+        rows_gone, events_gone = sum(kept[number].rows for number in gone), sum(kept[number].lines for number in gone)
+        written = process.rows_saved - rows_gone
         lost = 0 if self._path is None else process.rows_taken - written
+        events_lost = process.lines_lost + events_gone
         troubles = [f"the recorder ended: {trouble}" for trouble in process.troubles]
         if reply.get("trouble"):
             troubles.append(reply["trouble"])
-        missing = lost or process.rows_dropped or process.lines_lost
-        error = reply.get("error") or reply.get("live_error") or (troubles[-1] if missing and troubles else None)
+        if rows_gone or events_gone:
+            names = ", ".join(paths[number].name for number in gone)
+            troubles.append(f"{names}: removed or moved away, with {rows_gone} rows and {events_gone} events")
+        missing = lost or process.rows_dropped or events_lost
+        why = "; ".join(dict.fromkeys(troubles)) if missing else None
         return RecordingReport(
             path=self._path,
             rows_put=process.rows_taken + process.rows_dropped,
             rows_written=written,
             rows_dropped=process.rows_dropped,
             rows_lost=lost,
-            events_lost=process.lines_lost,
-            error=error,
-            parts=() if self._path is None else tuple(part_path(self._path, n + 1) for n in range(process.part)),
+            events_lost=events_lost,
+            error=reply.get("error") or reply.get("live_error") or why or None,
+            parts=tuple(path for number, path in paths.items() if number not in gone),
             restarts=process.restarts,
-            troubles=tuple(troubles),
+            troubles=(*troubles, *self._left_alone(kept)),
         )
+
+    def _left_alone(self, kept: Mapping[int, Kept]) -> Iterator[str]:
+        """Say which files of other runs stand where one of this run would have been written."""
+        if self._path is not None and len(kept) < max(kept, default=0):
+            others = [part_path(self._path, number).name for number in range(1, max(kept)) if number not in kept]
+            yield f"it did not go on in {', '.join(others)}: there was such a file before, which was left alone"

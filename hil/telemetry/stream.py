@@ -125,12 +125,13 @@ class Stream:
         )
 
     def finish(self, summary: Mapping[str, object] | None, recorder: Mapping[str, int]) -> None:
-        """Write the recorder's counts and, when there is one, the run's summary, also into the page."""
+        """Write the run's summary, when there is one, also into the page, and last the recorder's counts."""
         self._draw_rest()
-        self._rerun.send_property(RECORDER_PROPERTY, rr.AnyValues(json=json.dumps(recorder)))
         if summary is not None:
             self._rerun.send_property(SUMMARY_PROPERTY, rr.AnyValues(json=json.dumps(summary)))
             self._page(summary)
+        # Where these are, all is: so a reader tells a file that was cut.
+        self._rerun.send_property(RECORDER_PROPERTY, rr.AnyValues(json=json.dumps(recorder)))
 
     def flush(self) -> None:
         """Hand everything to the operating system. Raises RuntimeError when that fails (a full disk)."""

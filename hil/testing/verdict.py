@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.errors import DeviceError, HilError, LinkError
+from hil.figure_words import why_incomplete
 from hil.testing.overrides import shown
 
 if TYPE_CHECKING:
@@ -85,9 +86,9 @@ class Verdict:
         path = shown(self.recording)
         command = shlex.quote(path)
         rows = [("recording", path), ("look at it", f"hil view {command}"), ("", f"hil review {command}")]
-        recorded = {} if self.result is None else self.result.metrics.get("recorded", {})
-        if recorded.get("error"):
-            rows[0] = ("recording", f"{path}, incomplete: {recorded['error']}")
+        recorded = None if self.result is None else self.result.metrics.get("recorded")
+        if recorded is not None and (why := why_incomplete(recorded)) is not None:
+            rows[0] = ("recording", f"{path}, incomplete: {why}")
         return rows
 
 

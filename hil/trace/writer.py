@@ -54,8 +54,9 @@ class TraceWriter:
             table = self._ring.rows(self._ring.tail, end)
             # After the first failure frames are only taken, so that the run never waits.
             if self._error is None and self._attempt(partial(self._write, table)):
-                self._ring.add_saved(len(table))
-            self._ring.release(end)
+                self._ring.release(end)
+            else:
+                self._ring.give_up(end)
 
     def _write(self, table: Any) -> None:
         for row in table:
