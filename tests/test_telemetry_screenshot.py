@@ -43,9 +43,9 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-# Of each tab colours of what it draws of the run; a plot has them in its legend too, but not so many pixels.
+# Of each tab colours of what it draws of the run. A run of one row, and a legend, has 180 pixels of each at most.
 DATA: dict[str, Sequence[Colour]] = {
-    "Robot": (REFERENCE_COLOUR, TRUTH_COLOUR),
+    "Robot": (REFERENCE_COLOUR,),
     "Wheels": WHEEL_COLOURS,
     "Law": (X_COLOUR, Y_COLOUR, HEADING_COLOUR),
     "Link and loop": (TRUTH_COLOUR, REFERENCE_COLOUR),
@@ -110,7 +110,7 @@ def test_every_view_of_every_tab_of_a_recording_is_drawn_with_its_data(viewer: A
         assert any(view.name.startswith(part) for view in views), part
     for tab, picture in pictures.items():
         for colour in DATA[tab]:
-            assert _pixels_of(picture.read_bytes(), colour) > 100, (tab, colour)
+            assert _pixels_of(picture.read_bytes(), colour) > 500, (tab, colour)
     assert len({picture.read_bytes() for picture in pictures.values()}) == len(DATA)
     with pytest.raises(ScreenshotError, match="there is no tab 'Wheel'; there are Robot, Wheels"):
         take_with(viewer, recording, {"Wheel": tmp_path / "none.png"})
