@@ -5,6 +5,7 @@ made from blocks of rows that are not kept, so that a run of hours needs no more
 """
 
 from collections.abc import Iterator, Mapping
+from functools import reduce
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -117,12 +118,13 @@ class SignalFigures:
         t_s = signals["loop.t_s"]
         self._tracking.take(t_s, signals["error.planar_m"])
         yield
+        saturated = _at_limit(signals, self._limits)
+        yield
         error_m = np.column_stack([signals["error.x_m"], signals["error.y_m"]])
         torque_n_m = None
         if self._torque_constant_n_m_a is not None:
             current_a = np.column_stack([signals[f"wheel.{wheel}.current_a"] for wheel in WHEEL_NAMES])
             torque_n_m = self._torque_constant_n_m_a * current_a
-        saturated = _at_limit(signals, self._limits)
         yield
         self._demand.take(t_s, error_m, torque_n_m, saturated)
         yield
@@ -173,7 +175,7 @@ def _at_limit(signals: Mapping[str, Series], limits: CommandLimits | None) -> Se
     at_limit = signals["guard.saturated"] != 0.0
     if limits is not None:
         speed, torque = (
-            np.abs(np.column_stack([signals[f"wheel.{wheel}.{name}"] for wheel in WHEEL_NAMES])).max(axis=1)
+            reduce(np.maximum, [np.abs(signals[f"wheel.{wheel}.{name}"]) for wheel in WHEEL_NAMES])
             for name in ("speed_command_rad_s", "torque_command_n_m")
         )
         in_speed_mode = np.isfinite(speed)

@@ -43,7 +43,11 @@ def chromium() -> str | None:
 
 
 class Page:
-    """A page of the browser; ``errors`` are what it and its frames wrote to the console as errors."""
+    """A page of the browser.
+
+    ``errors`` are what it and its frames wrote to the console as errors: exceptions that nobody caught, what the
+    browser itself reports (with the address that it is about), and ``console.error``.
+    """
 
     def __init__(self, process: "subprocess.Popen[bytes]", commands: int, answers: int) -> None:
         self._process = process
@@ -96,11 +100,14 @@ class Page:
         """Keep what an event says of an error; return the event's name."""
         parameters = event.get("params", {})
         if event.get("method") == "Runtime.exceptionThrown":
-            self.errors.append(parameters["exceptionDetails"]["text"])
+            details = parameters["exceptionDetails"]
+            self.errors.append(f"{details['text']} {details.get('exception', {}).get('description', '')}".strip())
         elif event.get("method") == "Log.entryAdded" and parameters["entry"]["level"] == "error":
-            self.errors.append(parameters["entry"]["text"])
+            entry = parameters["entry"]
+            self.errors.append(f"{entry['text']} {entry.get('url', '')}".strip())
         elif event.get("method") == "Runtime.consoleAPICalled" and parameters["type"] == "error":
-            self.errors.append(" ".join(str(one.get("value", "")) for one in parameters["args"]))
+            said = [one.get("value", one.get("description", one["type"])) for one in parameters["args"]]
+            self.errors.append(" ".join(map(str, said)))
         return event.get("method")
 
     def _read(self) -> dict[str, Any]:

@@ -45,23 +45,35 @@ def take_screenshot(
 def take_screenshots(
     recording: Path, pictures: Mapping[str | None, Path], *, at_s: float | None = None, at_least_s: float = 0.0
 ) -> list[View]:
-    """Write a PNG of each tab that is named, and return the views that were shown.
+    """Write a PNG of each tab that is named, and return the views that were shown. Raises as ``take_with``."""
+    with headless_viewer() as viewer:
+        return take_with(viewer, recording, pictures, at_s=at_s, at_least_s=at_least_s)
+
+
+def take_with(
+    viewer: ViewerClient,
+    recording: Path,
+    pictures: Mapping[str | None, Path],
+    *,
+    at_s: float | None = None,
+    at_least_s: float = 0.0,
+) -> list[View]:
+    """Open a recording in a viewer, write a PNG of each tab that is named, and return the views that were shown.
 
     Shots are taken until two in a row are alike: everything has been loaded and drawn then. Raises
     ScreenshotError when the recording does not load, has no such tab, a view reports a problem, or no two shots are
     alike; DeviceError when the viewer does not start.
     """
-    with headless_viewer() as viewer:
-        viewer.open(str(recording.resolve()))
-        for tab, picture in pictures.items():
-            if tab is not None:
-                _show_tab(viewer, tab)
-            if at_s is not None:
-                viewer.set_time("t", duration=at_s, play_state="paused")
-            _settle(viewer, picture, at_least_s)
-            at_least_s = 0.0
-        # A view's reports are those of the last time that it was shown.
-        state = viewer.get_state()
+    viewer.open(str(recording.resolve()))
+    for tab, picture in pictures.items():
+        if tab is not None:
+            _show_tab(viewer, tab)
+        if at_s is not None:
+            viewer.set_time("t", duration=at_s, play_state="paused")
+        _settle(viewer, picture, at_least_s)
+        at_least_s = 0.0
+    # A view's reports are those of the last time that it was shown.
+    state = viewer.get_state()
     if not state.recordings or not state.views:
         raise ScreenshotError(f"{recording}: the viewer shows no recording")
     problems = [f"{view.name}: {report.summary}" for view in state.views for report in view.reports]

@@ -44,6 +44,7 @@ _HEADER_BYTES = 12
 _MESSAGE = struct.Struct("<QQ")
 _END_MESSAGE = 0
 _COPY_BYTES = 1 << 20
+_GROWN_ROWS = 1 << 16
 _PROPERTIES = "/__properties/"
 _ROW_ID = "rerun.controls.RowId"
 
@@ -195,12 +196,41 @@ class _Part(NamedTuple):
     values: Series
 
 
+class _Pieces:
+    """What was read of an entity so far, in one array that grows: pieces put together later would be there twice."""
+
+    def __init__(self, width: int) -> None:
+        self._row_ids: list[npt.NDArray[np.uint64]] = []
+        self._ticks: list[npt.NDArray[np.int64]] = []
+        self._values = np.empty((0, width))
+        self._rows = 0
+
+    def append(self, row_ids: npt.NDArray[np.uint64], ticks: npt.NDArray[np.int64], values: Series) -> None:
+        """Take the next piece, as of ``_Part``."""
+        self._row_ids.append(row_ids)
+        self._ticks.append(ticks)
+        start, self._rows = self._rows, self._rows + len(values)
+        if self._rows > len(self._values):
+            self._values.resize((self._rows + _GROWN_ROWS, self._values.shape[1]), refcheck=False)
+        self._values[start : self._rows] = values
+
+    def in_order(self) -> _Part:
+        """Return all in the order of writing."""
+        row_ids, ticks = np.concatenate(self._row_ids), np.concatenate(self._ticks)
+        values = self._values[: self._rows]
+        upper, lower = row_ids.T
+        if ((upper[1:] > upper[:-1]) | ((upper[1:] == upper[:-1]) & (lower[1:] > lower[:-1]))).all():
+            return _Part(row_ids, ticks, values)
+        order = np.lexsort((lower, upper))
+        return _Part(row_ids[order], ticks[order], values[order])
+
+
 class _Entities:
     """The entities of a file, of which those that hold signals are kept."""
 
     def __init__(self, wanted: Wanted) -> None:
         self.wanted = wanted
-        self.parts: dict[str, list[_Part]] = {}
+        self.pieces: dict[str, _Pieces] = {}
         self.properties: dict[str, dict[str, str]] = {}
         self.told: dict[str, bytes] = {}  # the row id of each property's newest word
         self.events: list[tuple[bytes, tuple[float, str, str]]] = []  # with their row ids
@@ -281,12 +311,13 @@ def _take(entity: str, batch: "pa.RecordBatch", entities: _Entities, held: dict[
             raise DamagedError(
                 f"damaged: {entity} has {len(values)} values for {len(batch)} rows of {len(names)} signals"
             )
-        part = _Part(
+        wanted = _columns(names, entities.wanted)
+        pieces = entities.pieces.setdefault(entity, _Pieces(len(wanted)))
+        pieces.append(
             row_ids.astype(np.uint64).reshape(len(batch), 2),
             columns["tick"].to_numpy().copy(),
-            values.reshape(len(batch), -1)[:, _columns(names, entities.wanted)],
+            values.reshape(len(batch), -1)[:, wanted],
         )
-        entities.parts.setdefault(entity, []).append(part)
 
 
 def _signals(held: dict[str, list[str]], entities: _Entities) -> dict[str, Series]:
@@ -295,30 +326,14 @@ def _signals(held: dict[str, list[str]], entities: _Entities) -> dict[str, Serie
     for path, names in held.items():
         kept = [names[i] for i in _columns(names, entities.wanted)]
         if kept:
-            joined[path] = kept, _joined(entities.parts.pop(path, [_nothing(len(kept))]))
+            pieces = entities.pieces.get(path)
+            joined[path] = kept, _nothing(len(kept)) if pieces is None else pieces.in_order()
     ticks = [part.ticks for _, part in joined.values()]
     if not all(np.array_equal(one, ticks[0]) for one in ticks):
         # After a kill the last rows may have reached some entities only; after a repair any may lack some.
         common = functools.reduce(np.intersect1d, ticks)
         joined = {path: (names, _only(part, common)) for path, (names, part) in joined.items()}
     return {name: part.values[:, i] for names, part in joined.values() for i, name in enumerate(names)}
-
-
-def _joined(parts: list[_Part]) -> _Part:
-    """Put the pieces of an entity together in the order of writing; takes them out of the list, to save memory."""
-    row_ids = np.concatenate([part.row_ids for part in parts])
-    ticks = np.concatenate([part.ticks for part in parts])
-    values = np.empty((len(ticks), parts[0].values.shape[1]))
-    end = len(ticks)
-    while parts:
-        piece = parts.pop().values
-        values[end - len(piece) : end] = piece
-        end -= len(piece)
-    upper, lower = row_ids.T
-    if ((upper[1:] > upper[:-1]) | ((upper[1:] == upper[:-1]) & (lower[1:] > lower[:-1]))).all():
-        return _Part(row_ids, ticks, values)
-    order = np.lexsort((lower, upper))
-    return _Part(row_ids[order], ticks[order], values[order])
 
 
 def _only(part: _Part, ticks: npt.NDArray[np.int64]) -> _Part:
