@@ -77,7 +77,7 @@ def feasibility(source: ReferenceSource, model: RobotModel, duration_s: float, p
         pose, twist, acceleration = source.at(t_s)
         speeds = model.wheel_speeds(twist, pose.heading_rad)
         speed.take(t_s, speeds)
-        torque.take(t_s, model.wheel_torques(acceleration, twist, pose.heading_rad, speeds))
+        torque.take(t_s, model.wheel_torques(acceleration, twist, pose.heading_rad, twist))
     return Feasibility(speed.demand(), torque.demand())
 
 
