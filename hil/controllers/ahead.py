@@ -85,7 +85,7 @@ class TorquePrediction:
         if self._is_new:
             self._is_new = False
         else:
-            self._go_on(state, applied, dt_s)
+            self._go_on(reference.twist, state, applied, dt_s)
         self._latency_s = latency_s = applied.latency_s
         moved = self._way.ahead(latency_s)
         if not self._observers:
@@ -101,14 +101,14 @@ class TorquePrediction:
         believed = (x.position, y.position, heading.position), (x.rate, y.rate, heading.rate)
         return _ahead(reference, believed, latency_s, moved)
 
-    def _go_on(self, state: State, applied: Applied, dt_s: float) -> None:
+    def _go_on(self, moving: Axes, state: State, applied: Applied, dt_s: float) -> None:
         """Bring the commands on their way, and the observers, from the last tick to this one."""
         asked = self._asked
         pose, twist = state
         torque = applied.command.torque_n_m
         if torque != self._sent:
             # The guard scaled it, or something else was sent in its place.
-            asked = acceleration_of(self._model, torque, twist, pose.heading_rad)
+            asked = acceleration_of(self._model, torque, twist, pose.heading_rad, moving)
         dx, dy, dh, dvx, dvy, dvh = self._way.advance(asked, self._latency_s, dt_s)
         if self._observers:
             x, y, heading = self._observers

@@ -12,7 +12,7 @@ from collections import deque
 
 from hil.kinematics import body_wrench
 from hil.model import RobotModel
-from hil.types import Axes, Pairs, Twist, Wheels
+from hil.types import Axes, Pairs, Wheels
 
 
 class CommandsOnTheirWay:
@@ -79,21 +79,22 @@ class CommandsOnTheirWay:
         )
 
 
-def acceleration_of(model: RobotModel, torque_n_m: Wheels, twist: Twist, heading_rad: float) -> Axes:
-    """Return the world acceleration of these wheel torques on a robot that moves like this.
+def acceleration_of(model: RobotModel, torque_n_m: Wheels, twist: Axes, heading_rad: float, moving: Axes) -> Axes:
+    """Return the world acceleration of these wheel torques: ``RobotModel.wheel_torques`` read backwards.
 
-    ``RobotModel.wheel_torques`` read backwards, with the friction of wheels that turn as the robot moves. What a law
-    wanted and what the guard let through differ; this turns the latter into what an observer needs. Of torques that
-    work against each other the share that moves the robot counts.
+    What a law wanted and what the guard let through differ; this turns the latter into what an observer needs.
+    Friction is taken as the law took it, so that both are the same where the guard did nothing. Of torques that work
+    against each other the share that moves the robot counts.
     """
-    friction_n_m = model.friction_torques(model.wheel_speeds(twist, heading_rad))
-    moving = Wheels(*map(operator.sub, torque_n_m, friction_n_m))
-    forward_n, left_n, yaw_n_m = body_wrench(moving, model.wheel_radius_m, model.lever_m)
+    friction_n_m = model.friction_torques(model.wheel_speeds(moving, heading_rad))
+    fl, fr, rr, rl = map(operator.sub, torque_n_m, friction_n_m)
+    forward_n, left_n, yaw_n_m = body_wrench((fl, fr, rr, rl), model.wheel_radius_m, model.lever_m)
     c, s = math.cos(heading_rad), math.sin(heading_rad)
-    coupling = model.wheels_mass_kg * twist.yaw_rate_rad_s
+    vx, vy, yaw_rate = twist
+    coupling = model.wheels_mass_kg * yaw_rate
     mass = model.effective_mass_kg
     return (
-        (c * forward_n - s * left_n - coupling * twist.vy_m_s) / mass,
-        (s * forward_n + c * left_n + coupling * twist.vx_m_s) / mass,
+        (c * forward_n - s * left_n - coupling * vy) / mass,
+        (s * forward_n + c * left_n + coupling * vx) / mass,
         yaw_n_m / model.effective_inertia_kg_m2,
     )
