@@ -1,5 +1,6 @@
 """References: twist and acceleration are the derivatives of the pose, nothing jumps, options are checked by name."""
 
+import dataclasses
 import math
 from pathlib import Path
 
@@ -226,7 +227,7 @@ def test_the_page_and_the_list_name_every_kind_and_option(name, kind):
     assert 20 < len(line) < 120
     _, _, section = PAGE.partition(f"\n## {name}\n")
     section = section.partition("\n## ")[0]
-    for option in kind.__dataclass_fields__.values():
+    for option in dataclasses.fields(kind):
         assert not option.init or f"`{option.name}`" in section, (name, option.name)
 
 
