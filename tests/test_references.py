@@ -145,7 +145,7 @@ def test_a_ramp_starts_from_rest_and_then_goes_on_as_without_one(source, share):
     if source.ramp_s == 0.0 or getattr(source, "yaw_ramp_s", source.ramp_s) != source.ramp_s:
         return
     assert source.at(0.0)[1:] == ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    options = {name: getattr(source, name) for name in source.__dataclass_fields__ if not name.startswith("_")}
+    options = {f.name: getattr(source, f.name) for f in dataclasses.fields(source) if f.init}
     steady = type(source)(**options | {name: 0.0 for name in options if name.endswith("ramp_s")})
     t = share * 20.0
     for one, other in zip(source.at(t + source.ramp_s), steady.at(t + 0.5 * source.ramp_s), strict=True):
