@@ -6,13 +6,16 @@ from hil.estimator.belief import Belief
 from hil.types import Axes, Pose
 
 _NONE = (0.0, 0.0, 0.0)
+_MOST_M = 0.01
+_MOST_RAD = 0.01
 
 
 class Release:
     """Holds back what fixes change in the pose, and gives it out with the time constant ``release_s`` [s].
 
     Between fixes the pose then moves as wheels and gyro tell, and after one it comes to the corrected one without a
-    jump. With 0 s it jumps.
+    jump. With 0 s it jumps. No more than 10 mm and 10 mrad are held back: what is further off, as after slip, is told at
+    once, for a law that acts on it does more harm than the jump.
     """
 
     def __init__(self, release_s: float) -> None:
@@ -25,11 +28,12 @@ class Release:
             self._held = _NONE
             return
         x, y, heading = self._held
-        self._held = (
-            x + after.x_m - before.x_m,
-            y + after.y_m - before.y_m,
-            heading + after.heading_rad - before.heading_rad,
-        )
+        x += after.x_m - before.x_m
+        y += after.y_m - before.y_m
+        heading += after.heading_rad - before.heading_rad
+        # By one factor for all three, so that what is told lies between both poses.
+        share = min(1.0, _MOST_M / max(math.hypot(x, y), 1e-9), _MOST_RAD / max(abs(heading), 1e-9))
+        self._held = share * x, share * y, share * heading
 
     def advance(self, dt_s: float) -> None:
         """Give out what ``dt_s`` [s] bring."""
