@@ -90,6 +90,20 @@ def test_what_a_fix_changes_is_told_over_time_and_with_a_release_of_zero_at_once
     assert np.array(told[0.2]) == pytest.approx((1.0 - np.exp(-times_s / 0.2)) * whole, abs=1e-9)
 
 
+def test_no_more_than_a_centimetre_of_a_correction_is_held_back():
+    far = START._replace(x_m=START.x_m + 0.3, y_m=START.y_m - 0.4)
+    told = []
+    for release_s in (0.0, 0.2):
+        drive = Drive(gyro=False, start_sigma_m=1.0, start_sigma_rad=1.0, release_s=release_s)
+        drive.go(100)
+        drive.fix(drive.now_ns - 20 * TICK_NS, far)
+        told.append(drive.state.pose)
+    at_once, released = told
+    held_m = at_once.x_m - released.x_m, at_once.y_m - released.y_m
+    assert math.hypot(*held_m) == pytest.approx(0.01, abs=1e-9)
+    assert math.atan2(held_m[1], held_m[0]) == pytest.approx(math.atan2(-0.4, 0.3), abs=0.01)
+
+
 def test_a_bias_of_the_gyro_is_found_and_leaves_pose_and_twist_alone():
     drive = Drive(bias=0.01)
     drive.go(2000, fix_every=20)

@@ -14,8 +14,8 @@ class Release:
     """Holds back what fixes change in the pose, and gives it out with the time constant ``release_s`` [s].
 
     Between fixes the pose then moves as wheels and gyro tell, and after one it comes to the corrected one without a
-    jump. With 0 s it jumps. No more than 10 mm and 10 mrad are held back: what is further off, as after slip, is told at
-    once, for a law that acts on it does more harm than the jump.
+    jump. With 0 s it jumps. No more than 10 mm and 10 mrad are held back: what is further off, as after slip, is told
+    at once, for a law that acts on it does more harm than the jump.
     """
 
     def __init__(self, release_s: float) -> None:
