@@ -75,9 +75,13 @@ class FuzzyBlock:
     k1_1_s: tuple[float, ...]
     """25 outputs for K1, row by row (rate), each row from error NB to PB."""
     k2_1_s: tuple[float, ...]
+    _sets_an_error: float = field(init=False, repr=False, compare=False)
+    _sets_a_rate: float = field(init=False, repr=False, compare=False)
     _cells: tuple[Cell, ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "_sets_an_error", 2.0 / self.error_range)
+        object.__setattr__(self, "_sets_a_rate", 2.0 / self.rate_range)
         object.__setattr__(self, "_cells", _cells_of(self.k1_1_s, self.k2_1_s))
 
     @classmethod
@@ -93,26 +97,23 @@ class FuzzyBlock:
 
     def gains(self, error: float, rate: float) -> tuple[float, float]:
         """Return (K1, K2) [1/s] at an error and its rate. NaN counts as NB: the gains are always finite."""
-        p = 2.0 * error / self.error_range + 2.0
-        q = 2.0 * rate / self.rate_range + 2.0
-        # The last cell, not the last point: its far side is that point. What is left of p and q is the place in it.
+        p = self._sets_an_error * error + 2.0
+        q = self._sets_a_rate * rate + 2.0
+        # The last cell, not the last point: its far side is that point.
         if p >= 4.0:
-            i, p = 3, 1.0
+            p, cell = 4.0, 3
         elif p > 0.0:
-            i = int(p)
-            p -= i
+            cell = int(p)
         else:
-            i, p = 0, 0.0
+            p, cell = 0.0, 0
         if q >= 4.0:
-            i += 12
-            q = 1.0
+            q = 4.0
+            cell += 12
         elif q > 0.0:
-            j = int(q)
-            i += 4 * j
-            q -= j
+            cell += 4 * int(q)
         else:
             q = 0.0
-        a, b, c, d, e, f, g, h = self._cells[i]
+        a, b, c, d, e, f, g, h = self._cells[cell]
         return a + b * p + q * (c + d * p), e + f * p + q * (g + h * p)
 
     def firing(self, error: float, rate: float) -> tuple[float, float, float, float]:
@@ -123,8 +124,8 @@ class FuzzyBlock:
         (rate) plus the column (error) of tables III and IV, 0 to 24, and its degree, the product of its two
         memberships, 0.25 to 1.
         """
-        p = 2.0 * error / self.error_range + 2.0
-        q = 2.0 * rate / self.rate_range + 2.0
+        p = self._sets_an_error * error + 2.0
+        q = self._sets_a_rate * rate + 2.0
         p = 4.0 if p >= 4.0 else p if p > 0.0 else 0.0
         q = 4.0 if q >= 4.0 else q if q > 0.0 else 0.0
         column, row = int(p + 0.5), int(q + 0.5)
@@ -140,19 +141,21 @@ class FuzzyBlock:
         import numpy as np
 
         # fmax goes first: of NaN and -2 it returns -2.
-        p = np.fmin(np.fmax(2.0 * np.asarray(error) / self.error_range, -2.0), 2.0) + 2.0
-        q = np.fmin(np.fmax(2.0 * np.asarray(rate) / self.rate_range, -2.0), 2.0) + 2.0
+        p = np.fmin(np.fmax(self._sets_an_error * np.asarray(error), -2.0), 2.0) + 2.0
+        q = np.fmin(np.fmax(self._sets_a_rate * np.asarray(rate), -2.0), 2.0) + 2.0
         i, j = np.minimum(p.astype(np.intp), 3), np.minimum(q.astype(np.intp), 3)
-        p, q = p - i, q - j
         a, b, c, d, e, f, g, h = np.moveaxis(np.array(self._cells)[4 * j + i], -1, 0)
         return a + b * p + q * (c + d * p), e + f * p + q * (g + h * p)
 
 
 def _cells_of(k1_1_s: tuple[float, ...], k2_1_s: tuple[float, ...]) -> tuple[Cell, ...]:
-    """Return the 16 cells between the peaks, row by row: in each, K = a + b p + c q + d p q with p, q from 0 to 1."""
-    return tuple((*_cell(k1_1_s, 5 * j + i), *_cell(k2_1_s, 5 * j + i)) for j in range(4) for i in range(4))
+    """Return the 16 cells between the peaks, row by row: in each, K = a + b p + c q + d p q with p, q from 0 to 4."""
+    return tuple((*_cell(k1_1_s, i, j), *_cell(k2_1_s, i, j)) for j in range(4) for i in range(4))
 
 
-def _cell(outputs: tuple[float, ...], n: int) -> tuple[float, float, float, float]:
+def _cell(outputs: tuple[float, ...], i: int, j: int) -> tuple[float, float, float, float]:
+    """Return a, b, c and d of the cell whose near corner is the output of error ``i`` and rate ``j``."""
+    n = 5 * j + i
     near, along, across, far = outputs[n], outputs[n + 1], outputs[n + 5], outputs[n + 6]
-    return near, along - near, across - near, near - along - across + far
+    b, c, d = along - near, across - near, near - along - across + far
+    return near - b * i - c * j + d * i * j, b - d * j, c - d * i, d

@@ -15,7 +15,7 @@ of squares.
 import math
 from typing import NamedTuple
 
-from hil.types import Axes, Twist, Wheels
+from hil.types import Axes, FourWheels, Twist
 
 
 class BodyTwist(NamedTuple):
@@ -55,12 +55,12 @@ def to_world(body: BodyTwist, heading_rad: float) -> Twist:
     )
 
 
-def wheel_speeds(body: Axes, wheel_radius_m: float, lever_m: float) -> Wheels:
+def wheel_speeds(body: Axes, wheel_radius_m: float, lever_m: float) -> FourWheels:
     """Return the wheel speeds [rad/s] with which the robot moves like this ``BodyTwist``: ω = H v / r."""
     forward, left, yaw_rate = body
     turn = lever_m * yaw_rate
     minus, plus = forward - left, forward + left
-    return Wheels(
+    return (
         (minus - turn) / wheel_radius_m,
         (plus + turn) / wheel_radius_m,
         (minus + turn) / wheel_radius_m,
@@ -68,7 +68,7 @@ def wheel_speeds(body: Axes, wheel_radius_m: float, lever_m: float) -> Wheels:
     )
 
 
-def body_twist(wheel_speed_rad_s: Wheels, wheel_radius_m: float, lever_m: float) -> BodyTwist:
+def body_twist(wheel_speed_rad_s: FourWheels, wheel_radius_m: float, lever_m: float) -> BodyTwist:
     """Return the body twist of these wheel speeds [rad/s], in the least-squares sense: rollers may disagree.
 
     The map is linear: wheel angles [rad] give a displacement [m, m, rad] in the same way.
@@ -82,16 +82,16 @@ def body_twist(wheel_speed_rad_s: Wheels, wheel_radius_m: float, lever_m: float)
     )
 
 
-def wheel_torques(wrench: Axes, wheel_radius_m: float, lever_m: float) -> Wheels:
+def wheel_torques(wrench: Axes, wheel_radius_m: float, lever_m: float) -> FourWheels:
     """Return the wheel torques [N·m] of least norm that give this ``BodyWrench``: B⁺ in the body frame."""
     quarter = wheel_radius_m / 4.0
     forward_n, left_n, yaw_n_m = wrench
     forward, left, turn = quarter * forward_n, quarter * left_n, quarter * yaw_n_m / lever_m
     minus, plus = forward - left, forward + left
-    return Wheels(minus - turn, plus + turn, minus + turn, plus - turn)
+    return minus - turn, plus + turn, minus + turn, plus - turn
 
 
-def body_wrench(wheel_torque_n_m: Wheels, wheel_radius_m: float, lever_m: float) -> BodyWrench:
+def body_wrench(wheel_torque_n_m: FourWheels, wheel_radius_m: float, lever_m: float) -> BodyWrench:
     """Return the wrench of these wheel torques [N·m] on the body: B in the body frame, F = Hᵀ τ / r."""
     fl, fr, rr, rl = wheel_torque_n_m
     return BodyWrench(

@@ -9,12 +9,12 @@ in the world frame. See I. Zeidis and K. Zimmermann, "Dynamics of a four-wheeled
 wheels", ZAMM 99 (2019).
 """
 
-import math
 from dataclasses import dataclass, field
+from math import cos, isfinite, sin, tanh
 
 from hil.errors import BadInputError
 from hil.kinematics import body_twist, to_world, wheel_speeds, wheel_torques
-from hil.types import ZERO_WHEELS, Axes, Twist, Wheels
+from hil.types import Axes, FourWheels, Twist, Wheels
 
 GRAVITY_M_S2 = 9.81
 FRICTION_SPEED_RAD_S = 0.3
@@ -55,7 +55,7 @@ class RobotModel:
     def __post_init__(self) -> None:
         for name in (f.name for f in self.__dataclass_fields__.values() if f.init):
             value = getattr(self, name)
-            allowed = math.isfinite(value) and (value >= 0.0 if name in _MAY_BE_ZERO else value > 0.0)
+            allowed = isfinite(value) and (value >= 0.0 if name in _MAY_BE_ZERO else value > 0.0)
             if not allowed:
                 bound = "zero or more" if name in _MAY_BE_ZERO else "more than zero"
                 raise BadInputError(f"robot.{name} = {value!r}: expected a finite number, {bound}")
@@ -71,45 +71,43 @@ class RobotModel:
     def wheel_speeds(self, twist: Axes, heading_rad: float) -> Wheels:
         """Return the wheel speeds [rad/s] of a world twist at this heading: ω = H Rᵀ q̇ / r."""
         vx, vy, yaw_rate = twist
-        c, s = math.cos(heading_rad), math.sin(heading_rad)
-        return wheel_speeds((c * vx + s * vy, c * vy - s * vx, yaw_rate), self.wheel_radius_m, self.lever_m)
+        c, s = cos(heading_rad), sin(heading_rad)
+        return Wheels(*wheel_speeds((c * vx + s * vy, c * vy - s * vx, yaw_rate), self.wheel_radius_m, self.lever_m))
 
     def twist(self, wheel_speed_rad_s: Wheels, heading_rad: float) -> Twist:
         """Return the world twist of wheel speeds [rad/s] at this heading."""
         return to_world(body_twist(wheel_speed_rad_s, self.wheel_radius_m, self.lever_m), heading_rad)
 
-    def wheel_torques(
-        self, acceleration: Axes, twist: Axes, heading_rad: float, friction_speed_rad_s: Wheels
-    ) -> Wheels:
+    def wheel_torques(self, acceleration: Axes, twist: Axes, heading_rad: float, moving: Axes) -> Wheels:
         """Return the wheel torques [N·m] for a world acceleration, not limited: τ = B⁺ (M q̈ + C) + ξ.
 
-        ``twist`` is the world twist in C. Friction ξ (``friction_torques``) is taken at
-        ``friction_speed_rad_s``: the intended wheel speeds, because measured ones would feed their noise
-        back.
+        ``twist`` is the world twist in C. Friction ξ (``friction_torques``) is that of wheels that turn as the world
+        twist ``moving`` has them: the intended one, because a measured one would feed its noise back.
         """
         ax, ay, yaw_acceleration = acceleration
         vx, vy, yaw_rate = twist
+        radius, lever = self.wheel_radius_m, self.lever_m
         mass, coupling = self.effective_mass_kg, self.wheels_mass_kg * yaw_rate
         fx = mass * ax + coupling * vy
         fy = mass * ay - coupling * vx
-        c, s = math.cos(heading_rad), math.sin(heading_rad)
+        c, s = cos(heading_rad), sin(heading_rad)
         wrench = c * fx + s * fy, c * fy - s * fx, self.effective_inertia_kg_m2 * yaw_acceleration
-        torque = wheel_torques(wrench, self.wheel_radius_m, self.lever_m)
+        torque = wheel_torques(wrench, radius, lever)
         if self.wheel_friction_n_m == 0.0:
-            return torque
+            return Wheels(*torque)
         to_fl, to_fr, to_rr, to_rl = torque
-        fl, fr, rr, rl = self.friction_torques(friction_speed_rad_s)
+        vx, vy, yaw_rate = moving
+        speeds = wheel_speeds((c * vx + s * vy, c * vy - s * vx, yaw_rate), radius, lever)
+        fl, fr, rr, rl = self.friction_torques(speeds)
         return Wheels(to_fl + fl, to_fr + fr, to_rr + rr, to_rl + rl)
 
-    def friction_torques(self, speed_rad_s: Wheels) -> Wheels:
+    def friction_torques(self, speed_rad_s: FourWheels) -> FourWheels:
         """Return the friction torque [N·m] of each wheel at these speeds: ξ = (μ m g r / 4) tanh(ω / 0.3 rad/s)."""
-        friction = self.wheel_friction_n_m
-        if friction == 0.0:
-            return ZERO_WHEELS
         fl, fr, rr, rl = speed_rad_s
-        return Wheels(
-            friction * math.tanh(fl / FRICTION_SPEED_RAD_S),
-            friction * math.tanh(fr / FRICTION_SPEED_RAD_S),
-            friction * math.tanh(rr / FRICTION_SPEED_RAD_S),
-            friction * math.tanh(rl / FRICTION_SPEED_RAD_S),
+        friction = self.wheel_friction_n_m
+        return (
+            friction * tanh(fl / FRICTION_SPEED_RAD_S),
+            friction * tanh(fr / FRICTION_SPEED_RAD_S),
+            friction * tanh(rr / FRICTION_SPEED_RAD_S),
+            friction * tanh(rl / FRICTION_SPEED_RAD_S),
         )

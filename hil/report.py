@@ -204,6 +204,8 @@ def print_demands(demands: "Feasibility") -> None:
         print(f"  {label:<22} {most}; the limit is {demand.limit:g} {demand.unit}")
     for sentence in demands.sentences:
         print(f"  {'not feasible':<22} {sentence}")
+    for sentence in demands.notes:
+        print(f"  {'note':<22} {sentence}")
 
 
 def print_findings(findings: Sequence["Finding"]) -> None:

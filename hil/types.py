@@ -47,6 +47,13 @@ class Acceleration(NamedTuple):
 Axes = tuple[float, float, float]
 """A Pose, a Twist or another triple along x, y and heading, where a class of its own would cost a law its time."""
 
+Pairs = tuple[float, float, float, float, float, float]
+"""Two quantities along x, y and heading: the three of the first, such as errors, then the three of the second, such as
+their rates. For laws too: a plain tuple is made in a tenth of the time that a named one takes."""
+
+FourWheels = tuple[float, float, float, float]
+"""One number a wheel, as ``Wheels``, on its way between the functions of a law."""
+
 
 class State(NamedTuple):
     """What the controller believes of the robot's motion."""

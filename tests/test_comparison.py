@@ -9,8 +9,10 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 import hil
+from hil.cli import app
 from hil.comparison import Asked, compare
 from hil.comparison.conditions import FRICTIONS, MASS_FACTORS, Condition, Variation, conditions, variations
 from hil.comparison.entries import Entry, entries
@@ -251,12 +253,11 @@ def test_what_cannot_be_written_is_said_after_the_table_and_keeps_nothing_else_b
     for name in ("error-1.8nm-motors-truth-wheels-slip.png", "torque-3nm-ideal.png", "error-mine.png", "notes.txt"):
         (tmp_path / name).write_text("older")
     page = tmp_path / "PAGE.md"
-    words = ("dsc", "circle_speed", "--quick", "--torque", "5", "--drive", "ideal", "--set", SHORT)
-    done = command("compare", *words, "--out", tmp_path, "--markdown", page)
-    assert done.returncode == 2
+    words = ["dsc", "circle_speed", "--quick", "--torque", "5", "--drive", "ideal", "--set", SHORT]
+    done = CliRunner().invoke(app, ["compare", *words, "--out", str(tmp_path), "--markdown", str(page)])
     assert "\ndsc " in done.stdout
-    assert done.stderr.startswith(f"hil: picture {tmp_path / 'figures.png'}: it cannot be written")
-    assert done.stderr.count("\n") == 1
+    assert isinstance(done.exception, BadInputError)
+    assert str(done.exception).startswith(f"picture {tmp_path / 'figures.png'}: it cannot be written")
     assert page.stat().st_size
     assert (tmp_path / "comparison.csv").stat().st_size
     older = [path.name for path in tmp_path.iterdir() if path.is_file() and path.read_bytes() == b"older"]

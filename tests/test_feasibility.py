@@ -42,7 +42,7 @@ def demanded(source, t_s: np.ndarray):
 def test_demands_are_those_of_an_independent_computation(source, speed_limit, torque_limit):
     found = feasibility(source, robot(speed_limit, torque_limit), 5.0, 0.02)
     t_s = np.arange(int(min(5.0, source.span_s) / 0.02 + 1e-9) + 1) * 0.02
-    for demand, values, limit in zip(found, demanded(source, t_s), (speed_limit, torque_limit), strict=True):
+    for demand, values, limit in zip(found[:2], demanded(source, t_s), (speed_limit, torque_limit), strict=True):
         sizes = abs(values)
         assert demand.limit == limit
         assert demand.worst == pytest.approx(sizes.max(), abs=1e-9)

@@ -3,6 +3,7 @@
 import math
 from typing import NamedTuple
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -67,6 +68,40 @@ class Drive:
         """A fix arrives between two ticks."""
         again = Measured(self.now_ns, None, self.speed, self.yaw_rate)
         self.state = self.estimator.update(again, None, [MeasuredPose(time_ns, pose, COVARIANCE)])
+
+
+def test_what_a_fix_changes_is_told_over_time_and_with_a_release_of_zero_at_once():
+    told = {}
+    for release_s in (0.0, 0.2):
+        drive = Drive(gyro=False, release_s=release_s)  # a fix would change the gyro's bias too
+        drive.go(100)
+        before = np.array(drive.state.pose)
+        drive.fix(
+            drive.now_ns - 20 * TICK_NS, START._replace(x_m=START.x_m + 0.02, heading_rad=START.heading_rad + 0.02)
+        )
+        told[release_s] = [np.array(drive.state.pose) - before]
+        for _ in range(60):
+            drive.go(1)
+            told[release_s].append(np.array(drive.state.pose) - before)
+    whole = told[0.0][0]
+    assert (whole[[0, 2]] > 1e-4).all()
+    assert np.array(told[0.0]) == pytest.approx(np.tile(whole, (61, 1)), abs=1e-9)
+    times_s = np.arange(61)[:, None] * TICK_NS * 1e-9
+    assert np.array(told[0.2]) == pytest.approx((1.0 - np.exp(-times_s / 0.2)) * whole, abs=1e-9)
+
+
+def test_no_more_than_a_centimetre_of_a_correction_is_held_back():
+    far = START._replace(x_m=START.x_m + 0.3, y_m=START.y_m - 0.4)
+    told = []
+    for release_s in (0.0, 0.2):
+        drive = Drive(gyro=False, start_sigma_m=1.0, start_sigma_rad=1.0, release_s=release_s)
+        drive.go(100)
+        drive.fix(drive.now_ns - 20 * TICK_NS, far)
+        told.append(drive.state.pose)
+    at_once, released = told
+    held_m = at_once.x_m - released.x_m, at_once.y_m - released.y_m
+    assert math.hypot(*held_m) == pytest.approx(0.01, abs=1e-9)
+    assert math.atan2(held_m[1], held_m[0]) == pytest.approx(math.atan2(-0.4, 0.3), abs=0.01)
 
 
 def test_a_bias_of_the_gyro_is_found_and_leaves_pose_and_twist_alone():

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from hil.errors import BadInputError
 from hil.model import RobotModel
-from hil.types import ZERO_WHEELS, Acceleration, Twist, Wheels
+from hil.types import Acceleration, Twist
 
 ROBOT = RobotModel(
     mass_kg=20.0,
@@ -45,7 +45,7 @@ def newton_euler(robot: RobotModel, a: np.ndarray, v: np.ndarray, heading: float
 
 @given(triple, triple, st.floats(-7.0, 7.0))
 def test_torques_balance_the_platform_and_each_wheel(a, v, heading):
-    torques = ROBOT.wheel_torques(Acceleration(*a), Twist(*v), heading, ZERO_WHEELS)
+    torques = ROBOT.wheel_torques(Acceleration(*a), Twist(*v), heading, (0.0, 0.0, 0.0))
     expected = newton_euler(ROBOT, np.array(a), np.array(v), heading)
     assert torques == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
@@ -58,11 +58,13 @@ def test_wheel_speeds_and_twist_are_inverse(v, heading):
 
 def test_friction_is_added_with_the_sign_of_the_intended_speed():
     robot = dataclasses.replace(ROBOT, friction_coefficient=0.04)
-    still = Acceleration(0.0, 0.0, 0.0), Twist(0.0, 0.0, 0.0), 0.0
+    still = Acceleration(0.0, 0.0, 0.0), Twist(0.0, 0.0, 0.0), math.pi / 2
     full = 0.04 * 20.0 * 9.81 * 0.075 / 4
-    assert robot.wheel_torques(*still, Wheels(9.0, -9.0, 0.0, 0.3)) == pytest.approx(
-        (full, -full, 0.0, full * math.tanh(1.0))
-    )
+    # Forward and left by as much: the wheels FL and RR stand, the others turn.
+    for speed_rad_s, expected in ((9.0, full), (-9.0, -full), (0.3, full * math.tanh(1.0))):
+        along = speed_rad_s * 0.075 / 2
+        torque = robot.wheel_torques(*still, Twist(-along, along, 0.0))
+        assert torque == pytest.approx((0.0, expected, 0.0, expected), abs=1e-12)
 
 
 def test_what_follows_from_the_numbers():

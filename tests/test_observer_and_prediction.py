@@ -8,10 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hil.controllers.ahead import TorquePrediction
 from hil.controllers.observer import ExtendedStateObserver, observer_gains
 from hil.controllers.prediction import CommandsOnTheirWay, acceleration_of
-from hil.types import Acceleration, Twist, Wheels
-from tests.closed_loop import PAPER_ROBOT
+from hil.references import Hold
+from hil.types import Acceleration, Pose, State, Twist, Wheels
+from tests.closed_loop import AT_REST, PAPER_ROBOT
 
 DT_S = 0.005
 ROBOT = dataclasses.replace(PAPER_ROBOT, friction_coefficient=0.03)
@@ -104,10 +106,24 @@ def test_what_is_predicted_is_what_an_integrator_gives_that_knows_when_each_comm
     assert np.array([position, rate]) == pytest.approx(exact(len(commands) * dt_s + latency_s), abs=1e-9)
 
 
-def test_an_observer_looks_ahead_by_its_rate_its_disturbance_and_the_commands():
-    observer = ExtendedStateObserver(60.0, 10.0)
-    observer.position, observer.rate, observer.disturbance = 1.0, 2.0, 3.0
-    assert observer.ahead(0.1, 0.5, 0.25) == pytest.approx((1.0 + 0.2 + 0.015 + 0.5, 2.0 + 0.3 + 0.25))
+@pytest.mark.parametrize("from_observers", [True, False])
+def test_from_observers_a_prediction_needs_no_measured_speed(from_observers):
+    """A push that no command explains moves a robot that is told to stand; its speed is measured as nothing."""
+    prediction = TorquePrediction(
+        PAPER_ROBOT, tuple(ExtendedStateObserver(60.0, 5.0) for _ in range(3)), from_observers=from_observers
+    )
+    goal, still, push_m_s2, latency_s = Hold().at(0.0), Twist(0.0, 0.0, 0.0), 2.0, 0.02
+    prediction.reset(State(goal.pose, still))
+    for n in range(61):
+        state = State(Pose(push_m_s2 * (n * DT_S) ** 2 / 2, 0.0, 0.0), still)
+        ahead = prediction.ahead(goal, state, AT_REST._replace(latency_s=latency_s), DT_S)
+    end_s = 60 * DT_S + latency_s
+    truth = push_m_s2 * end_s**2 / 2, push_m_s2 * end_s
+    found = ahead.error[0], ahead.twist[0]
+    if from_observers:
+        assert found == pytest.approx(truth, abs=1e-3)
+    else:
+        assert found == pytest.approx((truth[0] - latency_s * push_m_s2 * 60 * DT_S, push_m_s2 * latency_s), abs=1e-3)
 
 
 def test_a_command_that_a_later_one_overtakes_never_acts():
@@ -115,8 +131,7 @@ def test_a_command_that_a_later_one_overtakes_never_acts():
     late, early = Acceleration(1.0, 0.0, 0.0), Acceleration(0.0, 2.0, 0.0)
     on_their_way.advance(late, 0.020, DT_S)
     on_their_way.advance(early, 0.005, DT_S)
-    moved = on_their_way.ahead(0.1)
-    assert (moved.vx_m_s, moved.vy_m_s) == pytest.approx((0.0, 0.2))
+    assert on_their_way.ahead(0.1)[3:5] == pytest.approx((0.0, 0.2))
 
 
 def test_after_a_reset_nothing_is_on_its_way():
@@ -126,11 +141,10 @@ def test_after_a_reset_nothing_is_on_its_way():
     assert on_their_way.ahead(1.0) == (0.0,) * 6
 
 
-@given(accelerations, twists, st.floats(-3.0, 3.0), st.floats(-5.0, 5.0))
-def test_the_acceleration_of_the_models_torques_is_the_one_asked_for(acceleration, twist, heading_rad, against):
-    speeds = ROBOT.wheel_speeds(twist, heading_rad)
-    torque = ROBOT.wheel_torques(acceleration, twist, heading_rad, speeds)
+@given(accelerations, twists, st.floats(-3.0, 3.0), twists, st.floats(-5.0, 5.0))
+def test_the_acceleration_of_the_models_torques_is_the_one_asked_for(acceleration, twist, heading_rad, moving, against):
+    torque = ROBOT.wheel_torques(acceleration, twist, heading_rad, moving)
     # Rollers that pull the front against the rear move nothing.
     nothing = Wheels(against, against, -against, -against)
     torque = Wheels(*(a + b for a, b in zip(torque, nothing, strict=True)))
-    assert acceleration_of(ROBOT, torque, twist, heading_rad, speeds) == pytest.approx(acceleration, abs=1e-9)
+    assert acceleration_of(ROBOT, torque, twist, heading_rad, moving) == pytest.approx(acceleration, abs=1e-9)

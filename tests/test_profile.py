@@ -153,7 +153,7 @@ def test_what_became_of_a_command_on_its_way_is_no_disturbance(share):
         applied = Applied(WheelCommand(CommandMode.TORQUE, command.speed_rad_s, scaled), share < 1.0, 0.0)
         motion = after(robot, motion, scaled, 0.005)
         state = State(Pose(*motion[:3]), Twist(*motion[3:]))
-    seen = [o.disturbance for o in (controller._observe_x, controller._observe_y, controller._observe_heading)]
+    seen = controller._prediction.disturbance
     assert seen == pytest.approx([0.0, 0.0, 0.0], abs=1e-2)
     assert (abs(state.pose.x_m) > 0.05) == (share > 0.0)
 

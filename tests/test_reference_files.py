@@ -207,6 +207,31 @@ def test_check_says_what_the_reference_asks_of_the_wheels():
     assert len(json.loads(wild.stdout)["reference"]["warnings"]) == 2
 
 
+@pytest.mark.parametrize(
+    ("duration_s", "words"),
+    [(5.0, "does not come to the end; make loop.duration_s longer"), (60.0, "is to stand at the end"), (None, None)],
+)
+def test_check_notes_a_reference_that_ends_at_another_time_than_the_run(duration_s, words):
+    def check(duration_s):
+        done = CliRunner().invoke(app, ["check", "waypoints", "--json", "--set", f"loop.duration_s={duration_s}"])
+        assert done.exit_code == 0
+        return json.loads(done.stdout)["reference"]
+
+    ends_s = check(5.0)["ends_s"]
+    notes = check(duration_s or ends_s)["notes"]
+    if words is None:
+        assert notes == []
+    else:
+        (note,) = notes
+        assert note.startswith(f"the reference ends at t = {ends_s:.4g} s, the run at {duration_s:g} s: ")
+        assert words in note
+
+
+def test_what_goes_on_for_ever_has_no_end_to_note():
+    done = CliRunner().invoke(app, ["check", "figure_eight", "--set", "loop.duration_s=0.1"])
+    assert "  note  " not in done.stdout
+
+
 def test_a_file_in_another_encoding_is_a_sentence_with_what_to_do(tmp_path):
     (tmp_path / "way.csv").write_bytes((HEAD + "# Stra\xdfe\n0,0,0\n").encode("latin-1"))
     with pytest.raises(BadInputError, match=r"way\.csv' is not UTF-8 \(byte 0xDF, .* save it as UTF-8$"):

@@ -1,5 +1,6 @@
 """References: twist and acceleration are the derivatives of the pose, nothing jumps, options are checked by name."""
 
+import dataclasses
 import math
 from pathlib import Path
 
@@ -144,7 +145,7 @@ def test_a_ramp_starts_from_rest_and_then_goes_on_as_without_one(source, share):
     if source.ramp_s == 0.0 or getattr(source, "yaw_ramp_s", source.ramp_s) != source.ramp_s:
         return
     assert source.at(0.0)[1:] == ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    options = {name: getattr(source, name) for name in source.__dataclass_fields__ if not name.startswith("_")}
+    options = {f.name: getattr(source, f.name) for f in dataclasses.fields(source) if f.init}
     steady = type(source)(**options | {name: 0.0 for name in options if name.endswith("ramp_s")})
     t = share * 20.0
     for one, other in zip(source.at(t + source.ramp_s), steady.at(t + 0.5 * source.ramp_s), strict=True):
@@ -226,7 +227,7 @@ def test_the_page_and_the_list_name_every_kind_and_option(name, kind):
     assert 20 < len(line) < 120
     _, _, section = PAGE.partition(f"\n## {name}\n")
     section = section.partition("\n## ")[0]
-    for option in kind.__dataclass_fields__.values():
+    for option in dataclasses.fields(kind):
         assert not option.init or f"`{option.name}`" in section, (name, option.name)
 
 

@@ -372,6 +372,15 @@ def test_the_page_has_the_figures_of_a_run(summary: dict[str, Any]) -> None:
         assert f"| {verdict['place']} | {verdict['claim']} |" in text
 
 
+def test_the_page_is_what_the_summary_beside_it_gives(capsys, tmp_path, monkeypatch) -> None:
+    assert page.main(["--check"]) == 0
+    edited = tmp_path / page.PAGE.name
+    edited.write_text(page.PAGE.read_text(encoding="utf-8").replace("does not come out", "comes out"), encoding="utf-8")
+    monkeypatch.setattr(page, "PAGE", edited)
+    assert page.main(["--check"]) == 1
+    assert capsys.readouterr().err.startswith("PAPER.md is not what paper.json gives; run: ")
+
+
 def test_results_are_written_between_the_marks(summary: dict[str, Any]) -> None:
     text = page.PAGE.read_text(encoding="utf-8")
     once = page.with_results(text, summary)

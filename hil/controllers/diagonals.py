@@ -13,7 +13,7 @@ that as long as one of them has torque to spare there is some for the heading.
 
 import math
 
-from hil.types import Wheels
+from hil.types import FourWheels, Wheels
 
 SQRT2 = math.sqrt(2.0)
 
@@ -26,7 +26,7 @@ def directions(heading_rad: float) -> tuple[float, float, float, float]:
 
 
 def allocate(
-    push_1_n_m: float, push_2_n_m: float, turn_n_m: float, friction_n_m: Wheels, limit_n_m: float
+    push_1_n_m: float, push_2_n_m: float, turn_n_m: float, friction_n_m: FourWheels, limit_n_m: float
 ) -> tuple[Wheels, float, float, float]:
     """Return wheel torques within the limit, and what is in them of τ_1, τ_2 and (a + b) / 2 as they were wanted.
 

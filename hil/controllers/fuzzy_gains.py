@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass
 
-from hil.controllers.surface import TrackingError, without_inner
+from hil.controllers.surface import without_inner
 from hil.fuzzy import FIRING, FuzzyBlock, Tables
 from hil.options import require_positive
-from hil.types import NAN, NO_GAINS, CommandMode, Gains
+from hil.types import NAN, NO_GAINS, CommandMode, Gains, Pairs
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class FuzzyGains:
     def __init__(self, tables: Tables, ranges: FuzzyRanges) -> None:
         self._planar = FuzzyBlock.from_tables(tables, ranges.error_range_m, ranges.error_rate_range_m_s)
         self._heading = FuzzyBlock.from_tables(tables, ranges.heading_error_range_rad, ranges.heading_rate_range_rad_s)
-        self._error: TrackingError | None = None
+        self._error: Pairs | None = None
 
     @property
     def telemetry(self) -> tuple[float, ...]:
@@ -48,15 +48,15 @@ class FuzzyGains:
         firing = self._planar.firing
         return firing(x, vx) + firing(y, vy) + self._heading.firing(heading, yaw_rate)
 
-    def of(self, error: TrackingError) -> Gains:
-        """Return the gains at this error."""
+    def of(self, error: Pairs) -> Pairs:
+        """Return K1 and K2 [1/s] at this error and its rate."""
         self._error = error
         x, y, heading, vx, vy, yaw_rate = error
         planar = self._planar.gains
         k1_x, k2_x = planar(x, vx)
         k1_y, k2_y = planar(y, vy)
         k1_heading, k2_heading = self._heading.gains(heading, yaw_rate)
-        return Gains(k1_x, k1_y, k1_heading, k2_x, k2_y, k2_heading)
+        return k1_x, k1_y, k1_heading, k2_x, k2_y, k2_heading
 
 
 class FuzzyLaw:
@@ -67,12 +67,13 @@ class FuzzyLaw:
     def __init__(self, mode: CommandMode, tables: Tables, ranges: FuzzyRanges) -> None:
         self._torque = mode is CommandMode.TORQUE
         self._tuner = FuzzyGains(tables, ranges)
-        self._last = NO_GAINS
+        self._last: Pairs = NO_GAINS
 
     @property
     def gains(self) -> Gains:
         """Gains of the last update; in SPEED mode K2 is not in force."""
-        return self._last if self._torque else without_inner(self._last)
+        gains = Gains(*self._last)
+        return gains if self._torque else without_inner(gains)
 
     @property
     def telemetry(self) -> tuple[float, ...]:

@@ -11,10 +11,10 @@ model's, a wrong mass. All are taken for the moment at which the command takes e
 
 from hil.controllers.ahead import Ahead, TorquePrediction, carried_on
 from hil.controllers.observer import ExtendedStateObserver
-from hil.controllers.surface import TrackingError, filter_step
+from hil.controllers.surface import FirstOrderFilter
 from hil.controllers.wheel_commands import speed_command
 from hil.model import RobotModel
-from hil.types import Applied, Axes, CommandMode, Gains, Reference, State, WheelCommand
+from hil.types import Applied, Axes, CommandMode, Pairs, Reference, State, WheelCommand
 
 _LIMIT_M_S2 = 3.0
 _LIMIT_RAD_S2 = 10.0
@@ -27,20 +27,19 @@ class ObservedSurface:
     filter and of the observer: which torque acts, it alone knows.
     """
 
-    __slots__ = ("_feedback", "_filter_s", "_model", "_prediction", "_torque")
+    __slots__ = ("_filter", "_model", "_prediction", "_torque")
 
     def __init__(self, model: RobotModel, mode: CommandMode, filter_s: float, observer_rad_s: float) -> None:
         self._model = model
         self._torque = mode is CommandMode.TORQUE
-        self._filter_s = filter_s
+        self._filter = FirstOrderFilter(filter_s)
         limits = (_LIMIT_M_S2, _LIMIT_M_S2, _LIMIT_RAD_S2)
         observers = tuple(ExtendedStateObserver(observer_rad_s, limit) for limit in limits)
         self._prediction = TorquePrediction(model, observers)
-        self._feedback: Axes = (0.0, 0.0, 0.0)
 
-    def reset(self, state: State, error: TrackingError, gains: Gains) -> None:
+    def reset(self, state: State, error: Pairs, gains: Pairs) -> None:
         """Start the filter at rest on its input, and the observer at this state."""
-        self._feedback = _feedback(error, gains)
+        self._filter.value = _feedback(error, gains)
         self._prediction.reset(state)
 
     def ahead(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> Ahead:
@@ -49,18 +48,19 @@ class ObservedSurface:
             return self._prediction.ahead(reference, state, applied, dt_s)
         return carried_on(reference, state, applied.latency_s)
 
-    def command(self, reference: Reference, ahead: Ahead, gains: Gains, dt_s: float) -> WheelCommand:
+    def command(self, reference: Reference, ahead: Ahead, gains: Pairs, dt_s: float) -> WheelCommand:
         """Return the command of this tick, of ``dt_s`` [s]."""
+        error = ahead.error
+        feedback = _feedback(error, gains)
         if not self._torque:
             vx_d, vy_d, yaw_rate_d = ahead.moving
-            x, y, heading = _feedback(ahead.error, gains)
+            x, y, heading = feedback
             wanted = vx_d + x, vy_d + y, yaw_rate_d + heading
             return speed_command(self._model, wanted, ahead.heading_rad, ahead.moving, reference.acceleration)
-        _, _, _, vx, vy, yaw_rate = ahead.error
+        _, _, _, vx, vy, yaw_rate = error
         _, _, _, k2_x, k2_y, k2_heading = gains
-        x, y, heading = self._feedback
-        wanted = _feedback(ahead.error, gains)
-        self._feedback, (slope_x, slope_y, slope_heading) = filter_step(self._feedback, wanted, self._filter_s, dt_s)
+        x, y, heading = self._filter.value
+        slope_x, slope_y, slope_heading = self._filter.step(feedback, dt_s)
         ax, ay, ah = reference.acceleration
         zx, zy, zh = self._prediction.disturbance
         asked = (
@@ -71,7 +71,7 @@ class ObservedSurface:
         return self._prediction.command(asked, ahead)
 
 
-def _feedback(error: TrackingError, gains: Gains) -> Axes:
+def _feedback(error: Pairs, gains: Pairs) -> Axes:
     """Return -K1 e."""
     x, y, heading, _, _, _ = error
     k1_x, k1_y, k1_heading, _, _, _ = gains

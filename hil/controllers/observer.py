@@ -60,14 +60,6 @@ class ExtendedStateObserver:
         limit = self._limit
         self.disturbance = limit if disturbance > limit else -limit if disturbance < -limit else disturbance
 
-    def ahead(self, time_s: float, displacement: float, rate_change: float) -> tuple[float, float]:
-        """Return position and rate ``time_s`` [s] later, the disturbance held, with what the commands do until then."""
-        disturbed = time_s * self.disturbance
-        return (
-            self.position + time_s * (self.rate + 0.5 * disturbed) + displacement,
-            self.rate + disturbed + rate_change,
-        )
-
 
 def observer_gains(bandwidth_rad_s: float, dt_s: float) -> tuple[float, float, float]:
     """Return the gains of position [1], rate [1/s] and disturbance [1/s²] that put all poles at exp(-ωo T)."""

@@ -9,28 +9,17 @@ motions are exact for a double integrator an axis, whatever the latency is in pe
 import math
 import operator
 from collections import deque
-from typing import NamedTuple
 
 from hil.kinematics import body_wrench
 from hil.model import RobotModel
-from hil.types import Acceleration, Twist, Wheels
-
-
-class Moved(NamedTuple):
-    """What accelerations alone do to a robot that begins at rest: displacement [m, rad] and rate [m/s, rad/s]."""
-
-    x_m: float
-    y_m: float
-    heading_rad: float
-    vx_m_s: float
-    vy_m_s: float
-    yaw_rate_rad_s: float
+from hil.types import Axes, Pairs, Wheels
 
 
 class CommandsOnTheirWay:
     """The accelerations that were commanded of late, each with the time from which it acts.
 
-    Before the first one acts there is no acceleration.
+    Before the first one acts there is no acceleration. What they do is told as of a robot that begins at rest:
+    displacement [m, rad] and rate [m/s, rad/s].
     """
 
     __slots__ = ("_acting", "_now_s", "_waiting")
@@ -41,10 +30,10 @@ class CommandsOnTheirWay:
     def reset(self) -> None:
         """Begin with nothing commanded."""
         self._now_s = 0.0
-        self._acting = Acceleration(0.0, 0.0, 0.0)
-        self._waiting: deque[tuple[float, Acceleration]] = deque()
+        self._acting: Axes = (0.0, 0.0, 0.0)
+        self._waiting: deque[tuple[float, Axes]] = deque()
 
-    def advance(self, commanded: Acceleration, latency_s: float, dt_s: float) -> Moved:
+    def advance(self, commanded: Axes, latency_s: float, dt_s: float) -> Pairs:
         """Go on by ``dt_s`` [s] to the present tick, and return how the robot was moved since the last one.
 
         ``commanded`` was decided at the last tick and acts from ``latency_s`` after it. One that was to act no
@@ -61,7 +50,7 @@ class CommandsOnTheirWay:
             self._acting = waiting.popleft()[1]
         return moved
 
-    def ahead(self, horizon_s: float) -> Moved:
+    def ahead(self, horizon_s: float) -> Pairs:
         """Return how the robot is moved within the next ``horizon_s`` [s] by what was commanded until now."""
         dx = dy = dh = vx = vy = vh = 0.0
         ax, ay, ah = self._acting
@@ -80,7 +69,7 @@ class CommandsOnTheirWay:
             ax, ay, ah = following
         d = end_s - at_s
         half = 0.5 * d
-        return Moved(
+        return (
             dx + d * (vx + half * ax),
             dy + d * (vy + half * ay),
             dh + d * (vh + half * ah),
@@ -90,22 +79,22 @@ class CommandsOnTheirWay:
         )
 
 
-def acceleration_of(
-    model: RobotModel, torque_n_m: Wheels, twist: Twist, heading_rad: float, friction_speed_rad_s: Wheels
-) -> Acceleration:
+def acceleration_of(model: RobotModel, torque_n_m: Wheels, twist: Axes, heading_rad: float, moving: Axes) -> Axes:
     """Return the world acceleration of these wheel torques: ``RobotModel.wheel_torques`` read backwards.
 
     What a law wanted and what the guard let through differ; this turns the latter into what an observer needs.
-    Of torques that work against each other the share that moves the robot counts.
+    Friction is taken as the law took it, so that both are the same where the guard did nothing. Of torques that work
+    against each other the share that moves the robot counts.
     """
-    friction_n_m = model.friction_torques(friction_speed_rad_s)
-    moving = Wheels(*map(operator.sub, torque_n_m, friction_n_m))
-    forward_n, left_n, yaw_n_m = body_wrench(moving, model.wheel_radius_m, model.lever_m)
+    friction_n_m = model.friction_torques(model.wheel_speeds(moving, heading_rad))
+    fl, fr, rr, rl = map(operator.sub, torque_n_m, friction_n_m)
+    forward_n, left_n, yaw_n_m = body_wrench((fl, fr, rr, rl), model.wheel_radius_m, model.lever_m)
     c, s = math.cos(heading_rad), math.sin(heading_rad)
-    coupling = model.wheels_mass_kg * twist.yaw_rate_rad_s
+    vx, vy, yaw_rate = twist
+    coupling = model.wheels_mass_kg * yaw_rate
     mass = model.effective_mass_kg
-    return Acceleration(
-        (c * forward_n - s * left_n - coupling * twist.vy_m_s) / mass,
-        (s * forward_n + c * left_n + coupling * twist.vx_m_s) / mass,
+    return (
+        (c * forward_n - s * left_n - coupling * vy) / mass,
+        (s * forward_n + c * left_n + coupling * vx) / mass,
         yaw_n_m / model.effective_inertia_kg_m2,
     )

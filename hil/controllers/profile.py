@@ -6,11 +6,10 @@ Derivation, options and figures: PROFILE.md beside this file.
 import math
 from dataclasses import dataclass
 
+from hil.controllers.ahead import Ahead, TorquePrediction, carried_on
 from hil.controllers.diagonals import SQRT2, allocate, directions, within
 from hil.controllers.observer import ExtendedStateObserver
-from hil.controllers.prediction import CommandsOnTheirWay, acceleration_of
-from hil.controllers.surface import tracking_error
-from hil.kinematics import wrap_angle
+from hil.controllers.wheel_commands import speed_command
 from hil.model import RobotModel
 from hil.options import require_positive
 from hil.types import (
@@ -19,12 +18,11 @@ from hil.types import (
     Acceleration,
     Applied,
     CommandMode,
+    FourWheels,
     Gains,
     Reference,
     State,
-    Twist,
     WheelCommand,
-    Wheels,
 )
 
 # Of the yaw acceleration and the yaw rate that wheels which only turn the robot would give. Pushing goes first: of the
@@ -33,9 +31,8 @@ _TURNING_SHARE = 0.3
 # How far in time the set points may be from the speeds. Further away the firmware's limit would have the wheels that
 # have most to gain drag the others backwards, which it takes for a fault (WRONG_DIRECTION).
 _STEP_S = 0.05
-# By so much less than the speed limit, that no rounding takes a wheel beyond it.
+# By so much less than the limits of torque and speed, that no rounding takes a wheel beyond them.
 _ROUNDING = 1e-12
-_NO_ACCELERATION = Acceleration(0.0, 0.0, 0.0)
 
 
 class Profile:
@@ -87,75 +84,34 @@ class Profile:
         self._turn_braking_rad_s2 = _TURNING_SHARE * turn_rad_s2
         self._push_step_m_s = _STEP_S * push_m_s2
         self._turn_step_rad_s = _STEP_S * turn_rad_s2
+        self._torque_limit_n_m = model.torque_limit_n_m * (1.0 - _ROUNDING)
         keeps = options.keeps_speed_limit or not self._torque
         rim_speed_m_s = model.speed_limit_rad_s * model.wheel_radius_m * (1.0 - _ROUNDING)
         self._rim_speed_m_s = rim_speed_m_s if keeps else math.inf
         self._turn_rad_s = _TURNING_SHARE * self._rim_speed_m_s / model.lever_m
-        bandwidth = options.observer_rad_s
-        self._observe_x = ExtendedStateObserver(bandwidth, push_m_s2)
-        self._observe_y = ExtendedStateObserver(bandwidth, push_m_s2)
-        self._observe_heading = ExtendedStateObserver(bandwidth, turn_rad_s2)
-        self._on_their_way = CommandsOnTheirWay()
-        self._commanded = _NO_ACCELERATION
-        self._sent = ZERO_WHEELS
-        self._latency_s = 0.0
-        self._is_new = True
+        limits = (push_m_s2, push_m_s2, turn_rad_s2)
+        observers = tuple(ExtendedStateObserver(options.observer_rad_s, limit) for limit in limits)
+        self._prediction = TorquePrediction(model, observers, from_observers=True)
 
     def reset(self, state: State, reference: Reference) -> None:
         """Begin at this state, with nothing commanded and no disturbance."""
-        (x, y, heading), (vx, vy, yaw_rate) = state
-        self._observe_x.reset(x, vx)
-        self._observe_y.reset(y, vy)
-        self._observe_heading.reset(heading, yaw_rate)
-        self._on_their_way.reset()
-        self._is_new = True
+        self._prediction.reset(state)
 
     def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
         """Return the command that acts ``applied.latency_s`` from now, in TORQUE mode within the torque limit."""
         if self._torque:
-            self._observe(state, applied, dt_s)
-            return self._torque_command(reference, applied.latency_s, dt_s)
+            ahead = self._prediction.ahead(reference, state, applied, dt_s)
+            return self._torque_command(reference.acceleration, ahead, dt_s)
         return self._speed_command(reference, state, applied.latency_s, dt_s)
 
-    def _observe(self, state: State, applied: Applied, dt_s: float) -> None:
-        """Bring the observers to this tick, by what the commands did since the last one and by the pose."""
-        latency_s, self._latency_s = self._latency_s, applied.latency_s
-        if self._is_new:
-            self._is_new = False
-            return
-        (x, y, heading), twist = state
-        torque = applied.command.torque_n_m
-        if torque != self._sent:  # something else than this law had its say
-            friction_at = self._model.wheel_speeds(twist, heading)
-            self._commanded = acceleration_of(self._model, torque, twist, heading, friction_at)
-        dx, dy, dh, dvx, dvy, dvh = self._on_their_way.advance(self._commanded, latency_s, dt_s)
-        self._observe_x.update(x, dx, dvx, dt_s)
-        self._observe_y.update(y, dy, dvy, dt_s)
-        turned = self._observe_heading.position
-        self._observe_heading.update(turned + wrap_angle(heading - turned), dh, dvh, dt_s)
-
-    def _torque_command(self, reference: Reference, latency_s: float, dt_s: float) -> WheelCommand:
-        """Return τ for q̈ = q̈_d + ẇ(e) + K2 (w(e) - ė) - d, an axis each for the two pairs and the heading.
-
-        All at the time at which it begins to act: the reference ahead by its acceleration, the robot by the
-        observers and the commands on their way.
-        """
+    def _torque_command(self, acceleration: Acceleration, ahead: Ahead, dt_s: float) -> WheelCommand:
+        """Return τ for q̈ = q̈_d + ẇ(e) + K2 (w(e) - ė) - d, an axis each for the two pairs and the heading."""
         model = self._model
-        dx, dy, dh, dvx, dvy, dvh = self._on_their_way.ahead(latency_s)
-        x, vx = self._observe_x.ahead(latency_s, dx, dvx)
-        y, vy = self._observe_y.ahead(latency_s, dy, dvy)
-        heading, yaw_rate = self._observe_heading.ahead(latency_s, dh, dvh)
-        (x_d, y_d, heading_d), (vx_d, vy_d, yaw_rate_d), (ax, ay, yaw_acceleration) = reference
-        half_s = 0.5 * latency_s
-        x -= x_d + latency_s * (vx_d + half_s * ax)
-        y -= y_d + latency_s * (vy_d + half_s * ay)
-        turned = wrap_angle(heading - heading_d - latency_s * (yaw_rate_d + half_s * yaw_acceleration))
-        vx_d, vy_d = vx_d + latency_s * ax, vy_d + latency_s * ay
-        yaw_rate_d += latency_s * yaw_acceleration
+        (x, y, turned, vx_e, vy_e, now_turn), heading, (vx_d, vy_d, yaw_rate_d), (vx, vy, yaw_rate) = ahead
         # The torque is held for a tick: where the wheels push to is taken at the middle of it.
         x1, y1, x2, y2 = directions(heading + 0.5 * dt_s * yaw_rate)
         along_1, along_2 = vx_d * x1 + vy_d * y1, vx_d * x2 + vy_d * y2
-        now_1, now_2, now_turn = vx * x1 + vy * y1 - along_1, vx * x2 + vy * y2 - along_2, yaw_rate - yaw_rate_d
+        now_1, now_2 = vx_e * x1 + vy_e * y1, vx_e * x2 + vy_e * y2
         k1, braking = self._k1, self._braking_m_s2
         limit = self._turn_rad_s
         turn, turn_slope = profile(turned, now_turn, k1, self._turn_braking_rad_s2, -limit, limit)
@@ -165,21 +121,21 @@ class Profile:
         # What brings ė to w within a tick as a pole at K2 does: exact for an acceleration that is held.
         k2 = -math.expm1(-self._k2 * dt_s) / dt_s
         coupling = model.wheels_mass_kg / model.effective_mass_kg * yaw_rate
-        known_x = ax - self._observe_x.disturbance + coupling * vy
-        known_y = ay - self._observe_y.disturbance - coupling * vx
+        ax, ay, yaw_acceleration = acceleration
+        zx, zy, zh = self._prediction.disturbance
+        known_x = ax - zx + coupling * vy
+        known_y = ay - zy - coupling * vx
         to_push, to_turn = self._push_n_m_per_m_s2, self._turn_n_m_per_rad_s2
         torque, push_1, push_2, turn = allocate(
             to_push * (known_x * x1 + known_y * y1 + slope_1 + k2 * (rate_1 - now_1)),
             to_push * (known_x * x2 + known_y * y2 + slope_2 + k2 * (rate_2 - now_2)),
-            to_turn * (yaw_acceleration - self._observe_heading.disturbance + turn_slope + k2 * (turn - now_turn)),
+            to_turn * (yaw_acceleration - zh + turn_slope + k2 * (turn - now_turn)),
             self._friction(along_1, along_2, yaw_rate_d),
-            model.torque_limit_n_m,
+            self._torque_limit_n_m,
         )
         push_1, push_2 = push_1 / to_push, push_2 / to_push
-        self._sent = torque
-        self._commanded = Acceleration(
-            push_1 * x1 + push_2 * x2 - coupling * vy, push_1 * y1 + push_2 * y2 + coupling * vx, turn / to_turn
-        )
+        pushed = push_1 * x1 + push_2 * x2 - coupling * vy, push_1 * y1 + push_2 * y2 + coupling * vx, turn / to_turn
+        self._prediction.remember(torque, pushed)
         return WheelCommand(CommandMode.TORQUE, ZERO_WHEELS, torque)
 
     def _speed_command(self, reference: Reference, state: State, latency_s: float, dt_s: float) -> WheelCommand:
@@ -188,12 +144,9 @@ class Profile:
         The robot is ahead by its own speed, and by the reference's acceleration, which is in both.
         """
         model = self._model
-        x, y, turned, vx, vy, yaw_rate = tracking_error(reference, state)
-        x, y, turned = x + latency_s * vx, y + latency_s * vy, turned + latency_s * yaw_rate
-        _, (vx_d, vy_d, yaw_rate_d), (ax, ay, yaw_acceleration) = reference
-        vx_d, vy_d = vx_d + latency_s * ax, vy_d + latency_s * ay
-        yaw_rate_d += latency_s * yaw_acceleration
-        heading = state.pose.heading_rad + latency_s * state.twist.yaw_rate_rad_s
+        (x, y, turned, vx, vy, yaw_rate), heading, moving, _ = carried_on(reference, state, latency_s)
+        vx_d, vy_d, yaw_rate_d = moving
+        ax, ay, yaw_acceleration = reference.acceleration
         x1, y1, x2, y2 = directions(heading)
         along_1, along_2 = vx_d * x1 + vy_d * y1, vx_d * x2 + vy_d * y2
         k1, braking = self._k1, self._braking_m_s2
@@ -210,7 +163,6 @@ class Profile:
         slope_1, slope_2 = slope_1 * in_step(now_1, rate_1), slope_2 * in_step(now_2, rate_2)
         ax, ay = ax + slope_1 * x1 + slope_2 * x2, ay + slope_1 * y1 + slope_2 * y2
         yaw_acceleration += turn_slope * in_step(yaw_rate, turn)
-        moving = Twist(vx_d, vy_d, yaw_rate_d)
         # In the middle of the tick, and less by what the wheels run ahead of the speed that the firmware measures.
         lead_s = 0.5 * dt_s - self._speed_lag_s
         # The limit comes last: over the lead, the reference, and how far the set points may be from the speeds.
@@ -218,21 +170,19 @@ class Profile:
         limit = self._push_speed_m_s(turn)
         push_1 = within(along_1 + rate_1 + lead_s * (ax * x1 + ay * y1), limit)
         push_2 = within(along_2 + rate_2 + lead_s * (ax * x2 + ay * y2), limit)
-        twist = Twist(push_1 * x1 + push_2 * x2, push_1 * y1 + push_2 * y2, turn)
-        acceleration = Acceleration(ax, ay, yaw_acceleration)
-        torque = model.wheel_torques(acceleration, moving, heading, model.wheel_speeds(moving, heading))
-        return WheelCommand(CommandMode.SPEED, model.wheel_speeds(twist, heading), torque)
+        wanted = push_1 * x1 + push_2 * x2, push_1 * y1 + push_2 * y2, turn
+        return speed_command(model, wanted, heading, moving, (ax, ay, yaw_acceleration))
 
     def _push_speed_m_s(self, yaw_rate_rad_s: float) -> float:
         """Return the speed limit along a diagonal: a wheel's rim runs √2 as fast, and L times the yaw rate."""
         return max(self._rim_speed_m_s - self._model.lever_m * abs(yaw_rate_rad_s), 0.0) / SQRT2
 
-    def _friction(self, along_1_m_s: float, along_2_m_s: float, yaw_rate_rad_s: float) -> Wheels:
+    def _friction(self, along_1_m_s: float, along_2_m_s: float, yaw_rate_rad_s: float) -> FourWheels:
         """Return the friction torques at the speeds of the reference: no noise comes back through them."""
         scale = 1.0 / self._model.wheel_radius_m
         push_1, push_2 = SQRT2 * scale * along_1_m_s, SQRT2 * scale * along_2_m_s
         turn = scale * self._model.lever_m * yaw_rate_rad_s
-        return self._model.friction_torques(Wheels(push_1 - turn, push_2 + turn, push_1 + turn, push_2 - turn))
+        return self._model.friction_torques((push_1 - turn, push_2 + turn, push_1 + turn, push_2 - turn))
 
 
 def profile(error: float, rate: float, k1: float, braking: float, low: float, high: float) -> tuple[float, float]:

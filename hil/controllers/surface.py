@@ -8,39 +8,18 @@ The filter makes the robot lag: on a circle of radius r0 at rate ω the steady e
 """
 
 import math
-from typing import NamedTuple
 
 from hil.controllers.wheel_commands import speed_command, torque_command
-from hil.kinematics import wrap_angle
 from hil.model import RobotModel
-from hil.types import (
-    NAN,
-    Axes,
-    CommandMode,
-    Gains,
-    Reference,
-    State,
-    Twist,
-    WheelCommand,
-)
+from hil.types import NAN, Axes, CommandMode, Gains, Pairs, Reference, State, WheelCommand
 
 
-class TrackingError(NamedTuple):
-    """State minus reference in the world frame, the heading wrapped to [-π, π], and its rate."""
-
-    x_m: float
-    y_m: float
-    heading_rad: float
-    vx_m_s: float
-    vy_m_s: float
-    yaw_rate_rad_s: float
-
-
-def tracking_error(reference: Reference, state: State) -> TrackingError:
-    """Return S1 and its rate."""
+def tracking_error(reference: Reference, state: State) -> Pairs:
+    """Return S1, state minus reference in the world frame [m, rad], and its rate. The heading is in [-π, π]."""
     (x, y, heading), (vx, vy, yaw_rate) = state
     (x_d, y_d, heading_d), (vx_d, vy_d, yaw_rate_d), _ = reference
-    return TrackingError(x - x_d, y - y_d, wrap_angle(heading - heading_d), vx - vx_d, vy - vy_d, yaw_rate - yaw_rate_d)
+    turned = math.remainder(heading - heading_d, math.tau)
+    return x - x_d, y - y_d, turned, vx - vx_d, vy - vy_d, yaw_rate - yaw_rate_d
 
 
 class DynamicSurface:
@@ -52,53 +31,60 @@ class DynamicSurface:
     no part in it.
     """
 
-    __slots__ = ("_filter_s", "_model", "_torque", "_virtual")
+    __slots__ = ("_filter", "_model", "_torque")
 
     def __init__(self, model: RobotModel, mode: CommandMode, filter_s: float) -> None:
         self._model = model
         self._torque = mode is CommandMode.TORQUE
-        self._filter_s = filter_s
-        self._virtual: Axes = (0.0, 0.0, 0.0)
+        self._filter = FirstOrderFilter(filter_s)
 
-    def reset(self, reference: Reference, error: TrackingError, gains: Gains) -> None:
+    def reset(self, reference: Reference, error: Pairs, gains: Pairs) -> None:
         """Start the filter at rest on its input: x2d(0) = x̄2(0) (equation 17)."""
-        self._virtual = _virtual_control(reference.twist, error, gains)
+        self._filter.value = _virtual_control(reference.twist, error, gains)
 
-    def command(
-        self, reference: Reference, state: State, error: TrackingError, gains: Gains, dt_s: float
-    ) -> WheelCommand:
-        """Return the command of this tick, of ``dt_s`` [s]."""
-        heading, moving = state.pose.heading_rad, reference.twist
+    def command(self, reference: Reference, state: State, error: Pairs, gains: Pairs, dt_s: float) -> WheelCommand:
+        """Return the command of this tick, of ``dt_s`` [s]; ``gains`` are K1 and K2 [1/s]."""
+        _, moving, acceleration = reference
+        (_, _, heading_rad), twist = state
         wanted = _virtual_control(moving, error, gains)
         if not self._torque:
-            return speed_command(self._model, wanted, heading, moving, reference.acceleration)
-        acceleration = self._inner_surface(wanted, state.twist, gains, dt_s)
-        return torque_command(self._model, acceleration, heading, state.twist, moving)
-
-    def _inner_surface(self, wanted: Axes, twist: Twist, gains: Gains, dt_s: float) -> Axes:
-        """Return u = ẋ2d - K2 S2, and advance the filter."""
-        x, y, heading = self._virtual
-        self._virtual, (slope_x, slope_y, slope_heading) = filter_step(self._virtual, wanted, self._filter_s, dt_s)
+            return speed_command(self._model, wanted, heading_rad, moving, acceleration)
+        x, y, heading = self._filter.value
+        slope_x, slope_y, slope_heading = self._filter.step(wanted, dt_s)
         vx, vy, yaw_rate = twist
         _, _, _, k2_x, k2_y, k2_heading = gains
-        return (
+        asked = (
             slope_x - k2_x * (vx - x),
             slope_y - k2_y * (vy - y),
             slope_heading - k2_heading * (yaw_rate - heading),
         )
+        return torque_command(self._model, asked, heading_rad, twist, moving)
 
 
-def filter_step(value: Axes, wanted: Axes, filter_s: float, dt_s: float) -> tuple[Axes, Axes]:
-    """Return a first-order filter ``dt_s`` [s] later, and its mean slope on the way.
+class FirstOrderFilter:
+    """ς ẋ + x = u along three axes, ``value`` being x and ``filter_s`` ς.
 
     Exact for an input held over the tick: a plant that holds its acceleration over the tick too keeps to the filter
-    exactly. With the slope at its beginning, (x̄2 - x2d) / ς, it would not.
+    exactly. With the slope at its beginning, (u - x) / ς, it would not.
     """
-    step = -math.expm1(-dt_s / filter_s)
-    x, y, heading = value
-    wanted_x, wanted_y, wanted_heading = wanted
-    dx, dy, dh = step * (wanted_x - x), step * (wanted_y - y), step * (wanted_heading - heading)
-    return (x + dx, y + dy, heading + dh), (dx / dt_s, dy / dt_s, dh / dt_s)
+
+    __slots__ = ("_dt_s", "_filter_s", "_rate_1_s", "value")
+
+    def __init__(self, filter_s: float) -> None:
+        self._filter_s = filter_s
+        self._dt_s = self._rate_1_s = 0.0
+        self.value: Axes = (0.0, 0.0, 0.0)
+
+    def step(self, wanted: Axes, dt_s: float) -> Axes:
+        """Go on by ``dt_s`` [s] with this input, and return the mean slope on the way."""
+        if dt_s != self._dt_s:
+            self._dt_s, self._rate_1_s = dt_s, -math.expm1(-dt_s / self._filter_s) / dt_s
+        rate = self._rate_1_s
+        x, y, heading = self.value
+        to_x, to_y, to_heading = wanted
+        slope_x, slope_y, slope_heading = rate * (to_x - x), rate * (to_y - y), rate * (to_heading - heading)
+        self.value = x + dt_s * slope_x, y + dt_s * slope_y, heading + dt_s * slope_heading
+        return slope_x, slope_y, slope_heading
 
 
 def without_inner(gains: Gains) -> Gains:
@@ -106,7 +92,7 @@ def without_inner(gains: Gains) -> Gains:
     return gains._replace(k2_x_1_s=NAN, k2_y_1_s=NAN, k2_heading_1_s=NAN)
 
 
-def _virtual_control(moving: Twist, error: TrackingError, gains: Gains) -> Axes:
+def _virtual_control(moving: Axes, error: Pairs, gains: Pairs) -> Axes:
     """Return x̄2 = q̇_d - K1 S1."""
     x, y, heading, _, _, _ = error
     vx, vy, yaw_rate = moving

@@ -3,6 +3,9 @@
 from hil.model import RobotModel
 from hil.types import ZERO_WHEELS, Axes, CommandMode, WheelCommand
 
+# A member of an enumeration takes longer to look up than a global name.
+_SPEED, _TORQUE = CommandMode.SPEED, CommandMode.TORQUE
+
 
 def torque_command(
     model: RobotModel, acceleration: Axes, heading_rad: float, twist: Axes, moving: Axes
@@ -11,9 +14,7 @@ def torque_command(
 
     Friction is that of wheels that turn as the reference is ``moving``: known beforehand, so no noise comes back.
     """
-    friction_at = model.wheel_speeds(moving, heading_rad) if model.wheel_friction_n_m > 0.0 else ZERO_WHEELS
-    torque = model.wheel_torques(acceleration, twist, heading_rad, friction_at)
-    return WheelCommand(CommandMode.TORQUE, ZERO_WHEELS, torque)
+    return WheelCommand(_TORQUE, ZERO_WHEELS, model.wheel_torques(acceleration, twist, heading_rad, moving))
 
 
 def speed_command(
@@ -23,6 +24,5 @@ def speed_command(
 
     The torque feedforward is that of the reference alone, its twist ``moving`` and its ``acceleration``.
     """
-    friction_at = model.wheel_speeds(moving, heading_rad) if model.wheel_friction_n_m > 0.0 else ZERO_WHEELS
-    feedforward = model.wheel_torques(acceleration, moving, heading_rad, friction_at)
-    return WheelCommand(CommandMode.SPEED, model.wheel_speeds(wanted, heading_rad), feedforward)
+    feedforward = model.wheel_torques(acceleration, moving, heading_rad, moving)
+    return WheelCommand(_SPEED, model.wheel_speeds(wanted, heading_rad), feedforward)

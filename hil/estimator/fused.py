@@ -18,6 +18,7 @@ from hil.estimator.belief import (
 from hil.estimator.history import History
 from hil.estimator.measurement import DEGRADED, GOOD, LOST, NO_STATUS, Measurement, measured_twist
 from hil.estimator.motion import Motion, MotionReader
+from hil.estimator.release import Release
 from hil.estimator.slip import SlipDetector
 from hil.kinematics import to_world
 from hil.model import RobotModel
@@ -51,6 +52,7 @@ class FusedOptions(NamedTuple):
     fix_timeout_s: float
     lost_sigma_m: float
     history_s: float
+    release_s: float
 
 
 class FusedEstimator:
@@ -59,7 +61,8 @@ class FusedEstimator:
     Between fixes the pose follows wheels and gyro, and the covariance grows with the way; while slip is detected it
     grows with the slip's speed too. A fix of a time to come, which a robot's clock and the link's latency make
     possible, waits for it up to 0.1 s. Without fixes for ``fix_timeout_s`` the health is DEGRADED; when the position's
-    standard deviation exceeds ``lost_sigma_m`` it is LOST, until fixes bring it back.
+    standard deviation exceeds ``lost_sigma_m`` it is LOST, until fixes bring it back. What a fix changes in the pose is
+    told over ``release_s``.
     """
 
     uses_truth = False
@@ -84,6 +87,7 @@ class FusedEstimator:
         self._history: History | None = None
         self._before: Belief | None = None
         self._waiting: list[MeasuredPose] = []
+        self._release = Release(options.release_s)
         self._status = NO_STATUS
         self._refused = {"too_late": 0, "double": 0, "ahead": 0}
 
@@ -110,14 +114,17 @@ class FusedEstimator:
             motion = self._reader.between(last, measurement)
             slip_m_s = self._slip.update(motion, self._history.newest.bias_rad_s)
             self._history.append(self._step(motion, slip_m_s), measurement.robot_time_ns)
+            self._release.advance(motion.dt_s)
             self._last = last = measurement
         if fixes or self._waiting:
+            before = self._history.newest
             self._take(self._history, last.robot_time_ns, fixes)
+            self._release.correct(before, self._history.newest)
         belief = self._history.newest
         self._status = self._told(belief)
         if not belief.is_known:
             return None
-        pose = Pose(belief.x_m, belief.y_m, belief.heading_rad)
+        pose = self._release.pose(belief)
         return State(pose, to_world(measured_twist(self._model, last, belief.bias_rad_s), pose.heading_rad))
 
     def restart(self) -> None:

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 from hil.options import require_not_negative, require_positive
 from hil.references.motion import ramped
@@ -25,6 +25,8 @@ class Circle:
     heading: Literal["fixed", "path"] = "fixed"
     clockwise: bool = False
     ramp_s: float = 0.0
+
+    ends: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         require_positive(self, "radius_m", "period_s")

@@ -47,19 +47,40 @@ class Demand(NamedTuple):
 
 
 class Feasibility(NamedTuple):
-    """What a reference asks of the wheels: speed [rad/s] and torque [N·m]."""
+    """What a reference asks of the wheels within a run: speed [rad/s] and torque [N·m].
+
+    ``ends_s`` is when the reference comes to its end [s], None where it has none; ``duration_s`` that of the run [s].
+    """
 
     speed: Demand
     torque: Demand
+    ends_s: float | None
+    duration_s: float
 
     def figures(self) -> dict[str, Any]:
         """Return it by name, with the sentences as ``warnings``."""
-        return {"speed": self.speed._asdict(), "torque": self.torque._asdict(), "warnings": list(self.sentences)}
+        return {
+            "speed": self.speed._asdict(),
+            "torque": self.torque._asdict(),
+            "ends_s": self.ends_s,
+            "warnings": list(self.sentences),
+            "notes": list(self.notes),
+        }
 
     @property
     def sentences(self) -> tuple[str, ...]:
         """What the robot cannot follow, in words; empty where it can follow all."""
-        return tuple(sentence for demand in self if (sentence := demand.sentence) is not None)
+        return tuple(sentence for demand in (self.speed, self.torque) if (sentence := demand.sentence) is not None)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is no fault but may not be meant: a reference that ends later than the run, or sooner."""
+        if self.ends_s is None or abs(self.ends_s - self.duration_s) < FINEST_S:
+            return ()
+        lasts = f"the reference ends at t = {self.ends_s:.4g} s, the run at {self.duration_s:.4g} s"
+        if self.ends_s > self.duration_s:
+            return (f"{lasts}: the robot does not come to the end; make loop.duration_s longer to see all of it",)
+        return (f"{lasts}: in between the robot is to stand at the end",)
 
 
 def feasibility(source: ReferenceSource, model: RobotModel, duration_s: float, period_s: float) -> Feasibility:
@@ -77,8 +98,8 @@ def feasibility(source: ReferenceSource, model: RobotModel, duration_s: float, p
         pose, twist, acceleration = source.at(t_s)
         speeds = model.wheel_speeds(twist, pose.heading_rad)
         speed.take(t_s, speeds)
-        torque.take(t_s, model.wheel_torques(acceleration, twist, pose.heading_rad, speeds))
-    return Feasibility(speed.demand(), torque.demand())
+        torque.take(t_s, model.wheel_torques(acceleration, twist, pose.heading_rad, twist))
+    return Feasibility(speed.demand(), torque.demand(), source.span_s if source.ends else None, duration_s)
 
 
 class _Worst:

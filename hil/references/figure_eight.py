@@ -12,7 +12,7 @@ derivatives follow.
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 from hil.options import require_not_negative, require_positive
 from hil.references.motion import Point, moving, ramped
@@ -35,6 +35,8 @@ class FigureEight:
     centre_x_m: float = 0.0
     centre_y_m: float = 0.0
     ramp_s: float = 0.0
+
+    ends: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         require_positive(self, "half_length_m", "period_s")

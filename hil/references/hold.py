@@ -1,6 +1,7 @@
 """A pose to reach and to keep."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from hil.types import Acceleration, Pose, Reference, Twist
 
@@ -12,6 +13,8 @@ class Hold:
     x_m: float = 0.0
     y_m: float = 0.0
     heading_rad: float = 0.0
+
+    ends: ClassVar[bool] = False
 
     @property
     def span_s(self) -> float:

@@ -9,6 +9,10 @@ class ReferenceSource(Protocol):
     """A motion that is known for every time from 0 on."""
 
     @property
+    def ends(self) -> bool:
+        """Whether it comes to rest after ``span_s``; False for what goes on for ever, and for what never moves."""
+
+    @property
     def span_s(self) -> float:
         """Time [s] from 0 within which all happens that ever will: the start and one period, or the way to the end."""
 

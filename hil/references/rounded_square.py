@@ -4,7 +4,7 @@ import bisect
 import math
 from dataclasses import dataclass, field
 from itertools import accumulate
-from typing import Literal
+from typing import ClassVar, Literal
 
 from hil.options import require_not_negative, require_positive
 from hil.references.curves import Bend, Line, Linear, Section
@@ -32,6 +32,8 @@ class RoundedSquare:
     _sections: tuple[Section, ...] = field(init=False, repr=False, compare=False)
     _starts: tuple[float, ...] = field(init=False, repr=False, compare=False)
     """Way from the middle of the right side to where each section begins [m], and around."""
+
+    ends: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         require_positive(self, "side_m", "corner_m", "period_s")

@@ -14,7 +14,7 @@ import bisect
 import math
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 from hil.kinematics import wrap_angle
 from hil.references.curves import EASED_PEAKS, Bend, Eased, HeadingLaw, Line, Linear, Section
@@ -45,6 +45,8 @@ class Part(NamedTuple):
 
 class Route:
     """A motion that was planned: at rest at its begin and at its end, where it stays."""
+
+    ends: ClassVar[bool] = True
 
     def __init__(self, parts: Sequence[Part], end: Pose) -> None:
         self._parts = parts

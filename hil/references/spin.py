@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 from hil.options import require_not_negative, require_positive
 from hil.references.motion import ramped
@@ -27,6 +27,8 @@ class Spin:
     heading_rad: float = 0.0
     ramp_s: float = 0.0
     yaw_ramp_s: float = 0.0
+
+    ends: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         require_positive(self, "radius_m")

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import ClassVar
 
 from hil.errors import BadInputError
 from hil.options import require_not_negative
@@ -66,6 +67,8 @@ class Trajectory:
 
 class Played:
     """A spline over time as a reference, with a smooth start and end if wanted."""
+
+    ends: ClassVar[bool] = True
 
     def __init__(self, spline: SmoothingSpline, length_s: float, ramp_s: float) -> None:
         self._spline = spline

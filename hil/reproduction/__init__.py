@@ -51,7 +51,7 @@ def reproduce(
 ) -> dict[str, Any]:
     """Run section IV and return the summary; it goes into ``folder`` as ``summary.json``, with pictures and recordings.
 
-    ``quick`` leaves out most variants and shortens the circle. ``jobs`` is the number of processes, by default one a
+    ``quick`` leaves out most variants and shortens the others. ``jobs`` is the number of processes, by default one a
     processor; a run that takes more than ``limit_s`` of wall-clock time is ended. ``tell`` gets how many runs are done,
     of how many, and the newest outcome.
 

@@ -24,6 +24,7 @@ _BLUE, _RED, _GREEN = (0, 90, 200), (210, 40, 40), (40, 150, 60)
 """Fig. 10: blue is the reference, red the robot; the x axis is red and the y axis green, as Rviz has them."""
 _GREY = (150, 150, 150)
 _STEADY_FROM_S = 5.0
+_CONVERGED_S = 3.0
 _AXIS_M = 0.3
 _SHIFT_S = published.SILENT_FROM_S
 """Section IV.B counts from when the robot's computer was started; a scenario from its first tick."""
@@ -62,11 +63,16 @@ def _inset(axes: "Axes", curves: Sequence[Curve], unit: str) -> None:
 
 def convergence(path: Path, runs: Sequence[tuple[str, Signals]]) -> None:
     """Draw the planar error over time on a logarithmic scale, beside the paper's steady errors."""
+    curves = []
+    for label, s in runs:
+        t_s, error_mm = s["loop.t_s"], s["error.planar_m"] * 1e3
+        # A logarithmic scale has no place for zero, but one for all else.
+        shown = (t_s <= _CONVERGED_S) & (error_mm > 0.0)
+        curves.append(Curve(label, t_s[shown], error_mm[shown]))
     with drawing(path, size_in=(8.0, 4.5)) as (axes,):
         axes.set_yscale("log")
-        curves = [Curve(label, s["loop.t_s"], np.maximum(s["error.planar_m"] * 1e3, 1e-2)) for label, s in runs]
         draw_curves(axes, curves, title="Distance to the reference", y_label="planar error [mm]")
-        axes.set_xlim(0.0, 3.0)
+        axes.set_xlim(0.0, _CONVERGED_S)
         for printed, number in ((published.DSC_STEADY, 0), (published.AFDSC_STEADY, 1)):
             red, green, blue = colour_of(number)
             colour = (red / 255, green / 255, blue / 255)

@@ -265,6 +265,9 @@ class FilterTable(Table):
         default=0.25, gt=0, le=1000, description="of the position, beyond which the robot is held at rest"
     )
     history_s: float = Field(default=1.0, ge=0.01, le=10, description="how late a fix may come")
+    release_s: float = Field(
+        default=0.2, ge=0, le=10, description="time constant with which the pose follows a correction; 0: it jumps"
+    )
 
 
 class SimulatedFixTable(Table):
