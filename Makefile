@@ -14,7 +14,7 @@ demo: setup
 
 # Real time comes last and alone.
 test: setup .venv/tools
-	$(BIN)/python -m pytest --numprocesses auto --maxprocesses 8 -m 'not alone'
+	$(BIN)/python -m pytest --numprocesses auto --maxprocesses 8 --dist worksteal -m 'not alone'
 	$(BIN)/python -m pytest -m alone
 
 # Only the tests over real SocketCAN, which `make test` runs too; for example: make test-socketcan ARGS='-k lockstep -v'

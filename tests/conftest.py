@@ -15,6 +15,8 @@ _CI = os.environ.get("HIL_CI") == "1"
 hypothesis.settings.register_profile("hil", deadline=None, derandomize=_CI)
 hypothesis.settings.load_profile("hil")
 
+# They begin first, so that no process is left with one of them when the others have ended.
+_LONGEST = ("test_install.py", "test_fmu_platforms.py")
 _MAY_SKIP = tuple(filter(None, os.environ.get("HIL_CI_MAY_SKIP", "").split()))
 
 
@@ -23,6 +25,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.get_closest_marker(socketcan_runner.MARKER) is not None:
             item.add_marker(pytest.mark.alone)
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        items.sort(key=lambda item: item.path.name not in _LONGEST)
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -186,7 +186,7 @@ def test_an_unsafe_firmware_is_caught(flaw, tmp_path, monkeypatch) -> None:
 
 def test_a_run_that_hangs_is_ended_and_one_that_crashes_is_told(tmp_path) -> None:
     (tmp_path / "laws.py").write_text(LAWS, encoding="utf-8")
-    hung, *_ = catalogue("--law", "laws.py:Hangs", "--kind", "push", "--limit", "5", *ONCE, cwd=tmp_path, code=1)
+    hung, *_ = catalogue("--law", "laws.py:Hangs", "--kind", "push", "--limit", "2", *ONCE, cwd=tmp_path, code=1)
     assert hung["verdict"].startswith("hung")
     assert hung["outcome"] is None
     crashed, *_ = catalogue("--law", "laws.py:Crashes", "--kind", "push", *ONCE, cwd=tmp_path, code=1)

@@ -36,7 +36,8 @@ SHORT = ("--set", "loop.duration_s=0.5", "--set", "expect=[]")
 
 
 def test_the_same_run_in_two_processes_gives_equal_figures_and_bytes(tmp_path: Path):
-    lockstep = ("paper_circle", "--mode", "lockstep", "--set", "loop.duration_s=6", "--set", "expect.0.from_s=5")
+    short = ("--set", "loop.duration_s=6", "--set", "loop.rate_hz=200", "--set", "expect.0.from_s=5")
+    lockstep = ("paper_circle", "--mode", "lockstep", *short)
     one = run_json(*lockstep, cwd=tmp_path)
     two = run_json(*lockstep, cwd=tmp_path)
     other = run_json(*lockstep, "--seed", "2", "--record", "none", cwd=tmp_path)

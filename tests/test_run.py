@@ -80,14 +80,13 @@ def test_firmware_estimates_the_speed_that_the_wheels_have(circle):
 
 
 def test_every_link_carries_the_same_frames():
-    shorter = {"loop.duration_s": 7.0, "expect.0.from_s": 5.0}
+    shorter = {"loop.duration_s": 1.5, "expect.0.from_s": 1.0, "expect.0.to_s": 1.5}
     results = {link: hil.run("paper_circle", set=shorter, link=link) for link in LINKS}
     hashes = {link: result.metrics["wire_sha256"] for link, result in results.items()}
     assert len(set(hashes.values())) == 1, hashes
     first = results["memory:"]
     for result in results.values():
-        assert result.passed
-        assert result.metrics["steady_rms_m"] < 0.003
+        assert result.passed  # below 3 mm throughout
         assert np.array_equal(result.signals["truth.x_m"], first.signals["truth.x_m"])
 
 
@@ -101,9 +100,10 @@ def test_seed_changes_the_wire_and_nothing_else():
 @pytest.mark.alone
 @pytest.mark.parametrize("link", ["memory:", "serial:pty", "can:virtual/test_run_rt"])
 def test_real_time_in_one_process(link):
-    result = hil.run("paper_circle", set={"loop.duration_s": 7.0, "expect": []}, mode="realtime", link=link)
+    short = {"loop.duration_s": 3.0, "expect.0.from_s": 1.5, "expect.0.to_s": 3.0}
+    result = hil.run("paper_circle", set=short, mode="realtime", link=link)
     assert result.failure is None
-    assert result.metrics["steady_rms_m"] < 0.003
+    assert result.passed  # below 3 mm throughout
     assert result.metrics["realtime_factor"] == pytest.approx(1.0, abs=0.02)
 
 

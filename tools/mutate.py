@@ -184,7 +184,7 @@ def main() -> int:
     parser.add_argument("--sample", type=int, metavar="N", help="take N mutants at random instead of all")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--file", choices=FILES, action="append", help="default: all of them")
-    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="default: one a processor")
     arguments = parser.parse_args()
     known = equivalent()
     chosen = [mutant for file in arguments.file or FILES for mutant in mutants(file)]
