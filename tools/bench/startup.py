@@ -31,6 +31,9 @@ _WAYS = {
     "hil run, not recorded": (*_HIL, "run", "paper_circle", "--record", "none"),
 }
 
+MOST_OF_NUMPY = {"hil --help": 1.5, "hil check": 10.0, "hil run": 80.0}
+"""CPU time in that of importing NumPy: about twice what they take, so that only a clear loss counts."""
+
 
 class Took(NamedTuple):
     """What a process took, its children among it [s]."""
@@ -43,6 +46,7 @@ def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(prog="tools.bench.startup", description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--repeats", type=int, default=7, help="turns, of which the median counts")
+    parser.add_argument("--check", action="store_true", help="exit 1 on a clear loss")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
     options = parser.parse_args()
     taken: dict[str, list[Took]] = {way: [] for way in _WAYS}
@@ -65,11 +69,20 @@ def main() -> None:
     _print(figures)
     if options.json is not None:
         options.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+    lost = [
+        f"{way}: {figures[way]['of_numpy']:.1f}, at most {most}"
+        for way, most in MOST_OF_NUMPY.items()
+        if figures[way]["of_numpy"] > most
+    ]
+    if options.check and lost:
+        raise SystemExit(f"more CPU time than NumPy's import, times: {'; '.join(lost)}")
 
 
 def _process(arguments: tuple[str, ...], folder: str) -> Took:
     """Run a process to its end, in a folder of its own."""
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    # As an installed package has it: compiled once, wherever this shell would keep that.
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONPYCACHEPREFIX": str(Path(folder, "cache"))}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
     before = _children_cpu_s()
     begin = time.perf_counter()
     subprocess.run(
