@@ -26,8 +26,7 @@ LIMITS_REMEDY = "give the user {item} in /etc/security/limits.d (hil doctor prin
 _PR_SET_TIMERSLACK = 29
 _PR_GET_TIMERSLACK = 30
 _TIMER_SLACK_NS = 1
-_MCL_CURRENT_AND_FUTURE = 1 | 2
-_NO_SUCH = "this operating system has none, only Linux is asked for it"
+_MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 
 
 class Wanted(NamedTuple):
@@ -77,13 +76,18 @@ def real_time(wanted: Wanted, threads: Sequence[int] = ()) -> Iterator[RealTime]
         asked: dict[str, _Ask] = {
             "garbage collector": _quieten_collector,
             "switch interval": _shorten_switch_interval,
-            "timer slack": _tighten_timers,
-            "idle states": _stay_awake,
-            "processors": lambda undo: _pin(wanted.cpus, every, undo),
-            "memory": lambda undo: _lock_memory(undo) if wanted.lock_memory else None,
-            # Last, so that nothing of the above is done while others have to wait.
-            "priority": lambda undo: _raise_priority(wanted.priority, every, undo) if wanted.priority else None,
         }
+        if sys.platform == "linux":
+            asked |= {
+                "timer slack": _tighten_timers,
+                "idle states": _stay_awake,
+                "processors": lambda undo: _pin(wanted.cpus, every, undo),
+                "memory": lambda undo: _lock_memory(undo) if wanted.lock_memory else None,
+                # Last, so that nothing of the above is done while others have to wait.
+                "priority": lambda undo: _raise_priority(wanted.priority, every, undo) if wanted.priority else None,
+            }
+        else:
+            asked["priority"] = _refuse
         yield RealTime([setting for name, ask in asked.items() if (setting := _answer(name, ask, undo)) is not None])
 
 
@@ -103,6 +107,10 @@ def _answer(name: str, ask: _Ask, undo: contextlib.ExitStack) -> Setting | None:
             return Setting(name, False, str(refused))
         undo.enter_context(attempt.pop_all())
     return None if sentence is None else Setting(name, True, sentence)
+
+
+def _refuse(_: contextlib.ExitStack) -> str:
+    raise _RefusedError("priority, processors and locked memory: only Linux is asked for these")
 
 
 def _quieten_collector(undo: contextlib.ExitStack) -> str:
@@ -134,8 +142,6 @@ def _shorten_switch_interval(undo: contextlib.ExitStack) -> str:
 
 def _tighten_timers(undo: contextlib.ExitStack) -> str:
     """Have the kernel wake this thread when it asked for it; it may else wait up to 50 µs, to save power."""
-    if sys.platform != "linux":
-        raise _RefusedError(f"timer slack: {_NO_SUCH}")
     prctl = _libc().prctl
     before_ns = prctl(_PR_GET_TIMERSLACK, 0, 0, 0, 0)
     if before_ns < 0 or prctl(_PR_SET_TIMERSLACK, _TIMER_SLACK_NS, 0, 0, 0):
@@ -186,8 +192,6 @@ def _pin(cpus: tuple[int, ...], threads: Sequence[int], undo: contextlib.ExitSta
     if not chosen:
         return None
     named = ", ".join(map(str, chosen))
-    if sys.platform != "linux":
-        raise _RefusedError(f"processors {named}: {_NO_SUCH}")
     for thread in threads:
         before = os.sched_getaffinity(thread)
         try:
@@ -203,9 +207,7 @@ def _pin(cpus: tuple[int, ...], threads: Sequence[int], undo: contextlib.ExitSta
 
 
 def _lock_memory(undo: contextlib.ExitStack) -> str:
-    if sys.platform != "linux":
-        raise _RefusedError(f"memory: {_NO_SUCH}")
-    if _locked_bytes():
+    if int((_status("VmLck") or "0").split()[0]):
         return "memory: locked before already"
     limit = memory_limit_bytes()
     # With a limit the lock might be granted now and the next allocation refused, in the middle of the run.
@@ -213,15 +215,14 @@ def _lock_memory(undo: contextlib.ExitStack) -> str:
         remedy = LIMITS_REMEDY.format(item="memlock unlimited", capability="CAP_IPC_LOCK")
         raise _RefusedError(f"memory: not locked, for only {limit >> 10} KiB may be; {remedy}")
     libc = _libc()
-    if libc.mlockall(_MCL_CURRENT_AND_FUTURE):
+    # On fault: a process of much address space and little memory would else be given all of it now.
+    if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT):
         raise _RefusedError(f"memory: not locked ({_errno_words()}); a page that was swapped out makes a tick late")
     undo.callback(libc.munlockall)
-    return f"memory: locked, {_locked_bytes() / 1e6:.0f} MB"
+    return "memory: locked"
 
 
 def _raise_priority(priority: int, threads: Sequence[int], undo: contextlib.ExitStack) -> str:
-    if sys.platform != "linux":
-        raise _RefusedError(f"SCHED_FIFO {priority}: {_NO_SUCH}")
     if os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK in (os.SCHED_FIFO, os.SCHED_RR):
         return f"priority: {os.sched_getparam(0).sched_priority} in real time before already"
     for thread in threads:
@@ -237,12 +238,12 @@ def _raise_priority(priority: int, threads: Sequence[int], undo: contextlib.Exit
 
 
 def _restore_cpus(thread: int, cpus: set[int]) -> None:
-    if sys.platform == "linux" and _is_ours(thread):
+    if _is_ours(thread):
         os.sched_setaffinity(thread, cpus)
 
 
 def _restore_priority(thread: int, policy: int, param: "os.sched_param") -> None:
-    if sys.platform == "linux" and _is_ours(thread):
+    if _is_ours(thread):
         try:
             os.sched_setscheduler(thread, policy, param)
         except PermissionError:
@@ -256,9 +257,7 @@ def _is_ours(thread: int) -> bool:
 
 
 def priority_limit() -> int:
-    """Return the highest priority that this user's limits permit, 0 for none."""
-    if sys.platform != "linux":
-        return 0
+    """Return the highest priority that this user's limits permit on Linux, 0 for none."""
     import resource
 
     limit, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
@@ -266,9 +265,7 @@ def priority_limit() -> int:
 
 
 def memory_limit_bytes() -> int | None:
-    """Return how much memory this user's limits permit to lock; None for any amount."""
-    if sys.platform != "linux":
-        return 0
+    """Return how much memory this user's limits permit to lock on Linux; None for any amount."""
     import resource
 
     limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
@@ -278,10 +275,6 @@ def memory_limit_bytes() -> int | None:
 def has_capability(bit: int) -> bool:
     """Tell whether this process has a capability of Linux in force."""
     return bool(int(_status("CapEff") or "0", 16) >> bit & 1)
-
-
-def _locked_bytes() -> int:
-    return int((_status("VmLck") or "0").split()[0]) * 1024
 
 
 def _status(key: str) -> str | None:

@@ -44,6 +44,7 @@ def test_a_machine_without_a_compiler_builds_installs_and_runs_the_wheel(tmp_pat
     assert {*fmus, f"firmware_protocol/libwheel_host{SUFFIX}", f"hil/plant/libcosim{SUFFIX}"} <= names
     assert {"hil/pytest_plugin.py", "hil/py.typed", "firmware_protocol/py.typed", "plant_fmu/py.typed"} <= names
     pages = {
+        "LIMITS.md",
         "PYTEST.md",
         "controllers/LAWS.md",
         "controllers/SHADOWS.md",

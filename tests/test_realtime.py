@@ -6,14 +6,18 @@ import os
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 import hil
+from hil.assembly import run_scenario
 from hil.figure_words import figure_rows
 from hil.realtime import GC_THRESHOLD, Wanted, parse_cpus, real_time
-from tests.processes import environment
+from hil.scenario import load
+from tests.processes import device, environment
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="the scheduler asked is Linux's")
 
@@ -77,6 +81,21 @@ def test_a_refusal_is_a_sentence_that_says_what_to_do() -> None:
 
 
 @linux
+def test_a_robot_in_another_process_says_what_it_was_refused() -> None:
+    with device("paper_circle", "--mode", "realtime", "--link", "serial:pty", "--set", "realtime.cpus=[4096]") as robot:
+        assert robot.process.stdout is not None
+        assert robot.process.stdout.readline().startswith("not granted: processors 4096: refused (")
+
+
+def test_where_it_is_not_linux_one_sentence_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.platform", "darwin")
+    with real_time(Wanted(40, (0,), True)) as granted:
+        assert gc.get_threshold()[0] == GC_THRESHOLD
+    refused = "priority, processors and locked memory: only Linux is asked for these"
+    assert granted.figures()["refused"] == {"priority": refused}
+
+
+@linux
 def test_children_begin_as_ordinary() -> None:
     ask = [sys.executable, "-c", "import os; print(os.sched_getscheduler(0))"]
     with real_time(Wanted(40, (), False)) as granted:
@@ -117,6 +136,23 @@ def test_a_run_in_real_time_says_what_was_granted_and_leaves_the_process_as_it_w
     late = run.metrics["lateness_us"]
     assert sum(late["counts"]) == run.metrics["ticks"]
     assert 0.0 < late["p50"] <= late["p99"] <= late["p99.9"] <= late["max"]
+
+
+def test_ticks_leave_nothing_for_the_garbage_collector() -> None:
+    found = []
+
+    @contextmanager
+    def watch(_: object) -> Iterator[None]:
+        gc.collect()
+        gc.disable()
+        try:
+            yield
+            found.append(gc.collect())
+        finally:
+            gc.enable()
+
+    run_scenario(load("circle_speed", set={"loop.duration_s": 1.0, "expect": []}), watch=watch)
+    assert found == [0]
 
 
 def test_a_run_says_in_words_how_late_it_was_and_what_it_was_refused() -> None:

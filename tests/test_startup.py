@@ -1,0 +1,30 @@
+"""What beginning takes: by what is imported, which is the same on every machine."""
+
+import subprocess
+import sys
+
+import pytest
+
+from tests.processes import environment
+
+_HELP = "from hil.cli import app\ntry: app(['--help'])\nexcept SystemExit: pass"
+_HEAVY = {"can", "cffi", "fmpy", "matplotlib", "pandas", "pyarrow", "rerun", "rich", "scipy"}
+
+
+def _imported(program: str) -> set[str]:
+    code = f"import sys\n{program}\nprint(*{{name.partition('.')[0] for name in sys.modules}})"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment())
+    return set(done.stdout.splitlines()[-1].split())
+
+
+@pytest.mark.parametrize(
+    ("program", "heavy"),
+    [(_HELP, _HEAVY | {"numpy", "pydantic"}), ("import hil", _HEAVY | {"numpy", "pydantic", "typer"})],
+    ids=["hil --help", "import hil"],
+)
+def test_nothing_heavy_is_imported_before_it_is_needed(program: str, heavy: set[str]) -> None:
+    assert not _imported(program) & heavy
+
+
+def test_a_run_imports_no_viewer_no_plots_and_no_tables() -> None:
+    assert not _imported("import hil.assembly") & {"fmpy", "matplotlib", "pandas", "pyarrow", "rerun", "scipy"}
