@@ -1,4 +1,4 @@
-"""``hil ctl`` as processes, against a real API process: what it orders, what it prints, and how it fails."""
+"""``hil ctl`` against a real API process: what it orders, what it prints, and how it fails."""
 
 import json
 import re
@@ -13,12 +13,16 @@ from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import ClientConnection
 
+from hil.commands.ctl import app
 from hil.errors import BadInputError, LinkError
 from hil.service.client import Client, find
 from hil.service.discovery import announce, running
 from hil.service.messages import Action, Answer
-from tests.processes import HIL, environment, hil, wait_for
+from tests.processes import HIL, environment, hil, is_running, wait_for
 from tests.service_testbed import ControlSide, own_state, served
 
 
@@ -52,37 +56,40 @@ def side(service: ControlSide) -> ControlSide:
 )
 def test_a_command_is_an_order(side: ControlSide, command: str, action: Action, arguments: dict) -> None:
     side.answer = lambda order: Answer(order.number, result={"note": "begun"})
-    done = hil("ctl", *command.split())
-    assert (done.returncode, done.stdout, done.stderr) == (0, "note: begun\n", "")
+    done = CliRunner().invoke(app, command.split())
+    assert (done.exit_code, done.stdout) == (0, "note: begun\n")
     assert [(order.action, order.arguments) for order in side.orders] == [(action, arguments)]
-
-
-def test_a_refusal_is_a_sentence_and_exit_code_3(side: ControlSide) -> None:
-    side.refuse("the robot is not armed; arm it first")
-    done = hil("ctl", "twist", "0.1", "0", "0", "--for", "60")
-    assert (done.returncode, done.stderr) == (3, "hil: refused: the robot is not armed; arm it first\n")
-    done = hil("ctl", "go", "1", "2", "3")
-    assert (done.returncode, done.stderr) == (3, "hil: refused: the robot is not armed; arm it first\n")
 
 
 @pytest.mark.parametrize(
     ("command", "sentence"),
     [
-        ("go nan 0 0", "hil: x_m = nan: expected a finite number\n"),
-        ("gains kp=inf", "hil: 'kp=inf': expected a finite number, true, false, a text or a list of them\n"),
-        ("twist 9 0 0", "hil: vx_m_s = 9.0: it should be less than or equal to 2\n"),
-        ("--url http://127.0.0.1:1 status", "hil: service http://127.0.0.1:1: it is none of yours; name the file"),
+        ("gains kp=inf", "'kp=inf': expected a finite number"),
+        ("gains kp", "'kp': expected NAME=VALUE"),
+        ("track --set radius_m=1", "--set is for a KIND of its own"),
+        ("twist 9 0 0", "vx_m_s = 9.0: it should be less than or equal to 2"),
+        ("record a.txt", "it should match pattern"),
+        ("--url http://127.0.0.1:1 status", "service http://127.0.0.1:1: it is none of yours; name the file"),
     ],
 )
-def test_bad_input_is_a_sentence_and_exit_code_2(side: ControlSide, command: str, sentence: str) -> None:
-    done = hil("ctl", *command.split())
-    assert (done.returncode, done.stderr[: len(sentence)]) == (2, sentence)
+def test_bad_input_is_a_sentence(side: ControlSide, command: str, sentence: str) -> None:
+    done = CliRunner().invoke(app, command.split())
+    assert isinstance(done.exception, BadInputError)
+    assert sentence in str(done.exception)
     assert side.orders == []
 
 
+def test_the_exit_code_tells_bad_input_from_a_refusal(side: ControlSide) -> None:
+    side.refuse("the robot is not armed; arm it first")
+    done = hil("ctl", "twist", "0.1", "0", "0", "--for", "60")
+    assert (done.returncode, done.stderr) == (3, "hil: refused: the robot is not armed; arm it first\n")
+    done = hil("ctl", "go", "-1", "nan", "3")
+    assert (done.returncode, done.stderr) == (2, "hil: y_m = nan: expected a finite number\n")
+
+
 def test_a_twist_is_repeated_for_its_time_and_then_stopped(side: ControlSide) -> None:
-    done = hil("ctl", "twist", "0.2", "-0.1", "0", "--for", "0.5")
-    assert (done.returncode, done.stderr) == (0, "")
+    done = CliRunner().invoke(app, ["twist", "0.2", "-0.1", "0", "--for", "0.5"])
+    assert (done.exit_code, done.stdout) == (0, "")
     *twists, last = side.orders
     assert last.action is Action.STOP
     assert {order.action for order in twists} == {Action.TWIST}
@@ -107,32 +114,42 @@ def test_the_status_is_a_table_or_json(side: ControlSide) -> None:
     assert shown["pose"] == "1.000 m, -0.500 m, 28.6°"
     assert shown["frames"] == "10 sent, 9 received, rejected: 1 crc"
     assert "why" not in shown
-    status = json.loads(hil("ctl", "status", "--json").stdout)
+    status = json.loads(CliRunner().invoke(app, ["status", "--json"]).stdout)
     assert (status["phase"], status["battery_v"]) == ("active", 24.5)
 
 
-def test_to_watch_is_a_line_a_status_until_the_service_ends(tmp_path: Path) -> None:
-    with own_state(tmp_path), served() as side:
-        watcher = subprocess.Popen(
-            [*HIL, "ctl", "status", "--watch", "--json"],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            env=environment(),
-        )
+def read_on(live: ClientConnection) -> None:
+    while True:
+        live.recv(timeout=30.0)
+
+
+def test_at_the_end_those_who_watch_are_told_and_nothing_is_left_behind(tmp_path: Path) -> None:
+    command = [*HIL, "ctl", "status", "--watch", "--json"]
+    pipe = subprocess.PIPE
+    with own_state(tmp_path), served() as side, side.live() as live:
+        token, pid = side.child.token_file, side.child.pid
+        watcher = subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, env=environment())
         assert watcher.stdout is not None
         assert [json.loads(watcher.stdout.readline())["ticks"] for _ in range(3)] == [1234] * 3
         side.close()
         _, errors = watcher.communicate(timeout=60)
         assert watcher.returncode == 3
         assert errors.endswith("the control process has ended\n")
+        with pytest.raises(ConnectionClosed) as end:
+            read_on(live)
+    assert end.value.rcvd is not None
+    assert (end.value.rcvd.code, end.value.rcvd.reason) == (1001, "the control process has ended")
+    assert token is not None
+    assert pid is not None
+    assert not is_running(pid)
+    assert {path.suffix for path in token.parent.iterdir()} == {".lock"}
 
 
 def test_the_service_is_found_or_it_is_said_why_not(tmp_path: Path, side: ControlSide) -> None:
     (mine,) = running()
     with own_state(tmp_path):
-        none = hil("ctl", "status")
-        assert (none.returncode, "no service of yours runs" in none.stderr) == (3, True)
+        with pytest.raises(LinkError, match="no service of yours runs on this machine"):
+            find()
         find(mine.url, token_file=Path(mine.token_file)).order(Action.ARM)
         token = tmp_path / "token"
         token.write_text("another-token-of-enough-length")

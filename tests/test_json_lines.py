@@ -5,7 +5,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from hil.json_lines import KEPT_BACK_BYTES, LineReader, LineWriter
+from hil.json_lines import KEPT_BACK_BYTES, LinePoll, LineReader, LineWriter
+from tests.processes import wait_for
 
 
 @pytest.fixture
@@ -59,3 +60,26 @@ def test_the_end_of_the_pipe_drops_a_line_cut_short(pipe: tuple[LineReader, Line
     os.close(ends.pop())
     assert reader.read() == {"n": 1}
     assert reader.read() is None
+
+
+def test_what_is_at_hand_is_taken_whole_and_nothing_is_waited_for(
+    pipe: tuple[LineReader, LineWriter, list[int]],
+) -> None:
+    _, writer, ends = pipe
+    lines = LinePoll(ends[0])
+    assert lines.take() == []
+    writer.send({"n": 1})
+    os.write(ends[1], b'{"n": 2}\n{"n"')
+    assert taken(lines, 2) == [{"n": 1}, {"n": 2}]
+    assert (lines.take(), lines.ended) == ([], False)
+    os.write(ends[1], b': 3}\n{"n": 4')
+    os.close(ends.pop())
+    assert taken(lines, 1) == [{"n": 3}]
+    wait_for(lambda: lines.take() or lines.ended)
+    assert lines.ended, "and the line cut short is none"
+
+
+def taken(lines: LinePoll, number: int) -> list[dict[str, object]]:
+    records: list[dict[str, object]] = []
+    wait_for(lambda: records.extend(lines.take()) or len(records) >= number)
+    return records

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection
 
 from hil.child import module_command
@@ -48,11 +47,6 @@ def next_answer(live: ClientConnection) -> dict[str, Any]:
         pass
     answer: dict[str, Any] = told["answer"]
     return answer
-
-
-def read_on(live: ClientConnection) -> None:
-    while True:
-        live.recv(timeout=30.0)
 
 
 def test_orders_on_the_websocket_come_in_their_order_and_answers_by_the_clients_numbers(side: ControlSide) -> None:
@@ -145,7 +139,10 @@ def test_an_api_process_that_is_killed_or_hangs_is_started_again_where_it_was_wi
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("hil.service.api_child._HUNG_S", 0.2)
-    with own_state(tmp_path), served() as side:
+    token = tmp_path / "token"
+    token.write_text("a-token-of-my-own-which-is-long-enough\n")
+    token.chmod(0o600)
+    with own_state(tmp_path), served(token_file=str(token)) as side:
         before = (side.child.url, side.headers)
         side.status = replace(STATUS, why="x" * 60_000)  # so that the pipe of one that hangs is soon full
         for restarts, how in enumerate([signal.SIGKILL, signal.SIGSTOP], 1):
@@ -156,21 +153,7 @@ def test_an_api_process_that_is_killed_or_hangs_is_started_again_where_it_was_wi
             assert (side.child.url, side.headers) == before
             assert side.request("POST", "/v1/estop").status_code == 200
             assert not is_running(pid)
-
-
-def test_at_the_end_clients_are_told_and_nothing_is_left_behind(tmp_path: Path) -> None:
-    with own_state(tmp_path):
-        with served() as side, side.live() as live:
-            token, pid = side.child.token_file, side.child.pid
-            side.close()
-            with pytest.raises(ConnectionClosed) as end:
-                read_on(live)
-        assert end.value.rcvd is not None
-        assert (end.value.rcvd.code, end.value.rcvd.reason) == (1001, "the control process has ended")
-        assert token is not None
-        assert pid is not None
-        assert not is_running(pid)
-        assert {path.suffix for path in token.parent.iterdir()} == {".lock"}
+    assert token.exists(), "it is the user's"
 
 
 def test_the_api_process_ends_when_its_control_process_is_killed(tmp_path: Path) -> None:
@@ -201,20 +184,15 @@ def test_a_port_in_use_is_refused_with_a_sentence(tmp_path: Path) -> None:
             ApiChild(replace(CONFIG, port=port))
 
 
-def test_a_token_file_of_the_users_is_used_and_kept_and_one_that_others_may_read_is_refused(tmp_path: Path) -> None:
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no modes of files")
+def test_a_token_file_that_others_may_read_or_without_a_token_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "token"
-    path.write_text("a token of my own, no: it has spaces")
+    path.write_text("this has spaces, and is no token")
     path.chmod(0o644)
-    with own_state(tmp_path):
-        with pytest.raises(BadInputError, match=r"others may read it .* chmod 600"):
+    for match in (r"others may read it .* chmod 600", "are no token"):
+        with own_state(tmp_path), pytest.raises(BadInputError, match=match):
             ApiChild(replace(CONFIG, token_file=str(path)))
         path.chmod(0o600)
-        with pytest.raises(BadInputError, match="are no token"):
-            ApiChild(replace(CONFIG, token_file=str(path)))
-        path.write_text("a-token-of-my-own-which-is-long-enough\n")
-        with served(token_file=str(path)) as side:
-            assert side.request("GET", "/metrics", headers={"Authorization": "Bearer nonsense"}).status_code == 401
-        assert path.exists()
 
 
 def test_an_api_process_without_a_control_process_ends_at_once() -> None:

@@ -148,6 +148,20 @@ def test_a_claim_whose_record_is_unreadable_is_held_all_the_same(tmp_path: Path)
     Claim(tmp_path, "one", {"pid": 2}).release()
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no modes of files")
+def test_a_link_in_place_of_the_folder_for_locks_is_refused_and_not_followed(
+    port: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    private, link = tmp_path / "private", tmp_path / "locks"
+    private.mkdir(mode=0o700)
+    link.symlink_to(private)
+    monkeypatch.setattr("hil.service.lock._folder", lambda: link)
+    with pytest.raises(LinkError, match=f"see to it that {link} may be written to"):
+        device_held(SerialUrl(str(port)), "hil run").__enter__()
+    assert stat.S_IMODE(private.stat().st_mode) == 0o700
+    assert list(private.iterdir()) == []
+
+
 def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / "mecanum-hil").touch()
     with own_state(tmp_path), pytest.raises(BadInputError, match=r"services: it cannot be made"):

@@ -106,9 +106,9 @@ def test_the_unit_names_this_program_and_the_configuration_and_systemd_takes_it(
     folder.mkdir()
     config = folder / "my_robot.toml"
     config.touch()
-    text = unit(str(config))
+    text = unit(str(config), ["--allow-motion", "--set", "link.url=serial:/dev/tty ACM0"])
     escaped = str(config).replace('"', '\\"').replace("%", "%%").replace("$", "$$")
-    assert f'serve "{escaped}" --log json' in text
+    assert f'serve "{escaped}" --log json --allow-motion --set "link.url=serial:/dev/tty ACM0"\n' in text
     assert "@" not in "".join(line for line in text.splitlines() if not line.startswith("#"))
     assert "Type=notify" in text
     if shutil.which("systemd-analyze") is None:

@@ -48,12 +48,16 @@ def main() -> int:
 
 def _listen(config: ApiConfig) -> socket.socket:
     try:
-        return socket.create_server((config.host, config.port))
+        listener = socket.create_server((config.host, config.port))
     except OSError as error:
         raise BadInputError(
             f"the API cannot listen on {config.host}:{config.port} ({error.strerror}); end the program that does, or "
             "choose another port in service.port"
         ) from error
+    # Connections inherit it. Else an answer's body waits for the client to acknowledge its head, 40 ms later: asyncio
+    # sees to that only for sockets that it has made itself.
+    listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return listener
 
 
 def _token_file(config: ApiConfig, port: int) -> Path:

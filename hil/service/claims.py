@@ -74,8 +74,9 @@ def write_private(path: Path, text: str, mode: int = 0o600) -> None:
         new.unlink()
     descriptor = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
     with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+        if hasattr(os, "fchmod"):
+            os.fchmod(descriptor, mode)  # whatever the umask; not by name, under which others may put a link
         file.write(text)
-    new.chmod(mode)  # whatever the umask
     new.replace(path)
 
 

@@ -50,9 +50,7 @@ def device_held(url: LinkUrl, command: str) -> Iterator[None]:
     folder = _folder()
     record = {"pid": os.getpid(), "command": command, "since": f"{datetime.now():%Y-%m-%d %H:%M:%S}"}  # noqa: DTZ005
     try:
-        folder.mkdir(exist_ok=True, parents=True)
-        with contextlib.suppress(PermissionError):  # it is another user's, who has done it
-            folder.chmod(0o777)
+        _make_for_all(folder)
         # Anybody may lock: in the temporary folder itself a file may be opened for writing by its owner only.
         claim = Claim(folder, _file_name(name), record, mode=0o666)
     except TakenError as taken:
@@ -92,6 +90,18 @@ def _file_name(device: str) -> str:
     """Return a name for a file: legible, and different for devices that differ in what a file name cannot hold."""
     digest = hashlib.sha256(device.encode("utf-8", "surrogateescape")).hexdigest()[:8]
     return f"{re.sub('[^A-Za-z0-9_.-]', '_', device).strip('_')[-60:]}-{digest}"
+
+
+def _make_for_all(folder: Path) -> None:
+    """Make the folder so that every user may lock in it. Raises OSError, also where a link stands in its place."""
+    try:
+        folder.mkdir(parents=sys.platform == "win32")
+    except FileExistsError:
+        # Anybody may have put it there. To change the mode of what a link leads to would be to do his bidding.
+        if folder.is_symlink() or not folder.is_dir():
+            raise
+    else:
+        folder.chmod(0o777)  # whatever the umask
 
 
 def _folder() -> Path:

@@ -5,7 +5,7 @@ knows, and it refuses with a sentence.
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, fields
 from enum import StrEnum
 from typing import Any
 
@@ -133,7 +133,8 @@ class Status:
 
 def to_line(message: Order | Answer | Status) -> dict[str, Any]:
     """Return a message as the record of one line, by its kind: ``{"order": {...}}`` and so on."""
-    return {type(message).__name__.lower(): asdict(message)}
+    # Not asdict, which copies deep: the control process does this in a tick.
+    return {type(message).__name__.lower(): {one.name: getattr(message, one.name) for one in fields(message)}}
 
 
 def from_line(record: Mapping[str, Any]) -> Order | Answer | Status:

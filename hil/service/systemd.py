@@ -5,10 +5,11 @@ Without ``NOTIFY_SOCKET`` in the environment all this does nothing, so that the 
 
 import getpass
 import os
+import re
 import shutil
 import socket
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from hil.errors import BadInputError
@@ -78,27 +79,27 @@ class Notifier:
         return True
 
 
-def unit(config: str) -> str:
-    """Return the unit that serves a configuration as the user who asks: a file's absolute path, or a shipped name.
+def unit(config: str, options: Sequence[str] = ()) -> str:
+    """Return the unit that serves a configuration as the user who asks: a file, or a shipped name.
 
-    Raises BadInputError for a path that systemd cannot take in a unit.
+    ``options`` are those of hil serve, such as ``--allow-motion``, for its command line; paths in them are taken from
+    the working directory, which is this one. Raises BadInputError for words that systemd cannot take in a unit.
     """
     path = Path(config)
     what = str(path.absolute()) if path.suffix == ".toml" else config
-    if any(character in what for character in "\n\r\0"):
-        raise BadInputError(f"configuration {config!r}: a line break has no place in a unit; rename the file")
+    for word in (what, *options):
+        if any(character in word for character in "\n\r\0"):
+            raise BadInputError(f"{word!r}: a line break has no place in a unit; leave it out, or rename the file")
     hil = shutil.which("hil", path=str(Path(sys.executable).parent))
     command = [hil] if hil else [sys.executable, "-P", "-m", "hil.cli"]
     filled = {
         "@CONFIG@": _quoted(what),
         "@HIL@": " ".join(_quoted(word) for word in command),
+        "@OPTIONS@": " ".join(_quoted(word) for word in ("--log", "json", *options)),
         "@USER@": getpass.getuser(),
         "@FOLDER@": str(Path.cwd()).replace("%", "%%"),
     }
-    text = _UNIT.read_text(encoding="utf-8")
-    for place, value in filled.items():
-        text = text.replace(place, value)
-    return text
+    return re.sub("@[A-Z]+@", lambda place: filled[place.group()], _UNIT.read_text(encoding="utf-8"))
 
 
 def _quoted(word: str) -> str:

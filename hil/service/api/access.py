@@ -53,9 +53,14 @@ class Gate:
         shown = [value for name, value in headers if name == b"authorization"]
         if len(shown) != 1 or not secrets.compare_digest(shown[0], self._authorization):
             return 401, "the header 'Authorization: Bearer TOKEN' with the token of this start is missing or wrong"
-        if any(name == b"transfer-encoding" for name, _ in headers):
-            return 411, "send the body with a Content-Length"
-        length = next((value for name, value in headers if name == b"content-length"), b"0")
-        if int(length) > LONGEST_BODY_BYTES:
-            return 413, f"a body of {int(length)} bytes is too long; expected at most {LONGEST_BODY_BYTES}"
-        return None
+        return _too_long(headers) if scope["type"] == "http" else None
+
+
+def _too_long(headers: list[tuple[bytes, bytes]]) -> tuple[int, str] | None:
+    if any(name == b"transfer-encoding" for name, _ in headers):
+        return 411, "send the body with a Content-Length"
+    # That it is a number, the server has checked.
+    length = int(next((value for name, value in headers if name == b"content-length"), b"0"))
+    if length > LONGEST_BODY_BYTES:
+        return 413, f"a body of {length} bytes is too long; expected at most {LONGEST_BODY_BYTES}"
+    return None

@@ -2,6 +2,7 @@
 
 import asyncio
 import math
+import secrets
 import threading
 import time
 from collections.abc import Mapping
@@ -38,7 +39,8 @@ class Control:
     def __init__(self, lines: LineReader, writer: LineWriter) -> None:
         self._loop = asyncio.get_running_loop()
         self._writer = writer
-        self._number = 0
+        # Not from 1: an answer that was meant for the process before this one must find nobody.
+        self._number = secrets.randbits(48)
         self._open: dict[int, asyncio.Future[Answer]] = {}
         self._watchers: set[asyncio.Event] = set()
         self._heard_s = time.monotonic()

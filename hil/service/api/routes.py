@@ -9,7 +9,6 @@ from fastapi.responses import JSONResponse
 from fastapi.security import HTTPBearer
 from pydantic import BaseModel, Field
 
-from hil.service import logs
 from hil.service.api.bodies import Body, bodies, sentence
 from hil.service.api.control import BusyError, Control, NoAnswerError
 from hil.service.api.live import LiveClient
@@ -117,8 +116,6 @@ def _some(*statuses: int) -> dict[int | str, dict[str, Any]]:
 def _endpoint(control: Control, route: _Route, model: type[Body]) -> Callable[..., Awaitable[Response]]:
     async def order(arguments: dict[str, Any]) -> Response:
         answer = await control.answer(route.action, control.submit(route.action, arguments))
-        if route.action is not Action.TWIST:  # which comes 50 times a second
-            logs.info("order", action=route.action.value, refused=answer.refused)
         if answer.refused is not None:
             return JSONResponse({"detail": answer.refused}, 409)
         return JSONResponse({"result": answer.result})
