@@ -152,7 +152,7 @@ class RingReader:
         return self._words[_DROPPED]
 
     def settled(self) -> int:
-        """Return how far rows may be read: to where the head was at the last call. Younger ones may not have settled."""
+        """Return how far rows may be read: to where the head was at the last call. Younger ones may not be settled."""
         settled, self._head_seen = self._head_seen, self.head
         return settled
 
