@@ -3,7 +3,7 @@
 Each law drives a robot some centimetres off the paper's circle, 500 steps a repetition, and gets back what it asks;
 what going round takes, found by a law that does nothing, is taken off.
 The measure is AFDSC as one would write it first, in NumPy with matrices and the rules one by one. All take turns, again
-again; the numbers are CPU time a step, the median and the least of them: the least is what others at work on the
+and again; the numbers are CPU time a step, the median and the least of them: the least is what others at work on the
 machine disturb least. The ratio, of the medians, is what can be compared between machines.
 """
 
