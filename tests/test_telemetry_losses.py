@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hil.telemetry.channel import Patience
 
 from hil.errors import BadInputError
 from hil.figure_words import outcome_rows
@@ -23,6 +22,7 @@ from hil.telemetry import Recording, Rotation, check_output_path, ring_process
 from hil.telemetry.files import has_end, part_path
 from hil.telemetry.memory import SharedBlock
 from hil.telemetry.parts import Parts
+from hil.telemetry.patience import Patience
 from hil.telemetry.ring import RingReader, RingWriter, ring_bytes
 from hil.telemetry.ring_child import RefusedError
 from hil.telemetry.view import viewer_executable
