@@ -215,8 +215,10 @@ class _Pieces:
         self._values[start : self._rows] = values
 
     def in_order(self) -> _Part:
-        """Return all in the order of writing."""
+        """Return all in the order of writing; takes the pieces away, to save memory."""
         row_ids, ticks = np.concatenate(self._row_ids), np.concatenate(self._ticks)
+        self._row_ids.clear()
+        self._ticks.clear()
         values = self._values[: self._rows]
         upper, lower = row_ids.T
         if ((upper[1:] > upper[:-1]) | ((upper[1:] == upper[:-1]) & (lower[1:] > lower[:-1]))).all():
