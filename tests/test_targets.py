@@ -81,7 +81,7 @@ def test_unicorn_tracks_the_circle_over_serial_with_the_host_librarys_bytes():
 @needs_compiler
 @needs_unicorn
 def test_unicorn_tracks_the_circle_over_can_with_the_host_librarys_bytes():
-    options = (*AT_200_HZ, "--set", "loop.duration_s=1.2")
+    options = (*AT_200_HZ, "--set", "loop.duration_s=1")
     expected = circle_here(*options)
     with can_cable() as (board, controller):
         figures = circle("unicorn", f"can:slcan/{board}", f"can:slcan/{controller}", *options)
@@ -93,7 +93,7 @@ def test_unicorn_tracks_the_circle_over_can_with_the_host_librarys_bytes():
 @needs_compiler
 @needs_qemu
 def test_qemu_tracks_the_circle_with_the_host_librarys_bytes():
-    options = (*AT_200_HZ, "--set", "loop.duration_s=1.2")
+    options = (*AT_200_HZ, "--set", "loop.duration_s=1")
     expected = circle_here(*options)
     figures = circle("qemu", "serial:pty", None, *options)
     assert figures["wire_sha256"] == expected["wire_sha256"]
