@@ -5,6 +5,7 @@ interrupted.
 """
 
 import errno
+import gc
 import signal
 import sys
 from pathlib import Path
@@ -205,8 +206,13 @@ def _bring_out() -> None:
         drop_output()
 
 
+_GC_THRESHOLD = 100_000
+"""New objects before the garbage collector looks: with Python's 700 it takes a tenth of the time to begin a run."""
+
+
 def main() -> None:
     """Entry point: an error that a user is meant to read is one sentence on stderr, and its exit code."""
+    gc.set_threshold(_GC_THRESHOLD)
     try:
         try:
             app(prog_name="hil", standalone_mode=True)
