@@ -48,7 +48,7 @@ STATUS = Status(
     recording=None,
     rows_dropped=0,
     twist_age_s=None,
-    realtime={"scheduler": "SCHED_FIFO was not granted"},
+    realtime={"memory": "memory: locked"},
 )
 
 

@@ -113,6 +113,7 @@ def test_the_status_is_a_table_or_json(side: ControlSide) -> None:
     assert shown["phase"] == "active, hold"
     assert shown["pose"] == "1.000 m, -0.500 m, 28.6°"
     assert shown["frames"] == "10 sent, 9 received, rejected: 1 crc"
+    assert shown["memory"] == "locked"
     assert "why" not in shown
     status = json.loads(CliRunner().invoke(app, ["status", "--json"]).stdout)
     assert (status["phase"], status["battery_v"]) == ("active", 24.5)

@@ -8,6 +8,8 @@ from urllib.parse import urlsplit
 
 import httpx
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from openapi_spec_validator import validate
 from prometheus_client.openmetrics.parser import text_string_to_metric_families as openmetrics_families
 from prometheus_client.parser import text_string_to_metric_families
@@ -137,6 +139,9 @@ def test_a_body_that_may_be_left_out_has_its_defaults(side: ControlSide, path: s
         ("/v1/track", '{"reference": {"radius_m": 1}}', "reference.kind is missing"),
         ("/v1/gains", '{"gains": {"kp": NaN}}', "gains.kp"),
         ("/v1/gains", '{"gains": {"kp": {"deep": 1}}}', "gains.kp"),
+        ("/v1/gains", r'{"gains": {"kp": "\ud800"}}', "the body: a text in it is no Unicode"),
+        ("/v1/gains", r'{"\udfff": {}}', "the body: a text in it is no Unicode"),
+        ("/v1/twist", '{"vx_m_s": 1' + 400 * "0" + "}", "0…: it should be"),
         ("/v1/record", '{"path": "run.txt"}', "path = 'run.txt': it"),
     ],
 )  # fmt: skip
@@ -146,6 +151,37 @@ def test_a_body_that_is_not_as_it_should_be_is_refused_with_a_sentence(
     response = side.request("POST", path, content=text, headers=side.headers | {"Content-Type": "application/json"})
     assert response.status_code == 422
     assert part in response.json()["detail"]
+    assert side.orders == []
+
+
+NAMES = st.sampled_from(["reference", "kind", "here", "gains", "path", "x_m", "vx_m_s"]) | st.text(max_size=5)
+TEXTS = st.text(st.characters() | st.characters(categories=["Cs"]), max_size=5)
+SCALARS = st.none() | st.booleans() | st.integers() | st.floats() | TEXTS
+ANYTHING = st.recursive(
+    SCALARS, lambda deeper: st.lists(deeper, max_size=3) | st.dictionaries(NAMES, deeper, max_size=4), max_leaves=12
+)
+
+
+@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.sampled_from(list(BODIES)), ANYTHING)
+def test_whatever_the_body_is_it_is_an_order_or_refused_with_a_sentence(
+    side: ControlSide, path: str, anything: object
+) -> None:
+    taken = len(side.orders)
+    text = json.dumps(anything)
+    response = side.request("POST", path, content=text, headers=side.headers | {"Content-Type": "application/json"})
+    assert response.status_code in (200, 422), response.text
+    assert len(side.orders) - taken == (response.status_code == 200)
+    if response.status_code == 422:
+        assert response.json()["detail"]
+
+
+@pytest.mark.parametrize("text", [30_000 * "[", '{"gains": {"kp": 1' + 5000 * "0" + "}}"])
+def test_a_body_that_cannot_be_read_is_refused(side: ControlSide, text: str) -> None:
+    response = side.request(
+        "POST", "/v1/gains", content=text, headers=side.headers | {"Content-Type": "application/json"}
+    )
+    assert (response.status_code, list(response.json())) == (400, ["detail"])
     assert side.orders == []
 
 

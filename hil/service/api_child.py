@@ -2,8 +2,6 @@
 
 When the API process ends it is started again; no orders come meanwhile, and a twist times out as it always does. One
 that takes nothing for ``_HUNG_S`` is killed, for an emergency stop must find somebody who listens.
-
-To start a process holds the interpreter for 1 to 3 ms even in a thread of its own, so a tick is late after such an end.
 """
 
 import contextlib

@@ -30,7 +30,7 @@ def status_rows(status: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("frames", _frames(status["frames"])),
         ("recoveries", str(status["recoveries"])),
         ("recording", _recording(status)),
-        *((name, sentence) for name, sentence in status["realtime"].items()),
+        *((name, sentence.removeprefix(f"{name}: ")) for name, sentence in status["realtime"].items()),
     ]
     return [(name, text) for name, text in rows if text]
 

@@ -7,7 +7,17 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, StrictBool, StrictInt, StrictStr, create_model
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    FiniteFloat,
+    StrictBool,
+    StrictInt,
+    StrictStr,
+    create_model,
+    model_validator,
+)
 
 from hil.service.api_config import Limits
 from hil.service.messages import Action
@@ -20,6 +30,14 @@ class Body(BaseModel):
     """An order without arguments. Names that it does not know are refused, and so are numbers as strings."""
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_characters(cls, values: object) -> object:
+        """Refuse half a pair of surrogates, which JSON can write and no file, log or answer can."""
+        if not _is_text(values):
+            raise ValueError("a text in it is no Unicode: it has half a pair of surrogates")
+        return values
 
 
 class Reference(BaseModel):
@@ -90,6 +108,14 @@ def bodies(limits: Limits) -> Mapping[Action, type[Body]]:
     return {action: with_arguments.get(action, Body) for action in Action}
 
 
+def _is_text(values: object) -> bool:
+    if isinstance(values, str):
+        return not any("\ud800" <= character <= "\udfff" for character in values)
+    if isinstance(values, Mapping):
+        return all(_is_text(key) and _is_text(value) for key, value in values.items())
+    return not isinstance(values, list) or all(map(_is_text, values))
+
+
 def sentence(errors: Iterable[Mapping[str, Any]]) -> str:
     """Return what pydantic found wrong, as a sentence."""
     return "; ".join(_part(error) for error in errors)
@@ -104,8 +130,14 @@ def _part(error: Mapping[str, Any]) -> str:
     if error["type"] == "missing":
         return f"{where or 'the body'} is missing"
     value = error["input"]
-    given = f" = {value!r}" if isinstance(value, bool | int | float | str) else ""
-    return f"{where}{given}: {re.sub('^(Input|String) ', 'it ', error['msg'])}"
+    given = f" = {_short(repr(value))}" if isinstance(value, bool | int | float | str) else ""
+    return f"{where or 'the body'}{given}: {re.sub('^(Input|String) ', 'it ', error['msg'].removeprefix(_OF_OURS))}"
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= _LONGEST_ECHO else f"{text[:_LONGEST_ECHO]}…"
 
 
 _MOST_HEADING_RAD = 1000.0
+_LONGEST_ECHO = 80
+_OF_OURS = "Value error, "  # what pydantic puts in front of a ValueError's words

@@ -54,6 +54,7 @@ _ORDERS = (
 )
 
 _REFUSALS: dict[int | str, dict[str, Any]] = {
+    400: {"model": Refusal, "description": "The body cannot be read: nested too deeply, or a number too long"},
     401: {"model": Refusal, "description": "The token is missing or wrong"},
     409: {"model": Refusal, "description": "The control process refuses: it makes no sense now"},
     422: {"model": Refusal, "description": "The body is not as it should be"},
