@@ -14,12 +14,13 @@ from websockets.sync.client import ClientConnection, connect
 
 from hil.errors import BadInputError, DeviceError, LinkError, RunInterruptedError
 from hil.service.discovery import Service, read_token, running
-from hil.service.messages import Action
+from hil.service.messages import LONG, Action
 
 TWIST_PERIOD_S = 0.05
 
-# More than the API gives the control process.
+# More than the API gives the control process, for orders that take their time too.
 _TIMEOUT_S = 5.0
+_LONG_TIMEOUT_S = 35.0
 _NONE_RUNS = "no service of yours runs on this machine; start one with 'hil serve CONFIG', or name one with --url"
 _PATHS = {Action.STOP_RECORDING: ("DELETE", "/v1/record")}
 
@@ -67,7 +68,8 @@ class Client:
     def order(self, action: Action, arguments: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Have an order carried out or begun, and return what the service says of it."""
         method, path = _PATHS.get(action, ("POST", f"/v1/{action.value}"))
-        result: dict[str, Any] = self._ask(method, path, arguments)["result"]
+        timeout_s = _LONG_TIMEOUT_S if action in LONG else _TIMEOUT_S
+        result: dict[str, Any] = self._ask(method, path, arguments, timeout_s)["result"]
         return result
 
     def watch(self) -> Iterator[dict[str, Any]]:
@@ -92,13 +94,15 @@ class Client:
                 raise RunInterruptedError("interrupted; the robot was told to stop") from None
             _stop(socket, next(numbers))
 
-    def _ask(self, method: str, path: str, body: Mapping[str, Any] | None) -> dict[str, Any]:
+    def _ask(
+        self, method: str, path: str, body: Mapping[str, Any] | None, timeout_s: float = _TIMEOUT_S
+    ) -> dict[str, Any]:
         try:
             # A proxy of the environment has no business here, and without TLS no certificates need be loaded (0.1 s).
-            with httpx.Client(trust_env=False, verify=False, timeout=_TIMEOUT_S) as http:
+            with httpx.Client(trust_env=False, verify=False, timeout=timeout_s) as http:
                 response = http.request(method, self._url + path, headers=self._headers, json=body)
         except httpx.TimeoutException:
-            raise LinkError(f"service {self._url}: no answer within {_TIMEOUT_S:g} s; see what it logs") from None
+            raise LinkError(f"service {self._url}: no answer within {timeout_s:g} s; see what it logs") from None
         except httpx.HTTPError as error:
             raise LinkError(f"service {self._url}: {error}; it may be starting again, or has ended") from None
         return self._checked(response.status_code, response.content)

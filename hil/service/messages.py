@@ -65,6 +65,10 @@ class Action(StrEnum):
     """Ramp down, disarm, close the recording and end."""
 
 
+LONG = frozenset({Action.RECORD, Action.STOP_RECORDING, Action.TRACK, Action.GAINS})
+"""What reads files, or starts or ends a recorder, and is answered when that is done; the ticks go on meanwhile."""
+
+
 @dataclass(frozen=True, slots=True)
 class Order:
     """Something asked of the control process. ``number`` is that of the answer."""

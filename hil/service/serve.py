@@ -20,6 +20,7 @@ from hil.service import logs
 from hil.service.api_child import ApiChild
 from hil.service.api_config import ApiConfig, Limits, LogStyle
 from hil.service.desk import Desk
+from hil.service.lasting_truth import LastingTruth
 from hil.service.lock import device_held
 from hil.service.messages import Action, Answer, Phase
 from hil.service.motions import Speeds
@@ -145,6 +146,7 @@ class _Service:
         self._ending = ending
         self._counts = Counts()
         self._now = Now(scenario, records, self._counts)
+        self._t_s = 0.0
 
     def run(self, reload: Callable[[], Scenario]) -> None:
         """Serve until the end."""
@@ -201,11 +203,16 @@ class _Service:
         speeds = Speeds(**{name: getattr(table, name) for name in Speeds._fields})
         rules = Rules(speeds, table.twist_timeout_s, table.error_limit_m)
         made = self._parts.make(bench, self._records, self._records.note)
+        if made.truth is not None:
+            lost = "; a state that rests on it is unknown from now on: restart the service to have it again"
+            made = made._replace(
+                truth=LastingTruth(made.truth, lambda why: self._records.note(self._t_s, "error", why + lost))
+            )
         return Pilot(made, self._scenario.controller.mode, self._parts.timing, rules)
 
     def _tick(self, bench: Bench, pilot: Pilot, desk: Desk, granted: RealTime) -> None:
         timing, counts, clock = self._parts.timing, self._counts, bench.clock
-        sampling = Sampling(clock, bench.device, bench.truth, timing)
+        sampling = Sampling(clock, bench.device, pilot.parts.truth, timing)
         origin_ns = clock.now_ns()
         number = sampling.begin(origin_ns)
         bench.begin(origin_ns)
@@ -221,15 +228,18 @@ class _Service:
                 continue
             begin_ns = time.perf_counter_ns()
             desk.take(self._api.orders())
+            if not self._api.alive and pilot.phase in (Phase.ARMING, Phase.ACTIVE):
+                pilot.disarm()
+                pilot.why = "the API process ended, so that nobody could have stopped the robot"
             if number >= 0:
                 counts.ticks += 1
                 counts.lateness.add(late_ns)
-                t_s = number * timing.period_ns * 1e-9
+                self._t_s = t_s = number * timing.period_ns * 1e-9
                 now = LoopSignals(t_s, number, late_ns * 1e-3, tick_us, counts.deadline_misses)
                 pilot.tick(now, sampling.fix_of(number))
             if pilot.phase is not told or number % every == 0:
                 if pilot.phase is not told:
-                    self._tell(pilot, number * timing.period_ns * 1e-9)
+                    self._tell(pilot)
                     told = pilot.phase
                 self._api.send(self._now.status(pilot, bench, granted))
             self._notifier.beat(begin_ns)
@@ -253,9 +263,9 @@ class _Service:
                     return
             yield
 
-    def _tell(self, pilot: Pilot, t_s: float) -> None:
+    def _tell(self, pilot: Pilot) -> None:
         """Have the log, the recording and systemd know of another phase."""
         why = f": {pilot.why}" if pilot.why is not None else ""
         lost = pilot.phase in (Phase.AWAY, Phase.FAULT, Phase.ESTOP) or why
-        self._records.note(t_s, "warning" if lost else "info", f"the robot is {pilot.phase}{why}")
+        self._records.note(self._t_s, "warning" if lost else "info", f"the robot is {pilot.phase}{why}")
         self._notifier.status(f"the robot is {pilot.phase}{why}")

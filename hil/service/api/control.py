@@ -9,10 +9,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from hil.json_lines import LineReader, LineWriter
-from hil.service.messages import Action, Answer, Order, Status, from_line, to_line
+from hil.service.messages import LONG, Action, Answer, Order, Status, from_line, to_line
 
 ANSWER_S = 1.0
 """How long an order waits for its answer, and how old a status may be."""
+
+LONG_ANSWER_S = 30.0
+"""How long one of ``LONG`` does."""
 
 # Orders that the control process has not answered. With so many short lines a pipe is never full, so that an emergency
 # stop, which does not count, is never kept waiting behind them.
@@ -89,14 +92,15 @@ class Control:
         return future
 
     async def answer(self, action: Action, sent: "asyncio.Future[Answer]") -> Answer:
-        """Wait for the answer to an order. Raises NoAnswerError after a second, BusyError when the service ends."""
+        """Wait for the answer to an order. Raises NoAnswerError after its time, BusyError when the service ends."""
+        patience_s = LONG_ANSWER_S if action in LONG else ANSWER_S
         try:
             # The future stays open when the wait is over: the control process still has the order.
-            answer = await asyncio.wait_for(asyncio.shield(sent), ANSWER_S)
+            answer = await asyncio.wait_for(asyncio.shield(sent), patience_s)
         except TimeoutError:
             self._count(action, "unanswered")
             raise NoAnswerError(
-                f"the control process has not answered {action.value} within {ANSWER_S:g} s; it may still carry it out"
+                f"the control process has not answered {action.value} within {patience_s:g} s; it may still carry it out"
             ) from None
         self._count(action, "accepted" if answer.refused is None else "refused")
         return answer

@@ -1,0 +1,226 @@
+"""hil serve as its users run it: real processes, a real pseudo-terminal, and the robot's truth by a path of its own."""
+
+import contextlib
+import json
+import os
+import queue
+import signal
+import subprocess
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hil.devices.truth import TruthClient
+from hil.errors import DeviceError, LinkError
+from hil.review import read
+from hil.scenario import load
+from hil.service.client import Client
+from hil.service.messages import Action
+from tests.processes import HIL, Device, device, environment, hil, is_running, wait_for
+
+pytestmark = pytest.mark.alone
+OVERRIDES = ("--set", "loop.rate_hz=100")
+TWIST = {"vx_m_s": 0.3, "vy_m_s": 0.0, "yaw_rate_rad_s": 0.0}
+
+
+class Serving:
+    """A ``hil serve`` process; ``lines`` are those of its log, as they come."""
+
+    def __init__(self, folder: Path, *arguments: str) -> None:
+        self.folder = folder
+        self.process = subprocess.Popen(
+            [*HIL, "serve", "circle_speed", *OVERRIDES, "--set", "service.port=0", "--log", "json", *arguments],
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=folder,
+            env=environment() | {"XDG_STATE_HOME": str(folder / "state")},
+        )
+        self._come: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
+        self.lines: list[dict[str, Any]] = []
+        threading.Thread(target=self._read, daemon=True).start()
+        listens = self.line("API listens")
+        self.api_pid = int(listens["pid"])
+        [token] = (folder / "state/mecanum-hil/services").glob("*.token")
+        self.client = Client(listens["url"], token)
+
+    def _read(self) -> None:
+        assert self.process.stderr is not None
+        for line in self.process.stderr:
+            self._come.put(json.loads(line) if line.startswith("{") else {"event": line})
+
+    def line(self, event: str) -> dict[str, Any]:
+        """Wait for a line of the log that was not there before."""
+        while True:
+            self.lines.append(self._come.get(timeout=30))
+            if event in self.lines[-1]["event"]:
+                return self.lines[-1]
+
+    def status(self) -> dict[str, Any]:
+        with contextlib.suppress(LinkError):  # while the API starts again
+            return self.client.status()
+        return {"phase": None, "task": None}
+
+    def until(self, **wanted: Any) -> dict[str, Any]:
+        """Wait until the status is as wanted."""
+        status: dict[str, Any] = wait_for(
+            lambda: status if (status := self.status()).items() >= wanted.items() else None
+        )
+        return status
+
+    def drive(self) -> None:
+        """Arm, and follow the circle."""
+        self.until(phase="disarmed")
+        self.client.order(Action.ARM)
+        self.until(phase="active")
+        self.client.order(Action.TRACK, {"here": True})
+        wait_for(lambda: max(map(abs, self.status().get("speed_rad_s") or [0.0])) > 2.0)
+
+
+@contextlib.contextmanager
+def serving(folder: Path, *arguments: str) -> Iterator[Serving]:
+    one = Serving(folder, *arguments)
+    try:
+        yield one
+    finally:
+        one.process.kill()
+        one.process.wait()
+
+
+@contextlib.contextmanager
+def served_device(folder: Path) -> Iterator[tuple[Device, Serving]]:
+    """Yield a robot in a process of its own, and a service of it over a pseudo-terminal."""
+    port = folder / "robot"
+    with (
+        device("circle_speed", *OVERRIDES, "--mode", "realtime", "--link", f"serial:pty?symlink={port}") as robot,
+        serving(folder, "--link", f"serial:{port}", "--truth", robot.truth) as service,
+    ):
+        yield robot, service
+
+
+@contextlib.contextmanager
+def truth_of(robot: Device) -> Iterator[TruthClient]:
+    scenario = load("circle_speed", set=[OVERRIDES[1]])
+    truth = TruthClient(robot.truth, scenario.hash, reset=False)
+    try:
+        yield truth
+    finally:
+        truth.close()
+
+
+def is_at_rest(truth: TruthClient) -> bool:
+    fix = truth.poll()
+    return fix is not None and max(map(abs, fix.twist)) < 0.002
+
+
+def test_sigterm_ramps_down_disarms_closes_the_recording_and_exits_0(tmp_path: Path) -> None:
+    with serving(tmp_path, "--record", "run.rrd") as service:
+        service.drive()
+        service.process.send_signal(signal.SIGTERM)
+        assert service.process.wait(30) == 0
+        service.line("the robot is disarmed")
+        assert service.line("recording finished")["lost"] == 0
+        assert not is_running(service.api_pid)
+    run = read(tmp_path / "run.rrd")
+    assert max(abs(run.signals[f"wheel.{wheel}.speed_rad_s"][-1]) for wheel in ("fl", "fr", "rr", "rl")) < 0.1
+    assert any("the robot is stopping" in event.text for event in run.events)
+
+
+def test_when_the_control_process_is_killed_the_firmware_stops_the_wheels(tmp_path: Path) -> None:
+    with served_device(tmp_path) as (robot, service), truth_of(robot) as truth:
+        service.drive()
+        wait_for(lambda: not is_at_rest(truth))
+        service.process.kill()
+        wait_for(lambda: is_at_rest(truth))
+        wait_for(lambda: not is_running(service.api_pid))
+        # Nothing is left that keeps the next one away.
+        with serving(tmp_path / "..", "--link", f"serial:{tmp_path / 'robot'}", "--truth", robot.truth) as next_one:
+            next_one.until(phase="disarmed")
+
+
+def test_when_the_api_process_is_killed_the_robot_ramps_down_and_the_api_comes_back(tmp_path: Path) -> None:
+    with serving(tmp_path) as service:
+        service.drive()
+        os.kill(service.api_pid, signal.SIGKILL)
+        status = service.until(phase="disarmed")
+        assert "API process ended" in status["why"]
+        service.client.order(Action.ARM)
+        service.until(phase="active")
+
+
+def test_a_robot_that_was_unplugged_is_reconnected_and_is_not_armed_by_itself(tmp_path: Path) -> None:
+    with served_device(tmp_path) as (robot, service):
+        service.drive()
+        robot.process.kill()
+        robot.process.wait()
+        away = service.until(phase="away")
+        assert away["pose"] is None
+        with pytest.raises(DeviceError, match="refused: the robot is away"):
+            service.client.order(Action.ARM)
+
+
+def test_a_service_waits_for_a_robot_that_is_not_there_yet(tmp_path: Path) -> None:
+    port = tmp_path / "robot"
+    with serving(tmp_path, "--link", f"serial:{port}", "--set", "estimator.source=odometry") as service:
+        status = service.until(phase="away")
+        assert str(port) in status["why"]
+        with pytest.raises(DeviceError, match="refused: the robot is away"):
+            service.client.order(Action.ARM)
+        with device("circle_speed", *OVERRIDES, "--mode", "realtime", "--link", f"serial:pty?symlink={port}"):
+            service.until(phase="disarmed")
+            service.drive()
+        service.process.send_signal(signal.SIGINT)
+        assert service.process.wait(30) == 0
+
+
+def test_twists_that_end_stop_the_robot_and_an_estop_latches(tmp_path: Path) -> None:
+    with serving(tmp_path) as service:
+        service.until(phase="disarmed")
+        service.client.order(Action.ARM)
+        service.until(phase="active")
+        service.client.twist(TWIST, 0.5)
+        service.client.order(Action.TWIST, TWIST)
+        service.until(task="hold")  # nobody repeats it
+        service.client.order(Action.ESTOP)
+        service.until(phase="estop")
+        service.client.order(Action.CLEAR)
+        service.until(phase="disarmed")
+
+
+def test_gains_are_read_again_and_recordings_come_and_go(tmp_path: Path) -> None:
+    config = tmp_path / "mine.toml"
+    config.write_text('extends = "circle_speed"\ncontroller.gains.k1_1_s = 5.0\n')
+    with serving(tmp_path) as service:
+        service.drive()
+        gains = service.client.order(Action.GAINS, {"gains": {"k1_1_s": 6.0}})
+        assert gains["gains"]["k1_1_s"] == 6.0
+        assert service.until(task="track")["gains"]["k1_x_1_s"] == 6.0
+        with pytest.raises(DeviceError, match="unknown option 'k3'"):
+            service.client.order(Action.GAINS, {"gains": {"k3": 6.0}})
+        path = service.client.order(Action.RECORD, {"path": "one.mcap"})["path"]
+        with pytest.raises(DeviceError, match=r"one\.mcap is being written"):
+            service.client.order(Action.RECORD)
+        assert service.until(recording=path)["phase"] == "active"
+        report = service.client.order(Action.STOP_RECORDING)
+        assert report["complete"]
+        assert len(read(tmp_path / "one.mcap").signals["loop.t_s"]) == report["rows"] > 0
+
+
+def test_a_device_has_one_service(tmp_path: Path) -> None:
+    with served_device(tmp_path) as (_, service):
+        service.until(phase="disarmed")
+        second = hil(
+            "serve", "circle_speed", *OVERRIDES, "--link", f"serial:{tmp_path / 'robot'}", "--set", "service.port=0"
+        )
+        assert second.returncode == 3
+        assert f"(process {service.process.pid}) has had the device since" in second.stderr
+        run = hil("run", "circle_speed", *OVERRIDES, "--mode", "realtime", "--link", f"serial:{tmp_path / 'robot'}")
+        assert run.returncode == 3
+        assert "hil ctl" in run.stderr
+
+
+def test_lockstep_is_no_mode_for_a_service() -> None:
+    done = hil("serve", "circle_speed", "--set", "loop.mode=lockstep")
+    assert (done.returncode, "a service runs in real time" in done.stderr) == (2, True)
