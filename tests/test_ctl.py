@@ -1,6 +1,7 @@
 """``hil ctl`` against a real API process: what it orders, what it prints, and how it fails."""
 
 import json
+import os
 import re
 import signal
 import socket
@@ -21,9 +22,9 @@ from hil.commands.ctl import app
 from hil.errors import BadInputError, LinkError
 from hil.service.client import Client, find
 from hil.service.discovery import announce, running
-from hil.service.messages import Action, Answer
+from hil.service.messages import Action, Answer, Phase
 from tests.processes import HIL, environment, hil, is_running, wait_for
-from tests.service_testbed import ControlSide, own_state, served
+from tests.service_testbed import STATUS, ControlSide, own_state, served
 
 
 @pytest.fixture(scope="module")
@@ -117,6 +118,30 @@ def test_the_status_is_a_table_or_json(side: ControlSide) -> None:
     assert "why" not in shown
     status = json.loads(CliRunner().invoke(app, ["status", "--json"]).stdout)
     assert (status["phase"], status["battery_v"]) == ("active", 24.5)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pseudo-terminals")
+def test_on_a_terminal_the_status_is_watched_until_ctrl_c(side: ControlSide) -> None:
+    import pty
+
+    ours, terminal = pty.openpty()
+    watcher = subprocess.Popen(
+        [*HIL, "ctl", "status", "--watch"], stdin=terminal, stdout=terminal, stderr=terminal, env=environment()
+    )
+    os.close(terminal)
+    seen = bytearray()
+
+    def shows(text: bytes) -> bool:
+        seen.extend(os.read(ours, 65536))
+        return text in seen
+
+    wait_for(lambda: shows(b"active, hold"))
+    side.status = replace(STATUS, phase=Phase.FAULT, task=None, why="encoder fl stands still")
+    wait_for(lambda: shows(b"encoder fl stands still"))
+    watcher.send_signal(signal.SIGINT)
+    wait_for(lambda: shows(b"interrupted; the service goes on"))
+    assert watcher.wait(timeout=60) == 130
+    os.close(ours)
 
 
 def read_on(live: ClientConnection) -> None:

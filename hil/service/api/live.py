@@ -12,7 +12,7 @@ import asyncio
 import contextlib
 from collections import deque
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from starlette.websockets import WebSocket, WebSocketDisconnect
@@ -34,7 +34,7 @@ class _Order(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True)
 
     number: int = Field(ge=0, le=2**53)
-    action: Literal[tuple(action.value for action in Action)]  # type: ignore[valid-type]
+    action: Action
     arguments: dict[str, Any] = {}
 
 
@@ -93,16 +93,15 @@ class LiveClient:
             # Without a number there is no order that this could be the answer to.
             self._put(Answer(_NO_NUMBER, f"this is no order: {sentence(error.errors())}"))
             return
-        action = Action(order.action)
         try:
-            body = self._bodies[action].model_validate(order.arguments)
-            sent = self._control.submit(action, body.model_dump())
+            body = self._bodies[order.action].model_validate(order.arguments)
+            sent = self._control.submit(order.action, body.model_dump())
         except ValidationError as error:
             self._put(Answer(order.number, sentence(error.errors())))
         except BusyError as error:
             self._put(Answer(order.number, str(error)))
         else:
-            task = asyncio.create_task(self._answer(order.number, action, sent))
+            task = asyncio.create_task(self._answer(order.number, order.action, sent))
             self._pending.add(task)
             task.add_done_callback(self._pending.discard)
 
