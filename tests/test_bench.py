@@ -4,6 +4,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.plant_testbed import FMU
 
 ROOT = Path(__file__).parents[1]
@@ -30,3 +32,18 @@ def test_the_cost_of_foreign_can_traffic_is_printed_as_a_ratio() -> None:
     assert done.returncode == 0, done.stderr
     for words in ("python-can, recv loop", "CanLink.receive", "21 of 2048 identifiers"):
         assert words in done.stdout
+
+
+@pytest.mark.alone
+def test_the_rate_that_is_held_is_written_into_the_page_once(tmp_path: Path) -> None:
+    page = tmp_path / "LIMITS.md"
+    page.write_text("before\n<!-- rates: begin -->\n| another | row |\n<!-- rates: end -->\nafter\n")
+    command = [sys.executable, "-m", "tools.bench.lateness", "--seconds", "1", "--turns", "1", "--rate", "200"]
+    done = subprocess.run([*command, "--page", str(page)], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    for words in ("lateness of ticks", "feedback stamped to command sent", "of 200 ticks skipped"):
+        assert words in done.stdout
+    lines = page.read_text().splitlines()
+    assert [lines[0], lines[2], lines[-1]] == ["before", "| another | row |", "after"]
+    assert "serial:pty, 200 Hz" in lines[3]
+    assert len(lines) == 6
