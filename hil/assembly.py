@@ -12,6 +12,7 @@ from hil.bench import NS, Bench, open_trace
 from hil.devices.virtual import MakeNode
 from hil.errors import DeviceError, HilError, LinkError
 from hil.figure_words import applied_words
+from hil.links.url import parse_link
 from hil.loop import Loop, Report
 from hil.metrics import CommandLimits, SignalFigures
 from hil.parts import PartsOf
@@ -22,6 +23,7 @@ from hil.results import MemorySink, RunResult
 from hil.run_events import RunEvents
 from hil.samples import Percentiles
 from hil.scenario import Scenario, load
+from hil.service.lock import device_held
 from hil.telemetry import Recording, Rotation, RunRecording, check_output_path, rotation
 from hil.telemetry.provenance import properties
 from hil.telemetry.udp import UdpStream, parse_destination
@@ -112,6 +114,7 @@ def run_scenario(
             warn(sentence)
     blocking = scenario.loop.mode == "lockstep"
     with contextlib.ExitStack() as resources:
+        resources.enter_context(device_held(parse_link(scenario.link.url), f"hil run {scenario.name}"))
         tracing = resources.enter_context(open_trace(scenario, trace)) if trace is not None else None
         bench = resources.enter_context(
             Bench(

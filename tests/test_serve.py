@@ -211,12 +211,11 @@ def test_gains_are_read_again_and_recordings_come_and_go(tmp_path: Path) -> None
 def test_a_device_has_one_service(tmp_path: Path) -> None:
     with served_device(tmp_path) as (_, service):
         service.until(phase="disarmed")
-        second = hil(
-            "serve", "circle_speed", *OVERRIDES, "--link", f"serial:{tmp_path / 'robot'}", "--set", "service.port=0"
-        )
+        link = ("--link", f"serial:{tmp_path / 'robot'}", "--set", "estimator.source=odometry")
+        second = hil("serve", "circle_speed", *OVERRIDES, *link, "--set", "service.port=0")
         assert second.returncode == 3
         assert f"(process {service.process.pid}) has had the device since" in second.stderr
-        run = hil("run", "circle_speed", *OVERRIDES, "--mode", "realtime", "--link", f"serial:{tmp_path / 'robot'}")
+        run = hil("run", "circle_speed", *OVERRIDES, "--mode", "realtime", *link, "--record", "none")
         assert run.returncode == 3
         assert "hil ctl" in run.stderr
 

@@ -50,6 +50,7 @@ def params(
     from hil.errors import BadInputError
     from hil.links.opening import is_within_process, open_host
     from hil.links.url import parse_link
+    from hil.service.lock import device_held
 
     url = parse_link(link)
     if is_within_process(url):
@@ -58,7 +59,7 @@ def params(
             "the build; name the robot's port, such as serial:/dev/ttyACM0, or the link that 'hil device' prints"
         )
     wanted = dict(assignment(change) for change in changes or [])
-    with contextlib.closing(open_host(url)) as opened:
+    with device_held(url, f"hil params {link}"), contextlib.closing(open_host(url)) as opened:
         client = ParameterClient(opened)
         if restore:
             client.restore()

@@ -1,5 +1,6 @@
 """``hil serve``: the controller as a service."""
 
+import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -35,7 +36,7 @@ def serve(
     if print_unit:
         from hil.service.systemd import unit
 
-        print(unit(config), end="")
+        print(unit(config, _without_print_unit(sys.argv, config)), end="")
         return
     from hil.scenario import Scenario, load
     from hil.service import logs
@@ -49,3 +50,11 @@ def serve(
     token = str(token_file) if token_file is not None else None
     options = Options(record, live_port if live else None, token, truth, allow_motion, log)
     run(loaded(), options, loaded)
+
+
+def _without_print_unit(words: list[str], config: str) -> list[str]:
+    """Return the options of this command line, as they were given."""
+    options = words[words.index("serve") + 1 :]
+    options.remove("--print-unit")
+    options.remove(config)
+    return options

@@ -67,9 +67,15 @@ class Desk:
             Action.SHUTDOWN: self._shut_down,
         }
 
-    def take(self, orders: Iterable[Order]) -> None:
-        """Have orders done, and answer those and earlier ones that have come to their end. Never waits."""
+    def take(self, orders: Iterable[Order], *, stalled: bool = False) -> None:
+        """Have orders done, and answer those and earlier ones that have come to their end. Never waits.
+
+        Where the ticks were ``stalled`` for longer than a twist is in force, the twists among the orders are too old.
+        """
         for order in orders:
+            if stalled and order.action is Action.TWIST:
+                self._answer(Answer(order.number, "the service stood still while this twist waited; send it again"))
+                continue
             if order.action is not Action.TWIST:  # of which there are many
                 logs.info("order", action=order.action.value, **order.arguments)
             self._try(order, lambda order=order: self._actions[order.action](order))  # type: ignore[misc]

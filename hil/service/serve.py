@@ -219,6 +219,7 @@ class _Service:
         every = max(1, round(1e9 / _STATUS_HZ / timing.period_ns))
         told = pilot.phase
         tick_us = NAN
+        taken_ns = time.perf_counter_ns()
         for _ in self._until_stopped(pilot, desk):
             try:
                 late_ns = sampling.wait(number)
@@ -227,7 +228,10 @@ class _Service:
                 number = sampling.following(number)
                 continue
             begin_ns = time.perf_counter_ns()
-            desk.take(self._api.orders())
+            # What waited while this process stood still is no wish of this moment.
+            stalled = begin_ns - taken_ns > self._scenario.service.twist_timeout_s * 1e9
+            taken_ns = begin_ns
+            desk.take(self._api.orders(), stalled=stalled)
             if not self._api.alive and pilot.phase in (Phase.ARMING, Phase.ACTIVE):
                 pilot.disarm()
                 pilot.why = "the API process ended, so that nobody could have stopped the robot"

@@ -100,7 +100,8 @@ class Control:
         except TimeoutError:
             self._count(action, "unanswered")
             raise NoAnswerError(
-                f"the control process has not answered {action.value} within {patience_s:g} s; it may still carry it out"
+                f"the control process has not answered {action.value} within {patience_s:g} s; "
+                "it may still carry it out"
             ) from None
         self._count(action, "accepted" if answer.refused is None else "refused")
         return answer
