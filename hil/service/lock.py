@@ -108,5 +108,7 @@ def _folder() -> Path:
     """Return the folder that all users of this machine agree on."""
     if sys.platform == "win32":
         return site_data_path("mecanum-hil", appauthor=False) / "locks"
-    # Not TMPDIR, which may be a user's own. /run/lock is root's alone on newer systems.
-    return Path("/tmp/mecanum-hil-locks")
+    # Not TMPDIR, which may be a user's own, nor /run/lock, which is root's alone on newer systems. /tmp may be private
+    # to a unit of systemd, or read-only; Linux has a folder in memory that is neither.
+    shared = Path("/dev/shm")
+    return (shared if shared.is_dir() else Path("/tmp")) / "mecanum-hil-locks"
