@@ -65,9 +65,13 @@ def _checked(value: object, hint: object, where: str) -> object:
     if hint is float:
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise BadInputError(f"{where} = {value!r}: expected a number")
-        if not math.isfinite(value):
-            raise BadInputError(f"{where} = {value!r}: expected a finite number")
-        return float(value)
+        try:
+            number = float(value)
+        except OverflowError:  # a whole number with more than 308 digits
+            number = math.inf
+        if not math.isfinite(number):
+            raise BadInputError(f"{where} = {str(value)[:20]}: expected a finite number")
+        return number
     expected = {int: "a whole number", bool: "true or false", str: "a string"}
     for kind, name in expected.items():
         if hint is kind and (not isinstance(value, kind) or (kind is int and isinstance(value, bool))):

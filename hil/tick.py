@@ -148,6 +148,11 @@ class Tick:
         self._before = None
 
     @property
+    def parts(self) -> Parts:
+        """What the ticks are made of."""
+        return self._parts
+
+    @property
     def is_held(self) -> bool:
         """Whether the last tick held the robot at rest, or was told of without driving it."""
         return self._before is None

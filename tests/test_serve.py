@@ -145,7 +145,7 @@ def test_when_the_api_process_is_killed_the_robot_ramps_down_and_the_api_comes_b
         service.drive()
         os.kill(service.api_pid, signal.SIGKILL)
         status = service.until(phase="disarmed")
-        assert "API process ended" in status["why"]
+        assert "the API process ended or hangs" in status["why"]
         service.client.order(Action.ARM)
         service.until(phase="active")
 
@@ -159,6 +159,32 @@ def test_a_robot_that_was_unplugged_is_reconnected_and_is_not_armed_by_itself(tm
         assert away["pose"] is None
         with pytest.raises(DeviceError, match="refused: the robot is away"):
             service.client.order(Action.ARM)
+
+
+def test_a_robot_with_other_parameters_is_never_armed(tmp_path: Path) -> None:
+    """Its pages of HELLO may come while the service waits for the next tick, or in the tick."""
+    port = tmp_path / "robot"
+    other = ("--set", "firmware.speed_kp_n_m_s_rad=0.31")
+    with (
+        device("circle_speed", *OVERRIDES, *other, "--mode", "realtime", "--link", f"serial:pty?symlink={port}"),
+        serving(tmp_path, "--link", f"serial:{port}", "--set", "estimator.source=odometry") as service,
+    ):
+        wait_for(lambda: "the robot's firmware parameters" in str(service.status().get("why")))
+        for _ in range(20):
+            assert service.status()["phase"] == "away"
+            with pytest.raises(DeviceError, match="refused: the robot is away"):
+                service.client.order(Action.ARM)
+
+
+def test_an_api_that_hangs_costs_the_motion_and_not_the_service(tmp_path: Path) -> None:
+    with serving(tmp_path) as service:
+        service.drive()
+        os.kill(service.api_pid, signal.SIGSTOP)
+        assert "the API process ended or hangs" in service.line("the robot is stopping")["event"]
+        service.line("the robot is disarmed")
+        os.kill(service.api_pid, signal.SIGCONT)
+        service.until(phase="disarmed")
+        service.drive()
 
 
 def test_a_service_waits_for_a_robot_that_is_not_there_yet(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from hil.devices.robot_report import RobotReport
 from hil.devices.snapshot import Feedback, SnapshotAssembler
 from hil.devices.wheel_map import WheelMap
 from hil.devices.wire_hash import WireHash
-from hil.errors import BadInputError, DeviceError, HilError
+from hil.errors import BadInputError, DeviceError, HilError, RobotStoppedError
 from hil.links.delay import DelayedLink
 from hil.ports import Clock, Received
 from hil.types import ZERO_WHEELS, CommandMode, WheelCommand
@@ -57,6 +57,7 @@ class Stm32:
         self._clock: Clock | None = None
         self._feedback: Feedback | None = None
         self._info: RobotInfo | None = None
+        self._is_known = False  # since the link was opened it has said that it is the robot of the scenario
         self._greeting: Greeting | None = None
         self._greet_again_ns = 0
         self.tick = 0  # in lockstep: the firmware tick that the robot has reached
@@ -86,6 +87,7 @@ class Stm32:
         info = handshake.greet(self._link, self._send)
         handshake.check(info, self._expected)
         self._info = info
+        self._is_known = True
         if self._expected.lockstep:
             self.tick = self._exchange_step(m.Step(0, 0))
         return info
@@ -100,6 +102,7 @@ class Stm32:
     def leave(self) -> None:
         """Command nothing any more: the link or the robot was lost, and what is held is not for the next session."""
         self._request = m.Request.IDLE
+        self._is_known = False
         self._next_heartbeat_ns = None
         self._feedback = None
         self.report.status = None
@@ -129,11 +132,12 @@ class Stm32:
         handshake.check(info, self._expected)
         if self._info is None:
             self._info = info
-        elif info != self._info:
+        if info != self._info:
             raise BadInputError(
                 f"another robot answers on the link: {info.describe()}; the run began with {self._info.describe()}; "
                 "plug in the first one, or start a new run"
             )
+        self._is_known = True
 
     def greeted(self) -> bool:
         """Return whether the robot has answered HELLO, asking for it when that is due.
@@ -215,6 +219,8 @@ class Stm32:
         return False
 
     def _ask_to_arm(self) -> None:
+        if not self._is_known:
+            raise RobotStoppedError("the robot has not said what it is since the link was lost; it is not armed")
         if self._request is m.Request.IDLE:
             self._announce_and_arm()
             return

@@ -1,7 +1,7 @@
 """The control process's end of the API process: starts it, takes orders from it and answers, and never waits for it.
 
-When the API process ends it is started again; no orders come meanwhile, and a twist times out as it always does. One
-that takes nothing for ``_HUNG_S`` is killed, for an emergency stop must find somebody who listens.
+When the API process ends it is started again; no orders come meanwhile. One that gives no sign of life for ``_HUNG_S``
+is killed, for an emergency stop must find somebody who listens.
 """
 
 import contextlib
@@ -20,7 +20,7 @@ from hil.service import logs
 from hil.service.api_config import ApiConfig
 from hil.service.claims import Claim
 from hil.service.discovery import Service, announce
-from hil.service.messages import Action, Answer, Order, Status, from_line, to_line
+from hil.service.messages import SILENT_S, Action, Answer, Order, Status, from_line, to_line
 
 _READY_S = 60.0
 _EXIT_S = 5.0
@@ -56,7 +56,7 @@ class ApiChild:
         self._back_off_s = _FIRST_BACK_OFF_S
         self._claim: Claim | None = None
         self._writer: LineWriter
-        self._started_s = self._taken_s = 0.0
+        self._started_s = self._lived_s = 0.0
         self.url = ""
         self.token_file: Path | None = None
         self.restarts = 0
@@ -70,8 +70,8 @@ class ApiChild:
 
     @property
     def alive(self) -> bool:
-        """Whether there is an API process that listens."""
-        return self._ready
+        """Whether there is an API process that listens and has given a sign of life within ``SILENT_S``."""
+        return self._ready and time.monotonic() - self._lived_s < SILENT_S
 
     @property
     def pid(self) -> int | None:
@@ -94,18 +94,19 @@ class ApiChild:
 
     def send(self, message: Answer | Status) -> None:
         """Send an answer or the status. Never waits: a status without room is left out, as the next is as good."""
-        if not self._ready:
-            return
-        if self._writer.flush():
-            self._taken_s = time.monotonic()
-        elif time.monotonic() - self._taken_s > _HUNG_S:
-            logs.error("API process takes nothing and is killed", pid=self.pid, for_s=_HUNG_S)
+        self._end_one_that_hangs()
+        if self._ready and (self._writer.flush() or isinstance(message, Answer)):
+            self._writer.send(to_line(message), always=isinstance(message, Answer))
+
+    def _end_one_that_hangs(self) -> None:
+        """Kill a process that gives no sign of life, or does not come to listen; ``orders`` sees its pipe's end."""
+        silent_s = time.monotonic() - (self._lived_s if self._ready else self._started_s)
+        process = self._process
+        if process is not None and self._lines is not None and silent_s > (_HUNG_S if self._ready else _READY_S):
+            logs.error("API process hangs and is killed", pid=process.pid, silent_s=round(silent_s, 1))
             self._ready = False
-            if self._process is not None:
-                self._process.kill()  # the end of its pipe is seen by ``orders``
-        elif isinstance(message, Status):
-            return
-        self._writer.send(to_line(message), always=isinstance(message, Answer))
+            self._started_s = time.monotonic()
+            process.kill()
 
     def close(self) -> None:
         """End the API process, which tells its clients so, and be found no more. Twice is allowed."""
@@ -132,7 +133,7 @@ class ApiChild:
         )
         assert self._process.stdin is not None
         assert self._process.stdout is not None
-        self._started_s = self._taken_s = time.monotonic()
+        self._started_s = self._lived_s = time.monotonic()
         self._writer = LineWriter(self._process.stdin.fileno())
         self._writer.send({"config": self._config.to_record()}, always=True)
         self._lines = LinePoll(self._process.stdout.fileno())  # last: from here on the ticks look at it
@@ -164,7 +165,11 @@ class ApiChild:
             port = int(self.url.rpartition(":")[2])
             self._config = replace(self._config, port=port, token_file=str(self.token_file))
             self._ready = True
+            self._lived_s = time.monotonic()
             logs.info("API listens", url=self.url, pid=self.pid)
+            return None
+        if "alive" in record:
+            self._lived_s = time.monotonic()
             return None
         if "refused" in record:
             logs.error("API process cannot start again", why=record["refused"])

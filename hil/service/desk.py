@@ -1,5 +1,6 @@
 """Takes the orders of a service: those of a moment are done at once, others by a thread beside the ticks."""
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Executor, Future
 from datetime import datetime
@@ -8,11 +9,11 @@ from typing import Any
 
 from hil.errors import BadInputError, HilError
 from hil.kinematics import BodyTwist
-from hil.references import make_reference
+from hil.references import ReferenceSource, make_reference
 from hil.scenario import Scenario
 from hil.scenario.laws import make_laws
 from hil.service import logs
-from hil.service.messages import Action, Answer, Order
+from hil.service.messages import MOVING, Action, Answer, Order
 from hil.service.pilot import Pilot
 from hil.service.records import Records, finished
 from hil.telemetry import Recording, check_output_path
@@ -70,11 +71,12 @@ class Desk:
     def take(self, orders: Iterable[Order], *, stalled: bool = False) -> None:
         """Have orders done, and answer those and earlier ones that have come to their end. Never waits.
 
-        Where the ticks were ``stalled`` for longer than a twist is in force, the twists among the orders are too old.
+        Where the ticks were ``stalled`` for longer than a twist is in force, only what cannot make the robot move is
+        still done of the orders that waited.
         """
         for order in orders:
-            if stalled and order.action is Action.TWIST:
-                self._answer(Answer(order.number, "the service stood still while this twist waited; send it again"))
+            if stalled and order.action in MOVING:
+                self._answer(Answer(order.number, "the service stood still while this order waited; give it again"))
                 continue
             if order.action is not Action.TWIST:  # of which there are many
                 logs.info("order", action=order.action.value, **order.arguments)
@@ -90,9 +92,10 @@ class Desk:
     def _try(self, order: Order, do: Callable[[], Result | None]) -> None:
         try:
             result = do()
-        except (HilError, OSError) as refusal:
-            logs.warning("order refused", action=order.action.value, why=str(refusal))
-            self._answer(Answer(order.number, str(refusal)))
+        except Exception as refusal:  # noqa: BLE001 - one order must not end the service, and with it the e-stop
+            why = str(refusal) if isinstance(refusal, HilError) else f"{type(refusal).__name__}: {refusal}"
+            logs.warning("order refused", action=order.action.value, why=why)
+            self._answer(Answer(order.number, why))
         else:
             if result is not None:
                 self._answer(Answer(order.number, None, result))
@@ -117,19 +120,30 @@ class Desk:
 
     def _track(self, order: Order) -> None:
         self._pilot.need_active()  # or a path would be read for nothing
+        asked = self._pilot.motions_asked
         here, wanted = bool(order.arguments["here"]), order.arguments["reference"]
         table = self._scenario.reference
         kind, options = table.kind, table.options
         if wanted is not None:
             kind, options = wanted["kind"], {name: value for name, value in wanted.items() if name != "kind"}
 
+        def make() -> ReferenceSource:
+            path = make_reference(kind, options, self._scenario.directory)
+            _try_out(path)
+            return path
+
         def then(path: Any) -> Result:
+            if self._pilot.motions_asked != asked:
+                raise BadInputError("another order, or what became of the robot, came before the path was read")
             self._pilot.track(path, here=here)
             return {"kind": kind}
 
-        self._later(order, lambda: make_reference(kind, options, self._scenario.directory), then)
+        self._later(order, make, then)
 
     def _gains(self, order: Order) -> None:
+        if any(other.action is Action.GAINS for other, _, _ in self._under_way):
+            raise BadInputError("the gains are being changed by another order; give this one again")
+
         def make() -> Any:
             wanted, now = order.arguments["gains"], self._scenario.controller
             gains = self._reload_gains() if wanted is None else {**now.gains, **wanted}
@@ -204,6 +218,18 @@ class Desk:
     def _shut_down(self, order: Order) -> Result:
         self.shutdown = True
         return {}
+
+
+def _try_out(path: ReferenceSource) -> None:
+    """Raise BadInputError for a path that is beyond what numbers can do."""
+    for share in (0.0, 0.1, 0.5, 1.0, 10.0):
+        try:
+            pose, twist, acceleration = path.at(share * path.span_s)
+            is_finite = math.isfinite(sum(pose) + sum(twist) + sum(acceleration))
+        except (ArithmeticError, ValueError):
+            is_finite = False
+        if not is_finite:
+            raise BadInputError("the path has no pose at each time; its options are too large or too small")
 
 
 def _stamp() -> str:

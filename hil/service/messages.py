@@ -69,6 +69,14 @@ LONG = frozenset({Action.RECORD, Action.STOP_RECORDING, Action.TRACK, Action.GAI
 """What reads files, or starts or ends a recorder, and is answered when that is done; the ticks go on meanwhile."""
 
 
+MOVING = frozenset({Action.ARM, Action.CLEAR, Action.TRACK, Action.GO, Action.TWIST, Action.GAINS})
+"""What can make the robot move, now or later: never done of an order that has waited through a stall."""
+
+
+SILENT_S = 1.0
+"""An API process that gives no sign of life for so long, where one comes each 0.1 s, can stop nothing."""
+
+
 @dataclass(frozen=True, slots=True)
 class Order:
     """Something asked of the control process. ``number`` is that of the answer."""

@@ -16,6 +16,7 @@ _NO_TWIST = BodyTwist(0.0, 0.0, 0.0)
 _STILL = Acceleration(0.0, 0.0, 0.0)
 _SAME_M, _SAME_RAD = 0.001, 0.001
 """A way that is shorter is none."""
+_LEAP_M, _LEAP_RAD = 0.02, 0.04
 
 
 class Speeds(NamedTuple):
@@ -50,7 +51,8 @@ class Drive:
     """By a twist in the body frame, which is approached with limited acceleration; without one, to rest, and held.
 
     The reference runs ahead of a robot that does not come after it by at most ``LEASH_M`` and ``LEASH_RAD``: one that
-    was blocked does not jump when it is free, and one that was carried away is not driven back.
+    was blocked does not jump when it is free, and one that is carried away is not driven back far. Where the pose
+    leaps, as a localisation's may, it begins anew there, at rest.
 
     ``start`` is the reference, or the robot's state, at ``t_s``.
     """
@@ -63,6 +65,7 @@ class Drive:
         self._twist = to_body(start.twist, start.pose.heading_rad)
         self._t_s = t_s
         self._speeds = speeds
+        self._robot: Pose | None = None
         self.wanted = _NO_TWIST
 
     @property
@@ -82,6 +85,9 @@ class Drive:
         """Return the reference of this tick."""
         dt_s = t_s - self._t_s
         self._t_s = t_s
+        if pose is not None and self._leapt(pose, dt_s):
+            self._pose, self._twist = pose, _NO_TWIST
+        self._robot = pose
         before, self._twist = self._twist, self._towards(dt_s)
         forward, left, yaw_rate = ((a + b) / 2.0 for a, b in zip(before, self._twist, strict=True))
         x_m, y_m, heading_rad = self._pose
@@ -91,6 +97,17 @@ class Drive:
             self._pose = _on_leash(self._pose, pose)
         twist = to_world(self._twist, self._pose.heading_rad)
         return Reference(self._pose, twist, self._acceleration(before, dt_s, twist))
+
+    def _leapt(self, pose: Pose, dt_s: float) -> bool:
+        """Whether the robot is believed elsewhere than it can have driven to: where it is to be is there now."""
+        if self._robot is None:
+            return False
+        speeds = self._speeds
+        turn_rad = abs(wrap_angle(pose.heading_rad - self._robot.heading_rad))
+        return (
+            math.dist(pose[:2], self._robot[:2]) > _LEAP_M + 2.0 * speeds.speed_m_s * dt_s
+            or turn_rad > _LEAP_RAD + 2.0 * speeds.yaw_rate_rad_s * dt_s
+        )
 
     def _towards(self, dt_s: float) -> BodyTwist:
         """Return the twist after this time, on the way to the wanted one."""

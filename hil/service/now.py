@@ -62,7 +62,7 @@ class Now:
             round_trip_ms=None,
             frames={"sent": 0, "received": 0, "rejected": {}},
             recoveries=0,
-            recording=None,
+            recording=None if self._records.path is None else str(self._records.path),
             rows_dropped=0,
             twist_age_s=None,
             realtime={},

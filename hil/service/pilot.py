@@ -4,6 +4,7 @@ It has no clock of its own and knows nothing of HTTP: orders are method calls be
 sense in the present phase is refused with a sentence.
 """
 
+import contextlib
 import math
 from collections.abc import Callable
 from typing import NamedTuple
@@ -19,7 +20,20 @@ from hil.service.messages import Phase, Task
 from hil.service.motions import Drive, Follow, Motion, Speeds, frame_at, way_to
 from hil.signals import LoopSignals
 from hil.tick import Parts, Sensed, Tick
-from hil.types import NAN_POSE, Acceleration, CommandMode, Pose, PoseFix, Reference, State, Twist
+from hil.types import (
+    NAN,
+    NAN_POSE,
+    NO_GAINS,
+    Acceleration,
+    Applied,
+    CommandMode,
+    Pose,
+    PoseFix,
+    Reference,
+    State,
+    Twist,
+    WheelCommand,
+)
 
 _REST = Twist(0.0, 0.0, 0.0), Acceleration(0.0, 0.0, 0.0)
 _NOWHERE = Reference(NAN_POSE, *_REST)
@@ -34,13 +48,40 @@ class Rules(NamedTuple):
     speeds: Speeds
     twist_timeout_s: float
     error_limit_m: float
+    estop_repeat_s: float = 0.3
+
+
+class _NoLaw:
+    """Stands where a law has failed; it is never asked for a command."""
+
+    gains = NO_GAINS
+
+    def reset(self, state: State, reference: Reference) -> None:
+        raise AssertionError("nothing is driven without a law")
+
+    def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
+        raise AssertionError("nothing is driven without a law")
+
+
+_NO_LAW = _NoLaw()
+
+
+class _Silent:
+    """Signals of a law that has failed: by name, without values."""
+
+    def __init__(self, signals: tuple[str, ...]) -> None:
+        self.signals = signals
+        self.telemetry = (NAN,) * len(signals)
 
 
 class Pilot:
     """The state machine of a service. ``tick`` is called once a tick; it raises only for what ends the service.
 
     A robot that was lost is reconnected for ever, and is disarmed then: only ``arm`` arms. What ends ACTIVE from
-    outside ends the task with it. ``why`` is the last thing that went wrong, as a sentence.
+    outside ends the task with it.
+
+    ``motions_asked`` counts the orders that changed what the robot is to do, and the phases: an order that takes its
+    time is outdated by any other.
     """
 
     def __init__(self, parts: Parts, mode: CommandMode, timing: Timing, rules: Rules) -> None:
@@ -52,12 +93,15 @@ class Pilot:
         self._t_s = 0.0
         self._deadline_s = math.inf
         self._estop_owed = False  # asked for, and not yet confirmed by the robot
+        self._estop_s = -math.inf
+        self._why: str | None = None
+        self._law_failed = False
         self._motion: Motion | None = None
         self._after_rest: Callable[[Reference], Motion] | None = None
         self._twist_until_s = -math.inf
         self.phase = Phase.AWAY
         self.task: Task | None = None
-        self.why: str | None = None
+        self.motions_asked = 0
         self.state: State | None = None
         self.reference: Reference | None = None
         self.recoveries = 0
@@ -75,9 +119,21 @@ class Pilot:
         }
 
     @property
+    def why(self) -> str | None:
+        """The last thing that went wrong, as a sentence, and in AWAY what keeps the robot from coming back."""
+        if self.phase is not Phase.AWAY or self._recovery.problem == self._why:
+            return self._why
+        return "; ".join(filter(None, (self._why, self._recovery.problem)))
+
+    @property
+    def estop_owed(self) -> bool:
+        """Whether an e-stop was asked for that the robot has not confirmed yet."""
+        return self._estop_owed
+
+    @property
     def parts(self) -> Parts:
         """What the ticks are made of; the law in command among them."""
-        return self._parts
+        return self._doing.parts
 
     @property
     def feedback_age_ms(self) -> float | None:
@@ -97,24 +153,38 @@ class Pilot:
         """Arm the robot, which is then held where it is. Raises BadInputError unless it is DISARMED."""
         if self.phase is not Phase.DISARMED:
             raise BadInputError(f"the robot is {self.phase}; it can be armed when it is disarmed{self._because()}")
-        self.why = None
+        self._why = None
+        if self._law_failed:
+            self._law_failed = False
+            self._doing.use(self._parts)
         self._enter(Phase.ARMING, _ARMING_LIMIT_S)
 
     def disarm(self) -> None:
         """Ramp down and go to IDLE; also what ends arming and clearing. Changes nothing where nothing is armed."""
+        self.motions_asked += 1
         if self.phase in (Phase.ARMING, Phase.ACTIVE):
             self._parts.device.disarm()
             self._enter(Phase.STOPPING, _STOPPING_LIMIT_S)
+        elif self.phase in (Phase.FAULT, Phase.ESTOP):
+            self._parts.device.disarm()
+            self._deadline_s = math.inf
+
+    def disarm_because(self, why: str) -> None:
+        """Do the same for a reason that the status tells."""
+        self._why = why
+        self.disarm()
 
     def estop(self) -> None:
         """Stop at once and latch that. A robot that is away gets it as soon as it is back."""
-        self._estop_owed = True
-        self.why = "an e-stop was asked for"
+        self._estop_owed, self._estop_s = True, self._t_s
+        self._why = "an e-stop was asked for"
         if self.phase is Phase.AWAY:
-            self.why += "; the robot is away and stops by itself, and gets it as soon as it is back"
+            self._why += "; the robot is away and stops by itself, and gets it as soon as it is back"
+            self.motions_asked += 1
             return
-        self._parts.device.estop()
         self._enter(Phase.ESTOP)
+        with contextlib.suppress(LinkError):  # it is repeated at every tick
+            self._parts.device.estop()
 
     def clear(self) -> None:
         """Leave FAULT or ESTOP, which arms nothing. Raises BadInputError where nothing is latched."""
@@ -128,12 +198,14 @@ class Pilot:
     def stop(self) -> None:
         """Ramp down to rest and hold. Raises BadInputError unless the robot is ACTIVE."""
         self.need_active()
+        self.motions_asked += 1
         self._rest()
         self.task = Task.HOLD
 
     def twist(self, twist: BodyTwist) -> BodyTwist:
         """Drive by this for ``twist_timeout_s``; return what the limits leave of it. Raises as ``stop``."""
         self.need_active()
+        self.motions_asked += 1
         drive = self._motion if self.task is Task.TWIST and isinstance(self._motion, Drive) else self._rest()
         self.task = Task.TWIST
         self._twist_until_s = self._t_s + self._rules.twist_timeout_s
@@ -145,6 +217,7 @@ class Pilot:
         Raises BadInputError as ``stop``.
         """
         self.need_active()
+        self.motions_asked += 1
         begin = path.at(0.0).pose
 
         def follow(at: Reference) -> Motion:
@@ -158,6 +231,7 @@ class Pilot:
     def go(self, pose: Pose) -> None:
         """Go to a pose in the world and hold there. Raises BadInputError as ``stop``."""
         self.need_active()
+        self.motions_asked += 1
 
         def follow(at: Reference) -> Motion:
             way = way_to(at.pose, pose, self._rules.speeds)
@@ -169,6 +243,7 @@ class Pilot:
     def use(self, laws: Laws) -> None:
         """Control by other laws from the next tick on, as with other gains; they begin anew there."""
         self._parts = self._parts._replace(controller=laws.controller, shadows=laws.shadows, extra=laws.extra)
+        self._law_failed = False
         self._doing.use(self._parts)
 
     # The tick
@@ -185,12 +260,19 @@ class Pilot:
         except HilError as error:
             self.lose(error)
             self._doing.tell_away(now, fix, _NOWHERE)
+        except (ArithmeticError, ValueError) as error:  # a law or a path beyond what numbers can do
+            self.lose(BadInputError(f"the law or the path failed: {type(error).__name__}: {error}"))
+            self._doing.tell_away(now, fix, _NOWHERE)
 
     def lose(self, error: HilError) -> None:
         """Take what went wrong, in a tick or while waiting for it. Raises as ``tick``."""
         if (failure := self._parts.robot_failure()) is not None:
             raise failure
-        self.why = str(error)
+        if self.phase is Phase.AWAY:
+            # Whatever it is, another robot among it: the way back begins again, and never ends in an armed one.
+            self._recovery.fail(error)
+            return
+        self._why = str(error)
         latched = {RobotState.FAULT: Phase.FAULT, RobotState.ESTOP: Phase.ESTOP}
         feedback = self._parts.device.feedback
         if isinstance(error, LinkError | RobotStoppedError):
@@ -200,8 +282,16 @@ class Pilot:
             self._parts.device.disarm()
             self._enter(latched[feedback.state])
         else:  # the law, or a robot that refuses
+            if not isinstance(error, DeviceError):
+                self._mute()
             self._parts.device.disarm()
             self._enter(Phase.STOPPING, _STOPPING_LIMIT_S)
+
+    def _mute(self) -> None:
+        """Ask the law, which has failed, for nothing more, not even for its gains, until the robot is armed again."""
+        self._law_failed = True
+        silent = tuple(_Silent(own.signals) for own in self._parts.extra)
+        self._doing.use(self._parts._replace(controller=_NO_LAW, shadows=None, extra=silent))
 
     def _come_back(self, now: LoopSignals, fix: PoseFix | None) -> None:
         if (failure := self._parts.robot_failure()) is not None:
@@ -213,17 +303,16 @@ class Pilot:
             self._recovery.fail(error)
             is_back = False
         if not is_back:
-            if not self._was_connected:
-                self.why = self._recovery.problem
             self._doing.tell_away(now, fix, _NOWHERE)
             return
         self._doing.restart()
         self.recoveries += self._was_connected
         if not self._was_connected:
-            self._was_connected, self.why = True, None
+            self._was_connected, self._why = True, self._why if self._estop_owed else None
         if self._estop_owed:
-            self._parts.device.estop()
+            self._estop_s = now.t_s
             self._enter(Phase.ESTOP)
+            self._parts.device.estop()
         else:
             self._enter(Phase.STOPPING, _STOPPING_LIMIT_S)  # until its feedback says that it is none
         self._doing.tell_away(now, fix, _NOWHERE)
@@ -232,6 +321,8 @@ class Pilot:
         robot = self._look(now, fix).feedback.state
         if robot in (RobotState.FAULT, RobotState.ESTOP):
             self._latch(robot)
+        elif robot in (RobotState.ARMED, RobotState.ACTIVE):
+            self._why = "another host has armed the robot; stop that one first"
 
     def _arm(self, now: LoopSignals, fix: PoseFix | None) -> None:
         device = self._parts.device
@@ -249,12 +340,14 @@ class Pilot:
         sensed = self._doing.sense(now.t_s, fix)
         self.state = state = sensed.state
         pose = state.pose if state is not None else None
-        self.reference = reference = self._where(now.t_s, pose)
+        reference = self._where(now.t_s, pose)
+        if pose is not None and math.dist(reference.pose[:2], pose[:2]) > self._rules.error_limit_m:
+            self._give_up(f"the robot is more than {self._rules.error_limit_m:g} m from where it should be")
+            reference = self._where(now.t_s, pose)
+        self.reference = reference
         self._doing.drive(now, sensed, reference)
         if self._motion is not None and self._doing.is_held:
             self._give_up("the robot was held at rest: what is known of it is too old, or not sure enough")
-        elif pose is not None and math.dist(reference.pose[:2], pose[:2]) > self._rules.error_limit_m:
-            self._give_up(f"the robot is more than {self._rules.error_limit_m:g} m from where it should be")
 
     def _where(self, t_s: float, pose: Pose | None) -> Reference:
         if self._motion is None:
@@ -271,8 +364,8 @@ class Pilot:
 
     def _give_up(self, why: str) -> None:
         """End the task; the robot is held where it is."""
-        self.why = why
-        self._motion = self._after_rest = None
+        self._why = why
+        self._motion = self._after_rest = self.reference = None
         self.task = Task.HOLD
 
     def _ramp_down(self, now: LoopSignals, fix: PoseFix | None) -> None:
@@ -282,24 +375,25 @@ class Pilot:
         elif robot in (RobotState.FAULT, RobotState.ESTOP):
             self._latch(robot)
         elif now.t_s > self._deadline_s:
-            self.why = f"the robot did not come to rest within {_STOPPING_LIMIT_S:g} s: it is {robot.name}"
+            self._why = f"the robot did not come to rest within {_STOPPING_LIMIT_S:g} s: it is {robot.name}"
 
     def _be_latched(self, now: LoopSignals, fix: PoseFix | None) -> None:
         device = self._parts.device
         robot = self._look(now, fix).feedback.state
         if self._estop_owed:
-            if robot is not RobotState.ESTOP:
+            # For a while in any case: feedback on its way may tell of an ESTOP before this one.
+            if robot is not RobotState.ESTOP or now.t_s < self._estop_s + self._rules.estop_repeat_s:
                 device.estop()
                 return
             self._estop_owed = False
         if robot is RobotState.IDLE:
             device.disarm()
-            self.why = None
+            self._why = None
             self._enter(Phase.DISARMED)
         elif now.t_s > self._deadline_s:
             device.disarm()
             self._deadline_s = math.inf
-            self.why = f"clearing was refused: {device.why_not_active()}"
+            self._why = f"clearing was refused: {device.why_not_active()}"
 
     def _look(self, now: LoopSignals, fix: PoseFix | None) -> Sensed:
         """Sense and tell, without driving."""
@@ -312,6 +406,7 @@ class Pilot:
 
     def _enter(self, phase: Phase, limit_s: float = math.inf) -> None:
         self.phase = phase
+        self.motions_asked += 1
         self._deadline_s = self._t_s + limit_s
         self._motion = self._after_rest = self.task = self.reference = None
         if phase is Phase.AWAY:
@@ -320,7 +415,7 @@ class Pilot:
     def _latch(self, robot: RobotState) -> None:
         if not self._parts.device.report.explains(robot):
             return  # STATUS says why, and comes a little later
-        self.why = self._parts.device.why_not_active()
+        self._why = self._parts.device.why_not_active()
         self._enter(Phase.FAULT if robot is RobotState.FAULT else Phase.ESTOP)
 
     def need_active(self) -> None:

@@ -147,6 +147,7 @@ class _Service:
         self._counts = Counts()
         self._now = Now(scenario, records, self._counts)
         self._t_s = 0.0
+        self._estop_owed = False
 
     def run(self, reload: Callable[[], Scenario]) -> None:
         """Serve until the end."""
@@ -158,6 +159,8 @@ class _Service:
             beside = resources.enter_context(ThreadPoolExecutor(1, "beside"))
             beside.submit(time.monotonic).result()  # its thread begins here, before this one has real-time priority
             pilot = self._pilot(bench)
+            if self._estop_owed:
+                pilot.estop()
             resources.callback(bench.device.disarm)
             desk = Desk(self._scenario, pilot, self._records, self._api.send, reload, beside)
             with real_time(Wanted(**dict(self._scenario.realtime)), bench.robot_threads) as granted:
@@ -190,7 +193,11 @@ class _Service:
                 if order.action is Action.SHUTDOWN:
                     self._api.send(Answer(order.number))
                     return False
-                self._api.send(Answer(order.number, f"the robot is away: {why}"))
+                if order.action is Action.ESTOP:
+                    self._estop_owed = True
+                    self._api.send(Answer(order.number))
+                else:
+                    self._api.send(Answer(order.number, f"the robot is away: {why}"))
             if self._ending.asked:
                 return False
             self._api.send(self._now.without_bench(why))
@@ -233,8 +240,7 @@ class _Service:
             taken_ns = begin_ns
             desk.take(self._api.orders(), stalled=stalled)
             if not self._api.alive and pilot.phase in (Phase.ARMING, Phase.ACTIVE):
-                pilot.disarm()
-                pilot.why = "the API process ended, so that nobody could have stopped the robot"
+                pilot.disarm_because("the API process ended or hangs, so that nobody could have stopped the robot")
             if number >= 0:
                 counts.ticks += 1
                 counts.lateness.add(late_ns)
@@ -260,9 +266,13 @@ class _Service:
                 pilot.disarm()
                 limit_s = time.monotonic() + _ENDING_LIMIT_S
             if limit_s is not None:
-                if pilot.phase not in (Phase.ARMING, Phase.ACTIVE, Phase.STOPPING):
+                owed = pilot.estop_owed and pilot.phase is not Phase.AWAY
+                if pilot.phase not in (Phase.ARMING, Phase.ACTIVE, Phase.STOPPING) and not owed:
                     return
-                if self._ending.asked > 1 or time.monotonic() > limit_s:
+                if self._ending.asked > 1:
+                    logs.warning("told to end a second time; the robot's watchdog stops it")
+                    return
+                if time.monotonic() > limit_s:
                     logs.error("robot did not come to rest in time; its watchdog stops it")
                     return
             yield

@@ -9,13 +9,16 @@ from collections.abc import Mapping
 from typing import Any
 
 from hil.json_lines import LineReader, LineWriter
-from hil.service.messages import LONG, Action, Answer, Order, Status, from_line, to_line
+from hil.service.messages import LONG, MOVING, SILENT_S, Action, Answer, Order, Status, from_line, to_line
 
 ANSWER_S = 1.0
 """How long an order waits for its answer, and how old a status may be."""
 
 LONG_ANSWER_S = 30.0
 """How long one of ``LONG`` does."""
+
+LIFE_PERIOD_S = 0.1
+_CATCHING_UP_S = 0.3
 
 # Orders that the control process has not answered. With so many short lines a pipe is never full, so that an emergency
 # stop, which does not count, is never kept waiting behind them.
@@ -50,6 +53,8 @@ class Control:
         self.taken: Status | None = None
         self.status: dict[str, Any] | None = None
         self.gone = asyncio.Event()
+        self._turned_s = time.monotonic()  # when the event loop was last seen to turn
+        self._refuse_until_s = -math.inf
         self.orders: dict[tuple[Action, str], int] = {}
         # Any pipe can be read by a thread; only some can by an event loop, and on Windows none.
         threading.Thread(target=self._read, args=(lines,), name="lines", daemon=True).start()
@@ -82,6 +87,9 @@ class Control:
         """Send an order, and return what its answer will come to. Raises BusyError; never for an emergency stop."""
         if self.gone.is_set():
             raise BusyError("the service is ending")
+        if action in MOVING and self._has_stalled():
+            self._count(action, "unanswered")
+            raise BusyError("the API stood still while this order waited; give it again")
         if len(self._open) >= _MOST_OPEN and action is not Action.ESTOP:
             self._count(action, "unanswered")
             raise BusyError(f"the control process has {len(self._open)} orders to answer; only estop is taken now")
@@ -105,6 +113,23 @@ class Control:
             ) from None
         self._count(action, "accepted" if answer.refused is None else "refused")
         return answer
+
+    async def live(self) -> None:
+        """Tell the control process that this event loop turns, and notice when it has not, until cancelled."""
+        while True:
+            await asyncio.sleep(LIFE_PERIOD_S)
+            self._has_stalled()
+            self._turned_s = time.monotonic()
+            self._writer.send({"alive": True})
+
+    def _has_stalled(self) -> bool:
+        """Whether what came of late may have waited: this process was stopped, or something kept its event loop."""
+        now_s = time.monotonic()
+        if now_s - self._turned_s > SILENT_S:
+            # What has waited comes within the next turns.
+            self._refuse_until_s = now_s + _CATCHING_UP_S
+            self._turned_s = now_s
+        return now_s < self._refuse_until_s
 
     def _count(self, action: Action, outcome: str) -> None:
         self.orders[action, outcome] = self.orders.get((action, outcome), 0) + 1

@@ -43,6 +43,7 @@ async def serve(
     ``token`` is what clients show, ``ready`` what the control process is told when it is served.
     """
     control = Control(lines, writer)
+    living = asyncio.create_task(control.live())
     port = listener.getsockname()[1]
     hosts = frozenset(f"{name}:{port}".encode() for name in (config.host, "localhost"))
     server = _Server(
@@ -71,4 +72,5 @@ async def serve(
     server.should_exit = True
     await serving
     gone.cancel()
+    living.cancel()
     logs.info("API ends")

@@ -1,0 +1,175 @@
+"""Orders at the desk of a service: what is done at once, what takes its time, and what became outdated meanwhile."""
+
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hil.scenario import load
+from hil.scenario.laws import Laws
+from hil.service.desk import Desk
+from hil.service.messages import MOVING, Action, Answer, Order, Phase, Task
+from hil.service.records import Records
+from hil.types import NO_GAINS
+from tests.pilot_bench import PilotBench
+
+
+class Beside(Executor):
+    """Does nothing before it is told to, so that what came first is the test's to say."""
+
+    def __init__(self) -> None:
+        self.waiting: list[tuple[Future[Any], Callable[[], Any]]] = []
+
+    def submit(self, do: Callable[[], Any], /, *_: Any, **__: Any) -> Future[Any]:  # type: ignore[override]
+        future: Future[Any] = Future()
+        self.waiting.append((future, do))
+        return future
+
+    def work(self) -> None:
+        for future, do in self.waiting:
+            try:
+                future.set_result(do())
+            except Exception as error:  # noqa: BLE001 - as an executor does
+                future.set_exception(error)
+        self.waiting.clear()
+
+
+class Served(PilotBench):
+    """A pilot with its desk."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.beside = Beside()
+        self.answers: dict[int, Answer] = {}
+        self.config = load("circle_speed")
+        self.desk = Desk(
+            self.config, self.pilot, Records(None), self._answer, lambda: load("circle_speed"), self.beside
+        )
+
+    def _answer(self, answer: Answer) -> None:
+        self.answers[answer.number] = answer
+
+    def order(self, action: Action, *, stalled: bool = False, **arguments: Any) -> int:
+        number = len(self.answers) + len(self.beside.waiting) + 1
+        self.desk.take([Order(number, action, arguments)], stalled=stalled)
+        return number
+
+    def finish(self) -> None:
+        self.beside.work()
+        self.desk.take([])
+
+    def refusal(self, number: int) -> str:
+        return str(self.answers[number].refused)
+
+
+TRACK = {"reference": None, "here": True}
+
+
+def test_a_path_is_followed_when_it_has_been_read() -> None:
+    with Served() as served:
+        served.armed()
+        number = served.order(Action.TRACK, **TRACK)
+        assert number not in served.answers
+        served.finish()
+        assert served.answers[number].result == {"kind": "circle"}
+        assert served.pilot.task is Task.TRACK
+
+
+@pytest.mark.parametrize("meanwhile", [Action.STOP, Action.DISARM, Action.ESTOP])
+def test_a_path_that_was_read_too_late_is_not_followed(meanwhile: Action) -> None:
+    with Served() as served:
+        served.armed()
+        number = served.order(Action.TRACK, **TRACK)
+        served.order(meanwhile)
+        served.run(1.0)
+        if served.pilot.phase is Phase.ESTOP:
+            served.order(Action.CLEAR)
+            served.run_until(Phase.DISARMED)
+        if served.pilot.phase is Phase.DISARMED:
+            served.armed()
+        served.finish()
+        assert "came before the path was read" in served.refusal(number)
+        served.run(0.5)
+        assert served.pilot.task is Task.HOLD
+
+
+@pytest.mark.parametrize("action", sorted(MOVING))
+def test_what_waited_through_a_stall_moves_nothing(action: Action) -> None:
+    with Served() as served:
+        served.run_until(Phase.DISARMED)
+        number = served.order(action, stalled=True)
+        assert "stood still while this order waited" in served.refusal(number)
+
+
+def test_an_emergency_stop_that_waited_is_done() -> None:
+    with Served() as served:
+        served.armed()
+        served.order(Action.ESTOP, stalled=True)
+        assert served.pilot.phase is Phase.ESTOP
+
+
+@pytest.mark.parametrize(
+    ("action", "arguments", "why"),
+    [
+        (Action.GAINS, {"gains": {"k1_1_s": 10**400}}, "expected a finite number"),
+        (Action.GAINS, {"gains": {"k3": 1.0}}, "unknown option 'k3'"),
+        (Action.TRACK, {"here": True, "reference": {"kind": "circle", "radius_m": 1e308}}, "no pose at each time"),
+        (Action.TRACK, {"here": True, "reference": {"kind": "waypoints", "file": "none.csv"}}, "none.csv"),
+    ],
+)
+def test_what_cannot_be_made_is_refused_and_the_robot_goes_on(
+    action: Action, arguments: dict[str, Any], why: str
+) -> None:
+    with Served() as served:
+        served.armed()
+        number = served.order(action, **arguments)
+        served.finish()
+        assert why in served.refusal(number)
+        served.run(0.2)
+        assert served.pilot.phase is Phase.ACTIVE
+
+
+def test_gains_are_changed_one_order_at_a_time() -> None:
+    with Served() as served:
+        served.armed()
+        first = served.order(Action.GAINS, gains={"k1_1_s": 5.0})
+        second = served.order(Action.GAINS, gains={"filter_s": 0.02})
+        assert "being changed by another order" in served.refusal(second)
+        served.finish()
+        assert served.answers[first].result["gains"]["k1_1_s"] == 5.0
+        again = served.order(Action.GAINS, gains={"filter_s": 0.02})
+        served.finish()
+        assert served.answers[again].result["gains"].items() >= {"k1_1_s": 5.0, "filter_s": 0.02}.items()
+
+
+class Broken:
+    """A law that works for a while; then even its gains fail."""
+
+    def __init__(self, law: Any) -> None:
+        self._law = law
+        self.left = 20
+
+    @property
+    def gains(self) -> Any:
+        return NO_GAINS if self.left else 1 / 0
+
+    def reset(self, state: Any, reference: Any) -> None:
+        self._law.reset(state, reference)
+
+    def update(self, *arguments: Any) -> Any:
+        self.left -= 1
+        return self._law.update(*arguments) if self.left else 1 / 0
+
+
+def test_a_law_that_fails_ends_in_a_disarmed_robot_that_can_be_armed_again(tmp_path: Path) -> None:
+    with Served() as served:
+        served.armed()
+        broken = Broken(served.made.laws.controller)
+        served.pilot.use(Laws(broken, None))
+        served.order(Action.GO, x_m=1.0, y_m=0.0, heading_rad=0.0)
+        served.run_until(Phase.DISARMED)
+        assert "the law or the path failed: ZeroDivisionError" in str(served.pilot.why)
+        served.pilot.use(served.made.laws)
+        served.armed()
