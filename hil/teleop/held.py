@@ -55,9 +55,9 @@ class ToldKeys:
 class RepeatedKeys:
     """For a terminal that tells nothing of releases: a key is held as long as the keyboard repeats it.
 
-    The keyboard waits before the first repeat, and meanwhile a tap looks like a key that is held. So a press is good for
-    ``FIRST_S`` at ``FIRST_SHARE`` of the speed, and each repeat for ``REPEAT_S`` at all of it. Keyboards repeat the last
-    key only, so only one is ever held.
+    The keyboard waits before the first repeat, and meanwhile a tap looks like a key that is held. So a press is good
+    for ``FIRST_S`` at ``FIRST_SHARE`` of the speed, and each repeat for ``REPEAT_S`` at all of it. Keyboards repeat the
+    last key only, so only one is ever held.
     """
 
     FIRST_S = 0.6
@@ -70,7 +70,9 @@ class RepeatedKeys:
 
     def take(self, key: Key, now_s: float) -> None:
         """Take note of a key."""
-        if key.name in self.held(now_s).keys:
+        if key.change is Change.RELEASE:  # which such a terminal does not send
+            self.release()
+        elif key.name in self.held(now_s).keys:
             self._hold, self._until_s = Hold({key.name}, 1.0), now_s + self.REPEAT_S
         else:
             self._hold, self._until_s = Hold({key.name}, self.FIRST_SHARE), now_s + self.FIRST_S
@@ -115,7 +117,7 @@ class Heartbeat:
 
 
 class DeadManButton:
-    """The button of a gamepad that must be held. It counts only after it was seen released, as at first and after a loss."""
+    """The button of a gamepad that must be held; at first, and after a loss, it counts once it was seen released."""
 
     def __init__(self) -> None:
         self._was_released = False

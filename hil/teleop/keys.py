@@ -50,7 +50,6 @@ _SHIFT, _CTRL, _LOCKS = 1, 4, 64 | 128
 # Parameters, intermediates and the final character.
 _CSI = re.compile(rb"\x1b\[([0-?]*)([ -/]*)([@-~])")
 _LONGEST_SEQUENCE = 64
-_MOST = 0x110000
 
 
 class KeyDecoder:
@@ -106,7 +105,9 @@ def _control_sequence(data: bytes) -> tuple[int, Event | None]:
         is_begun = re.fullmatch(rb"\x1b\[[0-?]*[ -/]*", data) is not None
         # Line noise is no reason to swallow the Esc key.
         return (0, None) if is_begun and len(data) < _LONGEST_SEQUENCE else (1, Key("escape"))
-    return found.end(), None if found[2] else _meaning(found[1].decode(), found[3].decode())
+    if found[2] or found.end() > _LONGEST_SEQUENCE:
+        return found.end(), None
+    return found.end(), _meaning(found[1].decode(), found[3].decode())
 
 
 def _meaning(parameters: str, final: str) -> Event | None:

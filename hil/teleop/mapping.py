@@ -61,8 +61,8 @@ def of_keys(keys: AbstractSet[str]) -> Direction:
 def of_sticks(sticks: Sticks, dead_zone: float, expo: float) -> Direction:
     """Return where the sticks point.
 
-    Within ``dead_zone`` (0 to below 1) of its centre a stick is at rest, and from there its way counts from 0. ``expo`` (0
-    to 1) makes it finer near the centre: (1 - expo) r + expo r³. The left stick's direction stays as it is.
+    Within ``dead_zone`` (0 to below 1) of its centre a stick is at rest, and from there its way counts from 0. ``expo``
+    (0 to 1) makes it finer near the centre: (1 - expo) r + expo r³. The left stick's direction stays as it is.
     """
     length = math.hypot(sticks.forward, sticks.left)
     share = _shaped(length, dead_zone, expo) / length if length else 0.0
