@@ -41,7 +41,9 @@ class Terminal:
     def __init__(self) -> None:
         if not (sys.stdin.isatty() and sys.stdout.isatty()):
             raise BadInputError("teleop needs a terminal for keys and screen; begin it in one, without pipes")
-        self._in, self._out = sys.stdin.fileno(), sys.stdout.fileno()
+        # Asked now: of a terminal that has gone, the answer is no.
+        self._streams = [stream.fileno() for stream in (sys.stdin, sys.stdout, sys.stderr) if stream.isatty()]
+        self._in, self._out = self._streams[:2]
         self._before: _Attributes | None = None
         self._decoder = KeyDecoder()
         self._esc_s = 0.0
@@ -79,9 +81,8 @@ class Terminal:
     def forget(self) -> None:
         """The terminal has gone: let nothing that is still printed fail because of that."""
         null = os.open(os.devnull, os.O_RDWR)
-        for stream in (sys.stdin, sys.stdout, sys.stderr):
-            if stream.isatty() or stream is not sys.stderr:
-                os.dup2(null, stream.fileno())
+        for stream in self._streams:
+            os.dup2(null, stream)
 
     def wait(self, until_s: float, other: int) -> bool:
         """Wait for keys, for something on ``other``, or until then; return whether there is something on ``other``."""
