@@ -79,7 +79,8 @@ class Window:
 
     def says(self, text: str) -> None:
         """Wait until something was shown."""
-        wait_for(lambda: text.encode() in self.shown)
+        wait_for(lambda: text.encode() in self.shown or self.process.poll() is not None)
+        assert text.encode() in self.shown, self.shown.decode(errors="replace")
 
     def close(self) -> None:
         """Close the window; whatever is in front of it hangs up."""
