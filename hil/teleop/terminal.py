@@ -60,12 +60,12 @@ class Terminal:
             changed[6][termios.VMIN], changed[6][termios.VTIME] = 1, 0
             self._before = before
             termios.tcsetattr(self._in, termios.TCSAFLUSH, changed)
-        self._write(_ENTER)
+        self._write(_ENTER, _ANSWER_S)
         self.tells_releases = self._ask_flags() is not None
         if self.tells_releases:
-            self._write(_PUSH_FLAGS)
+            self._write(_PUSH_FLAGS, _ANSWER_S)
             if ((self._ask_flags() or 0) & _WANTED_FLAGS) != _WANTED_FLAGS:
-                self._write(_POP_FLAGS)
+                self._write(_POP_FLAGS, _ANSWER_S)
                 self.tells_releases = False
 
     def leave(self) -> None:
@@ -74,7 +74,7 @@ class Terminal:
             return
         before, self._before = self._before, None
         with contextlib.suppress(LostTerminalError):
-            self._write((_POP_FLAGS if self.tells_releases else b"") + _LEAVE)
+            self._write((_POP_FLAGS if self.tells_releases else b"") + _LEAVE, _ANSWER_S)
         with contextlib.suppress(termios.error):
             termios.tcsetattr(self._in, termios.TCSAFLUSH, before)
 
@@ -140,10 +140,10 @@ class Terminal:
         ready, _, _ = select.select([self._in], [], [], 0.0)
         return bool(ready)
 
-    def _write(self, data: bytes) -> None:
+    def _write(self, data: bytes, within_s: float = 0.0) -> None:
         """Write, unless the terminal takes nothing: then it must not keep us from stopping the robot."""
         with _lost():
-            _, ready, _ = select.select([], [self._out], [], 0.0)
+            _, ready, _ = select.select([], [self._out], [], within_s)
             if ready:
                 os.write(self._out, data)
 
