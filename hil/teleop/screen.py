@@ -9,11 +9,11 @@ from hil.teleop.held import RepeatedKeys
 from hil.teleop.mapping import Speeds
 from hil.types import Twist
 
-_TELLS = "this terminal tells when a key is released: the robot stops at once"
+_TELLS = "this terminal tells when a key is released: the robot is told to stop at once"
 _REPEATS = (
     f"this terminal does not tell when a key is released. A press drives for {RepeatedKeys.FIRST_S:g} s at "
     f"{RepeatedKeys.FIRST_SHARE:.0%} of the speed,",
-    f"and on as long as the key repeats; the robot stops {RepeatedKeys.REPEAT_S:g} s after the last repeat. "
+    f"and on as long as the key repeats; the robot is told to stop {RepeatedKeys.REPEAT_S:g} s after the last repeat. "
     "One key at a time.",
 )
 _HELP = (
