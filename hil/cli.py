@@ -41,6 +41,7 @@ from hil.commands.reproduce import reproduce
 from hil.commands.review import review
 from hil.commands.robot import device, params
 from hil.commands.serve import serve
+from hil.commands.teleop import teleop
 from hil.commands.trace import decode
 from hil.errors import BadInputError, DeviceError, HilError, LinkError, RunInterruptedError
 
@@ -149,6 +150,7 @@ app.command()(replay)
 app.command()(reproduce)
 app.command()(review)
 app.command()(serve)
+app.command()(teleop)
 
 
 @app.command()

@@ -74,25 +74,24 @@ class Client:
 
     def watch(self) -> Iterator[dict[str, Any]]:
         """Yield the status as it comes. Raises LinkError when the service ends."""
-        with self._live() as socket:
+        with self.live() as live:
             while True:
-                told = json.loads(socket.recv())
+                told = live.hear(None) or {}
                 if "status" in told:
                     yield told["status"]
 
     def twist(self, arguments: Mapping[str, float], for_s: float) -> None:
         """Drive by twist for a time, and then stop. Ctrl-C stops at once, and raises RunInterruptedError."""
-        numbers = itertools.count()
-        with self._live() as socket:
+        with self.live() as live:
             end_s = time.monotonic() + for_s
             try:
                 while (now_s := time.monotonic()) < end_s:
-                    _order(socket, next(numbers), Action.TWIST, arguments)
-                    _hear(socket, min(now_s + TWIST_PERIOD_S, end_s))
+                    live.order(Action.TWIST, arguments)
+                    _hear(live, min(now_s + TWIST_PERIOD_S, end_s))
             except KeyboardInterrupt:
-                _stop(socket, next(numbers))
+                _stop(live)
                 raise RunInterruptedError("interrupted; the robot was told to stop") from None
-            _stop(socket, next(numbers))
+            _stop(live)
 
     def _ask(
         self, method: str, path: str, body: Mapping[str, Any] | None, timeout_s: float = _TIMEOUT_S
@@ -134,11 +133,12 @@ class Client:
         return dict(said)
 
     @contextlib.contextmanager
-    def _live(self) -> Iterator[ClientConnection]:
+    def live(self) -> Iterator["Live"]:
+        """Return a WebSocket to the service. What is done with it raises LinkError when the service ends."""
         address = "ws" + self._url.removeprefix("http") + "/v1/live"
         try:
             with connect(address, additional_headers=self._headers, proxy=None, open_timeout=_TIMEOUT_S) as socket:
-                yield socket
+                yield Live(socket)
         except InvalidStatus as error:
             self._checked(error.response.status_code, error.response.body or b"")
         except ConnectionClosed as error:
@@ -148,23 +148,37 @@ class Client:
             raise LinkError(f"service {self._url}: {error}; it may be starting again, or has ended") from None
 
 
-def _order(socket: ClientConnection, number: int, action: Action, arguments: Mapping[str, Any]) -> None:
-    socket.send(json.dumps({"order": {"number": number, "action": action.value, "arguments": dict(arguments)}}))
+class Live:
+    """Orders to a service, and its answers and statuses as they come; made by ``Client.live``."""
+
+    def __init__(self, socket: ClientConnection) -> None:
+        self._socket = socket
+        self._numbers = itertools.count()
+
+    def order(self, action: Action, arguments: Mapping[str, Any] | None = None) -> int:
+        """Send an order, and return the number that its answer will have."""
+        number = next(self._numbers)
+        order = {"number": number, "action": action.value, "arguments": dict(arguments or {})}
+        self._socket.send(json.dumps({"order": order}))
+        return number
+
+    def hear(self, within_s: float | None) -> dict[str, Any] | None:
+        """Return the next ``{"status": ...}`` or ``{"answer": ...}``; None when none comes in time, None for ever."""
+        try:
+            told: dict[str, Any] = json.loads(self._socket.recv(timeout=within_s))
+        except TimeoutError:
+            return None
+        return told
 
 
-def _stop(socket: ClientConnection, number: int) -> None:
-    _order(socket, number, Action.STOP, {})
-    if not _hear(socket, time.monotonic() + _TIMEOUT_S, number):
+def _stop(live: Live) -> None:
+    if not _hear(live, time.monotonic() + _TIMEOUT_S, live.order(Action.STOP)):
         raise LinkError("the service did not answer that it stops the robot; it does so when the twist times out")
 
 
-def _hear(socket: ClientConnection, until_s: float, number: int | None = None) -> bool:
+def _hear(live: Live, until_s: float, number: int | None = None) -> bool:
     """Read what comes until then, or until the answer to ``number``. Raises DeviceError when an order was refused."""
-    while (left_s := until_s - time.monotonic()) > 0.0:
-        try:
-            told = json.loads(socket.recv(timeout=left_s))
-        except TimeoutError:
-            break
+    while (left_s := until_s - time.monotonic()) > 0.0 and (told := live.hear(left_s)) is not None:
         answer = told.get("answer")
         if answer is not None and answer["refused"] is not None:
             raise DeviceError(f"refused: {answer['refused']}")

@@ -1,0 +1,143 @@
+"""What a terminal sends, as keys: characters and escape sequences of old, and those of kitty's keyboard protocol. Pure.
+
+Sources: ECMA-48, 5.4 (control sequences); https://sw.kovidgoyal.net/kitty/keyboard-protocol (press, repeat, release).
+"""
+
+import enum
+import re
+from typing import NamedTuple
+
+
+class Change(enum.Enum):
+    """What became of a key. A terminal without the protocol sends a press for every repeat, and no release."""
+
+    PRESS = 1
+    REPEAT = 2
+    RELEASE = 3
+
+
+class Key(NamedTuple):
+    """A key by its name, a lower-case character or one of ``_NAMED``, with Ctrl, Alt or another such key or not."""
+
+    name: str
+    change: Change = Change.PRESS
+    ctrl: bool = False
+    other: bool = False
+
+
+class Flags(NamedTuple):
+    """The terminal's answer to ``CSI ? u``: which of the protocol's enhancements are in force."""
+
+    flags: int
+
+
+class Attributes(NamedTuple):
+    """The terminal's answer to ``CSI c``, which every terminal gives, after those to earlier questions."""
+
+
+class Focus(NamedTuple):
+    """The terminal's window gets what is typed from now on, or no more."""
+
+    gained: bool
+
+
+Event = Key | Flags | Attributes | Focus
+
+_ESC = 0x1B
+_ARROWS = {"A": "up", "B": "down", "C": "right", "D": "left"}
+_NAMED = {9: "tab", 10: "enter", 13: "enter", 27: "escape", 32: "space", 127: "backspace"}
+_SHIFT, _CTRL, _LOCKS = 1, 4, 64 | 128
+# Parameters, intermediates and the final character.
+_CSI = re.compile(rb"\x1b\[([0-?]*)([ -/]*)([@-~])")
+_LONGEST_SEQUENCE = 64
+
+
+class KeyDecoder:
+    """Makes events of bytes, however they are cut. What is no key of ours gives no event."""
+
+    def __init__(self) -> None:
+        self._rest = b""
+
+    @property
+    def waits(self) -> bool:
+        """Whether there is the beginning of a sequence, which may be the Esc key alone: see ``settle``."""
+        return bool(self._rest)
+
+    def feed(self, data: bytes) -> list[Event]:
+        """Return the events that these bytes complete."""
+        left = self._rest + data
+        events: list[Event] = []
+        while left:
+            taken, event = _first(left)
+            if not taken:
+                break
+            left = left[taken:]
+            if event is not None:
+                events.append(event)
+        self._rest = left
+        return events
+
+    def settle(self) -> list[Event]:
+        """Nothing more came for a while: what looked like the beginning of a sequence was the Esc key."""
+        self._rest = b""
+        return [Key("escape")]
+
+
+def _first(data: bytes) -> tuple[int, Event | None]:
+    """Return how many bytes the first event takes, 0 when it is not complete, and the event if it is one of ours."""
+    if data[0] != _ESC:
+        return 1, _character(data[0])
+    if len(data) == 1:
+        return 0, None
+    if data[1] == ord("["):
+        return _control_sequence(data)
+    if data[1] == ord("O"):  # arrows in the keypad's application mode
+        return (3, _arrow(chr(data[2]))) if len(data) > 2 else (0, None)
+    if data[1] == _ESC:
+        return 1, Key("escape")
+    key = _character(data[1])
+    return 2, None if key is None else key._replace(other=True)
+
+
+def _control_sequence(data: bytes) -> tuple[int, Event | None]:
+    found = _CSI.match(data)
+    if found is None:
+        is_begun = re.fullmatch(rb"\x1b\[[0-?]*[ -/]*", data) is not None
+        # Line noise is no reason to swallow the Esc key.
+        return (0, None) if is_begun and len(data) < _LONGEST_SEQUENCE else (1, Key("escape"))
+    if found[2] or found.end() > _LONGEST_SEQUENCE:
+        return found.end(), None
+    return found.end(), _meaning(found[1].decode(), found[3].decode())
+
+
+def _meaning(parameters: str, final: str) -> Event | None:
+    if final in "IO" and not parameters:
+        return Focus(final == "I")
+    if final == "c" and parameters.startswith("?"):
+        return Attributes()
+    if final == "u" and parameters.startswith("?"):
+        return Flags(int(parameters[1:])) if parameters[1:].isdecimal() else None
+    if re.fullmatch(r"[0-9:;]*", parameters) is None or final not in "uABCD":
+        return None
+    fields = [[int(part or 1) for part in field.split(":")] for field in f"{parameters};".split(";")]
+    code, (modifiers, change) = fields[0][0], (*fields[1], 1)[:2]
+    if change not in (1, 2, 3):
+        return None
+    key = _arrow(final) if final != "u" else _character(code)
+    if key is None:
+        return None
+    bits = (modifiers - 1) & ~_LOCKS
+    return Key(key.name, Change(change), bool(bits & _CTRL), bool(bits & ~(_CTRL | _SHIFT)))
+
+
+def _arrow(final: str) -> Key | None:
+    return Key(_ARROWS[final]) if final in _ARROWS else None
+
+
+def _character(code: int) -> Key | None:
+    """Return the key of a character; those from 1 to 26 are letters with Ctrl."""
+    if code in _NAMED:
+        return Key(_NAMED[code])
+    if 1 <= code <= 26:
+        return Key(chr(code + 96), ctrl=True)
+    return Key(chr(code).lower()) if 33 <= code <= 126 else None
