@@ -115,8 +115,8 @@ def test_an_emergency_stop_that_waited_is_done() -> None:
     [
         (Action.GAINS, {"gains": {"k1_1_s": 10**400}}, "expected a finite number"),
         (Action.GAINS, {"gains": {"k3": 1.0}}, "unknown option 'k3'"),
-        (Action.TRACK, {"here": True, "reference": {"kind": "circle", "radius_m": 1e308}}, "no pose at each time"),
-        (Action.TRACK, {"here": True, "reference": {"kind": "waypoints", "file": "none.csv"}}, "none.csv"),
+        (Action.TRACK, {"reference": {"kind": "rounded_square", "side_m": 1e308}}, "no pose at each time"),
+        (Action.TRACK, {"reference": {"kind": "waypoints", "file": "none.csv"}}, "none.csv"),
     ],
 )
 def test_what_cannot_be_made_is_refused_and_the_robot_goes_on(
@@ -124,7 +124,7 @@ def test_what_cannot_be_made_is_refused_and_the_robot_goes_on(
 ) -> None:
     with Served() as served:
         served.armed()
-        number = served.order(action, **arguments)
+        number = served.order(action, **{"here": True} | arguments)
         served.finish()
         assert why in served.refusal(number)
         served.run(0.2)
