@@ -160,6 +160,20 @@ def test_an_emergency_stop_latches_until_it_is_cleared_and_clearing_arms_nothing
         bench.armed()
 
 
+def test_clearing_waits_until_the_emergency_stop_is_confirmed_and_another_one_ends_that() -> None:
+    with armed_pilot() as bench:
+        bench.pilot.estop()
+        bench.pilot.clear()
+        bench.run(0.1)
+        assert bench.last("robot.state") == RobotState.ESTOP
+        bench.run_until(Phase.DISARMED)
+        bench.pilot.estop()
+        bench.pilot.clear()
+        bench.pilot.estop()
+        bench.run(2.0)
+        assert bench.pilot.phase is Phase.ESTOP
+
+
 def test_a_robot_that_left_active_by_itself_is_disarmed_and_says_why() -> None:
     with armed_pilot() as bench:
         bench.pilot.track(bench.made.reference, here=True)
@@ -231,6 +245,17 @@ def test_a_fault_of_the_robot_is_told_and_cleared() -> None:
         bench.pilot.clear()
         bench.run_until(Phase.DISARMED)
         bench.armed()
+
+
+def test_a_pose_that_leaps_does_not_make_a_held_robot_move() -> None:
+    with PilotBench(fault=[fault("bias", 2.0, end_s=3.0, target="truth.x_m", value=5.0)]) as bench:
+        bench.armed()
+        bench.run(3.5)
+        assert bench.pilot.phase is Phase.ACTIVE
+        speeds = [
+            abs(v) for wheel in ("fl", "fr") for v in bench.series(f"wheel.{wheel}.speed_command_rad_s") if v == v
+        ]
+        assert max(speeds) < 0.1
 
 
 def test_a_robot_that_cannot_follow_is_held_instead_of_pushing_on() -> None:

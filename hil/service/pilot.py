@@ -94,6 +94,7 @@ class Pilot:
         self._deadline_s = math.inf
         self._estop_owed = False  # asked for, and not yet confirmed by the robot
         self._estop_s = -math.inf
+        self._clear_next = False
         self._why: str | None = None
         self._law_failed = False
         self._motion: Motion | None = None
@@ -167,6 +168,7 @@ class Pilot:
             self._enter(Phase.STOPPING, _STOPPING_LIMIT_S)
         elif self.phase in (Phase.FAULT, Phase.ESTOP):
             self._parts.device.disarm()
+            self._clear_next = False
             self._deadline_s = math.inf
 
     def disarm_because(self, why: str) -> None:
@@ -176,7 +178,7 @@ class Pilot:
 
     def estop(self) -> None:
         """Stop at once and latch that. A robot that is away gets it as soon as it is back."""
-        self._estop_owed, self._estop_s = True, self._t_s
+        self._estop_owed, self._estop_s, self._clear_next = True, self._t_s, False
         self._why = "an e-stop was asked for"
         if self.phase is Phase.AWAY:
             self._why += "; the robot is away and stops by itself, and gets it as soon as it is back"
@@ -191,7 +193,9 @@ class Pilot:
         if self.phase not in (Phase.FAULT, Phase.ESTOP):
             raise BadInputError(f"the robot is {self.phase}; there is nothing to clear")
         if self._estop_owed:
-            raise BadInputError("the robot has not confirmed the e-stop yet; clear it when it has")
+            self._clear_next = True  # when the robot has confirmed the e-stop
+            return
+        self._clear_next = False
         self._parts.device.clear()
         self._deadline_s = self._t_s + _CLEARING_LIMIT_S
 
@@ -386,6 +390,9 @@ class Pilot:
                 device.estop()
                 return
             self._estop_owed = False
+            if self._clear_next:
+                self.clear()
+                return
         if robot is RobotState.IDLE:
             device.disarm()
             self._why = None
