@@ -79,15 +79,24 @@ class NumpyAfdsc:
             k2[axis] = np.sum(weights * k2_levels) / np.sum(weights)
         return k1, k2
 
+    def begin(self, reference: Reference, state: State) -> None:
+        """Start the filter at rest on its input."""
+        self.virtual, _ = self.virtual_control(reference, state)
+
+    def virtual_control(self, reference: Reference, state: State) -> tuple[Array, Array]:
+        """Return the virtual control and K2."""
+        wanted_dot = np.array(reference.twist)
+        error = np.array(state.pose) - np.array(reference.pose)
+        error[2] = math.remainder(error[2], math.tau)
+        k1, k2 = self.gains(error, np.array(state.twist) - wanted_dot)
+        virtual: Array = wanted_dot - k1 * error
+        return virtual, k2
+
     def update(self, reference: Reference, state: State, dt_s: float) -> Array:
         """Return the torques of the wheels."""
         model = self.model
-        q, q_dot = np.array(state.pose), np.array(state.twist)
-        wanted, wanted_dot = np.array(reference.pose), np.array(reference.twist)
-        error = q - wanted
-        error[2] = math.remainder(error[2], math.tau)
-        k1, k2 = self.gains(error, q_dot - wanted_dot)
-        virtual = wanted_dot - k1 * error
+        q, q_dot, wanted_dot = np.array(state.pose), np.array(state.twist), np.array(reference.twist)
+        virtual, k2 = self.virtual_control(reference, state)
         change = (1.0 - np.exp(-dt_s / self.filter_s)) * (virtual - self.virtual)
         acceleration = change / dt_s - k2 * (q_dot - self.virtual)
         self.virtual = self.virtual + change
@@ -148,8 +157,7 @@ def of_numpy(references: list[Reference], states: list[State]) -> Callable[[], N
     """Return what does all steps of AFDSC in NumPy, checked against the law's own."""
     naive, law = NumpyAfdsc(ROBOT, Afdsc.Options()), Afdsc(ROBOT, CommandMode.TORQUE, Afdsc.Options())
     law.reset(states[0], references[0])
-    first = states[0].twist  # where the filter begins does not matter for the time that it takes
-    naive.virtual = np.array(first)
+    naive.begin(references[0], states[0])
     applied = Applied(WheelCommand(CommandMode.TORQUE, ZERO_WHEELS, ZERO_WHEELS), False, LATENCY_S)
     expected, found = ZERO_WHEELS, np.zeros(4)
     for reference, state in zip(references, states, strict=True):
