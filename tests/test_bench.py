@@ -4,7 +4,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.plant_testbed import FMU
+from tools.bench.__main__ import AT_LEAST, BENCHES, Row, judge
 
 ROOT = Path(__file__).parents[1]
 
@@ -30,3 +33,15 @@ def test_the_cost_of_foreign_can_traffic_is_printed_as_a_ratio() -> None:
     assert done.returncode == 0, done.stderr
     for words in ("python-can, recv loop", "CanLink.receive", "21 of 2048 identifiers"):
         assert words in done.stdout
+
+
+ROWS = [row for bench in BENCHES for row in bench.rows]
+
+
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.what)
+def test_a_ratio_beyond_its_limit_is_a_loss_and_one_within_is_none(row: Row) -> None:
+    worse, better = (0.5, 2.0) if row.holds is AT_LEAST else (2.0, 0.5)
+    for short, limit in ((False, row.limit), (True, row.short_limit)):
+        for share, held in ((worse, False), (better, True), (1.0, True)):
+            figures = {row.place[0]: {row.place[1]: share * limit}}
+            assert judge(row, figures, short=short)[2] is held

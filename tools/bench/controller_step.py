@@ -9,11 +9,13 @@ machine disturb least. The ratio, of the medians, is what can be compared betwee
 
 import argparse
 import itertools
+import json
 import math
 import statistics
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -177,7 +179,8 @@ def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(prog="tools.bench.controller_step", description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--repeats", type=int, default=21, help="repetitions, of which median and least count")
-    repeats = parser.parse_args().repeats
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
+    options = parser.parse_args()
     references, states = motion()
     ways = {("AFDSC in NumPy", "torque"): of_numpy(references, states)}
     for (name, law), mode in itertools.product(SHIPPED.items(), CommandMode):
@@ -187,7 +190,7 @@ def main() -> None:
             continue  # it makes no sense in this mode, and says so
     going_round = of_law(Nothing, CommandMode.TORQUE, references, states)
     taken: dict[tuple[str, str], list[float]] = {way: [] for way in ways}
-    for _ in range(repeats):
+    for _ in range(options.repeats):
         for way, steps in ways.items():
             begin_ns = time.process_time_ns()
             steps()
@@ -197,10 +200,14 @@ def main() -> None:
             taken[way].append((2 * middle_ns - begin_ns - end_ns) * 1e-3 / STEPS)
     table = Table("law", "command", "µs a step", "least", "of NumPy's", title="a step of a law, CPU time")
     measure = statistics.median(taken["AFDSC in NumPy", "torque"])
+    figures = {}
     for (name, mode_name), values in taken.items():
         median = statistics.median(values)
+        figures[f"{name}, {mode_name}"] = {"cpu_us": median, "numpy_times": measure / median}
         table.add_row(name, mode_name, f"{median:.2f}", f"{min(values):.2f}", f"1/{measure / median:.0f}")
     Console().print(table)
+    if options.json is not None:
+        options.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

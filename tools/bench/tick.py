@@ -30,8 +30,7 @@ from tools.bench.naive_loop import NaiveLoop
 SCENARIO = "paper_circle"
 FIRST = 600  # exchanges that do not count: those of the handshake, and the first ticks
 ON_THE_CIRCLE_M = 0.02
-LEAST_RATIO = {"not recorded": 8.0, "recorded": 25.0}
-"""How much longer the naive loop has to take for a tick."""
+WAYS = ("not recorded", "recorded")
 
 
 class Turn(NamedTuple):
@@ -43,27 +42,22 @@ class Turn(NamedTuple):
 
 
 def main() -> None:
-    """Measure, print and judge."""
+    """Measure and print."""
     parser = argparse.ArgumentParser(prog="tools.bench.tick", description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--turns", type=int, default=5, help="of each; the least counts")
     parser.add_argument("--seconds", type=float, default=5.0, help="of robot time a turn")
     parser.add_argument("--naive-seconds", type=float, default=2.0, help="of robot time a turn of the naive loop")
-    parser.add_argument(
-        "--check", action="store_true", help="exit 1 where the naive loop is not as slow as it has to be"
-    )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
     options = parser.parse_args()
     figures = measure(options.turns, options.seconds, options.naive_seconds)
     print_figures(figures)
     if options.json is not None:
         options.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
-    if options.check and (lost := losses(figures, LEAST_RATIO)):
-        raise SystemExit("; ".join(lost))
 
 
 def measure(turns: int, seconds: float, naive_seconds: float) -> dict[str, dict[str, float]]:
     """Return for each way, recorded and not, what a tick takes, and how many times ours the naive one does."""
-    taken: dict[str, dict[str, list[Turn]]] = {name: {"ours": [], "naive": []} for name in LEAST_RATIO}
+    taken: dict[str, dict[str, list[Turn]]] = {name: {"ours": [], "naive": []} for name in WAYS}
     with tempfile.TemporaryDirectory() as folder:
         for _ in range(turns):
             for name, both in taken.items():
@@ -82,15 +76,6 @@ def measure(turns: int, seconds: float, naive_seconds: float) -> dict[str, dict[
         }
         figures[name]["ratio"] = figures[name]["naive_p10_us"] / figures[name]["ours_p10_us"]
     return figures
-
-
-def losses(figures: dict[str, dict[str, float]], least: dict[str, float]) -> list[str]:
-    """Return a sentence for each ratio that is less than it has to be."""
-    return [
-        f"a tick, {name}: the naive loop takes {figures[name]['ratio']:.1f} times ours; expected {ratio:g} and more"
-        for name, ratio in least.items()
-        if figures[name]["ratio"] < ratio
-    ]
 
 
 def ours(seconds: float, record: Path | None) -> Turn:
