@@ -13,7 +13,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping
-from functools import reduce
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -119,7 +118,9 @@ def main() -> None:
 
 def judge(row: Row, figures: Mapping[str, Any], *, short: bool) -> tuple[float, str, bool]:
     """Return a ratio from the figures of its bench, what was expected of it in words, and whether it is so."""
-    value = float(reduce(operator.getitem, row.place, figures))
+    value: Any = figures
+    for key in row.place:
+        value = value[key]
     limit = row.short_limit if short else row.limit
     return value, f"{WORDS[row.holds]} {limit:g}", row.holds(value, limit)
 

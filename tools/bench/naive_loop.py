@@ -117,7 +117,7 @@ class NaiveLoop:
     """The host's side with the robot beside it; ``record`` is the ``.rrd`` file, or None."""
 
     def __init__(self, model: RobotModel, start: Mapping[str, Any], record: Path | None) -> None:
-        self.database = cantools.database.load_file(DBC)
+        self.database: Any = cantools.database.load_file(DBC)
         self.bus = can.Bus(interface="virtual", channel="naive_loop")
         self.robot_bus = can.Bus(interface="virtual", channel="naive_loop")
         self.robot = NaiveRobot(self.robot_bus, self.database, start)
