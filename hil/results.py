@@ -36,15 +36,20 @@ class MemorySink:
         self._blocks: list[Series] = []
         self._pack_into = struct.Struct(f"{len(names)}d").pack_into
         self._row_bytes = 8 * len(names)
-        self._block = bytearray(BLOCK_ROWS * self._row_bytes)
-        self._filled = 0  # bytes
         self._steps: Iterator[None] = iter(())
+        self._new_block()
+
+    def _new_block(self) -> None:
+        # Its pages are touched one by one as rows come: no tick pays for all of them.
+        self._block: Series = np.empty((BLOCK_ROWS, len(self._names)))
+        self._bytes = memoryview(self._block).cast("B")
+        self._filled = 0  # bytes
 
     def put(self, row: tuple[float, ...]) -> None:
         """Take one row in the order of the signals."""
-        self._pack_into(self._block, self._filled, *row)  # a third of what extending an array takes
+        self._pack_into(self._bytes, self._filled, *row)  # a third of what extending an array takes
         self._filled += self._row_bytes
-        if self._filled >= len(self._block):
+        if self._filled >= len(self._bytes):
             self._begin_block()
         else:
             next(self._steps, None)
@@ -69,14 +74,13 @@ class MemorySink:
 
     def _rest(self) -> Series:
         """Return the rows since the last block, without a copy."""
-        rows = np.frombuffer(self._block, dtype=np.float64).reshape(-1, len(self._names))
-        return rows[: self._filled // self._row_bytes]
+        return self._block[: self._filled // self._row_bytes]
 
     def _begin_block(self) -> None:
         """Begin with the work on the rows since the last block."""
         self._finish_block()
         rows = self._rest()
-        self._block, self._filled = bytearray(len(self._block)), 0
+        self._new_block()
         if self._keep:
             self._blocks.append(rows)
         self._steps = self._work(rows)
