@@ -42,7 +42,7 @@ class MemorySink:
     def _new_block(self) -> None:
         # Its pages are touched one by one as rows come: no tick pays for all of them.
         self._block: Series = np.empty((BLOCK_ROWS, len(self._names)))
-        self._bytes = memoryview(self._block).cast("B")
+        self._bytes = self._block.data.cast("B")
         self._filled = 0  # bytes
 
     def put(self, row: tuple[float, ...]) -> None:
