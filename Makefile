@@ -7,7 +7,7 @@ NATIVE_SOURCES := $(wildcard native_build/*.py firmware_protocol/build.py firmwa
 	plant_fmu/*.toml plant_fmu/generated/*.* plant_fmu/generated/*/* plant_fmu/documentation/*.* \
 	plant_fmu/documentation/licenses/* plant_fmu/reference/* hil/plant/*.[ch] hil/plant/build.py)
 
-.PHONY: demo test test-socketcan catalogue check proof picture format native fmu clean setup
+.PHONY: demo test test-socketcan catalogue check proof bench picture format native fmu clean setup
 
 demo: setup
 	$(BIN)/hil run paper_circle
@@ -42,6 +42,10 @@ check: setup .venv/tools
 proof: setup .venv/tools
 	$(BIN)/python -m tools.coverage_firmware
 	$(BIN)/python -m tools.mutate --sample 20
+
+# What it costs, against named peers; ARGS goes to tools.bench, as in make bench ARGS=--short.
+bench: setup .venv/tools
+	$(BIN)/python -m tools.bench $(ARGS)
 
 picture: setup .venv/tools
 	$(BIN)/hil run paper_circle --record runs/picture.rrd

@@ -5,7 +5,7 @@ The messages are the classes of ``firmware_protocol.generated.messages``, in the
 
 from typing import Literal
 
-from firmware_protocol.framing import Frame
+from firmware_protocol.framing import Frame, make_frame
 from firmware_protocol.generated.messages import LENGTHS, MESSAGES, NAMES, Message
 
 __all__ = ["LENGTHS", "MESSAGES", "NAMES", "Message", "Refusal", "decode", "encode", "refusal"]
@@ -19,13 +19,14 @@ def encode(message: Message) -> Frame:
 
     Raises ValueError naming message, field, value and range when a value cannot be sent.
     """
-    return Frame(message.ID, message.encode())
+    return make_frame((message.ID, message.encode()))
 
 
 def decode(frame: Frame) -> Message | None:
     """Return the message of a frame, or None when it is not one; ``refusal`` then tells why. Never raises."""
-    kind = MESSAGES.get(frame.id)
-    return None if kind is None else kind.decode(frame.payload)
+    number, payload = frame
+    kind = MESSAGES.get(number)
+    return None if kind is None else kind.decode(payload)
 
 
 def refusal(frame: Frame) -> Refusal:

@@ -6,6 +6,8 @@ step at the next zero.
 """
 
 from binascii import crc_hqx
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 from cobs import cobs
@@ -15,6 +17,7 @@ from firmware_protocol.generated.messages import LENGTHS
 _HEADER = 3  # id16, sequence8
 _CRC = 2
 _CRC_START = 0xFFFF
+_SIZES = {number: _HEADER + length + _CRC for number, length in LENGTHS.items()}  # of a frame before COBS
 MAX_ENCODED = _HEADER + max(LENGTHS.values()) + _CRC + 1
 """Bytes of the longest frame on the wire without its zero; COBS adds one byte to less than 254."""
 
@@ -30,6 +33,10 @@ class Frame(NamedTuple):
 
     id: int
     payload: bytes
+
+
+make_frame: Callable[[tuple[int, bytes]], Frame] = partial(tuple.__new__, Frame)
+"""Return the frame of a pair, in half the time that ``Frame`` takes: for those that are made by the thousand."""
 
 
 def crc16(data: bytes) -> int:
@@ -90,14 +97,16 @@ class Deframer:
         *ended, rest = data.split(b"\0")
         frames = []
         for piece in ended:
-            self._append(piece)
-            if self._open:  # two zeros in a row are no error: a sender may begin with one to clear the line
-                frame = self._parse(self._open)
-                if frame is not None:
-                    frames.append(frame)
-            self._open = b""
-            self._overrun = False
-        self._append(rest)
+            whole = piece
+            if self._open or self._overrun or len(piece) > MAX_ENCODED:
+                self._append(piece)
+                whole, self._open = self._open, b""
+                self._overrun = False
+            # Two zeros in a row are no error: a sender may begin with one to clear the line.
+            if whole and (frame := self._parse(whole)) is not None:
+                frames.append(frame)
+        if rest:
+            self._append(rest)
         return frames
 
     def _append(self, piece: bytes) -> None:
@@ -115,30 +124,29 @@ class Deframer:
         except cobs.DecodeError:
             self.rejected["cobs"] += 1
             return None
-        cause = self._fault(body)
-        if cause is not None:
-            self.rejected[cause] += 1
+        if len(body) < _HEADER + _CRC:
+            self.rejected["length"] += 1
+            return None
+        if crc_hqx(body[:-_CRC], _CRC_START) != body[-2] | body[-1] << 8:
+            self.rejected["crc"] += 1
+            return None
+        sequence = body[2]
+        if sequence != self._expected_sequence:
+            self._count_lost(sequence)  # the CRC holds, so the sender sent it, whatever it is
+        self._expected_sequence = (sequence + 1) & 0xFF
+        number = body[0] | body[1] << 8
+        if _SIZES.get(number) != len(body):
+            self.rejected["length" if number in _SIZES else "unknown_id"] += 1
             return None
         self.frames += 1
-        return Frame(int.from_bytes(body[:2], "little"), body[_HEADER:-_CRC])
-
-    def _fault(self, body: bytes) -> str | None:
-        if len(body) < _HEADER + _CRC:
-            return "length"
-        if crc_hqx(body[:-_CRC], _CRC_START) != int.from_bytes(body[-_CRC:], "little"):
-            return "crc"
-        self._count_lost(body[2])  # the CRC holds, so the sender sent it, whatever it is
-        length = LENGTHS.get(int.from_bytes(body[:2], "little"))
-        if length is None:
-            return "unknown_id"
-        return None if len(body) == _HEADER + length + _CRC else "length"
+        return make_frame((number, body[_HEADER:-_CRC]))
 
     def _count_lost(self, sequence: int) -> None:
+        """Count what is missing before a frame that is not the one that was expected."""
         if self._expected_sequence is not None:
             missing = (sequence - self._expected_sequence) & 0xFF
             # Half the circle or more is a repeated frame or a sender that began anew: nothing was lost.
             self.lost += missing if missing < 128 else 0
-        self._expected_sequence = (sequence + 1) & 0xFF
 
 
 def _expected(number: int) -> str:

@@ -1,6 +1,7 @@
 """The ports of the house: what the tick needs, and nothing of how it is provided."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple, Protocol
 
 from firmware_protocol.framing import Frame
@@ -12,6 +13,10 @@ class Received(NamedTuple):
 
     frame: Frame
     stamp_ns: int
+
+
+make_received: Callable[[tuple[Frame, int]], Received] = partial(tuple.__new__, Received)
+"""Return what ``Received`` does of a pair, in half the time."""
 
 
 class Clock(Protocol):

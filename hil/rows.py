@@ -8,20 +8,11 @@ from hil.devices.snapshot import Feedback
 from hil.devices.stm32 import Stm32
 from hil.links.statistics import Statistics
 from hil.ports import Controller, OwnSignals, Sink
-from hil.signals import (
-    BatterySignals,
-    ErrorSignals,
-    EstimatorSignals,
-    GuardSignals,
-    LinkSignals,
-    LoopSignals,
-    ReferenceSignals,
-    RobotSignals,
-    Sample,
-)
-from hil.types import NAN, NAN_POSE, NAN_WHEELS, Applied, CommandMode, Pose, PoseFix, Reference, State, Twist
+from hil.signals import EstimatorSignals, LoopSignals, RobotSignals
+from hil.types import NAN, NAN_POSE, NAN_WHEELS, Applied, CommandMode, PoseFix, Reference, State, Twist
 
-_NAN_TWIST = Twist(NAN, NAN, NAN)
+_NO_STATE = State(NAN_POSE, Twist(NAN, NAN, NAN))
+_NO_ROBOT: tuple[float, ...] = (NAN,) * len(RobotSignals._fields)
 _REJECTED_EVERY = 100  # ticks; the sum over all causes is too dear for each of them
 
 
@@ -65,59 +56,62 @@ class Rows:
         if tick.tick % _REJECTED_EVERY == 0:
             self._rejected = sum(device.rejected().values())
         fix, state, reference, applied, estimator, is_held = beliefs
-        command = applied.command
-        age_ms = (silent_ns + self._feedback_latency_ns) * 1e-6 if feedback is not None else NAN
+        command, saturated, latency_s = applied
+        pose, twist = state if state is not None else _NO_STATE
         truth = fix.pose if fix is not None else NAN_POSE
-        row = Sample(
-            tick,
-            ReferenceSignals(*reference.pose, *reference.twist, *reference.acceleration),
-            state.pose if state is not None else NAN_POSE,
-            state.twist if state is not None else _NAN_TWIST,
-            truth,
-            _error(truth, reference.pose),
-            self._controller.gains,
-            feedback.speed_rad_s if feedback is not None else NAN_WHEELS,
-            command.speed_rad_s if command.mode is CommandMode.SPEED else NAN_WHEELS,
-            command.torque_n_m,
-            feedback.current_a if feedback is not None else NAN_WHEELS,
-            device.report.health.temperature_degc,
-            _robot(feedback),
-            BatterySignals(device.report.health.battery_v, device.report.health.battery_a),
-            estimator,
-            GuardSignals(applied.saturated, is_held),
-            LinkSignals(
-                device.sent,
-                device.received,
-                self._rejected,
-                age_ms,
-                device.snapshots_lost,
-                wire.sent.bytes,
-                wire.received.bytes,
-                wire.load_percent(),
-                device.round_trip.ms,
-                applied.latency_s * 1e3,
-                device.clock_sync.offset_us,
-                device.clock_sync.drift_ppm,
-            ),
-        ).row()
+        (x_m, y_m, heading_rad), (wanted_x_m, wanted_y_m, wanted_heading_rad) = truth, reference.pose
+        error_x_m, error_y_m = x_m - wanted_x_m, y_m - wanted_y_m
+        health, round_trip, clock_sync = device.report.health, device.round_trip, device.clock_sync
+        speed = current = NAN_WHEELS
+        robot, age_ms = _NO_ROBOT, NAN
+        if feedback is not None:
+            speed, current = feedback.speed_rad_s, feedback.current_a
+            age_ms = (silent_ns + self._feedback_latency_ns) * 1e-6
+            robot = (
+                feedback.robot_time_ns * 1e-9,
+                feedback.state,
+                feedback.command_age_ms,
+                feedback.yaw_rate_rad_s,
+                *feedback.acceleration_m_s2,
+            )
+        # One display: a named tuple for each group would cost more than all of the rest.
+        row = (
+            *tick,
+            *reference.pose,
+            *reference.twist,
+            *reference.acceleration,
+            *pose,
+            *twist,
+            *truth,
+            error_x_m,
+            error_y_m,
+            math.remainder(heading_rad - wanted_heading_rad, math.tau),
+            math.hypot(error_x_m, error_y_m),
+            *self._controller.gains,
+            *speed,
+            *(command.speed_rad_s if command.mode is CommandMode.SPEED else NAN_WHEELS),
+            *command.torque_n_m,
+            *current,
+            *health.temperature_degc,
+            *robot,
+            health.battery_v,
+            health.battery_a,
+            *estimator,
+            saturated,
+            is_held,
+            device.sent,
+            device.received,
+            self._rejected,
+            age_ms,
+            device.snapshots_lost,
+            wire.sent.bytes,
+            wire.received.bytes,
+            wire.load_percent(),
+            round_trip.ms,
+            latency_s * 1e3,
+            clock_sync.offset_us,
+            clock_sync.drift_ppm,
+        )
         for own in self._extra:
             row += own.telemetry
         self._sink.put(row)
-
-
-def _robot(feedback: Feedback | None) -> RobotSignals:
-    if feedback is None:
-        return RobotSignals(*[NAN] * len(RobotSignals._fields))
-    return RobotSignals(
-        feedback.robot_time_ns * 1e-9,
-        feedback.state,
-        feedback.command_age_ms,
-        feedback.yaw_rate_rad_s,
-        *feedback.acceleration_m_s2,
-    )
-
-
-def _error(truth: Pose, reference: Pose) -> ErrorSignals:
-    x_m, y_m = truth.x_m - reference.x_m, truth.y_m - reference.y_m
-    heading_rad = math.remainder(truth.heading_rad - reference.heading_rad, math.tau)
-    return ErrorSignals(x_m, y_m, heading_rad, math.hypot(x_m, y_m))

@@ -5,7 +5,6 @@ groups below, so that a signal is defined once; the unit is the end of its name.
 (``hil.ports.OwnSignals``), with the unit at the end of the name too.
 """
 
-from itertools import chain
 from typing import NamedTuple
 
 from hil.types import WHEEL_NAMES, Gains, Pose, Twist, Wheels
@@ -85,7 +84,7 @@ class LinkSignals(NamedTuple):
 
 
 class Sample(NamedTuple):
-    """Everything that one tick leaves behind; ``row`` flattens it. NaN stands for what was not there."""
+    """The groups of a row in their order; ``hil.rows`` writes it. NaN stands for what was not there."""
 
     loop: LoopSignals
     reference: ReferenceSignals
@@ -104,10 +103,6 @@ class Sample(NamedTuple):
     estimator: EstimatorSignals
     guard: GuardSignals
     link: LinkSignals
-
-    def row(self) -> tuple[float, ...]:
-        """Return the sample as floats in the order of ``SIGNALS``."""
-        return tuple(chain.from_iterable(self))
 
 
 class Signal(NamedTuple):

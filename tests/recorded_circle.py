@@ -5,6 +5,7 @@ The numbers are no robot's; they have all their bits in use, and gaps where a ru
 
 import math
 from collections.abc import Iterator
+from itertools import chain
 
 import numpy as np
 import numpy.typing as npt
@@ -51,7 +52,7 @@ def _row(tick: int, t_s: float, state: float) -> tuple[float, ...]:
     error_x, error_y, error_heading = (-size * math.exp(-6 * t_s) for size in (0.2, 0.2, 0.785))
     pose = Pose(x + error_x, y + error_y, math.pi / 4 + error_heading)
     speed = Wheels(*(8 * math.cos(_RATE_RAD_S * t_s + phase) for phase in (0.0, 1.5, 0.0, 1.5)))
-    return Sample(
+    sample = Sample(
         LoopSignals(t_s, float(tick), 50 + 20 * math.sin(tick), NAN if tick == 0 else 120 + math.sin(tick), 0.0),
         ReferenceSignals(
             x, y, math.pi / 4, -_RATE_RAD_S * y, _RATE_RAD_S * x, 0.0, -(_RATE_RAD_S**2) * x, -(_RATE_RAD_S**2) * y, 0.0
@@ -71,4 +72,5 @@ def _row(tick: int, t_s: float, state: float) -> tuple[float, ...]:
         EstimatorSignals(0.01, 0.02, 1e-3, float(tick // 100), 1.0, float(tick % 100), 0.0, 0.0),
         GuardSignals(float(t_s < 0.2), 0.0),
         LinkSignals(2.0 * tick, 5.0 * tick, 0.0, 1.0, 0.0, 28.0 * tick, 70.0 * tick, 40.0, 5.0, 6.0, 20e3 - t_s, -1.0),
-    ).row()
+    )
+    return tuple(chain.from_iterable(sample))

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.plant_testbed import FMU
+from tools.bench.__main__ import AT_LEAST, BENCHES, Row, judge
 
 ROOT = Path(__file__).parents[1]
 
@@ -47,3 +48,15 @@ def test_the_rate_that_is_held_is_written_into_the_page_once(tmp_path: Path) -> 
     assert [lines[0], lines[2], lines[-1]] == ["before", "| another | row |", "after"]
     assert "serial:pty, 200 Hz" in lines[3]
     assert len(lines) == 6
+
+
+ROWS = [row for bench in BENCHES for row in bench.rows]
+
+
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.what)
+def test_a_ratio_beyond_its_limit_is_a_loss_and_one_within_is_none(row: Row) -> None:
+    worse, better = (0.5, 2.0) if row.holds is AT_LEAST else (2.0, 0.5)
+    for short, limit in ((False, row.limit), (True, row.short_limit)):
+        for share, held in ((worse, False), (better, True), (1.0, True)):
+            figures = {row.place[0]: {row.place[1]: share * limit}}
+            assert judge(row, figures, short=short)[2] is held

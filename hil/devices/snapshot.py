@@ -12,6 +12,10 @@ from firmware_protocol.generated.messages import Accelerometer, Currents, Encode
 from hil.types import NAN, NAN_WHEELS, Wheels
 
 _PARTS: dict[type, int] = {Encoders: 1, WheelSpeeds: 2, Currents: 4, Accelerometer: 8, Gyro: 16}
+_INERTIAL = _PARTS[Accelerometer]  # and above
+IN_SNAPSHOT = frozenset([Tick, *_PARTS])
+"""The messages that make a snapshot."""
+_STATES = {int(state): state for state in State}
 _NO_ACCELERATION = (NAN, NAN, NAN)
 
 
@@ -65,14 +69,15 @@ class SnapshotAssembler:
             self._open(message)
             return None
         part = _PARTS.get(type(message))
-        if part is None or not self._missing:
+        missing = self._missing
+        if part is None or not missing:
             return None
-        if part != self._missing & -self._missing or not self._belongs(message):
+        if part != missing & -missing or (part >= _INERTIAL and not self._belongs(message)):
             self._missing = 0
             self.incomplete += 1
             return None
         self._pending.append(message)
-        self._missing &= ~part
+        self._missing = missing & ~part
         return None if self._missing else self._commit()
 
     def _belongs(self, message: Message) -> bool:
@@ -115,7 +120,7 @@ class SnapshotAssembler:
         self._last_us = tick.time_us
         return Feedback(
             self._time_us * 1000,
-            State(tick.state),
+            _STATES[tick.state],
             tick.sequence,
             tick.command_age_ms,
             self._count,

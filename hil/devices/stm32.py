@@ -13,7 +13,7 @@ from hil.devices import handshake, stepping
 from hil.devices.handshake import RETRY_NS, Expected, Greeting, RobotInfo
 from hil.devices.link_times import SYNC_PERIOD_NS, ClockSync, RoundTrip
 from hil.devices.robot_report import RobotReport
-from hil.devices.snapshot import Feedback, SnapshotAssembler
+from hil.devices.snapshot import IN_SNAPSHOT, Feedback, SnapshotAssembler
 from hil.devices.wheel_map import WheelMap
 from hil.devices.wire_hash import WireHash
 from hil.errors import BadInputError, DeviceError, HilError, RobotStoppedError
@@ -262,16 +262,18 @@ class Stm32:
 
     def wait_until(self, t_ns: int) -> int:
         """Let time pass on the clock; commands that the link delays go out on their way. Returns the lateness [ns]."""
-        clock = self._clock
+        clock, link = self._clock, self._link
         assert clock is not None
-        self._link.service()
-        while (due_ns := self._link.next_due_ns()) is not None and due_ns < t_ns:
-            clock.wait_until(due_ns)
-            self._link.service()
+        if link.may_hold:
+            link.service()
+            while (due_ns := link.next_due_ns()) is not None and due_ns < t_ns:
+                clock.wait_until(due_ns)
+                link.service()
         if self.clock_sync.awaiting and not self._expected.lockstep:
             self._await_clock(clock, t_ns)
         late_ns = clock.wait_until(t_ns)
-        self._link.service()
+        if link.may_hold:
+            link.service()
         return late_ns
 
     def _await_clock(self, clock: Clock, t_ns: int) -> None:
@@ -289,6 +291,7 @@ class Stm32:
         while (taken < _MOST_A_POLL or self._expected.lockstep) and (received := self._link.receive(0)) is not None:
             self._take(received)
             taken += 1
+        self._hash.keep_up()
         if self._clock is not None:
             now_ns = self._clock.now_ns()
             due_ns = self._next_heartbeat_ns
@@ -333,7 +336,7 @@ class Stm32:
         """Send a STEP and take what comes until its answer; return the tick reached. 0 substeps only ask for it."""
         self._send(step)
         done = stepping.await_done(self._link, step, self._take)
-        self._hash.received(codec.encode(done))
+        self._hash.received(codec.encode(done))  # once, however often STEP was repeated
         return done.tick
 
     # Frames
@@ -359,13 +362,16 @@ class Stm32:
             self._out_of_range += 1
             return None
         self.received += frame.id < m.HelloRequest.ID
-        if frame.id != m.StepDone.ID:  # hashed once, by the step that it answers
-            self._hash.received(frame)
-        snapshot = self._assembler.feed(message)
-        if snapshot is not None:
-            self._feedback = self._map.feedback_from_wire(snapshot)
-        elif isinstance(message, m.Tick):
-            self.round_trip.echoed(message.sequence, stamp_ns)
+        kind = type(message)
+        if kind is m.StepDone:
+            return message  # hashed by the step that it answers
+        self._hash.received(frame)
+        if kind in IN_SNAPSHOT:
+            snapshot = self._assembler.feed(message)
+            if snapshot is not None:
+                self._feedback = self._map.feedback_from_wire(snapshot)
+            if isinstance(message, m.Tick):
+                self.round_trip.echoed(message.sequence, stamp_ns)
         elif self._greeting is not None and (info := self._greeting.feed(message)) is not None:
             self._check_same(info)
             self._greeting = None

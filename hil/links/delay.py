@@ -20,6 +20,9 @@ class NowNs(Protocol):
 class HoldingLink(Link, Protocol):
     """A link that may hold back what was sent for a while, and has to be looked after meanwhile."""
 
+    may_hold: bool
+    """Whether it ever does; where not, nothing is ever due."""
+
     def next_due_ns(self) -> int | None:
         """Return when the next held command is due, or None when none is held."""
 
@@ -36,8 +39,9 @@ class HoldingLink(Link, Protocol):
 class DelayedLink:
     """Holds frames of either direction for a fixed time.
 
-    ``service`` lets go what is due; ``next_due_ns`` says when it is to be called again. ``command_latency_ns`` counts
-    from ``send`` to the hand-over to the link below, ``feedback_latency_ns`` from there to ``receive``.
+    A direction without latency is that of the link below, with no step between. ``service`` lets go what is due;
+    ``next_due_ns`` says when it is to be called again. ``command_latency_ns`` counts from ``send`` to the hand-over to
+    the link below, ``feedback_latency_ns`` from there to ``receive``.
     """
 
     def __init__(self, link: HoldingLink, clock: NowNs, command_latency_ns: int, feedback_latency_ns: int) -> None:
@@ -45,11 +49,14 @@ class DelayedLink:
         self._clock = clock
         self._command_latency_ns = command_latency_ns
         self._feedback_latency_ns = feedback_latency_ns
+        self.may_hold = link.may_hold or command_latency_ns > 0
         self._outgoing: deque[tuple[int, Frame]] = deque()
         self._incoming: deque[Received] = deque()
+        self.send = self._send_late if command_latency_ns else link.send
+        self.receive = self._receive_late if feedback_latency_ns else link.receive
 
-    def send(self, frame: Frame) -> None:
-        if frame.id >= FIRST_EXEMPT_ID or not self._command_latency_ns:
+    def _send_late(self, frame: Frame) -> None:
+        if frame.id >= FIRST_EXEMPT_ID:
             self._link.send(frame)
         else:
             self._outgoing.append((self._clock.now_ns() + self._command_latency_ns, frame))
@@ -75,9 +82,7 @@ class DelayedLink:
             self._link.send(self._outgoing.popleft()[1])
         self._link.flush()
 
-    def receive(self, timeout_ns: int) -> Received | None:
-        if not self._feedback_latency_ns:
-            return self._link.receive(timeout_ns)
+    def _receive_late(self, timeout_ns: int) -> Received | None:
         deadline_ns = time.monotonic_ns() + timeout_ns if timeout_ns > 0 else 0
         while True:
             # What is due goes first, however the rest comes in: the order is then the same on every transport.

@@ -134,20 +134,23 @@ class FaultLink:
     """Applies faults to the frames of a link. Time is the scenario's, so nothing happens before that has begun.
 
     ``service`` lets go what is due of what is held on its way out; ``next_due_ns`` says when it is to be called again.
+    Without faults it sends and receives as the link below, with no step between.
     """
 
     def __init__(self, link: Link, time: ScenarioTime, faults: Sequence[LinkFault]) -> None:
         self._link = link
         self._time = time
-        self._has_faults = bool(faults)
+        self.may_hold = bool(faults)
         self._disconnects = [fault for fault in faults if fault.kind == "disconnect"]
         self._out = _Way("command", faults)
         self._in = _Way("feedback", faults)
         self._ready: deque[Received] = deque()
         self._cut: LinkFault | None = None  # that the link was lost by
+        self.send = self._send_through if faults else link.send
+        self.receive = self._receive_through if faults else link.receive
 
-    def send(self, frame: Frame) -> None:
-        t_ns = self._time.now_ns() if self._has_faults else None
+    def _send_through(self, frame: Frame) -> None:
+        t_ns = self._time.now_ns()
         if t_ns is None or is_exempt(frame.id):
             self._link.send(frame)
             return
@@ -155,10 +158,10 @@ class FaultLink:
         self._out.take(frame, t_ns)
         self._let_go(t_ns)
 
-    def receive(self, timeout_ns: int) -> Received | None:
+    def _receive_through(self, timeout_ns: int) -> Received | None:
         deadline_ns = time.monotonic_ns() + timeout_ns if timeout_ns > 0 else 0
         while True:
-            t_ns = self._time.now_ns() if self._has_faults else None
+            t_ns = self._time.now_ns()
             if t_ns is not None:
                 self._ready.extend(Received(frame, self._time.on_clock_ns(t_ns)) for frame in self._in.due(t_ns))
             if self._ready:
@@ -177,7 +180,7 @@ class FaultLink:
 
     def service(self, *, everything: bool = False) -> None:
         """Hand over the commands that are due, or with ``everything`` all that are held."""
-        t_ns = self._time.now_ns() if self._has_faults else None
+        t_ns = self._time.now_ns() if self.may_hold else None
         if t_ns is not None:
             self._let_go(t_ns, everything=everything)
 

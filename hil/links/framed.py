@@ -5,7 +5,7 @@ from collections import Counter, deque
 
 from firmware_protocol.framing import Deframer, Frame, Framer
 from hil.links.streams import HostStream
-from hil.ports import Received
+from hil.ports import Received, make_received
 
 
 class StreamLink:
@@ -23,9 +23,10 @@ class StreamLink:
         self._stream.write(self._framer.encode(frame))
 
     def receive(self, timeout_ns: int) -> Received | None:
-        if not self._ready:
+        ready = self._ready
+        if not ready:
             self._fill(timeout_ns)
-        return self._ready.popleft() if self._ready else None
+        return ready.popleft() if ready else None
 
     def _fill(self, timeout_ns: int) -> None:
         deadline_ns = time.monotonic_ns() + timeout_ns if timeout_ns > 0 else 0
@@ -33,7 +34,7 @@ class StreamLink:
             data = self._stream.read(timeout_ns)
             if data:
                 stamp_ns = time.monotonic_ns()
-                self._ready.extend(Received(frame, stamp_ns) for frame in self._deframer.feed(data))
+                self._ready.extend([make_received((frame, stamp_ns)) for frame in self._deframer.feed(data)])
             if self._ready or timeout_ns <= 0:
                 return
             # Bytes came that completed no frame: wait on for what is left of the time.

@@ -12,7 +12,7 @@ from firmware_protocol.framing import CAUSES, FRAME_OVERHEAD, Frame
 from firmware_protocol.generated.messages import LENGTHS
 from hil.links.can_frame import classic_bits, fd_bits
 from hil.links.url import CanUrl, LinkUrl, MemoryUrl, SerialUrl
-from hil.ports import Clock, Link, Received
+from hil.ports import Clock, Link, Received, make_received
 from hil.types import NAN
 
 _BUCKET_NS = 10_000_000
@@ -241,19 +241,23 @@ class Statistics:
 
     def receive(self, timeout_ns: int) -> Received | None:
         received = self._link.receive(timeout_ns)
-        if self._trace is not None:
+        trace = self._trace
+        if trace is not None:
             self._trace_noise()
         if received is None:
             return None
-        frame = received.frame
-        stamp_ns = self._clock.now_ns() if self._ahead_ns is None else received.stamp_ns - self._ahead_ns
+        frame, stamp_ns = received
+        stamp_ns = self._clock.now_ns() if self._ahead_ns is None else stamp_ns - self._ahead_ns
         usage = self._meter.received(frame)
-        self.received.add(usage)
-        if usage.busy_ns:
-            self._up.add(stamp_ns, usage.busy_ns)
-        if self._trace is not None:
-            self._trace.frame(stamp_ns, frame, sent=False)
-        return Received(frame, stamp_ns)
+        if usage is _NOTHING:
+            self.received.frames += 1
+        else:
+            self.received.add(usage)
+            if usage.busy_ns:
+                self._up.add(stamp_ns, usage.busy_ns)
+        if trace is not None:
+            trace.frame(stamp_ns, frame, sent=False)
+        return make_received((frame, stamp_ns))
 
     def overhear(self, message: Any) -> None:
         """Take a ``can.Message`` on the bus that is none of ours."""

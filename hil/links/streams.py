@@ -1,6 +1,6 @@
 """Byte streams: what a serial line is to the framing. The memory stream is one within a process."""
 
-import threading
+import queue
 from collections.abc import Callable
 from typing import Protocol
 
@@ -36,13 +36,12 @@ class HostStream(ByteStream, Protocol):
 class MemoryStream:
     """One end of a line within this process; made in pairs by ``memory_pair``.
 
-    Safe between two threads. ``on_starved``, where set, is called by a read that finds nothing, before it waits:
-    in lockstep the other end is served there, in the same thread.
+    Safe between two threads. ``on_starved``, where set, is called by a read that finds nothing while the other
+    end has something to read: in lockstep that is served there, in the same thread.
     """
 
     def __init__(self) -> None:
-        self._received = bytearray()
-        self._arrived = threading.Condition()
+        self._received: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         self._peer: MemoryStream | None = None
         self.on_starved: Callable[[], None] | None = None
 
@@ -54,23 +53,32 @@ class MemoryStream:
         peer = self._peer
         if peer is None:
             raise LinkError("the memory link was closed; open a new one")
-        with peer._arrived:
-            peer._received += data
-            peer._arrived.notify()
+        peer._received.put(data)
 
     def read(self, timeout_ns: int) -> bytes:
-        if not self._received and self.on_starved is not None:
-            self.on_starved()
-        with self._arrived:
-            if not self._received and timeout_ns > 0 and self.on_starved is None:
-                self._arrived.wait(timeout_ns * 1e-9)
-            data = bytes(self._received)
-            self._received.clear()
+        received = self._received
+        if received.empty():
+            if self.on_starved is not None:
+                if self._peer is not None and not self._peer._received.empty():
+                    self.on_starved()
+            elif timeout_ns > 0:
+                return self._await(timeout_ns)
+        if received.empty():
+            return b""
+        data = received.get()
+        while not received.empty():  # one thread alone reads this end
+            data += received.get()
         return data
 
+    def _await(self, timeout_ns: int) -> bytes:
+        try:
+            return self._received.get(timeout=timeout_ns * 1e-9)
+        except queue.Empty:
+            return b""
+
     def reopen(self) -> None:
-        with self._arrived:
-            self._received.clear()
+        while not self._received.empty():
+            self._received.get()
 
     def unread_bytes(self) -> int:
         return 0

@@ -7,9 +7,11 @@ filter stops costs the host nothing; how many of the 2048 identifiers pass it is
 """
 
 import argparse
+import json
 import statistics
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import can
 from rich.console import Console
@@ -32,6 +34,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="tools.bench.can_foreign", description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--frames", type=int, default=5000, help="frames a repetition")
     parser.add_argument("--repeats", type=int, default=11, help="repetitions, of which the median counts")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
     options = parser.parse_args()
     rows: list[can.typechecking.CanFilter] = [
         {"can_id": f.identifier, "can_mask": f.mask, "extended": False} for f in FILTERS
@@ -58,7 +61,12 @@ def main() -> None:
                 costs[name].append((time.process_time_ns() - begin_ns) * 1e-3 / options.frames)
     assert link.rejected()["unknown_id"] == options.frames * options.repeats
     link.close()
-    _print(costs)
+    medians = {name: statistics.median(samples) for name, samples in costs.items()}
+    _print(medians)
+    if options.json is not None:
+        floor = medians["python-can, recv loop"]
+        figures = {name: {"cpu_us": median, "of_recv_loop": median / floor} for name, median in medians.items()}
+        options.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
 
 
 def _drain(bus: can.BusABC) -> None:
@@ -75,13 +83,12 @@ def _drain_link(link: CanLink) -> None:
         raise AssertionError("a foreign frame was taken for ours, or the last frame did not come")
 
 
-def _print(costs: dict[str, list[float]]) -> None:
+def _print(medians: dict[str, float]) -> None:
     table = Table(title="a foreign frame, CPU time")
     for heading in ("way", "µs", "ratio"):
         table.add_column(heading, justify="left" if heading == "way" else "right")
-    floor = statistics.median(next(iter(costs.values())))
-    for name, samples in costs.items():
-        median = statistics.median(samples)
+    floor = next(iter(medians.values()))
+    for name, median in medians.items():
         table.add_row(name, f"{median:.2f}", f"{median / floor:.2f}")
     console = Console()
     console.print(table)

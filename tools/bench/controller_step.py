@@ -9,11 +9,13 @@ machine disturb least. The ratio, of the medians, is what can be compared betwee
 
 import argparse
 import itertools
+import json
 import math
 import statistics
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,15 +81,24 @@ class NumpyAfdsc:
             k2[axis] = np.sum(weights * k2_levels) / np.sum(weights)
         return k1, k2
 
+    def begin(self, reference: Reference, state: State) -> None:
+        """Start the filter at rest on its input."""
+        self.virtual, _ = self.virtual_control(reference, state)
+
+    def virtual_control(self, reference: Reference, state: State) -> tuple[Array, Array]:
+        """Return the virtual control and K2."""
+        wanted_dot = np.array(reference.twist)
+        error = np.array(state.pose) - np.array(reference.pose)
+        error[2] = math.remainder(error[2], math.tau)
+        k1, k2 = self.gains(error, np.array(state.twist) - wanted_dot)
+        virtual: Array = wanted_dot - k1 * error
+        return virtual, k2
+
     def update(self, reference: Reference, state: State, dt_s: float) -> Array:
         """Return the torques of the wheels."""
         model = self.model
-        q, q_dot = np.array(state.pose), np.array(state.twist)
-        wanted, wanted_dot = np.array(reference.pose), np.array(reference.twist)
-        error = q - wanted
-        error[2] = math.remainder(error[2], math.tau)
-        k1, k2 = self.gains(error, q_dot - wanted_dot)
-        virtual = wanted_dot - k1 * error
+        q, q_dot, wanted_dot = np.array(state.pose), np.array(state.twist), np.array(reference.twist)
+        virtual, k2 = self.virtual_control(reference, state)
         change = (1.0 - np.exp(-dt_s / self.filter_s)) * (virtual - self.virtual)
         acceleration = change / dt_s - k2 * (q_dot - self.virtual)
         self.virtual = self.virtual + change
@@ -148,8 +159,7 @@ def of_numpy(references: list[Reference], states: list[State]) -> Callable[[], N
     """Return what does all steps of AFDSC in NumPy, checked against the law's own."""
     naive, law = NumpyAfdsc(ROBOT, Afdsc.Options()), Afdsc(ROBOT, CommandMode.TORQUE, Afdsc.Options())
     law.reset(states[0], references[0])
-    first = states[0].twist  # where the filter begins does not matter for the time that it takes
-    naive.virtual = np.array(first)
+    naive.begin(references[0], states[0])
     applied = Applied(WheelCommand(CommandMode.TORQUE, ZERO_WHEELS, ZERO_WHEELS), False, LATENCY_S)
     expected, found = ZERO_WHEELS, np.zeros(4)
     for reference, state in zip(references, states, strict=True):
@@ -169,7 +179,8 @@ def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(prog="tools.bench.controller_step", description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--repeats", type=int, default=21, help="repetitions, of which median and least count")
-    repeats = parser.parse_args().repeats
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
+    options = parser.parse_args()
     references, states = motion()
     ways = {("AFDSC in NumPy", "torque"): of_numpy(references, states)}
     for (name, law), mode in itertools.product(SHIPPED.items(), CommandMode):
@@ -179,7 +190,7 @@ def main() -> None:
             continue  # it makes no sense in this mode, and says so
     going_round = of_law(Nothing, CommandMode.TORQUE, references, states)
     taken: dict[tuple[str, str], list[float]] = {way: [] for way in ways}
-    for _ in range(repeats):
+    for _ in range(options.repeats):
         for way, steps in ways.items():
             begin_ns = time.process_time_ns()
             steps()
@@ -189,10 +200,14 @@ def main() -> None:
             taken[way].append((2 * middle_ns - begin_ns - end_ns) * 1e-3 / STEPS)
     table = Table("law", "command", "µs a step", "least", "of NumPy's", title="a step of a law, CPU time")
     measure = statistics.median(taken["AFDSC in NumPy", "torque"])
+    figures = {}
     for (name, mode_name), values in taken.items():
         median = statistics.median(values)
+        figures[f"{name}, {mode_name}"] = {"cpu_us": median, "numpy_times": measure / median}
         table.add_row(name, mode_name, f"{median:.2f}", f"{min(values):.2f}", f"1/{measure / median:.0f}")
     Console().print(table)
+    if options.json is not None:
+        options.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

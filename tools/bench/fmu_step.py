@@ -9,6 +9,7 @@ each contact and drive. Needs a C compiler.
 
 import argparse
 import contextlib
+import json
 import statistics
 import tempfile
 import time
@@ -157,8 +158,10 @@ def microseconds(ways: Sequence[Way], steps: Sequence[int], repeats: int) -> lis
     return times
 
 
-def compare(raw: RawLoop, fmu: Path, outputs: Sequence[str], repeats: int) -> Table:
-    """Measure all ways over one FMU, each with an instance of its own."""
+def compare(
+    raw: RawLoop, fmu: Path, outputs: Sequence[str], repeats: int, figures: dict[str, dict[str, float]]
+) -> Table:
+    """Measure all ways over one FMU, each with an instance of its own; what each adds goes into ``figures`` too."""
     with contextlib.ExitStack() as opened:
         new = [opened.enter_context(FmuPlant(fmu, {})) for _ in range(4)]
         ways = [
@@ -171,7 +174,9 @@ def compare(raw: RawLoop, fmu: Path, outputs: Sequence[str], repeats: int) -> Ta
         version = new[0].instance.version
     # What a way adds is taken within a repeat, so that a slow moment of the machine counts on both sides.
     added = [statistics.median(map(float.__sub__, times, floor)) for times in others]
-    table = Table("way", "us a step", "added", "of what FMPy adds", title=f"FMI {version}, {len(outputs)} outputs read")
+    title = f"FMI {version}, {len(outputs)} outputs read"
+    figures[title] = {way.name: more / added[-1] for way, more in zip(ways[1:], added, strict=True)}
+    table = Table("way", "us a step", "added", "of what FMPy adds", title=title)
     table.add_row(ways[0].name, f"{statistics.median(floor):.3f}", "", "")
     for way, times, more in zip(ways[1:], others, added, strict=True):
         table.add_row(way.name, f"{statistics.median(times):.3f}", f"{more:.3f}", f"{more / added[-1]:.1%}")
@@ -197,7 +202,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="tools.bench.fmu_step", description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--repeats", type=int, default=31, help="of every measurement; the median counts")
     parser.add_argument("fmu", nargs="*", type=Path, help="FMUs to step; the shipped ones by default")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
     options = parser.parse_args()
+    figures: dict[str, dict[str, float]] = {}
     fmus = options.fmu or [plant_fmu.path(fmi) for fmi in (2, 3)]
     console = Console()
     try:
@@ -205,10 +212,12 @@ def main() -> None:
             raw = RawLoop(Path(folder))
             for fmu in fmus:
                 for outputs in (TWELVE, ALL):
-                    console.print(compare(raw, fmu, outputs, options.repeats))
+                    console.print(compare(raw, fmu, outputs, options.repeats, figures))
             console.print(plants(raw, fmus[0], options.repeats))
     except (BuildError, HilError) as error:
         raise SystemExit(f"tools.bench.fmu_step: {error}") from error
+    if options.json is not None:
+        options.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,0 +1,129 @@
+"""What a tick costs, in turns with the same loop written first-hand: ``python -m tools.bench.tick``.
+
+The paper's circle at 1 kHz in lockstep, AFDSC with FMU and firmware core in the loop and every byte of the protocol on
+the wire, beside ``naive_loop``: FMPy's class, cantools, python-can's virtual bus, NumPy, and ``rr.log`` a signal. Both
+without and with a recording, all in turns. A tick reaches from one exchange with the plant to the next. Ratios are of
+the 10th percentiles, the ticks in which nobody else had the processor or its caches; of the turns the least counts.
+Both loops have to be on the circle at the end.
+"""
+
+import argparse
+import json
+import tempfile
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from firmware_protocol.host import HostNode
+from hil.assembly import run_scenario
+from hil.bench import plant_start
+from hil.model import RobotModel
+from hil.plant import archive
+from hil.plant.description import parameter_names
+from hil.scenario import Scenario, load
+from tools.bench.naive_loop import NaiveLoop
+
+SCENARIO = "paper_circle"
+FIRST = 600  # exchanges that do not count: those of the handshake, and the first ticks
+ON_THE_CIRCLE_M = 0.02
+WAYS = ("not recorded", "recorded")
+
+
+class Turn(NamedTuple):
+    """One run: percentiles of what a tick took [µs], and how far off the circle it ended [m]."""
+
+    p10_us: float
+    p50_us: float
+    error_m: float
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(prog="tools.bench.tick", description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--turns", type=int, default=5, help="of each; the least counts")
+    parser.add_argument("--seconds", type=float, default=5.0, help="of robot time a turn")
+    parser.add_argument("--naive-seconds", type=float, default=2.0, help="of robot time a turn of the naive loop")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
+    options = parser.parse_args()
+    figures = measure(options.turns, options.seconds, options.naive_seconds)
+    print_figures(figures)
+    if options.json is not None:
+        options.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+
+
+def measure(turns: int, seconds: float, naive_seconds: float) -> dict[str, dict[str, float]]:
+    """Return for each way, recorded and not, what a tick takes, and how many times ours the naive one does."""
+    taken: dict[str, dict[str, list[Turn]]] = {name: {"ours": [], "naive": []} for name in WAYS}
+    with tempfile.TemporaryDirectory() as folder:
+        for _ in range(turns):
+            for name, both in taken.items():
+                record = Path(folder, "run.rrd") if name == "recorded" else None
+                both["ours"].append(ours(seconds, record))
+                both["naive"].append(naive(naive_seconds, record))
+    worst = max(turn.error_m for both in taken.values() for some in both.values() for turn in some)
+    if worst > ON_THE_CIRCLE_M:
+        raise SystemExit(f"a loop ended {worst:.3f} m off the circle: what it cost means nothing")
+    figures = {}
+    for name, both in taken.items():
+        figures[name] = {
+            f"{way}_{percentile}": min(getattr(turn, percentile) for turn in some)
+            for way, some in both.items()
+            for percentile in ("p10_us", "p50_us")
+        }
+        figures[name]["ratio"] = figures[name]["naive_p10_us"] / figures[name]["ours_p10_us"]
+    return figures
+
+
+def ours(seconds: float, record: Path | None) -> Turn:
+    """Run the bridge."""
+    stamps_ns: list[int] = []
+
+    class StampedNode(HostNode):
+        """A firmware that notes when it is called."""
+
+        def feed(self, data: bytes) -> None:
+            stamps_ns.append(time.perf_counter_ns())
+            super().feed(data)
+
+    result = run_scenario(_scenario(seconds), record=record, make_node=StampedNode)
+    if result.failure is not None:
+        raise SystemExit(f"the run failed: {result.failure}")
+    return _turn(stamps_ns, float(result.signals["error.planar_m"][-1]))
+
+
+def naive(seconds: float, record: Path | None) -> Turn:
+    """Run the naive loop from the same start."""
+    scenario = _scenario(seconds)
+    fmu = archive.locate(scenario.plant.fmu, scenario.directory)
+    start = plant_start(scenario, parameter_names(fmu))
+    loop = NaiveLoop(RobotModel(**dict(scenario.robot)), start, record)
+    try:
+        return _turn(*loop.run(round(seconds * scenario.loop.rate_hz)))
+    finally:
+        loop.close()
+
+
+def _turn(stamps_ns: list[int], error_m: float) -> Turn:
+    p10_us, p50_us = np.percentile(np.diff(stamps_ns)[FIRST:] * 1e-3, [10, 50])
+    return Turn(float(p10_us), float(p50_us), error_m)
+
+
+def _scenario(seconds: float) -> Scenario:
+    return load(SCENARIO, mode="lockstep", link="memory:", set={"loop.duration_s": seconds, "expect": []})
+
+
+def print_figures(figures: dict[str, dict[str, float]]) -> None:
+    """Print the table."""
+    table = Table("paper's circle", "ours p50", "naive p50", "ours p10", "naive p10", "times", title="a tick, µs")
+    for name, row in figures.items():
+        took = [f"{row[f'{way}_{percentile}']:.1f}" for percentile in ("p50_us", "p10_us") for way in ("ours", "naive")]
+        table.add_row(name, *took, f"{row['ratio']:.1f}")
+    Console().print(table)
+
+
+if __name__ == "__main__":
+    main()
