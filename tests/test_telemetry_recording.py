@@ -211,6 +211,7 @@ for i, row in enumerate(rows):
 """
 
 
+@pytest.mark.alone
 @linux_only
 @pytest.mark.parametrize("name", ["run.rrd", "run.mcap"])
 def test_when_everything_is_killed_the_last_200_ms_are_lost_at_most(tmp_path: Path, name: str) -> None:
