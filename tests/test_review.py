@@ -3,6 +3,7 @@
 import importlib.util
 import os
 import random
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,12 @@ from hil.commands.review import review as command
 from hil.errors import BadInputError
 from hil.metrics import FIGURE_SIGNALS, signal_figures
 from hil.review import Event, RecordedRun, figures, read, review, to_frame
+from hil.review.contents import DamagedError
 from hil.review.decode import decode
+from hil.review.plausibility import check_plausible
 from hil.signals import SIGNAL_NAMES
 from hil.telemetry import Recording
+from hil.telemetry.names import SIGNALS_PATH
 from tests.recorded_circle import circle_table, column
 
 ROWS = 6000
@@ -35,7 +39,15 @@ SUMMARY = {
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("review") / "run.rrd"
+    return recorded(tmp_path_factory.mktemp("review") / "run.rrd")
+
+
+@pytest.fixture(scope="module")
+def mcap(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return recorded(tmp_path_factory.mktemp("review") / "run.mcap")
+
+
+def recorded(path: Path) -> Path:
     with Recording(path, properties=PROPERTIES, blocking=True) as recorder:
         recorder.event(-0.02, "info", "ARMED")
         for row in circle_table(ROWS):
@@ -103,22 +115,56 @@ def test_states_are_recorded_by_name_where_they_change(recording: Path) -> None:
     assert sorted(changes) == [(0.0, "ACTIVE"), (1.4, "STOPPING")]
 
 
-def test_a_recording_cut_anywhere_gives_a_prefix(recording: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("kind", "count", "last"), [("recording", 12, (1,)), ("mcap", 12, range(1, 48, 3))])
+def test_a_recording_cut_anywhere_gives_a_prefix_and_a_note(
+    kind: str, count: int, last: Iterable[int], request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
     """Decoded in this process, to save the start of another for each cut; none of these may bring it down."""
-    whole = recording.read_bytes()
+    path: Path = request.getfixturevalue(kind)
+    whole = path.read_bytes()
     table = circle_table(ROWS)
-    cut = tmp_path / "cut.rrd"
+    cut = tmp_path / f"cut{path.suffix}"
     lengths = []
-    for size in sorted(random.Random(1).sample(range(len(whole) // 4, len(whole)), 12)):
+    anywhere = random.Random(1).sample(range(len(whole) // 4, len(whole)), count)
+    for size in sorted({*anywhere, *(len(whole) - n for n in last)}):
         cut.write_bytes(whole[:size])
         decoded, signals = decode(cut)
         lengths.append(decoded["rows"])
+        assert [note[: len("cut.mcap has no")].rstrip() for note in decoded["notes"]] == [f"{cut.name} has no"]
         for name in SIGNAL_NAMES:
             expected = np.ascontiguousarray(column(table, name)[: decoded["rows"]])
             assert signals[name].tobytes() == expected.tobytes(), name
     assert lengths == sorted(lengths)
     assert lengths[0] > 0
-    assert lengths[-1] > ROWS // 2
+    assert lengths[-1] == ROWS
+
+
+@pytest.mark.parametrize("kind", ["recording", "mcap"])
+def test_a_file_without_its_index_says_so_and_how_many_bytes_were_cut_short(
+    kind: str, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    path: Path = request.getfixturevalue(kind)
+    cut = tmp_path / f"cut{path.suffix}"
+    cut.write_bytes(path.read_bytes()[:-1])
+    run = read(cut, ["loop.tick"])
+    assert len(run.signals["loop.tick"]) == ROWS
+    assert run.summary == SUMMARY
+    [note] = run.notes
+    left = {".rrd": 31, ".mcap": 7}[path.suffix]  # of what closes a file of 32 and of 8 bytes
+    assert note.startswith(f"{cut.name} has no index at its end: ")
+    assert f"and its last {left} bytes, which were cut short, are left out" in note
+
+
+@pytest.mark.parametrize("kind", ["recording", "mcap"])
+def test_what_is_cut_before_its_first_rows_is_not_called_foreign(
+    kind: str, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    path: Path = request.getfixturevalue(kind)
+    cut = tmp_path / f"cut{path.suffix}"
+    for size, problem in ((20, "cut so short that it does not tell whose recording it is"), (1000, "cut before its")):
+        cut.write_bytes(path.read_bytes()[:size])
+        with pytest.raises(DamagedError, match=problem):
+            decode(cut)
 
 
 def test_a_recording_without_a_row_has_a_reason_for_each_figure_that_it_lacks(tmp_path: Path) -> None:
@@ -159,6 +205,49 @@ def test_a_damaged_recording_is_read_or_refused_in_one_sentence(recording: Path,
         assert "\n" not in problem
 
 
+def test_spoilt_rows_are_refused(recording: Path, tmp_path: Path) -> None:
+    """400 bytes in the middle of the longest message of rows: an .rrd file has no checksums to notice it by."""
+    whole = recording.read_bytes()
+    start, messages = 12, []
+    while start < len(whole) - 32:
+        length = int.from_bytes(whole[start + 8 : start + 16], "little")
+        if SIGNALS_PATH.encode() in whole[start : start + 16 + min(length, 1000)]:
+            messages.append((length, start))
+        start += 16 + length
+    length, start = max(messages)
+    middle = start + 16 + length // 2
+    spoilt = tmp_path / "spoilt.rrd"
+    spoilt.write_bytes(whole[:middle] + random.Random(1).randbytes(400) + whole[middle + 400 :])
+    assert (problem_of(spoilt) or "").startswith(f"{spoilt}: damaged")
+
+
+def clock(count: int) -> dict[str, np.ndarray]:
+    tick = np.arange(float(count)) + 1_000_000
+    return {"loop.tick": tick, "loop.t_s": tick * 1e-3, "pose.x_m": np.full(count, np.nan)}
+
+
+def test_rows_that_are_missing_or_there_twice_are_no_damage() -> None:
+    for rows in ([*range(20), *range(30, 50)], [*range(30), *range(20, 50)], [0], []):
+        check_plausible({name: series[rows] for name, series in clock(50).items()})
+
+
+@pytest.mark.parametrize(
+    ("signal", "value"),
+    [("loop.t_s", 3.0), ("loop.t_s", np.nan), ("loop.tick", 1000020.5), ("loop.tick", 7.0), ("pose.x_m", np.inf)],
+)
+def test_a_time_or_value_that_makes_no_sense_is_damage_near_the_row_before(signal: str, value: float) -> None:
+    signals = clock(50)
+    signals[signal][20] = value
+    with pytest.raises(DamagedError, match=r"damaged near t = 1000\.019 s"):
+        check_plausible(signals)
+
+
+def test_rows_out_of_order_are_damage() -> None:
+    order = [*range(20), *range(30, 50), *range(20, 30)]
+    with pytest.raises(DamagedError, match=r"damaged near t = 1000\.049 s"):
+        check_plausible({name: series[order] for name, series in clock(50).items()})
+
+
 def test_a_recording_that_crashes_its_decoder_is_refused(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -171,7 +260,7 @@ def test_a_recording_that_crashes_its_decoder_is_refused(
 
 @pytest.mark.parametrize(
     ("content", "problem"),
-    [(b"", "is empty"), (b"hello world\n" * 99, "not a recording"), (b"RRF2" + bytes(8), "damaged")],
+    [(b"", "is empty"), (b"hello world\n" * 99, "not a recording"), (b"RRF2" + bytes(8), "cut so short")],
 )
 def test_a_foreign_file_is_refused(tmp_path: Path, content: bytes, problem: str) -> None:
     path = tmp_path / "foreign.rrd"

@@ -250,10 +250,11 @@ def test_parts_that_rerun_has_made_one_file_of_are_one_run(rotated: Path, tmp_pa
 
 def test_a_file_has_its_end_or_not(rotated: Path, tmp_path: Path) -> None:
     cut = tmp_path / "cut.rrd"
-    cut.write_bytes(rotated.read_bytes()[:-1000])
-    assert has_end(rotated)
-    assert not has_end(cut)
-    assert not has_end(tmp_path / "missing.rrd")
+    assert has_end(rotated, ".rrd")
+    for count in (1, 1000):
+        cut.write_bytes(rotated.read_bytes()[:-count])
+        assert not has_end(cut, ".rrd")
+    assert not has_end(tmp_path / "missing.rrd", ".rrd")
 
 
 @posix_only

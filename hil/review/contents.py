@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from hil.telemetry.names import APPLICATION
+
 Series = npt.NDArray[np.float64]
 Wanted = Collection[str] | None
 """Names of the signals to read; None for all."""
@@ -17,11 +19,16 @@ class DamagedError(Exception):
 
 
 class Contents(NamedTuple):
-    """A file as it was read: signals by name, events, and the texts of each property."""
+    """A file as it was read: signals by name, events, and the texts of each property.
+
+    ``cut_bytes`` is None for a file that ends as its format does, else how many of its last bytes are a message or
+    record that was cut short, and was left out.
+    """
 
     signals: dict[str, Series]
     events: list[tuple[float, str, str]]
     properties: dict[str, dict[str, str]]
+    cut_bytes: int | None
 
     def json(self, name: str) -> dict[str, Any] | None:
         """Return a property that holds a JSON object, or None when the recording does not have it.
@@ -29,6 +36,15 @@ class Contents(NamedTuple):
         Raises DamagedError when it has another.
         """
         return json_property(self.properties, name)
+
+
+def why_nothing(programs: Collection[str], cut_bytes: int | None) -> str:
+    """Say why a file has nothing of a run, by what it says made it, if it says, and whether it was cut."""
+    if APPLICATION in programs:
+        return "damaged: it does not say what its signals are" if cut_bytes is None else "cut before its first rows"
+    if programs or cut_bytes is None:
+        return "a recording of another program"
+    return "cut so short that it does not tell whose recording it is"
 
 
 def json_property(properties: dict[str, dict[str, str]], name: str) -> dict[str, Any] | None:

@@ -23,8 +23,9 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.errors import BadInputError
-from hil.review.contents import Contents, DamagedError, Series, Wanted, json_property
-from hil.telemetry.files import check_is_recording, later_parts
+from hil.review.contents import Contents, DamagedError, Series, Wanted, json_property, why_nothing
+from hil.review.plausibility import CLOCK, check_plausible
+from hil.telemetry.files import check_is_recording, has_end, later_parts
 from hil.telemetry.names import (
     OVERLAY_PROPERTY,
     PART_PROPERTY,
@@ -84,8 +85,7 @@ def decode(path: Path, wanted: Wanted = None) -> tuple[Decoded, dict[str, Series
         for name, series in first.signals.items()
     }
     recorder = last.json(RECORDER_PROPERTY)
-    if recorder is None:
-        notes.append(_no_end(parts[-1][0]))
+    notes.extend(note for part in parts if (note := _cut(*part, is_last=part is parts[-1])))
     next_part = (recorder or {}).get("next_part")
     if next_part is not None:
         notes.append(f"the run went on in part {next_part}, which is not read here")
@@ -105,16 +105,16 @@ def decode(path: Path, wanted: Wanted = None) -> tuple[Decoded, dict[str, Series
     return decoded, signals
 
 
-def _no_end(path: Path) -> str:
-    """Say what a file without an end has lost, as far as it tells."""
-    cut = ""
-    if path.suffix == ".rrd":
-        with path.open("rb") as file:
-            size = file.seek(0, os.SEEK_END)
-            left = size - _end_of_messages(file, size)
-        cut = f", with its last {left} bytes, a message cut short," if left else ""
+def _cut(path: Path, contents: Contents, *, is_last: bool) -> str | None:
+    """Say what a file without its end has lost, as far as it tells; None when that is nothing, or is in the next."""
     why = "the recorder was killed or could not write it, or the file was cut"
-    return f"{path.name} has no end: {why}, and what came after{cut} is lost"
+    if contents.json(RECORDER_PROPERTY) is None:
+        cut = f", with its last {contents.cut_bytes} bytes, which were cut short," if contents.cut_bytes else ""
+        return f"{path.name} has no end: {why}, and what came after{cut} is lost" if is_last else None
+    if contents.cut_bytes is None:
+        return None
+    cut = f", and its last {contents.cut_bytes} bytes, which were cut short, are left out" if contents.cut_bytes else ""
+    return f"{path.name} has no index at its end: {why}{cut}; all that the run recorded is before that"
 
 
 def _parts(path: Path, wanted: Wanted) -> tuple[list[tuple[Path, Contents]], list[str]]:
@@ -185,7 +185,11 @@ def _read(path: Path, wanted: Wanted) -> Contents:
         from hil.review.decode_mcap import decode_mcap
 
         return decode_mcap(path, wanted)
-    return _decode_rrd(path, wanted)
+    contents = _decode_rrd(path, None if wanted is None else CLOCK.union(wanted))
+    check_plausible(contents.signals)
+    if wanted is None:
+        return contents
+    return contents._replace(signals={name: series for name, series in contents.signals.items() if name in wanted})
 
 
 class _Part(NamedTuple):
@@ -246,7 +250,7 @@ def _decode_rrd(path: Path, wanted: Wanted) -> Contents:
     import rerun.chunk as rrc
 
     entities = _Entities(wanted)
-    with _whole_messages(path) as readable, warnings.catch_warnings():
+    with _whole_messages(path) as (readable, cut_bytes), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # "has no footer": so it is, after a kill
         try:
             stream = _indexed(rrc.RrdReader(readable))
@@ -262,18 +266,21 @@ def _decode_rrd(path: Path, wanted: Wanted) -> Contents:
             while early:
                 _take(SIGNALS_PATH, early.pop(0), entities, held)
             if held is None:
-                is_overlay = OVERLAY_PROPERTY in entities.properties
-                raise DamagedError(f"a{'n overlay of two runs' if is_overlay else ' recording of another program'}")
+                if OVERLAY_PROPERTY in entities.properties:
+                    raise DamagedError("an overlay of two runs")
+                raise DamagedError(why_nothing(_programs(readable), cut_bytes))
             # What was received live, and files of before, have their signals where they are drawn.
             drawn = [path for path, names in held.items() if path != SIGNALS_PATH and _columns(names, wanted)]
             if drawn:
                 for chunk in stream().filter(content=drawn):
                     _take(chunk.entity_path, chunk.to_record_batch(), entities, held)
         except (RuntimeError, ValueError, OSError) as error:
+            if cut_bytes is not None and not _holds_recording(readable):
+                raise DamagedError(why_nothing(_programs(readable), cut_bytes)) from error
             what = str(error).removeprefix(f"Failed to read RRD file at {readable}: ")
             raise DamagedError(f"damaged: {what}") from error
     events = [event for _, event in sorted(entities.events, key=operator.itemgetter(0))]
-    return Contents(_signals(held, entities), events, entities.properties)
+    return Contents(_signals(held, entities), events, entities.properties, cut_bytes)
 
 
 def _indexed(reader: "RrdReader") -> "Callable[[], LazyChunkStream]":
@@ -282,6 +289,27 @@ def _indexed(reader: "RrdReader") -> "Callable[[], LazyChunkStream]":
         return reader.store().stream
     except (RuntimeError, ValueError, OSError):
         return reader.stream
+
+
+def _holds_recording(path: Path) -> bool:
+    """Whether rerun finds a recording in a file, and not only the layout of its views, or nothing."""
+    import rerun.chunk as rrc
+
+    try:
+        return bool(rrc.RrdReader(path).recordings())
+    except (RuntimeError, ValueError, OSError):
+        return path.stat().st_size > _HEADER_BYTES
+
+
+def _programs(path: Path) -> set[str]:
+    """Return the names of the programs that made what is in a file, none when it does not come to say."""
+    import rerun.chunk as rrc
+
+    try:
+        reader = rrc.RrdReader(path)
+        return {store.application_id for store in (*reader.recordings(), *reader.blueprints())}
+    except (RuntimeError, ValueError, OSError):
+        return set()
 
 
 def _columns(names: list[str], wanted: Wanted) -> list[int]:
@@ -348,16 +376,19 @@ def _nothing(width: int) -> _Part:
 
 
 @contextmanager
-def _whole_messages(path: Path) -> Iterator[Path]:
+def _whole_messages(path: Path) -> Iterator[tuple[Path, int | None]]:
     """Yield the file, or, if its last message was cut short, a temporary copy without that message.
+
+    With it comes how many bytes were left out, as of ``Contents``.
 
     ``hil.review.reader`` says where temporary files go, and takes the copy away when rerun aborts this process.
     """
     with path.open("rb") as file:
         size = file.seek(0, os.SEEK_END)
-        end = _end_of_messages(file, size)
+        has_index = has_end(path, ".rrd")
+        end = _end_of_messages(file, size, has_index=has_index)
         if end == size:
-            yield path
+            yield path, None if has_index else 0
             return
         with tempfile.TemporaryDirectory() as directory:
             copy = Path(directory) / "whole.rrd"
@@ -365,23 +396,23 @@ def _whole_messages(path: Path) -> Iterator[Path]:
                 file.seek(0)
                 for start in range(0, end, _COPY_BYTES):
                     target.write(file.read(min(_COPY_BYTES, end - start)))
-            yield copy
+            yield copy, size - end
 
 
-def _end_of_messages(file: BinaryIO, size: int) -> int:
+def _end_of_messages(file: BinaryIO, size: int, *, has_index: bool) -> int:
     """Return where the last whole message ends; the size of the file when nothing was cut."""
     end = _HEADER_BYTES
     while True:
         file.seek(end)
         header = file.read(_MESSAGE.size)
         if len(header) < _MESSAGE.size:
-            return end
+            return min(end, size)
         kind, length = _MESSAGE.unpack(header)
         if end + _MESSAGE.size + length > size:
             return end
-        if kind == _END_MESSAGE:
-            return size  # a footer follows that is not a message
         end += _MESSAGE.size + length
+        if kind == _END_MESSAGE:
+            return size if has_index else end  # what follows the index is not a message
 
 
 def main() -> int:

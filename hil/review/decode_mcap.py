@@ -1,39 +1,61 @@
 """Decoding of a recording in MCAP, as ``hil.telemetry.mcap_file`` writes it, also without its end."""
 
 import json
+import os
 import struct
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import zstandard
-from mcap.exceptions import EndOfFile, McapError
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Message, Metadata
+from mcap.records import Channel, Chunk, Header, Message, Metadata
 from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk, get_chunk_data_stream
 
-from hil.review.contents import Contents, DamagedError, Series, Wanted, json_property
+from hil.review.contents import Contents, DamagedError, Series, Wanted, json_property, why_nothing
 from hil.telemetry.mcap_file import CDR_HEADER, EVENTS_TOPIC, LEVELS, SIGNALS_TOPIC, ZERO_KEY
 from hil.telemetry.names import SIGNALS_PROPERTY
 
 _LEVEL_NAMES = {number: {"warning": "WARN"}.get(name, name.upper()) for name, number in LEVELS.items()}
 _LONGEST_RECORD_BYTES = 256 << 20
+_MAGIC = b"\x89MCAP0\r\n"  # a file begins and ends with it; between are records of (opcode u8, length u64, content)
+_RECORD = struct.Struct("<BQ")
 
 
 def decode_mcap(path: Path, wanted: Wanted = None) -> Contents:
     """Return what an MCAP file of ours holds; without its end, up to where it was cut. Raises DamagedError."""
     reader = _Reader(wanted)
     with path.open("rb") as file:
+        end, cut_bytes = _end_of_records(file)
+        file.seek(0)
         stream = StreamReader(file, emit_chunks=True, record_size_limit=_LONGEST_RECORD_BYTES)
         try:
-            for record in stream.records:
-                reader.take(record)
-        except EndOfFile:
-            pass  # so it is, after a kill
+            records = stream.records
+            while max(file.tell(), len(_MAGIC)) < end:
+                reader.take(next(records))
         except (McapError, CRCValidationError, zstandard.ZstdError, struct.error, ValueError, KeyError) as error:
             raise DamagedError(f"damaged: {error or type(error).__name__}") from error
         except (RuntimeError, MemoryError, OverflowError) as error:  # of lz4, and of lengths that make no sense
             raise DamagedError(f"damaged: {error}") from error
-    return reader.contents()
+    return reader.contents(cut_bytes)
+
+
+def _end_of_records(file: BinaryIO) -> tuple[int, int | None]:
+    """Return where the last whole record ends, and how many bytes are after it; None when those are the file's end."""
+    size = file.seek(0, os.SEEK_END)
+    end, opcode = len(_MAGIC), None
+    while opcode != Opcode.FOOTER:
+        file.seek(end)
+        head = file.read(_RECORD.size)
+        if len(head) < _RECORD.size:
+            return end, size - end
+        opcode, length = _RECORD.unpack(head)
+        if end + _RECORD.size + length > size:
+            return end, size - end
+        end += _RECORD.size + length
+    file.seek(end)
+    return end, None if file.read() == _MAGIC else size - end
 
 
 class _Reader:
@@ -42,6 +64,7 @@ class _Reader:
         self._properties: dict[str, dict[str, str]] = {}
         self._events: list[tuple[float, str, str]] = []
         self._topics: dict[int, str] = {}
+        self._programs: list[str] = []
         self._pieces: list[Series] = []
         self._names: list[str] | None = None
         self._zero_ns = 0
@@ -52,6 +75,8 @@ class _Reader:
             self._properties[record.name] = record.metadata
             if record.name == SIGNALS_PROPERTY:
                 self._begin()
+        elif isinstance(record, Header):
+            self._programs.append(record.library)
         elif isinstance(record, Channel):
             self._topics[record.id] = record.topic
         elif isinstance(record, Message):
@@ -60,14 +85,14 @@ class _Reader:
             for inner in breakup_chunk(record, validate_crc=True):
                 self.take(inner)
 
-    def contents(self) -> Contents:
-        """Return what was taken. Raises DamagedError for a file that is not of ours."""
+    def contents(self, cut_bytes: int | None) -> Contents:
+        """Return what was taken. Raises DamagedError for a file that has nothing of a run."""
         if self._names is None:
-            raise DamagedError("a recording of another program")
+            raise DamagedError(why_nothing(self._programs, cut_bytes))
         table = np.concatenate([np.empty((0, len(self._columns))), *self._pieces])
         self._pieces.clear()
         names = [self._names[column] for column in self._columns]
-        return Contents({name: table[:, i] for i, name in enumerate(names)}, self._events, self._properties)
+        return Contents({name: table[:, i] for i, name in enumerate(names)}, self._events, self._properties, cut_bytes)
 
     def _begin(self) -> None:
         held = json_property(self._properties, SIGNALS_PROPERTY)

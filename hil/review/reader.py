@@ -99,7 +99,7 @@ def read(path: Path, signals: Collection[str] | None = None) -> RecordedRun:
         if "missing" in head:
             raise BadInputError(f"{path}: what reads it is not installed ({head['missing']}); {_INSTALL}")
         if "damage" in head:
-            repair = f"; {_REPAIR}" if path.suffix == ".rrd" and head["damage"].startswith("damaged") else ""
+            repair = f"; {_REPAIR}" if path.suffix == ".rrd" and head["damage"].startswith("damaged:") else ""
             raise BadInputError(f"{path}: {head['damage']}; expected {EXPECTED_FILE}{repair}")
         table = np.empty((len(head["signals"]), head["rows"]))
         _read_into(decoder.stdout, table)

@@ -22,8 +22,7 @@ OUTPUTS = {
 A trace is in Vector's binary or text form, or in that of ``candump -L``.
 """
 _MAGICS = {".rrd": b"RRF2", ".mcap": b"\x89MCAP0\r\n"}
-_ENDS = {".rrd": b"RRF2FOOT", ".mcap": b"\x89MCAP0\r\n"}
-_END_BYTES = 12
+_ENDS = {".rrd": (b"RRF2FOOT", 4), ".mcap": (b"\x89MCAP0\r\n", 0)}  # and how many bytes follow
 _BEGINNING_BYTES = 1 << 18  # more than a recording begins with
 _PROBE_BYTES = 1 << 20
 _SMALLEST_BYTES = 1_000_000
@@ -102,13 +101,13 @@ def part_path(path: Path, number: int) -> Path:
     return path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")
 
 
-def has_end(path: Path) -> bool:
-    """Whether a recording has the index with which a file of its format ends."""
-    end = _ENDS[path.suffix]
+def has_end(path: Path, kind: str) -> bool:
+    """Whether a recording, ``.rrd`` or ``.mcap``, has the index with which a file of its format ends."""
+    end, following = _ENDS[kind]
     try:
         with path.open("rb") as file:
-            file.seek(-_END_BYTES, os.SEEK_END)
-            return end in file.read()
+            file.seek(-len(end) - following, os.SEEK_END)
+            return file.read(len(end)) == end
     except OSError:
         return False
 

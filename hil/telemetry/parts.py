@@ -124,7 +124,7 @@ class Parts:
         if not self._write(lambda file: file.finish(summary, self._counts(next_part))):
             return False
         self._write(lambda file: file.close(), flush=False)
-        if not has_end(self._part_path):
+        if not has_end(self._part_path, self._part_path.suffix):
             told = f"the index at the end of {self._part_path.name} could not be written"
             self.trouble = told if self.trouble is None else f"{self.trouble}; {told}"
         return True
