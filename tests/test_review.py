@@ -191,6 +191,9 @@ def test_a_foreign_file_is_refused(tmp_path: Path, content: bytes, problem: str)
 def test_a_missing_file_and_a_directory_are_refused(tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match="No such file"):
         review(tmp_path / "missing.rrd")
+    (tmp_path / "missing-2.rrd").touch()
+    with pytest.raises(BadInputError, match=r"there is \S*missing-2\.rrd, a later part of it"):
+        review(tmp_path / "missing.rrd")
     with pytest.raises(BadInputError, match="Is a directory" if os.name == "posix" else ""):
         review(tmp_path)
 
