@@ -56,8 +56,9 @@ def figure_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
             yield "not granted", sentence
     frames = metrics.get("frames")
     if frames is not None:
-        rejected = ", ".join(f"{cause} {count}" for cause, count in frames["rejected"].items()) or "none"
-        yield "frames", f"{frames['sent']} sent, {frames['received']} received, rejected: {rejected}"
+        rejected = _by_cause(frames["rejected"]) or "none"
+        counted = f"{frames['sent']} sent, {frames['received']} received since connecting, but for HELLO"
+        yield "frames", f"{counted}; rejected: {rejected}"
 
 
 def link_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
@@ -66,7 +67,8 @@ def link_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
     if link is None:
         return
     ways = [way for way in ("sent", "received", "foreign") if (link.get(way) or {}).get("frames")]
-    yield "on the wire", ", ".join(_traffic(link, way) for way in ways) or "nothing"
+    traffic = ", ".join(_traffic(link, way) for way in ways) or "nothing"
+    yield "on the wire", f"{traffic}, since the first ACTIVE tick"
     for way, load in (link.get("load") or {}).items():
         if load["mean_percent"] is not None:
             worst = load["worst_100_ms_percent"]
@@ -91,7 +93,11 @@ def belief_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
     if error is not None and error["rms_m"] > 0.0:
         yield "estimate's error", f"{error['rms_m'] * 1e3:.3g} mm rms, {error['max_m'] * 1e3:.3g} mm max"
     if (fixes := metrics.get("pose_fixes")) is not None:
-        told = [f"{count} {name.replace('_', ' ')}" for name, count in fixes.items() if count]
+        told = [
+            f"{name}: {_by_cause(count)}" if isinstance(count, Mapping) else f"{count} {name.replace('_', ' ')}"
+            for name, count in fixes.items()
+            if count
+        ]
         yield "pose fixes", ", ".join(told) or "none came"
     if refused := metrics.get("commands_refused"):
         yield "law", f"it gave no number {refused} times, and the robot was held still"
@@ -148,6 +154,10 @@ def why_incomplete(recorded: Mapping[str, Any]) -> str | None:
 def recorded_at(recorded: Mapping[str, Any], path: str | None) -> str | None:
     """Return the first file of a recording that is still there; ``path`` is the one that was begun with."""
     return path if path in recorded["parts"] else next(iter(recorded["parts"]), None)
+
+
+def _by_cause(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{cause} {count}" for cause, count in counts.items())
 
 
 def _traffic(link: Mapping[str, Any], way: str) -> str:

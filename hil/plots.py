@@ -224,18 +224,27 @@ def draw_bars(
 ) -> None:
     """Draw groups of bars, those of one name in one colour: nominal in full, the worst behind it lighter.
 
-    On a logarithmic scale the axis begins at the power of ten below the least bar.
+    On a logarithmic scale, which has no foot for a bar to stand on, they are dots, joined by a line. Values that it
+    has no place for, of zero, make it a linear one.
 
     Raises ValueError when a bar has not one value for each group.
     """
+    there = [value for bar in bars for value in (*bar.nominal, *bar.worst) if value is not None]
+    log = log and bool(there) and min(there) > 0.0
     width = _BAR_SHARE / max(1, len(bars))
     for number, bar in enumerate(bars):
         colour = rgb(colour_of(number))
         for group, nominal, worst in zip(range(len(groups)), bar.nominal, bar.worst, strict=True):
             place = group + (number - (len(bars) - 1) / 2) * width
             label = bar.label if group == 0 else None
-            axes.bar(place, worst or 0.0, width * 0.9, color=colour, alpha=0.35)
-            axes.bar(place, nominal or 0.0, width * 0.9, color=colour, label=label)
+            if log:
+                both = [np.nan if value is None else value for value in (nominal, worst)]
+                axes.plot([place, place], both, "-", color=colour, alpha=0.35)
+                axes.plot(place, both[1], "o", color=colour, alpha=0.35, markersize=5.0)
+                axes.plot(place, both[0], "o", color=colour, markersize=5.0, label=label)
+            else:
+                axes.bar(place, worst or 0.0, width * 0.9, color=colour, alpha=0.35)
+                axes.bar(place, nominal or 0.0, width * 0.9, color=colour, label=label)
             if nominal is None:
                 foot = axes.get_xaxis_transform()
                 axes.plot(place, 0.0, "x", color=colour, markersize=5.0, clip_on=False, transform=foot)
@@ -244,11 +253,8 @@ def draw_bars(
     axes.set_xticks(range(len(groups)), groups)
     axes.grid(visible=False, axis="x")
     axes.set(title=title, ylabel=y_label)
-    there = [value for bar in bars for value in (*bar.nominal, *bar.worst) if value]
-    if log and there:
+    if log:
         axes.set_yscale("log")
-        least, most = 10.0 ** np.floor(np.log10(min(there))), max(there)
-        axes.set_ylim(least, most * (most / least) ** 0.3)
     else:
         axes.margins(y=0.3)  # for the legend above the bars
         axes.set_ylim(bottom=0.0)

@@ -16,8 +16,9 @@ class Tracking(NamedTuple):
     """How fast and how well the truth came to the reference; None where ``reasons`` says why.
 
     Attributes:
-        tracked_s: the first time from which the planar error stays below 2 % of its initial value.
-        t10_s: the first time from which it stays below 10 mm.
+        tracked_s: the first time from which the planar error stays below 2 % of its initial value, after the first row:
+            that of a run is its t = 0, that of a service's recording the moment at which it was begun.
+        t10_s: the first time from which it stays below 10 mm, after the first row too.
         steady_rms_m: planar error over the last 5 s, root mean square.
         steady_max_m: planar error over the last 5 s, largest.
         reasons: for each figure that is None, one sentence.
@@ -111,7 +112,7 @@ class TrackingSoFar:
                 f"the planar error did not stay below {settled.limit_m * 1e3:.3g} mm: it was "
                 f"{self._tail[1][-1] * 1e3:.3g} mm at the end"
             )
-        return settled.since_s
+        return settled.since_s - self._first_s
 
     def _steady(self) -> Series:
         """Return the errors of the last 5 s."""

@@ -162,7 +162,7 @@ def test_a_figure_that_one_run_has_not_is_no_worst_figure() -> None:
     row = Row(entry, Condition(5.0, "ideal", None, None), runs)
     assert (row.value("t10_s"), row.worst_over_mass("t10_s"), row.worst("t10_s")) == (0.5, 0.7, None)
     assert row.worst("steady_rms_m") == 1.0
-    assert list(row.notes()) == ["no t10_s in 1 of 3 runs (mass x 0.8, friction 0.08): it never came"]
+    assert list(row.notes()) == ["no t10 in 1 of 3 runs, first with mass x 0.8, friction 0.08: it never came"]
 
 
 def test_gains_are_the_scenarios_in_its_own_mode_and_the_texts_over_them() -> None:
@@ -181,11 +181,23 @@ def test_gains_of_the_scenario_that_are_not_the_laws_defaults_are_in_the_tables(
     assert same.title(CommandMode.TORQUE) == "dsc"
     condition = Condition(5.0, "ideal", None, None)
     run = Run(Variation(), Outcome(dict.fromkeys(FIGURES, 1.0), {}, None, None, None))
-    found = Comparison("compare_circle", 1, [Row(profile, condition, [run])])
+    found = Comparison("compare_circle", 1, 15.0, [Row(profile, condition, [run])])
     ((_, (_, (label, *_)), _),) = terminal(found)
     assert label == "profile (keeps_speed_limit = false)"
     write_markdown(found, tmp_path / "PAGE.md", "hil compare")
     assert f"| {label} |" in (tmp_path / "PAGE.md").read_text(encoding="utf-8")
+
+
+def test_nobody_is_first_in_the_last_second_of_a_run(tmp_path) -> None:
+    entry = Entry("dsc", "dsc", {CommandMode.TORQUE: {}}, {CommandMode.TORQUE: {}})
+    figures = dict.fromkeys(FIGURES, 1.0) | {"t10_s": 14.2}
+    row = Row(entry, Condition(5.0, "ideal", None, None), [Run(Variation(), Outcome(figures, {}, None, None, None))])
+    for duration_s, (t10, notes) in {15.0: ("14.200", 1), 20.0: ("**14.200**", 0)}.items():
+        found = Comparison("compare_circle", 1, duration_s, [row])
+        write_markdown(found, tmp_path / "PAGE.md", "hil compare")
+        assert f"| dsc | {t10} | **1.000** |" in (tmp_path / "PAGE.md").read_text(encoding="utf-8")
+        ((_, _, told),) = terminal(found)
+        assert len([note for note in told if note.startswith("t10: the least is in the last second")]) == notes
 
 
 @pytest.mark.parametrize(

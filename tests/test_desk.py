@@ -53,12 +53,12 @@ class Served(PilotBench):
 
     def order(self, action: Action, *, stalled: bool = False, **arguments: Any) -> int:
         number = len(self.answers) + len(self.beside.waiting) + 1
-        self.desk.take([Order(number, action, arguments)], stalled=stalled)
+        self.desk.take([Order(number, action, arguments)], 0.0, stalled=stalled)
         return number
 
     def finish(self) -> None:
         self.beside.work()
-        self.desk.take([])
+        self.desk.take([], 0.0)
 
     def refusal(self, number: int) -> str:
         return str(self.answers[number].refused)

@@ -60,6 +60,12 @@ def test_an_exponential_settles_when_its_equation_says() -> None:
     assert tracking.reasons == {}
 
 
+def test_settling_is_counted_from_the_first_row_of_a_recording_that_begins_late() -> None:
+    planar_m = 0.3 * np.exp(-5.0 * seconds(1000))
+    at_once, later = (tracking_metrics(seconds(1000) + begin_s, planar_m) for begin_s in (0.0, 16.25))
+    assert (later.tracked_s, later.t10_s) == pytest.approx((at_once.tracked_s, at_once.t10_s))
+
+
 @given(
     st.lists(st.floats(0.0, 1.0), min_size=1, max_size=50),
     st.floats(0.001, 1.0),

@@ -191,7 +191,7 @@ def test_a_run_warns_before_it_begins_and_keeps_the_warning(tmp_path, monkeypatc
     done = CliRunner().invoke(app, ["run", "circle_speed", *fast, "--record", "run.rrd"])
     recorded = read(tmp_path / "run.rrd")
     (warning,) = recorded.summary["reference"]["warnings"]
-    assert warning.startswith("wheel fr would need 39.5 rad/s at t = 0 s, its limit is 20 rad/s; at most wheel fr")
+    assert warning.startswith("wheel fr would need 39.5 rad/s at t = 0 s, its limit is 20 rad/s: the robot cannot")
     assert done.stderr == f"hil: warning: {warning}\n"
     assert f"  warning                {warning}\n" in done.stdout
     assert [event.text for event in recorded.events if event.level == "WARN"] == [warning]

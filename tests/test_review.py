@@ -4,6 +4,7 @@ import importlib.util
 import os
 import random
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,7 @@ SUMMARY = {
     "lateness_us": {"p50": 31.0, "p99": 65.0, "p99.9": 640.0, "max": 8700.0, "edges": [1.0], "counts": [0, 12]},
     "frames": {"sent": 12, "received": 34, "rejected": {"crc": 1}},
     "link_statistics": {"lost": {"snapshots": 3}, "load": None, "reasons": {"load": "memory has no bit rate"}},
-    "pose_fixes": {"received": 60, "accepted": 58},
+    "pose_fixes": {"received": 60, "accepted": 58, "refused": {"waited": 12}},
     "wire_sha256": "ab" * 32,
     "stale_ticks": 3,
     "robot_slipped_ticks": 7,
@@ -88,10 +89,17 @@ def test_a_review_has_the_figures_of_the_run(recording: Path, run: RecordedRun) 
     assert reviewed["events"][0] == {"t_s": -0.02, "level": "INFO", "text": "ARMED"}
 
 
+def test_a_review_says_where_a_recording_begins_that_a_service_began_late(run: RecordedRun) -> None:
+    later = {**run.signals, "loop.t_s": run.signals["loop.t_s"] + 16.25}
+    found = figures(replace(run, signals=later))
+    assert found["t10_s"] == pytest.approx(figures(run)["t10_s"])
+    assert found["notes"][0].startswith(f"it begins at t = {later['loop.t_s'][0]:.6g} s; ")
+
+
 def test_a_review_prints_what_the_robot_knew_of_itself(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
     command([recording])
     printed = capsys.readouterr().out
-    assert "pose fixes             60 received, 58 accepted" in printed
+    assert "pose fixes             60 received, 58 accepted, refused: waited 12" in printed
     assert "virtual robot          lost 7 ms of its time to stalls of this machine" in printed
     assert "held                   for 3 ticks" in printed
 
@@ -271,6 +279,9 @@ def test_a_foreign_file_is_refused(tmp_path: Path, content: bytes, problem: str)
 
 def test_a_missing_file_and_a_directory_are_refused(tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match="No such file"):
+        review(tmp_path / "missing.rrd")
+    (tmp_path / "missing-2.rrd").touch()
+    with pytest.raises(BadInputError, match=r"there is \S*missing-2\.rrd, a later part of it"):
         review(tmp_path / "missing.rrd")
     with pytest.raises(BadInputError, match="Is a directory" if os.name == "posix" else ""):
         review(tmp_path)

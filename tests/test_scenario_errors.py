@@ -74,6 +74,11 @@ def test_a_key_that_is_unknown(text: str, sentence: str) -> None:
         ("[device]\ndriver = 'stm31'", "did you mean 'stm32'?"),
         ("[device]\nwheels = ['fl', 'fl', 'rr', 'rl']", 'expected each of "fl", "fr", "rr" and "rl" once'),
         ("[device]\nwheels = ['f', 'fl', 'rr', 'rl']", 'wheels.0 = "f"; expected "fl", "fr", "rr" or "rl"'),
+        (
+            "[controller]\nshadow = 'dsc'",
+            'shadow = "dsc"; expected an array, each item text in quotation marks, as in ["first", "second"]',
+        ),
+        ("[controller]\nshadow = [3]", "controller.shadow.0 = 3; expected text in quotation marks"),
         ("[device]\nwheels = 'fl'", 'expected an array, each item "fl", "fr", "rr" or "rl"'),
         ("[device]\nreversed = ['fl', 'fl']", "expected each wheel at most once"),
         ("[link]\nurl = 'serail:/x'", "unknown kind of link 'serail'; did you mean 'serial'?"),

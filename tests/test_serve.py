@@ -235,13 +235,17 @@ def test_gains_are_read_again_and_recordings_come_and_go(tmp_path: Path) -> None
         assert service.status()["task"] == "track"
         with pytest.raises(DeviceError, match="unknown option 'k3'"):
             service.client.order(Action.GAINS, {"gains": {"k3": 6.0}})
-        path = service.client.order(Action.RECORD, {"path": "one.mcap"})["path"]
+        begun = service.client.order(Action.RECORD, {"path": "one.mcap"})
+        path = begun["path"]
         with pytest.raises(DeviceError, match=r"one\.mcap is being written"):
             service.client.order(Action.RECORD)
         assert service.until(recording=path)["phase"] == "active"
         report = service.client.order(Action.STOP_RECORDING)
         assert report["complete"]
-        assert len(read(tmp_path / "one.mcap").signals["loop.t_s"]) == report["rows"] > 0
+        t_s = read(tmp_path / "one.mcap").signals["loop.t_s"]
+        assert len(t_s) == report["rows"] > 0
+        assert t_s[0] == pytest.approx(begun["from_s"], abs=1e-6)
+        assert begun["from_s"] > 0.0
 
 
 def test_a_device_has_one_service(tmp_path: Path) -> None:

@@ -144,9 +144,10 @@ def test_the_link_is_lossy_for_a_while_after_a_loss_and_silent_without_feedback(
 
 def test_signals_that_a_run_brings_get_views_of_their_own() -> None:
     entities = layout(["loop.t_s", "fuzzy.x.error", "fuzzy.x.rate_1_s", "shadow.dsc.wheel.fl.torque_command_n_m"])
-    assert [entity.path for entity in entities][1:] == ["/more/fuzzy/number", "/more/fuzzy/1_s", "/more/shadow/dsc/n_m"]
+    paths = [entity.path for entity in entities]
+    assert paths[1:] == ["/more/fuzzy/error/number", "/more/fuzzy/rate_1_s/1_s", "/more/shadow/dsc/n_m"]
     views = repr(_names(blueprint(entities, limits=limits({}, entities), shape=None, live=True).root_container))
-    for name in ("fuzzy [number]", "fuzzy [1_s]", "Shadow dsc [n_m]"):
+    for name in ("fuzzy error", "fuzzy rate [1_s]", "Shadow dsc [n_m]"):
         assert name in views
     assert "Gain K1" not in views
 

@@ -7,9 +7,12 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hil.fuzzy import FIRING
 from hil.signals import SIGNAL_NAMES, unit_of
 from hil.telemetry.decimate import Decimator
 from hil.telemetry.layout import layout
+
+AXES = ("x", "y", "heading")
 
 
 def test_every_signal_of_the_vocabulary_has_a_place_of_its_own() -> None:
@@ -29,6 +32,16 @@ def test_the_paths_that_one_panel_draws_have_one_unit() -> None:
     for entity in layout(SIGNAL_NAMES):
         if entity.path.startswith(("/ctrl/error", "/ctrl/gain", "/ctrl/wheel", "/loop/timing", "/link/age")):
             assert len({unit_of(series.signal) for series in entity.series}) == 1
+
+
+def test_what_each_axis_of_a_law_has_is_drawn_apart_in_the_colours_of_the_axes() -> None:
+    signals = [f"{law}fuzzy.{axis}.{name}" for law in ("", "shadow.afdsc.") for axis in AXES for name in FIRING]
+    entities = {entity.path: entity.series for entity in layout(signals)}
+    own = {f"/more/fuzzy/{name}/number" for name in FIRING}
+    assert entities.keys() == own | {f"/more/shadow/afdsc/fuzzy/{name}/number" for name in FIRING}
+    (pose,) = layout([f"pose.{name}" for name in ("x_m", "y_m", "heading_rad")])
+    colours = [(series.label, series.colour) for series in pose.series]
+    assert all([(series.label, series.colour) for series in found] == colours for found in entities.values())
 
 
 @given(

@@ -13,10 +13,10 @@ LIVE_PORT = 9876
 def live(
     web: Annotated[bool, typer.Option("--web", help="in the browser, served on 127.0.0.1")] = False,
     port: Annotated[
-        int, typer.Option(metavar="PORT", help="that hil run --live serves on", min=1, max=65535)
+        int, typer.Option(metavar="PORT", help="that hil run --live or hil serve --live serves on", min=1, max=65535)
     ] = LIVE_PORT,
 ) -> None:
-    """Open the rerun viewer on a run under way, and on each one after it; start it before or after the run."""
+    """Open the rerun viewer on a run or service under way, and on each one after it; start it before or after those."""
     from hil.telemetry.follow import live as show
 
     signal.signal(signal.SIGTERM, interrupt)

@@ -89,6 +89,7 @@ def compare(
     return Comparison(
         base.name,
         base.loop.seed,
+        base.loop.duration_s,
         [Row(entry, table, [Run(robot, next(outcomes)) for robot in robots]) for table, entry in rows],
     )
 

@@ -1,4 +1,4 @@
-"""A comparison in pictures: the figures of all laws as bars, and for each condition path, error and torques."""
+"""A comparison in pictures: the figures of all laws, and for each condition path, error and torques."""
 
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
+from hil.comparison.columns import COLUMNS
 from hil.comparison.conditions import Condition
 from hil.comparison.result import Comparison, Row
-from hil.comparison.tables import COLUMNS, OVERVIEW, names
+from hil.comparison.tables import OVERVIEW, names
 from hil.plots import Bar, Curve, Series, colour_of, draw_bars, draw_error, draw_path, draw_wheels, drawing, is_dashed
 from hil.types import WHEEL_NAMES
 
-_BARS = ("t10_s", "steady_rms_m", "steady_max_m", "torque_variation_n_m_per_s")
 _APPROACH_S = 3.0
 _PANELS = 3
 _LOGARITHMIC = ("steady_rms_m", "steady_max_m", "torque_variation_n_m_per_s")
@@ -33,8 +33,8 @@ def _figures(comparison: Comparison, file: Path) -> Path:
     tables = comparison.conditions()
     labels = list(dict.fromkeys(row.entry.label for row in comparison.rows))
     groups = [table.words.replace(", ", "\n") for table in tables]
-    with drawing(file, rows=2, columns=2, size_in=(12.0, 8.0)) as axes:
-        for panel, column in zip(axes, (column for column in COLUMNS if column.name in _BARS), strict=True):
+    with drawing(file, rows=len(COLUMNS) // 2, columns=2, size_in=(12.0, 2.0 * len(COLUMNS))) as axes:
+        for panel, column in zip(axes, COLUMNS, strict=True):
             bars = []
             for label in labels:
                 rows = [row for row in comparison.rows if row.entry.label == label]

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
+from hil.comparison.columns import COLUMNS
 from hil.comparison.conditions import Condition, Variation
 from hil.comparison.entries import Entry
 from hil.comparison.runs import FIGURES, Outcome
@@ -51,13 +52,19 @@ class Row(NamedTuple):
                 said.add(trouble)
                 yield f"failed ({run.variation.words}): {trouble}"
         first: dict[str, tuple[list[str], list[Run]]] = {}  # by the reason of the first run that lacks a figure
-        for name in FIGURES:
-            without = [run for run in self.runs if name in run.outcome.reasons]
+        for column in COLUMNS:
+            without = [run for run in self.runs if column.name in run.outcome.reasons]
             if without:
-                first.setdefault(without[0].outcome.reasons[name], ([], without))[0].append(name)
-        for reason, (names, without) in first.items():
-            among = "" if len(self.runs) == 1 else f" in {len(without)} of {len(self.runs)} runs"
-            yield f"no {', '.join(names)}{among} ({without[0].variation.words}): {reason}"
+                first.setdefault(without[0].outcome.reasons[column.name], ([], without))[0].append(column.head)
+        for reason, (heads, without) in first.items():
+            yield f"no {', '.join(heads)}{self._among(without)}: {reason}"
+
+    def _among(self, without: Sequence[Run]) -> str:
+        if len(self.runs) == 1:
+            return ""
+        if len(without) == len(self.runs):
+            return f" in any of {len(self.runs)} runs"
+        return f" in {len(without)} of {len(self.runs)} runs, first with {without[0].variation.words}"
 
     @property
     def has_failed(self) -> bool:
@@ -66,10 +73,11 @@ class Row(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """All rows, condition by condition, the laws in the order in which they were named."""
+    """All rows, condition by condition, the laws in the order in which they were named, of runs of this duration."""
 
     scenario: str
     seed: int
+    duration_s: float
     rows: Sequence[Row]
 
     def conditions(self) -> list[Condition]:

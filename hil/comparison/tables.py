@@ -6,8 +6,8 @@ import re
 from collections.abc import Iterator, Sequence
 from io import StringIO
 from pathlib import Path
-from typing import NamedTuple
 
+from hil.comparison.columns import COLUMNS, Column
 from hil.comparison.conditions import DRIVES, FRICTIONS, MASS_FACTORS, Condition
 from hil.comparison.result import Comparison, Row
 from hil.comparison.runs import FIGURES
@@ -16,36 +16,7 @@ from hil.whole_file import write_whole
 
 OVERVIEW = "figures"
 """The name of the picture of all figures."""
-
-_NONE = "-"
-
-
-class Column(NamedTuple):
-    """How a figure is shown."""
-
-    name: str
-    head: str
-    unit: str
-    scale: float
-    digits: int
-    meaning: str
-
-    def text(self, value: float | None) -> str:
-        """Return the figure in the column's unit."""
-        return _NONE if value is None else f"{value * self.scale:.{self.digits}f}"
-
-
-COLUMNS = (
-    Column("t10_s", "t10", "s", 1.0, 3, "first time from which the planar error stays below 10 mm"),
-    Column("tracked_s", "tracked", "s", 1.0, 3, "first time from which it stays below 2 % of its initial value"),
-    Column("steady_rms_m", "rms", "mm", 1e3, 3, "planar error over the last 5 s, root mean square"),
-    Column("steady_max_m", "max", "mm", 1e3, 3, "planar error over the last 5 s, largest"),
-    Column("overshoot_m", "overshoot", "mm", 1e3, 1, "how far past the reference, along the line of the initial error"),
-    Column("effort_n_m_s", "effort", "N·m·s", 1.0, 1, "∫ Σ abs(τ) dt over the four wheels, by the measured currents"),
-    Column("torque_variation_n_m_per_s", "variation", "N·m/s", 1.0, 2, "mean absolute slew of a wheel's torque"),
-    Column("saturation_s", "saturated", "s", 1.0, 2, "how long a wheel's command was at its limit"),
-)
-assert tuple(column.name for column in COLUMNS) == FIGURES
+_LAST_S = 1.0
 
 
 def names(condition: Condition) -> tuple[str, str]:
@@ -73,7 +44,7 @@ def terminal(comparison: Comparison) -> Iterator[tuple[str, list[tuple[str, ...]
         rows = comparison.under(condition)
         head = ("law", *(f"{column.head} {column.unit}" for column in COLUMNS))
         cells = [(row.entry.title(condition.mode), *(_pair(column, row) for column in COLUMNS)) for row in rows]
-        yield condition.words, [head, *cells], list(_notes(rows))
+        yield condition.words, [head, *cells], list(_notes(comparison, rows))
 
 
 def _pair(column: Column, row: Row) -> str:
@@ -86,14 +57,15 @@ def write_markdown(comparison: Comparison, file: Path, command: str, pictures: S
     lines = [*_preface(comparison, command)]
     for condition in comparison.conditions():
         rows = comparison.under(condition)
+        late = _late(comparison, rows)
         lines += ["", f"## {condition.words}", ""]
         lines += ["| law | " + " | ".join(f"{column.head} [{column.unit}]" for column in COLUMNS) + " |"]
         lines += ["|---" * (1 + len(COLUMNS)) + "|"]
         for row in rows:
-            cells = (_triple(column, row, rows) for column in COLUMNS)
+            cells = (_triple(column, row, rows, is_late=column in late) for column in COLUMNS)
             label = row.entry.title(condition.mode).replace("|", "\\|")
             lines.append(f"| {label} | " + " | ".join(cells) + " |")
-        if notes := list(_notes(rows)):
+        if notes := list(_notes(comparison, rows)):
             lines += ["", *(f"- {note}" for note in notes)]
         lines += _shown(pictures, names(condition), file)
     lines += _shown(pictures, (OVERVIEW,), file)
@@ -122,18 +94,36 @@ def _preface(comparison: Comparison, command: str) -> Iterator[str]:
         yield f"- {column.head} [{column.unit}]: {column.meaning}."
 
 
-def _triple(column: Column, row: Row, rows: Sequence[Row]) -> str:
+def _late(comparison: Comparison, rows: Sequence[Row]) -> list[Column]:
+    """Return the times of which even the least lies in a run's last second: how the run ends decides on them."""
+    late = []
+    for column in COLUMNS:
+        least = _least(column, rows)
+        if column.is_instant and least is not None and least > comparison.duration_s - _LAST_S:
+            late.append(column)
+    return late
+
+
+def _least(column: Column, rows: Sequence[Row]) -> float | None:
+    return min((value for row in rows if (value := row.worst(column.name)) is not None), default=None)
+
+
+def _triple(column: Column, row: Row, rows: Sequence[Row], *, is_late: bool) -> str:
     worst = row.worst(column.name)
-    others = [value for value in (other.worst(column.name) for other in rows) if value is not None]
     text = column.text(worst)
-    if worst is not None and text == column.text(min(others)):
+    if worst is not None and text == column.text(_least(column, rows)) and not is_late:
         text = f"**{text}**"
     if len(row.runs) == 1:
         return text
     return " / ".join([column.text(row.value(column.name)), column.text(row.worst_over_mass(column.name)), text])
 
 
-def _notes(rows: Sequence[Row]) -> Iterator[str]:
+def _notes(comparison: Comparison, rows: Sequence[Row]) -> Iterator[str]:
+    if late := _late(comparison, rows):
+        yield (
+            f"{' and '.join(column.head for column in late)}: the least is in the last second of a run of "
+            f"{comparison.duration_s:g} s, so that the error was not seen to stay where it is, and nobody is first"
+        )
     for row in rows:
         for note in row.notes():
             yield f"{row.entry.label}: {note}"

@@ -39,10 +39,12 @@ class Demand(NamedTuple):
         """What to tell the user; None where the limit is kept."""
         if self.first is None:
             return None
+        first, most = f"{self.first:.3g}", f"{self.worst:.3g}"
+        worst = f"; at most wheel {self.worst_wheel} {most} {self.unit} at t = {self.worst_s:.3g} s"
         return (
-            f"wheel {self.first_wheel} would need {self.first:.3g} {self.unit} at t = {self.first_s:.3g} s, "
-            f"its limit is {self.limit:g} {self.unit}; at most wheel {self.worst_wheel} {self.worst:.3g} {self.unit} "
-            f"at t = {self.worst_s:.3g} s: the robot cannot follow this reference, make it slower"
+            f"wheel {self.first_wheel} would need {first} {self.unit} at t = {self.first_s:.3g} s, its limit is "
+            f"{self.limit:g} {self.unit}{worst if most != first else ''}: the robot cannot follow this reference, make "
+            "it slower"
         )
 
 

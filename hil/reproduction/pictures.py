@@ -26,6 +26,8 @@ _GREY = (150, 150, 150)
 _STEADY_FROM_S = 5.0
 _CONVERGED_S = 3.0
 _AXIS_M = 0.3
+_JOINED = 4
+"""Latencies from which on a line between them says more than the points."""
 _SHIFT_S = published.SILENT_FROM_S
 """Section IV.B counts from when the robot's computer was started; a scenario from its first tick."""
 
@@ -127,6 +129,8 @@ def delay(path: Path, results: Results) -> None:
             draw_curves(axes, curves, title=f"Oscillation: {label.split()[0]}", x_label="latency [ms]", y_label=label)
             for line in axes.get_lines():
                 line.set_marker("o")
+                if np.size(line.get_xdata()) < _JOINED:
+                    line.set_linestyle("none")
         left.set_ylim(top=1e3)
         for number, (k1_1_s, k2_1_s) in enumerate((published.FUZZY_CENTRE, published.DSC_GAINS)):
             margin = delay_margin(k1_1_s, k2_1_s, published.COMMON_FILTER_S, EXPERIMENT_PERIOD_S)

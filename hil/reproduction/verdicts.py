@@ -161,7 +161,7 @@ def _sooner(results: Results) -> Verdict:
     }
     is_so = lead is not None and lead > 0.0
     others = [f"{words} {value:+.2f} s" for words, value in leads.items() if (value > 0.0) != is_so]
-    sign = f"the same sign in all {len(leads)} conditions run"
+    sign = f"the same sign in all {len(leads)} conditions run" if len(leads) > 1 else "run in one condition only"
     if others:
         sign = f"not in every condition run: with {', with '.join(others)}"
     why = f"the initial pose was chosen for both times, so the size shows nothing; {sign}" if is_so else sign

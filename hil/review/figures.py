@@ -35,6 +35,7 @@ _OUTCOME = (
 )
 _MADE = ("command", "started", "mecanum_hil", "commit", "python", "machine")
 _NAMED = 4
+_LATE_S = 1.0  # a run in real time may have missed its first ticks
 
 
 class _Expect(NamedTuple):
@@ -110,7 +111,7 @@ def figures(run: RecordedRun) -> dict[str, Any]:
         **outcome,
         **found,
         "recording": str(run.path),
-        "notes": [*run.notes, *_other_version(run)],
+        "notes": [*run.notes, *_other_version(run), *_late_begin(run)],
         "made": {name: text for name, text in run.properties.items() if name in _MADE},
         "events": [event._asdict() for event in run.events],
         "reasons": reasons,
@@ -156,6 +157,14 @@ def _other_version(run: RecordedRun) -> list[str]:
     commit = run.properties.get("commit")
     made = f"another version (commit {commit})" if commit else "another version"
     return [f"{made} made it: it lacks {', '.join(missing[:_NAMED])}{more}, which this one records"]
+
+
+def _late_begin(run: RecordedRun) -> list[str]:
+    """Say so where a recording begins later than its run or service, on whose clock its rows are."""
+    t_s = run.signals["loop.t_s"]
+    if not len(t_s) or t_s[0] < _LATE_S:
+        return []
+    return [f"it begins at t = {t_s[0]:.6g} s; how long it took to track the reference is counted from there"]
 
 
 def _object(properties: Mapping[str, str], name: str) -> dict[str, Any]:

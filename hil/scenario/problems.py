@@ -132,7 +132,8 @@ def _expected(problem: Any, path: Path) -> str:
     field, in_array = _field(path), path[-1].isdigit()
     if in_array and field is not None:
         item = get_args(field.annotation)[0]
-        return f"expected {_item(item)}" if get_origin(item) is Literal or item is int else "expected a table"
+        is_table = isinstance(item, type) and issubclass(item, Table)
+        return "expected a table" if is_table else f"expected {_item(item)}"
     if problem["type"] == "finite_number":
         return _expected_of(field).replace("a number", "a finite number")
     return _expected_of(field)
@@ -149,7 +150,9 @@ def _expected_of(field: FieldInfo | None) -> str:
     if get_origin(kind) is Literal:
         return f"expected {_either(get_args(kind))}"
     if get_origin(kind) is tuple:
-        return f"expected an array, each item {_item(get_args(kind)[0])}"
+        item = get_args(kind)[0]
+        example = ', as in ["first", "second"]' if get_origin(item) is not Literal else ""
+        return f"expected an array, each item {_item(item)}{example}"
     if kind is str:
         return "expected text in quotation marks"
     if kind is bool:
@@ -163,7 +166,9 @@ def _expected_of(field: FieldInfo | None) -> str:
 
 def _item(kind: Any) -> str:
     """Return what an item of an array is."""
-    return "a whole number" if kind is int else _either(get_args(kind))
+    if get_origin(kind) is Literal:
+        return _either(get_args(kind))
+    return "a whole number" if kind is int else "text in quotation marks"
 
 
 def _either(choice: tuple[object, ...]) -> str:

@@ -52,6 +52,7 @@ class Desk:
         self._signals = make_laws(scenario, scenario.directory).signals
         self._under_way: list[tuple[Order, Future[Any], Then]] = []
         self._records_busy = False
+        self._t_s = 0.0
         self.shutdown = False
         self._actions: dict[Action, Callable[[Order], Result | None]] = {
             Action.ARM: lambda _: self._now(pilot.arm),
@@ -68,12 +69,14 @@ class Desk:
             Action.SHUTDOWN: self._shut_down,
         }
 
-    def take(self, orders: Iterable[Order], *, stalled: bool = False) -> None:
+    def take(self, orders: Iterable[Order], t_s: float, *, stalled: bool = False) -> None:
         """Have orders done, and answer those and earlier ones that have come to their end. Never waits.
 
+        ``t_s`` is the service's time [s] of the row that comes next.
         Where the ticks were ``stalled`` for longer than a twist is in force, only what cannot make the robot move is
         still done of the orders that waited.
         """
+        self._t_s = t_s
         for order in orders:
             if stalled and order.action in MOVING:
                 self._answer(Answer(order.number, "the service stood still while this order waited; give it again"))
@@ -184,7 +187,7 @@ class Desk:
 
         def then(recording: Any) -> Result:
             self._records.begin(recording)
-            return {"path": str(path)}
+            return {"path": str(path), "from_s": round(self._t_s, 6)}
 
         self._later(order, self._freeing(make), then)
 

@@ -31,6 +31,7 @@ from hil.service.systemd import Notifier
 from hil.signals import LoopSignals
 from hil.telemetry import Recording
 from hil.telemetry.provenance import properties
+from hil.telemetry.view import live_hint
 from hil.types import NAN
 
 _STATUS_HZ = 20
@@ -107,7 +108,9 @@ def _live(scenario: Scenario, parts: PartsOf, options: Options, resources: conte
         live_port=options.live_port,
         signals=parts.laws.signals,
     )
-    return resources.enter_context(live)
+    resources.enter_context(live)
+    logs.info(live_hint(options.live_port))
+    return live
 
 
 def _finish(records: Records) -> None:
@@ -238,13 +241,14 @@ class _Service:
             # What waited while this process stood still is no wish of this moment.
             stalled = begin_ns - taken_ns > self._scenario.service.twist_timeout_s * 1e9
             taken_ns = begin_ns
-            desk.take(self._api.orders(), stalled=stalled)
+            t_s = max(number, 0) * timing.period_ns * 1e-9
+            desk.take(self._api.orders(), t_s, stalled=stalled)
             if not self._api.alive and pilot.phase in (Phase.ARMING, Phase.ACTIVE):
                 pilot.disarm_because("the API process ended or hangs, so that nobody could have stopped the robot")
             if number >= 0:
                 counts.ticks += 1
                 counts.lateness.add(late_ns)
-                self._t_s = t_s = number * timing.period_ns * 1e-9
+                self._t_s = t_s
                 now = LoopSignals(t_s, number, late_ns * 1e-3, tick_us, counts.deadline_misses)
                 pilot.tick(now, sampling.fix_of(number))
             if pilot.phase is not told or number % every == 0:

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 import rerun.blueprint as rrb
 
 from hil.telemetry.lanes import FAULT_LANES, ROBOT_LANE
-from hil.telemetry.layout import MORE_PATH, SHADOW_GROUP, Entity
+from hil.telemetry.layout import MORE_PATH, NO_UNIT, SHADOW_GROUP, Entity
 from hil.telemetry.limits import LIMITS_PATH, Limit
 from hil.telemetry.robot_model import RobotShape
 from hil.telemetry.scene import BODY, SCENE
@@ -208,7 +208,8 @@ class _Views:
 def _words(path: str) -> str:
     """Return a title for the signals of a path below ``/more``: group and unit."""
     *group, unit = path.removeprefix(f"{MORE_PATH}/").removeprefix(f"{SHADOW_GROUP}/").split("/")
-    return f"{' '.join(group)} [{unit}]"
+    words = " ".join(group).removesuffix(f"_{unit}")
+    return words if unit == NO_UNIT else f"{words} [{unit}]"
 
 
 def _window(*, live: bool) -> rrb.VisibleTimeRange:

@@ -87,7 +87,8 @@ def check_is_recording(path: Path) -> str:
         with path.open("rb") as file:
             start = file.read(max(map(len, _MAGICS.values())))
     except OSError as error:
-        raise BadInputError(f"{path}: {error.strerror}; expected {EXPECTED_FILE}") from error
+        hint = f"; there is {parts[0]}, a later part of it" if (parts := later_parts(path)) else ""
+        raise BadInputError(f"{path}: {error.strerror}; expected {EXPECTED_FILE}{hint}") from error
     if not start:
         raise BadInputError(f"{path}: the file is empty; expected {EXPECTED_FILE}")
     for kind, magic in _MAGICS.items():
@@ -115,7 +116,8 @@ def has_end(path: Path, kind: str) -> bool:
 def later_parts(path: Path) -> list[Path]:
     """Return the files beside a recording that by their names are later parts of it, in order."""
     name = re.compile(rf"{re.escape(path.stem)}-([1-9]\d*){re.escape(path.suffix)}")
-    found = {int(match[1]): other for other in path.parent.iterdir() if (match := name.fullmatch(other.name))}
+    others = path.parent.iterdir() if path.parent.is_dir() else ()
+    found = {int(match[1]): other for other in others if (match := name.fullmatch(other.name))}
     return [found[number] for number in sorted(found) if number > 1]
 
 

@@ -160,7 +160,10 @@ class _Page:
 
 
 def _waiting(port: int) -> str:
-    return f"shows each run on port {port} of this machine, such as 'hil run SCENARIO --live --live-port {port}'"
+    return (
+        f"shows each run and service on port {port} of this machine, such as "
+        f"'hil run SCENARIO --live --live-port {port}' or 'hil serve CONFIG --live --live-port {port}'"
+    )
 
 
 def _listens(port: int) -> bool:

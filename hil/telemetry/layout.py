@@ -6,6 +6,7 @@ vocabulary grows.
 """
 
 import itertools
+import re
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
@@ -25,9 +26,11 @@ ALARM_COLOUR: Colour = (235, 87, 87)
 WHEEL_COLOURS: tuple[Colour, ...] = ((86, 180, 233), (230, 159, 0), (0, 190, 140), (214, 117, 176))
 MORE_PATH = "/more"
 SHADOW_GROUP = "shadow"
+NO_UNIT = "number"
 _MORE_COLOURS = (*WHEEL_COLOURS, X_COLOUR, HEADING_COLOUR, PLAIN_COLOUR, TRUTH_COLOUR)
 # A unit as part of a path.
 _UNIT_PATHS = {"m/s²": "m_s2", "rad/s": "rad_s", "m/s": "m_s", "N·m": "n_m", "1/s": "1_s", "°C": "degc", "%": "percent"}
+_AXES = ("x", "y", "heading")
 _AXIS_COLOURS = (X_COLOUR, Y_COLOUR, HEADING_COLOUR)
 
 
@@ -68,8 +71,7 @@ def _dim(colour: Colour) -> Colour:
 
 def _axes(path: str, *signals: str) -> Entity:
     """Three signals of x, y and heading."""
-    labels = ("x", "y", "heading")
-    return Entity(path, tuple(Series(*one) for one in zip(signals, labels, _AXIS_COLOURS, strict=True)))
+    return Entity(path, tuple(Series(*one) for one in zip(signals, _AXES, _AXIS_COLOURS, strict=True)))
 
 
 def _pose(path: str, group: str) -> Entity:
@@ -204,7 +206,8 @@ def layout(signals: Sequence[str]) -> tuple[Entity, ...]:
     """Return the entities that hold exactly these signals.
 
     Signals that the table above does not place go to ``/more/GROUP/UNIT``, one entity for each first part of a name
-    and each unit: what one plot can show. The group of a shadow law is ``shadow/LAW``.
+    and each unit: what one plot can show. The group of a shadow law is ``shadow/LAW``. A quantity that each axis has,
+    as ``fuzzy.x.rule``, is a group of its own, ``fuzzy/rule``: its numbers share no scale with those of another one.
     """
     missing = dict.fromkeys(signals)
     placed = []
@@ -221,7 +224,7 @@ def _remaining(signals: Iterable[str]) -> list[Entity]:
     groups: dict[str, list[Series]] = {}
     for signal in signals:
         group, label = _group(signal)
-        path = f"{MORE_PATH}/{group}/{_UNIT_PATHS.get(unit := unit_of(signal), unit) or 'number'}"
+        path = f"{MORE_PATH}/{group}/{_UNIT_PATHS.get(unit := unit_of(signal), unit) or NO_UNIT}"
         groups.setdefault(path, []).append(Series(signal, label or signal, PLAIN_COLOUR))
     return [Entity(path, _coloured(series)) for path, series in groups.items()]
 
@@ -230,13 +233,15 @@ def _group(signal: str) -> tuple[str, str]:
     """Split a name into its group and its label in there."""
     parts = signal.split(".")
     depth = 2 if parts[0] == SHADOW_GROUP and len(parts) > 2 else 1
+    if len(parts) > depth + 1 and parts[-2] in _AXES:
+        return "/".join((*parts[:-2], parts[-1])), parts[-2]
     return "/".join(parts[:depth]), ".".join(parts[depth:])
 
 
 def _coloured(series: Sequence[Series]) -> tuple[Series, ...]:
-    """Give each series a colour: that of its wheel, if it names one, else the next one."""
-    by_wheel = dict(zip(WHEEL_NAMES, WHEEL_COLOURS, strict=True))
+    """Give each series a colour: that of its wheel or axis, if it names one, else the next one."""
+    named = dict(zip((*WHEEL_NAMES, *_AXES), (*WHEEL_COLOURS, *_AXIS_COLOURS), strict=True))
     return tuple(
-        one._replace(colour=next((by_wheel[part] for part in one.label.split(".") if part in by_wheel), other))
+        one._replace(colour=next((named[word] for word in re.split(r"[._]", one.label) if word in named), other))
         for one, other in zip(series, itertools.cycle(_MORE_COLOURS), strict=False)
     )
