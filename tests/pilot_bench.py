@@ -9,9 +9,10 @@ from hil.errors import HilError, RobotStoppedError
 from hil.parts import PartsOf
 from hil.sampling import Sampling
 from hil.scenario import load
+from hil.service.conduct import Rules
 from hil.service.messages import Phase
 from hil.service.motions import Speeds
-from hil.service.pilot import Pilot, Rules
+from hil.service.pilot import Pilot
 from hil.signals import SIGNAL_NAMES, LoopSignals
 
 SPEEDS = Speeds(0.5, 1.0, 5.0, 1.0, 3.0, 15.0)

@@ -10,8 +10,8 @@ from hil.kinematics import BodyTwist
 from hil.parts import PartsOf
 from hil.references import make_reference
 from hil.scenario import load
+from hil.service.conduct import Rules
 from hil.service.messages import Phase, Task
-from hil.service.pilot import Rules
 from hil.types import Pose
 from tests.pilot_bench import SPEEDS, PilotBench, armed_pilot
 

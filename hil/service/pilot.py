@@ -7,7 +7,6 @@ sense in the present phase is refused with a sentence.
 import contextlib
 import math
 from collections.abc import Callable
-from typing import NamedTuple
 
 from firmware_protocol.generated.messages import State as RobotState
 from hil.errors import BadInputError, DeviceError, HilError, LinkError, RobotStoppedError
@@ -16,39 +15,25 @@ from hil.recovery import Recovery
 from hil.references import ReferenceSource
 from hil.sampling import Timing
 from hil.scenario.laws import Laws
+from hil.service.conduct import NOWHERE, Conduct, Rules
 from hil.service.messages import Phase, Task
-from hil.service.motions import Drive, Follow, Motion, Speeds, frame_at, way_to
 from hil.signals import LoopSignals
 from hil.tick import Parts, Sensed, Tick
 from hil.types import (
     NAN,
-    NAN_POSE,
     NO_GAINS,
-    Acceleration,
     Applied,
     CommandMode,
     Pose,
     PoseFix,
     Reference,
     State,
-    Twist,
     WheelCommand,
 )
 
-_REST = Twist(0.0, 0.0, 0.0), Acceleration(0.0, 0.0, 0.0)
-_NOWHERE = Reference(NAN_POSE, *_REST)
 _ARMING_LIMIT_S = 4.0
 _STOPPING_LIMIT_S = 5.0
 _CLEARING_LIMIT_S = 2.0
-
-
-class Rules(NamedTuple):
-    """``[service]`` as the pilot needs it."""
-
-    speeds: Speeds
-    twist_timeout_s: float
-    error_limit_m: float
-    estop_repeat_s: float = 0.3
 
 
 class _NoLaw:
@@ -86,8 +71,6 @@ class Pilot:
 
     def __init__(self, parts: Parts, mode: CommandMode, timing: Timing, rules: Rules) -> None:
         self._parts = parts
-        self._mode = mode
-        self._timing = timing
         self._rules = rules
         self._doing = Tick(parts, mode, timing)
         self._t_s = 0.0
@@ -97,14 +80,10 @@ class Pilot:
         self._clear_next = False
         self._why: str | None = None
         self._law_failed = False
-        self._motion: Motion | None = None
-        self._after_rest: Callable[[Reference], Motion] | None = None
-        self._twist_until_s = -math.inf
+        self._conduct = Conduct(rules)
         self.phase = Phase.AWAY
-        self.task: Task | None = None
         self.motions_asked = 0
         self.state: State | None = None
-        self.reference: Reference | None = None
         self.recoveries = 0
         self._was_connected = False
         parts.device.attend(parts.clock)
@@ -142,11 +121,19 @@ class Pilot:
         return None if self.phase is Phase.AWAY else self._doing.feedback_age_ms
 
     @property
+    def task(self) -> Task | None:
+        """What an ACTIVE robot is doing; else None."""
+        return self._conduct.task
+
+    @property
+    def reference(self) -> Reference | None:
+        """Where an ACTIVE robot should be; else None."""
+        return self._conduct.reference
+
+    @property
     def twist_age_s(self) -> float | None:
         """Age of the twist in force; None where none is."""
-        if self.task is not Task.TWIST:
-            return None
-        return self._t_s - (self._twist_until_s - self._rules.twist_timeout_s)
+        return self._conduct.twist_age_s
 
     # Orders
 
@@ -200,49 +187,25 @@ class Pilot:
         self._deadline_s = self._t_s + _CLEARING_LIMIT_S
 
     def stop(self) -> None:
-        """Ramp down to rest and hold. Raises BadInputError unless the robot is ACTIVE."""
-        self.need_active()
-        self.motions_asked += 1
-        self._rest()
-        self.task = Task.HOLD
+        """Ramp down to rest and hold. Raises BadInputError unless the robot is ACTIVE, and its pose known."""
+        self._active_conduct().stop()
 
     def twist(self, twist: BodyTwist) -> BodyTwist:
         """Drive by this for ``twist_timeout_s``; return what the limits leave of it. Raises as ``stop``."""
-        self.need_active()
-        self.motions_asked += 1
-        drive = self._motion if self.task is Task.TWIST and isinstance(self._motion, Drive) else self._rest()
-        self.task = Task.TWIST
-        self._twist_until_s = self._t_s + self._rules.twist_timeout_s
-        return drive.want(twist)
+        return self._active_conduct().twist(twist)
 
     def track(self, path: ReferenceSource, *, here: bool) -> None:
-        """Follow a path once the robot rests; where it stands (``here``), or in the world, after going to its begin.
-
-        Raises BadInputError as ``stop``.
-        """
-        self.need_active()
-        self.motions_asked += 1
-        begin = path.at(0.0).pose
-
-        def follow(at: Reference) -> Motion:
-            if here:
-                return Follow(path, self._t_s, frame=frame_at(at.pose, begin))
-            return Follow(path, self._t_s, way_to(at.pose, begin, self._rules.speeds))
-
-        self._rest()
-        self.task, self._after_rest = Task.TRACK, follow
+        """Follow a path once the robot rests; see ``Conduct``. Raises as ``stop``."""
+        self._active_conduct().track(path, here=here)
 
     def go(self, pose: Pose) -> None:
-        """Go to a pose in the world and hold there. Raises BadInputError as ``stop``."""
+        """Go to a pose in the world and hold there. Raises as ``stop``."""
+        self._active_conduct().go(pose)
+
+    def _active_conduct(self) -> Conduct:
         self.need_active()
         self.motions_asked += 1
-
-        def follow(at: Reference) -> Motion:
-            way = way_to(at.pose, pose, self._rules.speeds)
-            return Follow(way, self._t_s) if way is not None else self._hold(at)
-
-        self._rest()
-        self.task, self._after_rest = Task.GO, follow
+        return self._conduct
 
     def use(self, laws: Laws) -> None:
         """Control by other laws from the next tick on, as with other gains; they begin anew there."""
@@ -263,10 +226,10 @@ class Pilot:
             self._steps[self.phase](now, fix)
         except HilError as error:
             self.lose(error)
-            self._doing.tell_away(now, fix, _NOWHERE)
+            self._doing.tell_away(now, fix, NOWHERE)
         except (ArithmeticError, ValueError) as error:  # a law or a path beyond what numbers can do
             self.lose(BadInputError(f"the law or the path failed: {type(error).__name__}: {error}"))
-            self._doing.tell_away(now, fix, _NOWHERE)
+            self._doing.tell_away(now, fix, NOWHERE)
 
     def lose(self, error: HilError) -> None:
         """Take what went wrong, in a tick or while waiting for it. Raises as ``tick``."""
@@ -307,7 +270,7 @@ class Pilot:
             self._recovery.fail(error)
             is_back = False
         if not is_back:
-            self._doing.tell_away(now, fix, _NOWHERE)
+            self._doing.tell_away(now, fix, NOWHERE)
             return
         self._doing.restart()
         self.recoveries += self._was_connected
@@ -319,7 +282,7 @@ class Pilot:
             self._parts.device.estop()
         else:
             self._enter(Phase.STOPPING, _STOPPING_LIMIT_S)  # until its feedback says that it is none
-        self._doing.tell_away(now, fix, _NOWHERE)
+        self._doing.tell_away(now, fix, NOWHERE)
 
     def _wait(self, now: LoopSignals, fix: PoseFix | None) -> None:
         robot = self._look(now, fix).feedback.state
@@ -337,40 +300,17 @@ class Pilot:
             return
         self._doing.begin()
         self._enter(Phase.ACTIVE)
-        self.task = Task.HOLD
+        self._conduct.begin()
         self._drive(now, fix)
 
     def _drive(self, now: LoopSignals, fix: PoseFix | None) -> None:
         sensed = self._doing.sense(now.t_s, fix)
-        self.state = state = sensed.state
-        pose = state.pose if state is not None else None
-        reference = self._where(now.t_s, pose)
-        if pose is not None and math.dist(reference.pose[:2], pose[:2]) > self._rules.error_limit_m:
-            self._give_up(f"the robot is more than {self._rules.error_limit_m:g} m from where it should be")
-            reference = self._where(now.t_s, pose)
-        self.reference = reference
-        self._doing.drive(now, sensed, reference)
-        if self._motion is not None and self._doing.is_held:
-            self._give_up("the robot was held at rest: what is known of it is too old, or not sure enough")
-
-    def _where(self, t_s: float, pose: Pose | None) -> Reference:
-        if self._motion is None:
-            if pose is None:
-                return _NOWHERE
-            self._motion = self._hold(Reference(pose, *_REST))
-        if self.task is Task.TWIST and t_s > self._twist_until_s:
-            self._rest()
-            self.task = Task.HOLD
-        reference = self._motion.at(t_s, pose)
-        if self._after_rest is not None and isinstance(self._motion, Drive) and self._motion.rests:
-            self._motion, self._after_rest = self._after_rest(reference), None
-        return reference
-
-    def _give_up(self, why: str) -> None:
-        """End the task; the robot is held where it is."""
-        self._why = why
-        self._motion = self._after_rest = self.reference = None
-        self.task = Task.HOLD
+        self.state = sensed.state
+        self._doing.drive(now, sensed, self._conduct.at(now.t_s, sensed.state))
+        if self._doing.is_held:
+            self._conduct.held()
+        if self._conduct.gave_up is not None:
+            self._why, self._conduct.gave_up = self._conduct.gave_up, None
 
     def _ramp_down(self, now: LoopSignals, fix: PoseFix | None) -> None:
         robot = self._look(now, fix).feedback.state
@@ -406,7 +346,7 @@ class Pilot:
         """Sense and tell, without driving."""
         sensed = self._doing.sense(now.t_s, fix, active=False)
         self.state = sensed.state
-        self._doing.tell_away(now, fix, _NOWHERE, sensed.state)
+        self._doing.tell_away(now, fix, NOWHERE, sensed.state)
         return sensed
 
     # Changes
@@ -415,7 +355,7 @@ class Pilot:
         self.phase = phase
         self.motions_asked += 1
         self._deadline_s = self._t_s + limit_s
-        self._motion = self._after_rest = self.task = self.reference = None
+        self._conduct.end()
         if phase is Phase.AWAY:
             self.state = None
 
@@ -432,18 +372,3 @@ class Pilot:
 
     def _because(self) -> str:
         return f" ({self.why})" if self.why else ""
-
-    def _hold(self, at: Reference) -> Drive:
-        return Drive(at, self._t_s, self._rules.speeds)
-
-    def _rest(self) -> Drive:
-        """Come to rest from the motion of now, whatever it is."""
-        self._after_rest = None
-        at = self.reference or _NOWHERE
-        if not math.isfinite(sum(at.pose)):
-            if self.state is None:
-                raise BadInputError("it is not known where the robot is; wait until the status has a pose")
-            at = Reference(self.state.pose, *_REST)
-        drive = self._hold(at)
-        self._motion = drive
-        return drive

@@ -19,13 +19,14 @@ from hil.scenario import Scenario
 from hil.service import logs
 from hil.service.api_child import ApiChild
 from hil.service.api_config import ApiConfig, Limits, LogStyle
+from hil.service.conduct import Rules
 from hil.service.desk import Desk
 from hil.service.lasting_truth import LastingTruth
 from hil.service.lock import device_held
 from hil.service.messages import Action, Answer, Phase
 from hil.service.motions import Speeds
 from hil.service.now import Counts, Now
-from hil.service.pilot import Pilot, Rules
+from hil.service.pilot import Pilot
 from hil.service.records import Records, finished
 from hil.service.systemd import Notifier
 from hil.signals import LoopSignals

@@ -1,0 +1,149 @@
+"""What an ACTIVE robot is to do: one task at a time, each begun and ended at rest. Pure."""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+from hil.errors import BadInputError
+from hil.kinematics import BodyTwist
+from hil.references import ReferenceSource
+from hil.service.messages import Task
+from hil.service.motions import Drive, Follow, Motion, Speeds, frame_at, way_to
+from hil.types import NAN_POSE, Acceleration, Pose, Reference, State, Twist
+
+_REST = Twist(0.0, 0.0, 0.0), Acceleration(0.0, 0.0, 0.0)
+NOWHERE = Reference(NAN_POSE, *_REST)
+"""The reference of a robot that is to do nothing."""
+
+
+class Rules(NamedTuple):
+    """``[service]`` as the pilot needs it; ``estop_repeat_s`` is for how long an e-stop is repeated at least."""
+
+    speeds: Speeds
+    twist_timeout_s: float
+    error_limit_m: float
+    estop_repeat_s: float = 0.3
+
+
+class Conduct:
+    """The tasks of a robot from ``begin`` to ``end``. Orders are given between two ticks.
+
+    Attributes:
+        task: None unless it has begun. reference: of the last tick, None before the first.
+        gave_up: why a task was ended and the robot is held, until somebody takes note.
+    """
+
+    def __init__(self, rules: Rules) -> None:
+        self._rules = rules
+        self._t_s = 0.0
+        self._state: State | None = None
+        self._motion: Motion | None = None
+        self._after_rest: Callable[[Reference], Motion] | None = None
+        self._twist_until_s = -math.inf
+        self.task: Task | None = None
+        self.reference: Reference | None = None
+        self.gave_up: str | None = None
+
+    def begin(self) -> None:
+        """Hold the robot where it is."""
+        self.end()
+        self.task = Task.HOLD
+
+    def end(self) -> None:
+        """Do nothing more."""
+        self._motion = self._after_rest = self._state = None
+        self.task = self.reference = self.gave_up = None
+
+    @property
+    def twist_age_s(self) -> float | None:
+        """Age of the twist in force; None where none is."""
+        if self.task is not Task.TWIST:
+            return None
+        return self._t_s - (self._twist_until_s - self._rules.twist_timeout_s)
+
+    # Orders; each raises BadInputError while it is not known where the robot is
+
+    def stop(self) -> None:
+        """Ramp down to rest and hold."""
+        self._rest()
+        self.task = Task.HOLD
+
+    def twist(self, twist: BodyTwist) -> BodyTwist:
+        """Drive by this for ``twist_timeout_s``; return what the limits leave of it."""
+        drive = self._motion if self.task is Task.TWIST and isinstance(self._motion, Drive) else self._rest()
+        self.task = Task.TWIST
+        self._twist_until_s = self._t_s + self._rules.twist_timeout_s
+        return drive.want(twist)
+
+    def track(self, path: ReferenceSource, *, here: bool) -> None:
+        """Follow a path once the robot rests; where it stands (``here``), or in the world, after going to its begin."""
+        begin = path.at(0.0).pose
+
+        def follow(at: Reference) -> Motion:
+            if here:
+                return Follow(path, self._t_s, frame=frame_at(at.pose, begin))
+            return Follow(path, self._t_s, way_to(at.pose, begin, self._rules.speeds))
+
+        self._rest()
+        self.task, self._after_rest = Task.TRACK, follow
+
+    def go(self, pose: Pose) -> None:
+        """Go to a pose in the world once the robot rests, and hold there."""
+
+        def follow(at: Reference) -> Motion:
+            way = way_to(at.pose, pose, self._rules.speeds)
+            return Follow(way, self._t_s) if way is not None else self._hold(at)
+
+        self._rest()
+        self.task, self._after_rest = Task.GO, follow
+
+    # The tick
+
+    def at(self, t_s: float, state: State | None) -> Reference:
+        """Return the reference of this tick for a robot in this state; NOWHERE before its state was ever known."""
+        self._t_s, self._state = t_s, state
+        pose = state.pose if state is not None else None
+        reference = self._where(pose)
+        limit_m = self._rules.error_limit_m
+        if pose is not None and math.dist(reference.pose[:2], pose[:2]) > limit_m:
+            self.give_up(f"the robot is more than {limit_m:g} m from where it should be")
+            reference = self._where(pose)
+        self.reference = reference
+        return reference
+
+    def held(self) -> None:
+        """Take note that the robot was held at rest instead."""
+        if self._motion is not None:
+            self.give_up("the robot was held at rest: what is known of it is too old, or not sure enough")
+
+    def give_up(self, why: str) -> None:
+        """End the task; the robot is held where it is."""
+        self.gave_up = why
+        self._motion = self._after_rest = self.reference = None
+        self.task = Task.HOLD
+
+    def _where(self, pose: Pose | None) -> Reference:
+        if self._motion is None:
+            if pose is None:
+                return NOWHERE
+            self._motion = self._hold(Reference(pose, *_REST))
+        if self.task is Task.TWIST and self._t_s > self._twist_until_s:
+            self.stop()
+        reference = self._motion.at(self._t_s, pose)
+        if self._after_rest is not None and isinstance(self._motion, Drive) and self._motion.rests:
+            self._motion, self._after_rest = self._after_rest(reference), None
+        return reference
+
+    def _hold(self, at: Reference) -> Drive:
+        return Drive(at, self._t_s, self._rules.speeds)
+
+    def _rest(self) -> Drive:
+        """Come to rest from the motion of now, whatever it is."""
+        at = self.reference or NOWHERE
+        if not math.isfinite(sum(at.pose)):
+            if self._state is None:
+                raise BadInputError("it is not known where the robot is; wait until the status has a pose")
+            at = Reference(self._state.pose, *_REST)
+        self._after_rest = None
+        self._motion = drive = self._hold(at)
+        return drive
