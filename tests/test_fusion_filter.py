@@ -310,8 +310,9 @@ ADVERSE = [
 @given(st.lists(COVARIANCES, min_size=1, max_size=8), st.booleans())
 @example(ADVERSE, False)
 @example(ADVERSE, True)
+@example([PoseCovariance(0.1, 0.09843750000000001, 0.01976423537605237, 0.1, -0.05929270612815711, 1.0)] * 2, True)
 def test_no_sequence_of_covariances_makes_a_variance_negative_or_ends_the_run(covariances, moves):
-    """Singular and impossible ones among them, which a message is refused for: the filter stands them all the same."""
+    """Singular and impossible ones among them, which a message is refused for: the filter rejects them all the same."""
     belief = start(0, START, 0.05, 0.05, 0.05)
     for number, covariance in enumerate(covariances, 1):
         if moves:

@@ -13,6 +13,7 @@ from typing import NamedTuple
 from hil.types import MeasuredPose, Pose, PoseCovariance
 
 _UNKNOWN_VARIANCE = 1e6
+_LEAST_SHARE = 1e-6
 _ROUNDING = 1e-13
 
 
@@ -143,9 +144,12 @@ def moved(belief: Belief, step: Step, time_ns: int, share: float = 1.0) -> Belie
 def corrected(belief: Belief, fix: MeasuredPose, acceptance: Acceptance) -> Belief:
     """Return the belief after a fix of its own instant.
 
-    A fix beyond the gate is rejected. When so many rejected ones in a row agree with one another and with the motion
-    between them, the last of them is taken as a new start: the robot was elsewhere than believed.
+    A fix beyond the gate is rejected, and one whose covariance is none, or next to singular. When so many of the former
+    in a row agree with one another and with the motion between them, the last of them is taken as a new start: the
+    robot was elsewhere than believed.
     """
+    if not _is_covariance(fix.covariance):
+        return belief._replace(rejected=belief.rejected + 1)
     if not belief.is_known:
         return _restarted(belief, fix, acceptance)._replace(restarts=belief.restarts)
     p, r = belief.covariance, fix.covariance
@@ -294,6 +298,17 @@ def _agree(belief: Belief, fix: MeasuredPose, gate: float) -> bool:
         )
         <= gate
     )
+
+
+def _is_covariance(r: PoseCovariance) -> bool:
+    """Return whether Cholesky's pivots are positive, and none is next to nothing of its variance."""
+    if min(r.xx_m2, r.yy_m2, r.hh_rad2) <= 0.0:
+        return False
+    second = r.yy_m2 - r.xy_m2 * r.xy_m2 / r.xx_m2
+    if second < _LEAST_SHARE * r.yy_m2:
+        return False
+    mixed = r.yh_m_rad - r.xy_m2 * r.xh_m_rad / r.xx_m2
+    return r.hh_rad2 - r.xh_m_rad * r.xh_m_rad / r.xx_m2 - mixed * mixed / second >= _LEAST_SHARE * r.hh_rad2
 
 
 def _less(variance: float, known: float) -> float:
