@@ -131,7 +131,7 @@ def test_sigterm_ramps_down_disarms_closes_the_recording_and_exits_0(tmp_path: P
         assert service.line("recording finished")["lost"] == 0
         assert not is_running(service.api_pid)
     run = read(tmp_path / "run.rrd")
-    assert max(abs(run.signals[f"wheel.{wheel}.speed_rad_s"][-1]) for wheel in ("fl", "fr", "rr", "rl")) < 0.1
+    assert max(abs(run.signals[f"wheel.{wheel}.speed_rad_s"][-1]) for wheel in ("fl", "fr", "rr", "rl")) < 0.5
     assert any("the robot is stopping" in event.text for event in run.events)
 
 
