@@ -24,14 +24,17 @@ from hil.commands.fuzzy import fuzzy
 from hil.commands.group import Commands
 from hil.commands.init import init
 from hil.commands.options import (
+    AllowMotion,
     Json,
     LinkUrl,
+    LivePort,
     Mode,
     RobotFile,
     ScenarioName,
     Seed,
     Sets,
     TraceFile,
+    TruthUrl,
     drop_output,
     interrupt,
     print_json,
@@ -63,9 +66,7 @@ def run(
     scenario: ScenarioName,
     mode: Mode = None,
     link: LinkUrl = None,
-    truth: Annotated[
-        str | None, typer.Option(metavar="URL", help="truth socket of hil device, tcp://127.0.0.1:PORT")
-    ] = None,
+    truth: TruthUrl = None,
     robot: RobotFile = None,
     record: Annotated[
         str | None,
@@ -76,7 +77,7 @@ def run(
     ] = None,
     trace: TraceFile = None,
     live: Annotated[bool, typer.Option("--live", help="serve live viewers on 127.0.0.1 while it runs")] = False,
-    live_port: Annotated[int, typer.Option(metavar="PORT", help="for --live", min=1, max=65535)] = live_view.LIVE_PORT,
+    live_port: LivePort = live_view.LIVE_PORT,
     stream: Annotated[
         str | None,
         typer.Option(
@@ -87,7 +88,7 @@ def run(
     ] = None,
     seed: Seed = None,
     sets: Sets = None,
-    allow_motion: Annotated[bool, typer.Option("--allow-motion", help="real motors may move")] = False,
+    allow_motion: AllowMotion = False,
     as_json: Json = False,
 ) -> None:
     """Run a scenario and judge it."""

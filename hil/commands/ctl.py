@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from hil.commands.options import Json, interrupt, print_json
+from hil.commands.options import Json, ServicePort, ServiceUrl, TokenFile, interrupt, print_json
 from hil.errors import BadInputError, RunInterruptedError
 
 if TYPE_CHECKING:
@@ -35,13 +35,9 @@ class _Which(NamedTuple):
 @app.callback()
 def which(
     context: typer.Context,
-    url: Annotated[str | None, typer.Option("--url", metavar="URL", help="http://127.0.0.1:PORT")] = None,
-    port: Annotated[
-        int | None, typer.Option("--port", metavar="PORT", help="which service, when several run", min=1, max=65535)
-    ] = None,
-    token_file: Annotated[
-        Path | None, typer.Option("--token-file", metavar="FILE", help="with the token; by default the service's own")
-    ] = None,
+    url: ServiceUrl = None,
+    port: ServicePort = None,
+    token_file: TokenFile = None,
 ) -> None:
     """Take what all commands have in common."""
     context.obj = _Which(url, port, token_file)

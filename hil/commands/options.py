@@ -25,6 +25,18 @@ Seed = Annotated[int | None, typer.Option(metavar="N", help="of everything rando
 TraceFile = Annotated[
     Path | None, typer.Option("--trace", metavar="FILE.blf|.asc|.log", help="write what is on the wire, for bus tools")
 ]
+TruthUrl = Annotated[
+    str | None, typer.Option("--truth", metavar="URL", help="truth socket of hil device, tcp://127.0.0.1:PORT")
+]
+LivePort = Annotated[int, typer.Option(metavar="PORT", help="for --live", min=1, max=65535)]
+AllowMotion = Annotated[bool, typer.Option("--allow-motion", help="real motors may move")]
+ServiceUrl = Annotated[str | None, typer.Option("--url", metavar="URL", help="http://127.0.0.1:PORT")]
+ServicePort = Annotated[
+    int | None, typer.Option("--port", metavar="PORT", help="which service, when several run", min=1, max=65535)
+]
+TokenFile = Annotated[
+    Path | None, typer.Option("--token-file", metavar="FILE", help="with the token; by default the service's own")
+]
 Json = Annotated[bool, typer.Option("--json", help="print one JSON object and nothing else")]
 
 

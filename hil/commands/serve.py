@@ -7,27 +7,25 @@ from typing import Annotated, Literal
 import typer
 
 from hil.commands.live import LIVE_PORT
-from hil.commands.options import LinkUrl, RobotFile, ScenarioName, Sets
+from hil.commands.options import AllowMotion, LinkUrl, LivePort, RobotFile, ScenarioName, Sets, TruthUrl
 
 
 def serve(
     config: ScenarioName,
     link: LinkUrl = None,
-    truth: Annotated[
-        str | None, typer.Option(metavar="URL", help="truth socket of hil device, tcp://127.0.0.1:PORT")
-    ] = None,
+    truth: TruthUrl = None,
     robot: RobotFile = None,
     record: Annotated[
         Path | None, typer.Option(metavar="FILE", help="record from the start (.rrd, .mcap); hil ctl record does later")
     ] = None,
     live: Annotated[bool, typer.Option("--live", help="serve live viewers on 127.0.0.1, for hil live")] = False,
-    live_port: Annotated[int, typer.Option(metavar="PORT", help="for --live", min=1, max=65535)] = LIVE_PORT,
+    live_port: LivePort = LIVE_PORT,
     token_file: Annotated[
         Path | None, typer.Option(metavar="FILE", help="with the API's token; by default a new one at each start")
     ] = None,
     log: Annotated[Literal["text", "json"], typer.Option(help="form of the log's lines on stderr")] = "text",
     sets: Sets = None,
-    allow_motion: Annotated[bool, typer.Option("--allow-motion", help="real motors may move")] = False,
+    allow_motion: AllowMotion = False,
     print_unit: Annotated[
         bool, typer.Option("--print-unit", help="print a unit for systemd that serves this, and end")
     ] = False,

@@ -1,22 +1,18 @@
 """``hil teleop``: a served robot driven by hand."""
 
 import sys
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from hil.commands.options import ServicePort, ServiceUrl, TokenFile
 from hil.errors import BadInputError
 
 
 def teleop(
-    url: Annotated[str | None, typer.Option("--url", metavar="URL", help="http://127.0.0.1:PORT")] = None,
-    port: Annotated[
-        int | None, typer.Option("--port", metavar="PORT", help="which service, when several run", min=1, max=65535)
-    ] = None,
-    token_file: Annotated[
-        Path | None, typer.Option("--token-file", metavar="FILE", help="with the token; by default the service's own")
-    ] = None,
+    url: ServiceUrl = None,
+    port: ServicePort = None,
+    token_file: TokenFile = None,
     speed_m_s: Annotated[
         float, typer.Option("--speed", metavar="M_S", help="in the plane, at full deflection", min=0.001, max=20)
     ] = 0.25,
