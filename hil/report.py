@@ -5,7 +5,6 @@ import sys
 import threading
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
-from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +12,7 @@ from hil.errors import BadInputError, nearest
 from hil.figure_words import belief_rows, figure_rows, link_rows, outcome_rows, recorded_at
 from hil.plant.words import one_line
 from hil.results import RunResult
+from hil.runs_folder import new_in_runs
 
 if TYPE_CHECKING:
     from hil.assembly import Watch
@@ -31,27 +31,12 @@ def recording_path(name: str, asked: str | None) -> Path | None:
         return None
     if asked is not None:
         return Path(asked)
-    return _runs_folder("name a file with --record, or --record none") / f"{_stamped(name)}.rrd"
+    return new_in_runs(name, ".rrd", "name a file with --record, or --record none")
 
 
 def catalogue_folder() -> Path:
     """Return a new folder's path in ``runs/``, for the recordings of the runs that are not as they should be."""
-    return _runs_folder("go where you may write") / _stamped("catalogue")
-
-
-def _runs_folder(remedy: str) -> Path:
-    folder = Path("runs")
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        raise BadInputError(
-            f"recording folder {folder.absolute()}: it cannot be made ({error.strerror}); {remedy}"
-        ) from error
-    return folder
-
-
-def _stamped(name: str) -> str:
-    return f"{name}-{datetime.now():%Y%m%d-%H%M%S-%f}"  # noqa: DTZ005 - the user's own time
+    return new_in_runs("catalogue", "", "go where you may write")
 
 
 def progress(duration_s: float) -> "Watch":

@@ -44,8 +44,9 @@ class Served(PilotBench):
         self.beside = Beside()
         self.answers: dict[int, Answer] = {}
         self.config = load("circle_speed")
+        signals = self.made.laws.signals
         self.desk = Desk(
-            self.config, self.pilot, Records(None), self._answer, lambda: load("circle_speed"), self.beside
+            self.config, signals, self.pilot, Records(None), self._answer, lambda: load("circle_speed"), self.beside
         )
 
     def _answer(self, answer: Answer) -> None:

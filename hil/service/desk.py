@@ -1,23 +1,22 @@
 """Takes the orders of a service: those of a moment are done at once, others by a thread beside the ticks."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor, Future
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from hil.errors import BadInputError, HilError
 from hil.kinematics import BodyTwist
 from hil.references import ReferenceSource, make_reference
+from hil.runs_folder import new_in_runs
 from hil.scenario import Scenario
 from hil.scenario.laws import make_laws
 from hil.service import logs
 from hil.service.messages import MOVING, Action, Answer, Order
 from hil.service.pilot import Pilot
-from hil.service.records import Records, finished
-from hil.telemetry import Recording, check_output_path
-from hil.telemetry.provenance import properties
+from hil.service.records import Records, finished, recording_of
+from hil.telemetry import Recording
 from hil.types import Pose
 
 Result = Mapping[str, Any]
@@ -28,7 +27,8 @@ Then = Callable[[Any], Result]
 class Desk:
     """Has orders done, and answers each by ``answer``.
 
-    ``reload`` loads the configuration again; ``beside`` does one thing at a time, in order.
+    ``signals`` are those of a row. ``reload`` loads the configuration again; ``beside`` does one thing at a time, in
+    order.
 
     Attributes:
         shutdown: whether the service was asked to end.
@@ -37,6 +37,7 @@ class Desk:
     def __init__(
         self,
         scenario: Scenario,
+        signals: Sequence[str],
         pilot: Pilot,
         records: Records,
         answer: Callable[[Answer], None],
@@ -49,7 +50,7 @@ class Desk:
         self._answer = answer
         self._reload = reload
         self._beside = beside
-        self._signals = make_laws(scenario, scenario.directory).signals
+        self._signals = tuple(signals)
         self._under_way: list[tuple[Order, Future[Any], Then]] = []
         self._records_busy = False
         self._t_s = 0.0
@@ -177,17 +178,14 @@ class Desk:
             raise BadInputError(f"{self._records.path or 'a recording'} is being written; stop that first")
         self._records_busy = True
         wanted = order.arguments["path"]
-        path = Path(wanted) if wanted is not None else Path("runs") / f"{self._scenario.name}-{_stamp()}.rrd"
 
         def make() -> Recording:
-            if wanted is None:
-                path.parent.mkdir(exist_ok=True)
-            check_output_path("recording", path)
-            return Recording(path, properties=properties(self._scenario), blocking=False, signals=self._signals)
+            path = new_in_runs(self._scenario.name, ".rrd", "name a file") if wanted is None else Path(wanted)
+            return recording_of(self._scenario, self._signals, path)
 
         def then(recording: Any) -> Result:
             self._records.begin(recording)
-            return {"path": str(path), "from_s": round(self._t_s, 6)}
+            return {"path": str(recording.path), "from_s": round(self._t_s, 6)}
 
         self._later(order, self._freeing(make), then)
 
@@ -233,7 +231,3 @@ def _try_out(path: ReferenceSource) -> None:
             is_finite = False
         if not is_finite:
             raise BadInputError("the path has no pose at each time; its options are too large or too small")
-
-
-def _stamp() -> str:
-    return f"{datetime.now():%Y%m%d-%H%M%S}"  # noqa: DTZ005 - a name for a person

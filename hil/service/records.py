@@ -1,11 +1,13 @@
 """Where a service's rows and events go: to a recording while there is one, and to live viewers all the time."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from hil.scenario import Scenario
 from hil.service import logs
 from hil.telemetry import Recording, RecordingReport
+from hil.telemetry.provenance import properties
 
 
 class Records:
@@ -54,6 +56,16 @@ class Records:
                 recording.event(t_s, level, text)
         say: Mapping[str, Callable[..., None]] = {"warning": logs.warning, "error": logs.error}
         say.get(level, logs.info)(text, t_s=round(t_s, 3))
+
+
+def recording_of(
+    scenario: Scenario, signals: Sequence[str], path: Path | None, live_port: int | None = None
+) -> Recording:
+    """Start a recording of a service: to a file, or for live viewers alone; takes longer than a tick.
+
+    Raises BadInputError and DeviceError as ``Recording``.
+    """
+    return Recording(path, properties=properties(scenario), blocking=False, live_port=live_port, signals=signals)
 
 
 def finished(recording: Recording, summary: Mapping[str, Any]) -> RecordingReport:

@@ -27,11 +27,10 @@ from hil.service.messages import Action, Answer, Phase
 from hil.service.motions import Speeds
 from hil.service.now import Counts, Now
 from hil.service.pilot import Pilot
-from hil.service.records import Records, finished
+from hil.service.records import Records, finished, recording_of
 from hil.service.systemd import Notifier
 from hil.signals import LoopSignals
 from hil.telemetry import Recording
-from hil.telemetry.provenance import properties
 from hil.telemetry.view import live_hint
 from hil.types import NAN
 
@@ -86,10 +85,7 @@ def serve(scenario: Scenario, options: Options, reload: Callable[[], Scenario]) 
         resources.callback(notifier.close)
         records = Records(_live(scenario, parts, options, resources))
         if options.record is not None:
-            recording = Recording(
-                options.record, properties=properties(scenario), blocking=False, signals=parts.laws.signals
-            )
-            records.begin(recording)
+            records.begin(recording_of(scenario, parts.laws.signals, options.record))
         resources.callback(_finish, records)
         api = ApiChild(_api_config(scenario, options))
         resources.callback(api.close)
@@ -102,14 +98,7 @@ def serve(scenario: Scenario, options: Options, reload: Callable[[], Scenario]) 
 def _live(scenario: Scenario, parts: PartsOf, options: Options, resources: contextlib.ExitStack) -> Recording | None:
     if options.live_port is None:
         return None
-    live = Recording(
-        None,
-        properties=properties(scenario),
-        blocking=False,
-        live_port=options.live_port,
-        signals=parts.laws.signals,
-    )
-    resources.enter_context(live)
+    live = resources.enter_context(recording_of(scenario, parts.laws.signals, None, options.live_port))
     logs.info(live_hint(options.live_port))
     return live
 
@@ -166,7 +155,8 @@ class _Service:
             if self._estop_owed:
                 pilot.estop()
             resources.callback(bench.device.disarm)
-            desk = Desk(self._scenario, pilot, self._records, self._api.send, reload, beside)
+            signals = self._parts.laws.signals
+            desk = Desk(self._scenario, signals, pilot, self._records, self._api.send, reload, beside)
             with real_time(Wanted(**dict(self._scenario.realtime)), bench.robot_threads) as granted:
                 self._tick(bench, pilot, desk, granted)
 
@@ -228,6 +218,7 @@ class _Service:
         number = sampling.begin(origin_ns)
         bench.begin(origin_ns)
         every = max(1, round(1e9 / _STATUS_HZ / timing.period_ns))
+        stall_ns = self._scenario.service.twist_timeout_s * 1e9
         told = pilot.phase
         tick_us = NAN
         taken_ns = time.perf_counter_ns()
@@ -240,7 +231,7 @@ class _Service:
                 continue
             begin_ns = time.perf_counter_ns()
             # What waited while this process stood still is no wish of this moment.
-            stalled = begin_ns - taken_ns > self._scenario.service.twist_timeout_s * 1e9
+            stalled = begin_ns - taken_ns > stall_ns
             taken_ns = begin_ns
             t_s = max(number, 0) * timing.period_ns * 1e-9
             desk.take(self._api.orders(), t_s, stalled=stalled)
