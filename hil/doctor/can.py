@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from hil.doctor.finding import Finding, note, ok
+from hil.doctor.finding import Finding, note, ok, text_of
 
 NET = Path("/sys/class/net")
 _ARPHRD_CAN = "280"
@@ -26,7 +26,7 @@ def check(net: Path = NET) -> Iterator[Finding]:
     found = False
     if sys.platform == "linux":
         for folder in sorted(net.glob("*")):
-            if _read(folder / "type") == _ARPHRD_CAN:
+            if text_of(folder / "type") == _ARPHRD_CAN:
                 found = True
                 yield _interface(folder)
     libraries = [maker for maker, name in _MAKERS.items() if ctypes.util.find_library(name)]
@@ -42,7 +42,7 @@ def _interface(folder: Path) -> Finding:
     timing = told.get("linkinfo", {}).get("info_data", {}).get("bittiming", {})
     is_virtual = told.get("linkinfo", {}).get("info_kind") in ("vcan", "vxcan")
     rate = f" at {timing['bitrate']} bit/s" if timing.get("bitrate") else ""
-    if int(_read(folder / "flags") or "0", 16) & _IFF_UP:
+    if int(text_of(folder / "flags") or "0", 16) & _IFF_UP:
         return ok("CAN interface", f"{name} is up{rate}; its link is can:socketcan/{name}")
     how = "" if is_virtual else " type can bitrate 1000000"
     return note("CAN interface", f"{name} is down", f"sudo ip link set {name} up{how}")
@@ -58,10 +58,3 @@ def _told_by_ip(name: str) -> dict[str, Any]:
     )
     rows = json.loads(done.stdout or "[]") if done.returncode == 0 else []
     return rows[0] if rows else {}
-
-
-def _read(path: Path) -> str | None:
-    try:
-        return path.read_text("ascii").strip()
-    except OSError:
-        return None

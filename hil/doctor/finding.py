@@ -1,6 +1,7 @@
 """What a check has found."""
 
 from enum import StrEnum
+from pathlib import Path
 from typing import NamedTuple
 
 
@@ -36,3 +37,11 @@ def note(subject: str, sentence: str, remedy: str) -> Finding:
 def problem(subject: str, sentence: str, remedy: str) -> Finding:
     """Return that something does not work."""
     return Finding(Verdict.PROBLEM, subject, sentence, remedy)
+
+
+def text_of(path: Path) -> str | None:
+    """Return what a file of the kernel's says, None where it cannot be read."""
+    try:
+        return path.read_text("utf-8").strip()
+    except OSError:
+        return None

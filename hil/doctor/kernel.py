@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from hil.doctor.finding import Finding, note, ok
+from hil.doctor.finding import Finding, note, ok, text_of
 from hil.realtime import parse_cpus
 
 _FEW_PROCESSORS = 2
@@ -26,7 +26,7 @@ def check(root: Path = Path("/")) -> Iterator[Finding]:
 
 def _preemption(root: Path) -> Finding:
     version = platform.release()
-    if _text(root / "sys/kernel/realtime") == "1" or "PREEMPT_RT" in platform.version():
+    if text_of(root / "sys/kernel/realtime") == "1" or "PREEMPT_RT" in platform.version():
         return ok("kernel", f"Linux {version} with PREEMPT_RT")
     return note(
         "kernel",
@@ -58,13 +58,13 @@ def _config(root: Path) -> str | None:
     try:
         return gzip.decompress((root / "proc/config.gz").read_bytes()).decode()
     except OSError:
-        return _text(root / f"boot/config-{platform.release()}")
+        return text_of(root / f"boot/config-{platform.release()}")
 
 
 def _governor(root: Path) -> Iterator[Finding]:
     """Yield how the processors' frequency is chosen; a virtual machine often does not choose it."""
     folder = root / "sys/devices/system/cpu"
-    governors = {_text(file) for file in folder.glob("cpu[0-9]*/cpufreq/scaling_governor")} - {None}
+    governors = {text_of(file) for file in folder.glob("cpu[0-9]*/cpufreq/scaling_governor")} - {None}
     if not governors:
         return
     named = ", ".join(sorted(filter(None, governors)))
@@ -79,7 +79,7 @@ def _governor(root: Path) -> Iterator[Finding]:
 
 
 def _isolation(root: Path) -> Iterator[Finding]:
-    isolated = parse_cpus(_text(root / "sys/devices/system/cpu/isolated") or "")
+    isolated = parse_cpus(text_of(root / "sys/devices/system/cpu/isolated") or "")
     if isolated:
         yield ok("processors", f"isolated: {', '.join(map(str, isolated))}; runs in real time take these")
     elif (count := os.cpu_count() or 1) > _FEW_PROCESSORS:
@@ -89,10 +89,3 @@ def _isolation(root: Path) -> Iterator[Finding]:
             f"none of {count} is isolated: other programs share the controller's",
             f"to keep one free, boot with isolcpus={last} nohz_full={last} on the kernel's command line",
         )
-
-
-def _text(path: Path) -> str | None:
-    try:
-        return path.read_text("utf-8").strip()
-    except OSError:
-        return None
