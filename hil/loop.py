@@ -173,7 +173,7 @@ class Loop:
 
     def _lose(self, error: HilError) -> Recovery:
         """Begin to bring the robot back, or begin that again; without ``rearm`` the run ends."""
-        self._raise_robot_failure()
+        self._doing.raise_robot_failure()
         if not self._rearm:
             raise type(error)(f"{error}; to reconnect and arm anew in such a case, set loop.rearm = true") from error
         if self._recovery is None:
@@ -183,14 +183,8 @@ class Loop:
             self._recovery.fail(error)
         return self._recovery
 
-    def _raise_robot_failure(self) -> None:
-        """A robot in this process whose plant has failed is not waited for: it cannot come back."""
-        failure = self._parts.robot_failure()
-        if failure is not None:
-            raise failure
-
     def _come_back(self, recovery: Recovery) -> None:
-        self._raise_robot_failure()
+        self._doing.raise_robot_failure()
         if not recovery.advance():
             return
         self._recoveries.append(Recovered(recovery.lost_s, self.t_s, recovery.why))

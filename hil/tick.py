@@ -187,6 +187,11 @@ class Tick:
         self._rows = self._make_rows()
         self._before = None
 
+    def raise_robot_failure(self) -> None:
+        """Raise what ended a robot in this process: one whose plant has failed cannot come back."""
+        if (failure := self._parts.robot_failure()) is not None:
+            raise failure
+
     def skip_fixes(self) -> None:
         """Let go of pose fixes that nothing can be made of, without a robot."""
         if self._parts.fixes is not None:

@@ -224,17 +224,15 @@ class Pilot:
             fix = faults.truth(fix)
         try:
             self._steps[self.phase](now, fix)
-        except HilError as error:
+        except (HilError, ArithmeticError, ValueError) as error:
+            if not isinstance(error, HilError):  # a law or a path beyond what numbers can do
+                error = BadInputError(f"the law or the path failed: {type(error).__name__}: {error}")
             self.lose(error)
-            self._doing.tell_away(now, fix, NOWHERE)
-        except (ArithmeticError, ValueError) as error:  # a law or a path beyond what numbers can do
-            self.lose(BadInputError(f"the law or the path failed: {type(error).__name__}: {error}"))
             self._doing.tell_away(now, fix, NOWHERE)
 
     def lose(self, error: HilError) -> None:
         """Take what went wrong, in a tick or while waiting for it. Raises as ``tick``."""
-        if (failure := self._parts.robot_failure()) is not None:
-            raise failure
+        self._doing.raise_robot_failure()
         if self.phase is Phase.AWAY:
             # Whatever it is, another robot among it: the way back begins again, and never ends in an armed one.
             self._recovery.fail(error)
@@ -261,8 +259,7 @@ class Pilot:
         self._doing.use(self._parts._replace(controller=_NO_LAW, shadows=None, extra=silent))
 
     def _come_back(self, now: LoopSignals, fix: PoseFix | None) -> None:
-        if (failure := self._parts.robot_failure()) is not None:
-            raise failure
+        self._doing.raise_robot_failure()
         self._doing.skip_fixes()
         try:
             is_back = self._recovery.advance()
