@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from firmware_protocol.capabilities import Capability
 from hil.bench import Bench
@@ -36,7 +37,7 @@ class Now:
 
     def without_bench(self, why: str | None) -> Status:
         """Return the status of a service whose link cannot be opened."""
-        controller = self._scenario.controller
+        controller, path = self._scenario.controller, self._records.path
         return Status(
             time_unix_s=time.time(),
             phase=Phase.AWAY,
@@ -62,8 +63,8 @@ class Now:
             round_trip_ms=None,
             frames={"sent": 0, "received": 0, "rejected": {}},
             recoveries=0,
-            recording=None if self._records.path is None else str(self._records.path),
-            rows_dropped=0,
+            recording=None if path is None else str(path),
+            rows_dropped=self._records.rows_dropped,
             twist_age_s=None,
             realtime={},
         )
@@ -71,17 +72,11 @@ class Now:
     def status(self, pilot: Pilot, bench: Bench, granted: RealTime) -> Status:
         """Return the status of a service that ticks."""
         device, counts, parts = bench.device, self._counts, pilot.parts
-        controller, state, feedback = self._scenario.controller, pilot.state, bench.device.feedback
-        info = device.info
-        path = self._records.path
-        return Status(
-            time_unix_s=time.time(),
+        info, state, feedback = device.info, pilot.state, device.feedback
+        return replace(
+            self.without_bench(pilot.why),
             phase=pilot.phase,
             task=pilot.task,
-            why=pilot.why,
-            scenario=self._scenario.name,
-            law=controller.law,
-            command=controller.command,
             link=device.describe_link(),
             robot=None if info is None else info.describe(),
             power_stage=None if info is None else bool(info.capabilities & Capability.POWER_STAGE),
@@ -99,8 +94,6 @@ class Now:
             round_trip_ms=_known(device.round_trip.ms),
             frames={"sent": device.sent, "received": device.received, "rejected": device.rejected()},
             recoveries=pilot.recoveries,
-            recording=None if path is None else str(path),
-            rows_dropped=self._records.rows_dropped,
             twist_age_s=pilot.twist_age_s,
             realtime={setting.name: setting.sentence for setting in granted.settings},
         )
