@@ -210,7 +210,8 @@ def test_a_damaged_recording_is_read_or_refused_in_one_sentence(recording: Path,
     assert refused
     for problem in refused:
         # Not always "damaged": where the length of a message is, the file ends for its reader.
-        assert problem.startswith(f"{damaged}: ") and "\n" not in problem
+        assert problem.startswith(f"{damaged}: ")
+        assert "\n" not in problem
         assert "; expected an .rrd or .mcap file made by 'hil run --record'" in problem
 
 
