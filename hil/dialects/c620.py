@@ -1,0 +1,269 @@
+"""RoboMaster C620 with M3508, and C610 with M2006: currents to the motors, their speed loop closed here.
+
+CAN 1 Mbit/s, standard identifiers, big-endian: 0x200 carries the currents of motors 1 to 4, 0x1FF those of 5 to 8, and
+each motor answers at 1 kHz with 0x200 + its id: rotor angle (8192 a turn), rotor speed [rpm], current, temperature.
+Source: RoboMaster C620 user guide; RoboRTS-Firmware, components/devices/motor.c.
+
+Its controllers know no arming, no version and no error: one that is there says so by its feedback.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from struct import Struct
+from typing import Literal, NamedTuple
+
+from firmware_protocol.framing import Frame
+from hil.dialects.port import Capabilities, Dialect, Found, RobotFacts, Sample
+from hil.options import require_not_negative, require_positive
+from hil.types import WHEEL_NAMES, CommandMode, FourWheels
+
+_CURRENTS = Struct(">4h")
+_FEEDBACK = Struct(">HhhB")
+_FEEDBACK_BASE = 0x200
+_LOW, _HIGH = 0x200, 0x1FF
+_ANGLES = 8192
+_RPM = math.tau / 60.0
+_LATE_NS = 100_000_000
+
+
+class Motor(NamedTuple):
+    """A controller and its motor: current [A] of one count, the largest count, rotor turns in one of the wheel."""
+
+    amperes: float
+    most: int
+    gear_ratio: float
+
+
+MOTORS = {
+    "c620": Motor(20.0 / 16384, 16384, 3591 / 187),
+    "c610": Motor(10.0 / 10000, 10000, 36.0),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """``[device.motors]``: ``ids`` of the channels in order, as set with the button of each controller.
+
+    ``gear_ratio`` 0 takes that of the motor's own gearbox. The gains are those of the speed loop, at the wheel;
+    ``temperature_limit_degc`` is of a motor, beyond which the robot is stopped.
+    """
+
+    controller: Literal["c620", "c610"] = "c620"
+    ids: tuple[int, ...] = (1, 2, 3, 4)
+    gear_ratio: float = 0.0
+    kp_n_m_s_rad: float = 1.1
+    ki_n_m_rad: float = 25.0
+    temperature_limit_degc: float = 100.0
+
+    def __post_init__(self) -> None:
+        if len(self.ids) != 4 or len(set(self.ids)) != 4 or not all(1 <= number <= 8 for number in self.ids):
+            raise ValueError(f"ids = {list(self.ids)}: expected four different ones, each 1 to 8")
+        require_not_negative(self, "gear_ratio", "kp_n_m_s_rad", "ki_n_m_rad")
+        require_positive(self, "temperature_limit_degc")
+
+
+class _Channel:
+    """What one motor said, and its speed loop."""
+
+    def __init__(self) -> None:
+        self.stamp_ns: int | None = None
+        self.angle = 0
+        self.turned = 0  # angle steps since the first frame
+        self.rpm = 0
+        self.current = 0
+        self.temperature_degc = 0
+        self.integral_n_m = 0.0
+
+    def feed(self, payload: bytes, stamp_ns: int) -> None:
+        angle, rpm, current, temperature_degc = _FEEDBACK.unpack_from(payload)
+        if self.stamp_ns is not None:
+            # Where frames were lost the rotor may have turned more than half round: its speed tells how often.
+            expected = 0.5 * (rpm + self.rpm) / 60.0 * _ANGLES * (stamp_ns - self.stamp_ns) * 1e-9
+            step = angle - self.angle
+            self.turned += step + _ANGLES * round((expected - step) / _ANGLES)
+        self.stamp_ns, self.angle, self.rpm, self.current = stamp_ns, angle, rpm, current
+        self.temperature_degc = temperature_degc
+
+
+class C620:
+    """Four of them on one bus."""
+
+    def __init__(self, settings: Settings, robot: RobotFacts) -> None:
+        motor = MOTORS[settings.controller]
+        self._settings = settings
+        self._robot = robot
+        self._amperes = motor.amperes
+        self._most = motor.most
+        self._gear_ratio = settings.gear_ratio or motor.gear_ratio
+        self._channels = tuple(_Channel() for _ in settings.ids)
+        self._by_id = {_FEEDBACK_BASE + number: self._channels[i] for i, number in enumerate(settings.ids)}
+        self._is_armed = False
+        self._commanded_ns: int | None = None
+        self.capabilities = Capabilities(
+            modes=frozenset(CommandMode),
+            is_twist=False,
+            feedback_hz=1000.0,
+            sensors=frozenset({"position", "current", "temperature"}),
+            watchdog="none",
+            latches_estop=False,
+        )
+        self.warnings = (
+            f"what a {settings.controller.upper()} does when commands end is not known to us: keep an e-stop that cuts "
+            "the motors' power within reach",
+        )
+
+    def ask(self) -> Sequence[Frame]:
+        return ()
+
+    @property
+    def identity(self) -> str | None:
+        if self.missing:
+            return None
+        ids = ", ".join(map(str, self._settings.ids))
+        return f"four {self._settings.controller.upper()} with the ids {ids}"
+
+    @property
+    def missing(self) -> str:
+        silent = [
+            str(number)
+            for number, channel in zip(self._settings.ids, self._channels, strict=True)
+            if channel.stamp_ns is None
+        ]
+        if not silent:
+            return ""
+        return (
+            f"no feedback of the motors {', '.join(silent)}; check their power, the bus, and the ids that their lamps "
+            "blink (device.motors.ids)"
+        )
+
+    def arm(self, now_ns: int) -> Sequence[Frame]:
+        for channel in self._channels:
+            channel.integral_n_m = 0.0
+        self._commanded_ns = None
+        self._is_armed = not self.missing and all(
+            channel.stamp_ns is not None and now_ns - channel.stamp_ns < _LATE_NS for channel in self._channels
+        )
+        return self._currents(_NONE)
+
+    @property
+    def is_armed(self) -> bool:
+        return self._is_armed
+
+    def command(self, speed_rad_s: FourWheels, torque_n_m: FourWheels, now_ns: int) -> Sequence[Frame]:
+        if self._robot.mode is CommandMode.SPEED:
+            torque_n_m = self._speed_loops(speed_rad_s, torque_n_m, now_ns)
+        self._commanded_ns = now_ns
+        scale = 1.0 / (self._robot.torque_constant_n_m_a * self._amperes)
+        fl, fr, rr, rl = (min(max(round(torque * scale), -self._most), self._most) for torque in torque_n_m)
+        return self._currents((fl, fr, rr, rl))
+
+    def _speed_loops(self, speed_rad_s: FourWheels, torque_n_m: FourWheels, now_ns: int) -> FourWheels:
+        settings, limit = self._settings, self._robot.torque_limit_n_m
+        dt_s = self._robot.period_s if self._commanded_ns is None else (now_ns - self._commanded_ns) * 1e-9
+        wanted = []
+        for channel, target, feedforward in zip(self._channels, speed_rad_s, torque_n_m, strict=True):
+            error = target - channel.rpm * _RPM / self._gear_ratio
+            torque = feedforward + settings.kp_n_m_s_rad * error + channel.integral_n_m
+            limited = min(max(torque, -limit), limit)
+            if torque == limited or error * torque < 0.0:  # no windup at the limit
+                channel.integral_n_m += settings.ki_n_m_rad * error * dt_s
+            wanted.append(limited)
+        fl, fr, rr, rl = wanted
+        return fl, fr, rr, rl
+
+    def _currents(self, counts: tuple[int, int, int, int]) -> Sequence[Frame]:
+        """Return the frame or two that carry the currents; the other motors of those frames get none."""
+        slots = {_LOW: [0, 0, 0, 0], _HIGH: [0, 0, 0, 0]}
+        used = set()
+        for number, count in zip(self._settings.ids, counts, strict=True):
+            frame = _LOW if number <= 4 else _HIGH
+            slots[frame][(number - 1) % 4] = count
+            used.add(frame)
+        return [Frame(number, _CURRENTS.pack(*slots[number])) for number in sorted(used, reverse=True)]
+
+    def disarm(self) -> Sequence[Frame]:
+        self._is_armed = False
+        return self._currents(_NONE)
+
+    def estop(self) -> Sequence[Frame]:
+        return self.disarm()
+
+    def clear(self) -> Sequence[Frame]:
+        return ()
+
+    def feed(self, frame: Frame, stamp_ns: int) -> None:
+        channel = self._by_id.get(frame.id)
+        if channel is not None and len(frame.payload) == 8:
+            channel.feed(frame.payload, stamp_ns)
+
+    @property
+    def sample(self) -> Sample | None:
+        channels = self._channels
+        stamps = [channel.stamp_ns for channel in channels if channel.stamp_ns is not None]
+        if len(stamps) < len(channels):
+            return None
+        a, b, c, d = channels
+        to_speed = _RPM / self._gear_ratio
+        to_angle = math.tau / _ANGLES / self._gear_ratio
+        return Sample(
+            min(stamps),
+            (a.rpm * to_speed, b.rpm * to_speed, c.rpm * to_speed, d.rpm * to_speed),
+            (a.turned * to_angle, b.turned * to_angle, c.turned * to_angle, d.turned * to_angle),
+            (
+                a.current * self._amperes,
+                b.current * self._amperes,
+                c.current * self._amperes,
+                d.current * self._amperes,
+            ),
+            (a.temperature_degc, b.temperature_degc, c.temperature_degc, d.temperature_degc),
+        )
+
+    @property
+    def errors(self) -> Sequence[str]:
+        limit = self._settings.temperature_limit_degc
+        return [
+            f"motor {number} of wheel {WHEEL_NAMES[wheel]} has {channel.temperature_degc} °C, more than the {limit:g} "
+            "of device.motors.temperature_limit_degc"
+            for number, channel, wheel in zip(
+                self._settings.ids, self._channels, self._robot.wheel_of_channel, strict=True
+            )
+            if channel.temperature_degc > limit
+        ]
+
+    def restart(self) -> None:
+        self._is_armed = False
+        for channel in self._channels:
+            channel.stamp_ns = None
+
+
+class _Probe:
+    """Listens: each motor speaks by itself."""
+
+    def __init__(self) -> None:
+        self._ids: set[int] = set()
+
+    def ask(self) -> Sequence[Frame]:
+        return ()
+
+    def feed(self, frame: Frame) -> None:
+        number = frame.id - _FEEDBACK_BASE
+        if 1 <= number <= 8 and len(frame.payload) == 8 and _FEEDBACK.unpack_from(frame.payload)[0] < _ANGLES:
+            self._ids.add(number)
+
+    def found(self) -> Found | None:
+        if not self._ids:
+            return None
+        ids = sorted(self._ids)
+        sentences = [f"a C620 or C610 with the id {number}" for number in ids]
+        return Found(sentences, {"ids": ids} if len(ids) == 4 else None)
+
+
+_NONE = (0, 0, 0, 0)
+DIALECT = Dialect(
+    title="RoboMaster C620 and C610",
+    wires=frozenset({"can"}),
+    settings=Settings,
+    make=C620,
+    probe=_Probe,
+)

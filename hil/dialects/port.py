@@ -1,0 +1,183 @@
+"""What a driver of a maker's motor controllers is: pure, frames in and frames out, told the time and asked no clock.
+
+Quantities are those of the wheels' axles, in the order of the robot's channels (``[device] wheels`` says which wheel
+each of them drives): a driver knows its maker's units, gear ratio and node ids, and nothing of how the robot is wired.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Literal, NamedTuple, Protocol
+
+from firmware_protocol.framing import Frame
+from hil.types import NAN, CommandMode, FourWheels
+
+EXTENDED = 0x8000_0000
+"""Added to the id of a CAN frame whose identifier has 29 bits (CAN_EFF_FLAG of Linux)."""
+
+NO_CHANNELS: FourWheels = (NAN, NAN, NAN, NAN)
+
+
+class Capabilities(NamedTuple):
+    """What a maker's controllers can do. ``feedback_hz`` is the lowest rate of what odometry rests on.
+
+    ``is_twist``: they take a velocity of the body and close the loop of the wheels themselves. ``sensors`` are of
+    ``position``, ``current``, ``temperature``, ``battery``, ``gyro`` and ``accelerometer``. ``watchdog``: whether the
+    wheels stop by themselves when commands end: set and read back by the driver, always there, or not at all.
+    ``latches_estop``: a stop of its own, that commands do not end.
+    """
+
+    modes: frozenset[CommandMode]
+    is_twist: bool
+    feedback_hz: float
+    sensors: frozenset[str]
+    watchdog: Literal["set", "fixed", "none"]
+    latches_estop: bool
+
+
+class RobotFacts(NamedTuple):
+    """What a driver is told of the robot beside its own settings, from [robot], [firmware] and [loop]."""
+
+    wheel_radius_m: float
+    lever_m: float
+    wheel_of_channel: tuple[int, int, int, int]
+    sign_of_channel: tuple[int, int, int, int]
+    torque_limit_n_m: float
+    speed_limit_rad_s: float
+    torque_constant_n_m_a: float
+    watchdog_s: float
+    period_s: float
+    mode: CommandMode
+
+
+class Sample(NamedTuple):
+    """What the channels measured, NaN where the maker does not say.
+
+    ``stamp_ns`` is when the oldest of the four speeds arrived: a channel that has gone silent makes all of it old.
+    ``position_rad`` is not wrapped and counts from anywhere.
+    """
+
+    stamp_ns: int
+    speed_rad_s: FourWheels
+    position_rad: FourWheels = NO_CHANNELS
+    current_a: FourWheels = NO_CHANNELS
+    temperature_degc: FourWheels = NO_CHANNELS
+    battery_v: float = NAN
+    battery_a: float = NAN
+    acceleration_m_s2: tuple[float, float, float] = (NAN, NAN, NAN)
+    yaw_rate_rad_s: float = NAN
+
+
+class Driver(Protocol):
+    """Drives four motors, or a base, of one maker.
+
+    The order of a session: ``ask`` until ``identity`` is known, ``arm`` once a tick until ``is_armed``, ``command``
+    once a tick, ``disarm``. ``feed`` takes all that arrives, at any time. Nothing but ``arm`` may lead to motion, and
+    ``arm`` itself asks for standstill.
+    """
+
+    capabilities: Capabilities
+
+    def ask(self) -> Sequence[Frame]:
+        """Return frames that ask who is there, in which version and state; nothing moves by them."""
+
+    @property
+    def identity(self) -> str | None:
+        """What answered, in words, with its firmware where it says; None until all that has to answer has.
+
+        Raises BadInputError when it is nothing that this driver can drive, with what to do.
+        """
+
+    @property
+    def missing(self) -> str:
+        """What has not answered ``ask`` yet, in words, and what to check; empty when nothing is missing."""
+
+    @property
+    def warnings(self) -> Sequence[str]:
+        """Sentences to be said before anything moves, such as that nothing stops the wheels when the host dies."""
+
+    def arm(self, now_ns: int) -> Sequence[Frame]:
+        """Return what the next step towards closed loop at standstill needs; called once a tick until ``is_armed``.
+
+        Errors that were there before are not cleared. A watchdog is set first, and read back.
+        """
+
+    @property
+    def is_armed(self) -> bool:
+        """Whether all four follow commands, as far as they say; True ends when one says that it does not."""
+
+    def command(self, speed_rad_s: FourWheels, torque_n_m: FourWheels, now_ns: int) -> Sequence[Frame]:
+        """Return the frames of a command: in mode SPEED with torques to be added, in mode TORQUE torques alone."""
+
+    def disarm(self) -> Sequence[Frame]:
+        """Return what stops the motors and leaves closed loop; also right in any other state, and twice."""
+
+    def estop(self) -> Sequence[Frame]:
+        """Return the quickest stop that there is, latched where the maker can."""
+
+    def clear(self) -> Sequence[Frame]:
+        """Return what clears the latched errors of the maker's; moves nothing."""
+
+    def feed(self, frame: Frame, stamp_ns: int) -> None:
+        """Take a frame that arrived then. One that is not of this maker's, or damaged, changes nothing."""
+
+    @property
+    def sample(self) -> Sample | None:
+        """The newest measurement of all four channels, None before there is one."""
+
+    @property
+    def errors(self) -> Sequence[str]:
+        """The errors that the controllers report now, in the maker's terms, with the wheel's name; empty for none."""
+
+    def restart(self) -> None:
+        """Forget what was heard: the link was lost, and what answers next may have been reset or exchanged."""
+
+
+class Framing(Protocol):
+    """The frames of a serial dialect on its line. No byte raises: what is no valid frame is dropped and counted."""
+
+    rejected: dict[str, int]
+    received_bytes: int
+
+    def encode(self, frame: Frame) -> bytes:
+        """Return the bytes for the wire."""
+
+    def feed(self, data: bytes) -> list[Frame]:
+        """Take bytes in pieces of any size, and return the frames that they complete. Memory is bounded."""
+
+
+class Found(NamedTuple):
+    """What a probe has found: a sentence for each device, and the [device.motors] that would drive it.
+
+    ``motors`` is None where what was found is not enough for a robot, ``link`` what the link's URL needs beside.
+    """
+
+    sentences: Sequence[str]
+    motors: Mapping[str, Any] | None
+
+
+class Probe(Protocol):
+    """Finds one maker's devices without moving anything."""
+
+    def ask(self) -> Sequence[Frame]:
+        """Return queries; they read, and write nothing. Empty for devices that speak by themselves."""
+
+    def feed(self, frame: Frame) -> None:
+        """Take a frame that arrived."""
+
+    def found(self) -> Found | None:
+        """Return what answered so far, None while nothing of this maker's has."""
+
+
+class Dialect(NamedTuple):
+    """One maker's protocol as the registry has it.
+
+    ``settings`` is a dataclass: the options of [device.motors], checked by ``hil.options.build``. ``wires`` says what
+    it is spoken over: ``can``, ``can_fd`` or ``serial``; ``baud`` and ``bitrate`` are usual there. ``probe`` is None
+    where nothing can be found without a risk.
+    """
+
+    title: str
+    wires: frozenset[str]
+    settings: type[Any]
+    make: Callable[[Any, RobotFacts], Driver]
+    make_framing: Callable[[], Framing] | None = None
+    probe: Callable[[], Probe] | None = None
