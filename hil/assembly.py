@@ -284,8 +284,8 @@ def _figures(
 _NO_VALUE = {
     "load": "memory has no bit rate",
     "foreign": "a line between two has no third",
-    "frames_to_host": "CAN frames carry no count of their own",
-    "frames_to_robot": "CAN frames carry no count of their own",
+    "frames_to_host": "frames carry no count of their own here",
+    "frames_to_robot": "frames carry no count of their own here",
     "feedback_age_ms": "the run has no ticks",
     "round_trip_ms": "no feedback said that a command of the run was in force",
     "clock": "the robot answered no TIME_SYNC_REQUEST",

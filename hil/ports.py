@@ -19,6 +19,28 @@ make_received: Callable[[tuple[Frame, int]], Received] = partial(tuple.__new__, 
 """Return what ``Received`` does of a pair, in half the time."""
 
 
+EXTENDED, REMOTE = 0x8000_0000, 0x4000_0000
+"""In ``Frame.id`` of a CAN frame: an identifier of 29 bits, a frame that asks for one (Linux, struct can_frame)."""
+
+
+class Framing(Protocol):
+    """Frames on a line of bytes, both ways. No byte raises: what is no valid frame is dropped and counted."""
+
+    @property
+    def rejected(self) -> Mapping[str, int]:
+        """How many pieces were no frame, by cause; ``lost`` are frames that the other side counted and did not come."""
+
+    @property
+    def received_bytes(self) -> int:
+        """Bytes that have come, those that were no frame too."""
+
+    def encode(self, frame: Frame) -> bytes:
+        """Return the bytes for the wire."""
+
+    def feed(self, data: bytes) -> list[Frame]:
+        """Take bytes in pieces of any size, and return the frames that they complete. Memory is bounded."""
+
+
 class Clock(Protocol):
     """Robot time passes only here: by the wall in real time, by STEP in lockstep."""
 

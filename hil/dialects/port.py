@@ -8,10 +8,21 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, NamedTuple, Protocol
 
 from firmware_protocol.framing import Frame
+from hil.ports import EXTENDED, REMOTE, Framing
 from hil.types import NAN, CommandMode, FourWheels
 
-EXTENDED = 0x8000_0000
-"""Added to the id of a CAN frame whose identifier has 29 bits (CAN_EFF_FLAG of Linux)."""
+__all__ = [
+    "EXTENDED",
+    "REMOTE",
+    "Capabilities",
+    "Dialect",
+    "Driver",
+    "Found",
+    "Framing",
+    "Probe",
+    "RobotFacts",
+    "Sample",
+]
 
 NO_CHANNELS: FourWheels = (NAN, NAN, NAN, NAN)
 
@@ -129,19 +140,6 @@ class Driver(Protocol):
 
     def restart(self) -> None:
         """Forget what was heard: the link was lost, and what answers next may have been reset or exchanged."""
-
-
-class Framing(Protocol):
-    """The frames of a serial dialect on its line. No byte raises: what is no valid frame is dropped and counted."""
-
-    rejected: dict[str, int]
-    received_bytes: int
-
-    def encode(self, frame: Frame) -> bytes:
-        """Return the bytes for the wire."""
-
-    def feed(self, data: bytes) -> list[Frame]:
-        """Take bytes in pieces of any size, and return the frames that they complete. Memory is bounded."""
 
 
 class Found(NamedTuple):

@@ -3,13 +3,12 @@
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from firmware_protocol.generated.messages import NAMES as MESSAGE_NAMES
-from hil.links.delay import FIRST_EXEMPT_ID
+from hil.links.language import WHEEL_DBC
 from hil.signals import SIGNAL_NAMES
 from hil.types import WHEEL_NAMES
 
 DIRECTIONS = ("command", "feedback")
-MESSAGES = tuple(name for number, name in MESSAGE_NAMES.items() if number < FIRST_EXEMPT_ID)
+MESSAGES = tuple(name for number, name in WHEEL_DBC.names.items() if number < WHEEL_DBC.exempt_from)
 PUSHES = ("force_x_n", "force_y_n", "moment_n_m")
 # The time axis of the run itself: without it neither faults nor expectations had a place.
 FAULTY_SIGNALS = tuple(name for name in SIGNAL_NAMES if name != "loop.t_s")

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 
 from firmware_protocol.framing import Frame
 from hil.errors import LinkError
-from hil.links.fault_rows import LinkFault, ScenarioTime, is_exempt
+from hil.links.fault_rows import LinkFault, ScenarioTime
+from hil.links.language import WHEEL_DBC, Language
 from hil.links.line_faults import foreign_id
 from hil.ports import Link, Received
 
@@ -23,9 +24,17 @@ class FaultBus:
     that time is not modelled. ``babbler`` is the node of its own that babbles, None where no fault wants one.
     """
 
-    def __init__(self, link: Link, time: ScenarioTime, faults: Sequence[LinkFault], babbler: Link | None) -> None:
+    def __init__(
+        self,
+        link: Link,
+        time: ScenarioTime,
+        faults: Sequence[LinkFault],
+        babbler: Link | None,
+        language: Language = WHEEL_DBC,
+    ) -> None:
         self._link = link
         self._time = time
+        self._language = language
         self._faults = [fault for fault in faults if fault.kind != "babble"]
         self._babbles = [fault for fault in faults if fault.kind == "babble"]
         self._babbler = babbler
@@ -35,7 +44,7 @@ class FaultBus:
     def send(self, frame: Frame) -> None:
         t_ns = self._time.now_ns()
         self._babble(t_ns)
-        if t_ns is None or is_exempt(frame.id):
+        if t_ns is None or frame.id >= self._language.exempt_from:
             self._link.send(frame)
             return
         sent = self._passed(frame, "command", t_ns)
@@ -49,7 +58,7 @@ class FaultBus:
         while (received := self._link.receive(timeout_ns)) is not None:
             t_ns = self._time.now_ns()
             self._babble(t_ns)
-            if t_ns is None or is_exempt(received.frame.id):
+            if t_ns is None or received.frame.id >= self._language.exempt_from:
                 return received
             passed = self._passed(received.frame, "feedback", t_ns)
             if passed is not None and len(passed.payload) == len(received.frame.payload):
@@ -106,6 +115,6 @@ class FaultBus:
         for fault in self._babbles:
             for _ in range(fault.due(t_ns)):
                 data = fault.chance.randbytes(fault.chance.randint(0, _MOST_DATA))
-                self._babbler.send(Frame(foreign_id(fault), data))
+                self._babbler.send(Frame(foreign_id(fault, self._language), data))
         while self._babbler.receive(0) is not None:
             pass  # it hears everybody, and has no ear for them

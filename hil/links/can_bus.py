@@ -4,15 +4,15 @@ import errno
 import logging
 import time
 from collections.abc import Callable, Iterator
-from typing import Any, Literal
+from typing import Any
 
 from firmware_protocol.framing import Frame
-from firmware_protocol.generated.messages import LENGTHS, SENDERS
 from hil.errors import BadInputError, LinkError, nearest
 from hil.links.can_errors import BUS_OFF, CAUSES, causes_of
 from hil.links.can_failures import failure
 from hil.links.can_filters import filters_for
 from hil.links.can_ports import CanPort, PythonCan, SocketCan
+from hil.links.language import WHEEL_DBC, Language, Side
 from hil.links.url import CanUrl, format_link
 from hil.ports import Received
 
@@ -27,17 +27,17 @@ _FILTERING_INTERFACES = ("socketcan", "ixxat")
 class CanLink:
     """Frames over a CAN bus; ``hears`` names whose are received, the other side being this one.
 
-    Others are dropped and counted: ``foreign`` (extended or remote), ``garbled`` (an slcan line that is none), error
-    frames by their class (``error_bus_off``, ``error_passive``, ...) and, for a host that hears the robot,
-    ``unknown_id`` and ``length``. A robot that hears the host gets all standard data frames that pass the filters: its
-    firmware counts those by itself. Dropped and not counted are this side's own messages, which some buses give back
-    (python-can's ``udp_multicast``, without a mark). A bus-off is a lost link, to be reopened. ``on_foreign``, where
-    set, is shown each frame that was counted, as a ``can.Message``.
+    What is not of the ``language`` is dropped and counted: ``foreign`` (in ours, extended or remote), ``garbled`` (an
+    slcan line that is none), error frames by their class (``error_bus_off``, ``error_passive``, ...) and, for a host
+    that hears the robot, ``unknown_id`` and ``length``. A robot that hears the host gets all standard data frames that
+    pass the filters: its firmware counts those by itself. Dropped and not counted are this side's own messages, which
+    some buses give back (python-can's ``udp_multicast``, without a mark). A bus-off is a lost link, to be reopened.
+    ``on_foreign``, where set, is shown each frame that was counted, as a ``can.Message``.
 
     Raises BadInputError for what python-can or its interface does not know, LinkError when it cannot be opened.
     """
 
-    def __init__(self, url: CanUrl, hears: Literal["HOST", "ROBOT"]) -> None:
+    def __init__(self, url: CanUrl, hears: Side, language: Language = WHEEL_DBC) -> None:
         import can
 
         self._can = can
@@ -45,6 +45,7 @@ class CanLink:
         logging.getLogger("can").addHandler(logging.NullHandler())
         self._url = url
         self._hears = hears
+        self._language = language
         self._failures = (can.CanError, OSError, ValueError)
         self._rejected = dict.fromkeys(("foreign", "garbled", "unknown_id", "length", *CAUSES), 0)
         self._bus: Any = None
@@ -85,8 +86,8 @@ class CanLink:
             yield "data_bitrate", url.data_bitrate
         if url.interface == "virtual" and url.fd:
             yield "protocol", self._can.CanProtocol.CAN_FD
-        if url.interface in _FILTERING_INTERFACES:
-            heard = [number for number, sender in SENDERS.items() if sender == self._hears]
+        if url.interface in _FILTERING_INTERFACES and (senders := self._language.senders) is not None:
+            heard = [number for number, sender in senders.items() if sender == self._hears]
             yield (
                 "can_filters",
                 [
@@ -125,7 +126,7 @@ class CanLink:
                     raise self._bus_off()
                 return None
             frame = port.frame_of(raw)
-            cause = self._refusal(frame) if frame is not None else "foreign"
+            cause = "foreign" if frame is None else self._refusal(*frame)
             if frame is not None and cause is None:
                 return Received(frame, time.monotonic_ns())
             if cause in self._rejected:
@@ -157,15 +158,8 @@ class CanLink:
             f"ip link set {self._url.channel} type can restart-ms 100"
         )
 
-    def _refusal(self, frame: Frame) -> str | None:
-        if SENDERS.get(frame.id, self._hears) != self._hears:
-            return "own"
-        if self._hears == "HOST":
-            return None
-        expected = LENGTHS.get(frame.id)
-        if expected is None:
-            return "unknown_id"
-        return None if len(frame.payload) == expected else "length"
+    def _refusal(self, number: int, payload: bytes) -> str | None:
+        return self._language.refusal(number, len(payload), self._hears)
 
     def rejected(self) -> dict[str, int]:
         return dict(self._rejected)

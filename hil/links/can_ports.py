@@ -14,6 +14,7 @@ from typing import Any, Protocol
 
 from firmware_protocol.framing import Frame
 from hil.links.url import CanUrl
+from hil.ports import EXTENDED, REMOTE
 
 # Here python-can keeps no frame back, and its own wait is not good enough: slcan's polls, and both slcan's and the
 # multicast's end early at what is no frame.
@@ -24,7 +25,7 @@ _NO_FRAME = (IndexError, ValueError)
 
 # struct can_frame, struct canfd_frame and the flags of their identifier, include/uapi/linux/can.h
 _CLASSIC, _FD, _HEADER = struct.Struct("=IBB2x8s"), struct.Struct("=IBB2x64s"), struct.Struct("=IBB")
-_EXTENDED, _REMOTE, _ERROR = 0x80000000, 0x40000000, 0x20000000
+_ERROR = 0x20000000
 _EXTENDED_IDS, _STANDARD_IDS = 0x1FFFFFFF, 0x7FF
 _SWITCHED, _ERROR_STATE, _IS_FD = 0x01, 0x02, 0x04
 
@@ -33,13 +34,13 @@ class CanPort(Protocol):
     """A bus as it is needed here."""
 
     def send(self, frame: Frame) -> None:
-        """Send a standard data frame."""
+        """Send a frame."""
 
     def receive(self, timeout_ns: int) -> Any:
         """Return the next of whatever comes, raw, or None after the timeout; 0 never waits."""
 
     def frame_of(self, raw: Any) -> Frame | None:
-        """Return a standard data frame; None for anything else."""
+        """Return what came with its id flagged by EXTENDED and REMOTE; None for an error frame."""
 
     def message_of(self, raw: Any) -> Any:
         """Return it as a ``can.Message``."""
@@ -67,9 +68,10 @@ class PythonCan:
 
     def send(self, frame: Frame) -> None:
         message = self._can.Message(
-            arbitration_id=frame.id,
+            arbitration_id=frame.id & ~(EXTENDED | REMOTE),
             data=frame.payload,
-            is_extended_id=False,
+            is_extended_id=frame.id >= EXTENDED,
+            is_remote_frame=bool(frame.id & REMOTE),
             is_fd=self._url.fd,
             bitrate_switch=self._url.fd and self._url.data_bitrate is not None,
         )
@@ -100,9 +102,10 @@ class PythonCan:
             return None
 
     def frame_of(self, raw: Any) -> Frame | None:
-        if raw.is_error_frame or raw.is_extended_id or raw.is_remote_frame:
+        if raw.is_error_frame:
             return None
-        return Frame(raw.arbitration_id, bytes(raw.data))
+        flags = EXTENDED * raw.is_extended_id | REMOTE * raw.is_remote_frame
+        return Frame(raw.arbitration_id | flags, bytes(raw.data))
 
     def message_of(self, raw: Any) -> Any:
         return raw
@@ -134,12 +137,14 @@ class SocketCan:
 
     def frame_of(self, raw: bytes) -> Frame | None:
         number, length, _ = _HEADER.unpack_from(raw)
-        return Frame(number, raw[8 : 8 + length]) if number <= _STANDARD_IDS else None
+        if number & _ERROR:
+            return None
+        return Frame(number, b"" if number & REMOTE else raw[8 : 8 + length])
 
     def message_of(self, raw: bytes) -> Any:
         number, length, flags = _HEADER.unpack_from(raw)
         is_fd = len(raw) == _FD.size
-        is_extended, is_remote = bool(number & _EXTENDED), bool(number & _REMOTE)
+        is_extended, is_remote = bool(number & EXTENDED), bool(number & REMOTE)
         return self._can.Message(
             arbitration_id=number & (_EXTENDED_IDS if is_extended else _STANDARD_IDS),
             is_extended_id=is_extended,

@@ -5,10 +5,8 @@ from collections import deque
 from typing import Protocol
 
 from firmware_protocol.framing import Frame
+from hil.links.language import WHEEL_DBC, Language
 from hil.ports import Link, Received
-
-# STEP, STEP_DONE and the HELLO pages carry no control: conditions of the link do not touch them.
-FIRST_EXEMPT_ID = 0x300
 
 
 class NowNs(Protocol):
@@ -44,8 +42,16 @@ class DelayedLink:
     the link below, ``feedback_latency_ns`` from there to ``receive``.
     """
 
-    def __init__(self, link: HoldingLink, clock: NowNs, command_latency_ns: int, feedback_latency_ns: int) -> None:
+    def __init__(
+        self,
+        link: HoldingLink,
+        clock: NowNs,
+        command_latency_ns: int,
+        feedback_latency_ns: int,
+        language: Language = WHEEL_DBC,
+    ) -> None:
         self._link = link
+        self._exempt_from = language.exempt_from
         self._clock = clock
         self._command_latency_ns = command_latency_ns
         self._feedback_latency_ns = feedback_latency_ns
@@ -56,7 +62,7 @@ class DelayedLink:
         self.receive = self._receive_late if feedback_latency_ns else link.receive
 
     def _send_late(self, frame: Frame) -> None:
-        if frame.id >= FIRST_EXEMPT_ID:
+        if frame.id >= self._exempt_from:
             self._link.send(frame)
         else:
             self._outgoing.append((self._clock.now_ns() + self._command_latency_ns, frame))
@@ -89,7 +95,7 @@ class DelayedLink:
             if self._incoming and self._incoming[0].stamp_ns <= self._clock.now_ns():
                 return self._incoming.popleft()
             received = self._link.receive(timeout_ns)
-            if received is None or received.frame.id >= FIRST_EXEMPT_ID:
+            if received is None or received.frame.id >= self._exempt_from:
                 return received
             self._incoming.append(Received(received.frame, self._clock.now_ns() + self._feedback_latency_ns))
             timeout_ns = max(0, deadline_ns - time.monotonic_ns())

@@ -3,10 +3,10 @@
 import random
 from collections.abc import Sequence
 
-from firmware_protocol.generated.messages import NAMES
 from hil.faults.kinds import DIRECTIONS
 from hil.faults.rows import FaultRow, generators
-from hil.links.delay import FIRST_EXEMPT_ID, NowNs
+from hil.links.delay import NowNs
+from hil.links.language import WHEEL_DBC, Language
 
 
 class ScenarioTime:
@@ -32,7 +32,8 @@ class ScenarioTime:
 class LinkFault:
     """A row that acts on a link, with its own chance; ``applied`` counts how often it did something."""
 
-    def __init__(self, row: FaultRow, chance: random.Random) -> None:
+    def __init__(self, row: FaultRow, chance: random.Random, language: Language) -> None:
+        self._names = language.names
         self.kind = row.kind
         self.row = row
         self.chance = chance
@@ -43,7 +44,7 @@ class LinkFault:
     def concerns(self, direction: str, number: int | None) -> bool:
         """Tell whether the row means frames of this direction and id; an id that is not known is of no message."""
         if self._message is not None:
-            return number is not None and NAMES.get(number) == self._message
+            return number is not None and self._names.get(number) == self._message
         return self._direction in (None, direction)
 
     def strikes(self) -> bool:
@@ -66,11 +67,6 @@ class LinkFault:
         return new
 
 
-def link_faults(rows: Sequence[FaultRow], seed: int) -> list[LinkFault]:
+def link_faults(rows: Sequence[FaultRow], seed: int, language: Language = WHEEL_DBC) -> list[LinkFault]:
     """Give every row its chance and its account."""
-    return [LinkFault(row, chance) for row, chance in zip(rows, generators(rows, seed), strict=True)]
-
-
-def is_exempt(number: int) -> bool:
-    """Tell whether frames of this id are left alone, because they carry no control (STEP, STEP_DONE, HELLO)."""
-    return number >= FIRST_EXEMPT_ID
+    return [LinkFault(row, chance, language) for row, chance in zip(rows, generators(rows, seed), strict=True)]

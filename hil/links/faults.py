@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 from firmware_protocol.framing import Frame
 from hil.errors import LinkError
-from hil.links.fault_rows import LinkFault, ScenarioTime, is_exempt
+from hil.links.fault_rows import LinkFault, ScenarioTime
+from hil.links.language import WHEEL_DBC, Language
 from hil.ports import Link, Received
 
 TICK_NS = 1_000_000
@@ -137,9 +138,12 @@ class FaultLink:
     Without faults it sends and receives as the link below, with no step between.
     """
 
-    def __init__(self, link: Link, time: ScenarioTime, faults: Sequence[LinkFault]) -> None:
+    def __init__(
+        self, link: Link, time: ScenarioTime, faults: Sequence[LinkFault], language: Language = WHEEL_DBC
+    ) -> None:
         self._link = link
         self._time = time
+        self._exempt_from = language.exempt_from
         self.may_hold = bool(faults)
         self._disconnects = [fault for fault in faults if fault.kind == "disconnect"]
         self._out = _Way("command", faults)
@@ -151,7 +155,7 @@ class FaultLink:
 
     def _send_through(self, frame: Frame) -> None:
         t_ns = self._time.now_ns()
-        if t_ns is None or is_exempt(frame.id):
+        if t_ns is None or frame.id >= self._exempt_from:
             self._link.send(frame)
             return
         self._refuse_if_cut(t_ns)
@@ -167,7 +171,7 @@ class FaultLink:
             if self._ready:
                 return self._ready.popleft()
             received = self._link.receive(timeout_ns)
-            if received is None or t_ns is None or is_exempt(received.frame.id):
+            if received is None or t_ns is None or received.frame.id >= self._exempt_from:
                 return received
             if not self._is_cut(t_ns):
                 self._in.take(received.frame, t_ns)

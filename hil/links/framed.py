@@ -1,9 +1,10 @@
-"""A link over a byte stream: the serial framing in both directions."""
+"""A link over a byte stream: the framing of what is spoken, in both directions."""
 
 import time
 from collections import Counter, deque
 
-from firmware_protocol.framing import Deframer, Frame, Framer
+from firmware_protocol.framing import Frame
+from hil.links.language import WHEEL_DBC, Language
 from hil.links.streams import HostStream
 from hil.ports import Received, make_received
 
@@ -11,16 +12,20 @@ from hil.ports import Received, make_received
 class StreamLink:
     """Frames over a byte stream. Wrong bytes are dropped and counted by cause, never raised."""
 
-    def __init__(self, stream: HostStream) -> None:
+    def __init__(self, stream: HostStream, language: Language = WHEEL_DBC) -> None:
         self._stream = stream
-        self._framer = Framer()
-        self._deframer = Deframer()
+        self._make_framing = language.make_framing
+        self._framing = language.make_framing()  # of what is received
+        self._encode = language.make_framing().encode  # the count of what is sent goes on over a loss
         self._earlier: Counter[str] = Counter()  # what was rejected before the link was reopened
         self._earlier_bytes = 0
+        self._sent_bytes = 0
         self._ready: deque[Received] = deque()
 
     def send(self, frame: Frame) -> None:
-        self._stream.write(self._framer.encode(frame))
+        data = self._encode(frame)
+        self._sent_bytes += len(data)
+        self._stream.write(data)
 
     def receive(self, timeout_ns: int) -> Received | None:
         ready = self._ready
@@ -34,7 +39,7 @@ class StreamLink:
             data = self._stream.read(timeout_ns)
             if data:
                 stamp_ns = time.monotonic_ns()
-                self._ready.extend([make_received((frame, stamp_ns)) for frame in self._deframer.feed(data)])
+                self._ready.extend([make_received((frame, stamp_ns)) for frame in self._framing.feed(data)])
             if self._ready or timeout_ns <= 0:
                 return
             # Bytes came that completed no frame: wait on for what is left of the time.
@@ -42,19 +47,27 @@ class StreamLink:
 
     def received_bytes(self) -> int:
         """Return how many bytes have come so far, those that were no frame too."""
-        return self._earlier_bytes + self._deframer.bytes
+        return self._earlier_bytes + self._framing.received_bytes
+
+    def sent_bytes(self) -> int:
+        """Return how many bytes have been sent so far."""
+        return self._sent_bytes
+
+    @property
+    def counts_frames(self) -> bool:
+        """Whether the frames carry a count by which lost ones are noticed."""
+        return "lost" in self._framing.rejected
 
     def rejected(self) -> dict[str, int]:
-        now = self._deframer.rejected | {"lost": self._deframer.lost}
-        counts = {cause: count + self._earlier[cause] for cause, count in now.items()}
+        counts = {cause: count + self._earlier[cause] for cause, count in self._framing.rejected.items()}
         return counts | {"unread_bytes": self._stream.unread_bytes()}
 
     def reopen(self) -> None:
         self._stream.reopen()
-        # A new deframer: the half of a frame, and the gap in the numbers, belong to the line that was lost.
+        # A new framing: the half of a frame, and the gap in the numbers, belong to the line that was lost.
         self._earlier = Counter(self.rejected())
         self._earlier_bytes = self.received_bytes()
-        self._deframer = Deframer()
+        self._framing = self._make_framing()
         self._ready.clear()
 
     def describe(self) -> str:

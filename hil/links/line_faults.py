@@ -6,15 +6,16 @@ from collections.abc import Iterator, Sequence
 from cobs import cobs
 
 from firmware_protocol.framing import crc16
-from firmware_protocol.generated.messages import LENGTHS
-from hil.links.fault_rows import LinkFault, ScenarioTime, is_exempt
+from hil.links.fault_rows import LinkFault, ScenarioTime
+from hil.links.language import STANDARD_IDS, WHEEL_DBC, Language
 from hil.links.streams import HostStream
 
 BYTE_KINDS = ("bit_errors", "truncation", "babble")
 """The kinds that act on bytes here, and on the bus in ``bus_faults``."""
 
 _LONGEST_GARBAGE = 16
-_HIGHEST_ID = 0x7FF
+# Of diagnosis (ISO 15765-4): no motor controller that we know listens there.
+_STRANGERS = range(0x7DF, 0x7F0)
 
 
 class FaultLine:
@@ -24,10 +25,17 @@ class FaultLine:
     them keeps what was cut before from taking them along.
     """
 
-    def __init__(self, stream: HostStream, time: ScenarioTime, faults: Sequence[LinkFault]) -> None:
+    def __init__(
+        self,
+        stream: HostStream,
+        time: ScenarioTime,
+        faults: Sequence[LinkFault],
+        language: Language = WHEEL_DBC,
+    ) -> None:
         self._stream = stream
         self._time = time
         self._faults = faults
+        self._language = language
         self._rest = b""  # the begin of a frame of which not all has arrived
 
     def write(self, data: bytes) -> None:
@@ -40,7 +48,7 @@ class FaultLine:
         if t_ns is None:
             self._rest = b""
             return data
-        whole = data.rfind(b"\0") + 1
+        whole = self._language.whole(data)
         self._rest = data[whole:]
         return self._spoil(data[:whole], "feedback", t_ns)
 
@@ -58,16 +66,16 @@ class FaultLine:
         self._stream.close()
 
     def _spoil(self, data: bytes, direction: str, t_ns: int) -> bytes:
-        """Return what becomes of whole frames, each with its zero."""
+        """Return what becomes of whole frames."""
         said = [
             self._say(fault, t_ns) for fault in self._faults if fault.kind == "babble" and _babbles(fault, direction)
         ]
-        frames = (self._spoil_frame(piece + b"\0", direction, t_ns) for piece in data.split(b"\0")[:-1])
+        frames = (self._spoil_frame(piece, direction, t_ns) for piece in self._language.pieces(data))
         return b"".join((*said, *frames))
 
     def _spoil_frame(self, frame: bytes, direction: str, t_ns: int) -> bytes:
-        number = _id_of(frame)
-        if number is not None and is_exempt(number):
+        number = _id_of(frame) if self._language is WHEEL_DBC else None
+        if number is not None and number >= self._language.exempt_from:
             return b"\0" + frame
         for fault in self._faults:
             if fault.kind == "babble" or not (fault.row.is_in_force(t_ns) and fault.concerns(direction, number)):
@@ -75,9 +83,9 @@ class FaultLine:
             frame = _flip(frame, fault) if fault.kind == "bit_errors" else _cut(frame, fault)
         return frame
 
-    @staticmethod
-    def _say(fault: LinkFault, t_ns: int) -> bytes:
-        return b"".join(_foreign(fault, fault.applied - n) for n in reversed(range(fault.due(t_ns))))
+    def _say(self, fault: LinkFault, t_ns: int) -> bytes:
+        language = self._language
+        return b"".join(_foreign(fault, fault.applied - n, language) for n in reversed(range(fault.due(t_ns))))
 
 
 def _babbles(fault: LinkFault, direction: str) -> bool:
@@ -116,17 +124,19 @@ def _cut(frame: bytes, fault: LinkFault) -> bytes:
     return frame[: fault.chance.randrange(1, len(frame))] if len(frame) > 1 and fault.strikes() else frame
 
 
-def _foreign(fault: LinkFault, number: int) -> bytes:
-    """Return garbage, or every other time a whole frame with a foreign id."""
-    if number % 2:
+def _foreign(fault: LinkFault, number: int, language: Language) -> bytes:
+    """Return garbage, or in our own protocol every other time a whole frame with a foreign id."""
+    if number % 2 or language is not WHEEL_DBC:
         return fault.chance.randbytes(fault.chance.randint(1, _LONGEST_GARBAGE))
-    body = foreign_id(fault).to_bytes(2, "little") + fault.chance.randbytes(fault.chance.randint(1, 9))
+    body = foreign_id(fault, language).to_bytes(2, "little") + fault.chance.randbytes(fault.chance.randint(1, 9))
     encoded: bytes = cobs.encode(body + crc16(body).to_bytes(2, "little"))
     return encoded + b"\0"
 
 
-def foreign_id(fault: LinkFault) -> int:
-    """Return an id of 11 bits that is none of ours."""
-    while (number := fault.chance.randrange(_HIGHEST_ID + 1)) in LENGTHS:
+def foreign_id(fault: LinkFault, language: Language) -> int:
+    """Return an id of 11 bits that is none of the language's."""
+    if language.senders is None:
+        return fault.chance.choice(_STRANGERS)
+    while (number := fault.chance.randrange(STANDARD_IDS + 1)) in language.senders:
         pass
     return number

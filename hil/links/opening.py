@@ -3,10 +3,11 @@
 import contextlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from hil.errors import BadInputError
 from hil.links.framed import StreamLink
+from hil.links.language import WHEEL_DBC, Language, Side
 from hil.links.streams import HostStream, MemoryStream, memory_pair
 from hil.links.url import CanUrl, LinkUrl, MemoryUrl, SerialUrl, format_link
 from hil.links.wire import CanWire, LossySerialWire, ReopeningWire, SerialWire, Wire
@@ -45,20 +46,20 @@ def is_within_process(url: LinkUrl) -> bool:
             return url.interface == "virtual"
 
 
-def open_pair(url: LinkUrl, line: Line = _as_it_is, *, lockstep: bool) -> Pair:
+def open_pair(url: LinkUrl, line: Line = _as_it_is, *, lockstep: bool, language: Language = WHEEL_DBC) -> Pair:
     """Open both ends of a link that stays within this process. Raises LinkError when that fails."""
     match url:
         case MemoryUrl():
             host, robot = memory_pair()
-            return Pair(StreamLink(line(host)), SerialWire(robot), host)
+            return Pair(StreamLink(line(host), language), SerialWire(robot), host)
         case SerialUrl():
             pty = _pty_stream(url, lockstep=lockstep)
             with _closed_on_failure(pty):
-                return Pair(StreamLink(line(_serial_stream(pty.port, url.baud))), LossySerialWire(pty), None)
+                return Pair(StreamLink(line(_serial_stream(pty.port, url.baud)), language), LossySerialWire(pty), None)
         case CanUrl():
-            host_end = _can_link(url, "ROBOT")
+            host_end = _can_link(url, "ROBOT", language)
             with _closed_on_failure(host_end):
-                return Pair(host_end, CanWire(_can_link(url, "HOST")), None)
+                return Pair(host_end, CanWire(_can_link(url, "HOST", language)), None)
 
 
 @contextlib.contextmanager
@@ -70,18 +71,20 @@ def _closed_on_failure(end: "CanLink | PtyStream") -> Iterator[None]:
         resources.pop_all()
 
 
-def open_host(url: LinkUrl, line: Line = _as_it_is) -> Link:
+def open_host(url: LinkUrl, line: Line = _as_it_is, language: Language = WHEEL_DBC) -> Link:
     """Open the host's end of a link to a robot elsewhere. Raises LinkError or BadInputError when that fails."""
     match url:
         case SerialUrl():
-            return StreamLink(line(_serial_stream(url.port, url.baud)))
+            return StreamLink(line(_serial_stream(url.port, url.baud)), language)
         case CanUrl():
-            return _can_link(url, "ROBOT")
+            return _can_link(url, "ROBOT", language)
         case MemoryUrl():
             raise BadInputError("memory: has no other end outside this process; use serial:... or can:...")
 
 
-def open_robot(url: LinkUrl, say: Callable[[str], None], *, lockstep: bool) -> tuple[Wire, str]:
+def open_robot(
+    url: LinkUrl, say: Callable[[str], None], *, lockstep: bool, language: Language = WHEEL_DBC
+) -> tuple[Wire, str]:
     """Open the robot's end of a link, and return it with the URL that a host uses to reach it.
 
     When it is lost later it is opened anew, and ``say`` gets a sentence. Raises LinkError or BadInputError.
@@ -94,7 +97,7 @@ def open_robot(url: LinkUrl, say: Callable[[str], None], *, lockstep: bool) -> t
             stream = _serial_stream(url.port, url.baud)
             return ReopeningWire(SerialWire(stream), stream.reopen, say), format_link(url)
         case CanUrl() if url.interface != "virtual":
-            bus = _can_link(url, "HOST")
+            bus = _can_link(url, "HOST", language)
             return ReopeningWire(CanWire(bus), bus.reopen, say), format_link(url)
         case _:
             raise BadInputError(
@@ -123,7 +126,7 @@ def _pty_stream(url: SerialUrl, *, lockstep: bool) -> "PtyStream":
     return PtyStream(Path(url.symlink) if url.symlink else None, waits=lockstep)
 
 
-def _can_link(url: CanUrl, hears: Literal["HOST", "ROBOT"]) -> "CanLink":
+def _can_link(url: CanUrl, hears: Side, language: Language) -> "CanLink":
     from hil.links.can_bus import CanLink
 
-    return CanLink(url, hears)
+    return CanLink(url, hears, language)

@@ -8,11 +8,10 @@ says what each figure means.
 import time
 from typing import Any, NamedTuple, Protocol
 
-from firmware_protocol.framing import CAUSES, FRAME_OVERHEAD, Frame
-from firmware_protocol.generated.messages import LENGTHS
+from firmware_protocol.framing import Frame
 from hil.links.can_frame import classic_bits, fd_bits
 from hil.links.url import CanUrl, LinkUrl, MemoryUrl, SerialUrl
-from hil.ports import Clock, Link, Received, make_received
+from hil.ports import EXTENDED, REMOTE, Clock, Link, Received, make_received
 from hil.types import NAN
 
 _BUCKET_NS = 10_000_000
@@ -90,6 +89,9 @@ class Usage(NamedTuple):
 
 
 _NOTHING = Usage(0, 0, 0)
+_MOST_USAGES = 1024  # sizes of chunks that are remembered
+_REMOTE_LENGTH = 8  # a request asks for as much as its answer may have
+_NO_NOISE = ("lost", "unread_bytes")
 
 
 class Meter(Protocol):
@@ -100,6 +102,10 @@ class Meter(Protocol):
     timed: bool
     """Whether the link has a bit rate."""
 
+    @property
+    def counts_frames(self) -> bool:
+        """Whether the frames carry a count by which lost ones are noticed."""
+
     def sent(self, frame: Frame) -> Usage:
         """Return what a frame took that was just sent."""
 
@@ -108,9 +114,14 @@ class Meter(Protocol):
 
 
 class ByteSource(Protocol):
-    """The part of a link over a byte stream that tells how many bytes have come, whatever they were."""
+    """The part of a link over a byte stream that tells how many bytes have come, whatever they were, and gone."""
+
+    counts_frames: bool
+    """Whether the frames carry a count by which lost ones are noticed."""
 
     def received_bytes(self) -> int: ...
+
+    def sent_bytes(self) -> int: ...
 
 
 class SerialMeter:
@@ -122,22 +133,32 @@ class SerialMeter:
         self._source = source
         self._baud = baud
         self._seen = source.received_bytes()
+        self._seen_sent = source.sent_bytes()
         self.timed = baud is not None
-        self._sent = [self._usage(length + FRAME_OVERHEAD) for length in range(max(LENGTHS.values()) + 1)]
+        self._usages: dict[int, Usage] = {}
 
-    def sent(self, frame: Frame) -> Usage:
-        return self._sent[len(frame.payload)]
+    def sent(self, _frame: Frame) -> Usage:
+        total = self._source.sent_bytes()
+        count, self._seen_sent = total - self._seen_sent, total
+        return self._usages.get(count) or self._usage(count)
 
     def received(self, _frame: Frame) -> Usage:
         total = self._source.received_bytes()
         if total == self._seen:
             return _NOTHING  # bytes come in chunks: another frame of the last one
         count, self._seen = total - self._seen, total
-        return self._usage(count)
+        return self._usages.get(count) or self._usage(count)
+
+    @property
+    def counts_frames(self) -> bool:
+        return self._source.counts_frames
 
     def _usage(self, count: int) -> Usage:
         bits = count * _BITS_PER_BYTE
-        return Usage(count, bits, round(bits * 1_000_000_000 / self._baud) if self._baud else 0)
+        usage = Usage(count, bits, round(bits * 1_000_000_000 / self._baud) if self._baud else 0)
+        if len(self._usages) < _MOST_USAGES:
+            self._usages[count] = usage
+        return usage
 
 
 class CanMeter:
@@ -145,6 +166,7 @@ class CanMeter:
 
     duplex = False
     timed = True
+    counts_frames = False
 
     def __init__(self, url: CanUrl) -> None:
         self._url = url
@@ -153,9 +175,23 @@ class CanMeter:
 
     def sent(self, frame: Frame) -> Usage:
         number, payload = frame
+        extended = number >= EXTENDED
+        if extended or number >= REMOTE:
+            return self._other(number, payload, extended=extended)
         if self._url.fd:
             return self._fd(number, payload, extended=False, switched=self._url.data_bitrate is not None)
         bits = classic_bits(number, payload)
+        return Usage(len(payload), bits, round(bits * self._bit_ns))
+
+    def _other(self, number: int, payload: bytes, *, extended: bool) -> Usage:
+        """Return what a frame took that is not a standard data frame."""
+        identifier = number & ~(EXTENDED | REMOTE)
+        if number & REMOTE:
+            bits = classic_bits(identifier, b"", extended=extended, remote_length=_REMOTE_LENGTH)
+        elif self._url.fd:
+            return self._fd(identifier, payload, extended=extended, switched=self._url.data_bitrate is not None)
+        else:
+            bits = classic_bits(identifier, payload, extended=extended)
         return Usage(len(payload), bits, round(bits * self._bit_ns))
 
     received = sent
@@ -275,7 +311,7 @@ class Statistics:
         if not self._meter.duplex:
             return 0
         rejected = self._link.rejected()
-        return sum(rejected.get(cause, 0) for cause in CAUSES)
+        return sum(count for cause, count in rejected.items() if cause not in _NO_NOISE)
 
     def _trace_noise(self) -> None:
         count = self._noise()
@@ -292,8 +328,8 @@ class Statistics:
 
     @property
     def counts_frames(self) -> bool:
-        """Whether the frames carry a count by which lost ones are noticed, as those of a serial line do."""
-        return self._meter.duplex
+        """Whether the frames carry a count by which lost ones are noticed, as ours on a serial line do."""
+        return self._meter.counts_frames
 
     def figures(self) -> dict[str, Any]:
         """Return the figures since ``begin``, by name."""

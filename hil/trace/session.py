@@ -7,6 +7,7 @@ from typing import Any, Self
 
 from firmware_protocol.framing import Frame
 from hil.child import child_environment
+from hil.ports import EXTENDED, REMOTE
 from hil.telemetry.files import check_output_path
 from hil.telemetry.ring_process import RingProcess
 from hil.trace import rows
@@ -86,6 +87,9 @@ class Trace:
         """Take one of our frames."""
         number, payload = frame
         flags = self._flags + rows.SENT * sent
+        if number >= REMOTE:
+            flags += rows.EXTENDED * (number >= EXTENDED) + rows.REMOTE * bool(number & REMOTE)
+            number &= ~(EXTENDED | REMOTE)
         self._process.put(rows.pack(self._zero_unix_us + stamp_ns // 1000, flags, number, len(payload), payload))
 
     def foreign(self, stamp_ns: int, message: Any) -> None:

@@ -2,17 +2,19 @@
 
 from collections.abc import Callable, Sequence
 
-from firmware_protocol.framing import CAUSES, Deframer, Frame
+from firmware_protocol.framing import Frame
+from hil.links.language import WHEEL_DBC, Language
 from hil.links.wire import Node, Wire
+from hil.ports import Framing
 from hil.trace.session import Trace
 
 
 class TracedWire:
     """Shows a trace every frame between a transport and a firmware. ``now_ns`` is the robot's clock."""
 
-    def __init__(self, wire: Wire, trace: Trace, now_ns: Callable[[], int]) -> None:
+    def __init__(self, wire: Wire, trace: Trace, now_ns: Callable[[], int], language: Language = WHEEL_DBC) -> None:
         self._wire = wire
-        self._ear = _Ear(trace, now_ns)
+        self._ear = _Ear(trace, now_ns, language)
 
     def receive_into(self, node: Node, timeout_ns: int) -> bool:
         return self._wire.receive_into(_Tapped(node, self._ear), timeout_ns)
@@ -30,23 +32,27 @@ class TracedWire:
 class _Ear:
     """Listens in: bytes of a serial line are read with a framing of its own, one for each direction."""
 
-    def __init__(self, trace: Trace, now_ns: Callable[[], int]) -> None:
+    def __init__(self, trace: Trace, now_ns: Callable[[], int], language: Language) -> None:
         self._trace = trace
         self._now_ns = now_ns
-        self._received = Deframer()
-        self._sent = Deframer()
+        self._received = language.make_framing()
+        self._sent = language.make_framing()
 
     def hear_bytes(self, data: bytes, *, sent: bool) -> None:
-        deframer = self._sent if sent else self._received
-        before = sum(deframer.rejected[cause] for cause in CAUSES)
-        self.hear(deframer.feed(data), sent=sent)
-        if noise := sum(deframer.rejected[cause] for cause in CAUSES) - before:
+        framing = self._sent if sent else self._received
+        before = _noise(framing)
+        self.hear(framing.feed(data), sent=sent)
+        if noise := _noise(framing) - before:
             self._trace.rejected(self._now_ns(), noise)
 
     def hear(self, frames: Sequence[Frame], *, sent: bool) -> None:
         now_ns = self._now_ns()
         for frame in frames:
             self._trace.frame(now_ns, frame, sent=sent)
+
+
+def _noise(framing: Framing) -> int:
+    return sum(count for cause, count in framing.rejected.items() if cause != "lost")
 
 
 class _Tapped:
