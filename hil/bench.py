@@ -1,6 +1,7 @@
 """The bench of a run: what stands at each end of the link, opened from a scenario and closed in one place."""
 
 import contextlib
+import functools
 import random
 import secrets
 import threading
@@ -12,8 +13,11 @@ from typing import Self
 
 from firmware_protocol.host import HostNode, parameter_hash, parameters
 from hil.clock import TICK_NS, LockstepClock, WallClock
+from hil.devices.emulated.registry import emulated
 from hil.devices.faults import Body, RobotFaults
-from hil.devices.handshake import Expected, RobotInfo
+from hil.devices.handshake import Expected
+from hil.devices.makers import MakersRobot, Terms
+from hil.devices.port import Device, Identity
 from hil.devices.stm32 import Stm32
 from hil.devices.truth import TruthClient
 from hil.devices.virtual import (
@@ -26,10 +30,12 @@ from hil.devices.virtual import (
     VirtualStm32,
 )
 from hil.devices.wheel_map import WheelMap
+from hil.dialects.registry import dialect
 from hil.errors import BadInputError, HilError
 from hil.faults.injection import LocalFaults, RunFaults
 from hil.links.delay import DelayedLink
 from hil.links.faults import FaultLink
+from hil.links.language import WHEEL_DBC, Language, WheelFraming
 from hil.links.opening import is_within_process, open_host, open_pair
 from hil.links.statistics import measured
 from hil.links.url import CanUrl, parse_link
@@ -39,6 +45,7 @@ from hil.plant.description import parameter_names
 from hil.plant.mapping import Row, SignalMap
 from hil.ports import Clock, FixSource, Link, PoseSource
 from hil.scenario import SHIPPED_FMUS, Scenario, StartValue
+from hil.scenario.motors import make_driver
 from hil.signals import SIGNAL_NAMES
 from hil.trace import Trace
 from hil.types import Pose
@@ -136,6 +143,21 @@ def wheel_map(scenario: Scenario) -> WheelMap:
     return WheelMap(scenario.device.wheels, scenario.device.reversed)
 
 
+def language_of(scenario: Scenario) -> Language:
+    """Return what is spoken on the scenario's link."""
+    if not scenario.device.is_makers:
+        return WHEEL_DBC
+    make_framing = dialect(scenario.device.driver).make_framing
+    return Language(make_framing) if make_framing is not None else Language(WheelFraming)
+
+
+def node_maker(scenario: Scenario, make_node: MakeNode = HostNode) -> MakeNode:
+    """Return what makes the firmware of the scenario's virtual robot; ``make_node`` makes our own."""
+    if not scenario.device.is_makers:
+        return make_node
+    return functools.partial(emulated(scenario.device.driver), scenario.device.settings)
+
+
 def open_trace(scenario: Scenario, path: Path) -> Trace:
     """Start writing a trace of the scenario's link. Raises as ``Trace``."""
     url = parse_link(scenario.link.url)
@@ -166,14 +188,17 @@ class Bench:
     ) -> None:
         self._scenario = scenario
         self._make_node = make_node
-        self.device: Stm32
+        self.device: Device
         self._robot: VirtualStm32 | None = None
         self._server: VirtualServer | None = None
         self._thread: ServerThread | None = None
         lockstep = scenario.loop.mode == "lockstep"
         url = parse_link(scenario.link.url)
+        language = language_of(scenario)
         self.clock: Clock = LockstepClock(lambda ticks: self.device.step(ticks)) if lockstep else WallClock()
-        self.faults = RunFaults([table.row for table in scenario.fault], scenario.loop.seed, self.clock, signals)
+        self.faults = RunFaults(
+            [table.row for table in scenario.fault], scenario.loop.seed, self.clock, signals, language
+        )
         with contextlib.ExitStack() as resources:
             self.truth: PoseSource | None = None
             self.fixes = self._fixes()
@@ -193,36 +218,58 @@ class Bench:
                     self.truth = TruthClient(truth, scenario.hash, reset=True, not_before=not_before)
                     resources.callback(self.truth.close)
                 self.faults.arm(self.truth)
-                link = open_host(url, self.faults.line)
+                link = open_host(url, self.faults.line, language)
                 resources.callback(link.close)
             self.wire = measured(link, url, self.clock, lockstep=lockstep)
             if trace is not None:
                 trace.begin(time.time_ns() - self.clock.now_ns())
                 self.wire.trace_to(trace)
             disturbed = self.faults.around(self.wire, url, resources)
-            faulty = FaultLink(disturbed, self.faults.time, self.faults.of_frames)
+            faulty = FaultLink(disturbed, self.faults.time, self.faults.of_frames, language)
             latencies = (scenario.link.command_latency_ns, scenario.link.feedback_latency_ns)
-            delayed = DelayedLink(faulty, self.clock, *latencies)
-            self.device = Stm32(
-                delayed,
-                scenario.controller.mode,
-                Expected(parameter_hash(firmware_values(scenario)), lockstep, allow_motion),
-                _nonces(scenario.loop.seed if lockstep else None),
-                wheel_map(scenario),
-            )
+            delayed = DelayedLink(faulty, self.clock, *latencies, language)
+            self.device = self._device(delayed, allow_motion=allow_motion or self._robot is not None)
+            resources.callback(self.device.close)
             self._resources = resources.pop_all()
+
+    def _device(self, link: DelayedLink, *, allow_motion: bool) -> Device:
+        scenario = self._scenario
+        lockstep = scenario.loop.mode == "lockstep"
+        if scenario.device.is_makers:
+            terms = Terms(
+                scenario.controller.mode,
+                scenario.firmware.counts_per_revolution,
+                scenario.firmware.ramp_s,
+                allow_motion,
+                self._server.advance if lockstep and self._server is not None else None,
+            )
+            return MakersRobot(link, self.clock, make_driver(scenario), wheel_map(scenario), terms)
+        return Stm32(
+            link,
+            scenario.controller.mode,
+            Expected(parameter_hash(firmware_values(scenario)), lockstep, allow_motion),
+            _nonces(scenario.loop.seed if lockstep else None),
+            wheel_map(scenario),
+        )
 
     def _open_within(self, resources: contextlib.ExitStack) -> Link:
         lockstep = self._scenario.loop.mode == "lockstep"
-        self._robot = robot = VirtualStm32(virtual_robot(self._scenario), self._make_node)
+        self._robot = robot = VirtualStm32(virtual_robot(self._scenario), node_maker(self._scenario, self._make_node))
         resources.callback(robot.close)
         self.faults.arm(LocalFaults(robot.faults, self._do))
-        pair = open_pair(parse_link(self._scenario.link.url), self.faults.line, lockstep=lockstep)
+        pair = open_pair(
+            parse_link(self._scenario.link.url),
+            self.faults.line,
+            lockstep=lockstep,
+            language=language_of(self._scenario),
+        )
         resources.callback(pair.wire.close)
         resources.callback(pair.link.close)
         self.truth = truth = LocalTruth()
         self._server = server = VirtualServer(robot, pair.wire, truth, lockstep=lockstep)
-        if lockstep and pair.memory is not None:
+        if lockstep and self._scenario.device.is_makers:
+            pass  # it is served when time passes
+        elif lockstep and pair.memory is not None:
             # No thread is needed: the robot is served when the host waits for it.
             pair.memory.on_starved = lambda: server.service(0)
         else:
@@ -274,7 +321,7 @@ class Bench:
             return SimulatedFixes(options, self._scenario.loop.seed, self._scenario.link.feedback_latency_ns)
         return UdpFixes(estimator.fix, estimator.filter.history_s)
 
-    def connect(self) -> RobotInfo:
+    def connect(self) -> Identity:
         """Shake hands with the robot."""
         return self.device.connect()
 

@@ -7,14 +7,16 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from hil.bench import open_trace, virtual_robot
+from hil.bench import language_of, node_maker, open_trace, virtual_robot
 from hil.child import wait_for_end
 from hil.clock import TICK_NS, WallClock
 from hil.devices.targets.robot import open_server, open_target
 from hil.devices.truth_server import TruthServer
 from hil.devices.virtual import VirtualStm32
+from hil.errors import BadInputError
+from hil.links.language import Language
 from hil.links.opening import open_robot
-from hil.links.url import parse_link
+from hil.links.url import LinkUrl, parse_link
 from hil.links.wire import Wire
 from hil.realtime import Wanted, real_time
 from hil.scenario import Scenario
@@ -43,13 +45,13 @@ def serve(
     with contextlib.ExitStack() as resources:
         url = parse_link(scenario.link.url)
         lockstep = scenario.loop.mode == "lockstep"
-        robot = open_target(target, virtual_robot(scenario), url)
+        robot = _robot(scenario, target, url)
         resources.callback(robot.close)
         tracing = resources.enter_context(open_trace(scenario, trace)) if trace is not None else None
-        wire, reach = open_robot(url, say, lockstep=lockstep)
+        wire, reach = open_robot(url, say, lockstep=lockstep, language=language_of(scenario))
         resources.callback(wire.close)
         if tracing is not None:
-            wire = _traced(wire, tracing, robot, lockstep=lockstep)
+            wire = _traced(wire, tracing, robot, language_of(scenario), lockstep=lockstep)
         truth = TruthServer(scenario.hash, truth_port)
         resources.callback(truth.close)
         # Before robot time begins: to lock memory takes a tenth of a second.
@@ -76,6 +78,21 @@ def serve(
                 say(trouble)
 
 
+def _robot(scenario: Scenario, target: str, url: LinkUrl) -> VirtualStm32:
+    """Make the scenario's robot. Raises BadInputError for what cannot be a process of its own."""
+    made_of, driver = virtual_robot(scenario), scenario.device.driver
+    if not scenario.device.is_makers:
+        return open_target(target, made_of, url)
+    if target != "host":
+        raise BadInputError(f"--target {target} runs our own firmware, and the scenario has {driver!r}; leave it out")
+    if made_of.lockstep:
+        raise BadInputError(
+            f"the protocol of {driver!r} has no STEP, so that nobody can let its time pass from outside; add "
+            "--mode realtime, or run it within one process with --link memory: or can:virtual/NAME"
+        )
+    return VirtualStm32(made_of, node_maker(scenario))
+
+
 class _RobotTime:
     """Robot time of a robot in lockstep; where a power cycle began it anew, it goes on from there."""
 
@@ -92,10 +109,10 @@ class _RobotTime:
         return (self._base + tick) * TICK_NS
 
 
-def _traced(wire: Wire, trace: Trace, robot: VirtualStm32, *, lockstep: bool) -> TracedWire:
+def _traced(wire: Wire, trace: Trace, robot: VirtualStm32, language: Language, *, lockstep: bool) -> TracedWire:
     clock = _RobotTime(robot) if lockstep else WallClock()
     trace.begin(time.time_ns() - clock.now_ns())
-    return TracedWire(wire, trace, clock.now_ns)
+    return TracedWire(wire, trace, clock.now_ns, language)
 
 
 def _stop_at_the_end(lifeline: int, stop: Callable[[], None]) -> None:

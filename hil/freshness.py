@@ -3,8 +3,8 @@
 import math
 
 from firmware_protocol.generated.messages import State as RobotState
+from hil.devices.port import Device
 from hil.devices.snapshot import Feedback
-from hil.devices.stm32 import Stm32
 from hil.errors import DeviceError, LinkError, RobotStoppedError
 from hil.faults.signals import SignalFaults
 from hil.ports import Clock
@@ -23,7 +23,7 @@ _LEAP_NS = 1_000_000_000
 class Freshness:
     """Takes the robot's feedback once a tick. ``silent_ns`` is how long the newest one has been the newest."""
 
-    def __init__(self, clock: Clock, device: Stm32, faults: SignalFaults | None, timing: Timing) -> None:
+    def __init__(self, clock: Clock, device: Device, faults: SignalFaults | None, timing: Timing) -> None:
         self._clock = clock
         self._device = device
         self._faults = faults

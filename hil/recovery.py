@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable
 from typing import NamedTuple
 
-from hil.devices.stm32 import Stm32
+from hil.devices.port import Device
 from hil.errors import HilError, LinkError, RobotStoppedError
 from hil.links.back_off import BackOff
 from hil.ports import Clock
@@ -34,7 +34,7 @@ class Recovery:
     feedback after the handshake.
     """
 
-    def __init__(self, device: Stm32, clock: Clock, why: HilError, lost_s: float, *, arm: bool = True) -> None:
+    def __init__(self, device: Device, clock: Clock, why: HilError, lost_s: float, *, arm: bool = True) -> None:
         self._device = device
         self._clock = clock
         self.why = str(why)

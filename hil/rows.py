@@ -4,8 +4,8 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from hil.devices.port import Device
 from hil.devices.snapshot import Feedback
-from hil.devices.stm32 import Stm32
 from hil.links.statistics import Statistics
 from hil.ports import Controller, OwnSignals, Sink
 from hil.signals import EstimatorSignals, LoopSignals, RobotSignals
@@ -35,7 +35,7 @@ class Rows:
 
     def __init__(
         self,
-        device: Stm32,
+        device: Device,
         wire: Statistics,
         controller: Controller,
         extra: Sequence[OwnSignals],

@@ -3,7 +3,7 @@
 from collections import deque
 from typing import NamedTuple
 
-from hil.devices.stm32 import Stm32
+from hil.devices.port import Device
 from hil.ports import Clock, PoseSource
 from hil.types import PoseFix
 
@@ -31,7 +31,7 @@ class Sampling:
     Tick ``number`` samples at ``number`` periods after ``begin``, and is worked out a feedback latency later.
     """
 
-    def __init__(self, clock: Clock, device: Stm32, truth: PoseSource | None, timing: Timing) -> None:
+    def __init__(self, clock: Clock, device: Device, truth: PoseSource | None, timing: Timing) -> None:
         self._clock = clock
         self._device = device
         self._truth = truth

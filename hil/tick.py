@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 
 from hil.brake import Brake
 from hil.devices.link_times import CommandLatency
+from hil.devices.port import Device
 from hil.devices.snapshot import Feedback
-from hil.devices.stm32 import Stm32
 from hil.errors import HilError
 from hil.estimator import LOST, Estimator
 from hil.faults.signals import SignalFaults
@@ -31,7 +31,7 @@ class Parts(NamedTuple):
     """
 
     clock: Clock
-    device: Stm32
+    device: Device
     wire: Statistics
     truth: PoseSource | None
     fixes: FixSource | None

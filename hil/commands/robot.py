@@ -21,6 +21,10 @@ def device(
         str,
         typer.Option(metavar="host|qemu|unicorn", help="what the firmware runs on: this machine, or an emulated STM32"),
     ] = "host",
+    dialect: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="what its motor controllers speak; as --set device.driver=NAME"),
+    ] = None,
     seed: Seed = None,
     sets: Sets = None,
     trace: TraceFile = None,
@@ -32,7 +36,8 @@ def device(
     from hil.device_process import serve
     from hil.scenario import load
 
-    resolved = load(scenario, set=sets or [], robot=robot, mode=mode, link=link, seed=seed)
+    changes = [*(sets or []), *([] if dialect is None else [f"device.driver={dialect}"])]
+    resolved = load(scenario, set=changes, robot=robot, mode=mode, link=link, seed=seed)
     lifeline = sys.stdin.fileno() if until_eof else None
     serve(resolved, truth_port, lambda line: print(line, flush=True), target, trace, lifeline)
 

@@ -25,6 +25,11 @@ class RobotInfo(NamedTuple):
     watchdog_ms: int
     geometry: m.HelloGeometry
 
+    @property
+    def has_power_stage(self) -> bool:
+        """Whether it drives real motors."""
+        return bool(self.capabilities & Capability.POWER_STAGE)
+
     def describe(self) -> str:
         """Return the same in words."""
         return (
@@ -130,7 +135,7 @@ def _check_version(identity: m.HelloIdentity) -> None:
 
 def check(info: RobotInfo, expected: Expected) -> None:
     """Raise BadInputError unless the robot is the one that the scenario describes, and may move."""
-    if info.capabilities & Capability.POWER_STAGE and not expected.allow_motion:
+    if info.has_power_stage and not expected.allow_motion:
         raise BadInputError(
             "the robot reports a power stage: real motors would move; add --allow-motion when it may move"
         )

@@ -264,11 +264,7 @@ class Stm32:
         """Let time pass on the clock; commands that the link delays go out on their way. Returns the lateness [ns]."""
         clock, link = self._clock, self._link
         assert clock is not None
-        if link.may_hold:
-            link.service()
-            while (due_ns := link.next_due_ns()) is not None and due_ns < t_ns:
-                clock.wait_until(due_ns)
-                link.service()
+        link.hand_over_until(clock, t_ns)
         if self.clock_sync.awaiting and not self._expected.lockstep:
             self._await_clock(clock, t_ns)
         late_ns = clock.wait_until(t_ns)
@@ -409,5 +405,5 @@ class Stm32:
         return self._link.describe()
 
     def close(self) -> None:
-        """Release the link."""
-        self._link.close()
+        """Wish for IDLE if anything else is still wished for. The link is closed by whoever opened it."""
+        self.disarm()

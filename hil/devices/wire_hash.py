@@ -6,20 +6,23 @@ import struct
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated.messages import HelloRequest
 
-_HEADER = struct.Struct("<HB")
+_HEADER, _WIDE_HEADER = struct.Struct("<HB"), struct.Struct("<IB")
+_BEYOND_ALL_IDS = 1 << 32
 _AT_ONCE = 64  # frames; a call for each would cost a tick more than what it does with them
 
 
 class WireHash:
     """Takes frames as they are sent and received, but HELLO: how often that is asked depends on the wall clock.
 
+    ``wide`` is for the frames of others: ids of 32 bits, and none of them HELLO.
+
     Attributes:
         sent, received: each takes a frame of its direction, which costs next to nothing; ``keep_up`` works on them.
     """
 
-    def __init__(self) -> None:
-        self._sent = _Way()
-        self._received = _Way()
+    def __init__(self, *, wide: bool = False) -> None:
+        self._sent = _Way(wide)
+        self._received = _Way(wide)
         self.sent = self._sent.waiting.append
         self.received = self._received.waiting.append
 
@@ -37,13 +40,15 @@ class WireHash:
 class _Way:
     """The frames of one direction."""
 
-    def __init__(self) -> None:
+    def __init__(self, wide: bool) -> None:
         self._hash = hashlib.sha256()
+        self._pack = (_WIDE_HEADER if wide else _HEADER).pack
+        self._first_left_out = _BEYOND_ALL_IDS if wide else HelloRequest.ID
         self.waiting: list[Frame] = []
 
     def fold(self) -> None:
-        pack, first_hello = _HEADER.pack, HelloRequest.ID
-        pieces = [pack(number, len(payload)) + payload for number, payload in self.waiting if number < first_hello]
+        pack, end = self._pack, self._first_left_out
+        pieces = [pack(number, len(payload)) + payload for number, payload in self.waiting if number < end]
         self._hash.update(b"".join(pieces))
         self.waiting.clear()
 

@@ -52,8 +52,8 @@ class Settings:
     controller: Literal["c620", "c610"] = "c620"
     ids: tuple[int, ...] = (1, 2, 3, 4)
     gear_ratio: float = 0.0
-    kp_n_m_s_rad: float = 1.1
-    ki_n_m_rad: float = 25.0
+    kp_n_m_s_rad: float = 0.6
+    ki_n_m_rad: float = 8.0
     temperature_limit_degc: float = 100.0
 
     def __post_init__(self) -> None:

@@ -49,8 +49,8 @@ class RobotFacts(NamedTuple):
 
     wheel_radius_m: float
     lever_m: float
-    wheel_of_channel: tuple[int, int, int, int]
-    sign_of_channel: tuple[int, int, int, int]
+    wheel_of_channel: tuple[int, ...]
+    sign_of_channel: tuple[int, ...]
     torque_limit_n_m: float
     speed_limit_rad_s: float
     torque_constant_n_m_a: float

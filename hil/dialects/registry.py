@@ -18,6 +18,10 @@ DIALECTS: Mapping[str, str] = {
 """What ``[device] driver`` takes beside ``stm32``, with what it is. The module of the same name has ``DIALECT``."""
 
 
+OUR_DRIVER = "stm32"
+"""``[device] driver`` of a robot with our own firmware."""
+
+
 def dialect(name: str) -> Dialect:
     """Return a dialect. Raises BadInputError when there is none of this name."""
     if name not in DIALECTS:
@@ -28,4 +32,4 @@ def dialect(name: str) -> Dialect:
 
 def driver_names() -> tuple[str, ...]:
     """Return every name that ``[device] driver`` takes: our own firmware's, then the makers'."""
-    return ("stm32", *DIALECTS)
+    return (OUR_DRIVER, *DIALECTS)

@@ -11,6 +11,7 @@ from hil.faults.signals import SignalFaults
 from hil.links.bus_faults import FaultBus
 from hil.links.delay import NowNs
 from hil.links.fault_rows import LinkFault, ScenarioTime, link_faults
+from hil.links.language import Language
 from hil.links.line_faults import BYTE_KINDS, FaultLine
 from hil.links.opening import open_host
 from hil.links.streams import HostStream
@@ -54,11 +55,14 @@ class RunFaults:
     ``names`` are the signals of the run.
     """
 
-    def __init__(self, rows: Sequence[FaultRow], seed: int, clock: NowNs, names: Sequence[str]) -> None:
+    def __init__(
+        self, rows: Sequence[FaultRow], seed: int, clock: NowNs, names: Sequence[str], language: Language
+    ) -> None:
         self._rows = rows
         self._robot: RobotWithFaults | None = None
         self._of_robot = [row for row in rows if row.acts_on in ("device", "plant")]
-        self._of_link = link_faults([row for row in rows if row.acts_on == "link"], seed)
+        self._of_link = link_faults([row for row in rows if row.acts_on == "link"], seed, language)
+        self._language = language
         of_signals = [row for row in rows if row.acts_on == "signal"]
         self.time = ScenarioTime(clock)
         self.signals = SignalFaults(of_signals, names) if of_signals else None
@@ -74,7 +78,7 @@ class RunFaults:
 
     def line(self, stream: HostStream) -> HostStream:
         """Return the host's end of a serial line with what acts on its bytes; as it is where nothing does."""
-        return FaultLine(stream, self.time, self._of_bytes) if self._of_bytes else stream
+        return FaultLine(stream, self.time, self._of_bytes, self._language) if self._of_bytes else stream
 
     def around(self, link: Link, url: LinkUrl, resources: contextlib.ExitStack) -> Link:
         """Return a CAN link with what acts on its bus; any other, and one on whose bus nothing acts, as it is."""
@@ -82,9 +86,9 @@ class RunFaults:
             return link
         babbler = None
         if any(fault.kind == "babble" for fault in self._of_bytes):
-            babbler = open_host(url)
+            babbler = open_host(url, language=self._language)
             resources.callback(babbler.close)
-        return FaultBus(link, self.time, self._of_bytes, babbler)
+        return FaultBus(link, self.time, self._of_bytes, babbler, self._language)
 
     def arm(self, robot: RobotWithFaults | None) -> None:
         """Give the robot what acts on it and its plant.

@@ -6,7 +6,7 @@ from typing import Protocol
 
 from firmware_protocol.framing import Frame
 from hil.links.language import WHEEL_DBC, Language
-from hil.ports import Link, Received
+from hil.ports import Clock, Link, Received
 
 
 class NowNs(Protocol):
@@ -81,6 +81,14 @@ class DelayedLink:
             while self._outgoing and self._outgoing[0][0] <= now_ns:
                 self._link.send(self._outgoing.popleft()[1])
         self._link.service()
+
+    def hand_over_until(self, clock: Clock, t_ns: int) -> None:
+        """Let time pass on the clock as long as something becomes due before then, and hand that over."""
+        if self.may_hold:
+            self.service()
+            while (due_ns := self.next_due_ns()) is not None and due_ns < t_ns:
+                clock.wait_until(due_ns)
+                self.service()
 
     def flush(self) -> None:
         """Hand over everything that is held, in order: nobody will wait for it to be due."""

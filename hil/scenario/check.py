@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from hil.errors import BadInputError, nearest
 from hil.references import make_reference
-from hil.scenario import layers
+from hil.scenario import layers, motors
 from hil.scenario.laws import make_laws
 from hil.scenario.layers import Given, Tree
 from hil.scenario.problems import complaint, describe, place
@@ -114,6 +114,8 @@ def _contradictions(tables: Tables) -> Iterator[tuple[str, object, str]]:
             f"expected more than robot.speed_limit_rad_s = {robot.speed_limit_rad_s:g}, "
             "or the robot would trip at a speed that it may be told",
         )
+    if tables.device.is_makers:
+        yield from motors.contradictions(tables)
     if estimator.source == "fused" and estimator.fix != "simulated" and loop.mode == "lockstep":
         yield (
             "estimator.fix",

@@ -8,14 +8,16 @@ can carry; those of [firmware] are the firmware's own.
 
 import re
 from collections.abc import Mapping
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, ConfigDict, Field, field_validator
+from pydantic import AfterValidator, ConfigDict, Field, ValidationInfo, field_validator
 
 from hil.controllers.own_signals import short_name
+from hil.dialects.registry import OUR_DRIVER, dialect, driver_names
 from hil.errors import BadInputError, nearest
 from hil.links.url import parse_link
 from hil.localisation.address import parse_address
+from hil.options import build
 from hil.plant_signals import INPUTS, OUTPUTS
 from hil.scenario.fields import Milliseconds, Option, OptionValue, Start, Table, Text, is_path
 from hil.scenario.process_tables import RealtimeTable, ServiceTable
@@ -26,7 +28,6 @@ from plant_fmu import SHIPPED
 TICKS_PER_SECOND = 1000  # the firmware loop
 LOWEST_RATE_HZ = 20  # two commands within the longest watchdog
 RATES_HZ = tuple(rate for rate in range(LOWEST_RATE_HZ, 1001) if TICKS_PER_SECOND % rate == 0)
-DRIVERS = ("stm32",)
 SHIPPED_FMUS = tuple(SHIPPED)
 
 PLANT_SIGNALS = (*INPUTS, *OUTPUTS)
@@ -154,13 +155,40 @@ class DeviceTable(Table):
         default=("fl", "fr", "rr", "rl"), description="the wheel at each motor output, in order"
     )
     reversed: tuple[Wheel, ...] = Field(default=(), description="wheels whose motor turns the other way")
+    motors: Mapping[Text, Option] = Field(
+        default_factory=dict, description="what the driver has to know of another maker's controllers (DIALECTS.md)"
+    )
+
+    @property
+    def is_makers(self) -> bool:
+        """Whether the robot has motor controllers of another maker's, and not our firmware."""
+        return self.driver != OUR_DRIVER
+
+    @property
+    def settings(self) -> Any:
+        """``motors`` as the driver has it; None for our own firmware."""
+        return build(dialect(self.driver).settings, self.motors, "device.motors") if self.is_makers else None
 
     @field_validator("driver")
     @classmethod
     def _known(cls, driver: str) -> str:
-        if driver not in DRIVERS:
-            raise ValueError(f"expected the name of a driver{nearest(driver, DRIVERS)}")
+        if driver not in driver_names():
+            raise ValueError(f"expected the name of a driver{nearest(driver, driver_names())}")
         return driver
+
+    @field_validator("motors")
+    @classmethod
+    def _understood(cls, motors: Mapping[str, OptionValue], info: ValidationInfo) -> Mapping[str, OptionValue]:
+        driver = info.data.get("driver", OUR_DRIVER)
+        if driver == OUR_DRIVER:
+            if motors:
+                raise ValueError("belongs to the drivers of other makers; set device.driver, or leave it out")
+            return motors
+        try:
+            build(dialect(driver).settings, motors, "device.motors")
+        except BadInputError as error:
+            raise ValueError(str(error).removeprefix("device.motors: ")) from error
+        return motors
 
     @field_validator("wheels")
     @classmethod

@@ -5,7 +5,6 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from firmware_protocol.capabilities import Capability
 from hil.bench import Bench
 from hil.lateness import Lateness
 from hil.realtime import RealTime
@@ -79,7 +78,7 @@ class Now:
             task=pilot.task,
             link=device.describe_link(),
             robot=None if info is None else info.describe(),
-            power_stage=None if info is None else bool(info.capabilities & Capability.POWER_STAGE),
+            power_stage=None if info is None else info.has_power_stage,
             pose=None if state is None else _three(state.pose),
             twist=None if state is None else _three(state.twist),
             reference=None if pilot.reference is None else _three(pilot.reference.pose),

@@ -1,0 +1,399 @@
+"""A robot with motor controllers of other makers: a driver of ``hil.dialects`` joined to a link, a clock and a session.
+
+The controllers know none of our states, so the session is kept here: nothing is sent but questions before the robot is
+armed, ramping down is done here, and an error, or a controller that leaves closed loop by itself, stops all of them.
+"""
+
+import contextlib
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from firmware_protocol.framing import Frame
+from firmware_protocol.generated.messages import State
+from hil.devices.handshake import RETRY_NS, SILENCE_NS
+from hil.devices.link_times import ClockSync, RoundTrip
+from hil.devices.robot_report import Health
+from hil.devices.snapshot import Feedback
+from hil.devices.wheel_map import WheelMap
+from hil.devices.wire_hash import WireHash
+from hil.dialects.port import Driver, Sample
+from hil.errors import BadInputError, DeviceError, HilError
+from hil.links.delay import DelayedLink
+from hil.ports import Clock
+from hil.types import CommandMode, FourWheels, WheelCommand, Wheels
+
+_MOST_A_POLL = 5000  # frames; four controllers at 1 kHz send forty in 10 ms
+_START_LIMIT_NS = 4_000_000_000
+_QUESTION_NS = 1_000_000
+_STILL_RAD_S = 0.5
+_AGE_UNKNOWN_MS = 255  # as TICK.command_age_ms: this and more
+_REST: FourWheels = (0.0, 0.0, 0.0, 0.0)
+
+
+class Terms(NamedTuple):
+    """What the session rests on. ``advance`` lets ticks of 1 ms pass of an emulated robot in this process: lockstep."""
+
+    mode: CommandMode
+    counts_per_revolution: int
+    ramp_s: float
+    allow_motion: bool
+    advance: Callable[[int], None] | None
+
+
+class MotorsInfo(NamedTuple):
+    """What the controllers said of themselves."""
+
+    words: str
+    has_power_stage: bool = True
+
+    def describe(self) -> str:
+        """Return the same in words."""
+        return self.words
+
+
+class MakersReport:
+    """What the controllers tell beside the feedback."""
+
+    def __init__(self) -> None:
+        self.health = Health()
+        self.why: str | None = None  # they stopped, None where nothing but the host did
+
+    def stop_reason(self) -> str:
+        """Return why the robot last stopped."""
+        return self.why or "no error that it tells"
+
+    def explains(self, state: State) -> bool:
+        """They tell their errors before they are stopped for them."""
+        return state is not State.FAULT or self.why is not None
+
+    @property
+    def knows_no_reason(self) -> bool:
+        """Whether nothing has stopped them."""
+        return False
+
+
+class MakersRobot:
+    """See ``hil.devices.port.Device``. Raises nothing when it is made; ``connect`` is the first to speak."""
+
+    def __init__(self, link: DelayedLink, clock: Clock, driver: Driver, wheel_map: WheelMap, terms: Terms) -> None:
+        self._link = link
+        self._clock = clock
+        self._driver = driver
+        self._map = wheel_map
+        self._terms = terms
+        self._info: MotorsInfo | None = None
+        self._state = State.IDLE
+        self._sequence = 0
+        self._commanded: FourWheels = _REST
+        self._ramp: tuple[int, FourWheels] | None = None  # when it began, and from which speeds
+        self._feedback: Feedback | None = None
+        self._turned_rad = _REST  # by speed, where the controllers tell no position
+        self._last: Sample | None = None
+        self._ask_again_ns = 0
+        self._hash = WireHash(wide=True)
+        self.report = MakersReport()
+        self.round_trip = RoundTrip()
+        self.clock_sync = ClockSync()
+        self.tick = 0
+        self.sent = 0
+        self.received = 0
+
+    # Connecting
+
+    @property
+    def is_lockstep(self) -> bool:
+        return self._terms.advance is not None
+
+    def connect(self) -> MotorsInfo:
+        begin_ns = self._clock.now_ns()
+        n = 0
+        while not self.greeted():
+            n += 1
+            if n * _QUESTION_NS > SILENCE_NS:
+                raise DeviceError(f"{self._driver.missing} ({self._link.describe()})")
+            self.wait_until(begin_ns + n * _QUESTION_NS)
+        assert self._info is not None
+        return self._info
+
+    @property
+    def info(self) -> MotorsInfo | None:
+        return self._info
+
+    @property
+    def warnings(self) -> Sequence[str]:
+        """What has to be said before anything moves."""
+        return self._driver.warnings
+
+    def describe_link(self) -> str:
+        return self._link.describe()
+
+    # Coming back after a loss
+
+    def leave(self) -> None:
+        self._drop()
+        self._feedback = self._last = None
+        self._link.discard()
+
+    def reopen(self) -> None:
+        self._link.reopen()
+
+    def begin_again(self) -> None:
+        # Whoever is there may be driving still, on the last command of before the loss.
+        self._send(self._driver.disarm())
+        self._feedback = self._last = None
+        self._driver.restart()
+        self._state = State.IDLE
+        self._ask_again_ns = self._clock.now_ns()
+
+    def greeted(self) -> bool:
+        if not self._terms.allow_motion:
+            raise BadInputError(
+                "the robot has motor controllers: real motors would move; add --allow-motion when it may move"
+            )
+        now_ns = self._clock.now_ns()
+        self._take_frames()
+        words = self._driver.identity
+        if words is None:
+            if now_ns >= self._ask_again_ns:
+                self._ask_again_ns = now_ns + RETRY_NS
+                self._send(self._driver.ask())
+            return False
+        if self._info is not None and self._info.words != words:
+            raise BadInputError(
+                f"another robot answers on the link: {words}; the run began with {self._info.words}; plug in the first "
+                "one, or start a new run"
+            )
+        self._info = MotorsInfo(words)
+        return True
+
+    # The way to ACTIVE and back
+
+    def attend(self, clock: Clock) -> None:
+        self._clock = clock
+
+    def start(self, clock: Clock, period_ns: int) -> int:
+        self.attend(clock)
+        try:
+            begin_ns = clock.now_ns()
+            n = 0
+            while n * period_ns <= _START_LIMIT_NS:
+                self.wait_until(begin_ns + n * period_ns)
+                if self.armed():
+                    return begin_ns + n * period_ns
+                n += 1
+            raise DeviceError(self.why_not_active())
+        except BaseException:
+            self.close()
+            raise
+
+    def armed(self) -> bool:
+        self.poll()
+        if self._state is State.ACTIVE:
+            return True
+        if self._state in (State.FAULT, State.ESTOP):
+            raise DeviceError(self.why_not_active())
+        if self._info is None or self._state is State.STOPPING:
+            return False
+        now_ns = self._clock.now_ns()
+        self._state = State.ARMED
+        self._send(self._driver.arm(now_ns))
+        if not self._driver.is_armed:
+            return False
+        self._send(self._driver.command(_REST, _REST, now_ns))
+        self._commanded = _REST
+        self.report.why = None
+        self._state = State.ACTIVE
+        self._renew()
+        return self._feedback is not None
+
+    def why_not_active(self) -> str:
+        if self._state is State.ESTOP:
+            return "an e-stop is latched; clear it when the robot may be armed again"
+        if self._state is State.FAULT:
+            return f"the motor controllers reported {self.report.why}; find the cause, then clear it"
+        if self._feedback is None:
+            return self._driver.missing or "the motor controllers send no feedback of all four wheels"
+        return "the motor controllers did not go into closed loop within 4 s; look at them with their maker's tool"
+
+    def disarm(self) -> None:
+        if self._state is State.ACTIVE:
+            self._state = State.STOPPING
+            self._ramp = (self._clock.now_ns(), self._commanded)
+        elif self._state is State.ARMED:
+            self._drop()
+
+    def estop(self) -> None:
+        self._send(self._driver.estop())
+        self._link.flush()
+        self._state = State.ESTOP
+        self._renew()
+
+    def clear(self) -> None:
+        self._send(self._driver.clear())
+        if self._state in (State.ESTOP, State.FAULT):
+            self._state = State.IDLE  # errors that are still there make it FAULT again at the next poll
+
+    def stop(self, period_ns: int, limit_ns: int) -> bool:
+        self.disarm()
+        begin_ns = self._clock.now_ns()
+        n = 1
+        while n * period_ns <= limit_ns:
+            self.wait_until(begin_ns + n * period_ns)
+            feedback = self.poll()
+            if feedback is not None and self._state in (State.IDLE, State.FAULT, State.ESTOP):
+                return True
+            n += 1
+        return False
+
+    # One tick
+
+    def wait_until(self, t_ns: int) -> int:
+        link = self._link
+        link.hand_over_until(self._clock, t_ns)
+        late_ns = self._clock.wait_until(t_ns)
+        if link.may_hold:
+            link.service()
+        return late_ns
+
+    def poll(self) -> Feedback | None:
+        self._take_frames()
+        self._hash.keep_up()
+        if self._driver.errors:
+            if self._state is not State.FAULT and self._state is not State.ESTOP:
+                self.report.why = self._errors()
+                self._drop()
+                self._state = State.FAULT
+        elif self._state is State.ACTIVE and not self._driver.is_armed:
+            self.report.why = "a motor controller left closed loop by itself"
+            self._drop()
+        elif self._state is State.STOPPING:
+            self._ramp_down()
+        self._renew()
+        return self._feedback
+
+    @property
+    def feedback(self) -> Feedback | None:
+        return self._feedback
+
+    def send(self, command: WheelCommand) -> int:
+        self._sequence = (self._sequence + 1) & 0xFF
+        if self._state is State.ACTIVE:
+            speed = self._map.to_wire(command.speed_rad_s)
+            self._command(speed, self._map.to_wire(command.torque_n_m))
+        return self._sequence
+
+    def step(self, ticks: int) -> None:
+        assert self._terms.advance is not None
+        self._terms.advance(ticks)
+        self.tick += ticks
+
+    def _command(self, speed_rad_s: FourWheels, torque_n_m: FourWheels) -> None:
+        if not all(map(math.isfinite, torque_n_m)):
+            raise ValueError(f"torques {torque_n_m} N·m: expected finite numbers")
+        if self._terms.mode is CommandMode.TORQUE:
+            speed_rad_s = _REST
+        elif not all(map(math.isfinite, speed_rad_s)):
+            raise ValueError(f"speeds {speed_rad_s} rad/s: expected finite numbers")
+        self._commanded = speed_rad_s
+        self._send(self._driver.command(speed_rad_s, torque_n_m, self._clock.now_ns()))
+
+    def _ramp_down(self) -> None:
+        """Go on to standstill, and leave closed loop there; in mode TORQUE no torque is given while the robot rolls."""
+        assert self._ramp is not None
+        begin_ns, speed = self._ramp
+        left = 1.0 - (self._clock.now_ns() - begin_ns) * 1e-9 / self._terms.ramp_s
+        if left > 0.0:
+            fl, fr, rr, rl = (left * one for one in speed)
+            self._send(self._driver.command((fl, fr, rr, rl), _REST, self._clock.now_ns()))
+        else:
+            self._drop()
+
+    def _drop(self) -> None:
+        """Leave closed loop, at best effort: the link may be what was lost."""
+        with contextlib.suppress(HilError):
+            self._send(self._driver.disarm())
+            self._link.flush()
+        self._ramp = None
+        self._commanded = _REST
+        if self._state is not State.ESTOP:
+            self._state = State.IDLE
+
+    # Frames
+
+    def _send(self, frames: Sequence[Frame]) -> None:
+        for frame in frames:
+            self._link.send(frame)
+            self._hash.sent(frame)
+            self.sent += 1
+
+    def _take_frames(self) -> None:
+        taken = 0
+        while (self.is_lockstep or taken < _MOST_A_POLL) and (received := self._link.receive(0)) is not None:
+            frame, stamp_ns = received
+            self._hash.received(frame)
+            self._driver.feed(frame, stamp_ns)
+            taken += 1
+        self.received += taken
+
+    def _errors(self) -> str:
+        return "; ".join(self._driver.errors)
+
+    def _renew(self) -> None:
+        """Make feedback of the newest sample. Its time is that of the oldest speed, by the clock of the run."""
+        sample = self._driver.sample
+        if sample is None:
+            return
+        last, self._last = self._last, sample
+        if last is not sample:
+            self._roll(last, sample)
+        self.report.health = Health(
+            sample.battery_v, sample.battery_a, self._map.temperatures_from_wire(Wheels(*sample.temperature_degc))
+        )
+        self._feedback = self._map.feedback_from_wire(
+            Feedback(
+                sample.stamp_ns,
+                self._state,
+                self._sequence,
+                _AGE_UNKNOWN_MS,
+                self._counts(sample),
+                Wheels(*sample.speed_rad_s),
+                Wheels(*sample.current_a),
+                sample.acceleration_m_s2,
+                sample.yaw_rate_rad_s,
+            )
+        )
+
+    def _roll(self, last: Sample | None, sample: Sample) -> None:
+        if last is None or sample.stamp_ns <= last.stamp_ns:
+            return
+        dt_s = (sample.stamp_ns - last.stamp_ns) * 1e-9
+        speeds = zip(self._turned_rad, last.speed_rad_s, sample.speed_rad_s, strict=True)
+        fl, fr, rr, rl = (turned + 0.5 * (before + now) * dt_s for turned, before, now in speeds)
+        self._turned_rad = (fl, fr, rr, rl)
+
+    def _counts(self, sample: Sample) -> tuple[int, int, int, int]:
+        """Return the wheels' angles as the counts of 16 bits that odometry takes."""
+        per_rad = self._terms.counts_per_revolution / math.tau
+        angles = (
+            rolled if math.isnan(said) else said
+            for said, rolled in zip(sample.position_rad, self._turned_rad, strict=True)
+        )
+        fl, fr, rr, rl = (round(angle * per_rad) & 0xFFFF for angle in angles)
+        return fl, fr, rr, rl
+
+    # Accounts
+
+    def wire_sha256(self) -> str:
+        return self._hash.hexdigest()
+
+    @property
+    def snapshots_lost(self) -> int:
+        return 0
+
+    def rejected(self) -> dict[str, int]:
+        return {cause: count for cause, count in self._link.rejected().items() if count}
+
+    def close(self) -> None:
+        if self._state is not State.IDLE:
+            self._drop()

@@ -1,0 +1,64 @@
+"""The driver of a scenario whose robot has another maker's motor controllers, and what that cannot do."""
+
+from collections.abc import Iterator
+
+from hil.dialects.port import Driver, RobotFacts
+from hil.dialects.registry import dialect
+from hil.links.url import CanUrl, LinkUrl, MemoryUrl, SerialUrl, parse_link
+from hil.scenario.tables import Tables
+from hil.types import WHEEL_NAMES
+
+_WIRES = {
+    "can": "a CAN bus: can:INTERFACE/CHANNEL, or can:virtual/NAME within one process",
+    "can_fd": "a CAN FD bus: can:INTERFACE/CHANNEL?fd=1&data_bitrate=5000000, or can:virtual/NAME?fd=1",
+    "serial": "a serial line: serial:PATH?baud=115200, or memory: within one process",
+}
+
+
+def robot_facts(tables: Tables) -> RobotFacts:
+    """Return what a driver is told of the robot beside its own settings."""
+    robot, firmware, device = tables.robot, tables.firmware, tables.device
+    return RobotFacts(
+        robot.wheel_radius_m,
+        robot.half_length_m + robot.half_width_m,
+        tuple(WHEEL_NAMES.index(wheel) for wheel in device.wheels),
+        tuple(-1 if wheel in device.reversed else 1 for wheel in device.wheels),
+        min(robot.torque_limit_n_m, firmware.torque_limit_n_m),
+        robot.speed_limit_rad_s,
+        firmware.torque_constant_n_m_a,
+        firmware.watchdog_s,
+        tables.loop.period_ns * 1e-9,
+        tables.controller.mode,
+    )
+
+
+def make_driver(tables: Tables) -> Driver:
+    """Make the driver. Raises BadInputError for settings that it refuses."""
+    return dialect(tables.device.driver).make(tables.device.settings, robot_facts(tables))
+
+
+def contradictions(tables: Tables) -> Iterator[tuple[str, object, str]]:
+    """Yield key, value and expectation of what the maker's controllers cannot do."""
+    device, title = tables.device, dialect(tables.device.driver).title
+    wires = dialect(device.driver).wires
+    if not _wires_of(parse_link(tables.link.url)) & wires:
+        yield "link.url", tables.link.url, f"expected for {title} {' or '.join(_WIRES[wire] for wire in sorted(wires))}"
+    can = make_driver(tables).capabilities
+    if tables.controller.mode not in can.modes:
+        able = " or ".join(f'"{mode.name.lower()}"' for mode in sorted(can.modes))
+        yield "controller.command", tables.controller.command, f"{title} takes {able} alone"
+    if can.feedback_hz * tables.firmware.watchdog_s <= 1.0:
+        yield (
+            "firmware.watchdog_s",
+            tables.firmware.watchdog_s,
+            f"expected more than the {1.0 / can.feedback_hz:g} s between two feedbacks of {title}, or the robot would "
+            "always be held",
+        )
+
+
+def _wires_of(url: LinkUrl) -> set[str]:
+    match url:
+        case CanUrl():
+            return {"can_fd"} if url.fd else {"can"}
+        case SerialUrl() | MemoryUrl():
+            return {"serial"}

@@ -1,0 +1,161 @@
+"""Runs with the motor controllers of other makers: the emulated device of each in front of the plant, over its wire."""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import can
+import pytest
+
+import hil.bench
+from firmware_protocol.framing import Frame
+from firmware_protocol.generated.messages import State
+from hil.assembly import run_scenario
+from hil.devices.emulated.c620 import EmulatedC620
+from hil.errors import BadInputError, DeviceError, LinkError
+from hil.kinematics import BodyTwist
+from hil.scenario import Scenario, load
+from hil.service.messages import Phase
+from tests.pilot_bench import PilotBench
+
+BUS = "can:virtual/makers"
+SPEED = {"controller.command": "speed", "controller.law": "profile", "controller.gains": {}}
+
+
+def scenario(driver: str = "c620", link: str = BUS, **changes: Any) -> Scenario:
+    short = {"loop.rate_hz": 200, "loop.duration_s": 3, "expect": [], "device.driver": driver}
+    return load("paper_circle", mode="lockstep", link=link, set=short | changes)
+
+
+@pytest.fixture
+def built(monkeypatch: pytest.MonkeyPatch) -> Callable[[type[EmulatedC620]], None]:
+    """Have the robots of the test made from another class."""
+    return lambda kind: monkeypatch.setattr(hil.bench, "emulated", lambda _name: kind)
+
+
+@pytest.fixture
+def bystander() -> Iterator[can.BusABC]:
+    """Another node on the bus, which hears all."""
+    with can.Bus(interface="virtual", channel=BUS.rpartition("/")[2]) as bus:
+        yield bus
+
+
+def assert_off(bystander: can.BusABC) -> None:
+    """The last currents that were commanded are none."""
+    heard = iter(lambda: bystander.recv(0), None)
+    last = [message for message in heard if message.arbitration_id == 0x200][-1]
+    assert not any(last.data)
+
+
+class MotorThreeFallsSilent(EmulatedC620):
+    def say(self, frame: Frame) -> None:
+        if frame.id != 0x203 or self.ticks < 1500:
+            super().say(frame)
+
+
+class MotorTwoGetsHot(EmulatedC620):
+    def _sample(self, drive: Any) -> None:
+        super()._sample(drive)
+        if self.ticks > 1500:
+            self.temperature_degc = (20.0, 120.0, 20.0, 20.0)
+
+
+@pytest.mark.parametrize("changes", [{}, SPEED])
+def test_the_papers_circle_is_tracked_and_the_motors_are_off_at_the_end(
+    bystander: Any, changes: dict[str, Any]
+) -> None:
+    result = run_scenario(scenario(**{"loop.duration_s": 15} | changes))
+    assert result.failure is None
+    assert result.metrics["steady_max_m"] < 0.003
+    assert result.metrics["torque_variation_n_m_per_s"] < 20
+    assert result.metrics["stopped"]
+
+
+def test_the_motors_are_off_at_the_end_of_a_run(bystander: Any) -> None:
+    assert run_scenario(scenario(**{"loop.duration_s": 1})).failure is None
+    assert_off(bystander)
+
+
+def test_a_motor_that_falls_silent_makes_feedback_old_then_lost_and_all_stop(built: Any, bystander: Any) -> None:
+    built(MotorThreeFallsSilent)
+    result = run_scenario(scenario())
+    assert isinstance(result.failure, LinkError)
+    assert result.metrics["stale_ticks"] > 20
+    assert_off(bystander)
+
+
+def test_an_error_of_the_makers_is_told_and_stops_all(built: Any, bystander: Any) -> None:
+    built(MotorTwoGetsHot)
+    result = run_scenario(scenario())
+    assert isinstance(result.failure, DeviceError)
+    assert "motor 2 of wheel fr has 120 °C" in str(result.failure)
+    assert_off(bystander)
+
+
+def test_a_law_that_crashes_leaves_no_motor_on(bystander: Any, tmp_path: Any) -> None:
+    law = tmp_path / "bad.py"
+    law.write_text(
+        "from hil.controllers.profile import Profile\n\n\n"
+        "class Bad(Profile):\n"
+        "    def update(self, reference, state, applied, dt_s):\n"
+        "        command = super().update(reference, state, applied, dt_s)\n"
+        "        return command if reference.pose.y_m < 0.3 else 1 / 0\n"
+    )
+    result = run_scenario(scenario(**SPEED | {"controller.law": f"{law}:Bad"}))
+    assert "division by zero" in str(result.failure)
+    assert_off(bystander)
+
+
+def test_without_leave_to_move_nothing_is_asked_of_real_motors() -> None:
+    changes = {"device.driver": "c620", "estimator.source": "odometry"}
+    loaded = load("paper_circle", mode="realtime", link="can:udp_multicast/239.74.163.77", set=changes)
+    with hil.bench.Bench(loaded, None, allow_motion=False) as bench:
+        with pytest.raises(BadInputError, match="real motors would move; add --allow-motion"):
+            bench.connect()
+        assert bench.device.sent == 0
+
+
+def test_controllers_that_do_not_answer_are_named(built: Any) -> None:
+    class OnlyTwo(EmulatedC620):
+        def say(self, frame: Frame) -> None:
+            if frame.id < 0x203:
+                super().say(frame)
+
+    built(OnlyTwo)
+    with pytest.raises(DeviceError, match="no feedback of the motors 3, 4; check their power"):
+        run_scenario(scenario())
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"link": "memory:"}, "expected for RoboMaster C620 and C610 a CAN bus"),
+        ({"driver": "c260"}, "expected the name of a driver; did you mean 'c620'"),
+        ({"device.motors.gear_ration": 3.0}, "unknown option 'gear_ration'; did you mean 'gear_ratio'"),
+        ({"device.motors.gear_ratio": -3.0}, "gear_ratio = -3.0: expected a finite number, zero or more"),
+        ({"driver": "stm32", "device.motors.gear_ratio": 3.0}, "belongs to the drivers of other makers"),
+    ],
+)
+def test_what_the_motors_cannot_be_told_is_refused_with_the_scenario(changes: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(BadInputError) as refused:
+        scenario(**changes)
+    assert sentence in str(refused.value)
+    assert "device" in str(refused.value) or "link.url" in str(refused.value)
+
+
+def test_a_pilot_arms_drives_stops_and_clears_an_estop() -> None:
+    changes = {"device.driver": "c620", "link.url": BUS}
+    with PilotBench(**changes).armed() as bench:
+        bench.pilot.twist(BodyTwist(0.3, 0.0, 0.0))
+        bench.run(0.15)
+        assert bench.last("wheel.fl.speed_rad_s") > 0.5
+        bench.pilot.estop()
+        bench.run_until(Phase.ESTOP)
+        bench.run(0.5)
+        assert abs(bench.last("wheel.fl.torque_command_n_m")) == 0 or bench.last("robot.state") == State.ESTOP
+        bench.pilot.clear()
+        bench.run_until(Phase.DISARMED)
+        bench.pilot.arm()
+        bench.run_until(Phase.ACTIVE)
+        bench.pilot.disarm()
+        bench.run_until(Phase.DISARMED)
+        assert not bench.bench._robot.node.is_driving  # type: ignore[union-attr, attr-defined]
