@@ -23,6 +23,7 @@ from hil.commands.fmu import app as fmu_app
 from hil.commands.fuzzy import fuzzy
 from hil.commands.group import Commands
 from hil.commands.init import init
+from hil.commands.motors import jog, probe
 from hil.commands.options import (
     AllowMotion,
     Json,
@@ -146,7 +147,9 @@ app.command()(doctor)
 app.command()(params)
 app.command()(fuzzy)
 app.command()(init)
+app.command()(jog)
 app.command()(live_view.live)
+app.command()(probe)
 app.command()(replay)
 app.command()(reproduce)
 app.command()(review)

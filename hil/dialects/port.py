@@ -169,7 +169,7 @@ class Dialect(NamedTuple):
     """One maker's protocol as the registry has it.
 
     ``settings`` is a dataclass: the options of [device.motors], checked by ``hil.options.build``. ``wires`` says what
-    it is spoken over: ``can``, ``can_fd`` or ``serial``; ``baud`` and ``bitrate`` are usual there. ``probe`` is None
+    it is spoken over: ``can``, ``can_fd`` or ``serial``; ``baud`` is what is usual on a serial line. ``probe`` is None
     where nothing can be found without a risk.
     """
 
@@ -179,3 +179,4 @@ class Dialect(NamedTuple):
     make: Callable[[Any, RobotFacts], Driver]
     make_framing: Callable[[], Framing] | None = None
     probe: Callable[[], Probe] | None = None
+    baud: int = 115_200

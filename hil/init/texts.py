@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping
+from types import MappingProxyType
 
 from hil.init.questions import Answers, Value, field_of
 from hil.scenario import format_value
@@ -18,20 +19,27 @@ _OVERSPEED = 2.0
 _COMMENT_COLUMN = 40
 
 
-def robot_text(answers: Answers) -> str:
-    """Return the robot's file; ``answers`` has every question's key."""
+def robot_text(answers: Answers, driver: str | None = None, motors: Mapping[str, object] = MappingProxyType({})) -> str:
+    """Return the robot's file; ``answers`` has every question's key.
+
+    ``driver`` and ``motors`` are those of [device], where its motor controllers are known.
+    """
     speed_kp = min(100.0, _three_digits(_LOOP_RAD_S * _inertia_at_a_wheel(answers)))
     more: dict[str, Value | list[str]] = {
         "firmware.torque_limit_n_m": answers["robot.torque_limit_n_m"],
         "firmware.speed_kp_n_m_s_rad": speed_kp,
         "firmware.speed_ki_n_m_rad": _three_digits(_INTEGRAL_1_S * speed_kp),
         "firmware.overspeed_rad_s": max(1.0, _OVERSPEED * float(answers["robot.speed_limit_rad_s"])),
+        **({} if driver is None else {"device.driver": driver}),
         "device.wheels": ["fl", "fr", "rr", "rl"],
         "device.reversed": [],
     }
     values = {**answers, **more}
     head = "# A robot. Runs any scenario on it: hil run SCENARIO --robot FILE\n"
-    return head + "".join(_table(name, values) for name in ("robot", "firmware", "device", "link"))
+    tables = [_table(name, values) for name in ("robot", "firmware", "device", "link")]
+    if motors:
+        tables.insert(-1, "\n[device.motors]\n" + "".join(f"{k} = {format_value(v)}\n" for k, v in motors.items()))
+    return head + "".join(tables)
 
 
 def scenario_text(answers: Answers, slowness: float) -> str:

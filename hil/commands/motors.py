@@ -1,0 +1,102 @@
+"""``hil probe`` and ``hil jog``: what motors a robot has, and which wheel each of them turns."""
+
+import signal
+import sys
+from typing import Annotated
+
+import typer
+
+from hil.commands.options import Json, LinkUrl, RobotFile, ScenarioName, Sets, interrupt, print_json
+from hil.errors import BadInputError, RunInterruptedError
+
+
+def probe(
+    link: Annotated[str, typer.Argument(metavar="LINK", help="serial:PATH or can:INTERFACE/CHANNEL")],
+    driver: Annotated[str | None, typer.Option(metavar="NAME", help="look for this one only")] = None,
+    as_json: Json = False,
+) -> None:
+    """Find out what motor controllers are on a bus or a port, and print a robot file for them.
+
+    Nothing moves and nothing is written: it listens, and asks for versions. Exit 1 when nobody was found.
+    """
+    from hil.links.url import parse_link
+    from hil.probe import probe as look
+    from hil.service.lock import device_held
+
+    tell = (lambda _sentence: None) if as_json else (lambda sentence: print(f"# {sentence}", flush=True))
+    with device_held(parse_link(link), f"hil probe {link}"):
+        result = look(link, driver, tell)
+    if as_json:
+        print_json(
+            {
+                "found": [
+                    {"driver": a.driver, "link": a.link, "what": a.sentences, "motors": a.motors}
+                    for a in result.answers
+                ],
+                "strangers": {f"{number:#x}": count for number, count in result.strangers.items()},
+                "not_asked": result.not_asked,
+            }
+        )
+        raise typer.Exit(0 if result.answers else 1)
+    if result.not_asked is not None:
+        print(f"# {result.not_asked}")
+    for answer in result.answers:
+        for sentence in answer.sentences:
+            print(f"# {sentence}")
+        if answer.robot_file is None:
+            print(
+                f"# that is no whole robot with four motors; see DIALECTS.md for [device.motors] of {answer.driver!r}"
+            )
+        else:
+            print("# Which wheel each motor turns, and which way, nobody can tell from here: see hil jog.")
+            print(answer.robot_file)
+    if not result.answers:
+        print("# nobody was found; check power, cable, and the link's bit rate or baud")
+    raise typer.Exit(0 if result.answers else 1)
+
+
+def jog(
+    scenario: ScenarioName,
+    wheel: Annotated[str, typer.Argument(metavar="fl|fr|rr|rl")],
+    link: LinkUrl = None,
+    robot: RobotFile = None,
+    speed_rad_s: Annotated[float, typer.Option("--speed", metavar="RAD/S", help="at most 3, either way")] = 1.0,
+    seconds: Annotated[float, typer.Option(metavar="S", help="at most 10")] = 3.0,
+    sets: Sets = None,
+    as_json: Json = False,
+) -> None:
+    """Turn one wheel slowly, with its name typed first, to check order and direction of the motors.
+
+    Put the robot on blocks, so that no wheel touches the ground.
+    """
+    from hil.jog import jog as turn
+    from hil.links.url import parse_link
+    from hil.scenario import load
+    from hil.service.lock import device_held
+
+    signal.signal(signal.SIGTERM, interrupt)
+    changes = [*(sets or []), "controller.command=speed", "controller.law=pid", "controller.gains={}", "fault=[]"]
+    resolved = load(scenario, set=changes, robot=robot, link=link)
+    way = "forward" if speed_rad_s > 0 else "backward"
+    print(
+        f"The wheel {wheel} will turn {way} at {abs(speed_rad_s):g} rad/s for {seconds:g} s.\n"
+        f"All wheels must be off the ground. Type {wheel} and Enter to turn it: ",
+        end="",
+        file=sys.stderr,
+        flush=True,
+    )
+    if sys.stdin.readline().strip() != wheel:
+        raise BadInputError(f"{wheel!r} was not typed; nothing was sent")
+    try:
+        with device_held(parse_link(resolved.link.url), f"hil jog {resolved.name} {wheel}"):
+            done = turn(resolved, wheel, speed_rad_s, seconds)
+    except KeyboardInterrupt:
+        raise RunInterruptedError("interrupted; the wheel was told to stop") from None
+    if as_json:
+        print_json(
+            {"asked_rad": done.asked_rad, "turned_rad": done.turned_rad._asdict(), "verdict": done.verdict(wheel)}
+        )
+    else:
+        angles = ", ".join(f"{name} {angle:+.2f}" for name, angle in done.turned_rad._asdict().items())
+        print(f"asked {wheel} {done.asked_rad:+.2f} rad; the sensors saw {angles} rad")
+        print(done.verdict(wheel))

@@ -1,0 +1,87 @@
+"""``hil jog``: turns one wheel slowly, to see that it is the right one and turns the right way."""
+
+from typing import NamedTuple
+
+from hil.bench import Bench
+from hil.errors import BadInputError, DeviceError
+from hil.freshness import Freshness
+from hil.sampling import Timing
+from hil.scenario import Scenario
+from hil.scenario.motors import make_driver
+from hil.types import WHEEL_NAMES, ZERO_WHEELS, CommandMode, WheelCommand, Wheels
+
+MOST_RAD_S = 3.0
+MOST_S = 10.0
+_RAMP_S = 0.5
+_STOP_LIMIT_NS = 5_000_000_000
+_LEAST_SHARE = 0.1  # of the angle that was asked for; on the ground, against three others, it is some 0.2
+_MOST_SHARE = 0.5
+
+
+class Jogged(NamedTuple):
+    """How far each wheel turned by its own sensor [rad], and how far the chosen one was asked to."""
+
+    asked_rad: float
+    turned_rad: Wheels
+
+    def verdict(self, wheel: str) -> str:
+        """Say whether it was the right wheel and the right way, and what to change if not."""
+        turned = dict(zip(WHEEL_NAMES, self.turned_rad, strict=True))
+        least = max(_LEAST_SHARE * abs(self.asked_rad), _MOST_SHARE * max(map(abs, self.turned_rad)))
+        moved = [name for name, angle in turned.items() if abs(angle) > least]
+        if moved == [wheel]:
+            if turned[wheel] * self.asked_rad > 0.0:
+                return (
+                    f"the sensor of {wheel} followed; if you saw that wheel turn the right way, its wiring is as told"
+                )
+            return f"the sensor of {wheel} counted the other way; put {wheel!r} into device.reversed, or take it out"
+        if not moved:
+            return f"no sensor saw a wheel turn; check the motor's power, and its encoder's cable, of {wheel}"
+        return f"{wheel} was asked to turn, and the sensors of {', '.join(moved)} saw it; correct device.wheels"
+
+
+def jog(scenario: Scenario, wheel: str, speed_rad_s: float, seconds: float) -> Jogged:
+    """Turn a wheel at most so fast for so long, ramps of 0.5 s at both ends, and stop.
+
+    Raises BadInputError for a wheel or a number that is out of range and for a base that turns all of its wheels,
+    DeviceError and LinkError when the robot refuses, stops or is lost; it is told to stop in any case.
+    """
+    _check(scenario, wheel, speed_rad_s, seconds)
+    period_ns = scenario.loop.period_ns
+    stale_ns = round(scenario.firmware.watchdog_s * 1e9)
+    with Bench(scenario, None, allow_motion=True) as bench:
+        device = bench.device
+        bench.connect()
+        begin_ns = device.start(bench.clock, period_ns)
+        freshness = Freshness(bench.clock, device, None, Timing(period_ns, 0, 0, stale_ns))
+        turned = [0.0] * 4
+        try:
+            for n in range(1, 1 + round(seconds * 1e9) // period_ns):
+                device.wait_until(begin_ns + n * period_ns)
+                t_s = n * period_ns * 1e-9
+                feedback = freshness.poll(t_s)
+                share = max(0.0, min(t_s / _RAMP_S, 1.0, (seconds - t_s) / _RAMP_S))
+                if freshness.is_silent():
+                    raise DeviceError(f"the feedback is {freshness.silent_ns * 1e-6:.0f} ms old; the wheel was stopped")
+                speed = Wheels(*(share * speed_rad_s if name == wheel else 0.0 for name in WHEEL_NAMES))
+                device.send(WheelCommand(CommandMode.SPEED, speed, ZERO_WHEELS))
+                turned = [a + s * period_ns * 1e-9 for a, s in zip(turned, feedback.speed_rad_s, strict=True)]
+        finally:
+            device.stop(period_ns, _STOP_LIMIT_NS)
+    return Jogged(speed_rad_s * (seconds - _RAMP_S), Wheels(*turned))
+
+
+def _check(scenario: Scenario, wheel: str, speed_rad_s: float, seconds: float) -> None:
+    if wheel not in WHEEL_NAMES:
+        raise BadInputError(f"wheel {wheel!r}: expected one of {', '.join(WHEEL_NAMES)}")
+    if not 0.0 < abs(speed_rad_s) <= MOST_RAD_S:
+        raise BadInputError(f"speed {speed_rad_s:g} rad/s: expected one of at most {MOST_RAD_S:g} either way, not zero")
+    if not 2 * _RAMP_S < seconds <= MOST_S:
+        raise BadInputError(f"{seconds:g} s: expected more than {2 * _RAMP_S:g}, at most {MOST_S:g}")
+    if scenario.controller.mode is not CommandMode.SPEED:
+        raise BadInputError("a wheel is turned by its speed: add --set controller.command=speed")
+    if scenario.device.is_makers and make_driver(scenario).capabilities.is_twist:
+        raise BadInputError(
+            f"{scenario.device.driver!r} takes velocities of the body and turns all wheels itself; put the wheels off "
+            "the ground and drive it with hil serve and hil teleop"
+        )
