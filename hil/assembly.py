@@ -128,6 +128,9 @@ def run_scenario(
         )
         # First the robot, then the recorder: a robot that is not there leaves no empty recording behind.
         robot = _reach(bench, bench.connect)
+        if warn is not None:
+            for sentence in bench.device.warnings:
+                warn(sentence)
         memory = MemorySink(laws.signals, _signal_figures(scenario), keep=keep_signals)
         recording: RunRecording | None = None
         if record is not None or live_port is not None:
@@ -144,7 +147,7 @@ def run_scenario(
             )
             recording.event(0.0, "info", f"robot: {robot.describe()}")
             recording.event(0.0, "info", f"link: {bench.device.describe_link()}")
-            for sentence in demands.sentences:
+            for sentence in (*demands.sentences, *bench.device.warnings):
                 recording.event(0.0, "warning", sentence)
         streaming: UdpStream | None = None
         if destination is not None:

@@ -1,5 +1,6 @@
 """What the tick, the loop and the service need of a robot behind a link, whatever its motors speak."""
 
+from collections.abc import Sequence
 from typing import Protocol
 
 from firmware_protocol.generated.messages import State
@@ -70,6 +71,10 @@ class Device(Protocol):
     @property
     def info(self) -> Identity | None:
         """What the robot said of itself, None before it has."""
+
+    @property
+    def warnings(self) -> Sequence[str]:
+        """Sentences to be said before anything moves, such as that nothing stops the wheels when the host dies."""
 
     def describe_link(self) -> str:
         """Return what the link is, in words for a person."""

@@ -97,6 +97,11 @@ class Stm32:
         """What the robot said of itself, None before it has."""
         return self._info
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Nothing: the firmware stops by itself whatever becomes of the host."""
+        return ()
+
     # Coming back after a loss, in steps that do not wait: the tick of the loop goes on meanwhile
 
     def leave(self) -> None:
