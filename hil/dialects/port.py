@@ -13,6 +13,9 @@ from hil.types import NAN, CommandMode, FourWheels
 EXTENDED = 0x8000_0000
 """Added to the id of a CAN frame whose identifier has 29 bits (CAN_EFF_FLAG of Linux)."""
 
+REMOTE = 0x4000_0000
+"""Added to the id of a CAN frame that asks for the data of this id and carries none itself (CAN_RTR_FLAG of Linux)."""
+
 NO_CHANNELS: FourWheels = (NAN, NAN, NAN, NAN)
 
 
@@ -74,7 +77,9 @@ class Driver(Protocol):
     ``arm`` itself asks for standstill.
     """
 
-    capabilities: Capabilities
+    @property
+    def capabilities(self) -> Capabilities:
+        """What they can do; what only some firmwares can is there once that firmware is known."""
 
     def ask(self) -> Sequence[Frame]:
         """Return frames that ask who is there, in which version and state; nothing moves by them."""
