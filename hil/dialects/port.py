@@ -24,6 +24,9 @@ __all__ = [
     "Sample",
 ]
 
+REMOTE = 0x4000_0000
+"""Added to the id of a CAN frame that asks for the data of this id and carries none itself (CAN_RTR_FLAG of Linux)."""
+
 NO_CHANNELS: FourWheels = (NAN, NAN, NAN, NAN)
 
 
@@ -85,7 +88,9 @@ class Driver(Protocol):
     ``arm`` itself asks for standstill.
     """
 
-    capabilities: Capabilities
+    @property
+    def capabilities(self) -> Capabilities:
+        """What they can do; what only some firmwares can is there once that firmware is known."""
 
     def ask(self) -> Sequence[Frame]:
         """Return frames that ask who is there, in which version and state; nothing moves by them."""

@@ -1,0 +1,55 @@
+"""What is set for ODrive axes; also what their emulation is told."""
+
+import re
+from dataclasses import dataclass
+from typing import Literal
+
+from hil.dialects.odrive_tables import BROADCAST
+from hil.options import require_not_negative, require_positive
+
+_VERSION = re.compile(r"\d+\.\d+\.\d+")
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """``[device.motors]``: ``node_ids`` of the channels in order, ``gear_ratio`` motor turns in one of the
+    wheel.
+
+    ``feedback_hz`` is the rate at which the axes send their encoder estimates by themselves, 0 asks for them with
+    each command. ``firmware`` refuses any other. ``watchdog_endpoints`` are the ids of axis0.config.watchdog_timeout
+    and axis0.config.enable_watchdog from the flat_endpoints.json of exactly ``endpoints_firmware`` and
+    ``endpoints_hardware``; without them the watchdog is neither set nor read.
+    """
+
+    node_ids: tuple[int, ...] = (0, 1, 2, 3)
+    gear_ratio: float = 1.0
+    feedback_hz: float = 100.0
+    firmware: Literal["any", "0.5", "0.6"] = "any"
+    watchdog_endpoints: tuple[int, ...] = ()
+    endpoints_firmware: str = ""
+    endpoints_hardware: str = ""
+
+    def __post_init__(self) -> None:
+        nodes = self.node_ids
+        if len(nodes) != 4 or len(set(nodes)) != 4 or not all(0 <= node < BROADCAST for node in nodes):
+            raise ValueError(f"node_ids = {list(nodes)}: expected four different ones, each 0 to {BROADCAST - 1}")
+        require_positive(self, "gear_ratio")
+        require_not_negative(self, "feedback_hz")
+        if self.feedback_hz > 1000.0:
+            raise ValueError(f"feedback_hz = {self.feedback_hz:g}: expected 1000 at most, or 0 to ask for each")
+        endpoints = self.watchdog_endpoints
+        if not endpoints and not self.endpoints_firmware and not self.endpoints_hardware:
+            return
+        if len(endpoints) != 2 or len(set(endpoints)) != 2 or not all(0 < number <= 0xFFFF for number in endpoints):
+            raise ValueError(
+                f"watchdog_endpoints = {list(endpoints)}: expected the ids of axis0.config.watchdog_timeout and "
+                "axis0.config.enable_watchdog"
+            )
+        if self.firmware == "0.5":
+            raise ValueError("watchdog_endpoints: firmware 0.5 has no endpoints on the bus; leave them out")
+        for name, example in (("endpoints_firmware", "0.6.10"), ("endpoints_hardware", "4.4.58")):
+            if not _VERSION.fullmatch(getattr(self, name)):
+                raise ValueError(
+                    f"{name} = {getattr(self, name)!r}: expected what the flat_endpoints.json of watchdog_endpoints "
+                    f"says, such as {example!r}"
+                )
