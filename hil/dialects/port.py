@@ -24,9 +24,6 @@ __all__ = [
     "Sample",
 ]
 
-REMOTE = 0x4000_0000
-"""Added to the id of a CAN frame that asks for the data of this id and carries none itself (CAN_RTR_FLAG of Linux)."""
-
 NO_CHANNELS: FourWheels = (NAN, NAN, NAN, NAN)
 
 
