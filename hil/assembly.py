@@ -7,7 +7,6 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, TypeVar
 
-from firmware_protocol.host import HostNode
 from hil.bench import NS, Bench, open_trace
 from hil.devices.virtual import MakeNode
 from hil.errors import DeviceError, HilError, LinkError
@@ -90,7 +89,7 @@ def run_scenario(
     watch: Watch | None = None,
     warn: Callable[[str], None] | None = None,
     linger: Callable[[], None] | None = None,
-    make_node: MakeNode = HostNode,
+    make_node: MakeNode | None = None,
     make_recording: MakeRecording = Recording,
     keep_signals: bool = True,
 ) -> RunResult:

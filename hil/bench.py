@@ -151,10 +151,10 @@ def language_of(scenario: Scenario) -> Language:
     return Language(make_framing) if make_framing is not None else Language(WheelFraming)
 
 
-def node_maker(scenario: Scenario, make_node: MakeNode = HostNode) -> MakeNode:
-    """Return what makes the firmware of the scenario's virtual robot; ``make_node`` makes our own."""
+def node_maker(scenario: Scenario) -> MakeNode:
+    """Return what makes the firmware of the scenario's virtual robot, or its motor controllers."""
     if not scenario.device.is_makers:
-        return make_node
+        return HostNode
     return functools.partial(emulated(scenario.device.driver), scenario.device.settings)
 
 
@@ -183,11 +183,11 @@ class Bench:
         *,
         allow_motion: bool,
         trace: Trace | None = None,
-        make_node: MakeNode = HostNode,
+        make_node: MakeNode | None = None,
         signals: Sequence[str] = SIGNAL_NAMES,
     ) -> None:
         self._scenario = scenario
-        self._make_node = make_node
+        self._make_node = make_node or node_maker(scenario)
         self.device: Device
         self._robot: VirtualStm32 | None = None
         self._server: VirtualServer | None = None
@@ -254,7 +254,7 @@ class Bench:
 
     def _open_within(self, resources: contextlib.ExitStack) -> Link:
         lockstep = self._scenario.loop.mode == "lockstep"
-        self._robot = robot = VirtualStm32(virtual_robot(self._scenario), node_maker(self._scenario, self._make_node))
+        self._robot = robot = VirtualStm32(virtual_robot(self._scenario), self._make_node)
         resources.callback(robot.close)
         self.faults.arm(LocalFaults(robot.faults, self._do))
         pair = open_pair(

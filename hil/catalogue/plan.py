@@ -7,10 +7,28 @@ from pathlib import Path
 from typing import NamedTuple
 
 from hil.catalogue.runs import Job
+from hil.dialects.registry import dialect
 from hil.errors import BadInputError, nearest
-from hil.faults.cases import CASES, NO_FEEDBACK, PAIRS, SILENCE, Case, Outcome, Pair
+from hil.faults.cases import (
+    CASES,
+    MOTORS_CASES,
+    NO_FEEDBACK,
+    PAIRS,
+    SILENCE,
+    Case,
+    Outcome,
+    Pair,
+    motors_outcomes,
+)
+from hil.scenario import Scenario, load
+from hil.scenario.motors import make_driver
 
 LINKS = {"memory": "memory:", "serial": "serial:pty", "can": "can:virtual/catalogue"}
+MOTORS_WIRES = {
+    "can": "can:virtual/catalogue",
+    "can_fd": "can:virtual/catalogue?fd=1&data_bitrate=5000000",
+    "serial": "memory:",
+}
 _ORDER = list(Outcome)
 
 
@@ -45,6 +63,9 @@ def alone(asked: Asked, mode: str = "lockstep") -> list[Job]:
 
     A machine that stalls in real time may stop the robot by its watchdog in any of them, and it re-arms.
     """
+    base = load(asked.scenario, set=asked.sets)
+    if base.device.is_makers:
+        return _of_motors(asked, base) if mode == "lockstep" else []
     jobs = []
     for case, link in itertools.product(_chosen(asked), asked.links or LINKS):
         expected = case.expected(link)
@@ -64,7 +85,9 @@ def pairs(asked: Asked) -> list[Job]:
     A pair comes out as the worse of its two does alone, but for those of ``PAIRS``.
     """
     chosen = {case.name for case in _chosen(asked)}
-    jobs = []
+    jobs: list[Job] = []
+    if load(asked.scenario, set=asked.sets).device.is_makers:
+        return jobs
     for two in itertools.combinations([case for case in CASES if case.in_pairs], 2):
         if not chosen.isdisjoint(case.name for case in two):
             jobs += [_pair(asked, two, link) for link in asked.links or ("memory",)]
@@ -72,6 +95,21 @@ def pairs(asked: Asked) -> list[Job]:
         return jobs
     chosen_jobs = random.Random(asked.seed).sample(range(len(jobs)), asked.sample)
     return [jobs[number] for number in sorted(chosen_jobs)]
+
+
+def _of_motors(asked: Asked, base: Scenario) -> list[Job]:
+    """Return every case that there is for motors of other makers, over the wire of their own, in this process."""
+    has_watchdog = make_driver(base).capabilities.watchdog != "none"
+    [wire, *_] = sorted(dialect(base.device.driver).wires)
+    jobs = []
+    for motors in MOTORS_CASES:
+        if asked.kinds and motors.case.kind not in asked.kinds:
+            continue
+        job = _job(
+            asked, (motors.case,), MOTORS_WIRES[wire], "lockstep", True, set(motors_outcomes(motors, has_watchdog))
+        )
+        jobs.append(job._replace(causes=list(motors.causes), causes_of_end=list(motors.causes)))
+    return jobs
 
 
 def _pair(asked: Asked, two: tuple[Case, Case], link: str) -> Job:
@@ -97,7 +135,7 @@ def _job(asked: Asked, cases: Sequence[Case], link: str, mode: str, rearm: bool,
     file = "-".join([*name.replace("+", "").split(), link, mode, "rearm" if rearm else "end"])
     return Job(
         fault=name,
-        link=LINKS[link],
+        link=LINKS.get(link, link),
         mode=mode,
         scenario=asked.scenario,
         sets=list(asked.sets),

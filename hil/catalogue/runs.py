@@ -3,12 +3,15 @@
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 from hil.assembly import RunResult, run_scenario
+from hil.bench import node_maker
 from hil.catalogue.judge import SafetyJudge
+from hil.catalogue.motors import MotorsJudge
 from hil.catalogue.recording import RecordingHere
 from hil.catalogue.watched import WatchedNode
+from hil.devices.emulated.motors import EmulatedMotors
 from hil.errors import HilError
 from hil.faults.cases import DURATION_S, Outcome, Row
 from hil.pool import Work
@@ -77,6 +80,48 @@ class Verdict(NamedTuple):
         return self.verdict == OK
 
 
+class _Robot(Protocol):
+    """The robot of a run with its judge."""
+
+    def power_on(self, *arguments: Any, **options: Any) -> Any:
+        """Make its firmware, or its motor controllers."""
+
+    def left_alone(self) -> None:
+        """Let the robot's time go on without a host, in which all has to come to rest by itself."""
+
+    def unsafe(self, result: RunResult) -> Iterator[str]:
+        """Say what the judge found."""
+
+    def silence(self) -> tuple[float | None, int | None]:
+        """Return the greatest set point that was seen where it has to be zero, and in how many ticks."""
+
+
+class _Motors:
+    """Motor controllers of another maker, with their judge at the plant port."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._make = node_maker(scenario)
+        self._judge = MotorsJudge(scenario)
+        self._node: EmulatedMotors | None = None
+
+    def power_on(self, *arguments: Any, **options: Any) -> EmulatedMotors:
+        node = self._make(*arguments, **options)
+        assert isinstance(node, EmulatedMotors)
+        node.on_tick = self._judge.hold
+        self._node = node
+        return node
+
+    def left_alone(self) -> None:
+        assert self._node is not None
+        self._node.run(self._judge.left_alone_ticks)
+
+    def unsafe(self, result: RunResult) -> Iterator[str]:
+        yield from (f"unsafe: {complaint}" for complaint in self._judge.complaints(result.signals))
+
+    def silence(self) -> tuple[None, None]:
+        return None, None
+
+
 class _Watched:
     """The robot of a run, with the judge around each of its lives."""
 
@@ -96,6 +141,16 @@ class _Watched:
         assert self._node is not None
         self._node.run(self._ticks)
 
+    def unsafe(self, _result: RunResult) -> Iterator[str]:
+        judge = self.judge
+        if judge.violations:
+            yield f"unsafe in {judge.violation_ticks} ticks: {judge.violations[0]}"
+        if not (judge.driven_ticks and judge.silent_ticks):
+            yield "the robot was never driven or never left alone, so nothing is shown"
+
+    def silence(self) -> tuple[float, int]:
+        return self.judge.silent_rad_s, self.judge.silent_ticks
+
 
 def lost(job: Job, verdict: str, wall_s: float) -> Verdict:
     """Return the verdict on a run that told nothing."""
@@ -109,12 +164,12 @@ WORK = Work("hil.catalogue.worker", Verdict, lost)
 def perform(job: Job) -> Verdict:
     """Do a run and judge it. Whatever is no HilError is raised: it is a defect of ours."""
     began = time.monotonic()
-    robot = _Watched()
-    judge = robot.judge
     recording = Path(job.recording)
     try:
+        chosen = scenario(job)
+        robot: _Robot = _Motors(chosen) if chosen.device.is_makers else _Watched()
         result = run_scenario(
-            scenario(job),
+            chosen,
             record=recording,
             make_node=robot.power_on,
             make_recording=RecordingHere if job.records_here else Recording,
@@ -122,7 +177,7 @@ def perform(job: Job) -> Verdict:
         )
     except HilError as error:
         return lost(job, f"refused: {error}", time.monotonic() - began)
-    problems = [*_unsafe(judge), *_wrong(job, result), *_unrecorded(result, recording)]
+    problems = [*robot.unsafe(result), *_wrong(job, result), *_unrecorded(result, recording)]
     if not problems:
         recording.unlink()
     return Verdict(
@@ -134,8 +189,7 @@ def perform(job: Job) -> Verdict:
         outcome(result),
         [row["applied"] for row in result.metrics["fault"]],
         len(result.metrics["recoveries"]),
-        judge.silent_rad_s,
-        judge.silent_ticks,
+        *robot.silence(),
         time.monotonic() - began,
         str(recording) if problems else None,
     )
@@ -174,13 +228,6 @@ def outcome(result: RunResult) -> str:
     if result.failure is None:
         return Outcome.REARMS if result.metrics["recoveries"] else Outcome.GOES_ON
     return Outcome.ENDS if result.exit_code == 3 else f"exit code {result.exit_code}"
-
-
-def _unsafe(judge: SafetyJudge) -> Iterator[str]:
-    if judge.violations:
-        yield f"unsafe in {judge.violation_ticks} ticks: {judge.violations[0]}"
-    if not (judge.driven_ticks and judge.silent_ticks):
-        yield "the robot was never driven or never left alone, so nothing is shown"
 
 
 def _wrong(job: Job, result: RunResult) -> Iterator[str]:

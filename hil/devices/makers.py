@@ -242,6 +242,7 @@ class MakersRobot:
             self.wait_until(begin_ns + n * period_ns)
             feedback = self.poll()
             if feedback is not None and self._state in (State.IDLE, State.FAULT, State.ESTOP):
+                self.wait_until(begin_ns + (n + 1) * period_ns)  # so that the last frames get there
                 return True
             n += 1
         return False

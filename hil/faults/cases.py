@@ -118,6 +118,50 @@ CASES: tuple[Case, ...] = (
 )  # fmt: skip
 
 
+class MotorsCase(NamedTuple):
+    """A case for a robot with motor controllers of another maker.
+
+    Which of ``outcomes`` it has is the maker's: some latch what others recover from. One of ``causes`` is in the
+    sentence that tells why the robot was lost, where it is.
+    """
+
+    case: Case
+    outcomes: frozenset[Outcome]
+    causes: tuple[str, ...]
+
+
+_LOST = ("no feedback", "left closed loop", "reported", "the fault disconnect", "bus-off")
+_ALL = 1.0
+_OF_OUR_MESSAGES = ("mute",)
+# What such controllers may do otherwise: they have no sequence to tell an old command by, or latch what we recover from.
+_OTHERWISE = {
+    "freeze command": {_GOES_ON, _REARMS, _ENDS},
+    "freeze feedback": {_GOES_ON, _REARMS},
+    "bit_errors command": {_GOES_ON, _REARMS, _ENDS},
+    "bit_errors feedback": {_GOES_ON, _REARMS, _ENDS},
+    "disconnect link": {_REARMS, _ENDS},
+    "reset robot": {_REARMS, _ENDS},
+    "stuck_encoder fl": {_GOES_ON, _ENDS},
+    "low_battery battery": {_GOES_ON, _ENDS},
+}
+MOTORS_CASES: tuple[MotorsCase, ...] = tuple(
+    MotorsCase(case, frozenset(_OTHERWISE.get(case.name, {case.outcome})), _LOST)
+    for case in (
+        *(case for case in CASES if case.kind not in _OF_OUR_MESSAGES),
+        _case("drop", "command", _REARMS, window=_LATER, value=_ALL)._replace(name="no command"),
+        _case("drop", "feedback", _REARMS, window=_LATER, value=_ALL)._replace(name="no feedback"),
+    )
+)
+"""What the catalogue runs for motors of other makers."""
+
+
+def motors_outcomes(case: MotorsCase, has_watchdog: bool) -> frozenset[Outcome]:
+    """Return the outcomes of a case, by whether a watchdog of the controllers' stops them without commands."""
+    if case.case.name != "no command":
+        return case.outcomes
+    return frozenset({_REARMS, _ENDS}) if has_watchdog else frozenset({_GOES_ON})
+
+
 class Pair(NamedTuple):
     """Two cases of which one keeps the other from coming out as it does alone: how they do, for what cause, and why."""
 

@@ -2,7 +2,7 @@
 
 import math
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from firmware_protocol.framing import Frame
@@ -65,6 +65,10 @@ class SpeedLoop:
         return limited
 
 
+def _unwatched(_node: "EmulatedMotors") -> None:
+    """Take no note of a tick."""
+
+
 class EmulatedMotors:
     """Four channels in front of a plant: a ``RobotNode`` like the host library's, of another maker's protocol.
 
@@ -77,6 +81,7 @@ class EmulatedMotors:
         ticks: of 1 ms since the power came on.
         shafts: of the four channels. current_a: of each motor, as measured.
         battery_v: as measured.
+        on_tick: called after each tick.
     """
 
     def __init__(
@@ -102,6 +107,7 @@ class EmulatedMotors:
         self.battery_v = 0.0
         self.battery_a = 0.0
         self.torque_n_m: FourWheels = _STILL
+        self.on_tick: Callable[[EmulatedMotors], None] = _unwatched
         self._plant_failed = False
         self._unsent = 0
         self._outgoing: deque[Frame] = deque()
@@ -169,6 +175,7 @@ class EmulatedMotors:
             drive.duty = self._duty()
             self.ticks += 1
             self._sample(drive)
+            self.on_tick(self)
 
     def stored(self) -> bytes | None:
         """Nothing is kept across a reset but what the maker's tool has set, which is the scenario's."""
