@@ -186,13 +186,13 @@ def test_a_battery_that_makes_the_board_switch_itself_off_is_told_before_it_does
     ("version", "car_number", "words"),
     [
         ((2, 4), 1, r"firmware 2\.4, and this driver knows 3\.x"),
-        ((3, 5), 2, r'set to be a X3 PLUS, and device.motors.car is .x3.; write device.motors.car = "x3_plus"'),
-        ((3, 5), 5, "set to be a R2, with steering"),
+        ((3, 5), 2, r'set to X3 PLUS, and device.motors.car is .x3.; write device.motors.car = "x3_plus"'),
+        ((3, 5), 5, "set to R2, with steering"),
     ],
 )
 def test_a_board_that_cannot_be_driven_is_refused(version: tuple[int, int], car_number: int, words: str) -> None:
     made = rig()
-    made.node.version, made.node.car_number = version, car_number  # type: ignore[attr-defined]
+    made.node.version, made.node.car_number = version, car_number
     with pytest.raises(BadInputError, match=words):
         made.greet()
 
@@ -303,7 +303,7 @@ def test_a_probe_reads_version_and_car_and_sends_questions_alone() -> None:
     found = probe.found()
     assert found is not None
     assert found.motors == {"car": "x3_plus"}
-    assert found.sentences == ["a Rosmaster board, firmware 3.5, set to be a X3 PLUS"]
+    assert found.sentences == ["a Rosmaster board, firmware 3.5, set to X3 PLUS"]
     assert made.is_still()
 
 

@@ -131,12 +131,12 @@ def test_a_base_that_still_drives_is_stopped_before_it_counts_as_armed() -> None
 def test_the_emergency_stop_of_the_base_is_told_and_ends_arming_and_its_release_does_not_arm() -> None:
     made = armed()
     made.drive(0.5, ramp_to(FORWARD, 0.3))
-    made.node.is_switched_off = True  # type: ignore[attr-defined]
+    made.node.is_switched_off = True
     made.drive(0.1, lambda _t: (FORWARD, STILL))
     [error] = made.driver.errors
     assert "its emergency stop is pressed" in error
     assert not made.driver.is_armed
-    made.node.is_switched_off = False  # type: ignore[attr-defined]
+    made.node.is_switched_off = False
     made.drive(1.5, lambda _t: (FORWARD, STILL))
     assert made.driver.errors == ()
     assert made.is_still()
