@@ -128,6 +128,22 @@ def test_two_stops_without_a_pause_can_both_be_lost_and_with_the_lines_pause_non
     assert not any(goes_on(phase, PAUSE) for phase in range(12))
 
 
+def test_a_stop_is_obeyed_wherever_a_command_was_cut() -> None:
+    """As when the host dies in the middle of a frame."""
+    make_framing = dialect("rosmaster").make_framing
+    assert make_framing is not None
+    line = make_framing()
+    made = armed()
+    command, *_ = made.driver.command(FORWARD, STILL, made.now_ns + 10**9)
+    for cut in range(12):
+        made.node.feed(line.encode(command))
+        made.step(ticks=10)
+        assert made.node.is_driving
+        made.node.feed(line.encode(command)[:cut])
+        made.step(made.driver.disarm(), ticks=10)
+        assert not made.node.is_driving
+
+
 def test_a_board_that_still_drives_is_stopped_before_it_counts_as_armed() -> None:
     made = armed()
     made.drive(1.0, ramp_to(FORWARD, 0.3))
