@@ -128,6 +128,22 @@ def test_two_stops_without_a_pause_can_both_be_lost_and_with_the_lines_pause_non
     assert not any(goes_on(phase, PAUSE) for phase in range(12))
 
 
+def test_a_stop_is_obeyed_wherever_a_command_was_cut() -> None:
+    """As when the host dies in the middle of a frame."""
+    make_framing = dialect("rosmaster").make_framing
+    assert make_framing is not None
+    line = make_framing()
+    made = armed()
+    command, *_ = made.driver.command(FORWARD, STILL, made.now_ns + 10**9)
+    for cut in range(12):
+        made.node.feed(line.encode(command))
+        made.step(ticks=10)
+        assert made.node.is_driving
+        made.node.feed(line.encode(command)[:cut])
+        made.step(made.driver.disarm(), ticks=10)
+        assert not made.node.is_driving
+
+
 def test_a_board_that_still_drives_is_stopped_before_it_counts_as_armed() -> None:
     made = armed()
     made.drive(1.0, ramp_to(FORWARD, 0.3))
@@ -186,13 +202,13 @@ def test_a_battery_that_makes_the_board_switch_itself_off_is_told_before_it_does
     ("version", "car_number", "words"),
     [
         ((2, 4), 1, r"firmware 2\.4, and this driver knows 3\.x"),
-        ((3, 5), 2, r'set to be a X3 PLUS, and device.motors.car is .x3.; write device.motors.car = "x3_plus"'),
-        ((3, 5), 5, "set to be a R2, with steering"),
+        ((3, 5), 2, r'set to X3 PLUS, and device.motors.car is .x3.; write device.motors.car = "x3_plus"'),
+        ((3, 5), 5, "set to R2, with steering"),
     ],
 )
 def test_a_board_that_cannot_be_driven_is_refused(version: tuple[int, int], car_number: int, words: str) -> None:
     made = rig()
-    made.node.version, made.node.car_number = version, car_number  # type: ignore[attr-defined]
+    made.node.version, made.node.car_number = version, car_number
     with pytest.raises(BadInputError, match=words):
         made.greet()
 
@@ -303,7 +319,7 @@ def test_a_probe_reads_version_and_car_and_sends_questions_alone() -> None:
     found = probe.found()
     assert found is not None
     assert found.motors == {"car": "x3_plus"}
-    assert found.sentences == ["a Rosmaster board, firmware 3.5, set to be a X3 PLUS"]
+    assert found.sentences == ["a Rosmaster board, firmware 3.5, set to X3 PLUS"]
     assert made.is_still()
 
 

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from firmware_protocol.framing import Frame
 from hil.dialects.registry import dialect
+from hil.dialects.wheeltec_line import IN_STEP
 from hil.errors import BadInputError
 from hil.kinematics import BodyTwist, wheel_speeds
 from hil.options import build
@@ -64,10 +65,10 @@ def test_a_worked_command_is_the_makers_bytes_on_both_wires() -> None:
     speeds = wheel_speeds(BodyTwist(0.5, -0.2, 1.0), made.facts.wheel_radius_m, made.facts.lever_m)
     [frame] = made.driver.command(speeds, STILL, made.now_ns + 10**9)
     assert frame == Frame(0x181, bytes.fromhex("01F4FF3803E80000"))
-    assert line().encode(frame) == bytes.fromhex("7B000001F4FF3803E8A27D")
+    assert line().encode(frame) == IN_STEP + bytes.fromhex("7B000001F4FF3803E8A27D")
     stop, again = made.driver.disarm()
     assert stop == again
-    assert line().encode(stop) == bytes.fromhex("7B00000000000000007B7D")
+    assert line().encode(stop) == IN_STEP + bytes.fromhex("7B00000000000000007B7D")
 
 
 def test_a_worked_report_is_read_from_either_wire() -> None:
@@ -107,6 +108,26 @@ def test_wheels_turn_for_ever_when_commands_end_as_the_firmware_is_by_default() 
     assert made.is_still()
 
 
+@pytest.mark.parametrize("is_in_step", [True, False])
+def test_a_stop_is_obeyed_wherever_a_command_was_cut_and_without_the_bytes_before_it_some_never_are(
+    is_in_step: bool,
+) -> None:
+    """As when the host dies in the middle of a frame. It is the sum of a stop that makes it look like a beginning."""
+    made = armed()
+    obeyed = []
+    for cut in range(11):
+        made.step(made.driver.disarm(), ticks=300)
+        made.arm()
+        made.drive(0.02, lambda _t: (FORWARD, STILL))
+        [command] = made.driver.command(FORWARD, STILL, made.now_ns + 10**9)
+        made.node.feed(line().encode(command)[: len(IN_STEP) + cut])
+        stops = b"".join(map(line().encode, made.driver.disarm()))
+        made.node.feed(stops if is_in_step else 5 * stops.replace(IN_STEP, b""))
+        made.step(ticks=100)
+        obeyed.append(not made.node.is_driving)
+    assert all(obeyed) == is_in_step
+
+
 def test_a_base_that_stops_on_silence_does_so_after_its_second() -> None:
     made = armed(options={"stops_on_silence": True})
     assert made.driver.capabilities.watchdog == "fixed"
@@ -131,12 +152,12 @@ def test_a_base_that_still_drives_is_stopped_before_it_counts_as_armed() -> None
 def test_the_emergency_stop_of_the_base_is_told_and_ends_arming_and_its_release_does_not_arm() -> None:
     made = armed()
     made.drive(0.5, ramp_to(FORWARD, 0.3))
-    made.node.is_switched_off = True  # type: ignore[attr-defined]
+    made.node.is_switched_off = True
     made.drive(0.1, lambda _t: (FORWARD, STILL))
     [error] = made.driver.errors
     assert "its emergency stop is pressed" in error
     assert not made.driver.is_armed
-    made.node.is_switched_off = False  # type: ignore[attr-defined]
+    made.node.is_switched_off = False
     made.drive(1.5, lambda _t: (FORWARD, STILL))
     assert made.driver.errors == ()
     assert made.is_still()

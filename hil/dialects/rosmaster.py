@@ -104,7 +104,7 @@ class Rosmaster:
                 else "set the board to X3 or X3 PLUS with Yahboom's tool"
             )
             raise BadInputError(
-                f"the Rosmaster board is set to be a {car_name(who.car_number)}, and device.motors.car is "
+                f"the Rosmaster board is set to {car_name(who.car_number)}, and device.motors.car is "
                 f"{self._settings.car!r}; {remedy}"
             )
         return who.describe()

@@ -79,6 +79,7 @@ class Identity:
         return (_request(VERSION if self._turn % 2 else CAR_TYPE),)
 
     def feed(self, frame: Frame) -> None:
+        """Take a frame; one that answers neither question changes nothing."""
         if len(frame.payload) != 2:
             return
         if frame.id == VERSION:
@@ -87,8 +88,10 @@ class Identity:
             self.car_number = frame.payload[0]
 
     def describe(self) -> str:
-        name = car_name(self.car_number)
-        return f"a Rosmaster board, firmware {'.'.join(map(str, self.version or ()))}, set to be a {name}"
+        """Return what answered, in words."""
+        return (
+            f"a Rosmaster board, firmware {'.'.join(map(str, self.version or ()))}, set to {car_name(self.car_number)}"
+        )
 
 
 class RosmasterProbe:

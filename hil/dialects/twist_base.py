@@ -14,15 +14,11 @@ from hil.kinematics import BodyTwist, body_twist, wheel_speeds
 from hil.options import require_not_negative
 from hil.types import WHEEL_NAMES, FourWheels
 
-LEAST_GAP_NS = 4_000_000
-"""Between two commands: the makers' control loops run at 100 Hz, and at 115200 baud a frame takes 1 ms."""
-
 LATE_NS = 250_000_000
 """A report that is older says nothing about now; the slowest of these bases reports at 20 Hz."""
 
-STILL_RAD_S = 0.5
-"""A wheel below this stands, for arming: one encoder count in 10 ms, the makers' measure of a speed."""
-
+_LEAST_GAP_NS = 4_000_000  # the makers' control loops run at 100 Hz, and a frame with its pause takes 3 ms
+_STILL_RAD_S = 0.5  # one encoder count in 10 ms, which is how the makers measure a speed
 _MILLI = 1000.0
 _INT16 = 0x7FFF
 
@@ -94,7 +90,7 @@ class TwistBase:
 
     def is_due(self, now_ns: int) -> bool:
         """Tell whether the line has room for a frame again, and take that room."""
-        if self._sent_ns is not None and 0 <= now_ns - self._sent_ns < LEAST_GAP_NS:
+        if self._sent_ns is not None and 0 <= now_ns - self._sent_ns < _LEAST_GAP_NS:
             return False
         self._sent_ns = now_ns
         return True
@@ -102,4 +98,4 @@ class TwistBase:
 
 def is_still(speed_rad_s: FourWheels) -> bool:
     """Tell whether no wheel turns, as far as such a base can tell."""
-    return max(map(abs, speed_rad_s)) < STILL_RAD_S
+    return max(map(abs, speed_rad_s)) < _STILL_RAD_S

@@ -13,32 +13,19 @@ It knows no arming and no version. Whether it stops when commands end is compile
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import reduce
-from operator import xor
 from struct import Struct
 
 from firmware_protocol.framing import Frame
 from hil.dialects.port import Capabilities, Dialect, Found, RobotFacts, Sample
 from hil.dialects.twist_base import LATE_NS, TwistBase, check_geometry, is_still
+from hil.dialects.wheeltec_line import COMMAND, COMMAND_NUMBERS, HEAD, REPORTS, TAIL, WheeltecFraming, checksum
 from hil.options import require_not_negative, require_positive
 from hil.types import NAN, CommandMode, FourWheels
 
-COMMAND = 0x181
-REPORTS = (0x101, 0x102, 0x103)
-HEAD, TAIL = 0x7B, 0x7D
-REPORT_BYTES = 24
-
-_COMMAND = Struct(">3hxx")
-_COMMAND_WIRE = Struct(">Bxx3h")
 _REPORT = Struct(">BB3h3h3hHBB")
 _M_S2 = 1671.84  # counts; the range is ±2 g
 _RAD_S = math.radians(500.0) / 32768
 _STOPPED = 1
-
-
-def checksum(data: bytes | bytearray) -> int:
-    """Return the xor of bytes."""
-    return reduce(xor, data, 0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,50 +46,6 @@ class Settings:
         check_geometry(self)
         require_positive(self, "speed_limit_m_s")
         require_not_negative(self, "battery_low_v")
-
-
-class WheeltecFraming:
-    """A serial line's 24 bytes as the three frames of CAN, and a command's frame as its 11 bytes.
-
-    ``rejected`` counts what had no end where it should, wrong sums, and bytes that belong to no frame.
-    """
-
-    def __init__(self) -> None:
-        self.rejected = {"tail": 0, "checksum": 0, "stray": 0}
-        self.received_bytes = 0
-        self._buffer = bytearray()
-
-    def encode(self, frame: Frame) -> bytes:
-        """Return the bytes for the wire. Raises ValueError for what is no command."""
-        if frame.id != COMMAND or len(frame.payload) != _COMMAND.size:
-            raise ValueError(f"frame 0x{frame.id:X} with {len(frame.payload)} bytes: expected 0x181 with 8")
-        # The third byte is 0 in newer firmware for: stop when commands end.
-        body = _COMMAND_WIRE.pack(HEAD, *_COMMAND.unpack(frame.payload))
-        return body + bytes([checksum(body), TAIL])
-
-    def feed(self, data: bytes) -> list[Frame]:
-        """Take bytes in pieces of any size, and return the frames that they complete."""
-        self.received_bytes += len(data)
-        buffer = self._buffer
-        buffer += data
-        frames: list[Frame] = []
-        at = 0
-        while (begin := buffer.find(HEAD, at)) >= 0 and begin + REPORT_BYTES <= len(buffer):
-            self.rejected["stray"] += begin - at
-            whole = bytes(buffer[begin : begin + REPORT_BYTES])
-            if whole[-1] != TAIL:
-                self.rejected["tail"] += 1
-                at = begin + 1  # a byte of the data may look like a head
-            elif checksum(whole[:-2]) != whole[-2]:
-                self.rejected["checksum"] += 1
-                at = begin + 1
-            else:
-                frames += (Frame(number, whole[8 * i : 8 * i + 8]) for i, number in enumerate(REPORTS))
-                at = begin + REPORT_BYTES
-        begin = len(buffer) if begin < 0 else begin
-        self.rejected["stray"] += begin - at
-        del buffer[:begin]
-        return frames
 
 
 class Report:
@@ -283,7 +226,7 @@ class _Probe:
 
 
 def _command(counts: tuple[int, int, int]) -> Frame:
-    return Frame(COMMAND, _COMMAND.pack(*counts))
+    return Frame(COMMAND, COMMAND_NUMBERS.pack(*counts))
 
 
 _STOP = _command((0, 0, 0))
