@@ -20,7 +20,7 @@ except PackageNotFoundError:
     pytest.skip("no DBC of the makers: pip install odrive-can", allow_module_level=True)
 
 DBC: Mapping[str, Any] = {
-    firmware: cantools.database.load_file(DBC_FILES.locate_file(f"odrive_can/dbc/odrive-cansimple-{version}.dbc"))
+    firmware: cantools.database.load_file(str(DBC_FILES.locate_file(f"odrive_can/dbc/odrive-cansimple-{version}.dbc")))
     for firmware, version in (("0.5", "0.5.6"), ("0.6", "0.6.10"))
 }
 FIRMWARES = tuple(DBC)
