@@ -46,7 +46,7 @@ class Axis:
     """A node on the bus. Quantities are the motor's: revolutions, amperes, volts, degrees Celsius, NaN if not known.
 
     ``firmware`` is None until it is known, and for one that is not known here; ``version`` and ``hardware`` are what
-    Get_Version said. ``refused`` says why arming ended, empty while it did not.
+    Get_Version said. ``trouble`` says why arming or closed loop ended, empty while it did not.
     """
 
     def __init__(self, node: int, wheel: str, setup: Setup) -> None:
@@ -82,9 +82,10 @@ class Axis:
         self.stand_down()
 
     def stand_down(self) -> None:
-        """Forget how far arming was, and why it was refused."""
-        self.refused = ""
+        """Forget how far arming was, and why it ended."""
+        self.trouble = ""
         self._arming: Steps | None = None
+        self._is_followed = False
         self._awaited: int | None = None
         self._answer: bytes | None = None
 
@@ -140,6 +141,8 @@ class Axis:
         error, self.state, *flags = can.BEAT.unpack(payload)
         self._result = flags[0]
         was_cleared, self._is_cleared = self._is_cleared, False
+        if self._is_followed and self.state != can.CLOSED_LOOP:
+            self.trouble = f"left closed loop by itself{self._said()}"
         if was_cleared and error:
             return  # it may have been on its way when the errors were cleared: the next one counts
         self._flags = (flags[0] & 1, flags[1] & 1, flags[2] & 1)
@@ -195,12 +198,12 @@ class Axis:
     @property
     def has_errors(self) -> bool:
         """Whether ``errors`` would say anything."""
-        return self.is_silent or bool(self.refused) or any(self._flags_05()) or any(self._words.values())
+        return self.is_silent or bool(self.trouble) or any(self._flags_05()) or any(self._words.values())
 
     @property
     def is_closed_loop(self) -> bool:
-        """Whether it follows commands, as far as it says."""
-        return self.state == can.CLOSED_LOOP and not self.has_errors
+        """Whether it follows commands, as far as it says: in the closed loop that it was armed for here."""
+        return self._is_followed and self.state == can.CLOSED_LOOP and not self.has_errors
 
     @property
     def errors(self) -> str:
@@ -216,8 +219,8 @@ class Axis:
                 reasons.append(f"{field.name}, not read yet")
         if self.is_silent:
             reasons.append("no heartbeat for more than a second")
-        if self.refused:
-            reasons.append(self.refused)
+        if self.trouble:
+            reasons.append(self.trouble)
         return f"ODrive node {self.node} of wheel {self.wheel}: {'; '.join(reasons)}" if reasons else ""
 
     def _flags_05(self) -> tuple[int, int, int]:
@@ -237,21 +240,25 @@ class Axis:
 
     def _steps(self) -> Steps:
         if not (yield from self._told(can.IDLE, ())):
-            self.refused = "does not become idle"
+            self.trouble = "does not become idle"
             return False
         for endpoint in self._setup.watchdog:
-            self.refused = yield from self._write(endpoint)
-            if self.refused:
+            self.trouble = yield from self._write(endpoint)
+            if self.trouble:
                 return False
         # Inputs survive idle: those of whoever drove before are set to standstill before closed loop takes them up.
         modes = self.frame(can.SET_MODES, can.TWO_WORDS.pack(self._setup.control_mode, can.PASSTHROUGH))
         if not (yield from self._told(can.CLOSED_LOOP, (modes, self._standstill))):
-            result = can.PROCEDURE_RESULTS.get(self._result, str(self._result))
-            reason = f": it says {result}" if self.firmware is FIRMWARE_06 else ""
-            self.refused = f"does not enter closed loop{reason}; look at it with odrivetool"
+            self.trouble = f"does not enter closed loop{self._said()}; look at it with odrivetool"
             return False
+        self._is_followed = True
         while True:
             yield (self._standstill,)
+
+    def _said(self) -> str:
+        if self.firmware is not FIRMWARE_06:
+            return ""
+        return f": it says {can.PROCEDURE_RESULTS.get(self._result, str(self._result))}"
 
     def _told(self, state: int, before: Sequence[Frame]) -> Steps:
         """Request a state, again if that seems lost, until it is there. A request in that state would restart it."""

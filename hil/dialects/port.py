@@ -24,6 +24,9 @@ __all__ = [
     "Sample",
 ]
 
+Wire = Literal["can", "can_fd", "serial"]
+"""What a dialect may be spoken over."""
+
 NO_CHANNELS: FourWheels = (NAN, NAN, NAN, NAN)
 
 
@@ -45,7 +48,10 @@ class Capabilities(NamedTuple):
 
 
 class RobotFacts(NamedTuple):
-    """What a driver is told of the robot beside its own settings, from [robot], [firmware] and [loop]."""
+    """What a driver is told of the robot beside its own settings, from [robot], [firmware], [loop] and the link.
+
+    ``wire`` is that of ``Dialect.wires`` which the link is, for a maker that speaks differently on each.
+    """
 
     wheel_radius_m: float
     lever_m: float
@@ -57,6 +63,7 @@ class RobotFacts(NamedTuple):
     watchdog_s: float
     period_s: float
     mode: CommandMode
+    wire: Wire = "can"
 
 
 class Sample(NamedTuple):
@@ -172,13 +179,15 @@ class Dialect(NamedTuple):
 
     ``settings`` is a dataclass: the options of [device.motors], checked by ``hil.options.build``. ``wires`` says what
     it is spoken over: ``can``, ``can_fd`` or ``serial``; ``baud`` is what is usual on a serial line. ``probe`` is None
-    where nothing can be found without a risk.
+    where nothing can be found without a risk; ``serial_probe`` takes its place on a serial line where a dialect that is
+    spoken on a bus too has other questions there.
     """
 
     title: str
-    wires: frozenset[str]
+    wires: frozenset[Wire]
     settings: type[Any]
     make: Callable[[Any, RobotFacts], Driver]
     make_framing: Callable[[], Framing] | None = None
     probe: Callable[[], Probe] | None = None
+    serial_probe: Callable[[], Probe] | None = None
     baud: int = 115_200
