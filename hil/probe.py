@@ -25,6 +25,7 @@ from hil.links.language import WHEEL_DBC, Language, WheelFraming
 from hil.links.opening import is_within_process, open_host
 from hil.links.url import CanUrl, LinkUrl, SerialUrl, format_link, parse_link
 from hil.ports import Link
+from hil.scenario.motors import wire_of
 
 _LISTEN_S = 0.6  # longer than the slowest status that a controller sends by itself
 _ANSWER_S = 0.4
@@ -70,7 +71,9 @@ def probe(link: str, driver: str | None = None, say: Callable[[str], None] = lam
         raise BadInputError(f"link {link!r} reaches nobody outside this process; name a port or a bus")
     names = [driver] if driver is not None else [OUR_DRIVER, *DIALECTS]
     made = {name: dialect(name) for name in names if name != OUR_DRIVER}
-    wire = ("can_fd" if url.fd else "can") if isinstance(url, CanUrl) else "serial"
+    wire = wire_of(url)
+    if wire == "serial":
+        made = {name: one._replace(probe=one.serial_probe or one.probe) for name, one in made.items()}
     found = {name: one for name, one in made.items() if one.probe is not None and wire in one.wires}
     if driver is not None and driver != OUR_DRIVER and not found:
         raise BadInputError(f"a probe for {driver!r} over {link!r} does not exist; see DIALECTS.md")

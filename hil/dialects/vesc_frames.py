@@ -218,7 +218,7 @@ class SerialFraming:
 
 
 def _packet_end(data: bytes, at: int) -> tuple[int, str | None]:
-    """Return where the packet ends that may begin here, beyond the data when it cannot be told yet; or why none does."""
+    """Return where the packet ends that may begin here, beyond the data when that cannot be told; or why none does."""
     head = data[at]
     if head not in (2, 3):
         return at, "start"

@@ -133,7 +133,7 @@ class MotorsCase(NamedTuple):
 _LOST = ("no feedback", "left closed loop", "reported", "the fault disconnect", "bus-off")
 _ALL = 1.0
 _OF_OUR_MESSAGES = ("mute",)
-# What such controllers may do otherwise: they have no sequence to tell an old command by, or latch what we recover from.
+# Others have no sequence to tell an old command by, or latch what we recover from.
 _OTHERWISE = {
     "freeze command": {_GOES_ON, _REARMS, _ENDS},
     "freeze feedback": {_GOES_ON, _REARMS},

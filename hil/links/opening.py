@@ -53,7 +53,7 @@ def open_pair(url: LinkUrl, line: Line = _as_it_is, *, lockstep: bool, language:
             host, robot = memory_pair()
             return Pair(StreamLink(line(host), language), SerialWire(robot), host)
         case SerialUrl():
-            pty = _pty_stream(url, lockstep=lockstep)
+            pty = _pty_stream(url, language, lockstep=lockstep)
             with _closed_on_failure(pty):
                 return Pair(StreamLink(line(_serial_stream(pty.port, url.baud)), language), LossySerialWire(pty), None)
         case CanUrl():
@@ -91,7 +91,7 @@ def open_robot(
     """
     match url:
         case SerialUrl() if url.is_pty:
-            pty = _pty_stream(url, lockstep=lockstep)
+            pty = _pty_stream(url, language, lockstep=lockstep)
             return LossySerialWire(pty), format_link(SerialUrl(url.symlink or pty.port, url.baud))
         case SerialUrl():
             stream = _serial_stream(url.port, url.baud)
@@ -116,14 +116,14 @@ def _serial_stream(port: str, baud: int) -> "SerialStream":
     return SerialStream(port, baud)
 
 
-def _pty_stream(url: SerialUrl, *, lockstep: bool) -> "PtyStream":
+def _pty_stream(url: SerialUrl, language: Language, *, lockstep: bool) -> "PtyStream":
     try:
         from hil.links.pty import PtyStream
     except ImportError as error:
         raise BadInputError(
             "serial:pty needs a POSIX system; on Windows use memory:, or a pair of virtual COM ports"
         ) from error
-    return PtyStream(Path(url.symlink) if url.symlink else None, waits=lockstep)
+    return PtyStream(Path(url.symlink) if url.symlink else None, waits=lockstep, language=language)
 
 
 def _can_link(url: CanUrl, hears: Side, language: Language) -> "CanLink":

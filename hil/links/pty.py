@@ -6,24 +6,24 @@ import tty
 from pathlib import Path
 
 from hil.errors import BadInputError, LinkError
+from hil.links.language import WHEEL_DBC, Language
 
 _CHUNK = 65536
 _PATIENCE_S = 2.0
-_END_OF_FRAME = b"\0"
 
 
 class PtyStream:
     """The master side of a new pseudo-terminal; ``port`` names the other side for any serial program.
 
-    What nobody reads is lost once the line's buffer is full, as on a UART, but in whole frames (up to a zero), so that
-    the next one can be read; ``lost_frames`` counts them. With ``waits``, for lockstep, where time stands still until
+    What nobody reads is lost once the line's buffer is full, as on a UART, but in whole frames (up to the language's
+    delimiter; without one, what is written at once), so that the next one can be read; ``lost_frames`` counts them. With ``waits``, for lockstep, where time stands still until
     the host has read, nothing is lost unless no byte is taken for 2 s.
     With ``symlink`` the port has a fixed name as well; a link that is left from an earlier process is replaced.
 
     Raises BadInputError when the symlink cannot be made.
     """
 
-    def __init__(self, symlink: Path | None = None, *, waits: bool = False) -> None:
+    def __init__(self, symlink: Path | None = None, *, waits: bool = False, language: Language = WHEEL_DBC) -> None:
         self._master, slave = os.openpty()
         # Held open, so that a client that leaves does not hang up the line.
         self._slave = slave
@@ -32,6 +32,7 @@ class PtyStream:
         self.port = os.ttyname(slave)
         self.lost_frames = 0
         self._waits = waits
+        self._delimiter = language.delimiter
         self._begun = b""  # the rest of a frame whose beginning is on the line
         self._symlink: Path | None = None
         if symlink is not None:
@@ -57,9 +58,13 @@ class PtyStream:
         while at < len(data) and (taken := self._put(data[at:])):
             at += taken
         # What has begun must end, or the next frame would be glued to it.
-        end = begun if at == 0 else data.find(_END_OF_FRAME, at - 1) + 1 or len(data)
+        if self._delimiter is None:
+            end = begun if at <= begun else len(data)
+            self.lost_frames += end < len(data)
+        else:
+            end = begun if at == 0 else data.find(self._delimiter, at - 1) + 1 or len(data)
+            self.lost_frames += data.count(self._delimiter, end)
         self._begun = data[at:end]
-        self.lost_frames += data.count(_END_OF_FRAME, end)
 
     def _put(self, data: bytes) -> int:
         """Return how many bytes were taken, 0 when the line is full; wait for a reader where there is time for it."""

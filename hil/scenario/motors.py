@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from hil.dialects.port import Driver, RobotFacts
+from hil.dialects.port import Driver, RobotFacts, Wire
 from hil.dialects.registry import dialect
 from hil.links.url import CanUrl, LinkUrl, MemoryUrl, SerialUrl, parse_link
 from hil.scenario.tables import Tables
@@ -29,6 +29,7 @@ def robot_facts(tables: Tables) -> RobotFacts:
         firmware.watchdog_s,
         tables.loop.period_ns * 1e-9,
         tables.controller.mode,
+        wire_of(parse_link(tables.link.url)),
     )
 
 
@@ -41,7 +42,7 @@ def contradictions(tables: Tables) -> Iterator[tuple[str, object, str]]:
     """Yield key, value and expectation of what the maker's controllers cannot do."""
     device, title = tables.device, dialect(tables.device.driver).title
     wires = dialect(device.driver).wires
-    if not _wires_of(parse_link(tables.link.url)) & wires:
+    if wire_of(parse_link(tables.link.url)) not in wires:
         yield "link.url", tables.link.url, f"expected for {title} {' or '.join(_WIRES[wire] for wire in sorted(wires))}"
     can = make_driver(tables).capabilities
     if tables.controller.mode not in can.modes:
@@ -56,9 +57,10 @@ def contradictions(tables: Tables) -> Iterator[tuple[str, object, str]]:
         )
 
 
-def _wires_of(url: LinkUrl) -> set[str]:
+def wire_of(url: LinkUrl) -> Wire:
+    """Return what a link is to a dialect; memory is a line of bytes."""
     match url:
         case CanUrl():
-            return {"can_fd"} if url.fd else {"can"}
+            return "can_fd" if url.fd else "can"
         case SerialUrl() | MemoryUrl():
-            return {"serial"}
+            return "serial"
