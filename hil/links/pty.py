@@ -16,8 +16,9 @@ class PtyStream:
     """The master side of a new pseudo-terminal; ``port`` names the other side for any serial program.
 
     What nobody reads is lost once the line's buffer is full, as on a UART, but in whole frames (up to the language's
-    delimiter; without one, what is written at once), so that the next one can be read; ``lost_frames`` counts them. With ``waits``, for lockstep, where time stands still until
-    the host has read, nothing is lost unless no byte is taken for 2 s.
+    delimiter; without one, what is written at once), so that the next one can be read; ``lost_frames`` counts them.
+    With ``waits``, for lockstep, where time stands still until the host has read, nothing is lost unless no byte is
+    taken for 2 s.
     With ``symlink`` the port has a fixed name as well; a link that is left from an earlier process is replaced.
 
     Raises BadInputError when the symlink cannot be made.
