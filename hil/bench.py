@@ -35,7 +35,7 @@ from hil.errors import BadInputError, HilError
 from hil.faults.injection import LocalFaults, RunFaults
 from hil.links.delay import DelayedLink
 from hil.links.faults import FaultLink
-from hil.links.language import WHEEL_DBC, Language, WheelFraming
+from hil.links.language import WHEEL_DBC, Language
 from hil.links.opening import is_within_process, open_host, open_pair
 from hil.links.statistics import measured
 from hil.links.url import CanUrl, parse_link
@@ -147,8 +147,7 @@ def language_of(scenario: Scenario) -> Language:
     """Return what is spoken on the scenario's link."""
     if not scenario.device.is_makers:
         return WHEEL_DBC
-    make_framing = dialect(scenario.device.driver).make_framing
-    return Language(make_framing) if make_framing is not None else Language(WheelFraming)
+    return Language(dialect(scenario.device.driver).make_framing)
 
 
 def node_maker(scenario: Scenario) -> MakeNode:

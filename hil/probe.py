@@ -21,7 +21,7 @@ from hil.dialects.registry import DIALECTS, OUR_DRIVER, dialect
 from hil.errors import BadInputError
 from hil.init.questions import QUESTIONS, Value
 from hil.init.texts import robot_text
-from hil.links.language import WHEEL_DBC, Language, WheelFraming
+from hil.links.language import WHEEL_DBC, Language
 from hil.links.opening import is_within_process, open_host
 from hil.links.url import CanUrl, LinkUrl, SerialUrl, format_link, parse_link
 from hil.ports import Link
@@ -71,7 +71,7 @@ def probe(link: str, driver: str | None = None, say: Callable[[str], None] = lam
         raise BadInputError(f"link {link!r} reaches nobody outside this process; name a port or a bus")
     names = [driver] if driver is not None else [OUR_DRIVER, *DIALECTS]
     made = {name: dialect(name) for name in names if name != OUR_DRIVER}
-    wire = wire_of(url)
+    wire = wire_of(url, ())
     if wire == "serial":
         made = {name: one._replace(probe=one.serial_probe or one.probe) for name, one in made.items()}
     found = {name: one for name, one in made.items() if one.probe is not None and wire in one.wires}
@@ -94,7 +94,7 @@ def _probe_bus(
     say: Callable[[str], None],
 ) -> None:
     probes = {name: made.probe() for name, made in makers.items() if made.probe is not None}
-    with contextlib.closing(open_host(url, language=Language(WheelFraming))) as link:
+    with contextlib.closing(open_host(url, language=Language())) as link:
         say(f"listening for {_LISTEN_S:g} s")
         heard = _listen(link, probes.values(), _LISTEN_S)
         speaks = [name for name, one in probes.items() if one.found() is not None]

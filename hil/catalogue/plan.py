@@ -132,7 +132,7 @@ def _job(asked: Asked, cases: Sequence[Case], link: str, mode: str, rearm: bool,
     ends = {case.cause for case in cases if case.cause is not None and case.expected(link) is Outcome.ENDS}
     if mode == "realtime":
         causes |= {NO_FEEDBACK, SILENCE}
-    file = "-".join([*name.replace("+", "").split(), link, mode, "rearm" if rearm else "end"])
+    file = "-".join([*name.replace("+", "").split(), link.partition(":")[0], mode, "rearm" if rearm else "end"])
     return Job(
         fault=name,
         link=LINKS.get(link, link),

@@ -82,8 +82,11 @@ class RunFaults:
 
     def around(self, link: Link, url: LinkUrl, resources: contextlib.ExitStack) -> Link:
         """Return a CAN link with what acts on its bus; any other, and one on whose bus nothing acts, as it is."""
-        if not isinstance(url, CanUrl) or not self._of_bytes:
+        if not self._of_bytes or not (isinstance(url, CanUrl) or self._language.make_framing is None):
             return link
+        if not isinstance(url, CanUrl):
+            row = self._of_bytes[0].row
+            raise BadInputError(f"fault {row.kind}: a bus in memory has no bits; use --link can:virtual/NAME for it")
         babbler = None
         if any(fault.kind == "babble" for fault in self._of_bytes):
             babbler = open_host(url, language=self._language)

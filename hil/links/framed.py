@@ -14,6 +14,7 @@ class StreamLink:
 
     def __init__(self, stream: HostStream, language: Language = WHEEL_DBC) -> None:
         self._stream = stream
+        assert language.make_framing is not None, "a language of buses only"
         self._make_framing = language.make_framing
         self._framing = language.make_framing()  # of what is received
         self._encode = language.make_framing().encode  # the count of what is sent goes on over a loss

@@ -21,11 +21,12 @@ class Language(NamedTuple):
 
     Frames whose id is in ``senders`` come from that side only, and have the ``lengths`` of their ids; where ``senders``
     is None, frames with any identifier may come from either side. Frames from the id ``exempt_from`` on carry no
-    control, such as STEP: conditions of the link leave them alone. On a line of bytes frames end with ``delimiter``;
+    control, such as STEP: conditions of the link leave them alone. Without ``make_framing`` it is for buses only. On a
+    line of bytes frames end with ``delimiter``;
     where that is None, what is written at once is taken for one.
     """
 
-    make_framing: Callable[[], Framing]
+    make_framing: Callable[[], Framing] | None = None
     names: Mapping[int, str] = _NOTHING
     senders: Mapping[int, str] | None = None
     lengths: Mapping[int, int] = _NO_LENGTHS

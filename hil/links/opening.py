@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from hil.errors import BadInputError
 from hil.links.framed import StreamLink
 from hil.links.language import WHEEL_DBC, Language, Side
+from hil.links.memory_bus import memory_bus
 from hil.links.streams import HostStream, MemoryStream, memory_pair
 from hil.links.url import CanUrl, LinkUrl, MemoryUrl, SerialUrl, format_link
 from hil.links.wire import CanWire, LossySerialWire, ReopeningWire, SerialWire, Wire
@@ -50,6 +51,9 @@ def open_pair(url: LinkUrl, line: Line = _as_it_is, *, lockstep: bool, language:
     """Open both ends of a link that stays within this process. Raises LinkError when that fails."""
     match url:
         case MemoryUrl():
+            if language.make_framing is None:
+                link, other = memory_bus()
+                return Pair(link, CanWire(other), None)
             host, robot = memory_pair()
             return Pair(StreamLink(line(host), language), SerialWire(robot), host)
         case SerialUrl():

@@ -1,6 +1,6 @@
 """The driver of a scenario whose robot has another maker's motor controllers, and what that cannot do."""
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
 from hil.dialects.port import Driver, RobotFacts, Wire
 from hil.dialects.registry import dialect
@@ -9,8 +9,8 @@ from hil.scenario.tables import Tables
 from hil.types import WHEEL_NAMES
 
 _WIRES = {
-    "can": "a CAN bus: can:INTERFACE/CHANNEL, or can:virtual/NAME within one process",
-    "can_fd": "a CAN FD bus: can:INTERFACE/CHANNEL?fd=1&data_bitrate=5000000, or can:virtual/NAME?fd=1",
+    "can": "a CAN bus: can:INTERFACE/CHANNEL, or memory: within one process",
+    "can_fd": "a CAN FD bus: can:INTERFACE/CHANNEL?fd=1&data_bitrate=5000000, or memory: within one process",
     "serial": "a serial line: serial:PATH?baud=115200, or memory: within one process",
 }
 
@@ -29,7 +29,7 @@ def robot_facts(tables: Tables) -> RobotFacts:
         firmware.watchdog_s,
         tables.loop.period_ns * 1e-9,
         tables.controller.mode,
-        wire_of(parse_link(tables.link.url)),
+        wire_of(parse_link(tables.link.url), dialect(device.driver).wires),
     )
 
 
@@ -42,7 +42,7 @@ def contradictions(tables: Tables) -> Iterator[tuple[str, object, str]]:
     """Yield key, value and expectation of what the maker's controllers cannot do."""
     device, title = tables.device, dialect(tables.device.driver).title
     wires = dialect(device.driver).wires
-    if wire_of(parse_link(tables.link.url)) not in wires:
+    if wire_of(parse_link(tables.link.url), wires) not in wires:
         yield "link.url", tables.link.url, f"expected for {title} {' or '.join(_WIRES[wire] for wire in sorted(wires))}"
     can = make_driver(tables).capabilities
     if tables.controller.mode not in can.modes:
@@ -57,10 +57,12 @@ def contradictions(tables: Tables) -> Iterator[tuple[str, object, str]]:
         )
 
 
-def wire_of(url: LinkUrl) -> Wire:
-    """Return what a link is to a dialect; memory is a line of bytes."""
+def wire_of(url: LinkUrl, wires: Collection[Wire]) -> Wire:
+    """Return what a link is to a dialect that is spoken over these wires; memory is whatever is wanted."""
     match url:
         case CanUrl():
             return "can_fd" if url.fd else "can"
-        case SerialUrl() | MemoryUrl():
+        case SerialUrl():
             return "serial"
+        case MemoryUrl():
+            return "serial" if "serial" in wires else sorted(wires)[0]

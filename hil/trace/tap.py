@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 
 from firmware_protocol.framing import Frame
-from hil.links.language import WHEEL_DBC, Language
+from hil.links.language import WHEEL_DBC, Language, WheelFraming
 from hil.links.wire import Node, Wire
 from hil.ports import Framing
 from hil.trace.session import Trace
@@ -35,8 +35,9 @@ class _Ear:
     def __init__(self, trace: Trace, now_ns: Callable[[], int], language: Language) -> None:
         self._trace = trace
         self._now_ns = now_ns
-        self._received = language.make_framing()
-        self._sent = language.make_framing()
+        make_framing = language.make_framing or WheelFraming
+        self._received = make_framing()
+        self._sent = make_framing()
 
     def hear_bytes(self, data: bytes, *, sent: bool) -> None:
         framing = self._sent if sent else self._received
