@@ -7,7 +7,7 @@ from typing import Any
 from firmware_protocol.framing import Frame
 from hil.bench import firmware_values, plant_start
 from hil.devices.emulated.registry import emulated
-from hil.dialects.port import Driver, RobotFacts
+from hil.dialects.port import Driver, RobotFacts, Wire
 from hil.dialects.registry import dialect
 from hil.options import build
 from hil.plant import archive
@@ -31,6 +31,7 @@ class Rig:
         mode: CommandMode = CommandMode.SPEED,
         period_ticks: int = 5,
         emulated_settings: Mapping[str, Any] | None = None,
+        wire: Wire | None = None,
         **changes: Any,
     ) -> None:
         scenario = load("paper_circle", mode="lockstep", set=changes)
@@ -48,6 +49,7 @@ class Rig:
             firmware.watchdog_s,
             period_ticks * 1e-3,
             mode,
+            wire or ("serial" if made.make_framing else min(made.wires)),
         )
         options = build(made.settings, settings or {}, "device.motors")
         self.driver: Driver = made.make(options, self.facts)
@@ -57,7 +59,7 @@ class Rig:
             others, firmware_values(scenario), self.plant.exchange_address, self.plant.context_address
         )
         self.make_framing = made.make_framing
-        self.ours = made.make_framing() if made.make_framing else None
+        self.ours = made.make_framing() if made.make_framing and self.facts.wire == "serial" else None
         self.period_ticks = period_ticks
         self.sent: list[Frame] = []
         self.heard: list[Frame] = []

@@ -13,6 +13,9 @@ from hil.types import NAN, CommandMode, FourWheels
 EXTENDED = 0x8000_0000
 """Added to the id of a CAN frame whose identifier has 29 bits (CAN_EFF_FLAG of Linux)."""
 
+Wire = Literal["can", "can_fd", "serial"]
+"""What a dialect may be spoken over."""
+
 NO_CHANNELS: FourWheels = (NAN, NAN, NAN, NAN)
 
 
@@ -34,7 +37,10 @@ class Capabilities(NamedTuple):
 
 
 class RobotFacts(NamedTuple):
-    """What a driver is told of the robot beside its own settings, from [robot], [firmware] and [loop]."""
+    """What a driver is told of the robot beside its own settings, from [robot], [firmware], [loop] and the link.
+
+    ``wire`` is that of ``Dialect.wires`` which the link is, for a maker that speaks differently on each.
+    """
 
     wheel_radius_m: float
     lever_m: float
@@ -46,6 +52,7 @@ class RobotFacts(NamedTuple):
     watchdog_s: float
     period_s: float
     mode: CommandMode
+    wire: Wire = "can"
 
 
 class Sample(NamedTuple):
@@ -172,12 +179,14 @@ class Dialect(NamedTuple):
 
     ``settings`` is a dataclass: the options of [device.motors], checked by ``hil.options.build``. ``wires`` says what
     it is spoken over: ``can``, ``can_fd`` or ``serial``; ``baud`` and ``bitrate`` are usual there. ``probe`` is None
-    where nothing can be found without a risk.
+    where nothing can be found without a risk; ``serial_probe`` takes its place on a serial line where a dialect that is
+    spoken on a bus too has other questions there.
     """
 
     title: str
-    wires: frozenset[str]
+    wires: frozenset[Wire]
     settings: type[Any]
     make: Callable[[Any, RobotFacts], Driver]
     make_framing: Callable[[], Framing] | None = None
     probe: Callable[[], Probe] | None = None
+    serial_probe: Callable[[], Probe] | None = None

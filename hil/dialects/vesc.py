@@ -1,0 +1,265 @@
+"""VESC: electrical speed or current to each, over CAN, or over UART to one of them that passes on to the others.
+
+Over CAN the VESCs broadcast their state (STATUS 1, 4 and 5, switched on in VESC Tool), and are asked for their fault
+codes in turn. Over UART nothing comes unasked: the one on the line is asked in every tick, and one of the others.
+They know no arming: what is commanded is done, and a timeout of their own lets the motor go.
+Source: see hil/dialects/vesc_frames.py.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from firmware_protocol.framing import Frame
+from hil.dialects import vesc_frames as frames
+from hil.dialects.port import EXTENDED, Capabilities, Dialect, RobotFacts, Sample
+from hil.dialects.vesc_channel import Channel
+from hil.dialects.vesc_probe import BusProbe, LineProbe
+from hil.dialects.vesc_wires import Bus, Line
+from hil.errors import BadInputError
+from hil.options import require_not_negative, require_positive
+from hil.types import WHEEL_NAMES, CommandMode, FourWheels
+
+_OLDEST_MAJOR = 5
+_PATIENCE = 20  # calls of ask for an answer to one VESC's questions
+_LATE_PERIODS = 5
+_STILL: FourWheels = (0.0, 0.0, 0.0, 0.0)
+_STEPS = 6  # of the tachometer in an electrical turn
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """``[device.motors]``: ``ids`` of the channels in order; ``pole_pairs`` of the motor, half of its magnets.
+
+    ``gear_ratio`` is motor turns for one of the wheel. ``status_hz`` is the rate of the status messages, as set in VESC
+    Tool. ``serial_id`` is the VESC at the serial line. ``host_id`` is ours on the bus, that no VESC may have.
+    ``brake_current_a`` is of an e-stop, 0 for what makes the torque limit.
+    """
+
+    ids: tuple[int, ...] = (1, 2, 3, 4)
+    pole_pairs: int = 7
+    gear_ratio: float = 1.0
+    status_hz: float = 50.0
+    serial_id: int = 1
+    host_id: int = 253
+    brake_current_a: float = 0.0
+
+    def __post_init__(self) -> None:
+        most = frames.MOST_IDS
+        if len(self.ids) != 4 or len(set(self.ids)) != 4 or not all(0 <= number <= most for number in self.ids):
+            raise ValueError(f"ids = {list(self.ids)}: expected four different ones, each 0 to {most}")
+        if self.host_id in self.ids or not 0 <= self.host_id <= most:
+            raise ValueError(f"host_id = {self.host_id}: expected 0 to {most}, and none of device.motors.ids")
+        if not 0 <= self.serial_id <= most:
+            raise ValueError(f"serial_id = {self.serial_id}: expected 0 to {most}")
+        if self.pole_pairs < 1:
+            raise ValueError(f"pole_pairs = {self.pole_pairs}: expected 1 or more")
+        require_positive(self, "gear_ratio", "status_hz")
+        require_not_negative(self, "brake_current_a")
+
+
+class Vesc:
+    """Four of them."""
+
+    def __init__(self, settings: Settings, robot: RobotFacts) -> None:
+        self._settings = settings
+        self._robot = robot
+        self._channels = tuple(Channel() for _ in settings.ids)
+        self._by_id = dict(zip(settings.ids, self._channels, strict=True))
+        self._is_bus = robot.wire == "can"
+        self._wire = Bus(settings.ids, settings.host_id) if self._is_bus else Line(settings.ids, settings.serial_id)
+        self._messages = frames.CanMessages(settings.host_id)
+        self._rounds = self._wire.rounds
+        self._round = 0
+        self._asked: int | None = None  # the VESC whose answers are awaited
+        self._turn = 0
+        self._waited = 0
+        self._is_armed = False
+        self._has_commanded = False
+        self._to_erpm = settings.gear_ratio * settings.pole_pairs * 60.0 / math.tau
+        self._to_current = 1.0 / robot.torque_constant_n_m_a
+        self._brake_a = settings.brake_current_a or robot.torque_limit_n_m * self._to_current
+        rate_hz = settings.status_hz if self._is_bus else 1.0 / (robot.period_s * len(self._rounds))
+        self._late_ns = round(max(0.1, _LATE_PERIODS / rate_hz) * 1e9)
+        self.capabilities = Capabilities(
+            modes=frozenset(CommandMode),
+            is_twist=False,
+            feedback_hz=rate_hz,
+            sensors=frozenset({"position", "current", "temperature", "battery"}),
+            watchdog="fixed",
+            latches_estop=False,
+        )
+
+    def ask(self) -> Sequence[Frame]:
+        """See ``Driver``. One VESC is asked at a time, and the next when it has answered or had ``_PATIENCE`` calls."""
+        open_ids = [vesc for vesc, channel in self._by_id.items() if not channel.has_answered]
+        if not open_ids:
+            return self._poll()
+        self._waited += 1
+        if self._asked in open_ids and self._waited < _PATIENCE:
+            return ()
+        later = [vesc for vesc in open_ids if self._settings.ids.index(vesc) >= self._turn]
+        self._asked, self._waited = (later or open_ids)[0], 0
+        self._turn = self._settings.ids.index(self._asked) + 1
+        return [self._wire.message(self._asked, question) for question in self._wire.questions]
+
+    def _poll(self) -> Sequence[Frame]:
+        self._round = (self._round + 1) % len(self._rounds)
+        return self._rounds[self._round]
+
+    @property
+    def identity(self) -> str | None:
+        for vesc, channel in self._by_id.items():
+            version = channel.version
+            if version is not None and version.major < _OLDEST_MAJOR:
+                raise BadInputError(
+                    f"VESC {vesc} has the firmware {version.major}.{version.minor:02}, and this driver knows those "
+                    f"from {_OLDEST_MAJOR}.00 on; update it in VESC Tool"
+                )
+        if self.missing:
+            return None
+        words = [
+            f"{vesc} ({version.hardware or 'unnamed'}, firmware {version.major}.{version.minor:02})"
+            for vesc, channel in self._by_id.items()
+            if (version := channel.version) is not None
+        ]
+        return f"four VESCs with the ids {', '.join(words)}"
+
+    @property
+    def missing(self) -> str:
+        silent = [str(vesc) for vesc, channel in self._by_id.items() if not channel.has_answered]
+        if silent:
+            return (
+                f"no answer of the VESC {', '.join(silent)}; check power, wiring and bit rate, and in VESC Tool App "
+                "Settings > General: VESC ID (device.motors.ids) and CAN Mode VESC"
+            )
+        mute = [str(vesc) for vesc, channel in self._by_id.items() if not channel.has_measured]
+        if mute:
+            return (
+                f"no status messages 1, 4 and 5 of the VESC {', '.join(mute)}; switch them on in VESC Tool, App "
+                "Settings > General > CAN Status Messages, at the rate of device.motors.status_hz"
+            )
+        return ""
+
+    @property
+    def warnings(self) -> Sequence[str]:
+        said = [
+            "a VESC lets its motor roll when no command has come for its timeout, 1 s as delivered, which can only be "
+            "seen and set in VESC Tool: set App Settings > General > Timeout to 100 ms, with a brake current"
+        ]
+        running = [str(vesc) for vesc, channel in self._by_id.items() if channel.runs_on]
+        if running:
+            said.append(
+                f"the timeout of the VESC {', '.join(running)} has not run out: it was commanded just now, by us or by "
+                "another app of it, or its timeout is 0, and then its wheel turns on when commands end"
+            )
+        return said
+
+    def arm(self, now_ns: int) -> Sequence[Frame]:
+        """See ``Driver``. There is nothing to arm: the first commands are of standstill, and who is fit follows."""
+        self._is_armed = all(
+            channel.is_fit and channel.stamp_ns is not None and now_ns - channel.stamp_ns < self._late_ns
+            for channel in self._channels
+        )
+        is_fit = all(channel.is_fit for channel in self._channels)
+        return self.command(_STILL, _STILL, now_ns) if is_fit else self._poll()
+
+    @property
+    def is_armed(self) -> bool:
+        return self._is_armed
+
+    def command(self, speed_rad_s: FourWheels, torque_n_m: FourWheels, now_ns: int) -> Sequence[Frame]:
+        """See ``Driver``. A VESC takes a speed or a current: in mode SPEED the torques are not carried."""
+        self._has_commanded = True
+        if self._robot.mode is CommandMode.SPEED:
+            settings = self._all(frames.SET_RPM, [speed * self._to_erpm for speed in speed_rad_s])
+        else:
+            settings = self._all(frames.SET_CURRENT, [torque * self._to_current for torque in torque_n_m])
+        return [*settings, *self._poll()]
+
+    def _all(self, setting: frames.Setting, values: Sequence[float]) -> list[Frame]:
+        return [
+            self._wire.setting(setting, vesc, value) for vesc, value in zip(self._settings.ids, values, strict=True)
+        ]
+
+    def disarm(self) -> Sequence[Frame]:
+        self._is_armed = False
+        return self._all(frames.SET_CURRENT, _STILL)
+
+    def estop(self) -> Sequence[Frame]:
+        self._is_armed = False
+        return self._all(frames.SET_CURRENT_BRAKE, (self._brake_a,) * 4)
+
+    def clear(self) -> Sequence[Frame]:
+        """See ``Driver``. A fault of a VESC ends by itself, half a second after its cause as delivered."""
+        return ()
+
+    def feed(self, frame: Frame, stamp_ns: int) -> None:
+        if not self._is_bus:
+            self._feed_message(None, bytes((frame.id & 0xFF,)) + frame.payload, stamp_ns)
+        elif (heard := self._messages.feed(frame)) is not None:
+            self._feed_message(*heard, stamp_ns)
+        elif frame.id & EXTENDED and (channel := self._by_id.get(frame.id & 0xFF)) is not None:
+            channel.feed_status((frame.id & ~EXTENDED) >> 8, frame.payload, stamp_ns)
+
+    def _feed_message(self, sender: int | None, message: bytes, stamp_ns: int) -> None:
+        """Take a message. On a serial line it does not say whose it is, but for the values, as those have the id."""
+        if (version := frames.parse_version(message)) is not None:
+            vesc = self._asked if sender is None else sender
+            if vesc in self._by_id:
+                self._by_id[vesc].version = version
+        elif (values := frames.parse_values(message)) is not None:
+            channel = self._by_id.get(int(values.get("id", -1)) if sender is None else sender)
+            if channel is not None:
+                channel.feed_values(values, stamp_ns, self._has_commanded)
+                self._is_armed = self._is_armed and channel.is_fit
+
+    @property
+    def sample(self) -> Sample | None:
+        channels = self._channels
+        stamps = [channel.stamp_ns for channel in channels if channel.stamp_ns is not None]
+        if len(stamps) < len(channels):
+            return None
+        a, b, c, d = channels
+        to_speed = 1.0 / self._to_erpm
+        to_angle = math.tau / (_STEPS * self._settings.pole_pairs * self._settings.gear_ratio)
+        return Sample(
+            min(stamps),
+            (a.erpm * to_speed, b.erpm * to_speed, c.erpm * to_speed, d.erpm * to_speed),
+            (a.turned * to_angle, b.turned * to_angle, c.turned * to_angle, d.turned * to_angle),
+            (a.motor_a, b.motor_a, c.motor_a, d.motor_a),
+            (a.fet_degc, b.fet_degc, c.fet_degc, d.fet_degc),
+            min(a.input_v, b.input_v, c.input_v, d.input_v),
+            a.input_a + b.input_a + c.input_a + d.input_a,
+        )
+
+    @property
+    def errors(self) -> Sequence[str]:
+        found = []
+        for vesc, channel, wheel in zip(self._settings.ids, self._channels, self._robot.wheel_of_channel, strict=True):
+            name = f"VESC {vesc} of wheel {WHEEL_NAMES[wheel]}"
+            if code := channel.fault:
+                words = (
+                    frames.FAULTS[code] if code < len(frames.FAULTS) else "see mc_fault_code in the maker's datatypes.h"
+                )
+                found.append(f"{name} has the fault {code}: {words}")
+            if (channel.status or 0) & frames.KILL_SWITCH:
+                found.append(f"{name} is stopped by its kill switch")
+        return found
+
+    def restart(self) -> None:
+        self._is_armed = self._has_commanded = False
+        self._asked = None
+        for channel in self._channels:
+            channel.forget()
+
+
+DIALECT = Dialect(
+    title="VESC",
+    wires=frozenset({"can", "serial"}),
+    settings=Settings,
+    make=Vesc,
+    make_framing=frames.SerialFraming,
+    probe=BusProbe,
+    serial_probe=LineProbe,
+)

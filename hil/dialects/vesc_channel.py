@@ -1,0 +1,84 @@
+"""What one VESC has said of itself and its motor, in the motor's electrical quantities."""
+
+import math
+from collections.abc import Mapping
+
+from hil.dialects import vesc_frames as frames
+from hil.types import NAN
+
+
+class Channel:
+    """One VESC.
+
+    Attributes:
+        stamp_ns: when its speed was heard. steps: of the tachometer as heard last; turned: without its wraps.
+        motor_a: positive for a torque forwards. fault, status: as of GET_VALUES_SELECTIVE, None before they were heard.
+        runs_on: whether its timeout had not run out while nothing was commanded.
+    """
+
+    def __init__(self) -> None:
+        self.forget()
+
+    def forget(self) -> None:
+        """Be as before anything was heard."""
+        self.version: frames.Version | None = None
+        self.stamp_ns: int | None = None
+        self.erpm = 0
+        self.steps: int | None = None
+        self.turned = 0
+        self.motor_a = self.input_a = self.input_v = self.fet_degc = NAN
+        self.fault: int | None = None
+        self.status: int | None = None
+        self.runs_on: bool | None = None
+
+    @property
+    def has_answered(self) -> bool:
+        """Whether it has said its version and its fault."""
+        return self.version is not None and self.fault is not None
+
+    @property
+    def has_measured(self) -> bool:
+        """Whether speed, position, temperature and voltage have been heard."""
+        return self.stamp_ns is not None and self.steps is not None and not math.isnan(self.fet_degc)
+
+    @property
+    def is_fit(self) -> bool:
+        """Whether it has no fault and no kill switch is pressed, as far as it says."""
+        return self.fault == 0 and not (self.status or 0) & frames.KILL_SWITCH
+
+    def feed_status(self, command: int, payload: bytes, stamp_ns: int) -> None:
+        """Take a status message from CAN."""
+        if command == frames.CAN_STATUS and len(payload) == frames.STATUS.size:
+            erpm, current, duty = frames.STATUS.unpack(payload)
+            self._feed_motion(erpm, current * 0.1, (erpm or duty) < 0, stamp_ns)
+        elif command == frames.CAN_STATUS_4 and len(payload) == frames.STATUS_4.size:
+            fet, _, current, _ = frames.STATUS_4.unpack(payload)
+            self.fet_degc, self.input_a = fet * 0.1, current * 0.1
+        elif command == frames.CAN_STATUS_5 and len(payload) >= frames.STATUS_5.size:
+            steps, voltage = frames.STATUS_5.unpack_from(payload)
+            self._feed_tachometer(steps)
+            self.input_v = voltage * 0.1
+
+    def feed_values(self, values: Mapping[str, float], stamp_ns: int, has_commanded: bool) -> None:
+        """Take the values of an answer."""
+        if "fault" in values:
+            self.fault = int(values["fault"])
+        if "status" in values:
+            self.status = int(values["status"])
+            if not has_commanded:
+                self.runs_on = not self.status & frames.HAS_TIMED_OUT
+        if {"erpm", "motor_a", "tachometer", "fet_degc", "input_a", "input_v"} <= values.keys():
+            erpm = int(values["erpm"])
+            self._feed_motion(erpm, values["motor_a"], erpm < 0, stamp_ns)
+            self._feed_tachometer(int(values["tachometer"]))
+            self.fet_degc, self.input_a, self.input_v = values["fet_degc"], values["input_a"], values["input_v"]
+
+    def _feed_motion(self, erpm: int, current_a: float, is_backwards: bool, stamp_ns: int) -> None:
+        """Take speed and current; theirs is positive when it drives, and is made into a direction here."""
+        self.erpm, self.stamp_ns = erpm, stamp_ns
+        self.motor_a = -current_a if is_backwards else current_a
+
+    def _feed_tachometer(self, steps: int) -> None:
+        if self.steps is not None:
+            self.turned += (steps - self.steps + 2**31) % 2**32 - 2**31
+        self.steps = steps
