@@ -298,6 +298,7 @@ def test_a_restart_forgets_all() -> None:
     [
         ({"ids": [1, 2, 3, 127]}, "expected four different ones, each 1 to 126"),
         ({"ids": [1, 2, 3, 3]}, "expected four different ones"),
+        ({"ids": 4}, "expected a list of whole numbers"),
         ({"can_prefix": 8192}, "expected 0 to 8191"),
         ({"gear_ratio": 0.0}, "more than zero"),
     ],

@@ -251,6 +251,8 @@ STRANGE = rig_of("can"), rig_of("serial")
     [
         ({"ids": [1, 2, 3, 255]}, "expected four different ones, each 0 to 254"),
         ({"ids": [1, 2, 3]}, "expected four different ones"),
+        ({"ids": [1, 2, 3, 4.0]}, "expected a list of whole numbers"),
+        ({"ids": "1234"}, "expected a list of whole numbers"),
         ({"host_id": 3}, "expected 0 to 254, and none of device.motors.ids"),
         ({"serial_id": 255}, "expected 0 to 254"),
         ({"pole_pairs": 0}, "expected 1 or more"),
