@@ -17,8 +17,8 @@ T = TypeVar("T")
 def build(kind: type[T], options: Mapping[str, object], where: str) -> T:
     """Return ``kind(**options)``; ``where`` is the dotted scenario key of the table, for messages.
 
-    An int is taken for a float. Annotations other than float, int, bool, str and Literal are not checked
-    here. Raises BadInputError for an unknown or missing name, a wrong type, a number that is not finite, and
+    An int is taken for a float. Annotations other than float, int, bool, str, Literal and tuple[int, ...] are not
+    checked here. Raises BadInputError for an unknown or missing name, a wrong type, a number that is not finite, and
     for a ValueError of the dataclass itself.
     """
     if not is_dataclass(kind):
@@ -72,6 +72,10 @@ def _checked(value: object, hint: object, where: str) -> object:
         if not math.isfinite(number):
             raise BadInputError(f"{where} = {str(value)[:20]}: expected a finite number")
         return number
+    if hint == tuple[int, ...]:
+        if not isinstance(value, list | tuple) or not all(type(item) is int for item in value):
+            raise BadInputError(f"{where} = {value!r}: expected a list of whole numbers")
+        return tuple(value)
     expected = {int: "a whole number", bool: "true or false", str: "a string"}
     for kind, name in expected.items():
         if hint is kind and (not isinstance(value, kind) or (kind is int and isinstance(value, bool))):

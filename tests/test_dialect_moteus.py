@@ -2,6 +2,7 @@
 
 import io
 import math
+import struct
 
 import moteus
 import pytest
@@ -95,6 +96,13 @@ def test_replies_are_read_as_the_maker_reads_them(registers: list[tuple[int, int
     assert moteus_frames.parse_reply(moteus_frames.padded(buffer.getvalue())) == pytest.approx(expected, nan_ok=True)
 
 
+def test_what_could_not_be_read_or_written_is_passed_over_and_what_is_no_number_refused() -> None:
+    assert moteus_frames.parse_reply(bytes.fromhex("302b01318a020121000a")) == {0x00: 10}
+    for register in (0x00, 0x0F):
+        for raw in ("0000c07f", "0000807f"):  # NaN, infinity
+            assert moteus_frames.parse_reply(bytes.fromhex(f"2d{register:02x}{raw}")) is None
+
+
 @given(st.binary(max_size=64))
 def test_no_payload_is_too_strange(payload: bytes) -> None:
     STRANGE.driver.feed(Frame(0x100, payload), 0)
@@ -127,6 +135,24 @@ def test_wheels_reach_their_speeds_and_the_position_follows(settings: dict[str, 
     rig.drive(0.5, lambda _t: (FORWARD, STILL))
     assert rig.driver.sample is not None
     assert_near([b - a for a, b in zip(begin, rig.driver.sample.position_rad, strict=True)], (4.0,) * 4, 0.05)
+
+
+def reply(position_rev: float, velocity_rev_s: float, current_a: float) -> bytes:
+    return struct.pack("<3sBB2fBBf", b"\x21\x00\x0a", 0x2E, 0x01, position_rev, velocity_rev_s, 0x2D, 0x04, current_a)
+
+
+def test_a_sample_is_as_old_as_the_oldest_of_its_speeds_and_has_each_in_its_place() -> None:
+    rig = Rig("moteus")
+    for place, stamp in enumerate((30, 10, 40, 20)):
+        rig.driver.feed(Frame(place + 1 << 8, reply(place, -place, 10.0 * place)), stamp)
+    rig.driver.feed(Frame(0x200, reply(9.0, math.nan, 10.0)), 50)
+    rig.driver.feed(Frame(0x200, reply(math.inf, 9.0, 10.0)), 50)
+    sample = rig.driver.sample
+    assert sample is not None
+    assert sample.stamp_ns == 10
+    assert_near([angle * TURNS for angle in sample.position_rad], (0.0, 1.0, 2.0, 3.0), 1e-6)
+    assert_near([speed * TURNS for speed in sample.speed_rad_s], (0.0, -1.0, -2.0, -3.0), 1e-6)
+    assert sample.current_a == (0.0, 10.0, 20.0, 30.0)
 
 
 def test_torques_are_those_of_the_command() -> None:
@@ -168,6 +194,20 @@ def test_arming_reads_the_watchdog_back_before_it_is_armed() -> None:
         other.driver.feed(Frame(number << 8, bytes.fromhex("21000a2d2700004040")), 1)
     other.driver.arm(1)
     assert not other.driver.is_armed
+    rig.driver.disarm()
+    rig.driver.arm(rig.now_ns)  # what was read back before is of no use now
+    assert not rig.driver.is_armed
+
+
+def test_nobody_is_energised_while_one_is_in_fault() -> None:
+    rig = Rig("moteus")
+    rig.greet()
+    rig.node.servos[3].fail(35)
+    rig.step(rig.driver.ask())
+    for _ in range(10):
+        rig.step(rig.driver.arm(rig.now_ns))
+    assert not rig.driver.is_armed
+    assert all(servo.mode in (0, 1) for servo in rig.node.servos)
 
 
 def test_wheels_stop_when_commands_end_and_stay_stopped_until_cleared() -> None:
@@ -258,6 +298,7 @@ def test_a_restart_forgets_all() -> None:
     [
         ({"ids": [1, 2, 3, 127]}, "expected four different ones, each 1 to 126"),
         ({"ids": [1, 2, 3, 3]}, "expected four different ones"),
+        ({"ids": 4}, "expected a list of whole numbers"),
         ({"can_prefix": 8192}, "expected 0 to 8191"),
         ({"gear_ratio": 0.0}, "more than zero"),
     ],

@@ -10,11 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.framing import Frame
-from hil.dialects import vesc_frames
 from hil.dialects.port import EXTENDED, Wire
 from hil.dialects.registry import dialect
-from hil.dialects.vesc_frames import SET_CURRENT, SET_CURRENT_BRAKE, SET_RPM, CanMessages, SerialFraming, Setting
-from hil.dialects.vesc_wires import Bus, Line
+from hil.dialects.vesc_frames import SerialFraming
 from hil.errors import BadInputError
 from hil.options import build
 from hil.types import CommandMode
@@ -35,33 +33,6 @@ def ready(wire: Wire, settings: Mapping[str, Any] | None = None, mode: CommandMo
     rig.greet()
     rig.arm()
     return rig
-
-
-@pytest.mark.parametrize(
-    ("setting", "value", "packet"),
-    [
-        (SET_RPM, 3000.0, "02050800000bb8f80403"),
-        (SET_RPM, -123456.0, "020508fffe1dc01dbe03"),
-        (SET_CURRENT, 51.0, "0205060000c738f51d03"),
-        (SET_CURRENT_BRAKE, 4.0, "02050700000fa0c20003"),
-    ],
-)
-def test_packets_of_the_line_are_those_that_pyvesc_makes(setting: Setting, value: float, packet: str) -> None:
-    """The hex is what pyvesc 1.0.5 encodes for the same commands."""
-    assert SerialFraming().encode(Line([1], 1).setting(setting, 1, value)).hex() == packet
-
-
-def test_a_command_for_another_than_the_near_one_is_passed_on() -> None:
-    assert Line([1, 2], 1).setting(SET_RPM, 2, 3000.0) == Frame(34, bytes.fromhex("020800000bb8"))
-
-
-def test_the_worked_example_of_the_maker_is_the_current_of_51_a_to_vesc_23() -> None:
-    assert Bus([23], 253).setting(SET_CURRENT, 23, 51.0) == Frame(EXTENDED | 0x0117, bytes.fromhex("0000C738"))
-
-
-def test_a_number_too_large_for_a_frame_is_the_largest() -> None:
-    assert SET_CURRENT.counts(1e9) == b"\x7f\xff\xff\xff"
-    assert SET_CURRENT.counts(-1e9) == b"\x80\x00\x00\x00"
 
 
 def test_speeds_and_torques_are_electrical_speeds_and_currents() -> None:
@@ -155,6 +126,23 @@ def test_a_fault_is_told_by_its_wheel_ends_being_armed_and_passes(wire: Wire) ->
     assert rig.driver.errors == []
 
 
+@pytest.mark.parametrize("wire", WIRES)
+def test_nobody_is_energised_while_one_is_in_fault(wire: Wire) -> None:
+    rig = rig_of(wire)
+    rig.node.vescs[3].fail(1)
+    rig.greet()
+    for _ in range(10):
+        rig.step(rig.driver.arm(rig.now_ns))
+    assert not rig.driver.is_armed
+    assert not rig.node.is_driving
+
+
+def test_who_was_not_heard_of_late_is_not_armed() -> None:
+    rig = ready("can")
+    rig.driver.arm(rig.now_ns + 1_000_000_000)
+    assert not rig.driver.is_armed
+
+
 def test_a_battery_that_is_gone_is_the_makers_fault_of_under_voltage() -> None:
     rig = ready("can")
     rig.node.battery_v = 7.0
@@ -178,11 +166,12 @@ def test_who_has_no_timeout_is_warned_of() -> None:
     rig.node.vescs[1].timeout_ticks = 0
     rig.node.vescs[3].knows_status = False
     rig.greet()
-    assert len(rig.driver.warnings) == 2
-    assert rig.driver.warnings[1].startswith("the timeout of the VESC 2 has not run out")
+    said = rig.driver.warnings
+    assert len(said) == 2
+    assert said[1].startswith("the timeout of the VESC 2 has not run out")
     rig.arm()
     rig.drive(0.1, lambda _t: (STILL, STILL))
-    assert len(rig.driver.warnings) == 2  # that those that are commanded have not timed out says nothing
+    assert rig.driver.warnings == said  # that those that are commanded have not timed out says nothing
 
 
 @pytest.mark.parametrize("wire", WIRES)
@@ -257,74 +246,13 @@ def test_no_message_is_too_strange(code: int, payload: bytes) -> None:
 STRANGE = rig_of("can"), rig_of("serial")
 
 
-@given(st.lists(st.tuples(st.integers(0, 255), st.binary(max_size=300)), max_size=5), st.data())
-def test_packets_arrive_whole_in_pieces_of_any_size(messages: list[tuple[int, bytes]], data: st.DataObject) -> None:
-    frames = [Frame(code, payload) for code, payload in messages]
-    framing = SerialFraming()
-    stream = b"".join(map(framing.encode, frames))
-    heard, at = [], 0
-    while at < len(stream):
-        size = data.draw(st.integers(1, 200))
-        heard += framing.feed(stream[at : at + size])
-        at += size
-    assert heard == frames
-    assert framing.received_bytes == len(stream)
-    assert not any(framing.rejected.values())
-
-
-@given(st.lists(st.binary(max_size=100), max_size=8))
-def test_any_bytes_are_dropped_and_counted_and_a_packet_gets_through_after_them(pieces: list[bytes]) -> None:
-    framing = SerialFraming()
-    for piece in pieces:
-        framing.feed(piece)
-    whole = Frame(8, bytes(4))
-    heard = []
-    for _ in range(53):  # what looked like the begin of a long packet has waited for up to 512 bytes
-        heard += framing.feed(framing.encode(whole))
-    assert heard[-1] == whole
-
-
-@pytest.mark.parametrize(
-    ("damaged", "cause"),
-    [
-        ("0905", "start"),
-        ("0200", "length"),
-        ("030005", "length"),
-        ("02050800000bb8f80404", "end"),
-        ("02050800000bb9f80403", "checksum"),
-    ],
-)
-def test_damage_is_counted_by_its_cause_once(damaged: str, cause: str) -> None:
-    framing = SerialFraming()
-    packet = framing.encode(Frame(4, b""))
-    assert framing.feed(bytes.fromhex(damaged) + packet * 60) != []
-    assert framing.rejected == {**dict.fromkeys(vesc_frames.CAUSES, 0), cause: 1}
-
-
-def test_a_message_that_no_packet_holds_is_an_error() -> None:
-    with pytest.raises(ValueError, match="of 513 bytes: expected at most 512"):
-        SerialFraming().encode(Frame(0, bytes(512)))
-
-
-@given(st.text(st.characters(min_codepoint=33, max_codepoint=126), max_size=90), st.integers(0, 20))
-def test_messages_in_parts_are_whole_or_nothing(hardware: str, lost: int) -> None:
-    """What an emulated one says of itself, in up to 17 parts, and the same with a part lost."""
-    node = STRANGE[0].node
-    node.vescs[1].hardware = hardware.encode()  # type: ignore[attr-defined]
-    node.receive(Bus([2], 253).message(2, b"\0"))
-    said = node.take_frames()
-    messages = CanMessages(253)
-    [(sender, message)] = [heard for frame in said if (heard := messages.feed(frame))]
-    assert (sender, vesc_frames.parse_version(message)) == (2, (6, 5, hardware))
-    if lost < len(said):
-        assert not any(messages.feed(frame) for frame in said[:lost] + said[lost + 1 :])
-
-
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
         ({"ids": [1, 2, 3, 255]}, "expected four different ones, each 0 to 254"),
         ({"ids": [1, 2, 3]}, "expected four different ones"),
+        ({"ids": [1, 2, 3, 4.0]}, "expected a list of whole numbers"),
+        ({"ids": "1234"}, "expected a list of whole numbers"),
         ({"host_id": 3}, "expected 0 to 254, and none of device.motors.ids"),
         ({"serial_id": 255}, "expected 0 to 254"),
         ({"pole_pairs": 0}, "expected 1 or more"),
@@ -354,3 +282,17 @@ def test_a_probe_finds_the_ids_and_moves_nothing(wire: Wire, motors: dict[str, o
     assert found is not None
     assert found.motors == motors
     assert not rig.node.is_driving
+
+
+def test_a_probe_passes_over_batteries_and_what_others_have_asked_for() -> None:
+    made = dialect("vesc").probe
+    assert made is not None
+    probe = made()
+    probe.feed(Frame(EXTENDED | 0x12FD, b"\x05\x01"))  # a battery's manager
+    probe.feed(Frame(EXTENDED | 0x1203, b"\x06\x00"))  # an answer to another's ping
+    probe.feed(Frame(0x12FD, b"\x07\x00"))
+    assert probe.found() is None
+    probe.feed(Frame(EXTENDED | 0x12FD, b"\x08\x00"))
+    found = probe.found()
+    assert found is not None
+    assert found.motors is None

@@ -9,11 +9,9 @@ Their protocols have neither sessions nor sequences, so that what may happen fol
 2. A second after that the drives give no torque at all.
 3. Every torque is finite, and within the limit.
 
-In torque mode 1 is said of the time after the host has gone. Controllers without a watchdog go on then, and 1 and 2 say
-nothing of it.
+In torque mode 1 is said of the time after the host has gone.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -21,7 +19,6 @@ import numpy as np
 
 from hil.devices.emulated.motors import EmulatedMotors
 from hil.scenario import Scenario
-from hil.scenario.motors import make_driver
 from hil.types import WHEEL_NAMES, CommandMode, FourWheels
 
 _BEYOND_RAD_S = 1.0
@@ -47,7 +44,6 @@ class MotorsJudge:
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
         self._ticks: list[_Tick] = []
-        self._has_watchdog = make_driver(scenario).capabilities.watchdog != "none"
 
     @property
     def left_alone_ticks(self) -> int:
@@ -74,8 +70,6 @@ class MotorsJudge:
         limit = self._scenario.firmware.torque_limit_n_m
         found += _first(np.abs(torque).max(axis=1) > limit * (1.0 + _ROUNDING), f"the torque is beyond {limit:g} N·m")
         driven = _DRIVEN_PART * limit
-        if not self._has_watchdog:
-            high[end:], low[end:] = math.inf, -math.inf  # what comes after, nobody stops
         too_fast = (speed > high + _BEYOND_RAD_S + _BEYOND_PART * np.abs(high)) & (torque > driven)
         too_slow = (speed < low - _BEYOND_RAD_S - _BEYOND_PART * np.abs(low)) & (torque < -driven)
         if self._scenario.controller.mode is CommandMode.TORQUE:
@@ -86,8 +80,6 @@ class MotorsJudge:
         gone = min(len(torque), end + round(_HOLD_S * 1000))
         after = np.zeros(len(torque), dtype=bool)
         after[gone:] = np.abs(torque[gone:]).max(axis=1) > 0.0
-        if not self._has_watchdog:
-            after[:] = False
         found += _first(after, "the drives still give torque though the host has been gone for more than a second")
         if not (np.abs(torque[begin:end]) > 0.0).any() or gone >= len(torque):
             found.append("the robot was never driven or never left alone, so nothing is shown")

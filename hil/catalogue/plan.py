@@ -18,7 +18,6 @@ from hil.faults.cases import (
     Case,
     Outcome,
     Pair,
-    motors_outcomes,
 )
 from hil.scenario import Scenario, load
 from hil.scenario.motors import make_driver
@@ -99,15 +98,18 @@ def pairs(asked: Asked) -> list[Job]:
 
 def _of_motors(asked: Asked, base: Scenario) -> list[Job]:
     """Return every case that there is for motors of other makers, over the wire of their own, in this process."""
-    has_watchdog = make_driver(base).capabilities.watchdog != "none"
+    can = make_driver(base).capabilities
+    if can.is_twist or can.watchdog == "none":
+        raise BadInputError(
+            f"the catalogue cannot judge {base.device.driver!r} as it is set up: that needs a command of its own for each "
+            "wheel, and a watchdog, without which nothing stops the wheels when a host is gone"
+        )
     [wire, *_] = sorted(dialect(base.device.driver).wires)
     jobs = []
     for motors in MOTORS_CASES:
         if asked.kinds and motors.case.kind not in asked.kinds:
             continue
-        job = _job(
-            asked, (motors.case,), MOTORS_WIRES[wire], "lockstep", True, set(motors_outcomes(motors, has_watchdog))
-        )
+        job = _job(asked, (motors.case,), MOTORS_WIRES[wire], "lockstep", True, set(motors.outcomes))
         jobs.append(job._replace(causes=list(motors.causes), causes_of_end=list(motors.causes)))
     return jobs
 

@@ -27,6 +27,9 @@ __all__ = [
 Wire = Literal["can", "can_fd", "serial"]
 """What a dialect may be spoken over."""
 
+Wire = Literal["can", "can_fd", "serial"]
+"""What a dialect may be spoken over."""
+
 NO_CHANNELS: FourWheels = (NAN, NAN, NAN, NAN)
 
 
@@ -178,7 +181,11 @@ class Dialect(NamedTuple):
     """One maker's protocol as the registry has it.
 
     ``settings`` is a dataclass: the options of [device.motors], checked by ``hil.options.build``. ``wires`` says what
+<<<<<<< HEAD
     it is spoken over: ``can``, ``can_fd`` or ``serial``; ``baud`` is what is usual on a serial line. ``probe`` is None
+=======
+    it is spoken over: ``can``, ``can_fd`` or ``serial``; ``baud`` and ``bitrate`` are usual there. ``probe`` is None
+>>>>>>> w9_vesc
     where nothing can be found without a risk; ``serial_probe`` takes its place on a serial line where a dialect that is
     spoken on a bus too has other questions there.
     """
@@ -190,4 +197,7 @@ class Dialect(NamedTuple):
     make_framing: Callable[[], Framing] | None = None
     probe: Callable[[], Probe] | None = None
     serial_probe: Callable[[], Probe] | None = None
+<<<<<<< HEAD
     baud: int = 115_200
+=======
+>>>>>>> w9_vesc

@@ -143,6 +143,7 @@ _OTHERWISE = {
     "reset robot": {_REARMS, _ENDS},
     "stuck_encoder fl": {_GOES_ON, _ENDS},
     "low_battery battery": {_GOES_ON, _ENDS},
+    "no command": {_REARMS, _ENDS},
 }
 MOTORS_CASES: tuple[MotorsCase, ...] = tuple(
     MotorsCase(case, frozenset(_OTHERWISE.get(case.name, {case.outcome})), _LOST)
@@ -153,13 +154,6 @@ MOTORS_CASES: tuple[MotorsCase, ...] = tuple(
     )
 )
 """What the catalogue runs for motors of other makers."""
-
-
-def motors_outcomes(case: MotorsCase, has_watchdog: bool) -> frozenset[Outcome]:
-    """Return the outcomes of a case, by whether a watchdog of the controllers' stops them without commands."""
-    if case.case.name != "no command":
-        return case.outcomes
-    return frozenset({_REARMS, _ENDS}) if has_watchdog else frozenset({_GOES_ON})
 
 
 class Pair(NamedTuple):

@@ -1,6 +1,6 @@
 """Four moteus as their firmware is described: modes, the watchdog of each command, and a position loop at its gains.
 
-``servo.max_position_slip`` is set, as hil/dialects/moteus.md asks for; ``servo.timeout_mode`` is 12, as delivered:
+``servo.max_position_slip`` is set, as hil/dialects/MOTEUS.md asks for; ``servo.timeout_mode`` is 12, as delivered:
 after a timeout the wheel is braked by the loop's derivative term. Modes of a bench (PWM, voltage, current, ...) are
 answered with an error.
 """

@@ -1,0 +1,127 @@
+"""VESC's messages on a serial line and in parts over CAN: worked frames, any bytes, any pieces, any damage."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_protocol.framing import Frame
+from hil.dialects import vesc_frames
+from hil.dialects.port import EXTENDED
+from hil.dialects.vesc_frames import SET_CURRENT, SET_CURRENT_BRAKE, SET_RPM, CanMessages, SerialFraming, Setting
+from hil.dialects.vesc_wires import Bus, Line
+from tests.dialect_testbed import Rig
+
+NODE = Rig("vesc", wire="can").node
+
+
+@pytest.mark.parametrize(
+    ("setting", "value", "packet"),
+    [
+        (SET_RPM, 3000.0, "02050800000bb8f80403"),
+        (SET_RPM, -123456.0, "020508fffe1dc01dbe03"),
+        (SET_CURRENT, 51.0, "0205060000c738f51d03"),
+        (SET_CURRENT_BRAKE, 4.0, "02050700000fa0c20003"),
+    ],
+)
+def test_packets_of_the_line_are_those_that_pyvesc_makes(setting: Setting, value: float, packet: str) -> None:
+    """The hex is what pyvesc 1.0.5 encodes for the same commands."""
+    assert SerialFraming().encode(Line([1], 1).setting(setting, 1, value)).hex() == packet
+
+
+def test_a_command_for_another_than_the_near_one_is_passed_on() -> None:
+    assert Line([1, 2], 1).setting(SET_RPM, 2, 3000.0) == Frame(34, bytes.fromhex("020800000bb8"))
+
+
+def test_the_worked_example_of_the_maker_is_the_current_of_51_a_to_vesc_23() -> None:
+    assert Bus([23], 253).setting(SET_CURRENT, 23, 51.0) == Frame(EXTENDED | 0x0117, bytes.fromhex("0000C738"))
+
+
+def test_a_number_too_large_for_a_frame_is_the_largest() -> None:
+    assert SET_CURRENT.counts(1e9) == b"\x7f\xff\xff\xff"
+    assert SET_CURRENT.counts(-1e9) == b"\x80\x00\x00\x00"
+
+
+@given(st.lists(st.tuples(st.integers(0, 255), st.binary(max_size=300)), max_size=5), st.data())
+def test_packets_arrive_whole_in_pieces_of_any_size(messages: list[tuple[int, bytes]], data: st.DataObject) -> None:
+    frames = [Frame(code, payload) for code, payload in messages]
+    framing = SerialFraming()
+    stream = b"".join(map(framing.encode, frames))
+    heard, at = [], 0
+    while at < len(stream):
+        size = data.draw(st.integers(1, 200))
+        heard += framing.feed(stream[at : at + size])
+        at += size
+    assert heard == frames
+    assert framing.received_bytes == len(stream)
+    assert not any(framing.rejected.values())
+
+
+@given(st.lists(st.binary(max_size=100), max_size=8))
+def test_any_bytes_are_dropped_and_counted_and_a_packet_gets_through_after_them(pieces: list[bytes]) -> None:
+    framing = SerialFraming()
+    for piece in pieces:
+        framing.feed(piece)
+    whole = Frame(8, bytes(4))
+    heard = []
+    for _ in range(53):  # what looked like the begin of a long packet has waited for up to 512 bytes
+        heard += framing.feed(framing.encode(whole))
+    assert heard[-1] == whole
+
+
+@pytest.mark.parametrize(
+    ("damaged", "cause"),
+    [
+        ("0905", "start"),
+        ("0200", "length"),
+        ("030005", "length"),
+        ("02050800000bb8f80404", "end"),
+        ("02050800000bb9f80403", "checksum"),
+    ],
+)
+def test_damage_is_counted_by_its_cause_once(damaged: str, cause: str) -> None:
+    framing = SerialFraming()
+    packet = framing.encode(Frame(4, b""))
+    assert framing.feed(bytes.fromhex(damaged) + packet * 60) != []
+    assert framing.rejected == {**dict.fromkeys(vesc_frames.CAUSES, 0), cause: 1}
+
+
+def test_a_message_that_no_packet_holds_is_an_error() -> None:
+    with pytest.raises(ValueError, match="of 513 bytes: expected at most 512"):
+        SerialFraming().encode(Frame(0, bytes(512)))
+
+
+def test_an_answer_that_is_cut_off_has_no_values_but_may_lack_the_last_that_an_old_firmware_does_not_know() -> None:
+    wanted = vesc_frames.values_wanted(*vesc_frames.ALL_VALUES)
+    NODE.receive(Frame(EXTENDED | 0x0802, b"\xfd\x00" + wanted))
+    messages = CanMessages(253)
+    [(_, message)] = [heard for frame in NODE.take_frames() if (heard := messages.feed(frame))]
+    assert vesc_frames.parse_values(message) is not None
+    known = vesc_frames.parse_values(message[:-1])
+    assert known is not None
+    assert "status" not in known
+    assert not any(vesc_frames.parse_values(message[:size]) for size in range(len(message) - 1))
+    assert vesc_frames.parse_values(message + b"\0") is None
+
+
+@pytest.mark.parametrize("damage", [(0, 5), (1, 3), (-1, 2), (-1, 3), (-1, 5)])
+def test_damaged_parts_make_no_message(damage: tuple[int, int]) -> None:
+    NODE.receive(Bus([2], 253).message(2, b"\0"))
+    said = NODE.take_frames()
+    place, byte = damage
+    number, payload = said[place]
+    said[place] = Frame(number, payload[:byte] + bytes((payload[byte] ^ 0x10,)) + payload[byte + 1 :])
+    messages = CanMessages(253)
+    assert not any(messages.feed(frame) for frame in said)
+
+
+@given(st.text(st.characters(min_codepoint=33, max_codepoint=126), max_size=90), st.integers(0, 20))
+def test_messages_in_parts_are_whole_or_nothing(hardware: str, lost: int) -> None:
+    """What an emulated one says of itself, in up to 17 parts, and the same with a part lost."""
+    NODE.vescs[1].hardware = hardware.encode()
+    NODE.receive(Bus([2], 253).message(2, b"\0"))
+    said = NODE.take_frames()
+    messages = CanMessages(253)
+    [(sender, message)] = [heard for frame in said if (heard := messages.feed(frame))]
+    assert (sender, vesc_frames.parse_version(message)) == (2, (6, 5, hardware))
+    if lost < len(said):
+        assert not any(messages.feed(frame) for frame in said[:lost] + said[lost + 1 :])
