@@ -172,7 +172,8 @@ class Dialect(NamedTuple):
 
     ``settings`` is a dataclass: the options of [device.motors], checked by ``hil.options.build``. ``wires`` says what
     it is spoken over: ``can``, ``can_fd`` or ``serial``; ``baud`` and ``bitrate`` are usual there. ``probe`` is None
-    where nothing can be found without a risk.
+    where nothing can be found without a risk. ``files`` are the settings that are paths: relative ones start from the
+    folder of the file that they stand in.
     """
 
     title: str
@@ -181,3 +182,4 @@ class Dialect(NamedTuple):
     make: Callable[[Any, RobotFacts], Driver]
     make_framing: Callable[[], Framing] | None = None
     probe: Callable[[], Probe] | None = None
+    files: tuple[str, ...] = ()

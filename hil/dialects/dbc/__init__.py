@@ -9,4 +9,5 @@ DIALECT = Dialect(
     wires=frozenset({"can"}),
     settings=Settings,
     make=DbcDriver,
+    files=("file",),
 )

@@ -18,16 +18,11 @@ _CANTOOLS_RAISES = (ArithmeticError, AttributeError, LookupError, RecursionError
 class Signal(NamedTuple):
     """A signal of a DBC. Value = ``factor`` × raw + ``offset`` in its own ``unit``.
 
-    ``shift`` is where its lowest bit is in the payload, read as one whole number of the signal's own byte order.
     ``low`` and ``high`` are the raw limits, by the DBC's minimum and maximum and by the signal's length.
     """
 
     message: str
     name: str
-    shift: int
-    length: int
-    is_big_endian: bool
-    is_signed: bool
     is_float: bool
     factor: float
     offset: float
@@ -78,13 +73,17 @@ class Signal(NamedTuple):
 
 
 class Message(NamedTuple):
-    """A message of a DBC. ``id`` is a ``Frame.id``; ``period_s`` None where the DBC gives no cycle time."""
+    """A message of a DBC. ``id`` is a ``Frame.id``; ``period_s`` None where the DBC gives no cycle time.
+
+    ``codec`` is what cantools has of it. ``refusal`` says why this driver does not take it.
+    """
 
     name: str
     id: int
     length: int
     period_s: float | None
     signals: Mapping[str, Signal]
+    codec: Any
     refusal: str | None
 
 
@@ -168,35 +167,32 @@ def _message(message: Any) -> Message:
         refusal = f"has {message.length} bytes and is for CAN FD; this driver speaks classic CAN, of up to 8 bytes"
     elif message.is_multiplexed():
         refusal = "is multiplexed; this driver takes messages whose signals are the same in every frame"
+    elif flawed := [one.name for one in message.signals if not _is_usable(one)]:
+        refusal = f"has in {flawed[0]} a factor or an offset that is no number, or a factor of 0; correct the DBC"
     identifier = message.frame_id | (EXTENDED if message.is_extended_frame else 0)
     signals = {} if refusal else {signal.name: _signal(message, signal) for signal in message.signals}
     period_s = message.cycle_time / 1000.0 if message.cycle_time else None
-    return Message(message.name, identifier, message.length, period_s, signals, refusal)
+    return Message(message.name, identifier, message.length, period_s, signals, message, refusal)
+
+
+def _is_usable(signal: Any) -> bool:
+    conversion = signal.conversion
+    return conversion.scale != 0 and math.isfinite(conversion.scale) and math.isfinite(conversion.offset)
 
 
 def _signal(message: Any, signal: Any) -> Signal:
     conversion = signal.conversion
-    factor, offset = conversion.scale, conversion.offset
-    big = signal.byte_order == "big_endian"
-    shift = signal.start
-    if big:  # numbered by its highest bit, counted down within each byte
-        highest = 8 * (signal.start // 8) + 7 - signal.start % 8
-        shift = 8 * message.length - highest - signal.length
     length_low, length_high = _limits_of_length(signal)
     low, high = _limits(signal)
-    initial = signal.raw_initial
-    if initial is None:
+    initial = min(max(signal.raw_initial or 0, length_low), length_high)
+    if signal.raw_initial is None:
         initial = min(max(0, low), high)
     return Signal(
         message.name,
         signal.name,
-        shift,
-        signal.length,
-        big,
-        signal.is_signed,
         conversion.is_float,
-        factor,
-        offset,
+        conversion.scale,
+        conversion.offset,
         low,
         high,
         signal.unit or "",
@@ -205,7 +201,7 @@ def _signal(message: Any, signal: Any) -> Signal:
             for raw, text in (conversion.choices or {}).items()
             if length_low <= int(raw) <= length_high
         },
-        initial,
+        initial if conversion.is_float else int(initial),
     )
 
 
