@@ -2,6 +2,7 @@
 
 import math
 import struct
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
@@ -9,8 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.framing import Frame
-from hil.dialects.port import EXTENDED
+from hil.dialects.dbc import DIALECT
+from hil.dialects.port import EXTENDED, Driver
 from hil.errors import BadInputError
+from hil.options import build
 from hil.types import CommandMode, FourWheels
 from tests.dbc_mappings import edited_dbc, motors
 from tests.dialect_testbed import STILL, Rig, assert_near, ramp_to
@@ -29,6 +32,16 @@ def base(**changes: object) -> Rig:
     return Rig("dbc", motors("twist_base", changes), **SLOW)
 
 
+FACTS = drives().facts
+
+
+def driver_of(name: str, changes: Mapping[str, object] | None = None) -> Driver:
+    """Make a driver alone, without anything behind it."""
+    facts = FACTS._replace(speed_limit_rad_s=40.0) if name == "twist_base" else FACTS
+    made: Driver = DIALECT.make(build(DIALECT.settings, motors(name, changes), "device.motors"), facts)
+    return made
+
+
 def armed(rig: Rig) -> Rig:
     rig.step(ticks=100)
     rig.greet()
@@ -38,9 +51,9 @@ def armed(rig: Rig) -> Rig:
 
 def test_a_worked_command_has_each_field_where_the_dbc_says() -> None:
     """Enable in bit 0, the mode "speed" = 2 in 1 to 3, the counter in 4 to 7, then half rpm and mNm, little-endian."""
-    rig = drives()
+    driver = driver_of("wheel_drives")
     for count in (0, 1):
-        frames = rig.driver.command((1.0, -2.0, 3.0, 0.0), (0.5, 0.0, 0.0, -0.5), 0)
+        frames = driver.command((1.0, -2.0, 3.0, 0.0), (0.5, 0.0, 0.0, -0.5), 0)
         head = 1 | 2 << 1 | count << 4
         speeds = [round(2 * speed * RPM_AT_MOTOR) for speed in (1.0, -2.0, 3.0, 0.0)]
         torques = [round(1000 * torque / 20.0) for torque in (0.5, 0.0, 0.0, -0.5)]
@@ -49,7 +62,7 @@ def test_a_worked_command_has_each_field_where_the_dbc_says() -> None:
 
 def test_a_twist_is_big_endian_in_an_extended_frame() -> None:
     """0.075 m × (1, 1, 1, 1) is 75 mm/s forward; ± for the turn: 0.075 / 0.6 × 4 / 4 = 0.125 rad/s."""
-    driver = base().driver
+    driver = driver_of("twist_base")
     assert list(driver.command((0.0, 2.0, 0.0, 2.0), STILL, 0)) == [
         Frame(EXTENDED | 0x18FF0100, struct.pack(">3hB", 75, 75, 0, 0))
     ]
@@ -60,7 +73,7 @@ def test_a_twist_is_big_endian_in_an_extended_frame() -> None:
 
 def test_a_worked_status_is_read() -> None:
     """3000 rpm of the motor, a quarter of its turn, -2 A in 12 bits with the state "run" above, 60 °C, no error."""
-    driver = drives().driver
+    driver = driver_of("wheel_drives")
     for i in range(4):
         packed = (-40 & 0xFFF) | 2 << 12
         driver.feed(Frame(0x120 + i, struct.pack("<hHHBB", 6000, 1024, packed, 100, 0)), 7 + i)
@@ -76,9 +89,8 @@ def test_a_worked_status_is_read() -> None:
     assert driver.identity == "controllers of wheel_drives.dbc with DRIVES_INFO.Protocol 3"
 
 
-@pytest.mark.parametrize("make", [drives, base])
-@pytest.mark.parametrize("target", [FORWARD, SIDEWAYS])
-def test_wheels_reach_their_speeds(make: type[Rig], target: FourWheels) -> None:
+@pytest.mark.parametrize(("make", "target"), [(drives, FORWARD), (base, SIDEWAYS)])
+def test_wheels_reach_their_speeds(make: Callable[[], Rig], target: FourWheels) -> None:
     rig = armed(make())
     rig.drive(1.0, ramp_to(target))
     assert rig.driver.is_armed
@@ -143,10 +155,10 @@ def test_a_watchdog_that_does_not_answer_as_it_was_set_keeps_the_wheels_disarmed
 
 
 def test_no_watchdog_and_a_slow_one_are_said() -> None:
-    slow, unknown = base().driver.warnings
+    slow, unknown = driver_of("twist_base").warnings
     assert slow.startswith("when commands end the wheels go on for 0.5 s")
     assert unknown.startswith("device.motors.armed_when is empty")
-    none = base(watchdog=None).driver
+    none = driver_of("twist_base", {"watchdog": None})
     assert none.capabilities.watchdog == "none"
     assert "nothing that is known stops the wheels" in none.warnings[0]
 
@@ -218,7 +230,7 @@ def test_disarming_asks_for_standstill_switches_off_and_may_be_said_twice() -> N
 
 def test_nothing_but_arming_and_commands_has_the_enable_bit() -> None:
     """Also where what clears errors is in the message of the command, whose constants enable the drive."""
-    driver = drives(clear={"DRIVE_FL": {"Mode": "off"}}).driver
+    driver = driver_of("wheel_drives", {"clear": {"DRIVE_FL": {"Mode": "off"}}})
     assert [frame.payload[0] & 0xF for frame in driver.clear()] == [0]
     assert all(frame.payload[0] & 1 == 0 for frame in driver.disarm() if frame.id != 0x100)
 
@@ -260,12 +272,12 @@ def test_one_silent_wheel_makes_the_sample_old() -> None:
     assert rig.driver.sample.stamp_ns == stamp_ns
 
 
-RIGS = {"wheel_drives": drives(), "twist_base": base()}
+DRIVERS = {name: driver_of(name) for name in ("wheel_drives", "twist_base")}
 
 
-@given(st.sampled_from(sorted(RIGS)), st.integers(0, 0xFFFF_FFFF), st.binary(max_size=64), st.data())
+@given(st.sampled_from(sorted(DRIVERS)), st.integers(0, 0xFFFF_FFFF), st.binary(max_size=64), st.data())
 def test_no_frame_is_too_strange(name: str, number: int, payload: bytes, data: st.DataObject) -> None:
-    driver = RIGS[name].driver
+    driver = DRIVERS[name]
     known = data.draw(st.sampled_from([0x120, 0x121, 0x122, 0x123, 0x130, EXTENDED | 0x18FF0200, number]))
     driver.feed(Frame(known, payload), 0)
     sample = driver.sample
@@ -276,7 +288,7 @@ def test_no_frame_is_too_strange(name: str, number: int, payload: bytes, data: s
 
 @given(st.tuples(*[st.floats(-60.0, 60.0)] * 4), st.tuples(*[st.floats(-5.0, 5.0)] * 4))
 def test_every_command_arrives_within_half_a_step(speed: FourWheels, torque: FourWheels) -> None:
-    frames = RIGS["wheel_drives"].driver.command(speed, torque, 0)
+    frames = DRIVERS["wheel_drives"].command(speed, torque, 0)
     for frame, speed_rad_s, torque_n_m in zip(frames, speed, torque, strict=True):
         rpm, newton_metres = struct.unpack_from("<hh", frame.payload, 1)
         assert abs(0.5 * rpm - speed_rad_s * RPM_AT_MOTOR) <= 0.2501
@@ -284,7 +296,7 @@ def test_every_command_arrives_within_half_a_step(speed: FourWheels, torque: Fou
 
 
 def test_what_is_beyond_a_signal_is_sent_as_its_limit() -> None:
-    frames = RIGS["wheel_drives"].driver.command((1e9, -1e9, math.inf, 0.0), (1e9, 0.0, 0.0, 0.0), 0)
+    frames = DRIVERS["wheel_drives"].command((1e9, -1e9, math.inf, 0.0), (1e9, 0.0, 0.0, 0.0), 0)
     assert [struct.unpack_from("<h", frame.payload, 1)[0] for frame in frames] == [24000, -24000, 24000, 0]
 
 
@@ -297,7 +309,7 @@ def test_numbers_that_are_none_are_not_heard(tmp_path: Path) -> None:
         (' SG_ Y : 39|16@0- (0.001,0) [-16|16] "g" HOST\n', ""),
         (' SG_ Z : 55|16@0- (0.001,0) [-16|16] "g" HOST\n', "\nSIG_VALTYPE_ 2566849280 TurnRate : 1;\n"),
     )
-    driver = base(file=file, **{"feedback.acceleration": None}).driver
+    driver = driver_of("twist_base", {"file": file, "feedback.acceleration": None})
     driver.feed(Frame(EXTENDED | 0x18FF0200, bytes(8)), 0)
     for degrees, expected in (
         (90.0, math.pi / 2),

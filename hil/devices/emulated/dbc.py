@@ -178,9 +178,7 @@ class EmulatedDbc(EmulatedMotors):
         late_s = (self.ticks - self._commanded_tick) * 1e-3
         if self.is_on and self._timeout_s is not None and late_s > self._timeout_s:
             self._switch_off()
-        for message, period_ticks in self._said:
-            if self.ticks % period_ticks == 0:
-                self.say(Frame(_id(message), self._payload(message)))
+        self._say_what_is_due()
         speeds = self._speeds()
         if not self.is_on and all(abs(speed) < _STANDING_RAD_S for speed in speeds):
             for loop in self._loops:
@@ -209,21 +207,21 @@ class EmulatedDbc(EmulatedMotors):
 
     # What they say
 
-    def _payload(self, message: Any) -> bytes:
-        signals = self._plan.dbc.messages[message.name].signals
-        raw: dict[str, Any] = {name: signal.initial for name, signal in signals.items()}
-        for signal, value in self._told():
-            if signal.message == message.name:
-                raw[signal.name] = value
-        for name, signal in signals.items():
-            raw[name] = self.said_instead.get(str(signal), raw[name])
-        payload: bytes = message.encode(raw, scaling=False, strict=False)
-        return payload
+    def _say_what_is_due(self) -> None:
+        due = [message for message, period_ticks in self._said if self.ticks % period_ticks == 0]
+        if not due:
+            return
+        told = {str(signal): raw for signal, raw in self._told()} | self.said_instead
+        for message in due:
+            signals = self._plan.dbc.messages[message.name].signals
+            raws = {name: told.get(str(signal), signal.initial) for name, signal in signals.items()}
+            self.say(Frame(_id(message), message.encode(raws, scaling=False, strict=False)))
 
     def _told(self) -> Iterator[tuple[Signal, float]]:
         """Yield the raw values of all that the mapping reads."""
+        measured = self._measured()
         for name, quantity in self._plan.feedback.items():
-            for bound, value in zip(quantity.bounds, self._measured(name), strict=True):
+            for bound, value in zip(quantity.bounds, measured[name], strict=True):
                 yield bound.signal, self._raw(quantity, bound, value, wraps=name == "position")
         for condition in self._plan.identity:
             yield condition.signal, min(condition.raws)
@@ -235,13 +233,12 @@ class EmulatedDbc(EmulatedMotors):
         if read is not None and self._timeout_s is not None:
             yield read.signal, self._raw(Quantity((read,)), read, self._timeout_s, wraps=False)
 
-    def _measured(self, name: str) -> tuple[float, ...]:
+    def _measured(self) -> Mapping[str, tuple[float, ...]]:
         speeds = self._speeds()
-        fl, fr, rr, rl = (shaft.position_rad for shaft in self.shafts)
-        found: Mapping[str, tuple[float, ...]] = {
+        return {
             "speed": speeds,
             "twist": body_twist(speeds, self.values["wheel_radius_m"], self._lever_m),
-            "position": (fl, fr, rr, rl),
+            "position": tuple(shaft.position_rad for shaft in self.shafts),
             "current": self.current_a,
             "temperature": self.temperature_degc,
             "battery_voltage": (self.battery_v,),
@@ -249,7 +246,6 @@ class EmulatedDbc(EmulatedMotors):
             "yaw_rate": (self.gyro_rad_s[2],),
             "acceleration": self.acceleration_m_s2,
         }
-        return found[name]
 
     def _raw(self, quantity: Quantity, bound: Bound, value: float, *, wraps: bool) -> float:
         signal = bound.signal
