@@ -213,7 +213,7 @@ class EmulatedDbc(EmulatedMotors):
             return
         told = {str(signal): raw for signal, raw in self._told()} | self.said_instead
         for message in due:
-            signals = self._plan.dbc.messages[message.name].signals
+            signals = self._plan.dbc.message(message.name).signals
             raws = {name: told.get(str(signal), signal.initial) for name, signal in signals.items()}
             self.say(Frame(_id(message), message.encode(raws, scaling=False, strict=False)))
 

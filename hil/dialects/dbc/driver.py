@@ -84,7 +84,7 @@ class DbcDriver:
             fixed[watchdog.signal.name] = self._watchdog_raw
         moving = [one for one in self._moving if one.signal.message == message]
         counters = [one for one in self._counters if one.signal.message == message]
-        return Packer(self._plan.dbc.messages[message], fixed, moving, counters)
+        return Packer(self._plan.dbc.message(message), fixed, moving, counters)
 
     def _restart_arming(self) -> None:
         self._step = 0

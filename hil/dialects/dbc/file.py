@@ -11,8 +11,6 @@ from hil.errors import nearest
 
 CLASSIC_BYTES = 8
 _FLOAT_HIGHEST = {16: 65504.0, 32: 3.4028234663852886e38, 64: 1.7976931348623157e308}
-_CANTOOLS_RAISES = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
-"""What its reader lets through, beside its own errors, for a file that is damaged."""
 
 
 class Signal(NamedTuple):
@@ -75,7 +73,7 @@ class Signal(NamedTuple):
 class Message(NamedTuple):
     """A message of a DBC. ``id`` is a ``Frame.id``; ``period_s`` None where the DBC gives no cycle time.
 
-    ``codec`` is what cantools has of it. ``refusal`` says why this driver does not take it.
+    ``codec`` is what cantools has of it.
     """
 
     name: str
@@ -84,26 +82,29 @@ class Message(NamedTuple):
     period_s: float | None
     signals: Mapping[str, Signal]
     codec: Any
-    refusal: str | None
 
 
-class Dbc(NamedTuple):
-    """What a DBC file says; ``name`` is the file's, for messages."""
+class Dbc:
+    """What a DBC file says; ``name`` is the file's, for messages. Messages are looked at when they are asked for."""
 
-    name: str
-    messages: Mapping[str, Message]
+    def __init__(self, name: str, database: Any) -> None:
+        self.name = name
+        self._there = {message.name: message for message in database.messages}
+        self._messages: dict[str, Message] = {}
 
     def message(self, name: str) -> Message:
         """Return a message that classic CAN can carry, and that looks the same in every frame.
 
         Raises ValueError when there is none of the name, or it is none of that kind.
         """
-        found = self.messages.get(name)
-        if found is None:
-            raise ValueError(f"{self.name} has no message {name!r}{nearest(name, self.messages)}")
-        if found.refusal is not None:
-            raise ValueError(f"the message {name} of {self.name} {found.refusal}")
-        return found
+        if name not in self._messages:
+            if name not in self._there:
+                raise ValueError(f"{self.name} has no message {name!r}{nearest(name, self._there)}")
+            message = self._there[name]
+            if (refusal := _refusal(message)) is not None:
+                raise ValueError(f"the message {name} of {self.name} {refusal}")
+            self._messages[name] = _message(message)
+        return self._messages[name]
 
     def signal(self, spec: object) -> Signal:
         """Return the signal of ``MESSAGE.Signal``. Raises ValueError when there is none."""
@@ -128,51 +129,63 @@ def load(file: str) -> Dbc:
     path = Path(file)
     try:
         status = path.stat()
-        return _load(path, status.st_mtime_ns, status.st_size)
     except FileNotFoundError:
         raise ValueError(f"file = {file!r}: there is no such file") from None
-    except OSError as error:
-        raise ValueError(f"file = {file!r} cannot be read: {error.strerror}") from error
+    except (OSError, ValueError) as error:  # ValueError: a zero byte in the path
+        raise ValueError(f"file = {file!r} cannot be read: {error}") from error
+    return _load(path, status.st_mtime_ns, status.st_size)
 
 
 @lru_cache(maxsize=8)  # a scenario is checked, then run: a maker's DBC may take a second to parse
 def _load(path: Path, _changed_ns: int, _size: int) -> Dbc:
-    database = parse(path)
-    return Dbc(path.name, {message.name: _message(message) for message in database.messages})
+    return Dbc(path.name, parse(path))
 
 
 def parse(path: Path) -> Any:
-    """Return a DBC file as cantools has it. Raises ValueError when it is none or cantools is missing, and OSError."""
+    """Return a DBC file as cantools has it. Raises ValueError when it is none or unreadable, or without cantools."""
     try:
         import cantools  # only here: it is an extra, and takes 0.2 s
     except ImportError as error:
         raise ValueError(
             f"a DBC file is read by cantools, and that is not there ({error}); pip install 'mecanum-hil[dbc]'"
         ) from error
-    data = path.read_bytes()
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ValueError(f"file = {str(path)!r} cannot be read: {error.strerror}") from error
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = data.decode("cp1252", errors="replace")  # what the format's own tools write
     try:
-        return cantools.database.load_string(text, database_format="dbc")
-    except (cantools.Error, *_CANTOOLS_RAISES) as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise ValueError(f"file = {str(path)!r} is no DBC that can be read: {reason[:200]}") from error
+        # Not strict: a flaw in a message that nobody uses is none of ours.
+        return cantools.database.load_string(text, database_format="dbc", strict=False)
+    except cantools.Error as error:
+        raise ValueError(f"file = {str(path)!r} is no DBC that can be read: {_one_line(error)}") from error
+
+
+def _refusal(message: Any) -> str | None:
+    """Return why this driver does not take a message, None where it does."""
+    if message.is_fd or message.length > CLASSIC_BYTES:
+        return f"has {message.length} bytes and is for CAN FD; this driver speaks classic CAN, of up to 8 bytes"
+    if message.is_multiplexed():
+        return "is multiplexed; this driver takes messages whose signals are the same in every frame"
+    if unusable := [one.name for one in message.signals if not _is_usable(one)]:
+        return f"has in {unusable[0]} a factor or an offset that is no number, or a factor of 0; correct the DBC"
+    import cantools
+
+    try:
+        message.refresh(strict=True)
+    except cantools.Error as error:
+        return f"cannot be coded: {_one_line(error)}"
+    return None
 
 
 def _message(message: Any) -> Message:
-    refusal = None
-    if message.is_fd or message.length > CLASSIC_BYTES:
-        refusal = f"has {message.length} bytes and is for CAN FD; this driver speaks classic CAN, of up to 8 bytes"
-    elif message.is_multiplexed():
-        refusal = "is multiplexed; this driver takes messages whose signals are the same in every frame"
-    elif flawed := [one.name for one in message.signals if not _is_usable(one)]:
-        refusal = f"has in {flawed[0]} a factor or an offset that is no number, or a factor of 0; correct the DBC"
     identifier = message.frame_id | (EXTENDED if message.is_extended_frame else 0)
-    signals = {} if refusal else {signal.name: _signal(message, signal) for signal in message.signals}
+    signals = {signal.name: _signal(message, signal) for signal in message.signals}
     period_s = message.cycle_time / 1000.0 if message.cycle_time else None
-    return Message(message.name, identifier, message.length, period_s, signals, message, refusal)
+    return Message(message.name, identifier, message.length, period_s, signals, message)
 
 
 def _is_usable(signal: Any) -> bool:
@@ -226,5 +239,10 @@ def _limits(signal: Any) -> tuple[float, float]:
         least, most = sorted(given)
         if not conversion.is_float:  # a limit between two steps is at the inner one, but for rounding
             least, most = math.ceil(least - 1e-6), math.floor(most + 1e-6)
-        low, high = max(low, least), min(high, most)
+        if max(low, least) <= min(high, most):  # else the DBC's limits are none of what the bits can have
+            low, high = max(low, least), min(high, most)
     return low, high
+
+
+def _one_line(error: Exception) -> str:
+    return (" ".join(str(error).split()) or type(error).__name__)[:200]

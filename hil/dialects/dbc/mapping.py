@@ -238,7 +238,7 @@ def positive(value: object, key: str) -> float:
 
 def by_message(dbc: Dbc, signals: Iterable[Signal]) -> dict[str, Message]:
     """Return the messages of these signals by name, each once."""
-    return {name: dbc.messages[name] for name in dict.fromkeys(signal.message for signal in signals)}
+    return {name: dbc.message(name) for name in dict.fromkeys(signal.message for signal in signals)}
 
 
 def _once(signals: Iterable[Signal], key: str) -> None:

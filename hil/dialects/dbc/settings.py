@@ -49,7 +49,7 @@ class Plan(NamedTuple):
         """Return the messages that the host sends."""
         names = dict.fromkeys(name for steps in self.phases.values() for step in steps for name in step)
         signals = [*self.commanded(), *([self.watchdog.set.signal] if self.watchdog.set else [])]
-        return mapping.by_message(self.dbc, signals) | {name: self.dbc.messages[name] for name in names}
+        return mapping.by_message(self.dbc, signals) | {name: self.dbc.message(name) for name in names}
 
     def heard(self) -> dict[str, Message]:
         """Return the messages that the device sends."""
