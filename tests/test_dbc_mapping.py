@@ -163,17 +163,22 @@ def test_two_messages_of_one_identifier_are_not_told_apart(tmp_path: Path) -> No
     )
 
 
+@pytest.fixture(scope="module")
+def damaged(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("dbc") / "twist_base.dbc"
+
+
 @given(st.data())
-def test_a_damaged_dbc_is_refused_or_read_but_never_a_traceback(data: st.DataObject) -> None:
+def test_a_damaged_dbc_is_refused_or_read_but_never_a_traceback(damaged: Path, data: st.DataObject) -> None:
     text = (EXAMPLES / "twist_base.dbc").read_text("utf-8")
     for _ in range(data.draw(st.integers(1, 3))):
         begin, end = data.draw(st.sampled_from([found.span() for found in re.finditer(r"[\d.]+|\w+|\W", text)]))
         numbers = st.sampled_from(["0", "1", "-1", "7", "8", "16", "32", "64", "255", "1e999", "nan", "99999999999"])
         others = st.sampled_from(["", "|", "m0 ", " M ", '"', "\0", "@1-", "\n"])
         text = text[:begin] + data.draw(numbers if text[begin:end][0].isdecimal() else others) + text[end:]
-    DAMAGED.write_bytes(text.encode())
+    damaged.write_bytes(text.encode())
     try:
-        settings = settings_of("twist_base", {"file": str(DAMAGED)})
+        settings = settings_of("twist_base", {"file": str(damaged)})
         driver = DIALECT.make(settings, ROBOT._replace(speed_limit_rad_s=40.0))
     except BadInputError:
         return
@@ -182,15 +187,6 @@ def test_a_damaged_dbc_is_refused_or_read_but_never_a_traceback(data: st.DataObj
     for message in settings.plan.heard().values():
         driver.feed(Frame(message.id, data.draw(st.binary(max_size=8))), 0)
     assert driver.sample is None or len(driver.sample.speed_rad_s) == 4
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _damaged(tmp_path_factory: pytest.TempPathFactory) -> None:
-    global DAMAGED
-    DAMAGED = tmp_path_factory.mktemp("dbc") / "twist_base.dbc"
-
-
-DAMAGED = Path()
 
 
 def test_cantools_is_asked_for_when_it_is_not_there(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

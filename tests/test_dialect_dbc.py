@@ -60,6 +60,10 @@ def test_a_worked_command_has_each_field_where_the_dbc_says() -> None:
         assert frames == [Frame(0x110 + i, struct.pack("<Bhh3x", head, speeds[i], torques[i])) for i in range(4)]
 
 
+def test_the_frame_of_the_page_is_what_is_sent() -> None:
+    assert driver_of("wheel_drives").command((1.0, 0.0, 0.0, 0.0), STILL, 0)[0].payload.hex() == "057e010000000000"
+
+
 def test_a_twist_is_big_endian_in_an_extended_frame() -> None:
     """0.075 m × (1, 1, 1, 1) is 75 mm/s forward; ± for the turn: 0.075 / 0.6 × 4 / 4 = 0.125 rad/s."""
     driver = driver_of("twist_base")
