@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from hil.dialects.port import EXTENDED
 from hil.errors import nearest
 
-CLASSIC_BYTES = 8
+_CLASSIC_BYTES = 8
 _FLOAT_HIGHEST = {16: 65504.0, 32: 3.4028234663852886e38, 64: 1.7976931348623157e308}
 
 
@@ -166,7 +166,7 @@ def parse(path: Path) -> Any:
 
 def _refusal(message: Any) -> str | None:
     """Return why this driver does not take a message, None where it does."""
-    if message.is_fd or message.length > CLASSIC_BYTES:
+    if message.is_fd or message.length > _CLASSIC_BYTES:
         return f"has {message.length} bytes and is for CAN FD; this driver speaks classic CAN, of up to 8 bytes"
     if message.is_multiplexed():
         return "is multiplexed; this driver takes messages whose signals are the same in every frame"
