@@ -181,13 +181,10 @@ class Dialect(NamedTuple):
     """One maker's protocol as the registry has it.
 
     ``settings`` is a dataclass: the options of [device.motors], checked by ``hil.options.build``. ``wires`` says what
-<<<<<<< HEAD
     it is spoken over: ``can``, ``can_fd`` or ``serial``; ``baud`` is what is usual on a serial line. ``probe`` is None
-=======
-    it is spoken over: ``can``, ``can_fd`` or ``serial``; ``baud`` and ``bitrate`` are usual there. ``probe`` is None
->>>>>>> w9_vesc
     where nothing can be found without a risk; ``serial_probe`` takes its place on a serial line where a dialect that is
-    spoken on a bus too has other questions there.
+    spoken on a bus too has other questions there. ``files`` are the settings that are paths: relative ones start from
+    the folder of the file that they stand in.
     """
 
     title: str
@@ -197,7 +194,5 @@ class Dialect(NamedTuple):
     make_framing: Callable[[], Framing] | None = None
     probe: Callable[[], Probe] | None = None
     serial_probe: Callable[[], Probe] | None = None
-<<<<<<< HEAD
     baud: int = 115_200
-=======
->>>>>>> w9_vesc
+    files: tuple[str, ...] = ()

@@ -218,11 +218,7 @@ class SerialFraming:
 
 
 def _packet_end(data: bytes, at: int) -> tuple[int, str | None]:
-<<<<<<< HEAD
     """Return where the packet ends that may begin here, beyond the data when that cannot be told; or why none does."""
-=======
-    """Return where the packet that may begin here ends, beyond the data if that cannot be told; or why none does."""
->>>>>>> w9_vesc
     head = data[at]
     if head not in (2, 3):
         return at, "start"

@@ -1,0 +1,154 @@
+"""What the controllers say: the messages of a mapping as they arrive, and quantities and conditions from them."""
+
+import math
+from collections.abc import Mapping, Sequence
+from itertools import chain
+from typing import NamedTuple
+
+from hil.dialects.dbc.coding import Reading, Unpacker
+from hil.dialects.dbc.file import Message, Signal
+from hil.dialects.dbc.mapping import Condition, ErrorSignal
+from hil.dialects.dbc.robot import Gain
+from hil.dialects.dbc.settings import Plan
+from hil.types import NAN
+
+
+class Hearing:
+    """One message: its newest values, NaN before the first, and when they came."""
+
+    def __init__(self, message: Message) -> None:
+        self.message = message
+        self.stamp_ns: int | None = None
+        self.values: list[float] = []
+        self.turns: list[_Turns] = []
+        self._readings: list[Reading] = []
+        self._unpacker = Unpacker(message, ())
+
+    def read(self, reading: Reading) -> "Place":
+        """Have a signal read, and return where its value will be."""
+        self._readings.append(reading)
+        self.values.append(NAN)
+        self._unpacker = Unpacker(self.message, self._readings)
+        return Place(self, len(self.values) - 1)
+
+    def feed(self, payload: bytes, stamp_ns: int) -> None:
+        """Take a payload; one that is too short, or has an infinite number or none, changes nothing."""
+        values = self._unpacker.values(payload)
+        if values is None:
+            return
+        self.values, self.stamp_ns = values, stamp_ns
+        for one in self.turns:
+            one.follow(stamp_ns)
+
+
+class Place(NamedTuple):
+    """Where a value is."""
+
+    hearing: Hearing
+    number: int
+
+    @property
+    def value(self) -> float:
+        """The newest, NaN before there is one."""
+        return self.hearing.values[self.number]
+
+
+class _Turns:
+    """Makes a position go on where its signal wraps after ``span``.
+
+    Between two frames a motor may turn more than half a span: its ``speed``, where it is told, says how often.
+    """
+
+    def __init__(self, position: Place, speed: Place | None, span: float) -> None:
+        self._position, self._speed = position, speed
+        self._span = span
+        self._last: tuple[int, float, float] | None = None
+        self._turned = 0.0
+
+    def follow(self, stamp_ns: int) -> None:
+        value = self._position.value
+        speed = NAN if self._speed is None else self._speed.value
+        if self._last is not None:
+            last_ns, last, last_speed = self._last
+            expected = 0.5 * (speed + last_speed) * (stamp_ns - last_ns) * 1e-9
+            if math.isnan(expected):
+                expected = 0.0
+            self._turned += self._span * round((expected - (value - last)) / self._span)
+        self._last = stamp_ns, value, speed
+        self._position.hearing.values[self._position.number] = value + self._turned
+
+
+class Heard:
+    """All messages of a mapping that the controllers send."""
+
+    def __init__(self, plan: Plan, gain: Gain) -> None:
+        self._messages = {name: Hearing(message) for name, message in plan.heard().items()}
+        self.by_id = {one.message.id: one for one in self._messages.values()}
+        self._quantities: Mapping[str, Sequence[Place]] = {
+            name: [self._place(bound.signal, gain(bound)) for bound in quantity.bounds]
+            for name, quantity in plan.feedback.items()
+        }
+        if positions := plan.feedback.get("position"):
+            speeds = self._quantities.get("speed", [None] * 4)
+            for bound, place, speed in zip(positions.bounds, self._quantities["position"], speeds, strict=True):
+                if span := abs(gain(bound)) * (positions.wraps_at or _span(bound.signal)):
+                    place.hearing.turns.append(_Turns(place, speed, span))
+        self._armed_when = [(self._place(one.signal), one) for one in plan.armed_when]
+        self._identity = [(self._place(one.signal), one) for one in plan.identity]
+        self._errors = [(self._place(one.signal), one) for one in plan.errors]
+        read = plan.watchdog.read
+        self._watchdog = None if read is None else self._place(read.signal, gain(read))
+        self._measured = list({one.hearing.message.id: one.hearing for one in self._quantities[plan.measured]}.values())
+
+    def _place(self, signal: Signal, gain: float | None = None) -> Place:
+        """Have a signal read, raw without a gain: what is compared must not be rounded."""
+        hearing = self._messages[signal.message]
+        if gain is None:
+            return hearing.read(Reading(signal))
+        return hearing.read(Reading(signal, gain * signal.factor, gain * signal.offset))
+
+    def quantity(self, name: str) -> Sequence[float] | None:
+        """Return the newest values of a quantity [SI], NaN for what did not come yet; None where it is not mapped."""
+        places = self._quantities.get(name)
+        return None if places is None else [hearing.values[index] for hearing, index in places]
+
+    def stamp_ns(self) -> int | None:
+        """Return when the oldest of the messages that carry the speeds came, None before all have."""
+        oldest: int | None = None
+        for hearing in self._measured:
+            stamp_ns = hearing.stamp_ns
+            if stamp_ns is None:
+                return None
+            if oldest is None or stamp_ns < oldest:
+                oldest = stamp_ns
+        return oldest
+
+    def silent(self) -> list[Message]:
+        """Return the messages that the driver cannot do without, and that did not come yet."""
+        needed = [place.hearing for place, _ in chain(self._armed_when, self._identity)] + self._measured
+        return list({hearing.message.name: hearing.message for hearing in needed if hearing.stamp_ns is None}.values())
+
+    def follows(self) -> bool:
+        """Tell whether all that [device.motors.armed_when] asks for is so."""
+        return all(place.value in condition.raws for place, condition in self._armed_when)
+
+    def identity(self) -> list[tuple[Condition, float]]:
+        """Return what identifies the device, with the raw values that came."""
+        return [(condition, place.value) for place, condition in self._identity]
+
+    def errors(self) -> list[tuple[ErrorSignal, float]]:
+        """Return the errors that are reported, with their raw values."""
+        return [
+            (error, place.value)
+            for place, error in self._errors
+            if place.hearing.stamp_ns is not None and place.value not in error.none
+        ]
+
+    def watchdog_s(self) -> float:
+        """Return the time that the watchdog was read back with, NaN before it was."""
+        return NAN if self._watchdog is None else self._watchdog.value
+
+
+def _span(signal: Signal) -> float:
+    """Return after how much a position begins anew, in the signal's unit: beyond its highest number is its lowest."""
+    return 0.0 if signal.is_float else abs(signal.factor) * (signal.high - signal.low + 1)

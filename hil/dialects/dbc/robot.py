@@ -1,0 +1,105 @@
+"""Whether a mapping and the robot go together, and what the units of the one are for the other."""
+
+from collections.abc import Callable
+
+from hil.dialects.dbc.mapping import Bound
+from hil.dialects.dbc.settings import Plan, Settings
+from hil.dialects.dbc.units import SI, at_wheel
+from hil.dialects.port import RobotFacts
+from hil.errors import BadInputError
+from hil.types import WHEEL_NAMES
+
+_KEY = "device.motors"
+
+Gain = Callable[[Bound], float]
+"""Returns what 1 of a signal is in the SI unit of its dimension, with its sign."""
+
+
+def gains(settings: Settings, robot: RobotFacts) -> Gain:
+    """Return the gains of a mapping on a robot."""
+
+    def gain(bound: Bound) -> float:
+        return bound.sign * at_wheel(
+            bound.unit,
+            bound.dimension,
+            gear_ratio=settings.gear_ratio,
+            wheel_radius_m=robot.wheel_radius_m,
+            torque_constant_n_m_a=robot.torque_constant_n_m_a,
+        )
+
+    return gain
+
+
+def check_wheels(plan: Plan, robot: RobotFacts) -> None:
+    """Raise BadInputError where [device] says again, and otherwise, what the mapping says of the wheels."""
+    names = [WHEEL_NAMES[wheel] for wheel in robot.wheel_of_channel]
+    if names != list(WHEEL_NAMES):
+        raise BadInputError(
+            f"device.wheels = {names}: {_KEY} names the signals of each wheel itself; leave device.wheels away, and "
+            "put the signals of a wheel beside its name"
+        )
+    if "twist" in (plan.motion, plan.measured) and -1 in robot.sign_of_channel:
+        raise BadInputError(
+            "device.reversed is not empty: controllers that take or tell a body twist know themselves which way their "
+            "wheels turn; leave it away"
+        )
+
+
+def check_limits(plan: Plan, robot: RobotFacts, gain: Gain) -> None:
+    """Raise BadInputError where a limit of the robot is beyond what a commanded signal can carry."""
+    ground_m_s = robot.speed_limit_rad_s * robot.wheel_radius_m
+    limits = {
+        "speed": ("robot.speed_limit_rad_s", robot.speed_limit_rad_s),
+        "torque": ("firmware.torque_limit_n_m", robot.torque_limit_n_m),
+        "velocity": ("robot.speed_limit_rad_s", ground_m_s),
+        "yaw rate": ("robot.speed_limit_rad_s", ground_m_s / robot.lever_m),
+    }
+    for quantity in plan.commands.values():
+        for bound in quantity.bounds:
+            name, limit = limits[bound.dimension]
+            signal = bound.signal
+            low, high = sorted(gain(bound) * signal.physical(raw) for raw in (signal.low, signal.high))
+            if -limit < low or limit > high:
+                raise BadInputError(
+                    f"{_KEY}.command: {signal} goes from {low:.4g} to {high:.4g} {SI[bound.dimension]}, and {name} "
+                    f"asks for {limit:.4g} both ways; lower that, or correct unit, scale or gear_ratio"
+                )
+
+
+def watchdog_raw(plan: Plan, robot: RobotFacts, gain: Gain) -> float:
+    """Return what the signal that sets the watchdog has for the robot's, 0 where there is none.
+
+    Raises BadInputError where that is beyond the signal.
+    """
+    bound = plan.watchdog.set
+    if bound is None:
+        return 0.0
+    signal = bound.signal
+    raw = (robot.watchdog_s / gain(bound) - signal.offset) / signal.factor
+    if not signal.is_float:
+        raw = round(raw)
+    if not signal.low <= raw <= signal.high:
+        raise BadInputError(
+            f"{_KEY}.watchdog: {signal} takes {signal.limits()}, and firmware.watchdog_s = {robot.watchdog_s:g} is "
+            "outside; change that, or correct unit or scale"
+        )
+    return raw
+
+
+def warnings(plan: Plan, robot: RobotFacts) -> list[str]:
+    """Return what has to be said before anything moves."""
+    said = []
+    timeout_s = plan.watchdog.timeout_s
+    if timeout_s is None and plan.watchdog.set is None:
+        said.append(
+            f"{_KEY}.watchdog is empty: nothing that is known stops the wheels when commands end; keep an e-stop that "
+            "cuts the motors' power within reach"
+        )
+    elif timeout_s is not None and timeout_s > robot.watchdog_s:
+        said.append(
+            f"when commands end the wheels go on for {timeout_s:g} s ({_KEY}.watchdog.timeout_s), longer than the "
+            f"{robot.watchdog_s:g} s of firmware.watchdog_s"
+        )
+    if not plan.armed_when:
+        said.append(f"{_KEY}.armed_when is empty: whether the controllers follow commands is not known")
+    return said

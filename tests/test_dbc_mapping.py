@@ -1,0 +1,221 @@
+"""What is wrong in a mapping or its DBC is refused when the settings are built, in a sentence with the way out."""
+
+import re
+import sys
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_protocol.framing import Frame
+from hil.dialects.dbc import DIALECT
+from hil.dialects.dbc.settings import Settings
+from hil.dialects.port import RobotFacts
+from hil.errors import BadInputError
+from hil.options import build
+from hil.types import CommandMode
+from tests.dbc_mappings import EXAMPLES, edited_dbc, motors
+
+ROBOT = RobotFacts(0.075, 0.6, (0, 1, 2, 3), (1, 1, 1, 1), 5.0, 60.0, 1.25, 0.1, 0.005, CommandMode.SPEED)
+SPEED = "command.speed"
+
+
+def settings_of(name: str, changes: Mapping[str, Any] | None = None) -> Settings:
+    return build(Settings, motors(name, changes), "device.motors")
+
+
+def refusal(changes: Mapping[str, Any], name: str = "wheel_drives") -> str:
+    with pytest.raises(BadInputError) as refused:
+        settings_of(name, changes)
+    message = str(refused.value)
+    assert "\n" not in message
+    return message
+
+
+WRONG = [
+    (f"{SPEED}.fl", "DRIVE_FL.TargetSpeet", "command.speed.fl = 'DRIVE_FL.TargetSpeet': the message DRIVE_FL of "
+     "wheel_drives.dbc has no signal 'TargetSpeet'; did you mean 'TargetSpeed'?"),
+    (f"{SPEED}.fl", "DRIV_FL.TargetSpeed", "wheel_drives.dbc has no message 'DRIV_FL'; did you mean 'DRIVE_FL'?"),
+    (f"{SPEED}.fl", "TargetSpeed", 'expected a signal of the DBC as text, such as "DRIVE_FL.TargetSpeed"'),
+    (f"{SPEED}.fl", 7, "command.speed.fl = 7: expected a signal of the DBC as text"),
+    (f"{SPEED}.rl", None, "command.speed: rl missing; name a signal for each of fl, fr, rr, rl"),
+    (f"{SPEED}.fl", "DRIVE_FR.TargetSpeed", "command.speed: DRIVE_FR.TargetSpeed is named twice"),
+    (f"{SPEED}.lf", "DRIVE_FL.TargetSpeed", "command.speed.lf: unknown; did you mean 'fl'?"),
+    (f"{SPEED}.unit", "rmp", "the unit 'rmp' is none of a speed that is known here; did you mean 'rpm'?"),
+    (f"{SPEED}.unit", 3, "unit = 3: expected text"),
+    (f"{SPEED}.scale", 0, "command.speed.scale = 0: expected a number, more than zero"),
+    (f"{SPEED}.scale", True, "command.speed.scale = True: expected a number"),
+    (SPEED, "DRIVE_FL.TargetSpeed", "command.speed = 'DRIVE_FL.TargetSpeed': expected a table"),
+    (SPEED, None, "command has none: expected one of speed, torque and twist"),
+    ("command.torque", {wheel: f"DRIVE_{wheel.upper()}.Feedforward" for wheel in ("fl", "fr", "rr", "rl")},
+     "command has speed and torque: expected one of"),
+    ("command.velocity", {}, "command.velocity: unknown"),
+    ("feedback.speed", None, "feedback has neither: expected speed or twist"),
+    ("feedback.position.scale", None, "the DBC gives it no unit; known: rad, "),
+    ("feedback.position.wraps_at", -1, "feedback.position.wraps_at = -1: expected a number, more than zero"),
+    ("feedback.speed.wraps_at", 1, "feedback.speed.wraps_at: unknown"),
+    ("feedback.battery_voltage", "DRIVES_INFO.BatteryCurrent", "the unit 'A' is none of a voltage"),
+    ("feedback.rate_hz", 0, "feedback.rate_hz = 0: expected a number, more than zero"),
+    ("feedback.speed.fl", "DRIVE_FL.TargetSpeed", "the message DRIVE_FL is sent by one table and awaited by another"),
+    ("constants.DRIVE_FL.Mode", "sped", "constants.DRIVE_FL.Mode = 'sped': no value of this signal has this text; did "
+     "you mean 'speed'?"),
+    ("constants.DRIVE_FL.Mode", 3, "outside the signal's limits, 0 to 2"),
+    ("constants.DRIVE_FL.Mode", float("nan"), "expected a finite number or a text"),
+    ("constants.DRIVE_FL.Mode", 10**400, "expected a finite number or a text"),
+    ("constants.DRIVE_FL.Mode", [1, 2], "constants.DRIVE_FL.Mode: expected one value"),
+    ("constants.DRIVE_FL.Enable", "on", "its DBC has no value table for it, give a number"),
+    ("constants.DRIVE_FL.Enable", 0.5, "constants.DRIVE_FL.Enable = 0.5: the signal has steps of 1; the nearest is 0"),
+    ("constants.DRIVE_FL.TargetSpeed", 0, "constants: DRIVE_FL.TargetSpeed is already command"),
+    ("constants.DRIVE_FL", 1, "constants.DRIVE_FL = 1: expected a table"),
+    ("constants.STATUS_FL.State", 1, "constants.STATUS_FL: no table sends STATUS_FL"),
+    ("counters", ["DRIVE_FL.Enable", "DRIVE_FL.Enable"], "counters: DRIVE_FL.Enable is named twice"),
+    ("counters", "DRIVE_FL.Alive", "expected an array of signals"),
+    ("counters", ["DRIVE_FL.Alife"], "counters: 'DRIVE_FL.Alife': the message DRIVE_FL"),
+    ("constants.DRIVE_FL.Alive", 3, "constants: DRIVE_FL.Alive is already counters"),
+    ("enable.DRIVES_CONTROL.State", [], "expected at least one value"),
+    ("enable.DRIVES_CONTROL.State", ["ready", "runn"], "did you mean 'run'?"),
+    ("enable.DRIVES_CONTROL.Timeout", 5, "enable: DRIVES_CONTROL.Timeout is already watchdog.set"),
+    ("enable.DRIVE_FL.Mode", ["off", "torque", "speed"], "enable.DRIVE_FL.Mode: 3 values, but "
+     "enable.DRIVES_CONTROL.State has 2"),
+    ("armed_when.STATUS_FL.Stat", "run", "has no signal 'Stat'; did you mean 'State'?"),
+    ("estop", {}, "estop_latches = true: nothing is sent for an e-stop"),
+    ("identity.DRIVES_INFO.Protocol", [2, 256], "outside the signal's limits, 0 to 255"),
+    ("errors.front", "STATUS_FL.Error", "errors.front: unknown"),
+    ("errors.fl", 5, "errors.fl = 5: expected a signal of the DBC"),
+    ("errors.none", "fine", "errors.none = 'fine' for STATUS_FL.Error: no value of this signal has this text"),
+    ("watchdog.read", None, "watchdog.read is missing: a watchdog is set and read back"),
+    ("watchdog.timeout_s", 0.1, "watchdog: give timeout_s, where it is fixed, or set and read"),
+    ("watchdog.read", "DRIVES_INFO.BatteryVoltage", "the unit 'V' is none of a time"),
+    ("gear_ratio", 0.0, "gear_ratio = 0.0: expected a finite number, more than zero"),
+    ("file", "nowhere.dbc", "file = 'nowhere.dbc': there is no such file"),
+    ("file", str(EXAMPLES), "cannot be read"),
+    ("file", __file__, "is no DBC that can be read"),
+    ("file", "zero\0byte", "cannot be read"),
+    ("fil", "x", "unknown option 'fil'; did you mean 'file'?"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("key", "value", "sentence"), WRONG, ids=[f"{key}={value!r}"[:40] for key, value, _ in WRONG])
+def test_a_mistake_in_the_mapping_is_refused(key: str, value: object, sentence: str) -> None:
+    message = refusal({key: value})
+    assert message.startswith("device.motors")
+    assert sentence in message
+
+
+def test_a_rate_is_asked_for_where_the_dbc_has_no_cycle_times() -> None:
+    assert "feedback.rate_hz is missing: twist_base.dbc has no cycle time" in refusal(
+        {"feedback.rate_hz": None}, "twist_base"
+    )
+
+
+def keys(table: Mapping[str, Any], path: str = "") -> list[str]:
+    found = []
+    for name, value in table.items():
+        found += [path + name, *(keys(value, f"{path}{name}.") if isinstance(value, Mapping) else ())]
+    return found
+
+
+@given(st.data())
+def test_no_value_of_any_kind_ends_in_a_traceback(data: st.DataObject) -> None:
+    scalars = st.one_of(st.integers(), st.floats(), st.booleans(), st.text(max_size=5), st.just("STATUS_FL.Speed"))
+    some = st.one_of(scalars, st.lists(scalars, max_size=3), st.dictionaries(st.text(max_size=3), scalars, max_size=2))
+    name = data.draw(st.sampled_from(["wheel_drives", "twist_base"]))
+    changes = {data.draw(st.sampled_from(keys(motors(name)))): data.draw(some)}
+    with suppress(BadInputError):
+        DIALECT.make(settings_of(name, changes), ROBOT._replace(speed_limit_rad_s=40.0))
+
+
+CHANGED = [
+    ("BO_ 272 DRIVE_FL: 8 HOST", "BO_ 272 DRIVE_FL: 64 HOST", "has 64 bytes and is for CAN FD"),
+    (
+        ' SG_ Mode : 1|3@1+ (1,0) [0|2] "" DRIVES\n SG_ Alive : 4|4@1+ (1,0) [0|15] "" DRIVES\n'
+        " SG_ TargetSpeed : 8|16@1- ",
+        ' SG_ Mode M : 1|3@1+ (1,0) [0|2] "" DRIVES\n SG_ Alive : 4|4@1+ (1,0) [0|15] "" DRIVES\n'
+        " SG_ TargetSpeed m2 : 8|16@1- ",
+        "is multiplexed",
+    ),
+    ("SG_ TargetSpeed : 8|16@1- (0.5,0)", "SG_ TargetSpeed : 8|16@1- (0,0)", "has in TargetSpeed a factor"),
+    ("SG_ TargetSpeed : 8|16@1-", "SG_ TargetSpeed : 60|16@1-", "does not fit"),
+    ("SG_ TargetSpeed : 8|16@1-", "SG_ TargetSpeed : 0|16@1-", "overlapping"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "sentence"), CHANGED, ids=[sentence for _, _, sentence in CHANGED])
+def test_a_dbc_that_cannot_be_driven_by_is_refused(old: str, new: str, sentence: str, tmp_path: Path) -> None:
+    assert sentence in refusal({"file": edited_dbc(tmp_path, "wheel_drives", (old, new))})
+
+
+def test_a_flaw_in_a_message_that_nobody_uses_is_no_matter(tmp_path: Path) -> None:
+    flaw = 'BO_ 7 OTHER: 8 HOST\n SG_ A : 0|8@1+ (0,0) [0|0] "" DRIVES\n SG_ B : 4|8@1+ (1,0) [0|0] "" DRIVES\n\n'
+    file = edited_dbc(tmp_path, "wheel_drives", ("BO_ 272 DRIVE_FL", f"{flaw}BO_ 272 DRIVE_FL"))
+    assert settings_of("wheel_drives", {"file": file}).plan.feedback_hz == 200.0
+    assert "has in A a factor" in refusal({"file": file, "armed_when.OTHER.B": 1})
+
+
+def test_two_messages_of_one_identifier_are_not_told_apart(tmp_path: Path) -> None:
+    file = edited_dbc(tmp_path, "twist_base", ("BO_ 2566849280", "BO_ 2566849024"))
+    assert "BASE_MOTION and BASE_IMU of twist_base.dbc have the same identifier" in refusal(
+        {"file": file}, "twist_base"
+    )
+
+
+@pytest.fixture(scope="module")
+def damaged(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("dbc") / "twist_base.dbc"
+
+
+@given(st.data())
+def test_a_damaged_dbc_is_refused_or_read_but_never_a_traceback(damaged: Path, data: st.DataObject) -> None:
+    text = (EXAMPLES / "twist_base.dbc").read_text("utf-8")
+    for _ in range(data.draw(st.integers(1, 3))):
+        begin, end = data.draw(st.sampled_from([found.span() for found in re.finditer(r"[\d.]+|\w+|\W", text)]))
+        numbers = st.sampled_from(["0", "1", "-1", "7", "8", "16", "32", "64", "255", "1e999", "nan", "99999999999"])
+        others = st.sampled_from(["", "|", "m0 ", " M ", '"', "\0", "@1-", "\n"])
+        text = text[:begin] + data.draw(numbers if text[begin:end][0].isdecimal() else others) + text[end:]
+    damaged.write_bytes(text.encode())
+    try:
+        settings = settings_of("twist_base", {"file": str(damaged)})
+        driver = DIALECT.make(settings, ROBOT._replace(speed_limit_rad_s=40.0))
+    except BadInputError:
+        return
+    for frame in (*driver.command((1.0, -2.0, 3.0, 4.0), (0.0, 0.0, 0.0, 0.0), 0), *driver.disarm()):
+        assert len(frame.payload) <= 8
+    for message in settings.plan.heard().values():
+        driver.feed(Frame(message.id, data.draw(st.binary(max_size=8))), 0)
+    assert driver.sample is None or len(driver.sample.speed_rad_s) == 4
+
+
+def test_cantools_is_asked_for_when_it_is_not_there(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setitem(sys.modules, "cantools", None)
+    message = refusal({"file": edited_dbc(tmp_path, "wheel_drives")})
+    assert message.endswith("pip install 'mecanum-hil[dbc]'")
+
+
+def refused_robot(robot: RobotFacts, name: str = "wheel_drives", changes: Mapping[str, Any] | None = None) -> str:
+    with pytest.raises(BadInputError) as refused:
+        DIALECT.make(settings_of(name, changes), robot)
+    return str(refused.value)
+
+
+def test_a_robot_faster_than_a_signal_is_refused() -> None:
+    assert refused_robot(ROBOT._replace(speed_limit_rad_s=64.0)) == (
+        "device.motors.command: DRIVE_FL.TargetSpeed goes from -62.83 to 62.83 rad/s of the wheel, and "
+        "robot.speed_limit_rad_s asks for 64 both ways; lower that, or correct unit, scale or gear_ratio"
+    )
+    assert "BASE_COMMAND.Forward goes from -3 to 3 m/s" in refused_robot(ROBOT, "twist_base")
+    assert "firmware.torque_limit_n_m asks for 401 both ways" in refused_robot(ROBOT._replace(torque_limit_n_m=401.0))
+
+
+def test_a_watchdog_longer_than_its_signal_is_refused() -> None:
+    assert "takes 0 to 2000 ms, and firmware.watchdog_s = 3 is outside" in refused_robot(ROBOT._replace(watchdog_s=3.0))
+
+
+def test_wheels_are_named_once() -> None:
+    swapped = refused_robot(ROBOT._replace(wheel_of_channel=(1, 0, 2, 3)))
+    assert swapped.startswith("device.wheels = ['fr', 'fl', 'rr', 'rl']: device.motors names the signals of each wheel")
+    turned = refused_robot(ROBOT._replace(speed_limit_rad_s=40.0, sign_of_channel=(1, -1, -1, 1)), "twist_base")
+    assert turned.startswith("device.reversed is not empty")

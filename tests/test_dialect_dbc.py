@@ -1,0 +1,326 @@
+"""A user's DBC and mapping: worked frames by hand, the driver before its emulated device, and what may be heard."""
+
+import math
+import struct
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_protocol.framing import Frame
+from hil.dialects.dbc import DIALECT
+from hil.dialects.port import EXTENDED, Driver
+from hil.errors import BadInputError
+from hil.options import build
+from hil.types import CommandMode, FourWheels
+from tests.dbc_mappings import edited_dbc, motors
+from tests.dialect_testbed import STILL, Rig, assert_near, ramp_to
+
+FORWARD = (8.0, 8.0, 8.0, 8.0)
+SIDEWAYS = (-6.0, 6.0, -6.0, 6.0)
+RPM_AT_MOTOR = 20.0 * 60.0 / math.tau
+SLOW = {"robot.speed_limit_rad_s": 40.0}
+
+
+def drives(**changes: object) -> Rig:
+    return Rig("dbc", motors("wheel_drives", changes))
+
+
+def base(**changes: object) -> Rig:
+    return Rig("dbc", motors("twist_base", changes), **SLOW)
+
+
+FACTS = drives().facts
+
+
+def driver_of(name: str, changes: Mapping[str, object] | None = None) -> Driver:
+    """Make a driver alone, without anything behind it."""
+    facts = FACTS._replace(speed_limit_rad_s=40.0) if name == "twist_base" else FACTS
+    made: Driver = DIALECT.make(build(DIALECT.settings, motors(name, changes), "device.motors"), facts)
+    return made
+
+
+def armed(rig: Rig) -> Rig:
+    rig.step(ticks=100)
+    rig.greet()
+    rig.arm()
+    return rig
+
+
+def test_a_worked_command_has_each_field_where_the_dbc_says() -> None:
+    """Enable in bit 0, the mode "speed" = 2 in 1 to 3, the counter in 4 to 7, then half rpm and mNm, little-endian."""
+    driver = driver_of("wheel_drives")
+    for count in (0, 1):
+        frames = driver.command((1.0, -2.0, 3.0, 0.0), (0.5, 0.0, 0.0, -0.5), 0)
+        head = 1 | 2 << 1 | count << 4
+        speeds = [round(2 * speed * RPM_AT_MOTOR) for speed in (1.0, -2.0, 3.0, 0.0)]
+        torques = [round(1000 * torque / 20.0) for torque in (0.5, 0.0, 0.0, -0.5)]
+        assert frames == [Frame(0x110 + i, struct.pack("<Bhh3x", head, speeds[i], torques[i])) for i in range(4)]
+
+
+def test_the_frame_of_the_page_is_what_is_sent() -> None:
+    assert driver_of("wheel_drives").command((1.0, 0.0, 0.0, 0.0), STILL, 0)[0].payload.hex() == "057e010000000000"
+
+
+def test_a_twist_is_big_endian_in_an_extended_frame() -> None:
+    """0.075 m × (1, 1, 1, 1) is 75 mm/s forward; ± for the turn: 0.075 / 0.6 × 4 / 4 = 0.125 rad/s."""
+    driver = driver_of("twist_base")
+    assert list(driver.command((0.0, 2.0, 0.0, 2.0), STILL, 0)) == [
+        Frame(EXTENDED | 0x18FF0100, struct.pack(">3hB", 75, 75, 0, 0))
+    ]
+    assert list(driver.command((-1.0, 1.0, 1.0, -1.0), STILL, 0)) == [
+        Frame(EXTENDED | 0x18FF0100, struct.pack(">3hB", 0, 0, 125, 1))
+    ]
+
+
+def test_a_worked_status_is_read() -> None:
+    """3000 rpm of the motor, a quarter of its turn, -2 A in 12 bits with the state "run" above, 60 °C, no error."""
+    driver = driver_of("wheel_drives")
+    for i in range(4):
+        packed = (-40 & 0xFFF) | 2 << 12
+        driver.feed(Frame(0x120 + i, struct.pack("<hHHBB", 6000, 1024, packed, 100, 0)), 7 + i)
+    driver.feed(Frame(0x130, struct.pack("<BHHh", 3, 100, 0, 0)[:3] + struct.pack("<Hhx", 2413, -150)), 9)
+    sample = driver.sample
+    assert sample is not None
+    assert sample.stamp_ns == 7
+    assert_near(sample.speed_rad_s, (3000 / RPM_AT_MOTOR,) * 4, 1e-9)
+    assert_near(sample.position_rad, (math.pi / 2 / 20.0,) * 4, 1e-9)
+    assert_near(sample.current_a, (-2.0,) * 4, 1e-9)
+    assert sample.temperature_degc == (60.0,) * 4
+    assert (sample.battery_v, sample.battery_a) == pytest.approx((24.13, -1.5))
+    assert driver.identity == "controllers of wheel_drives.dbc with DRIVES_INFO.Protocol 3"
+
+
+@pytest.mark.parametrize(("make", "target"), [(drives, FORWARD), (base, SIDEWAYS)])
+def test_wheels_reach_their_speeds(make: Callable[[], Rig], target: FourWheels) -> None:
+    rig = armed(make())
+    rig.drive(1.0, ramp_to(target))
+    assert rig.driver.is_armed
+    assert rig.driver.sample is not None
+    assert_near(rig.speeds(), target, 0.2)
+    assert_near(rig.driver.sample.speed_rad_s, rig.speeds(), 0.2)
+
+
+def test_an_angle_of_one_motor_turn_becomes_a_position_that_goes_on() -> None:
+    rig = armed(drives())
+    assert rig.driver.sample is not None
+    begin = rig.driver.sample.position_rad
+    true = [shaft.position_rad for shaft in rig.node.shafts]
+    rig.drive(1.0, ramp_to((30.0, -30.0, 30.0, -30.0)))  # 95 motor turns a second, half a turn a frame
+    rig.drive(0.5, lambda _t: (STILL, STILL))
+    turned = [b - a for a, b in zip(begin, rig.driver.sample.position_rad, strict=True)]
+    expected = [shaft.position_rad - a for shaft, a in zip(rig.node.shafts, true, strict=True)]
+    assert expected[0] > 10.0
+    assert_near(turned, expected, 0.02)
+
+
+def test_torques_are_currents_by_the_torque_constant_where_the_dbc_says_ampere(tmp_path: Path) -> None:
+    file = edited_dbc(tmp_path, "wheel_drives", ('[-20|20] "Nm"', '[-20|20] "A"'))
+    changes: dict[str, object] = {"file": file, "command.speed": None, "command.feedforward": None}
+    for wheel in ("FL", "FR", "RR", "RL"):
+        changes[f"command.torque.{wheel.lower()}"] = ("-" if wheel == "RR" else "") + f"DRIVE_{wheel}.Feedforward"
+    rig = Rig("dbc", motors("wheel_drives", changes), mode=CommandMode.TORQUE)
+    assert rig.driver.capabilities.modes == {CommandMode.TORQUE}
+    constant = rig.facts.torque_constant_n_m_a
+    frames = rig.driver.command(STILL, (constant, 2 * constant, constant, 0.0), 0)
+    assert [struct.unpack_from("<h", frame.payload, 3)[0] for frame in frames] == [1000, 2000, -1000, 0]
+    armed(rig)
+    rig.drive(0.5, lambda _t: (STILL, (0.5, 0.5, 0.5, 0.5)))
+    assert_near(rig.node.torque_n_m, (0.5,) * 4, 0.01)
+    assert min(rig.speeds()) > 1.0
+
+
+def test_the_watchdog_is_set_read_back_and_stops_the_wheels_when_commands_end() -> None:
+    rig = drives()
+    rig.step(ticks=100)
+    assert rig.driver.capabilities.watchdog == "set"
+    [first] = rig.driver.arm(rig.now_ns)
+    assert first == Frame(0x100, struct.pack("<HBx", 100 << 8, 0))  # 100 ms, and off
+    assert not rig.driver.is_armed
+    armed(rig)
+    rig.drive(0.5, ramp_to(FORWARD, 0.2))
+    rig.step(ticks=90)
+    assert rig.driver.is_armed
+    rig.step(ticks=600)
+    assert not rig.driver.is_armed
+    assert rig.is_still()
+
+
+def test_a_watchdog_that_does_not_answer_as_it_was_set_keeps_the_wheels_disarmed() -> None:
+    rig = drives()
+    rig.node.said_instead["DRIVES_INFO.Timeout"] = 2000
+    rig.step(ticks=100)
+    for _ in range(60):
+        rig.step(rig.driver.arm(rig.now_ns))
+    assert not rig.driver.is_armed
+    assert not rig.node.is_on
+
+
+def test_no_watchdog_and_a_slow_one_are_said() -> None:
+    slow, unknown = driver_of("twist_base").warnings
+    assert slow.startswith("when commands end the wheels go on for 0.5 s")
+    assert unknown.startswith("device.motors.armed_when is empty")
+    none = driver_of("twist_base", {"watchdog": None})
+    assert none.capabilities.watchdog == "none"
+    assert "nothing that is known stops the wheels" in none.warnings[0]
+
+
+def test_arming_sends_the_steps_in_order_and_once_more_when_one_was_lost() -> None:
+    rig = drives(watchdog=None)
+    rig.step(ticks=100)
+    states = []
+    for number in range(120):
+        frames = rig.driver.arm(rig.now_ns)
+        states += [frame.payload[0] for frame in frames if frame.id == 0x100]
+        rig.step([] if number < 40 else frames)  # the first ones are lost
+    assert states == [1, 2, 1, 2]
+    assert rig.driver.is_armed
+
+
+def test_an_error_is_told_in_the_words_of_the_value_table_ends_arming_and_is_cleared() -> None:
+    rig = armed(drives())
+    rig.node.fail("STATUS_FR.Error", 3)
+    rig.node.fail("STATUS_RL.Error", 77)
+    rig.step()
+    assert list(rig.driver.errors) == ["wheel fr: STATUS_FR.Error is 'encoder lost'", "wheel rl: STATUS_RL.Error is 77"]
+    assert not rig.driver.is_armed
+    for _ in range(60):
+        rig.step(rig.driver.arm(rig.now_ns))
+    assert not rig.driver.is_armed  # errors that were there are not cleared by arming
+    rig.step(rig.driver.clear(), ticks=20)
+    assert not rig.node.is_on
+    assert rig.driver.errors == []
+    rig.arm()
+
+
+def test_flags_of_the_robot_are_errors_too() -> None:
+    rig = base()
+    rig.node.fail("BASE_MOTION.EmergencyStop", 1)
+    rig.step(ticks=30)
+    assert list(rig.driver.errors) == ["the robot: BASE_MOTION.EmergencyStop is 1"]
+
+
+def test_an_estop_that_latches_is_ended_by_clear_alone() -> None:
+    rig = armed(drives())
+    assert rig.driver.capabilities.latches_estop
+    rig.drive(0.3, ramp_to(FORWARD, 0.2))
+    assert rig.driver.estop() == [Frame(0x100, struct.pack("<HBx", 100 << 8 | 3, 0))]
+    rig.step(rig.driver.estop(), ticks=600)
+    assert rig.is_still()
+    for _ in range(60):
+        rig.step(rig.driver.arm(rig.now_ns))
+    assert not rig.node.is_on
+    rig.step(rig.driver.clear())
+    rig.arm()
+
+
+def test_disarming_asks_for_standstill_switches_off_and_may_be_said_twice() -> None:
+    rig = drives()
+    rig.step(rig.driver.disarm())
+    armed(rig)
+    rig.drive(0.3, ramp_to(FORWARD, 0.2))
+    frames = rig.driver.disarm()
+    assert [(frame.id, frame.payload[0] & 1, frame.payload[1:3]) for frame in frames] == [
+        *((0x110 + i, 0, bytes(2)) for i in range(4)),
+        (0x100, 0, struct.pack("<H", 100)),
+    ]
+    rig.step(frames)
+    rig.step(rig.driver.disarm(), ticks=500)
+    assert not rig.driver.is_armed
+    assert rig.is_still()
+
+
+def test_nothing_but_arming_and_commands_has_the_enable_bit() -> None:
+    """Also where what clears errors is in the message of the command, whose constants enable the drive."""
+    driver = driver_of("wheel_drives", {"clear": {"DRIVE_FL": {"Mode": "off"}}})
+    assert [frame.payload[0] & 0xF for frame in driver.clear()] == [0]
+    assert all(frame.payload[0] & 1 == 0 for frame in driver.disarm() if frame.id != 0x100)
+
+
+def test_a_device_of_another_version_is_refused() -> None:
+    rig = drives()
+    rig.node.said_instead["DRIVES_INFO.Protocol"] = 9
+    rig.step(ticks=101)
+    with pytest.raises(BadInputError, match=r"DRIVES_INFO.Protocol of the device is 9, and this mapping is for 2, 3"):
+        rig.greet()
+
+
+def test_what_was_not_heard_is_named_and_forgotten_with_the_link() -> None:
+    rig = drives()
+    assert rig.driver.identity is None
+    assert rig.driver.missing.startswith("nothing heard of STATUS_FL (0x120), STATUS_FR (0x121), STATUS_RR (0x122), ")
+    armed(rig)
+    assert rig.driver.missing == ""
+    rig.driver.restart()
+    assert rig.driver.sample is None
+    assert not rig.driver.is_armed
+    assert rig.driver.missing
+
+
+def test_a_counter_that_stands_still_is_not_followed() -> None:
+    """The emulated drives want each frame once, as an alive counter is there for."""
+    rig = armed(drives())
+    frames = rig.driver.command(FORWARD, STILL, rig.now_ns)
+    rig.step([*frames, *frames])
+    assert rig.node.ignored == 4
+
+
+def test_one_silent_wheel_makes_the_sample_old() -> None:
+    rig = armed(drives())
+    stamp_ns = rig.driver.sample.stamp_ns if rig.driver.sample else 0
+    for number in (0x120, 0x121, 0x123):
+        rig.driver.feed(Frame(number, bytes(8)), rig.now_ns + 10**9)
+    assert rig.driver.sample is not None
+    assert rig.driver.sample.stamp_ns == stamp_ns
+
+
+DRIVERS = {name: driver_of(name) for name in ("wheel_drives", "twist_base")}
+
+
+@given(st.sampled_from(sorted(DRIVERS)), st.integers(0, 0xFFFF_FFFF), st.binary(max_size=64), st.data())
+def test_no_frame_is_too_strange(name: str, number: int, payload: bytes, data: st.DataObject) -> None:
+    driver = DRIVERS[name]
+    known = data.draw(st.sampled_from([0x120, 0x121, 0x122, 0x123, 0x130, EXTENDED | 0x18FF0200, number]))
+    driver.feed(Frame(known, payload), 0)
+    sample = driver.sample
+    assert sample is None or all(map(math.isfinite, sample.speed_rad_s))
+    assert all(isinstance(error, str) for error in driver.errors)
+    assert driver.is_armed is False
+
+
+@given(st.tuples(*[st.floats(-60.0, 60.0)] * 4), st.tuples(*[st.floats(-5.0, 5.0)] * 4))
+def test_every_command_arrives_within_half_a_step(speed: FourWheels, torque: FourWheels) -> None:
+    frames = DRIVERS["wheel_drives"].command(speed, torque, 0)
+    for frame, speed_rad_s, torque_n_m in zip(frames, speed, torque, strict=True):
+        rpm, newton_metres = struct.unpack_from("<hh", frame.payload, 1)
+        assert abs(0.5 * rpm - speed_rad_s * RPM_AT_MOTOR) <= 0.2501
+        assert abs(0.001 * newton_metres - torque_n_m / 20.0) <= 0.000501
+
+
+def test_what_is_beyond_a_signal_is_sent_as_its_limit() -> None:
+    frames = DRIVERS["wheel_drives"].command((1e9, -1e9, math.inf, 0.0), (1e9, 0.0, 0.0, 0.0), 0)
+    assert [struct.unpack_from("<h", frame.payload, 1)[0] for frame in frames] == [24000, -24000, 24000, 0]
+
+
+def test_numbers_that_are_none_are_not_heard(tmp_path: Path) -> None:
+    file = edited_dbc(
+        tmp_path,
+        "twist_base",
+        ('SG_ TurnRate : 7|16@0- (0.01,0) [-300|300] "deg/s"', 'SG_ TurnRate : 7|32@0- (1,0) [0|0] "deg/s"'),
+        (' SG_ X : 23|16@0- (0.001,0) [-16|16] "g" HOST\n', ""),
+        (' SG_ Y : 39|16@0- (0.001,0) [-16|16] "g" HOST\n', ""),
+        (' SG_ Z : 55|16@0- (0.001,0) [-16|16] "g" HOST\n', "\nSIG_VALTYPE_ 2566849280 TurnRate : 1;\n"),
+    )
+    driver = driver_of("twist_base", {"file": file, "feedback.acceleration": None})
+    driver.feed(Frame(EXTENDED | 0x18FF0200, bytes(8)), 0)
+    for degrees, expected in (
+        (90.0, math.pi / 2),
+        (math.nan, math.pi / 2),
+        (math.inf, math.pi / 2),
+        (-90.0, -math.pi / 2),
+    ):
+        driver.feed(Frame(EXTENDED | 0x18FF0300, struct.pack(">f4x", degrees)), 0)
+        assert driver.sample is not None
+        assert driver.sample.yaw_rate_rad_s == pytest.approx(expected)
