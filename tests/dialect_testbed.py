@@ -58,10 +58,6 @@ class Rig:
         self.node = emulated(name)(
             others, firmware_values(scenario), self.plant.exchange_address, self.plant.context_address
         )
-<<<<<<< HEAD
-=======
-        self.make_framing = made.make_framing
->>>>>>> w9_vesc
         self.ours = made.make_framing() if made.make_framing and self.facts.wire == "serial" else None
         self.period_ticks = period_ticks
         self.sent: list[Frame] = []

@@ -1,7 +1,7 @@
 """ODrive over CANSimple, firmware 0.5 and 0.6, told apart by what they answer: one axis for each wheel.
 
 The axes close the speed loops, or take torques. Only what is asked for by a remote frame, or set up with the makers'
-tool to be sent by itself, comes back. See odrive.md for wiring, set-up, and what was never tried.
+tool to be sent by itself, comes back. See ODRIVE.md for wiring, set-up, and what was never tried.
 """
 
 import math

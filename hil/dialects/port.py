@@ -22,10 +22,8 @@ __all__ = [
     "Probe",
     "RobotFacts",
     "Sample",
+    "Wire",
 ]
-
-Wire = Literal["can", "can_fd", "serial"]
-"""What a dialect may be spoken over."""
 
 Wire = Literal["can", "can_fd", "serial"]
 """What a dialect may be spoken over."""

@@ -1,11 +1,7 @@
 """Four VESCs as their firmware is published: on one CAN bus, and one of them at a serial line that it passes on.
 
 Their timeout is 1 s with no brake current, and a fault holds a motor off for half a second, both as delivered. The
-<<<<<<< HEAD
-minimum ERPM of the speed controller is 0, as hil/dialects/vesc.md asks for; status 1, 4 and 5 go at ``status_hz``.
-=======
 minimum ERPM of the speed controller is 0, as hil/dialects/VESC.md asks for; status 1, 4 and 5 go at ``status_hz``.
->>>>>>> w9_vesc
 """
 
 import math

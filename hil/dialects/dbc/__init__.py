@@ -1,4 +1,4 @@
-"""Motor controllers whose CAN messages are in a DBC: a mapping table in the scenario instead of a driver (dbc.md)."""
+"""Motor controllers whose CAN messages are in a DBC: a mapping table in the scenario instead of a driver (DBC.md)."""
 
 from hil.dialects.dbc.driver import DbcDriver
 from hil.dialects.dbc.settings import Settings

@@ -1,4 +1,4 @@
-"""``[device.motors]`` of the driver ``dbc``: which signal of the user's DBC means what. See dbc.md."""
+"""``[device.motors]`` of the driver ``dbc``: which signal of the user's DBC means what. See DBC.md."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
