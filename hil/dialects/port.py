@@ -181,8 +181,8 @@ class Dialect(NamedTuple):
     ``settings`` is a dataclass: the options of [device.motors], checked by ``hil.options.build``. ``wires`` says what
     it is spoken over: ``can``, ``can_fd`` or ``serial``; ``baud`` is what is usual on a serial line. ``probe`` is None
     where nothing can be found without a risk; ``serial_probe`` takes its place on a serial line where a dialect that is
-    spoken on a bus too has other questions there. ``files`` are the settings that are paths: relative ones start from
-    the folder of the file that they stand in.
+    spoken on a bus too has other questions there. A setting ``file`` is a path, and an absolute one by the time
+    that a driver sees it.
     """
 
     title: str
@@ -193,4 +193,3 @@ class Dialect(NamedTuple):
     probe: Callable[[], Probe] | None = None
     serial_probe: Callable[[], Probe] | None = None
     baud: int = 115_200
-    files: tuple[str, ...] = ()

@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections.abc import Mapping
 from pathlib import PurePath
 from typing import Annotated, Any
 
@@ -40,6 +41,13 @@ def _scalar(value: object) -> Scalar:
     raise ValueError("expected a finite number, text, true or false, or an array of these")
 
 
+def _setting(value: object) -> object:
+    """Accept what a setting of a driver may be at all: an option, or a table of them."""
+    if isinstance(value, Mapping):
+        return {_text(str(key)): _setting(item) for key, item in value.items()}
+    return _option(value)
+
+
 def _start(value: object) -> StartValue:
     """Accept what a variable of an FMU may start with; the FMU's description tells the type and range."""
     if isinstance(value, bool | str):
@@ -54,6 +62,7 @@ def _start(value: object) -> StartValue:
 Text = Annotated[str, AfterValidator(_text)]
 Milliseconds = Annotated[float, AfterValidator(_whole_milliseconds)]
 Option = Annotated[Any, PlainValidator(_option)]
+Setting = Annotated[Any, PlainValidator(_setting)]
 Start = Annotated[StartValue, PlainValidator(_start)]
 
 

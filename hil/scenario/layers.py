@@ -2,13 +2,14 @@
 
 Tables merge key by key, the later layer wins. Everything else, arrays of tables too, is replaced as a whole.
 A layer that names another ``controller.law`` or ``reference.kind`` drops the options of the one before: they
-belong to that law or kind. So do ``plant.start`` and ``plant.map`` to a foreign FMU; of the shipped ones one takes over
+belong to that law or kind. So do the settings of another ``device.driver``, and ``plant.start`` and ``plant.map`` to a foreign FMU; of the shipped ones one takes over
 from another the start values that it knows. A row of ``plant.map`` that names a variable replaces the row before.
 """
 
 from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
+from hil.dialects.registry import OUR_DRIVER
 from hil.errors import BadInputError
 from hil.scenario.tables import PLANT_SIGNALS, SHIPPED_FMUS, MapRow, PlantTable
 from plant_fmu.shipped import variable_names
@@ -32,8 +33,9 @@ _CHOICES = (
     ("controller", "law", ("command", "shadow", "shadow_gains")),
     ("reference", "kind", ()),
     ("plant", "fmu", ("timeout_s",)),
+    ("device", "driver", ("wheels", "reversed")),
 )
-_DEFAULT_FMU = Given(PlantTable().fmu, "default")
+_DEFAULTS = {"fmu": Given(PlantTable().fmu, "default"), "driver": Given(OUR_DRIVER, "default")}
 
 
 def dotted(path: Path) -> str:
@@ -54,7 +56,7 @@ def stack(below: Tree, above: Tree) -> Tree:
     for table, key, common in _CHOICES:
         old, new = below.get(table), above.get(table)
         if isinstance(old, dict) and isinstance(new, dict):
-            if _differs(old.get(key, _DEFAULT_FMU if key == "fmu" else None), new.get(key)):
+            if _differs(old.get(key, _DEFAULTS.get(key)), new.get(key)):
                 kept[table] = {name: node for name, node in old.items() if name in common}
             elif table == "plant":
                 plant = dict(old)

@@ -26,7 +26,7 @@ ROBOT_TABLES = ("robot", "firmware", "device", "link", "realtime")
 _SUFFIX = ".toml"
 _OPTIONS = {"mode": "loop.mode", "link": "link.url", "seed": "loop.seed"}
 _SET = "--set"
-_CHOICES = ("controller.law", "reference.kind", "plant.fmu")
+_CHOICES = ("controller.law", "reference.kind", "plant.fmu", "device.driver")
 
 
 class _File(NamedTuple):
@@ -199,7 +199,11 @@ def _plain_python(value: object) -> object:
 
 
 def _rebase(tree: Tree, source: Path, target: Path, only: str | None = None) -> Tree:
-    """Make relative paths of files absolute where they do not start from the scenario's own folder."""
+    """Make relative paths of files absolute where they do not start from the scenario's own folder.
+
+    That of a driver's settings always is: the driver knows no scenario.
+    """
+    tree = _rebase_motors(tree, source, only)
     if source == target:
         return tree
     for table, key, rebase in (
@@ -215,6 +219,16 @@ def _rebase(tree: Tree, source: Path, target: Path, only: str | None = None) -> 
             moved = [rebase(one, source) for one in value] if isinstance(value, list) else rebase(value, source)
             tree = layers.merge(tree, {table: {key: Given(moved, given.where)}})
     return tree
+
+
+def _rebase_motors(tree: Tree, source: Path, only: str | None) -> Tree:
+    device = tree.get("device")
+    motors = device.get("motors") if isinstance(device, dict) else None
+    given = motors.get("file") if isinstance(motors, dict) else None
+    if not isinstance(given, Given) or only not in (None, given.where) or not isinstance(given.value, str):
+        return tree
+    moved = Given(str((source / given.value).absolute()), given.where)
+    return layers.merge(tree, {"device": {"motors": {"file": moved}}})
 
 
 def _rebased_file(value: object, source: Path) -> object:

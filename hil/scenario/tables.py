@@ -19,7 +19,7 @@ from hil.links.url import parse_link
 from hil.localisation.address import parse_address
 from hil.options import build
 from hil.plant_signals import INPUTS, OUTPUTS
-from hil.scenario.fields import Milliseconds, Option, OptionValue, Start, Table, Text, is_path
+from hil.scenario.fields import Milliseconds, Option, OptionValue, Setting, Start, Table, Text, is_path
 from hil.scenario.process_tables import RealtimeTable, ServiceTable
 from hil.scenario.rows import ExpectTable, FaultTable
 from hil.types import WHEEL_NAMES, CommandMode
@@ -155,7 +155,7 @@ class DeviceTable(Table):
         default=("fl", "fr", "rr", "rl"), description="the wheel at each motor output, in order"
     )
     reversed: tuple[Wheel, ...] = Field(default=(), description="wheels whose motor turns the other way")
-    motors: Mapping[Text, Option] = Field(
+    motors: Mapping[Text, Setting] = Field(
         default_factory=dict, description="what the driver has to know of another maker's controllers (DIALECTS.md)"
     )
 
@@ -178,7 +178,7 @@ class DeviceTable(Table):
 
     @field_validator("motors")
     @classmethod
-    def _understood(cls, motors: Mapping[str, OptionValue], info: ValidationInfo) -> Mapping[str, OptionValue]:
+    def _understood(cls, motors: Mapping[str, object], info: ValidationInfo) -> Mapping[str, object]:
         driver = info.data.get("driver", OUR_DRIVER)
         if driver == OUR_DRIVER:
             if motors:

@@ -9,5 +9,4 @@ DIALECT = Dialect(
     wires=frozenset({"can"}),
     settings=Settings,
     make=DbcDriver,
-    files=("file",),
 )
