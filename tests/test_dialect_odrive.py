@@ -243,6 +243,17 @@ def test_an_error_of_before_is_known_once_it_is_known_who_is_there() -> None:
     assert rig.driver.errors == ["ODrive node 1 of wheel fr: axis error DRV_FAULT"]
 
 
+def test_what_the_heartbeat_of_0_5_only_hints_at_is_read_when_all_are_stopped() -> None:
+    rig = armed({"firmware": "0.5"})
+    rig.driver.feed(Frame(0x041, bytes.fromhex("0000000001010000")), rig.now_ns)
+    assert rig.driver.errors == [
+        "ODrive node 2 of wheel rr: motor error, not read yet; left closed loop by itself",
+    ]
+    emulated(rig).axes[2].fail(motor=0x8)
+    rig.step(rig.driver.disarm(), ticks=1)
+    assert rig.driver.errors == ["ODrive node 2 of wheel rr: motor error DRV_FAULT"]
+
+
 def test_a_silent_axis_makes_the_whole_sample_old() -> None:
     rig = armed({})
     for node in (0, 1, 3):

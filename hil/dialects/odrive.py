@@ -9,9 +9,9 @@ from collections.abc import Sequence
 
 from firmware_protocol.framing import Frame
 from hil.dialects import odrive_tables as can
-from hil.dialects.odrive_axis import Axis, Endpoint, Setup
+from hil.dialects.odrive_axis import Axis
 from hil.dialects.odrive_probe import OdriveProbe
-from hil.dialects.odrive_settings import Settings
+from hil.dialects.odrive_settings import Settings, setup
 from hil.dialects.odrive_tables import FIRMWARE_05, FIRMWARE_06
 from hil.dialects.port import EXTENDED, REMOTE, Capabilities, Dialect, RobotFacts, Sample
 from hil.errors import BadInputError
@@ -26,30 +26,14 @@ class ODrive:
         self._robot = robot
         self._is_speed = robot.mode is CommandMode.SPEED
         self._to_rad = math.tau / settings.gear_ratio
+        self._setup = setup(settings, robot.mode, robot.watchdog_s)
         self._axes = tuple(
-            Axis(node, WHEEL_NAMES[wheel], self._setup())
+            Axis(node, WHEEL_NAMES[wheel], self._setup)
             for node, wheel in zip(settings.node_ids, robot.wheel_of_channel, strict=True)
         )
         self._by_node = {axis.node: axis for axis in self._axes}
         self._turn = 0
         self._is_armed = False
-
-    def _setup(self) -> Setup:
-        if self._is_speed:
-            mode, standstill = can.VELOCITY_CONTROL, (can.SET_INPUT_VEL, can.TWO_FLOATS.pack(0.0, 0.0))
-        else:
-            mode, standstill = can.TORQUE_CONTROL, (can.SET_INPUT_TORQUE, can.TORQUE.pack(0.0))
-        if not self._settings.watchdog_endpoints:
-            return Setup(mode, standstill, ())
-        timeout, switch = self._settings.watchdog_endpoints
-        return Setup(
-            mode,
-            standstill,
-            (
-                Endpoint("axis0.config.watchdog_timeout", timeout, can.FLOAT.pack(self._robot.watchdog_s), False),
-                Endpoint("axis0.config.enable_watchdog", switch, b"\x01", True),
-            ),
-        )
 
     @property
     def capabilities(self) -> Capabilities:
@@ -195,10 +179,11 @@ class ODrive:
 
     def disarm(self) -> Sequence[Frame]:
         self._stand_down()
-        standstill, idle = self._setup().standstill, can.STATE.pack(can.IDLE)
-        return [axis.frame(*standstill) for axis in self._axes] + [
-            axis.frame(can.SET_AXIS_STATE, idle) for axis in self._axes
-        ]
+        standstill, idle = self._setup.standstill, can.STATE.pack(can.IDLE)
+        frames = [axis.frame(*standstill) for axis in self._axes]
+        frames += [axis.frame(can.SET_AXIS_STATE, idle) for axis in self._axes]
+        # Where an error has led to this, its name may be what was not said yet.
+        return frames + [frame for axis in self._axes for frame in axis.ask_for_unread()]
 
     def estop(self) -> Sequence[Frame]:
         self._stand_down()

@@ -2,11 +2,11 @@
 
 import math
 from collections.abc import Callable, Generator, Sequence
-from typing import NamedTuple
 
 from firmware_protocol.framing import Frame
 from hil.dialects import odrive_tables as can
-from hil.dialects.odrive_tables import FIRMWARE_05, FIRMWARE_06, Firmware
+from hil.dialects.odrive_settings import Endpoint, Setup
+from hil.dialects.odrive_tables import FIRMWARE_05, FIRMWARE_06, ErrorField, Firmware
 from hil.dialects.port import REMOTE
 from hil.types import NAN
 
@@ -17,29 +17,6 @@ _CONFIRMATION_NS = 50_000_000
 _TRIES = 3
 
 Steps = Generator[Sequence[Frame], None, bool]
-
-
-class Endpoint(NamedTuple):
-    """A parameter of firmware 0.6 that is to hold a value, both as bytes; ``is_switch`` for a bool, else a float32."""
-
-    name: str
-    number: int
-    wanted: bytes
-    is_switch: bool
-
-    def can_be(self, value: bytes) -> bool:
-        """Tell whether what was read can be of this parameter at all: what is not is not written to."""
-        if self.is_switch:
-            return value[0] in (0, 1)
-        return len(value) == can.FLOAT.size and math.isfinite(number := can.FLOAT.unpack(value)[0]) and number >= 0.0
-
-
-class Setup(NamedTuple):
-    """What every axis is set to: its control mode, the command of standstill in it, and its watchdog."""
-
-    control_mode: int
-    standstill: tuple[int, bytes]
-    watchdog: tuple[Endpoint, ...]
 
 
 class Axis:
@@ -215,13 +192,22 @@ class Axis:
             if word and (id(field.bits), word) not in told:
                 told.add((id(field.bits), word))
                 reasons.append(f"{field.name} {can.bit_names(word, field.bits)}")
-            elif not word and field.flag is not None and self._flags_05()[field.flag]:
-                reasons.append(f"{field.name}, not read yet")
+        reasons += [f"{field.name}, not read yet" for field in self._unread()]
         if self.is_silent:
             reasons.append("no heartbeat for more than a second")
         if self.trouble:
             reasons.append(self.trouble)
         return f"ODrive node {self.node} of wheel {self.wheel}: {'; '.join(reasons)}" if reasons else ""
+
+    def ask_for_unread(self) -> Sequence[Frame]:
+        """Ask for those errors of which the heartbeat of 0.5 only says that there are some."""
+        return [self.remote(field.command) for field in self._unread()]
+
+    def _unread(self) -> Sequence[ErrorField]:
+        if not any(self._flags_05()):
+            return ()
+        fields = FIRMWARE_05.errors
+        return [f for f in fields if f.flag is not None and self._flags[f.flag] and not self._words.get(f.name)]
 
     def _flags_05(self) -> tuple[int, int, int]:
         return self._flags if self.firmware is FIRMWARE_05 else (0, 0, 0)

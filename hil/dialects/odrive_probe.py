@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 from firmware_protocol.framing import Frame
 from hil.dialects import odrive_tables as can
-from hil.dialects.odrive_axis import Axis, Setup
+from hil.dialects.odrive_axis import Axis
+from hil.dialects.odrive_settings import Setup
 from hil.dialects.odrive_tables import FIRMWARE_05
 from hil.dialects.port import EXTENDED, REMOTE, Found
 

@@ -1,11 +1,13 @@
-"""What is set for ODrive axes; also what their emulation is told."""
+"""What is set for ODrive axes: the options of a scenario, and what follows for an axis."""
 
+import math
 import re
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
-from hil.dialects.odrive_tables import BROADCAST
+from hil.dialects import odrive_tables as can
 from hil.options import require_not_negative, require_positive
+from hil.types import CommandMode
 
 _VERSION = re.compile(r"\d+\.\d+\.\d+")
 
@@ -31,8 +33,8 @@ class Settings:
 
     def __post_init__(self) -> None:
         nodes = self.node_ids
-        if len(nodes) != 4 or len(set(nodes)) != 4 or not all(0 <= node < BROADCAST for node in nodes):
-            raise ValueError(f"node_ids = {list(nodes)}: expected four different ones, each 0 to {BROADCAST - 1}")
+        if len(nodes) != 4 or len(set(nodes)) != 4 or not all(0 <= node < can.BROADCAST for node in nodes):
+            raise ValueError(f"node_ids = {list(nodes)}: expected four different ones, each 0 to {can.BROADCAST - 1}")
         require_positive(self, "gear_ratio")
         require_not_negative(self, "feedback_hz")
         if self.feedback_hz > 1000.0:
@@ -53,3 +55,45 @@ class Settings:
                     f"{name} = {getattr(self, name)!r}: expected what the flat_endpoints.json of watchdog_endpoints "
                     f"says, such as {example!r}"
                 )
+
+
+class Endpoint(NamedTuple):
+    """A parameter of firmware 0.6 that is to hold a value, both as bytes; ``is_switch`` for a bool, else a float32."""
+
+    name: str
+    number: int
+    wanted: bytes
+    is_switch: bool
+
+    def can_be(self, value: bytes) -> bool:
+        """Tell whether what was read can be of this parameter at all: what is not is not written to."""
+        if self.is_switch:
+            return value[0] in (0, 1)
+        return len(value) == can.FLOAT.size and math.isfinite(number := can.FLOAT.unpack(value)[0]) and number >= 0.0
+
+
+class Setup(NamedTuple):
+    """What every axis is set to: its control mode, the command of standstill in it, and its watchdog."""
+
+    control_mode: int
+    standstill: tuple[int, bytes]
+    watchdog: tuple[Endpoint, ...]
+
+
+def setup(settings: Settings, mode: CommandMode, watchdog_s: float) -> Setup:
+    """Return what the axes are set to before they are driven."""
+    if mode is CommandMode.SPEED:
+        control_mode, standstill = can.VELOCITY_CONTROL, (can.SET_INPUT_VEL, can.TWO_FLOATS.pack(0.0, 0.0))
+    else:
+        control_mode, standstill = can.TORQUE_CONTROL, (can.SET_INPUT_TORQUE, can.TORQUE.pack(0.0))
+    if not settings.watchdog_endpoints:
+        return Setup(control_mode, standstill, ())
+    timeout, switch = settings.watchdog_endpoints
+    return Setup(
+        control_mode,
+        standstill,
+        (
+            Endpoint("axis0.config.watchdog_timeout", timeout, can.FLOAT.pack(watchdog_s), False),
+            Endpoint("axis0.config.enable_watchdog", switch, b"\x01", True),
+        ),
+    )
