@@ -7,7 +7,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, TypeVar
 
-from hil.bench import NS, Bench, open_trace
+from hil.bench import NS, Bench
 from hil.devices.virtual import MakeNode
 from hil.errors import DeviceError, HilError, LinkError
 from hil.figure_words import applied_words
@@ -19,6 +19,7 @@ from hil.ports import Sink
 from hil.realtime import RealTime, Wanted, real_time
 from hil.references import Feasibility
 from hil.results import MemorySink, RunResult
+from hil.robots import open_trace
 from hil.run_events import RunEvents
 from hil.samples import Percentiles
 from hil.scenario import Scenario, load

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from hil.bench import language_of, node_maker, open_trace, virtual_robot
 from hil.child import wait_for_end
 from hil.clock import TICK_NS, WallClock
 from hil.devices.targets.robot import open_server, open_target
@@ -19,6 +18,7 @@ from hil.links.opening import open_robot
 from hil.links.url import LinkUrl, parse_link
 from hil.links.wire import Wire
 from hil.realtime import Wanted, real_time
+from hil.robots import language_of, node_maker, open_trace, virtual_robot
 from hil.scenario import Scenario
 from hil.trace import Trace
 from hil.trace.tap import TracedWire

@@ -28,7 +28,8 @@ from hil.ports import Link
 from hil.scenario.motors import wire_of
 
 _LISTEN_S = 0.6  # longer than the slowest status that a controller sends by itself
-_ANSWER_S = 0.4
+_ROUNDS = 5
+_ANSWER_S = 0.1
 _DEFAULT_BAUD = SerialUrl("any").baud
 
 
@@ -107,11 +108,7 @@ def _probe_bus(
             return
         for name in speaks or probes:
             say(f"asking {makers[name].title}")
-            frames = probes[name].ask()
-            for frame in frames:
-                link.send(frame)
-            if frames:
-                _listen(link, [probes[name]], _ANSWER_S)
+            _ask(link, probes[name])
     for name, one in probes.items():
         _add(result, name, url, one.found())
     if ours and not result.answers:
@@ -135,10 +132,18 @@ def _probe_port(
         say(f"listening for {made.title} at {at.baud} baud")
         with contextlib.closing(open_host(at, language=Language(made.make_framing))) as link:
             _listen(link, [one], _LISTEN_S)
-            for frame in one.ask():
-                link.send(frame)
-            _listen(link, [one], _ANSWER_S)
+            _ask(link, one)
         _add(result, name, at, one.found())
+
+
+def _ask(link: Link, one: Probe) -> None:
+    """Ask, and ask what follows from the answers."""
+    for _ in range(_ROUNDS):
+        frames = one.ask()
+        for frame in frames:
+            link.send(frame)
+        if frames:
+            _listen(link, [one], _ANSWER_S)
 
 
 def _listen(link: Link, probes: Iterable[Probe], seconds: float) -> Counter[int]:

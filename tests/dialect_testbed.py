@@ -5,7 +5,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from firmware_protocol.framing import Frame
-from hil.bench import firmware_values, plant_start
 from hil.devices.emulated.registry import emulated
 from hil.dialects.port import Driver, RobotFacts, Wire
 from hil.dialects.registry import dialect
@@ -13,6 +12,7 @@ from hil.options import build
 from hil.plant import archive
 from hil.plant.description import parameter_names
 from hil.plant.fmu import FmuPlant
+from hil.robots import firmware_values, plant_start
 from hil.scenario import load
 from hil.types import CommandMode, FourWheels
 

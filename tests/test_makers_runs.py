@@ -7,6 +7,7 @@ import can
 import pytest
 
 import hil.bench
+import hil.robots
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated.messages import State
 from hil.assembly import run_scenario
@@ -29,7 +30,7 @@ def scenario(driver: str = "c620", link: str = BUS, **changes: Any) -> Scenario:
 @pytest.fixture
 def built(monkeypatch: pytest.MonkeyPatch) -> Callable[[type[EmulatedC620]], None]:
     """Have the robots of the test made from another class."""
-    return lambda kind: monkeypatch.setattr(hil.bench, "emulated", lambda _name: kind)
+    return lambda kind: monkeypatch.setattr(hil.robots, "emulated", lambda _name: kind)
 
 
 @pytest.fixture

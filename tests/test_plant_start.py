@@ -4,9 +4,9 @@ import hypothesis.strategies as st
 import pytest
 from hypothesis import given
 
-from hil.bench import plant_start, signal_map, start_pose
 from hil.plant.description import parameter_names
 from hil.plant.mapping import Row
+from hil.robots import plant_start, signal_map, start_pose
 from hil.scenario import load
 from hil.types import Pose
 from tests.plant_testbed import FMU

@@ -215,8 +215,8 @@ def test_no_fault_moves_a_robot_that_was_not_armed(rows, garbage) -> None:
 
 
 def robot_at_rest():
-    from hil.bench import virtual_robot
     from hil.devices.virtual import VirtualStm32
+    from hil.robots import virtual_robot
     from hil.scenario import load
 
     start = {f"plant.start.start_{name}": 0.0 for name in ("x_m", "y_m", "heading_rad")}

@@ -17,7 +17,6 @@ import pytest
 
 from firmware_protocol.generated.messages import State
 from firmware_protocol.host import parameter_hash
-from hil.bench import firmware_values, wheel_map
 from hil.clock import WallClock
 from hil.devices.handshake import Expected
 from hil.devices.stm32 import Stm32
@@ -29,6 +28,7 @@ from hil.links.fault_rows import ScenarioTime
 from hil.links.faults import FaultLink
 from hil.links.opening import open_host
 from hil.links.url import parse_link
+from hil.robots import firmware_values, wheel_map
 from hil.scenario import load
 from hil.types import CommandMode
 from tests.processes import HIL, Device, device, environment, hil, wait_for

@@ -101,8 +101,8 @@ def _of_motors(asked: Asked, base: Scenario) -> list[Job]:
     can = make_driver(base).capabilities
     if can.is_twist or can.watchdog == "none":
         raise BadInputError(
-            f"the catalogue cannot judge {base.device.driver!r} as it is set up: that needs a command of its own for each "
-            "wheel, and a watchdog, without which nothing stops the wheels when a host is gone"
+            f"the catalogue cannot judge {base.device.driver!r} as it is set up: that needs a command of its own for "
+            "each wheel, and a watchdog, without which nothing stops the wheels when a host is gone"
         )
     [wire, *_] = sorted(dialect(base.device.driver).wires)
     jobs = []

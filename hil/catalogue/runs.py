@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 from hil.assembly import RunResult, run_scenario
-from hil.bench import node_maker
 from hil.catalogue.judge import SafetyJudge
 from hil.catalogue.motors import MotorsJudge
 from hil.catalogue.recording import RecordingHere
@@ -17,6 +16,7 @@ from hil.faults.cases import DURATION_S, Outcome, Row
 from hil.pool import Work
 from hil.review.contents import DamagedError
 from hil.review.decode import decode
+from hil.robots import node_maker
 from hil.scenario import Scenario, format_value, load
 from hil.telemetry import Recording
 from hil.types import CommandMode

@@ -5,7 +5,6 @@ import os
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from hil.bench import plant_start
 from hil.comparison.conditions import (
     CONTACTS,
     DRIVES,
@@ -22,6 +21,7 @@ from hil.comparison.runs import LINK, MODE, WORK, Job, Outcome
 from hil.controllers.registry import SHIPPED
 from hil.errors import BadInputError, nearest
 from hil.pool import counted, perform_all
+from hil.robots import plant_start
 from hil.scenario import SHIPPED_FMUS, Scenario, load, set_texts
 from plant_fmu.shipped import variable_names
 

@@ -261,8 +261,9 @@ class MakersRobot:
         self._take_frames()
         self._hash.keep_up()
         if self._driver.errors:
+            if self._state is not State.ESTOP:
+                self.report.why = self._errors()  # a name may come later than the error
             if self._state is not State.FAULT and self._state is not State.ESTOP:
-                self.report.why = self._errors()
                 self._drop()
                 self._state = State.FAULT
         elif self._state is State.ACTIVE and not self._driver.is_armed:

@@ -1,9 +1,10 @@
 """Layers of a scenario: trees of values that remember where each was given, and how they are put together.
 
 Tables merge key by key, the later layer wins. Everything else, arrays of tables too, is replaced as a whole.
-A layer that names another ``controller.law`` or ``reference.kind`` drops the options of the one before: they
-belong to that law or kind. So do the settings of another ``device.driver``, and ``plant.start`` and ``plant.map`` to a foreign FMU; of the shipped ones one takes over
-from another the start values that it knows. A row of ``plant.map`` that names a variable replaces the row before.
+A layer that names another ``controller.law``, ``reference.kind`` or ``device.driver`` drops the options of the one
+before: they belong to that law, kind or driver. So do ``plant.start`` and ``plant.map`` to a foreign FMU; of the
+shipped ones one takes over from another the start values that it knows. A row of ``plant.map`` that names a variable
+replaces the row before.
 """
 
 from collections.abc import Callable, Iterator, Mapping

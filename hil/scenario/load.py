@@ -146,7 +146,7 @@ def _robot_layer(path: Path) -> Tree:
                 f"{file.display}: {key!r} has no place in a robot's file, which holds {tables}"
                 f"{nearest(key, ROBOT_TABLES)}"
             )
-    return file.layer()
+    return _rebase_motors(file.layer(), path.parent)
 
 
 def _read(path: Path, display: str, prefix: str) -> _File:
@@ -221,7 +221,7 @@ def _rebase(tree: Tree, source: Path, target: Path, only: str | None = None) -> 
     return tree
 
 
-def _rebase_motors(tree: Tree, source: Path, only: str | None) -> Tree:
+def _rebase_motors(tree: Tree, source: Path, only: str | None = None) -> Tree:
     device = tree.get("device")
     motors = device.get("motors") if isinstance(device, dict) else None
     given = motors.get("file") if isinstance(motors, dict) else None

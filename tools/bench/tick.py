@@ -20,10 +20,10 @@ from rich.table import Table
 
 from firmware_protocol.host import HostNode
 from hil.assembly import run_scenario
-from hil.bench import plant_start
 from hil.model import RobotModel
 from hil.plant import archive
 from hil.plant.description import parameter_names
+from hil.robots import plant_start
 from hil.scenario import Scenario, load
 from tools.bench.naive_loop import NaiveLoop
 
