@@ -5,15 +5,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from hil.dialects.dbc import DIALECT
-
 EXAMPLES = Path(__file__).parents[1] / "hil" / "dialects" / "examples"
 
 
 def motors(name: str, changes: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """Return [device.motors] of an example, its paths absolute; ``changes`` are by dotted keys, None takes one away."""
     table: dict[str, Any] = tomllib.loads((EXAMPLES / f"{name}.toml").read_text("utf-8"))["device"]["motors"]
-    for key in DIALECT.files:
+    for key in ("file",):
         table[key] = str(EXAMPLES / table[key])
     for key, value in (changes or {}).items():
         *path, last = key.split(".")
