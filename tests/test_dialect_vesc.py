@@ -117,13 +117,27 @@ def test_a_fault_is_told_by_its_wheel_ends_being_armed_and_passes(wire: Wire) ->
     rig.drive(0.05, lambda _t: (STILL, STILL))
     assert not rig.driver.is_armed
     assert rig.driver.errors == ["VESC 3 of wheel rr has the fault 4: absolute over current"]
-    assert rig.driver.clear() == ()
     for _ in range(20):  # it holds for half a second, and arming goes on asking
         rig.step(rig.driver.arm(rig.now_ns))
         assert not rig.driver.is_armed
     rig.step(ticks=500)
-    rig.arm()
+    assert rig.driver.errors != []  # nobody has asked since
+    rig.step(rig.driver.clear())
     assert rig.driver.errors == []
+    assert rig.driver.identity is not None
+    rig.arm()
+
+
+@pytest.mark.parametrize("wire", WIRES)
+def test_a_fault_that_lasts_is_told_again_after_it_was_cleared(wire: Wire) -> None:
+    rig = ready(wire)
+    rig.node.vescs[1].fail(5)
+    rig.drive(0.05, lambda _t: (STILL, STILL))
+    rig.step(rig.driver.clear())
+    for _ in range(8):
+        rig.step(rig.driver.arm(rig.now_ns))
+        assert not rig.driver.is_armed
+    assert rig.driver.errors == ["VESC 2 of wheel fr has the fault 5: over temperature of the MOSFETs"]
 
 
 @pytest.mark.parametrize("wire", WIRES)

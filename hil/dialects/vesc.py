@@ -21,7 +21,7 @@ from hil.options import require_not_negative, require_positive
 from hil.types import WHEEL_NAMES, CommandMode, FourWheels
 
 _OLDEST_MAJOR = 5
-_PATIENCE = 20  # calls of ask for an answer to one VESC's questions
+_PATIENCE = 2  # calls of ask for an answer to one VESC's questions
 _LATE_PERIODS = 5
 _STILL: FourWheels = (0.0, 0.0, 0.0, 0.0)
 _STEPS = 6  # of the tachometer in an electrical turn
@@ -191,7 +191,9 @@ class Vesc:
         return self._all(frames.SET_CURRENT_BRAKE, (self._brake_a,) * 4)
 
     def clear(self) -> Sequence[Frame]:
-        """See ``Driver``. A fault of a VESC ends by itself, half a second after its cause as delivered."""
+        """See ``Driver``. A fault ends by itself, half a second after its cause as delivered: it is asked for anew."""
+        for channel in self._channels:
+            channel.fault = channel.status = None
         return ()
 
     def feed(self, frame: Frame, stamp_ns: int) -> None:

@@ -12,7 +12,8 @@ class Channel:
 
     Attributes:
         stamp_ns: when its speed was heard. steps: of the tachometer as heard last; turned: without its wraps.
-        motor_a: positive for a torque forwards. fault, status: as of GET_VALUES_SELECTIVE, None before they were heard.
+        motor_a: positive for a torque forwards.
+        fault, status: as of GET_VALUES_SELECTIVE, None where they have to be asked for.
         runs_on: whether its timeout had not run out while nothing was commanded.
     """
 
@@ -28,13 +29,14 @@ class Channel:
         self.turned = 0
         self.motor_a = self.input_a = self.input_v = self.fet_degc = NAN
         self.fault: int | None = None
+        self._has_told_fault = False
         self.status: int | None = None
         self.runs_on: bool | None = None
 
     @property
     def has_answered(self) -> bool:
-        """Whether it has said its version and its fault."""
-        return self.version is not None and self.fault is not None
+        """Whether it has said its version and, at some time, its fault."""
+        return self.version is not None and self._has_told_fault
 
     @property
     def has_measured(self) -> bool:
@@ -62,7 +64,7 @@ class Channel:
     def feed_values(self, values: Mapping[str, float], stamp_ns: int, has_commanded: bool) -> None:
         """Take the values of an answer."""
         if "fault" in values:
-            self.fault = int(values["fault"])
+            self.fault, self._has_told_fault = int(values["fault"]), True
         if "status" in values:
             self.status = int(values["status"])
             if not has_commanded:
