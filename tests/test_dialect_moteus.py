@@ -222,7 +222,6 @@ def test_wheels_stop_when_commands_end_and_stay_stopped_until_cleared() -> None:
         rig.step(rig.driver.arm(rig.now_ns))
     assert not rig.driver.is_armed
     rig.step(rig.driver.clear())
-    rig.step(rig.driver.ask())
     assert rig.driver.errors == []
     rig.arm()
 
@@ -250,7 +249,6 @@ def test_a_fault_of_one_is_told_by_its_wheel_and_ends_being_armed() -> None:
     assert len(rig.driver.errors) == 1  # a stop would have cleared it
     assert rig.node.torque_n_m == STILL
     rig.step(rig.driver.clear())
-    rig.step(rig.driver.ask())
     assert rig.driver.errors == []
 
 

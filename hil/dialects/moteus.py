@@ -209,8 +209,10 @@ class Moteus:
         return [Frame(number, payload) for number in self._ids]
 
     def clear(self) -> Sequence[Frame]:
+        """See ``Driver``. The state is asked for by frames of their own: an answer to the stop has that of before."""
         self._end()
-        return [Frame(number, frames.padded(frames.write_mode(_STOPPED) + _STATE)) for number in self._ids]
+        stop = frames.write_mode(_STOPPED)
+        return [Frame(number, payload) for payload in (stop, frames.padded(_STATE)) for number in self._ids]
 
     def _end(self) -> None:
         self._is_armed = False

@@ -21,10 +21,9 @@ from hil.options import require_not_negative, require_positive
 from hil.types import WHEEL_NAMES, CommandMode, FourWheels
 
 _OLDEST_MAJOR = 5
-_PATIENCE = 20  # calls of ask for an answer to one VESC's questions
+_PATIENCE = 2  # calls of ask for an answer to one VESC's questions
 _LATE_PERIODS = 5
 _STILL: FourWheels = (0.0, 0.0, 0.0, 0.0)
-_STEPS = 6  # of the tachometer in an electrical turn
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,7 +190,9 @@ class Vesc:
         return self._all(frames.SET_CURRENT_BRAKE, (self._brake_a,) * 4)
 
     def clear(self) -> Sequence[Frame]:
-        """See ``Driver``. A fault of a VESC ends by itself, half a second after its cause as delivered."""
+        """See ``Driver``. A fault ends by itself, half a second after its cause as delivered: it is asked for anew."""
+        for channel in self._channels:
+            channel.fault = channel.status = None
         return ()
 
     def feed(self, frame: Frame, stamp_ns: int) -> None:
@@ -222,11 +223,11 @@ class Vesc:
             return None
         a, b, c, d = channels
         to_speed = 1.0 / self._to_erpm
-        to_angle = math.tau / (_STEPS * self._settings.pole_pairs * self._settings.gear_ratio)
+        to_angle = math.tau / (frames.STEPS * self._settings.pole_pairs * self._settings.gear_ratio)
         return Sample(
             min(stamps),
             (a.erpm * to_speed, b.erpm * to_speed, c.erpm * to_speed, d.erpm * to_speed),
-            (a.turned * to_angle, b.turned * to_angle, c.turned * to_angle, d.turned * to_angle),
+            (a.position * to_angle, b.position * to_angle, c.position * to_angle, d.position * to_angle),
             (a.motor_a, b.motor_a, c.motor_a, d.motor_a),
             (a.fet_degc, b.fet_degc, c.fet_degc, d.fet_degc),
             min(a.input_v, b.input_v, c.input_v, d.input_v),

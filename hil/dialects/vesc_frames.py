@@ -22,6 +22,7 @@ CAN_STATUS, CAN_STATUS_4, CAN_STATUS_5 = 9, 16, 27
 STATUS = Struct(">ihh")  # ERPM, current [0.1 A], duty [0.001]
 STATUS_4 = Struct(">hhhh")  # temperatures of FET and motor [0.1 °C], input current [0.1 A], position of the PID
 STATUS_5 = Struct(">ih")  # tachometer [a sixth of an electrical turn], input voltage [0.1 V]
+STEPS = 6  # of the tachometer in an electrical turn
 MOST_IDS = 254  # 255 is all of them at once
 _MOST_BYTES = 512  # of a message
 _INT32 = Struct(">i")
