@@ -81,13 +81,11 @@ class RingProcess:
         self._tell_config()
         self._keeper = threading.Thread(target=self._keep, name="keeper", daemon=True)
         self._keeper.start()
-        reply = self._report()
-        self._ready = "ready" in reply
-        if not self._ready:
+        try:
+            self._await_ready(remedy)
+        except BaseException:  # an interrupt too, or what follows it would find this memory in use
             self.close()
-            if "refused" in reply:
-                raise BadInputError(str(reply["refused"]))
-            raise DeviceError(f"{name} did not start: {self.troubles[-1]}; {remedy}")
+            raise
 
     @property
     def pid(self) -> int:
@@ -150,6 +148,14 @@ class RingProcess:
         self._child.close()
         self._ring.close()
         self._block.close()
+
+    def _await_ready(self, remedy: str) -> None:
+        reply = self._report()
+        self._ready = "ready" in reply
+        if "refused" in reply:
+            raise BadInputError(str(reply["refused"]))
+        if not self._ready:
+            raise DeviceError(f"{self._name} did not start: {self.troubles[-1]}; {remedy}")
 
     def _tell_config(self) -> None:
         self._child.lines.send({**self._config, "restarts": self.restarts}, always=True)

@@ -1,6 +1,6 @@
 """The start of a process behind ``hil.telemetry.ring_process``, which may come before it is known what it shall do.
 
-To start Python and import a library such as rerun takes longer than all else before a run's first tick: the process does
+To start Python and import a library such as rerun takes as long as all else before a run's first tick: the process does
 that beside whatever the run has to do meanwhile, and then waits for its config.
 """
 

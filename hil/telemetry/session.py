@@ -98,9 +98,9 @@ def early_recorder(suffix: str | None, *, live: bool = False) -> Iterator[Callab
 class Recording:
     """A sink that records in a process of its own; a context manager.
 
-    The constructor returns when the recorder is ready, half a second later unless it was ``started`` before. When the run dies, the recorder
-    finishes the file by itself; when the recorder dies, the run goes on, and another takes its place and writes the
-    next part (``RUN-2.rrd``), with the rows that were not safe yet. See RECORDING.md.
+    The constructor returns when the recorder is ready, half a second later unless it was ``started`` before. When the
+    run dies, the recorder finishes the file by itself; when the recorder dies, the run goes on, and another takes its
+    place and writes the next part (``RUN-2.rrd``), with the rows that were not safe yet. See RECORDING.md.
 
     Args:
         path: the ``.rrd`` or ``.mcap`` file, or None for a live view alone. properties: what the run is, as texts by
