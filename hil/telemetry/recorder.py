@@ -10,7 +10,7 @@ import sys
 import time
 from typing import TYPE_CHECKING
 
-from hil.telemetry.environment import WITH_RERUN
+from hil.telemetry.environment import WITH_RERUN, refuse_pandas
 from hil.telemetry.parts import BATCH_ROWS, Parts
 from hil.telemetry.ring import RingReader
 from hil.telemetry.ring_child import Record, RefusedError, run
@@ -111,22 +111,9 @@ def main() -> int:
     return run(Recorder, _import_rerun if WITH_RERUN in sys.argv else None)
 
 
-class _WithoutPandas:
-    """Refuses to import pandas, which takes 0.2 s.
-
-    pyarrow imports it, where there is one, to ask of each array whether it is one of its own. Here none is.
-    """
-
-    @staticmethod
-    def find_spec(name: str, _path: object = None, _target: object = None) -> None:
-        """Find no other module."""
-        if name == "pandas":
-            raise ModuleNotFoundError("the recorder needs no pandas", name=name)
-
-
 def _import_rerun() -> None:
     """Import what writes with rerun, while there is no config yet; one that is not there fails where it is needed."""
-    sys.meta_path.insert(0, _WithoutPandas)
+    refuse_pandas()
     # What is imported stays: the collector would go through it some hundred times.
     gc.disable()
     with contextlib.suppress(ImportError):
