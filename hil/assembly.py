@@ -24,7 +24,7 @@ from hil.run_events import RunEvents
 from hil.samples import Percentiles
 from hil.scenario import Scenario, load
 from hil.service.lock import device_held
-from hil.telemetry import Recording, Rotation, RunRecording, check_output_path, rotation
+from hil.telemetry import Recording, Rotation, RunRecording, check_output_path, early_recorder, rotation
 from hil.telemetry.provenance import properties
 from hil.telemetry.udp import UdpStream, parse_destination
 from hil.trace import Trace
@@ -60,15 +60,17 @@ def run(
     loaded = load(scenario, set=set, robot=robot, mode=mode, link=link, seed=seed)
     recording, traced = (Path(path) if path is not None else None for path in (record, trace))
     parts = rotation(rotate) if rotate is not None else Rotation()
-    return run_scenario(
-        loaded,
-        truth=truth,
-        record=recording,
-        rotate=parts,
-        trace=traced,
-        stream=stream,
-        allow_motion=allow_motion,
-    )
+    with early_recorder(recording.suffix if recording is not None else None) as make_recording:
+        return run_scenario(
+            loaded,
+            truth=truth,
+            record=recording,
+            rotate=parts,
+            trace=traced,
+            stream=stream,
+            allow_motion=allow_motion,
+            make_recording=make_recording,
+        )
 
 
 MakeRecording = Callable[..., RunRecording]

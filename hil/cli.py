@@ -64,6 +64,7 @@ app.add_typer(ctl_app, name="ctl")
 
 @app.command()
 def run(
+    context: typer.Context,
     scenario: ScenarioName,
     mode: Mode = None,
     link: LinkUrl = None,
@@ -93,12 +94,17 @@ def run(
     as_json: Json = False,
 ) -> None:
     """Run a scenario and judge it."""
+    from hil.telemetry import Rotation, early_recorder, rotation
+
+    signal.signal(signal.SIGTERM, interrupt)
+    suffix = ".rrd" if record is None else None if record == "none" else Path(record).suffix
+    # First, for what it imports takes it as long as the rest takes us.
+    make_recording = context.with_resource(early_recorder(suffix, live=live))
+
     from hil import report
     from hil.assembly import run_scenario
     from hil.scenario import load
-    from hil.telemetry import Rotation, rotation
 
-    signal.signal(signal.SIGTERM, interrupt)
     resolved = load(scenario, set=sets or [], robot=robot, mode=mode, link=link, seed=seed)
     parts = rotation(rotate) if rotate is not None else Rotation()
     path = report.recording_path(resolved.name, record)
@@ -120,6 +126,7 @@ def run(
             watch=watch,
             warn=report.warn,
             linger=linger,
+            make_recording=make_recording,
             keep_signals=False,
         )
     except KeyboardInterrupt:
@@ -224,6 +231,7 @@ def main() -> None:
             app(prog_name="hil", standalone_mode=True)
         finally:
             _bring_out()
+            gc.freeze()  # else the interpreter's end goes through all modules once more: 0.08 s after a run
     except HilError as error:
         print(f"hil: {error}", file=sys.stderr)
         sys.exit(error.exit_code)

@@ -19,8 +19,12 @@ def _imported(program: str) -> set[str]:
 
 @pytest.mark.parametrize(
     ("program", "heavy"),
-    [(_HELP, _HEAVY | {"numpy", "pydantic"}), ("import hil", _HEAVY | {"numpy", "pydantic", "typer"})],
-    ids=["hil --help", "import hil"],
+    [
+        (_HELP, _HEAVY | {"numpy", "pydantic"}),
+        ("import hil", _HEAVY | {"numpy", "pydantic", "typer"}),
+        ("import hil.telemetry", _HEAVY | {"numpy", "pydantic", "typer"}),
+    ],
+    ids=["hil --help", "import hil", "what starts a recorder"],
 )
 def test_nothing_heavy_is_imported_before_it_is_needed(program: str, heavy: set[str]) -> None:
     assert not _imported(program) & heavy

@@ -16,8 +16,10 @@ from hil.errors import BadInputError, DeviceError
 from hil.review import Event, figures, read
 from hil.review.decode import decode
 from hil.signals import SIGNAL_NAMES
-from hil.telemetry import Recording, RecordingReport, check_output_path, ring_process, rotation
+from hil.telemetry import Recording, RecordingReport, check_output_path, early_recorder, ring_process, rotation
+from hil.telemetry.environment import rerun_environment
 from hil.telemetry.files import part_path
+from hil.telemetry.ring_start import Started
 from tests.processes import wait_for
 from tests.recorded_circle import circle_rows, circle_table
 
@@ -67,6 +69,30 @@ def test_lockstep_waits_for_room_and_leaves_nothing_behind(tmp_path: Path) -> No
     assert has_ended(recording.pid)
     assert len(list(Path("/proc/self/fd").iterdir())) == descriptors
     assert_same_bits(tmp_path / "run.rrd", 2000)
+
+
+@linux_only
+def test_a_recorder_that_was_started_early_records_and_needs_no_tables(tmp_path: Path) -> None:
+    path = tmp_path / "run.rrd"
+    with early_recorder(".rrd") as make_recording, make_recording(path, properties={}, blocking=True) as recording:
+        for row in circle_rows(200):
+            recording.put(row)
+        mapped = Path(f"/proc/{recording.pid}/maps").read_text()
+        assert recording.finish({"passed": True}).complete
+    assert "rerun_bindings" in mapped
+    assert "pandas" not in mapped
+    assert_same_bits(path, 200)
+
+
+def test_a_recorder_started_for_nothing_is_ended_and_one_that_died_meanwhile_is_told(tmp_path: Path) -> None:
+    with Started("hil.telemetry.recorder", rerun_environment()) as unused:
+        assert unused.process.poll() is None
+    assert unused.process.returncode is not None
+    with Started("hil.telemetry.recorder", rerun_environment()) as started:
+        started.process.kill()
+        with pytest.raises(DeviceError, match=r"^the recorder did not start: exit status .*; run without a recording"):
+            Recording(tmp_path / "run.mcap", properties={}, blocking=True, started=started)
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.alone

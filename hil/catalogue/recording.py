@@ -18,7 +18,7 @@ from hil.telemetry.stream import Stream
 class RecordingHere:
     """A ``RunRecording`` that is written in this process, when the run is over; for lockstep, which waits for nobody.
 
-    A process of its own takes over a second to begin, most of it for importing rerun. The file is the same.
+    A process of its own takes half a second and more to begin, most of it for importing rerun. The file is the same.
     """
 
     def __init__(

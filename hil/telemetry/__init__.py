@@ -1,7 +1,7 @@
 """Telemetry: one tap, in another process. ``session`` is the run's side."""
 
 from hil.telemetry.files import Rotation, check_is_recording, check_output_path, rotation
-from hil.telemetry.session import Recording, RecordingReport, RunRecording
+from hil.telemetry.session import Recording, RecordingReport, RunRecording, early_recorder
 
 __all__ = [
     "Recording",
@@ -10,5 +10,6 @@ __all__ = [
     "RunRecording",
     "check_is_recording",
     "check_output_path",
+    "early_recorder",
     "rotation",
 ]

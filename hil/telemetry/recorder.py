@@ -4,10 +4,13 @@ It reads rows from the ring and lines from its standard input, and writes them t
 live viewers at about 100 Hz.
 """
 
+import contextlib
+import gc
 import sys
 import time
 from typing import TYPE_CHECKING
 
+from hil.telemetry.environment import WITH_RERUN, refuse_pandas
 from hil.telemetry.parts import BATCH_ROWS, Parts
 from hil.telemetry.ring import RingReader
 from hil.telemetry.ring_child import Record, RefusedError, run
@@ -104,8 +107,19 @@ class Recorder:
 
 
 def main() -> int:
-    """Record until told to finish, or until the run has gone; 0 when the file was finished."""
-    return run(Recorder)
+    """Record until told to finish, or until the run has gone; returns only when nothing was to be recorded."""
+    return run(Recorder, _import_rerun if WITH_RERUN in sys.argv else None)
+
+
+def _import_rerun() -> None:
+    """Import what writes with rerun, while there is no config yet; one that is not there fails where it is needed."""
+    refuse_pandas()
+    # What is imported stays: the collector would go through it some hundred times.
+    gc.disable()
+    with contextlib.suppress(ImportError):
+        import hil.telemetry.stream  # noqa: F401
+    gc.freeze()
+    gc.enable()
 
 
 def _open_live(config: Record) -> "LiveServer":

@@ -10,15 +10,16 @@ Python has no memory barrier: a consumer on a processor with weak ordering must 
 
 import struct
 from collections.abc import Callable
-from typing import NamedTuple
-
-import numpy as np
-import numpy.typing as npt
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 from hil.telemetry.memory import SharedBlock
 
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
 Row = tuple[float, ...]
-Rows = npt.NDArray[np.float64]
+Rows: TypeAlias = "npt.NDArray[np.float64]"
 
 # Words of the header, 8 bytes each. What the two sides write lies in cache lines of its own.
 _CAPACITY, _WIDTH, _HEAD, _DROPPED, _TAIL, _LOST, _LINES, _LINES_LOST, _PART = 0, 1, 8, 9, 16, 17, 18, 19, 20
@@ -163,6 +164,8 @@ class RingReader(_Counts):
     """The consumer's side. Raises ValueError when the block is smaller than its header says."""
 
     def __init__(self, block: SharedBlock) -> None:
+        import numpy as np  # not above: a run starts its recorder first, and imports NumPy beside it
+
         self._words = block.buffer[:_HEADER_BYTES].cast("q")
         self.capacity = self._words[_CAPACITY]
         self.width = self._words[_WIDTH]
@@ -172,6 +175,7 @@ class RingReader(_Counts):
         self._rows = np.frombuffer(
             block.buffer, dtype=np.float64, count=self.capacity * self.width, offset=_HEADER_BYTES
         ).reshape(self.capacity, self.width)
+        self._order = np.arange(self.capacity)
         self._head_seen = self.tail
 
     def settled(self) -> int:
@@ -186,7 +190,7 @@ class RingReader(_Counts):
         """
         if not self.tail <= start <= stop <= self.head:
             raise IndexError(f"rows {start} to {stop} are not in the ring, which holds {self.tail} to {self.head}")
-        return self._rows[np.arange(start, stop) % self.capacity]
+        return self._rows[(self._order[: stop - start] + start) % self.capacity]
 
     def release(self, stop: int) -> None:
         """Tell the producer that the rows before ``stop`` are safe, and give their room back."""

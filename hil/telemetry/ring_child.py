@@ -43,10 +43,11 @@ class RowWriter(Protocol):
         """Release what is left."""
 
 
-def run(make: Callable[[Record, RingReader], RowWriter]) -> int:
-    """Make the writer from the run's config, and serve it to its end; 0 when the file was finished.
+def run(make: Callable[[Record, RingReader], RowWriter], prepare: Callable[[], None] | None = None) -> int:
+    """Make the writer from the run's config, and serve it to its end, which is that of the process.
 
-    ``make`` raises RefusedError for what the user must change.
+    ``prepare`` does what can be done before there is a config; ``make`` raises RefusedError for what the user must
+    change. Returns, with the exit code, only when nothing was to be written: 0 without a config, 2 for a refused one.
     """
     _step_back()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -54,6 +55,8 @@ def run(make: Callable[[Record, RingReader], RowWriter]) -> int:
     signal.signal(signal.SIGTERM, lambda _number, _frame: inbox.put(None))
     replies = LineWriter(os.dup(1))
     os.dup2(2, 1)  # what a library prints must not get between the replies
+    if prepare is not None:
+        prepare()
 
     lines = LineReader(0)
     config: Record | None = lines.read()
@@ -69,7 +72,8 @@ def run(make: Callable[[Record, RingReader], RowWriter]) -> int:
     threading.Thread(target=_read_lines, args=(lines, inbox), name="lines", daemon=True).start()
     _serve(writer, inbox, replies, config["parent_pid"])
     writer.close()
-    return 0
+    # All is in the file, and the run waits: to take the libraries apart one by one would take 0.1 s and more.
+    os._exit(0)
 
 
 def _step_back() -> None:

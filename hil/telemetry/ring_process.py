@@ -7,21 +7,17 @@ not are sent again. ``hil.telemetry.ring_child`` is the other side.
 
 import os
 import queue
-import subprocess
-import sys
-import tempfile
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from typing import IO, Any, cast
+from typing import Any, cast
 
-from hil.child import away_from_terminal, module_command, start_children_as_ordinary
+from hil.child import start_children_as_ordinary
 from hil.errors import BadInputError, DeviceError
-from hil.json_lines import LineReader, LineWriter
-from hil.telemetry.memory import SharedBlock
 from hil.telemetry.patience import Patience
 from hil.telemetry.ring import Kept, RingWriter, Row, ring_bytes
+from hil.telemetry.ring_start import Started
 
 _PATIENCE_WAITS = 60_000  # of 0.5 ms, without any progress of the other process: about 30 s
 _WAITS_A_TURN = 11  # of these in a turn that also waits 5 ms for a reply
@@ -33,7 +29,7 @@ _LONG_LIFE_S = 60.0  # after which a death is not one of a row
 
 
 class RingProcess:
-    """Starts ``python -m module``, gives it rows and lines, and takes its report.
+    """Gives a process that was ``started`` rows and lines, and takes its report.
 
     The constructor returns when the process is ready. ``config`` is its own, as JSON has it; ``name`` is how messages
     call it, ``remedy`` what they advise. With ``blocking`` a put waits for room in the ring, as lockstep may; else it
@@ -50,13 +46,12 @@ class RingProcess:
 
     def __init__(
         self,
-        module: str,
+        started: Started,
         config: Mapping[str, object],
         *,
         width: int,
         capacity: int,
         blocking: bool,
-        environment: Mapping[str, str],
         name: str,
         remedy: str,
         restart: bool = False,
@@ -64,10 +59,10 @@ class RingProcess:
         self._name = name
         self._waits = blocking
         self._restart = restart
-        self._module = module
-        self._environment = dict(environment)
+        self._child = started
+        self._block = started.block
         size = ring_bytes(capacity, width)
-        self._block = SharedBlock.create(size)
+        self._block.allocate(size)
         self._ring = RingWriter(self._block, capacity, width, self._put_later)
         self.put = cast(Callable[[Row], None], self._ring.try_put)
         self._config = {**config, "block": self._block.token, "block_bytes": size, "parent_pid": os.getpid()}
@@ -83,21 +78,19 @@ class RingProcess:
         self.troubles: list[str] = []
         self._last_line: Mapping[str, object] | None = None
         self._ready = False
-        self._launch(0)
+        self._tell_config()
         self._keeper = threading.Thread(target=self._keep, name="keeper", daemon=True)
         self._keeper.start()
-        reply = self._report()
-        self._ready = "ready" in reply
-        if not self._ready:
+        try:
+            self._await_ready(remedy)
+        except BaseException:  # an interrupt too, or what follows it would find this memory in use
             self.close()
-            if "refused" in reply:
-                raise BadInputError(str(reply["refused"]))
-            raise DeviceError(f"{name} did not start: {self.troubles[-1]}; {remedy}")
+            raise
 
     @property
     def pid(self) -> int:
         """Process id; after a restart, that of the newest."""
-        return self._process.pid
+        return self._child.process.pid
 
     @property
     def rows_taken(self) -> int:
@@ -140,36 +133,32 @@ class RingProcess:
             self._send_unsent()
             self._last_line = record
             if self._ready:
-                self._lines.send(record, always=True)
+                self._child.lines.send(record, always=True)
         return self._report() or {"error": f"{self._name} ended before the run: {self.troubles[-1]}"}
 
     def close(self) -> None:
         """End the process, if need be without a report, and free everything. Closing twice is allowed."""
         self._closing.set()
         with self._swap:
-            process = self._process
-            if process.stdin is not None:
-                process.stdin.close()
-        try:
-            process.wait(_EXIT_TIMEOUT_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-        self._keeper.join()
-        if process.stdout is not None:
-            process.stdout.close()
+            self._child.end_lines()
+        self._keeper.join(_EXIT_TIMEOUT_S)  # which waits for the end, and not by asking now and then as Popen does
+        if self._keeper.is_alive():
+            self._child.process.kill()
+            self._keeper.join()
+        self._child.close()
         self._ring.close()
         self._block.close()
-        self._stderr.close()
 
-    def _launch(self, restarts: int) -> None:
-        """Start a process and give it its config."""
-        self._stderr: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 -- closed with the process
-        self._process = _start(self._module, self._block, self._stderr, self._environment)
-        self._started_s = time.monotonic()
-        self._lines = LineWriter(_descriptor(self._process.stdin))
-        self._replies = LineReader(_descriptor(self._process.stdout))
-        self._lines.send({**self._config, "restarts": restarts}, always=True)
+    def _await_ready(self, remedy: str) -> None:
+        reply = self._report()
+        self._ready = "ready" in reply
+        if "refused" in reply:
+            raise BadInputError(str(reply["refused"]))
+        if not self._ready:
+            raise DeviceError(f"{self._name} did not start: {self.troubles[-1]}; {remedy}")
+
+    def _tell_config(self) -> None:
+        self._child.lines.send({**self._config, "restarts": self.restarts}, always=True)
 
     def _report(self) -> dict[str, Any]:
         """Return the next reply; empty when the process ended without one for good, or makes no progress."""
@@ -182,10 +171,10 @@ class RingProcess:
                 if ended:
                     return {}
             with self._swap:
-                flushed = self._lines.flush()
+                flushed = self._child.lines.flush()
             if not patience.wait((flushed, self._ring.tail, self.restarts)):
                 self._restart = False
-                self._process.kill()
+                self._child.process.kill()
 
     def _keep(self) -> None:
         """Take the replies, and see to it that there is a process; in a thread that else only waits."""
@@ -193,7 +182,7 @@ class RingProcess:
         starts = 0
         finished = False
         while True:
-            reply = self._replies.read()
+            reply = self._child.replies.read()
             if reply is not None:
                 if self.restarts and "ready" in reply:
                     self._say_again()
@@ -202,11 +191,11 @@ class RingProcess:
                     self._reports.put(reply)
                     finished = "ready" not in reply
                 continue
-            trouble = self._trouble()
+            trouble = self._child.trouble()
             if finished or self._closing.is_set():
                 break
             self.troubles.append(trouble)
-            starts = 1 if time.monotonic() - self._started_s > _LONG_LIFE_S else starts + 1
+            starts = 1 if time.monotonic() - self._child.started_s > _LONG_LIFE_S else starts + 1
             if not (self._restart and (self._ready or self.restarts)) or starts > _STARTS_IN_A_ROW:
                 break
             if self._closing.wait(_FIRST_BACK_OFF_S * 2 ** (starts - 1)) or not self._start_next():
@@ -219,16 +208,15 @@ class RingProcess:
         with self._swap:
             if self._closing.is_set():
                 return False
-            for pipe in (self._process.stdin, self._process.stdout, self._stderr):
-                if pipe is not None:
-                    pipe.close()
+            self._child.close()
             self._ready = False
             try:
-                self._launch(self.restarts + 1)
+                self._child = self._child.again()
             except OSError as error:
                 self.troubles.append(f"{self._name} could not be started again: {error}")
                 return False
             self.restarts += 1
+            self._tell_config()
         self._send_waiting()
         return True
 
@@ -238,7 +226,7 @@ class RingProcess:
             self._ready = True
             self._forget_saved_lines()
             for record in self._unsaved if self._last_line is None else [*self._unsaved, self._last_line]:
-                self._lines.send(record, always=True)
+                self._child.lines.send(record, always=True)
         self._send_waiting()
 
     def _send_waiting(self) -> None:
@@ -253,7 +241,7 @@ class RingProcess:
         self._forget_saved_lines()
         while self._unsent:
             record = self._unsent.popleft()
-            if not self._gone.is_set() and (not self._ready or self._lines.send(record)):
+            if not self._gone.is_set() and (not self._ready or self._child.lines.send(record)):
                 self._unsaved.append(record)
             else:
                 self._lines_dropped += 1
@@ -262,7 +250,7 @@ class RingProcess:
         """Write what a pipe did not take at once, a large config or many lines: who is to read it waits for it."""
         while True:
             with self._swap:
-                is_done = self._closing.is_set() or self._lines.flush()
+                is_done = self._closing.is_set() or self._child.lines.flush()
             self._send_waiting()
             if is_done:
                 return
@@ -283,29 +271,3 @@ class RingProcess:
         self._waits = False
         self._ring.count_dropped()
         return False
-
-    def _trouble(self) -> str:
-        """Say how the process ended: its last words, or else its exit status."""
-        status = self._process.wait()
-        self._stderr.seek(0)
-        words = self._stderr.read().decode(errors="replace").strip().splitlines()
-        return words[-1] if words else f"exit status {status}"
-
-
-def _start(module: str, block: SharedBlock, stderr: Any, environment: Mapping[str, str]) -> "subprocess.Popen[bytes]":
-    options = away_from_terminal()
-    if sys.platform != "win32":
-        options["pass_fds"] = block.pass_fds
-    return subprocess.Popen(
-        module_command(module),
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=stderr,
-        bufsize=0,
-        env=dict(environment),
-        **options,
-    )
-
-
-def _descriptor(pipe: Any) -> int:
-    return int(pipe.fileno())

@@ -2,17 +2,20 @@
 
 import time
 import uuid
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol, Self
 
 from hil.signals import SIGNAL_NAMES
-from hil.telemetry.environment import rerun_environment
+from hil.telemetry.environment import WITH_RERUN, rerun_environment
 from hil.telemetry.files import Rotation, check_output_path, part_path
 from hil.telemetry.ring import Kept
 from hil.telemetry.ring_process import RingProcess
+from hil.telemetry.ring_start import Started
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,19 +76,39 @@ class RunRecording(Protocol):
     ) -> None: ...
 
 
+def _start_recorder(suffix: str | None, *, live: bool) -> Started:
+    arguments = [WITH_RERUN] if live or suffix == ".rrd" else []
+    return Started("hil.telemetry.recorder", rerun_environment(), *arguments)
+
+
+@contextmanager
+def early_recorder(suffix: str | None, *, live: bool = False) -> Iterator[Callable[..., "Recording"]]:
+    """Start a recorder now, so that it imports what it needs while a run gets ready; return what makes its Recording.
+
+    ``suffix`` is that of the file, None for none; with neither a file nor live viewers nothing is started. A recorder
+    of which no recording was made is ended with the context. Raises OSError when it cannot be started.
+    """
+    if suffix is None and not live:
+        yield Recording
+        return
+    with _start_recorder(suffix, live=live) as started:
+        yield partial(Recording, started=started)
+
+
 class Recording:
     """A sink that records in a process of its own; a context manager.
 
-    The constructor returns when the recorder is ready, about a second later. When the run dies, the recorder
-    finishes the file by itself; when the recorder dies, the run goes on, and another takes its place and writes the
-    next part (``RUN-2.rrd``), with the rows that were not safe yet. See RECORDING.md.
+    The constructor returns when the recorder is ready, half a second later unless it was ``started`` before. When the
+    run dies, the recorder finishes the file by itself; when the recorder dies, the run goes on, and another takes its
+    place and writes the next part (``RUN-2.rrd``), with the rows that were not safe yet. See RECORDING.md.
 
     Args:
         path: the ``.rrd`` or ``.mcap`` file, or None for a live view alone. properties: what the run is, as texts by
         name (see ``hil.telemetry.provenance``). blocking: in lockstep, ``put`` waits for room in the ring; in real
         time it drops the row and counts. live_port: serve live viewers on this port of 127.0.0.1. capacity:
         rows that the ring holds. signals: the names of a row's values; ``loop.t_s``, ``loop.tick`` and what
-        is drawn must be among them. rotation: when the recording goes on in another file.
+        is drawn must be among them. rotation: when the recording goes on in another file. started: a recorder
+        that was started for such a file (see ``early_recorder``); by default it is started now.
 
     Raises:
         BadInputError: the path cannot be written, or the port not be used.
@@ -105,14 +128,17 @@ class Recording:
         capacity: int = 16384,
         signals: Sequence[str] = SIGNAL_NAMES,
         rotation: Rotation = Rotation(),  # noqa: B008 -- immutable
+        started: Started | None = None,
     ) -> None:
         if path is not None:
             check_output_path("recording", path)
+        if started is None:
+            started = _start_recorder(None if path is None else path.suffix, live=live_port is not None)
         self._path = path
         self._live_port = live_port
         self._report: RecordingReport | None = None
         self._process = RingProcess(
-            "hil.telemetry.recorder",
+            started,
             {
                 "path": None if path is None else str(path.absolute()),
                 "live_port": live_port,
@@ -125,7 +151,6 @@ class Recording:
             width=len(signals),
             capacity=capacity,
             blocking=blocking,
-            environment=rerun_environment(),
             name="the recorder",
             remedy="run without a recording to go on",
             restart=True,

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple, Self
 from hil.child import child_environment
 from hil.localisation.address import parse_address
 from hil.telemetry.ring_process import RingProcess
+from hil.telemetry.ring_start import Started
 
 _CAPACITY = 16384
 
@@ -39,12 +40,11 @@ class UdpStream:
         self._destination = destination
         self._figures: dict[str, Any] | None = None
         self._process = RingProcess(
-            "hil.telemetry.udp_sender",
+            Started("hil.telemetry.udp_sender", child_environment()),
             {**destination._asdict(), "signals": list(signals)},
             width=len(signals),
             capacity=_CAPACITY,
             blocking=blocking,
-            environment=child_environment(),
             name="the sender of the stream",
             remedy="run without --stream to go on",
         )

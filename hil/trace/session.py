@@ -10,6 +10,7 @@ from hil.child import child_environment
 from hil.ports import EXTENDED, REMOTE
 from hil.telemetry.files import check_output_path
 from hil.telemetry.ring_process import RingProcess
+from hil.telemetry.ring_start import Started
 from hil.trace import rows
 
 _CAPACITY = 16384
@@ -64,12 +65,11 @@ class Trace:
         self._flags = rows.FD * fd + rows.SWITCHED * (fd and switched)
         self._report: TraceReport | None = None
         self._process = RingProcess(
-            "hil.trace.writer",
+            Started("hil.trace.writer", child_environment()),
             {"path": str(path.absolute())},
             width=rows.WIDTH,
             capacity=_CAPACITY,
             blocking=blocking,
-            environment=child_environment(),
             name="the writer of the trace",
             remedy="run without --trace to go on",
         )
