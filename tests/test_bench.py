@@ -1,7 +1,6 @@
 """The benchmarks run; what they measure is not judged here, as a loaded machine would decide it."""
 
 import json
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -83,8 +82,7 @@ def test_the_rate_over_vcan_is_measured_inside_and_its_figures_come_out(tmp_path
     assert figures["ticks"] + figures["deadline_misses"] == 80
     assert sum(figures["lateness_us"]["counts"]) == figures["ticks"]
     assert 0 < figures["reaction_us"]["p50"] <= figures["reaction_us"]["p99"]
-    cyclictest = figures["cyclictest_us"]
-    assert (None if cyclictest is None else sum(cyclictest["counts"])) == (80 if shutil.which("cyclictest") else None)
+    assert "without cyclictest" in done.stderr or sum(figures["cyclictest_us"]["counts"]) == 80
     (row,) = page.read_text().splitlines()[1:-1]
     assert "| can:socketcan/vcan0, 200 Hz, not recorded |" in row
 

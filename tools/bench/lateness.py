@@ -190,7 +190,12 @@ def _sleep(cyclictest: str, folder: Path, wanted: Wanted, into: Lateness) -> Non
     file = folder / "cyclictest.json"
     period_us, wakes = str(1_000_000 // wanted.rate_hz), str(round(wanted.seconds / wanted.turns * wanted.rate_hz))
     options = ["-q", "-m", "-p", str(PRIORITY), "-i", period_us, "-l", wakes, "-h", "1000000"]
-    subprocess.run([cyclictest, *options, f"--json={file}"], stdout=subprocess.DEVNULL, check=True)
+    done = subprocess.run([cyclictest, *options, f"--json={file}"], capture_output=True, text=True, check=False)
+    if done.returncode != 0:  # unlike the controller, it does not run without the right to a real-time priority
+        print(
+            f"without cyclictest, which ended with exit code {done.returncode}: {done.stderr.strip()}", file=sys.stderr
+        )
+        return
     for late_us, count in json.loads(file.read_text("utf-8"))["thread"]["0"]["histogram"].items():
         for _ in range(count):
             into.add(int(late_us) * 1000)
