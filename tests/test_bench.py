@@ -1,5 +1,6 @@
 """The benchmarks run; what they measure is not judged here, as a loaded machine would decide it."""
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -7,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.plant_testbed import FMU
+from tools import socketcan
 from tools.bench.__main__ import AT_LEAST, BENCHES, Row, judge
 
 ROOT = Path(__file__).parents[1]
@@ -39,15 +41,50 @@ def test_the_cost_of_foreign_can_traffic_is_printed_as_a_ratio() -> None:
 def test_the_rate_that_is_held_is_written_into_the_page_once(tmp_path: Path) -> None:
     page = tmp_path / "LIMITS.md"
     page.write_text("before\n<!-- rates: begin -->\n| another | row |\n<!-- rates: end -->\nafter\n")
-    command = [sys.executable, "-m", "tools.bench.lateness", "--seconds", "1", "--turns", "1", "--rate", "200"]
+    command = [sys.executable, "-m", "tools.bench.lateness", "--seconds", "0.4", "--turns", "1", "--rate", "200"]
     done = subprocess.run([*command, "--page", str(page)], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    for words in ("lateness of ticks", "feedback stamped to command sent", "of 200 ticks skipped"):
+    for words in (
+        "200 Hz over serial:pty",
+        "lateness of ticks",
+        "feedback stamped to command sent",
+        "of 80 ticks skipped",
+    ):
         assert words in done.stdout
     lines = page.read_text().splitlines()
     assert [lines[0], lines[2], lines[-1]] == ["before", "| another | row |", "after"]
-    assert "serial:pty, 200 Hz" in lines[3]
+    assert "| serial:pty, 200 Hz |" in lines[3]
     assert len(lines) == 6
+
+
+@pytest.mark.alone
+@pytest.mark.skipif(socketcan.missing() is not None, reason=socketcan.missing() or "")
+def test_the_rate_over_vcan_is_measured_inside_and_its_figures_come_out(tmp_path: Path) -> None:
+    page, file = tmp_path / "LIMITS.md", tmp_path / "figures.json"
+    page.write_text("<!-- rates: begin -->\n<!-- rates: end -->\n")
+    command = [
+        sys.executable,
+        "-m",
+        "tools.bench.lateness",
+        "--vcan",
+        "--seconds",
+        "0.4",
+        "--turns",
+        "1",
+        "--unrecorded",
+    ]
+    done = subprocess.run(
+        [*command, "--page", str(page), "--json", str(file)], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert "200 Hz over can:socketcan/vcan0" in done.stdout
+    figures = json.loads(file.read_text())
+    assert figures["ticks"] + figures["deadline_misses"] == 80
+    assert sum(figures["lateness_us"]["counts"]) == figures["ticks"]
+    assert 0 < figures["reaction_us"]["p50"] <= figures["reaction_us"]["p99"]
+    assert "without cyclictest" in done.stderr or sum(figures["cyclictest_us"]["counts"]) == 80
+    (row,) = page.read_text().splitlines()[1:-1]
+    assert "| can:socketcan/vcan0, 200 Hz, not recorded |" in row
 
 
 ROWS = [row for bench in BENCHES for row in bench.rows]

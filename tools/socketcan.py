@@ -53,7 +53,7 @@ def missing() -> str | None:
     if _namespace() is not None:
         return None
     if not sys.platform.startswith("linux"):
-        return "SocketCAN needs Linux; run these tests there"
+        return "SocketCAN needs Linux; run this there"
     lacking = [package for tool, package in _PACKAGES.items() if _which(tool) is None]
     if lacking:
         return (
