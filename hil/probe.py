@@ -99,6 +99,7 @@ def _probe_bus(
         say(f"listening for {_LISTEN_S:g} s")
         heard = _listen(link, probes.values(), _LISTEN_S)
         speaks = [name for name, one in probes.items() if one.found() is not None]
+        speaks = speaks or [name for name, one in probes.items() if one.suspects]
         result.strangers = heard
         if not speaks and heard and not is_chosen:
             result.not_asked = (

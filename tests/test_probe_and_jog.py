@@ -5,6 +5,7 @@ import subprocess
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import can
 import pytest
@@ -15,15 +16,34 @@ from hil.probe import Answer
 from hil.scenario import load
 from tests.processes import HIL, device, environment, hil
 
-GROUP = "239.74.163.91"
-BUS = f"can:udp_multicast/{GROUP}"
-ROBOT = ("circle_speed", "--mode", "realtime", "--dialect", "c620", "--link", BUS, "--set", "loop.rate_hz=200")
+adapters = pytest.importorskip("tests.slcan_adapters", reason="pseudo-terminals need a POSIX system")
+
+
+class Bus(NamedTuple):
+    """Links of a robot and of a host to one bus, and somebody else on it."""
+
+    robot: str
+    host: str
+    bystander: can.BusABC
+    reader: can.BufferedReader
+
+    def heard(self) -> list[can.Message]:
+        """What the bystander has heard since it was last asked."""
+        return list(iter(lambda: self.reader.get_message(0.05), None))
 
 
 @pytest.fixture
-def bystander() -> Iterator[can.BusABC]:
-    with can.Bus(interface="udp_multicast", channel=GROUP) as bus:
-        yield bus
+def bus(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bus]:
+    """Three emulated slcan adapters on one bus, over real pseudo-terminals."""
+    monkeypatch.setenv("CAN_CONFIG", '{"sleep_after_open": 0.0}')
+    wired = adapters.SlcanBus(3)
+    robot, host, _ = (f"can:slcan/{port}" for port in wired.ports)
+    with can.Bus(interface="slcan", channel=wired.ports[2], bitrate=1_000_000, sleep_after_open=0.0) as bystander:
+        reader = can.BufferedReader()
+        notifier = can.Notifier(bystander, [reader])
+        yield Bus(robot, host, bystander, reader)
+        notifier.stop()
+    wired.close()
 
 
 def typed(text: str, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -38,36 +58,35 @@ def typed(text: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_a_probe_finds_four_motors_prints_a_robot_file_for_them_and_sends_nothing(
-    bystander: can.BusABC, tmp_path: Path
-) -> None:
-    with device(*ROBOT, "--set", "device.motors.ids=[3,4,7,8]"):
-        done = hil("probe", BUS)
-        heard = {message.arbitration_id for message in iter(lambda: bystander.recv(0), None)}
+def test_a_probe_finds_four_motors_asks_them_only_and_prints_a_robot_file_for_them(bus: Bus, tmp_path: Path) -> None:
+    nodes = "device.motors.node_ids=[3, 4, 7, 8]"
+    with device("circle_speed", "--mode", "realtime", "--dialect", "odrive", "--link", bus.robot, "--set", nodes):
+        done = hil("probe", bus.host)
     assert done.returncode == 0, done.stderr
-    assert "# a C620 or C610 with the id 7" in done.stdout
-    assert heard == {0x203, 0x204, 0x207, 0x208}
+    # What moves an axis or changes it: set state, modes, input, limits, gains, stop, restart (CANSimple, 0x02 to 0x1A).
+    questions = {0x00, 0x01, 0x03, 0x04, 0x05, 0x09, 0x0A, 0x14, 0x15, 0x17, 0x1C, 0x1D}
+    assert {message.arbitration_id & 0x1F for message in bus.heard()} <= questions
     robot = tmp_path / "robot.toml"
     robot.write_text(done.stdout)
-    assert tomllib.loads(done.stdout)["device"]["motors"] == {"ids": [3, 4, 7, 8]}
+    assert tomllib.loads(done.stdout)["device"]["motors"]["node_ids"] == [3, 4, 7, 8]
     found = load("circle_speed", robot=robot).device
-    assert (found.driver, found.settings.ids) == ("c620", (3, 4, 7, 8))
+    assert (found.driver, found.settings.node_ids) == ("odrive", (3, 4, 7, 8))
 
 
-def test_where_strangers_speak_nobody_is_asked(bystander: can.BusABC) -> None:
-    task = bystander.send_periodic(can.Message(arbitration_id=0x123, data=b"\x01", is_extended_id=False), 0.01)
-    done = hil("probe", BUS, "--json")
+def test_where_strangers_speak_nobody_is_asked(bus: Bus) -> None:
+    task = bus.bystander.send_periodic(can.Message(arbitration_id=0x123, data=b"\x01", is_extended_id=False), 0.01)
+    done = hil("probe", bus.host, "--json")
     task.stop()
     answer = json.loads(done.stdout)
     assert done.returncode == 1
     assert answer["found"] == []
     assert list(answer["strangers"]) == ["0x123"]
     assert "nobody was asked" in answer["not_asked"]
-    assert {message.arbitration_id for message in iter(lambda: bystander.recv(0), None)} <= {0x123}
+    assert bus.heard() == []
 
 
 def test_too_few_motors_are_no_robot_file() -> None:
-    assert Answer("c620", BUS, ("a C620",), None).robot_file is None
+    assert Answer("c620", "can:socketcan/can0", ("a C620",), None).robot_file is None
 
 
 def test_our_own_firmware_is_found_too() -> None:
@@ -78,13 +97,13 @@ def test_our_own_firmware_is_found_too() -> None:
     assert "our own firmware: firmware " in found["what"][0]
 
 
-def test_nothing_is_sent_before_the_wheels_name_was_typed(bystander: can.BusABC) -> None:
+def test_nothing_is_sent_before_the_wheels_name_was_typed(bus: Bus) -> None:
     done = typed(
-        "yes\n", "circle_speed", "fl", "--link", BUS, "--set", "device.driver=c620", "--set", "loop.mode=realtime"
+        "yes\n", "circle_speed", "fl", "--link", bus.host, "--set", "device.driver=c620", "--set", "loop.mode=realtime"
     )
     assert done.returncode == 2
     assert "'fl' was not typed; nothing was sent" in done.stderr
-    assert bystander.recv(0) is None
+    assert bus.heard() == []
 
 
 def test_a_wheel_is_turned_and_the_others_are_not() -> None:

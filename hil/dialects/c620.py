@@ -251,6 +251,8 @@ class _Probe:
         if 1 <= number <= 8 and len(frame.payload) == 8 and _FEEDBACK.unpack_from(frame.payload)[0] < _ANGLES:
             self._ids.add(number)
 
+    suspects = False
+
     def found(self) -> Found | None:
         if not self._ids:
             return None

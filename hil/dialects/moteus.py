@@ -284,6 +284,8 @@ class _Probe:
         if values is not None and all(register in values for register in (frames.MODEL, frames.FIRMWARE)):
             self._versions[number] = values
 
+    suspects = False
+
     def found(self) -> Found | None:
         if not self._versions:
             return None

@@ -34,6 +34,10 @@ class OdriveProbe:
         if node in self._axes:
             self._axes[node].feed(command, frame.payload, 0)
 
+    @property
+    def suspects(self) -> bool:
+        return bool(self._axes)
+
     def found(self) -> Found | None:
         known = [
             axis for _, axis in sorted(self._axes.items()) if axis.firmware is not None or axis.version is not None

@@ -171,6 +171,10 @@ class Probe(Protocol):
     def feed(self, frame: Frame) -> None:
         """Take a frame that arrived."""
 
+    @property
+    def suspects(self) -> bool:
+        """Whether something was heard that may be of this maker's, and that ``ask`` would find out about."""
+
     def found(self) -> Found | None:
         """Return what answered so far, None while nothing of this maker's has."""
 

@@ -106,6 +106,8 @@ class RosmasterProbe:
     def feed(self, frame: Frame) -> None:
         self._identity.feed(frame)
 
+    suspects = False
+
     def found(self) -> Found | None:
         who = self._identity
         if who.version is None or who.car_number is None:

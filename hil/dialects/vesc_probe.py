@@ -33,6 +33,8 @@ class BusProbe:
         elif command == frames.CAN_PONG and number == _HOST and frame.payload[1:2] in (b"", bytes((_IS_VESC,))):
             self._ids.update(frame.payload[:1])
 
+    suspects = False
+
     def found(self) -> Found | None:
         if not self._ids:
             return None
@@ -60,6 +62,8 @@ class LineProbe:
             self._near = int(values["id"])
         if frame.id == frames.PING_CAN:
             self._behind.update(frame.payload)
+
+    suspects = False
 
     def found(self) -> Found | None:
         if self._version is None or self._near is None:

@@ -219,6 +219,8 @@ class _Probe:
     def feed(self, frame: Frame) -> None:
         self._report.feed(frame, 0)
 
+    suspects = False
+
     def found(self) -> Found | None:
         if self._report.stamp_ns is None:
             return None

@@ -1,0 +1,76 @@
+"""Robots with motors of other makers as processes of their own, in real time: over pseudo-terminals and slcan."""
+
+import subprocess
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from hil.devices.truth import TruthClient
+from hil.scenario import load
+from tests.processes import HIL, Device, device, environment, run_json, wait_for
+
+pytestmark = pytest.mark.alone
+
+REAL = ("circle_speed", "--mode", "realtime", "--set", "loop.rate_hz=100", "--set", "plant.start.battery_voltage_v=24")
+ROSMASTER = (*REAL[:-1], "plant.start.battery_voltage_v=12")  # what its board has is 12 V
+
+
+def short(driver: str, robot: Device, *changes: str) -> tuple[str, ...]:
+    return (
+        *("--set", f"device.driver={driver}", "--link", robot.link, "--truth", robot.truth, "--allow-motion"),
+        *("--set", "loop.duration_s=1.5", "--set", "loop.rearm=true", "--set", "expect=[]", "--record", "none"),
+        *(word for change in changes for word in ("--set", change)),
+    )
+
+
+@pytest.fixture
+def slcan(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[str]]:
+    """Give the ports of two emulated adapters on one bus."""
+    adapters = pytest.importorskip("tests.slcan_adapters", reason="pseudo-terminals need a POSIX system")
+    monkeypatch.setenv("CAN_CONFIG", '{"sleep_after_open": 0.0}')
+    bus = adapters.SlcanBus(2)
+    yield bus.ports
+    bus.close()
+
+
+def assert_drove(figures: dict[str, Any]) -> None:
+    assert figures["failure"] is None
+    assert figures["stopped"]
+    assert figures["ticks"] > 100
+
+
+def test_a_base_that_takes_twists_is_driven_over_a_pseudo_terminal() -> None:
+    with device(*ROSMASTER, "--dialect", "rosmaster", "--link", "serial:pty") as robot:
+        assert_drove(run_json(*ROSMASTER, *short("rosmaster", robot)))
+
+
+def test_four_vescs_behind_one_line_are_driven_over_a_pseudo_terminal() -> None:
+    with device(*REAL, "--dialect", "vesc", "--link", "serial:pty") as robot:
+        assert_drove(run_json(*REAL, *short("vesc", robot)))
+
+
+def test_odrives_are_driven_over_slcan(slcan: list[str]) -> None:
+    with device(*REAL, "--dialect", "odrive", "--link", f"can:slcan/{slcan[0]}") as robot:
+        there = robot._replace(link=f"can:slcan/{slcan[1]}")
+        assert_drove(run_json(*REAL, *short("odrive", there)))
+
+
+def test_a_base_without_a_watchdog_is_stopped_when_the_host_is_killed() -> None:
+    """The guardian does it: the firmware would drive on for ever."""
+    with device(*ROSMASTER, "--dialect", "rosmaster", "--link", "serial:pty") as robot:
+        long = short("rosmaster", robot, "loop.duration_s=60")
+        host = subprocess.Popen([*HIL, "run", *ROSMASTER, *long], env=environment())
+        scenario = load("circle_speed", set=[ROSMASTER[-1], "loop.rate_hz=100", "device.driver=rosmaster"])
+        watcher = TruthClient(robot.truth, scenario.hash, reset=False)
+
+        def speed_m_s() -> float:
+            watcher.poll()
+            twist = watcher.newest.fix.twist if watcher.newest is not None else None
+            return 0.0 if twist is None else abs(twist.vx_m_s) + abs(twist.vy_m_s)
+
+        wait_for(lambda: speed_m_s() > 0.2)
+        host.kill()
+        host.wait()
+        wait_for(lambda: speed_m_s() < 0.01)
+        watcher.close()
