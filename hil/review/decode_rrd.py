@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, NamedTuple
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -39,36 +39,33 @@ class _Part(NamedTuple):
     ticks: npt.NDArray[np.int64]
     values: Series
 
+    def select(self, rows: slice | npt.NDArray[Any]) -> "_Part":
+        """Return some of its rows."""
+        return _Part(self.row_ids[rows], self.ticks[rows], self.values[rows])
+
 
 class _Pieces:
-    """What was read of an entity so far, in one array that grows: pieces put together later would be there twice."""
+    """What was read of an entity so far, in arrays that grow: pieces put together later would be there twice."""
 
     def __init__(self, width: int) -> None:
-        self._row_ids: list[npt.NDArray[np.uint64]] = []
-        self._ticks: list[npt.NDArray[np.int64]] = []
-        self._values = np.empty((0, width))
+        self._grown = _nothing(width)
         self._rows = 0
 
     def append(self, row_ids: npt.NDArray[np.uint64], ticks: npt.NDArray[np.int64], values: Series) -> None:
-        """Take the next piece, as of ``_Part``."""
-        self._row_ids.append(row_ids)
-        self._ticks.append(ticks)
+        """Take a copy of the next piece, as of ``_Part``."""
         start, self._rows = self._rows, self._rows + len(values)
-        if self._rows > len(self._values):
-            self._values.resize((self._rows + _GROWN_ROWS, self._values.shape[1]), refcheck=False)
-        self._values[start : self._rows] = values
+        for grown, piece in zip(self._grown, (row_ids, ticks, values), strict=True):
+            if self._rows > len(grown):
+                grown.resize((self._rows + _GROWN_ROWS, *grown.shape[1:]), refcheck=False)
+            grown[start : self._rows] = piece
 
     def in_order(self) -> _Part:
-        """Return all in the order of writing; takes the pieces away, to save memory."""
-        row_ids, ticks = np.concatenate(self._row_ids), np.concatenate(self._ticks)
-        self._row_ids.clear()
-        self._ticks.clear()
-        values = self._values[: self._rows]
-        upper, lower = row_ids.T
+        """Return all in the order of writing."""
+        read = self._grown.select(slice(self._rows))
+        upper, lower = read.row_ids.T
         if ((upper[1:] > upper[:-1]) | ((upper[1:] == upper[:-1]) & (lower[1:] > lower[:-1]))).all():
-            return _Part(row_ids, ticks, values)
-        order = np.lexsort((lower, upper))
-        return _Part(row_ids[order], ticks[order], values[order])
+            return read
+        return read.select(np.lexsort((lower, upper)))
 
 
 class _Entities:
@@ -185,8 +182,8 @@ def _take(entity: str, batch: "pa.RecordBatch", entities: _Entities, held: dict[
         wanted = _columns(names, entities.wanted)
         pieces = entities.pieces.setdefault(entity, _Pieces(len(wanted)))
         pieces.append(
-            row_ids.astype(np.uint64).reshape(len(batch), 2),
-            columns["tick"].to_numpy().copy(),
+            row_ids.reshape(len(batch), 2),
+            columns["tick"].to_numpy(),
             values.reshape(len(batch), -1)[:, wanted],
         )
 
@@ -203,13 +200,8 @@ def _signals(held: dict[str, list[str]], entities: _Entities) -> dict[str, Serie
     if not all(np.array_equal(one, ticks[0]) for one in ticks):
         # After a kill the last rows may have reached some entities only; after a repair any may lack some.
         common = functools.reduce(np.intersect1d, ticks)
-        joined = {path: (names, _only(part, common)) for path, (names, part) in joined.items()}
+        joined = {path: (names, part.select(np.isin(part.ticks, common))) for path, (names, part) in joined.items()}
     return {name: part.values[:, i] for names, part in joined.values() for i, name in enumerate(names)}
-
-
-def _only(part: _Part, ticks: npt.NDArray[np.int64]) -> _Part:
-    rows = np.isin(part.ticks, ticks)
-    return _Part(part.row_ids[rows], part.ticks[rows], part.values[rows])
 
 
 def _nothing(width: int) -> _Part:
