@@ -27,7 +27,7 @@ _HEADER_BYTES = 12
 _MESSAGE = struct.Struct("<QQ")
 _END_MESSAGE = 0
 _COPY_BYTES = 1 << 20
-_GROWN_ROWS = 1 << 16
+_GROWN_ROWS = 1 << 14
 _PROPERTIES = "/__properties/"
 _ROW_ID = "rerun.controls.RowId"
 
