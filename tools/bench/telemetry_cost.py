@@ -4,8 +4,9 @@ First a loop at 1 kHz with 40 signals a tick, in turns: without telemetry, with 
 viewer that shows it, with a recording and a viewer that is frozen; then once with one ``rr.log`` a signal. Then a
 recording of 20 minutes at 1 kHz, with every signal of a run, is made in lockstep and reviewed.
 
-The rows are those of a real run of ``paper_circle``, again and again, with the clock going on; the recording has the
-properties of that run, so that all is drawn that ``hil run --record`` draws. Lateness counts as changed when every turn
+The rows are those of a real run of ``paper_circle``, again and again, with the clock going on, and each is made anew in
+its tick, as a run makes it; the recording has the properties of that run, so that all is drawn that ``hil run
+--record`` draws, and the loop has the real-time settings of a run. Lateness counts as changed when every turn
 with telemetry has a greater p99 than every turn without: by chance that happens once in 252 times with 5 rounds.
 """
 
@@ -27,6 +28,7 @@ import numpy as np
 
 import hil
 from hil.errors import BadInputError
+from hil.realtime import PRIORITY, RealTime, Wanted, real_time
 from hil.review.contents import DamagedError
 from hil.review.decode import decode
 from hil.scenario import load
@@ -123,7 +125,8 @@ class _Bench:
             "frozen viewer": lambda: self._recorded(rows, "frozen"),
         }
         turns: dict[str, list[Turn]] = {kind: [] for kind in kinds}
-        with _real_time():
+        with real_time(Wanted(PRIORITY, (), lock_memory=True)) as settings:
+            _granted(settings)
             for _ in range(rounds):
                 for kind, take in kinds.items():
                     turns[kind].append(take())
@@ -241,10 +244,11 @@ def _turn(rows: Sequence[Row], put: Put, begin: int = 0) -> Turn:
     due = now() + 10 * PERIOD_NS
     for row in rows[begin:]:
         time.sleep(max(0, due - now()) / 1e9)
+        late_us.append((now() - due) / 1e3)
+        fresh = tuple([value * 1.0 for value in row])  # a run's values come from the tick itself
         start = now()
-        put(row)
+        put(fresh)
         work_us.append((now() - start) / 1e3)
-        late_us.append((start - due) / 1e3)
         due += PERIOD_NS
     counted = WARM_UP - begin
     p50, p99 = np.percentile(late_us[counted:], [50, 99])
@@ -257,7 +261,7 @@ def _viewer(port: int, path: Path, *, freeze: bool) -> Iterator[None]:
     path.unlink(missing_ok=True)
     command = [str(viewer_executable()), "--bind", "127.0.0.1", "--port", str(free_port()), "--save", str(path)]
     quiet = {**os.environ, "RUST_LOG": "off"}
-    with subprocess.Popen([*command, live_address(port)], env=quiet, preexec_fn=_ordinary) as viewer:
+    with subprocess.Popen([*command, live_address(port)], env=quiet) as viewer:
         try:
             deadline = time.monotonic() + 60.0
             while not _received(path):
@@ -278,25 +282,10 @@ def _received(path: Path) -> bool:
         return False
 
 
-def _ordinary() -> None:
-    """A viewer has not the priority of a loop."""
-    if sys.platform == "linux":
-        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-
-
-@contextmanager
-def _real_time() -> Iterator[None]:
-    """Give this process the priority that a loop has."""
-    if sys.platform == "linux":
-        try:
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(50))
-        except PermissionError:
-            print("without real-time priority, which takes root: lateness says little")
-    try:
-        yield
-    finally:
-        if sys.platform == "linux":
-            _ordinary()
+def _granted(settings: RealTime) -> None:
+    """Say which of the settings of a run in real time this machine refuses."""
+    for sentence in settings.figures()["refused"].values():
+        print(f"unlike a run with every right: {sentence}")
 
 
 def _median(turns: Sequence[Turn], field: int) -> float:
