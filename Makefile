@@ -21,9 +21,14 @@ test: setup .venv/tools
 test-socketcan: setup .venv/tools
 	$(BIN)/python -m pytest -m socketcan -rs $(ARGS)
 
-# Every fault alone over each link, all pairs, and a part in real time; ARGS goes to hil catalogue.
+# Every fault alone over each link, all pairs, and a part in real time, then over motors of two other makers; ARGS goes to
+# hil catalogue.
+ENDPOINTS = --set 'device.motors.watchdog_endpoints=[419, 420]' --set device.motors.endpoints_firmware=0.6.11 \
+	--set device.motors.endpoints_hardware=4.4.58
 catalogue: setup
 	$(BIN)/hil catalogue --pairs --realtime $(ARGS)
+	$(BIN)/hil catalogue --set loop.rate_hz=200 --set device.driver=moteus $(ARGS)
+	$(BIN)/hil catalogue --set loop.rate_hz=200 --set device.driver=odrive $(ENDPOINTS) $(ARGS)
 
 check: setup .venv/tools
 	$(BIN)/ruff check

@@ -6,7 +6,7 @@ Their protocols have neither sessions nor sequences, so that what may happen fol
    ``watchdog + ramp``, or against all of them, gets no torque that drives it further. A speed loop may overshoot, so
    this is said of wheels that are beyond by more than 1 rad/s and a tenth, driven by more than a twentieth of the
    torque limit, for longer than 50 ms. Before the first command and once the host is gone, zero is all that was asked.
-2. A second after that the drives give no torque at all.
+2. A second after that the drives give no torque but what holds a wheel at rest: a twentieth of the limit.
 3. Every torque is finite, and within the limit.
 
 In torque mode 1 is said of the time after the host has gone.
@@ -79,7 +79,7 @@ class MotorsJudge:
                 found += _first(_lasting(away), f"{wheel} is driven away from what was asked")
         gone = min(len(torque), end + round(_HOLD_S * 1000))
         after = np.zeros(len(torque), dtype=bool)
-        after[gone:] = np.abs(torque[gone:]).max(axis=1) > 0.0
+        after[gone:] = np.abs(torque[gone:]).max(axis=1) > driven
         found += _first(after, "the drives still give torque though the host has been gone for more than a second")
         if not (np.abs(torque[begin:end]) > 0.0).any() or gone >= len(torque):
             found.append("the robot was never driven or never left alone, so nothing is shown")

@@ -109,7 +109,10 @@ def _of_motors(asked: Asked, base: Scenario) -> list[Job]:
     for motors in MOTORS_CASES:
         if asked.kinds and motors.case.kind not in asked.kinds:
             continue
-        job = _job(asked, (motors.case,), MOTORS_WIRES[wire], "lockstep", True, set(motors.outcomes))
+        outcomes = set(motors.outcomes)
+        if can.watchdog == "fixed":  # which may be longer than the window, and what is reset may obey at once
+            outcomes.add(Outcome.GOES_ON)
+        job = _job(asked, (motors.case,), MOTORS_WIRES[wire], "lockstep", True, outcomes)
         jobs.append(job._replace(causes=list(motors.causes), causes_of_end=list(motors.causes)))
     return jobs
 

@@ -144,6 +144,7 @@ _OTHERWISE = {
     "stuck_encoder fl": {_GOES_ON, _ENDS},
     "low_battery battery": {_GOES_ON, _ENDS},
     "no command": {_REARMS, _ENDS},
+    "no feedback": {_REARMS, _ENDS},
 }
 MOTORS_CASES: tuple[MotorsCase, ...] = tuple(
     MotorsCase(case, frozenset(_OTHERWISE.get(case.name, {case.outcome})), _LOST)
