@@ -72,6 +72,8 @@ class Stm32:
         self.round_trip = RoundTrip()
         self.clock_sync = ClockSync()
         self._next_sync_ns = 0
+        self._emptied_ns: int | None = None  # when the link was last read until it had nothing more
+        self.unread_ns = 0
         self.sent = 0
         self.received = 0
 
@@ -105,6 +107,7 @@ class Stm32:
         self._is_known = False
         self._next_heartbeat_ns = None
         self._feedback = None
+        self._emptied_ns = None
         self.report.status = None
         self.clock_sync.give_up()
         self._link.discard()
@@ -285,7 +288,10 @@ class Stm32:
             self._take(received)
 
     def poll(self) -> Feedback | None:
-        """Take what has arrived; return the newest snapshot so far. Sends heartbeat and TIME_SYNC when they are due."""
+        """Take what has arrived; return the newest snapshot so far. Sends heartbeat and TIME_SYNC when they are due.
+
+        In real time what was taken may have lain there for ``unread_ns``: since the link was last found empty.
+        """
         taken = 0
         # In real time the rest is for the next tick: a host that is slower than its robot would never be done.
         while (taken < _MOST_A_POLL or self._expected.lockstep) and (received := self._link.receive(0)) is not None:
@@ -299,6 +305,10 @@ class Stm32:
                 self._wish(self._request)
             if now_ns >= self._next_sync_ns:
                 self._synchronise(now_ns)
+            if not self._expected.lockstep:
+                before_ns = now_ns if self._emptied_ns is None else self._emptied_ns
+                self._emptied_ns = now_ns if taken < _MOST_A_POLL else before_ns
+                self.unread_ns = now_ns - before_ns
         return self._feedback
 
     @property
