@@ -13,10 +13,12 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus, WebSocketExce
 from websockets.sync.client import ClientConnection, connect
 
 from hil.errors import BadInputError, DeviceError, LinkError, RunInterruptedError
+from hil.service.api_config import HOST
 from hil.service.discovery import Service, read_token, running
 from hil.service.messages import LONG, Action
 
 TWIST_PERIOD_S = 0.05
+STOP_UNANSWERED = "the service did not answer that it stops the robot; it does so when the twist times out"
 
 # More than the API gives the control process, for orders that take their time too.
 _TIMEOUT_S = 5.0
@@ -30,11 +32,12 @@ def find(url: str | None = None, port: int | None = None, token_file: Path | Non
 
     Raises LinkError when none runs, BadInputError when several do, or the token cannot be read.
     """
+    url = None if url is None else url.rstrip("/").replace("//localhost:", f"//{HOST}:")
     if url is not None and token_file is not None:
-        return Client(url.rstrip("/"), token_file)
+        return Client(url, token_file)
     services = running()
     if url is not None:
-        found = [service for service in services if service.url == url.rstrip("/")]
+        found = [service for service in services if service.url == url]
         if not found:
             raise BadInputError(f"service {url}: it is none of yours; name the file with its token with --token-file")
     else:
@@ -173,7 +176,7 @@ class Live:
 
 def _stop(live: Live) -> None:
     if not _hear(live, time.monotonic() + _TIMEOUT_S, live.order(Action.STOP)):
-        raise LinkError("the service did not answer that it stops the robot; it does so when the twist times out")
+        raise LinkError(STOP_UNANSWERED)
 
 
 def _hear(live: Live, until_s: float, number: int | None = None) -> bool:
