@@ -6,7 +6,6 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,18 +23,6 @@ from tests.service_testbed import LIMITS, STATUS, ControlSide, own_state, served
 
 CONFIG = ApiConfig(title="paper_circle", device="a test", limits=LIMITS, port=0)
 TWIST = {"vx_m_s": 0.5, "vy_m_s": 0.0, "yaw_rate_rad_s": 0.0}
-
-
-@pytest.fixture(scope="module")
-def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ControlSide]:
-    with own_state(tmp_path_factory.mktemp("state")), served() as side:
-        yield side
-
-
-@pytest.fixture
-def side(service: ControlSide) -> ControlSide:
-    service.forget()
-    return service
 
 
 def order(live: ClientConnection, number: int, action: str, arguments: object) -> None:
