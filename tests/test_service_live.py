@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection
 
 from hil.child import module_command
@@ -34,6 +35,11 @@ def next_answer(live: ClientConnection) -> dict[str, Any]:
         pass
     answer: dict[str, Any] = told["answer"]
     return answer
+
+
+def read_all(live: ClientConnection) -> None:
+    while True:
+        live.recv(timeout=30.0)
 
 
 def test_orders_on_the_websocket_come_in_their_order_and_answers_by_the_clients_numbers(side: ControlSide) -> None:
@@ -108,6 +114,52 @@ def test_when_a_client_that_drives_is_killed_nothing_more_is_sent_for_it(side: C
     taken = len(side.orders)
     assert side.request("POST", "/v1/stop").status_code == 200
     assert side.actions[taken:] == [Action.STOP], "that the twist times out is the control process's doing"
+
+
+def test_a_burst_that_waited_for_an_api_that_stood_still_moves_nothing_and_an_emergency_stop_in_it_is_done(
+    side: ControlSide,
+) -> None:
+    pid = side.child.pid
+    assert pid is not None
+    with side.live() as live:
+        os.kill(pid, signal.SIGSTOP)
+        for number in range(100):
+            order(live, number, "twist", TWIST)
+        order(live, 100, "arm", {})
+        order(live, 101, "estop", {})
+        wait_for(lambda: not side.child.alive)  # which is what disarms the robot
+        os.kill(pid, signal.SIGCONT)
+        answers = {answer["number"]: answer["refused"] for answer in (next_answer(live) for _ in range(102))}
+        assert answers.pop(101) is None
+        assert set(answers.values()) == {"the API stood still while this order waited; give it again"}
+        assert side.actions == [Action.ESTOP]
+        wait_for(lambda: side.child.alive)
+
+        def is_taken() -> bool:
+            order(live, 7, "twist", TWIST)
+            return next_answer(live)["refused"] is None
+
+        wait_for(is_taken)
+
+
+def test_a_client_that_sends_more_than_it_reads_is_closed_and_what_it_sent_drives_no_longer(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with own_state(tmp_path), served() as side:
+        with side.turn, side.live() as live:  # the control side is slow
+            for number in range(1000):
+                order(live, number, "twist", TWIST)
+            with pytest.raises(ConnectionClosed) as closed:
+                read_all(live)
+        assert closed.value.rcvd is not None
+        assert closed.value.rcvd.code == 1008
+        wait_for(lambda: "hil_api_live_clients 0.0" in side.request("GET", "/metrics").text)
+        assert len(side.orders) <= 64, "no more are open at a time"
+        assert side.request("POST", "/v1/stop").status_code == 200
+        assert side.actions[-1] is Action.STOP
+    said = capfd.readouterr().err
+    assert "it does not read its answers" in said
+    assert "Exception" not in said, "what could not be sent any more is no failure"
 
 
 def test_emergency_stops_come_first_of_what_is_at_hand(side: ControlSide) -> None:
