@@ -37,7 +37,10 @@ def next_answer(live: ClientConnection) -> dict[str, Any]:
     return answer
 
 
-def read_all(live: ClientConnection) -> None:
+def flood(live: ClientConnection) -> None:
+    """Give more orders than may be unanswered, and then read what comes, until the connection is closed."""
+    for number in range(1000):
+        order(live, number, "twist", TWIST)
     while True:
         live.recv(timeout=30.0)
 
@@ -146,11 +149,8 @@ def test_a_client_that_sends_more_than_it_reads_is_closed_and_what_it_sent_drive
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     with own_state(tmp_path), served() as side:
-        with side.turn, side.live() as live:  # the control side is slow
-            for number in range(1000):
-                order(live, number, "twist", TWIST)
-            with pytest.raises(ConnectionClosed) as closed:
-                read_all(live)
+        with side.turn, side.live() as live, pytest.raises(ConnectionClosed) as closed:  # the control side is slow
+            flood(live)
         assert closed.value.rcvd is not None
         assert closed.value.rcvd.code == 1008
         wait_for(lambda: "hil_api_live_clients 0.0" in side.request("GET", "/metrics").text)
