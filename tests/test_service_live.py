@@ -6,6 +6,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -195,6 +196,20 @@ def test_an_api_process_that_is_killed_or_hangs_is_started_again_where_it_was_wi
     assert token.exists(), "it is the user's"
 
 
+def test_an_api_process_is_not_killed_because_nobody_looked_at_it(
+    side: ControlSide, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hil.service.api_child._HUNG_S", 0.3)
+    before = (side.child.pid, side.child.restarts)
+    with side.turn:  # as when the control process stands still after it has looked
+        begin_s = time.monotonic()
+        wait_for(lambda: time.monotonic() > begin_s + 0.5)
+        side.child.send(STATUS)
+        assert side.child.alive
+    assert side.request("POST", "/v1/stop").status_code == 200
+    assert (side.child.pid, side.child.restarts) == before
+
+
 def test_the_api_process_ends_when_its_control_process_is_killed(tmp_path: Path) -> None:
     script = (
         "import sys, time\nfrom hil.service.api_child import ApiChild\n"
@@ -219,7 +234,10 @@ def test_the_api_process_ends_when_its_control_process_is_killed(tmp_path: Path)
 def test_a_port_in_use_is_refused_with_a_sentence(tmp_path: Path) -> None:
     with own_state(tmp_path), socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
-        with pytest.raises(BadInputError, match=rf"cannot listen on 127\.0\.0\.1:{port} .* choose another port"):
+        with pytest.raises(
+            BadInputError,
+            match=rf"cannot listen on 127\.0\.0\.1:{port} \(Address already in use\); .* choose another port",
+        ):
             ApiChild(replace(CONFIG, port=port))
 
 

@@ -85,12 +85,13 @@ class Client:
 
     def twist(self, arguments: Mapping[str, float], for_s: float) -> None:
         """Drive by twist for a time, and then stop. Ctrl-C stops at once, and raises RunInterruptedError."""
+        end_s = time.monotonic() + for_s
+        self.order(Action.TWIST, arguments)  # which tells wrong arguments from a refusal
         with self.live() as live:
-            end_s = time.monotonic() + for_s
             try:
                 while (now_s := time.monotonic()) < end_s:
-                    live.order(Action.TWIST, arguments)
                     _hear(live, min(now_s + TWIST_PERIOD_S, end_s))
+                    live.order(Action.TWIST, arguments)
             except KeyboardInterrupt:
                 _stop(live)
                 raise RunInterruptedError("interrupted; the robot was told to stop") from None
