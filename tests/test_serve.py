@@ -6,7 +6,9 @@ import math
 import os
 import queue
 import signal
+import socket
 import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -231,6 +233,21 @@ def test_a_service_waits_for_a_robot_that_is_not_there_yet(tmp_path: Path) -> No
             service.drive()
         service.process.send_signal(signal.SIGINT)
         assert service.process.wait(30) == 0
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a server is refused that takes nobody in")
+def test_a_link_that_takes_its_time_to_be_opened_keeps_nobody_waiting(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0), backlog=0) as server:
+        address = server.getsockname()
+        # Nobody accepts this one, and who comes after it is not even answered.
+        with socket.create_connection(address):
+            link = f"serial:socket://127.0.0.1:{address[1]}"
+            with serving(tmp_path, "--link", link, "--set", "estimator.source=odometry") as service:
+                assert service.until(phase="away")["why"] == "its link is being opened"
+                service.client.order(Action.ESTOP)
+                service.process.send_signal(signal.SIGTERM)
+                assert service.process.wait(30) == 0
+    assert not any("cannot be opened" in line["event"] for line in service.lines)
 
 
 def test_twists_that_end_stop_the_robot_and_an_estop_latches(tmp_path: Path) -> None:

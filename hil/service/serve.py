@@ -11,6 +11,7 @@ from pathlib import Path
 from hil.bench import Bench
 from hil.errors import BadInputError, HilError, LinkError
 from hil.links.back_off import BackOff
+from hil.links.opening_beside import OpeningBeside
 from hil.links.url import parse_link
 from hil.parts import PartsOf
 from hil.realtime import RealTime, Wanted, real_time
@@ -170,41 +171,43 @@ class _Service:
     def _open_bench(self, resources: contextlib.ExitStack) -> Bench | None:
         """Open link and robot, again and again while that fails; None when the service is to end before."""
         waits = BackOff()
+        why = "its link is being opened"
         while True:
+            opening = OpeningBeside(self._opened)
             try:
-                options = self._options
-                return resources.enter_context(
-                    Bench(
-                        self._scenario,
-                        options.truth,
-                        allow_motion=options.allow_motion,
-                        signals=self._parts.laws.signals,
-                    )
-                )
+                while (bench := opening.take(_POLL_S)) is None:
+                    if not self._attend(why):
+                        opening.abandon()
+                        return None
             except LinkError as error:
-                logs.warning("link cannot be opened", why=str(error))
-                if not self._wait_for_link(str(error), waits.take_ns()):
+                why = str(error)
+                logs.warning("link cannot be opened", why=why)
+            else:
+                return resources.enter_context(bench)
+            until_ns = time.monotonic_ns() + waits.take_ns()
+            while time.monotonic_ns() < until_ns:
+                if not self._attend(why):
                     return None
+                time.sleep(_POLL_S)
 
-    def _wait_for_link(self, why: str, wait_ns: int) -> bool:
-        """Answer orders for so long; False when the service is to end."""
-        until_ns = time.monotonic_ns() + wait_ns
-        while time.monotonic_ns() < until_ns:
-            for order in self._api.orders():
-                if order.action is Action.SHUTDOWN:
-                    self._api.send(Answer(order.number))
-                    return False
-                if order.action is Action.ESTOP:
-                    self._estop_owed = True
-                    self._api.send(Answer(order.number))
-                else:
-                    self._api.send(Answer(order.number, f"the robot is away: {why}"))
-            if self._ending.asked:
+    def _opened(self) -> Bench:
+        options = self._options
+        return Bench(self._scenario, options.truth, allow_motion=options.allow_motion, signals=self._parts.laws.signals)
+
+    def _attend(self, why: str) -> bool:
+        """Answer the orders that have come for a robot that is away; False when the service is to end."""
+        for order in self._api.orders():
+            if order.action is Action.SHUTDOWN:
+                self._api.send(Answer(order.number))
                 return False
-            self._api.send(self._now.without_bench(why))
-            self._notifier.beat(time.monotonic_ns())
-            time.sleep(_POLL_S)
-        return True
+            if order.action is Action.ESTOP:
+                self._estop_owed = True
+                self._api.send(Answer(order.number))
+            else:
+                self._api.send(Answer(order.number, f"the robot is away: {why}"))
+        self._api.send(self._now.without_bench(why))
+        self._notifier.beat(time.monotonic_ns())
+        return not self._ending.asked
 
     def _pilot(self, bench: Bench) -> Pilot:
         table = self._scenario.service
