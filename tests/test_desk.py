@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from firmware_protocol.generated.messages import State as RobotState
 from hil.scenario import load
 from hil.scenario.laws import Laws
 from hil.service.desk import Desk
@@ -212,3 +213,19 @@ def test_a_law_that_fails_ends_in_a_disarmed_robot_that_can_be_armed_again(tmp_p
         assert "the law or the path failed: ZeroDivisionError" in str(served.pilot.why)
         served.pilot.use(served.made.laws)
         served.armed()
+
+
+def test_a_law_that_fails_keeps_neither_the_robot_away_nor_an_emergency_stop_from_it() -> None:
+    with Served() as served:
+        broken = Broken(served.made.laws.controller)
+        broken.left = 0
+        served.pilot.use(Laws(broken, None))
+        served.run_until(Phase.DISARMED)
+        served.pilot.use(served.made.laws)
+        served.armed()
+        served.pilot.use(Laws(broken, None))
+        served.order(Action.ESTOP)
+        served.run(0.5)
+        assert served.phases[-2:] == [Phase.ACTIVE, Phase.ESTOP]
+        assert not served.pilot.estop_owed
+        assert served.last("robot.state") == RobotState.ESTOP

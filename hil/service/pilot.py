@@ -192,6 +192,9 @@ class Pilot:
         except (HilError, ArithmeticError, ValueError) as error:
             if not isinstance(error, HilError):  # a law or a path beyond what numbers can do
                 error = BadInputError(f"the law or the path failed: {type(error).__name__}: {error}")
+            if isinstance(error, BadInputError):
+                self._law_failed = True
+                self._doing.use(muted(self._parts))
             self.lose(error)
             self._doing.tell_away(now, fix, NOWHERE)
 
@@ -214,11 +217,11 @@ class Pilot:
             self._parts.device.disarm()
             self._enter(latched[feedback.state])
         else:  # the law, or a robot that refuses
-            if not isinstance(error, DeviceError):
-                self._law_failed = True
-                self._doing.use(muted(self._parts))
             self._parts.device.disarm()
-            self._enter(Phase.STOPPING, _STOPPING_LIMIT_S)
+            if self._emergency.owed:
+                self._enter(Phase.ESTOP)
+            else:
+                self._enter(Phase.STOPPING, _STOPPING_LIMIT_S)
 
     def _come_back(self, now: LoopSignals, fix: PoseFix | None) -> None:
         self._doing.raise_robot_failure()
