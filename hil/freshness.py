@@ -11,7 +11,7 @@ from hil.ports import Clock
 from hil.sampling import Timing
 from hil.types import PoseFix
 
-_LOST_NS = 250_000_000  # silence that ends the run
+_LOST_NS = 250_000_000  # silence that ends the run, and the longest that feedback may have lain unread while driving
 # How far a robot's clock may be from where it should be and still be the same: feedback on its way, and HSI's accuracy.
 _CLOCK_PERIODS = 4
 _CLOCKS_APART_NS = 50_000_000
@@ -38,16 +38,21 @@ class Freshness:
     def poll(self, t_s: float, *, active: bool = True) -> Feedback:
         """Return the newest feedback; ``t_s`` is the tick's, for messages.
 
-        Raises RobotStoppedError or DeviceError for a robot that is not ACTIVE, LinkError after a long silence. One that
-        need not be ``active`` is only stopped when it was reset.
+        Raises RobotStoppedError or DeviceError for a robot that is not ACTIVE, LinkError after a long silence of the
+        robot, or of this process. One that need not be ``active`` is only stopped when it was reset.
+
+        What was taken after this process stood still may be as old as that. It makes nothing newer, whatever came with
+        it, and neither the robot's clock is judged by it: what comes next is fresh.
         """
         feedback = self._device.poll()
+        unread_ns = self._device.unread_ns
+        is_old = unread_ns > self._timing.stale_ns
         now_ns = self._clock.now_ns()
         if feedback is None:
             raise RobotStoppedError("the robot sends no feedback")
         if self._faults is not None:
             feedback = self._faults.feedback(feedback)
-        if self._heard_ns is None or feedback.robot_time_ns != self._newest_ns:
+        if self._heard_ns is None or (feedback.robot_time_ns != self._newest_ns and not is_old):
             if not active and self._heard_ns is not None and self._began_anew(feedback, now_ns - self._heard_ns):
                 raise RobotStoppedError(f"the robot was reset at t = {t_s:.3f} s")
             self._newest_ns, self._heard_ns = feedback.robot_time_ns, now_ns
@@ -55,7 +60,13 @@ class Freshness:
         if active and feedback.state is not RobotState.ACTIVE:
             latched = feedback.state in (RobotState.FAULT, RobotState.ESTOP)
             raise (DeviceError if latched else RobotStoppedError)(self._why_stopped(feedback.state, t_s))
-        if self.silent_ns > _LOST_NS:
+        if is_old:
+            if unread_ns > (_LOST_NS if active else _LEAP_NS):
+                raise LinkError(
+                    f"feedback lay unread for {unread_ns * 1e-6:.0f} ms at t = {t_s:.3f} s: this process stood still, "
+                    "or is slower than the robot; what the link holds is too old to be driven by"
+                )
+        elif self.silent_ns > _LOST_NS:
             raise LinkError(
                 f"no feedback for {self.silent_ns * 1e-6:.0f} ms at t = {t_s:.3f} s: the link or the robot was lost"
             )

@@ -1,12 +1,17 @@
 """In CI a skipped test is a failure, unless .ci/run names it; on a user's machine it says what to install."""
 
 import os
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import hypothesis
 import pytest
 
 from tests import socketcan_runner
 from tests.plugin_suites import suite
+
+if TYPE_CHECKING:
+    from tests.service_testbed import ControlSide
 
 __all__ = ["suite"]
 
@@ -49,3 +54,20 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
 def _unwanted(reporter: pytest.TerminalReporter) -> list[str]:
     skipped = [report.nodeid for report in reporter.stats.get("skipped", [])]
     return [nodeid for nodeid in skipped if not nodeid.endswith(_MAY_SKIP or ("\0",))]
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory: pytest.TempPathFactory) -> "Iterator[ControlSide]":
+    """A real API process, for all tests of a module."""
+    from tests.service_testbed import own_state, served  # most tests do without what it imports
+
+    with own_state(tmp_path_factory.mktemp("state")), served() as side:
+        yield side
+
+
+@pytest.fixture
+def side(service: "ControlSide") -> "ControlSide":
+    """The control side of ``service``, as it is in the beginning."""
+    service.forget()
+    service.wait_until_it_answers()
+    return service

@@ -99,6 +99,9 @@ class ControlSide:
         self.speaks = True
         self.status = STATUS
 
+    def wait_until_it_answers(self) -> None:
+        wait_for(lambda: self.request("GET", "/v1/status").status_code == 200)
+
     def answer_all(self) -> None:
         """Answer all that has come, however late."""
         self._late.extend(Answer(order.number) for order in self.orders)
@@ -133,7 +136,7 @@ def served(**options: Any) -> Iterator[ControlSide]:
     config = ApiConfig(**{"title": "paper_circle", "device": "a test", "limits": LIMITS, "port": 0} | options)
     side = ControlSide(ApiChild(config))
     try:
-        wait_for(lambda: side.request("GET", "/v1/status").status_code == 200)
+        side.wait_until_it_answers()
         yield side
     finally:
         side.close()

@@ -8,7 +8,6 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
 from dataclasses import replace
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -25,19 +24,6 @@ from hil.service.discovery import announce, running
 from hil.service.messages import Action, Answer, Phase
 from tests.processes import HIL, environment, hil, is_running, wait_for
 from tests.service_testbed import STATUS, ControlSide, own_state, served
-
-
-@pytest.fixture(scope="module")
-def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ControlSide]:
-    with own_state(tmp_path_factory.mktemp("state")), served() as side:
-        yield side
-
-
-@pytest.fixture
-def side(service: ControlSide) -> ControlSide:
-    service.forget()
-    wait_for(lambda: service.request("GET", "/v1/status").status_code == 200)
-    return service
 
 
 @pytest.mark.parametrize(
@@ -69,6 +55,7 @@ def test_a_command_is_an_order(side: ControlSide, command: str, action: Action, 
         ("gains kp", "'kp': expected NAME=VALUE"),
         ("track --set radius_m=1", "--set is for a KIND of its own"),
         ("twist 9 0 0", "vx_m_s = 9.0: it should be less than or equal to 2"),
+        ("twist 9 0 0 --for 1", "vx_m_s = 9.0: it should be less than or equal to 2"),
         ("record a.txt", "it should match pattern"),
         ("--url http://127.0.0.1:1 status", "service http://127.0.0.1:1: it is none of yours; name the file"),
     ],
@@ -191,12 +178,13 @@ def test_the_service_is_found_or_it_is_said_why_not(tmp_path: Path, side: Contro
         ):
             find()
         find(port=mine.port).order(Action.ARM)
+        find(mine.url.replace("127.0.0.1", "localhost") + "/").order(Action.ARM)
         with pytest.raises(LinkError, match="no service of yours runs at port 1: yours are port"):
             find(port=1)
     with pytest.raises(LinkError, match="it may be starting again"):
         find(port=port).status()
     claim.release()
-    assert side.actions == [Action.ARM, Action.ARM]
+    assert side.actions == [Action.ARM] * 3
 
 
 def test_another_program_at_the_services_port_is_told_from_it(tmp_path: Path) -> None:

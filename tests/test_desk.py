@@ -1,5 +1,6 @@
 """Orders at the desk of a service: what is done at once, what takes its time, and what became outdated meanwhile."""
 
+import itertools
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from pathlib import Path
@@ -7,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from firmware_protocol.generated.messages import State as RobotState
 from hil.scenario import load
 from hil.scenario.laws import Laws
 from hil.service.desk import Desk
@@ -22,7 +24,7 @@ class Beside(Executor):
     def __init__(self) -> None:
         self.waiting: list[tuple[Future[Any], Callable[[], Any]]] = []
 
-    def submit(self, do: Callable[[], Any], /, *_: Any, **__: Any) -> Future[Any]:  # type: ignore[override]
+    def submit(self, do: Callable[[], Any], /, *_: Any, **__: Any) -> Future[Any]:
         future: Future[Any] = Future()
         self.waiting.append((future, do))
         return future
@@ -41,19 +43,21 @@ class Served(PilotBench):
 
     def __init__(self) -> None:
         super().__init__()
+        self._numbers = itertools.count(1)
         self.beside = Beside()
         self.answers: dict[int, Answer] = {}
         self.config = load("circle_speed")
+        self.records = Records(None)
         signals = self.made.laws.signals
         self.desk = Desk(
-            self.config, signals, self.pilot, Records(None), self._answer, lambda: load("circle_speed"), self.beside
+            self.config, signals, self.pilot, self.records, self._answer, lambda: load("circle_speed"), self.beside
         )
 
     def _answer(self, answer: Answer) -> None:
         self.answers[answer.number] = answer
 
     def order(self, action: Action, *, stalled: bool = False, **arguments: Any) -> int:
-        number = len(self.answers) + len(self.beside.waiting) + 1
+        number = next(self._numbers)
         self.desk.take([Order(number, action, arguments)], 0.0, stalled=stalled)
         return number
 
@@ -65,7 +69,7 @@ class Served(PilotBench):
         return str(self.answers[number].refused)
 
 
-TRACK = {"reference": None, "here": True}
+TRACK: dict[str, Any] = {"reference": None, "here": True}
 
 
 def test_a_path_is_followed_when_it_has_been_read() -> None:
@@ -102,6 +106,41 @@ def test_what_waited_through_a_stall_moves_nothing(action: Action) -> None:
         served.run_until(Phase.DISARMED)
         number = served.order(action, stalled=True)
         assert "stood still while this order waited" in served.refusal(number)
+
+
+def test_a_path_that_was_being_read_when_the_service_stood_still_is_not_followed() -> None:
+    with Served() as served:
+        served.armed()
+        number = served.order(Action.TRACK, **TRACK)
+        served.beside.work()
+        served.desk.take([], 0.0, stalled=True)
+        assert "stood still while this order waited" in served.refusal(number)
+        served.finish()
+        assert served.pilot.task is Task.HOLD
+
+
+def test_a_second_recording_is_refused_whenever_it_is_asked_for(tmp_path: Path) -> None:
+    with Served() as served:
+        first = served.order(Action.RECORD, path=str(tmp_path / "one.rrd"))
+        served.beside.work()  # it has been started, and nobody has taken note yet
+        second = served.order(Action.RECORD, path=str(tmp_path / "two.rrd"))
+        assert "is being written" in served.refusal(second)
+        assert served.answers[first].result["path"] == str(tmp_path / "one.rrd")
+        end = served.order(Action.STOP_RECORDING)
+        again = served.order(Action.STOP_RECORDING)
+        served.finish()
+        assert served.answers[end].result["complete"]
+        assert served.refusal(again) == "nothing is being recorded"
+
+
+def test_a_recording_that_is_being_started_at_the_end_is_one_that_can_be_finished(tmp_path: Path) -> None:
+    with Served() as served:
+        served.order(Action.RECORD, path=str(tmp_path / "one.rrd"))
+        served.beside.work()
+        served.desk.end()
+        recording = served.records.end()
+        assert recording is not None
+        assert recording.finish({}).complete
 
 
 def test_an_emergency_stop_that_waited_is_done() -> None:
@@ -174,3 +213,19 @@ def test_a_law_that_fails_ends_in_a_disarmed_robot_that_can_be_armed_again(tmp_p
         assert "the law or the path failed: ZeroDivisionError" in str(served.pilot.why)
         served.pilot.use(served.made.laws)
         served.armed()
+
+
+def test_a_law_that_fails_keeps_neither_the_robot_away_nor_an_emergency_stop_from_it() -> None:
+    with Served() as served:
+        broken = Broken(served.made.laws.controller)
+        broken.left = 0
+        served.pilot.use(Laws(broken, None))
+        served.run_until(Phase.DISARMED)
+        served.pilot.use(served.made.laws)
+        served.armed()
+        served.pilot.use(Laws(broken, None))
+        served.order(Action.ESTOP)
+        served.run(0.5)
+        assert served.phases[-2:] == [Phase.ACTIVE, Phase.ESTOP]
+        assert not served.pilot.estop_owed
+        assert served.last("robot.state") == RobotState.ESTOP

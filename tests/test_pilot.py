@@ -216,6 +216,28 @@ def test_an_emergency_stop_reaches_a_robot_that_was_away() -> None:
         assert bench.last("robot.state") == RobotState.ESTOP
 
 
+def test_an_emergency_stop_is_latched_over_a_reset_of_the_robot_and_a_clear_from_before_is_not_obeyed() -> None:
+    with PilotBench(fault=[fault("reset", 1.5, target="robot")]) as bench:
+        bench.armed()
+        bench.run(0.5)
+        bench.pilot.estop()
+        bench.run_until(Phase.AWAY)
+        bench.run_until(Phase.ESTOP)
+        bench.run(0.5)
+        assert (bench.pilot.phase, bench.last("robot.state")) == (Phase.ESTOP, RobotState.ESTOP)
+        bench.pilot.clear()
+        bench.run_until(Phase.DISARMED)
+    with PilotBench(fault=[fault("disconnect", 2.0, end_s=3.0)]) as bench:
+        bench.armed()
+        bench.run(2.0 - len(bench.rows) * 0.01 - 0.1)
+        bench.pilot.estop()
+        bench.pilot.clear()
+        bench.run_until(Phase.AWAY)
+        bench.run_until(Phase.ESTOP)
+        bench.run(1.0)
+        assert bench.pilot.phase is Phase.ESTOP
+
+
 @pytest.mark.parametrize("armed", [False, True])
 def test_a_robot_that_was_reset_is_greeted_again_and_stays_disarmed(armed: bool) -> None:
     with PilotBench(fault=[fault("reset", 2.0, target="robot")]) as bench:

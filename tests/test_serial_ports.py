@@ -3,7 +3,9 @@
 import contextlib
 import itertools
 import os
+import socket
 import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,6 +19,7 @@ from hil.devices import handshake
 from hil.errors import DeviceError, LinkError
 from hil.links.framed import StreamLink
 from hil.links.opening import open_host
+from hil.links.opening_beside import OpeningBeside
 from hil.links.reader import Reader
 from hil.links.serial_port import SerialStream
 from hil.links.url import parse_link
@@ -67,6 +70,18 @@ def test_frames_pass_a_serial_server_both_ways(kind):
         assert server.url in host.describe()
 
 
+def reopen(host: StreamLink) -> None:
+    """Reopen a link to a server, which answers at once or after a while."""
+    while True:
+        try:
+            host.reopen()
+        except LinkError as error:
+            if "has not answered yet" not in str(error):
+                raise
+        else:
+            return
+
+
 def use_until_lost(host: StreamLink) -> None:
     for _ in range(100):
         host.receive(100_000_000)
@@ -81,19 +96,57 @@ def test_a_serial_server_that_ends_is_a_lost_link_and_can_be_reopened(kind):
     with pytest.raises(LinkError, match=r"was lost|took no byte"):
         use_until_lost(host)
     with pytest.raises(LinkError, match=r"Connection refused.*with the serial server running there"):
-        host.reopen()
+        reopen(host)
     master = pty.PtyStream()
     port = ThreeWirePort(master.port, timeout=0)
     again = SerialServer(port, rfc2217=kind == "rfc2217", listen=number)
     try:
         assert again.url == url
-        host.reopen()
+        reopen(host)
         exchange(host, StreamLink(master))
     finally:
         host.close()
         again.close()
         port.close()
         master.close()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a server is refused that takes nobody in")
+def test_nobody_waits_for_a_serial_server_that_does_not_answer() -> None:
+    with served("socket") as (_, server):
+        host = open_host(parse_link(f"serial:{server.url}"))
+        number = server.number
+    with contextlib.ExitStack() as resources:
+        listener = resources.enter_context(socket.create_server(("127.0.0.1", number), backlog=0))
+        # Nobody accepts this one, and who comes after it is not even answered.
+        resources.enter_context(socket.create_connection(("127.0.0.1", number)))
+        for _ in range(2):
+            with pytest.raises(LinkError, match="has not answered yet"):
+                host.reopen()
+        listener.accept()[0].close()
+        reopen(host)
+        connection = resources.enter_context(listener.accept()[0])
+        host.send(FRAMES[0])
+        assert connection.recv(100)
+        host.close()
+        assert connection.recv(100) == b""
+
+
+def test_a_port_that_opens_when_nobody_waits_for_it_any_more_is_closed() -> None:
+    opens, closed = threading.Event(), threading.Event()
+
+    class Port:
+        close = closed.set
+
+    def opened() -> Port:
+        opens.wait()
+        return Port()
+
+    beside = OpeningBeside(opened)
+    assert beside.take(0.0) is None
+    beside.abandon()
+    opens.set()
+    assert closed.wait(30)
 
 
 def test_a_refused_baud_rate_names_the_rate_and_others():

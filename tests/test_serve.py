@@ -2,10 +2,13 @@
 
 import contextlib
 import json
+import math
 import os
 import queue
 import signal
+import socket
 import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -168,6 +171,28 @@ def test_a_robot_that_was_unplugged_is_reconnected_and_is_not_armed_by_itself(tm
             service.client.order(Action.ARM)
 
 
+def test_a_control_process_that_stood_still_waits_disarmed_and_knows_where_the_robot_is(
+    tmp_path: Path,
+) -> None:
+    port = tmp_path / "robot"
+    with (
+        device("circle_speed", *OVERRIDES, "--mode", "realtime", "--link", f"serial:pty?symlink={port}") as robot,
+        serving(tmp_path, "--link", f"serial:{port}", "--set", "estimator.source=odometry") as service,
+        truth_of(robot) as truth,
+    ):
+        service.drive()
+        start = load("circle_speed").plant.start
+        begin = (start["start_x_m"], start["start_y_m"])
+        wait_for(lambda: math.dist(begin, truth.poll().pose[:2]) > 0.15)  # type: ignore[union-attr, arg-type]
+        os.kill(service.process.pid, signal.SIGSTOP)
+        service.until(phase=None)  # a second without any status
+        assert is_at_rest(truth)
+        os.kill(service.process.pid, signal.SIGCONT)
+        pose = service.until(phase="disarmed")["pose"]
+        assert math.dist(pose[:2], truth.poll().pose[:2]) < 0.05  # type: ignore[union-attr]
+        assert not any("was reset" in line["event"] for line in service.lines)
+
+
 def test_a_robot_with_other_parameters_is_never_armed(tmp_path: Path) -> None:
     """Its pages of HELLO may come while the service waits for the next tick, or in the tick."""
     port = tmp_path / "robot"
@@ -210,6 +235,21 @@ def test_a_service_waits_for_a_robot_that_is_not_there_yet(tmp_path: Path) -> No
         assert service.process.wait(30) == 0
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a server is refused that takes nobody in")
+def test_a_link_that_takes_its_time_to_be_opened_keeps_nobody_waiting(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0), backlog=0) as server:
+        address = server.getsockname()
+        # Nobody accepts this one, and who comes after it is not even answered.
+        with socket.create_connection(address):
+            link = f"serial:socket://127.0.0.1:{address[1]}"
+            with serving(tmp_path, "--link", link, "--set", "estimator.source=odometry") as service:
+                assert service.until(phase="away")["why"] == "its link is being opened"
+                service.client.order(Action.ESTOP)
+                service.process.send_signal(signal.SIGTERM)
+                assert service.process.wait(30) == 0
+    assert not any("cannot be opened" in line["event"] for line in service.lines)
+
+
 def test_twists_that_end_stop_the_robot_and_an_estop_latches(tmp_path: Path) -> None:
     with serving(tmp_path) as service:
         service.until(phase="disarmed")
@@ -246,6 +286,10 @@ def test_gains_are_read_again_and_recordings_come_and_go(tmp_path: Path) -> None
         assert len(t_s) == report["rows"] > 0
         assert t_s[0] == pytest.approx(begun["from_s"], abs=1e-6)
         assert begun["from_s"] > 0.0
+        for _ in range(2):  # as a window that is closed does it
+            service.process.send_signal(signal.SIGHUP)
+        assert service.process.wait(30) == 0
+        service.line("the robot is disarmed")
 
 
 def test_a_device_has_one_service(tmp_path: Path) -> None:

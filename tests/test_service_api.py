@@ -2,7 +2,6 @@
 
 import json
 import stat
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from urllib.parse import urlsplit
 
@@ -16,7 +15,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from hil.service.messages import Action, Answer, Phase
 from tests.processes import wait_for
-from tests.service_testbed import STATUS, ControlSide, own_state, served
+from tests.service_testbed import STATUS, ControlSide
 
 ROUTES = {
     ("GET", "/v1/status"): None,
@@ -43,19 +42,6 @@ BODIES = {
     "/v1/record": {"path": "a.mcap"},
 }
 TWIST = BODIES["/v1/twist"]
-
-
-@pytest.fixture(scope="module")
-def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ControlSide]:
-    with own_state(tmp_path_factory.mktemp("state")), served() as side:
-        yield side
-
-
-@pytest.fixture
-def side(service: ControlSide) -> ControlSide:
-    service.forget()
-    wait_for(lambda: service.request("GET", "/v1/status").status_code == 200)
-    return service
 
 
 def body(method: str, path: str) -> dict:

@@ -6,12 +6,13 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection
 
 from hil.child import module_command
@@ -26,18 +27,6 @@ CONFIG = ApiConfig(title="paper_circle", device="a test", limits=LIMITS, port=0)
 TWIST = {"vx_m_s": 0.5, "vy_m_s": 0.0, "yaw_rate_rad_s": 0.0}
 
 
-@pytest.fixture(scope="module")
-def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ControlSide]:
-    with own_state(tmp_path_factory.mktemp("state")), served() as side:
-        yield side
-
-
-@pytest.fixture
-def side(service: ControlSide) -> ControlSide:
-    service.forget()
-    return service
-
-
 def order(live: ClientConnection, number: int, action: str, arguments: object) -> None:
     live.send(json.dumps({"order": {"number": number, "action": action, "arguments": arguments}}))
 
@@ -47,6 +36,14 @@ def next_answer(live: ClientConnection) -> dict[str, Any]:
         pass
     answer: dict[str, Any] = told["answer"]
     return answer
+
+
+def flood(live: ClientConnection) -> None:
+    """Give more orders than may be unanswered, and then read what comes, until the connection is closed."""
+    for number in range(1000):
+        order(live, number, "twist", TWIST)
+    while True:
+        live.recv(timeout=30.0)
 
 
 def test_orders_on_the_websocket_come_in_their_order_and_answers_by_the_clients_numbers(side: ControlSide) -> None:
@@ -123,6 +120,49 @@ def test_when_a_client_that_drives_is_killed_nothing_more_is_sent_for_it(side: C
     assert side.actions[taken:] == [Action.STOP], "that the twist times out is the control process's doing"
 
 
+def test_a_burst_that_waited_for_an_api_that_stood_still_moves_nothing_and_an_emergency_stop_in_it_is_done(
+    side: ControlSide,
+) -> None:
+    pid = side.child.pid
+    assert pid is not None
+    with side.live() as live:
+        os.kill(pid, signal.SIGSTOP)
+        for number in range(100):
+            order(live, number, "twist", TWIST)
+        order(live, 100, "arm", {})
+        order(live, 101, "estop", {})
+        wait_for(lambda: not side.child.alive)  # which is what disarms the robot
+        os.kill(pid, signal.SIGCONT)
+        answers = {answer["number"]: answer["refused"] for answer in (next_answer(live) for _ in range(102))}
+        assert answers.pop(101) is None
+        assert set(answers.values()) == {"the API stood still while this order waited; give it again"}
+        assert side.actions == [Action.ESTOP]
+        wait_for(lambda: side.child.alive)
+
+        def is_taken() -> bool:
+            order(live, 7, "twist", TWIST)
+            return next_answer(live)["refused"] is None
+
+        wait_for(is_taken)
+
+
+def test_a_client_that_sends_more_than_it_reads_is_closed_and_what_it_sent_drives_no_longer(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with own_state(tmp_path), served() as side:
+        with side.turn, side.live() as live, pytest.raises(ConnectionClosed) as closed:  # the control side is slow
+            flood(live)
+        assert closed.value.rcvd is not None
+        assert closed.value.rcvd.code == 1008
+        wait_for(lambda: "hil_api_live_clients 0.0" in side.request("GET", "/metrics").text)
+        assert len(side.orders) <= 64, "no more are open at a time"
+        assert side.request("POST", "/v1/stop").status_code == 200
+        assert side.actions[-1] is Action.STOP
+    said = capfd.readouterr().err
+    assert "it does not read its answers" in said
+    assert "Exception" not in said, "what could not be sent any more is no failure"
+
+
 def test_emergency_stops_come_first_of_what_is_at_hand(side: ControlSide) -> None:
     with side.live() as live:
         with side.turn:
@@ -156,6 +196,20 @@ def test_an_api_process_that_is_killed_or_hangs_is_started_again_where_it_was_wi
     assert token.exists(), "it is the user's"
 
 
+def test_an_api_process_is_not_killed_because_nobody_looked_at_it(
+    side: ControlSide, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hil.service.api_child._HUNG_S", 0.3)
+    before = (side.child.pid, side.child.restarts)
+    with side.turn:  # as when the control process stands still after it has looked
+        begin_s = time.monotonic()
+        wait_for(lambda: time.monotonic() > begin_s + 0.5)
+        side.child.send(STATUS)
+        assert side.child.alive
+    assert side.request("POST", "/v1/stop").status_code == 200
+    assert (side.child.pid, side.child.restarts) == before
+
+
 def test_the_api_process_ends_when_its_control_process_is_killed(tmp_path: Path) -> None:
     script = (
         "import sys, time\nfrom hil.service.api_child import ApiChild\n"
@@ -180,7 +234,10 @@ def test_the_api_process_ends_when_its_control_process_is_killed(tmp_path: Path)
 def test_a_port_in_use_is_refused_with_a_sentence(tmp_path: Path) -> None:
     with own_state(tmp_path), socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
-        with pytest.raises(BadInputError, match=rf"cannot listen on 127\.0\.0\.1:{port} .* choose another port"):
+        with pytest.raises(
+            BadInputError,
+            match=rf"cannot listen on 127\.0\.0\.1:{port} \(Address already in use\); .* choose another port",
+        ):
             ApiChild(replace(CONFIG, port=port))
 
 

@@ -161,6 +161,27 @@ def test_only_an_enter_right_after_an_a_arms(typed: list[str]) -> None:
     assert 0.0 < operator.speeds.speed_m_s <= SPEEDS.speed_m_s
 
 
+@pytest.mark.parametrize(
+    ("name", "ctrl", "wish"),
+    [
+        ("e", False, Wish.ESTOP),
+        ("space", False, Wish.STOP),
+        ("d", False, Wish.DISARM),
+        ("c", True, Wish.QUIT),
+        ("i", False, None),
+        ("c", False, None),
+        ("enter", False, None),
+    ],
+)
+def test_of_what_was_typed_while_nobody_looked_only_what_stops_counts(name: str, ctrl: bool, wish: Wish | None) -> None:
+    operator = Operator(ToldKeys(), SPEEDS, 0.1, 0.5)
+    operator.take(Key("i"), 0.0)
+    operator.take(Key("a"), 0.0)
+    assert operator.take_late(Key(name, ctrl=ctrl)) is wish
+    assert operator.twist(0.0) is None
+    assert operator.take(Key("enter"), 0.0) is None
+
+
 @pytest.mark.parametrize("stop", ["space", "escape", "k", "e"])
 def test_after_a_stop_everything_must_be_pressed_anew(stop: str) -> None:
     operator = Operator(ToldKeys(), SPEEDS, 0.1, 0.5)

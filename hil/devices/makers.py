@@ -15,6 +15,7 @@ from hil.devices.handshake import RETRY_NS, SILENCE_NS
 from hil.devices.link_times import ClockSync, RoundTrip
 from hil.devices.robot_report import Health
 from hil.devices.snapshot import Feedback
+from hil.devices.unread import Unread
 from hil.devices.wheel_map import WheelMap
 from hil.devices.wire_hash import WireHash
 from hil.dialects.port import Driver, Sample
@@ -91,6 +92,7 @@ class MakersRobot:
         self._turned_rad = _REST  # by speed, where the controllers tell no position
         self._last: Sample | None = None
         self._ask_again_ns = 0
+        self._unread = Unread()
         self._hash = WireHash(wide=True)
         self.report = MakersReport()
         self.round_trip = RoundTrip()
@@ -133,6 +135,7 @@ class MakersRobot:
     def leave(self) -> None:
         self._drop()
         self._feedback = self._last = None
+        self._unread.forget()
         self._link.discard()
 
     def reopen(self) -> None:
@@ -275,6 +278,10 @@ class MakersRobot:
         return self._feedback
 
     @property
+    def unread_ns(self) -> int:
+        return self._unread.ns
+
+    @property
     def feedback(self) -> Feedback | None:
         return self._feedback
 
@@ -337,6 +344,8 @@ class MakersRobot:
             self._driver.feed(frame, stamp_ns)
             taken += 1
         self.received += taken
+        if not self.is_lockstep:
+            self._unread.polled(self._clock.now_ns(), everything=taken < _MOST_A_POLL)
 
     def _errors(self) -> str:
         return "; ".join(self._driver.errors)

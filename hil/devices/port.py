@@ -131,6 +131,10 @@ class Device(Protocol):
         """Take what has arrived; return the newest feedback so far. Once a tick: it keeps the session alive."""
 
     @property
+    def unread_ns(self) -> int:
+        """How long what the newest poll took may have lain on the link; 0 in lockstep."""
+
+    @property
     def feedback(self) -> Feedback | None:
         """The newest feedback that was taken; None after a loss, until the next one."""
 

@@ -14,6 +14,7 @@ from hil.devices.handshake import RETRY_NS, Expected, Greeting, RobotInfo
 from hil.devices.link_times import SYNC_PERIOD_NS, ClockSync, RoundTrip
 from hil.devices.robot_report import RobotReport
 from hil.devices.snapshot import IN_SNAPSHOT, Feedback, SnapshotAssembler
+from hil.devices.unread import Unread
 from hil.devices.wheel_map import WheelMap
 from hil.devices.wire_hash import WireHash
 from hil.errors import BadInputError, DeviceError, HilError, RobotStoppedError
@@ -72,6 +73,7 @@ class Stm32:
         self.round_trip = RoundTrip()
         self.clock_sync = ClockSync()
         self._next_sync_ns = 0
+        self._unread = Unread()
         self.sent = 0
         self.received = 0
 
@@ -110,6 +112,7 @@ class Stm32:
         self._is_known = False
         self._next_heartbeat_ns = None
         self._feedback = None
+        self._unread.forget()
         self.report.status = None
         self.clock_sync.give_up()
         self._link.discard()
@@ -286,7 +289,10 @@ class Stm32:
             self._take(received)
 
     def poll(self) -> Feedback | None:
-        """Take what has arrived; return the newest snapshot so far. Sends heartbeat and TIME_SYNC when they are due."""
+        """Take what has arrived; return the newest snapshot so far. Sends heartbeat and TIME_SYNC when they are due.
+
+        In real time what was taken may have lain there for ``unread_ns``: since the link was last found empty.
+        """
         taken = 0
         # In real time the rest is for the next tick: a host that is slower than its robot would never be done.
         while (taken < _MOST_A_POLL or self._expected.lockstep) and (received := self._link.receive(0)) is not None:
@@ -300,7 +306,14 @@ class Stm32:
                 self._wish(self._request)
             if now_ns >= self._next_sync_ns:
                 self._synchronise(now_ns)
+            if not self._expected.lockstep:
+                self._unread.polled(now_ns, everything=taken < _MOST_A_POLL)
         return self._feedback
+
+    @property
+    def unread_ns(self) -> int:
+        """How long what the newest poll took may have lain on the link; 0 in lockstep."""
+        return self._unread.ns
 
     @property
     def feedback(self) -> Feedback | None:

@@ -10,6 +10,7 @@ from typing import Any
 import serial
 
 from hil.errors import LinkError, nearest
+from hil.links.opening_beside import OpeningBeside
 from hil.links.reader import Reader
 from hil.links.serial_failures import LIST_PORTS, PORT_ERRORS, is_gone, opening_problem, words_of
 
@@ -25,6 +26,8 @@ _OPENING_FAILURES: tuple[type[Exception], ...] = (
     *PORT_ERRORS,
 )
 _LOSSES: tuple[type[Exception], ...] = (serial.SerialException, TypeError, *PORT_ERRORS)
+_SERVERS = ("socket:", "rfc2217:")
+_CONNECTING_S = 0.1  # a server that is there has answered; no tick of a service waits longer
 _URL_HANDLERS = ("socket", "rfc2217", "loop", "spy", "hwgrep", "alt")
 
 
@@ -86,22 +89,48 @@ class SerialStream:
         self._reader: Reader | None = None
         self._low_latency = False
         self._unread_bytes = 0  # of the readers before this one
-        self.reopen()
+        self._opening: OpeningBeside[Any] | None = None
+        self._use(self._opened())
 
     def reopen(self) -> None:
-        """Close the port and open it anew. Raises LinkError as the class does."""
-        self.close()
+        """Close the port and open it anew. Raises LinkError as the class does.
+
+        Connecting to a server may take seconds, and goes on beside: until it is done LinkError says so, and the next
+        call asks again.
+        """
+        self._release()
+        if not self._name.startswith(_SERVERS):
+            self._use(self._opened())
+            return
+        opening, self._opening = self._opening or OpeningBeside(self._opened), None
+        port = opening.take(_CONNECTING_S)
+        if port is None:
+            self._opening = opening
+            raise LinkError(f"serial URL {self._name!r} is being connected to; its server has not answered yet")
+        self._use(port)
+
+    def _opened(self) -> Any:
+        """Return the port, open. Raises LinkError."""
+        port: Any = None
         try:
-            self._port = serial.serial_for_url(self._name, baudrate=self._baud, timeout=0, do_not_open=True)
+            port = serial.serial_for_url(self._name, baudrate=self._baud, timeout=0, do_not_open=True)
             if not self._name.startswith("rfc2217:"):  # its writes end by a limit of 5 s of its own
-                self._port.write_timeout = _WRITE_TIMEOUT_S
+                port.write_timeout = _WRITE_TIMEOUT_S
             if "://" not in self._name:
-                self._port.exclusive = True
-            self._port.open()
-            # What was sent before we listened is not meant for us.
-            self._port.reset_input_buffer()
+                port.exclusive = True
+            port.open()
         except _OPENING_FAILURES as error:
-            self.close()
+            _close(port)
+            raise _open_failure(self._name, self._baud, error) from error
+        return port
+
+    def _use(self, port: Any) -> None:
+        self._port = port
+        try:
+            # What was sent before we listened is not meant for us.
+            port.reset_input_buffer()
+        except _OPENING_FAILURES as error:
+            self._release()
             raise _open_failure(self._name, self._baud, error) from error
         self._check_baud()
         self._reader = None if self._has_descriptor() else Reader(self._port)
@@ -111,7 +140,7 @@ class SerialStream:
         """A driver that cannot have a rate may take another one in silence: ask what it took."""
         taken = _rate_of(self._port)
         if taken is not None and abs(taken - self._baud) > 0.03 * self._baud:
-            self.close()
+            self._release()
             raise _baud_refused(self._name, self._baud, taken)
 
     def _has_descriptor(self) -> bool:
@@ -162,13 +191,23 @@ class SerialStream:
         return self._unread_bytes + (self._reader.unread_bytes if self._reader is not None else 0)
 
     def close(self) -> None:
+        if self._opening is not None:
+            self._opening.abandon()
+            self._opening = None
+        self._release()
+
+    def _release(self) -> None:
         if self._reader is not None:
             self._reader.stop()
-        if self._port is not None:
-            # A device that was unplugged may refuse even that; its descriptor is gone all the same.
-            with contextlib.suppress(*_LOSSES):
-                self._port.close()
+        _close(self._port)
         if self._reader is not None:
             self._reader.join()
             self._unread_bytes = self.unread_bytes()
             self._reader = None
+
+
+def _close(port: Any) -> None:
+    if port is not None:
+        # A device that was unplugged may refuse even that; its descriptor is gone all the same.
+        with contextlib.suppress(*_LOSSES):
+            port.close()

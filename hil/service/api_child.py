@@ -56,7 +56,7 @@ class ApiChild:
         self._back_off_s = _FIRST_BACK_OFF_S
         self._claim: Claim | None = None
         self._writer: LineWriter
-        self._started_s = self._lived_s = 0.0
+        self._started_s = self._lived_s = self._looked_s = 0.0
         self.url = ""
         self.token_file: Path | None = None
         self.restarts = 0
@@ -70,8 +70,11 @@ class ApiChild:
 
     @property
     def alive(self) -> bool:
-        """Whether there is an API process that listens and has given a sign of life within ``SILENT_S``."""
-        return self._ready and time.monotonic() - self._lived_s < SILENT_S
+        """Whether there is an API process that listens and has given a sign of life within ``SILENT_S``.
+
+        By the last look at what it says: that nobody looked is no silence of its.
+        """
+        return self._ready and self._looked_s - self._lived_s < SILENT_S
 
     @property
     def pid(self) -> int | None:
@@ -81,6 +84,7 @@ class ApiChild:
     def orders(self) -> list[Order]:
         """Return the orders that have come, emergency stops first; for each tick (0.8 µs when there are none)."""
         lines = self._lines
+        self._looked_s = time.monotonic()
         if lines is None:
             return _NONE
         records = lines.take()
@@ -100,7 +104,7 @@ class ApiChild:
 
     def _end_one_that_hangs(self) -> None:
         """Kill a process that gives no sign of life, or does not come to listen; ``orders`` sees its pipe's end."""
-        silent_s = time.monotonic() - (self._lived_s if self._ready else self._started_s)
+        silent_s = self._looked_s - (self._lived_s if self._ready else self._started_s)
         process = self._process
         if process is not None and self._lines is not None and silent_s > (_HUNG_S if self._ready else _READY_S):
             logs.error("API process hangs and is killed", pid=process.pid, silent_s=round(silent_s, 1))

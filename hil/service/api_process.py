@@ -50,9 +50,10 @@ def _listen(config: ApiConfig) -> socket.socket:
     try:
         listener = socket.create_server((config.host, config.port))
     except OSError as error:
+        why = os.strerror(error.errno or 0)  # Python's own sentence has the address again
         raise BadInputError(
-            f"the API cannot listen on {config.host}:{config.port} ({error.strerror}); end the program that does, or "
-            "choose another port in service.port"
+            f"the API cannot listen on {config.host}:{config.port} ({why}); end the program that does, or choose "
+            "another port in service.port"
         ) from error
     # Connections inherit it. Else an answer's body waits for the client to acknowledge its head, 40 ms later: asyncio
     # sees to that only for sockets that it has made itself.

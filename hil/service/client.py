@@ -13,10 +13,12 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus, WebSocketExce
 from websockets.sync.client import ClientConnection, connect
 
 from hil.errors import BadInputError, DeviceError, LinkError, RunInterruptedError
+from hil.service.api_config import HOST
 from hil.service.discovery import Service, read_token, running
 from hil.service.messages import LONG, Action
 
 TWIST_PERIOD_S = 0.05
+STOP_UNANSWERED = "the service did not answer that it stops the robot; it does so when the twist times out"
 
 # More than the API gives the control process, for orders that take their time too.
 _TIMEOUT_S = 5.0
@@ -30,11 +32,12 @@ def find(url: str | None = None, port: int | None = None, token_file: Path | Non
 
     Raises LinkError when none runs, BadInputError when several do, or the token cannot be read.
     """
+    url = None if url is None else url.rstrip("/").replace("//localhost:", f"//{HOST}:")
     if url is not None and token_file is not None:
-        return Client(url.rstrip("/"), token_file)
+        return Client(url, token_file)
     services = running()
     if url is not None:
-        found = [service for service in services if service.url == url.rstrip("/")]
+        found = [service for service in services if service.url == url]
         if not found:
             raise BadInputError(f"service {url}: it is none of yours; name the file with its token with --token-file")
     else:
@@ -82,12 +85,13 @@ class Client:
 
     def twist(self, arguments: Mapping[str, float], for_s: float) -> None:
         """Drive by twist for a time, and then stop. Ctrl-C stops at once, and raises RunInterruptedError."""
+        end_s = time.monotonic() + for_s
+        self.order(Action.TWIST, arguments)  # which tells wrong arguments from a refusal
         with self.live() as live:
-            end_s = time.monotonic() + for_s
             try:
                 while (now_s := time.monotonic()) < end_s:
-                    live.order(Action.TWIST, arguments)
                     _hear(live, min(now_s + TWIST_PERIOD_S, end_s))
+                    live.order(Action.TWIST, arguments)
             except KeyboardInterrupt:
                 _stop(live)
                 raise RunInterruptedError("interrupted; the robot was told to stop") from None
@@ -173,7 +177,7 @@ class Live:
 
 def _stop(live: Live) -> None:
     if not _hear(live, time.monotonic() + _TIMEOUT_S, live.order(Action.STOP)):
-        raise LinkError("the service did not answer that it stops the robot; it does so when the twist times out")
+        raise LinkError(STOP_UNANSWERED)
 
 
 def _hear(live: Live, until_s: float, number: int | None = None) -> bool:

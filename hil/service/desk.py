@@ -1,5 +1,6 @@
 """Takes the orders of a service: those of a moment are done at once, others by a thread beside the ticks."""
 
+import contextlib
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor, Future
@@ -52,7 +53,6 @@ class Desk:
         self._beside = beside
         self._signals = tuple(signals)
         self._under_way: list[tuple[Order, Future[Any], Then]] = []
-        self._records_busy = False
         self._t_s = 0.0
         self.shutdown = False
         self._actions: dict[Action, Callable[[Order], Result | None]] = {
@@ -75,13 +75,12 @@ class Desk:
 
         ``t_s`` is the service's time [s] of the row that comes next.
         Where the ticks were ``stalled`` for longer than a twist is in force, only what cannot make the robot move is
-        still done of the orders that waited.
+        still done of the orders that waited, or were under way.
         """
         self._t_s = t_s
+        if stalled:
+            orders = self._without_moving(orders)
         for order in orders:
-            if stalled and order.action in MOVING:
-                self._answer(Answer(order.number, "the service stood still while this order waited; give it again"))
-                continue
             if order.action is not Action.TWIST:  # of which there are many
                 logs.info("order", action=order.action.value, **order.arguments)
             self._try(order, lambda order=order: self._actions[order.action](order))  # type: ignore[misc]
@@ -93,16 +92,38 @@ class Desk:
                 else:
                     self._under_way.append((order, future, then))
 
+    def _without_moving(self, orders: Iterable[Order]) -> list[Order]:
+        """Refuse what could make the robot move, of these orders and of those under way; return the others."""
+        stale = [order for order, _, _ in self._under_way if order.action in MOVING]
+        self._under_way = [one for one in self._under_way if one[0].action not in MOVING]
+        others: list[Order] = []
+        for order in orders:
+            (stale if order.action in MOVING else others).append(order)
+        for order in stale:
+            self._refuse(order, "the service stood still while this order waited; give it again")
+        return others
+
+    def end(self) -> None:
+        """Wait for the recording that is just being started, if one is, so that it is one that can be finished."""
+        for order, future, then in self._under_way:
+            if order.action is Action.RECORD:
+                with contextlib.suppress(HilError):  # nobody listens any more
+                    then(future.result())
+
     def _try(self, order: Order, do: Callable[[], Result | None]) -> None:
         try:
             result = do()
         except Exception as refusal:  # noqa: BLE001 - one order must not end the service, and with it the e-stop
-            why = str(refusal) if isinstance(refusal, HilError) else f"{type(refusal).__name__}: {refusal}"
-            logs.warning("order refused", action=order.action.value, why=why)
-            self._answer(Answer(order.number, why))
+            self._refuse(
+                order, str(refusal) if isinstance(refusal, HilError) else f"{type(refusal).__name__}: {refusal}"
+            )
         else:
             if result is not None:
                 self._answer(Answer(order.number, None, result))
+
+    def _refuse(self, order: Order, why: str) -> None:
+        logs.warning("order refused", action=order.action.value, why=why)
+        self._answer(Answer(order.number, why))
 
     def _later(self, order: Order, make: Callable[[], Any], then: Then) -> None:
         self._under_way.append((order, self._beside.submit(make), then))
@@ -145,7 +166,7 @@ class Desk:
         self._later(order, make, then)
 
     def _gains(self, order: Order) -> None:
-        if any(other.action is Action.GAINS for other, _, _ in self._under_way):
+        if self._is_under_way(Action.GAINS):
             raise BadInputError("the gains are being changed by another order; give this one again")
 
         def make() -> Any:
@@ -174,9 +195,8 @@ class Desk:
         return new.gains
 
     def _record(self, order: Order) -> None:
-        if self._records_busy or self._records.path is not None:
+        if self._are_records_busy or self._records.path is not None:
             raise BadInputError(f"{self._records.path or 'a recording'} is being written; stop that first")
-        self._records_busy = True
         wanted = order.arguments["path"]
 
         def make() -> Recording:
@@ -187,13 +207,12 @@ class Desk:
             self._records.begin(recording)
             return {"path": str(recording.path), "from_s": round(self._t_s, 6)}
 
-        self._later(order, self._freeing(make), then)
+        self._later(order, make, then)
 
     def _stop_recording(self, order: Order) -> None:
-        recording = None if self._records_busy else self._records.end()
+        recording = None if self._are_records_busy else self._records.end()
         if recording is None:
             raise BadInputError("nothing is being recorded")
-        self._records_busy = True
 
         def then(report: Any) -> Result:
             return {
@@ -203,18 +222,15 @@ class Desk:
                 "error": report.error,
             }
 
-        self._later(order, self._freeing(lambda: finished(recording, {})), then)
+        self._later(order, lambda: finished(recording, {}), then)
 
-    def _freeing(self, make: Callable[[], Any]) -> Callable[[], Any]:
-        """Return the same, which lets the next order on recordings be taken when it has ended, whatever way."""
+    @property
+    def _are_records_busy(self) -> bool:
+        """Whether a recording is being started or finished."""
+        return self._is_under_way(Action.RECORD) or self._is_under_way(Action.STOP_RECORDING)
 
-        def made() -> Any:
-            try:
-                return make()
-            finally:
-                self._records_busy = False
-
-        return made
+    def _is_under_way(self, action: Action) -> bool:
+        return any(order.action is action for order, _, _ in self._under_way)
 
     def _shut_down(self, order: Order) -> Result:
         self.shutdown = True

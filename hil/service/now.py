@@ -4,8 +4,10 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 from hil.bench import Bench
+from hil.devices.port import Identity
 from hil.lateness import Lateness
 from hil.realtime import RealTime
 from hil.scenario import Scenario
@@ -27,25 +29,25 @@ class Counts:
 
 
 class Now:
-    """Makes statuses; ``without_bench`` while the link has not been opened yet."""
+    """Makes statuses; ``without_bench`` while the link has not been opened yet.
+
+    What stays the same is made once: this is done in a tick.
+    """
 
     def __init__(self, scenario: Scenario, records: Records, counts: Counts) -> None:
-        self._scenario = scenario
         self._records = records
         self._counts = counts
-
-    def without_bench(self, why: str | None) -> Status:
-        """Return the status of a service whose link cannot be opened."""
-        controller, path = self._scenario.controller, self._records.path
-        return Status(
-            time_unix_s=time.time(),
+        self._info: Identity | None = None
+        self._granted: RealTime | None = None
+        self._constant = Status(
+            time_unix_s=0.0,
             phase=Phase.AWAY,
             task=None,
-            why=why,
-            scenario=self._scenario.name,
-            law=controller.law,
-            command=controller.command,
-            link=self._scenario.link.url,
+            why=None,
+            scenario=scenario.name,
+            law=scenario.controller.law,
+            command=scenario.controller.command,
+            link=scenario.link.url,
             robot=None,
             power_stage=None,
             pose=None,
@@ -62,23 +64,29 @@ class Now:
             round_trip_ms=None,
             frames={"sent": 0, "received": 0, "rejected": {}},
             recoveries=0,
-            recording=None if path is None else str(path),
-            rows_dropped=self._records.rows_dropped,
+            recording=None,
+            rows_dropped=0,
             twist_age_s=None,
             realtime={},
         )
 
+    def without_bench(self, why: str | None) -> Status:
+        """Return the status of a service whose link cannot be opened."""
+        return replace(self._constant, why=why, **self._of_any())
+
     def status(self, pilot: Pilot, bench: Bench, granted: RealTime) -> Status:
         """Return the status of a service that ticks."""
         device, counts, parts = bench.device, self._counts, pilot.parts
-        info, state, feedback = device.info, pilot.state, device.feedback
+        state, feedback = pilot.state, device.feedback
+        if device.info is not self._info or granted is not self._granted:
+            self._describe(device.info, granted)
         return replace(
-            self.without_bench(pilot.why),
+            self._constant,
+            **self._of_any(),
             phase=pilot.phase,
             task=pilot.task,
+            why=pilot.why,
             link=device.describe_link(),
-            robot=None if info is None else info.describe(),
-            power_stage=None if info is None else info.has_power_stage,
             pose=None if state is None else _three(state.pose),
             twist=None if state is None else _three(state.twist),
             reference=None if pilot.reference is None else _three(pilot.reference.pose),
@@ -94,6 +102,23 @@ class Now:
             frames={"sent": device.sent, "received": device.received, "rejected": device.rejected()},
             recoveries=pilot.recoveries,
             twist_age_s=pilot.twist_age_s,
+        )
+
+    def _of_any(self) -> dict[str, Any]:
+        path = self._records.path
+        return {
+            "time_unix_s": time.time(),
+            "recording": None if path is None else str(path),
+            "rows_dropped": self._records.rows_dropped,
+        }
+
+    def _describe(self, info: Identity | None, granted: RealTime) -> None:
+        """Take note of the robot, once it has said what it is, and of what the operating system granted."""
+        self._info, self._granted = info, granted
+        self._constant = replace(
+            self._constant,
+            robot=None if info is None else info.describe(),
+            power_stage=None if info is None else info.has_power_stage,
             realtime={setting.name: setting.sentence for setting in granted.settings},
         )
 

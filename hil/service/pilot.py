@@ -16,47 +16,16 @@ from hil.references import ReferenceSource
 from hil.sampling import Timing
 from hil.scenario.laws import Laws
 from hil.service.conduct import NOWHERE, Conduct, Rules
+from hil.service.emergency import EmergencyStop
 from hil.service.messages import Phase, Task
+from hil.service.muted import muted
 from hil.signals import LoopSignals
 from hil.tick import Parts, Sensed, Tick
-from hil.types import (
-    NAN,
-    NO_GAINS,
-    Applied,
-    CommandMode,
-    Pose,
-    PoseFix,
-    Reference,
-    State,
-    WheelCommand,
-)
+from hil.types import CommandMode, Pose, PoseFix, Reference, State
 
 _ARMING_LIMIT_S = 4.0
 _STOPPING_LIMIT_S = 5.0
 _CLEARING_LIMIT_S = 2.0
-
-
-class _NoLaw:
-    """Stands where a law has failed; it is never asked for a command."""
-
-    gains = NO_GAINS
-
-    def reset(self, state: State, reference: Reference) -> None:
-        raise AssertionError("nothing is driven without a law")
-
-    def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
-        raise AssertionError("nothing is driven without a law")
-
-
-_NO_LAW = _NoLaw()
-
-
-class _Silent:
-    """Signals of a law that has failed: by name, without values."""
-
-    def __init__(self, signals: tuple[str, ...]) -> None:
-        self.signals = signals
-        self.telemetry = (NAN,) * len(signals)
 
 
 class Pilot:
@@ -75,9 +44,7 @@ class Pilot:
         self._doing = Tick(parts, mode, timing)
         self._t_s = 0.0
         self._deadline_s = math.inf
-        self._estop_owed = False  # asked for, and not yet confirmed by the robot
-        self._estop_s = -math.inf
-        self._clear_next = False
+        self._emergency = EmergencyStop(rules.estop_repeat_s)
         self._why: str | None = None
         self._law_failed = False
         self._conduct = Conduct(rules)
@@ -108,7 +75,7 @@ class Pilot:
     @property
     def estop_owed(self) -> bool:
         """Whether an e-stop was asked for that the robot has not confirmed yet."""
-        return self._estop_owed
+        return self._emergency.owed
 
     @property
     def parts(self) -> Parts:
@@ -155,7 +122,7 @@ class Pilot:
             self._enter(Phase.STOPPING, _STOPPING_LIMIT_S)
         elif self.phase in (Phase.FAULT, Phase.ESTOP):
             self._parts.device.disarm()
-            self._clear_next = False
+            self._emergency.keep()
             self._deadline_s = math.inf
 
     def disarm_because(self, why: str) -> None:
@@ -165,7 +132,7 @@ class Pilot:
 
     def estop(self) -> None:
         """Stop at once and latch that. A robot that is away gets it as soon as it is back."""
-        self._estop_owed, self._estop_s, self._clear_next = True, self._t_s, False
+        self._emergency.ask(self._t_s)
         self._why = "an e-stop was asked for"
         if self.phase is Phase.AWAY:
             self._why += "; the robot is away and stops by itself, and gets it as soon as it is back"
@@ -179,10 +146,8 @@ class Pilot:
         """Leave FAULT or ESTOP, which arms nothing. Raises BadInputError where nothing is latched."""
         if self.phase not in (Phase.FAULT, Phase.ESTOP):
             raise BadInputError(f"the robot is {self.phase}; there is nothing to clear")
-        if self._estop_owed:
-            self._clear_next = True  # when the robot has confirmed the e-stop
-            return
-        self._clear_next = False
+        if not self._emergency.may_clear():
+            return  # it is done when the robot has confirmed the e-stop
         self._parts.device.clear()
         self._deadline_s = self._t_s + _CLEARING_LIMIT_S
 
@@ -227,6 +192,9 @@ class Pilot:
         except (HilError, ArithmeticError, ValueError) as error:
             if not isinstance(error, HilError):  # a law or a path beyond what numbers can do
                 error = BadInputError(f"the law or the path failed: {type(error).__name__}: {error}")
+            if isinstance(error, BadInputError):
+                self._law_failed = True
+                self._doing.use(muted(self._parts))
             self.lose(error)
             self._doing.tell_away(now, fix, NOWHERE)
 
@@ -241,22 +209,19 @@ class Pilot:
         latched = {RobotState.FAULT: Phase.FAULT, RobotState.ESTOP: Phase.ESTOP}
         feedback = self._parts.device.feedback
         if isinstance(error, LinkError | RobotStoppedError):
+            if self.phase is Phase.ESTOP:
+                self._emergency.ask(self._t_s)  # one that was reset meanwhile knows nothing of it
             self._enter(Phase.AWAY)
             self._recovery = Recovery(self._parts.device, self._parts.clock, error, self._t_s, arm=False)
         elif isinstance(error, DeviceError) and feedback is not None and feedback.state in latched:
             self._parts.device.disarm()
             self._enter(latched[feedback.state])
         else:  # the law, or a robot that refuses
-            if not isinstance(error, DeviceError):
-                self._mute()
             self._parts.device.disarm()
-            self._enter(Phase.STOPPING, _STOPPING_LIMIT_S)
-
-    def _mute(self) -> None:
-        """Ask the law, which has failed, for nothing more, not even for its gains, until the robot is armed again."""
-        self._law_failed = True
-        silent = tuple(_Silent(own.signals) for own in self._parts.extra)
-        self._doing.use(self._parts._replace(controller=_NO_LAW, shadows=None, extra=silent))
+            if self._emergency.owed:
+                self._enter(Phase.ESTOP)
+            else:
+                self._enter(Phase.STOPPING, _STOPPING_LIMIT_S)
 
     def _come_back(self, now: LoopSignals, fix: PoseFix | None) -> None:
         self._doing.raise_robot_failure()
@@ -272,9 +237,9 @@ class Pilot:
         self._doing.restart()
         self.recoveries += self._was_connected
         if not self._was_connected:
-            self._was_connected, self._why = True, self._why if self._estop_owed else None
-        if self._estop_owed:
-            self._estop_s = now.t_s
+            self._was_connected, self._why = True, self._why if self._emergency.owed else None
+        if self._emergency.owed:
+            self._emergency.ask(now.t_s)
             self._enter(Phase.ESTOP)
             self._parts.device.estop()
         else:
@@ -321,15 +286,12 @@ class Pilot:
     def _be_latched(self, now: LoopSignals, fix: PoseFix | None) -> None:
         device = self._parts.device
         robot = self._look(now, fix).feedback.state
-        if self._estop_owed:
-            # For a while in any case: feedback on its way may tell of an ESTOP before this one.
-            if robot is not RobotState.ESTOP or now.t_s < self._estop_s + self._rules.estop_repeat_s:
-                device.estop()
-                return
-            self._estop_owed = False
-            if self._clear_next:
-                self.clear()
-                return
+        if self._emergency.is_sent(robot, now.t_s):
+            device.estop()
+            return
+        if self._emergency.take_clear():
+            self.clear()
+            return
         if robot is RobotState.IDLE:
             device.disarm()
             self._why = None

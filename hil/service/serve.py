@@ -11,6 +11,7 @@ from pathlib import Path
 from hil.bench import Bench
 from hil.errors import BadInputError, HilError, LinkError
 from hil.links.back_off import BackOff
+from hil.links.opening_beside import OpeningBeside
 from hil.links.url import parse_link
 from hil.parts import PartsOf
 from hil.realtime import RealTime, Wanted, real_time
@@ -57,18 +58,26 @@ class Options:
 
 
 class _Ending:
-    """Whether the service is to end: a first SIGTERM or SIGINT asks for it, a second one insists."""
+    """Whether the service is to end: a first signal asks for it, a second one insists, unless it is a SIGHUP."""
 
     def __init__(self) -> None:
         self.asked = 0
+        numbers = [signal.SIGTERM, signal.SIGINT]
+        # The window is closed in which the service was started, unless nohup has it go on.
+        if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+            numbers.append(signal.SIGHUP)
+        for number in numbers:
+            signal.signal(number, self)
 
     def __call__(self, number: int, _frame: object) -> None:
-        self.asked += 1
+        # Both the kernel and a shell send SIGHUP when a window is closed, so that a second one is no other wish.
+        if not self.asked or number in (signal.SIGTERM, signal.SIGINT):
+            self.asked += 1
         logs.info("told to end", signal=signal.Signals(number).name)
 
 
 def serve(scenario: Scenario, options: Options, reload: Callable[[], Scenario]) -> None:
-    """Serve a scenario's robot until SIGTERM, SIGINT or an order to shut down: then it stops, disarms and returns.
+    """Serve a scenario's robot until a signal or an order to shut down: then it stops, disarms, and this returns.
 
     ``reload`` loads the configuration again. Raises BadInputError for what is wrong with it, LinkError when another
     process has the device, DeviceError when a robot in this process has failed.
@@ -77,8 +86,6 @@ def serve(scenario: Scenario, options: Options, reload: Callable[[], Scenario]) 
         raise BadInputError("a service runs in real time; leave loop.mode out, or set it to 'realtime'")
     parts = PartsOf(scenario)
     ending = _Ending()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, ending)
     with contextlib.ExitStack() as resources:
         resources.enter_context(device_held(parse_link(scenario.link.url), f"hil serve {scenario.name}"))
         notifier = Notifier()
@@ -156,50 +163,53 @@ class _Service:
             pilot = self._pilot(bench)
             if self._estop_owed:
                 pilot.estop()
-            resources.callback(bench.device.disarm)
             signals = self._parts.laws.signals
             desk = Desk(self._scenario, signals, pilot, self._records, self._api.send, reload, beside)
+            resources.callback(desk.end)
+            resources.callback(bench.device.disarm)
             with real_time(Wanted(**dict(self._scenario.realtime)), bench.robot_threads) as granted:
                 self._tick(bench, pilot, desk, granted)
 
     def _open_bench(self, resources: contextlib.ExitStack) -> Bench | None:
         """Open link and robot, again and again while that fails; None when the service is to end before."""
         waits = BackOff()
+        why = "its link is being opened"
         while True:
+            opening = OpeningBeside(self._opened)
             try:
-                options = self._options
-                return resources.enter_context(
-                    Bench(
-                        self._scenario,
-                        options.truth,
-                        allow_motion=options.allow_motion,
-                        signals=self._parts.laws.signals,
-                    )
-                )
+                while (bench := opening.take(_POLL_S)) is None:
+                    if not self._attend(why):
+                        opening.abandon()
+                        return None
             except LinkError as error:
-                logs.warning("link cannot be opened", why=str(error))
-                if not self._wait_for_link(str(error), waits.take_ns()):
+                why = str(error)
+                logs.warning("link cannot be opened", why=why)
+            else:
+                return resources.enter_context(bench)
+            until_ns = time.monotonic_ns() + waits.take_ns()
+            while time.monotonic_ns() < until_ns:
+                if not self._attend(why):
                     return None
+                time.sleep(_POLL_S)
 
-    def _wait_for_link(self, why: str, wait_ns: int) -> bool:
-        """Answer orders for so long; False when the service is to end."""
-        until_ns = time.monotonic_ns() + wait_ns
-        while time.monotonic_ns() < until_ns:
-            for order in self._api.orders():
-                if order.action is Action.SHUTDOWN:
-                    self._api.send(Answer(order.number))
-                    return False
-                if order.action is Action.ESTOP:
-                    self._estop_owed = True
-                    self._api.send(Answer(order.number))
-                else:
-                    self._api.send(Answer(order.number, f"the robot is away: {why}"))
-            if self._ending.asked:
+    def _opened(self) -> Bench:
+        options = self._options
+        return Bench(self._scenario, options.truth, allow_motion=options.allow_motion, signals=self._parts.laws.signals)
+
+    def _attend(self, why: str) -> bool:
+        """Answer the orders that have come for a robot that is away; False when the service is to end."""
+        for order in self._api.orders():
+            if order.action is Action.SHUTDOWN:
+                self._api.send(Answer(order.number))
                 return False
-            self._api.send(self._now.without_bench(why))
-            self._notifier.beat(time.monotonic_ns())
-            time.sleep(_POLL_S)
-        return True
+            if order.action is Action.ESTOP:
+                self._estop_owed = True
+                self._api.send(Answer(order.number))
+            else:
+                self._api.send(Answer(order.number, f"the robot is away: {why}"))
+        self._api.send(self._now.without_bench(why))
+        self._notifier.beat(time.monotonic_ns())
+        return not self._ending.asked
 
     def _pilot(self, bench: Bench) -> Pilot:
         table = self._scenario.service
@@ -223,7 +233,7 @@ class _Service:
         stall_ns = self._scenario.service.twist_timeout_s * 1e9
         told = pilot.phase
         tick_us = NAN
-        taken_ns = time.perf_counter_ns()
+        looked_ns = time.perf_counter_ns()
         for _ in self._until_stopped(pilot, desk):
             try:
                 late_ns = sampling.wait(number)
@@ -232,11 +242,12 @@ class _Service:
                 number = sampling.following(number)
                 continue
             begin_ns = time.perf_counter_ns()
-            # What waited while this process stood still is no wish of this moment.
-            stalled = begin_ns - taken_ns > stall_ns
-            taken_ns = begin_ns
+            orders = self._api.orders()
+            # What waited while this process stood still, wherever in this loop it did, is no wish of this moment.
+            stalled = time.perf_counter_ns() - looked_ns > stall_ns
+            looked_ns = begin_ns
             t_s = max(number, 0) * timing.period_ns * 1e-9
-            desk.take(self._api.orders(), t_s, stalled=stalled)
+            desk.take(orders, t_s, stalled=stalled)
             if not self._api.alive and pilot.phase in (Phase.ARMING, Phase.ACTIVE):
                 pilot.disarm_because("the API process ended or hangs, so that nobody could have stopped the robot")
             if number >= 0:

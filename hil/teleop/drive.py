@@ -11,7 +11,7 @@ from typing import Any
 
 from hil.errors import LinkError, RunInterruptedError
 from hil.kinematics import BodyTwist
-from hil.service.client import Client, Live
+from hil.service.client import STOP_UNANSWERED, Client, Live
 from hil.service.messages import Action
 from hil.teleop.gamepad import Gamepads
 from hil.teleop.held import Heartbeat, RepeatedKeys, ToldKeys
@@ -23,7 +23,7 @@ from hil.teleop.terminal import LostTerminalError, Signals, Terminal
 
 PERIOD_S = 1.0 / 30.0
 _STANDSTILL_S = 0.25
-"""After so long without a look at the keys, what was typed meanwhile is too old to drive by."""
+"""After so long without a look at the keys, what was typed meanwhile is too old to drive by; it may still stop."""
 _STOPPED_S = 2.0
 _ORDERS = {
     Wish.STOP: Action.STOP,
@@ -90,11 +90,11 @@ class _Session:
         if self._terminal.wait(self._due_s, self._signals.fd):
             self._take_signals()
         now_s = time.monotonic()
-        if now_s - self._seen_s > _STANDSTILL_S:
+        late = now_s - self._seen_s > _STANDSTILL_S
+        if late:
             self._let_go("teleop stood still for a while; press again")
-            self._terminal.drop_input()
         self._seen_s = now_s
-        self._take_keys(now_s)
+        self._take_keys(now_s, late=late)
         if now_s >= self._due_s:
             self._take_gamepad()
         self._check_terminal(now_s)
@@ -123,14 +123,14 @@ class _Session:
         self._let_go("continued; press again")
         self._seen_s = time.monotonic()
 
-    def _take_keys(self, now_s: float) -> None:
+    def _take_keys(self, now_s: float, *, late: bool) -> None:
         for event in self._terminal.read():
             if isinstance(event, Flags):
                 self._heartbeat.answered()
             elif isinstance(event, Focus) and not event.gained:
                 self._let_go("the window has no focus, and would not hear of a release")
             elif isinstance(event, Key):
-                self._do(self._operator.take(event, now_s))
+                self._do(self._operator.take_late(event) if late else self._operator.take(event, now_s))
         if self._operator.may_arm:
             self._message = "Enter arms the robot; any other key leaves it as it is"
 
@@ -211,9 +211,7 @@ class _Session:
         while number in self._orders:
             told = self._live.hear(max(end_s - time.monotonic(), 0.0))
             if told is None:
-                raise LinkError(
-                    "the service did not answer that it stops the robot; it does so when the twist times out"
-                )
+                raise LinkError(STOP_UNANSWERED)
             self._take(told, time.monotonic())
 
     def _show(self, now_s: float) -> None:

@@ -34,6 +34,7 @@ _WISHES = {
     "q": Wish.QUIT,
 }
 _WISHES_WITH_CTRL = {"c": Wish.QUIT, "d": Wish.QUIT, "z": Wish.SUSPEND}
+_NEVER_TOO_LATE = (Wish.STOP, Wish.ESTOP, Wish.DISARM, Wish.QUIT)
 
 
 class Operator:
@@ -65,19 +66,25 @@ class Operator:
         if key.change is not Change.PRESS:
             return None
         may_arm, self.may_arm = self.may_arm, False
+        wish = _wish_of(key)
         if key.ctrl or key.other:
-            return _WISHES_WITH_CTRL.get(key.name) if key.ctrl else None
+            return wish
         if key.name == "enter" and may_arm:
             return Wish.ARM
-        self.may_arm = key.name == "a"
         if key.name in ("+", "="):
             self.share = min(self.share * _FASTER, 1.0)
         elif key.name == "-":
             self.share = max(self.share / _FASTER, _LEAST_SHARE)
-        wish = _WISHES.get(key.name)
         if wish is not None:
             self.release()
+        self.may_arm = key.name == "a"
         return wish
+
+    def take_late(self, key: Key) -> Wish | None:
+        """Take note of a key that was pressed while nobody looked: it moves nothing, but what stops still does."""
+        self.release()
+        wish = _wish_of(key) if key.change is Change.PRESS else None
+        return wish if wish in _NEVER_TOO_LATE else None
 
     def take_pad(self, pad: Pad | None) -> Wish | None:
         """Take note of how the gamepad is held, None when there is none; return what it asks for."""
@@ -101,10 +108,17 @@ class Operator:
         return self._of(of_keys(keys), share) if keys else None
 
     def release(self) -> None:
-        """Let go of everything: keys and button count again when they are pressed anew."""
+        """Let go of everything: keys and button count again when they are pressed anew, and so does what arms."""
+        self.may_arm = False
         self._keys.release()
         self._button.release()
         self._is_on_sticks = False
 
     def _of(self, direction: Direction, share: float) -> BodyTwist:
         return twist_of(direction, self.speeds, share)
+
+
+def _wish_of(key: Key) -> Wish | None:
+    if key.ctrl or key.other:
+        return _WISHES_WITH_CTRL.get(key.name) if key.ctrl else None
+    return _WISHES.get(key.name)

@@ -103,11 +103,6 @@ class Terminal:
         self._esc_s = now_s
         return self._decoder.feed(data)
 
-    def drop_input(self) -> None:
-        """Forget what was typed and not read yet."""
-        with _lost():
-            termios.tcflush(self._in, termios.TCIFLUSH)
-
     def ask(self) -> None:
         """Have the terminal say that it is there; the answer is an event of type Flags."""
         self._write(_ASK_FLAGS)

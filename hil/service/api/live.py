@@ -54,6 +54,7 @@ class LiveClient:
         self._answers: deque[Answer] = deque()
         self._news = asyncio.Event()
         self._pending: set[asyncio.Task[None]] = set()
+        self._reads = True
 
     async def serve(self) -> None:
         """Serve the client until it or the control process goes."""
@@ -70,6 +71,8 @@ class LiveClient:
             ends = await asyncio.gather(*parts, return_exceptions=True)
         if self._control.gone.is_set():
             await self._close(GOING_AWAY, "the control process has ended")
+        elif not self._reads:
+            await self._close(POLICY_VIOLATION, f"{_MOST_UNREAD} answers are unread")
         for end in ends:
             if isinstance(end, Exception) and not isinstance(end, WebSocketDisconnect):
                 raise end
@@ -83,7 +86,7 @@ class LiveClient:
             self._take(message.get("text") or "")
             if len(self._answers) + len(self._pending) > _MOST_UNREAD:
                 logs.warning("live client is closed: it does not read its answers", unread=len(self._answers))
-                await self._close(POLICY_VIOLATION, f"{_MOST_UNREAD} answers are unread")
+                self._reads = False
                 return
 
     def _take(self, text: str) -> None:

@@ -1,0 +1,56 @@
+"""Opening what may take seconds, as a server on the network does that is not there, while the loop's ticks go on."""
+
+import threading
+from collections.abc import Callable
+from typing import Generic, Protocol, TypeVar
+
+
+class Closable(Protocol):
+    """What can be opened, and closed."""
+
+    def close(self) -> None: ...
+
+
+T = TypeVar("T", bound=Closable)
+
+
+class OpeningBeside(Generic[T]):
+    """Calls ``opened`` in a thread, from the constructor on; either ``take`` its result or ``abandon`` it."""
+
+    def __init__(self, opened: Callable[[], T]) -> None:
+        self._opened = opened
+        self._lock = threading.Lock()
+        self._done = threading.Event()
+        self._result: T | None = None
+        self._failure: Exception | None = None
+        self._abandoned = False
+        threading.Thread(target=self._run, name="opening", daemon=True).start()
+
+    def _run(self) -> None:
+        try:
+            result = self._opened()
+        except Exception as error:  # noqa: BLE001 - take() raises it where it is seen
+            self._failure = error
+        else:
+            with self._lock:
+                is_late = self._abandoned
+                self._result = None if is_late else result
+            if is_late:
+                result.close()
+        self._done.set()
+
+    def take(self, within_s: float) -> T | None:
+        """Return what was opened, None when it is not open within this time. Raises what the opening raised."""
+        if not self._done.wait(within_s):
+            return None
+        if self._failure is not None:
+            raise self._failure
+        return self._result
+
+    def abandon(self) -> None:
+        """Have it closed, now or when it is open."""
+        with self._lock:
+            self._abandoned = True
+            result, self._result = self._result, None
+        if result is not None:
+            result.close()

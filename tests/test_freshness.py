@@ -1,0 +1,104 @@
+"""How old feedback may be that drives, with real firmware, on a clock by which it runs on while nobody looks."""
+
+import itertools
+
+import pytest
+
+from firmware_protocol.generated import messages as m
+from firmware_protocol.host import parameter_hash
+from hil.devices.handshake import Expected
+from hil.devices.stm32 import Stm32
+from hil.devices.wheel_map import WheelMap
+from hil.errors import LinkError
+from hil.freshness import Freshness
+from hil.links.delay import DelayedLink
+from hil.links.fault_rows import ScenarioTime
+from hil.links.faults import FaultLink
+from hil.links.framed import StreamLink
+from hil.links.streams import memory_pair
+from hil.links.wire import SerialWire
+from hil.sampling import Timing
+from hil.types import ZERO_WHEELS, CommandMode, WheelCommand
+from tests.wheel_rig import WheelRig
+
+TICK_NS = 1_000_000
+STALE_NS = 50_000_000
+REST = WheelCommand(CommandMode.SPEED, ZERO_WHEELS, ZERO_WHEELS)
+
+
+class Robot:
+    """Firmware behind a line that keeps what nobody reads; a clock whose time passes with it."""
+
+    def __init__(self, watchdog_s: float = 0.05, feedback_period_s: float = 0.005) -> None:
+        self.rig = WheelRig(watchdog_s=watchdog_s, feedback_period_s=feedback_period_s)
+        host, robot = memory_pair()
+        self._wire = SerialWire(robot)
+        self._now_ns = 0
+        self.device = Stm32(
+            DelayedLink(FaultLink(StreamLink(host), ScenarioTime(self), ()), self, 0, 0),
+            CommandMode.SPEED,
+            Expected(parameter_hash(self.rig.values), False, False),
+            itertools.count(0x2341),
+            WheelMap(),
+        )
+        self.device.attend(self)
+        self.device.begin_again()
+        self.freshness = Freshness(self, self.device, None, Timing(5 * TICK_NS, 0, 0, STALE_NS))
+
+    def now_ns(self) -> int:
+        return self._now_ns
+
+    def wait_until(self, t_ns: int) -> int:
+        while self._now_ns < t_ns:
+            self._wire.receive_into(self.rig.node, 0)
+            self.rig.run(1)
+            self._wire.send_from(self.rig.node)
+            self._now_ns += TICK_NS
+        return 0
+
+    def tick(self, ms: int = 5, *, active: bool = True) -> bool:
+        """Let so much time pass, and be driven once; return whether the feedback is too old to be driven by."""
+        self.wait_until(self._now_ns + ms * TICK_NS)
+        feedback = self.freshness.poll(0.0, active=active)
+        self.device.send(REST)
+        return self.freshness.is_stale(feedback, None)
+
+    def armed(self) -> "Robot":
+        while not self.device.greeted() or not self.device.armed():
+            self.wait_until(self._now_ns + 5 * TICK_NS)
+        return self
+
+
+def test_what_came_while_the_host_stood_still_drives_nothing_and_what_comes_next_does() -> None:
+    robot = Robot(watchdog_s=0.1).armed()
+    assert not any(robot.tick() for _ in range(10))
+    assert robot.tick(60), "the newest of it may be as old as the first"
+    assert not any(robot.tick() for _ in range(10))
+
+
+def test_while_a_backlog_is_read_away_nothing_is_driven_by_it() -> None:
+    """At 1 kHz, 90 ms of feedback are more frames than are taken in a tick."""
+    robot = Robot(watchdog_s=0.1, feedback_period_s=0.001).armed()
+    assert not robot.tick()
+    robot.wait_until(robot.now_ns() + 85 * TICK_NS)
+    assert robot.tick()
+    newest = robot.device.feedback
+    assert newest is not None
+    assert robot.now_ns() - newest.robot_time_ns > 30 * TICK_NS, "the rest has not been read yet"
+    assert robot.tick(), "and what has been read now was sent long ago, for all that is known"
+    assert not robot.tick()
+
+
+def test_a_long_standstill_is_a_lost_link_and_no_reset_of_the_robot() -> None:
+    driven = Robot(watchdog_s=0.1, feedback_period_s=0.001).armed()
+    assert not driven.tick()
+    with pytest.raises(LinkError, match=r"lay unread for 260 ms .* this process stood still"):
+        driven.tick(260)
+    idle = Robot()
+    idle.wait_until(20 * TICK_NS)
+    assert idle.rig.state is m.State.IDLE
+    assert not idle.tick(active=False)
+    assert idle.tick(900, active=False), "who only looks on is not reconnected so soon"
+    assert not [idle.tick(active=False) for _ in range(8)][-1]
+    with pytest.raises(LinkError, match="lay unread for 1100 ms"):
+        idle.tick(1100, active=False)
