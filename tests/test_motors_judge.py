@@ -68,7 +68,6 @@ def test_a_watchdog_that_does_nothing_is_noticed(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(hil.robots, "emulated", lambda _name: DrivesOn)
     told = verdict(tmp_path, "no command").verdict
     assert "is driven away from what was asked" in told
-    assert "expected re-arms or ends, but it goes on" in told
 
 
 def test_motors_that_nothing_stops_are_refused(tmp_path: Path) -> None:
