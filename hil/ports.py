@@ -30,10 +30,6 @@ class Framing(Protocol):
     def rejected(self) -> Mapping[str, int]:
         """How many pieces were no frame, by cause; ``lost`` are frames that the other side counted and did not come."""
 
-    @property
-    def received_bytes(self) -> int:
-        """Bytes that have come, those that were no frame too."""
-
     def encode(self, frame: Frame) -> bytes:
         """Return the bytes for the wire."""
 

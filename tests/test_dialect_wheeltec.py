@@ -220,7 +220,6 @@ def test_reports_come_out_of_any_pieces_and_noise_is_counted(
     after = ours.feed(noise + bytes(24) + whole(REPORT) + bytes(24))
     assert after[-3:] == parts(whole(REPORT))
     assert sum(ours.rejected.values()) > 0
-    assert ours.received_bytes == len(stream) + len(noise) + 72
 
 
 @settings(max_examples=50)

@@ -160,3 +160,12 @@ def test_a_pilot_arms_drives_stops_and_clears_an_estop() -> None:
         bench.pilot.disarm()
         bench.run_until(Phase.DISARMED)
         assert not bench.bench._robot.node.is_driving  # type: ignore[union-attr, attr-defined]
+
+
+def test_a_device_and_a_host_must_speak_the_same() -> None:
+    hashes = {
+        load("circle_speed", set=changes).hash
+        for changes in ({}, {"device.driver": "c620"}, {"device.driver": "c620", "device.motors.ids": [1, 2, 3, 5]})
+    }
+    assert len(hashes) == 3
+    assert load("circle_speed", set={"device.driver": "stm32"}).hash in hashes

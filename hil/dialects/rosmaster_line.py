@@ -20,7 +20,6 @@ class RosmasterFraming:
 
     def __init__(self) -> None:
         self.rejected = {"length": 0, "checksum": 0, "stray": 0}
-        self.received_bytes = 0
         self._buffer = bytearray()
 
     def encode(self, frame: Frame) -> bytes:
@@ -33,7 +32,6 @@ class RosmasterFraming:
 
     def feed(self, data: bytes) -> list[Frame]:
         """Take bytes in pieces of any size, and return the frames that they complete."""
-        self.received_bytes += len(data)
         buffer = self._buffer
         buffer += data
         frames: list[Frame] = []

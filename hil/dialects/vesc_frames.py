@@ -181,7 +181,6 @@ class SerialFraming:
 
     def __init__(self) -> None:
         self.rejected = dict.fromkeys(CAUSES, 0)
-        self.received_bytes = 0
         self._open = b""
         self._is_in_step = True
 
@@ -194,7 +193,6 @@ class SerialFraming:
         return head + message + struct.pack(">HB", crc_hqx(message, 0), 3)
 
     def feed(self, data: bytes) -> list[Frame]:
-        self.received_bytes += len(data)
         data = self._open + data
         frames = []
         at = 0

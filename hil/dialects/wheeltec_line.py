@@ -33,7 +33,6 @@ class WheeltecFraming:
 
     def __init__(self) -> None:
         self.rejected = {"tail": 0, "checksum": 0, "stray": 0}
-        self.received_bytes = 0
         self._buffer = bytearray()
 
     def encode(self, frame: Frame) -> bytes:
@@ -46,7 +45,6 @@ class WheeltecFraming:
 
     def feed(self, data: bytes) -> list[Frame]:
         """Take bytes in pieces of any size, and return the frames that they complete."""
-        self.received_bytes += len(data)
         buffer = self._buffer
         buffer += data
         frames: list[Frame] = []

@@ -19,7 +19,7 @@ class StreamLink:
         self._framing = language.make_framing()  # of what is received
         self._encode = language.make_framing().encode  # the count of what is sent goes on over a loss
         self._earlier: Counter[str] = Counter()  # what was rejected before the link was reopened
-        self._earlier_bytes = 0
+        self._received_bytes = 0
         self._sent_bytes = 0
         self._ready: deque[Received] = deque()
 
@@ -40,6 +40,7 @@ class StreamLink:
             data = self._stream.read(timeout_ns)
             if data:
                 stamp_ns = time.monotonic_ns()
+                self._received_bytes += len(data)
                 self._ready.extend([make_received((frame, stamp_ns)) for frame in self._framing.feed(data)])
             if self._ready or timeout_ns <= 0:
                 return
@@ -48,7 +49,7 @@ class StreamLink:
 
     def received_bytes(self) -> int:
         """Return how many bytes have come so far, those that were no frame too."""
-        return self._earlier_bytes + self._framing.received_bytes
+        return self._received_bytes
 
     def sent_bytes(self) -> int:
         """Return how many bytes have been sent so far."""
@@ -67,7 +68,6 @@ class StreamLink:
         self._stream.reopen()
         # A new framing: the half of a frame, and the gap in the numbers, belong to the line that was lost.
         self._earlier = Counter(self.rejected())
-        self._earlier_bytes = self.received_bytes()
         self._framing = self._make_framing()
         self._ready.clear()
 

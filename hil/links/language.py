@@ -71,11 +71,6 @@ class WheelFraming:
         self.feed: Callable[[bytes], list[Frame]] = self._deframer.feed
 
     @property
-    def received_bytes(self) -> int:
-        """Bytes that have come, those that were no frame too."""
-        return self._deframer.bytes
-
-    @property
     def rejected(self) -> Mapping[str, int]:
         """What was no frame, by cause, and frames that the robot counted and that did not come."""
         return self._deframer.rejected | {"lost": self._deframer.lost}

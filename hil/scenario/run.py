@@ -26,9 +26,10 @@ class Scenario(Tables):
     def hash(self) -> str:
         """SHA-256, in hex, of what a controller and a device in two processes must agree on.
 
-        That is [robot], [plant], [firmware], the wheel map of [device], loop.rate_hz and loop.seed, resolved:
-        it does not matter in which file or order they were given. An FMU that is not shipped counts by its bytes, or
-        by the last part of its path where there is no such file.
+        That is [robot], [plant], [firmware], the wheel map of [device], there the driver and motors of other makers,
+        loop.rate_hz and loop.seed, resolved: it does not matter in which file or order they were given. An FMU that is
+        not shipped counts by its bytes, or by the last part of its path where there is no such file; a file of [motors]
+        by the last part of its path.
         The rest (link, mode, controller, reference, faults, expectations) concerns one process alone.
         """
         shared = {
@@ -40,11 +41,18 @@ class Scenario(Tables):
                 "start": dict(self.plant.start),
             },
             "firmware": dict(self.firmware),
-            "device": {"wheels": self.device.wheels, "reversed": sorted(self.device.reversed)},
+            "device": {"wheels": self.device.wheels, "reversed": sorted(self.device.reversed)} | self._motors(),
             "loop": {"rate_hz": self.loop.rate_hz, "seed": self.loop.seed},
         }
         canonical = json.dumps(shared, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
         return hashlib.sha256(canonical.encode("ascii")).hexdigest()
+
+    def _motors(self) -> dict[str, object]:
+        device = self.device
+        if not device.is_makers:
+            return {}
+        motors = {k: PurePath(v).name if k == "file" and isinstance(v, str) else v for k, v in device.motors.items()}
+        return {"driver": device.driver, "motors": motors}
 
     @property
     def fmu_sha256(self) -> str | None:
