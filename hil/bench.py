@@ -7,14 +7,15 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from types import TracebackType
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 from firmware_protocol.host import parameter_hash
+from hil.brake import BRAKE_SHARE
 from hil.clock import TICK_NS, LockstepClock, WallClock
 from hil.devices.faults import RobotFaults
-from hil.devices.guardian import Guardian
 from hil.devices.handshake import Expected
 from hil.devices.makers import MakersRobot, Terms
+from hil.devices.motor_stop import StopTerms
 from hil.devices.port import Device, Identity
 from hil.devices.stm32 import Stm32
 from hil.devices.truth import TruthClient
@@ -36,12 +37,15 @@ from hil.links.statistics import measured
 from hil.links.url import LinkUrl, SerialUrl, parse_link
 from hil.localisation import SimulatedFixes, SimulatedOptions, UdpFixes
 from hil.ports import Clock, FixSource, Link, PoseSource
-from hil.robots import firmware_values, language_of, node_maker, start_pose, virtual_robot, wheel_map
+from hil.robots import firmware_values, language_of, no_lockstep, node_maker, start_pose, virtual_robot, wheel_map
 from hil.scenario import Scenario
 from hil.scenario.motors import make_driver
 from hil.signals import SIGNAL_NAMES
 from hil.trace import Trace
 from hil.types import Pose
+
+if TYPE_CHECKING:
+    from hil.devices.guardian import Guardian
 
 NS = 1_000_000_000
 _ANSWER_S = 2.0
@@ -73,6 +77,8 @@ class Bench:
         self._robot: VirtualStm32 | None = None
         self._server: VirtualServer | None = None
         self._thread: ServerThread | None = None
+        self._guardian: Guardian | None = None
+        self._is_guarded: Callable[[], bool] = lambda: True
         lockstep = scenario.loop.mode == "lockstep"
         url = parse_link(scenario.link.url)
         language = language_of(scenario)
@@ -99,6 +105,7 @@ class Bench:
                     self.truth = TruthClient(truth, scenario.hash, reset=True, not_before=not_before)
                     resources.callback(self.truth.close)
                 self.faults.arm(self.truth)
+                resources.callback(self._release_guardian)  # after the link was closed
                 link = open_host(url, self.faults.line, language)
                 resources.callback(link.close)
             self.wire = measured(link, url, self.clock, lockstep=lockstep)
@@ -110,32 +117,51 @@ class Bench:
             latencies = (scenario.link.command_latency_ns, scenario.link.feedback_latency_ns)
             delayed = DelayedLink(faulty, self.clock, *latencies, language)
             driver = make_driver(scenario) if scenario.device.is_makers else None
+            if driver is not None and lockstep and self._robot is None:
+                raise no_lockstep(scenario)
             if driver is not None and self._robot is None:
-                self._guard(url, driver, resources)
+                self._guard(url, driver)
             self.device = self._device(delayed, driver, allow_motion=allow_motion or self._robot is not None)
             resources.callback(self.device.close)
             self._resources = resources.pop_all()
 
-    def _guard(self, url: LinkUrl, driver: Driver, resources: contextlib.ExitStack) -> None:
+    def _release_guardian(self) -> None:
+        """Part with the guardian once the port is closed; a stop that did not go out is its business."""
+        if self._guardian is None:
+            return
+        if isinstance(self.device, MakersRobot) and not self.device.is_told_to_stop:
+            self._guardian.leave_it_to()
+        else:
+            self._guardian.dismiss()
+
+    def _guard(self, url: LinkUrl, driver: Driver) -> None:
         """Have a base that nothing stops when commands end stopped by another process, should this one be killed."""
         make_framing = dialect(self._scenario.device.driver).make_framing
         if driver.capabilities.watchdog != "none" or not isinstance(url, SerialUrl) or make_framing is None:
             return
+        from hil.devices.guardian import Guardian  # which brings pyserial: not for every run
+
         framing = make_framing()
         stop = b"".join(framing.encode(frame) for frame in driver.disarm())
-        resources.callback(Guardian(url.port, url.baud, stop).dismiss)
+        guardian = Guardian(url.port, url.baud, stop)
+        self._guardian = guardian
+        self._is_guarded = lambda: guardian.is_watching
 
     def _device(self, link: DelayedLink, driver: Driver | None, *, allow_motion: bool) -> Device:
         scenario = self._scenario
         lockstep = scenario.loop.mode == "lockstep"
         if driver is not None:
-            terms = Terms(
+            firmware = scenario.firmware
+            stop = StopTerms(
                 scenario.controller.mode,
-                scenario.firmware.counts_per_revolution,
-                scenario.firmware.ramp_s,
-                allow_motion,
-                self._server.advance if lockstep and self._server is not None else None,
+                firmware.ramp_s,
+                firmware.watchdog_s,
+                BRAKE_SHARE * firmware.speed_kp_n_m_s_rad,
+                min(firmware.torque_limit_n_m, scenario.robot.torque_limit_n_m),
             )
+            advance = self._server.advance if lockstep and self._server is not None else None
+            rearm = scenario.loop.rearm
+            terms = Terms(stop, firmware.counts_per_revolution, allow_motion, rearm, advance, self._is_guarded)
             return MakersRobot(link, self.clock, driver, wheel_map(scenario), terms)
         return Stm32(
             link,

@@ -6,7 +6,6 @@ interrupted.
 
 import errno
 import gc
-import signal
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -37,7 +36,7 @@ from hil.commands.options import (
     TraceFile,
     TruthUrl,
     drop_output,
-    interrupt,
+    end_in_order,
     print_json,
 )
 from hil.commands.replay import replay
@@ -96,7 +95,7 @@ def run(
     """Run a scenario and judge it."""
     from hil.telemetry import Rotation, early_recorder, rotation
 
-    signal.signal(signal.SIGTERM, interrupt)
+    end_in_order()
     suffix = ".rrd" if record is None else None if record == "none" else Path(record).suffix
     # First, for what it imports takes it as long as the rest takes us.
     make_recording = context.with_resource(early_recorder(suffix, live=live))

@@ -18,7 +18,7 @@ from hil.links.opening import open_robot
 from hil.links.url import LinkUrl, parse_link
 from hil.links.wire import Wire
 from hil.realtime import Wanted, real_time
-from hil.robots import language_of, node_maker, open_trace, virtual_robot
+from hil.robots import language_of, no_lockstep, node_maker, open_trace, virtual_robot
 from hil.scenario import Scenario
 from hil.trace import Trace
 from hil.trace.tap import TracedWire
@@ -86,10 +86,7 @@ def _robot(scenario: Scenario, target: str, url: LinkUrl) -> VirtualStm32:
     if target != "host":
         raise BadInputError(f"--target {target} runs our own firmware, and the scenario has {driver!r}; leave it out")
     if made_of.lockstep:
-        raise BadInputError(
-            f"the protocol of {driver!r} has no STEP, so that nobody can let its time pass from outside; add "
-            "--mode realtime, or run it within one process with --link memory: or can:virtual/NAME"
-        )
+        raise no_lockstep(scenario)
     return VirtualStm32(made_of, node_maker(scenario))
 
 

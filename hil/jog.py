@@ -1,5 +1,6 @@
 """``hil jog``: turns one wheel slowly, to see that it is the right one and turns the right way."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 from hil.bench import Bench
@@ -40,18 +41,23 @@ class Jogged(NamedTuple):
         return f"{wheel} was asked to turn, and the sensors of {', '.join(moved)} saw it; correct device.wheels"
 
 
-def jog(scenario: Scenario, wheel: str, speed_rad_s: float, seconds: float) -> Jogged:
+def jog(
+    scenario: Scenario, wheel: str, speed_rad_s: float, seconds: float, warn: Callable[[str], None] = lambda _: None
+) -> Jogged:
     """Turn a wheel at most so fast for so long, ramps of 0.5 s at both ends, and stop.
 
+    ``warn`` gets what the driver warns of, before anything moves.
     Raises BadInputError for a wheel or a number that is out of range and for a base that turns all of its wheels,
     DeviceError and LinkError when the robot refuses, stops or is lost; it is told to stop in any case.
     """
-    _check(scenario, wheel, speed_rad_s, seconds)
+    check(scenario, wheel, speed_rad_s, seconds)
     period_ns = scenario.loop.period_ns
     stale_ns = round(scenario.firmware.watchdog_s * 1e9)
     with Bench(scenario, None, allow_motion=True) as bench:
         device = bench.device
         bench.connect()
+        for sentence in device.warnings:
+            warn(sentence)
         begin_ns = device.start(bench.clock, period_ns)
         freshness = Freshness(bench.clock, device, None, Timing(period_ns, 0, 0, stale_ns))
         turned = [0.0] * 4
@@ -67,11 +73,14 @@ def jog(scenario: Scenario, wheel: str, speed_rad_s: float, seconds: float) -> J
                 device.send(WheelCommand(CommandMode.SPEED, speed, ZERO_WHEELS))
                 turned = [a + s * period_ns * 1e-9 for a, s in zip(turned, feedback.speed_rad_s, strict=True)]
         finally:
-            device.stop(period_ns, _STOP_LIMIT_NS)
+            is_still = device.stop(period_ns, _STOP_LIMIT_NS)
+    if not is_still:
+        raise DeviceError("the robot did not come to rest within 5 s; cut the motors' power")
     return Jogged(speed_rad_s * (seconds - _RAMP_S), Wheels(*turned))
 
 
-def _check(scenario: Scenario, wheel: str, speed_rad_s: float, seconds: float) -> None:
+def check(scenario: Scenario, wheel: str, speed_rad_s: float, seconds: float) -> None:
+    """Raise BadInputError for what ``jog`` would refuse before it opens anything."""
     if wheel not in WHEEL_NAMES:
         raise BadInputError(f"wheel {wheel!r}: expected one of {', '.join(WHEEL_NAMES)}")
     if not 0.0 < abs(speed_rad_s) <= MOST_RAD_S:

@@ -71,18 +71,20 @@ class Loop:
             self._parts.device.disarm()
             with contextlib.suppress(HilError):
                 self._stop()
+            self._parts.device.close()
             raise
         wall_s = time.perf_counter() - begin
         stopped = False
         try:
             # One that has not come back is not waited for, and may be somebody else's.
             if isinstance(failure, DeviceError | LinkError) or self._recovery is not None:
-                self._parts.device.disarm()
+                self._parts.device.close()
             else:
                 stopped = self._stop()
                 failure = failure or (None if stopped else DeviceError("the robot did not come to rest within 5 s"))
         except HilError as error:
             failure = failure or error
+            self._parts.device.close()
         ticks = self._doing.count
         robot_s = self.t_s + self._timing.period_ns * 1e-9 if ticks else 0.0
         recoveries = tuple(self._recoveries)

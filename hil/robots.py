@@ -126,6 +126,14 @@ def node_maker(scenario: Scenario) -> MakeNode:
     return functools.partial(emulated(scenario.device.driver), scenario.device.settings)
 
 
+def no_lockstep(scenario: Scenario) -> BadInputError:
+    """Return the refusal of lockstep with makers' motors in another process."""
+    return BadInputError(
+        f"the protocol of {scenario.device.driver!r} has no STEP, so that nobody can let its time pass from outside; "
+        "add --mode realtime, or run it within one process with --link memory:"
+    )
+
+
 def open_trace(scenario: Scenario, path: Path) -> Trace:
     """Start writing a trace of the scenario's link. Raises as ``Trace``."""
     url = parse_link(scenario.link.url)

@@ -10,7 +10,7 @@ from firmware_protocol.framing import Frame
 from hil.dialects.registry import dialect
 from hil.errors import BadInputError
 from hil.options import build
-from hil.types import CommandMode
+from hil.types import CommandMode, FourWheels
 from tests.dialect_testbed import STILL, Rig, assert_near, ramp_to
 
 FORWARD = (8.0, 8.0, 8.0, 8.0)
@@ -119,3 +119,34 @@ def test_a_probe_finds_the_ids_from_what_the_motors_say() -> None:
     found = probe.found()
     assert found is not None
     assert found.motors == {"ids": [4, 6, 7, 8]}
+
+
+@pytest.mark.parametrize(("period_ms", "rpm"), [(10, 3667), (5, 8250), (20, -5000)])
+def test_frames_that_are_read_at_once_are_a_millisecond_apart(period_ms: int, rpm: int) -> None:
+    """As a loop of 50 to 200 Hz reads a bus whose frames have no stamps of their own."""
+    driver = Rig("c620").driver
+    first: FourWheels | None = None
+    for tick in range(1, 401):
+        turns = rpm / 60_000 * tick
+        payload = struct.pack(">HhhBx", round(turns * 8192) % 8192, rpm, 0, 20)
+        stamp_ns = -(-tick // period_ms) * period_ms * 1_000_000
+        for number in (1, 2, 3, 4):
+            driver.feed(Frame(0x200 + number, payload), stamp_ns)
+        if tick % period_ms == 0:
+            assert driver.sample is not None
+            first = first or driver.sample.position_rad
+    assert driver.sample is not None
+    assert first is not None
+    turned = [now - then for then, now in zip(first, driver.sample.position_rad, strict=True)]
+    expected = rpm / 60_000 * (400 - period_ms) * 2 * 3.141592653589793 / (3591 / 187)
+    assert_near(turned, (expected,) * 4, 0.01)
+
+
+def test_no_loop_is_closed_on_a_speed_of_long_ago_and_a_stall_winds_nothing_up() -> None:
+    rig = Rig("c620")
+    rig.step()
+    rig.arm()
+    rig.drive(1.0, ramp_to(FORWARD))
+    rig.now_ns += 200_000_000
+    [frame] = rig.driver.command(STILL, STILL, rig.now_ns)
+    assert frame.payload == bytes(8)

@@ -74,3 +74,5 @@ def test_a_base_without_a_watchdog_is_stopped_when_the_host_is_killed() -> None:
         host.wait()
         wait_for(lambda: speed_m_s() < 0.01)
         watcher.close()
+        # It says the stop a few times, to whatever the port's name then is: the port has to stay until it has ended.
+        wait_for(lambda: not subprocess.run(["pgrep", "-f", "hil.devices.guardian"], capture_output=True).stdout)

@@ -28,7 +28,9 @@ def read_all(port: int, enough: int = 1 << 30) -> bytes:
     os.set_blocking(port, enough < 1 << 30)
     with contextlib.suppress(BlockingIOError):
         while len(data) < enough:
-            data += os.read(port, 65536)
+            piece = os.read(port, 65536)
+            assert piece, "somebody else has set up the line, or hung it up"
+            data += piece
     return data
 
 

@@ -1,13 +1,12 @@
 """``hil catalogue``."""
 
-import signal
 import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.commands.options import Json, Sets, interrupt, print_json
+from hil.commands.options import Json, Sets, end_in_order, print_json
 from hil.errors import RunInterruptedError
 
 if TYPE_CHECKING:
@@ -46,7 +45,7 @@ def catalogue(
     from hil.catalogue.plan import Asked
     from hil.progress import runs_progress
 
-    signal.signal(signal.SIGTERM, interrupt)
+    end_in_order()
     laws = [] if law is None else [f"controller.law={law}"]
     asked = Asked(scenario, [*laws, *(sets or [])], link or [], kind or [], report.catalogue_folder(), sample, seed)
     tell = None if as_json or not sys.stderr.isatty() else runs_progress(_trouble)

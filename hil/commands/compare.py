@@ -1,14 +1,13 @@
 """``hil compare``."""
 
 import shlex
-import signal
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.commands.options import Json, Seed, Sets, interrupt, print_json
+from hil.commands.options import Json, Seed, Sets, end_in_order, print_json
 from hil.errors import BadInputError, RunInterruptedError
 
 if TYPE_CHECKING:
@@ -52,7 +51,7 @@ def compare(
     from hil.comparison.conditions import DRIVES, TORQUES_N_M
     from hil.progress import runs_progress
 
-    signal.signal(signal.SIGTERM, interrupt)
+    end_in_order()
     *laws, scenario = laws_and_scenario
     asked = Asked(
         laws,

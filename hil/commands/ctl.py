@@ -2,7 +2,6 @@
 
 import json
 import math
-import signal
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from hil.commands.options import Json, ServicePort, ServiceUrl, TokenFile, interrupt, print_json
+from hil.commands.options import Json, ServicePort, ServiceUrl, TokenFile, end_in_order, print_json
 from hil.errors import BadInputError, RunInterruptedError
 
 if TYPE_CHECKING:
@@ -50,7 +49,7 @@ def status(
     as_json: Json = False,
 ) -> None:
     """Show how the robot and the service are."""
-    signal.signal(signal.SIGTERM, interrupt)
+    end_in_order()
     client = _client(context)
     if not watch:
         _show(client.status(), as_json=as_json)
@@ -137,7 +136,7 @@ def twist(
     if for_s is None:
         _order(context, "twist", arguments)
         return
-    signal.signal(signal.SIGTERM, interrupt)
+    end_in_order()
     _client(context).twist(arguments, for_s)
 
 

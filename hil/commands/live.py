@@ -1,11 +1,10 @@
 """``hil live``: the viewer for a run under way."""
 
-import signal
 from typing import Annotated
 
 import typer
 
-from hil.commands.options import interrupt
+from hil.commands.options import end_in_order
 
 LIVE_PORT = 9876
 
@@ -19,5 +18,5 @@ def live(
     """Open the rerun viewer on a run or service under way, and on each one after it; start it before or after those."""
     from hil.telemetry.follow import live as show
 
-    signal.signal(signal.SIGTERM, interrupt)
+    end_in_order()
     show(port, web=web, say=lambda sentence: print(sentence, flush=True))

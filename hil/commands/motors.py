@@ -1,12 +1,11 @@
 """``hil probe`` and ``hil jog``: what motors a robot has, and which wheel each of them turns."""
 
-import signal
 import sys
 from typing import Annotated
 
 import typer
 
-from hil.commands.options import Json, LinkUrl, RobotFile, ScenarioName, Sets, interrupt, print_json
+from hil.commands.options import Json, LinkUrl, RobotFile, ScenarioName, Sets, end_in_order, print_json
 from hil.errors import BadInputError, RunInterruptedError
 
 
@@ -69,14 +68,22 @@ def jog(
 
     Put the robot on blocks, so that no wheel touches the ground.
     """
+    from hil import report
+    from hil.jog import check
     from hil.jog import jog as turn
+    from hil.links.opening import is_within_process
     from hil.links.url import parse_link
     from hil.scenario import load
     from hil.service.lock import device_held
 
-    signal.signal(signal.SIGTERM, interrupt)
-    changes = [*(sets or []), "controller.command=speed", "controller.law=pid", "controller.gains={}", "fault=[]"]
+    end_in_order()
+    changes = [*(sets or []), "controller.command=speed", "controller.law=pid", "fault=[]", "expect=[]"]
+    # Where the robot is nobody has to know.
+    changes.append("estimator.source=odometry")
     resolved = load(scenario, set=changes, robot=robot, link=link)
+    if not is_within_process(parse_link(resolved.link.url)):
+        resolved = load(scenario, set=changes, robot=robot, link=link, mode="realtime")
+    check(resolved, wheel, speed_rad_s, seconds)
     way = "forward" if speed_rad_s > 0 else "backward"
     print(
         f"The wheel {wheel} will turn {way} at {abs(speed_rad_s):g} rad/s for {seconds:g} s.\n"
@@ -89,7 +96,7 @@ def jog(
         raise BadInputError(f"{wheel!r} was not typed; nothing was sent")
     try:
         with device_held(parse_link(resolved.link.url), f"hil jog {resolved.name} {wheel}"):
-            done = turn(resolved, wheel, speed_rad_s, seconds)
+            done = turn(resolved, wheel, speed_rad_s, seconds, report.warn)
     except KeyboardInterrupt:
         raise RunInterruptedError("interrupted; the wheel was told to stop") from None
     if as_json:

@@ -1,6 +1,5 @@
 """``hil reproduce``."""
 
-import signal
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -8,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hil.commands.options import Json, interrupt, print_json
+from hil.commands.options import Json, end_in_order, print_json
 from hil.errors import RunInterruptedError
 
 if TYPE_CHECKING:
@@ -34,7 +33,7 @@ def reproduce(
     from hil.reproduction import reproduce as run_reproduction
     from hil.reproduction.summary import failures
 
-    signal.signal(signal.SIGTERM, interrupt)
+    end_in_order()
     if out is None:
         out = Path("runs/reproduction-quick" if quick else "runs/reproduction")
     not_written: NotWrittenError | None = None

@@ -70,6 +70,13 @@ class Guardian:
     def dismiss(self) -> None:
         """Say goodbye, after the host's own stop: the port is left alone. Dismissing twice is allowed."""
         self._tell(_GOODBYE)
+        self._part()
+
+    def leave_it_to(self) -> None:
+        """Have the robot stopped by the guardian, when the host could not and has closed the port."""
+        self._part()
+
+    def _part(self) -> None:
         for pipe in (self._process.stdin, self._process.stdout):
             if pipe is not None:
                 pipe.close()

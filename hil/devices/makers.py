@@ -1,24 +1,27 @@
 """A robot with motor controllers of other makers: a driver of ``hil.dialects`` joined to a link, a clock and a session.
 
 The controllers know none of our states, so the session is kept here: nothing is sent but questions before the robot is
-armed, ramping down is done here, and an error, or a controller that leaves closed loop by itself, stops all of them.
+armed, ramping down is done here, and an error, or a controller that leaves closed loop by itself, stops all of them. A
+stop is owed until it went out whole and all wheels were seen at rest: until then it is repeated.
 """
 
-import contextlib
 import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated.messages import State
+from hil.devices.angles import Angles
 from hil.devices.handshake import RETRY_NS, SILENCE_NS
 from hil.devices.link_times import ClockSync, RoundTrip
+from hil.devices.makers_report import MakersReport, MotorsInfo
+from hil.devices.motor_stop import REST, MotorStop, StopTerms
 from hil.devices.robot_report import Health
 from hil.devices.snapshot import Feedback
 from hil.devices.unread import Unread
 from hil.devices.wheel_map import WheelMap
 from hil.devices.wire_hash import WireHash
-from hil.dialects.port import Driver, Sample
+from hil.dialects.port import Driver
 from hil.errors import BadInputError, DeviceError, HilError
 from hil.links.delay import DelayedLink
 from hil.ports import Clock
@@ -27,51 +30,24 @@ from hil.types import CommandMode, FourWheels, WheelCommand, Wheels
 _MOST_A_POLL = 5000  # frames; four controllers at 1 kHz send forty in 10 ms
 _START_LIMIT_NS = 4_000_000_000
 _QUESTION_NS = 1_000_000
-_STILL_RAD_S = 0.5
+_GUARDED_NS = 1_000_000_000
 _AGE_UNKNOWN_MS = 255  # as TICK.command_age_ms: this and more
-_REST: FourWheels = (0.0, 0.0, 0.0, 0.0)
 
 
 class Terms(NamedTuple):
-    """What the session rests on. ``advance`` lets ticks of 1 ms pass of an emulated robot in this process: lockstep."""
+    """What the session rests on.
 
-    mode: CommandMode
+    ``advance`` lets ticks of 1 ms pass of an emulated robot in this process: lockstep. ``rearm`` says that the loop
+    arms anew a robot that comes back. ``is_guarded`` says whether what stops the robot when this process is killed is
+    still there; true where nothing has to be.
+    """
+
+    stop: StopTerms
     counts_per_revolution: int
-    ramp_s: float
     allow_motion: bool
+    rearm: bool
     advance: Callable[[int], None] | None
-
-
-class MotorsInfo(NamedTuple):
-    """What the controllers said of themselves."""
-
-    words: str
-    has_power_stage: bool = True
-
-    def describe(self) -> str:
-        """Return the same in words."""
-        return self.words
-
-
-class MakersReport:
-    """What the controllers tell beside the feedback."""
-
-    def __init__(self) -> None:
-        self.health = Health()
-        self.why: str | None = None  # they stopped, None where nothing but the host did
-
-    def stop_reason(self) -> str:
-        """Return why the robot last stopped."""
-        return self.why or "no error that it tells"
-
-    def explains(self, state: State) -> bool:
-        """They tell their errors before they are stopped for them."""
-        return state is not State.FAULT or self.why is not None
-
-    @property
-    def knows_no_reason(self) -> bool:
-        """Whether nothing has stopped them."""
-        return False
+    is_guarded: Callable[[], bool]
 
 
 class MakersRobot:
@@ -86,13 +62,14 @@ class MakersRobot:
         self._info: MotorsInfo | None = None
         self._state = State.IDLE
         self._sequence = 0
-        self._commanded: FourWheels = _REST
-        self._ramp: tuple[int, FourWheels] | None = None  # when it began, and from which speeds
+        self._commanded: FourWheels = REST
         self._feedback: Feedback | None = None
-        self._turned_rad = _REST  # by speed, where the controllers tell no position
-        self._last: Sample | None = None
+        self._angles = Angles(terms.counts_per_revolution)
+        self._was_armed = False  # ever, by this host: only then is there something to stop
+        self._stop = MotorStop(driver, terms.stop, link, self._send)
         self._ask_again_ns = 0
         self._unread = Unread()
+        self._guarded_until_ns = 0
         self._hash = WireHash(wide=True)
         self.report = MakersReport()
         self.round_trip = RoundTrip()
@@ -125,7 +102,13 @@ class MakersRobot:
     @property
     def warnings(self) -> Sequence[str]:
         """What has to be said before anything moves."""
-        return self._driver.warnings
+        if not self._terms.rearm:
+            return self._driver.warnings
+        return (
+            *self._driver.warnings,
+            "with loop.rearm a robot that comes back is armed and driven on at once, also one whose power was cut by "
+            "somebody for a reason",
+        )
 
     def describe_link(self) -> str:
         return self._link.describe()
@@ -133,8 +116,9 @@ class MakersRobot:
     # Coming back after a loss
 
     def leave(self) -> None:
-        self._drop()
-        self._feedback = self._last = None
+        if self._was_armed:
+            self._drop(State.IDLE)
+        self._feedback = None
         self._unread.forget()
         self._link.discard()
 
@@ -142,11 +126,11 @@ class MakersRobot:
         self._link.reopen()
 
     def begin_again(self) -> None:
-        # Whoever is there may be driving still, on the last command of before the loss.
-        self._send(self._driver.disarm())
-        self._feedback = self._last = None
+        if self._was_armed:  # whoever is there may be driving still, on the last command of before the loss
+            self._drop(State.IDLE)
+        self._feedback = None
+        self._angles.restart()
         self._driver.restart()
-        self._state = State.IDLE
         self._ask_again_ns = self._clock.now_ns()
 
     def greeted(self) -> bool:
@@ -156,6 +140,7 @@ class MakersRobot:
             )
         now_ns = self._clock.now_ns()
         self._take_frames()
+        self._stop.repeat(now_ns)
         words = self._driver.identity
         if words is None:
             if now_ns >= self._ask_again_ns:
@@ -200,11 +185,13 @@ class MakersRobot:
             return False
         now_ns = self._clock.now_ns()
         self._state = State.ARMED
+        self._was_armed = True
+        self._stop.armed()
         self._send(self._driver.arm(now_ns))
         if not self._driver.is_armed:
             return False
-        self._send(self._driver.command(_REST, _REST, now_ns))
-        self._commanded = _REST
+        self._send(self._driver.command(REST, REST, now_ns))
+        self._commanded = REST
         self.report.why = None
         self._state = State.ACTIVE
         self._renew()
@@ -222,33 +209,36 @@ class MakersRobot:
     def disarm(self) -> None:
         if self._state is State.ACTIVE:
             self._state = State.STOPPING
-            self._ramp = (self._clock.now_ns(), self._commanded)
+            self._stop.ramp_down(self._clock.now_ns(), self._commanded)
         elif self._state is State.ARMED:
-            self._drop()
+            self._drop(State.STOPPING)
 
     def estop(self) -> None:
-        self._send(self._driver.estop())
-        self._link.flush()
-        self._state = State.ESTOP
-        self._renew()
+        if self._terms.allow_motion:
+            self._drop(State.ESTOP)
+            self._renew()
 
     def clear(self) -> None:
         self._send(self._driver.clear())
         if self._state in (State.ESTOP, State.FAULT):
+            self._stop.clear()
             self._state = State.IDLE  # errors that are still there make it FAULT again at the next poll
 
     def stop(self, period_ns: int, limit_ns: int) -> bool:
         self.disarm()
         begin_ns = self._clock.now_ns()
         n = 1
-        while n * period_ns <= limit_ns:
-            self.wait_until(begin_ns + n * period_ns)
-            feedback = self.poll()
-            if feedback is not None and self._state in (State.IDLE, State.FAULT, State.ESTOP):
-                self.wait_until(begin_ns + (n + 1) * period_ns)  # so that the last frames get there
-                return True
-            n += 1
-        return False
+        try:
+            while n * period_ns <= limit_ns:
+                self.wait_until(begin_ns + n * period_ns)
+                feedback = self.poll()
+                if feedback is not None and self._state in (State.IDLE, State.FAULT, State.ESTOP):
+                    self.wait_until(begin_ns + (n + 1) * period_ns)  # so that the last frames get there
+                    return True
+                n += 1
+            return False
+        finally:
+            self.close()
 
     # One tick
 
@@ -261,21 +251,36 @@ class MakersRobot:
         return late_ns
 
     def poll(self) -> Feedback | None:
-        self._take_frames()
+        try:
+            self._take_frames()
+            self._supervise()
+        except HilError:
+            raise
+        except Exception:  # a driver's own: nobody knows what it would send next
+            self.report.why = "a failure of its driver"
+            self._drop(State.FAULT)
+            raise
         self._hash.keep_up()
+        self._stop.repeat(self._clock.now_ns())
+        self._renew()
+        return self._feedback
+
+    def _supervise(self) -> None:
+        """Find out what ends the session, and go on with a stop."""
+        is_active = self._state is State.ACTIVE
         if self._driver.errors:
             if self._state is not State.ESTOP:
                 self.report.why = self._errors()  # a name may come later than the error
             if self._state is not State.FAULT and self._state is not State.ESTOP:
-                self._drop()
-                self._state = State.FAULT
-        elif self._state is State.ACTIVE and not self._driver.is_armed:
+                self._drop(State.FAULT)
+        elif is_active and not self._driver.is_armed:
             self.report.why = "a motor controller left closed loop by itself"
-            self._drop()
-        elif self._state is State.STOPPING:
-            self._ramp_down()
-        self._renew()
-        return self._feedback
+            self._drop(State.STOPPING)
+        elif is_active and not self._is_guarded():
+            self.report.why = "the guardian was killed, which would stop it if this process were; see GUARDIAN.md"
+            self._drop(State.STOPPING)
+        elif self._state is State.STOPPING and self._stop.go_on(self._clock.now_ns()):
+            self._state = State.IDLE
 
     @property
     def unread_ns(self) -> int:
@@ -300,33 +305,27 @@ class MakersRobot:
     def _command(self, speed_rad_s: FourWheels, torque_n_m: FourWheels) -> None:
         if not all(map(math.isfinite, torque_n_m)):
             raise ValueError(f"torques {torque_n_m} N·m: expected finite numbers")
-        if self._terms.mode is CommandMode.TORQUE:
-            speed_rad_s = _REST
+        if self._terms.stop.mode is CommandMode.TORQUE:
+            speed_rad_s = REST
         elif not all(map(math.isfinite, speed_rad_s)):
             raise ValueError(f"speeds {speed_rad_s} rad/s: expected finite numbers")
         self._commanded = speed_rad_s
         self._send(self._driver.command(speed_rad_s, torque_n_m, self._clock.now_ns()))
 
-    def _ramp_down(self) -> None:
-        """Go on to standstill, and leave closed loop there; in mode TORQUE no torque is given while the robot rolls."""
-        assert self._ramp is not None
-        begin_ns, speed = self._ramp
-        left = 1.0 - (self._clock.now_ns() - begin_ns) * 1e-9 / self._terms.ramp_s
-        if left > 0.0:
-            fl, fr, rr, rl = (left * one for one in speed)
-            self._send(self._driver.command((fl, fr, rr, rl), _REST, self._clock.now_ns()))
-        else:
-            self._drop()
+    def _drop(self, state: State) -> None:
+        """Leave closed loop, at best effort; what is latched stays so."""
+        self._commanded = REST
+        if self._state is not State.ESTOP and (self._state is not State.FAULT or state is State.ESTOP):
+            self._state = state
+        self._stop.leave_loop(self._clock.now_ns(), latched=self._state is State.ESTOP)
 
-    def _drop(self) -> None:
-        """Leave closed loop, at best effort: the link may be what was lost."""
-        with contextlib.suppress(HilError):
-            self._send(self._driver.disarm())
-            self._link.flush()
-        self._ramp = None
-        self._commanded = _REST
-        if self._state is not State.ESTOP:
-            self._state = State.IDLE
+    def _is_guarded(self) -> bool:
+        """Ask once a second: it costs a system call."""
+        now_ns = self._clock.now_ns()
+        if now_ns < self._guarded_until_ns:
+            return True
+        self._guarded_until_ns = now_ns + _GUARDED_NS
+        return self._terms.is_guarded()
 
     # Frames
 
@@ -355,9 +354,6 @@ class MakersRobot:
         sample = self._driver.sample
         if sample is None:
             return
-        last, self._last = self._last, sample
-        if last is not sample:
-            self._roll(last, sample)
         self.report.health = Health(
             sample.battery_v, sample.battery_a, self._map.temperatures_from_wire(Wheels(*sample.temperature_degc))
         )
@@ -367,31 +363,13 @@ class MakersRobot:
                 self._state,
                 self._sequence,
                 _AGE_UNKNOWN_MS,
-                self._counts(sample),
+                self._angles.take(sample),
                 Wheels(*sample.speed_rad_s),
                 Wheels(*sample.current_a),
                 sample.acceleration_m_s2,
                 sample.yaw_rate_rad_s,
             )
         )
-
-    def _roll(self, last: Sample | None, sample: Sample) -> None:
-        if last is None or sample.stamp_ns <= last.stamp_ns:
-            return
-        dt_s = (sample.stamp_ns - last.stamp_ns) * 1e-9
-        speeds = zip(self._turned_rad, last.speed_rad_s, sample.speed_rad_s, strict=True)
-        fl, fr, rr, rl = (turned + 0.5 * (before + now) * dt_s for turned, before, now in speeds)
-        self._turned_rad = (fl, fr, rr, rl)
-
-    def _counts(self, sample: Sample) -> tuple[int, int, int, int]:
-        """Return the wheels' angles as the counts of 16 bits that odometry takes."""
-        per_rad = self._terms.counts_per_revolution / math.tau
-        angles = (
-            rolled if math.isnan(said) else said
-            for said, rolled in zip(sample.position_rad, self._turned_rad, strict=True)
-        )
-        fl, fr, rr, rl = (round(angle * per_rad) & 0xFFFF for angle in angles)
-        return fl, fr, rr, rl
 
     # Accounts
 
@@ -406,5 +384,10 @@ class MakersRobot:
         return {cause: count for cause, count in self._link.rejected().items() if count}
 
     def close(self) -> None:
-        if self._state is not State.IDLE:
-            self._drop()
+        if self._state in (State.ARMED, State.ACTIVE, State.STOPPING) or not self._stop.is_told:
+            self._drop(State.IDLE)
+
+    @property
+    def is_told_to_stop(self) -> bool:
+        """Whether the newest stop went out whole, or nothing was ever armed."""
+        return self._stop.is_told

@@ -24,7 +24,7 @@ _FEEDBACK_BASE = 0x200
 _LOW, _HIGH = 0x200, 0x1FF
 _ANGLES = 8192
 _RPM = math.tau / 60.0
-_LATE_NS = 100_000_000
+_FEEDBACK_NS = 1_000_000
 
 
 class Motor(NamedTuple):
@@ -68,22 +68,47 @@ class _Channel:
 
     def __init__(self) -> None:
         self.stamp_ns: int | None = None
-        self.angle = 0
-        self.turned = 0  # angle steps since the first frame
         self.rpm = 0
         self.current = 0
         self.temperature_degc = 0
         self.integral_n_m = 0.0
+        self._angle = 0
+        self._turned = 0  # angle steps since the first frame
+        self._batch: list[tuple[int, int]] = []  # angles and speeds of the frames with the newest stamp
+        self._before_ns: int | None = None  # the stamp before that
 
     def feed(self, payload: bytes, stamp_ns: int) -> None:
-        angle, rpm, current, temperature_degc = _FEEDBACK.unpack_from(payload)
-        if self.stamp_ns is not None:
-            # Where frames were lost the rotor may have turned more than half round: its speed tells how often.
-            expected = 0.5 * (rpm + self.rpm) / 60.0 * _ANGLES * (stamp_ns - self.stamp_ns) * 1e-9
-            step = angle - self.angle
-            self.turned += step + _ANGLES * round((expected - step) / _ANGLES)
-        self.stamp_ns, self.angle, self.rpm, self.current = stamp_ns, angle, rpm, current
-        self.temperature_degc = temperature_degc
+        angle, rpm, self.current, self.temperature_degc = _FEEDBACK.unpack_from(payload)
+        if stamp_ns != self.stamp_ns:
+            self._unwrap()
+            self._before_ns, self.stamp_ns = self.stamp_ns, stamp_ns
+        self._batch.append((angle, rpm))
+        self.rpm = rpm
+
+    def turned(self) -> int:
+        """Return the angle steps since the first frame; to be asked when all that has come was fed."""
+        self._unwrap()
+        return self._turned
+
+    def _unwrap(self) -> None:
+        """Frames that were read at once came a millisecond apart, the first of them after what is left of the time.
+
+        Where frames were lost the rotor may have turned more than half round in it: its speed tells how often.
+        """
+        batch, self._batch = self._batch, []
+        for place, (angle, rpm) in enumerate(batch):
+            if self._before_ns is None or self.stamp_ns is None:
+                step = 0
+            else:
+                apart_ns = _FEEDBACK_NS
+                if place == 0:
+                    apart_ns = max(self.stamp_ns - self._before_ns - (len(batch) - 1) * _FEEDBACK_NS, _FEEDBACK_NS)
+                expected = rpm / 60.0 * _ANGLES * apart_ns * 1e-9
+                step = angle - self._angle
+                step += _ANGLES * round((expected - step) / _ANGLES)
+            self._angle = angle
+            self._turned += step
+        self._before_ns = self.stamp_ns
 
 
 class C620:
@@ -111,6 +136,7 @@ class C620:
         self.warnings = (
             f"what a {settings.controller.upper()} does when commands end is not known to us: keep an e-stop that cuts "
             "the motors' power within reach",
+            f"a {settings.controller.upper()} that is stopped lets its wheel coast: it does not brake it",
         )
 
     def ask(self) -> Sequence[Frame]:
@@ -141,9 +167,7 @@ class C620:
         for channel in self._channels:
             channel.integral_n_m = 0.0
         self._commanded_ns = None
-        self._is_armed = not self.missing and all(
-            channel.stamp_ns is not None and now_ns - channel.stamp_ns < _LATE_NS for channel in self._channels
-        )
+        self._is_armed = not self.missing and all(self._is_heard(channel, now_ns) for channel in self._channels)
         return self._currents(_NONE)
 
     @property
@@ -158,16 +182,25 @@ class C620:
         fl, fr, rr, rl = (min(max(round(torque * scale), -self._most), self._most) for torque in torque_n_m)
         return self._currents((fl, fr, rr, rl))
 
+    def _is_heard(self, channel: _Channel, now_ns: int) -> bool:
+        return channel.stamp_ns is not None and now_ns - channel.stamp_ns < self._robot.watchdog_s * 1e9
+
     def _speed_loops(self, speed_rad_s: FourWheels, torque_n_m: FourWheels, now_ns: int) -> FourWheels:
         settings, limit = self._settings, self._robot.torque_limit_n_m
         dt_s = self._robot.period_s if self._commanded_ns is None else (now_ns - self._commanded_ns) * 1e-9
+        dt_s = min(dt_s, 2.0 * self._robot.period_s)  # a stall is no time in which the loop was closed
         wanted = []
         for channel, target, feedforward in zip(self._channels, speed_rad_s, torque_n_m, strict=True):
+            if not self._is_heard(channel, now_ns):
+                channel.integral_n_m = 0.0
+                wanted.append(0.0)  # no loop is closed on a speed of long ago
+                continue
             error = target - channel.rpm * _RPM / self._gear_ratio
             torque = feedforward + settings.kp_n_m_s_rad * error + channel.integral_n_m
             limited = min(max(torque, -limit), limit)
             if torque == limited or error * torque < 0.0:  # no windup at the limit
-                channel.integral_n_m += settings.ki_n_m_rad * error * dt_s
+                integral = channel.integral_n_m + settings.ki_n_m_rad * error * dt_s
+                channel.integral_n_m = min(max(integral, -limit), limit)
             wanted.append(limited)
         fl, fr, rr, rl = wanted
         return fl, fr, rr, rl
@@ -209,7 +242,7 @@ class C620:
         return Sample(
             min(stamps),
             (a.rpm * to_speed, b.rpm * to_speed, c.rpm * to_speed, d.rpm * to_speed),
-            (a.turned * to_angle, b.turned * to_angle, c.turned * to_angle, d.turned * to_angle),
+            (a.turned() * to_angle, b.turned() * to_angle, c.turned() * to_angle, d.turned() * to_angle),
             (
                 a.current * self._amperes,
                 b.current * self._amperes,

@@ -11,7 +11,7 @@ from hil.faults.signals import SignalFaults
 from hil.links.bus_faults import FaultBus
 from hil.links.delay import NowNs
 from hil.links.fault_rows import LinkFault, ScenarioTime, link_faults
-from hil.links.language import Language
+from hil.links.language import WHEEL_DBC, Language
 from hil.links.line_faults import BYTE_KINDS, FaultLine
 from hil.links.opening import open_host
 from hil.links.streams import HostStream
@@ -56,7 +56,7 @@ class RunFaults:
     """
 
     def __init__(
-        self, rows: Sequence[FaultRow], seed: int, clock: NowNs, names: Sequence[str], language: Language
+        self, rows: Sequence[FaultRow], seed: int, clock: NowNs, names: Sequence[str], language: Language = WHEEL_DBC
     ) -> None:
         self._rows = rows
         self._robot: RobotWithFaults | None = None

@@ -1,5 +1,6 @@
 """The scenario itself: all tables validated and frozen, with its name, place, hash and provenance."""
 
+import dataclasses
 import hashlib
 import json
 from collections.abc import Iterator, Mapping
@@ -28,8 +29,8 @@ class Scenario(Tables):
 
         That is [robot], [plant], [firmware], the wheel map of [device], there the driver and motors of other makers,
         loop.rate_hz and loop.seed, resolved: it does not matter in which file or order they were given. An FMU that is
-        not shipped counts by its bytes, or by the last part of its path where there is no such file; a file of [motors]
-        by the last part of its path.
+        not shipped counts by its bytes, or by the last part of its path where there is no such file; so does a file of
+        [device.motors].
         The rest (link, mode, controller, reference, faults, expectations) concerns one process alone.
         """
         shared = {
@@ -51,7 +52,10 @@ class Scenario(Tables):
         device = self.device
         if not device.is_makers:
             return {}
-        motors = {k: PurePath(v).name if k == "file" and isinstance(v, str) else v for k, v in device.motors.items()}
+        settings = device.settings
+        motors = {f.name: getattr(settings, f.name) for f in dataclasses.fields(settings) if f.init}
+        if isinstance(motors.get("file"), str):
+            motors["file"] = _sha256(Path(motors["file"])) or PurePath(motors["file"]).name
         return {"driver": device.driver, "motors": motors}
 
     @property
@@ -59,11 +63,16 @@ class Scenario(Tables):
         """SHA-256, in hex, of an FMU given by its path; None for a shipped one, and where it cannot be read."""
         if self.plant.fmu in SHIPPED_FMUS:
             return None
-        try:
-            with (self.directory / self.plant.fmu).open("rb") as file:
-                return hashlib.file_digest(file, "sha256").hexdigest()
-        except OSError:
-            return None
+        return _sha256(self.directory / self.plant.fmu)
+
+
+def _sha256(path: Path) -> str | None:
+    """Return the SHA-256, in hex, of a file; None where it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError:
+        return None
 
 
 def resolved(scenario: Scenario) -> list[tuple[str, object, str]]:

@@ -135,11 +135,11 @@ class Pilot:
         self._emergency.ask(self._t_s)
         self._why = "an e-stop was asked for"
         if self.phase is Phase.AWAY:
-            self._why += "; the robot is away and stops by itself, and gets it as soon as it is back"
+            self._why += "; the robot is away: it is sent blindly now, and again as soon as it is back"
             self.motions_asked += 1
-            return
-        self._enter(Phase.ESTOP)
-        with contextlib.suppress(LinkError):  # it is repeated at every tick
+        else:
+            self._enter(Phase.ESTOP)
+        with contextlib.suppress(LinkError):  # it is repeated at every tick, and when the robot is back
             self._parts.device.estop()
 
     def clear(self) -> None:
