@@ -1,36 +1,36 @@
 """``hil probe``: which motor controllers are on a bus or a port. Nothing moves, and nothing is written.
 
-First it only listens: most controllers speak by themselves. Then those makers' devices that were heard are asked what
-they are; where nobody was heard, each maker's in turn. On a bus where somebody speaks whom nobody here knows, nobody is
-asked: what reads in one protocol may be a command in another.
+First it only listens: our own firmware and most controllers speak by themselves. Then those that were heard are asked
+what they are, our own first; where nobody was heard, each in turn. Where somebody speaks whom nobody here understands,
+nobody is asked: what reads in one protocol may be a command in another.
 """
 
 import contextlib
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 from firmware_protocol import codec
+from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m
 from hil.devices import handshake
-from hil.devices.handshake import Greeting
-from hil.dialects.port import Dialect, Found, Probe
+from hil.devices.handshake import Greeting, RobotInfo
+from hil.dialects.port import Found, Probe
 from hil.dialects.registry import DIALECTS, OUR_DRIVER, dialect
 from hil.errors import BadInputError
 from hil.init.questions import QUESTIONS, Value
 from hil.init.texts import robot_text
+from hil.links.framed import StreamLink
 from hil.links.language import WHEEL_DBC, Language
 from hil.links.opening import is_within_process, open_host
-from hil.links.url import CanUrl, LinkUrl, SerialUrl, format_link, parse_link
-from hil.ports import Link
+from hil.links.url import DEFAULT_BAUD, CanUrl, LinkUrl, format_link, parse_link
+from hil.ports import Framing, Link
 from hil.scenario.motors import wire_of
 
 _LISTEN_S = 0.6  # longer than the slowest status that a controller sends by itself
 _ROUNDS = 5
-_ANSWER_S = 0.1
-_DEFAULT_BAUD = SerialUrl("any").baud
+_GREETINGS = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,27 +39,79 @@ class Answer:
 
     driver: str
     link: str
-    sentences: tuple[str, ...]
-    motors: Mapping[str, Any] | None
+    found: Found
 
     @property
     def robot_file(self) -> str | None:
         """A robot's file that drives what was found; None where that is no whole robot."""
-        if self.motors is None and self.driver != OUR_DRIVER:
+        if self.found.motors is None:
             return None
         answers: dict[str, Value] = {}
         for question in QUESTIONS:
-            answers[question.key] = self.link if question.key == "link.url" else question.proposed(answers)
-        return robot_text(answers, self.driver, self.motors or {})
+            answers[question.key] = question.proposed(answers)
+            if question.key in self.found.known:
+                answers[question.key] = question.read(f"{self.found.known[question.key]:.6g}")
+        return robot_text({**answers, "link.url": self.link}, self.driver, self.found)
 
 
 @dataclass(slots=True)
 class Result:
-    """``strangers`` counts frames of nobody who is known, by id; ``not_asked`` says why makers were left out."""
+    """``strangers`` counts frames of a bus that are of nobody who was found, by id; ``not_asked`` says why makers were
+    left out.
+    """
 
     answers: list[Answer] = field(default_factory=list)
     strangers: Counter[int] = field(default_factory=Counter)
     not_asked: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Candidate:
+    """One of those who may be there. ``claimed`` are the ids of frames that came and may be theirs."""
+
+    driver: str
+    title: str
+    probe: Probe
+    make_framing: Callable[[], Framing] | None
+    url: LinkUrl
+    claimed: set[int] = field(default_factory=set)
+
+
+class _OurProbe:
+    """Asks for HELLO, of which every version of our firmware answers the first page."""
+
+    def __init__(self) -> None:
+        self._greeting = Greeting()
+        self._asked = 0
+        self._info: RobotInfo | None = None
+
+    @property
+    def patience_s(self) -> float:
+        return 0.0 if self._info is not None else handshake.RETRY_NS * 1e-9
+
+    def ask(self) -> Sequence[Frame]:
+        if self._info is not None or self._asked == _GREETINGS:
+            return ()
+        self._asked += 1
+        return (codec.encode(m.HelloRequest(m.PROTOCOL_VERSION)),)
+
+    def feed(self, frame: Frame) -> bool:
+        if WHEEL_DBC.refusal(frame.id, len(frame.payload), "ROBOT") is not None:
+            return False
+        if self._asked:
+            self._info = self._greeting.feed(codec.decode(frame)) or self._info
+        return True
+
+    def found(self) -> Found | None:
+        if self._info is None:
+            return None
+        geometry = self._info.geometry
+        known: dict[str, float] = {
+            f"robot.{name}": round(getattr(geometry, name), 4)  # its frame counts 0.12 mm
+            for name in ("wheel_radius_m", "half_length_m", "half_width_m")
+        }
+        known["firmware.counts_per_revolution"] = geometry.counts_per_revolution
+        return Found([f"our own firmware: {self._info.describe()}"], {}, known)
 
 
 def probe(link: str, driver: str | None = None, say: Callable[[str], None] = lambda _sentence: None) -> Result:
@@ -71,109 +123,116 @@ def probe(link: str, driver: str | None = None, say: Callable[[str], None] = lam
     if is_within_process(url):
         raise BadInputError(f"link {link!r} reaches nobody outside this process; name a port or a bus")
     names = [driver] if driver is not None else [OUR_DRIVER, *DIALECTS]
-    made = {name: dialect(name) for name in names if name != OUR_DRIVER}
-    wire = wire_of(url, ())
-    if wire == "serial":
-        made = {name: one._replace(probe=one.serial_probe or one.probe) for name, one in made.items()}
-    found = {name: one for name, one in made.items() if one.probe is not None and wire in one.wires}
-    if driver is not None and driver != OUR_DRIVER and not found:
+    candidates = [one for name in names if (one := _candidate(name, link)) is not None]
+    if not candidates:
         raise BadInputError(f"a probe for {driver!r} over {link!r} does not exist; see DIALECTS.md")
     result = Result()
-    if isinstance(url, CanUrl):
-        _probe_bus(url, found, OUR_DRIVER in names, driver is not None, result, say)
-    else:
-        _probe_port(url, found, OUR_DRIVER in names, result, say)
+    look = _probe_bus if isinstance(url, CanUrl) else _probe_port
+    look(candidates, driver is not None, result, say)
     return result
 
 
-def _probe_bus(
-    url: CanUrl,
-    makers: Mapping[str, Dialect],
-    ours: bool,
-    is_chosen: bool,
-    result: Result,
-    say: Callable[[str], None],
-) -> None:
-    probes = {name: made.probe() for name, made in makers.items() if made.probe is not None}
-    with contextlib.closing(open_host(url, language=Language())) as link:
+def _candidate(name: str, link: str) -> _Candidate | None:
+    """Return how to look for a driver's devices; None where they are not on such a link, or cannot be looked for."""
+    if name == OUR_DRIVER:
+        return _Candidate(name, "our own firmware", _OurProbe(), WHEEL_DBC.make_framing, parse_link(link))
+    made = dialect(name)
+    url = parse_link(link, baud=made.baud or DEFAULT_BAUD)
+    wire = wire_of(url, ())
+    make_probe = made.serial_probe if wire == "serial" and made.serial_probe is not None else made.probe
+    if make_probe is None or wire not in made.wires:
+        return None
+    return _Candidate(name, made.title, make_probe(), made.make_framing, url)
+
+
+def _probe_bus(candidates: Sequence[_Candidate], is_chosen: bool, result: Result, say: Callable[[str], None]) -> None:
+    with contextlib.closing(open_host(candidates[0].url, language=Language())) as link:
         say(f"listening for {_LISTEN_S:g} s")
-        heard = _listen(link, probes.values(), _LISTEN_S)
-        speaks = [name for name, one in probes.items() if one.found() is not None]
-        speaks = speaks or [name for name, one in probes.items() if one.suspects]
-        result.strangers = heard
-        if not speaks and heard and not is_chosen:
-            result.not_asked = (
-                f"{sum(heard.values())} frames came of nobody who is known here, so nobody was asked: a question in "
-                "one protocol may be a command in another; name the only one to ask with --driver"
-            )
+        heard = _listen(link, candidates, lambda: _LISTEN_S)
+        for one in _whom_to_ask(candidates, is_silent=is_chosen or not heard):
+            _ask(link, one, say)
+            if one.driver == OUR_DRIVER and one.probe.found() is not None:
+                candidates = [one]  # whatever its frames look like to others
+                break
+    for one in candidates:
+        if _add(result, one):
+            for number in one.claimed:
+                heard.pop(number, None)
+    result.strangers = heard
+    if heard and not result.answers and not is_chosen:
+        result.not_asked = _not_asked(f"{sum(heard.values())} frames")
+
+
+def _probe_port(candidates: Sequence[_Candidate], is_chosen: bool, result: Result, say: Callable[[str], None]) -> None:
+    """Listen in each one's framing and at its rate until one is understood, and send nothing before that is done."""
+    came = 0
+    for one in candidates:
+        say(f"listening for {one.title} on {format_link(one.url)}")
+        with _line(one) as link:
+            _listen(link, [one], lambda: _LISTEN_S)
+            came += link.received_bytes()
+        if one.claimed:
+            break
+    for one in _whom_to_ask(candidates, is_silent=is_chosen or not came):
+        with _line(one) as link:
+            _ask(link, one, say)
+        if _add(result, one):
             return
-        for name in speaks or probes:
-            say(f"asking {makers[name].title}")
-            _ask(link, probes[name])
-    for name, one in probes.items():
-        _add(result, name, url, one.found())
-    if ours and not result.answers:
-        say("asking for our own firmware")
-        _greet(url, result)
+    if came and not is_chosen:
+        result.not_asked = _not_asked(f"{came} bytes")
 
 
-def _probe_port(
-    url: LinkUrl, makers: Mapping[str, Dialect], ours: bool, result: Result, say: Callable[[str], None]
-) -> None:
-    """Try each maker's framing at its rate, one after the other, until one is understood."""
-    assert isinstance(url, SerialUrl)
-    if ours:
-        say("asking for our own firmware")
-        _greet(url, result)
-    for name, made in makers.items():
-        if result.answers or made.make_framing is None or made.probe is None:
-            continue
-        at = SerialUrl(url.port, made.baud) if url.baud == _DEFAULT_BAUD else url
-        one = made.probe()
-        say(f"listening for {made.title} at {at.baud} baud")
-        with contextlib.closing(open_host(at, language=Language(made.make_framing))) as link:
-            _listen(link, [one], _LISTEN_S)
-            _ask(link, one)
-        _add(result, name, at, one.found())
+def _line(one: _Candidate) -> contextlib.closing[StreamLink]:
+    link = open_host(one.url, language=Language(one.make_framing))
+    assert isinstance(link, StreamLink)
+    return contextlib.closing(link)
 
 
-def _ask(link: Link, one: Probe) -> None:
+def _whom_to_ask(candidates: Sequence[_Candidate], *, is_silent: bool) -> Sequence[_Candidate]:
+    """Return ours where it may be there, and those whom listening has found, or who may be there; else all or nobody.
+
+    Those who may be there are not asked where others are found: their ids are the same by chance.
+    """
+    ours = [one for one in candidates if one.driver == OUR_DRIVER and one.claimed]
+    makers = [one for one in candidates if one.driver != OUR_DRIVER]
+    speak = [one for one in makers if one.probe.found() is not None] or [one for one in makers if one.claimed]
+    return [*ours, *speak] or (candidates if is_silent else ())
+
+
+def _not_asked(what: str) -> str:
+    return (
+        f"{what} came of nobody who is known here, so nobody else was asked: a question in one protocol may be a "
+        "command in another; name the only one to ask with --driver"
+    )
+
+
+def _ask(link: Link, one: _Candidate, say: Callable[[str], None]) -> None:
     """Ask, and ask what follows from the answers."""
+    say(f"asking for {one.title}")
     for _ in range(_ROUNDS):
-        frames = one.ask()
+        frames = one.probe.ask()
+        if not frames:
+            return
         for frame in frames:
             link.send(frame)
-        if frames:
-            _listen(link, [one], _ANSWER_S)
+        _listen(link, [one], lambda: one.probe.patience_s)
 
 
-def _listen(link: Link, probes: Iterable[Probe], seconds: float) -> Counter[int]:
-    """Show the probes what comes; return how many frames of each id came."""
-    probes, heard = list(probes), Counter[int]()
-    end_ns = time.monotonic_ns() + round(seconds * 1e9)
-    while (left_ns := end_ns - time.monotonic_ns()) > 0:
+def _listen(link: Link, candidates: Iterable[_Candidate], patience_s: Callable[[], float]) -> Counter[int]:
+    """Show the candidates what comes, for as long as it is worth waiting; return how many frames of each id came."""
+    candidates, heard = list(candidates), Counter[int]()
+    begin_ns = time.monotonic_ns()
+    while (left_ns := begin_ns + round(patience_s() * 1e9) - time.monotonic_ns()) > 0:
         if (received := link.receive(left_ns)) is not None:
             heard[received.frame.id] += 1
-            for one in probes:
-                one.feed(received.frame)
+            for one in candidates:
+                if one.probe.feed(received.frame):
+                    one.claimed.add(received.frame.id)
     return heard
 
 
-def _add(result: Result, name: str, url: LinkUrl, found: Found | None) -> None:
+def _add(result: Result, one: _Candidate) -> bool:
+    found = one.probe.found()
     if found is not None:
-        result.answers.append(Answer(name, format_link(url), tuple(found.sentences), found.motors))
-
-
-def _greet(url: LinkUrl, result: Result) -> None:
-    """Ask for HELLO, of which every version of our firmware answers the first page."""
-    greeting = Greeting()
-    with contextlib.closing(open_host(url, language=WHEEL_DBC)) as link:
-        link.send(codec.encode(m.HelloRequest(m.PROTOCOL_VERSION)))
-        end_ns = time.monotonic_ns() + handshake.RETRY_NS * 2
-        while (left_ns := end_ns - time.monotonic_ns()) > 0:
-            received = link.receive(left_ns)
-            info = greeting.feed(codec.decode(received.frame)) if received is not None else None
-            if info is not None:
-                words = f"our own firmware: {info.describe()}"
-                result.answers.append(Answer(OUR_DRIVER, format_link(url), (words,), {}))
-                return
+        result.answers.append(Answer(one.driver, format_link(one.url), found))
+    return found is not None

@@ -437,6 +437,24 @@ def test_a_probe_takes_no_frame_that_looks_like_a_heartbeat_for_an_axis() -> Non
     assert probe.found() is None
 
 
+@pytest.mark.parametrize(
+    ("when", "payload"), [("before", "0204043A00060A00"), ("after", "0200043A00060A00"), ("after", "0204043A00B10A00")]
+)
+def test_a_probe_takes_no_version_that_was_not_asked_for_or_cannot_be(when: str, payload: str) -> None:
+    """Our own robot's 0x080 and 0x081 are node 4's version and heartbeat, by the identifiers."""
+    made = dialect("odrive").probe
+    assert made is not None
+    probe = made()
+    assert probe.feed(Frame(0x081, bytes.fromhex("0000000001000000")))
+    asked = probe.ask() if when == "after" else ()
+    probe.feed(Frame(0x080, bytes.fromhex(payload)))
+    assert probe.found() is None
+    asked = asked or probe.ask()
+    assert [frame.id for frame in asked] == [REMOTE | 0x080, REMOTE | 0x09D]
+    probe.feed(Frame(0x080, bytes.fromhex("0204043A00060A00")))
+    assert probe.found() is not None
+
+
 RIGS = [Rig("odrive", {"firmware": firmware}) for firmware in ("0.5", "0.6")]
 COMMANDS = st.one_of(st.integers(0, 0x7F), st.integers(0, 2**32 - 1))
 

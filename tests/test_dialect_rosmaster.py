@@ -318,7 +318,8 @@ def test_a_probe_reads_version_and_car_and_sends_questions_alone() -> None:
     found = probe.found()
     assert found is not None
     assert found.motors == {"car": "x3_plus"}
-    assert found.sentences == ["a Rosmaster board, firmware 3.5, set to X3 PLUS"]
+    assert found.sentences[0] == "a Rosmaster board, firmware 3.5, set to X3 PLUS"
+    assert found.known["robot.wheel_radius_m"] == pytest.approx(0.04, rel=1e-4)
     assert made.is_still()
 
 

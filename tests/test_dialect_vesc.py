@@ -306,12 +306,14 @@ def test_a_probe_finds_the_ids_and_moves_nothing(wire: Wire, motors: dict[str, o
     assert made is not None
     probe = made()
     assert probe.found() is None
-    rig.step(probe.ask(), ticks=1)
-    for frame in rig.heard:
-        probe.feed(frame)
+    for ticks in (1, 3000):  # to look for others takes one at a line 10 ms for each id
+        rig.step(probe.ask(), ticks=ticks)
+        for frame in rig.heard:
+            probe.feed(frame)
     found = probe.found()
     assert found is not None
     assert found.motors == motors
+    assert "device.motors.pole_pairs" in found.unknown
     assert not rig.node.is_driving
 
 

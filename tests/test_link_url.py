@@ -78,6 +78,11 @@ def test_bytes_that_are_not_utf_8_survive() -> None:
 
 def test_defaults_are_not_written() -> None:
     assert format_link(parse_link("serial:pty?baud=921600")) == "serial:pty"
+
+
+def test_a_rate_that_the_url_says_is_kept_whatever_is_usual() -> None:
+    assert parse_link("serial:COM3", baud=115_200) == SerialUrl("COM3", 115_200)
+    assert parse_link("serial:COM3?baud=921600", baud=115_200) == SerialUrl("COM3", 921_600)
     assert format_link(parse_link("can:virtual/a?bitrate=1000000&fd=0")) == "can:virtual/a"
 
 

@@ -1,7 +1,10 @@
 """``hil probe`` finds motors without moving any; ``hil jog`` turns one wheel, and says whether it was the right one."""
 
 import json
+import os
+import select
 import subprocess
+import threading
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,12 +13,15 @@ from typing import NamedTuple
 import can
 import pytest
 
+from firmware_protocol.generated.messages import SENDERS
+from hil.dialects.port import Found
 from hil.errors import BadInputError
 from hil.jog import jog
-from hil.probe import Answer
+from hil.probe import Answer, probe
 from hil.scenario import load
 from tests.processes import HIL, device, environment, hil
 
+tty = pytest.importorskip("tty", reason="pseudo-terminals need a POSIX system")
 adapters = pytest.importorskip("tests.slcan_adapters", reason="pseudo-terminals need a POSIX system")
 
 
@@ -81,25 +87,103 @@ def test_where_strangers_speak_nobody_is_asked(bus: Bus) -> None:
     assert done.returncode == 1
     assert answer["found"] == []
     assert list(answer["strangers"]) == ["0x123"]
-    assert "nobody was asked" in answer["not_asked"]
+    assert "nobody else was asked" in answer["not_asked"]
     assert bus.heard() == []
 
 
 def test_too_few_motors_are_no_robot_file() -> None:
-    assert Answer("c620", "can:socketcan/can0", ("a C620",), None).robot_file is None
+    assert Answer("c620", "can:socketcan/can0", Found(("a C620",), None)).robot_file is None
 
 
-def test_our_own_firmware_is_found_too() -> None:
+def test_our_own_firmware_is_found_on_a_line() -> None:
     with device("circle_speed", "--mode", "realtime", "--link", "serial:pty") as robot:
-        done = hil("probe", robot.link, "--json")
-    [found] = json.loads(done.stdout)["found"]
-    assert found["driver"] == "stm32"
-    assert "our own firmware: firmware " in found["what"][0]
+        [answer] = probe(robot.link).answers
+    assert answer.driver == "stm32"
+    assert "our own firmware: firmware " in answer.found.sentences[0]
+
+
+def test_our_own_robot_on_a_bus_is_asked_for_hello_alone_and_is_no_odrive(bus: Bus) -> None:
+    """Its 0x081 and 0x080 look like node 4's heartbeat and version; who else is on the bus does not matter."""
+    stranger = can.Message(arbitration_id=0x123, data=b"\x01", is_extended_id=False)
+    with device("circle_speed", "--mode", "realtime", "--link", bus.robot):
+        task = bus.bystander.send_periodic(stranger, 0.01)
+        done = hil("probe", bus.host, "--json")
+        task.stop()
+    told = json.loads(done.stdout)
+    assert [found["driver"] for found in told["found"]] == ["stm32"]
+    assert told["found"][0]["known"]["robot.wheel_radius_m"] == 0.075
+    assert list(told["strangers"]) == ["0x123"]
+    heard = bus.heard()
+    assert {message.arbitration_id for message in heard if SENDERS.get(message.arbitration_id) != "ROBOT"} == {0x700}
+    assert not any(message.is_remote_frame for message in heard)
+
+
+def test_vescs_behind_a_line_are_waited_for(tmp_path: Path) -> None:
+    """The one at the line takes 10 ms for each id at which nobody is: more than 2.5 s."""
+    motors = "device.motors={ids=[2, 5, 7, 9], serial_id=7}"
+    with device(
+        "circle_speed", "--mode", "realtime", "--dialect", "vesc", "--link", "serial:pty", "--set", motors
+    ) as v:
+        [answer] = probe(v.link, "vesc").answers
+    assert answer.found.motors == {"ids": [2, 5, 7, 9], "serial_id": 7}
+    assert answer.robot_file is not None
+    robot = tmp_path / "robot.toml"
+    robot.write_text(answer.robot_file)
+    assert load("circle_speed", robot=robot).device.settings.serial_id == 7
+    for table, note in (
+        ("robot", "not measured: the paper's robot; replace before anything moves"),
+        ("firmware", "cannot be asked for: torque_constant_n_m_a"),
+        ("device.motors", "cannot be asked for: pole_pairs, gear_ratio; write them here, or the defaults hold"),
+    ):
+        assert f"# {note}\n[{table}]\n" in answer.robot_file
+
+
+def test_a_board_that_speaks_is_the_only_one_asked_and_its_geometry_is_in_the_file(tmp_path: Path) -> None:
+    sentences: list[str] = []
+    with device("circle_speed", "--mode", "realtime", "--dialect", "rosmaster", "--link", "serial:pty") as board:
+        [answer] = probe(board.link, say=sentences.append).answers
+    assert [sentence for sentence in sentences if sentence.startswith("asking")] == ["asking for Yahboom Rosmaster"]
+    assert answer.link == f"{board.link}?baud=115200"
+    robot = tmp_path / "robot.toml"
+    robot.write_text(answer.robot_file or "")
+    assert load("circle_speed", robot=robot).robot.wheel_radius_m == pytest.approx(0.0325, rel=1e-3)
+    assert "# not measured, but for wheel_radius_m, half_length_m, half_width_m" in robot.read_text()
+
+
+def test_where_bytes_come_that_nobody_understands_nothing_is_sent() -> None:
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    is_over = threading.Event()
+
+    def speak() -> None:
+        while not is_over.wait(0.05):
+            os.write(master, b"$GPGGA,092750.000,5321.6802,N\r\n")
+
+    speaker = threading.Thread(target=speak)
+    speaker.start()
+    try:
+        result = probe(f"serial:{os.ttyname(slave)}")
+    finally:
+        is_over.set()
+        speaker.join()
+    assert result.answers == []
+    assert "bytes came of nobody who is known here" in (result.not_asked or "")
+    assert select.select([master], [], [], 0)[0] == []
+    os.close(master)
+    os.close(slave)
 
 
 def test_nothing_is_sent_before_the_wheels_name_was_typed(bus: Bus) -> None:
     done = typed(
-        "yes\n", "circle_speed", "fl", "--link", bus.host, "--set", "device.driver=c620", "--set", "loop.mode=realtime"
+        "yes\n",
+        "circle_speed",
+        "fl",
+        "--link",
+        bus.host,
+        "--set",
+        "device.driver=odrive",
+        "--set",
+        "loop.mode=realtime",
     )
     assert done.returncode == 2
     assert "'fl' was not typed; nothing was sent" in done.stderr

@@ -29,8 +29,15 @@ def probe(
         print_json(
             {
                 "found": [
-                    {"driver": a.driver, "link": a.link, "what": a.sentences, "motors": a.motors}
-                    for a in result.answers
+                    {
+                        "driver": answer.driver,
+                        "link": answer.link,
+                        "what": answer.found.sentences,
+                        "motors": answer.found.motors,
+                        "known": dict(answer.found.known),
+                        "unknown": answer.found.unknown,
+                    }
+                    for answer in result.answers
                 ],
                 "strangers": {f"{number:#x}": count for number, count in result.strangers.items()},
                 "not_asked": result.not_asked,
@@ -40,7 +47,7 @@ def probe(
     if result.not_asked is not None:
         print(f"# {result.not_asked}")
     for answer in result.answers:
-        for sentence in answer.sentences:
+        for sentence in answer.found.sentences:
             print(f"# {sentence}")
         if answer.robot_file is None:
             print(
@@ -49,6 +56,9 @@ def probe(
         else:
             print("# Which wheel each motor turns, and which way, nobody can tell from here: see hil jog.")
             print(answer.robot_file)
+    if result.strangers:
+        ids = ", ".join(f"{number:#x}" for number in sorted(result.strangers))
+        print(f"# {sum(result.strangers.values())} frames came of others, with the ids {ids}")
     if not result.answers:
         print("# nobody was found; check power, cable, and the link's bit rate or baud")
     raise typer.Exit(0 if result.answers else 1)

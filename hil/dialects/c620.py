@@ -276,22 +276,25 @@ class _Probe:
     def __init__(self) -> None:
         self._ids: set[int] = set()
 
+    patience_s = 0.0
+
     def ask(self) -> Sequence[Frame]:
         return ()
 
-    def feed(self, frame: Frame) -> None:
+    def feed(self, frame: Frame) -> bool:
         number = frame.id - _FEEDBACK_BASE
-        if 1 <= number <= 8 and len(frame.payload) == 8 and _FEEDBACK.unpack_from(frame.payload)[0] < _ANGLES:
-            self._ids.add(number)
-
-    suspects = False
+        if not 1 <= number <= 8 or len(frame.payload) != 8 or _FEEDBACK.unpack_from(frame.payload)[0] >= _ANGLES:
+            return False
+        self._ids.add(number)
+        return True
 
     def found(self) -> Found | None:
         if not self._ids:
             return None
         ids = sorted(self._ids)
         sentences = [f"a C620 or C610 with the id {number}" for number in ids]
-        return Found(sentences, {"ids": ids} if len(ids) == 4 else None)
+        unknown = ("device.motors.controller", "device.motors.gear_ratio", "firmware.torque_constant_n_m_a")
+        return Found(sentences, {"ids": ids} if len(ids) == 4 else None, unknown=unknown)
 
 
 _NONE = (0, 0, 0, 0)

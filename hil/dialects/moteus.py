@@ -13,7 +13,7 @@ from typing import Any
 
 from firmware_protocol.framing import Frame
 from hil.dialects import moteus_frames as frames
-from hil.dialects.port import EXTENDED, Capabilities, Dialect, Found, RobotFacts, Sample
+from hil.dialects.port import ANSWER_S, EXTENDED, Capabilities, Dialect, Found, RobotFacts, Sample
 from hil.errors import BadInputError
 from hil.options import require_positive
 from hil.types import NAN, WHEEL_NAMES, CommandMode, FourWheels
@@ -273,18 +273,19 @@ class _Probe:
     def __init__(self) -> None:
         self._versions: dict[int, Mapping[int, float]] = {}
 
+    patience_s = ANSWER_S
+
     def ask(self) -> Sequence[Frame]:
         return [Frame(EXTENDED | _REPLY_WANTED | number, _IDENTITY) for number in _ALL_IDS]
 
-    def feed(self, frame: Frame) -> None:
+    def feed(self, frame: Frame) -> bool:
         number = (frame.id & ~EXTENDED) >> 8
         if frame.id & 0xFF or number not in _ALL_IDS:
-            return
+            return False
         values = frames.parse_reply(frame.payload)
         if values is not None and all(register in values for register in (frames.MODEL, frames.FIRMWARE)):
             self._versions[number] = values
-
-    suspects = False
+        return number in self._versions
 
     def found(self) -> Found | None:
         if not self._versions:
@@ -296,7 +297,7 @@ class _Probe:
             for number, values in sorted(self._versions.items())
         ]
         motors: dict[str, Any] | None = {"ids": ids} if len(ids) == 4 else None
-        return Found(sentences, motors)
+        return Found(sentences, motors, unknown=("device.motors.gear_ratio",))
 
 
 DIALECT = Dialect(

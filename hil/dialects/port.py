@@ -5,6 +5,7 @@ each of them drives): a driver knows its maker's units, gear ratio and node ids,
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, Literal, NamedTuple, Protocol
 
 from firmware_protocol.framing import Frame
@@ -12,6 +13,7 @@ from hil.ports import EXTENDED, REMOTE, Framing
 from hil.types import NAN, CommandMode, FourWheels
 
 __all__ = [
+    "ANSWER_S",
     "EXTENDED",
     "REMOTE",
     "Capabilities",
@@ -153,27 +155,35 @@ class Driver(Protocol):
 
 
 class Found(NamedTuple):
-    """What a probe has found: a sentence for each device, and the [device.motors] that would drive it.
+    """What a probe has found: a sentence for each device, and the [device.motors] that would drive them.
 
-    ``motors`` is None where what was found is not enough for a robot, ``link`` what the link's URL needs beside.
+    ``motors`` is None where what was found is not enough for a robot. ``known`` are values of a robot's file that the
+    devices told, ``unknown`` the keys on which the motion depends and that nobody can be asked for; both by their
+    dotted names, such as ``robot.wheel_radius_m`` and ``device.motors.gear_ratio``.
     """
 
     sentences: Sequence[str]
     motors: Mapping[str, Any] | None
+    known: Mapping[str, float] = MappingProxyType({})
+    unknown: Sequence[str] = ()
+
+
+ANSWER_S = 0.1
+"""``Probe.patience_s`` of devices that answer at once."""
 
 
 class Probe(Protocol):
-    """Finds one maker's devices without moving anything."""
+    """Finds one maker's devices without moving anything; it hears what comes before its first ``ask`` too."""
 
     def ask(self) -> Sequence[Frame]:
-        """Return queries; they read, and write nothing. Empty for devices that speak by themselves."""
-
-    def feed(self, frame: Frame) -> None:
-        """Take a frame that arrived."""
+        """Return what is still to be asked; it reads, and writes nothing. Empty for who speaks by itself."""
 
     @property
-    def suspects(self) -> bool:
-        """Whether something was heard that may be of this maker's, and that ``ask`` would find out about."""
+    def patience_s(self) -> float:
+        """How long after the newest ``ask`` an answer may still come; 0 when nothing is awaited."""
+
+    def feed(self, frame: Frame) -> bool:
+        """Take a frame that arrived, and return whether it may be one of this maker's."""
 
     def found(self) -> Found | None:
         """Return what answered so far, None while nothing of this maker's has."""
@@ -183,10 +193,10 @@ class Dialect(NamedTuple):
     """One maker's protocol as the registry has it.
 
     ``settings`` is a dataclass: the options of [device.motors], checked by ``hil.options.build``. ``wires`` says what
-    it is spoken over: ``can``, ``can_fd`` or ``serial``; ``baud`` is what is usual on a serial line. ``probe`` is None
-    where nothing can be found without a risk; ``serial_probe`` takes its place on a serial line where a dialect that is
-    spoken on a bus too has other questions there. A setting ``file`` is a path, and an absolute one by the time
-    that a driver sees it.
+    it is spoken over: ``can``, ``can_fd`` or ``serial``; ``baud`` is the rate of a serial line as delivered, None where
+    there is no such line. ``probe`` is None where nothing can be found without a risk; ``serial_probe`` takes its place
+    on a serial line where a dialect that is spoken on a bus too has other questions there. A setting ``file`` is a
+    path, and an absolute one by the time that a driver sees it.
     """
 
     title: str
@@ -196,4 +206,4 @@ class Dialect(NamedTuple):
     make_framing: Callable[[], Framing] | None = None
     probe: Callable[[], Probe] | None = None
     serial_probe: Callable[[], Probe] | None = None
-    baud: int = 115_200
+    baud: int | None = None

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from firmware_protocol.framing import Frame
 from hil.dialects.port import Capabilities, Dialect, RobotFacts, Sample
-from hil.dialects.rosmaster_board import CARS, KNOWN_MAJOR, Identity, RosmasterProbe, Settings, car_name
+from hil.dialects.rosmaster_board import BAUD, CARS, KNOWN_MAJOR, Identity, RosmasterProbe, Settings, car_name
 from hil.dialects.rosmaster_line import RosmasterFraming
 from hil.dialects.twist_base import LATE_NS, TwistBase, is_still
 from hil.errors import BadInputError
@@ -116,8 +116,8 @@ class Rosmaster:
         if not silent:
             return ""
         return (
-            f"the Rosmaster board has not told its {' and its '.join(silent)}; check its power, the cable, that the "
-            "port is the board's, and that no other program reads from it"
+            f"the Rosmaster board has not told its {' and its '.join(silent)}; check its power, the cable, "
+            f"baud={BAUD} in the link, that the port is the board's, and that no other program reads from it"
         )
 
     def arm(self, now_ns: int) -> Sequence[Frame]:
@@ -225,4 +225,5 @@ DIALECT = Dialect(
     make=Rosmaster,
     make_framing=RosmasterFraming,
     probe=RosmasterProbe,
+    baud=BAUD,
 )

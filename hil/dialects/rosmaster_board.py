@@ -6,10 +6,11 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 from firmware_protocol.framing import Frame
-from hil.dialects.port import Found
+from hil.dialects.port import ANSWER_S, Found
 from hil.dialects.twist_base import check_geometry
 from hil.options import require_not_negative, require_positive
 
+BAUD = 115_200
 CAR_TYPE, REQUEST, VERSION = 0x15, 0x50, 0x51
 KNOWN_MAJOR = 3
 
@@ -100,20 +101,35 @@ class RosmasterProbe:
     def __init__(self) -> None:
         self._identity = Identity()
 
+    patience_s = ANSWER_S
+
     def ask(self) -> Sequence[Frame]:
         return self._identity.ask()
 
-    def feed(self, frame: Frame) -> None:
+    def feed(self, frame: Frame) -> bool:
         self._identity.feed(frame)
-
-    suspects = False
+        return True  # others' frames do not begin with FF FB
 
     def found(self) -> Found | None:
         who = self._identity
         if who.version is None or who.car_number is None:
             return None
         names = [name for name, car in CARS.items() if car.number == who.car_number and who.version[0] == KNOWN_MAJOR]
-        return Found([who.describe()], {"car": names[0]} if names else None)
+        if not names:
+            return Found([who.describe()], None)
+        car = CARS[names[0]]
+        geometry = (
+            f"its firmware computes with wheels of {car.wheel_radius_m:.4g} m and with half the length and half the "
+            f"width together of {car.lever_m:.4g} m, of which each is given one half"
+        )
+        known = {
+            "robot.wheel_radius_m": car.wheel_radius_m,
+            "robot.half_length_m": car.lever_m / 2,
+            "robot.half_width_m": car.lever_m / 2,
+            "robot.speed_limit_rad_s": car.rim_limit_m_s / car.wheel_radius_m,
+            "firmware.counts_per_revolution": car.counts_per_turn,
+        }
+        return Found([who.describe(), geometry], {"car": names[0]}, known)
 
 
 def _request(function: int) -> Frame:

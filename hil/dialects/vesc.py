@@ -24,6 +24,7 @@ _OLDEST_MAJOR = 5
 _PATIENCE = 2  # calls of ask for an answer to one VESC's questions
 _LATE_PERIODS = 5
 _STILL: FourWheels = (0.0, 0.0, 0.0, 0.0)
+_BAUD = 115_200
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,8 +129,9 @@ class Vesc:
     def missing(self) -> str:
         silent = [str(vesc) for vesc, channel in self._by_id.items() if not channel.has_answered]
         if silent:
+            rate = "bit rate" if self._is_bus else f"baud= in the link, {_BAUD} as delivered"
             return (
-                f"no answer of the VESC {', '.join(silent)}; check power, wiring and bit rate, and in VESC Tool App "
+                f"no answer of the VESC {', '.join(silent)}; check power, wiring and {rate}, and in VESC Tool App "
                 "Settings > General: VESC ID (device.motors.ids) and CAN Mode VESC"
             )
         mute = [str(vesc) for vesc, channel in self._by_id.items() if not channel.has_measured]
@@ -263,4 +265,5 @@ DIALECT = Dialect(
     make_framing=frames.SerialFraming,
     probe=BusProbe,
     serial_probe=LineProbe,
+    baud=_BAUD,
 )

@@ -26,6 +26,7 @@ _REPORT = Struct(">BB3h3h3hHBB")
 _M_S2 = 1671.84  # counts; the range is ±2 g
 _RAD_S = math.radians(500.0) / 32768
 _STOPPED = 1
+_BAUD = 115_200
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +136,7 @@ class Wheeltec:
             return ""
         return (
             "no report of a WHEELTEC base; check its power, the cable, and that this is its port for a ROS computer, "
-            "at 115200 baud, or its CAN, at 1 Mbit/s"
+            f"with baud={_BAUD} in the link, or its CAN, at 1 Mbit/s"
         )
 
     def arm(self, now_ns: int) -> Sequence[Frame]:
@@ -213,18 +214,20 @@ class _Probe:
     def __init__(self) -> None:
         self._report = Report()
 
+    patience_s = 0.0
+
     def ask(self) -> Sequence[Frame]:
         return ()
 
-    def feed(self, frame: Frame) -> None:
+    def feed(self, frame: Frame) -> bool:
         self._report.feed(frame, 0)
-
-    suspects = False
+        return frame.id in REPORTS and len(frame.payload) == 8
 
     def found(self) -> Found | None:
         if self._report.stamp_ns is None:
             return None
-        return Found([f"a WHEELTEC base, battery {self._report.battery_v:g} V"], {})
+        unknown = ("device.motors.wheel_radius_m", "device.motors.lever_m", "device.motors.speed_limit_m_s")
+        return Found([f"a WHEELTEC base, battery {self._report.battery_v:g} V"], {}, unknown=unknown)
 
 
 def _command(counts: tuple[int, int, int]) -> Frame:
@@ -239,4 +242,5 @@ DIALECT = Dialect(
     make=Wheeltec,
     make_framing=WheeltecFraming,
     probe=_Probe,
+    baud=_BAUD,
 )

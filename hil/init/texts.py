@@ -1,9 +1,9 @@
 """The two files as text: every value with what it means beside it."""
 
 import math
-from collections.abc import Iterator, Mapping
-from types import MappingProxyType
+from collections.abc import Iterator, Mapping, Sequence
 
+from hil.dialects.port import Found
 from hil.init.questions import Answers, Value, field_of
 from hil.scenario import format_value
 
@@ -19,10 +19,11 @@ _OVERSPEED = 2.0
 _COMMENT_COLUMN = 40
 
 
-def robot_text(answers: Answers, driver: str | None = None, motors: Mapping[str, object] = MappingProxyType({})) -> str:
+def robot_text(answers: Answers, driver: str | None = None, found: Found | None = None) -> str:
     """Return the robot's file; ``answers`` has every question's key.
 
-    ``driver`` and ``motors`` are those of [device], where its motor controllers are known.
+    ``driver`` and ``found`` are those of motor controllers that were found: then nobody was asked, and the file says
+    what in it was told by nobody.
     """
     speed_kp = min(100.0, _three_digits(_LOOP_RAD_S * _inertia_at_a_wheel(answers)))
     more: dict[str, Value | list[str]] = {
@@ -36,9 +37,11 @@ def robot_text(answers: Answers, driver: str | None = None, motors: Mapping[str,
     }
     values = {**answers, **more}
     head = "# A robot. Runs any scenario on it: hil run SCENARIO --robot FILE\n"
-    tables = [_table(name, values) for name in ("robot", "firmware", "device", "link")]
-    if motors:
-        tables.insert(-1, "\n[device.motors]\n" + "".join(f"{k} = {format_value(v)}\n" for k, v in motors.items()))
+    notes = {} if found is None else {name: _not_told(name, found) for name in ("robot", "firmware", "device.motors")}
+    tables = [_table(name, values, notes.get(name, ())) for name in ("robot", "firmware", "device", "link")]
+    if found is not None and (found.motors or notes["device.motors"]):
+        tables.insert(-1, "\n" + _head("device.motors", notes["device.motors"]))
+        tables[-1:-1] = [f"{name} = {format_value(value)}\n" for name, value in (found.motors or {}).items()]
     return head + "".join(tables)
 
 
@@ -79,15 +82,32 @@ below = 0.02
 """
 
 
-def _table(name: str, values: Mapping[str, Value | list[str]]) -> str:
+def _not_told(table: str, found: Found) -> Sequence[str]:
+    """Return sentences on what nobody told of a table, for the lines above it."""
+    known, unknown = (
+        ", ".join(key.removeprefix(f"{table}.") for key in keys if key.rpartition(".")[0] == table)
+        for keys in (found.known, found.unknown)
+    )
+    sentences = [f"cannot be asked for: {unknown}"] if unknown else []
+    if table == "device.motors":
+        return [f"{sentence}; write them here, or the defaults hold" for sentence in sentences]
+    told = f", but for {known}" if known else ""
+    return [f"not measured{told}: the paper's robot; replace before anything moves", *sentences]
+
+
+def _head(name: str, notes: Sequence[str]) -> str:
+    return "".join([*(f"# {note}\n" for note in notes), f"[{name}]\n"])
+
+
+def _table(name: str, values: Mapping[str, Value | list[str]], notes: Sequence[str]) -> str:
     rows = [(key.partition(".")[2], value) for key, value in values.items() if key.startswith(f"{name}.")]
-    return "".join([f"\n[{name}]\n", *_lines(name, rows)])
+    return "".join(["\n", _head(name, notes), *_lines(name, rows)])
 
 
 def _lines(table: str, rows: list[tuple[str, Value | list[str]]]) -> Iterator[str]:
     for name, value in rows:
         line = f"{name} = {format_value(value)}"
-        yield f"{line:<{_COMMENT_COLUMN}}# {field_of(f'{table}.{name}').description}\n"
+        yield f"{line:<{_COMMENT_COLUMN - 1}} # {field_of(f'{table}.{name}').description}\n"
 
 
 def _inertia_at_a_wheel(answers: Answers) -> float:

@@ -28,6 +28,8 @@ LINK_FORMS: Mapping[str, str] = {
 _SETTINGS = {"memory": (), "serial": ("baud", "symlink"), "can": ("bitrate", "fd", "data_bitrate")}
 _EXAMPLES = {"memory": "memory:", "serial": "serial:/dev/ttyACM0", "can": "can:socketcan/can0"}
 _PSEUDO_TERMINAL = "pty"
+DEFAULT_BAUD = 921_600
+"""Of our own firmware's serial line."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +46,7 @@ class SerialUrl:
     """
 
     port: str
-    baud: int = 921_600
+    baud: int = DEFAULT_BAUD
     symlink: str | None = None
 
     def __post_init__(self) -> None:
@@ -91,10 +93,13 @@ class CanUrl:
 LinkUrl = MemoryUrl | SerialUrl | CanUrl
 
 
-def parse_link(url: str) -> LinkUrl:
-    """Return what a link URL says. Raises BadInputError naming the URL, the wrong part and the remedy."""
+def parse_link(url: str, *, baud: int = DEFAULT_BAUD) -> LinkUrl:
+    """Return what a link URL says; ``baud`` is that of a serial line of which it says nothing.
+
+    Raises BadInputError naming the URL, the wrong part and the remedy.
+    """
     try:
-        return _parse(url)
+        return _parse(url, baud)
     except BadInputError as error:
         raise BadInputError(f"link {url!r}: {error}") from None
 
@@ -105,7 +110,7 @@ def format_link(link: LinkUrl) -> str:
         case MemoryUrl():
             return "memory:"
         case SerialUrl():
-            settings = {"baud": _unless(link.baud, 921_600), "symlink": link.symlink}
+            settings = {"baud": _unless(link.baud, DEFAULT_BAUD), "symlink": link.symlink}
             return _join(f"serial:{_escape(link.port)}", settings)
         case CanUrl():
             settings = {
@@ -118,7 +123,7 @@ def format_link(link: LinkUrl) -> str:
             assert_never(link)
 
 
-def _parse(url: str) -> LinkUrl:
+def _parse(url: str, baud: int) -> LinkUrl:
     scheme, colon, rest = url.partition(":")
     if scheme not in _SETTINGS or not colon:
         raise BadInputError(_unknown_scheme(url))
@@ -131,7 +136,7 @@ def _parse(url: str) -> LinkUrl:
     if scheme == "serial":
         return SerialUrl(
             port=_unescape(address),
-            baud=_number(settings, "baud", 921_600),
+            baud=_number(settings, "baud", baud),
             symlink=settings.get("symlink"),
         )
     interface, _, channel = address.partition("/")

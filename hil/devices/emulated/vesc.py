@@ -18,6 +18,7 @@ _TIMEOUT_TICKS, _FAULT_TICKS = 1000, 500
 _UNDER_VOLTAGE, _HOT_MOTOR = 2, 6
 _LEAST_V, _LEAST_A = 8.0, 0.05
 _LONGEST = 512
+_IDS, _PING_TICKS = 255, 10
 
 Reply = Callable[[bytes], None]
 
@@ -146,6 +147,7 @@ class EmulatedVesc(EmulatedMotors):
         self._settings = settings
         self._open = b""
         self._bytes = bytearray()
+        self._scan_left = 0
         super().__init__(*node, **keywords)  # type: ignore[arg-type]
         to_erpm = settings.gear_ratio * settings.pole_pairs * 60.0 / math.tau
         self._steps_per_rad = 6 * settings.pole_pairs * settings.gear_ratio / math.tau
@@ -163,6 +165,10 @@ class EmulatedVesc(EmulatedMotors):
 
     def tick(self) -> FourWheels | None:
         self._measure()
+        if self._scan_left:
+            self._scan_left -= 1
+            if not self._scan_left:
+                self._serial_reply(bytes((62, *self._behind())))
         period = max(round(1000.0 / self._settings.status_hz), 1)
         for place, vesc in enumerate(self.vescs):
             if self.ticks % period == place * period // 4:
@@ -227,12 +233,16 @@ class EmulatedVesc(EmulatedMotors):
     def _process(self, message: bytes) -> None:
         near = self._settings.serial_id
         if message[0] == 62:
-            self._serial_reply(bytes((62, *sorted(number for number in self._by_id if number != near))))
+            # Each id in turn: whoever is there answers at once. Asked again meanwhile, it goes on with the first scan.
+            self._scan_left = self._scan_left or _PING_TICKS * (_IDS - len(self._behind()))
         elif message[0] == 34:
             if len(message) > 2 and message[1] != near and (behind := self._by_id.get(message[1])) is not None:
                 behind.process(message[2:], self._serial_reply)
         elif (here := self._by_id.get(near)) is not None:
             here.process(message, self._serial_reply)
+
+    def _behind(self) -> list[int]:
+        return sorted(number for number in self._by_id if number != self._settings.serial_id)
 
     def _serial_reply(self, message: bytes) -> None:
         self._bytes += bytes((2, len(message))) + message + _crc(message).to_bytes(2, "big") + b"\x03"
