@@ -64,10 +64,17 @@ def test_unsafe_motors_do_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, k
     assert sentence in told
 
 
-def test_a_watchdog_that_does_nothing_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(hil.robots, "emulated", lambda _name: DrivesOn)
-    told = verdict(tmp_path, "no command").verdict
-    assert "is driven away from what was asked" in told
+@pytest.mark.parametrize(
+    ("kind", "sentence"), [(EmulatedMoteus, "ok"), (DrivesOn, "is driven away from what was asked")]
+)
+def test_a_watchdog_that_does_nothing_is_noticed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: type[EmulatedMoteus], sentence: str
+) -> None:
+    """No command gets there from 0.2 s on, for longer than the host's own patience and a ramp."""
+    monkeypatch.setattr(hil.robots, "emulated", lambda _name: kind)
+    [job] = [job for job in alone(asked("moteus", tmp_path)) if job.fault == "no command"]
+    gone = {"kind": "drop", "target": "command", "start_s": 0.2, "end_s": 1.25, "value": 1.0}
+    assert sentence in perform(job._replace(rows=[gone])).verdict
 
 
 def test_motors_that_nothing_stops_are_refused(tmp_path: Path) -> None:
