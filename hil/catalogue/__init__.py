@@ -31,6 +31,7 @@ def catalogue(
     Raises BadInputError for a link or kind that does not exist, and for a base scenario that cannot be used.
     """
     plan.check(asked)
+    plan.check_motors(asked, pairs=pairs, realtime=realtime)
     lockstep = plan.alone(asked) + (plan.pairs(asked) if pairs else [])
     in_real_time = plan.alone(asked, "realtime") if realtime else []
     scenario(lockstep[0])

@@ -57,6 +57,18 @@ def check(asked: Asked) -> None:
                 raise BadInputError(f"--{what} {name}: the catalogue has no such {what}{nearest(name, known)}")
 
 
+def check_motors(asked: Asked, *, pairs: bool, realtime: bool) -> None:
+    """Raise BadInputError for what there is not with motors of other makers."""
+    if not load(asked.scenario, set=asked.sets).device.is_makers:
+        return
+    given = {"--link": bool(asked.links), "--pairs": pairs, "--realtime": realtime}
+    if wrong := [option for option, is_given in given.items() if is_given]:
+        raise BadInputError(
+            f"{', '.join(wrong)}: with motors of other makers the catalogue runs each fault alone, in lockstep, over "
+            "the wire of their own; leave it out"
+        )
+
+
 def alone(asked: Asked, mode: str = "lockstep") -> list[Job]:
     """Return every case over each link; what re-arms, without loop.rearm too. In real time only the subset.
 
