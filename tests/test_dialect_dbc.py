@@ -15,7 +15,7 @@ from hil.dialects.dbc import DIALECT
 from hil.dialects.port import EXTENDED, Driver, Sample
 from hil.errors import BadInputError
 from hil.options import build
-from hil.types import WHEEL_NAMES, CommandMode, FourWheels
+from hil.types import CommandMode, FourWheels
 from tests.dbc_mappings import edited_dbc, motors
 from tests.dialect_testbed import STILL, Rig, assert_near, ramp_to
 
@@ -310,15 +310,9 @@ def test_how_long_a_value_counts_follows_from_how_often_it_comes(cycle_time_s: f
 
 
 def test_positions_that_fell_silent_make_the_sample_old_and_never_take_it_back() -> None:
-    positions = {
-        wheel: f"BASE_IMU.{name}" for wheel, name in zip(WHEEL_NAMES, ("TurnRate", "X", "Y", "Z"), strict=True)
-    }
-    feedback = {
-        "feedback.position": positions | {"scale": 1.0},
-        "feedback.yaw_rate": None,
-        "feedback.acceleration": None,
-    }
-    driver = driver_of("twist_base", feedback)
+    signals = {"fl": "BASE_IMU.TurnRate", "fr": "BASE_IMU.X", "rr": "BASE_IMU.Y", "rl": "BASE_IMU.Z"}
+    gone = {"feedback.yaw_rate": None, "feedback.acceleration": None}
+    driver = driver_of("twist_base", {"feedback.position": signals | {"scale": 1.0}} | gone)
     driver.feed(Frame(MOTION, bytes(8)), 0)
     assert driver.sample is None
     assert driver.missing.startswith("nothing heard of BASE_IMU (0x18ff0300)")
@@ -333,7 +327,7 @@ def test_positions_that_fell_silent_make_the_sample_old_and_never_take_it_back()
 def test_a_state_and_an_error_that_are_told_no_longer_stop_the_robot(table: str) -> None:
     """DRIVES_INFO, every 100 ms by the DBC, has it: half a second of silence is none."""
     rule = {"DRIVES_INFO": {"Protocol": 3}} if table == "armed_when" else {"robot": "DRIVES_INFO.Protocol", "none": 3}
-    rig = armed(drives(**{table: rule}))
+    rig = armed(drives(**{"identity": None, table: rule}))
     end_ns = rig.now_ns
     for late_ns in (450_000_000, 650_000_000):
         for number in range(0x120, 0x124):
