@@ -66,7 +66,7 @@ def test_worked_status_messages_are_read() -> None:
 
 @given(st.integers(-3000, 3000), st.floats(0.0, 6.0))
 def test_the_position_goes_evenly_from_step_to_step_of_the_tachometer(erpm: int, start: float) -> None:
-    """At a steady speed, with status messages at 50 Hz; after a second it advances as the shaft does, but for a step."""
+    """At a steady speed, with status messages at 50 Hz; after a second it advances within a step of the shaft."""
     channel = Channel()
     before = 0.0
     for n in range(100):

@@ -106,6 +106,8 @@ class Heard:
         self._armed_when = [(self._place(one.signal), one) for one in plan.armed_when]
         self._identity = [(self._place(one.signal), one) for one in plan.identity]
         self._errors = [(self._place(one.signal), one) for one in plan.errors]
+        watched = _hearings([place for place, _ in chain(self._armed_when, self._errors)])
+        self._watched = [(one, one.late_ns) for one in watched if one.late_ns is not None]
         read = plan.watchdog.read
         self._watchdog = None if read is None else self._place(read.signal, gain(read))
         self._measured = _hearings(self._quantities[plan.measured])
@@ -163,9 +165,8 @@ class Heard:
 
     def silent(self) -> list[tuple[Message, float]]:
         """Return the messages of states and errors that came once, and no more for a time [s], while others did."""
-        watched = [place.hearing for place, _ in chain(self._armed_when, self._errors)]
-        found = {one.message.name: one for one in watched if one.is_silent(self._now_ns)}
-        return [(one.message, (one.late_ns or 0) * 1e-9) for one in found.values()]
+        now_ns = self._now_ns
+        return [(one.message, late_ns * 1e-9) for one, late_ns in self._watched if one.is_silent(now_ns)]
 
     def follows(self) -> bool:
         """Tell whether all that [device.motors.armed_when] asks for is so, as far as was said of late."""
