@@ -186,17 +186,17 @@ def show(
 
 @app.command("list")
 def list_(
-    what: Annotated[str, typer.Argument(metavar="signals|laws|references|scenarios|links|faults")],
+    what: Annotated[str, typer.Argument(metavar="signals|laws|references|scenarios|links|faults|drivers")],
     as_json: Json = False,
 ) -> None:
-    """Print the vocabulary of signals, the laws, references and scenarios, forms of links, or kinds of faults."""
+    """Print the vocabulary of signals, the laws, references, scenarios, forms of links, kinds of faults or drivers."""
     from hil import report
 
     header, rows = report.listing(what)
     if as_json:
         print_json([dict(zip(header, row, strict=True)) for row in rows])
     else:
-        report.print_table(rows)
+        report.print_table([header, *rows])
 
 
 @app.command()

@@ -178,7 +178,11 @@ def listing(what: str) -> tuple[tuple[str, ...], Sequence[tuple[str, ...]]]:
 
         rows = [(k.name, k.acts_on, k.target_words.replace("`", ""), k.unit, k.meaning) for k in KINDS]
         return ("kind", "acts on", "target", "value", "meaning"), rows
-    known = ("signals", "laws", "references", "scenarios", "links", "faults")
+    if what == "drivers":
+        from hil.scenario.drivers import COLUMNS, driver_rows
+
+        return COLUMNS, driver_rows()
+    known = ("signals", "laws", "references", "scenarios", "links", "faults", "drivers")
     raise BadInputError(f"there is no list of {what!r}{nearest(what, known)}")
 
 

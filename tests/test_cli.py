@@ -185,7 +185,13 @@ def test_show_prints_every_value_and_where_it_came_from(tmp_path: Path):
 
 @pytest.mark.parametrize(
     ("what", "name"),
-    [("signals", "error.planar_m"), ("laws", "afdsc"), ("scenarios", "paper_circle"), ("links", "memory:")],
+    [
+        ("signals", "error.planar_m"),
+        ("laws", "afdsc"),
+        ("scenarios", "paper_circle"),
+        ("links", "memory:"),
+        ("drivers", "odrive"),
+    ],
 )
 def test_lists(what, name):
     done = hil("list", what)

@@ -1,6 +1,7 @@
 """A user's DBC and mapping: worked frames by hand, the driver before its emulated device, and what may be heard."""
 
 import math
+import re
 import struct
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -11,13 +12,14 @@ from hypothesis import strategies as st
 
 from firmware_protocol.framing import Frame
 from hil.dialects.dbc import DIALECT
-from hil.dialects.port import EXTENDED, Driver
+from hil.dialects.port import EXTENDED, Driver, Sample
 from hil.errors import BadInputError
 from hil.options import build
 from hil.types import CommandMode, FourWheels
 from tests.dbc_mappings import edited_dbc, motors
 from tests.dialect_testbed import STILL, Rig, assert_near, ramp_to
 
+MOTION, IMU = EXTENDED | 0x18FF0200, EXTENDED | 0x18FF0300
 FORWARD = (8.0, 8.0, 8.0, 8.0)
 SIDEWAYS = (-6.0, 6.0, -6.0, 6.0)
 RPM_AT_MOTOR = 20.0 * 60.0 / math.tau
@@ -159,9 +161,11 @@ def test_a_watchdog_that_does_not_answer_as_it_was_set_keeps_the_wheels_disarmed
 
 
 def test_no_watchdog_and_a_slow_one_are_said() -> None:
-    slow, unknown = driver_of("twist_base").warnings
+    slow, unknown, dropped = driver_of("twist_base").warnings
     assert slow.startswith("when commands end the wheels go on for 0.5 s")
     assert unknown.startswith("device.motors.armed_when is empty")
+    assert dropped.startswith("a base of twist_base.dbc takes no torque beside a speed")
+    assert driver_of("wheel_drives").warnings == ()
     none = driver_of("twist_base", {"watchdog": None})
     assert none.capabilities.watchdog == "none"
     assert "nothing that is known stops the wheels" in none.warnings[0]
@@ -274,6 +278,73 @@ def test_one_silent_wheel_makes_the_sample_old() -> None:
         rig.driver.feed(Frame(number, bytes(8)), rig.now_ns + 10**9)
     assert rig.driver.sample is not None
     assert rig.driver.sample.stamp_ns == stamp_ns
+
+
+def told(driver: Driver, number: int, seconds: float, payload: bytes = bytes(8)) -> Sample:
+    """Feed a frame that came then, and return the sample."""
+    driver.feed(Frame(number, payload), round(seconds * 1e9))
+    assert driver.sample is not None
+    return driver.sample
+
+
+def test_a_gyro_that_fell_silent_is_known_no_longer() -> None:
+    """One BASE_IMU of 10 deg/s, and then BASE_MOTION alone: odometry would turn for ever by the one frame."""
+    driver = driver_of("twist_base")
+    told(driver, MOTION, 0.0)
+    sample = told(driver, IMU, 0.0, struct.pack(">4h", 1000, 0, 0, 1000))
+    assert sample.yaw_rate_rad_s == pytest.approx(math.radians(10.0))
+    assert told(driver, MOTION, 0.25).acceleration_m_s2[2] == pytest.approx(9.80665)
+    sample = told(driver, MOTION, 0.26)
+    assert math.isnan(sample.yaw_rate_rad_s)
+    assert all(map(math.isnan, sample.acceleration_m_s2))
+    assert told(driver, IMU, 0.3).yaw_rate_rad_s == 0.0
+
+
+@pytest.mark.parametrize(("cycle_time_s", "late_s"), [(0.1, 0.5), (0.001, 0.1), (0, math.inf)])
+def test_how_long_a_value_counts_follows_from_how_often_it_comes(cycle_time_s: float, late_s: float) -> None:
+    driver = driver_of("twist_base", {"cycle_time_s": {"BASE_IMU": cycle_time_s}})
+    told(driver, MOTION, 0.0)
+    told(driver, IMU, 0.0)
+    for seconds in (0.09, 0.11, 0.49, 0.51, 60.0):
+        assert math.isnan(told(driver, MOTION, seconds).yaw_rate_rad_s) is (seconds > late_s)
+
+
+def test_positions_that_fell_silent_make_the_sample_old_and_never_take_it_back() -> None:
+    signals = {"fl": "BASE_IMU.TurnRate", "fr": "BASE_IMU.X", "rr": "BASE_IMU.Y", "rl": "BASE_IMU.Z"}
+    gone = {"feedback.yaw_rate": None, "feedback.acceleration": None}
+    driver = driver_of("twist_base", {"feedback.position": signals | {"scale": 1.0}} | gone)
+    driver.feed(Frame(MOTION, bytes(8)), 0)
+    assert driver.sample is None
+    assert driver.missing.startswith("nothing heard of BASE_IMU (0x18ff0300)")
+    told(driver, IMU, 0.0)
+    stamps = [told(driver, MOTION, seconds).stamp_ns for seconds in (0.1, 0.2, 0.3, 0.4)]
+    assert stamps == [100_000_000, 200_000_000, 250_000_000, 250_000_000]
+    told(driver, IMU, 0.5)
+    assert told(driver, MOTION, 0.5).stamp_ns == 500_000_000
+
+
+@pytest.mark.parametrize("table", ["armed_when", "errors"])
+def test_a_state_and_an_error_that_are_told_no_longer_stop_the_robot(table: str) -> None:
+    """DRIVES_INFO, every 100 ms by the DBC, has it: half a second of silence is none."""
+    rule = {"DRIVES_INFO": {"Protocol": 3}} if table == "armed_when" else {"robot": "DRIVES_INFO.Protocol", "none": 3}
+    rig = armed(drives(**{"identity": None, table: rule}))
+    end_ns = rig.now_ns
+    for late_ns in (450_000_000, 650_000_000):
+        for number in range(0x120, 0x124):
+            rig.driver.feed(Frame(number, bytes.fromhex("0000000000200000")), end_ns + late_ns)
+        assert rig.driver.is_armed is (table == "errors" or late_ns < 500_000_000)
+    [error] = rig.driver.errors
+    assert error.startswith("nothing heard of DRIVES_INFO (0x130), which tells errors or states, for more than 0.5 s")
+
+
+def test_a_cycle_time_is_of_a_message_that_is_awaited() -> None:
+    for cycle_time_s, sentence in (
+        ({"BASE_IMO": 0.1}, "cycle_time_s.BASE_IMO: no table awaits such a message; did you mean 'BASE_IMU'"),
+        ({"BASE_MOTION": 0.1}, "cycle_time_s.BASE_MOTION: it carries the twist; say feedback.rate_hz"),
+        ({"BASE_IMU": -1}, "cycle_time_s.BASE_IMU = -1: expected seconds, or 0 for one sent on a change alone"),
+    ):
+        with pytest.raises(BadInputError, match=re.escape(sentence)):
+            driver_of("twist_base", {"cycle_time_s": cycle_time_s})
 
 
 DRIVERS = {name: driver_of(name) for name in ("wheel_drives", "twist_base")}

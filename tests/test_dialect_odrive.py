@@ -82,7 +82,7 @@ def test_a_torque_is_added_to_the_speed_loops() -> None:
 def test_the_temperature_is_known_of_0_6_alone() -> None:
     for firmware, is_known in (("0.5", False), ("0.6", True)):
         rig = Rig("odrive", emulated_settings={"firmware": firmware})
-        assert "temperature" not in rig.driver.capabilities.sensors
+        assert "temperature" in rig.driver.capabilities.sensors, "as long as it may be 0.6"
         rig.greet()
         assert ("temperature" in rig.driver.capabilities.sensors) is is_known
         rig.arm()
@@ -260,6 +260,21 @@ def test_a_silent_axis_makes_the_whole_sample_old() -> None:
         rig.driver.feed(Frame(node << 5 | 0x09, bytes(8)), rig.now_ns + 1_000_000_000)
     assert rig.driver.sample is not None
     assert rig.driver.sample.stamp_ns <= rig.now_ns
+
+
+def test_what_an_axis_answers_no_longer_is_not_known() -> None:
+    """All that is asked for comes round within 100 ms at 200 Hz, and counts for five times as long."""
+    rig = armed({})
+    rig.drive(0.3, lambda _t: (STILL, STILL))
+    begin_ns = rig.now_ns
+    for late_s, are_known in ((0.35, True), (0.65, False)):
+        for node in range(4):
+            rig.driver.feed(Frame(node << 5 | 0x09, bytes(8)), begin_ns + round(late_s * 1e9))
+        sample = rig.driver.sample
+        assert sample is not None
+        told = (*sample.current_a, *sample.temperature_degc, sample.battery_v, sample.battery_a)
+        assert [value == value for value in told] == [are_known] * 10
+        assert sample.speed_rad_s == STILL
 
 
 def test_a_heartbeat_that_was_on_its_way_when_errors_were_cleared_is_not_taken_for_a_new_error() -> None:

@@ -76,6 +76,21 @@ def test_worked_reports_are_read() -> None:
     assert driver.sample.acceleration_m_s2[2] == pytest.approx(9.81, abs=0.01)
 
 
+def test_reports_that_ceased_are_not_taken_for_news() -> None:
+    """Without the gyro's the yaw rate is not known; without the encoders' the sample grows old."""
+    driver = rig().driver
+    driver.feed(report(0x0A, "F40138FFE80379"), 0)
+    assert driver.sample is None, "odometry would leap when the encoders are heard"
+    driver.feed(report(0x0D, "00000000 00000000 00000000 00000000"), 0)
+    driver.feed(report(0x0E, "0000 0000 FA00 0000 0000 5226 0000 0000 0000"), 0)
+    found = []
+    for milliseconds in (240, 260, 300):
+        driver.feed(report(0x0A, "F40138FFE80379"), milliseconds * 1_000_000)
+        assert driver.sample is not None
+        found.append((driver.sample.stamp_ns // 1_000_000, driver.sample.yaw_rate_rad_s == 0.25))
+    assert found == [(240, True), (250, False), (250, False)]
+
+
 @pytest.mark.parametrize(
     ("options", "target"), list(zip(({}, {"car": "x3_plus"}, {"lever_m": 0.19}, {}), EVERY_WAY, strict=True))
 )

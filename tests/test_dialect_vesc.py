@@ -66,7 +66,7 @@ def test_worked_status_messages_are_read() -> None:
 
 @given(st.integers(-3000, 3000), st.floats(0.0, 6.0))
 def test_the_position_goes_evenly_from_step_to_step_of_the_tachometer(erpm: int, start: float) -> None:
-    """At a steady speed, with status messages at 50 Hz; after a second it advances as the shaft does."""
+    """At a steady speed, with status messages at 50 Hz; after a second it advances within a step of the shaft."""
     channel = Channel()
     before = 0.0
     for n in range(100):
@@ -192,14 +192,41 @@ def test_a_kill_switch_is_told_and_ends_being_armed(wire: Wire) -> None:
     assert rig.driver.errors == ["VESC 1 of wheel fl is stopped by its kill switch"]
 
 
+def test_status_messages_that_ceased_are_not_taken_for_news() -> None:
+    """STATUS 1 alone goes on, at 50 Hz: after five periods temperature and battery are not known, the stamp stays."""
+    rig = ready("can")
+    begin_ns = rig.now_ns
+    for late_ns in (50_000_000, 150_000_000, 200_000_000):
+        for vesc in (1, 2, 3, 4):
+            rig.driver.feed(Frame(EXTENDED | 0x0900 | vesc, bytes(8)), begin_ns + late_ns)
+        sample = rig.driver.sample
+        assert sample is not None
+        known = [not math.isnan(one) for one in (*sample.temperature_degc, sample.battery_v, sample.battery_a)]
+        assert known == [late_ns < 100_000_000] * 6
+        assert sample.stamp_ns - begin_ns <= min(late_ns, 100_000_000)
+
+
+def test_who_does_not_say_what_fault_it_has_is_told_of() -> None:
+    rig = ready("can")
+    begin_ns = rig.now_ns
+    for milliseconds in range(0, 1100, 5):  # asked in vain, while nobody is heard
+        assert not rig.driver.errors or milliseconds > 1000
+        rig.driver.command(STILL, STILL, begin_ns + milliseconds * 1_000_000)
+    assert len(rig.driver.errors) == 4
+    assert rig.driver.errors[0] == "VESC 1 of wheel fl has not answered for a second which fault it has"
+    rig.driver.disarm()
+    assert rig.driver.errors == [], "who is asked nothing owes no answer"
+
+
 def test_who_has_no_timeout_is_warned_of() -> None:
     rig = rig_of("can")
     rig.node.vescs[1].timeout_ticks = 0
     rig.node.vescs[3].knows_status = False
     rig.greet()
     said = rig.driver.warnings
-    assert len(said) == 2
+    assert len(said) == 3
     assert said[1].startswith("the timeout of the VESC 2 has not run out")
+    assert said[2].startswith("a VESC takes no torque beside a speed")
     rig.arm()
     rig.drive(0.1, lambda _t: (STILL, STILL))
     assert rig.driver.warnings == said  # that those that are commanded have not timed out says nothing

@@ -80,6 +80,16 @@ def test_decode_takes_what_is_asked_for(tmp_path):
     ]
 
 
+def test_decode_raw_takes_no_frame_for_ours(tmp_path):
+    """As in a trace of other makers' motors, whose identifiers are those of our messages."""
+    path = written(tmp_path / "bus.blf")
+    lines = hil("decode", path, "--raw").stdout.splitlines()
+    assert [line.split()[2] for line in lines] == ["foreign"] * 7 + ["error", "foreign"]
+    assert lines[4].split()[3:] == ["080", "[2]", "01", "02"]
+    records = [json.loads(line) for line in hil("decode", path, "--raw", "--json").stdout.splitlines()]
+    assert not any("signals" in record or record["sender"] for record in records)
+
+
 def test_decode_gives_each_frame_as_json(tmp_path):
     path = written(tmp_path / "bus.blf")
     records = [json.loads(line) for line in hil("decode", path, "--json").stdout.splitlines()]
@@ -104,6 +114,7 @@ def test_decode_gives_each_frame_as_json(tmp_path):
         (["nowhere.blf"], ["nowhere.blf", "No such file", ".blf"]),
         (["bus.pcap"], ["bus.pcap", "ending", ".log"]),
         (["bus.log", "--message", "WHEEL_COMAND"], ["WHEEL_COMAND", "did you mean 'WHEEL_COMMAND'"]),
+        (["bus.log", "--raw", "--message", "TICK"], ["--message 'TICK' with --raw", "leave one out"]),
         (["bus.log", "--from", "3", "--to", "2"], ["--from 3", "--to 2"]),
     ],
 )

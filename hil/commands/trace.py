@@ -21,13 +21,16 @@ def decode(
     from_s: Annotated[float, typer.Option("--from", metavar="S", help="seconds after the first frame")] = 0.0,
     to_s: Annotated[float, typer.Option("--to", metavar="S")] = math.inf,
     counts: Annotated[bool, typer.Option("--counts", help="how many frames of each message instead")] = False,
+    raw: Annotated[
+        bool, typer.Option("--raw", help="bare frames: of a robot with another maker's motor controllers")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="one JSON object a line: for each frame, or for all")] = False,
 ) -> None:
     """Print a trace of the bus in the terms of the wheel-command protocol."""
     from hil.trace import decode as decoder
 
     with _quiet_when_the_reader_leaves():
-        read = decoder.read(trace, decoder.Selection.of(message or [], from_s, to_s))
+        read = decoder.read(trace, decoder.Selection.of(message or [], from_s, to_s, raw=raw))
         if counts:
             found = decoder.count(read)
             if as_json and (read.frames or read.trouble is None):

@@ -130,6 +130,7 @@ class C620:
             is_twist=False,
             feedback_hz=1000.0,
             sensors=frozenset({"position", "current", "temperature"}),
+            adds_torque=True,
             watchdog="none",
             latches_estop=False,
         )

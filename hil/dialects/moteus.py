@@ -104,7 +104,8 @@ class Moteus:
             modes=frozenset(CommandMode),
             is_twist=False,
             feedback_hz=1.0 / robot.period_s,
-            sensors=frozenset({"position", "current", "temperature", "battery"}),
+            sensors=frozenset({"position", "current", "temperature", "battery_voltage"}),
+            adds_torque=True,
             watchdog="set",
             latches_estop=True,
         )

@@ -13,7 +13,8 @@ from hil.dialects.odrive_axis import Axis
 from hil.dialects.odrive_probe import OdriveProbe
 from hil.dialects.odrive_settings import Settings, setup
 from hil.dialects.odrive_tables import FIRMWARE_05, FIRMWARE_06
-from hil.dialects.port import EXTENDED, REMOTE, Capabilities, Dialect, RobotFacts, Sample
+from hil.dialects.port import EXTENDED, REMOTE, Capabilities, Dialect, RobotFacts, Sample, Sensor
+from hil.dialects.silence import late_ns, lowest
 from hil.errors import BadInputError
 from hil.types import NAN, WHEEL_NAMES, CommandMode, FourWheels
 
@@ -27,8 +28,9 @@ class ODrive:
         self._is_speed = robot.mode is CommandMode.SPEED
         self._to_rad = math.tau / settings.gear_ratio
         self._setup = setup(settings, robot.mode, robot.watchdog_s)
+        asked_ns = late_ns(4 * max(len(known.polled) for known in (FIRMWARE_05, FIRMWARE_06)) * robot.period_s)
         self._axes = tuple(
-            Axis(node, WHEEL_NAMES[wheel], self._setup)
+            Axis(node, WHEEL_NAMES[wheel], self._setup, asked_ns)
             for node, wheel in zip(settings.node_ids, robot.wheel_of_channel, strict=True)
         )
         self._by_node = {axis.node: axis for axis in self._axes}
@@ -37,15 +39,15 @@ class ODrive:
 
     @property
     def capabilities(self) -> Capabilities:
-        sensors = {"position", "current", "battery"}
-        known = [axis.firmware for axis in self._axes]
-        if self._settings.firmware == "0.6" or all(firmware is FIRMWARE_06 for firmware in known):
-            sensors.add("temperature")
+        sensors: set[Sensor] = {"position", "current", "battery_voltage"}
+        if self._settings.firmware != "0.5" and not any(axis.firmware is FIRMWARE_05 for axis in self._axes):
+            sensors |= {"battery_current", "temperature"}
         return Capabilities(
             modes=frozenset(CommandMode),
             is_twist=False,
             feedback_hz=self._settings.feedback_hz or 1.0 / self._robot.period_s,
             sensors=frozenset(sensors),
+            adds_torque=True,
             watchdog="set" if self._settings.watchdog_endpoints else "none",
             latches_estop=True,
         )
@@ -216,7 +218,7 @@ class ODrive:
             (a.position_rev * to_rad, b.position_rev * to_rad, c.position_rev * to_rad, d.position_rev * to_rad),
             (a.current_a, b.current_a, c.current_a, d.current_a),
             (a.temperature_degc, b.temperature_degc, c.temperature_degc, d.temperature_degc),
-            min(a.bus_v, b.bus_v, c.bus_v, d.bus_v),
+            lowest(a.bus_v, b.bus_v, c.bus_v, d.bus_v),
             self._battery_a(),
         )
 

@@ -23,13 +23,15 @@ class Axis:
     """A node on the bus. Quantities are the motor's: revolutions, amperes, volts, degrees Celsius, NaN if not known.
 
     ``firmware`` is None until it is known, and for one that is not known here; ``version`` and ``hardware`` are what
-    Get_Version said. ``trouble`` says why arming or closed loop ended, empty while it did not.
+    Get_Version said. What is asked for in turn is not known any more ``late_ns`` after the newest answer, by the time
+    of the estimates, which come more often. ``trouble`` says why arming or closed loop ended, empty while it did not.
     """
 
-    def __init__(self, node: int, wheel: str, setup: Setup) -> None:
+    def __init__(self, node: int, wheel: str, setup: Setup, late_ns: int) -> None:
         self.node = node
         self.wheel = wheel
         self._setup = setup
+        self._late_ns = late_ns
         self._base = node << can.NODE_SHIFT
         self._standstill = self.frame(*setup.standstill)
         self.forget()
@@ -56,6 +58,7 @@ class Axis:
         self.temperature_degc = NAN
         self.bus_v = NAN
         self.bus_a = NAN
+        self._current_ns = self._bus_ns = self._temperature_ns = 0
         self.stand_down()
 
     def stand_down(self) -> None:
@@ -104,6 +107,7 @@ class Axis:
             position, speed = can.TWO_FLOATS.unpack(payload)
             if math.isfinite(position) and math.isfinite(speed):
                 self.position_rev, self.speed_rev_s, self.estimates_ns = position, speed, stamp_ns
+                self._forget_late(stamp_ns)
         elif command == can.HEARTBEAT:
             self._take_heartbeat(payload, stamp_ns)
         elif command == can.GET_VERSION:
@@ -112,7 +116,16 @@ class Axis:
             self.version = (major, minor, revision)
             self._take_firmware(FIRMWARE_06 if self.version[:2] == (0, 6) else None)
         else:
-            self._take_polled(command, payload)
+            self._take_polled(command, payload, stamp_ns)
+
+    def _forget_late(self, now_ns: int) -> None:
+        begin_ns = now_ns - self._late_ns
+        if self._current_ns < begin_ns:
+            self.current_a = NAN
+        if self._bus_ns < begin_ns:
+            self.bus_v = self.bus_a = NAN
+        if self._temperature_ns < begin_ns:
+            self.temperature_degc = NAN
 
     def _take_heartbeat(self, payload: bytes, stamp_ns: int) -> None:
         error, self.state, *flags = can.BEAT.unpack(payload)
@@ -141,17 +154,18 @@ class Axis:
             self.firmware = firmware
             self.heartbeat_ns = None  # the next one can be understood
 
-    def _take_polled(self, command: int, payload: bytes) -> None:
+    def _take_polled(self, command: int, payload: bytes, stamp_ns: int) -> None:
         first, second = (value if math.isfinite(value) else NAN for value in can.TWO_FLOATS.unpack(payload))
         if command == can.GET_CONTROLLER_ERROR:
             self._is_answer_new = True
         if command == can.GET_IQ:
-            self.current_a = second
+            self.current_a, self._current_ns = second, stamp_ns
         elif command == can.GET_BUS:
-            self.bus_v, self.bus_a = first, second
+            self.bus_v, self.bus_a, self._bus_ns = first, second, stamp_ns
         elif command == can.GET_TEMPERATURE and self.firmware is FIRMWARE_06:
             # A motor without a sensor says NaN or nothing: the hotter of inverter and motor is told.
             self.temperature_degc = max((t for t in (first, second) if t == t), default=NAN)
+            self._temperature_ns = stamp_ns
         self._take_errors(command, payload)
 
     def _take_errors(self, command: int, payload: bytes) -> None:

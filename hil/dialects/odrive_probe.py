@@ -35,7 +35,7 @@ class OdriveProbe:
             return False
         node, command = frame.id >> can.NODE_SHIFT, frame.id & can.COMMAND_MASK
         if command == can.HEARTBEAT and len(frame.payload) == 8 and node < can.BROADCAST and frame.payload[4] < _STATES:
-            self._axes.setdefault(node, Axis(node, "", _NOTHING))
+            self._axes.setdefault(node, Axis(node, "", _NOTHING, late_ns=0))
         if node not in self._axes:
             return False
         if command == can.GET_VERSION and not _is_version(frame.payload):

@@ -24,11 +24,16 @@ __all__ = [
     "Probe",
     "RobotFacts",
     "Sample",
+    "Sensor",
     "Wire",
+    "torques_dropped",
 ]
 
 Wire = Literal["can", "can_fd", "serial"]
 """What a dialect may be spoken over."""
+
+Sensor = Literal["position", "current", "temperature", "battery_voltage", "battery_current", "gyro", "accelerometer"]
+"""What they may measure beside the wheels' speeds."""
 
 NO_CHANNELS: FourWheels = (NAN, NAN, NAN, NAN)
 
@@ -36,16 +41,16 @@ NO_CHANNELS: FourWheels = (NAN, NAN, NAN, NAN)
 class Capabilities(NamedTuple):
     """What a maker's controllers can do. ``feedback_hz`` is the lowest rate of what odometry rests on.
 
-    ``is_twist``: they take a velocity of the body and close the loop of the wheels themselves. ``sensors`` are of
-    ``position``, ``current``, ``temperature``, ``battery``, ``gyro`` and ``accelerometer``. ``watchdog``: whether the
-    wheels stop by themselves when commands end: set and read back by the driver, always there, or not at all.
-    ``latches_estop``: a stop of its own, that commands do not end.
+    ``is_twist``: they take a velocity of the body and close the loop of the wheels themselves. ``adds_torque``: they
+    add a torque to a speed. ``watchdog``: whether the wheels stop by themselves when commands end: set and read back by
+    the driver, always there, or not at all. ``latches_estop``: a stop of its own, that commands do not end.
     """
 
     modes: frozenset[CommandMode]
     is_twist: bool
     feedback_hz: float
-    sensors: frozenset[str]
+    sensors: frozenset[Sensor]
+    adds_torque: bool
     watchdog: Literal["set", "fixed", "none"]
     latches_estop: bool
 
@@ -72,7 +77,8 @@ class RobotFacts(NamedTuple):
 class Sample(NamedTuple):
     """What the channels measured, NaN where the maker does not say.
 
-    ``stamp_ns`` is when the oldest of the four speeds arrived: a channel that has gone silent makes all of it old.
+    ``stamp_ns`` is when the oldest of the four speeds arrived: a channel that has gone silent makes all of it old, and
+    so does a position that comes in messages of its own. Other values are NaN once theirs have fallen silent.
     ``position_rad`` is not wrapped and counts from anywhere.
     """
 
@@ -97,7 +103,7 @@ class Driver(Protocol):
 
     @property
     def capabilities(self) -> Capabilities:
-        """What they can do; what only some firmwares can is there once that firmware is known."""
+        """What they can do; what only some firmwares can is there until another firmware is known."""
 
     def ask(self) -> Sequence[Frame]:
         """Return frames that ask who is there, in which version and state; nothing moves by them."""
@@ -152,6 +158,14 @@ class Driver(Protocol):
 
     def restart(self) -> None:
         """Forget what was heard: the link was lost, and what answers next may have been reset or exchanged."""
+
+
+def torques_dropped(title: str) -> str:
+    """Return the warning of a driver in mode SPEED whose controllers do not add torques."""
+    return (
+        f"{title} takes no torque beside a speed: the torques that a law gives ahead of the motion are dropped, and "
+        "the wheels follow by their speed loops alone"
+    )
 
 
 class Found(NamedTuple):

@@ -15,9 +15,10 @@ from struct import Struct
 from typing import NamedTuple
 
 from firmware_protocol.framing import Frame
-from hil.dialects.port import Capabilities, Dialect, RobotFacts, Sample
+from hil.dialects.port import Capabilities, Dialect, RobotFacts, Sample, torques_dropped
 from hil.dialects.rosmaster_board import BAUD, CARS, KNOWN_MAJOR, Identity, RosmasterProbe, Settings, car_name
 from hil.dialects.rosmaster_line import RosmasterFraming
+from hil.dialects.silence import holds_back
 from hil.dialects.twist_base import LATE_NS, TwistBase, is_still
 from hil.errors import BadInputError
 from hil.types import NAN, CommandMode, FourWheels
@@ -58,13 +59,15 @@ class Rosmaster:
             modes=frozenset({CommandMode.SPEED}),
             is_twist=True,
             feedback_hz=25.0,
-            sensors=frozenset({"position", "battery", "gyro", "accelerometer"}),
+            sensors=frozenset({"position", "battery_voltage", "gyro", "accelerometer"}),
+            adds_torque=False,
             watchdog="none",
             latches_estop=False,
         )
         self.warnings = (
             "a Rosmaster drives on for ever with the newest command when commands end: if this computer loses its "
             "power, hangs, or loses the cable, nothing stops the robot; keep its power switch within reach",
+            torques_dropped("a Rosmaster"),
         )
         self.restart()
 
@@ -79,6 +82,8 @@ class Rosmaster:
         self._is_battery_bad = False
         self._counts: tuple[int, ...] | None = None
         self._turned = [0, 0, 0, 0]
+        self._counts_ns = 0
+        self._imu_ns = 0
         self._yaw_rate_rad_s = NAN
         self._acceleration_m_s2 = (NAN, NAN, NAN)
 
@@ -167,8 +172,10 @@ class Rosmaster:
             self._take_battery(battery / 10.0, stamp_ns)
         elif number == ENCODER_REPORT and len(payload) == _COUNTS.size:
             self._take_counts(_COUNTS.unpack(payload))
+            self._counts_ns = stamp_ns
         elif number in IMUS and len(payload) == _IMU.size:
             imu = IMUS[number]
+            self._imu_ns = stamp_ns
             _, _, yaw, x, y, z, *_ = _IMU.unpack(payload)
             self._yaw_rate_rad_s = yaw / imu.yaw_per_rad_s
             self._acceleration_m_s2 = (x / imu.per_m_s2, y / imu.per_m_s2, z / imu.per_m_s2)
@@ -192,18 +199,22 @@ class Rosmaster:
 
     @property
     def sample(self) -> Sample | None:
-        """The newest twist with what else was reported last: positions of the wheels are at most 40 ms older."""
-        if self._twist is None:
+        """The newest twist with what else was reported last: positions of the wheels are at most 40 ms older.
+
+        None before both have come: odometry would leap from angles by speed to those of the encoders.
+        """
+        if self._twist is None or self._counts is None:
             return None
-        to_rad = math.tau / self._car.counts_per_turn if self._counts is not None else NAN
+        to_rad = math.tau / self._car.counts_per_turn
         fl, fr, rr, rl = self._turned
+        has_imu = self._twist_ns - self._imu_ns <= LATE_NS
         return Sample(
-            self._twist_ns,
+            holds_back(self._twist_ns, self._counts_ns, LATE_NS),
             self._base.speeds(self._twist),
             (fl * to_rad, fr * to_rad, rr * to_rad, rl * to_rad),
             battery_v=self._battery_v,
-            acceleration_m_s2=self._acceleration_m_s2,
-            yaw_rate_rad_s=self._yaw_rate_rad_s,
+            acceleration_m_s2=self._acceleration_m_s2 if has_imu else (NAN, NAN, NAN),
+            yaw_rate_rad_s=self._yaw_rate_rad_s if has_imu else NAN,
         )
 
     @property

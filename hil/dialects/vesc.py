@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 from firmware_protocol.framing import Frame
 from hil.dialects import vesc_frames as frames
-from hil.dialects.port import EXTENDED, Capabilities, Dialect, RobotFacts, Sample
+from hil.dialects.port import EXTENDED, Capabilities, Dialect, RobotFacts, Sample, torques_dropped
+from hil.dialects.silence import holds_back, late_ns, lowest
 from hil.dialects.vesc_channel import Channel
 from hil.dialects.vesc_probe import BusProbe, LineProbe
 from hil.dialects.vesc_wires import Bus, Line
@@ -22,7 +23,7 @@ from hil.types import WHEEL_NAMES, CommandMode, FourWheels
 
 _OLDEST_MAJOR = 5
 _PATIENCE = 2  # calls of ask for an answer to one VESC's questions
-_LATE_PERIODS = 5
+_UNANSWERED_NS = 1_000_000_000  # a fault cannot be known of one that is asked in vain for so long
 _STILL: FourWheels = (0.0, 0.0, 0.0, 0.0)
 _BAUD = 115_200
 
@@ -80,12 +81,14 @@ class Vesc:
         self._to_current = 1.0 / robot.torque_constant_n_m_a
         self._brake_a = settings.brake_current_a or robot.torque_limit_n_m * self._to_current
         rate_hz = settings.status_hz if self._is_bus else 1.0 / (robot.period_s * len(self._rounds))
-        self._late_ns = round(max(0.1, _LATE_PERIODS / rate_hz) * 1e9)
+        self._late_ns = late_ns(1.0 / rate_hz)
+        self._now_ns = 0
         self.capabilities = Capabilities(
             modes=frozenset(CommandMode),
             is_twist=False,
             feedback_hz=rate_hz,
-            sensors=frozenset({"position", "current", "temperature", "battery"}),
+            sensors=frozenset({"position", "current", "temperature", "battery_voltage", "battery_current"}),
+            adds_torque=False,
             watchdog="fixed",
             latches_estop=False,
         )
@@ -103,8 +106,13 @@ class Vesc:
         self._turn = self._settings.ids.index(self._asked) + 1
         return [self._wire.message(self._asked, question) for question in self._wire.questions]
 
-    def _poll(self) -> Sequence[Frame]:
+    def _poll(self, now_ns: int | None = None) -> Sequence[Frame]:
+        """Ask the next; over the line the fault comes with the speed, and is as old as that."""
         self._round = (self._round + 1) % len(self._rounds)
+        if self._is_bus and now_ns is not None:
+            self._now_ns = now_ns
+            channel = self._channels[self._round]
+            channel.asked_ns = now_ns if channel.asked_ns is None else channel.asked_ns
         return self._rounds[self._round]
 
     @property
@@ -154,6 +162,8 @@ class Vesc:
                 f"the timeout of the VESC {', '.join(running)} has not run out: it was commanded just now, by us or by "
                 "another app of it, or its timeout is 0, and then its wheel turns on when commands end"
             )
+        if self._robot.mode is CommandMode.SPEED:
+            said.append(torques_dropped("a VESC"))
         return said
 
     def arm(self, now_ns: int) -> Sequence[Frame]:
@@ -163,7 +173,7 @@ class Vesc:
             for channel in self._channels
         )
         is_fit = all(channel.is_fit for channel in self._channels)
-        return self.command(_STILL, _STILL, now_ns) if is_fit else self._poll()
+        return self.command(_STILL, _STILL, now_ns) if is_fit else self._poll(now_ns)
 
     @property
     def is_armed(self) -> bool:
@@ -176,7 +186,7 @@ class Vesc:
             settings = self._all(frames.SET_RPM, [speed * self._to_erpm for speed in speed_rad_s])
         else:
             settings = self._all(frames.SET_CURRENT, [torque * self._to_current for torque in torque_n_m])
-        return [*settings, *self._poll()]
+        return [*settings, *self._poll(now_ns)]
 
     def _all(self, setting: frames.Setting, values: Sequence[float]) -> list[Frame]:
         return [
@@ -184,17 +194,23 @@ class Vesc:
         ]
 
     def disarm(self) -> Sequence[Frame]:
-        self._is_armed = False
+        self._stand_down()
         return self._all(frames.SET_CURRENT, _STILL)
 
-    def estop(self) -> Sequence[Frame]:
+    def _stand_down(self) -> None:
+        """Nobody is asked from now on, so that nobody owes an answer."""
         self._is_armed = False
+        for channel in self._channels:
+            channel.asked_ns = None
+
+    def estop(self) -> Sequence[Frame]:
+        self._stand_down()
         return self._all(frames.SET_CURRENT_BRAKE, (self._brake_a,) * 4)
 
     def clear(self) -> Sequence[Frame]:
         """See ``Driver``. A fault ends by itself, half a second after its cause as delivered: it is asked for anew."""
         for channel in self._channels:
-            channel.fault = channel.status = None
+            channel.fault = channel.status = channel.asked_ns = None
         return ()
 
     def feed(self, frame: Frame, stamp_ns: int) -> None:
@@ -204,6 +220,7 @@ class Vesc:
             self._feed_message(*heard, stamp_ns)
         elif frame.id & EXTENDED and (channel := self._by_id.get(frame.id & 0xFF)) is not None:
             channel.feed_status((frame.id & ~EXTENDED) >> 8, frame.payload, stamp_ns)
+            channel.forget_late(stamp_ns, self._late_ns)
 
     def _feed_message(self, sender: int | None, message: bytes, stamp_ns: int) -> None:
         """Take a message. On a serial line it does not say whose it is, but for the values, as those have the id."""
@@ -226,13 +243,14 @@ class Vesc:
         a, b, c, d = channels
         to_speed = 1.0 / self._to_erpm
         to_angle = math.tau / (frames.STEPS * self._settings.pole_pairs * self._settings.gear_ratio)
+        steps_ns = min(channel.steps_ns for channel in channels)
         return Sample(
-            min(stamps),
+            holds_back(min(stamps), steps_ns, self._late_ns),
             (a.erpm * to_speed, b.erpm * to_speed, c.erpm * to_speed, d.erpm * to_speed),
             (a.position * to_angle, b.position * to_angle, c.position * to_angle, d.position * to_angle),
             (a.motor_a, b.motor_a, c.motor_a, d.motor_a),
             (a.fet_degc, b.fet_degc, c.fet_degc, d.fet_degc),
-            min(a.input_v, b.input_v, c.input_v, d.input_v),
+            lowest(a.input_v, b.input_v, c.input_v, d.input_v),
             a.input_a + b.input_a + c.input_a + d.input_a,
         )
 
@@ -248,6 +266,8 @@ class Vesc:
                 found.append(f"{name} has the fault {code}: {words}")
             if (channel.status or 0) & frames.KILL_SWITCH:
                 found.append(f"{name} is stopped by its kill switch")
+            if channel.asked_ns is not None and self._now_ns - channel.asked_ns > _UNANSWERED_NS:
+                found.append(f"{name} has not answered for a second which fault it has")
         return found
 
     def restart(self) -> None:

@@ -15,10 +15,12 @@ class Channel:
     """One VESC.
 
     Attributes:
-        stamp_ns: when its speed was heard. steps: of the tachometer as heard last; turned: without its wraps.
+        stamp_ns: when its speed was heard. steps_ns: when its tachometer was.
+        steps: of the tachometer as heard last; turned: without its wraps.
         position: in such steps, smoothed between them by the speed, as a step may be 10 degrees of a wheel.
         motor_a: positive for a torque forwards.
         fault, status: as of GET_VALUES_SELECTIVE, None where they have to be asked for.
+        asked_ns: since when it has not answered what its fault is, None while nothing is asked.
         runs_on: whether its timeout had not run out while nothing was commanded.
     """
 
@@ -31,12 +33,15 @@ class Channel:
         self.stamp_ns: int | None = None
         self.erpm = 0
         self.steps: int | None = None
+        self.steps_ns = 0
         self.turned = 0
         self.position = 0.0
         self.motor_a = self.input_a = self.input_v = self.fet_degc = NAN
         self.fault: int | None = None
         self._has_told_fault = False
         self.status: int | None = None
+        self._fet_ns = 0
+        self.asked_ns: int | None = None
         self.runs_on: bool | None = None
 
     @property
@@ -61,16 +66,17 @@ class Channel:
             self._feed_motion(erpm, current * 0.1, (erpm or duty) < 0, stamp_ns)
         elif command == frames.CAN_STATUS_4 and len(payload) == frames.STATUS_4.size:
             fet, _, current, _ = frames.STATUS_4.unpack(payload)
-            self.fet_degc, self.input_a = fet * 0.1, current * 0.1
+            self.fet_degc, self.input_a, self._fet_ns = fet * 0.1, current * 0.1, stamp_ns
         elif command == frames.CAN_STATUS_5 and len(payload) >= frames.STATUS_5.size:
             steps, voltage = frames.STATUS_5.unpack_from(payload)
-            self._feed_tachometer(steps)
+            self._feed_tachometer(steps, stamp_ns)
             self.input_v = voltage * 0.1
 
     def feed_values(self, values: Mapping[str, float], stamp_ns: int, has_commanded: bool) -> None:
         """Take the values of an answer."""
         if "fault" in values:
             self.fault, self._has_told_fault = int(values["fault"]), True
+            self.asked_ns = None
         if "status" in values:
             self.status = int(values["status"])
             if not has_commanded:
@@ -78,8 +84,16 @@ class Channel:
         if {"erpm", "motor_a", "tachometer", "fet_degc", "input_a", "input_v"} <= values.keys():
             erpm = int(values["erpm"])
             self._feed_motion(erpm, values["motor_a"], erpm < 0, stamp_ns)
-            self._feed_tachometer(int(values["tachometer"]))
+            self._feed_tachometer(int(values["tachometer"]), stamp_ns)
             self.fet_degc, self.input_a, self.input_v = values["fet_degc"], values["input_a"], values["input_v"]
+            self._fet_ns = stamp_ns
+
+    def forget_late(self, now_ns: int, late_ns: int) -> None:
+        """Forget temperature, current and voltage of the battery where their status messages have fallen silent."""
+        if now_ns - self._fet_ns > late_ns:
+            self.fet_degc = self.input_a = NAN
+        if now_ns - self.steps_ns > late_ns:
+            self.input_v = NAN
 
     def _feed_motion(self, erpm: int, current_a: float, is_backwards: bool, stamp_ns: int) -> None:
         """Take speed and current; theirs is positive when it drives, and is made into a direction here."""
@@ -89,10 +103,10 @@ class Channel:
         self.erpm, self.stamp_ns = erpm, stamp_ns
         self.motor_a = -current_a if is_backwards else current_a
 
-    def _feed_tachometer(self, steps: int) -> None:
+    def _feed_tachometer(self, steps: int, stamp_ns: int) -> None:
         """Take the tachometer: the truth in the long run, while it moves, and within a step at any time."""
         moved = 0 if self.steps is None else (steps - self.steps + 2**31) % 2**32 - 2**31
-        self.steps = steps
+        self.steps, self.steps_ns = steps, stamp_ns
         self.turned += moved
         self.position += (self.turned - self.position) * min(_TRUST_A_STEP * abs(moved), 1.0)
         self.position = min(max(self.position, self.turned - 1.0), self.turned + 1.0)

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from struct import Struct
 
 from firmware_protocol.framing import Frame
-from hil.dialects.port import Capabilities, Dialect, Found, RobotFacts, Sample
+from hil.dialects.port import Capabilities, Dialect, Found, RobotFacts, Sample, torques_dropped
 from hil.dialects.twist_base import LATE_NS, TwistBase, check_geometry, is_still
 from hil.dialects.wheeltec_line import COMMAND, COMMAND_NUMBERS, HEAD, REPORTS, TAIL, WheeltecFraming, checksum
 from hil.options import require_not_negative, require_positive
@@ -104,7 +104,8 @@ class Wheeltec:
             modes=frozenset({CommandMode.SPEED}),
             is_twist=True,
             feedback_hz=20.0,
-            sensors=frozenset({"battery", "gyro", "accelerometer"}),
+            sensors=frozenset({"battery_voltage", "gyro", "accelerometer"}),
+            adds_torque=False,
             watchdog="fixed" if settings.stops_on_silence else "none",
             latches_estop=False,
         )
@@ -115,6 +116,7 @@ class Wheeltec:
             else "a WHEELTEC base drives on for ever with the newest command when commands end, unless its firmware "
             "was built with SecurityLevel 0: if this computer loses its power, hangs, or loses the cable, nothing "
             "stops the robot; keep its emergency stop within reach",
+            torques_dropped("a WHEELTEC base"),
         )
         self.restart()
 

@@ -1,9 +1,10 @@
 """The driver of a scenario whose robot has another maker's motor controllers, and what that cannot do."""
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 
-from hil.dialects.port import Driver, RobotFacts, Wire
+from hil.dialects.port import Driver, RobotFacts, Sensor, Wire
 from hil.dialects.registry import dialect
+from hil.faults.kinds import MESSAGES
 from hil.links.url import CanUrl, LinkUrl, MemoryUrl, SerialUrl, parse_link
 from hil.scenario.tables import Tables
 from hil.types import WHEEL_NAMES
@@ -13,6 +14,17 @@ _WIRES = {
     "can_fd": "a CAN FD bus: can:INTERFACE/CHANNEL?fd=1&data_bitrate=5000000, or memory: within one process",
     "serial": "a serial line: serial:PATH?baud=115200, or memory: within one process",
 }
+
+
+_SENSOR_OF: Mapping[str, Sensor] = {
+    **{f"wheel.{wheel}.current_a": "current" for wheel in WHEEL_NAMES},
+    **{f"wheel.{wheel}.temperature_degc": "temperature" for wheel in WHEEL_NAMES},
+    **{f"robot.acceleration_{axis}_m_s2": "accelerometer" for axis in "xyz"},
+    "robot.yaw_rate_rad_s": "gyro",
+    "battery.voltage_v": "battery_voltage",
+    "battery.current_a": "battery_current",
+}
+"""The sensor behind a signal that not every robot has."""
 
 
 def robot_facts(tables: Tables) -> RobotFacts:
@@ -55,6 +67,23 @@ def contradictions(tables: Tables) -> Iterator[tuple[str, object, str]]:
             f"expected more than the {1.0 / can.feedback_hz:g} s between two feedbacks of {title}, or the robot would "
             "always be held",
         )
+    for index, fault in enumerate(tables.fault):
+        if fault.row.acts_on == "link" and fault.target in MESSAGES:
+            yield (
+                f"fault.{index}.target",
+                fault.target,
+                f'this message is ours and none of {title}, so that the fault could never strike; take "command" or '
+                '"feedback"',
+            )
+    for index, row in enumerate(tables.expect):
+        sensor = _SENSOR_OF.get(row.signal)
+        if sensor is not None and sensor not in can.sensors:
+            yield (
+                f"expect.{index}.signal",
+                row.signal,
+                f"{title} as it is set up does not measure it; remove the row (`hil list drivers` shows who measures "
+                "what)",
+            )
 
 
 def wire_of(url: LinkUrl, wires: Collection[Wire]) -> Wire:

@@ -5,7 +5,7 @@ import math
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, Self
@@ -27,22 +27,29 @@ _BROKEN = (ValueError, LookupError, struct.error, zlib.error, EOFError, Arithmet
 
 
 class Selection(NamedTuple):
-    """Which frames are wanted: by kind (none: all), and by seconds after the first frame, both ends included."""
+    """Which frames are wanted: by kind (none: all), and by seconds after the first frame, both ends included.
+
+    ``raw``: none of them is taken for ours. An identifier does not tell whose a frame is, and motor controllers of
+    other makers use those of our messages for theirs.
+    """
 
     kinds: frozenset[str]
     from_s: float
     to_s: float
+    raw: bool = False
 
     @classmethod
-    def of(cls, names: Iterable[str], from_s: float, to_s: float) -> Self:
+    def of(cls, names: Collection[str], from_s: float, to_s: float, *, raw: bool = False) -> Self:
         """Return the selection. Raises BadInputError for a name that no message has, and for an empty time."""
+        if raw and names:
+            raise BadInputError(f"--message {next(iter(names))!r} with --raw: raw frames have no names; leave one out")
         by_name = {kind.casefold(): kind for kind in _KINDS}
         for name in names:
             if name.casefold() not in by_name:
                 raise BadInputError(f"--message {name!r}: there is no such message{nearest(name.upper(), _KINDS)}")
         if not from_s <= to_s:
             raise BadInputError(f"--from {from_s:g} --to {to_s:g}: expected the first not to be later than the second")
-        return cls(frozenset(by_name[name.casefold()] for name in names), from_s, to_s)
+        return cls(frozenset(by_name[name.casefold()] for name in names), from_s, to_s, raw)
 
 
 class Entry(NamedTuple):
@@ -190,7 +197,7 @@ class Reading:
             kind = ERROR
         elif message.is_remote_frame:
             refusal = "remote"
-        elif not message.is_extended_id and frame.id in NAMES:
+        elif not self._selection.raw and not message.is_extended_id and frame.id in NAMES:
             kind = NAMES[frame.id]
             decoded = codec.decode(frame)
             refusal = None if decoded is not None else f"not valid: {codec.refusal(frame)}"

@@ -5,11 +5,12 @@ from itertools import chain
 
 from firmware_protocol.framing import Frame
 from hil.dialects.dbc.coding import Moving, Packer, RollingCounter
+from hil.dialects.dbc.file import Message
 from hil.dialects.dbc.heard import Heard
 from hil.dialects.dbc.mapping import Bound, Step
 from hil.dialects.dbc.robot import check_limits, check_wheels, gains, warnings, watchdog_raw
 from hil.dialects.dbc.settings import PHASES, Settings
-from hil.dialects.port import EXTENDED, NO_CHANNELS, Capabilities, RobotFacts, Sample
+from hil.dialects.port import EXTENDED, NO_CHANNELS, Capabilities, RobotFacts, Sample, Sensor
 from hil.errors import BadInputError
 from hil.kinematics import body_twist, wheel_speeds
 from hil.types import NAN, CommandMode, FourWheels
@@ -18,11 +19,12 @@ _NONE: Mapping[str, float] = {}
 _NO_STEP: Mapping[str, Packer] = {}
 _AGAIN_NS = 250_000_000
 """After so long the steps of arming are sent once more: one of their frames may have been lost."""
-_SENSORS = {
+_SENSORS: Mapping[str, Sensor] = {
     "position": "position",
     "current": "current",
     "temperature": "temperature",
-    "battery_voltage": "battery",
+    "battery_voltage": "battery_voltage",
+    "battery_current": "battery_current",
     "yaw_rate": "gyro",
     "acceleration": "accelerometer",
 }
@@ -38,7 +40,6 @@ class DbcDriver:
         check_wheels(plan, robot)
         check_limits(plan, robot, self._gain)
         self._heard = Heard(plan, self._gain)
-        self._by_id = self._heard.by_id
         self._is_twist = plan.motion == "twist"
         self._measures_twist = plan.measured == "twist"
         self._adds_torque = "feedforward" in plan.commands
@@ -57,6 +58,7 @@ class DbcDriver:
             is_twist=self._is_twist,
             feedback_hz=plan.feedback_hz,
             sensors=frozenset(sensor for name, sensor in _SENSORS.items() if name in plan.feedback),
+            adds_torque=self._adds_torque,
             watchdog="set" if plan.watchdog.set else "fixed" if plan.watchdog.timeout_s else "none",
             latches_estop=settings.estop_latches,
         )
@@ -98,7 +100,7 @@ class DbcDriver:
 
     @property
     def identity(self) -> str | None:
-        if self._heard.silent():
+        if self._heard.missing():
             return None
         name = self._plan.dbc.name
         said = []
@@ -115,10 +117,10 @@ class DbcDriver:
 
     @property
     def missing(self) -> str:
-        silent = self._heard.silent()
-        if not silent:
+        missing = self._heard.missing()
+        if not missing:
             return ""
-        names = ", ".join(f"{one.name} ({one.id & ~EXTENDED:#x})" for one in silent)
+        names = ", ".join(map(_named, missing))
         return (
             f"nothing heard of {names}; check power, wiring and bit rate, and the identifiers in {self._plan.dbc.name}"
         )
@@ -189,9 +191,7 @@ class DbcDriver:
     # What arrives
 
     def feed(self, frame: Frame, stamp_ns: int) -> None:
-        hearing = self._by_id.get(frame.id)
-        if hearing is not None:
-            hearing.feed(frame.payload, stamp_ns)
+        self._heard.feed(frame.id, frame.payload, stamp_ns)
 
     @property
     def sample(self) -> Sample | None:
@@ -226,13 +226,22 @@ class DbcDriver:
 
     @property
     def errors(self) -> Sequence[str]:
-        return [
+        told = [
             f"{'the robot' if error.where == 'robot' else f'wheel {error.where}'}: {error.signal} is "
             f"{error.signal.word(raw)}"
             for error, raw in self._heard.errors()
         ]
+        silent = [
+            f"nothing heard of {_named(message)}, which tells errors or states, for more than {late_s:g} s (how often "
+            "it comes is device.motors.cycle_time_s)"
+            for message, late_s in self._heard.silent()
+        ]
+        return told + silent
 
     def restart(self) -> None:
         self._restart_arming()
         self._heard = Heard(self._plan, self._gain)
-        self._by_id = self._heard.by_id
+
+
+def _named(message: Message) -> str:
+    return f"{message.name} ({message.id & ~EXTENDED:#x})"

@@ -10,14 +10,19 @@ from hil.dialects.dbc.file import Message, Signal
 from hil.dialects.dbc.mapping import Condition, ErrorSignal
 from hil.dialects.dbc.robot import Gain
 from hil.dialects.dbc.settings import Plan
+from hil.dialects.silence import holds_back
 from hil.types import NAN
 
 
 class Hearing:
-    """One message: its newest values, NaN before the first, and when they came."""
+    """One message: its newest values, NaN before the first, and when they came.
 
-    def __init__(self, message: Message) -> None:
+    ``late_ns`` is after how long they count no more, None where they hold until the next.
+    """
+
+    def __init__(self, message: Message, late_ns: int | None) -> None:
         self.message = message
+        self.late_ns = late_ns
         self.stamp_ns: int | None = None
         self.values: list[float] = []
         self.turns: list[_Turns] = []
@@ -30,6 +35,10 @@ class Hearing:
         self.values.append(NAN)
         self._unpacker = Unpacker(self.message, self._readings)
         return Place(self, len(self.values) - 1)
+
+    def is_silent(self, now_ns: int) -> bool:
+        """Tell whether it has come, and then no more for too long."""
+        return self.late_ns is not None and self.stamp_ns is not None and now_ns - self.stamp_ns > self.late_ns
 
     def feed(self, payload: bytes, stamp_ns: int) -> None:
         """Take a payload; one that is too short, or has an infinite number or none, changes nothing."""
@@ -79,11 +88,12 @@ class _Turns:
 
 
 class Heard:
-    """All messages of a mapping that the controllers send."""
+    """All messages of a mapping that the controllers send. Speeds and positions are as old as ``stamp_ns`` says."""
 
     def __init__(self, plan: Plan, gain: Gain) -> None:
-        self._messages = {name: Hearing(message) for name, message in plan.heard().items()}
-        self.by_id = {one.message.id: one for one in self._messages.values()}
+        self._messages = {name: Hearing(message, plan.late_ns(message)) for name, message in plan.heard().items()}
+        self._by_id = {one.message.id: one for one in self._messages.values()}
+        self._now_ns = 0  # as far as is known: when the newest of them came
         self._quantities: Mapping[str, Sequence[Place]] = {
             name: [self._place(bound.signal, gain(bound)) for bound in quantity.bounds]
             for name, quantity in plan.feedback.items()
@@ -96,9 +106,19 @@ class Heard:
         self._armed_when = [(self._place(one.signal), one) for one in plan.armed_when]
         self._identity = [(self._place(one.signal), one) for one in plan.identity]
         self._errors = [(self._place(one.signal), one) for one in plan.errors]
+        watched = _hearings([place for place, _ in chain(self._armed_when, self._errors)])
+        self._watched = [(one, one.late_ns) for one in watched if one.late_ns is not None]
         read = plan.watchdog.read
         self._watchdog = None if read is None else self._place(read.signal, gain(read))
-        self._measured = list({one.hearing.message.id: one.hearing for one in self._quantities[plan.measured]}.values())
+        self._measured = _hearings(self._quantities[plan.measured])
+        self._positions = [one for one in _hearings(self._quantities.get("position", ())) if one not in self._measured]
+
+    def feed(self, identifier: int, payload: bytes, stamp_ns: int) -> None:
+        """Take a frame's payload; one of no message of the mapping changes nothing."""
+        hearing = self._by_id.get(identifier)
+        if hearing is not None:
+            self._now_ns = max(self._now_ns, stamp_ns)
+            hearing.feed(payload, stamp_ns)
 
     def _place(self, signal: Signal, gain: float | None = None) -> Place:
         """Have a signal read, raw without a gain: what is compared must not be rounded."""
@@ -108,12 +128,20 @@ class Heard:
         return hearing.read(Reading(signal, gain * signal.factor, gain * signal.offset))
 
     def quantity(self, name: str) -> Sequence[float] | None:
-        """Return the newest values of a quantity [SI], NaN for what did not come yet; None where it is not mapped."""
+        """Return the newest values of a quantity [SI], NaN for what did not come, or is too old; None if not mapped."""
         places = self._quantities.get(name)
-        return None if places is None else [hearing.values[index] for hearing, index in places]
+        if places is None:
+            return None
+        if name == "position":  # odometry counts on from it: where it stands still, stamp_ns does
+            return [place.value for place in places]
+        now_ns = self._now_ns
+        return [NAN if hearing.is_silent(now_ns) else hearing.values[index] for hearing, index in places]
 
     def stamp_ns(self) -> int | None:
-        """Return when the oldest of the messages that carry the speeds came, None before all have."""
+        """Return when the oldest of the messages that carry the speeds came, None before all and the positions have.
+
+        It goes on no longer when a position has fallen silent.
+        """
         oldest: int | None = None
         for hearing in self._measured:
             stamp_ns = hearing.stamp_ns
@@ -121,16 +149,32 @@ class Heard:
                 return None
             if oldest is None or stamp_ns < oldest:
                 oldest = stamp_ns
+        for hearing in self._positions:
+            if oldest is None or hearing.stamp_ns is None:
+                return None
+            if hearing.late_ns is not None:
+                oldest = holds_back(oldest, hearing.stamp_ns, hearing.late_ns)
         return oldest
 
-    def silent(self) -> list[Message]:
+    def missing(self) -> list[Message]:
         """Return the messages that the driver cannot do without, and that did not come yet."""
-        needed = [place.hearing for place, _ in chain(self._armed_when, self._identity)] + self._measured
+        needed = [place.hearing for place, _ in chain(self._armed_when, self._identity)]
+        needed += [place.hearing for place, _ in self._errors if place.hearing.late_ns is not None]
+        needed += self._measured + self._positions
         return list({hearing.message.name: hearing.message for hearing in needed if hearing.stamp_ns is None}.values())
 
+    def silent(self) -> list[tuple[Message, float]]:
+        """Return the messages of states and errors that came once, and no more for a time [s], while others did."""
+        now_ns = self._now_ns
+        return [(one.message, late_ns * 1e-9) for one, late_ns in self._watched if one.is_silent(now_ns)]
+
     def follows(self) -> bool:
-        """Tell whether all that [device.motors.armed_when] asks for is so."""
-        return all(place.value in condition.raws for place, condition in self._armed_when)
+        """Tell whether all that [device.motors.armed_when] asks for is so, as far as was said of late."""
+        now_ns = self._now_ns
+        return all(
+            place.value in condition.raws and not place.hearing.is_silent(now_ns)
+            for place, condition in self._armed_when
+        )
 
     def identity(self) -> list[tuple[Condition, float]]:
         """Return what identifies the device, with the raw values that came."""
@@ -147,6 +191,11 @@ class Heard:
     def watchdog_s(self) -> float:
         """Return the time that the watchdog was read back with, NaN before it was."""
         return NAN if self._watchdog is None else self._watchdog.value
+
+
+def _hearings(places: Sequence[Place]) -> list[Hearing]:
+    """Return the messages of these places, each once."""
+    return list({place.hearing.message.id: place.hearing for place in places}.values())
 
 
 def _span(signal: Signal) -> float:

@@ -229,6 +229,16 @@ def watchdog(dbc: Dbc, value: object, key: str) -> Watchdog:
     return Watchdog(set=found[0], read=found[1])
 
 
+def cycle_times(value: object, key: str) -> dict[str, float]:
+    """Return how often messages come [s]; 0 for those that are sent on a change alone."""
+    found = {}
+    for message, given in table(value, key).items():
+        if isinstance(given, bool) or not isinstance(given, int | float) or not 0.0 <= given < float("inf"):
+            raise ValueError(f"{key}.{message} = {given!r}: expected seconds, or 0 for one sent on a change alone")
+        found[message] = float(given)
+    return found
+
+
 def positive(value: object, key: str) -> float:
     """Return a number of more than zero."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value < float("inf"):

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from hil.dialects.dbc.mapping import Bound
 from hil.dialects.dbc.settings import Plan, Settings
 from hil.dialects.dbc.units import SI, at_wheel
-from hil.dialects.port import RobotFacts
+from hil.dialects.port import RobotFacts, torques_dropped
 from hil.errors import BadInputError
 from hil.types import WHEEL_NAMES
 
@@ -102,4 +102,8 @@ def warnings(plan: Plan, robot: RobotFacts) -> list[str]:
         )
     if not plan.armed_when:
         said.append(f"{_KEY}.armed_when is empty: whether the controllers follow commands is not known")
+    if plan.motion == "twist":
+        said.append(torques_dropped(f"a base of {plan.dbc.name}"))
+    elif plan.motion == "speed" and "feedforward" not in plan.commands:
+        said.append(torques_dropped(f"{_KEY}.command without feedforward"))
     return said

@@ -7,22 +7,27 @@ from typing import NamedTuple
 from hil.dialects.dbc import mapping
 from hil.dialects.dbc.file import Dbc, Message, Signal, load
 from hil.dialects.dbc.mapping import Condition, ErrorSignal, Quantity, Step, Table, Watchdog
+from hil.dialects.silence import late_ns
+from hil.errors import nearest
 from hil.options import require_positive
 
 PHASES = ("ask", "enable", "disable", "estop", "clear")
-_NOTHING: Table = {}
+_UNKNOWN_LATE_NS = 250_000_000
+"""After so long a message counts no more whose cycle time is not known."""
 
 
 class Plan(NamedTuple):
     """A mapping as it was found in the DBC. ``phases`` has all of PHASES, some of them without a step.
 
-    ``feedback_hz`` is the rate of the slowest message that carries a speed.
+    ``feedback_hz`` is the rate of the slowest message that carries a speed. ``cycle_time_s`` has what the user says of
+    messages, 0 for those that are sent on a change alone.
     """
 
     dbc: Dbc
     commands: Mapping[str, Quantity]
     feedback: Mapping[str, Quantity]
     feedback_hz: float
+    cycle_time_s: Mapping[str, float]
     constants: Mapping[str, Mapping[str, float]]
     counters: tuple[Signal, ...]
     phases: Mapping[str, tuple[Step, ...]]
@@ -50,6 +55,18 @@ class Plan(NamedTuple):
         names = dict.fromkeys(name for steps in self.phases.values() for step in steps for name in step)
         signals = [*self.commanded(), *([self.watchdog.set.signal] if self.watchdog.set else [])]
         return mapping.by_message(self.dbc, signals) | {name: self.dbc.message(name) for name in names}
+
+    def late_ns(self, message: Message) -> int | None:
+        """Return after how long the values of a message count no more; None for those that hold until the next.
+
+        None too for the speeds: how old they are is told with them.
+        """
+        if message.name in (bound.signal.message for bound in self.feedback[self.measured].bounds):
+            return None
+        period_s = self.cycle_time_s.get(message.name, message.period_s)
+        if period_s is None:
+            return _UNKNOWN_LATE_NS
+        return late_ns(period_s) if period_s else None
 
     def heard(self) -> dict[str, Message]:
         """Return the messages that the device sends."""
@@ -84,6 +101,7 @@ class Settings:
     identity: Table = field(default_factory=dict)
     errors: Table = field(default_factory=dict)
     watchdog: Table = field(default_factory=dict)
+    cycle_time_s: Table = field(default_factory=dict)
     plan: Plan = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -94,6 +112,7 @@ class Settings:
             mapping.quantities(dbc, self.command, "command", mapping.COMMANDS),
             mapping.quantities(dbc, _without(self.feedback, "rate_hz"), "feedback", mapping.FEEDBACK),
             0.0,
+            mapping.cycle_times(self.cycle_time_s, "cycle_time_s"),
             mapping.constants(dbc, self.constants, "constants"),
             mapping.counters(dbc, self.counters, "counters"),
             {phase: mapping.steps(dbc, getattr(self, phase), phase) for phase in PHASES},
@@ -104,6 +123,7 @@ class Settings:
         )
         _check_choices(plan)
         _check_roles(plan)
+        _check_cycle_times(plan)
         if self.estop_latches and not self.estop:
             raise ValueError("estop_latches = true: nothing is sent for an e-stop; say in [device.motors.estop] what")
         plan = plan._replace(feedback_hz=_feedback_hz(plan, self.feedback))
@@ -174,6 +194,17 @@ def _check_sent(sent: Mapping[str, Message], message: str, what: str) -> None:
         raise ValueError(
             f"{what}: no table sends {message}; it goes out once command, enable, disable or another names it"
         )
+
+
+def _check_cycle_times(plan: Plan) -> None:
+    """Raise ValueError for a cycle time of a message that is not awaited, or whose rate is given otherwise."""
+    heard = plan.heard()
+    speeds = {bound.signal.message for bound in plan.feedback[plan.measured].bounds}
+    for name in plan.cycle_time_s:
+        if name not in heard:
+            raise ValueError(f"cycle_time_s.{name}: no table awaits such a message{nearest(name, heard)}")
+        if name in speeds:
+            raise ValueError(f"cycle_time_s.{name}: it carries the {plan.measured}; say feedback.rate_hz")
 
 
 def _feedback_hz(plan: Plan, feedback: Table) -> float:

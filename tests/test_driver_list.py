@@ -1,0 +1,79 @@
+"""What drivers state of themselves: ``hil list drivers``, and scenarios that ask for what a maker cannot do."""
+
+from typing import Any
+
+import pytest
+
+from hil.dialects.registry import DIALECTS, driver_names
+from hil.errors import BadInputError
+from hil.report import listing
+from hil.scenario import load
+from hil.scenario.drivers import COLUMNS
+from hil.scenario.motors import make_driver
+from hil.types import CommandMode
+
+
+def test_every_driver_is_listed_with_what_it_states() -> None:
+    columns, rows = listing("drivers")
+    assert columns == COLUMNS
+    assert tuple(row[0] for row in rows) == driver_names()
+    for row in rows:
+        said = dict(zip(columns, row, strict=True))
+        assert all(said.values())
+        if said["driver"] in DIALECTS and said["driver"] != "dbc":
+            can = make_driver(load("circle_speed", set={"device.driver": said["driver"]})).capabilities
+            assert set(said["sensors"].split(", ")) == can.sensors
+            assert ("with torque" in said["commands"]) is can.adds_torque
+            assert (said["commands"] == "velocity of the body") is can.is_twist
+            assert (said["e-stop"] == "latched") is can.latches_estop
+
+
+def test_a_rate_of_feedback_that_follows_from_the_loop_says_so() -> None:
+    feedback = {row[0]: row[COLUMNS.index("feedback")] for row in listing("drivers")[1]}
+    assert feedback["c620"] == "1000 Hz"
+    assert feedback["moteus"] == "200 Hz at loop.rate_hz = 200"
+    assert feedback["vesc"] == "can: 50 Hz, serial: 66.67 Hz at loop.rate_hz = 200"
+
+
+MUTE = {"kind": "mute", "target": "TICK", "start_s": 1.0, "end_s": 1.1}
+DROP = {"kind": "drop", "target": "WHEEL_COMMAND", "value": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("driver", "asked", "sentence"),
+    [
+        (
+            "c620",
+            {"fault": [DROP]},
+            'fault.0.target = "WHEEL_COMMAND"; this message is ours and none of RoboMaster C620',
+        ),
+        ("odrive", {"fault": [DROP | {"target": "command"}, MUTE]}, 'fault.1.target = "TICK"; this message is ours'),
+        ("c620", "robot.yaw_rate_rad_s", 'expect.0.signal = "robot.yaw_rate_rad_s"; RoboMaster C620'),
+        ("moteus", "robot.acceleration_z_m_s2", "mjbots moteus as it is set up does not measure it"),
+        ("moteus", "battery.current_a", "does not measure it; remove the row (`hil list drivers`"),
+        ("rosmaster", "wheel.rl.current_a", "Yahboom Rosmaster as it is set up does not measure it"),
+        ("wheeltec", "wheel.fl.temperature_degc", "WHEELTEC C50X as it is set up does not measure it"),
+    ],
+)
+def test_what_a_maker_cannot_do_is_refused(driver: str, asked: Any, sentence: str) -> None:
+    changes = asked if isinstance(asked, dict) else {"expect": [{"signal": asked, "below": 100.0}]}
+    with pytest.raises(BadInputError) as refused:
+        load("circle_speed", set={"device.driver": driver} | changes)
+    assert sentence in str(refused.value)
+
+
+@pytest.mark.parametrize(("driver", "signal"), [("odrive", "wheel.fl.temperature_degc"), ("vesc", "battery.current_a")])
+def test_what_a_maker_can_do_is_not_refused(driver: str, signal: str) -> None:
+    """Temperatures are told by firmware 0.6 of an ODrive, and before a run nobody knows which it is."""
+    rows = {"fault": [DROP | {"target": "feedback"}], "expect": [{"signal": signal, "below": 100.0}]}
+    load("circle_speed", set={"device.driver": driver} | rows)
+
+
+@pytest.mark.parametrize("driver", [name for name in DIALECTS if name != "dbc"])
+def test_torques_that_would_be_dropped_are_warned_of(driver: str) -> None:
+    made = make_driver(load("circle_speed", set={"device.driver": driver}))
+    dropped = [warning for warning in made.warnings if "takes no torque beside a speed" in warning]
+    assert len(dropped) == (not made.capabilities.adds_torque)
+    if CommandMode.TORQUE in made.capabilities.modes:
+        made = make_driver(load("paper_circle", set={"device.driver": driver, "controller.command": "torque"}))
+        assert not any("takes no torque beside a speed" in warning for warning in made.warnings)
