@@ -34,10 +34,19 @@ from hil.links.delay import DelayedLink
 from hil.links.faults import FaultLink
 from hil.links.opening import is_within_process, open_host, open_pair
 from hil.links.statistics import measured
-from hil.links.url import LinkUrl, SerialUrl, parse_link
+from hil.links.url import LinkUrl, SerialUrl
 from hil.localisation import SimulatedFixes, SimulatedOptions, UdpFixes
 from hil.ports import Clock, FixSource, Link, PoseSource
-from hil.robots import firmware_values, language_of, no_lockstep, node_maker, start_pose, virtual_robot, wheel_map
+from hil.robots import (
+    firmware_values,
+    language_of,
+    link_of,
+    no_lockstep,
+    node_maker,
+    start_pose,
+    virtual_robot,
+    wheel_map,
+)
 from hil.scenario import Scenario
 from hil.scenario.motors import make_driver
 from hil.signals import SIGNAL_NAMES
@@ -80,7 +89,7 @@ class Bench:
         self._guardian: Guardian | None = None
         self._is_guarded: Callable[[], bool] = lambda: True
         lockstep = scenario.loop.mode == "lockstep"
-        url = parse_link(scenario.link.url)
+        url = link_of(scenario)
         language = language_of(scenario)
         self.clock: Clock = LockstepClock(lambda ticks: self.device.step(ticks)) if lockstep else WallClock()
         self.faults = RunFaults(
@@ -177,7 +186,7 @@ class Bench:
         resources.callback(robot.close)
         self.faults.arm(LocalFaults(robot.faults, self._do))
         pair = open_pair(
-            parse_link(self._scenario.link.url),
+            link_of(self._scenario),
             self.faults.line,
             lockstep=lockstep,
             language=language_of(self._scenario),

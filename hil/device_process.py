@@ -15,10 +15,10 @@ from hil.devices.virtual import VirtualStm32
 from hil.errors import BadInputError
 from hil.links.language import Language
 from hil.links.opening import open_robot
-from hil.links.url import LinkUrl, parse_link
+from hil.links.url import LinkUrl
 from hil.links.wire import Wire
 from hil.realtime import Wanted, real_time
-from hil.robots import language_of, no_lockstep, node_maker, open_trace, virtual_robot
+from hil.robots import language_of, link_of, no_lockstep, node_maker, open_trace, virtual_robot
 from hil.scenario import Scenario
 from hil.trace import Trace
 from hil.trace.tap import TracedWire
@@ -43,7 +43,7 @@ def serve(
     the link is lost, DeviceError when the plant fails.
     """
     with contextlib.ExitStack() as resources:
-        url = parse_link(scenario.link.url)
+        url = link_of(scenario)
         lockstep = scenario.loop.mode == "lockstep"
         robot = _robot(scenario, target, url)
         resources.callback(robot.close)

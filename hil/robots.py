@@ -12,7 +12,7 @@ from hil.devices.wheel_map import WheelMap
 from hil.dialects.registry import dialect
 from hil.errors import BadInputError
 from hil.links.language import WHEEL_DBC, Language
-from hil.links.url import CanUrl, parse_link
+from hil.links.url import DEFAULT_BAUD, CanUrl, LinkUrl, parse_link
 from hil.plant import archive
 from hil.plant.description import parameter_names
 from hil.plant.mapping import Row, SignalMap
@@ -126,6 +126,12 @@ def node_maker(scenario: Scenario) -> MakeNode:
     return functools.partial(emulated(scenario.device.driver), scenario.device.settings)
 
 
+def link_of(scenario: Scenario) -> LinkUrl:
+    """Return the scenario's link, a serial one of which it says no rate at that of the robot's motors."""
+    baud = dialect(scenario.device.driver).baud if scenario.device.is_makers else None
+    return parse_link(scenario.link.url, baud=baud or DEFAULT_BAUD)
+
+
 def no_lockstep(scenario: Scenario) -> BadInputError:
     """Return the refusal of lockstep with makers' motors in another process."""
     return BadInputError(
@@ -136,7 +142,7 @@ def no_lockstep(scenario: Scenario) -> BadInputError:
 
 def open_trace(scenario: Scenario, path: Path) -> Trace:
     """Start writing a trace of the scenario's link. Raises as ``Trace``."""
-    url = parse_link(scenario.link.url)
+    url = link_of(scenario)
     fd = isinstance(url, CanUrl) and url.fd
     switched = isinstance(url, CanUrl) and url.data_bitrate is not None
     return Trace(path, blocking=scenario.loop.mode == "lockstep", fd=fd, switched=switched)
