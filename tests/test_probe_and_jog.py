@@ -143,7 +143,7 @@ def test_a_board_that_speaks_is_the_only_one_asked_and_its_geometry_is_in_the_fi
     with device("circle_speed", "--mode", "realtime", "--dialect", "rosmaster", "--link", "serial:pty") as board:
         [answer] = probe(board.link, say=sentences.append).answers
     assert [sentence for sentence in sentences if sentence.startswith("asking")] == ["asking for Yahboom Rosmaster"]
-    assert answer.link == f"{board.link}?baud=115200"
+    assert answer.link == board.link
     robot = tmp_path / "robot.toml"
     robot.write_text(answer.robot_file or "")
     assert load("circle_speed", robot=robot).robot.wheel_radius_m == pytest.approx(0.0325, rel=1e-3)
