@@ -22,6 +22,7 @@ from hil.scenario import load
 from tests.processes import HIL, device, environment, hil
 
 tty = pytest.importorskip("tty", reason="pseudo-terminals need a POSIX system")
+pytestmark = pytest.mark.alone  # a probe listens for so long by the wall clock
 adapters = pytest.importorskip("tests.slcan_adapters", reason="pseudo-terminals need a POSIX system")
 
 
