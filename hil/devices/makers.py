@@ -202,8 +202,8 @@ class MakersRobot:
             return "an e-stop is latched; clear it when the robot may be armed again"
         if self._state is State.FAULT:
             return (
-                f"the motor controllers reported {self.report.why}; find the cause, then clear it with their maker's tool, "
-                "or with hil serve and hil ctl clear"
+                f"the motor controllers reported {self.report.why}; find the cause, then clear it with their maker's "
+                "tool, or with hil serve and hil ctl clear"
             )
         if self._feedback is None:
             return self._driver.missing or "the motor controllers send no feedback of all four wheels"
