@@ -1,5 +1,6 @@
 """Emulated slcan adapters on one emulated bus: what LAWICEL's protocol says, over real pseudo-terminals."""
 
+import contextlib
 import os
 import select
 import threading
@@ -8,6 +9,12 @@ import tty
 BIT_RATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
 _OK, _BELL = b"\r", b"\a"
 _TRANSMIT = {ord("t"): b"z\r", ord("r"): b"z\r", ord("T"): b"Z\r", ord("R"): b"Z\r"}
+
+
+def _say(descriptor: int, data: bytes) -> None:
+    """Tell a host something; one that does not read loses it, as from an adapter whose buffer is full."""
+    with contextlib.suppress(BlockingIOError):
+        os.write(descriptor, data)
 
 
 class _Adapter:
@@ -43,7 +50,7 @@ class SlcanBus:
                 adapter = by_descriptor[descriptor]
                 *lines, adapter.line = (adapter.line + os.read(descriptor, 65536)).split(b"\r")
                 for line in lines:
-                    os.write(descriptor, self._answer(adapter, line))
+                    _say(descriptor, self._answer(adapter, line))
 
     def _answer(self, adapter: _Adapter, line: bytes) -> bytes:
         command, rest = line[:1], line[1:]
@@ -61,7 +68,7 @@ class SlcanBus:
         if line and line[0] in _TRANSMIT and adapter.is_open:
             for other in self._adapters:
                 if other is not adapter and other.is_open and other.bit_rate == adapter.bit_rate:
-                    os.write(other.master, self._filler + line + b"\r")
+                    _say(other.master, self._filler + line + b"\r")
             return _TRANSMIT[line[0]]
         return _BELL
 
@@ -72,7 +79,7 @@ class SlcanBus:
 
     def say(self, number: int, data: bytes) -> None:
         """Have an adapter send these bytes to its host."""
-        os.write(self._adapters[number].master, data)
+        _say(self._adapters[number].master, data)
 
     def close(self) -> None:
         os.write(self._wake, b"x")

@@ -106,7 +106,7 @@ def test_our_own_firmware_is_found_on_a_line() -> None:
 def test_our_own_robot_on_a_bus_is_asked_for_hello_alone_and_is_no_odrive(bus: Bus) -> None:
     """Its 0x081 and 0x080 look like node 4's heartbeat and version; who else is on the bus does not matter."""
     stranger = can.Message(arbitration_id=0x123, data=b"\x01", is_extended_id=False)
-    with device("circle_speed", "--mode", "realtime", "--link", bus.robot):
+    with device("circle_speed", "--mode", "realtime", "--link", bus.robot, "--set", "loop.rate_hz=20"):
         task = bus.bystander.send_periodic(stranger, 0.01)
         done = hil("probe", bus.host, "--json")
         task.stop()
