@@ -14,6 +14,7 @@ from struct import Struct
 from typing import Literal, NamedTuple
 
 from firmware_protocol.framing import Frame
+from hil.dialects.channels import check_ids, chosen, oldest
 from hil.dialects.port import Capabilities, Dialect, Found, RobotFacts, Sample
 from hil.options import require_not_negative, require_positive
 from hil.types import WHEEL_NAMES, CommandMode, FourWheels
@@ -57,8 +58,7 @@ class Settings:
     temperature_limit_degc: float = 100.0
 
     def __post_init__(self) -> None:
-        if len(self.ids) != 4 or len(set(self.ids)) != 4 or not all(1 <= number <= 8 for number in self.ids):
-            raise ValueError(f"ids = {list(self.ids)}: expected four different ones, each 1 to 8")
+        check_ids("ids", self.ids, 1, 8)
         require_not_negative(self, "gear_ratio", "kp_n_m_s_rad", "ki_n_m_rad")
         require_positive(self, "temperature_limit_degc")
 
@@ -152,15 +152,11 @@ class C620:
 
     @property
     def missing(self) -> str:
-        silent = [
-            str(number)
-            for number, channel in zip(self._settings.ids, self._channels, strict=True)
-            if channel.stamp_ns is None
-        ]
+        silent = chosen(self._settings.ids, (channel.stamp_ns is None for channel in self._channels))
         if not silent:
             return ""
         return (
-            f"no feedback of the motors {', '.join(silent)}; check their power, the bus, and the ids that their lamps "
+            f"no feedback of the motors {silent}; check their power, the bus, and the ids that their lamps "
             "blink (device.motors.ids)"
         )
 
@@ -234,14 +230,14 @@ class C620:
     @property
     def sample(self) -> Sample | None:
         channels = self._channels
-        stamps = [channel.stamp_ns for channel in channels if channel.stamp_ns is not None]
-        if len(stamps) < len(channels):
+        stamp_ns = oldest(channel.stamp_ns for channel in channels)
+        if stamp_ns is None:
             return None
         a, b, c, d = channels
         to_speed = _RPM / self._gear_ratio
         to_angle = math.tau / _ANGLES / self._gear_ratio
         return Sample(
-            min(stamps),
+            stamp_ns,
             (a.rpm * to_speed, b.rpm * to_speed, c.rpm * to_speed, d.rpm * to_speed),
             (a.turned() * to_angle, b.turned() * to_angle, c.turned() * to_angle, d.turned() * to_angle),
             (

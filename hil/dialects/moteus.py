@@ -13,7 +13,9 @@ from typing import Any
 
 from firmware_protocol.framing import Frame
 from hil.dialects import moteus_frames as frames
+from hil.dialects.channels import check_ids, chosen, oldest
 from hil.dialects.port import ANSWER_S, EXTENDED, Capabilities, Dialect, Found, RobotFacts, Sample
+from hil.dialects.silence import lowest
 from hil.errors import BadInputError
 from hil.options import require_positive
 from hil.types import NAN, WHEEL_NAMES, CommandMode, FourWheels
@@ -47,8 +49,7 @@ class Settings:
     gear_ratio: float = 1.0
 
     def __post_init__(self) -> None:
-        if len(self.ids) != 4 or len(set(self.ids)) != 4 or not all(number in _ALL_IDS for number in self.ids):
-            raise ValueError(f"ids = {list(self.ids)}: expected four different ones, each 1 to 126")
+        check_ids("ids", self.ids, _ALL_IDS[0], _ALL_IDS[-1])
         if not 0 <= self.can_prefix <= 0x1FFF:
             raise ValueError(f"can_prefix = {self.can_prefix}: expected 0 to 8191")
         require_positive(self, "gear_ratio")
@@ -138,15 +139,11 @@ class Moteus:
 
     @property
     def missing(self) -> str:
-        silent = [
-            str(number)
-            for number, channel in zip(self._settings.ids, self._channels, strict=True)
-            if channel.version is None
-        ]
+        silent = chosen(self._settings.ids, (channel.version is None for channel in self._channels))
         if not silent:
             return ""
         return (
-            f"no answer of the moteus {', '.join(silent)}; check their power, the bus's termination and its 1 and 5 "
+            f"no answer of the moteus {silent}; check their power, the bus's termination and its 1 and 5 "
             "Mbit/s, and their id.id (device.motors.ids) and can.prefix with moteus_tool --info"
         )
 
@@ -230,18 +227,18 @@ class Moteus:
     @property
     def sample(self) -> Sample | None:
         channels = self._channels
-        stamps = [channel.stamp_ns for channel in channels if channel.stamp_ns is not None]
-        if len(stamps) < len(channels):
+        stamp_ns = oldest(channel.stamp_ns for channel in channels)
+        if stamp_ns is None:
             return None
         a, b, c, d = channels
         scale = 1.0 / self._to_output
         return Sample(
-            min(stamps),
+            stamp_ns,
             (a.velocity_rev_s * scale, b.velocity_rev_s * scale, c.velocity_rev_s * scale, d.velocity_rev_s * scale),
             (a.position_rev * scale, b.position_rev * scale, c.position_rev * scale, d.position_rev * scale),
             (a.current_a, b.current_a, c.current_a, d.current_a),
             (a.temperature_degc, b.temperature_degc, c.temperature_degc, d.temperature_degc),
-            min(a.voltage_v, b.voltage_v, c.voltage_v, d.voltage_v),
+            lowest(a.voltage_v, b.voltage_v, c.voltage_v, d.voltage_v),
         )
 
     @property

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 from firmware_protocol.framing import Frame
 from hil.dialects import odrive_tables as can
+from hil.dialects.channels import oldest
 from hil.dialects.odrive_axis import Axis
 from hil.dialects.odrive_probe import OdriveProbe
 from hil.dialects.odrive_settings import Settings, setup
@@ -208,12 +209,12 @@ class ODrive:
     @property
     def sample(self) -> Sample | None:
         a, b, c, d = self._axes
-        stamps = [axis.estimates_ns for axis in self._axes if axis.estimates_ns is not None]
-        if len(stamps) < 4:
+        stamp_ns = oldest(axis.estimates_ns for axis in self._axes)
+        if stamp_ns is None:
             return None
         to_rad = self._to_rad
         return Sample(
-            min(stamps),
+            stamp_ns,
             (a.speed_rev_s * to_rad, b.speed_rev_s * to_rad, c.speed_rev_s * to_rad, d.speed_rev_s * to_rad),
             (a.position_rev * to_rad, b.position_rev * to_rad, c.position_rev * to_rad, d.position_rev * to_rad),
             (a.current_a, b.current_a, c.current_a, d.current_a),

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 from hil.dialects import odrive_tables as can
+from hil.dialects.channels import check_ids
 from hil.options import require_not_negative, require_positive
 from hil.types import CommandMode
 
@@ -32,9 +33,7 @@ class Settings:
     endpoints_hardware: str = ""
 
     def __post_init__(self) -> None:
-        nodes = self.node_ids
-        if len(nodes) != 4 or len(set(nodes)) != 4 or not all(0 <= node < can.BROADCAST for node in nodes):
-            raise ValueError(f"node_ids = {list(nodes)}: expected four different ones, each 0 to {can.BROADCAST - 1}")
+        check_ids("node_ids", self.node_ids, 0, can.BROADCAST - 1)
         require_positive(self, "gear_ratio")
         require_not_negative(self, "feedback_hz")
         if self.feedback_hz > 1000.0:

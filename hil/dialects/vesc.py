@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from firmware_protocol.framing import Frame
 from hil.dialects import vesc_frames as frames
+from hil.dialects.channels import check_ids, chosen, oldest
 from hil.dialects.port import EXTENDED, Capabilities, Dialect, RobotFacts, Sample, torques_dropped
 from hil.dialects.silence import holds_back, late_ns, lowest
 from hil.dialects.vesc_channel import Channel
@@ -47,8 +48,7 @@ class Settings:
 
     def __post_init__(self) -> None:
         most = frames.MOST_IDS
-        if len(self.ids) != 4 or len(set(self.ids)) != 4 or not all(0 <= number <= most for number in self.ids):
-            raise ValueError(f"ids = {list(self.ids)}: expected four different ones, each 0 to {most}")
+        check_ids("ids", self.ids, 0, most)
         if self.host_id in self.ids or not 0 <= self.host_id <= most:
             raise ValueError(f"host_id = {self.host_id}: expected 0 to {most}, and none of device.motors.ids")
         if not 0 <= self.serial_id <= most:
@@ -135,17 +135,17 @@ class Vesc:
 
     @property
     def missing(self) -> str:
-        silent = [str(vesc) for vesc, channel in self._by_id.items() if not channel.has_answered]
+        silent = chosen(self._by_id, (not channel.has_answered for channel in self._channels))
         if silent:
             rate = "bit rate" if self._is_bus else f"baud= in the link, {_BAUD} as delivered"
             return (
-                f"no answer of the VESC {', '.join(silent)}; check power, wiring and {rate}, and in VESC Tool App "
+                f"no answer of the VESC {silent}; check power, wiring and {rate}, and in VESC Tool App "
                 "Settings > General: VESC ID (device.motors.ids) and CAN Mode VESC"
             )
-        mute = [str(vesc) for vesc, channel in self._by_id.items() if not channel.has_measured]
+        mute = chosen(self._by_id, (not channel.has_measured for channel in self._channels))
         if mute:
             return (
-                f"no status messages 1, 4 and 5 of the VESC {', '.join(mute)}; switch them on in VESC Tool, App "
+                f"no status messages 1, 4 and 5 of the VESC {mute}; switch them on in VESC Tool, App "
                 "Settings > General > CAN Status Messages, at the rate of device.motors.status_hz"
             )
         return ""
@@ -156,10 +156,10 @@ class Vesc:
             "a VESC lets its motor roll when no command has come for its timeout, 1 s as delivered, which can only be "
             "seen and set in VESC Tool: set App Settings > General > Timeout to 100 ms, with a brake current"
         ]
-        running = [str(vesc) for vesc, channel in self._by_id.items() if channel.runs_on]
+        running = chosen(self._by_id, (channel.runs_on for channel in self._channels))
         if running:
             said.append(
-                f"the timeout of the VESC {', '.join(running)} has not run out: it was commanded just now, by us or by "
+                f"the timeout of the VESC {running} has not run out: it was commanded just now, by us or by "
                 "another app of it, or its timeout is 0, and then its wheel turns on when commands end"
             )
         if self._robot.mode is CommandMode.SPEED:
@@ -237,15 +237,15 @@ class Vesc:
     @property
     def sample(self) -> Sample | None:
         channels = self._channels
-        stamps = [channel.stamp_ns for channel in channels if channel.stamp_ns is not None]
-        if len(stamps) < len(channels):
+        stamp_ns = oldest(channel.stamp_ns for channel in channels)
+        if stamp_ns is None:
             return None
         a, b, c, d = channels
         to_speed = 1.0 / self._to_erpm
         to_angle = math.tau / (frames.STEPS * self._settings.pole_pairs * self._settings.gear_ratio)
         steps_ns = min(channel.steps_ns for channel in channels)
         return Sample(
-            holds_back(min(stamps), steps_ns, self._late_ns),
+            holds_back(stamp_ns, steps_ns, self._late_ns),
             (a.erpm * to_speed, b.erpm * to_speed, c.erpm * to_speed, d.erpm * to_speed),
             (a.position * to_angle, b.position * to_angle, c.position * to_angle, d.position * to_angle),
             (a.motor_a, b.motor_a, c.motor_a, d.motor_a),
