@@ -10,7 +10,7 @@ import re
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, ConfigDict, Field, ValidationInfo, field_validator
+from pydantic import AfterValidator, ConfigDict, Field, PrivateAttr, ValidationInfo, field_validator
 
 from hil.controllers.own_signals import short_name
 from hil.dialects.registry import OUR_DRIVER, dialect, driver_names
@@ -158,6 +158,7 @@ class DeviceTable(Table):
     motors: Mapping[Text, Setting] = Field(
         default_factory=dict, description="what the driver has to know of another maker's controllers (DIALECTS.md)"
     )
+    _settings: Any = PrivateAttr(default=None)
 
     @property
     def is_makers(self) -> bool:
@@ -167,7 +168,12 @@ class DeviceTable(Table):
     @property
     def settings(self) -> Any:
         """``motors`` as the driver has it; None for our own firmware."""
-        return build(dialect(self.driver).settings, self.motors, "device.motors") if self.is_makers else None
+        return self._settings
+
+    def model_post_init(self, _context: object) -> None:
+        """Make the settings once: a driver may have files to read for them."""
+        if self.is_makers:
+            self._settings = build(dialect(self.driver).settings, self.motors, "device.motors")
 
     @field_validator("driver")
     @classmethod
