@@ -10,7 +10,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 from firmware_protocol.host import parameter_hash
-from hil.brake import BRAKE_SHARE
+from hil.brake import Brake
 from hil.clock import TICK_NS, LockstepClock, WallClock
 from hil.devices.faults import RobotFaults
 from hil.devices.handshake import Expected
@@ -30,6 +30,7 @@ from hil.dialects.port import Driver
 from hil.dialects.registry import dialect
 from hil.errors import BadInputError, HilError
 from hil.faults.injection import LocalFaults, RunFaults
+from hil.guard import Guard
 from hil.links.delay import DelayedLink
 from hil.links.faults import FaultLink
 from hil.links.opening import is_within_process, open_host, open_pair
@@ -108,6 +109,8 @@ class Bench:
                     )
                 link = self._open_within(resources)
             else:
+                if lockstep and scenario.device.is_makers:
+                    raise no_lockstep(scenario)
                 self._check_truth_source(truth)
                 if truth is not None:
                     not_before = (lambda: self.device.tick * 1_000_000) if lockstep else None
@@ -126,8 +129,6 @@ class Bench:
             latencies = (scenario.link.command_latency_ns, scenario.link.feedback_latency_ns)
             delayed = DelayedLink(faulty, self.clock, *latencies, language)
             driver = make_driver(scenario) if scenario.device.is_makers else None
-            if driver is not None and lockstep and self._robot is None:
-                raise no_lockstep(scenario)
             if driver is not None and self._robot is None:
                 self._guard(url, driver)
             self.device = self._device(delayed, driver, allow_motion=allow_motion or self._robot is not None)
@@ -160,14 +161,11 @@ class Bench:
         scenario = self._scenario
         lockstep = scenario.loop.mode == "lockstep"
         if driver is not None:
-            firmware = scenario.firmware
-            stop = StopTerms(
-                scenario.controller.mode,
-                firmware.ramp_s,
-                firmware.watchdog_s,
-                BRAKE_SHARE * firmware.speed_kp_n_m_s_rad,
-                min(firmware.torque_limit_n_m, scenario.robot.torque_limit_n_m),
-            )
+            firmware, mode = scenario.firmware, scenario.controller.mode
+            torque_limit_n_m = min(firmware.torque_limit_n_m, scenario.robot.torque_limit_n_m)
+            guard = Guard(scenario.robot.speed_limit_rad_s, torque_limit_n_m)
+            brake = Brake(mode, guard, firmware.speed_kp_n_m_s_rad)
+            stop = StopTerms(mode, firmware.ramp_s, firmware.watchdog_s, brake)
             advance = self._server.advance if lockstep and self._server is not None else None
             rearm = scenario.loop.rearm
             terms = Terms(stop, firmware.counts_per_revolution, allow_motion, rearm, advance, self._is_guarded)

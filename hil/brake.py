@@ -6,8 +6,7 @@ from hil.guard import Guard
 from hil.types import ZERO_WHEELS, CommandMode, WheelCommand, Wheels
 
 # Of the firmware's own speed loop, which is closed at 1 kHz without the link: this one has the link's latency in it.
-BRAKE_SHARE = 0.25
-"""Part of the firmware's ``speed_kp_n_m_s_rad`` with which wheels are braked from here."""
+_SHARE = 0.25
 
 
 class Brake:
@@ -20,7 +19,7 @@ class Brake:
     def __init__(self, mode: CommandMode, guard: Guard, speed_kp_n_m_s_rad: float) -> None:
         self._rest = WheelCommand(mode, ZERO_WHEELS, ZERO_WHEELS)
         self._guard = guard
-        self._gain = BRAKE_SHARE * speed_kp_n_m_s_rad
+        self._gain = _SHARE * speed_kp_n_m_s_rad
 
     def command(self, speed_rad_s: Wheels | None) -> tuple[WheelCommand, bool]:
         """Return the command and whether it had to be limited; ``speed_rad_s`` is None where it is too old."""

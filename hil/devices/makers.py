@@ -271,9 +271,9 @@ class MakersRobot:
     def _supervise(self) -> None:
         """Find out what ends the session, and go on with a stop."""
         is_active = self._state is State.ACTIVE
-        if self._driver.errors:
+        if errors := self._driver.errors:
             if self._state is not State.ESTOP:
-                self.report.why = self._errors()  # a name may come later than the error
+                self.report.why = "; ".join(errors)  # a name may come later than the error
             if self._state is not State.FAULT and self._state is not State.ESTOP:
                 self._drop(State.FAULT)
         elif is_active and not self._driver.is_armed:
@@ -348,9 +348,6 @@ class MakersRobot:
         self.received += taken
         if not self.is_lockstep:
             self._unread.polled(self._clock.now_ns(), everything=taken < _MOST_A_POLL)
-
-    def _errors(self) -> str:
-        return "; ".join(self._driver.errors)
 
     def _renew(self) -> None:
         """Make feedback of the newest sample. Its time is that of the oldest speed, by the clock of the run."""

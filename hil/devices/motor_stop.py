@@ -1,14 +1,14 @@
 """Stopping motors that know no session of ours: the ramp down, and the stop that is owed until the wheels rest."""
 
 import contextlib
-import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, Protocol
 
 from firmware_protocol.framing import Frame
+from hil.brake import Brake
 from hil.dialects.port import Driver
 from hil.errors import HilError
-from hil.types import CommandMode, FourWheels
+from hil.types import CommandMode, FourWheels, Wheels
 
 REST: FourWheels = (0.0, 0.0, 0.0, 0.0)
 _REPEAT_NS = 50_000_000
@@ -17,13 +17,12 @@ _ROLLS_OUT_NS = 1_000_000_000
 
 
 class StopTerms(NamedTuple):
-    """``brake_n_m_s_rad`` holds against a wheel's speed in mode TORQUE, while feedback is younger than ``stale_s``."""
+    """``brake`` holds against the wheels' speeds in mode TORQUE, while feedback is younger than ``stale_s``."""
 
     mode: CommandMode
     ramp_s: float
     stale_s: float
-    brake_n_m_s_rad: float
-    torque_limit_n_m: float
+    brake: Brake
 
 
 class Line(Protocol):
@@ -106,12 +105,8 @@ class MotorStop:
         sample, terms = self._driver.sample, self._terms
         if sample is None or now_ns - sample.stamp_ns > terms.stale_s * 1e9:
             return REST
-        limit = terms.torque_limit_n_m
-        fl, fr, rr, rl = (
-            min(max(-terms.brake_n_m_s_rad * speed, -limit), limit) if math.isfinite(speed) else 0.0
-            for speed in sample.speed_rad_s
-        )
-        return fl, fr, rr, rl
+        command, _ = terms.brake.command(Wheels(*sample.speed_rad_s))
+        return command.torque_n_m
 
     def _rests_since(self, t_ns: int) -> bool:
         """Tell whether all wheels were seen at rest after an instant."""
