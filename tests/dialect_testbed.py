@@ -6,7 +6,7 @@ from typing import Any
 
 from firmware_protocol.framing import Frame
 from hil.devices.emulated.registry import emulated
-from hil.dialects.port import Driver, RobotFacts, Wire
+from hil.dialects.port import Driver, RobotFacts, Sample, Wire
 from hil.dialects.registry import dialect
 from hil.options import build
 from hil.plant import archive
@@ -126,6 +126,26 @@ def ramp_to(target: FourWheels, ramp_s: float = 0.5) -> Callable[[float], tuple[
         return (fl, fr, rr, rl), STILL
 
     return command
+
+
+def assert_told(rig: Rig, target: FourWheels, within: float) -> Sample:
+    """See the wheels turn so, and the sample say so; return it."""
+    sample = rig.driver.sample
+    assert sample is not None
+    assert_near(rig.speeds(), target, 0.1)
+    assert_near(sample.speed_rad_s, rig.speeds(), within)
+    return sample
+
+
+def assert_position_follows(rig: Rig, target: FourWheels, within: float) -> None:
+    """Drive on for half a second: the positions that are told go that far."""
+    begin = rig.driver.sample
+    rig.drive(0.5, lambda _t: (target, STILL))
+    end = rig.driver.sample
+    assert begin is not None
+    assert end is not None
+    turned = [b - a for a, b in zip(begin.position_rad, end.position_rad, strict=True)]
+    assert_near(turned, [0.5 * speed for speed in target], within)
 
 
 def assert_near(found: Sequence[float], expected: Sequence[float], within: float) -> None:

@@ -11,7 +11,7 @@ from hil.dialects.registry import dialect
 from hil.errors import BadInputError
 from hil.options import build
 from hil.types import CommandMode, FourWheels
-from tests.dialect_testbed import STILL, Rig, assert_near, ramp_to
+from tests.dialect_testbed import STILL, Rig, assert_near, assert_position_follows, assert_told, ramp_to
 
 FORWARD = (8.0, 8.0, 8.0, 8.0)
 
@@ -47,14 +47,8 @@ def test_wheels_reach_their_speeds_and_the_position_follows(settings: dict[str, 
     rig.greet()
     rig.arm()
     rig.drive(2.0, ramp_to(FORWARD))
-    sample = rig.driver.sample
-    assert sample is not None
-    assert_near(rig.speeds(), FORWARD, 0.1)
-    assert_near(sample.speed_rad_s, rig.speeds(), 0.2)
-    begin = sample.position_rad
-    rig.drive(0.5, lambda _t: (FORWARD, STILL))
-    assert rig.driver.sample is not None
-    assert_near([b - a for a, b in zip(begin, rig.driver.sample.position_rad, strict=True)], (4.0,) * 4, 0.05)
+    assert_told(rig, FORWARD, 0.2)
+    assert_position_follows(rig, FORWARD, 0.05)
 
 
 def test_a_silent_motor_makes_the_whole_sample_old() -> None:

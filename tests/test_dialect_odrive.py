@@ -14,7 +14,7 @@ from hil.dialects.registry import dialect
 from hil.errors import BadInputError
 from hil.options import build
 from hil.types import CommandMode
-from tests.dialect_testbed import STILL, Rig, assert_near, ramp_to
+from tests.dialect_testbed import STILL, Rig, assert_near, assert_position_follows, assert_told, ramp_to
 
 FORWARD = (8.0, 8.0, 8.0, 8.0)
 WATCHED = {"watchdog_endpoints": [311, 312], "endpoints_firmware": "0.6.11", "endpoints_hardware": "4.4.58"}
@@ -54,14 +54,8 @@ def test_the_worked_frame_of_two_and_a_half_turns_a_second() -> None:
 def test_wheels_reach_their_speeds_and_the_position_follows(firmware: str, more: dict[str, Any]) -> None:
     rig = armed({"firmware": firmware, **more})
     rig.drive(1.0, ramp_to(FORWARD))
-    sample = rig.driver.sample
-    assert sample is not None
-    assert_near(rig.speeds(), FORWARD, 0.1)
-    assert_near(sample.speed_rad_s, rig.speeds(), 0.1)
-    begin = sample.position_rad
-    rig.drive(0.5, lambda _t: (FORWARD, STILL))
-    assert rig.driver.sample is not None
-    assert_near([b - a for a, b in zip(begin, rig.driver.sample.position_rad, strict=True)], (4.0,) * 4, 0.1)
+    assert_told(rig, FORWARD, 0.1)
+    assert_position_follows(rig, FORWARD, 0.1)
     assert rig.driver.is_armed
     assert abs(rig.driver.sample.battery_v - rig.node.battery_v) < 0.1
 

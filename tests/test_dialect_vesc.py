@@ -17,7 +17,7 @@ from hil.dialects.vesc_frames import SerialFraming
 from hil.errors import BadInputError
 from hil.options import build
 from hil.types import CommandMode
-from tests.dialect_testbed import STILL, Rig, assert_near, ramp_to
+from tests.dialect_testbed import STILL, Rig, assert_near, assert_position_follows, assert_told, ramp_to
 
 FORWARD = (8.0, 8.0, 8.0, 8.0)
 WIRES: tuple[Wire, ...] = ("can", "serial")
@@ -86,16 +86,10 @@ def test_wheels_reach_their_speeds_and_the_position_follows(wire: Wire, settings
     rig = ready(wire, settings)
     assert rig.is_still()
     rig.drive(1.5, ramp_to(FORWARD))
-    sample = rig.driver.sample
-    assert sample is not None
+    sample = assert_told(rig, FORWARD, 0.2)
     assert sample.stamp_ns > rig.now_ns - 25_000_000
-    assert_near(rig.speeds(), FORWARD, 0.1)
-    assert_near(sample.speed_rad_s, rig.speeds(), 0.2)
     assert sample.battery_v == pytest.approx(rig.node.battery_v, abs=0.11)
-    begin = sample.position_rad
-    rig.drive(0.5, lambda _t: (FORWARD, STILL))
-    assert rig.driver.sample is not None
-    assert_near([b - a for a, b in zip(begin, rig.driver.sample.position_rad, strict=True)], (4.0,) * 4, 0.35)
+    assert_position_follows(rig, FORWARD, 0.35)
 
 
 @pytest.mark.parametrize("wire", WIRES)
