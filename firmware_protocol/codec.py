@@ -6,7 +6,7 @@ The messages are the classes of ``firmware_protocol.generated.messages``, in the
 from typing import Literal
 
 from firmware_protocol.framing import Frame, make_frame
-from firmware_protocol.generated.messages import LENGTHS, MESSAGES, NAMES, Message
+from firmware_protocol.generated.messages import DECODERS, LENGTHS, MESSAGES, NAMES, Message
 
 __all__ = ["LENGTHS", "MESSAGES", "NAMES", "Message", "Refusal", "decode", "encode", "refusal"]
 
@@ -25,8 +25,8 @@ def encode(message: Message) -> Frame:
 def decode(frame: Frame) -> Message | None:
     """Return the message of a frame, or None when it is not one; ``refusal`` then tells why. Never raises."""
     number, payload = frame
-    kind = MESSAGES.get(number)
-    return None if kind is None else kind.decode(payload)
+    decoder = DECODERS.get(number)
+    return None if decoder is None else decoder(payload)
 
 
 def refusal(frame: Frame) -> Refusal:

@@ -19,13 +19,15 @@ wrong length or holds a value out of its range. Scaled values are rounded to the
 from zero, exactly as in the generated C.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from enum import IntEnum
 from operator import index as _index
 from struct import Struct
 from typing import ClassVar, NamedTuple, Self, TypeAlias
 
 _Range: TypeAlias = tuple[str, float, float, str]
+
+_new = tuple.__new__  # of a named tuple: half the time that calling its class takes
 
 
 def _out_of_range(message: str, values: Sequence[float], ranges: Sequence[_Range]) -> ValueError:
@@ -153,20 +155,23 @@ def _decode(m: Message, form: str) -> Iterator[str]:
     yield "    def decode(cls, payload: bytes) -> Self | None:"
     yield f"        if len(payload) != {m.length}:"
     yield "            return None"
+    checks = [check for s in m.signals if (check := _raw_check(s))]
+    if form and not checks and not any(s.scaled for s in m.signals):
+        yield f"        return _new(cls, _{m.name}.unpack(payload))"
+        return
     if form:
         yield f"        {_names(m)} = _{m.name}.unpack(payload)"
     else:
         yield '        bits = int.from_bytes(payload, "little")'
         yield from (f"        {s.name} = {_raw(s)}" for s in m.signals)
-    checks = [check for s in m.signals if (check := _raw_check(s))]
     if checks:
         yield "        if not ("
         yield from (f"            {'and ' if i else ''}{check}" for i, check in enumerate(checks))
         yield "        ):"
         yield "            return None"
-    yield "        return cls("
+    yield "        return _new(cls, ("
     yield from (f"            {s.name} * {s.scale!r}," if s.scaled else f"            {s.name}," for s in m.signals)
-    yield "        )"
+    yield "        ))"
 
 
 def _raw(s: Signal) -> str:
@@ -190,6 +195,9 @@ def _tables(schema: Schema) -> Iterator[str]:
     yield ""
     yield "MESSAGES: dict[int, type[Message]] = {"
     yield from (f"    0x{m.id:03X}: {camel(m.name)}," for m in schema.messages)
+    yield "}"
+    yield "DECODERS: dict[int, Callable[[bytes], Message | None]] = {"
+    yield from (f"    0x{m.id:03X}: {camel(m.name)}.decode," for m in schema.messages)
     yield "}"
     yield "LENGTHS: dict[int, int] = {number: message.LENGTH for number, message in MESSAGES.items()}"
     yield "NAMES: dict[int, str] = {number: message.NAME for number, message in MESSAGES.items()}"

@@ -102,11 +102,32 @@ class Deframer:
                 self._append(piece)
                 whole, self._open = self._open, b""
                 self._overrun = False
-            # Two zeros in a row are no error: a sender may begin with one to clear the line.
-            if whole and (frame := self._parse(whole)) is not None:
-                frames.append(frame)
+            if not whole:
+                continue  # two zeros in a row are no error: a sender may begin with one to clear the line
+            try:
+                body: bytes = cobs.decode(whole)
+            except cobs.DecodeError:
+                self.rejected["cobs"] += 1
+                continue
+            size = len(body)
+            if size < _HEADER + _CRC:
+                self.rejected["length"] += 1
+                continue
+            if crc_hqx(body[:-_CRC], _CRC_START) != body[-2] | body[-1] << 8:
+                self.rejected["crc"] += 1
+                continue
+            sequence = body[2]
+            if sequence != self._expected_sequence:
+                self._count_lost(sequence)  # the CRC holds, so the sender sent it, whatever it is
+            self._expected_sequence = (sequence + 1) & 0xFF
+            number = body[0] | body[1] << 8
+            if _SIZES.get(number) == size:
+                frames.append(make_frame((number, body[_HEADER:-_CRC])))
+            else:
+                self.rejected["length" if number in _SIZES else "unknown_id"] += 1
         if rest:
             self._append(rest)
+        self.frames += len(frames)
         return frames
 
     def _append(self, piece: bytes) -> None:
@@ -117,29 +138,6 @@ class Deframer:
             self.rejected["overrun"] += 1
             self._overrun = True
             self._open = b""
-
-    def _parse(self, encoded: bytes) -> Frame | None:
-        try:
-            body: bytes = cobs.decode(encoded)
-        except cobs.DecodeError:
-            self.rejected["cobs"] += 1
-            return None
-        if len(body) < _HEADER + _CRC:
-            self.rejected["length"] += 1
-            return None
-        if crc_hqx(body[:-_CRC], _CRC_START) != body[-2] | body[-1] << 8:
-            self.rejected["crc"] += 1
-            return None
-        sequence = body[2]
-        if sequence != self._expected_sequence:
-            self._count_lost(sequence)  # the CRC holds, so the sender sent it, whatever it is
-        self._expected_sequence = (sequence + 1) & 0xFF
-        number = body[0] | body[1] << 8
-        if _SIZES.get(number) != len(body):
-            self.rejected["length" if number in _SIZES else "unknown_id"] += 1
-            return None
-        self.frames += 1
-        return make_frame((number, body[_HEADER:-_CRC]))
 
     def _count_lost(self, sequence: int) -> None:
         """Count what is missing before a frame that is not the one that was expected."""

@@ -21,7 +21,7 @@ from firmware_protocol.generated.messages import Fault, FaultWheel, Mode, State,
 
 _HEADERS = ("firmware/plant_port.h", "generated/wheel_parameters.h", "firmware/parameters.h", "port/host/host.h")
 _SECTION = re.compile(r"/\* cffi: begin \*/(.*?)/\* cffi: end \*/", re.DOTALL)
-_BYTES = 1 << 17
+_BYTES = 1 << 17  # twice what all frames of a full queue take (WHEEL_HOST_QUEUE)
 
 # The host library has no power stage of its own, and whether time comes from STEP is its user's choice.
 _NOTHING = Capability(0)
@@ -180,9 +180,10 @@ class HostNode:
         self._lib.wheel_host_run(self._host, ticks)
 
     def take_bytes(self) -> bytes:
-        """Return what the robot has to send, as bytes of a serial line."""
+        """Return all that the robot has to send, as bytes of a serial line."""
         count = self._lib.wheel_host_take_bytes(self._host, self._bytes, _BYTES)
-        return bytes(self._buffer[:count])
+        data: bytes = self._buffer[:count]
+        return data
 
     def take_frames(self) -> list[Frame]:
         """Return what the robot has to send, as frames."""

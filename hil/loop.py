@@ -8,7 +8,7 @@ from hil.errors import DeviceError, HilError, LinkError, RobotStoppedError
 from hil.lateness import Lateness
 from hil.recovery import Recovered, Recovery
 from hil.sampling import Sampling, Timing
-from hil.signals import LoopSignals
+from hil.signals import make_loop_signals
 from hil.tick import Parts, Tick
 from hil.types import NAN, CommandMode
 
@@ -155,7 +155,7 @@ class Loop:
         begin_ns = time.perf_counter_ns()
         parts, doing = self._parts, self._doing
         self.t_s = number * self._timing.period_ns * 1e-9
-        now = LoopSignals(self.t_s, number, late_ns * 1e-3, self._tick_us, self._misses)
+        now = make_loop_signals((self.t_s, number, late_ns * 1e-3, self._tick_us, self._misses))
         self.lateness.add(late_ns)
         fix = self._sampling.fix_of(number)
         if parts.faults is not None:

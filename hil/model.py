@@ -14,7 +14,7 @@ from math import cos, isfinite, sin, tanh
 
 from hil.errors import BadInputError
 from hil.kinematics import body_twist, to_world, wheel_speeds, wheel_torques
-from hil.types import Axes, FourWheels, Twist, Wheels
+from hil.types import Axes, FourWheels, Twist, Wheels, make_wheels
 
 GRAVITY_M_S2 = 9.81
 FRICTION_SPEED_RAD_S = 0.3
@@ -72,7 +72,8 @@ class RobotModel:
         """Return the wheel speeds [rad/s] of a world twist at this heading: ω = H Rᵀ q̇ / r."""
         vx, vy, yaw_rate = twist
         c, s = cos(heading_rad), sin(heading_rad)
-        return Wheels(*wheel_speeds((c * vx + s * vy, c * vy - s * vx, yaw_rate), self.wheel_radius_m, self.lever_m))
+        body = c * vx + s * vy, c * vy - s * vx, yaw_rate
+        return make_wheels(wheel_speeds(body, self.wheel_radius_m, self.lever_m))
 
     def twist(self, wheel_speed_rad_s: Wheels, heading_rad: float) -> Twist:
         """Return the world twist of wheel speeds [rad/s] at this heading."""
@@ -94,12 +95,12 @@ class RobotModel:
         wrench = c * fx + s * fy, c * fy - s * fx, self.effective_inertia_kg_m2 * yaw_acceleration
         torque = wheel_torques(wrench, radius, lever)
         if self.wheel_friction_n_m == 0.0:
-            return Wheels(*torque)
+            return make_wheels(torque)
         to_fl, to_fr, to_rr, to_rl = torque
         vx, vy, yaw_rate = moving
         speeds = wheel_speeds((c * vx + s * vy, c * vy - s * vx, yaw_rate), radius, lever)
         fl, fr, rr, rl = self.friction_torques(speeds)
-        return Wheels(to_fl + fl, to_fr + fr, to_rr + rr, to_rl + rl)
+        return make_wheels((to_fl + fl, to_fr + fr, to_rr + rr, to_rl + rl))
 
     def friction_torques(self, speed_rad_s: FourWheels) -> FourWheels:
         """Return the friction torque [N·m] of each wheel at these speeds: ξ = (μ m g r / 4) tanh(ω / 0.3 rad/s)."""

@@ -9,13 +9,16 @@ from hil.types import Applied, Gains, MeasuredPose, PoseFix, Reference, State, W
 
 
 class Received(NamedTuple):
-    """A frame and the time at which it was received, on the clock of the link."""
+    """Frames that arrived together, at least one, oldest first, and when that was, on the clock of the link.
 
-    frame: Frame
+    A line of bytes brings all that a tick has to say at once: what is done once for them costs a fifth.
+    """
+
+    frames: Sequence[Frame]
     stamp_ns: int
 
 
-make_received: Callable[[tuple[Frame, int]], Received] = partial(tuple.__new__, Received)
+make_received: Callable[[tuple[Sequence[Frame], int]], Received] = partial(tuple.__new__, Received)
 """Return what ``Received`` does of a pair, in half the time."""
 
 
@@ -54,7 +57,10 @@ class Link(Protocol):
         """Send one frame. Raises LinkError when the link is lost."""
 
     def receive(self, timeout_ns: int) -> Received | None:
-        """Return the next valid frame, or None after ``timeout_ns``; 0 never waits. Raises LinkError when lost."""
+        """Return valid frames that have arrived, or None after ``timeout_ns``; 0 never waits.
+
+        There may be more: only None says that there was nothing left. Raises LinkError when the link is lost.
+        """
 
     def rejected(self) -> dict[str, int]:
         """Return how many received frames were dropped so far, by cause."""

@@ -170,7 +170,7 @@ def _probe_port(candidates: Sequence[_Candidate], is_chosen: bool, result: Resul
         say(f"listening for {one.title} on {format_link(one.url)}")
         with _line(one) as link:
             _listen(link, [one], lambda: _LISTEN_S)
-            came += link.received_bytes()
+            came += link.received_bytes
         if one.claimed:
             break
     for one in _whom_to_ask(candidates, is_silent=is_chosen or not came):
@@ -224,10 +224,11 @@ def _listen(link: Link, candidates: Iterable[_Candidate], patience_s: Callable[[
     begin_ns = time.monotonic_ns()
     while (left_ns := begin_ns + round(patience_s() * 1e9) - time.monotonic_ns()) > 0:
         if (received := link.receive(left_ns)) is not None:
-            heard[received.frame.id] += 1
-            for one in candidates:
-                if one.probe.feed(received.frame):
-                    one.claimed.add(received.frame.id)
+            for frame in received.frames:
+                heard[frame.id] += 1
+                for one in candidates:
+                    if one.probe.feed(frame):
+                        one.claimed.add(frame.id)
     return heard
 
 

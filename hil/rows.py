@@ -1,7 +1,8 @@
 """What a run tells of each tick: one row of all signals, for the recording and for the judge."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 from hil.devices.port import Device
@@ -28,6 +29,10 @@ class Beliefs(NamedTuple):
     applied: Applied
     estimator: EstimatorSignals
     is_held: bool
+
+
+_Beliefs = tuple[PoseFix | None, State | None, Reference, Applied, EstimatorSignals, bool]
+make_beliefs: Callable[[_Beliefs], Beliefs] = partial(tuple.__new__, Beliefs)
 
 
 class Rows:

@@ -35,7 +35,10 @@ class Sampling:
         self._clock = clock
         self._device = device
         self._truth = truth
-        self._timing = timing
+        self._period_ns = timing.period_ns
+        self._latency_ns = timing.feedback_latency_ns
+        # From a sampling instant, in whole periods and the rest, until what the link brings of it is here.
+        self._late_periods, self._late_rest_ns = divmod(self._latency_ns, self._period_ns)
         self._origin_ns = 0
         self._fixes: deque[tuple[int, PoseFix | None]] = deque()
         self._fix: PoseFix | None = None
@@ -43,18 +46,18 @@ class Sampling:
     def begin(self, origin_ns: int) -> int:
         """Count the ticks from this instant on the clock; return the first, before which nothing has arrived."""
         self._origin_ns = origin_ns
-        return -(self._timing.feedback_latency_ns // self._timing.period_ns)
+        return -self._late_periods
 
     def wait(self, number: int) -> int:
         """Wait until what was sampled at the tick's instant has arrived; return the lateness [ns].
 
         Raises LinkError or RobotStoppedError where robot time stands still without the robot.
         """
-        periods, rest_ns = divmod(self._timing.feedback_latency_ns, self._timing.period_ns)
-        late_ns = self._sample(number + periods)
-        if rest_ns:
-            due_ns = self._origin_ns + number * self._timing.period_ns + self._timing.feedback_latency_ns
-            late_ns = self._device.wait_until(due_ns)
+        instant = number + self._late_periods
+        late_ns = self._device.wait_until(self._origin_ns + instant * self._period_ns)
+        self._fixes.append((instant, self._truth.poll() if self._truth is not None else None))
+        if self._late_rest_ns:
+            late_ns = self._device.wait_until(self._origin_ns + number * self._period_ns + self._latency_ns)
         return late_ns
 
     def fix_of(self, number: int) -> PoseFix | None:
@@ -65,11 +68,5 @@ class Sampling:
 
     def following(self, number: int) -> int:
         """Return the next tick that can still begin on time."""
-        elapsed_ns = self._clock.now_ns() - self._origin_ns - self._timing.feedback_latency_ns
-        return max(number + 1, -(-elapsed_ns // self._timing.period_ns))
-
-    def _sample(self, instant: int) -> int:
-        """Wait for a sampling instant and take the truth there; what the link brings of it comes later."""
-        late_ns = self._device.wait_until(self._origin_ns + instant * self._timing.period_ns)
-        self._fixes.append((instant, self._truth.poll() if self._truth is not None else None))
-        return late_ns
+        elapsed_ns = self._clock.now_ns() - self._origin_ns - self._latency_ns
+        return max(number + 1, -(-elapsed_ns // self._period_ns))

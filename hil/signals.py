@@ -5,6 +5,8 @@ groups below, so that a signal is defined once; the unit is the end of its name.
 (``hil.ports.OwnSignals``), with the unit at the end of the name too.
 """
 
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 from hil.types import WHEEL_NAMES, Gains, Pose, Twist, Wheels
@@ -16,6 +18,9 @@ class LoopSignals(NamedTuple):
     lateness_us: float
     tick_us: float
     deadline_misses: float
+
+
+make_loop_signals: Callable[[tuple[float, int, float, float, float]], LoopSignals] = partial(tuple.__new__, LoopSignals)
 
 
 class ReferenceSignals(NamedTuple):

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 from hil.brake import Brake
@@ -16,11 +17,21 @@ from hil.guard import Guard
 from hil.links.statistics import Statistics
 from hil.ports import Clock, Controller, FixSource, Note, OwnSignals, PoseSource, Sink
 from hil.references import ReferenceSource
-from hil.rows import Beliefs, Rows
+from hil.rows import Beliefs, Rows, make_beliefs
 from hil.sampling import Timing
 from hil.shadows import Shadows
 from hil.signals import LoopSignals
-from hil.types import NAN_WHEELS, ZERO_WHEELS, Applied, CommandMode, PoseFix, Reference, State, WheelCommand
+from hil.types import (
+    NAN_WHEELS,
+    ZERO_WHEELS,
+    Applied,
+    CommandMode,
+    PoseFix,
+    Reference,
+    State,
+    WheelCommand,
+    make_applied,
+)
 
 
 class Parts(NamedTuple):
@@ -57,12 +68,11 @@ class Sensed(NamedTuple):
     state: State | None
 
 
-class _Asked(NamedTuple):
-    """With what a law is asked; ``begins`` where it was reset for this tick."""
-
-    state: State
-    dt_s: float
-    begins: bool
+_make_sensed: Callable[[tuple[Feedback, PoseFix | None, int | None, State | None]], Sensed] = partial(
+    tuple.__new__, Sensed
+)
+_Asked = tuple[State, float, bool]
+"""With what a law is asked: the state, dt [s], and whether it was reset for this tick."""
 
 
 class Tick:
@@ -103,7 +113,7 @@ class Tick:
         feedback = self._freshness.poll(t_s, active=active)
         measured = fixes.poll(self._freshness.robot_now_ns(feedback), fix) if fixes is not None else ()
         truth_ns = self._freshness.take_truth(feedback, fix if estimator.uses_truth else None)
-        return Sensed(feedback, fix, truth_ns, estimator.update(feedback, fix, measured))
+        return _make_sensed((feedback, fix, truth_ns, estimator.update(feedback, fix, measured)))
 
     def drive(self, now: LoopSignals, sensed: Sensed, reference: Reference) -> None:
         """Control, guard, command, tell. Raises LinkError when the link is lost."""
@@ -124,7 +134,7 @@ class Tick:
                 parts.controller.reset(state, reference)
                 self._before = now.tick - 1
             dt_s = (now.tick - self._before) * self._timing.period_ns * 1e-9
-            asked = _Asked(state, dt_s, begins)
+            asked = state, dt_s, begins
             wanted = parts.controller.update(reference, state, self._applied, dt_s)
             if faults is not None:
                 wanted = faults.command(wanted)
@@ -132,8 +142,8 @@ class Tick:
         sequence = parts.device.send(command)
         self._measure_latency(sequence, feedback, truth_ns)
         self._ask_shadows(now.t_s, reference, asked)
-        self._applied = Applied(command, saturated, self._latency.s)
-        self._tell(now, feedback, Beliefs(fix, state, reference, self._applied, status, asked is None))
+        self._applied = make_applied((command, saturated, self._latency.s))
+        self._tell(now, feedback, make_beliefs((fix, state, reference, self._applied, status, asked is None)))
         # After a hold the law begins anew: what it has integrated and awaits is of before it.
         self._before = None if asked is None else now.tick
 
@@ -207,7 +217,7 @@ class Tick:
         latency_ns = self._timing.feedback_latency_ns
         return Rows(parts.device, parts.wire, parts.controller, parts.extra, parts.sink, latency_ns)
 
-    def _ask_shadows(self, t_s: float, reference: Reference, asked: "_Asked | None") -> None:
+    def _ask_shadows(self, t_s: float, reference: Reference, asked: _Asked | None) -> None:
         """Compute the shadows: after the command has gone, from what the law in command was told."""
         shadows = self._parts.shadows
         if shadows is None:

@@ -7,13 +7,15 @@ wrong length or holds a value out of its range. Scaled values are rounded to the
 from zero, exactly as in the generated C.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from enum import IntEnum
 from operator import index as _index
 from struct import Struct
 from typing import ClassVar, NamedTuple, Self, TypeAlias
 
 _Range: TypeAlias = tuple[str, float, float, str]
+
+_new = tuple.__new__  # of a named tuple: half the time that calling its class takes
 
 
 def _out_of_range(message: str, values: Sequence[float], ranges: Sequence[_Range]) -> ValueError:
@@ -168,11 +170,7 @@ class Estop(_EstopFields):
     def decode(cls, payload: bytes) -> Self | None:
         if len(payload) != 2:
             return None
-        source, reason = _ESTOP.unpack(payload)
-        return cls(
-            source,
-            reason,
-        )
+        return _new(cls, _ESTOP.unpack(payload))
 
 
 _HOST_HEARTBEAT_RANGES: tuple[_Range, ...] = (
@@ -241,13 +239,13 @@ class HostHeartbeat(_HostHeartbeatFields):
             and mode <= 1
         ):
             return None
-        return cls(
+        return _new(cls, (
             nonce,
             schema_hash,
             request,
             mode,
             parameter_check,
-        )
+        ))
 
 
 _TORQUE_FEEDFORWARD_RANGES: tuple[_Range, ...] = (
@@ -322,14 +320,14 @@ class TorqueFeedforward(_TorqueFeedforwardFields):
             and -4095 <= rl_n_m
         ):
             return None
-        return cls(
+        return _new(cls, (
             fl_n_m * 0.00390625,
             fr_n_m * 0.00390625,
             rr_n_m * 0.00390625,
             rl_n_m * 0.00390625,
             sequence,
             session,
-        )
+        ))
 
 
 _WHEEL_COMMAND_RANGES: tuple[_Range, ...] = (
@@ -402,14 +400,14 @@ class WheelCommand(_WheelCommandFields):
             and -4095 <= rl_rad_s
         ):
             return None
-        return cls(
+        return _new(cls, (
             fl_rad_s * 0.015625,
             fr_rad_s * 0.015625,
             rr_rad_s * 0.015625,
             rl_rad_s * 0.015625,
             sequence,
             session,
-        )
+        ))
 
 
 _TORQUE_COMMAND_RANGES: tuple[_Range, ...] = (
@@ -482,14 +480,14 @@ class TorqueCommand(_TorqueCommandFields):
             and -4095 <= rl_n_m
         ):
             return None
-        return cls(
+        return _new(cls, (
             fl_n_m * 0.00390625,
             fr_n_m * 0.00390625,
             rr_n_m * 0.00390625,
             rl_n_m * 0.00390625,
             sequence,
             session,
-        )
+        ))
 
 
 _TICK_RANGES: tuple[_Range, ...] = (
@@ -561,14 +559,14 @@ class Tick(_TickFields):
             state <= 6
         ):
             return None
-        return cls(
+        return _new(cls, (
             time_us,
             sequence,
             command_age_ms,
             state,
             parts,
             snapshot,
-        )
+        ))
 
 
 _ENCODERS = Struct("<HHHH")
@@ -615,13 +613,7 @@ class Encoders(_EncodersFields):
     def decode(cls, payload: bytes) -> Self | None:
         if len(payload) != 8:
             return None
-        fl_count, fr_count, rr_count, rl_count = _ENCODERS.unpack(payload)
-        return cls(
-            fl_count,
-            fr_count,
-            rr_count,
-            rl_count,
-        )
+        return _new(cls, _ENCODERS.unpack(payload))
 
 
 _WHEEL_SPEEDS = Struct("<hhhh")
@@ -681,12 +673,12 @@ class WheelSpeeds(_WheelSpeedsFields):
             and -32767 <= rl_rad_s
         ):
             return None
-        return cls(
+        return _new(cls, (
             fl_rad_s * 0.00390625,
             fr_rad_s * 0.00390625,
             rr_rad_s * 0.00390625,
             rl_rad_s * 0.00390625,
-        )
+        ))
 
 
 _CURRENTS = Struct("<hhhh")
@@ -746,12 +738,12 @@ class Currents(_CurrentsFields):
             and -32767 <= rl_a
         ):
             return None
-        return cls(
+        return _new(cls, (
             fl_a * 0.0009765625,
             fr_a * 0.0009765625,
             rr_a * 0.0009765625,
             rl_a * 0.0009765625,
-        )
+        ))
 
 
 _ACCELEROMETER = Struct("<hhhH")
@@ -812,12 +804,12 @@ class Accelerometer(_AccelerometerFields):
             and -32767 <= z_m_s2
         ):
             return None
-        return cls(
+        return _new(cls, (
             x_m_s2 * 0.00390625,
             y_m_s2 * 0.00390625,
             z_m_s2 * 0.00390625,
             tick,
-        )
+        ))
 
 
 _GYRO = Struct("<hhhH")
@@ -877,12 +869,12 @@ class Gyro(_GyroFields):
             and -32767 <= z_rad_s
         ):
             return None
-        return cls(
+        return _new(cls, (
             x_rad_s * 0.0009765625,
             y_rad_s * 0.0009765625,
             z_rad_s * 0.0009765625,
             tick,
-        )
+        ))
 
 
 _STATUS_RANGES: tuple[_Range, ...] = (
@@ -967,7 +959,7 @@ class Status(_StatusFields):
             and arm_refusal <= 7
         ):
             return None
-        return cls(
+        return _new(cls, (
             state,
             mode,
             fault,
@@ -976,7 +968,7 @@ class Status(_StatusFields):
             nonce,
             arm_refusal,
             limited,
-        )
+        ))
 
 
 _POWER = Struct("<hh")
@@ -1026,10 +1018,10 @@ class Power(_PowerFields):
             and -32767 <= battery_a
         ):
             return None
-        return cls(
+        return _new(cls, (
             battery_v * 0.0078125,
             battery_a * 0.0078125,
-        )
+        ))
 
 
 _TEMPERATURES = Struct("<hhhh")
@@ -1089,12 +1081,12 @@ class Temperatures(_TemperaturesFields):
             and -32767 <= rl_degc
         ):
             return None
-        return cls(
+        return _new(cls, (
             fl_degc * 0.0078125,
             fr_degc * 0.0078125,
             rr_degc * 0.0078125,
             rl_degc * 0.0078125,
-        )
+        ))
 
 
 _LINK_COUNTERS = Struct("<BBBBBBBB")
@@ -1159,17 +1151,7 @@ class LinkCounters(_LinkCountersFields):
     def decode(cls, payload: bytes) -> Self | None:
         if len(payload) != 8:
             return None
-        cobs, crc, length, unknown_id, range, session, stale, state = _LINK_COUNTERS.unpack(payload)
-        return cls(
-            cobs,
-            crc,
-            length,
-            unknown_id,
-            range,
-            session,
-            stale,
-            state,
-        )
+        return _new(cls, _LINK_COUNTERS.unpack(payload))
 
 
 _ABSOLUTE_FRONT = Struct("<II")
@@ -1210,11 +1192,7 @@ class AbsoluteFront(_AbsoluteFrontFields):
     def decode(cls, payload: bytes) -> Self | None:
         if len(payload) != 8:
             return None
-        fl_count, fr_count = _ABSOLUTE_FRONT.unpack(payload)
-        return cls(
-            fl_count,
-            fr_count,
-        )
+        return _new(cls, _ABSOLUTE_FRONT.unpack(payload))
 
 
 _ABSOLUTE_REAR = Struct("<II")
@@ -1253,11 +1231,7 @@ class AbsoluteRear(_AbsoluteRearFields):
     def decode(cls, payload: bytes) -> Self | None:
         if len(payload) != 8:
             return None
-        rr_count, rl_count = _ABSOLUTE_REAR.unpack(payload)
-        return cls(
-            rr_count,
-            rl_count,
-        )
+        return _new(cls, _ABSOLUTE_REAR.unpack(payload))
 
 
 _PORT_COUNTERS = Struct("<BBBBBB")
@@ -1319,15 +1293,7 @@ class PortCounters(_PortCountersFields):
     def decode(cls, payload: bytes) -> Self | None:
         if len(payload) != 6:
             return None
-        overrun, feedforward_unmatched, transmit_overrun, serial_lost, can_errors, bus_off = _PORT_COUNTERS.unpack(payload)
-        return cls(
-            overrun,
-            feedforward_unmatched,
-            transmit_overrun,
-            serial_lost,
-            can_errors,
-            bus_off,
-        )
+        return _new(cls, _PORT_COUNTERS.unpack(payload))
 
 
 _TIME_SYNC_REQUEST = Struct("<B")
@@ -1362,10 +1328,7 @@ class TimeSyncRequest(_TimeSyncRequestFields):
     def decode(cls, payload: bytes) -> Self | None:
         if len(payload) != 1:
             return None
-        sequence, = _TIME_SYNC_REQUEST.unpack(payload)
-        return cls(
-            sequence,
-        )
+        return _new(cls, _TIME_SYNC_REQUEST.unpack(payload))
 
 
 _TIME_SYNC_RESPONSE = Struct("<IHB")
@@ -1411,12 +1374,7 @@ class TimeSyncResponse(_TimeSyncResponseFields):
     def decode(cls, payload: bytes) -> Self | None:
         if len(payload) != 7:
             return None
-        received_us, held_us, sequence = _TIME_SYNC_RESPONSE.unpack(payload)
-        return cls(
-            received_us,
-            held_us,
-            sequence,
-        )
+        return _new(cls, _TIME_SYNC_RESPONSE.unpack(payload))
 
 
 _PARAMETER_REQUEST = Struct("<BBBI")
@@ -1473,12 +1431,12 @@ class ParameterRequest(_ParameterRequestFields):
             operation <= 5
         ):
             return None
-        return cls(
+        return _new(cls, (
             parameter,
             operation,
             transaction,
             value,
-        )
+        ))
 
 
 _PARAMETER_RESPONSE_RANGES: tuple[_Range, ...] = (
@@ -1549,14 +1507,14 @@ class ParameterResponse(_ParameterResponseFields):
             and type <= 1
         ):
             return None
-        return cls(
+        return _new(cls, (
             parameter,
             operation,
             transaction,
             result,
             type,
             value,
-        )
+        ))
 
 
 _STEP = Struct("<IH")
@@ -1602,10 +1560,10 @@ class Step(_StepFields):
             substeps <= 1000
         ):
             return None
-        return cls(
+        return _new(cls, (
             tick,
             substeps,
-        )
+        ))
 
 
 _STEP_DONE = Struct("<I")
@@ -1640,10 +1598,7 @@ class StepDone(_StepDoneFields):
     def decode(cls, payload: bytes) -> Self | None:
         if len(payload) != 4:
             return None
-        tick, = _STEP_DONE.unpack(payload)
-        return cls(
-            tick,
-        )
+        return _new(cls, _STEP_DONE.unpack(payload))
 
 
 _HELLO_REQUEST = Struct("<B")
@@ -1679,10 +1634,7 @@ class HelloRequest(_HelloRequestFields):
     def decode(cls, payload: bytes) -> Self | None:
         if len(payload) != 1:
             return None
-        protocol_version, = _HELLO_REQUEST.unpack(payload)
-        return cls(
-            protocol_version,
-        )
+        return _new(cls, _HELLO_REQUEST.unpack(payload))
 
 
 _HELLO_IDENTITY = Struct("<BBHI")
@@ -1733,13 +1685,7 @@ class HelloIdentity(_HelloIdentityFields):
     def decode(cls, payload: bytes) -> Self | None:
         if len(payload) != 8:
             return None
-        protocol_version, pages, capabilities, schema_hash = _HELLO_IDENTITY.unpack(payload)
-        return cls(
-            protocol_version,
-            pages,
-            capabilities,
-            schema_hash,
-        )
+        return _new(cls, _HELLO_IDENTITY.unpack(payload))
 
 
 _HELLO_FIRMWARE = Struct("<BBBBI")
@@ -1793,14 +1739,7 @@ class HelloFirmware(_HelloFirmwareFields):
     def decode(cls, payload: bytes) -> Self | None:
         if len(payload) != 8:
             return None
-        major, minor, patch, board, build = _HELLO_FIRMWARE.unpack(payload)
-        return cls(
-            major,
-            minor,
-            patch,
-            board,
-            build,
-        )
+        return _new(cls, _HELLO_FIRMWARE.unpack(payload))
 
 
 _HELLO_PARAMETERS = Struct("<IHH")
@@ -1843,12 +1782,7 @@ class HelloParameters(_HelloParametersFields):
     def decode(cls, payload: bytes) -> Self | None:
         if len(payload) != 8:
             return None
-        parameter_hash, watchdog_ms, feedback_period_ms = _HELLO_PARAMETERS.unpack(payload)
-        return cls(
-            parameter_hash,
-            watchdog_ms,
-            feedback_period_ms,
-        )
+        return _new(cls, _HELLO_PARAMETERS.unpack(payload))
 
 
 _HELLO_GEOMETRY = Struct("<hhhH")
@@ -1909,12 +1843,12 @@ class HelloGeometry(_HelloGeometryFields):
             and -32767 <= half_width_m
         ):
             return None
-        return cls(
+        return _new(cls, (
             wheel_radius_m * 0.0001220703125,
             half_length_m * 0.0001220703125,
             half_width_m * 0.0001220703125,
             counts_per_revolution,
-        )
+        ))
 
 
 Message: TypeAlias = (
@@ -1979,6 +1913,37 @@ MESSAGES: dict[int, type[Message]] = {
     0x702: HelloFirmware,
     0x703: HelloParameters,
     0x704: HelloGeometry,
+}
+DECODERS: dict[int, Callable[[bytes], Message | None]] = {
+    0x010: Estop.decode,
+    0x020: HostHeartbeat.decode,
+    0x030: TorqueFeedforward.decode,
+    0x040: WheelCommand.decode,
+    0x041: TorqueCommand.decode,
+    0x080: Tick.decode,
+    0x081: Encoders.decode,
+    0x082: WheelSpeeds.decode,
+    0x083: Currents.decode,
+    0x090: Accelerometer.decode,
+    0x091: Gyro.decode,
+    0x100: Status.decode,
+    0x101: Power.decode,
+    0x102: Temperatures.decode,
+    0x103: LinkCounters.decode,
+    0x104: AbsoluteFront.decode,
+    0x105: AbsoluteRear.decode,
+    0x106: PortCounters.decode,
+    0x180: TimeSyncRequest.decode,
+    0x181: TimeSyncResponse.decode,
+    0x200: ParameterRequest.decode,
+    0x280: ParameterResponse.decode,
+    0x300: Step.decode,
+    0x301: StepDone.decode,
+    0x700: HelloRequest.decode,
+    0x701: HelloIdentity.decode,
+    0x702: HelloFirmware.decode,
+    0x703: HelloParameters.decode,
+    0x704: HelloGeometry.decode,
 }
 LENGTHS: dict[int, int] = {number: message.LENGTH for number, message in MESSAGES.items()}
 NAMES: dict[int, str] = {number: message.NAME for number, message in MESSAGES.items()}

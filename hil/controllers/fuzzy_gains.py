@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from hil.controllers.surface import without_inner
 from hil.fuzzy import FIRING, FuzzyBlock, Tables
 from hil.options import require_positive
-from hil.types import NAN, NO_GAINS, CommandMode, Gains, Pairs
+from hil.types import NAN, NO_GAINS, CommandMode, Gains, Pairs, make_gains
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +72,7 @@ class FuzzyLaw:
     @property
     def gains(self) -> Gains:
         """Gains of the last update; in SPEED mode K2 is not in force."""
-        gains = Gains(*self._last)
+        gains = make_gains(self._last)
         return gains if self._torque else without_inner(gains)
 
     @property

@@ -1,7 +1,7 @@
 """From what a law asks for, in the world frame, to set points of the four wheels."""
 
 from hil.model import RobotModel
-from hil.types import ZERO_WHEELS, Axes, CommandMode, WheelCommand
+from hil.types import ZERO_WHEELS, Axes, CommandMode, WheelCommand, make_command
 
 # A member of an enumeration takes longer to look up than a global name.
 _SPEED, _TORQUE = CommandMode.SPEED, CommandMode.TORQUE
@@ -14,7 +14,7 @@ def torque_command(
 
     Friction is that of wheels that turn as the reference is ``moving``: known beforehand, so no noise comes back.
     """
-    return WheelCommand(_TORQUE, ZERO_WHEELS, model.wheel_torques(acceleration, twist, heading_rad, moving))
+    return make_command((_TORQUE, ZERO_WHEELS, model.wheel_torques(acceleration, twist, heading_rad, moving)))
 
 
 def speed_command(
@@ -25,4 +25,4 @@ def speed_command(
     The torque feedforward is that of the reference alone, its twist ``moving`` and its ``acceleration``.
     """
     feedforward = model.wheel_torques(acceleration, moving, heading_rad, moving)
-    return WheelCommand(_SPEED, model.wheel_speeds(wanted, heading_rad), feedforward)
+    return make_command((_SPEED, model.wheel_speeds(wanted, heading_rad), feedforward))

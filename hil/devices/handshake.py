@@ -94,11 +94,10 @@ def greet(link: Link, send: Callable[[codec.Message], None]) -> RobotInfo:
             send(m.HelloRequest(m.PROTOCOL_VERSION))
             retry_ns = now_ns + RETRY_NS
         received = link.receive(RETRY_NS)
-        if received is None:
-            continue
-        heard += 1
-        if (info := greeting.feed(codec.decode(received.frame))) is not None:
-            return info
+        for frame in received.frames if received is not None else ():
+            heard += 1
+            if (info := greeting.feed(codec.decode(frame))) is not None:
+                return info
     rejected = {cause: count - before.get(cause, 0) for cause, count in link.rejected().items()}
     raise DeviceError(f"the robot did not answer HELLO within 2 s ({link.describe()}); {_why_silent(heard, rejected)}")
 

@@ -341,10 +341,11 @@ class MakersRobot:
     def _take_frames(self) -> None:
         taken = 0
         while (self.is_lockstep or taken < _MOST_A_POLL) and (received := self._link.receive(0)) is not None:
-            frame, stamp_ns = received
-            self._hash.received(frame)
-            self._driver.feed(frame, stamp_ns)
-            taken += 1
+            frames, stamp_ns = received
+            for frame in frames:
+                self._hash.received(frame)
+                self._driver.feed(frame, stamp_ns)
+            taken += len(frames)
         self.received += taken
         if not self.is_lockstep:
             self._unread.polled(self._clock.now_ns(), everything=taken < _MOST_A_POLL)

@@ -102,8 +102,10 @@ class ParameterClient:
                 self._link.send(codec.encode(request))
                 retry_ns = now_ns + _RETRY_NS
             received = self._link.receive(_RETRY_NS)
-            answer = codec.decode(received.frame) if received is not None else None
-            if isinstance(answer, m.ParameterResponse) and answer[:3] == request[:3]:
+            for frame in received.frames if received is not None else ():
+                answer = codec.decode(frame)
+                if not isinstance(answer, m.ParameterResponse) or answer[:3] != request[:3]:
+                    continue
                 if answer.result in _WHY_NOT:
                     raise DeviceError(
                         f"the robot refused to {operation.name} a parameter: {_WHY_NOT[m.Result(answer.result)]}"

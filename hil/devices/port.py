@@ -48,9 +48,12 @@ class Device(Protocol):
 
     round_trip: RoundTrip
     clock_sync: ClockSync
-    tick: int
     sent: int
     received: int
+
+    @property
+    def tick(self) -> int:
+        """In lockstep: the firmware tick that the robot has reached."""
 
     @property
     def report(self) -> Told:

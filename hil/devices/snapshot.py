@@ -5,11 +5,13 @@ not mixed where the snapshot has inertial parts, which name their instant. In on
 part up to that same part of a later snapshot cannot be told; the later one counts as lost.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
 
 from firmware_protocol.codec import Message
 from firmware_protocol.generated.messages import Accelerometer, Currents, Encoders, Gyro, State, Tick, WheelSpeeds
-from hil.types import NAN, NAN_WHEELS, Wheels
+from hil.types import NAN, NAN_WHEELS, Wheels, make_wheels
 
 _PARTS: dict[type, int] = {Encoders: 1, WheelSpeeds: 2, Currents: 4, Accelerometer: 8, Gyro: 16}
 _INERTIAL = _PARTS[Accelerometer]  # and above
@@ -36,6 +38,9 @@ class Feedback(NamedTuple):
     current_a: Wheels
     acceleration_m_s2: tuple[float, float, float]
     yaw_rate_rad_s: float
+
+
+_make_feedback: Callable[[tuple[Any, ...]], Feedback] = partial(tuple.__new__, Feedback)
 
 
 class SnapshotAssembler:
@@ -106,9 +111,9 @@ class SnapshotAssembler:
             if isinstance(message, Encoders):
                 self._count = message
             elif isinstance(message, WheelSpeeds):
-                self._speed = Wheels(*message)
+                self._speed = make_wheels(message)
             elif isinstance(message, Currents):
-                self._current = Wheels(*message)
+                self._current = make_wheels(message)
             elif isinstance(message, Accelerometer):
                 self._acceleration = message[:3]
             elif isinstance(message, Gyro):
@@ -118,14 +123,16 @@ class SnapshotAssembler:
         else:
             self._time_us += (tick.time_us - self._last_us) & 0xFFFF_FFFF
         self._last_us = tick.time_us
-        return Feedback(
-            self._time_us * 1000,
-            _STATES[tick.state],
-            tick.sequence,
-            tick.command_age_ms,
-            self._count,
-            self._speed,
-            self._current,
-            self._acceleration,
-            self._yaw_rate,
+        return _make_feedback(
+            (
+                self._time_us * 1000,
+                _STATES[tick.state],
+                tick.sequence,
+                tick.command_age_ms,
+                self._count,
+                self._speed,
+                self._current,
+                self._acceleration,
+                self._yaw_rate,
+            )
         )

@@ -9,11 +9,12 @@ from collections.abc import Iterator
 
 from firmware_protocol import codec
 from firmware_protocol.generated import messages as m
-from hil.devices import handshake, stepping
+from hil.devices import handshake
 from hil.devices.handshake import RETRY_NS, Expected, Greeting, RobotInfo
 from hil.devices.link_times import SYNC_PERIOD_NS, ClockSync, RoundTrip
 from hil.devices.robot_report import RobotReport
 from hil.devices.snapshot import IN_SNAPSHOT, Feedback, SnapshotAssembler
+from hil.devices.stepping import Stepping
 from hil.devices.unread import Unread
 from hil.devices.wheel_map import WheelMap
 from hil.devices.wire_hash import WireHash
@@ -61,7 +62,7 @@ class Stm32:
         self._is_known = False  # since the link was opened it has said that it is the robot of the scenario
         self._greeting: Greeting | None = None
         self._greet_again_ns = 0
-        self.tick = 0  # in lockstep: the firmware tick that the robot has reached
+        self._stepping = Stepping()
         self._sequence = 0
         self._nonce = next(nonces)
         self._request = m.Request.IDLE
@@ -91,7 +92,7 @@ class Stm32:
         self._info = info
         self._is_known = True
         if self._expected.lockstep:
-            self.tick = self._exchange_step(m.Step(0, 0))
+            self._exchange_step(m.Step(0, 0))
         return info
 
     @property
@@ -134,7 +135,7 @@ class Stm32:
         self._greeting = Greeting()
         self._greet_again_ns = 0
         if self._expected.lockstep:
-            self.tick = self._exchange_step(m.Step(0, 0))
+            self._exchange_step(m.Step(0, 0))
 
     def _check_same(self, info: RobotInfo) -> None:
         handshake.check(info, self._expected)
@@ -272,7 +273,8 @@ class Stm32:
         """Let time pass on the clock; commands that the link delays go out on their way. Returns the lateness [ns]."""
         clock, link = self._clock, self._link
         assert clock is not None
-        link.hand_over_until(clock, t_ns)
+        if link.may_hold:
+            link.hand_over_until(clock, t_ns)
         if self.clock_sync.awaiting and not self._expected.lockstep:
             self._await_clock(clock, t_ns)
         late_ns = clock.wait_until(t_ns)
@@ -297,7 +299,7 @@ class Stm32:
         # In real time the rest is for the next tick: a host that is slower than its robot would never be done.
         while (taken < _MOST_A_POLL or self._expected.lockstep) and (received := self._link.receive(0)) is not None:
             self._take(received)
-            taken += 1
+            taken += len(received.frames)
         self._hash.keep_up()
         if self._clock is not None:
             now_ns = self._clock.now_ns()
@@ -344,14 +346,17 @@ class Stm32:
 
     def step(self, ticks: int) -> None:
         """Lockstep: let so many firmware ticks pass, and take what the robot sends meanwhile."""
-        self.tick = self._exchange_step(m.Step(self.tick, ticks))
+        self._exchange_step(m.Step(self.tick, ticks))
 
-    def _exchange_step(self, step: m.Step) -> int:
-        """Send a STEP and take what comes until its answer; return the tick reached. 0 substeps only ask for it."""
+    @property
+    def tick(self) -> int:
+        """In lockstep: the firmware tick that the robot has reached."""
+        return self._stepping.tick
+
+    def _exchange_step(self, step: m.Step) -> None:
+        """Send a STEP and take what comes until its answer. 0 substeps only ask for the tick."""
         self._send(step)
-        done = stepping.await_done(self._link, step, self._take)
-        self._hash.received(codec.encode(done))  # once, however often STEP was repeated
-        return done.tick
+        self._stepping.exchange(self._link, step, self._take)
 
     # Frames
 
@@ -369,31 +374,36 @@ class Stm32:
         self.sent += frame.id < m.HelloRequest.ID  # how often HELLO is asked depends on the wall clock
         self._hash.sent(frame)
 
-    def _take(self, received: Received) -> codec.Message | None:
-        frame, stamp_ns = received
-        message = codec.decode(frame)
-        if message is None:
-            self._out_of_range += 1
-            return None
-        self.received += frame.id < m.HelloRequest.ID
-        kind = type(message)
-        if kind is m.StepDone:
-            return message  # hashed by the step that it answers
-        self._hash.received(frame)
-        if kind in IN_SNAPSHOT:
+    def _take(self, received: Received) -> None:
+        frames, stamp_ns = received
+        for frame in frames:
+            message = codec.decode(frame)
+            if message is None:
+                self._out_of_range += 1
+                continue
+            self.received += frame[0] < m.HelloRequest.ID
+            if isinstance(message, m.StepDone):
+                if self._stepping.answered(message):  # once, however often STEP was repeated
+                    self._hash.received(frame)
+                continue
+            self._hash.received(frame)
+            if type(message) not in IN_SNAPSHOT:
+                self._take_other(message, stamp_ns)
+                continue
             snapshot = self._assembler.feed(message)
             if snapshot is not None:
                 self._feedback = self._map.feedback_from_wire(snapshot)
             if isinstance(message, m.Tick):
                 self.round_trip.echoed(message.sequence, stamp_ns)
-        elif self._greeting is not None and (info := self._greeting.feed(message)) is not None:
+
+    def _take_other(self, message: codec.Message, stamp_ns: int) -> None:
+        if self._greeting is not None and (info := self._greeting.feed(message)) is not None:
             self._check_same(info)
             self._greeting = None
         elif isinstance(message, m.TimeSyncResponse):
             self.clock_sync.answered(message.sequence, message.received_us, message.held_us, stamp_ns)
         else:
             self.report.feed(message)
-        return message
 
     # Accounts
 

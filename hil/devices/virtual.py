@@ -226,7 +226,8 @@ class VirtualServer:
 
     def service(self, timeout_ns: int) -> None:
         """Do what is due, waiting at most ``timeout_ns`` for something to come."""
-        self._do_what_was_asked()
+        if self._reset is not None or not self._asked.empty():
+            self._do_what_was_asked()
         if self._lockstep:
             if self._wire.receive_into(self._robot.node, timeout_ns):
                 self._heard_ns = time.monotonic_ns()

@@ -7,7 +7,7 @@ from hil.estimator.measurement import NO_STATUS, Measurement, measured_twist
 from hil.kinematics import to_world
 from hil.model import RobotModel
 from hil.signals import EstimatorSignals
-from hil.types import MeasuredPose, PoseFix, State
+from hil.types import MeasuredPose, PoseFix, State, make_state
 
 
 class TruthEstimator:
@@ -40,7 +40,7 @@ class TruthEstimator:
         pose, twist = self._truth.pose, self._truth.twist
         if self._uses_wheels or not math.isfinite(sum(twist)):
             twist = to_world(measured_twist(self._model, measurement), pose.heading_rad)
-        return State(pose, twist)
+        return make_state((pose, twist))
 
     def fix_figures(self) -> Mapping[str, int]:
         """Fixes have no part in it."""

@@ -58,14 +58,20 @@ class FaultBus:
         while (received := self._link.receive(timeout_ns)) is not None:
             t_ns = self._time.now_ns()
             self._babble(t_ns)
-            if t_ns is None or received.frame.id >= self._language.exempt_from:
-                return received
-            passed = self._passed(received.frame, "feedback", t_ns)
-            if passed is not None and len(passed.payload) == len(received.frame.payload):
-                return received
-            self._rejected["length"] += passed is not None
+            frames = [frame for frame in received.frames if self._arrives(frame, t_ns)]
+            if frames:
+                return Received(frames, received.stamp_ns)
             timeout_ns = max(0, deadline_ns - time.monotonic_ns())
         return None
+
+    def _arrives(self, frame: Frame, t_ns: int | None) -> bool:
+        """Tell whether a frame of the robot's comes through whole."""
+        if t_ns is None or frame.id >= self._language.exempt_from:
+            return True
+        passed = self._passed(frame, "feedback", t_ns)
+        is_short = passed is not None and len(passed.payload) < len(frame.payload)
+        self._rejected["length"] += is_short
+        return passed is not None and not is_short
 
     def rejected(self) -> dict[str, int]:
         causes = self._link.rejected()

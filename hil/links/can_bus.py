@@ -128,7 +128,7 @@ class CanLink:
             frame = port.frame_of(raw)
             cause = "foreign" if frame is None else self._refusal(*frame)
             if frame is not None and cause is None:
-                return Received(frame, time.monotonic_ns())
+                return Received((frame,), time.monotonic_ns())
             if cause in self._rejected:
                 self._count(cause, port.message_of(raw))
             timeout_ns = max(0, deadline_ns - time.monotonic_ns())

@@ -103,9 +103,14 @@ class DelayedLink:
             if self._incoming and self._incoming[0].stamp_ns <= self._clock.now_ns():
                 return self._incoming.popleft()
             received = self._link.receive(timeout_ns)
-            if received is None or received.frame.id >= self._exempt_from:
-                return received
-            self._incoming.append(Received(received.frame, self._clock.now_ns() + self._feedback_latency_ns))
+            if received is None:
+                return None
+            late = [frame for frame in received.frames if frame.id < self._exempt_from]
+            if late:
+                self._incoming.append(Received(late, self._clock.now_ns() + self._feedback_latency_ns))
+            if len(late) < len(received.frames):
+                at_once = [frame for frame in received.frames if frame.id >= self._exempt_from]
+                return Received(at_once, received.stamp_ns)
             timeout_ns = max(0, deadline_ns - time.monotonic_ns())
 
     def rejected(self) -> dict[str, int]:

@@ -167,15 +167,28 @@ class FaultLink:
         while True:
             t_ns = self._time.now_ns()
             if t_ns is not None:
-                self._ready.extend(Received(frame, self._time.on_clock_ns(t_ns)) for frame in self._in.due(t_ns))
+                self._take_due(t_ns)
             if self._ready:
                 return self._ready.popleft()
             received = self._link.receive(timeout_ns)
-            if received is None or t_ns is None or received.frame.id >= self._exempt_from:
+            if received is None or t_ns is None:
                 return received
-            if not self._is_cut(t_ns):
-                self._in.take(received.frame, t_ns)
+            for frame in received.frames:
+                self._admit(frame, received.stamp_ns, t_ns)
+            if self._ready:
+                return self._ready.popleft()
             timeout_ns = max(0, deadline_ns - time.monotonic_ns())
+
+    def _admit(self, frame: Frame, stamp_ns: int, t_ns: int) -> None:
+        """Take a frame of the robot's; what is to go on by now is ready."""
+        if frame.id >= self._exempt_from:
+            self._ready.append(Received((frame,), stamp_ns))
+        elif not self._is_cut(t_ns):
+            self._in.take(frame, t_ns)
+            self._take_due(t_ns)
+
+    def _take_due(self, t_ns: int) -> None:
+        self._ready.extend(Received((frame,), self._time.on_clock_ns(t_ns)) for frame in self._in.due(t_ns))
 
     def next_due_ns(self) -> int | None:
         """Return when, on the clock, the next held command is due, or None when none is held."""

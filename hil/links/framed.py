@@ -1,7 +1,7 @@
 """A link over a byte stream: the framing of what is spoken, in both directions."""
 
 import time
-from collections import Counter, deque
+from collections import Counter
 
 from firmware_protocol.framing import Frame
 from hil.links.language import WHEEL_DBC, Language
@@ -19,41 +19,27 @@ class StreamLink:
         self._framing = language.make_framing()  # of what is received
         self._encode = language.make_framing().encode  # the count of what is sent goes on over a loss
         self._earlier: Counter[str] = Counter()  # what was rejected before the link was reopened
-        self._received_bytes = 0
-        self._sent_bytes = 0
-        self._ready: deque[Received] = deque()
+        self.received_bytes = 0
+        self.sent_bytes = 0
 
     def send(self, frame: Frame) -> None:
         data = self._encode(frame)
-        self._sent_bytes += len(data)
+        self.sent_bytes += len(data)
         self._stream.write(data)
 
     def receive(self, timeout_ns: int) -> Received | None:
-        ready = self._ready
-        if not ready:
-            self._fill(timeout_ns)
-        return ready.popleft() if ready else None
-
-    def _fill(self, timeout_ns: int) -> None:
         deadline_ns = time.monotonic_ns() + timeout_ns if timeout_ns > 0 else 0
         while True:
             data = self._stream.read(timeout_ns)
             if data:
                 stamp_ns = time.monotonic_ns()
-                self._received_bytes += len(data)
-                self._ready.extend([make_received((frame, stamp_ns)) for frame in self._framing.feed(data)])
-            if self._ready or timeout_ns <= 0:
-                return
+                self.received_bytes += len(data)
+                if frames := self._framing.feed(data):
+                    return make_received((frames, stamp_ns))
+            if timeout_ns <= 0:
+                return None
             # Bytes came that completed no frame: wait on for what is left of the time.
             timeout_ns = deadline_ns - time.monotonic_ns()
-
-    def received_bytes(self) -> int:
-        """Return how many bytes have come so far, those that were no frame too."""
-        return self._received_bytes
-
-    def sent_bytes(self) -> int:
-        """Return how many bytes have been sent so far."""
-        return self._sent_bytes
 
     @property
     def counts_frames(self) -> bool:
@@ -69,7 +55,6 @@ class StreamLink:
         # A new framing: the half of a frame, and the gap in the numbers, belong to the line that was lost.
         self._earlier = Counter(self.rejected())
         self._framing = self._make_framing()
-        self._ready.clear()
 
     def describe(self) -> str:
         return self._stream.describe()

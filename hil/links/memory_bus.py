@@ -16,8 +16,8 @@ class MemoryBus:
     def __init__(self) -> None:
         self._received: queue.SimpleQueue[Frame] = queue.SimpleQueue()
         self._peer: MemoryBus | None = None
-        self._received_bytes = 0
-        self._sent_bytes = 0
+        self.received_bytes = 0
+        self.sent_bytes = 0
 
     def connect(self, peer: "MemoryBus") -> None:
         """Make ``peer`` the other end."""
@@ -26,24 +26,19 @@ class MemoryBus:
     def send(self, frame: Frame) -> None:
         if self._peer is None:
             raise LinkError("the memory link was closed; open a new one")
-        self._sent_bytes += len(frame.payload)
+        self.sent_bytes += len(frame.payload)
         self._peer._received.put(frame)
 
     def receive(self, timeout_ns: int) -> Received | None:
+        received = self._received
         try:
-            frame = self._received.get(timeout_ns > 0, max(0, timeout_ns) * 1e-9)
+            frames = [received.get(timeout_ns > 0, max(0, timeout_ns) * 1e-9)]
         except queue.Empty:
             return None
-        self._received_bytes += len(frame.payload)
-        return Received(frame, time.monotonic_ns())
-
-    def received_bytes(self) -> int:
-        """Return how many bytes have come."""
-        return self._received_bytes
-
-    def sent_bytes(self) -> int:
-        """Return how many bytes have gone."""
-        return self._sent_bytes
+        while not received.empty():  # one thread alone reads this end
+            frames.append(received.get())
+        self.received_bytes += sum(len(frame.payload) for frame in frames)
+        return Received(frames, time.monotonic_ns())
 
     def rejected(self) -> dict[str, int]:
         return {}

@@ -6,6 +6,7 @@ says what each figure means.
 """
 
 import time
+from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol
 
 from firmware_protocol.framing import Frame
@@ -109,8 +110,8 @@ class Meter(Protocol):
     def sent(self, frame: Frame) -> Usage:
         """Return what a frame took that was just sent."""
 
-    def received(self, frame: Frame) -> Usage:
-        """Return what was received since the last call, this frame as the last of it."""
+    def received(self, frames: Sequence[Frame]) -> Usage:
+        """Return what was received since the last call, these frames as the last of it."""
 
 
 class ByteSource(Protocol):
@@ -119,9 +120,8 @@ class ByteSource(Protocol):
     counts_frames: bool
     """Whether the frames carry a count by which lost ones are noticed."""
 
-    def received_bytes(self) -> int: ...
-
-    def sent_bytes(self) -> int: ...
+    received_bytes: int
+    sent_bytes: int
 
 
 class SerialMeter:
@@ -132,20 +132,18 @@ class SerialMeter:
     def __init__(self, source: ByteSource, baud: int | None) -> None:
         self._source = source
         self._baud = baud
-        self._seen = source.received_bytes()
-        self._seen_sent = source.sent_bytes()
+        self._seen = source.received_bytes
+        self._seen_sent = source.sent_bytes
         self.timed = baud is not None
         self._usages: dict[int, Usage] = {}
 
     def sent(self, _frame: Frame) -> Usage:
-        total = self._source.sent_bytes()
+        total = self._source.sent_bytes
         count, self._seen_sent = total - self._seen_sent, total
         return self._usages.get(count) or self._usage(count)
 
-    def received(self, _frame: Frame) -> Usage:
-        total = self._source.received_bytes()
-        if total == self._seen:
-            return _NOTHING  # bytes come in chunks: another frame of the last one
+    def received(self, _frames: Sequence[Frame]) -> Usage:
+        total = self._source.received_bytes
         count, self._seen = total - self._seen, total
         return self._usages.get(count) or self._usage(count)
 
@@ -194,7 +192,10 @@ class CanMeter:
             bits = classic_bits(identifier, payload, extended=extended)
         return Usage(len(payload), bits, round(bits * self._bit_ns))
 
-    received = sent
+    def received(self, frames: Sequence[Frame]) -> Usage:
+        if len(frames) == 1:
+            return self.sent(frames[0])
+        return Usage(*map(sum, zip(*map(self.sent, frames), strict=True)))
 
     def foreign(self, message: Any) -> Usage:
         """Return what a ``can.Message`` of somebody else took; an error frame's bits cannot be known."""
@@ -220,11 +221,12 @@ class Count:
         self.bytes = 0
         self.bits = 0
 
-    def add(self, usage: Usage) -> None:
-        """Count one more frame."""
-        self.frames += 1
-        self.bytes += usage.bytes
-        self.bits += usage.bits
+    def add(self, usage: Usage, frames: int = 1) -> None:
+        """Count what frames took."""
+        count, bits, _ = usage
+        self.frames += frames
+        self.bytes += count
+        self.bits += bits
 
     def figures(self) -> dict[str, int]:
         """Return the counts by name."""
@@ -267,13 +269,12 @@ class Statistics:
 
     def send(self, frame: Frame) -> None:
         self._link.send(frame)
-        now_ns = self._clock.now_ns()
         usage = self._meter.sent(frame)
         self.sent.add(usage)
         if usage.busy_ns:
-            self._down.add(now_ns, usage.busy_ns)
+            self._down.add(self._clock.now_ns(), usage.busy_ns)
         if self._trace is not None:
-            self._trace.frame(now_ns, frame, sent=True)
+            self._trace.frame(self._clock.now_ns(), frame, sent=True)
 
     def receive(self, timeout_ns: int) -> Received | None:
         received = self._link.receive(timeout_ns)
@@ -282,18 +283,16 @@ class Statistics:
             self._trace_noise()
         if received is None:
             return None
-        frame, stamp_ns = received
+        frames, stamp_ns = received
         stamp_ns = self._clock.now_ns() if self._ahead_ns is None else stamp_ns - self._ahead_ns
-        usage = self._meter.received(frame)
-        if usage is _NOTHING:
-            self.received.frames += 1
-        else:
-            self.received.add(usage)
-            if usage.busy_ns:
-                self._up.add(stamp_ns, usage.busy_ns)
+        usage = self._meter.received(frames)
+        self.received.add(usage, len(frames))
+        if usage.busy_ns:
+            self._up.add(stamp_ns, usage.busy_ns)
         if trace is not None:
-            trace.frame(stamp_ns, frame, sent=False)
-        return make_received((frame, stamp_ns))
+            for frame in frames:
+                trace.frame(stamp_ns, frame, sent=False)
+        return make_received((frames, stamp_ns))
 
     def overhear(self, message: Any) -> None:
         """Take a ``can.Message`` on the bus that is none of ours."""

@@ -22,10 +22,10 @@ class Node(Protocol):
         """Take one CAN frame."""
 
     def take_bytes(self) -> bytes:
-        """Return what there is to send, as bytes of a serial line."""
+        """Return all that there is to send, as bytes of a serial line."""
 
     def take_frames(self) -> list[Frame]:
-        """Return what there is to send, as frames."""
+        """Return all that there is to send, as frames."""
 
     def count_unsent(self, frames: int) -> None:
         """Take note that so many frames that were to be sent could not be."""
@@ -60,12 +60,11 @@ class SerialWire:
         return bool(data)
 
     def send_from(self, node: Node) -> None:
-        while data := node.take_bytes():
+        if data := node.take_bytes():
             self._stream.write(data)
 
     def drop_from(self, node: Node) -> None:
-        while node.take_bytes():
-            pass
+        node.take_bytes()
 
     def close(self) -> None:
         self._stream.close()
@@ -103,7 +102,8 @@ class CanWire:
         if received is None:
             return False
         while received is not None:
-            node.receive(received.frame)
+            for frame in received.frames:
+                node.receive(frame)
             received = self._link.receive(0)
         return True
 

@@ -18,7 +18,7 @@ from hil.plant.mapping import SignalMap, resolve
 from hil.plant.settable import Settable, bounds, settable_variables
 from hil.plant.start import Value, resize, start_values
 from hil.plant_signals import OUTPUTS, SENSORS
-from hil.types import Pose, PoseFix, Twist, Wheels
+from hil.types import PoseFix, Wheels, make_fix, make_pose, make_twist
 
 
 class FmuPlant:
@@ -124,8 +124,8 @@ class FmuPlant:
 
     def truth(self) -> PoseFix:
         """Return pose and twist, world frame, with the time since the start."""
-        x, y, heading, vx, vy, yaw_rate = self._ffi.unpack(self._context.signal, 6)
-        return PoseFix(self._time_ns, Pose(x, y, heading), Twist(vx, vy, yaw_rate))
+        motion = self._ffi.unpack(self._context.signal, 6)
+        return make_fix((self._time_ns, make_pose(motion[:3]), make_twist(motion[3:])))
 
     def wheel_speeds(self) -> Wheels:
         """Return the true wheel speeds [rad/s]."""

@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 
 from hil.options import require_not_negative, require_positive
 from hil.references.motion import ramped
-from hil.types import Acceleration, Pose, Reference, Twist
+from hil.types import Reference, make_acceleration, make_pose, make_reference, make_twist
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,8 +46,7 @@ class Circle:
         heading, yaw_rate, yaw_acceleration = self.heading_rad, 0.0, 0.0
         if self.heading == "path":
             heading, yaw_rate, yaw_acceleration = heading + 0.25 * turn + angle, rate, acceleration
-        return Reference(
-            Pose(self.centre_x_m + x, self.centre_y_m + y, heading),
-            Twist(-rate * y, rate * x, yaw_rate),
-            Acceleration(-rate * rate * x - acceleration * y, -rate * rate * y + acceleration * x, yaw_acceleration),
-        )
+        pose = make_pose((self.centre_x_m + x, self.centre_y_m + y, heading))
+        twist = make_twist((-rate * y, rate * x, yaw_rate))
+        ax, ay = -rate * rate * x - acceleration * y, -rate * rate * y + acceleration * x
+        return make_reference((pose, twist, make_acceleration((ax, ay, yaw_acceleration))))

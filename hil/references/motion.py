@@ -1,8 +1,10 @@
 """What references are made of: a path of points, and how far along it the robot should be at a time."""
 
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple, Protocol
 
-from hil.types import Acceleration, Pose, Reference, Twist
+from hil.types import Axes, Reference, make_acceleration, make_pose, make_reference, make_twist
 
 
 class ReferenceSource(Protocol):
@@ -28,6 +30,9 @@ class Phase(NamedTuple):
     acceleration: float
 
 
+_make_phase: Callable[[Axes], Phase] = partial(tuple.__new__, Phase)
+
+
 class Point(NamedTuple):
     """A point of a path: x, y and heading, and their derivatives with respect to the path's parameter."""
 
@@ -46,15 +51,13 @@ def moving(point: Point, rate: float, acceleration: float) -> Reference:
     """Return the motion through a point whose parameter changes with this rate and acceleration (chain rule)."""
     x, y, heading, x1, y1, heading1, x2, y2, heading2 = point
     square = rate * rate
-    return Reference(
-        Pose(x, y, heading),
-        Twist(rate * x1, rate * y1, rate * heading1),
-        Acceleration(
-            square * x2 + acceleration * x1,
-            square * y2 + acceleration * y1,
-            square * heading2 + acceleration * heading1,
-        ),
+    slope = (
+        square * x2 + acceleration * x1,
+        square * y2 + acceleration * y1,
+        square * heading2 + acceleration * heading1,
     )
+    twist = make_twist((rate * x1, rate * y1, rate * heading1))
+    return make_reference((make_pose((x, y, heading)), twist, make_acceleration(slope)))
 
 
 def ramped(t_s: float, rate: float, ramp_s: float) -> Phase:
@@ -64,10 +67,7 @@ def ramped(t_s: float, rate: float, ramp_s: float) -> Phase:
     rate (t - ramp / 2). Without a ramp the motion is at its rate from the beginning.
     """
     if t_s >= ramp_s or ramp_s == 0.0:
-        return Phase(rate * (t_s - 0.5 * ramp_s), rate, 0.0)
+        return _make_phase((rate * (t_s - 0.5 * ramp_s), rate, 0.0))
     u = t_s / ramp_s
-    return Phase(
-        rate * ramp_s * u * u * u * (1.0 - 0.5 * u),
-        rate * u * u * (3.0 - 2.0 * u),
-        rate * 6.0 * u * (1.0 - u) / ramp_s,
-    )
+    value = rate * ramp_s * u * u * u * (1.0 - 0.5 * u)
+    return _make_phase((value, rate * u * u * (3.0 - 2.0 * u), rate * 6.0 * u * (1.0 - u) / ramp_s))

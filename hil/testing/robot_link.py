@@ -1,6 +1,7 @@
 """A host's end of a robot's link, held by a test: frames in and out, with no controller in between."""
 
 import time
+from collections import deque
 from typing import TypeVar
 
 from firmware_protocol import codec
@@ -26,6 +27,7 @@ class RobotLink:
     def __init__(self, robot: RobotProcess) -> None:
         self.robot = robot
         self._link = open_host(parse_link(robot.link))
+        self._waiting: deque[Frame] = deque()
 
     def send(self, what: Message | Frame) -> None:
         """Send a message or a frame.
@@ -37,8 +39,10 @@ class RobotLink:
 
     def receive(self, timeout_s: float = 1.0) -> Frame | None:
         """Return the next valid frame, or None after ``timeout_s``. Raises LinkError when the link is lost."""
-        received = self._link.receive(round(timeout_s * 1e9))
-        return None if received is None else received.frame
+        if not self._waiting:
+            received = self._link.receive(round(timeout_s * 1e9))
+            self._waiting.extend(() if received is None else received.frames)
+        return self._waiting.popleft() if self._waiting else None
 
     def ask(self, what: Message | Frame, answer: type[Answer], timeout_s: float = 2.0) -> Answer:
         """Send, and return the first message of the type ``answer`` that comes then; others are passed over.

@@ -79,7 +79,7 @@ def _drain(bus: can.BusABC) -> None:
 
 def _drain_link(link: CanLink) -> None:
     received = link.receive(1_000_000_000)
-    if received is None or received.frame.id != LAST.arbitration_id:
+    if received is None or received.frames[-1].id != LAST.arbitration_id:
         raise AssertionError("a foreign frame was taken for ours, or the last frame did not come")
 
 
