@@ -13,6 +13,7 @@ from hil.errors import LinkError
 from hil.links.can_bus import CanLink
 from hil.links.opening import open_host
 from hil.links.url import parse_link
+from tests.heard import the_next
 from tests.processes import device, run_json
 
 fcntl = pytest.importorskip("fcntl", reason="pseudo-terminals need a POSIX system")
@@ -49,8 +50,8 @@ def test_frames_pass_both_ways_whatever_the_adapter_says_between(filler):
         for command, feedback in zip(COMMANDS, FEEDBACK, strict=True):
             host.send(command)
             robot.send(feedback)
-        assert [robot.receive(1_000_000_000).frame for _ in COMMANDS] == COMMANDS
-        assert [host.receive(1_000_000_000).frame for _ in FEEDBACK] == FEEDBACK
+        assert the_next(robot, len(COMMANDS)) == COMMANDS
+        assert the_next(host, len(FEEDBACK)) == FEEDBACK
 
 
 def test_a_poll_without_waiting_takes_all_that_came_past_the_replies():
@@ -58,12 +59,12 @@ def test_a_poll_without_waiting_takes_all_that_came_past_the_replies():
     with two_links() as (host, robot):
         for command, feedback in zip(COMMANDS, FEEDBACK, strict=True):
             host.send(command)
-            assert robot.receive(1_000_000_000).frame == command
+            assert the_next(robot) == [command]
             robot.send(feedback)
-        taken = [host.receive(1_000_000_000).frame]
+        taken = the_next(host)
         # The last ones may still be on their way.
         while (received := host.receive(0 if len(taken) < len(FEEDBACK) - 3 else 100_000_000)) is not None:
-            taken.append(received.frame)
+            taken += received.frames
         assert taken == FEEDBACK
 
 
@@ -78,7 +79,7 @@ def test_a_line_that_is_cut_or_garbled_is_counted_and_the_link_goes_on(line):
         assert host.rejected()["garbled"] == 1
         for feedback in FEEDBACK:
             robot.send(feedback)
-        assert [host.receive(1_000_000_000).frame for _ in FEEDBACK] == FEEDBACK
+        assert the_next(host, len(FEEDBACK)) == FEEDBACK
 
 
 def test_adapters_of_different_bit_rates_do_not_hear_each_other():

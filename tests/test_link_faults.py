@@ -16,6 +16,7 @@ from hil.links.fault_rows import ScenarioTime, link_faults
 from hil.links.faults import FaultLink
 from hil.links.line_faults import FaultLine
 from hil.ports import Received
+from tests.heard import everything
 
 MS = 1_000_000
 STEP = Frame(m.Step.ID, m.Step(0, 1).encode())
@@ -40,7 +41,7 @@ class Wire:
         self.sent.append((self.now, frame))
 
     def receive(self, _timeout_ns: int) -> Received | None:
-        return Received(self.to_give.pop(0), self.now) if self.to_give else None
+        return Received((self.to_give.pop(0),), self.now) if self.to_give else None
 
     def write(self, data: bytes) -> None:
         self.written += data
@@ -129,7 +130,7 @@ def test_feedback_is_hit_as_commands_are() -> None:
     wire, link, _ = fault_link(row("duplicate", "feedback"))
     wire.now = 150 * MS
     wire.to_give = [command(1), STEP_DONE, command(2)]
-    heard = [received.frame for received in iter(lambda: link.receive(0), None)]
+    heard = everything(link)
     assert heard == [command(1), command(1), STEP_DONE, command(2), command(2)]
 
 
@@ -243,7 +244,7 @@ def test_a_disconnected_link_is_lost_until_it_is_opened_again() -> None:
         link.send(command(1))
     link.send(STEP)
     wire.to_give = [command(1), STEP_DONE]
-    assert [r.frame for r in iter(lambda: link.receive(0), None)] == [STEP_DONE]
+    assert everything(link) == [STEP_DONE]
     with pytest.raises(LinkError, match="disconnect"):
         link.reopen()
     wire.now = 200 * MS
@@ -344,7 +345,7 @@ def test_on_can_a_frame_that_is_cut_has_a_wrong_length() -> None:
     assert [len(frame.payload) < 8 for _, frame in wire.sent[:1]] == [True]
     assert wire.sent[1][1] == STEP
     wire.to_give = [command(1), STEP_DONE]
-    assert [r.frame for r in iter(lambda: link.receive(0), None)] == [STEP_DONE]
+    assert everything(link) == [STEP_DONE]
     assert link.rejected()["length"] == 1
     assert [fault.applied for fault in faults] == [1, 1]
 

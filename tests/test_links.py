@@ -25,6 +25,7 @@ from hil.links.serial_port import SerialStream
 from hil.links.streams import memory_pair
 from hil.links.url import CanUrl, parse_link
 from hil.links.wire import CanWire, ReopeningWire, SerialWire
+from tests.heard import the_next
 from tests.processes import environment, wait_for
 from tests.wheel_rig import WheelRig
 
@@ -107,7 +108,7 @@ def test_closed_memory_stream_is_lost():
 
 
 def received_all(link):
-    return [link.receive(WAIT_NS).frame for _ in FRAMES]
+    return the_next(link, len(FRAMES), WAIT_NS)
 
 
 def test_frames_over_memory_and_wrong_bytes_between_them():
@@ -220,7 +221,7 @@ def test_a_host_gets_the_robots_messages_over_can_and_counts_what_is_foreign(fd)
         sent = [Frame(m.Tick.ID, bytes(range(m.Tick.LENGTH))), Frame(m.StepDone.ID, bytes(m.StepDone.LENGTH))]
         for frame in sent:
             robot.send(frame)
-        assert [host.receive(WAIT_NS).frame for _ in sent] == sent
+        assert the_next(host, len(sent), WAIT_NS) == sent
         rejected = {cause: n for cause, n in host.rejected().items() if n}
         assert rejected == {"foreign": 2, "error_other": 1, "unknown_id": 1, "length": 1}
         assert host.receive(1_000_000) is None

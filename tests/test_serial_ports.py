@@ -23,6 +23,7 @@ from hil.links.opening_beside import OpeningBeside
 from hil.links.reader import Reader
 from hil.links.serial_port import SerialStream
 from hil.links.url import parse_link
+from tests.heard import the_next
 from tests.serial_server import SerialServer, ThreeWirePort
 
 pty = pytest.importorskip("hil.links.pty", reason="pseudo-terminals need a POSIX system")
@@ -59,7 +60,7 @@ def exchange(host: StreamLink, robot: StreamLink) -> None:
     for one, other in ((host, robot), (robot, host)):
         for frame in FRAMES:
             one.send(frame)
-        assert [other.receive(WAIT_NS).frame for _ in FRAMES] == FRAMES
+        assert the_next(other, len(FRAMES), WAIT_NS) == FRAMES
 
 
 @pytest.mark.parametrize("kind", ["rfc2217", "socket"])
@@ -162,7 +163,7 @@ def test_loop_gives_back_what_was_sent():
     with contextlib.closing(open_host(parse_link("serial:loop://"))) as link:
         for frame in FRAMES:
             link.send(frame)
-        assert [link.receive(WAIT_NS).frame for _ in FRAMES] == FRAMES
+        assert the_next(link, len(FRAMES), WAIT_NS) == FRAMES
 
 
 @pytest.mark.parametrize("baud", [9600, 921_600, 2_000_000, 3_500_000, 4_000_000])

@@ -20,6 +20,7 @@ from hil.links.statistics import WINDOW_NS, LoadWindow, measured
 from hil.links.streams import memory_pair
 from hil.links.url import SerialUrl, parse_link
 from hil.signals import SIGNAL_NAMES
+from tests.heard import everything
 
 MS = 1_000_000
 MESSAGES = [m.TimeSyncRequest(3), m.Step(7, 5), m.WheelCommand(1.5, -2.25, 10.0, 0.0, 17, 5), m.Estop(1, 2)]
@@ -75,11 +76,11 @@ def test_a_serial_line_s_bytes_are_those_on_the_line(sent, received, noise):
     framer = Framer()
     line_up = noise + b"\0" + b"".join(framer.encode(frame) for frame in received)
     there.write(line_up)
-    taken = list(iter(lambda: wire.receive(0), None))
+    taken = everything(wire)
     clock.now = 250 * MS
     figures = wire.figures()
     assert figures["sent"] == {"frames": len(sent), "bytes": len(line_down), "bits": 10 * len(line_down)}
-    assert [one.frame for one in taken][len(taken) - len(received) :] == received
+    assert taken[len(taken) - len(received) :] == received
     if taken:
         assert figures["received"] == {"frames": len(taken), "bytes": len(line_up), "bits": 10 * len(line_up)}
     assert figures["load"]["sent"]["mean_percent"] == pytest.approx(len(line_down) * 10 / 115_200 / 0.25 * 100)
@@ -99,7 +100,7 @@ def test_a_can_bus_carries_both_directions_and_what_others_say(settings):
         other.send(can.Message(arbitration_id=0x18FF1234, data=b"\0" * 8))
         other.send(can.Message(arbitration_id=0x555, is_extended_id=False, is_remote_frame=True, dlc=4))
         other.send(can.Message(is_error_frame=True))
-        assert wire.receive(0).frame == tick
+        assert everything(wire) == [tick]
         assert wire.receive(0) is None
         clock.now = 100 * MS
         figures = wire.figures()
