@@ -8,6 +8,7 @@ step at the next zero.
 from binascii import crc_hqx
 from collections.abc import Callable
 from functools import partial
+from struct import Struct
 from typing import NamedTuple
 
 from cobs import cobs
@@ -20,6 +21,9 @@ _CRC_START = 0xFFFF
 _SIZES = {number: _HEADER + length + _CRC for number, length in LENGTHS.items()}  # of a frame before COBS
 MAX_ENCODED = _HEADER + max(LENGTHS.values()) + _CRC + 1
 """Bytes of the longest frame on the wire without its zero; COBS adds one byte to less than 254."""
+
+_UNPACK = [Struct(f"<HB{max(0, size - _HEADER - _CRC)}sH").unpack for size in range(MAX_ENCODED)]
+# By the size of a frame before COBS, which is at least one less than after it.
 
 FRAME_OVERHEAD = _HEADER + _CRC + 2
 """Bytes of a frame on the wire beside its payload: header, CRC, the byte that COBS adds, and the zero."""
@@ -113,16 +117,15 @@ class Deframer:
             if size < _HEADER + _CRC:
                 self.rejected["length"] += 1
                 continue
-            if crc_hqx(body[:-_CRC], _CRC_START) != body[-2] | body[-1] << 8:
+            number, sequence, payload, crc = _UNPACK[size](body)
+            if crc_hqx(body[:-_CRC], _CRC_START) != crc:
                 self.rejected["crc"] += 1
                 continue
-            sequence = body[2]
             if sequence != self._expected_sequence:
                 self._count_lost(sequence)  # the CRC holds, so the sender sent it, whatever it is
             self._expected_sequence = (sequence + 1) & 0xFF
-            number = body[0] | body[1] << 8
             if _SIZES.get(number) == size:
-                frames.append(make_frame((number, body[_HEADER:-_CRC])))
+                frames.append(make_frame((number, payload)))
             else:
                 self.rejected["length" if number in _SIZES else "unknown_id"] += 1
         if rest:

@@ -70,12 +70,13 @@ class SnapshotAssembler:
 
     def feed(self, message: Message) -> Feedback | None:
         """Take a message; return the snapshot that it completes, if it does."""
-        if isinstance(message, Tick):
-            self._open(message)
-            return None
         part = _PARTS.get(type(message))
+        if part is None:
+            if isinstance(message, Tick):
+                self._open(message)
+            return None
         missing = self._missing
-        if part is None or not missing:
+        if not missing:
             return None
         if part != missing & -missing or (part >= _INERTIAL and not self._belongs(message)):
             self._missing = 0

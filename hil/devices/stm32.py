@@ -7,7 +7,7 @@ can tell, except by what HELLO says.
 import contextlib
 from collections.abc import Iterator
 
-from firmware_protocol import codec
+from firmware_protocol.codec import Message, decode, encode
 from firmware_protocol.generated import messages as m
 from hil.devices import handshake
 from hil.devices.handshake import RETRY_NS, Expected, Greeting, RobotInfo
@@ -27,6 +27,7 @@ _MOST_A_POLL = 200  # frames; a robot sends at most some ten a tick
 _HEARTBEAT_NS = 100_000_000
 _START_LIMIT_NS = 4_000_000_000
 _ESTOP_BY_HOST = 1
+_FIRST_UNCOUNTED = m.HelloRequest.ID  # how often HELLO is asked depends on the wall clock
 _ANOTHER_NONCE_HELPS = (
     m.ArmRefusal.NONCE_USED,
     m.ArmRefusal.SESSION_USED,
@@ -368,35 +369,35 @@ class Stm32:
         check = self._expected.parameter_hash & 0xFF
         self._send(m.HostHeartbeat(self._nonce, m.SCHEMA_HASH, request, mode, check))
 
-    def _send(self, message: codec.Message) -> None:
-        frame = codec.encode(message)
+    def _send(self, message: Message) -> None:
+        frame = encode(message)
         self._link.send(frame)
-        self.sent += frame.id < m.HelloRequest.ID  # how often HELLO is asked depends on the wall clock
+        self.sent += frame[0] < _FIRST_UNCOUNTED
         self._hash.sent(frame)
 
     def _take(self, received: Received) -> None:
         frames, stamp_ns = received
+        note, feed = self._hash.received, self._assembler.feed
         for frame in frames:
-            message = codec.decode(frame)
+            message = decode(frame)
             if message is None:
                 self._out_of_range += 1
                 continue
-            self.received += frame[0] < m.HelloRequest.ID
-            if isinstance(message, m.StepDone):
+            self.received += frame[0] < _FIRST_UNCOUNTED
+            if type(message) in IN_SNAPSHOT:
+                note(frame)
+                if (snapshot := feed(message)) is not None:
+                    self._feedback = self._map.feedback_from_wire(snapshot)
+                if isinstance(message, m.Tick):
+                    self.round_trip.echoed(message.sequence, stamp_ns)
+            elif isinstance(message, m.StepDone):
                 if self._stepping.answered(message):  # once, however often STEP was repeated
-                    self._hash.received(frame)
-                continue
-            self._hash.received(frame)
-            if type(message) not in IN_SNAPSHOT:
+                    note(frame)
+            else:
+                note(frame)
                 self._take_other(message, stamp_ns)
-                continue
-            snapshot = self._assembler.feed(message)
-            if snapshot is not None:
-                self._feedback = self._map.feedback_from_wire(snapshot)
-            if isinstance(message, m.Tick):
-                self.round_trip.echoed(message.sequence, stamp_ns)
 
-    def _take_other(self, message: codec.Message, stamp_ns: int) -> None:
+    def _take_other(self, message: Message, stamp_ns: int) -> None:
         if self._greeting is not None and (info := self._greeting.feed(message)) is not None:
             self._check_same(info)
             self._greeting = None
