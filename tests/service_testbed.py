@@ -19,7 +19,7 @@ from hil.service.api_config import ApiConfig, Limits
 from hil.service.messages import Action, Answer, Order, Phase, Status, Task
 from tests.processes import wait_for
 
-LIMITS = Limits(speed_m_s=2.0, yaw_rate_rad_s=4.0, distance_m=100.0)
+LIMITS = Limits(speed_m_s=2.0, yaw_rate_rad_s=4.0, distance_m=100.0, twist_timeout_s=0.2)
 STATUS = Status(
     time_unix_s=1.7e9,
     phase=Phase.ACTIVE,

@@ -120,6 +120,24 @@ def test_when_a_client_that_drives_is_killed_nothing_more_is_sent_for_it(side: C
     assert side.actions[taken:] == [Action.STOP], "that the twist times out is the control process's doing"
 
 
+def test_a_twist_that_waited_for_longer_than_it_would_be_in_force_is_not_taken(side: ControlSide) -> None:
+    pid = side.child.pid
+    assert pid is not None
+    with side.live() as live:
+        os.kill(pid, signal.SIGSTOP)
+        order(live, 0, "twist", TWIST)
+        time.sleep(LIMITS.twist_timeout_s + 0.2)  # the stall itself, shorter than what makes the child count as gone
+        os.kill(pid, signal.SIGCONT)
+        assert next_answer(live)["refused"] == "the API stood still while this order waited; give it again"
+        assert Action.TWIST not in side.actions
+
+        def is_taken() -> bool:
+            order(live, 1, "twist", TWIST)
+            return next_answer(live)["refused"] is None
+
+        wait_for(is_taken)
+
+
 def test_a_burst_that_waited_for_an_api_that_stood_still_moves_nothing_and_an_emergency_stop_in_it_is_done(
     side: ControlSide,
 ) -> None:
@@ -214,7 +232,7 @@ def test_the_api_process_ends_when_its_control_process_is_killed(tmp_path: Path)
     script = (
         "import sys, time\nfrom hil.service.api_child import ApiChild\n"
         "from hil.service.api_config import ApiConfig, Limits\n"
-        "child = ApiChild(ApiConfig(title='t', device='d', limits=Limits(1, 1, 1), port=0))\n"
+        "child = ApiChild(ApiConfig(title='t', device='d', limits=Limits(1, 1, 1, 1), port=0))\n"
         "print(child.pid, flush=True)\ntime.sleep(600)\n"
     )
     control = subprocess.Popen(

@@ -18,6 +18,8 @@ class Limits:
     yaw_rate_rad_s: float
     distance_m: float
     """Of a pose to go to from the origin of the world frame, along each axis."""
+    twist_timeout_s: float
+    """How long a twist is in force; one that has waited for longer is not taken."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -118,7 +118,7 @@ def _finish(records: Records) -> None:
 
 def _api_config(scenario: Scenario, options: Options) -> ApiConfig:
     table = scenario.service
-    limits = Limits(table.speed_m_s, table.yaw_rate_rad_s, _FARTHEST_M)
+    limits = Limits(table.speed_m_s, table.yaw_rate_rad_s, _FARTHEST_M, table.twist_timeout_s)
     return ApiConfig(
         scenario.name, scenario.link.url, limits, port=table.port, token_file=options.token_file, log=options.log
     )

@@ -42,7 +42,7 @@ class Control:
         orders: how many orders were accepted, refused and unanswered, by action and outcome.
     """
 
-    def __init__(self, lines: LineReader, writer: LineWriter) -> None:
+    def __init__(self, lines: LineReader, writer: LineWriter, twist_timeout_s: float) -> None:
         self._loop = asyncio.get_running_loop()
         self._writer = writer
         # Not from 1: an answer that was meant for the process before this one must find nobody.
@@ -54,7 +54,8 @@ class Control:
         self.status: dict[str, Any] | None = None
         self.gone = asyncio.Event()
         self._turned_s = time.monotonic()  # when the event loop was last seen to turn
-        self._refuse_until_s = -math.inf
+        self._twist_stall_s = min(SILENT_S, twist_timeout_s + LIFE_PERIOD_S)
+        self._refuse_until_s = self._refuse_twists_until_s = -math.inf
         self.orders: dict[tuple[Action, str], int] = {}
         # Any pipe can be read by a thread; only some can by an event loop, and on Windows none.
         threading.Thread(target=self._read, args=(lines,), name="lines", daemon=True).start()
@@ -87,7 +88,7 @@ class Control:
         """Send an order, and return what its answer will come to. Raises BusyError; never for an emergency stop."""
         if self.gone.is_set():
             raise BusyError("the service is ending")
-        if action in MOVING and self._has_stalled():
+        if action in MOVING and self._has_stalled(action):
             self._count(action, "unanswered")
             raise BusyError("the API stood still while this order waited; give it again")
         if len(self._open) >= _MOST_OPEN and action is not Action.ESTOP:
@@ -118,18 +119,24 @@ class Control:
         """Tell the control process that this event loop turns, and notice when it has not, until cancelled."""
         while True:
             await asyncio.sleep(LIFE_PERIOD_S)
-            self._has_stalled()
-            self._turned_s = time.monotonic()
+            self._notice_stall()
             self._writer.send({"alive": True})
 
-    def _has_stalled(self) -> bool:
-        """Whether what came of late may have waited: this process was stopped, or something kept its event loop."""
+    def _has_stalled(self, action: Action) -> bool:
+        """Whether an order of this kind may have waited too long: this process was stopped, or its event loop kept."""
+        return self._notice_stall() < (self._refuse_twists_until_s if action is Action.TWIST else self._refuse_until_s)
+
+    def _notice_stall(self) -> float:
+        """See for how long the event loop has not turned; return the time."""
         now_s = time.monotonic()
-        if now_s - self._turned_s > SILENT_S:
-            # What has waited comes within the next turns.
+        stood_s = now_s - self._turned_s
+        # What has waited comes within the next turns.
+        if stood_s > self._twist_stall_s:
+            self._refuse_twists_until_s = now_s + _CATCHING_UP_S
+        if stood_s > SILENT_S:
             self._refuse_until_s = now_s + _CATCHING_UP_S
-            self._turned_s = now_s
-        return now_s < self._refuse_until_s
+        self._turned_s = now_s
+        return now_s
 
     def _count(self, action: Action, outcome: str) -> None:
         self.orders[action, outcome] = self.orders.get((action, outcome), 0) + 1

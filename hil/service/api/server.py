@@ -42,7 +42,7 @@ async def serve(
 
     ``token`` is what clients show, ``ready`` what the control process is told when it is served.
     """
-    control = Control(lines, writer)
+    control = Control(lines, writer, config.limits.twist_timeout_s)
     living = asyncio.create_task(control.live())
     port = listener.getsockname()[1]
     hosts = frozenset(f"{name}:{port}".encode() for name in (config.host, "localhost"))
