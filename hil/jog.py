@@ -35,21 +35,17 @@ class Jogged(NamedTuple):
         moved = [name for name, angle in turned.items() if abs(angle) > least]
         if moved == [wheel]:
             if turned[wheel] * self.asked_rad > 0.0:
-                return (
-                    f"the sensor of {wheel} followed{self._braked(turned[wheel])}; if you saw that wheel turn the right "
-                    "way, its wiring is as told"
-                )
+                short = self._short(turned[wheel])
+                return f"the sensor of {wheel} followed{short}; if you saw it turn the right way, its wiring is as told"
             return f"the sensor of {wheel} counted the other way; put {wheel!r} into device.reversed, or take it out"
         if not moved:
             return f"no sensor saw a wheel turn; check the motor's power, and its encoder's cable, of {wheel}"
         return f"{wheel} was asked to turn, and the sensors of {', '.join(moved)} saw it; correct device.wheels"
 
-    def _braked(self, turned_rad: float) -> str:
+    def _short(self, turned_rad: float) -> str:
         if abs(turned_rad) >= _FREE_SHARE * abs(self.asked_rad):
             return ""
-        return (
-            ", but not far: the wheels stand on the ground (those of a virtual robot always do), or something brakes it"
-        )
+        return ", but not far: the wheels stand on the ground, as a virtual robot's always do, or something brakes it"
 
 
 def jog(
