@@ -75,7 +75,10 @@ def jog(
                 feedback = freshness.poll(t_s)
                 share = max(0.0, min(t_s / _RAMP_S, 1.0, (seconds - t_s) / _RAMP_S))
                 if freshness.is_silent():
-                    raise DeviceError(f"the feedback is {freshness.silent_ns * 1e-6:.0f} ms old; the wheel was stopped")
+                    raise DeviceError(
+                        f"the feedback is {freshness.silent_ns * 1e-6:.0f} ms old; the wheel was told to stop, and "
+                        "nothing says that it did: see to it, and cut the motors' power if it turns"
+                    )
                 speed = Wheels(*(share * speed_rad_s if name == wheel else 0.0 for name in WHEEL_NAMES))
                 device.send(WheelCommand(CommandMode.SPEED, speed, ZERO_WHEELS))
                 turned = [a + s * period_ns * 1e-9 for a, s in zip(turned, feedback.speed_rad_s, strict=True)]
