@@ -15,7 +15,9 @@ MOST_RAD_S = 3.0
 MOST_S = 10.0
 _RAMP_S = 0.5
 _STOP_LIMIT_NS = 5_000_000_000
-_LEAST_SHARE = 0.1  # of the angle that was asked for; on the ground, against three others, it is some 0.2
+_LEAST_SHARE = 0.1  # of the angle that was asked for
+_LEAST_RAD = 0.1  # is enough; on the ground, against three that are held, a wheel may stall after twice as much
+_FREE_SHARE = 0.5  # of the angle that was asked for, by a wheel that nothing brakes
 _MOST_SHARE = 0.5
 
 
@@ -28,17 +30,22 @@ class Jogged(NamedTuple):
     def verdict(self, wheel: str) -> str:
         """Say whether it was the right wheel and the right way, and what to change if not."""
         turned = dict(zip(WHEEL_NAMES, self.turned_rad, strict=True))
-        least = max(_LEAST_SHARE * abs(self.asked_rad), _MOST_SHARE * max(map(abs, self.turned_rad)))
+        enough = min(_LEAST_SHARE * abs(self.asked_rad), _LEAST_RAD)
+        least = max(enough, _MOST_SHARE * max(map(abs, self.turned_rad)))
         moved = [name for name, angle in turned.items() if abs(angle) > least]
         if moved == [wheel]:
             if turned[wheel] * self.asked_rad > 0.0:
-                return (
-                    f"the sensor of {wheel} followed; if you saw that wheel turn the right way, its wiring is as told"
-                )
+                short = self._short(turned[wheel])
+                return f"the sensor of {wheel} followed{short}; if you saw it turn the right way, its wiring is as told"
             return f"the sensor of {wheel} counted the other way; put {wheel!r} into device.reversed, or take it out"
         if not moved:
             return f"no sensor saw a wheel turn; check the motor's power, and its encoder's cable, of {wheel}"
         return f"{wheel} was asked to turn, and the sensors of {', '.join(moved)} saw it; correct device.wheels"
+
+    def _short(self, turned_rad: float) -> str:
+        if abs(turned_rad) >= _FREE_SHARE * abs(self.asked_rad):
+            return ""
+        return ", but not far: the wheels stand on the ground, as a virtual robot's always do, or something brakes it"
 
 
 def jog(
@@ -68,7 +75,10 @@ def jog(
                 feedback = freshness.poll(t_s)
                 share = max(0.0, min(t_s / _RAMP_S, 1.0, (seconds - t_s) / _RAMP_S))
                 if freshness.is_silent():
-                    raise DeviceError(f"the feedback is {freshness.silent_ns * 1e-6:.0f} ms old; the wheel was stopped")
+                    raise DeviceError(
+                        f"the feedback is {freshness.silent_ns * 1e-6:.0f} ms old; the wheel was told to stop, and "
+                        "nothing says that it did: see to it, and cut the motors' power if it turns"
+                    )
                 speed = Wheels(*(share * speed_rad_s if name == wheel else 0.0 for name in WHEEL_NAMES))
                 device.send(WheelCommand(CommandMode.SPEED, speed, ZERO_WHEELS))
                 turned = [a + s * period_ns * 1e-9 for a, s in zip(turned, feedback.speed_rad_s, strict=True)]

@@ -60,6 +60,8 @@ def _checked(value: object, hint: object, where: str) -> object:
     if get_origin(hint) is Literal:
         choice = get_args(hint)
         if value not in choice:
+            if not isinstance(value, str) and str(value) in choice:
+                raise BadInputError(f'{where} = {value!r}: expected a text, in quotes: "{value}"')
             raise BadInputError(f"{where} = {value!r}: not one of the choices{nearest(str(value), choice)}")
         return value
     if hint is float:

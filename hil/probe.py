@@ -26,7 +26,8 @@ from hil.links.language import WHEEL_DBC, Language
 from hil.links.opening import is_within_process, open_host
 from hil.links.url import DEFAULT_BAUD, CanUrl, LinkUrl, format_link, parse_link
 from hil.ports import Framing, Link
-from hil.scenario.motors import wire_of
+from hil.scenario import load
+from hil.scenario.motors import make_driver, wire_of
 
 _LISTEN_S = 0.6  # longer than the slowest status that a controller sends by itself
 _ROUNDS = 5
@@ -53,16 +54,28 @@ class Answer:
                 answers[question.key] = question.read(f"{self.found.known[question.key]:.6g}")
         return robot_text({**answers, "link.url": self.link}, self.driver, self.found)
 
+    @property
+    def wiring(self) -> str:
+        """A sentence on which wheel is where, and who knows it."""
+        scenario = load("circle_speed", set={"device.driver": self.driver})
+        if scenario.device.is_makers and make_driver(scenario).capabilities.is_twist:
+            return (
+                "Which wheel each motor turns it knows itself; put the wheels off the ground and drive it slowly, with "
+                "hil serve and hil teleop."
+            )
+        return "Which wheel each motor turns, and which way, nobody can tell from here: see hil jog."
+
 
 @dataclass(slots=True)
 class Result:
     """``strangers`` counts frames of a bus that are of nobody who was found, by id; ``not_asked`` says why makers were
-    left out.
+    left out, and ``elsewhere`` who could only be found on another kind of bus.
     """
 
     answers: list[Answer] = field(default_factory=list)
     strangers: Counter[int] = field(default_factory=Counter)
     not_asked: str | None = None
+    elsewhere: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,9 +137,10 @@ def probe(link: str, driver: str | None = None, say: Callable[[str], None] = lam
         raise BadInputError(f"link {link!r} reaches nobody outside this process; name a port or a bus")
     names = [driver] if driver is not None else [OUR_DRIVER, *DIALECTS]
     candidates = [one for name in names if (one := _candidate(name, link)) is not None]
+    elsewhere = _elsewhere(url, names)
     if not candidates:
-        raise BadInputError(f"a probe for {driver!r} over {link!r} does not exist; see DIALECTS.md")
-    result = Result()
+        raise BadInputError(elsewhere or f"a probe for {driver!r} over {link!r} does not exist; see DIALECTS.md")
+    result = Result(elsewhere=elsewhere)
     look = _probe_bus if isinstance(url, CanUrl) else _probe_port
     look(candidates, driver is not None, result, say)
     return result
@@ -143,6 +157,18 @@ def _candidate(name: str, link: str) -> _Candidate | None:
     if make_probe is None or wire not in made.wires:
         return None
     return _Candidate(name, made.title, make_probe(), made.make_framing, url)
+
+
+def _elsewhere(url: LinkUrl, names: Iterable[str]) -> str | None:
+    """Return a sentence on those who are on a bus, but not of the kind that this link opens; None without any."""
+    if not isinstance(url, CanUrl):
+        return None
+    own, other, change = ("can_fd", "can", "without") if url.fd else ("can", "can_fd", "with")
+    dialects = [dialect(name) for name in names if name != OUR_DRIVER]
+    titles = [one.title for one in dialects if one.probe is not None and other in one.wires and own not in one.wires]
+    if not titles:
+        return None
+    return f"not looked for on this link: {', '.join(titles)}; look for them in a link {change} fd=1"
 
 
 def _probe_bus(candidates: Sequence[_Candidate], is_chosen: bool, result: Result, say: Callable[[str], None]) -> None:

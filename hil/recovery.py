@@ -116,7 +116,7 @@ class Recovery:
             self._due_ns = self._clock.now_ns() + _ARMING_LIMIT_NS
             self._step = self._last_step
         elif self._clock.now_ns() > self._due_ns:
-            raise RobotStoppedError("the robot did not answer HELLO within 2 s")
+            raise RobotStoppedError("the robot did not answer within 2 s")
         return False
 
     def _arm(self) -> bool:

@@ -243,6 +243,23 @@ def test_nothing_but_arming_and_commands_has_the_enable_bit() -> None:
     assert all(frame.payload[0] & 1 == 0 for frame in driver.disarm() if frame.id != 0x100)
 
 
+@pytest.mark.parametrize(
+    "enable",
+    [
+        {"DRIVES_CONTROL": {"State": ["off", "ready", "run"]}},
+        {f"DRIVE_{wheel}": {"Enable": [0, 1]} for wheel in ("FL", "FR", "RR", "RL")},
+    ],
+)
+def test_what_switches_off_may_be_the_first_step_to_on(enable: object) -> None:
+    """As in CiA 402, whose "shutdown" is both."""
+    rig = armed(drives(enable=enable))
+    rig.drive(0.3, ramp_to(FORWARD, 0.2))
+    assert not rig.is_still()
+    rig.step(rig.driver.disarm(), ticks=500)
+    assert not rig.node.is_on
+    assert rig.is_still()
+
+
 def test_a_device_of_another_version_is_refused() -> None:
     rig = drives()
     rig.node.said_instead["DRIVES_INFO.Protocol"] = 9

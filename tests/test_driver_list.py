@@ -37,6 +37,7 @@ def test_a_rate_of_feedback_that_follows_from_the_loop_says_so() -> None:
 
 MUTE = {"kind": "mute", "target": "TICK", "start_s": 1.0, "end_s": 1.1}
 DROP = {"kind": "drop", "target": "WHEEL_COMMAND", "value": 1.0}
+GYRO = {"kind": "gyro_bias", "value": 0.1}
 
 
 @pytest.mark.parametrize(
@@ -48,6 +49,7 @@ DROP = {"kind": "drop", "target": "WHEEL_COMMAND", "value": 1.0}
             'fault.0.target = "WHEEL_COMMAND"; this message is ours and none of RoboMaster C620',
         ),
         ("odrive", {"fault": [DROP | {"target": "command"}, MUTE]}, 'fault.1.target = "TICK"; this message is ours'),
+        ("moteus", {"fault": [GYRO]}, 'fault.0.kind = "gyro_bias"; mjbots moteus as it is set up has no gyro'),
         ("c620", "robot.yaw_rate_rad_s", 'expect.0.signal = "robot.yaw_rate_rad_s"; RoboMaster C620'),
         ("moteus", "robot.acceleration_z_m_s2", "mjbots moteus as it is set up does not measure it"),
         ("moteus", "battery.current_a", "does not measure it; remove the row (`hil list drivers`"),
@@ -67,6 +69,10 @@ def test_what_a_maker_can_do_is_not_refused(driver: str, signal: str) -> None:
     """Temperatures are told by firmware 0.6 of an ODrive, and before a run nobody knows which it is."""
     rows = {"fault": [DROP | {"target": "feedback"}], "expect": [{"signal": signal, "below": 100.0}]}
     load("circle_speed", set={"device.driver": driver} | rows)
+
+
+def test_a_gyro_that_is_there_may_be_wrong() -> None:
+    load("circle_speed", set={"device.driver": "rosmaster", "fault": [GYRO]})
 
 
 @pytest.mark.parametrize("driver", [name for name in DIALECTS if name != "dbc"])

@@ -112,7 +112,7 @@ def test_an_error_of_the_makers_is_told_and_stops_all(built: Any, bystander: Any
     built(MotorTwoGetsHot)
     result = run_scenario(scenario())
     assert isinstance(result.failure, DeviceError)
-    assert "motor 2 of wheel fr has 120 °C" in str(result.failure)
+    assert "it is FAULT because of this: motor 2 of wheel fr has 120 °C" in str(result.failure)
     assert_off(bystander)
 
 

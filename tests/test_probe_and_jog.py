@@ -16,9 +16,10 @@ import pytest
 from firmware_protocol.generated.messages import SENDERS
 from hil.dialects.port import Found
 from hil.errors import BadInputError
-from hil.jog import jog
+from hil.jog import Jogged, jog
 from hil.probe import Answer, probe
 from hil.scenario import load
+from hil.types import Wheels
 from tests.processes import HIL, device, environment, hil
 
 tty = pytest.importorskip("tty", reason="pseudo-terminals need a POSIX system")
@@ -89,7 +90,19 @@ def test_where_strangers_speak_nobody_is_asked(bus: Bus) -> None:
     assert answer["found"] == []
     assert list(answer["strangers"]) == ["0x123"]
     assert "nobody else was asked" in answer["not_asked"]
+    assert answer["elsewhere"] == "not looked for on this link: mjbots moteus; look for them in a link with fd=1"
     assert bus.heard() == []
+
+
+@pytest.mark.parametrize(("driver", "link"), [("moteus", "can:socketcan/can0"), ("odrive", "can:socketcan/can0?fd=1")])
+def test_who_is_on_the_other_kind_of_bus_is_not_looked_for(driver: str, link: str) -> None:
+    with pytest.raises(BadInputError, match=r"not looked for on this link: .* look for them in a link with(out)? fd=1"):
+        probe(link, driver)
+
+
+def test_who_knows_its_wiring_is_not_sent_to_jog() -> None:
+    wiring = {name: Answer(name, "memory:", Found((), {})).wiring for name in ("stm32", "odrive", "rosmaster")}
+    assert {name for name, said in wiring.items() if "hil jog" in said} == {"stm32", "odrive"}
 
 
 def test_too_few_motors_are_no_robot_file() -> None:
@@ -198,6 +211,20 @@ def test_a_wheel_is_turned_and_the_others_are_not() -> None:
     turned = told["turned_rad"]
     assert turned["rr"] > 2 * max(abs(turned[name]) for name in ("fl", "fr", "rl"))
     assert told["verdict"].startswith("the sensor of rr followed")
+
+
+@pytest.mark.parametrize(
+    ("asked", "turned", "sentence"),
+    [
+        (2.5, 2.4, "the sensor of fr followed; if you saw"),
+        (2.5, 0.2, "the sensor of fr followed, but not far: the wheels stand on the ground"),
+        (-28.5, -0.2, "the sensor of fr followed, but not far: the wheels stand on the ground"),
+        (2.5, -2.4, "the sensor of fr counted the other way"),
+        (2.5, 0.01, "no sensor saw a wheel turn"),
+    ],
+)
+def test_a_verdict_says_how_the_wheel_followed(asked: float, turned: float, sentence: str) -> None:
+    assert Jogged(asked, Wheels(-turned / 3, turned, turned / 3, 0.0)).verdict("fr").startswith(sentence)
 
 
 @pytest.mark.parametrize(

@@ -274,3 +274,11 @@ def test_a_robots_file_that_is_wrong(text: str, sentence: str) -> None:
 
 def test_a_robots_file_that_is_not_there() -> None:
     assert message("paper_circle", robot="r.toml") == "--robot r.toml: there is no file 'r.toml'"
+
+
+def test_a_table_from_two_places_is_told_with_both() -> None:
+    Path("my.toml").write_text('extends = "paper_circle"\n[device]\ndriver = "odrive"\nmotors = {gear_ratio = 8.0}\n')
+    refused = message(set=["device.motors.firmware=0.5"])
+    assert refused == 'scenario my.toml:4 and --set: device.motors: firmware = 0.5: expected a text, in quotes: "0.5"'
+    alone = message("paper_circle", set=["device.driver=odrive", "device.motors.nod_ids=[1]"])
+    assert alone.startswith("--set: device.motors: unknown option 'nod_ids'")

@@ -41,6 +41,7 @@ def probe(
                 ],
                 "strangers": {f"{number:#x}": count for number, count in result.strangers.items()},
                 "not_asked": result.not_asked,
+                "elsewhere": result.elsewhere,
             }
         )
         raise typer.Exit(0 if result.answers else 1)
@@ -54,13 +55,15 @@ def probe(
                 f"# that is no whole robot with four motors; see DIALECTS.md for [device.motors] of {answer.driver!r}"
             )
         else:
-            print("# Which wheel each motor turns, and which way, nobody can tell from here: see hil jog.")
+            print(f"# {answer.wiring}")
             print(answer.robot_file)
     if result.strangers:
         ids = ", ".join(f"{number:#x}" for number in sorted(result.strangers))
         print(f"# {sum(result.strangers.values())} frames came of others, with the ids {ids}")
     if not result.answers:
         print("# nobody was found; check power, cable, and the link's bit rate or baud")
+        if result.elsewhere is not None:
+            print(f"# {result.elsewhere}")
     raise typer.Exit(0 if result.answers else 1)
 
 

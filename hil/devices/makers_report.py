@@ -25,8 +25,8 @@ class MakersReport:
         self.why: str | None = None  # they stopped, None where nothing but the host did
 
     def stop_reason(self) -> str:
-        """Return why the robot last stopped."""
-        return self.why or "no error that it tells"
+        """Return why the robot last stopped, in words that follow on "because of"."""
+        return f"this: {self.why}" if self.why else "no error that it tells"
 
     def explains(self, state: State) -> bool:
         """They tell their errors before they are stopped for them."""

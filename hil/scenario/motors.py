@@ -75,6 +75,12 @@ def contradictions(tables: Tables) -> Iterator[tuple[str, object, str]]:
                 f'this message is ours and none of {title}, so that the fault could never strike; take "command" or '
                 '"feedback"',
             )
+        if fault.kind == "gyro_bias" and "gyro" not in can.sensors:
+            yield (
+                f"fault.{index}.kind",
+                fault.kind,
+                f"{title} as it is set up has no gyro, so that the fault could never strike; remove the row",
+            )
     for index, row in enumerate(tables.expect):
         sensor = _SENSOR_OF.get(row.signal)
         if sensor is not None and sensor not in can.sensors:

@@ -48,7 +48,7 @@ def complaint(tree: Tree, path: Path, value: object, expected: str, scenario: st
 
 
 def place(tree: Tree, path: Path, scenario: str) -> str:
-    """Return where the value at a path, or the first one below it, was given."""
+    """Return where the value at a path, or the first one below it, was given, and whether another was on the line."""
     node: Node | None = tree
     for key in path:
         if isinstance(node, Given):
@@ -59,11 +59,11 @@ def place(tree: Tree, path: Path, scenario: str) -> str:
             node = node[int(key)]
         else:
             node = None
-    first = next(leaves(node), None) if node is not None else None
-    if first is None:
+    places = [given.where for _, given in leaves(node)] if node is not None else []
+    if not places:
         return scenario
-    where = first[1].where
-    return where if where.startswith("--") else f"scenario {where}"
+    where = places[0] if places[0].startswith("--") else f"scenario {places[0]}"
+    return f"{where} and --set" if "--set" in places and where != "--set" else where
 
 
 def did_you_mean(path: Path) -> str:

@@ -193,7 +193,7 @@ class DeviceTable(Table):
         try:
             build(dialect(driver).settings, motors, "device.motors")
         except BadInputError as error:
-            raise ValueError(str(error).removeprefix("device.motors: ")) from error
+            raise ValueError(re.sub(r"^device\.motors(: |\.)", "", str(error))) from error
         return motors
 
     @field_validator("wheels")

@@ -97,7 +97,11 @@ class EmulatedDbc(EmulatedMotors):
             self.is_stopped = self._settings.estop_latches
             self._switch_off()
         elif self._is_last(message.name, raw, "disable"):
-            self._switch_off()
+            begins = self._begins(message.name, raw)
+            if self.is_on or not begins:
+                self._switch_off()
+            if begins:
+                self._enable(message.name, raw)
         else:
             self._enable(message.name, raw)
             self._command(message.name, raw, physical)
@@ -113,6 +117,11 @@ class EmulatedDbc(EmulatedMotors):
     def _is_last(self, message: str, raw: Mapping[str, Any], phase: str) -> bool:
         steps = self._plan.phases[phase]
         return bool(steps) and message in steps[-1] and _agrees(raw, steps[-1][message])
+
+    def _begins(self, message: str, raw: Mapping[str, Any]) -> bool:
+        """Tell whether this is of the first of several steps to on; what switches off may be that too (CiA 402)."""
+        steps = self._plan.phases["enable"]
+        return len(steps) > 1 and message in steps[0] and _agrees(raw, steps[0][message])
 
     def _set_watchdog(self, message: str, physical: Mapping[str, Any]) -> None:
         bound = self._plan.watchdog.set

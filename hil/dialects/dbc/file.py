@@ -245,4 +245,5 @@ def _limits(signal: Any) -> tuple[float, float]:
 
 
 def _one_line(error: Exception) -> str:
-    return (" ".join(str(error).split()) or type(error).__name__)[:200]
+    words = "".join(one if one.isprintable() else "?" for one in " ".join(str(error).split()))
+    return (words or type(error).__name__)[:200]

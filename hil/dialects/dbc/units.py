@@ -83,7 +83,9 @@ def unit(dimension: str, text: str) -> Unit:
         return folded[text.casefold()]
     what = f"the unit {text!r} is none of a {dimension} that is known here" if text else "the DBC gives it no unit"
     near = nearest(text, known) if text else f"; known: {', '.join(known)}"
-    raise ValueError(f"{what}{near}; give unit, or scale, which is what 1 of the signal is in {SI[dimension]}")
+    raise ValueError(
+        f"{what}{near}; give unit in the same table, or scale, which is what 1 of the signal is in {SI[dimension]}"
+    )
 
 
 def at_wheel(
