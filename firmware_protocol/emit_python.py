@@ -1,7 +1,7 @@
 """Writes the Python codec: one NamedTuple a message, straight-line code, standard library only."""
 
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from firmware_protocol.schema import Message, Schema, Signal
 
@@ -37,6 +37,7 @@ def _out_of_range(message: str, values: Sequence[float], ranges: Sequence[_Range
     raise AssertionError(f"{message}: all values are in range")
 '''
 
+_LETTERS = {8: "B", 16: "H", 32: "I"}  # of struct, by bits
 _ROUNDING = "        # Half of a truncated double: the nearest step, halves away from zero."
 
 
@@ -70,6 +71,8 @@ def _class(m: Message) -> Iterator[str]:
     form = _struct_format(m)
     if form:
         yield f'_{m.name} = Struct("{form}")'
+    elif words := _words(m):
+        yield f'_{m.name}_WORDS = Struct("<{"".join(_LETTERS[_bits(word)] for word in words)}")'
     yield f"_{m.name}_RANGES: tuple[_Range, ...] = ("
     for s in m.signals:
         unit = f" {s.unit}" if s.unit else ""
@@ -112,8 +115,36 @@ def _struct_format(m: Message) -> str:
     """Return the struct format of a message whose fields are whole bytes, else an empty string."""
     if not all(s.byte_aligned for s in m.signals):
         return ""
-    letters = {8: "B", 16: "H", 32: "I"}
-    return "<" + "".join(letters[s.length].lower() if s.scaled else letters[s.length] for s in m.signals)
+    return "<" + "".join(_LETTERS[s.length].lower() if s.scaled else _LETTERS[s.length] for s in m.signals)
+
+
+def _words(m: Message) -> list[list[Signal]]:
+    """Return the signals of a message by the 8, 16 or 32 bits that they share; none where it is not made of such."""
+    words: list[list[Signal]] = [[]]
+    end = 0
+    for s in m.signals:
+        if s.start != end or s.scaled:
+            return []
+        end += s.length
+        words[-1].append(s)
+        if end % 8 == 0:
+            words.append([])
+    words.pop()
+    return words if end == 8 * m.length and all(_bits(word) in _LETTERS for word in words) else []
+
+
+def _bits(word: Sequence[Signal]) -> int:
+    return sum(s.length for s in word)
+
+
+def _word_name(word: Sequence[Signal]) -> str:
+    return word[0].name if len(word) == 1 else f"word_{word[0].start // 8}"
+
+
+def _part(s: Signal, word: Sequence[Signal]) -> str:
+    shift = s.start - word[0].start
+    shifted = f"{_word_name(word)} >> {shift}" if shift else _word_name(word)
+    return shifted if s is word[-1] else f"{shifted} & 0x{s.mask:X}"
 
 
 def _names(m: Message) -> str:
@@ -161,6 +192,11 @@ def _decode(m: Message, form: str) -> Iterator[str]:
         return
     if form:
         yield f"        {_names(m)} = _{m.name}.unpack(payload)"
+    elif words := _words(m):
+        yield f"        {', '.join(_word_name(word) for word in words)} = _{m.name}_WORDS.unpack(payload)"
+        for word in words:
+            if len(word) > 1:
+                yield from (f"        {s.name} = {_part(s, word)}" for s in word)
     else:
         yield '        bits = int.from_bytes(payload, "little")'
         yield from (f"        {s.name} = {_raw(s)}" for s in m.signals)

@@ -99,17 +99,19 @@ class Deframer:
         """Take the bytes that arrived, in pieces of any size, and return the frames that they complete."""
         self.bytes += len(data)
         *ended, rest = data.split(b"\0")
+        if ended and (self._open or self._overrun):
+            self._append(ended[0])
+            ended[0], self._open, self._overrun = self._open, b"", False
         frames = []
-        for piece in ended:
-            whole = piece
-            if self._open or self._overrun or len(piece) > MAX_ENCODED:
-                self._append(piece)
-                whole, self._open = self._open, b""
-                self._overrun = False
-            if not whole:
+        decode, expected = cobs.decode, self._expected_sequence
+        for encoded in ended:
+            if not encoded:
                 continue  # two zeros in a row are no error: a sender may begin with one to clear the line
+            if len(encoded) > MAX_ENCODED:
+                self.rejected["overrun"] += 1
+                continue
             try:
-                body: bytes = cobs.decode(whole)
+                body: bytes = decode(encoded)
             except cobs.DecodeError:
                 self.rejected["cobs"] += 1
                 continue
@@ -121,16 +123,17 @@ class Deframer:
             if crc_hqx(body[:-_CRC], _CRC_START) != crc:
                 self.rejected["crc"] += 1
                 continue
-            if sequence != self._expected_sequence:
-                self._count_lost(sequence)  # the CRC holds, so the sender sent it, whatever it is
-            self._expected_sequence = (sequence + 1) & 0xFF
+            if sequence != expected:
+                self._count_lost(sequence, expected)  # the CRC holds, so the sender sent it, whatever it is
+            expected = (sequence + 1) & 0xFF
             if _SIZES.get(number) == size:
                 frames.append(make_frame((number, payload)))
             else:
                 self.rejected["length" if number in _SIZES else "unknown_id"] += 1
+        self._expected_sequence = expected
+        self.frames += len(frames)
         if rest:
             self._append(rest)
-        self.frames += len(frames)
         return frames
 
     def _append(self, piece: bytes) -> None:
@@ -142,10 +145,10 @@ class Deframer:
             self._overrun = True
             self._open = b""
 
-    def _count_lost(self, sequence: int) -> None:
-        """Count what is missing before a frame that is not the one that was expected."""
-        if self._expected_sequence is not None:
-            missing = (sequence - self._expected_sequence) & 0xFF
+    def _count_lost(self, sequence: int, expected: int | None) -> None:
+        """Count what is missing before a frame that is not the one that was expected, None before the first."""
+        if expected is not None:
+            missing = (sequence - expected) & 0xFF
             # Half the circle or more is a repeated frame or a sender that began anew: nothing was lost.
             self.lost += missing if missing < 128 else 0
 

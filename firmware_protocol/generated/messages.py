@@ -173,6 +173,7 @@ class Estop(_EstopFields):
         return _new(cls, _ESTOP.unpack(payload))
 
 
+_HOST_HEARTBEAT_WORDS = Struct("<HIBB")
 _HOST_HEARTBEAT_RANGES: tuple[_Range, ...] = (
     ("nonce", 1, 65535, ""),
     ("schema_hash", 0, 4294967295, ""),
@@ -227,12 +228,9 @@ class HostHeartbeat(_HostHeartbeatFields):
     def decode(cls, payload: bytes) -> Self | None:
         if len(payload) != 8:
             return None
-        bits = int.from_bytes(payload, "little")
-        nonce = bits & 0xFFFF
-        schema_hash = bits >> 16 & 0xFFFFFFFF
-        request = bits >> 48 & 0xF
-        mode = bits >> 52 & 0xF
-        parameter_check = bits >> 56 & 0xFF
+        nonce, schema_hash, word_6, parameter_check = _HOST_HEARTBEAT_WORDS.unpack(payload)
+        request = word_6 & 0xF
+        mode = word_6 >> 4
         if not (
             1 <= nonce
             and request <= 2
@@ -490,6 +488,7 @@ class TorqueCommand(_TorqueCommandFields):
         ))
 
 
+_TICK_WORDS = Struct("<IBBBB")
 _TICK_RANGES: tuple[_Range, ...] = (
     ("time_us", 0, 4294967295, " us"),
     ("sequence", 0, 255, ""),
@@ -548,13 +547,9 @@ class Tick(_TickFields):
     def decode(cls, payload: bytes) -> Self | None:
         if len(payload) != 8:
             return None
-        bits = int.from_bytes(payload, "little")
-        time_us = bits & 0xFFFFFFFF
-        sequence = bits >> 32 & 0xFF
-        command_age_ms = bits >> 40 & 0xFF
-        state = bits >> 48 & 0x7
-        parts = bits >> 51 & 0x1F
-        snapshot = bits >> 56 & 0xFF
+        time_us, sequence, command_age_ms, word_6, snapshot = _TICK_WORDS.unpack(payload)
+        state = word_6 & 0x7
+        parts = word_6 >> 3
         if not (
             state <= 6
         ):
@@ -877,6 +872,7 @@ class Gyro(_GyroFields):
         ))
 
 
+_STATUS_WORDS = Struct("<BBBHBH")
 _STATUS_RANGES: tuple[_Range, ...] = (
     ("state", 0, 6, ""),
     ("mode", 0, 1, ""),
@@ -941,15 +937,11 @@ class Status(_StatusFields):
     def decode(cls, payload: bytes) -> Self | None:
         if len(payload) != 8:
             return None
-        bits = int.from_bytes(payload, "little")
-        state = bits & 0xF
-        mode = bits >> 4 & 0xF
-        fault = bits >> 8 & 0x1F
-        fault_wheel = bits >> 13 & 0x7
-        stop_reason = bits >> 16 & 0xFF
-        nonce = bits >> 24 & 0xFFFF
-        arm_refusal = bits >> 40 & 0xFF
-        limited = bits >> 48 & 0xFFFF
+        word_0, word_1, stop_reason, nonce, arm_refusal, limited = _STATUS_WORDS.unpack(payload)
+        state = word_0 & 0xF
+        mode = word_0 >> 4
+        fault = word_1 & 0x1F
+        fault_wheel = word_1 >> 5
         if not (
             state <= 6
             and mode <= 1
@@ -1439,6 +1431,7 @@ class ParameterRequest(_ParameterRequestFields):
         ))
 
 
+_PARAMETER_RESPONSE_WORDS = Struct("<BBBBI")
 _PARAMETER_RESPONSE_RANGES: tuple[_Range, ...] = (
     ("parameter", 0, 255, ""),
     ("operation", 0, 5, ""),
@@ -1494,13 +1487,9 @@ class ParameterResponse(_ParameterResponseFields):
     def decode(cls, payload: bytes) -> Self | None:
         if len(payload) != 8:
             return None
-        bits = int.from_bytes(payload, "little")
-        parameter = bits & 0xFF
-        operation = bits >> 8 & 0xFF
-        transaction = bits >> 16 & 0xFF
-        result = bits >> 24 & 0xF
-        type = bits >> 28 & 0xF
-        value = bits >> 32 & 0xFFFFFFFF
+        parameter, operation, transaction, word_3, value = _PARAMETER_RESPONSE_WORDS.unpack(payload)
+        result = word_3 & 0xF
+        type = word_3 >> 4
         if not (
             operation <= 5
             and result <= 4
