@@ -138,48 +138,22 @@ class _Worker:
         self._process.kill()
 
 
-class _Hand(Generic[J, A]):
-    """A thread that gives one worker at a time its jobs, and starts another where that has ended."""
+class Performer(Generic[J, A]):
+    """Does jobs one after the other in a worker process, which is started when it is needed, and anew after its end."""
 
-    def __init__(
-        self,
-        work: Work[J, A],
-        waiting: "queue.SimpleQueue[tuple[int, J]]",
-        done: "queue.SimpleQueue[tuple[int, A]]",
-        limit_s: float,
-    ) -> None:
+    def __init__(self, work: Work[J, A], limit_s: float) -> None:
         self._work = work
-        self._waiting = waiting
-        self._done = done
         self._limit_s = limit_s
-        self._closing = False
         self._worker: _Worker | None = None
-        self._thread = threading.Thread(target=self._run, name="pool", daemon=True)
-        self._thread.start()
 
-    def _run(self) -> None:
-        while not self._closing:
-            try:
-                number, job = self._waiting.get_nowait()
-            except queue.Empty:
-                break
-            self._done.put((number, self._perform(job)))
-        self._dismiss()
-
-    def _dismiss(self) -> None:
-        if (worker := self._worker) is not None:
-            self._worker = None
-            worker.close()
-
-    def _perform(self, job: J) -> A:
+    def perform(self, job: J) -> A:
         """Do a job; whatever goes wrong is an answer, for without one nobody would stop waiting."""
         began = time.monotonic()
         try:
             return self._perform_or_raise(job)
         except Exception as error:  # noqa: BLE001 -- no process can be made, an answer that cannot be read, ...
-            if (worker := self._worker) is not None:
-                worker.kill()
-            self._dismiss()
+            self.kill()
+            self.close()
             return self._work.lost(job, f"crashed: {type(error).__name__}: {error}", time.monotonic() - began)
 
     def _perform_or_raise(self, job: J) -> A:
@@ -190,15 +164,52 @@ class _Hand(Generic[J, A]):
             return self._work.answer(**fields)
         wall_s = time.monotonic() - began
         trouble = self._worker.trouble()
-        self._dismiss()
+        self.close()
         how = f"hung: it was ended after {wall_s:.1f} s" if wall_s >= self._limit_s else f"crashed: {trouble}"
         return self._work.lost(job, how, wall_s)
+
+    def kill(self) -> None:
+        """End the process at once; may be called from another thread."""
+        if (worker := self._worker) is not None:
+            worker.kill()
+
+    def close(self) -> None:
+        """End the process when it has done its job."""
+        if (worker := self._worker) is not None:
+            self._worker = None
+            worker.close()
+
+
+class _Hand(Generic[J, A]):
+    """A thread that has jobs done, as long as there are any."""
+
+    def __init__(
+        self,
+        work: Work[J, A],
+        waiting: "queue.SimpleQueue[tuple[int, J]]",
+        done: "queue.SimpleQueue[tuple[int, A]]",
+        limit_s: float,
+    ) -> None:
+        self._performer = Performer(work, limit_s)
+        self._waiting = waiting
+        self._done = done
+        self._closing = False
+        self._thread = threading.Thread(target=self._run, name="pool", daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while not self._closing:
+            try:
+                number, job = self._waiting.get_nowait()
+            except queue.Empty:
+                break
+            self._done.put((number, self._performer.perform(job)))
+        self._performer.close()
 
     def abort(self) -> None:
         """Leave the other jobs, and the one in hand."""
         self._closing = True
-        if (worker := self._worker) is not None:
-            worker.kill()
+        self._performer.kill()
 
     def join(self) -> None:
         """Wait until the worker has ended."""
