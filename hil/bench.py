@@ -151,9 +151,7 @@ class Bench:
 
     def _open_within(self, resources: contextlib.ExitStack) -> Link:
         lockstep = self._scenario.loop.mode == "lockstep"
-        self._robot = robot = resources.enter_context(
-            self._make_robot(virtual_robot(self._scenario), self._make_node)
-        )
+        self._robot = robot = resources.enter_context(self._make_robot(virtual_robot(self._scenario), self._make_node))
         self.faults.arm(LocalFaults(robot.faults, self._do))
         pair = open_pair(
             parse_link(self._scenario.link.url),

@@ -1,8 +1,8 @@
 """Thousands of runs of one scenario: over axes, laws, faults and seeds, resumable, on one machine or many.
 
-    campaign = Campaign(Path("mass.toml"))
-    for rows in campaign.perform(Path("runs/mass"), Place(None, 2, 120.0)):
-        ...
+campaign = Campaign(Path("mass.toml"))
+for rows in campaign.perform(Path("runs/mass"), Place(None, 2, 120.0)):
+    ...
 """
 
 import contextlib
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pyarrow as pa
 
-from hil.campaign.dataset import KEY, RECORDINGS, Dataset, read_rows
+from hil.campaign.dataset import KEY, RECORDINGS, ROWS, Dataset, read_rows
 from hil.campaign.keys import key_of
 from hil.campaign.load import Plan, load_plan
 from hil.campaign.points import Point, points
@@ -41,6 +41,14 @@ _RECORDING_SUFFIX = ".rrd"
 class _Run(NamedTuple):
     key: str
     point: Point
+
+
+class _How(NamedTuple):
+    """How runs are done; see ``hil.campaign.schedule.perform_jobs``."""
+
+    place: "Place"
+    tell: "Callable[[Told], None]"
+    is_stopping: Callable[[], bool]
 
 
 class Campaign:
@@ -93,42 +101,52 @@ class Campaign:
         return told | dict(point.axes) | texts
 
     def perform(
-        self, folder: Path, place: "Place", tell: "Callable[[Told], None]" = lambda _: None
+        self,
+        folder: Path,
+        place: "Place",
+        tell: "Callable[[Told], None]" = lambda _: None,
+        is_stopping: Callable[[], bool] = lambda: False,
     ) -> Iterator[Sequence[Row]]:
         """Do what is left of it, and yield the rows as they come, each when it is on the disk.
 
-        First comes what was there already. Raises BadInputError when the folder cannot be written to, LinkError when
+        First comes what was there already. ``tell`` and ``is_stopping`` are those of ``perform_jobs``. Raises BadInputError when the folder cannot be written to, LinkError when
         there is no scheduler.
         """
+        how = _How(place, tell, is_stopping)
         with Dataset(folder, schema(self._axes)) as dataset:
             self._begin(dataset)
             done = dataset.keys()
             yield [row for row in read_rows(folder).to_pylist() if row[KEY] in self._by_key]
-            yield from self._perform([run for run in self.runs if run.key not in done], dataset, place, tell)
-            yield from self._record_worst(dataset, place, tell)
+            yield from self._perform([run for run in self.runs if run.key not in done], dataset, how)
+            yield from self._record_worst(dataset, how)
+
+    def left(self, folder: Path) -> int:
+        """Return how many runs are not done in a folder, which need not be there."""
+        if not (folder / ROWS).is_dir():
+            return len(self.runs)
+        done = set(read_rows(folder).column(KEY).to_pylist())
+        return sum(run.key not in done for run in self.runs)
 
     @cached_property
     def _by_key(self) -> dict[str, _Run]:
         return {run.key: run for run in self.runs}
 
-    def _perform(
-        self, left: Sequence[_Run], dataset: Dataset, place: "Place", tell: "Callable[[Told], None]"
-    ) -> Iterator[Sequence[Row]]:
+    def _perform(self, left: Sequence[_Run], dataset: Dataset, how: "_How") -> Iterator[Sequence[Row]]:
         recorded = {"failures": IF_FAILED, "all": ALWAYS}.get(str(self.plan.tables.keep), NEVER)
-        for batch in self._done(left, recorded, place, tell):
+        for batch in self._done(left, recorded, how):
             new = [self._finished(done, dataset) for done in batch]
             dataset.append(new)
             yield new
 
-    def _done(
-        self, runs: Sequence[_Run], recorded: str, place: "Place", tell: "Callable[[Told], None]"
-    ) -> "Iterator[list[Done]]":
+    def _done(self, runs: Sequence[_Run], recorded: str, how: "_How") -> "Iterator[list[Done]]":
         if not runs:
             return
         from hil.campaign.schedule import perform_jobs  # Dask takes a second to import
 
         jobs = (self.job(run, recorded) for run in runs)
-        with contextlib.closing(perform_jobs(place, jobs, on_bench=self.on_bench, tell=tell)) as batches:
+        with contextlib.closing(
+            perform_jobs(how.place, jobs, on_bench=self.on_bench, tell=how.tell, is_stopping=how.is_stopping)
+        ) as batches:
             yield from batches
 
     def _finished(self, done: "Done", dataset: Dataset) -> dict[str, Any]:
@@ -145,18 +163,16 @@ class Campaign:
     def _commit(self) -> str | None:
         return versions().get("commit")
 
-    def _record_worst(
-        self, dataset: Dataset, place: "Place", tell: "Callable[[Told], None]"
-    ) -> Iterator[Sequence[Row]]:
+    def _record_worst(self, dataset: Dataset, how: "_How") -> Iterator[Sequence[Row]]:
         """Run the worst once more, to record them; what was recorded before stays only as long as it is of them."""
         keep = self.plan.tables.keep
-        if not isinstance(keep, KeepTable):
+        if not isinstance(keep, KeepTable) or how.is_stopping():
             return
         of_figure = [row for row in read_rows(dataset.folder).to_pylist() if row[KEY] in self._by_key]
         of_figure = [row for row in of_figure if row[keep.by] is not None]
         worst = [row[KEY] for row in sorted(of_figure, key=lambda row: -row[keep.by])[: keep.worst]]
         there = {path.stem for path in (dataset.folder / RECORDINGS).glob(f"*{_RECORDING_SUFFIX}")}
-        for batch in self._done([self._by_key[key] for key in worst if key not in there], ALWAYS, place, tell):
+        for batch in self._done([self._by_key[key] for key in worst if key not in there], ALWAYS, how):
             for done in batch:
                 self._finished(done, dataset)
             yield []

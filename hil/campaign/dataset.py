@@ -26,8 +26,7 @@ from filelock import FileLock, Timeout
 from hil.errors import BadInputError
 
 KEY = "key"
-PLAN, ABOUT, RECORDINGS = "plan.parquet", "campaign.json", "recordings"
-_ROWS = "rows"
+PLAN, ABOUT, ROWS, RECORDINGS = "plan.parquet", "campaign.json", "rows", "recordings"
 _REPLACES = b"hil.replaces"
 _MOST_OF_A_SIZE = 32
 _NAME = re.compile(r"(\d+)-[0-9a-f]{32}\.parquet")
@@ -45,7 +44,7 @@ class Dataset:
     def __init__(self, folder: Path, schema: pa.Schema) -> None:
         self.folder = folder
         self._schema = schema
-        self._rows = folder / _ROWS
+        self._rows = folder / ROWS
         with contextlib.ExitStack() as resources:
             with writing(folder):
                 (folder / RECORDINGS).mkdir(parents=True, exist_ok=True)
@@ -136,7 +135,7 @@ class Dataset:
 
 def read_rows(folder: Path) -> pa.Table:
     """Return all rows in a campaign's folder, one for each key. Raises BadInputError when there is none."""
-    rows = folder / _ROWS
+    rows = folder / ROWS
     if not rows.is_dir():
         raise BadInputError(f"campaign folder {folder}: it holds no campaign; give the folder of hil campaign --out")
     parts = sorted(path for path in rows.iterdir() if _NAME.fullmatch(path.name))

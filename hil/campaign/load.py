@@ -99,7 +99,12 @@ def _flat(document: dict[str, Any]) -> dict[str, Any]:
         for key, value in table.items():
             here = (*path, key)
             is_axis = isinstance(value, Mapping) and any(kind in value for kind in AXIS_KINDS)
-            if isinstance(value, Mapping) and value and not is_axis and any(isinstance(v, Mapping) for v in value.values()):
+            if (
+                isinstance(value, Mapping)
+                and value
+                and not is_axis
+                and any(isinstance(v, Mapping) for v in value.values())
+            ):
                 found |= leaves(value, here)
             else:
                 found[".".join(here)] = value

@@ -130,5 +130,3 @@ def _within(axis: AxisTable, share: float) -> float:
     if axis.kind == "log_uniform":
         return math.exp(math.log(low) + share * (math.log(high) - math.log(low)))
     return float(low + share * (high - low))
-
-

@@ -42,31 +42,35 @@ def perform_jobs(
     *,
     on_bench: bool,
     tell: Callable[[Told], None] = lambda _: None,
+    is_stopping: Callable[[], bool] = lambda: False,
     patience_s: float = _PATIENCE_S,
 ) -> Iterator[list[Done]]:
     """Do the jobs, at most a few a worker at a time, and yield what is done as it comes, in any order.
 
     ``on_bench`` has them done where the resource ``bench`` is. A job whose worker is lost is done by another, one that
-    Dask gives up is lost. When the scheduler goes, its runs are given anew once it is back. When the iterator is closed
-    what has not begun is left.
+    Dask gives up is lost. When the scheduler goes, its runs are given anew once it is back. When ``is_stopping`` says so,
+    what is done is yielded, and the rest left; it is asked twice a second.
 
     Raises LinkError when no scheduler answers, or none came back within ``patience_s``.
     """
     with cluster(place) as to:
         hands = _Hands(to, place, on_bench=on_bench)
         try:
-            yield from _perform(hands, jobs, tell, patience_s)
+            yield from _perform(hands, jobs, tell, is_stopping, patience_s)
         finally:
             hands.close()
 
 
 def _perform(
-    hands: "_Hands", jobs: Iterator[Job], tell: Callable[[Told], None], patience_s: float
+    hands: "_Hands",
+    jobs: Iterator[Job],
+    tell: Callable[[Told], None],
+    is_stopping: Callable[[], bool],
+    patience_s: float,
 ) -> Iterator[list[Done]]:
     again: list[Job] = []
-    jobs = iter(jobs)
     lost_s: float | None = None
-    while True:
+    while not is_stopping():
         if hands.is_connected:
             lost_s = None
             room = hands.room()
@@ -90,6 +94,8 @@ def _perform(
             if job is None:
                 return
             again.append(job)
+    done, _ = hands.take()
+    yield done
 
 
 def _taken(jobs: list[Job]) -> Iterator[Job]:

@@ -15,9 +15,13 @@ class AxisTable(Table):
     """A row of ``[axes]``: what one key of the scenario is in the runs. One of these."""
 
     grid: tuple[Option, ...] | None = Field(default=None, description="values, each with each of the other axes")
-    list: tuple[Option, ...] | None = Field(default=None, description="values that go together with other lists, in step")
+    list: tuple[Option, ...] | None = Field(
+        default=None, description="values that go together with other lists, in step"
+    )
     uniform: tuple[float, float] | None = Field(default=None, description="[low, high] of a random number")
-    log_uniform: tuple[float, float] | None = Field(default=None, description="[low, high] of one with uniform logarithm")
+    log_uniform: tuple[float, float] | None = Field(
+        default=None, description="[low, high] of one with uniform logarithm"
+    )
 
     @property
     def kind(self) -> str:

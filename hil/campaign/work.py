@@ -71,9 +71,7 @@ def _run(scenario: Scenario, job: Job, began: float, *, record: bool) -> Said:
         return Said({}, ENDED, str(error), time.monotonic() - began)
     outcome, reason = _outcome(result)
     kept = path is not None and path.exists() and (job.recorded == ALWAYS or outcome != PASSED)
-    return Said(
-        figures_of(result.metrics), outcome, reason, time.monotonic() - began, job.recording if kept else None
-    )
+    return Said(figures_of(result.metrics), outcome, reason, time.monotonic() - began, job.recording if kept else None)
 
 
 def _outcome(result: RunResult) -> tuple[str, str | None]:
