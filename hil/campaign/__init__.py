@@ -16,7 +16,7 @@ import pyarrow as pa
 
 from hil.campaign.dataset import KEY, RECORDINGS, ROWS, Dataset, read_rows
 from hil.campaign.keys import key_of
-from hil.campaign.load import Plan, load_plan
+from hil.campaign.load import load_plan
 from hil.campaign.points import Point, points
 from hil.campaign.rows import MACHINE, check_figure, schema
 from hil.campaign.tables import KeepTable
@@ -109,8 +109,8 @@ class Campaign:
     ) -> Iterator[Sequence[Row]]:
         """Do what is left of it, and yield the rows as they come, each when it is on the disk.
 
-        First comes what was there already. ``tell`` and ``is_stopping`` are those of ``perform_jobs``. Raises BadInputError when the folder cannot be written to, LinkError when
-        there is no scheduler.
+        First comes what was there already. ``tell`` and ``is_stopping`` are those of ``perform_jobs``. Raises
+        BadInputError when the folder cannot be written to, LinkError when there is no scheduler.
         """
         how = _How(place, tell, is_stopping)
         with Dataset(folder, schema(self._axes)) as dataset:

@@ -40,7 +40,7 @@ class Answer(NamedTuple):
     recording: bytes | None
 
 
-class RunProcesses(distributed.WorkerPlugin):  # type: ignore[misc]
+class RunProcesses(distributed.WorkerPlugin):
     """The processes of a Dask worker that do runs, one for each of its threads."""
 
     name = _PLUGIN
@@ -88,7 +88,8 @@ class RunProcesses(distributed.WorkerPlugin):  # type: ignore[misc]
 
 def perform_on_worker(job: Job) -> Answer:
     """Do a run on the worker of Dask that this is called on."""
-    processes: RunProcesses = distributed.get_worker().plugins[_PLUGIN]
+    processes = distributed.get_worker().plugins[_PLUGIN]
+    assert isinstance(processes, RunProcesses)
     return processes.perform(job)
 
 

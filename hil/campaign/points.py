@@ -67,7 +67,7 @@ def points(plan: Plan) -> Iterator[Point]:
     product = itertools.product(enumerate(draws), seeds, grids, lists, faults, laws)
     for number, ((sample, drawn), seed, grid, listed, (fault, rows), (law, choice)) in enumerate(product):
         axes = {key: (grid | listed | drawn)[key] for key in tables.axes}
-        sets = {**rows, **expect, **tables.set, **choice, **axes, "loop.seed": seed}
+        sets = {**tables.set, **rows, **expect, **choice, **axes, "loop.seed": seed}
         yield Point(number, axes, law, fault, seed, sample, sets)
 
 

@@ -4,10 +4,11 @@ import contextlib
 import itertools
 import queue
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from typing import Any, NamedTuple
 
 import distributed
+from distributed.client import FutureCancelledError
 
 from hil.campaign.cluster import BENCH, Answer, Place, cluster, connect, perform_on_worker
 from hil.campaign.rows import LOST, Said
@@ -44,12 +45,12 @@ def perform_jobs(
     tell: Callable[[Told], None] = lambda _: None,
     is_stopping: Callable[[], bool] = lambda: False,
     patience_s: float = _PATIENCE_S,
-) -> Iterator[list[Done]]:
+) -> Generator[list[Done]]:
     """Do the jobs, at most a few a worker at a time, and yield what is done as it comes, in any order.
 
     ``on_bench`` has them done where the resource ``bench`` is. A job whose worker is lost is done by another, one that
-    Dask gives up is lost. When the scheduler goes, its runs are given anew once it is back. When ``is_stopping`` says so,
-    what is done is yielded, and the rest left; it is asked twice a second.
+    Dask gives up is lost. When the scheduler goes, its runs are given anew once it is back. When ``is_stopping`` says
+    so, what is done is yielded, and the rest left; it is asked twice a second.
 
     Raises LinkError when no scheduler answers, or none came back within ``patience_s``.
     """
@@ -90,10 +91,9 @@ def _perform(
         if done:
             yield done
         if not hands.in_flight and not again:
-            job = next(jobs, None)
-            if job is None:
+            if (job_left := next(jobs, None)) is None:
                 return
-            again.append(job)
+            again.append(job_left)
     done, _ = hands.take()
     yield done
 
@@ -111,7 +111,7 @@ class _Hands:
         self._limit_s = place.limit_s
         self._resources = {BENCH: 1} if on_bench else None
         self._client: distributed.Client | None = connect(to, place.limit_s)
-        self._jobs: dict[str, tuple[Job, distributed.Future]] = {}
+        self._jobs: dict[str, tuple[Job, distributed.Future[Answer]]] = {}
         self._finished: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._numbers = itertools.count()
 
@@ -197,7 +197,7 @@ class _Hands:
         self._client.close(timeout=2.0)
 
 
-def _answer(future: "distributed.Future") -> Answer | None:
+def _answer(future: "distributed.Future[Answer]") -> Answer | None:
     """Return what came of a run, or None when it has to be given anew."""
     if future.status in ("cancelled", "lost"):
         return None
@@ -206,6 +206,6 @@ def _answer(future: "distributed.Future") -> Answer | None:
     except distributed.KilledWorker as error:
         words = f"every worker of Dask that had it was lost, {error.allowed_failures + 1} of them"
         return Answer(Said({}, LOST, words, 0.0), "-", None)
-    except (distributed.FutureCancelledError, TimeoutError, OSError):
+    except (FutureCancelledError, TimeoutError, OSError):
         return None
     return answer

@@ -81,7 +81,7 @@ class PlanTables(Table):
     """A campaign's file."""
 
     scenario: Text = Field(description="a shipped name, or a path relative to this file")
-    seeds: int | tuple[int, ...] = Field(default=(), description="loop.seed: how many from 1 on, or which")
+    seeds: tuple[int, ...] = Field(default=(), description="loop.seed: how many from 1 on, or which")
     laws: tuple[LawTable, ...] = Field(default=(), description="by default the scenario's own")
     axes: Mapping[Text, AxisTable] = Field(default_factory=dict, description="by the scenario's dotted keys")
     samples: int | None = Field(default=None, ge=1, le=_MOST_RUNS, description="draws of the random axes")
@@ -97,13 +97,18 @@ class PlanTables(Table):
     def _named(cls, laws: object) -> object:
         return tuple({"law": law} if isinstance(law, str) else law for law in laws) if isinstance(laws, tuple) else laws
 
-    @field_validator("seeds")
+    @field_validator("seeds", mode="before")
     @classmethod
-    def _some(cls, seeds: int | tuple[int, ...]) -> tuple[int, ...]:
-        if isinstance(seeds, int):
+    def _numbered(cls, seeds: object) -> object:
+        if isinstance(seeds, int) and not isinstance(seeds, bool):
             if not 1 <= seeds <= _MOST_RUNS:
                 raise ValueError(f"expected how many, from 1 to {_MOST_RUNS}, or an array of seeds")
             return tuple(range(1, seeds + 1))
+        return seeds
+
+    @field_validator("seeds")
+    @classmethod
+    def _once(cls, seeds: tuple[int, ...]) -> tuple[int, ...]:
         if len(set(seeds)) < len(seeds):
             raise ValueError("a seed is named twice; name each once")
         if not all(0 <= seed < 2**32 for seed in seeds):
