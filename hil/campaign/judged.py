@@ -164,9 +164,10 @@ class Judged:
         if not rows:
             return None
         groups: Sequence[object] = [row[axis] for row in rows]
-        if self.axes[axis] in ("uniform", "log_uniform"):
-            groups = binned(np.array(groups, dtype=np.float64))
-        return share_explained(groups, np.array([row[figure] for row in rows]))
+        values = np.array([row[figure] for row in rows])
+        if self.axes[axis] not in ("uniform", "log_uniform"):
+            return share_explained(groups, values)
+        return share_explained(binned(np.array(groups, dtype=np.float64)), values, [row["sample"] for row in rows])
 
     @property
     def by(self) -> str:

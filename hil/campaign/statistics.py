@@ -14,6 +14,7 @@ Series = npt.NDArray[np.float64]
 Z_95 = 1.959963984540054
 _RESAMPLES = 4000
 _BINS = 8
+_LEAST_IN_A_BIN = 5
 
 
 class Interval(NamedTuple):
@@ -63,24 +64,36 @@ def unit_means(units: Sequence[object], values: Series) -> Series:
     return np.asarray(np.bincount(places, weights=values) / np.bincount(places), dtype=np.float64)
 
 
-def share_explained(groups: Sequence[object], values: Series) -> float | None:
+def share_explained(groups: Sequence[object], values: Series, units: Sequence[object] | None = None) -> float | None:
     """Return how much of the variance of the ranks of ``values`` goes with the group: epsilon squared (Kelley 1935).
 
     That is the first-order effect, the correlation ratio, without the part that many small groups explain by chance;
     ranks, so that a few runs that ran away do not decide. From 0 to 1; None where there is nothing to explain.
+
+    ``units`` names, where a group was drawn, the draw of each value: what the group explains of the draws' means is
+    then a share of what the draws explain, for the many values of one draw say nothing new of its group.
     """
+    ranks = ranked(values)
+    if units is None:
+        return _epsilon_squared(groups, ranks)
+    of_draws = _epsilon_squared(units, ranks)
+    group_of = dict(zip(units, groups, strict=True))
+    of_groups = _epsilon_squared(list(group_of.values()), unit_means(units, ranks))
+    return None if of_draws is None or of_groups is None else of_draws * of_groups
+
+
+def _epsilon_squared(groups: Sequence[object], values: Series) -> float | None:
     count = len(values)
     names: dict[object, int] = {}
     places = np.array([names.setdefault(group, len(names)) for group in groups], dtype=np.intp)
     if len(names) < 2 or count <= len(names):
         return None
-    ranks = ranked(values)
-    total = float(((ranks - ranks.mean()) ** 2).sum())
+    total = float(((values - values.mean()) ** 2).sum())
     if total == 0.0:
         return None
     sizes = np.bincount(places)
-    means = np.bincount(places, weights=ranks) / sizes
-    within = total - float((sizes * (means - ranks.mean()) ** 2).sum())
+    means = np.bincount(places, weights=values) / sizes
+    within = total - float((sizes * (means - values.mean()) ** 2).sum())
     return float(max(0.0, 1.0 - within / total * (count - 1) / (count - len(names))))
 
 
@@ -92,7 +105,7 @@ def ranked(values: Series) -> Series:
 
 
 def binned(values: Series) -> list[int]:
-    """Return the group of each value of a continuous axis: about as many in each, at most eight."""
-    bins = min(_BINS, max(2, len(values) // 5))
-    edges = np.quantile(values, np.linspace(0.0, 1.0, bins + 1)[1:-1])
+    """Return the group of each draw of a continuous axis: about as many in each, five at least, and at most eight."""
+    bins = min(_BINS, max(2, len(np.unique(values)) // _LEAST_IN_A_BIN))
+    edges = np.quantile(np.unique(values), np.linspace(0.0, 1.0, bins + 1)[1:-1])
     return [int(place) for place in np.searchsorted(edges, values, side="right")]
