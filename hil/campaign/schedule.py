@@ -19,6 +19,7 @@ _AHEAD = 2
 """Runs that a worker has waiting beside the one in hand: so many are lost with a scheduler, and none waits for us."""
 _LEAST_AHEAD = 4
 _POLL_S = 0.5
+_ASK_AGAIN_S = 2.0
 _PATIENCE_S = 300.0
 _GATHER_S = 60.0
 
@@ -114,6 +115,8 @@ class _Hands:
         self._jobs: dict[str, tuple[Job, distributed.Future[Answer]]] = {}
         self._finished: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._numbers = itertools.count()
+        self._threads = 0
+        self._asked_s = -_ASK_AGAIN_S
 
     @property
     def address(self) -> str:
@@ -132,9 +135,9 @@ class _Hands:
 
     def told(self) -> Told:
         """Return what may be said."""
-        workers = self._workers()
         if not self.is_connected:
-            return Told(workers, f"the scheduler {self.address} has gone; waiting for it")
+            return Told(0, f"the scheduler {self.address} has gone; waiting for it")
+        workers = self._workers()
         if not workers:
             needed = f" with --resources {BENCH}=1" if self._resources else ""
             return Told(workers, f"the scheduler {self.address} has no worker{needed}; waiting for one")
@@ -142,16 +145,21 @@ class _Hands:
 
     def room(self) -> int:
         """Return how many more runs may be given."""
-        return max(_LEAST_AHEAD, (1 + _AHEAD) * self._workers()) - len(self._jobs)
+        return max(0, max(_LEAST_AHEAD, (1 + _AHEAD) * self._workers()) - len(self._jobs))
 
     def _workers(self) -> int:
-        """Return the threads of the workers that can do runs."""
-        if self._client is None:
-            return 0
-        workers = self._client.scheduler_info(n_workers=-1)["workers"].values()
-        return sum(
-            worker["nthreads"] for worker in workers if self._resources is None or BENCH in worker.get("resources", {})
-        )
+        """Return the threads of the workers that can do runs, as they were a moment ago: to ask is a round trip."""
+        now_s = time.monotonic()
+        if self._client is None or now_s - self._asked_s < _ASK_AGAIN_S:
+            return self._threads
+        self._asked_s = now_s
+        try:
+            workers = self._client.scheduler_info(n_workers=-1)["workers"].values()
+        except OSError:  # it goes just now, which is seen to next
+            return self._threads
+        able = (one for one in workers if self._resources is None or BENCH in one.get("resources", {}))
+        self._threads = sum(worker["nthreads"] for worker in able)
+        return self._threads
 
     def give(self, job: Job) -> None:
         """Give a run to the scheduler."""
