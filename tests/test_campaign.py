@@ -10,12 +10,15 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 import hil as bridge
 from hil.campaign import Campaign
+from hil.campaign import cluster as cluster_of_dask
 from hil.campaign.cluster import Place
 from hil.campaign.dataset import RECORDINGS, ROWS, read_rows
-from hil.errors import BadInputError
+from hil.cli import app
+from hil.errors import BadInputError, LinkError
 from hil.review import read
 from tests.campaigns import LIMIT_S, do, of_the_runs, rows_of, write_plan
 from tests.flawed_fmu import build_flawed
@@ -61,6 +64,13 @@ def start(*arguments: str | Path) -> "subprocess.Popen[str]":
     )
 
 
+def in_process(*arguments: str | Path) -> str:
+    """Do a command here, which saves its imports, and return what it prints."""
+    done = CliRunner().invoke(app, list(map(str, arguments)))
+    assert done.exit_code == 0, done.output
+    return done.stdout
+
+
 def rows_written(folder: Path) -> int:
     rows = folder / ROWS
     return len(list(rows.glob("*.parquet"))) if rows.is_dir() else 0
@@ -69,23 +79,20 @@ def rows_written(folder: Path) -> int:
 def test_a_campaign_that_is_killed_goes_on_without_a_run_twice_or_lost_and_the_rows_are_those_of_any_other(
     tmp_path: Path,
 ) -> None:
-    plan = write_plan(tmp_path, 'laws = ["afdsc", "dsc"]\nseeds = 3\nsamples = 2\nkeep = "none"', MASSES)
+    plan = write_plan(tmp_path, 'laws = ["afdsc", "dsc"]\nseeds = 2\nsamples = 2\nkeep = "none"', MASSES)
     out = tmp_path / "out"
     killed = start(plan, "--out", out, "--workers", "1")
     wait_for(lambda: rows_written(out) >= 2)
     killed.kill()
     killed.wait()
     before = rows_of(plan, out)
-    assert 2 <= len(before) < 36
-    told = hil("campaign", plan, "--out", out, "--workers", "2", "--json")
-    assert told.returncode == 0, told.stderr
-    assert json.loads(told.stdout)["outcomes"] == {"passed": 36}
-    rows = rows_of(plan, out)
-    assert len(rows) == 36
+    assert 2 <= len(before) < 24
+    rows = do(plan, out)
+    assert [row["outcome"] for row in rows] == ["passed"] * 24
     assert [row for row in rows if row in before] == before  # they were not run again
     other = do(plan, tmp_path / "other", Place(None, 2, LIMIT_S))
     assert of_the_runs(rows) == of_the_runs(other)
-    assert len({row["wire_sha256"] for row in rows}) == 36
+    assert len({row["wire_sha256"] for row in rows}) == 24
     row = rows[4]
     metrics = bridge.run("circle_speed", set=Campaign(plan).runs[4].point.sets).metrics
     for name in ("wire_sha256", "effort_n_m_s", "overshoot_m", "ticks"):
@@ -94,7 +101,7 @@ def test_a_campaign_that_is_killed_goes_on_without_a_run_twice_or_lost_and_the_r
 
 
 def test_an_interrupted_campaign_keeps_what_is_done_and_says_how_to_go_on(tmp_path: Path) -> None:
-    plan = write_plan(tmp_path, 'seeds = 4000\nkeep = "none"')
+    plan = write_plan(tmp_path, 'seeds = 400\nkeep = "none"')
     out = tmp_path / "out"
     running = start(plan, "--out", out, "--workers", "1")
     wait_for(lambda: rows_written(out) >= 1)
@@ -102,33 +109,40 @@ def test_an_interrupted_campaign_keeps_what_is_done_and_says_how_to_go_on(tmp_pa
     _, told = running.communicate(timeout=60)
     assert running.returncode == 130, told
     done = read_rows(out).num_rows
-    assert f"interrupted; {done} of 4000 runs are done and safe in {out}; the same command goes on" in told
+    assert f"interrupted; {done} of 400 runs are done and safe in {out}; the same command goes on" in told
     assert "Traceback" not in told
-    dry = json.loads(hil("campaign", plan, "--out", out, "--dry-run", "--json").stdout)
-    assert (dry["runs"], dry["left"]) == (4000, 4000 - done)
+    dry = json.loads(in_process("campaign", plan, "--out", out, "--dry-run", "--json"))
+    assert (dry["runs"], dry["left"]) == (400, 400 - done)
     assert dry["total_s"] == pytest.approx(dry["run_s"] * dry["left"] / dry["workers"])
 
 
 def test_a_run_that_fails_is_a_row_with_its_reason_and_the_others_go_on(tmp_path: Path) -> None:
     (tmp_path / "laws.py").write_text(LAWS, encoding="utf-8")
-    axis = "[axes]\nrobot.mass_kg = { grid = [20, 21, 22, 23, 24, 25] }"
+    axis = "[axes]\nrobot.mass_kg = { grid = [20, 21, 22, 24, 25] }"
     expect = '[[expect]]\nsignal = "error.planar_m"\nbelow = 1e-9'
     plan = write_plan(tmp_path, 'laws = ["./laws.py:Light"]', f"{axis}\n{expect}")
-    rows = do(plan, tmp_path / "out", Place(None, 1, 4.0))
+    rows = do(plan, tmp_path / "out")
     told = {row["robot.mass_kg"]: (row["outcome"], row["reason"]) for row in rows}
     assert told[20.0][0] == told[25.0][0] == "failed"
     assert told[20.0][1].startswith("error.planar_m below 1e-09 from 0 s to the end: failed")
     assert told[21.0] == ("lost", "its process ended twice, at last: crashed: exit code 7")
     assert told[22.0][0] == "ended"
     assert "ZeroDivisionError: too heavy" in told[22.0][1]
-    assert told[23.0][0] == "lost"
-    assert told[23.0][1].startswith("hung: it was ended after 4.")
     assert told[24.0][0] == "failed"
     # What failed is recorded, and the recording is of that very run.
     recordings = {path.stem: path for path in (tmp_path / "out" / RECORDINGS).iterdir()}
     of_mass = {row["robot.mass_kg"]: row["key"] for row in rows}
     assert recordings.keys() == {of_mass[mass] for mass in (20.0, 22.0, 24.0, 25.0)}
-    assert read(recordings[of_mass[25.0]]).summary["wire_sha256"] == rows[5]["wire_sha256"]
+    assert read(recordings[of_mass[25.0]]).summary["wire_sha256"] == rows[4]["wire_sha256"]
+
+
+def test_a_run_that_hangs_is_ended_once_and_is_a_row(tmp_path: Path) -> None:
+    (tmp_path / "laws.py").write_text(LAWS, encoding="utf-8")
+    axis = "[axes]\nrobot.mass_kg = { grid = [20, 23] }"
+    plan = write_plan(tmp_path, 'laws = ["./laws.py:Light"]\nkeep = "none"', axis)
+    rows = do(plan, tmp_path / "out", Place(None, 1, 6.0))
+    assert [row["outcome"] for row in rows] == ["passed", "lost"]
+    assert rows[1]["reason"].startswith("hung: it was ended after 6.")
 
 
 def test_an_fmu_that_crashes_on_some_parameters_costs_those_runs_alone(tmp_path: Path, monkeypatch) -> None:
@@ -142,15 +156,14 @@ def test_an_fmu_that_crashes_on_some_parameters_costs_those_runs_alone(tmp_path:
 
 def test_the_worst_are_recorded_and_a_report_tells_how_to_repeat_them(tmp_path: Path) -> None:
     keep = 'keep = { worst = 2, by = "overshoot_m" }\nlaws = ["afdsc", { law = "dsc", gains = { k1_1_s = 9.0 } }]\n'
-    faults = '[[fault]]\nname = "none"\n[[fault]]\nname = "lossy"\nrows = [{ kind = "drop", target = "command", value = 0.3 }]'
+    faults = '[[fault]]\nname = "none"\n[[fault]]\nname = "lossy"\n'
+    faults += 'rows = [{ kind = "drop", target = "command", value = 0.3 }]'
     plan = write_plan(
         tmp_path, f"{keep}seeds = [3, 5]", f"{faults}\n{MASSES.splitlines()[0]}\n{MASSES.splitlines()[1]}"
     )
     rows = do(plan, tmp_path / "out")
     assert len(rows) == 24
-    told = hil("campaign", "report", tmp_path / "out", "--json")
-    assert told.returncode == 0, told.stderr
-    report = json.loads(told.stdout)
+    report = json.loads(in_process("campaign", "report", tmp_path / "out", "--json"))
     worst = report["worst"]
     assert [one["overshoot_m"] for one in worst[:2]] == sorted((row["overshoot_m"] for row in rows), reverse=True)[:2]
     kept = {f"{RECORDINGS}/{path.name}" for path in (tmp_path / "out" / RECORDINGS).iterdir()}
@@ -158,7 +171,7 @@ def test_the_worst_are_recorded_and_a_report_tells_how_to_repeat_them(tmp_path: 
     assert [one["recording"] for one in worst[2:]] == [None] * 18
     words = shlex.split(worst[0]["repeat"])
     assert words[:2] == ["hil", "run"]
-    again = json.loads(hil(*words[1:], "--record", "none", "--json", cwd=tmp_path).stdout)
+    again = json.loads(in_process(*words[1:], "--record", "none", "--json"))
     row = next(row for row in rows if row["key"] == worst[0]["key"])
     assert (again["wire_sha256"], again["overshoot_m"]) == (row["wire_sha256"], row["overshoot_m"])
     page = Path(report["html"]).read_text(encoding="utf-8")
@@ -202,20 +215,18 @@ def test_what_is_wrong_with_a_plan_is_a_sentence_with_its_line_before_anything_r
     assert hil("campaign", "report", tmp_path).returncode == 2
 
 
-def test_a_cluster_that_others_could_listen_to_is_refused(tmp_path: Path) -> None:
+def test_a_cluster_that_others_could_listen_to_is_refused(tmp_path: Path, monkeypatch) -> None:
     plan = write_plan(tmp_path)
     for address, sentence in (
-        (
-            "tcp://192.0.2.1:8786",
-            "over tcp anybody on the way could run programs on the workers; use tls://192.0.2.1:8786",
-        ),
+        ("tcp://192.0.2.1:8786", "over tcp anybody on the way could run programs on the workers; use tls://192.0.2.1:"),
         ("127.0.0.1:8786", "expected tls://HOST:PORT, or tcp://127.0.0.1:PORT on this machine"),
-        ("tcp://127.0.0.1:1", "no scheduler of Dask answers there"),
     ):
-        done = hil("campaign", plan, "--scheduler", address, "--out", tmp_path / "out")
-        assert sentence in done.stderr
-        assert done.returncode == (3 if "answers" in sentence else 2)
-        assert "Traceback" not in done.stderr
+        done = CliRunner().invoke(app, ["campaign", str(plan), "--scheduler", address])
+        assert isinstance(done.exception, BadInputError)
+        assert sentence in str(done.exception)
+    monkeypatch.setattr(cluster_of_dask, "_CONNECT_S", 0.2)
+    with pytest.raises(LinkError, match="--scheduler tcp://127.0.0.1:1: no scheduler of Dask answers there"):
+        do(plan, tmp_path / "out", Place("tcp://127.0.0.1:1", 0, LIMIT_S))
 
 
 ON_A_SMALL_DISK = """

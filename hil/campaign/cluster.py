@@ -124,23 +124,26 @@ def cluster(place: Place) -> Iterator[str | Any]:
         yield own
 
 
-def connect(to: Any, limit_s: float) -> "distributed.Client":
-    """Return a client whose workers have our processes. Raises LinkError when nobody answers."""
-    address = to if isinstance(to, str) else None
+def connect(to: Any) -> "distributed.Client":
+    """Return a client. Raises LinkError when no scheduler answers."""
     try:
-        client = distributed.Client(to, timeout=_CONNECT_S, set_as_default=False, name="mecanum-hil")
+        return distributed.Client(to, timeout=_CONNECT_S, set_as_default=False, name="mecanum-hil")
     except (OSError, TimeoutError, ValueError) as error:
         raise LinkError(
-            f"--scheduler {address}: no scheduler of Dask answers there ({error}); start one with: dask scheduler"
+            f"--scheduler {to}: no scheduler of Dask answers there ({error}); start one with: dask scheduler"
         ) from error
+
+
+def prepare(client: "distributed.Client", limit_s: float) -> None:
+    """Give its workers, also those that come later, our processes. Raises OSError when the scheduler goes,
+    LinkError when it or a worker lacks this package."""
     try:
         client.register_plugin(RunProcesses(limit_s))
-    except BaseException as error:
-        client.close()
-        if isinstance(error, (ImportError, AttributeError)):
-            raise LinkError(f"--scheduler {address}: its workers lack this package; install it there") from error
-        raise
-    return client
+    except (ImportError, AttributeError) as error:
+        raise LinkError(
+            f"the scheduler and the workers of Dask need this package, and one has another or none ({error}); install "
+            "the same there"
+        ) from error
 
 
 def check_address(address: str) -> None:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import distributed
 from distributed.client import FutureCancelledError
 
-from hil.campaign.cluster import BENCH, Answer, Place, cluster, connect, perform_on_worker
+from hil.campaign.cluster import BENCH, Answer, Place, cluster, connect, perform_on_worker, prepare
 from hil.campaign.rows import LOST, Said
 from hil.campaign.work import Job
 from hil.errors import LinkError
@@ -73,10 +73,9 @@ def _perform(
     again: list[Job] = []
     lost_s: float | None = None
     while not is_stopping():
-        if hands.is_connected:
+        if hands.is_ready():
             lost_s = None
-            room = hands.room()
-            for job in itertools.islice(itertools.chain(_taken(again), jobs), room):
+            for job in itertools.islice(itertools.chain(_taken(again), jobs), hands.room()):
                 hands.give(job)
         else:
             lost_s = lost_s or time.monotonic()
@@ -111,7 +110,8 @@ class _Hands:
         self._to = to
         self._limit_s = place.limit_s
         self._resources = {BENCH: 1} if on_bench else None
-        self._client: distributed.Client | None = connect(to, place.limit_s)
+        self._client: distributed.Client | None = connect(to)
+        self._is_prepared = False
         self._jobs: dict[str, tuple[Job, distributed.Future[Answer]]] = {}
         self._finished: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._numbers = itertools.count()
@@ -129,13 +129,22 @@ class _Hands:
         return len(self._jobs)
 
     @property
-    def is_connected(self) -> bool:
-        """Whether there is a scheduler."""
+    def _is_connected(self) -> bool:
         return self._client is not None and self._client.status == "running"
+
+    def is_ready(self) -> bool:
+        """Return whether there is a scheduler whose workers have our processes: another one does not know of them."""
+        if self._client is None or not self._is_connected:
+            return False
+        if not self._is_prepared:
+            with contextlib.suppress(OSError):  # it goes just now
+                prepare(self._client, self._limit_s)
+                self._is_prepared = True
+        return self._is_prepared
 
     def told(self) -> Told:
         """Return what may be said."""
-        if not self.is_connected:
+        if not self._is_connected:
             return Told(0, f"the scheduler {self.address} has gone; waiting for it")
         workers = self._workers()
         if not workers:
@@ -184,6 +193,7 @@ class _Hands:
             answer = _answer(future)
             if answer is None:
                 left.append(job)
+                self._is_prepared = False
             else:
                 done.append(Done(job, answer))
         return done, left
@@ -194,7 +204,8 @@ class _Hands:
             return
         self._client = None
         with contextlib.suppress(LinkError):
-            self._client = connect(self._to, self._limit_s)
+            self._client = connect(self._to)
+            self._is_prepared = False
 
     def close(self) -> None:
         """Leave what is not done. What has begun on an existing cluster comes to its end there, and nobody takes it."""
