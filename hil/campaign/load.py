@@ -139,7 +139,9 @@ def _sentences(error: ValidationError, file: Path, lines: Mapping[tuple[str, ...
     for problem in error.errors(include_url=False):
         path = tuple(str(part) for part in problem["loc"])
         path = path[:1] if path[:1] == ("keep",) and problem["type"] != "extra_forbidden" else path
-        where = f"campaign {_place(file, lines, path)}"
+        told = str(problem.get("ctx", {}).get("error", ""))
+        about = path or next((one[:-1] for one in lines if one[0] == "axes" and ".".join(one[1:-1]) in told), ())
+        where = f"campaign {_place(file, lines, about)}"
         key = ".".join(part for part in path if part not in ("KeepTable", "LawTable"))
         if problem["type"] == "missing":
             said[f"campaign {file}: {key} is missing; expected {_meaning(path)}"] = None
@@ -147,7 +149,7 @@ def _sentences(error: ValidationError, file: Path, lines: Mapping[tuple[str, ...
             known = _model(path[:-1]).model_fields
             said[f"{where}: unknown key {key}{nearest(path[-1], known)}"] = None
         elif problem["type"] == "value_error":
-            said[f"{where}: {f'{key}: ' if key else ''}{problem['ctx']['error']}"] = None
+            said[f"{where}: {f'{key}: ' if key else ''}{told}"] = None
         elif path == ("keep",):
             said[f'{where}: keep; expected "none", "failures", "all" or {{ worst = 20, by = "steady_rms_m" }}'] = None
         else:

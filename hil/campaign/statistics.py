@@ -13,6 +13,7 @@ Series = npt.NDArray[np.float64]
 
 Z_95 = 1.959963984540054
 _RESAMPLES = 4000
+_MOST_AT_ONCE = 1_000_000  # numbers that are drawn, 8 MB
 _BINS = 8
 _LEAST_IN_A_BIN = 5
 
@@ -36,7 +37,9 @@ def wilson(successes: int, trials: int) -> Interval:
     z2 = Z_95**2 / trials
     centre = (share + z2 / 2.0) / (1.0 + z2)
     half = Z_95 / (1.0 + z2) * np.sqrt(share * (1.0 - share) / trials + z2 / (4.0 * trials))
-    return Interval(share, max(0.0, float(centre - half)), min(1.0, float(centre + half)))
+    # At the ends it is exactly there, which rounding misses.
+    low = 0.0 if successes == 0 else float(centre - half)
+    return Interval(share, low, 1.0 if successes == trials else float(centre + half))
 
 
 def paired_difference(units: Sequence[object], differences: Series, seed: int = 1) -> Interval:
@@ -50,10 +53,12 @@ def paired_difference(units: Sequence[object], differences: Series, seed: int = 
     if len(means) < 2:
         return Interval(value, None, None)
     generator = np.random.default_rng(seed)
-    resampled = np.empty(_RESAMPLES)
-    for row in range(_RESAMPLES):  # one after the other: all at once would need memory for each pair
-        resampled[row] = means[generator.integers(0, len(means), len(means))].mean()
-    low, high = np.percentile(resampled, [2.5, 97.5])
+    at_once = max(1, _MOST_AT_ONCE // len(means))
+    resampled = [
+        means[generator.integers(0, len(means), (min(at_once, _RESAMPLES - begin), len(means)))].mean(axis=1)
+        for begin in range(0, _RESAMPLES, at_once)
+    ]
+    low, high = np.percentile(np.concatenate(resampled), [2.5, 97.5])
     return Interval(value, float(low), float(high))
 
 
