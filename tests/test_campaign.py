@@ -22,7 +22,7 @@ from hil.errors import BadInputError, LinkError
 from hil.review import read
 from tests.campaigns import LIMIT_S, do, of_the_runs, rows_of, write_plan
 from tests.flawed_fmu import build_flawed
-from tests.processes import HIL, environment, hil, wait_for
+from tests.processes import HIL, device, environment, hil, wait_for
 
 MASSES = '[axes]\nrobot.mass_kg = { grid = [16, 20, 24] }\n"plant.start.friction_coefficient" = { uniform = [0, 0.1] }'
 LAWS = """
@@ -325,3 +325,17 @@ def test_a_worker_that_is_killed_and_a_scheduler_that_goes_and_comes_back_lose_n
     assert len({row["machine.worker"] for row in rows}) >= 2
     assert of_the_runs(rows[:2]) == of_the_runs(do(write_plan(tmp_path, 'seeds = 2\nkeep = "none"', name="few.toml"),
                                                    tmp_path / "few"))  # fmt: skip
+
+
+def test_runs_behind_a_link_are_done_one_at_a_time_where_the_bench_is(tmp_path: Path, cluster: Cluster) -> None:
+    cluster.scheduler()
+    cluster.worker("--name", "without")
+    cluster.worker("--name", "with", "--resources", "bench=1")
+    with device("circle_speed", "--mode", "lockstep", "--link", "serial:pty", "--set", "loop.rate_hz=200") as robot:
+        link = f'link.url = "{robot.link}"\nestimator.source = "odometry"'
+        plan = write_plan(tmp_path, 'laws = ["afdsc", "dsc"]\nkeep = "none"', link)
+        rows = do(plan, tmp_path / "out", Place(cluster.address, 0, LIMIT_S))
+        assert [row["outcome"] for row in rows] == ["passed", "passed"], rows
+        assert {row["machine.worker"].split()[1] for row in rows} == {"with"}
+        refused = CliRunner().invoke(app, ["campaign", str(plan), "--workers", "2"])
+        assert "--workers 2: there is one bench behind its link" in str(refused.exception)

@@ -50,7 +50,7 @@ class RunProcesses(distributed.WorkerPlugin):
 
     def setup(self, worker: Any) -> None:
         """Begin on a worker, which may have come late."""
-        self._address = f"{socket.gethostname()} {worker.address}"
+        self._worker = f"{socket.gethostname()} {worker.name}"
         self._idle: queue.SimpleQueue[Performer[Job, Said]] = queue.SimpleQueue()
         self._all: list[Performer[Job, Said]] = []
         self._is_ending = False
@@ -71,7 +71,7 @@ class RunProcesses(distributed.WorkerPlugin):
                 if said.outcome == LOST:
                     said = said._replace(reason=f"its process ended twice, at last: {said.reason}")
             recording = Path(said.recording).read_bytes() if said.recording is not None else None
-            return Answer(said, self._address, recording)
+            return Answer(said, self._worker, recording)
 
     @contextlib.contextmanager
     def _performer(self) -> Iterator[Performer[Job, Said]]:
