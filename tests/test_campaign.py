@@ -224,6 +224,8 @@ def test_a_cluster_that_others_could_listen_to_is_refused(tmp_path: Path, monkey
         done = CliRunner().invoke(app, ["campaign", str(plan), "--scheduler", address])
         assert isinstance(done.exception, BadInputError)
         assert sentence in str(done.exception)
+    with pytest.raises(BadInputError, match="TLS needs certificates; name them in"):
+        do(plan, tmp_path / "out", Place("tls://127.0.0.1:1", 0, LIMIT_S))
     monkeypatch.setattr(cluster_of_dask, "_CONNECT_S", 0.2)
     with pytest.raises(LinkError, match=r"--scheduler tcp://127\.0\.0\.1:1: no scheduler of Dask answers there"):
         do(plan, tmp_path / "out", Place("tcp://127.0.0.1:1", 0, LIMIT_S))

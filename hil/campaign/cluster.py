@@ -125,9 +125,14 @@ def cluster(place: Place) -> Iterator[str | Any]:
 
 
 def connect(to: Any) -> "distributed.Client":
-    """Return a client. Raises LinkError when no scheduler answers."""
+    """Return a client. Raises LinkError when no scheduler answers, BadInputError without certificates for TLS."""
     try:
         return distributed.Client(to, timeout=_CONNECT_S, set_as_default=False, name="mecanum-hil")
+    except TypeError as error:  # as Dask has it
+        raise BadInputError(
+            f"--scheduler {to}: TLS needs certificates; name them in DASK_DISTRIBUTED__COMM__TLS__CA_FILE, "
+            "..._TLS__CLIENT__CERT and ..._TLS__CLIENT__KEY, as CAMPAIGNS.md shows"
+        ) from error
     except (OSError, TimeoutError, ValueError) as error:
         raise LinkError(
             f"--scheduler {to}: no scheduler of Dask answers there ({error}); start one with: dask scheduler"
