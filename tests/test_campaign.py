@@ -231,6 +231,17 @@ def test_a_cluster_that_others_could_listen_to_is_refused(tmp_path: Path, monkey
         do(plan, tmp_path / "out", Place("tcp://127.0.0.1:1", 0, LIMIT_S))
 
 
+def test_a_worker_that_would_do_another_run_ends_the_campaign_and_leaves_no_row(tmp_path: Path) -> None:
+    law = tmp_path / "laws.py"
+    law.write_text(LAWS, encoding="utf-8")
+    campaign = Campaign(write_plan(tmp_path, 'laws = ["./laws.py:Light"]'))
+    law.write_text(f"{LAWS}\n# another", encoding="utf-8")
+    with pytest.raises(LinkError, match="its version of this package, or its FMU, law or reference file, is not that"):
+        for _ in campaign.perform(tmp_path / "out", Place(None, 1, LIMIT_S)):
+            pass
+    assert read_rows(tmp_path / "out").num_rows == 0
+
+
 ON_A_SMALL_DISK = """
 mount -t tmpfs -o size=600k tmpfs "$1" || exit 77
 dd if=/dev/zero of="$1/ballast" bs=1k count="$3" 2> /dev/null

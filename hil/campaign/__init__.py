@@ -18,10 +18,10 @@ from hil.campaign.dataset import KEY, RECORDINGS, ROWS, Dataset, read_rows
 from hil.campaign.keys import key_of
 from hil.campaign.load import load_plan
 from hil.campaign.points import Point, points
-from hil.campaign.rows import MACHINE, check_figure, schema
+from hil.campaign.rows import FOREIGN, MACHINE, check_figure, schema
 from hil.campaign.tables import KeepTable
 from hil.campaign.work import ALWAYS, IF_FAILED, NEVER, Job
-from hil.errors import BadInputError
+from hil.errors import BadInputError, LinkError
 from hil.links.opening import is_within_process
 from hil.links.url import parse_link
 from hil.scenario import Scenario, format_value, set_texts, to_plain
@@ -152,6 +152,11 @@ class Campaign:
     def _finished(self, done: "Done", dataset: Dataset) -> dict[str, Any]:
         """Keep the recording of a run, and return its row."""
         said, answer = done.answer.said, done.answer
+        if said.outcome == FOREIGN:
+            raise LinkError(
+                f"worker {answer.worker}: its version of this package, or its FMU, law or reference file, is not that "
+                "of the campaign; make them the same, and give the same command again"
+            )
         if answer.recording is not None:
             dataset.keep_recording(done.job.key + _RECORDING_SUFFIX, answer.recording)
         machine = {"wall_s": said.wall_s, "worker": answer.worker, "commit": self._commit}

@@ -6,6 +6,7 @@ row with its last words. What a worker of Dask does not survive came from outsid
 
 import contextlib
 import ipaddress
+import logging
 import queue
 import socket
 import tempfile
@@ -126,6 +127,7 @@ def cluster(place: Place) -> Iterator[str | Any]:
 
 def connect(to: Any) -> "distributed.Client":
     """Return a client. Raises LinkError when no scheduler answers, BadInputError without certificates for TLS."""
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # what matters of it is said in our words
     try:
         return distributed.Client(to, timeout=_CONNECT_S, set_as_default=False, name="mecanum-hil")
     except TypeError as error:  # as Dask has it

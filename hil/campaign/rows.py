@@ -9,6 +9,8 @@ from hil.errors import BadInputError, nearest
 
 MACHINE = "machine."
 """What begins the names of columns that depend on the machine, and not on the run."""
+FOREIGN = "foreign"
+"""Of a run that was not done, because the worker would have done another: it is no row."""
 PASSED, FAILED, ENDED, REFUSED, LOST = "passed", "failed", "ended", "refused", "lost"
 """Outcomes: as expected; it ran to its end and was not; a law, the link or the robot ended it; it could not begin; its
 process crashed or hung."""
@@ -43,7 +45,7 @@ class Said(NamedTuple):
 
     Attributes:
         figures: columns and their values; empty where there are none.
-        outcome: one of the outcomes. reason: why it is not "passed".
+        outcome: one of the outcomes, or ``FOREIGN``. reason: why it is not "passed".
         wall_s: how long it took. recording: the file that it was recorded into.
     """
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from hil.assembly import run_scenario
 from hil.campaign.keys import key_of
-from hil.campaign.rows import ENDED, FAILED, LOST, PASSED, REFUSED, Said, figures_of, why_failed
+from hil.campaign.rows import ENDED, FAILED, FOREIGN, LOST, PASSED, REFUSED, Said, figures_of, why_failed
 from hil.devices.virtual import KeptRobot
 from hil.errors import BadInputError, HilError
 from hil.pool import Work
@@ -43,8 +43,7 @@ def perform(job: Job) -> Said:
     began = time.monotonic()
     scenario = from_plain(job.scenario)
     if key_of(scenario) != job.key:
-        words = "this worker has another version of the package, or other files, than the campaign; install the same"
-        return Said({}, REFUSED, words, time.monotonic() - began)
+        return Said({}, FOREIGN, None, time.monotonic() - began)
     at_once = job.recorded == ALWAYS or (job.recorded == IF_FAILED and scenario.loop.mode == "realtime")
     said = _run(scenario, job, began, record=at_once)
     if job.recorded == IF_FAILED and not at_once and said.outcome in (FAILED, ENDED):
