@@ -14,6 +14,9 @@ from typing import IO, Any, Generic, Protocol, TypeVar
 from hil.child import away_from_terminal, module_command
 from hil.telemetry.environment import rerun_environment
 
+READY = "ready\n"
+"""What a worker says first, when all is imported: a job's time begins later."""
+_START_S = 120.0
 _END_S = 10.0
 
 
@@ -96,25 +99,43 @@ class _Worker:
             env=rerun_environment(),
             **away_from_terminal(),
         )
+        self._is_ready = False
+        self.ended_after_s: float | None = None
 
     def perform(self, job: Plain, limit_s: float) -> dict[str, Any] | None:
         """Do a job and return its answer as fields; None when the process has ended, by itself or by the guard."""
         assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        guard = threading.Timer(limit_s, self._process.kill)
-        guard.start()
+        if not self._is_ready:
+            self._is_ready = self._line(_START_S).strip() == READY.strip().encode()
+            if not self._is_ready:
+                return None
         try:
             self._process.stdin.write(json.dumps(job._asdict()).encode() + b"\n")
             self._process.stdin.flush()
-            line = self._process.stdout.readline()
         except OSError:
-            line = b""
-        finally:
-            guard.cancel()
+            return None
+        line = self._line(limit_s)
         if not line.endswith(b"\n"):
             return None
         fields: dict[str, Any] = json.loads(line)
         return fields
+
+    def _line(self, limit_s: float) -> bytes:
+        """Return its next line, and less when it ends; after so long it is ended, which ``ended_after_s`` tells."""
+        assert self._process.stdout is not None
+
+        def end() -> None:
+            self.ended_after_s = limit_s
+            self._process.kill()
+
+        guard = threading.Timer(limit_s, end)
+        guard.start()
+        try:
+            return bytes(self._process.stdout.readline())
+        except OSError:
+            return b""
+        finally:
+            guard.cancel()
 
     def trouble(self) -> str:
         """Return how the process ended, with its last words."""
@@ -162,10 +183,10 @@ class Performer(Generic[J, A]):
         fields = self._worker.perform(job, self._limit_s)
         if fields is not None:
             return self._work.answer(**fields)
-        wall_s = time.monotonic() - began
+        wall_s, ended_after_s = time.monotonic() - began, self._worker.ended_after_s
         trouble = self._worker.trouble()
         self.close()
-        how = f"hung: it was ended after {wall_s:.1f} s" if wall_s >= self._limit_s else f"crashed: {trouble}"
+        how = f"crashed: {trouble}" if ended_after_s is None else f"hung: it was ended after {ended_after_s:.1f} s"
         return self._work.lost(job, how, wall_s)
 
     def kill(self) -> None:

@@ -16,7 +16,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TypeVar
 
-from hil.pool import Plain
+from hil.pool import READY, Plain
 
 J = TypeVar("J", bound=Plain)
 A = TypeVar("A", bound=Plain)
@@ -27,6 +27,8 @@ def serve(job_type: type[J], perform: Callable[[J], A], lost: Callable[[J, str, 
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # what a law prints must not get between the answers
     stray: list[str] = []
+    answers.write(READY)
+    answers.flush()
 
     def keep(kind: type[BaseException], error: BaseException | None, trace: TracebackType | None) -> None:
         stray.append(_words(kind, error, trace))

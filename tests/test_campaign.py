@@ -79,20 +79,24 @@ def rows_written(folder: Path) -> int:
 def test_a_campaign_that_is_killed_goes_on_without_a_run_twice_or_lost_and_the_rows_are_those_of_any_other(
     tmp_path: Path,
 ) -> None:
-    plan = write_plan(tmp_path, 'laws = ["afdsc", "dsc"]\nseeds = 2\nsamples = 2\nkeep = "none"', MASSES)
+    more = 'laws = ["afdsc", "dsc"]\nseeds = {}\nsamples = {}\nkeep = "none"'
+    plan = write_plan(tmp_path, more.format(2, 20), MASSES)
     out = tmp_path / "out"
     killed = start(plan, "--out", out, "--workers", "1")
     wait_for(lambda: rows_written(out) >= 2)
     killed.kill()
     killed.wait()
     before = rows_of(plan, out)
-    assert 2 <= len(before) < 24
+    assert 2 <= len(before) < 240
+    write_plan(tmp_path, more.format(2, 1), MASSES)  # the first twelve of the same runs
+    before = rows_of(plan, out)
+    assert before
     rows = do(plan, out)
-    assert [row["outcome"] for row in rows] == ["passed"] * 24
+    assert [row["outcome"] for row in rows] == ["passed"] * 12
     assert [row for row in rows if row in before] == before  # they were not run again
     other = do(plan, tmp_path / "other", Place(None, 2, LIMIT_S))
     assert of_the_runs(rows) == of_the_runs(other)
-    assert len({row["wire_sha256"] for row in rows}) == 24
+    assert len({row["wire_sha256"] for row in rows}) == 12
     row = rows[4]
     metrics = bridge.run("circle_speed", set=Campaign(plan).runs[4].point.sets).metrics
     for name in ("wire_sha256", "effort_n_m_s", "overshoot_m", "ticks"):
@@ -118,31 +122,31 @@ def test_an_interrupted_campaign_keeps_what_is_done_and_says_how_to_go_on(tmp_pa
 
 def test_a_run_that_fails_is_a_row_with_its_reason_and_the_others_go_on(tmp_path: Path) -> None:
     (tmp_path / "laws.py").write_text(LAWS, encoding="utf-8")
-    axis = "[axes]\nrobot.mass_kg = { grid = [20, 21, 22, 24, 25] }"
+    axis = "[axes]\nrobot.mass_kg = { grid = [20, 21, 22] }"
     expect = '[[expect]]\nsignal = "error.planar_m"\nbelow = 1e-9'
     plan = write_plan(tmp_path, 'laws = ["./laws.py:Light"]', f"{axis}\n{expect}")
     rows = do(plan, tmp_path / "out")
     told = {row["robot.mass_kg"]: (row["outcome"], row["reason"]) for row in rows}
-    assert told[20.0][0] == told[25.0][0] == "failed"
+    assert told[20.0][0] == "failed"
     assert told[20.0][1].startswith("error.planar_m below 1e-09 from 0 s to the end: failed")
     assert told[21.0] == ("lost", "its process ended twice, at last: crashed: exit code 7")
     assert told[22.0][0] == "ended"
     assert "ZeroDivisionError: too heavy" in told[22.0][1]
-    assert told[24.0][0] == "failed"
     # What failed is recorded, and the recording is of that very run.
     recordings = {path.stem: path for path in (tmp_path / "out" / RECORDINGS).iterdir()}
     of_mass = {row["robot.mass_kg"]: row["key"] for row in rows}
-    assert recordings.keys() == {of_mass[mass] for mass in (20.0, 22.0, 24.0, 25.0)}
-    assert read(recordings[of_mass[25.0]]).summary["wire_sha256"] == rows[4]["wire_sha256"]
+    assert recordings.keys() == {of_mass[mass] for mass in (20.0, 22.0)}
+    assert read(recordings[of_mass[20.0]]).summary["wire_sha256"] == rows[0]["wire_sha256"]
 
 
 def test_a_run_that_hangs_is_ended_once_and_is_a_row(tmp_path: Path) -> None:
     (tmp_path / "laws.py").write_text(LAWS, encoding="utf-8")
-    axis = "[axes]\nrobot.mass_kg = { grid = [20, 23] }"
+    axis = "[axes]\nrobot.mass_kg = { grid = [20, 23, 24] }"
     plan = write_plan(tmp_path, 'laws = ["./laws.py:Light"]\nkeep = "none"', axis)
-    rows = do(plan, tmp_path / "out", Place(None, 1, 6.0))
-    assert [row["outcome"] for row in rows] == ["passed", "lost"]
-    assert rows[1]["reason"].startswith("hung: it was ended after 6.")
+    rows = do(plan, tmp_path / "out", Place(None, 1, 2.0))
+    assert [row["outcome"] for row in rows] == ["passed", "lost", "failed"]
+    assert rows[1]["reason"] == "hung: it was ended after 2.0 s"
+    assert rows[2]["reason"].endswith("times, and the robot was held still")
 
 
 def test_an_fmu_that_crashes_on_some_parameters_costs_those_runs_alone(tmp_path: Path, monkeypatch) -> None:
@@ -155,7 +159,7 @@ def test_an_fmu_that_crashes_on_some_parameters_costs_those_runs_alone(tmp_path:
 
 
 def test_the_worst_are_recorded_and_a_report_tells_how_to_repeat_them(tmp_path: Path) -> None:
-    keep = 'keep = { worst = 2, by = "overshoot_m" }\nlaws = ["afdsc", { law = "dsc", gains = { k1_1_s = 9.0 } }]\n'
+    keep = 'keep = { worst = 1, by = "overshoot_m" }\nlaws = ["afdsc", { law = "dsc", gains = { k1_1_s = 9.0 } }]\n'
     faults = '[[fault]]\nname = "none"\n[[fault]]\nname = "lossy"\n'
     faults += 'rows = [{ kind = "drop", target = "command", value = 0.3 }]'
     plan = write_plan(
@@ -165,10 +169,10 @@ def test_the_worst_are_recorded_and_a_report_tells_how_to_repeat_them(tmp_path: 
     assert len(rows) == 24
     report = json.loads(in_process("campaign", "report", tmp_path / "out", "--json"))
     worst = report["worst"]
-    assert [one["overshoot_m"] for one in worst[:2]] == sorted((row["overshoot_m"] for row in rows), reverse=True)[:2]
+    assert [one["overshoot_m"] for one in worst] == sorted((row["overshoot_m"] for row in rows), reverse=True)[:20]
     kept = {f"{RECORDINGS}/{path.name}" for path in (tmp_path / "out" / RECORDINGS).iterdir()}
-    assert {one["recording"] for one in worst[:2]} == kept
-    assert [one["recording"] for one in worst[2:]] == [None] * 18
+    assert {worst[0]["recording"]} == kept
+    assert [one["recording"] for one in worst[1:]] == [None] * 19
     words = shlex.split(worst[0]["repeat"])
     assert words[:2] == ["hil", "run"]
     again = json.loads(in_process(*words[1:], "--record", "none", "--json"))
@@ -275,12 +279,12 @@ class Cluster:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._processes: list[subprocess.Popen[bytes]] = []
+        self.processes: list[subprocess.Popen[bytes]] = []
         self.address = ""
 
     def scheduler(self) -> "subprocess.Popen[bytes]":
         """Start the scheduler, another one where the first was, and wait until it can be asked."""
-        file = self._folder / f"scheduler-{len(self._processes)}.json"
+        file = self._folder / f"scheduler-{len(self.processes)}.json"
         port = self.address.rpartition(":")[2] or "0"
         process = self._start("scheduler", "--port", port, "--scheduler-file", str(file))
         wait_for(lambda: file.exists() and file.read_text(encoding="utf-8").endswith("}"))
@@ -293,29 +297,44 @@ class Cluster:
 
     def _start(self, name: str, *arguments: str) -> "subprocess.Popen[bytes]":
         command = [sys.executable, "-m", "dask", name, "--host", "127.0.0.1", "--no-dashboard", *arguments]
-        self._processes.append(
+        self.processes.append(
             subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment())
         )
-        return self._processes[-1]
+        return self.processes[-1]
 
     def close(self) -> None:
-        for process in self._processes:
+        for process in self.processes:
             process.kill()
             process.wait()
 
 
-@pytest.fixture
-def cluster(tmp_path: Path) -> Iterator[Cluster]:
-    cluster = Cluster(tmp_path)
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    """A scheduler and two workers, of which one has the bench; the last test of this module kills some of them."""
+    cluster = Cluster(tmp_path_factory.mktemp("cluster"))
+    cluster.scheduler()
+    cluster.worker("--name", "without")
+    cluster.worker("--name", "with", "--resources", "bench=1")
     yield cluster
     cluster.close()
+
+
+def test_runs_behind_a_link_are_done_one_at_a_time_where_the_bench_is(tmp_path: Path, cluster: Cluster) -> None:
+    with device("circle_speed", "--mode", "lockstep", "--link", "serial:pty", "--set", "loop.rate_hz=200") as robot:
+        link = f'link.url = "{robot.link}"\nestimator.source = "odometry"'
+        plan = write_plan(tmp_path, 'laws = ["afdsc", "dsc"]\nkeep = "none"', link)
+        rows = do(plan, tmp_path / "out", Place(cluster.address, 0, LIMIT_S))
+        assert [row["outcome"] for row in rows] == ["passed", "passed"], rows
+        assert {row["machine.worker"].split()[1] for row in rows} == {"with"}
+        refused = CliRunner().invoke(app, ["campaign", str(plan), "--workers", "2"])
+        assert "--workers 2: there is one bench behind its link" in str(refused.exception)
 
 
 def test_a_worker_that_is_killed_and_a_scheduler_that_goes_and_comes_back_lose_no_run(
     tmp_path: Path, cluster: Cluster
 ) -> None:
     plan = write_plan(tmp_path, 'seeds = 30\nkeep = "none"')
-    scheduler, first, _ = cluster.scheduler(), cluster.worker("--name", "first"), cluster.worker()
+    scheduler, first = cluster.processes[:2]
     troubles: set[str] = set()
     done, kills = 0, [first.kill, scheduler.kill]
 
@@ -338,17 +357,3 @@ def test_a_worker_that_is_killed_and_a_scheduler_that_goes_and_comes_back_lose_n
     assert len({row["machine.worker"] for row in rows}) >= 2
     assert of_the_runs(rows[:2]) == of_the_runs(do(write_plan(tmp_path, 'seeds = 2\nkeep = "none"', name="few.toml"),
                                                    tmp_path / "few"))  # fmt: skip
-
-
-def test_runs_behind_a_link_are_done_one_at_a_time_where_the_bench_is(tmp_path: Path, cluster: Cluster) -> None:
-    cluster.scheduler()
-    cluster.worker("--name", "without")
-    cluster.worker("--name", "with", "--resources", "bench=1")
-    with device("circle_speed", "--mode", "lockstep", "--link", "serial:pty", "--set", "loop.rate_hz=200") as robot:
-        link = f'link.url = "{robot.link}"\nestimator.source = "odometry"'
-        plan = write_plan(tmp_path, 'laws = ["afdsc", "dsc"]\nkeep = "none"', link)
-        rows = do(plan, tmp_path / "out", Place(cluster.address, 0, LIMIT_S))
-        assert [row["outcome"] for row in rows] == ["passed", "passed"], rows
-        assert {row["machine.worker"].split()[1] for row in rows} == {"with"}
-        refused = CliRunner().invoke(app, ["campaign", str(plan), "--workers", "2"])
-        assert "--workers 2: there is one bench behind its link" in str(refused.exception)
