@@ -22,9 +22,11 @@ from hil.devices.truth import TruthClient
 from hil.devices.virtual import (
     LocalTruth,
     MakeNode,
+    MakeRobot,
     ServerThread,
     VirtualServer,
     VirtualStm32,
+    new_robot,
 )
 from hil.dialects.port import Driver
 from hil.dialects.registry import dialect
@@ -65,8 +67,8 @@ class Bench:
     """Link, robot, clock and truth of a run; a context manager that closes them all.
 
     With a link that stays within this process the virtual robot is made here too; else the robot is elsewhere, and
-    ``truth`` is the URL of its truth socket, if it has one. ``trace`` is shown what is on the wire. ``make_node`` makes
-    the firmware of a robot that is made here; ``signals`` are those of the run.
+    ``truth`` is the URL of its truth socket, if it has one. ``trace`` is shown what is on the wire. ``make_robot``
+    makes a robot that is made here, ``make_node`` its firmware; ``signals`` are those of the run.
 
     Raises BadInputError, LinkError or DeviceError when a part cannot be opened.
     """
@@ -79,9 +81,11 @@ class Bench:
         allow_motion: bool,
         trace: Trace | None = None,
         make_node: MakeNode | None = None,
+        make_robot: MakeRobot = new_robot,
         signals: Sequence[str] = SIGNAL_NAMES,
     ) -> None:
         self._scenario = scenario
+        self._make_robot = make_robot
         self._make_node = make_node or node_maker(scenario)
         self.device: Device
         self._robot: VirtualStm32 | None = None
@@ -180,8 +184,7 @@ class Bench:
 
     def _open_within(self, resources: contextlib.ExitStack) -> Link:
         lockstep = self._scenario.loop.mode == "lockstep"
-        self._robot = robot = VirtualStm32(virtual_robot(self._scenario), self._make_node)
-        resources.callback(robot.close)
+        self._robot = robot = resources.enter_context(self._make_robot(virtual_robot(self._scenario), self._make_node))
         self.faults.arm(LocalFaults(robot.faults, self._do))
         pair = open_pair(
             link_of(self._scenario),

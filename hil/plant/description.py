@@ -1,5 +1,6 @@
 """Reads an FMU's modelDescription.xml, without running anything of the FMU."""
 
+import functools
 import shutil
 from pathlib import Path
 from typing import Any
@@ -29,5 +30,15 @@ def read_description(fmu: Path) -> Any:
 
 def parameter_names(fmu: Path) -> frozenset[str]:
     """Return the names of the FMU's parameters. Raises BadInputError when the file is no readable FMU."""
+    try:
+        now = fmu.stat()
+    except OSError as error:
+        raise BadInputError(f"FMU {fmu} cannot be read ({error.strerror}); give the path of an .fmu file") from error
+    return _parameter_names(fmu, (now.st_mtime_ns, now.st_size))
+
+
+@functools.lru_cache
+def _parameter_names(fmu: Path, _state: tuple[int, int]) -> frozenset[str]:
+    """Return the names as long as the file is as it was: a process that makes many robots reads it once."""
     variables = read_description(fmu).modelVariables
     return frozenset(variable.name for variable in variables if variable.causality == "parameter")

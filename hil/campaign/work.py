@@ -1,0 +1,79 @@
+"""What does a run of a campaign: a process that imports once, keeps its FMU open, and records only what is kept."""
+
+import functools
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from hil.assembly import run_scenario
+from hil.campaign.keys import key_of
+from hil.campaign.rows import ENDED, FAILED, FOREIGN, LOST, PASSED, REFUSED, Said, figures_of, why_failed
+from hil.devices.virtual import KeptRobot
+from hil.errors import BadInputError, HilError
+from hil.pool import Work
+from hil.results import RunResult
+from hil.scenario import Scenario, from_plain
+
+NEVER, IF_FAILED, ALWAYS = "never", "if failed", "always"
+"""When a run is recorded."""
+
+
+class Job(NamedTuple):
+    """A run to do, as plain values: its key, its scenario, when it is recorded, into which file."""
+
+    key: str
+    scenario: Mapping[str, Any]
+    recorded: str
+    recording: str
+    allow_motion: bool
+
+
+def lost(_job: Job, words: str, wall_s: float) -> Said:
+    """Return what is said of a run whose process said nothing."""
+    return Said({}, LOST, words, wall_s)
+
+
+WORK = Work("hil.campaign.worker", Said, lost)
+"""What the pool is told of a run of a campaign."""
+
+
+def perform(job: Job) -> Said:
+    """Do a run. Whatever is no HilError is raised: it is a defect of ours, or of a law that ends its process."""
+    began = time.monotonic()
+    scenario = from_plain(job.scenario)
+    if key_of(scenario) != job.key:
+        return Said({}, FOREIGN, None, time.monotonic() - began)
+    at_once = job.recorded == ALWAYS or (job.recorded == IF_FAILED and scenario.loop.mode == "realtime")
+    said = _run(scenario, job, began, record=at_once)
+    if job.recorded == IF_FAILED and not at_once and said.outcome in (FAILED, ENDED):
+        # In lockstep it repeats to the bit, and most runs are spared the recorder.
+        return _run(scenario, job, began, record=True)
+    return said
+
+
+@functools.cache
+def _kept() -> KeptRobot:
+    """Return the robot of this process."""
+    return KeptRobot()
+
+
+def _run(scenario: Scenario, job: Job, began: float, *, record: bool) -> Said:
+    path = Path(job.recording) if record else None
+    try:
+        result = run_scenario(
+            scenario, record=path, allow_motion=job.allow_motion, make_robot=_kept().robot, keep_signals=False
+        )
+    except BadInputError as error:
+        return Said({}, REFUSED, str(error), time.monotonic() - began)
+    except HilError as error:
+        return Said({}, ENDED, str(error), time.monotonic() - began)
+    outcome, reason = _outcome(result)
+    kept = path is not None and path.exists() and (job.recorded == ALWAYS or outcome != PASSED)
+    return Said(figures_of(result.metrics), outcome, reason, time.monotonic() - began, job.recording if kept else None)
+
+
+def _outcome(result: RunResult) -> tuple[str, str | None]:
+    if result.failure is not None:
+        return ENDED, str(result.failure)
+    return (PASSED, None) if result.passed else (FAILED, why_failed(result.metrics))
