@@ -44,6 +44,7 @@ from hil.robots import (
     firmware_values,
     language_of,
     link_of,
+    needed_truth,
     no_lockstep,
     node_maker,
     start_pose,
@@ -115,7 +116,11 @@ class Bench:
             else:
                 if lockstep and scenario.device.is_makers:
                     raise no_lockstep(scenario)
-                self._check_truth_source(truth)
+                if truth is None and (setting := needed_truth(scenario)) is not None:
+                    raise BadInputError(
+                        f"{setting}, but the robot is elsewhere and no truth was given; add --truth URL as hil device "
+                        "prints it, or --set estimator.source=odometry"
+                    )
                 if truth is not None:
                     not_before = (lambda: self.device.tick * 1_000_000) if lockstep else None
                     self.truth = TruthClient(truth, scenario.hash, reset=True, not_before=not_before)
@@ -226,19 +231,6 @@ class Bench:
             tick = feedback.robot_time_ns // TICK_NS
         self.faults.begin(origin_ns, tick)
         self.wire.begin()
-
-    def _check_truth_source(self, truth: str | None) -> None:
-        if truth is not None:
-            return
-        estimator = self._scenario.estimator
-        needs = {"truth": 'estimator.source = "truth"'}
-        if estimator.fix == "simulated":
-            needs["fused"] = 'estimator.fix = "simulated"'
-        if estimator.source in needs:
-            raise BadInputError(
-                f"{needs[estimator.source]}, but the robot is elsewhere and no truth was given; add --truth URL as "
-                "hil device prints it, or --set estimator.source=odometry"
-            )
 
     def _fixes(self) -> FixSource | None:
         """Open where pose fixes come from, None where the estimator takes none."""

@@ -132,6 +132,14 @@ def link_of(scenario: Scenario) -> LinkUrl:
     return parse_link(scenario.link.url, baud=baud or DEFAULT_BAUD)
 
 
+def needed_truth(scenario: Scenario) -> str | None:
+    """Return the setting of a scenario that needs the true pose; None where it is not needed."""
+    estimator = scenario.estimator
+    if estimator.source == "fused" and estimator.fix == "simulated":
+        return 'estimator.fix = "simulated"'
+    return 'estimator.source = "truth"' if estimator.source == "truth" else None
+
+
 def no_lockstep(scenario: Scenario) -> BadInputError:
     """Return the refusal of lockstep with makers' motors in another process."""
     return BadInputError(

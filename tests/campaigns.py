@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hil.campaign import Campaign
+from hil.campaign.campaign import Campaign
 from hil.campaign.cluster import Place
 from hil.campaign.dataset import KEY, read_rows
 from hil.campaign.rows import MACHINE

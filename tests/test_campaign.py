@@ -13,8 +13,8 @@ import pytest
 from typer.testing import CliRunner
 
 import hil as bridge
-from hil.campaign import Campaign
 from hil.campaign import cluster as cluster_of_dask
+from hil.campaign.campaign import Campaign
 from hil.campaign.cluster import Place
 from hil.campaign.dataset import RECORDINGS, ROWS, read_rows
 from hil.cli import app

@@ -14,12 +14,13 @@ import json
 import os
 import re
 import uuid
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from filelock import FileLock, Timeout
 
@@ -31,6 +32,12 @@ _REPLACES = b"hil.replaces"
 _MOST_OF_A_SIZE = 32
 _NAME = re.compile(r"(\d+)-[0-9a-f]{32}\.parquet")
 _UNFINISHED = ".unfinished"
+_LOCK = "lock"
+_FOLDERS, _FILES = (ROWS, RECORDINGS), (_LOCK, PLAN, ABOUT, "report.html")
+_ABOUT = {"name", "scenario", "laws", "faults", "seeds", "samples", "axes", "keep", "by", "runs"}
+_ANEW = "give hil campaign with its plan once more, which writes it anew"
+_ATTEMPTS = 10
+_NO_ROWS = pa.table({KEY: pa.array([], pa.string())})
 
 
 class Dataset:
@@ -38,7 +45,7 @@ class Dataset:
 
     ``schema`` has the columns of a row; what a row does not have is null.
 
-    Raises BadInputError when the folder cannot be made or written to, holds something else, or is in use.
+    Raises BadInputError when the folder cannot be made or written to, has a damaged file, or is in use.
     """
 
     def __init__(self, folder: Path, schema: pa.Schema) -> None:
@@ -49,7 +56,7 @@ class Dataset:
             with writing(folder):
                 (folder / RECORDINGS).mkdir(parents=True, exist_ok=True)
                 self._rows.mkdir(exist_ok=True)
-                lock = FileLock(folder / "lock")
+                lock = FileLock(folder / _LOCK)
                 try:
                     resources.enter_context(lock.acquire(timeout=0))
                 except Timeout:
@@ -61,16 +68,28 @@ class Dataset:
             self._check_columns()
             self._resources = resources.pop_all()
 
-    def keys(self) -> set[str]:
-        """Return the keys of the runs that are done."""
-        return {key for part in self._parts() for key in pq.read_table(part, columns=[KEY]).column(KEY).to_pylist()}
-
     def append(self, rows: Sequence[Mapping[str, Any]]) -> None:
         """Add rows; when this returns they are on the disk. Raises BadInputError when they cannot be written."""
         if rows:
             with writing(self.folder):
                 self._write(pa.Table.from_pylist(list(rows), schema=self._schema), 0)
                 self._merge()
+
+    def drop(self, keys: Collection[str]) -> None:
+        """Remove rows with their recordings; a kill meanwhile leaves all of the rows or none.
+
+        Raises BadInputError when that cannot be written.
+        """
+        parts = self._parts()
+        if not keys or not parts:
+            return
+        table = pa.concat_tables([_read(part) for part in parts], promote_options="default")
+        others = table.filter(pc.invert(pc.is_in(table.column(KEY), pa.array(keys, pa.string()))))
+        with writing(self.folder):
+            for key in keys:
+                for recording in (self.folder / RECORDINGS).glob(f"{key}.*"):
+                    recording.unlink()
+            self._replace(parts, others, max(map(_size, parts)))
 
     def begin(self, plan: pa.Table, about: Mapping[str, Any]) -> None:
         """Say what the campaign is now. Raises BadInputError when that cannot be written."""
@@ -102,13 +121,12 @@ class Dataset:
         """Remove what a kill has left: files that were not finished, and those that were put into another."""
         for unfinished in [*self.folder.glob(f"*{_UNFINISHED}"), *self.folder.glob(f"*/*{_UNFINISHED}")]:
             unfinished.unlink()
-        for part in self._parts():
-            for name in replaced_by(part):
-                (self._rows / name).unlink(missing_ok=True)
+        for name in {name for part in self._parts() for name in replaced_by(part)}:
+            (self._rows / name).unlink(missing_ok=True)
 
     def _check_columns(self) -> None:
         for part in self._parts():
-            there = pq.read_schema(part)
+            there = _schema(part)
             for name in set(there.names) & set(self._schema.names):
                 if there.field(name).type != self._schema.field(name).type:
                     raise BadInputError(
@@ -123,31 +141,120 @@ class Dataset:
         """Put files of one size into one of the next, as soon as there are many."""
         sizes: dict[int, list[Path]] = {}
         for part in self._parts():
-            sizes.setdefault(int(part.name.partition("-")[0]), []).append(part)
+            sizes.setdefault(_size(part), []).append(part)
         for size, parts in sorted(sizes.items()):
             if len(parts) >= _MOST_OF_A_SIZE:
-                table = pa.concat_tables([pq.read_table(part) for part in parts], promote_options="default")
-                names = json.dumps([part.name for part in parts]).encode()
-                self._write(table.replace_schema_metadata({_REPLACES: names}), size + 1)
-                for part in parts:
-                    part.unlink()
+                table = pa.concat_tables([_read(part) for part in parts], promote_options="default")
+                self._replace(parts, table, size + 1)
+
+    def _replace(self, parts: Sequence[Path], table: pa.Table, size: int) -> None:
+        """Write a table in place of files, which may go when it is there: its metadata says so."""
+        names = json.dumps([part.name for part in parts]).encode()
+        self._write(table.replace_schema_metadata({_REPLACES: names}), size)
+        for part in parts:
+            part.unlink()
+
+
+def check_folder(folder: Path, about: Mapping[str, Any]) -> None:
+    """Raise BadInputError for a folder that is there and is not that of this campaign, or of none yet."""
+    if not folder.exists():
+        return
+    if not folder.is_dir():
+        raise BadInputError(f"campaign folder {folder}: it is a file; name a folder with --out")
+    if (folder / ABOUT).exists():
+        there = read_about(folder)
+        for what in ("name", "scenario"):
+            if there[what] != about[what]:
+                raise BadInputError(
+                    f"campaign folder {folder}: its {what} is {there[what]!r}, and that of this campaign is "
+                    f"{about[what]!r}; name another folder with --out"
+                )
+        return
+    strange = sorted(
+        path.name for path in folder.iterdir() if path.name.removesuffix(_UNFINISHED) not in (*_FOLDERS, *_FILES)
+    )
+    if strange:
+        raise BadInputError(
+            f"campaign folder {folder}: it holds {strange[0]}, and no campaign; name an empty or a new one with --out"
+        )
+
+
+def read_about(folder: Path) -> dict[str, Any]:
+    """Return what a campaign's folder says of it. Raises BadInputError when it cannot be read."""
+    file = folder / ABOUT
+    try:
+        about = json.loads(file.read_text(encoding="utf-8"))
+        if not isinstance(about, dict) or not about.keys() >= _ABOUT:
+            raise ValueError("it says something else")
+    except (OSError, ValueError) as error:
+        raise BadInputError(
+            f"campaign folder {folder}: {ABOUT} cannot be read ({_why(error)}); give hil campaign with its plan once "
+            "more, which writes it anew, when you have removed the file"
+        ) from error
+    return about
+
+
+def read_plan(folder: Path) -> list[dict[str, Any]]:
+    """Return the runs that a campaign's folder says that there are. Raises BadInputError when it cannot be read."""
+    return list(_read(folder / PLAN, anew=True).to_pylist())
 
 
 def read_rows(folder: Path) -> pa.Table:
-    """Return all rows in a campaign's folder, one for each key. Raises BadInputError when there is none."""
+    """Return all rows in a campaign's folder, one for each key.
+
+    Raises BadInputError when there is none, or a file of it is damaged.
+    """
     rows = folder / ROWS
     if not rows.is_dir():
         raise BadInputError(f"campaign folder {folder}: it holds no campaign; give the folder of hil campaign --out")
-    parts = sorted(path for path in rows.iterdir() if _NAME.fullmatch(path.name))
-    gone = {name for part in parts for name in replaced_by(part)}
-    tables = [pq.read_table(part).replace_schema_metadata() for part in parts if part.name not in gone]
-    return pa.concat_tables(tables, promote_options="default") if tables else pa.table({KEY: pa.array([], pa.string())})
+    for _ in range(_ATTEMPTS):
+        parts = sorted(path for path in rows.iterdir() if _NAME.fullmatch(path.name))
+        try:
+            gone = {name for part in parts for name in replaced_by(part)}
+            tables = [_read(part).replace_schema_metadata() for part in parts if part.name not in gone]
+        except FileNotFoundError:
+            continue  # a campaign under way has put them into another
+        return pa.concat_tables(tables, promote_options="default") if tables else _NO_ROWS
+    raise BadInputError(f"campaign folder {folder}: its files change while they are read; try again")
 
 
 def replaced_by(part: Path) -> list[str]:
     """Return the names of the files that were put into this one."""
-    metadata = pq.read_schema(part).metadata or {}
+    metadata = _schema(part).metadata or {}
     return [str(name) for name in json.loads(metadata.get(_REPLACES, b"[]"))]
+
+
+def _schema(part: Path) -> pa.Schema:
+    with _sound(part):
+        return pq.read_schema(part)
+
+
+def _read(part: Path, *, anew: bool = False) -> pa.Table:
+    with _sound(part, anew=anew):
+        return pq.read_table(part, page_checksum_verification=True)
+
+
+@contextlib.contextmanager
+def _sound(part: Path, *, anew: bool = False) -> Iterator[None]:
+    """Say of a file that is not what was written what to do. Raises BadInputError."""
+    try:
+        yield
+    except FileNotFoundError:
+        if anew:
+            raise BadInputError(f"campaign {part}: there is no such file; {_ANEW}") from None
+        raise
+    except (pa.ArrowException, OSError, ValueError) as error:
+        remedy = _ANEW if anew else "remove it, and the same command does its runs again"
+        raise BadInputError(f"campaign {part}: it is damaged ({_why(error)}); {remedy}") from error
+
+
+def _why(error: Exception) -> str:
+    return " ".join(str(getattr(error, "strerror", None) or error).split())[:200]
+
+
+def _size(part: Path) -> int:
+    """Return the size of a part: how many times it was put into one with others."""
+    return int(part.name.partition("-")[0])
 
 
 @contextlib.contextmanager
@@ -164,7 +271,7 @@ def writing(folder: Path) -> Iterator[None]:
 
 def _write_parquet(table: pa.Table, path: Path) -> None:
     sink = pa.BufferOutputStream()
-    pq.write_table(table, sink, compression="zstd")
+    pq.write_table(table, sink, compression="zstd", write_page_checksum=True)
     _write_bytes(sink.getvalue(), path)
 
 

@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from hil.campaign import Campaign
+from hil.campaign.campaign import Campaign
 from hil.campaign.work import NEVER, WORK
 from hil.pool import Performer
 

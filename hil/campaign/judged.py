@@ -1,7 +1,6 @@
 """What a campaign came to: pass rates, laws against each other, the effect of each axis, and the worst runs."""
 
 import itertools
-import json
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
@@ -10,12 +9,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import pyarrow.parquet as pq
 
-from hil.campaign.dataset import ABOUT, KEY, PLAN, RECORDINGS, read_rows
+from hil.campaign.dataset import KEY, RECORDINGS, read_about, read_plan, read_rows
 from hil.campaign.rows import FIGURES, MACHINE, PASSED
 from hil.campaign.statistics import Interval, binned, paired_difference, share_explained, wilson
-from hil.errors import BadInputError
 
 Series = npt.NDArray[np.float64]
 Row = Mapping[str, Any]
@@ -241,11 +238,7 @@ class Judged:
 def judge(folder: Path) -> Judged:
     """Return what a campaign came to, from its folder alone. Raises BadInputError when there is no campaign."""
     rows = read_rows(folder)
-    try:
-        about = json.loads((folder / ABOUT).read_text(encoding="utf-8"))
-        plan = pq.read_table(folder / PLAN).to_pylist()
-    except (OSError, ValueError) as error:
-        raise BadInputError(f"campaign folder {folder}: its {ABOUT} or {PLAN} cannot be read ({error})") from error
+    about, plan = read_about(folder), read_plan(folder)
     wanted = {row[KEY] for row in plan}
     missing = dict.fromkeys(FIGURES)
     done = {row[KEY]: missing | row for row in rows.to_pylist() if row[KEY] in wanted}

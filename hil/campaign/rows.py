@@ -3,8 +3,6 @@
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
-import pyarrow as pa
-
 from hil.errors import BadInputError, nearest
 
 MACHINE = "machine."
@@ -14,6 +12,7 @@ FOREIGN = "foreign"
 PASSED, FAILED, ENDED, REFUSED, LOST = "passed", "failed", "ended", "refused", "lost"
 """Outcomes: as expected; it ran to its end and was not; a law, the link or the robot ended it; it could not begin; its
 process crashed or hung."""
+OUTCOMES = (PASSED, FAILED, ENDED, REFUSED, LOST)
 
 _FIGURES = (
     "t10_s",
@@ -37,7 +36,14 @@ FIGURES = (*_FIGURES, *_NESTED)
 """Columns of numbers that a report can show; of each less is better."""
 _TEXTS = ("key", "law", "fault", "outcome", "reason", "failed_expectation", "wire_sha256")
 _WHOLE = ("seed", "sample", "faults_applied", "recoveries", *_COUNTS)
-_OF_MACHINE = {"wall_s": pa.float64(), "worker": pa.string(), "commit": pa.string(), "tick_p50_us": pa.float64()}
+_OF_MACHINE = {"wall_s": float, "worker": str, "commit": str, "tick_p50_us": float}
+COLUMNS: Mapping[str, type] = {
+    **dict.fromkeys(_TEXTS, str),
+    **dict.fromkeys(_WHOLE, int),
+    **dict.fromkeys(FIGURES, float),
+    **{MACHINE + name: kind for name, kind in _OF_MACHINE.items()},
+}
+"""The columns of a row beside those of its campaign's axes, and what is in them."""
 
 
 class Said(NamedTuple):
@@ -54,14 +60,6 @@ class Said(NamedTuple):
     reason: str | None
     wall_s: float
     recording: str | None = None
-
-
-def schema(axes: Mapping[str, pa.DataType]) -> pa.Schema:
-    """Return the columns of a row; ``axes`` are the types of the campaign's axes."""
-    columns = {name: pa.string() for name in _TEXTS} | dict(axes)
-    columns |= {name: pa.int64() for name in _WHOLE} | {name: pa.float64() for name in FIGURES}
-    columns |= {MACHINE + name: kind for name, kind in _OF_MACHINE.items()}
-    return pa.schema(list(columns.items()))
 
 
 def figures_of(metrics: Mapping[str, Any]) -> dict[str, Any]:

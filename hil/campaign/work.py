@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 from hil.assembly import run_scenario
 from hil.campaign.keys import key_of
 from hil.campaign.rows import ENDED, FAILED, FOREIGN, LOST, PASSED, REFUSED, Said, figures_of, why_failed
+from hil.controllers.registry import forget_law
 from hil.devices.virtual import KeptRobot
 from hil.errors import BadInputError, HilError
 from hil.pool import Work
@@ -61,6 +62,8 @@ def _kept() -> KeptRobot:
 def _run(scenario: Scenario, job: Job, began: float, *, record: bool) -> Said:
     path = Path(job.recording) if record else None
     try:
+        for law in (scenario.controller.law, *scenario.controller.shadow):
+            forget_law(law, scenario.directory)
         result = run_scenario(
             scenario, record=path, allow_motion=job.allow_motion, make_robot=_kept().robot, keep_signals=False
         )

@@ -12,10 +12,10 @@ import typer
 
 from hil.commands.group import Commands
 from hil.commands.options import AllowMotion, Json, end_in_order, print_json
-from hil.errors import BadInputError, RunInterruptedError
+from hil.errors import BadInputError, RunInterruptedError, nearest
 
 if TYPE_CHECKING:
-    from hil.campaign import Campaign
+    from hil.campaign.campaign import Campaign
 
 
 class FileFirst(Commands):
@@ -55,27 +55,38 @@ def run(
         float | None,
         typer.Option("--limit", metavar="S", help="a run that takes longer is ended as hung", min=1.0),
     ] = None,
+    redo: Annotated[
+        str | None,
+        typer.Option(metavar="OUTCOMES", help="do again what came to one of these, as in lost,refused"),
+    ] = None,
     allow_motion: AllowMotion = False,
     as_json: Json = False,
 ) -> None:
     """Do the runs of a campaign that are not done yet; exit 1 when one did not pass."""
-    from hil.campaign import Campaign
+    from hil.campaign.campaign import Campaign
 
     end_in_order()
     if scheduler is not None and workers is not None:
         raise BadInputError(f"--workers {workers}: an existing cluster has its own; leave it out with --scheduler")
+    outcomes = _outcomes(redo)
     try:
+        if scheduler is not None:
+            from hil.campaign.cluster import check_address
+
+            check_address(scheduler)
         campaign = Campaign(plan, allow_motion=allow_motion)
         folder = out if out is not None else Path("runs") / campaign.plan.name
         count = workers or (1 if campaign.in_real_time else os.cpu_count() or 1)
         if campaign.on_bench and count > 1:
-            raise BadInputError(f"--workers {count}: there is one bench behind its link, and one run at a time on it")
+            raise BadInputError(
+                f"--workers {count}: there is one bench behind its link or its pose fixes, and one run at a time on it"
+            )
         if dry_run:
-            _print_estimate(campaign, folder, count, as_json=as_json)
+            _print_estimate(campaign, folder, count, outcomes, as_json=as_json)
             return
     except KeyboardInterrupt:
         raise RunInterruptedError("interrupted; no run has begun") from None
-    _perform(campaign, folder, (scheduler, count, limit_s), as_json=as_json)
+    _perform(campaign, folder, (scheduler, count, limit_s), outcomes, as_json=as_json)
 
 
 @app.command("report")
@@ -99,13 +110,31 @@ def report(
         print(path)
 
 
-def _perform(campaign: "Campaign", folder: Path, how: tuple[str | None, int, float | None], *, as_json: bool) -> None:
-    from hil.campaign.cluster import Place, check_address
+def _outcomes(redo: str | None) -> frozenset[str]:
+    from hil.campaign.rows import OUTCOMES
+
+    names = [] if redo is None else [name.strip() for name in redo.split(",")]
+    for name in names:
+        if name not in OUTCOMES:
+            raise BadInputError(
+                f"--redo {redo}: {name!r} is no outcome{nearest(name, OUTCOMES)}; expected some of "
+                f"{', '.join(OUTCOMES)}, with commas"
+            )
+    return frozenset(names)
+
+
+def _perform(
+    campaign: "Campaign",
+    folder: Path,
+    how: tuple[str | None, int, float | None],
+    redo: frozenset[str],
+    *,
+    as_json: bool,
+) -> None:
+    from hil.campaign.cluster import Place
     from hil.progress import RateProgress
 
     scheduler, workers, limit_s = how
-    if scheduler is not None:
-        check_address(scheduler)
     place = Place(scheduler, workers, limit_s or 120.0 + 2.0 * campaign.longest_s)
     stop = _Stop()
     outcomes: Counter[str] = Counter()
@@ -120,7 +149,7 @@ def _perform(campaign: "Campaign", folder: Path, how: tuple[str | None, int, flo
             troubles[told.trouble] = None
             print(f"hil: {told.trouble}", file=sys.stderr, flush=True)
 
-    for rows in campaign.perform(folder, place, tell, stop.is_wanted):
+    for rows in campaign.perform(folder, place, tell, stop.is_wanted, redo):
         new = Counter(row["outcome"] for row in rows)
         outcomes += new
         if progress is None:
@@ -144,12 +173,14 @@ def _perform(campaign: "Campaign", folder: Path, how: tuple[str | None, int, flo
 
 
 class _Stop:
-    """Ctrl-C and SIGTERM: the first one ends the campaign in order, the second one at once."""
+    """Ctrl-C, SIGTERM and the end of the terminal: the first one ends the campaign in order, the second one at once."""
 
     def __init__(self) -> None:
         self._count = 0
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._take)
+        for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+            number = getattr(signal, name, None)  # Windows has no SIGHUP
+            if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, self._take)
 
     def _take(self, _number: int, _frame: FrameType | None) -> None:
         self._count += 1
@@ -161,11 +192,11 @@ class _Stop:
         return self._count > 0
 
 
-def _print_estimate(campaign: "Campaign", folder: Path, workers: int, *, as_json: bool) -> None:
+def _print_estimate(campaign: "Campaign", folder: Path, workers: int, redo: frozenset[str], *, as_json: bool) -> None:
     from hil.campaign.estimate import estimate
     from hil.progress import duration_words
 
-    left = campaign.left(folder)
+    left = campaign.left(folder, redo)
     about = estimate(campaign, left, workers)
     runs = len(campaign.runs)
     if as_json:

@@ -127,11 +127,15 @@ class VirtualStm32:
         self.node = self._power_on()
 
     def can_become(self, made_of: VirtualRobot) -> bool:
-        """Whether ``remake`` can make that robot of this one: another FMU has to be opened, and one that runs in a
-        process of its own has its start values from there."""
+        """Whether ``remake`` can make that robot of this one.
+
+        Another FMU has to be opened, and one in a process of its own has its start values from there. Of an FMU that
+        is not ours nobody knows whether its reset forgets everything, so that it is opened anew.
+        """
         here, there = self._made_of.plant, made_of.plant
-        start = there.start if isinstance(self.plant, FmuPlant) else here.start
-        return here._replace(start=start) == there and self.failure() is None
+        if isinstance(self.plant, FmuPlant):
+            here = here._replace(start=there.start)
+        return here == there and archive.is_ours(there.fmu) and self.failure() is None
 
     def restart(self) -> None:
         """Put the firmware to its power-on state while the plant stays as it is; stored parameters are kept."""

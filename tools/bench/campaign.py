@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.table import Table
 
 import hil
-from hil.campaign import Campaign
+from hil.campaign.campaign import Campaign
 from hil.campaign.cluster import Place
 from hil.campaign.work import NEVER, WORK
 from hil.pool import Performer
