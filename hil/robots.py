@@ -14,7 +14,7 @@ from hil.errors import BadInputError
 from hil.links.language import WHEEL_DBC, Language
 from hil.links.url import DEFAULT_BAUD, CanUrl, LinkUrl, parse_link
 from hil.plant import archive
-from hil.plant.description import parameter_names
+from hil.plant.description import check_start, parameter_names
 from hil.plant.mapping import Row, SignalMap
 from hil.scenario import SHIPPED_FMUS, Scenario, StartValue
 from hil.trace import Trace
@@ -60,6 +60,12 @@ def plant_start(scenario: Scenario, known: Collection[str]) -> dict[str, StartVa
         "motor_inductance_h": firmware.motor_inductance_h,
     }
     return {name: value for name, value in believed.items() if name in known} | dict(start)
+
+
+def check_plant_start(scenario: Scenario) -> None:
+    """Raise BadInputError for start values that the scenario's FMU refuses, without opening it."""
+    fmu = archive.locate(scenario.plant.fmu, scenario.directory)
+    check_start(fmu, plant_start(scenario, parameter_names(fmu)))
 
 
 def signal_map(scenario: Scenario) -> SignalMap:

@@ -24,7 +24,8 @@ from hil.campaign.work import ALWAYS, IF_FAILED, NEVER, Job
 from hil.errors import BadInputError, LinkError
 from hil.links.opening import is_within_process
 from hil.links.url import parse_link
-from hil.robots import needed_truth
+from hil.parts import PartsOf
+from hil.robots import check_plant_start, needed_truth
 from hil.scenario import Scenario, format_value, set_texts, to_plain
 from hil.scenario.fields import is_path
 from hil.telemetry.provenance import versions
@@ -67,17 +68,19 @@ class Campaign:
         if isinstance(keep, KeepTable):
             check_figure(keep.by, f"campaign {plan.place('keep')}: keep.by")
         runs: dict[str, Point] = {}
+        self._choices: set[tuple[str, ...]] = set()
         self.on_bench = self.in_real_time = False
         self.longest_s = 0.0
         for point in points(plan):
             scenario = plan.scenario(point.sets)
-            key = key_of(scenario)
+            with _of(f"campaign {file}: {point.words}: "):
+                key = key_of(scenario)
+                self._check(scenario, point)
             if key in runs:
                 raise BadInputError(
                     f"campaign {file}: two runs are the same: {runs[key].words}; and {point.words}. Remove one of them"
                 )
             runs[key] = point
-            self._check_can_run(scenario, point)
             self.on_bench = self.on_bench or _needs_bench(scenario)
             self.in_real_time = self.in_real_time or scenario.loop.mode == "realtime"
             self.longest_s = max(self.longest_s, scenario.loop.duration_s)
@@ -88,23 +91,16 @@ class Campaign:
                 'no run comes twice; give keep = "failures" or "all"'
             )
 
-    def _check_can_run(self, scenario: Scenario, point: Point) -> None:
-        """Raise BadInputError for a run behind a link that could not begin, whatever stands there."""
-        if is_within_process(parse_link(scenario.link.url)):
-            return
-        why = None
-        if (setting := needed_truth(scenario)) is not None:
-            why = f'{setting}, and of a robot behind a link no truth is known; give estimator.source = "odometry"'
-        elif scenario.device.is_makers and scenario.loop.mode == "lockstep":
-            why = (
-                f"the protocol of {scenario.device.driver!r} has no STEP, so that nobody can let its time pass from "
-                'outside; give loop.mode = "realtime", or link.url = "memory:"'
-            )
-        elif scenario.device.is_makers and not self._allow_motion:
-            why = "the robot has motor controllers: real motors would move; add --allow-motion when it may move"
-        if why is not None:
-            where = f"campaign {self.plan.file}: {point.words}: link.url = {scenario.link.url!r}"
-            raise BadInputError(f"{where}: {why}")
+    def _check(self, scenario: Scenario, point: Point) -> None:
+        """Raise BadInputError for a run that would only be refused."""
+        _check_link(scenario, allow_motion=self._allow_motion)
+        check_plant_start(scenario)
+        controller, reference = scenario.controller, scenario.reference
+        gains = (controller.gains, controller.shadow_gains)
+        choice = (controller.law, *controller.shadow, reference.kind, *map(repr, (*gains, reference.options)))
+        if choice not in self._choices:
+            self._choices.add(choice)
+            PartsOf(scenario)
 
     def job(self, run: _Run, recorded: str) -> Job:
         """Return what a worker is told of a run."""
@@ -254,6 +250,35 @@ class Campaign:
             "by": keep["by"] if isinstance(keep, dict) else "steady_rms_m",
             "runs": len(self.runs),
         }
+
+
+@contextlib.contextmanager
+def _of(run: str) -> Iterator[None]:
+    """Say of which run it is that something is refused."""
+    try:
+        yield
+    except BadInputError as error:
+        raise BadInputError("\n".join(run + line for line in str(error).splitlines())) from error
+
+
+def _check_link(scenario: Scenario, *, allow_motion: bool) -> None:
+    """Raise BadInputError for a run behind a link that could not begin, whatever stands there."""
+    if is_within_process(parse_link(scenario.link.url)):
+        return
+    where, is_makers = f"link.url = {scenario.link.url!r}", scenario.device.is_makers
+    if (setting := needed_truth(scenario)) is not None:
+        raise BadInputError(
+            f'{where}: {setting}, and of a robot behind a link no truth is known; give estimator.source = "odometry"'
+        )
+    if is_makers and scenario.loop.mode == "lockstep":
+        raise BadInputError(
+            f"{where}: the protocol of {scenario.device.driver!r} has no STEP, so that nobody can let its time pass "
+            'from outside; give loop.mode = "realtime", or link.url = "memory:"'
+        )
+    if is_makers and not allow_motion:
+        raise BadInputError(
+            f"{where}: the robot has motor controllers: real motors would move; add --allow-motion when it may move"
+        )
 
 
 def _type(values: Sequence[Any]) -> pa.DataType:

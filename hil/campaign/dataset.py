@@ -188,8 +188,7 @@ def read_about(folder: Path) -> dict[str, Any]:
             raise ValueError("it says something else")
     except (OSError, ValueError) as error:
         raise BadInputError(
-            f"campaign folder {folder}: {ABOUT} cannot be read ({_why(error)}); give hil campaign with its plan once "
-            "more, which writes it anew, when you have removed the file"
+            f"campaign file {file}: it cannot be read ({_why(error)}); remove it if it is there, and {_ANEW}"
         ) from error
     return about
 
@@ -241,11 +240,11 @@ def _sound(part: Path, *, anew: bool = False) -> Iterator[None]:
         yield
     except FileNotFoundError:
         if anew:
-            raise BadInputError(f"campaign {part}: there is no such file; {_ANEW}") from None
+            raise BadInputError(f"campaign file {part}: there is no such file; {_ANEW}") from None
         raise
     except (pa.ArrowException, OSError, ValueError) as error:
         remedy = _ANEW if anew else "remove it, and the same command does its runs again"
-        raise BadInputError(f"campaign {part}: it is damaged ({_why(error)}); {remedy}") from error
+        raise BadInputError(f"campaign file {part}: it is damaged ({_why(error)}); {remedy}") from error
 
 
 def _why(error: Exception) -> str:

@@ -1,5 +1,6 @@
 """Loading a campaign: its file read and checked, its scenario found, every refusal a sentence with file and line."""
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,6 +22,16 @@ _TABLES = {
     ("keep",): KeepTable,
 }
 _SET = "--set"
+_EXPECTED = {
+    "tuple_type": "expected an array, in [ ]",
+    "mapping_type": "expected a table",
+    "dict_type": "expected a table",
+    "model_type": "expected a table, in { }",
+    "string_type": "expected text in quotation marks",
+    "int_type": "expected a whole number",
+    "float_type": "expected a number",
+}
+"""Kinds of TOML for kinds of Python, by pydantic's name of the problem."""
 
 
 class Plan(NamedTuple):
@@ -61,11 +72,22 @@ class Plan(NamedTuple):
     def _placed(self, sentence: str, sets: Mapping[str, object]) -> str:
         """Say of what the campaign gave where it stands there, not that it was ``--set``."""
         if not sentence.startswith(_SET):
-            return sentence
+            return f"campaign {self.file}: {sentence}"
         words = sentence.removeprefix(_SET).lstrip(": ")
-        key = max((key for key in sets if key in words), key=len, default="")
+        key = max(sets, key=lambda key: _named(key, words), default="")
+        if not _named(key, words):
+            return f"campaign {self.file}: {words}"
         table = ("axes",) if key in self.tables.axes else ("set",) if key in self.tables.set else ()
         return f"campaign {self.place(*table, key)}: {words}"
+
+
+def _named(key: str, words: str) -> int:
+    """Return how many parts of a dotted key, from the first on, a sentence names."""
+    parts = key.split(".")
+    for end in range(len(parts), 0, -1):
+        if re.search(rf"(?<![\w.]){re.escape('.'.join(parts[:end]))}(?!\w)", words):
+            return end
+    return 0
 
 
 def load_plan(file: Path) -> Plan:
@@ -139,23 +161,25 @@ def _sentences(error: ValidationError, file: Path, lines: Mapping[tuple[str, ...
     for problem in error.errors(include_url=False):
         path = tuple(str(part) for part in problem["loc"])
         path = path[:1] if path[:1] == ("keep",) and problem["type"] != "extra_forbidden" else path
+        path = tuple(part for part in path if part != "[key]")
         told = str(problem.get("ctx", {}).get("error", ""))
         about = path or next((one[:-1] for one in lines if one[0] == "axes" and ".".join(one[1:-1]) in told), ())
         where = f"campaign {_place(file, lines, about)}"
         key = ".".join(part for part in path if part not in ("KeepTable", "LawTable"))
-        if problem["type"] == "missing":
+        if path == ("keep",):
+            said[f'{where}: keep; expected "none", "failures", "all" or {{ worst = 20, by = "steady_rms_m" }}'] = None
+        elif problem["type"] == "missing":
             said[f"campaign {file}: {key} is missing; expected {_meaning(path)}"] = None
         elif problem["type"] == "extra_forbidden":
             known = _model(path[:-1]).model_fields
             said[f"{where}: unknown key {key}{nearest(path[-1], known)}"] = None
         elif problem["type"] == "value_error":
             said[f"{where}: {f'{key}: ' if key else ''}{told}"] = None
-        elif path == ("keep",):
-            said[f'{where}: keep; expected "none", "failures", "all" or {{ worst = 20, by = "steady_rms_m" }}'] = None
         else:
             value = problem["input"]
             given = "" if isinstance(value, Mapping) else f" = {format_value(value)}"
-            said[f"{where}: {key}{given}; {problem['msg'].replace('Input should be', 'expected')}"] = None
+            expected = _EXPECTED.get(problem["type"], problem["msg"].replace("Input should be", "expected"))
+            said[f"{where}: {key}{given}; {expected}"] = None
     return list(said)
 
 

@@ -63,13 +63,13 @@ def run(
     as_json: Json = False,
 ) -> None:
     """Do the runs of a campaign that are not done yet; exit 1 when one did not pass."""
-    from hil.campaign.campaign import Campaign
-
     end_in_order()
     if scheduler is not None and workers is not None:
         raise BadInputError(f"--workers {workers}: an existing cluster has its own; leave it out with --scheduler")
-    outcomes = _outcomes(redo)
     try:
+        from hil.campaign.campaign import Campaign
+
+        outcomes = _outcomes(redo)
         if scheduler is not None:
             from hil.campaign.cluster import check_address
 
@@ -117,8 +117,8 @@ def _outcomes(redo: str | None) -> frozenset[str]:
     for name in names:
         if name not in OUTCOMES:
             raise BadInputError(
-                f"--redo {redo}: {name!r} is no outcome{nearest(name, OUTCOMES)}; expected some of "
-                f"{', '.join(OUTCOMES)}, with commas"
+                f"--redo {redo}: {name!r} is no outcome{nearest(name, OUTCOMES)}; give some of "
+                f"{', '.join(OUTCOMES)}, with commas between them"
             )
     return frozenset(names)
 
