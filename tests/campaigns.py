@@ -1,6 +1,6 @@
 """Small campaigns: short circles at 200 Hz in lockstep."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +28,14 @@ def write_plan(folder: Path, more: str = "", tables: str = "", name: str = "plan
     return file
 
 
-def do(plan: Path, folder: Path, place: Place = Place(None, 1, LIMIT_S)) -> list[Mapping[str, Any]]:  # noqa: B008
+def do(
+    plan: Path,
+    folder: Path,
+    place: Place = Place(None, 1, LIMIT_S),  # noqa: B008
+    redo: Collection[str] = (),
+) -> list[Mapping[str, Any]]:
     """Do a campaign to its end, and return its rows in the order of its runs."""
-    for _ in Campaign(plan).perform(folder, place):
+    for _ in Campaign(plan).perform(folder, place, redo=redo):
         pass
     return rows_of(plan, folder)
 

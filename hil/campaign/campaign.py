@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import pyarrow as pa
 
 from hil.campaign.dataset import KEY, RECORDINGS, ROWS, Dataset, check_folder, read_rows
+from hil.campaign.jobs import ALWAYS, IF_FAILED, NEVER, Job
 from hil.campaign.keys import key_of
 from hil.campaign.load import Plan, load_plan
 from hil.campaign.points import Point, points
 from hil.campaign.rows import COLUMNS, FOREIGN, MACHINE, check_figure
 from hil.campaign.tables import KeepTable
-from hil.campaign.work import ALWAYS, IF_FAILED, NEVER, Job
 from hil.errors import BadInputError, LinkError
 from hil.links.opening import is_within_process
 from hil.links.url import parse_link

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
+from hil.campaign.jobs import WORK, Job
 from hil.campaign.rows import LOST, Said
-from hil.campaign.work import WORK, Job
 from hil.errors import BadInputError, LinkError
 from hil.pool import Performer
 

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 from hil.campaign.campaign import Campaign
-from hil.campaign.work import NEVER, WORK
+from hil.campaign.jobs import NEVER, WORK
 from hil.pool import Performer
 
 _TIMED = 3

@@ -11,8 +11,8 @@ import distributed
 from distributed.client import FutureCancelledError
 
 from hil.campaign.cluster import BENCH, Answer, Place, cluster, connect, perform_on_worker, prepare
+from hil.campaign.jobs import Job
 from hil.campaign.rows import LOST, Said
-from hil.campaign.work import Job
 from hil.errors import LinkError
 
 _AHEAD = 2

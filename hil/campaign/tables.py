@@ -49,8 +49,8 @@ class AxisTable(Table):
             raise ValueError(f"{given[0]} = {list(self.values)}; expected [low, high] with low < high")
         if self.log_uniform is not None and self.log_uniform[0] <= 0.0:
             raise ValueError(f"log_uniform = {list(self.values)}; expected numbers greater than 0")
-        if not self.is_random and len({repr(value) for value in self.values}) < len(self.values):
-            raise ValueError(f"{given[0]}: a value is named twice; name each once")
+        if self.grid is not None and len({repr(value) for value in self.grid}) < len(self.grid):
+            raise ValueError("grid: a value is named twice; name each once")
         return self
 
 

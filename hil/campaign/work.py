@@ -2,41 +2,17 @@
 
 import functools
 import time
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
 
 from hil.assembly import run_scenario
+from hil.campaign.jobs import ALWAYS, IF_FAILED, Job
 from hil.campaign.keys import key_of
-from hil.campaign.rows import ENDED, FAILED, FOREIGN, LOST, PASSED, REFUSED, Said, figures_of, why_failed
+from hil.campaign.rows import ENDED, FAILED, FOREIGN, PASSED, REFUSED, Said, figures_of, why_failed
 from hil.controllers.registry import forget_law
 from hil.devices.virtual import KeptRobot
 from hil.errors import BadInputError, HilError
-from hil.pool import Work
 from hil.results import RunResult
 from hil.scenario import Scenario, from_plain
-
-NEVER, IF_FAILED, ALWAYS = "never", "if failed", "always"
-"""When a run is recorded."""
-
-
-class Job(NamedTuple):
-    """A run to do, as plain values: its key, its scenario, when it is recorded, into which file."""
-
-    key: str
-    scenario: Mapping[str, Any]
-    recorded: str
-    recording: str
-    allow_motion: bool
-
-
-def lost(_job: Job, words: str, wall_s: float) -> Said:
-    """Return what is said of a run whose process said nothing."""
-    return Said({}, LOST, words, wall_s)
-
-
-WORK = Work("hil.campaign.worker", Said, lost)
-"""What the pool is told of a run of a campaign."""
 
 
 def perform(job: Job) -> Said:

@@ -2,7 +2,8 @@
 
 import sys
 
-from hil.campaign.work import Job, lost, perform
+from hil.campaign.jobs import Job, lost
+from hil.campaign.work import perform
 from hil.worker import serve
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ from rich.table import Table
 import hil
 from hil.campaign.campaign import Campaign
 from hil.campaign.cluster import Place
-from hil.campaign.work import NEVER, WORK
+from hil.campaign.jobs import NEVER, WORK
 from hil.pool import Performer
 
 PLAN = """
