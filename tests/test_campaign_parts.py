@@ -16,10 +16,13 @@ from scipy import stats
 from hil.assembly import run_scenario
 from hil.campaign.campaign import Campaign
 from hil.campaign.dataset import KEY, ROWS, Dataset, read_rows
+from hil.campaign.jobs import NEVER
 from hil.campaign.keys import key_of
 from hil.campaign.load import load_plan
 from hil.campaign.points import count, points
+from hil.campaign.rows import MACHINE, figures_of
 from hil.campaign.statistics import paired_difference, ranked, share_explained, unit_means, wilson
+from hil.campaign.work import perform
 from hil.devices.virtual import KeptRobot
 from hil.errors import BadInputError
 from hil.scenario import from_plain, load, shipped, to_plain
@@ -95,23 +98,71 @@ def test_a_key_follows_from_what_a_run_is_made_of_and_not_from_where_that_is(tmp
     assert key_of(load("circle_speed", set={"robot.mass_kg": 20})) == key_of(base)
 
 
+LAW = """
+from hil.types import WheelCommand, Wheels
+
+
+class Law:
+    runs = 0
+
+    def __init__(self, model, mode):
+        self.mode = mode
+        Law.runs += 1
+
+    def reset(self, state, reference):
+        pass
+
+    def update(self, reference, state, applied, dt_s):
+        rest = Wheels(0.0, 0.0, 0.0, 0.0)
+        return WheelCommand(self.mode, rest, rest._replace(fl=0.1 * Law.runs))
+"""
+
+
+def test_what_a_law_left_in_its_module_is_gone_in_the_next_run(tmp_path: Path, monkeypatch) -> None:
+    (tmp_path / "package_of_laws").mkdir()
+    (tmp_path / "package_of_laws" / "__init__.py").write_text("from package_of_laws.impl import Law", encoding="utf-8")
+    (tmp_path / "package_of_laws" / "impl.py").write_text(LAW, encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    for name in ("./package_of_laws/impl.py:Law", "package_of_laws.impl:Law", "package_of_laws:Law"):
+        campaign = Campaign(write_plan(tmp_path, f'laws = ["{name}"]\nkeep = "none"'))
+        job = campaign.job(campaign.runs[0], NEVER)
+        first, second = (perform(job).figures for _ in range(2))
+        assert first["wire_sha256"] == second["wire_sha256"]
+        assert first["effort_n_m_s"] > 0.0
+
+
+CLOCKED = {f"{MACHINE}tick_p50_us": None}
+MAKERS = {
+    "moteus": "can:virtual/kept?fd=1&data_bitrate=5000000",
+    "odrive": "can:virtual/kept",
+    "vesc": "memory:",
+    "c620": "memory:",
+    "rosmaster": "memory:",
+    "wheeltec": "memory:",
+}
+
+
 def test_a_robot_that_is_kept_is_in_each_run_as_if_it_were_new() -> None:
-    short = {"loop.duration_s": 0.3, "loop.rate_hz": 200, "expect": []}
+    short = {"loop.duration_s": 0.15, "loop.rate_hz": 200, "expect": []}
     slip = {"kind": "slip_patch", "start_s": 0.05, "value": 0.1, "x_m": 0.0, "y_m": 0.0, "radius_m": 5.0}
+    push = {"kind": "push", "target": "force_x_n", "start_s": 0.05, "value": 50.0}
     others = [
         {},
         {"plant.start.mass_kg": 26.0, "device.reversed": ["fl"], "device.wheels": ["fr", "fl", "rr", "rl"]},
         {"plant.start.contact": "slip", "plant.start.grip_coefficient": 0.5, "fault": [slip]},
-        {"fault": [{"kind": "reset", "target": "robot", "start_s": 0.1}]},
+        {"fault": [{"kind": "reset", "target": "robot", "start_s": 0.05}]},
         {"plant.fmu": "mecanum_fmi3", "firmware.torque_constant_n_m_a": 1.0},
+        *({"device.driver": driver, "link.url": link, "fault": [push]} for driver, link in MAKERS.items()),
+        {"fault": [{"kind": "parameter", "target": "friction_coefficient", "start_s": 0.05, "value": 0.3}]},
         {},
     ]
     kept = KeptRobot()
     try:
         for other in others:
             scenario = load("circle_speed", set=short | other)
+            assert from_plain(json.loads(json.dumps(to_plain(scenario)))) == scenario
             one, new = (run_scenario(scenario, keep_signals=False, **way) for way in ({"make_robot": kept.robot}, {}))
-            assert one.metrics["wire_sha256"] == new.metrics["wire_sha256"]
+            assert figures_of(one.metrics) | CLOCKED == figures_of(new.metrics) | CLOCKED
             assert one.metrics["fault"] == new.metrics["fault"]
             assert str(one.failure) == str(new.failure)
     finally:

@@ -20,7 +20,6 @@ from types import TracebackType
 from typing import Any, Self
 
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from filelock import FileLock, Timeout
 
@@ -84,7 +83,7 @@ class Dataset:
         if not keys or not parts:
             return
         table = pa.concat_tables([_read(part) for part in parts], promote_options="default")
-        others = table.filter(pc.invert(pc.is_in(table.column(KEY), pa.array(keys, pa.string()))))
+        others = table.filter(pa.array([key not in keys for key in table.column(KEY).to_pylist()], pa.bool_()))
         with writing(self.folder):
             for key in keys:
                 for recording in (self.folder / RECORDINGS).glob(f"{key}.*"):
