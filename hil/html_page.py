@@ -24,11 +24,15 @@ table { border-collapse: collapse; width: 100%; font-size: .87em; }
 th, td { text-align: left; vertical-align: top; padding: .2em .7em .2em 0; border-bottom: 1px solid #e6e6e6;
   overflow-wrap: break-word; }
 td:last-child { overflow-wrap: anywhere; }
-th { font-weight: 600; } td.n { text-align: right; white-space: nowrap; font-variant-numeric: tabular-nums; }
+th { font-weight: 600; } th.n { text-align: right; }
+td.n { text-align: right; white-space: nowrap; font-variant-numeric: tabular-nums; }
 figure { margin: 1em 0; } figure svg { width: 100%; height: auto; } figcaption { font-size: .87em; color: #555; }
 .passed, .better { color: #00704a; } .failed, .worse { color: #b3261e; } .verdict { font-weight: 700; }
 .note { color: #7a5200; } .about { color: #555; margin: .1em 0; }
 .columns { columns: 2; column-gap: 2em; }
+code { overflow-wrap: anywhere; }
+@media screen and (max-width: 45em) { table { display: block; overflow-x: auto; } td.t { min-width: 6em; }
+  .columns { columns: 1; } body { margin: 1em auto; } }
 @page { size: A4; margin: 15mm 14mm; }
 @media print {
   body { font-size: 9.5pt; margin: 0; max-width: none; padding: 0; }
@@ -110,8 +114,10 @@ def mark(text: str, good: bool) -> str:
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], numbers: Sequence[int] = ()) -> Iterator[str]:
     """Yield a table; cells are HTML already."""
-    yield f"<table><thead><tr>{''.join(f'<th>{cell}</th>' for cell in head)}</tr></thead><tbody>"
+    kinds = ["n" if place in numbers else "t" for place in range(len(head))]
+    heads = (f'<th class="{kind}">{cell}</th>' for kind, cell in zip(kinds, head, strict=True))
+    yield f"<table><thead><tr>{''.join(heads)}</tr></thead><tbody>"
     for row in rows:
-        cells = (f'<td class="{"n" if i in numbers else "t"}">{cell}</td>' for i, cell in enumerate(row))
+        cells = (f'<td class="{kind}">{cell}</td>' for kind, cell in zip(kinds, row, strict=True))
         yield f"<tr>{''.join(cells)}</tr>"
     yield "</tbody></table>"

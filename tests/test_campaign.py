@@ -148,7 +148,7 @@ def test_a_run_that_fails_is_a_row_with_its_reason_which_can_be_done_again(
     assert [row for row in again if row not in rows] == [again[1], again[3]]
 
 
-def test_an_fmu_whose_reset_forgets_nothing_is_opened_anew_for_each_run(flawed: Path, monkeypatch) -> None:
+def test_a_foreign_fmu_is_opened_anew_for_each_run_for_its_reset_may_leave_something(flawed: Path, monkeypatch) -> None:
     monkeypatch.setenv("FLAW", "forgetful 0")
     scenario = load(
         "circle_speed", set={"plant.fmu": flawed, "loop.duration_s": 0.2, "loop.rate_hz": 200, "expect": []}

@@ -95,6 +95,13 @@ class Campaign:
         """Raise BadInputError for a run that would only be refused."""
         _check_link(scenario, allow_motion=self._allow_motion)
         check_plant_start(scenario)
+        for row in scenario.expect:
+            if row.from_s >= scenario.loop.duration_s:
+                raise BadInputError(
+                    f"the expectation of {row.signal} begins at {row.from_s:g} s, and the run ends at "
+                    f"{scenario.loop.duration_s:g} s: it would always fail; give another, or expect = [] in [set] and "
+                    "[[expect]] rows of the campaign's own"
+                )
         controller, reference = scenario.controller, scenario.reference
         gains = (controller.gains, controller.shadow_gains)
         choice = (controller.law, *controller.shadow, reference.kind, *map(repr, (*gains, reference.options)))

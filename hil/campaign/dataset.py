@@ -36,7 +36,7 @@ _FOLDERS, _FILES = (ROWS, RECORDINGS), (_LOCK, PLAN, ABOUT, "report.html")
 _ABOUT = {"name", "scenario", "laws", "faults", "seeds", "samples", "axes", "keep", "by", "runs"}
 _ANEW = "give hil campaign with its plan once more, which writes it anew"
 _ATTEMPTS = 10
-_NO_ROWS = pa.table({KEY: pa.array([], pa.string())})
+_NO_ROWS = pa.schema([(KEY, pa.string())]).empty_table()
 
 
 class Dataset:

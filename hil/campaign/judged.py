@@ -103,7 +103,7 @@ class Judged:
                 continue
             values = list(dict.fromkeys(row[axis] for row in self.plan))
             groups = ((value, [row for row in self.rows if row[axis] == value]) for value in values)
-            rates += [_rate(axis, _word(value), some) for value, some in groups if some]
+            rates += [_rate(axis, word(value), some) for value, some in groups if some]
         return rates
 
     @cached_property
@@ -265,7 +265,8 @@ def _rate(axis: str, value: str, rows: Sequence[Row]) -> Rate:
     return Rate(axis, value, len(rows), passed, wilson(passed, len(rows)))
 
 
-def _word(value: object) -> str:
+def word(value: object) -> str:
+    """Return a value of an axis as it is read."""
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 

@@ -1,33 +1,23 @@
 """The page of a campaign: one HTML file with its verdicts, plots and worst runs, that needs nothing else."""
 
-import itertools
 from collections.abc import Iterator, Mapping
 from functools import partial
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import Any
 
 from hil.campaign.dataset import KEY
-from hil.campaign.judged import COMPARED, Judged, duel_words, percent
+from hil.campaign.judged import COMPARED, Judged, duel_words, percent, word
+from hil.campaign.pictures import TITLES, draw_distributions, draw_duels, draw_effects, title_of
 from hil.campaign.rows import PASSED
 from hil.campaign.statistics import Interval
 from hil.html_page import document, figure, mark, picture, table, write_document
-from hil.plots import colour_of, rgb
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-_TITLES = {
-    "steady_rms_m": ("steady rms", "mm", 1e3),
-    "steady_max_m": ("steady max", "mm", 1e3),
-    "t10_s": ("to 10 mm", "s", 1.0),
-    "overshoot_m": ("overshoot", "mm", 1e3),
-    "effort_n_m_s": ("effort", "N·m·s", 1.0),
-}
+_MEANINGS = (
+    "Steady: the planar error once it stays within 10 mm, its rms and its greatest value; to 10 mm: the time until "
+    "then; overshoot: how far it went past the reference; effort: the integral of the torques. Of each less is better."
+)
 _REASONS = 12
-_SCATTERED = 2000
 
 
 def write_page(path: Path, judged: Judged) -> None:
@@ -56,8 +46,9 @@ def _head(judged: Judged) -> Iterator[str]:
     verdict = f"{passed} of {done} runs passed" if done else "no run is done yet"
     yield f'<p class="verdict {"passed" if done and passed == done else "failed"}">{verdict}</p>'
     yield from (f'<p class="about">{escape(sentence)}</p>' for sentence in judged.sentences())
-    axes = (f"{name}: {axis['kind']} {axis['values']}" for name, axis in judged.about["axes"].items())
-    yield f'<p class="about">{escape("; ".join(axes))}</p>'
+    axes = [f"{name}: {axis['kind']} {axis['values']}" for name, axis in judged.about["axes"].items()]
+    if axes:
+        yield f'<p class="about">{escape("; ".join(axes))}</p>'
     if len(judged.commits) > 1:
         yield f'<p class="note">the runs were done by several commits: {escape(", ".join(judged.commits))}</p>'
 
@@ -73,21 +64,30 @@ def _reasons(judged: Judged) -> Iterator[str]:
 
 def _rates(judged: Judged) -> Iterator[str]:
     yield "<h2>Pass rates</h2>"
+    yield (
+        '<p class="about">Of all runs that are done, and of those with one value of an axis. Intervals on this '
+        "page are of 95 %: were the campaign done again with other draws, 19 of 20 such "
+        "intervals would hold the true value.</p>"
+    )
     rows = [
         (escape(rate.axis), escape(rate.value), str(rate.runs), str(rate.passed), escape(percent(rate.share)))
         for rate in judged.rates
     ]
-    yield from table(("axis", "value", "runs", "passed", "share, with Wilson's interval"), rows, numbers=(2, 3))
+    yield from table(("axis", "value", "runs", "passed", "share, with Wilson's score interval"), rows, numbers=(2, 3))
 
 
 def _figures(judged: Judged) -> Iterator[str]:
     yield "<h2>Figures of each law</h2>"
+    yield (
+        '<p class="about">Over the runs that have the figure: a run that never came within 10 mm has no steady error. '
+        f"{escape(_MEANINGS)}</p>"
+    )
     rows = []
     for spread in judged.spreads:
-        name, unit, scale = _TITLES[spread.figure]
+        name, unit, scale = TITLES[spread.figure]
         numbers = (f"{scale * value:.4g}" for value in (spread.median, spread.p95, spread.worst))
         rows.append((escape(f"{name} [{unit}]"), escape(spread.law), str(spread.runs), *numbers))
-    yield from table(("figure", "law", "runs", "median", "95 %", "worst"), rows, numbers=(2, 3, 4, 5))
+    yield from table(("figure", "law", "runs", "median", "95th percentile", "worst"), rows, numbers=(2, 3, 4, 5))
 
 
 def _duels(judged: Judged) -> Iterator[str]:
@@ -96,17 +96,25 @@ def _duels(judged: Judged) -> Iterator[str]:
     yield "<h2>Law against law</h2>"
     yield (
         '<p class="about">Runs that differ in the law alone, in pairs; the mean difference with the percentile '
-        "interval of a bootstrap over independent draws. Less is better.</p>"
+        "interval of a bootstrap over independent draws. Less is better. Where the interval holds 0, no difference is "
+        "shown; nothing is corrected for how many comparisons there are.</p>"
     )
     rows = []
     for duel in judged.duels:
-        name, unit, scale = _TITLES[duel.figure]
+        name, unit, scale = TITLES[duel.figure]
         value, *ends = duel.difference
         low, high = (None if end is None else scale * end for end in ends)
         scaled = duel._replace(difference=Interval(scale * value, low, high))
         told = (escape(f"{name} [{unit}]"), escape(duel_words(scaled)))
         rows.append((*told, f"{100 * duel.first_less:.3g} %", str(duel.pairs), str(duel.units)))
     yield from table(("figure", "difference", "first less in", "pairs", "draws"), rows, numbers=(2, 3, 4))
+    there = list(dict.fromkeys(duel.figure for duel in judged.duels))
+    pairs = len({(duel.first, duel.second) for duel in judged.duels})
+    draw = partial(draw_duels, judged=judged, names=there)
+    caption = "Mean differences of paired runs with their 95 % intervals; left of 0 the first law is less."
+    rows_of_panels = -(-len(there) // 2)
+    height_in = (0.9 + 0.22 * pairs) * rows_of_panels
+    yield from figure(picture("Differences", caption, draw, height_in=height_in, rows=rows_of_panels, columns=2))
 
 
 def _effects(judged: Judged) -> Iterator[str]:
@@ -124,7 +132,7 @@ def _effects(judged: Judged) -> Iterator[str]:
             judged.axes, key=lambda axis: -(shares[axis, judged.by] or 0.0) if (axis, judged.by) in shares else 0.0
         )
     ]
-    yield from table(("axis", *(_TITLES[name][0] for name in COMPARED)), rows, numbers=range(1, len(COMPARED) + 1))
+    yield from table(("axis", *(TITLES[name][0] for name in COMPARED)), rows, numbers=range(1, len(COMPARED) + 1))
 
 
 def _pictures(judged: Judged) -> Iterator[str]:
@@ -132,76 +140,21 @@ def _pictures(judged: Judged) -> Iterator[str]:
     if not there:
         return
     height_in = 2.2 * -(-len(there) // 2)
-    draw = partial(_draw_distributions, judged=judged, names=there)
-    caption = "The share of a law's runs in which a figure is at most this."
+    draw = partial(draw_distributions, judged=judged, names=there)
+    caption = "The share of a law's runs in which a figure is at most this: further left is better."
     yield from figure(picture("Distributions", caption, draw, height_in=height_in, rows=-(-len(there) // 2), columns=2))
     shown = judged.by if judged.by in there else there[0]
     axes = [axis for axis in judged.axes if axis not in ("law", "seed")]
     if axes:
         rows = -(-len(axes) // 2)
-        draw = partial(_draw_effects, judged=judged, names=axes, shown=shown)
-        title, unit, _ = _title(shown)
-        caption = f"{title} [{unit}] over each axis; the line joins medians, dots are runs."
+        draw = partial(draw_effects, judged=judged, names=axes, shown=shown)
+        title, unit, _ = title_of(shown)
+        caption = f"{title} [{unit}] over each axis; dots are runs, the line joins medians."
         yield from figure(picture("Effects", caption, draw, height_in=2.4 * rows, rows=rows, columns=2))
 
 
-def _title(name: str) -> tuple[str, str, float]:
-    return _TITLES.get(name, (name, "", 1.0))
-
-
-def _draw_distributions(axes: "list[Axes]", *, judged: Judged, names: list[str]) -> None:
-    for panel in axes[len(names) :]:
-        panel.set_visible(False)
-    for panel, name in zip(axes, names, strict=False):
-        title, unit, scale = _title(name)
-        for number, law in enumerate(judged.about["laws"]):
-            values = np.sort(scale * judged.values(name, law))
-            if len(values):
-                shares = np.arange(1, len(values) + 1) / len(values)
-                panel.step(values, shares, where="post", label=law, color=rgb(colour_of(number)))
-        panel.set(title=title, xlabel=unit, ylim=(0.0, 1.0))
-    axes[0].legend()
-
-
-def _draw_effects(axes: "list[Axes]", *, judged: Judged, names: list[str], shown: str) -> None:
-    _, unit, scale = _title(shown)
-    for panel in axes[len(names) :]:
-        panel.set_visible(False)
-    for panel, name in zip(axes, names, strict=False):
-        numeric = all(isinstance(row[name], float | int) for row in judged.rows)
-        words = list(dict.fromkeys(str(row[name]) for row in judged.plan))
-        for number, law in enumerate(judged.about["laws"]):
-            rows = [row for row in judged.rows if row["law"] == law and row[shown] is not None]
-            x = np.array([float(row[name]) if numeric else words.index(str(row[name])) for row in rows])
-            y = scale * np.array([row[shown] for row in rows])
-            if not len(x):
-                continue
-            every = -(-len(x) // _SCATTERED)
-            colour = rgb(colour_of(number))
-            panel.plot(x[::every], y[::every], ".", color=colour, markersize=2.5, alpha=0.4)
-            panel.plot(*_medians(x, y), "-", color=colour, label=law)
-        if not numeric:
-            panel.set_xticks(range(len(words)), words)
-        if judged.axes[name] == "log_uniform":
-            panel.set_xscale("log")
-        panel.set(xlabel=name, ylabel=unit)
-    axes[0].legend()
-
-
-def _medians(x: Any, y: Any) -> tuple[list[float], list[float]]:
-    """Return the medians over the values of an axis, or over parts of it where there are many."""
-    places = np.unique(x)
-    if len(places) > 12:
-        edges = np.quantile(x, np.linspace(0.0, 1.0, 9))
-        parts = [(x >= low) & (x <= high) for low, high in itertools.pairwise(edges)]
-    else:
-        parts = [x == place for place in places]
-    parts = [part for part in parts if part.any()]
-    return [float(np.median(x[part])) for part in parts], [float(np.median(y[part])) for part in parts]
-
-
 def _worst(judged: Judged) -> Iterator[str]:
-    title, unit, scale = _title(judged.by)
+    title, unit, scale = title_of(judged.by)
     yield "<h2>The worst runs</h2>"
     for row in judged.worst:
         value = "-" if row[judged.by] is None else f"{scale * row[judged.by]:.4g} {unit}"
@@ -216,5 +169,5 @@ def _worst(judged: Judged) -> Iterator[str]:
 
 
 def _point(judged: Judged, row: Mapping[str, Any]) -> str:
-    axes = (f"{name} = {row[name]}" for name in judged.about["axes"])
+    axes = (f"{name} = {word(row[name])}" for name in judged.about["axes"])
     return ", ".join((row["law"], *axes, f"fault {row['fault']}", f"seed {row['seed']}"))
