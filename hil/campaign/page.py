@@ -14,8 +14,9 @@ from hil.campaign.statistics import Interval
 from hil.html_page import document, figure, mark, picture, table, write_document
 
 _MEANINGS = (
-    "Steady: the planar error once it stays within 10 mm, its rms and its greatest value; to 10 mm: the time until "
-    "then; overshoot: how far it went past the reference; effort: the integral of the torques. Of each less is better."
+    "Steady: the planar error over the last 5 s, its root mean square and its greatest value; to 10 mm: the first time "
+    "from which the planar error stays below that; overshoot: how far past the reference, along the line of the "
+    "initial error; effort: the torques of the four wheels over time. Of each less is better."
 )
 _REASONS = 12
 
@@ -96,8 +97,8 @@ def _duels(judged: Judged) -> Iterator[str]:
     yield "<h2>Law against law</h2>"
     yield (
         '<p class="about">Runs that differ in the law alone, in pairs; the mean difference with the percentile '
-        "interval of a bootstrap over independent draws. Less is better. Where the interval holds 0, no difference is "
-        "shown; nothing is corrected for how many comparisons there are.</p>"
+        "interval of a bootstrap over independent draws. Pairs of which one run has no such figure are left out. Where "
+        "the interval holds 0, no difference is shown; nothing is corrected for how many comparisons there are.</p>"
     )
     rows = []
     for duel in judged.duels:

@@ -43,19 +43,21 @@ SHORT_S = 0.2
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(prog="tools.bench.campaign", description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--runs", type=int, default=1000, help="paper circles with two workers")
+    parser.add_argument("--runs", type=int, default=1000, help="paper circles with two workers; 0 for none")
     parser.add_argument("--seconds", type=float, default=15.0, help="of robot time each")
-    parser.add_argument("--turns", type=int, default=3, help="of scaling and of the pool; the best counts")
+    parser.add_argument("--turns", type=int, default=3, help="of scaling and of the pool; the best counts; 0 for none")
     parser.add_argument("--turn-runs", type=int, default=40, help="in a turn")
-    parser.add_argument("--short-runs", type=int, default=10_000, help="for memory")
+    parser.add_argument("--short-runs", type=int, default=10_000, help="for memory; 0 for none")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
     options = parser.parse_args()
     figures: dict[str, dict[str, float]] = {}
     with tempfile.TemporaryDirectory() as folder:
         if options.runs:
             figures["paper circles"] = circles(Path(folder), options.runs, options.seconds)
-        figures["scaling"] = scaling(Path(folder), options.turns, options.turn_runs, options.seconds)
-        figures["memory"] = memory(Path(folder), options.short_runs)
+        if options.turns:
+            figures["scaling"] = scaling(Path(folder), options.turns, options.turn_runs, options.seconds)
+        if options.short_runs:
+            figures["memory"] = memory(Path(folder), options.short_runs)
     print_figures(figures)
     if options.json is not None:
         options.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
