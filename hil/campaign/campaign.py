@@ -127,7 +127,11 @@ class Campaign:
         """Return what a row says of a run before it is done."""
         point = run.point
         told = {KEY: run.key, "law": point.law, "fault": point.fault, "seed": point.seed, "sample": point.sample}
-        texts = {key: format_value(value) for key, value in point.axes.items() if self._axes[key] == pa.string()}
+        texts = {
+            key: value if isinstance(value, str) else format_value(value)
+            for key, value in point.axes.items()
+            if self._axes[key] == pa.string()
+        }
         return told | dict(point.axes) | texts
 
     def perform(

@@ -263,7 +263,7 @@ def writing(folder: Path) -> Iterator[None]:
     except OSError as error:
         raise BadInputError(
             f"campaign folder {folder}: it cannot be written to ({error.strerror or error}); what was written is safe: "
-            "make room, or may it be written to, and give the same command again"
+            "make room, or make it writable, and give the same command again"
         ) from error
 
 

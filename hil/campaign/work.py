@@ -25,7 +25,9 @@ def perform(job: Job) -> Said:
     said = _run(scenario, job, began, record=at_once)
     if job.recorded == IF_FAILED and not at_once and said.outcome in (FAILED, ENDED):
         # In lockstep it repeats to the bit, and most runs are spared the recorder.
-        return _run(scenario, job, began, record=True)
+        again = _run(scenario, job, began, record=True)
+        reason = said.reason if again.recording else f"{said.reason}; it could not be recorded: {again.reason}"
+        return said._replace(reason=reason, wall_s=again.wall_s, recording=again.recording)
     return said
 
 
