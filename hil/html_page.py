@@ -7,9 +7,9 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from hil.errors import BadInputError
 from hil.plots import drawing
 from hil.telemetry.files import check_output_path
+from hil.whole_file import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -93,12 +93,7 @@ def document(title: str, parts: Iterable[str]) -> str:
 def write_document(path: Path, text: str) -> None:
     """Write a page. Raises BadInputError when its name does not end in .html, and where it cannot be written."""
     check_output_path("page", path)
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise BadInputError(
-            f"page {path}: it cannot be written ({error.strerror}); name a folder that exists and may be written"
-        ) from error
+    write_whole(path, text.encode("utf-8"), "page")
 
 
 def figure(drawn: Picture) -> Iterator[str]:
