@@ -29,7 +29,7 @@ from hil.review import read
 from hil.scenario import load
 from tests.campaigns import LIMIT_S, do, of_the_runs, rows_of, write_plan
 from tests.flawed_fmu import build_flawed
-from tests.processes import HIL, device, environment, hil, wait_for
+from tests.processes import HIL, device, environment, wait_for
 
 MASSES = "[axes]\nrobot.mass_kg = { grid = [16, 20, 24] }\n"
 FRICTION = '"plant.start.friction_coefficient" = { uniform = [0, 0.1] }'
@@ -131,21 +131,21 @@ def test_a_run_that_fails_is_a_row_with_its_reason_which_can_be_done_again(
     (tmp_path / "laws.py").write_text(LAWS, encoding="utf-8")
     (tmp_path / "ill").touch()
     monkeypatch.setenv("FLAW", "start 25")
-    fmus = ["mecanum"] * 5 + [str(flawed)] * 2
-    axes = f"[axes]\nrobot.mass_kg = {{ list = [20, 21, 22, 23, 24, 25, 19] }}\nplant.fmu = {{ list = {fmus} }}"
+    fmus = ["mecanum"] * 3 + [str(flawed)] * 2 + ["mecanum"] * 2
+    axes = f"[axes]\nrobot.mass_kg = {{ list = [20, 22, 24, 25, 19, 23, 21] }}\nplant.fmu = {{ list = {fmus} }}"
     plan = write_plan(tmp_path, 'laws = ["./laws.py:Light"]\nkeep = "none"', axes)
     rows = do(plan, tmp_path / "out", Place(None, 1, 4.0))
-    assert [row["outcome"] for row in rows] == ["passed", "lost", "ended", "lost", "failed", "ended", "passed"]
+    assert [row["outcome"] for row in rows] == ["passed", "ended", "failed", "ended", "passed", "lost", "lost"]
     reasons = [row["reason"] for row in rows]
-    assert reasons[1] == "its process ended twice, at last: crashed: exit code 7"
-    assert "ZeroDivisionError: too heavy" in reasons[2]
-    assert reasons[3] == "hung: it was ended after 4.0 s"
-    assert reasons[4].endswith("times, and the robot was held still")
-    assert "SIGSEGV (Segmentation fault); its last words: 'the last words of a crash'" in reasons[5]
+    assert "ZeroDivisionError: too heavy" in reasons[1]
+    assert reasons[2].endswith("times, and the robot was held still")
+    assert "SIGSEGV (Segmentation fault); its last words: 'the last words of a crash'" in reasons[3]
+    assert reasons[5] == "hung: it was ended after 4.0 s"
+    assert reasons[6] == "its process ended twice, at last: crashed: exit code 7"
     (tmp_path / "ill").unlink()
     again = do(plan, tmp_path / "out", redo=["lost"])
-    assert [row["outcome"] for row in again] == ["passed", "passed", "ended", "passed", "failed", "ended", "passed"]
-    assert [row for row in again if row not in rows] == [again[1], again[3]]
+    assert [row["outcome"] for row in again] == ["passed", "ended", "failed", "ended", "passed", "passed", "passed"]
+    assert again[:5] == rows[:5]
 
 
 def test_a_foreign_fmu_is_opened_anew_for_each_run_for_its_reset_may_leave_something(flawed: Path, monkeypatch) -> None:
@@ -224,11 +224,8 @@ def test_what_is_wrong_with_a_plan_is_a_sentence_with_its_line_before_anything_r
         with pytest.raises(BadInputError) as refused:
             Campaign(plan)
         assert sentence in str(refused.value)
-    done = hil("campaign", tmp_path / "no.toml")
-    assert (done.returncode, done.stdout) == (2, "")
-    assert (
-        done.stderr == f"hil: campaign {tmp_path / 'no.toml'}: there is no such file; give the path of a .toml file\n"
-    )
+    with pytest.raises(BadInputError, match=r"no\.toml: there is no such file; give the path of a \.toml file"):
+        Campaign(tmp_path / "no.toml")
 
 
 def test_what_stands_behind_a_link_is_asked_for_what_it_cannot_do_before_anything_runs(tmp_path: Path) -> None:

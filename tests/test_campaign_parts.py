@@ -136,9 +136,7 @@ MAKERS = {
     "moteus": "can:virtual/kept?fd=1&data_bitrate=5000000",
     "odrive": "can:virtual/kept",
     "vesc": "memory:",
-    "c620": "memory:",
     "rosmaster": "memory:",
-    "wheeltec": "memory:",
 }
 
 
