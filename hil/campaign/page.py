@@ -1,5 +1,6 @@
 """The page of a campaign: one HTML file with its verdicts, plots and worst runs, that needs nothing else."""
 
+import os
 from collections.abc import Iterator, Mapping
 from functools import partial
 from html import escape
@@ -23,11 +24,11 @@ _REASONS = 12
 
 def write_page(path: Path, judged: Judged) -> None:
     """Write the page. Raises BadInputError when its name does not end in .html, and where it cannot be written."""
-    write_document(path, page(judged))
+    write_document(path, page(judged, path.parent))
 
 
-def page(judged: Judged) -> str:
-    """Return the page as HTML."""
+def page(judged: Judged, folder: Path) -> str:
+    """Return the page as HTML; ``folder`` is where it is to be, from which its links to recordings start."""
     parts = [
         *_head(judged),
         *_reasons(judged),
@@ -36,7 +37,7 @@ def page(judged: Judged) -> str:
         *_duels(judged),
         *_effects(judged),
         *_pictures(judged),
-        *_worst(judged),
+        *_worst(judged, folder),
     ]
     return document(f"{judged.about['name']}: {judged.about['runs']} runs of {judged.about['scenario']}", parts)
 
@@ -154,7 +155,7 @@ def _pictures(judged: Judged) -> Iterator[str]:
         yield from figure(picture("Effects", caption, draw, height_in=2.4 * rows, rows=rows, columns=2))
 
 
-def _worst(judged: Judged) -> Iterator[str]:
+def _worst(judged: Judged, folder: Path) -> Iterator[str]:
     title, unit, scale = title_of(judged.by)
     yield "<h2>The worst runs</h2>"
     for row in judged.worst:
@@ -165,8 +166,8 @@ def _worst(judged: Judged) -> Iterator[str]:
             yield f'<p class="failed">{escape(row["reason"])}</p>'
         yield f'<p class="about"><code>{escape(judged.repeat(row[KEY]))}</code></p>'
         if (recording := judged.recording(row[KEY])) is not None:
-            name = escape(recording.as_posix())
-            yield f'<p class="about">recorded: <a href="{name}">{name}</a></p>'
+            link = Path(os.path.relpath(judged.folder / recording, folder)).as_posix()
+            yield f'<p class="about">recorded: <a href="{escape(link)}">{escape(recording.as_posix())}</a></p>'
 
 
 def _point(judged: Judged, row: Mapping[str, Any]) -> str:
