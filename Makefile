@@ -73,7 +73,7 @@ setup: .venv/installed native
 
 # Packages for tests, checks and the FMUs of all platforms.
 .venv/tools: .venv/installed
-	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[dev,mujoco,targets,teleop]'
+	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[campaign,dev,mujoco,targets,teleop]'
 	@touch $@
 
 native: .venv/native

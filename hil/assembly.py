@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from hil.bench import NS, Bench
-from hil.devices.virtual import MakeNode
+from hil.devices.virtual import MakeNode, MakeRobot, new_robot
 from hil.errors import DeviceError, HilError, LinkError
 from hil.figure_words import applied_words
 from hil.links.url import parse_link
@@ -93,6 +93,7 @@ def run_scenario(
     warn: Callable[[str], None] | None = None,
     linger: Callable[[], None] | None = None,
     make_node: MakeNode | None = None,
+    make_robot: MakeRobot = new_robot,
     make_recording: MakeRecording = Recording,
     keep_signals: bool = True,
 ) -> RunResult:
@@ -100,8 +101,8 @@ def run_scenario(
 
     ``live_port`` serves live viewers on 127.0.0.1. ``watch`` is entered with the loop while it runs; ``warn`` is
     called before anything is opened, with each sentence on what the robot will not be able to follow; ``linger`` is
-    called when all is done and recorded, while the viewers are still served. ``make_node`` makes the firmware of a
-    robot that is made in this process, ``make_recording`` the recording. Without ``keep_signals`` the result has none,
+    called when all is done and recorded, while the viewers are still served. ``make_robot`` makes a robot in this
+    process, ``make_node`` its firmware, ``make_recording`` the recording. Without ``keep_signals`` the result has none,
     and memory does not grow with the length of the run.
     """
     if record is not None:
@@ -125,6 +126,7 @@ def run_scenario(
                 allow_motion=allow_motion,
                 trace=tracing,
                 make_node=make_node,
+                make_robot=make_robot,
                 signals=laws.signals,
             )
         )

@@ -22,9 +22,11 @@ from hil.devices.truth import TruthClient
 from hil.devices.virtual import (
     LocalTruth,
     MakeNode,
+    MakeRobot,
     ServerThread,
     VirtualServer,
     VirtualStm32,
+    new_robot,
 )
 from hil.dialects.port import Driver
 from hil.dialects.registry import dialect
@@ -42,6 +44,7 @@ from hil.robots import (
     firmware_values,
     language_of,
     link_of,
+    needed_truth,
     no_lockstep,
     node_maker,
     start_pose,
@@ -65,8 +68,8 @@ class Bench:
     """Link, robot, clock and truth of a run; a context manager that closes them all.
 
     With a link that stays within this process the virtual robot is made here too; else the robot is elsewhere, and
-    ``truth`` is the URL of its truth socket, if it has one. ``trace`` is shown what is on the wire. ``make_node`` makes
-    the firmware of a robot that is made here; ``signals`` are those of the run.
+    ``truth`` is the URL of its truth socket, if it has one. ``trace`` is shown what is on the wire. ``make_robot``
+    makes a robot that is made here, ``make_node`` its firmware; ``signals`` are those of the run.
 
     Raises BadInputError, LinkError or DeviceError when a part cannot be opened.
     """
@@ -79,9 +82,11 @@ class Bench:
         allow_motion: bool,
         trace: Trace | None = None,
         make_node: MakeNode | None = None,
+        make_robot: MakeRobot = new_robot,
         signals: Sequence[str] = SIGNAL_NAMES,
     ) -> None:
         self._scenario = scenario
+        self._make_robot = make_robot
         self._make_node = make_node or node_maker(scenario)
         self.device: Device
         self._robot: VirtualStm32 | None = None
@@ -111,7 +116,11 @@ class Bench:
             else:
                 if lockstep and scenario.device.is_makers:
                     raise no_lockstep(scenario)
-                self._check_truth_source(truth)
+                if truth is None and (setting := needed_truth(scenario)) is not None:
+                    raise BadInputError(
+                        f"{setting}, but the robot is elsewhere and no truth was given; add --truth URL as hil device "
+                        "prints it, or --set estimator.source=odometry"
+                    )
                 if truth is not None:
                     not_before = (lambda: self.device.tick * 1_000_000) if lockstep else None
                     self.truth = TruthClient(truth, scenario.hash, reset=True, not_before=not_before)
@@ -180,8 +189,7 @@ class Bench:
 
     def _open_within(self, resources: contextlib.ExitStack) -> Link:
         lockstep = self._scenario.loop.mode == "lockstep"
-        self._robot = robot = VirtualStm32(virtual_robot(self._scenario), self._make_node)
-        resources.callback(robot.close)
+        self._robot = robot = resources.enter_context(self._make_robot(virtual_robot(self._scenario), self._make_node))
         self.faults.arm(LocalFaults(robot.faults, self._do))
         pair = open_pair(
             link_of(self._scenario),
@@ -223,19 +231,6 @@ class Bench:
             tick = feedback.robot_time_ns // TICK_NS
         self.faults.begin(origin_ns, tick)
         self.wire.begin()
-
-    def _check_truth_source(self, truth: str | None) -> None:
-        if truth is not None:
-            return
-        estimator = self._scenario.estimator
-        needs = {"truth": 'estimator.source = "truth"'}
-        if estimator.fix == "simulated":
-            needs["fused"] = 'estimator.fix = "simulated"'
-        if estimator.source in needs:
-            raise BadInputError(
-                f"{needs[estimator.source]}, but the robot is elsewhere and no truth was given; add --truth URL as "
-                "hil device prints it, or --set estimator.source=odometry"
-            )
 
     def _fixes(self) -> FixSource | None:
         """Open where pose fixes come from, None where the estimator takes none."""

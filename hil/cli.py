@@ -13,6 +13,7 @@ from typing import Annotated
 import typer
 
 from hil.commands import live as live_view
+from hil.commands.campaign import app as campaign_app
 from hil.commands.catalogue import catalogue
 from hil.commands.check import check
 from hil.commands.compare import compare
@@ -57,6 +58,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Test a Mecanum robot's controller against a plant FMU before the wheels touch the ground.",
 )
+app.add_typer(campaign_app, name="campaign")
 app.add_typer(fmu_app, name="fmu")
 app.add_typer(ctl_app, name="ctl")
 

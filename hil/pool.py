@@ -14,6 +14,9 @@ from typing import IO, Any, Generic, Protocol, TypeVar
 from hil.child import away_from_terminal, module_command
 from hil.telemetry.environment import rerun_environment
 
+READY = "ready\n"
+"""What a worker says first, when all is imported: a job's time begins later."""
+_START_S = 120.0
 _END_S = 10.0
 
 
@@ -96,25 +99,43 @@ class _Worker:
             env=rerun_environment(),
             **away_from_terminal(),
         )
+        self._is_ready = False
+        self.ended_after_s: float | None = None
 
     def perform(self, job: Plain, limit_s: float) -> dict[str, Any] | None:
         """Do a job and return its answer as fields; None when the process has ended, by itself or by the guard."""
         assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        guard = threading.Timer(limit_s, self._process.kill)
-        guard.start()
+        if not self._is_ready:
+            self._is_ready = self._line(_START_S).strip() == READY.strip().encode()
+            if not self._is_ready:
+                return None
         try:
             self._process.stdin.write(json.dumps(job._asdict()).encode() + b"\n")
             self._process.stdin.flush()
-            line = self._process.stdout.readline()
         except OSError:
-            line = b""
-        finally:
-            guard.cancel()
+            return None
+        line = self._line(limit_s)
         if not line.endswith(b"\n"):
             return None
         fields: dict[str, Any] = json.loads(line)
         return fields
+
+    def _line(self, limit_s: float) -> bytes:
+        """Return its next line, and less when it ends; after so long it is ended, which ``ended_after_s`` tells."""
+        assert self._process.stdout is not None
+
+        def end() -> None:
+            self.ended_after_s = limit_s
+            self._process.kill()
+
+        guard = threading.Timer(limit_s, end)
+        guard.start()
+        try:
+            return bytes(self._process.stdout.readline())
+        except OSError:
+            return b""
+        finally:
+            guard.cancel()
 
     def trouble(self) -> str:
         """Return how the process ended, with its last words."""
@@ -138,8 +159,50 @@ class _Worker:
         self._process.kill()
 
 
+class Performer(Generic[J, A]):
+    """Does jobs one after the other in a worker process, which is started when it is needed, and anew after its end."""
+
+    def __init__(self, work: Work[J, A], limit_s: float) -> None:
+        self._work = work
+        self._limit_s = limit_s
+        self._worker: _Worker | None = None
+
+    def perform(self, job: J) -> A:
+        """Do a job; whatever goes wrong is an answer, for without one nobody would stop waiting."""
+        began = time.monotonic()
+        try:
+            return self._perform_or_raise(job)
+        except Exception as error:  # noqa: BLE001 -- no process can be made, an answer that cannot be read, ...
+            self.kill()
+            self.close()
+            return self._work.lost(job, f"crashed: {type(error).__name__}: {error}", time.monotonic() - began)
+
+    def _perform_or_raise(self, job: J) -> A:
+        self._worker = self._worker or _Worker(self._work.worker)
+        began = time.monotonic()
+        fields = self._worker.perform(job, self._limit_s)
+        if fields is not None:
+            return self._work.answer(**fields)
+        wall_s, ended_after_s = time.monotonic() - began, self._worker.ended_after_s
+        trouble = self._worker.trouble()
+        self.close()
+        how = f"crashed: {trouble}" if ended_after_s is None else f"hung: it was ended after {ended_after_s:.1f} s"
+        return self._work.lost(job, how, wall_s)
+
+    def kill(self) -> None:
+        """End the process at once; may be called from another thread."""
+        if (worker := self._worker) is not None:
+            worker.kill()
+
+    def close(self) -> None:
+        """End the process when it has done its job."""
+        if (worker := self._worker) is not None:
+            self._worker = None
+            worker.close()
+
+
 class _Hand(Generic[J, A]):
-    """A thread that gives one worker at a time its jobs, and starts another where that has ended."""
+    """A thread that has jobs done, as long as there are any."""
 
     def __init__(
         self,
@@ -148,12 +211,10 @@ class _Hand(Generic[J, A]):
         done: "queue.SimpleQueue[tuple[int, A]]",
         limit_s: float,
     ) -> None:
-        self._work = work
+        self._performer = Performer(work, limit_s)
         self._waiting = waiting
         self._done = done
-        self._limit_s = limit_s
         self._closing = False
-        self._worker: _Worker | None = None
         self._thread = threading.Thread(target=self._run, name="pool", daemon=True)
         self._thread.start()
 
@@ -163,42 +224,13 @@ class _Hand(Generic[J, A]):
                 number, job = self._waiting.get_nowait()
             except queue.Empty:
                 break
-            self._done.put((number, self._perform(job)))
-        self._dismiss()
-
-    def _dismiss(self) -> None:
-        if (worker := self._worker) is not None:
-            self._worker = None
-            worker.close()
-
-    def _perform(self, job: J) -> A:
-        """Do a job; whatever goes wrong is an answer, for without one nobody would stop waiting."""
-        began = time.monotonic()
-        try:
-            return self._perform_or_raise(job)
-        except Exception as error:  # noqa: BLE001 -- no process can be made, an answer that cannot be read, ...
-            if (worker := self._worker) is not None:
-                worker.kill()
-            self._dismiss()
-            return self._work.lost(job, f"crashed: {type(error).__name__}: {error}", time.monotonic() - began)
-
-    def _perform_or_raise(self, job: J) -> A:
-        self._worker = self._worker or _Worker(self._work.worker)
-        began = time.monotonic()
-        fields = self._worker.perform(job, self._limit_s)
-        if fields is not None:
-            return self._work.answer(**fields)
-        wall_s = time.monotonic() - began
-        trouble = self._worker.trouble()
-        self._dismiss()
-        how = f"hung: it was ended after {wall_s:.1f} s" if wall_s >= self._limit_s else f"crashed: {trouble}"
-        return self._work.lost(job, how, wall_s)
+            self._done.put((number, self._performer.perform(job)))
+        self._performer.close()
 
     def abort(self) -> None:
         """Leave the other jobs, and the one in hand."""
         self._closing = True
-        if (worker := self._worker) is not None:
-            worker.kill()
+        self._performer.kill()
 
     def join(self) -> None:
         """Wait until the worker has ended."""

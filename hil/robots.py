@@ -14,7 +14,7 @@ from hil.errors import BadInputError
 from hil.links.language import WHEEL_DBC, Language
 from hil.links.url import DEFAULT_BAUD, CanUrl, LinkUrl, parse_link
 from hil.plant import archive
-from hil.plant.description import parameter_names
+from hil.plant.description import check_start, parameter_names
 from hil.plant.mapping import Row, SignalMap
 from hil.scenario import SHIPPED_FMUS, Scenario, StartValue
 from hil.trace import Trace
@@ -60,6 +60,12 @@ def plant_start(scenario: Scenario, known: Collection[str]) -> dict[str, StartVa
         "motor_inductance_h": firmware.motor_inductance_h,
     }
     return {name: value for name, value in believed.items() if name in known} | dict(start)
+
+
+def check_plant_start(scenario: Scenario) -> None:
+    """Raise BadInputError for start values that the scenario's FMU refuses, without opening it."""
+    fmu = archive.locate(scenario.plant.fmu, scenario.directory)
+    check_start(fmu, plant_start(scenario, parameter_names(fmu)))
 
 
 def signal_map(scenario: Scenario) -> SignalMap:
@@ -130,6 +136,14 @@ def link_of(scenario: Scenario) -> LinkUrl:
     """Return the scenario's link, a serial one of which it says no rate at that of the robot's motors."""
     baud = dialect(scenario.device.driver).baud if scenario.device.is_makers else None
     return parse_link(scenario.link.url, baud=baud or DEFAULT_BAUD)
+
+
+def needed_truth(scenario: Scenario) -> str | None:
+    """Return the setting of a scenario that needs the true pose; None where it is not needed."""
+    estimator = scenario.estimator
+    if estimator.source == "fused" and estimator.fix == "simulated":
+        return 'estimator.fix = "simulated"'
+    return 'estimator.source = "truth"' if estimator.source == "truth" else None
 
 
 def no_lockstep(scenario: Scenario) -> BadInputError:

@@ -1,21 +1,22 @@
 """The other end of ``hil.pool``: a process that takes jobs as lines of JSON and answers each.
 
 What raises in another thread, or where nothing can be raised, becomes the answer; what raises in the job itself ends
-the process, which is an answer too.
+the process, which is an answer too. When whoever gave the job is gone, the process ends at once.
 """
 
 import json
 import os
+import queue
 import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import TypeVar
 
-from hil.pool import Plain
+from hil.pool import READY, Plain
 
 J = TypeVar("J", bound=Plain)
 A = TypeVar("A", bound=Plain)
@@ -26,13 +27,15 @@ def serve(job_type: type[J], perform: Callable[[J], A], lost: Callable[[J, str, 
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # what a law prints must not get between the answers
     stray: list[str] = []
+    answers.write(READY)
+    answers.flush()
 
     def keep(kind: type[BaseException], error: BaseException | None, trace: TracebackType | None) -> None:
         stray.append(_words(kind, error, trace))
 
     threading.excepthook = lambda args: keep(args.exc_type, args.exc_value, args.exc_traceback)
     sys.unraisablehook = lambda args: keep(args.exc_type, args.exc_value, args.exc_traceback)
-    for line in sys.stdin:
+    for line in _lines():
         job = job_type(**json.loads(line))
         began = time.monotonic()
         answer = perform(job)
@@ -42,6 +45,26 @@ def serve(job_type: type[J], perform: Callable[[J], A], lost: Callable[[J, str, 
         answers.write(json.dumps(answer._asdict()) + "\n")
         answers.flush()
     return 0
+
+
+def _lines() -> Iterator[str]:
+    """Yield the lines of stdin until it ends; when it ends during a job, whoever wanted that is gone, and so are we."""
+    lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+    is_idle = threading.Event()
+
+    def read() -> None:
+        for line in sys.stdin:
+            lines.put(line)
+        if not is_idle.is_set():
+            os._exit(1)
+        lines.put("")
+
+    is_idle.set()
+    threading.Thread(target=read, name="jobs", daemon=True).start()
+    while line := lines.get():
+        is_idle.clear()
+        yield line
+        is_idle.set()
 
 
 def _words(kind: type[BaseException], error: BaseException | None, trace: TracebackType | None) -> str:

@@ -1,6 +1,7 @@
 """From the name of a law in a scenario to a controller that is ready to run."""
 
 import inspect
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, make_dataclass
 from importlib.metadata import EntryPoint, entry_points
@@ -61,6 +62,20 @@ def load_law(spec: str, base: Path) -> type:
     ``find_class`` does for a law that is not ours.
     """
     return _found(spec, base, _LAW_KEY)[0]
+
+
+def forget_law(spec: str, base: Path) -> None:
+    """Have the modules that hold a law executed anew when it is loaded next, so that nothing is left there of a run.
+
+    That of a law in a file always is; those that it imports stay as they are. Raises as ``load_law``.
+    """
+    if spec in SHIPPED:
+        return
+    law = load_law(spec, base)
+    named = next((point.value for point in _registered() if point.name == spec), spec).rpartition(":")[0]
+    for name in (law.__module__, named):
+        if not f"{name}.".startswith("hil."):
+            sys.modules.pop(name, None)
 
 
 def make_controller(

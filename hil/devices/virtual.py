@@ -6,7 +6,8 @@ import operator
 import queue
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import NamedTuple, Protocol, cast
 
@@ -111,6 +112,31 @@ class VirtualStm32:
         self.faults.clear()
         self.node = self._power_on()
 
+    def remake(self, made_of: VirtualRobot, make_node: MakeNode) -> None:
+        """Become another robot, as if made anew, nothing stored, with the FMU that is open; see ``FmuPlant.restart``.
+
+        Raises as the constructor. After an error the robot can only be closed.
+        """
+        if isinstance(self.plant, FmuPlant):
+            self.plant.restart(made_of.plant.start)
+        else:
+            self.plant.reset()
+        self.plant.wire(made_of.wheel_map.wheel_of_channel, made_of.wheel_map.sign_of_channel)
+        self._made_of, self._make_node, self._stored = made_of, make_node, None
+        self.faults = RobotFaults(self.plant, made_of.body)
+        self.node = self._power_on()
+
+    def can_become(self, made_of: VirtualRobot) -> bool:
+        """Whether ``remake`` can make that robot of this one.
+
+        Another FMU has to be opened, and one in a process of its own has its start values from there. Of an FMU that
+        is not ours nobody knows whether its reset forgets everything, so that it is opened anew.
+        """
+        here, there = self._made_of.plant, made_of.plant
+        if isinstance(self.plant, FmuPlant):
+            here = here._replace(start=there.start)
+        return here == there and archive.is_ours(there.fmu) and self.failure() is None
+
     def restart(self) -> None:
         """Put the firmware to its power-on state while the plant stays as it is; stored parameters are kept."""
         self._power_off()
@@ -134,6 +160,45 @@ class VirtualStm32:
     def close(self) -> None:
         """Free the plant."""
         self.plant.close()
+
+
+MakeRobot = Callable[[VirtualRobot, MakeNode], AbstractContextManager[VirtualStm32]]
+"""Makes a virtual robot for a run, and takes it back."""
+
+
+def new_robot(made_of: VirtualRobot, make_node: MakeNode) -> AbstractContextManager[VirtualStm32]:
+    """Make a robot for one run. Raises as ``VirtualStm32``."""
+    return contextlib.closing(VirtualStm32(made_of, make_node))
+
+
+class KeptRobot:
+    """Makes the robots of many runs, one after the other, of one whose FMU stays open as long as it can."""
+
+    def __init__(self) -> None:
+        self._robot: VirtualStm32 | None = None
+
+    @contextlib.contextmanager
+    def robot(self, made_of: VirtualRobot, make_node: MakeNode) -> Iterator[VirtualStm32]:
+        """Give a robot that is as if it had been made for this run. Raises as ``VirtualStm32``."""
+        robot, self._robot = self._robot, None
+        with contextlib.ExitStack() as resources:
+            if robot is not None:
+                resources.callback(robot.close)
+            if robot is not None and robot.can_become(made_of):
+                robot.remake(made_of, make_node)
+            else:
+                resources.close()
+                robot = VirtualStm32(made_of, make_node)
+                resources.callback(robot.close)
+            yield robot
+            resources.pop_all()
+        self._robot = robot
+
+    def close(self) -> None:
+        """Close the robot that is kept."""
+        if self._robot is not None:
+            self._robot.close()
+            self._robot = None
 
 
 def _open(plant: VirtualPlant) -> FmuPlant | RemotePlant:

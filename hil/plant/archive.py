@@ -70,6 +70,11 @@ def sha256(fmu: Path) -> str:
         raise BadInputError(f"FMU {fmu} cannot be read ({error.strerror}); give the path of an .fmu file") from error
 
 
+def is_ours(fmu: Path) -> bool:
+    """Tell whether this is where an FMU is that ships with this package, MuJoCo's among them."""
+    return fmu in SHIPPED.values()
+
+
 def is_shipped(fmu: Path) -> bool:
     """Tell whether this is, byte for byte, the plant that ships with this package, for either FMI version.
 

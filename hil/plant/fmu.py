@@ -62,6 +62,7 @@ class FmuPlant:
             if not _is_needed(folder, library.member):
                 # Where a loaded library's file may go, it goes now: a killed run then leaves nothing behind.
                 shutil.rmtree(folder, ignore_errors=True)
+            self._fmu = fmu
             self._start = start_values(start, fmu, instance.variables)
             self._wiring_memory = self._connect(fmu, mapping or SignalMap())
             instance.instantiate()
@@ -142,6 +143,23 @@ class FmuPlant:
             raise DeviceError("the plant is closed; make a new one")
         self.instance.reset()
         self._initialise()
+
+    def restart(self, start: Mapping[str, Value]) -> None:
+        """Go back to the start with other start values, as if the plant had been made with them.
+
+        Raises BadInputError as when it is made, also for a structural parameter, by which it would have to be made
+        anew, and DeviceError as ``reset``.
+        """
+        variables = self.instance.variables
+        values = start_values(start, self._fmu, variables)
+        for value in (*values, *self._start):
+            if value.variable.causality == "structuralParameter":
+                raise BadInputError(f"plant.start.{value.variable.name} shapes the FMU; open it anew")
+        self._start = values
+        self.reset()
+        self.settable = {
+            name: row._replace(start=self.instance.value_of(variables[name])) for name, row in self.settable.items()
+        }
 
     def close(self) -> None:
         """Free the instance, unload the library and remove the unpacked files. Closing twice is allowed."""

@@ -13,7 +13,7 @@ from typing import Any
 
 from hil.errors import BadInputError, DeviceError, HilError
 from hil.plant.archive import Library
-from hil.plant.description import read_description
+from hil.plant.description import read_description, variables_of
 from hil.plant.shim import load
 from hil.plant.solver import Solver
 from hil.plant.start import Start
@@ -52,11 +52,7 @@ class Instance:
     @property
     def variables(self) -> dict[str, Any]:
         """FMPy's variables by name, and by alias."""
-        variables = {variable.name: variable for variable in self.description.modelVariables}
-        for variable in self.description.modelVariables:
-            for alias in variable.aliases:
-                variables.setdefault(alias.name, variable)
-        return variables
+        return variables_of(self.description)
 
     @property
     def words(self) -> str:

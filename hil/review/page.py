@@ -1,43 +1,18 @@
 """A review as one HTML file that needs nothing else: verdict, figures, plots, events, scenario; made to print."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
 
-from hil.errors import BadInputError
 from hil.figure_words import applied_words, belief_rows, figure_rows, link_rows, outcome_rows
+from hil.html_page import document, figure, mark, table, write_document
 from hil.review.difference import Difference, changes, differences
 from hil.review.figures import figure_signals, scenario_of, sources_of
-from hil.review.pictures import SIGNALS, Picture, Shown, pictures
+from hil.review.pictures import SIGNALS, Shown, pictures
 from hil.review.reader import RecordedRun
-from hil.telemetry.files import check_output_path
 
-_STYLE = """
-:root { color-scheme: light; }
-body { font: 15px/1.45 system-ui, "Segoe UI", "DejaVu Sans", sans-serif; color: #222; margin: 2em auto; max-width: 62em;
-  padding: 0 1em; }
-h1 { font-size: 1.5em; margin: 0 0 .2em; }
-h2 { font-size: 1.15em; margin: 1.6em 0 .4em; border-bottom: 1px solid #ccc; }
-table { border-collapse: collapse; width: 100%; font-size: .87em; }
-th, td { text-align: left; vertical-align: top; padding: .2em .7em .2em 0; border-bottom: 1px solid #e6e6e6;
-  overflow-wrap: break-word; }
-td:last-child { overflow-wrap: anywhere; }
-th { font-weight: 600; } td.n { text-align: right; white-space: nowrap; font-variant-numeric: tabular-nums; }
-figure { margin: 1em 0; } figure svg { width: 100%; height: auto; } figcaption { font-size: .87em; color: #555; }
-.passed, .better { color: #00704a; } .failed, .worse { color: #b3261e; } .verdict { font-weight: 700; }
-.note { color: #7a5200; } .about { color: #555; margin: .1em 0; }
-.columns { columns: 2; column-gap: 2em; }
-@page { size: A4; margin: 15mm 14mm; }
-@media print {
-  body { font-size: 9.5pt; margin: 0; max-width: none; padding: 0; }
-  h2 { break-after: avoid; } figure, tr { break-inside: avoid; } thead { display: table-header-group; }
-  .passed, .failed, .better, .worse { print-color-adjust: exact; }
-}
-""".strip()
 _LEVELS = {"ERROR": "failed", "WARN": "note"}
-# A browser that would load something for this page must not.
-_POLICY = "default-src 'none'; style-src 'unsafe-inline'"
 
 
 def page_signals() -> frozenset[str]:
@@ -50,14 +25,7 @@ def write_page(path: Path, runs: Sequence[RecordedRun], figures: Sequence[Mappin
 
     Raises BadInputError when the file's name does not end in .html, and where it cannot be written.
     """
-    check_output_path("page", path)
-    text = page(runs, figures)
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise BadInputError(
-            f"page {path}: it cannot be written ({error.strerror}); name a folder that exists and may be written"
-        ) from error
+    write_document(path, page(runs, figures))
 
 
 def page(runs: Sequence[RecordedRun], figures: Sequence[Mapping[str, Any]]) -> str:
@@ -70,23 +38,12 @@ def page(runs: Sequence[RecordedRun], figures: Sequence[Mapping[str, Any]]) -> s
         *_head(labels, figures),
         "<h2>Figures</h2>",
         *(_figures(figures[0]) if len(runs) == 1 else _differences(labels, differences(*figures))),
-        *(part for picture in pictures(shown, faults) for part in _plot(picture)),
+        *(part for picture in pictures(shown, faults) for part in figure(picture)),
         *_links(labels, figures),
         *_events(labels, figures),
         *_scenario(labels, runs),
     ]
-    return "\n".join(
-        [
-            "<!doctype html>",
-            '<html lang="en"><head><meta charset="utf-8">',
-            f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">',
-            '<meta name="viewport" content="width=device-width">',
-            f"<title>{escape(title)}</title><style>{_STYLE}</style></head><body>",
-            f"<h1>{escape(title)}</h1>",
-            *parts,
-            "</body></html>\n",
-        ]
-    )
+    return document(title, parts)
 
 
 def _labels(figures: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -125,32 +82,32 @@ def _outcomes(figures: Mapping[str, Any]) -> Iterator[str]:
     if rows:
         yield "<h2>Expectations</h2>"
         cells = [
-            (_mark("held" if row["passed"] else "failed", bool(row["passed"])), escape(row["text"])) for row in rows
+            (mark("held" if row["passed"] else "failed", bool(row["passed"])), escape(row["text"])) for row in rows
         ]
-        yield from _table(("", "expectation"), cells)
+        yield from table(("", "expectation"), cells)
     if figures["fault"]:
         yield "<h2>Faults</h2>"
         cells = [
-            (_mark("applied" if row["applied"] else "never applied", bool(row["applied"])), escape(applied_words(row)))
+            (mark("applied" if row["applied"] else "never applied", bool(row["applied"])), escape(applied_words(row)))
             for row in figures["fault"]
         ]
-        yield from _table(("", "fault"), cells)
+        yield from table(("", "fault"), cells)
     others = [row for row in outcome_rows(figures) if row[0] not in ("expect", "fault")]
     if others:
         yield "<h2>What happened on the way</h2>"
-        yield from _table(("", ""), [(escape(label), escape(text)) for label, text in others])
+        yield from table(("", ""), [(escape(label), escape(text)) for label, text in others])
 
 
 def _figures(figures: Mapping[str, Any]) -> Iterator[str]:
     rows = (*figure_rows(figures), *belief_rows(figures))
-    yield from _table(("figure", "value"), [(escape(label), escape(text)) for label, text in rows])
+    yield from table(("figure", "value"), [(escape(label), escape(text)) for label, text in rows])
 
 
 def _differences(labels: Sequence[str], rows: Sequence[Difference]) -> Iterator[str]:
     def number(value: float | None, form: str, row: Difference) -> str:
         return "-" if value is None else escape(f"{value * row.scale:{form}} {row.unit}".rstrip())
 
-    yield from _table(
+    yield from table(
         ("figure", *map(escape, labels), "difference", f"{escape(labels[1])} is"),
         [
             (
@@ -168,17 +125,12 @@ def _differences(labels: Sequence[str], rows: Sequence[Difference]) -> Iterator[
     yield from (f'<p class="note">{escape(note)}</p>' for note in notes)
 
 
-def _plot(picture: Picture) -> Iterator[str]:
-    yield f"<h2>{escape(picture.title)}</h2>"
-    yield f"<figure>{picture.svg}<figcaption>{escape(picture.caption)}</figcaption></figure>"
-
-
 def _links(labels: Sequence[str], figures: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     yield "<h2>Link statistics</h2>"
     each = [dict(link_rows(one)) for one in figures]
     names = list(dict.fromkeys(name for one in each for name in one))
     rows = [(escape(name), *(escape(one.get(name, "-")) for one in each)) for name in names]
-    yield from _table(("", *map(escape, labels)), rows) if rows else ["<p>The recording has none.</p>"]
+    yield from table(("", *map(escape, labels)), rows) if rows else ["<p>The recording has none.</p>"]
 
 
 def _events(labels: Sequence[str], figures: Sequence[Mapping[str, Any]]) -> Iterator[str]:
@@ -187,7 +139,7 @@ def _events(labels: Sequence[str], figures: Sequence[Mapping[str, Any]]) -> Iter
         (
             f"{event['t_s']:.3f}",
             escape(label),
-            _mark(event["level"], event["level"] not in ("ERROR", "WARN")),
+            mark(event["level"], event["level"] not in ("ERROR", "WARN")),
             event["text"],
         )
         for label, one in zip(labels, figures, strict=True)
@@ -196,7 +148,7 @@ def _events(labels: Sequence[str], figures: Sequence[Mapping[str, Any]]) -> Iter
     cells = [
         (t_s, label, level, escape(text)) for t_s, label, level, text in sorted(rows, key=lambda row: float(row[0]))
     ]
-    yield from _table(("t [s]", "run", "level", "event"), cells, numbers=(0,)) if cells else ["<p>None.</p>"]
+    yield from table(("t [s]", "run", "level", "event"), cells, numbers=(0,)) if cells else ["<p>None.</p>"]
 
 
 def _scenario(labels: Sequence[str], runs: Sequence[RecordedRun]) -> Iterator[str]:
@@ -205,7 +157,7 @@ def _scenario(labels: Sequence[str], runs: Sequence[RecordedRun]) -> Iterator[st
         yield "<h2>What is different</h2>"
         rows = [(change.key, _value(change.first), _value(change.second)) for change in changes(*runs)]
         cells = [tuple(map(escape, row)) for row in rows]
-        yield from _table(("", *map(escape, labels)), cells) if cells else ["<p>Nothing.</p>"]
+        yield from table(("", *map(escape, labels)), cells) if cells else ["<p>Nothing.</p>"]
     for label, run in zip(labels, runs, strict=True):
         name = f" of {label}" if len(runs) > 1 else ""
         yield f"<h2>Scenario{escape(name)}</h2>"
@@ -214,7 +166,7 @@ def _scenario(labels: Sequence[str], runs: Sequence[RecordedRun]) -> Iterator[st
             (escape(key), escape(_value(value)), escape(str(sources.get(key, ""))))
             for key, value in scenario_of(run).items()
         ]
-        yield from _table(("key", "value", "given by"), cells) if cells else ["<p>The recording does not hold it.</p>"]
+        yield from table(("key", "value", "given by"), cells) if cells else ["<p>The recording does not hold it.</p>"]
 
 
 def _value(value: object) -> str:
@@ -223,16 +175,3 @@ def _value(value: object) -> str:
 
 def _level(level: str) -> str:
     return f'<span class="{_LEVELS.get(level, "")}">{escape(level)}</span>'
-
-
-def _mark(text: str, good: bool) -> str:
-    return f'<span class="{"passed" if good else "failed"}">{escape(text)}</span>'
-
-
-def _table(head: Sequence[str], rows: Iterable[Sequence[str]], numbers: Sequence[int] = ()) -> Iterator[str]:
-    """Yield a table; cells are HTML already."""
-    yield f"<table><thead><tr>{''.join(f'<th>{cell}</th>' for cell in head)}</tr></thead><tbody>"
-    for row in rows:
-        cells = (f'<td class="{"n" if i in numbers else "t"}">{cell}</td>' for i, cell in enumerate(row))
-        yield f"<tr>{''.join(cells)}</tr>"
-    yield "</tbody></table>"

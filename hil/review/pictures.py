@@ -1,15 +1,14 @@
 """The plots of a review's page, of one run or of two over the same axes, each as SVG."""
 
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
-from io import BytesIO
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from hil.plots import Curve, colour_of, draw_curves, draw_error, draw_path, drawing, rgb, thinned
+from hil.html_page import Picture, picture
+from hil.plots import Curve, colour_of, draw_curves, draw_error, draw_path, rgb, thinned
 from hil.review.figures import scenario_of, torque_constant_n_m_a
 from hil.review.reader import RecordedRun
 from hil.review.spectrum import spectrum
@@ -35,7 +34,6 @@ SIGNALS = (
 )
 """What the plots are made of."""
 
-_WIDTH_IN = 7.2
 _PATH_POINTS = 2000
 _BINS = 60
 
@@ -65,14 +63,6 @@ class Shown(NamedTuple):
     def has(self, name: str) -> bool:
         """Whether the signal has a value anywhere."""
         return bool(np.isfinite(self.series(name)).any())
-
-
-class Picture(NamedTuple):
-    """A plot: its title and caption, and the SVG as it stands in a page."""
-
-    title: str
-    caption: str
-    svg: str
 
 
 def pictures(runs: Sequence[Shown], faults: Sequence[Mapping[str, Any]]) -> Iterator[Picture]:
@@ -112,15 +102,7 @@ def _picture(
     runs: Sequence[Shown],
     rows: int = 1,
 ) -> Picture:
-    buffer = BytesIO()
-    with drawing(buffer, rows=rows, columns=columns, size_in=(_WIDTH_IN, height_in)) as axes:
-        draw(axes, runs)
-    svg = buffer.getvalue().decode()
-    svg = svg[svg.index("<svg") :]
-    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
-    # Names of groups: nothing refers to them, and those of two plots on a page would be the same.
-    svg = re.sub(r'<g id="[^"]*"', "<g", svg)
-    return Picture(title, caption, svg.replace("<svg ", f'<svg role="img" aria-label="{title}" ', 1))
+    return picture(title, caption, lambda axes: draw(axes, runs), height_in=height_in, rows=rows, columns=columns)
 
 
 def _path(axes: "list[Axes]", runs: Sequence[Shown]) -> None:

@@ -6,7 +6,8 @@ shipped()                                         -> what can be loaded by name
 """
 
 from hil.scenario.fields import StartValue
-from hil.scenario.load import load, set_texts, shipped
+from hil.scenario.load import Sources, load, read, set_texts, shipped
+from hil.scenario.plain import from_plain, to_plain
 from hil.scenario.process_tables import RealtimeTable, ServiceTable
 from hil.scenario.rows import ExpectTable, FaultTable
 from hil.scenario.run import Scenario, resolved
@@ -40,10 +41,14 @@ __all__ = [
     "RobotTable",
     "Scenario",
     "ServiceTable",
+    "Sources",
     "StartValue",
     "format_value",
+    "from_plain",
     "load",
+    "read",
     "resolved",
     "set_texts",
     "shipped",
+    "to_plain",
 ]

@@ -73,28 +73,56 @@ def load(
     fails, as text. Relative paths in a file start from its folder, those in ``set`` from the current one.
     Raises BadInputError, with one line for each problem.
     """
-    scenario = _open_scenario(name_or_path, None)
-    directory = scenario.path.parent
+    return read(name_or_path, robot=robot).scenario(set=set, mode=mode, link=link, seed=seed)
+
+
+class Sources(NamedTuple):
+    """The files of a scenario, read once and stacked: what many scenarios can be made of."""
+
+    file: _File
+    tree: Tree
+
+    def scenario(
+        self,
+        *,
+        set: Mapping[str, object] | Sequence[str] = (),  # noqa: A002 - the name of the option
+        mode: str | None = None,
+        link: str | None = None,
+        seed: int | None = None,
+        folder: Path | None = None,
+    ) -> Scenario:
+        """Return the scenario with these values over those of the files, as ``load``.
+
+        Relative paths in ``set`` start from ``folder``, by default the current one.
+        """
+        directory = self.file.path.parent
+        tree = self.tree
+        for option, choice in (("mode", mode), ("link", link), ("seed", seed)):
+            if choice is not None:
+                tree = layers.assign(tree, _OPTIONS[option], choice, f"--{option}")
+        for key, value in _assignments(set):
+            tree = layers.assign(tree, key, value, _SET)
+        tree = layers.merge(derived(tree), _rebase(tree, folder or Path.cwd(), directory, only=_SET))
+        tables = check(tree, f"scenario {self.file.display}", directory)
+        where = {layers.dotted(path): given.where for path, given in layers.leaves(tree)}
+        return Scenario(
+            **dict(tables),
+            name=self.file.path.name.removesuffix(TEST_SUFFIX).removesuffix(_SUFFIX),
+            path=None if directory == SHIPPED_DIRECTORY else self.file.path,
+            directory=directory,
+            provenance={key: where.get(key, "default") for key, _ in values(tables)},
+        )
+
+
+def read(name_or_path: str | Path, *, robot: str | Path | None = None) -> Sources:
+    """Read the files of a scenario. Raises BadInputError for one that cannot be read, and for a bad ``extends``."""
+    file = _open_scenario(name_or_path, None)
     tree: Tree = {}
-    for file in _chain(scenario):
-        tree = layers.stack(tree, _rebase(file.layer(), file.path.parent, directory))
+    for one in _chain(file):
+        tree = layers.stack(tree, _rebase(one.layer(), one.path.parent, file.path.parent))
     if robot is not None:
         tree = layers.stack(tree, _robot_layer(Path(robot)))
-    for option, choice in (("mode", mode), ("link", link), ("seed", seed)):
-        if choice is not None:
-            tree = layers.assign(tree, _OPTIONS[option], choice, f"--{option}")
-    for key, value in _assignments(set):
-        tree = layers.assign(tree, key, value, _SET)
-    tree = layers.merge(derived(tree), _rebase(tree, Path.cwd(), directory, only=_SET))
-    tables = check(tree, f"scenario {scenario.display}", directory)
-    where = {layers.dotted(path): given.where for path, given in layers.leaves(tree)}
-    return Scenario(
-        **dict(tables),
-        name=scenario.path.name.removesuffix(TEST_SUFFIX).removesuffix(_SUFFIX),
-        path=None if directory == SHIPPED_DIRECTORY else scenario.path,
-        directory=directory,
-        provenance={key: where.get(key, "default") for key, _ in values(tables)},
-    )
+    return Sources(file, tree)
 
 
 def set_texts(given: Mapping[str, object] | Sequence[str]) -> list[str]:

@@ -1,6 +1,7 @@
 /* The shipped plant with a flaw: linked in front of its own sources, whose functions of these names are
  * renamed on the compiler's command line. FLAW in the environment says what goes wrong, and how long after
- * the first torque: "hang 1.5"; before 0, as soon as it is instantiated. */
+ * the first torque: "hang 1.5"; before 0, as soon as it is instantiated. "start 24" crashes at the first
+ * torque if some variable starts with 24; "forgetful 0" is another FMU after a reset. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -20,7 +21,7 @@ int sound_fmi2DoStep(void *c, double from_s, double step_s, int no_return);
 int sound_fmi2GetReal(void *c, const unsigned references[], size_t count, double values[]);
 
 /* One instance a process. */
-static int initialised, driven, spoilt;
+static int initialised, driven, spoilt, doomed, resets;
 static double first_torque_s;
 
 static int has(const char *flaw, double after_s) {
@@ -32,7 +33,7 @@ static int has(const char *flaw, double after_s) {
 }
 
 static void crash(double after_s) {
-    if (has("segfault", after_s)) {
+    if (has("segfault", after_s) || doomed) {
         printf("the last words of a crash\n");
         *(volatile int *)NULL = 1;
     }
@@ -66,13 +67,17 @@ void *fmi2Instantiate(const char *name, int type, const char *guid, const char *
 }
 
 int fmi2Reset(void *c) {
-    initialised = driven = spoilt = 0;
+    initialised = driven = spoilt = doomed = 0;
+    resets++;
     return sound_fmi2Reset(c);
 }
 
 int fmi2SetReal(void *c, const unsigned references[], size_t count, const double values[]) {
     for (size_t i = 0; initialised && i < count; i++) {
         driven = driven || values[i] != 0.0;
+    }
+    for (size_t i = 0; !initialised && i < count; i++) {
+        doomed = doomed || (has("start", values[i]) && !has("start", values[i] - 0.01));
     }
     return sound_fmi2SetReal(c, references, count, values);
 }
@@ -103,6 +108,9 @@ int fmi2GetReal(void *c, const unsigned references[], size_t count, double value
     initialised = 1; /* what is set before is the start */
     if (spoilt && count > 0) {
         values[0] = NAN;
+    }
+    for (size_t i = 0; resets > 0 && has("forgetful", 0.0) && i < count; i++) {
+        values[i] *= 1.01;
     }
     return status;
 }

@@ -88,6 +88,21 @@ BENCHES = (
         (Row("recording, in rr.log for each signal", ("added to a tick, of rr.log's", "value"), AT_MOST, 0.05, 0.05),),
     ),
     Bench("lateness", None, ()),
+    Bench(
+        "campaign",
+        ("--runs", "0", "--seconds", "1", "--turns", "1", "--turn-runs", "10", "--short-runs", "100"),
+        (
+            Row(
+                "campaign: runs a second, in a pool's of the standard library",
+                ("scaling", "of_pool"),
+                AT_LEAST,
+                0.95,
+                0.5,
+            ),
+            Row("campaign: two workers, in twice one", ("scaling", "efficiency"), AT_LEAST, 0.9, 0.3),
+            Row("campaign: memory after all short runs, in that after half", ("memory", "growth"), AT_MOST, 1.03, 1.1),
+        ),
+    ),
 )
 
 

@@ -1,0 +1,116 @@
+"""What may be said from so many runs: intervals for shares and differences, and how much each axis explains.
+
+Pure: NumPy arrays in, plain numbers out.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+Series = npt.NDArray[np.float64]
+
+Z_95 = 1.959963984540054
+_RESAMPLES = 4000
+_MOST_AT_ONCE = 1_000_000  # numbers that are drawn, 8 MB
+_BINS = 8
+_LEAST_IN_A_BIN = 5
+
+
+class Interval(NamedTuple):
+    """A figure with the ends of its 95 % interval; None where nothing can be said of them."""
+
+    value: float
+    low: float | None
+    high: float | None
+
+
+def wilson(successes: int, trials: int) -> Interval:
+    """Return a share with Wilson's score interval (1927), which holds for few trials and for shares of 0 and 1.
+
+    Raises ValueError without trials.
+    """
+    if trials < 1:
+        raise ValueError("a share of no trials")
+    share = successes / trials
+    z2 = Z_95**2 / trials
+    centre = (share + z2 / 2.0) / (1.0 + z2)
+    half = Z_95 / (1.0 + z2) * np.sqrt(share * (1.0 - share) / trials + z2 / (4.0 * trials))
+    # At the ends it is exactly there, which rounding misses.
+    low = 0.0 if successes == 0 else float(centre - half)
+    return Interval(share, low, 1.0 if successes == trials else float(centre + half))
+
+
+def paired_difference(units: Sequence[object], differences: Series, seed: int = 1) -> Interval:
+    """Return the mean of paired differences, with a bootstrap's percentile interval over independent units.
+
+    ``units`` names the unit of each difference: what was drawn once for several pairs is one, for these repeat each
+    other and are no further evidence. Each unit counts as the mean of its pairs. Of one unit there is no interval.
+    """
+    means = unit_means(units, differences)
+    value = float(means.mean())
+    if len(means) < 2:
+        return Interval(value, None, None)
+    generator = np.random.default_rng(seed)
+    at_once = max(1, _MOST_AT_ONCE // len(means))
+    resampled = [
+        means[generator.integers(0, len(means), (min(at_once, _RESAMPLES - begin), len(means)))].mean(axis=1)
+        for begin in range(0, _RESAMPLES, at_once)
+    ]
+    low, high = np.percentile(np.concatenate(resampled), [2.5, 97.5])
+    return Interval(value, float(low), float(high))
+
+
+def unit_means(units: Sequence[object], values: Series) -> Series:
+    """Return the mean of each unit's values."""
+    names: dict[object, int] = {}
+    places = np.array([names.setdefault(unit, len(names)) for unit in units])
+    return np.asarray(np.bincount(places, weights=values) / np.bincount(places), dtype=np.float64)
+
+
+def share_explained(groups: Sequence[object], values: Series, units: Sequence[object] | None = None) -> float | None:
+    """Return how much of the variance of the ranks of ``values`` goes with the group: epsilon squared (Kelley 1935).
+
+    That is the first-order effect, the correlation ratio, without the part that many small groups explain by chance;
+    ranks, so that a few runs that ran away do not decide. From 0 to 1; None where there is nothing to explain.
+
+    ``units`` names, where a group was drawn, the draw of each value: what the group explains of the draws' means is
+    then a share of what the draws explain, for the many values of one draw say nothing new of its group.
+    """
+    ranks = ranked(values)
+    if units is None:
+        return _epsilon_squared(groups, ranks)
+    of_draws = _epsilon_squared(units, ranks)
+    group_of = dict(zip(units, groups, strict=True))
+    of_groups = _epsilon_squared(list(group_of.values()), unit_means(units, ranks))
+    return None if of_draws is None or of_groups is None else of_draws * of_groups
+
+
+def _epsilon_squared(groups: Sequence[object], values: Series) -> float | None:
+    count = len(values)
+    names: dict[object, int] = {}
+    places = np.array([names.setdefault(group, len(names)) for group in groups], dtype=np.intp)
+    if len(names) < 2 or count <= len(names):
+        return None
+    total = float(((values - values.mean()) ** 2).sum())
+    if total == 0.0:
+        return None
+    sizes = np.bincount(places)
+    means = np.bincount(places, weights=values) / sizes
+    within = total - float((sizes * (means - values.mean()) ** 2).sum())
+    return float(max(0.0, 1.0 - within / total * (count - 1) / (count - len(names))))
+
+
+def ranked(values: Series) -> Series:
+    """Return the ranks from 1 on, the mean one where values are equal."""
+    _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
+    ends = np.cumsum(counts)
+    return np.asarray((ends - (counts - 1) / 2.0)[inverse], dtype=np.float64)
+
+
+def binned(values: Series) -> list[int]:
+    """Return the group of each draw of a continuous axis: about as many in each, five at least, and at most eight."""
+    bins = min(_BINS, max(2, len(np.unique(values)) // _LEAST_IN_A_BIN))
+    edges = np.quantile(np.unique(values), np.linspace(0.0, 1.0, bins + 1)[1:-1])
+    return [int(place) for place in np.searchsorted(edges, values, side="right")]

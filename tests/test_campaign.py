@@ -1,0 +1,446 @@
+"""hil campaign: no run twice or lost, whatever is killed; the same run gives the same row; a failure is a row."""
+
+import contextlib
+import json
+import os
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import dask
+import pytest
+from typer.testing import CliRunner
+
+import hil as bridge
+from hil.assembly import run_scenario
+from hil.campaign import cluster as cluster_of_dask
+from hil.campaign.campaign import Campaign
+from hil.campaign.cluster import Place
+from hil.campaign.dataset import RECORDINGS, ROWS, read_rows
+from hil.campaign.rows import figures_of
+from hil.cli import app
+from hil.devices.virtual import KeptRobot
+from hil.errors import BadInputError, LinkError
+from hil.review import read
+from hil.scenario import load
+from tests.campaigns import LIMIT_S, do, of_the_runs, rows_of, write_plan
+from tests.flawed_fmu import build_flawed
+from tests.processes import HIL, device, environment, wait_for
+
+MASSES = "[axes]\nrobot.mass_kg = { grid = [16, 20, 24] }\n"
+FRICTION = '"plant.start.friction_coefficient" = { uniform = [0, 0.1] }'
+LAWS = """
+import os
+import pathlib
+import time
+
+from hil.types import WheelCommand, Wheels
+
+REST = Wheels(0.0, 0.0, 0.0, 0.0)
+IS_ILL = pathlib.Path(__file__).with_name("ill")
+
+
+class Light:
+    def __init__(self, model, mode):
+        self.mass_kg, self.mode = model.mass_kg, mode
+
+    def reset(self, state, reference):
+        pass
+
+    def update(self, reference, state, applied, dt_s):
+        if self.mass_kg == 21.0 and IS_ILL.exists():
+            os._exit(7)
+        if self.mass_kg == 22.0:
+            raise ZeroDivisionError("too heavy")
+        while self.mass_kg == 23.0 and IS_ILL.exists():
+            time.sleep(0.1)
+        return WheelCommand(self.mode, REST, Wheels(float("nan") if self.mass_kg == 24.0 else 0.0, 0.0, 0.0, 0.0))
+"""
+
+
+def start(*arguments: str | Path) -> "subprocess.Popen[str]":
+    """Start the command, which takes Ctrl-C as in a terminal of its own."""
+    return subprocess.Popen(
+        [*HIL, "campaign", *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment(),
+        start_new_session=True,
+    )
+
+
+def in_process(*arguments: str | Path) -> str:
+    """Do a command here, which saves its imports, and return what it prints."""
+    done = CliRunner().invoke(app, list(map(str, arguments)))
+    assert done.exit_code == 0, done.output
+    return done.stdout
+
+
+def rows_written(folder: Path) -> int:
+    rows = folder / ROWS
+    return len(list(rows.glob("*.parquet"))) if rows.is_dir() else 0
+
+
+def test_a_campaign_that_is_stopped_or_killed_goes_on_without_a_run_twice_or_lost_as_hil_run_would_have_it(
+    tmp_path: Path,
+) -> None:
+    more = 'laws = ["afdsc", "dsc"]\nseeds = 2\nsamples = {}\nkeep = "none"'
+    plan, out = write_plan(tmp_path, more.format(10), MASSES + FRICTION), tmp_path / "out"
+    stopped = start(plan, "--out", out, "--workers", "1")
+    wait_for(lambda: rows_written(out) >= 1)
+    stopped.send_signal(signal.SIGINT)
+    _, told = stopped.communicate(timeout=60)
+    assert stopped.returncode == 130, told
+    done = read_rows(out).num_rows
+    assert told == f"hil: interrupted; {done} of 120 runs are done and safe in {out}; the same command goes on\n"
+    files = rows_written(out)
+    killed = start(plan, "--out", out, "--workers", "1")
+    wait_for(lambda: rows_written(out) > files)
+    killed.kill()
+    killed.communicate()
+    dry = json.loads(in_process("campaign", plan, "--out", out, "--dry-run", "--json"))
+    assert (dry["runs"], dry["left"]) == (120, 120 - read_rows(out).num_rows)
+    assert done < read_rows(out).num_rows < 120
+    assert dry["total_s"] == pytest.approx(dry["run_s"] * dry["left"] / dry["workers"])
+    write_plan(tmp_path, more.format(1), MASSES + FRICTION)  # the first twelve of the same runs
+    before = rows_of(plan, out)
+    rows = do(plan, out)
+    assert [row["outcome"] for row in rows] == ["passed"] * 12
+    assert [row for row in rows if row in before] == before  # they were not run again
+    assert len({row["wire_sha256"] for row in rows}) == 12
+    assert (rows[4]["robot.mass_kg"], rows[4]["law"]) == (24.0, "afdsc")
+    for row, run in list(zip(rows, Campaign(plan).runs, strict=True))[::3]:
+        of_one = figures_of(bridge.run("circle_speed", set=run.point.sets).metrics)
+        assert of_the_runs([row | of_one]) == of_the_runs([row])
+
+
+@pytest.fixture(scope="module")
+def flawed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An FMU that misbehaves."""
+    return build_flawed(tmp_path_factory.mktemp("flawed"))
+
+
+def test_a_run_that_fails_is_a_row_with_its_reason_which_can_be_done_again(
+    tmp_path: Path, flawed: Path, monkeypatch
+) -> None:
+    (tmp_path / "laws.py").write_text(LAWS, encoding="utf-8")
+    (tmp_path / "ill").touch()
+    monkeypatch.setenv("FLAW", "start 25")
+    fmus = ["mecanum"] * 3 + [str(flawed)] * 2 + ["mecanum"] * 2
+    axes = f"[axes]\nrobot.mass_kg = {{ list = [20, 22, 24, 25, 19, 23, 21] }}\nplant.fmu = {{ list = {fmus} }}"
+    plan = write_plan(tmp_path, 'laws = ["./laws.py:Light"]\nkeep = "none"', axes)
+    rows = do(plan, tmp_path / "out", Place(None, 1, 4.0))
+    assert [row["outcome"] for row in rows] == ["passed", "ended", "failed", "ended", "passed", "lost", "lost"]
+    reasons = [row["reason"] for row in rows]
+    assert "ZeroDivisionError: too heavy" in reasons[1]
+    assert reasons[2].endswith("times, and the robot was held still")
+    assert "SIGSEGV (Segmentation fault); its last words: 'the last words of a crash'" in reasons[3]
+    assert reasons[5] == "hung: it was ended after 4.0 s"
+    assert reasons[6] == "its process ended twice, at last: crashed: exit code 7"
+    (tmp_path / "ill").unlink()
+    again = do(plan, tmp_path / "out", redo=["lost"])
+    assert [row["outcome"] for row in again] == ["passed", "ended", "failed", "ended", "passed", "passed", "passed"]
+    assert again[:5] == rows[:5]
+
+
+def test_a_foreign_fmu_is_opened_anew_for_each_run_for_its_reset_may_leave_something(flawed: Path, monkeypatch) -> None:
+    monkeypatch.setenv("FLAW", "forgetful 0")
+    scenario = load(
+        "circle_speed", set={"plant.fmu": flawed, "loop.duration_s": 0.2, "loop.rate_hz": 200, "expect": []}
+    )
+    with contextlib.closing(KeptRobot()) as kept:
+        first, second = (run_scenario(scenario, make_robot=kept.robot, keep_signals=False) for _ in range(2))
+    assert first.metrics["wire_sha256"] == second.metrics["wire_sha256"]
+
+
+def test_failures_and_the_worst_are_recorded_and_a_report_tells_how_to_repeat_them(tmp_path: Path) -> None:
+    more = '{}\nseeds = [5]\nlaws = ["afdsc", {{ law = "dsc", gains = {{ k1_1_s = 9.0 }} }}]'
+    faults = '[[fault]]\nname = "none"\n[[fault]]\nname = "lossy"\n'
+    faults += 'rows = [{ kind = "drop", target = "command", value = 0.3 }]\n'
+    tables = faults + MASSES + '[[expect]]\nsignal = "error.planar_m"\nfrom_s = 0.15\nbelow = 0.48253'
+    plan, out = write_plan(tmp_path, more.format('keep = "failures"'), tables), tmp_path / "out"
+    rows = do(plan, out)
+    (failed,) = (row for row in rows if row["outcome"] != "passed")
+    assert failed["reason"].startswith("error.planar_m below 0.48253 from 0.15 s to the end: failed")
+    (recording,) = (out / RECORDINGS).iterdir()
+    assert recording.stem == failed["key"]
+    assert read(recording).summary["wire_sha256"] == failed["wire_sha256"]
+    write_plan(tmp_path, more.format('keep = { worst = 1, by = "effort_n_m_s" }'), tables)
+    assert do(plan, out) == rows
+    report = json.loads(in_process("campaign", "report", out, "--json"))
+    worst = report["worst"]
+    assert worst[0]["key"] == failed["key"]
+    passed = sorted((row["effort_n_m_s"] for row in rows if row is not failed), reverse=True)
+    assert [one["effort_n_m_s"] for one in worst[1:]] == passed
+    most = max(rows, key=lambda row: row["effort_n_m_s"])
+    (recording,) = (out / RECORDINGS).iterdir()
+    assert recording.stem == most["key"]
+    (kept,) = (one for one in worst if one["recording"] is not None)
+    assert (kept["key"], kept["recording"]) == (most["key"], f"{RECORDINGS}/{recording.name}")
+    words = shlex.split(kept["repeat"])
+    assert words[:2] == ["hil", "run"]
+    again = json.loads(in_process(*words[1:], "--record", "none", "--json"))
+    assert (again["wire_sha256"], again["effort_n_m_s"]) == (most["wire_sha256"], most["effort_n_m_s"])
+    page = Path(report["html"]).read_text(encoding="utf-8")
+    assert "11 of 12 runs passed" in page
+    assert "dsc,k1_1_s=9.0" in page
+    assert "://" not in page.replace("http://www.w3.org/", "")  # it needs nothing else
+
+
+def test_what_is_wrong_with_a_plan_is_a_sentence_with_its_line_before_anything_runs(tmp_path: Path) -> None:
+    axes = "[axes]\n{}"
+    for more, tables, sentence in (
+        ("", axes.format("robot.mas_kg = { grid = [1] }"), "plan.toml:9: unknown key robot.mas_kg; did you mean"),
+        ("", axes.format('"robot.mass_kg" = { grid = [20, -3] }'), "plan.toml:9: robot.mass_kg = -3"),
+        ("", axes.format('"robot.mass_kg" = { gird = [20] }'), "did you mean 'grid'?"),
+        ("", axes.format('"robot.mass_kg" = { uniform = [20, 3] }\n'), "expected [low, high] with low < high"),
+        ("", axes.format('"robot.mass_kg" = { uniform = [3, 20] }\n'), "say with samples = N how often to draw"),
+        ("", axes.format('"robot.mass_kg" = { grid = [3, 3] }\n'), "plan.toml:9: axes.robot.mass_kg: grid: a value is"),
+        ("", axes.format("a.b = { list = [1, 2] }\nc.d = { list = [1] }"), "but a.b has 2, c.d has 1"),
+        ("", axes.format('"loop.seed" = { grid = [1, 2] }'), "axes loop.seed: give seeds instead"),
+        ("seeds = 0", "", "plan.toml:3: seeds: expected how many, from 1 to"),
+        ("sceds = 3", "", "plan.toml:3: unknown key sceds; did you mean 'seeds'?"),
+        ('keep = "some"', "", 'plan.toml:3: keep; expected "none", "failures", "all" or'),
+        ('keep = { worst = 3, by = "rms" }', "", "plan.toml:3: keep.by: unknown figure 'rms'"),
+        ('laws = ["afdcs"]', "", "controller.law = 'afdcs': unknown; did you mean 'afdsc'?"),
+        (
+            'laws = ["dsc", { law = "dsc", name = "other" }]',
+            "",
+            "two runs are the same: dsc, seed 1; and other, seed 1",
+        ),
+        ("", '[[fault]]\nname = "x"\nrows = [{ kind = "dorp" }]', "did you mean 'drop'?"),
+        ("", axes.format("robt.mass_kg = { grid = [1] }"), "plan.toml:9: unknown key robt; did you mean 'robot'?"),
+        ("", axes.format('"plant.start.mas_kg" = { grid = [1] }'), "has no such variable; did you mean 'mass_kg'?"),
+        ("", axes.format('"plant.start.mass_kg" = { grid = ["a"] }'), "plant.start.mass_kg = 'a'; expected a finite"),
+        ('laws = [{ law = "dsc", gains = { k1 = 9.0 } }]', "", "controller.gains: unknown option 'k1'"),
+        ('laws = "dsc"', "", 'plan.toml:3: laws = "dsc"; expected an array'),
+    ):
+        plan = write_plan(tmp_path, more, tables)
+        with pytest.raises(BadInputError) as refused:
+            Campaign(plan)
+        assert sentence in str(refused.value)
+    with pytest.raises(BadInputError, match=r"no\.toml: there is no such file; give the path of a \.toml file"):
+        Campaign(tmp_path / "no.toml")
+
+
+def test_what_stands_behind_a_link_is_asked_for_what_it_cannot_do_before_anything_runs(tmp_path: Path) -> None:
+    url, odometry = 'link.url = "can:socketcan/can0"\n', 'estimator.source = "odometry"\n'
+    makers = f'{url}{odometry}device.driver = "c620"\n'
+    for tables, sentence in (
+        (url, 'estimator.source = "truth", and of a robot behind a link no truth is known'),
+        (makers, "the protocol of 'c620' has no STEP"),
+        (f'{makers}loop.mode = "realtime"', "real motors would move; add --allow-motion"),
+    ):
+        plan = write_plan(tmp_path, 'keep = "none"', tables)
+        done = CliRunner().invoke(app, ["campaign", str(plan), "--dry-run", "--workers", "1"])
+        assert isinstance(done.exception, BadInputError)
+        assert sentence in str(done.exception)
+    assert Campaign(plan, allow_motion=True).on_bench
+    fixes = 'loop.mode = "realtime"\nestimator.source = "fused"\nestimator.fix = "udp://127.0.0.1:5000"'
+    plan = write_plan(tmp_path, 'keep = "none"', fixes)
+    done = CliRunner().invoke(app, ["campaign", str(plan), "--dry-run", "--workers", "2"])
+    assert "there is one bench behind its link or its pose fixes" in str(done.exception)
+
+
+def test_a_folder_that_is_not_this_campaigns_or_is_damaged_is_a_sentence_and_stays_as_it_is(tmp_path: Path) -> None:
+    plan, out = write_plan(tmp_path, 'seeds = 2\nkeep = "none"'), tmp_path / "out"
+    do(plan, out)
+
+    def refused(*arguments: str | Path) -> str:
+        done = CliRunner().invoke(app, ["campaign", *map(str, arguments)])
+        assert isinstance(done.exception, BadInputError), done.output
+        return str(done.exception)
+
+    other = write_plan(tmp_path, "seeds = 2", name="other.toml")
+    assert "its name is 'plan', and that of this campaign is 'other'" in refused(other, "--out", out, "--dry-run")
+    assert "it holds no campaign" in refused("report", tmp_path)
+    assert "and no campaign; name an empty or a new one" in refused(plan, "--out", tmp_path)
+    assert "it is a file; name a folder" in refused(plan, "--out", plan)
+    assert "--redo lots: 'lots' is no outcome; did you mean 'lost'?" in refused(plan, "--out", out, "--redo", "lots")
+    part = next((out / ROWS).iterdir())
+    whole = part.read_bytes()
+    spoilt = bytearray(whole)
+    spoilt[40] ^= 1  # in a page, of which the checksum tells
+    for data in (b"", whole[:500], bytes(spoilt)):
+        part.write_bytes(data)
+        for arguments in ((plan, "--out", out), (plan, "--out", out, "--dry-run"), ("report", out)):
+            assert f"campaign file {part}: it is damaged" in refused(*arguments)
+        assert part.read_bytes() == data
+    part.write_bytes(whole)
+    for name in ("plan.parquet", "campaign.json"):
+        (out / name).write_bytes(b"{}")
+        assert f"campaign file {out / name}: it " in refused("report", out)
+        (out / name).unlink()
+        assert f"campaign file {out / name}: " in refused("report", out)
+        assert len(do(plan, out)) == 2  # which writes it anew
+
+
+def test_a_cluster_that_others_could_listen_to_is_refused(tmp_path: Path, monkeypatch) -> None:
+    plan = write_plan(tmp_path)
+    for address, sentence in (
+        ("tcp://192.0.2.1:8786", "over tcp anybody on the way could run programs on the workers; use tls://192.0.2.1:"),
+        ("127.0.0.1:8786", "expected tls://HOST:PORT, or tcp://127.0.0.1:PORT on this machine"),
+    ):
+        done = CliRunner().invoke(app, ["campaign", str(plan), "--scheduler", address])
+        assert isinstance(done.exception, BadInputError)
+        assert sentence in str(done.exception)
+    with pytest.raises(BadInputError, match="TLS needs certificates; name them in"):
+        do(plan, tmp_path / "out", Place("tls://127.0.0.1:1", 0, LIMIT_S))
+    monkeypatch.setattr(cluster_of_dask, "_CONNECT_S", 0.2)
+    with pytest.raises(LinkError, match=r"--scheduler tcp://127\.0\.0\.1:1: no scheduler of Dask answers there"):
+        do(plan, tmp_path / "out", Place("tcp://127.0.0.1:1", 0, LIMIT_S))
+
+
+def test_a_worker_that_would_do_another_run_ends_the_campaign_and_leaves_no_row(tmp_path: Path) -> None:
+    law = tmp_path / "laws.py"
+    law.write_text(LAWS, encoding="utf-8")
+    campaign = Campaign(write_plan(tmp_path, 'laws = ["./laws.py:Light"]'))
+    law.write_text(f"{LAWS}\n# another", encoding="utf-8")
+    with pytest.raises(LinkError, match="its version of this package, or its FMU, law or reference file, is not that"):
+        for _ in campaign.perform(tmp_path / "out", Place(None, 1, LIMIT_S)):
+            pass
+    assert read_rows(tmp_path / "out").num_rows == 0
+
+
+ON_A_SMALL_DISK = """
+import sys
+from pathlib import Path
+
+from hil.devices.virtual import KeptRobot
+from hil.errors import BadInputError
+from tests.campaigns import do
+
+plan, disk = map(Path, sys.argv[1:])
+ballast = disk / "ballast"
+ballast.write_bytes(bytes(540 * 1024))
+try:
+    do(plan, disk / "out")
+except BadInputError as error:
+    print(error)
+ballast.unlink()
+print(*(row["outcome"] for row in do(plan, disk / "out")))
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="mounts a disk in a namespace, as Linux can")
+def test_a_full_disk_ends_a_campaign_in_order_and_it_goes_on_where_there_is_room(tmp_path: Path) -> None:
+    plan = write_plan(tmp_path, 'seeds = 8\nkeep = "none"')
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    own = ["unshare", "--mount"] if os.geteuid() == 0 else ["unshare", "--mount", "--map-root-user"]
+    mounted = 'mount -t tmpfs -o size=600k tmpfs "$1" || exit 77; shift; exec "$@"'
+    words = [*own, "sh", "-c", mounted, "sh", disk, sys.executable, "-c", ON_A_SMALL_DISK, plan, disk]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, env=environment(), timeout=120)
+    if done.returncode == 77 or done.stderr.startswith("unshare"):
+        pytest.skip(f"no disk may be mounted here: {done.stderr}")
+    assert done.returncode == 0, done.stderr
+    first, second = done.stdout.splitlines()
+    assert "it cannot be written to (No space left on device); what was written is safe: make room" in first
+    assert second == " ".join(["passed"] * 8)
+
+
+class Cluster:
+    """Dask's own commands as processes on loopback; with TLS, where OpenSSL can make a certificate."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._tls = folder / "tls.pem" if shutil.which("openssl") else None
+        if self._tls is not None:
+            make = "req -x509 -newkey rsa:2048 -nodes -days 2 -subj /CN=mecanum-hil -keyout tls.pem -out cert.pem"
+            subprocess.run(["openssl", *make.split()], check=True, capture_output=True, cwd=folder)
+            self._tls.write_text(self._tls.read_text() + (folder / "cert.pem").read_text())
+        self.processes: list[subprocess.Popen[bytes]] = []
+        self.address = ""
+
+    def scheduler(self) -> "subprocess.Popen[bytes]":
+        """Start the scheduler, another one where the first was, and wait until it can be asked."""
+        file = self._folder / f"scheduler-{len(self.processes)}.json"
+        port = self.address.rpartition(":")[2] or "0"
+        process = self._start("scheduler", "--port", port, "--scheduler-file", str(file))
+        wait_for(lambda: file.exists() and file.read_text(encoding="utf-8").endswith("}"))
+        self.address = json.loads(file.read_text(encoding="utf-8"))["address"]
+        return process
+
+    def worker(self, *more: str) -> "subprocess.Popen[bytes]":
+        """Start a worker."""
+        return self._start("worker", self.address, "--nthreads", "1", "--no-nanny", *more)
+
+    def _start(self, name: str, *arguments: str) -> "subprocess.Popen[bytes]":
+        command = [sys.executable, "-m", "dask", name, "--host", "127.0.0.1", "--no-dashboard", *arguments]
+        command += [word for key in self._keys for word in (f"--tls-{key}", str(self._tls))]
+        command += ["--protocol", "tls"] if self._keys else []
+        self.processes.append(
+            subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment())
+        )
+        return self.processes[-1]
+
+    @property
+    def _keys(self) -> tuple[str, ...]:
+        return () if self._tls is None else ("ca-file", "cert", "key")
+
+    def of_client(self) -> dict[str, str]:
+        """Return what DASK_DISTRIBUTED__COMM__TLS__... say to a client."""
+        names = {"ca-file": "ca-file", "cert": "client.cert", "key": "client.key"}
+        return {f"distributed.comm.tls.{names[key]}": str(self._tls) for key in self._keys}
+
+    def close(self) -> None:
+        for process in self.processes:
+            process.kill()
+            process.wait()
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    """A scheduler and two workers, of which one has the bench; the last test of this module kills some of them."""
+    cluster = Cluster(tmp_path_factory.mktemp("cluster"))
+    cluster.scheduler()
+    cluster.worker("--name", "without")
+    cluster.worker("--name", "with", "--resources", "bench=1")
+    with dask.config.set(cluster.of_client()):
+        yield cluster
+    cluster.close()
+
+
+def test_runs_behind_a_link_are_done_one_at_a_time_where_the_bench_is(tmp_path: Path, cluster: Cluster) -> None:
+    with device("circle_speed", "--mode", "lockstep", "--link", "serial:pty", "--set", "loop.rate_hz=200") as robot:
+        link = f'link.url = "{robot.link}"\nestimator.source = "odometry"'
+        plan = write_plan(tmp_path, 'laws = ["afdsc", "dsc"]\nkeep = "none"', link)
+        rows = do(plan, tmp_path / "out", Place(cluster.address, 0, LIMIT_S))
+        assert [row["outcome"] for row in rows] == ["passed", "passed"], rows
+        assert {row["machine.worker"].split()[1] for row in rows} == {"with"}
+        refused = CliRunner().invoke(app, ["campaign", str(plan), "--workers", "2"])
+        assert "--workers 2: there is one bench behind its link" in str(refused.exception)
+
+
+def test_a_worker_that_is_killed_and_a_scheduler_that_goes_and_comes_back_lose_no_run(
+    tmp_path: Path, cluster: Cluster
+) -> None:
+    plan = write_plan(tmp_path, 'seeds = 30\nkeep = "none"')
+    scheduler, first = cluster.processes[:2]
+    troubles: set[str] = set()
+    done, kills = 0, [first.kill, scheduler.kill]
+
+    def tell(told) -> None:
+        if told.trouble is not None and told.trouble not in troubles:
+            troubles.add(told.trouble)
+            if "has gone" in told.trouble:
+                scheduler.wait()
+                cluster.scheduler()
+                cluster.worker()
+
+    for rows in Campaign(plan).perform(tmp_path / "out", Place(cluster.address, 0, LIMIT_S), tell):
+        done += len(rows)
+        if kills and done >= 6 * (3 - len(kills)):
+            kills.pop(0)()
+    assert not kills
+    assert any("has gone; waiting for it" in trouble for trouble in troubles)
+    rows = rows_of(plan, tmp_path / "out")
+    assert [row["outcome"] for row in rows] == ["passed"] * 30
+    assert len({row["machine.worker"] for row in rows}) >= 2
+    of_one = figures_of(bridge.run("circle_speed", set=Campaign(plan).runs[29].point.sets).metrics)
+    assert of_the_runs([rows[29] | of_one]) == of_the_runs(rows[29:])

@@ -1,0 +1,238 @@
+"""The parts of a campaign: its runs, their keys, the robot that is kept, the results on the disk, the statistics."""
+
+import itertools
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from hil.assembly import run_scenario
+from hil.campaign.campaign import Campaign
+from hil.campaign.dataset import KEY, ROWS, Dataset, read_rows
+from hil.campaign.jobs import NEVER
+from hil.campaign.keys import key_of
+from hil.campaign.load import load_plan
+from hil.campaign.points import count, points
+from hil.campaign.rows import MACHINE, figures_of
+from hil.campaign.statistics import paired_difference, ranked, share_explained, unit_means, wilson
+from hil.campaign.work import perform
+from hil.devices.virtual import KeptRobot
+from hil.errors import BadInputError
+from hil.scenario import from_plain, load, shipped, to_plain
+from tests.campaigns import write_plan
+
+RANDOM = "[axes]\nplant.start.mass_kg = {{ uniform = [16, 24] }}\n{more}"
+
+
+def test_runs_are_each_with_each_laws_fastest_and_lists_go_in_step(tmp_path: Path) -> None:
+    axes = "robot.mass_kg = { list = [16, 24] }\nrobot.inertia_kg_m2 = { list = [0.4, 0.6] }\n"
+    axes += "firmware.ramp_s = { grid = [0.1, 0.2, 0.4] }"
+    faults = '[[fault]]\nname = "a"\n[[fault]]\nname = "b"\nrows = [{ kind = "drop", target = "command", value = 0.1 }]'
+    plan = load_plan(write_plan(tmp_path, 'laws = ["afdsc", "dsc"]\nseeds = [4, 2]', f"{faults}\n[axes]\n{axes}"))
+    runs = list(points(plan))
+    assert len(runs) == count(plan) == 2 * 3 * 2 * 2 * 2
+    assert [run.law for run in runs[:4]] == ["afdsc", "dsc"] * 2
+    assert [run.seed for run in runs] == [4] * 24 + [2] * 24
+    assert {(run.axes["robot.mass_kg"], run.axes["robot.inertia_kg_m2"]) for run in runs} == {(16, 0.4), (24, 0.6)}
+    scenario = plan.scenario(runs[-1].sets)
+    assert [row.kind for row in scenario.fault] == ["drop"]
+    assert (scenario.firmware.ramp_s, scenario.loop.seed, scenario.controller.law) == (0.4, 2, "dsc")
+
+
+@given(st.integers(1, 60), st.integers(0, 2**32 - 1))
+def test_a_latin_hypercube_has_one_draw_in_each_part_of_each_axis(
+    tmp_path_factory: pytest.TempPathFactory, samples: int, seed: int
+) -> None:
+    folder = tmp_path_factory.mktemp("plan")
+    more = "plant.start.friction_coefficient = { log_uniform = [0.001, 0.1] }"
+    plan = load_plan(write_plan(folder, f"samples = {samples}\nlatin = true\nseed = {seed}", RANDOM.format(more=more)))
+    runs = list(points(plan))
+    masses = sorted((run.axes["plant.start.mass_kg"] - 16.0) / 8.0 for run in runs)
+    logs = sorted(np.log(run.axes["plant.start.friction_coefficient"] / 0.001) / np.log(100.0) for run in runs)
+    for shares in (masses, logs):
+        for place, share in enumerate(shares):
+            assert place - 1e-6 <= share * samples <= place + 1 + 1e-6
+
+
+def test_more_draws_and_another_axis_leave_the_draws_that_there_were(tmp_path: Path) -> None:
+    few = Campaign(write_plan(tmp_path, "samples = 3", RANDOM.format(more="")))
+    many = Campaign(write_plan(tmp_path, "samples = 9", RANDOM.format(more="")))
+    assert [run.key for run in many.runs[:3]] == [run.key for run in few.runs]
+    more = "plant.start.friction_coefficient = { uniform = [0, 0.1] }"
+    both = Campaign(write_plan(tmp_path, "samples = 3", RANDOM.format(more=more)))
+    name = "plant.start.mass_kg"
+    assert [run.point.axes[name] for run in both.runs] == [run.point.axes[name] for run in few.runs]
+    other = Campaign(write_plan(tmp_path, "samples = 3\nseed = 2", RANDOM.format(more="")))
+    assert not {run.key for run in other.runs} & {run.key for run in few.runs}
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_a_scenario_is_the_same_after_a_way_as_json(name: str) -> None:
+    scenario = load(name, set={"fault": [{"kind": "drop", "target": "command", "value": 0.1}]})
+    again = from_plain(json.loads(json.dumps(to_plain(scenario))))
+    assert again == scenario
+    assert key_of(again) == key_of(scenario)
+
+
+def test_a_key_follows_from_what_a_run_is_made_of_and_not_from_where_that_is(tmp_path: Path) -> None:
+    law = "class Law:\n    def reset(self, state, reference): ...\n"
+    law += "    def update(self, reference, state, applied, dt_s): ..."
+    keys = []
+    for folder, text in (("one", law), ("two", law), ("three", f"{law}\n")):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "law.py").write_text(text, encoding="utf-8")
+        plan = Campaign(write_plan(tmp_path / folder, 'laws = ["./law.py:Law"]'))
+        keys.append(plan.runs[0].key)
+    assert keys[0] == keys[1] != keys[2]
+    base = load("circle_speed")
+    other = [{"loop.seed": 2}, {"robot.mass_kg": 21.0}, {"controller.gains.k1_1_s": 1.5}, {"loop.duration_s": 1.0}]
+    scenarios = [base, *(load("circle_speed", set={"controller.law": "dsc"} | more) for more in other)]
+    assert len({key_of(scenario) for scenario in scenarios}) == len(scenarios)
+    assert key_of(load("circle_speed", set={"robot.mass_kg": 20})) == key_of(base)
+
+
+LAW = """
+from hil.types import WheelCommand, Wheels
+
+
+class Law:
+    runs = 0
+
+    def __init__(self, model, mode):
+        self.mode = mode
+        Law.runs += 1
+
+    def reset(self, state, reference):
+        pass
+
+    def update(self, reference, state, applied, dt_s):
+        rest = Wheels(0.0, 0.0, 0.0, 0.0)
+        return WheelCommand(self.mode, rest, rest._replace(fl=0.1 * Law.runs))
+"""
+
+
+def test_what_a_law_left_in_its_module_is_gone_in_the_next_run(tmp_path: Path, monkeypatch) -> None:
+    (tmp_path / "package_of_laws").mkdir()
+    (tmp_path / "package_of_laws" / "__init__.py").write_text("from package_of_laws.impl import Law", encoding="utf-8")
+    (tmp_path / "package_of_laws" / "impl.py").write_text(LAW, encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    for name in ("./package_of_laws/impl.py:Law", "package_of_laws.impl:Law", "package_of_laws:Law"):
+        campaign = Campaign(write_plan(tmp_path, f'laws = ["{name}"]\nkeep = "none"'))
+        job = campaign.job(campaign.runs[0], NEVER)
+        first, second = (perform(job).figures for _ in range(2))
+        assert first["wire_sha256"] == second["wire_sha256"]
+        assert first["effort_n_m_s"] > 0.0
+
+
+CLOCKED = {f"{MACHINE}tick_p50_us": None}
+MAKERS = {
+    "moteus": "can:virtual/kept?fd=1&data_bitrate=5000000",
+    "odrive": "can:virtual/kept",
+    "vesc": "memory:",
+    "rosmaster": "memory:",
+}
+
+
+def test_a_robot_that_is_kept_is_in_each_run_as_if_it_were_new() -> None:
+    short = {"loop.duration_s": 0.15, "loop.rate_hz": 200, "expect": []}
+    slip = {"kind": "slip_patch", "start_s": 0.05, "value": 0.1, "x_m": 0.0, "y_m": 0.0, "radius_m": 5.0}
+    push = {"kind": "push", "target": "force_x_n", "start_s": 0.05, "value": 50.0}
+    others = [
+        {},
+        {"plant.start.mass_kg": 26.0, "device.reversed": ["fl"], "device.wheels": ["fr", "fl", "rr", "rl"]},
+        {"plant.start.contact": "slip", "plant.start.grip_coefficient": 0.5, "fault": [slip]},
+        {"fault": [{"kind": "reset", "target": "robot", "start_s": 0.05}]},
+        {"plant.fmu": "mecanum_fmi3", "firmware.torque_constant_n_m_a": 1.0},
+        *({"device.driver": driver, "link.url": link, "fault": [push]} for driver, link in MAKERS.items()),
+        {"fault": [{"kind": "parameter", "target": "friction_coefficient", "start_s": 0.05, "value": 0.3}]},
+        {},
+    ]
+    kept = KeptRobot()
+    try:
+        for other in others:
+            scenario = load("circle_speed", set=short | other)
+            assert from_plain(json.loads(json.dumps(to_plain(scenario)))) == scenario
+            one, new = (run_scenario(scenario, keep_signals=False, **way) for way in ({"make_robot": kept.robot}, {}))
+            assert figures_of(one.metrics) | CLOCKED == figures_of(new.metrics) | CLOCKED
+            assert one.metrics["fault"] == new.metrics["fault"]
+            assert str(one.failure) == str(new.failure)
+    finally:
+        kept.close()
+
+
+def test_rows_that_a_kill_left_twice_count_once_and_what_was_not_finished_counts_not(tmp_path: Path) -> None:
+    schema = pa.schema([(KEY, pa.string()), ("figure", pa.float64())])
+    written = [{KEY: f"k{number}", "figure": float(number)} for number in range(100)]
+    with Dataset(tmp_path, schema) as dataset:
+        for number, row in enumerate(written):
+            if number == 31:
+                shutil.copytree(tmp_path / ROWS, tmp_path / "before")  # the next puts them into one
+            dataset.append([row])
+    files = list((tmp_path / ROWS).iterdir())
+    assert len(files) < 40
+    shutil.copytree(tmp_path / "before", tmp_path / ROWS, dirs_exist_ok=True)  # killed before they were removed
+    (tmp_path / ROWS / "0-abc.parquet.unfinished").write_bytes(b"PAR1")
+    assert sorted(read_rows(tmp_path).to_pylist(), key=lambda row: row["figure"]) == written
+    with Dataset(tmp_path, schema) as dataset, pytest.raises(BadInputError, match="another campaign writes to it"):
+        Dataset(tmp_path, schema)
+    assert len(list((tmp_path / ROWS).iterdir())) == len(files)
+    assert pq.read_table(tmp_path / ROWS).num_rows == 100  # as any other program reads them
+    with pytest.raises(BadInputError, match="have figure as double, and now it is string; name another"):
+        Dataset(tmp_path, pa.schema([(KEY, pa.string()), ("figure", pa.string())]))
+
+
+@given(st.integers(1, 2000).flatmap(lambda trials: st.tuples(st.integers(0, trials), st.just(trials))))
+def test_the_interval_of_a_share_is_that_of_scipy(counts: tuple[int, int]) -> None:
+    share, low, high = wilson(*counts)
+    expected = stats.binomtest(*counts).proportion_ci(0.95, method="wilson")
+    assert (low, high) == pytest.approx((expected.low, expected.high), abs=1e-12)
+    assert low <= share <= high
+
+
+@given(st.lists(st.integers(0, 20), min_size=1, max_size=50))
+def test_ranks_are_those_of_scipy(values: list[int]) -> None:
+    assert ranked(np.array(values, dtype=float)).tolist() == stats.rankdata(values).tolist()
+
+
+def test_the_interval_of_a_difference_is_over_draws_and_covers_the_truth_as_often_as_it_says() -> None:
+    generator = np.random.default_rng(7)
+    covered = 0
+    for trial in range(120):
+        draws = generator.normal(0.3, 1.0, 40)
+        units = np.repeat(np.arange(40), 5)  # five pairs a draw, which repeat it
+        value, low, high = paired_difference(units.tolist(), np.repeat(draws, 5), seed=trial)
+        assert low is not None
+        assert high is not None
+        assert value == pytest.approx(draws.mean())
+        assert low < value < high
+        covered += low <= 0.3 <= high
+    # 0.93 with 40 draws; were the pairs taken for 200 draws it would be 0.6.
+    assert 0.87 <= covered / 120 <= 1.0
+    assert paired_difference(["one"] * 3, np.array([1.0, 2.0, 3.0])) == (2.0, None, None)
+    assert unit_means(["a", "b", "a"], np.array([1.0, 5.0, 3.0])).tolist() == [2.0, 5.0]
+
+
+def test_an_axis_explains_what_it_does_and_draws_nothing_by_chance() -> None:
+    generator = np.random.default_rng(3)
+    law, mass = (np.array(list(itertools.product(range(2), range(4), range(50))))[:, place] for place in (0, 1))
+    noise = generator.normal(0.0, 1.0, len(law))
+    assert share_explained(law.tolist(), 100.0 * law + noise) == pytest.approx(0.75, abs=0.01)  # of ranks: 3/4
+    assert share_explained(mass.tolist(), 100.0 * law + noise) == pytest.approx(0.0, abs=0.01)
+    assert share_explained(law.tolist(), np.ones(len(law))) is None
+    assert share_explained([1] * len(law), noise) is None
+    # Ten draws, each of forty runs: their own scatter is not the effect of another axis in two parts.
+    draws = np.repeat(np.arange(10), 40)
+    parts = np.repeat(generator.permutation(10) % 2, 40)
+    scatter = np.repeat(generator.normal(0.0, 1.0, 10), 40) + generator.normal(0.0, 0.01, 400)
+    alone = share_explained(parts.tolist(), scatter)
+    of_draws = share_explained(parts.tolist(), scatter, draws.tolist())
+    assert alone is not None
+    assert of_draws is not None
+    assert of_draws <= max(alone, 0.2)
