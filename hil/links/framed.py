@@ -8,6 +8,9 @@ from hil.links.language import WHEEL_DBC, Language
 from hil.links.streams import HostStream
 from hil.ports import Received, make_received
 
+_MOST_AT_ONCE = 50
+"""Frames that are given together: what some ticks have to say. A host that has a backlog decides how much it takes."""
+
 
 class StreamLink:
     """Frames over a byte stream. Wrong bytes are dropped and counted by cause, never raised."""
@@ -19,6 +22,7 @@ class StreamLink:
         self._framing = language.make_framing()  # of what is received
         self._encode = language.make_framing().encode  # the count of what is sent goes on over a loss
         self._earlier: Counter[str] = Counter()  # what was rejected before the link was reopened
+        self._waiting: tuple[list[Frame], int] | None = None
         self.received_bytes = 0
         self.sent_bytes = 0
 
@@ -28,6 +32,8 @@ class StreamLink:
         self._stream.write(data)
 
     def receive(self, timeout_ns: int) -> Received | None:
+        if self._waiting is not None:
+            return self._part_of(*self._waiting)
         deadline_ns = time.monotonic_ns() + timeout_ns if timeout_ns > 0 else 0
         while True:
             data = self._stream.read(timeout_ns)
@@ -35,6 +41,8 @@ class StreamLink:
                 stamp_ns = time.monotonic_ns()
                 self.received_bytes += len(data)
                 if frames := self._framing.feed(data):
+                    if len(frames) > _MOST_AT_ONCE:
+                        return self._part_of(frames, stamp_ns)
                     return make_received((frames, stamp_ns))
             if timeout_ns <= 0:
                 return None
@@ -46,6 +54,12 @@ class StreamLink:
         """Whether the frames carry a count by which lost ones are noticed."""
         return "lost" in self._framing.rejected
 
+    def _part_of(self, frames: list[Frame], stamp_ns: int) -> Received:
+        """Give the first of many frames; the others wait for the next calls."""
+        rest = frames[_MOST_AT_ONCE:]
+        self._waiting = (rest, stamp_ns) if rest else None
+        return Received(frames[:_MOST_AT_ONCE], stamp_ns)
+
     def rejected(self) -> dict[str, int]:
         counts = {cause: count + self._earlier[cause] for cause, count in self._framing.rejected.items()}
         return counts | {"unread_bytes": self._stream.unread_bytes()}
@@ -55,6 +69,7 @@ class StreamLink:
         # A new framing: the half of a frame, and the gap in the numbers, belong to the line that was lost.
         self._earlier = Counter(self.rejected())
         self._framing = self._make_framing()
+        self._waiting = None
 
     def describe(self) -> str:
         return self._stream.describe()
