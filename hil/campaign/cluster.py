@@ -10,6 +10,7 @@ import logging
 import queue
 import socket
 import tempfile
+import uuid
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -29,7 +30,6 @@ except ImportError as error:
 
 BENCH = "bench"
 """The resource of Dask's that a worker has which may use the one hardware bench."""
-_PLUGIN = "mecanum-hil-campaign"
 _CONNECT_S = 10.0
 
 
@@ -44,26 +44,34 @@ class Answer(NamedTuple):
 class RunProcesses(distributed.WorkerPlugin):
     """The processes of a Dask worker that do runs, one for each of its threads."""
 
-    name = _PLUGIN
+    idempotent = True  # to register it again would end the runs in hand
 
-    def __init__(self, limit_s: float) -> None:
+    def __init__(self, limit_s: float, name: str = "") -> None:
         self._limit_s = limit_s
-
-    def setup(self, worker: Any) -> None:
-        """Begin on a worker, which may have come late."""
-        self._worker = f"{socket.gethostname()} {worker.name}"
+        # A name for each campaign: Dask would end the processes of another campaign that has the same.
+        self.name = name or f"mecanum-hil-campaign-{uuid.uuid4().hex}"
         self._idle: queue.SimpleQueue[Performer[Job, Said]] = queue.SimpleQueue()
         self._all: list[Performer[Job, Said]] = []
         self._is_ending = False
+
+    def __reduce__(self) -> tuple[type["RunProcesses"], tuple[float, str]]:
+        """Go to a worker as what it is made of: Dask has runs ask for it before ``setup`` would be done."""
+        return RunProcesses, (self._limit_s, self.name)
 
     def teardown(self, worker: Any) -> None:
         """End the processes."""
         self._is_ending = True
         for performer in self._all:
             performer.kill()
+        with contextlib.suppress(queue.Empty):
+            while True:
+                self._idle.get_nowait().close()
 
-    def perform(self, job: Job) -> Answer:
-        """Do a run, once more when its process ends by itself: that may have been somebody else's doing."""
+    def perform(self, job: Job, worker: str) -> Answer:
+        """Do a run, once more when its process ends by itself: that may have been somebody else's doing.
+
+        Raises Reschedule, by which Dask gives the run to another worker, when it ended because this worker does.
+        """
         with self._performer() as performer, tempfile.TemporaryDirectory(prefix="hil_campaign_") as folder:
             job = job._replace(recording=str(Path(folder, "run.rrd")))
             said = performer.perform(job)
@@ -71,8 +79,10 @@ class RunProcesses(distributed.WorkerPlugin):
                 said = performer.perform(job)
                 if said.outcome == LOST:
                     said = said._replace(reason=f"its process ended twice, at last: {said.reason}")
+            if said.outcome == LOST and self._is_ending:
+                raise distributed.Reschedule
             recording = Path(said.recording).read_bytes() if said.recording is not None else None
-            return Answer(said, self._worker, recording)
+            return Answer(said, worker, recording)
 
     @contextlib.contextmanager
     def _performer(self) -> Iterator[Performer[Job, Said]]:
@@ -87,11 +97,12 @@ class RunProcesses(distributed.WorkerPlugin):
             self._idle.put(performer)
 
 
-def perform_on_worker(job: Job) -> Answer:
-    """Do a run on the worker of Dask that this is called on."""
-    processes = distributed.get_worker().plugins[_PLUGIN]
-    assert isinstance(processes, RunProcesses)
-    return processes.perform(job)
+def perform_on_worker(name: str, job: Job) -> Answer | None:
+    """Do a run on the worker of Dask that this is called on; None where ``RunProcesses`` of this name are not, as
+    after another scheduler has come."""
+    worker = distributed.get_worker()
+    processes = worker.plugins.get(name)
+    return processes.perform(job, f"{socket.gethostname()} {worker.name}") if processes is not None else None
 
 
 class Place(NamedTuple):
@@ -106,7 +117,7 @@ class Place(NamedTuple):
 def cluster(place: Place) -> Iterator[str | Any]:
     """Give what a client connects to: the address of the scheduler, or a cluster of our own with as many workers.
 
-    Its dashboard is on 127.0.0.1.
+    Its dashboards are on 127.0.0.1.
     """
     if place.scheduler is not None:
         check_address(place.scheduler)
@@ -118,7 +129,7 @@ def cluster(place: Place) -> Iterator[str | Any]:
         processes=False,
         resources={BENCH: 1} if place.workers == 1 else None,
         dashboard_address="127.0.0.1:0",
-        worker_dashboard_address=None,
+        worker_dashboard_address="127.0.0.1:0",  # None would have it listen on all interfaces
         memory_limit=None,
         silence_logs=50,
     ) as own:
@@ -141,11 +152,11 @@ def connect(to: Any) -> "distributed.Client":
         ) from error
 
 
-def prepare(client: "distributed.Client", limit_s: float) -> None:
+def prepare(client: "distributed.Client", processes: RunProcesses) -> None:
     """Give its workers, also those that come later, our processes. Raises OSError when the scheduler goes,
     LinkError when it or a worker lacks this package."""
     try:
-        client.register_plugin(RunProcesses(limit_s))
+        client.register_plugin(processes)
     except (ImportError, AttributeError) as error:
         raise LinkError(
             f"the scheduler and the workers of Dask need this package, and one has another or none ({error}); install "

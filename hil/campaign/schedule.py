@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import distributed
 from distributed.client import FutureCancelledError
 
-from hil.campaign.cluster import BENCH, Answer, Place, cluster, connect, perform_on_worker, prepare
+from hil.campaign.cluster import BENCH, Answer, Place, RunProcesses, cluster, connect, perform_on_worker, prepare
 from hil.campaign.jobs import Job
 from hil.campaign.rows import LOST, Said
 from hil.errors import LinkError
@@ -108,11 +108,11 @@ class _Hands:
 
     def __init__(self, to: Any, place: Place, *, on_bench: bool) -> None:
         self._to = to
-        self._limit_s = place.limit_s
+        self._processes = RunProcesses(place.limit_s)
         self._resources = {BENCH: 1} if on_bench else None
         self._client: distributed.Client | None = connect(to)
         self._is_prepared = False
-        self._jobs: dict[str, tuple[Job, distributed.Future[Answer]]] = {}
+        self._jobs: dict[str, tuple[Job, distributed.Future[Answer | None]]] = {}
         self._finished: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._numbers = itertools.count()
         self._threads = 0
@@ -138,7 +138,7 @@ class _Hands:
             return False
         if not self._is_prepared:
             with contextlib.suppress(OSError):  # it goes just now
-                prepare(self._client, self._limit_s)
+                prepare(self._client, self._processes)
                 self._is_prepared = True
         return self._is_prepared
 
@@ -175,7 +175,8 @@ class _Hands:
         assert self._client is not None
         # A name of its own: Dask would take another run of this name for the same.
         name = f"run-{job.key[:16]}-{next(self._numbers)}"
-        future = self._client.submit(perform_on_worker, job, key=name, pure=False, resources=self._resources)
+        processes = self._processes.name
+        future = self._client.submit(perform_on_worker, processes, job, key=name, pure=False, resources=self._resources)
         self._jobs[name] = (job, future)
         future.add_done_callback(lambda _: self._finished.put(name))
 
@@ -208,23 +209,36 @@ class _Hands:
             self._is_prepared = False
 
     def close(self) -> None:
-        """Leave what is not done. What has begun on an existing cluster comes to its end there, and nobody takes it."""
+        """Leave what is not done, and end our processes, which an existing cluster would keep otherwise."""
         if self._client is None:
             return
         with contextlib.suppress(Exception):  # the scheduler may be gone, and nothing is to be said of that any more
             self._client.cancel([future for _, future in self._jobs.values()], force=True)
+            if self._is_connected:
+                self._client.unregister_worker_plugin(self._processes.name)
         self._client.close(timeout=2.0)
 
 
-def _answer(future: "distributed.Future[Answer]") -> Answer | None:
-    """Return what came of a run, or None when it has to be given anew."""
+def _answer(future: "distributed.Future[Answer | None]") -> Answer | None:
+    """Return what came of a run, or None when it has to be given anew.
+
+    Raises LinkError when the worker could not do it: anew it would be the same.
+    """
     if future.status in ("cancelled", "lost"):
         return None
+    is_error = future.status == "error"
     try:
-        answer: Answer = future.result(timeout=_GATHER_S)
+        answer: Answer | None = future.result(timeout=_GATHER_S)
     except distributed.KilledWorker as error:
         words = f"every worker of Dask that had it was lost, {error.allowed_failures + 1} of them"
         return Answer(Said({}, LOST, words, 0.0), "-", None)
-    except (FutureCancelledError, TimeoutError, OSError):
+    except FutureCancelledError:
+        return None
+    except (TimeoutError, OSError) as error:
+        if is_error:  # the run's own, not that of the way here
+            raise LinkError(
+                f"a worker of Dask cannot do runs: {error}; make room for temporary files there, or make their folder "
+                "writable, and give the same command again"
+            ) from error
         return None
     return answer
