@@ -19,7 +19,7 @@ from hil.plant import archive
 from hil.scenario import Scenario
 from hil.scenario.tables import Tables
 
-KEY_FORMAT = 1
+KEY_FORMAT = 2
 """Counts changes of what the key covers."""
 _NOT_OF_THE_RUN = ("service",)
 
@@ -49,9 +49,10 @@ def versions() -> dict[str, str]:
 def _files(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """Yield what names each file of a scenario, and its digest."""
     yield "plant.fmu", _digest(archive.locate(scenario.plant.fmu, scenario.directory))
-    for law in (scenario.controller.law, *scenario.controller.shadow):
+    # By place and not by name: two files may both have a class Law.
+    for place, law in enumerate((scenario.controller.law, *scenario.controller.shadow)):
         if law not in SHIPPED and (source := inspect.getsourcefile(load_law(law, scenario.directory))) is not None:
-            yield f"law {law.rpartition(':')[2]}", _digest(Path(source))
+            yield f"law {place}", _digest(Path(source))
     for name, table in (("reference.file", scenario.reference.options), ("device.motors.file", scenario.device.motors)):
         if isinstance(path := table.get("file"), str):
             yield name, _digest(scenario.directory / path)

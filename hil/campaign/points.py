@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 from hil.campaign.load import Plan
 from hil.campaign.tables import AlternativeTable, AxisTable, LawTable
 from hil.controllers.own_signals import short_name
+from hil.errors import BadInputError
 from hil.scenario import Scenario, format_value
 
 NO_FAULT = "none"
@@ -55,10 +56,16 @@ def count(plan: Plan) -> int:
 
 
 def points(plan: Plan) -> Iterator[Point]:
-    """Yield the runs. Raises BadInputError where the base scenario itself cannot be."""
+    """Yield the runs. Raises BadInputError where the base scenario itself cannot be, or two laws have one name."""
     tables = plan.tables
     base = plan.scenario(tables.set)
     laws = [_law(law, base) for law in tables.laws] or [(short_name(base.controller.law), {})]
+    called = [label for label, _ in laws]
+    if twice := next((label for number, label in enumerate(called) if label in called[:number]), None):
+        raise BadInputError(
+            f"campaign {plan.place('laws')}: two laws are both called {twice!r}, and a report could not tell them "
+            'apart; name one, as in { law = "./my_law.py:Law", name = "mine" }'
+        )
     faults = [(row.name, _faults(row, base)) for row in tables.fault] or [(NO_FAULT, {})]
     expect = {"expect": [*map(_row, base.expect), *tables.expect]} if tables.expect else {}
     seeds = tables.seeds or (base.loop.seed,)

@@ -62,6 +62,12 @@ class LawTable(Table):
     gains: Mapping[Text, Option] = Field(default_factory=dict, description="over those that the scenario has for it")
     command: Literal["speed", "torque"] | None = Field(default=None, description="by default the scenario's")
 
+    @property
+    def keys_set(self) -> frozenset[str]:
+        """The keys of the scenario that it gives beside the law."""
+        command = () if self.command is None else ("controller.command",)
+        return frozenset((*command, *(f"controller.gains.{name}" for name in self.gains)))
+
 
 class AlternativeTable(Table):
     """``[[fault]]``: rows of faults that a run has beside the scenario's own. Alternatives are done each with each."""
@@ -136,4 +142,8 @@ class PlanTables(Table):
                 raise ValueError(f"axes {key}: give {taken[key]} instead")
             if key in self.set:
                 raise ValueError(f"{key} is in [set] and in [axes]; give it once")
+            if any(key in law.keys_set for law in self.laws):
+                raise ValueError(f"{key} is in laws and in [axes], which would be what counts; give it once")
+        if self.seeds and "loop.seed" in self.set:
+            raise ValueError("loop.seed is in [set], and there are seeds, which would be what counts; give one of them")
         return self
