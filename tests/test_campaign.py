@@ -8,10 +8,12 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import dask
+import psutil
 import pytest
 from typer.testing import CliRunner
 
@@ -21,6 +23,8 @@ from hil.campaign import cluster as cluster_of_dask
 from hil.campaign.campaign import Campaign
 from hil.campaign.cluster import Place
 from hil.campaign.dataset import RECORDINGS, ROWS, read_rows
+from hil.campaign.jobs import WORK
+from hil.campaign.judged import duel_words, judge
 from hil.campaign.rows import figures_of
 from hil.cli import app
 from hil.devices.virtual import KeptRobot
@@ -218,6 +222,17 @@ def test_what_is_wrong_with_a_plan_is_a_sentence_with_its_line_before_anything_r
         ("", axes.format('"plant.start.mas_kg" = { grid = [1] }'), "has no such variable; did you mean 'mass_kg'?"),
         ("", axes.format('"plant.start.mass_kg" = { grid = ["a"] }'), "plant.start.mass_kg = 'a'; expected a finite"),
         ('laws = [{ law = "dsc", gains = { k1 = 9.0 } }]', "", "controller.gains: unknown option 'k1'"),
+        (
+            'laws = ["./a/law.py:Law", "./b/law.py:Law"]',
+            "",
+            "plan.toml:3: two laws are both called 'Law', and a report",
+        ),
+        ("seeds = 2", "loop.seed = 7", "loop.seed is in [set], and there are seeds"),
+        (
+            'laws = [{ law = "dsc", gains = { k1_1_s = 9.0 } }]',
+            axes.format("controller.gains.k1_1_s = { grid = [1, 2] }"),
+            "controller.gains.k1_1_s is in laws and in [axes]",
+        ),
         ('laws = "dsc"', "", 'plan.toml:3: laws = "dsc"; expected an array'),
     ):
         plan = write_plan(tmp_path, more, tables)
@@ -415,6 +430,62 @@ def test_runs_behind_a_link_are_done_one_at_a_time_where_the_bench_is(tmp_path: 
         assert {row["machine.worker"].split()[1] for row in rows} == {"with"}
         refused = CliRunner().invoke(app, ["campaign", str(plan), "--workers", "2"])
         assert "--workers 2: there is one bench behind its link" in str(refused.exception)
+
+
+def test_two_campaigns_share_a_cluster_and_leave_no_process_there(tmp_path: Path, cluster: Cluster) -> None:
+    plan, other = (write_plan(tmp_path, f'seeds = {n}\nkeep = "none"', name=f"{n}.toml") for n in (12, 3))
+    place = Place(cluster.address, 0, LIMIT_S)
+    batches = Campaign(plan).perform(tmp_path / "out", place)
+    while not next(batches):
+        pass
+    assert [row["outcome"] for row in do(other, tmp_path / "other", place)] == ["passed"] * 3  # while the first goes on
+    for _ in batches:
+        pass
+    assert [row["outcome"] for row in rows_of(plan, tmp_path / "out")] == ["passed"] * 12
+    workers = [psutil.Process(process.pid) for process in cluster.processes[1:]]
+    wait_for(lambda: not [one for worker in workers for one in worker.children() if WORK.worker in one.cmdline()])
+
+
+def test_a_worker_without_room_for_temporary_files_ends_the_campaign_in_a_sentence(tmp_path: Path, monkeypatch) -> None:
+    campaign = Campaign(write_plan(tmp_path, 'keep = "none"\nseeds = 30'))
+
+    def tell(_told) -> None:
+        monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "gone"))  # Dask itself has begun in another
+
+    with pytest.raises(LinkError, match=r"a worker of Dask cannot do runs: .*No such file"):
+        for _ in campaign.perform(tmp_path / "out", Place(None, 1, LIMIT_S), tell):
+            pass
+
+
+def test_what_a_campaign_of_this_machine_listens_on_is_loopback(tmp_path: Path) -> None:
+    heard: set[str] = set()
+
+    def tell(_told) -> None:
+        heard.update(one.laddr.ip for one in psutil.Process().net_connections("inet") if one.status == "LISTEN")
+
+    for _ in Campaign(write_plan(tmp_path, 'keep = "none"')).perform(tmp_path / "out", Place(None, 1, LIMIT_S), tell):
+        pass
+    assert heard == {"127.0.0.1"}
+
+
+def test_a_report_has_no_figures_of_runs_that_ended_early_and_calls_all_as_the_plan_does_now(tmp_path: Path) -> None:
+    (tmp_path / "laws.py").write_text(LAWS, encoding="utf-8")
+    laws = 'keep = "none"\nseeds = 2\nlaws = [{{ law = "dsc", name = "{}" }}, "./laws.py:Light"]'
+    do(write_plan(tmp_path, laws.format("one")), tmp_path / "out")
+    axis = "[axes]\nrobot.mass_kg = { grid = [20, 22] }"  # 20 is as it was, so these runs are there; 22 ends the law
+    do(write_plan(tmp_path, laws.format("other"), axis), tmp_path / "out")
+    judged = judge(tmp_path / "out")
+    assert [rate[:4] for rate in judged.rates] == [
+        ("all", "", 8, 6),
+        ("robot.mass_kg", "20", 4, 4),
+        ("robot.mass_kg", "22", 4, 2),
+        ("law", "other", 4, 4),
+        ("law", "Light", 4, 2),
+    ]
+    (effort,) = (duel for duel in judged.duels if duel.figure == "effort_n_m_s")
+    assert (effort.first, effort.second, effort.pairs, effort.left_out, effort.units) == ("other", "Light", 2, 2, 2)
+    assert effort.difference.low is None
+    assert "from 2 draws: too few for an interval" in "".join(duel_words(effort))
 
 
 def test_a_worker_that_is_killed_and_a_scheduler_that_goes_and_comes_back_lose_no_run(

@@ -21,7 +21,7 @@ from hil.campaign.keys import key_of
 from hil.campaign.load import load_plan
 from hil.campaign.points import count, points
 from hil.campaign.rows import MACHINE, figures_of
-from hil.campaign.statistics import paired_difference, ranked, share_explained, unit_means, wilson
+from hil.campaign.statistics import binned, paired_difference, ranked, share_explained, unit_means, wilson
 from hil.campaign.work import perform
 from hil.devices.virtual import KeptRobot
 from hil.errors import BadInputError
@@ -91,6 +91,10 @@ def test_a_key_follows_from_what_a_run_is_made_of_and_not_from_where_that_is(tmp
         plan = Campaign(write_plan(tmp_path / folder, 'laws = ["./law.py:Law"]'))
         keys.append(plan.runs[0].key)
     assert keys[0] == keys[1] != keys[2]
+    (tmp_path / "two" / "law.py").write_text(f"{law}\n# another", encoding="utf-8")
+    shadowed = {"controller.shadow": [str(tmp_path / "three" / "law.py:Law")]}
+    one, two = (shadowed | {"controller.law": str(tmp_path / folder / "law.py:Law")} for folder in ("one", "two"))
+    assert key_of(load("circle_speed", set=one)) != key_of(load("circle_speed", set=two))  # all of one name
     base = load("circle_speed")
     other = [{"loop.seed": 2}, {"robot.mass_kg": 21.0}, {"controller.gains.k1_1_s": 1.5}, {"loop.duration_s": 1.0}]
     scenarios = [base, *(load("circle_speed", set={"controller.law": "dsc"} | more) for more in other)]
@@ -213,9 +217,10 @@ def test_the_interval_of_a_difference_is_over_draws_and_covers_the_truth_as_ofte
         assert value == pytest.approx(draws.mean())
         assert low < value < high
         covered += low <= 0.3 <= high
-    # 0.93 with 40 draws; were the pairs taken for 200 draws it would be 0.6.
-    assert 0.87 <= covered / 120 <= 1.0
+    # 0.95 with 40 draws; were the pairs taken for 200 draws it would be 0.6.
+    assert 0.9 <= covered / 120 <= 1.0
     assert paired_difference(["one"] * 3, np.array([1.0, 2.0, 3.0])) == (2.0, None, None)
+    assert paired_difference(range(5), np.arange(5.0)) == (2.0, None, None)
     assert unit_means(["a", "b", "a"], np.array([1.0, 5.0, 3.0])).tolist() == [2.0, 5.0]
 
 
@@ -227,6 +232,8 @@ def test_an_axis_explains_what_it_does_and_draws_nothing_by_chance() -> None:
     assert share_explained(mass.tolist(), 100.0 * law + noise) == pytest.approx(0.0, abs=0.01)
     assert share_explained(law.tolist(), np.ones(len(law))) is None
     assert share_explained([1] * len(law), noise) is None
+    one_each = generator.uniform(16.0, 24.0, 100)  # a hundred draws of one run each, as most campaigns have
+    assert share_explained(binned(one_each), one_each**2, list(range(100))) == pytest.approx(0.98, abs=0.02)
     # Ten draws, each of forty runs: their own scatter is not the effect of another axis in two parts.
     draws = np.repeat(np.arange(10), 40)
     parts = np.repeat(generator.permutation(10) % 2, 40)

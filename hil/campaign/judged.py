@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.campaign.dataset import KEY, RECORDINGS, read_about, read_plan, read_rows
-from hil.campaign.rows import FIGURES, MACHINE, PASSED
+from hil.campaign.rows import FAILED, FIGURES, MACHINE, PASSED
 from hil.campaign.statistics import Interval, binned, paired_difference, share_explained, wilson
 
 Series = npt.NDArray[np.float64]
@@ -46,13 +46,15 @@ class Spread(NamedTuple):
 class Duel(NamedTuple):
     """Two laws in the same runs: the mean of first minus second, and in what share of them the first was less.
 
-    ``units`` is how many independent draws stand behind ``pairs``.
+    ``units`` is how many independent draws stand behind ``pairs``; ``left_out`` is how many more pairs there are, in
+    which one has no such figure.
     """
 
     first: str
     second: str
     figure: str
     pairs: int
+    left_out: int
     units: int
     difference: Interval
     first_less: float
@@ -143,13 +145,15 @@ class Judged:
                 for place, row in by_law[first].items()
                 if place in by_law[second]
             ]
+            left_out = len(both)
             both = [pair for pair in both if pair[1] is not None and pair[2] is not None]
+            left_out -= len(both)
             if both:
                 units = [pair[0] for pair in both]
                 differences = np.array([one - other for _, one, other in both])
                 interval = paired_difference(units, differences)
                 less = float(np.mean(differences < 0.0))
-                yield Duel(first, second, figure, len(both), len(set(units)), interval, less)
+                yield Duel(first, second, figure, len(both), left_out, len(set(units)), interval, less)
 
     @cached_property
     def effects(self) -> list[Effect]:
@@ -239,10 +243,17 @@ def judge(folder: Path) -> Judged:
     """Return what a campaign came to, from its folder alone. Raises BadInputError when there is no campaign."""
     rows = read_rows(folder)
     about, plan = read_about(folder), read_plan(folder)
-    wanted = {row[KEY] for row in plan}
-    missing = dict.fromkeys(FIGURES)
-    done = {row[KEY]: missing | row for row in rows.to_pylist() if row[KEY] in wanted}
+    planned = {row[KEY]: row for row in plan}
+    # What a run is called is as the plan has it now: a row may be from before a law had this name, or before this axis.
+    done = {row[KEY]: _judged(row) | planned[row[KEY]] for row in rows.to_pylist() if row[KEY] in planned}
     return Judged(folder, about, plan, list(done.values()))
+
+
+def _judged(row: Row) -> dict[str, Any]:
+    """Return a row as it is judged: without figures when its run did not come to its end, for to stop early is no merit
+    and makes effort and overshoot less."""
+    missing = dict.fromkeys(FIGURES)
+    return missing | row if row["outcome"] in (PASSED, FAILED) else {**row, **missing}
 
 
 def percent(share: Interval) -> str:
@@ -255,7 +266,8 @@ def duel_words(duel: Duel) -> str:
     """Return what two laws are to each other in words."""
     value, low, high = duel.difference
     if low is None or high is None:
-        return f"{duel.first} - {duel.second} = {value:+.3g}, from one draw: no interval"
+        draws = "1 draw" if duel.units == 1 else f"{duel.units} draws"
+        return f"{duel.first} - {duel.second} = {value:+.3g}, from {draws}: too few for an interval"
     verdict = "no difference shown" if low <= 0.0 <= high else f"{duel.first if high < 0.0 else duel.second} is less"
     return f"{duel.first} - {duel.second} = {value:+.3g} (95 %: {low:+.3g} to {high:+.3g}): {verdict}"
 

@@ -81,7 +81,8 @@ def _rates(judged: Judged) -> Iterator[str]:
 def _figures(judged: Judged) -> Iterator[str]:
     yield "<h2>Figures of each law</h2>"
     yield (
-        '<p class="about">Over the runs that have the figure: a run that never came within 10 mm has no steady error. '
+        '<p class="about">Over the runs that have the figure: a run that never came within 10 mm has no steady error, '
+        "and one that did not come to its end has none of them. "
         f"{escape(_MEANINGS)}</p>"
     )
     rows = []
@@ -98,7 +99,8 @@ def _duels(judged: Judged) -> Iterator[str]:
     yield "<h2>Law against law</h2>"
     yield (
         '<p class="about">Runs that differ in the law alone, in pairs; the mean difference with the percentile '
-        "interval of a bootstrap over independent draws. Pairs of which one run has no such figure are left out. Where "
+        "interval of a bootstrap over independent draws, of which it needs six. Pairs of which one run has no such "
+        "figure, or did not come to its end, are left out: where they are many, the rest are the easy ones. Where "
         "the interval holds 0, no difference is shown; nothing is corrected for how many comparisons there are.</p>"
     )
     rows = []
@@ -108,8 +110,10 @@ def _duels(judged: Judged) -> Iterator[str]:
         low, high = (None if end is None else scale * end for end in ends)
         scaled = duel._replace(difference=Interval(scale * value, low, high))
         told = (escape(f"{name} [{unit}]"), escape(duel_words(scaled)))
-        rows.append((*told, f"{100 * duel.first_less:.3g} %", str(duel.pairs), str(duel.units)))
-    yield from table(("figure", "difference", "first less in", "pairs", "draws"), rows, numbers=(2, 3, 4))
+        rows.append((*told, f"{100 * duel.first_less:.3g} %", str(duel.pairs), str(duel.left_out), str(duel.units)))
+    yield from table(
+        ("figure", "difference", "first less in", "pairs", "left out", "draws"), rows, numbers=(2, 3, 4, 5)
+    )
     there = list(dict.fromkeys(duel.figure for duel in judged.duels))
     pairs = len({(duel.first, duel.second) for duel in judged.duels})
     draw = partial(draw_duels, judged=judged, names=there)

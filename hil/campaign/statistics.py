@@ -3,7 +3,9 @@
 Pure: NumPy arrays in, plain numbers out.
 """
 
+import math
 from collections.abc import Sequence
+from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +15,8 @@ Series = npt.NDArray[np.float64]
 
 Z_95 = 1.959963984540054
 _RESAMPLES = 4000
+_LEAST_DRAWS = 6
+"""Of fewer draws the interval from the least to the greatest of them holds the middle less than 95 times of 100."""
 _MOST_AT_ONCE = 1_000_000  # numbers that are drawn, 8 MB
 _BINS = 8
 _LEAST_IN_A_BIN = 5
@@ -43,14 +47,16 @@ def wilson(successes: int, trials: int) -> Interval:
 
 
 def paired_difference(units: Sequence[object], differences: Series, seed: int = 1) -> Interval:
-    """Return the mean of paired differences, with a bootstrap's percentile interval over independent units.
+    """Return the mean of paired differences, with a bootstrap's expanded percentile interval over independent units.
 
     ``units`` names the unit of each difference: what was drawn once for several pairs is one, for these repeat each
-    other and are no further evidence. Each unit counts as the mean of its pairs. Of one unit there is no interval.
+    other and are no further evidence. Each unit counts as the mean of its pairs. Of few units there is no interval.
+    Percentiles are expanded (Hesterberg 2015, "What Teachers Should Know About the Bootstrap", section 3.5): the plain
+    ones of ten units hold the mean 89 times of 100.
     """
     means = unit_means(units, differences)
     value = float(means.mean())
-    if len(means) < 2:
+    if len(means) < _LEAST_DRAWS:
         return Interval(value, None, None)
     generator = np.random.default_rng(seed)
     at_once = max(1, _MOST_AT_ONCE // len(means))
@@ -58,8 +64,19 @@ def paired_difference(units: Sequence[object], differences: Series, seed: int = 
         means[generator.integers(0, len(means), (min(at_once, _RESAMPLES - begin), len(means)))].mean(axis=1)
         for begin in range(0, _RESAMPLES, at_once)
     ]
-    low, high = np.percentile(np.concatenate(resampled), [2.5, 97.5])
+    tail = _expanded_tail(len(means))
+    low, high = np.quantile(np.concatenate(resampled), [tail, 1.0 - tail])
     return Interval(value, float(low), float(high))
+
+
+def _expanded_tail(count: int) -> float:
+    """Return what a 95 % interval of the bootstrap of so many values leaves out at each end: Student's t for the
+    normal quantile, and the variance with count - 1."""
+    freedom, z = count - 1, Z_95
+    # Student's quantile by its expansion in 1 / freedom (Abramowitz and Stegun 26.7.5), to 0.003 from 5 on.
+    t = z + (z**3 + z) / (4 * freedom) + (5 * z**5 + 16 * z**3 + 3 * z) / (96 * freedom**2)
+    t += (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / (384 * freedom**3)
+    return NormalDist().cdf(-t * math.sqrt(count / freedom))
 
 
 def unit_means(units: Sequence[object], values: Series) -> Series:
@@ -76,10 +93,11 @@ def share_explained(groups: Sequence[object], values: Series, units: Sequence[ob
     ranks, so that a few runs that ran away do not decide. From 0 to 1; None where there is nothing to explain.
 
     ``units`` names, where a group was drawn, the draw of each value: what the group explains of the draws' means is
-    then a share of what the draws explain, for the many values of one draw say nothing new of its group.
+    then a share of what the draws explain, for the many values of one draw say nothing new of its group. Where each
+    draw has one value, the draws are the values.
     """
     ranks = ranked(values)
-    if units is None:
+    if units is None or len(set(units)) == len(values):
         return _epsilon_squared(groups, ranks)
     of_draws = _epsilon_squared(units, ranks)
     group_of = dict(zip(units, groups, strict=True))
