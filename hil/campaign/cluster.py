@@ -102,7 +102,10 @@ def perform_on_worker(name: str, job: Job) -> Answer | None:
     after another scheduler has come."""
     worker = distributed.get_worker()
     processes = worker.plugins.get(name)
-    return processes.perform(job, f"{socket.gethostname()} {worker.name}") if processes is not None else None
+    if processes is None:
+        return None
+    assert isinstance(processes, RunProcesses)
+    return processes.perform(job, f"{socket.gethostname()} {worker.name}")
 
 
 class Place(NamedTuple):

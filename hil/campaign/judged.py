@@ -252,8 +252,8 @@ def judge(folder: Path) -> Judged:
 def _judged(row: Row) -> dict[str, Any]:
     """Return a row as it is judged: without figures when its run did not come to its end, for to stop early is no merit
     and makes effort and overshoot less."""
-    missing = dict.fromkeys(FIGURES)
-    return missing | row if row["outcome"] in (PASSED, FAILED) else {**row, **missing}
+    missing: dict[str, Any] = dict.fromkeys(FIGURES)
+    return {**missing, **row} if row["outcome"] in (PASSED, FAILED) else {**row, **missing}
 
 
 def percent(share: Interval) -> str:

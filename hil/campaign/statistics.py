@@ -51,7 +51,7 @@ def paired_difference(units: Sequence[object], differences: Series, seed: int = 
 
     ``units`` names the unit of each difference: what was drawn once for several pairs is one, for these repeat each
     other and are no further evidence. Each unit counts as the mean of its pairs. Of few units there is no interval.
-    Percentiles are expanded (Hesterberg 2015, "What Teachers Should Know About the Bootstrap", section 3.5): the plain
+    Percentiles are expanded (Hesterberg 2015, "What Teachers Should Know About the Bootstrap"): the plain
     ones of ten units hold the mean 89 times of 100.
     """
     means = unit_means(units, differences)
