@@ -256,6 +256,10 @@ def test_what_stands_behind_a_link_is_asked_for_what_it_cannot_do_before_anythin
         assert isinstance(done.exception, BadInputError)
         assert sentence in str(done.exception)
     assert Campaign(plan, allow_motion=True).on_bench
+    bench = write_plan(tmp_path, 'keep = "none"', f"{url}{odometry}", name="bench.toml")
+    for more in ([], ["--scheduler", "tcp://127.0.0.1:1"]):  # one run at a time needs no --workers 1
+        dry = json.loads(in_process("campaign", bench, "--dry-run", "--json", "--out", tmp_path / "out", *more))
+        assert dry["workers"] == 1
     fixes = 'loop.mode = "realtime"\nestimator.source = "fused"\nestimator.fix = "udp://127.0.0.1:5000"'
     plan = write_plan(tmp_path, 'keep = "none"', fixes)
     done = CliRunner().invoke(app, ["campaign", str(plan), "--dry-run", "--workers", "2"])

@@ -159,6 +159,11 @@ class Campaign:
             yield from self._perform([run for run in self.runs if run.key not in there], dataset, how)
             yield from self._record_worst(dataset, how)
 
+    @property
+    def records_worst(self) -> bool:
+        """Whether the worst are run once more at the end: with all rows there it may not be done."""
+        return isinstance(self.plan.tables.keep, KeepTable)
+
     def left(self, folder: Path, redo: Collection[str] = ()) -> int:
         """Return how many runs ``perform`` would do in a folder, which need not be there. Raises BadInputError as it
         does."""

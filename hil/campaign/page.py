@@ -67,9 +67,9 @@ def _reasons(judged: Judged) -> Iterator[str]:
 def _rates(judged: Judged) -> Iterator[str]:
     yield "<h2>Pass rates</h2>"
     yield (
-        '<p class="about">Of all runs that are done, and of those with one value of an axis. Wilson\'s interval takes runs for independent: '
-        "where several share a draw or a seed, as under several laws, it is too narrow. Intervals on this "
-        "page are of 95 %: were the campaign done again with other draws, 19 of 20 such "
+        '<p class="about">Of all runs that are done, and of those with one value of an axis. The interval takes runs '
+        "for independent: where several share a draw or a seed, as under several laws, it is too narrow. Intervals on "
+        "this page are of 95 %: were the campaign done again with other draws, 19 of 20 such "
         "intervals would hold the true value.</p>"
     )
     rows = [

@@ -76,7 +76,9 @@ def run(
             check_address(scheduler)
         campaign = Campaign(plan, allow_motion=allow_motion)
         folder = out if out is not None else Path("runs") / campaign.plan.name
-        count = workers or (1 if campaign.in_real_time else os.cpu_count() or 1)
+        # Of an existing cluster nobody knows here how many there are: an estimate is for one of its workers.
+        is_one = scheduler is not None or campaign.in_real_time or campaign.on_bench
+        count = workers or (1 if is_one else os.cpu_count() or 1)
         if campaign.on_bench and count > 1:
             raise BadInputError(
                 f"--workers {count}: there is one bench behind its link or its pose fixes, and one run at a time on it"
@@ -159,7 +161,7 @@ def _perform(
     if shown and progress is not None:
         progress.end()
     done = outcomes.total()
-    if stop.is_wanted() and done < len(campaign.runs):
+    if stop.is_wanted() and (done < len(campaign.runs) or campaign.records_worst):
         raise RunInterruptedError(
             f"interrupted; {done} of {len(campaign.runs)} runs are done and safe in {folder}; the same command goes on"
         )
