@@ -2,36 +2,40 @@
 
 The controllers know none of our states, so the session is kept here: nothing is sent but questions before the robot is
 armed, ramping down is done here, and an error, or a controller that leaves closed loop by itself, stops all of them. A
-stop is owed until it went out whole and all wheels were seen at rest: until then it is repeated.
+stop is owed until it went out whole and all wheels were seen at rest: until then it is repeated, and no state is told
+that it has not brought about.
 """
 
+import contextlib
 import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated.messages import State
-from hil.devices.angles import Angles
 from hil.devices.handshake import RETRY_NS, SILENCE_NS
 from hil.devices.link_times import ClockSync, RoundTrip
+from hil.devices.makers_feedback import MotorFeedback
 from hil.devices.makers_report import MakersReport, MotorsInfo
-from hil.devices.motor_stop import REST, MotorStop, StopTerms
-from hil.devices.robot_report import Health
+from hil.devices.motor_stop import REPEAT_NS, REST, MotorStop, StopTerms
 from hil.devices.snapshot import Feedback
+from hil.devices.unasked import UnaskedMotion
 from hil.devices.unread import Unread
 from hil.devices.wheel_map import WheelMap
 from hil.devices.wire_hash import WireHash
 from hil.dialects.port import Driver
-from hil.errors import BadInputError, DeviceError, HilError
+from hil.errors import BadInputError, DeviceError, HilError, LinkError
 from hil.links.delay import DelayedLink
 from hil.ports import Clock
-from hil.types import CommandMode, FourWheels, WheelCommand, Wheels
+from hil.types import CommandMode, FourWheels, WheelCommand
 
 _MOST_A_POLL = 5000  # frames; four controllers at 1 kHz send forty in 10 ms
 _START_LIMIT_NS = 4_000_000_000
 _QUESTION_NS = 1_000_000
 _GUARDED_NS = 1_000_000_000
-_AGE_UNKNOWN_MS = 255  # as TICK.command_age_ms: this and more
+_ASK_NS = 20_000_000  # those that speak only when spoken to are lost after 250 ms, and some are asked in turn
+_SETTLE_NS = 300_000_000  # heartbeats with errors come ten times a second, as some makers set them
+_LINGER = 10  # repetitions of a stop that is owed at the end
 
 
 class Terms(NamedTuple):
@@ -63,15 +67,18 @@ class MakersRobot:
         self._state = State.IDLE
         self._sequence = 0
         self._commanded: FourWheels = REST
-        self._feedback: Feedback | None = None
-        self._angles = Angles(terms.counts_per_revolution)
-        self._was_armed = False  # ever, by this host: only then is there something to stop
+        self._feedback = MotorFeedback(driver, wheel_map, terms.counts_per_revolution)
         self._stop = MotorStop(driver, terms.stop, link, self._send)
+        self._is_greeted = False
+        self._has_armed = False  # ever
+        self._has_lingered = False
         self._ask_again_ns = 0
+        self._settled_ns = 0
         self._unread = Unread()
+        self._unasked = UnaskedMotion()
         self._guarded_until_ns = 0
         self._hash = WireHash(wide=True)
-        self.report = MakersReport()
+        self.report = MakersReport(self._feedback)
         self.round_trip = RoundTrip()
         self.clock_sync = ClockSync()
         self.tick = 0
@@ -116,9 +123,9 @@ class MakersRobot:
     # Coming back after a loss
 
     def leave(self) -> None:
-        if self._was_armed:
-            self._drop(State.IDLE)
-        self._feedback = None
+        if self._stop.is_needed:
+            self._drop(State.STOPPING)
+        self._feedback.forget()
         self._unread.forget()
         self._link.discard()
 
@@ -126,11 +133,11 @@ class MakersRobot:
         self._link.reopen()
 
     def begin_again(self) -> None:
-        if self._was_armed:  # whoever is there may be driving still, on the last command of before the loss
-            self._drop(State.IDLE)
-        self._feedback = None
-        self._angles.restart()
-        self._driver.restart()
+        self._is_greeted = False
+        self._feedback.restart()
+        self._driver.restart()  # first, for what was heard before says nothing of what a stop may do now
+        if self._stop.is_needed:  # whoever is there may be driving still, on the last command of before the loss
+            self._drop(State.STOPPING)
         self._ask_again_ns = self._clock.now_ns()
 
     def greeted(self) -> bool:
@@ -140,7 +147,7 @@ class MakersRobot:
             )
         now_ns = self._clock.now_ns()
         self._take_frames()
-        self._stop.repeat(now_ns)
+        self._repeat_stop(now_ns)
         words = self._driver.identity
         if words is None:
             if now_ns >= self._ask_again_ns:
@@ -153,6 +160,7 @@ class MakersRobot:
                 "one, or start a new run"
             )
         self._info = MotorsInfo(words)
+        self._is_greeted = True
         return True
 
     # The way to ACTIVE and back
@@ -183,19 +191,25 @@ class MakersRobot:
             raise DeviceError(self.why_not_active())
         if self._info is None or self._state is State.STOPPING:
             return False
+        if not self._terms.is_guarded():
+            raise DeviceError(
+                "the guardian was killed, which would stop the robot if this process were: nothing is armed without "
+                "it; start this program anew (GUARDIAN.md)"
+            )
         now_ns = self._clock.now_ns()
         self._state = State.ARMED
-        self._was_armed = True
+        self._has_armed = True
+        self._has_lingered = False
         self._stop.armed()
         self._send(self._driver.arm(now_ns))
-        if not self._driver.is_armed:
+        if not self._driver.is_armed or not self._feedback.is_fresh(now_ns, self._terms.stop.stale_s):
             return False
         self._send(self._driver.command(REST, REST, now_ns))
         self._commanded = REST
         self.report.why = None
         self._state = State.ACTIVE
         self._renew()
-        return self._feedback is not None
+        return self._feedback.newest is not None
 
     def why_not_active(self) -> str:
         if self._state is State.ESTOP:
@@ -205,8 +219,13 @@ class MakersRobot:
                 f"the motor controllers reported {self.report.why}; find the cause, then clear it with their maker's "
                 "tool, or with hil serve and hil ctl clear"
             )
-        if self._feedback is None:
+        if self._feedback.newest is None:
             return self._driver.missing or "the motor controllers send no feedback of all four wheels"
+        if not self._feedback.is_fresh(self._clock.now_ns(), self._terms.stop.stale_s):
+            return (
+                f"the speed of a wheel is older than the {self._terms.stop.stale_s:g} s of firmware.watchdog_s; look "
+                "at the rate of the controllers' feedback, and whether all four send it"
+            )
         return "the motor controllers did not go into closed loop within 4 s; look at them with their maker's tool"
 
     def disarm(self) -> None:
@@ -225,7 +244,9 @@ class MakersRobot:
         self._send(self._driver.clear())
         if self._state in (State.ESTOP, State.FAULT):
             self._stop.clear()
-            self._state = State.IDLE  # errors that are still there make it FAULT again at the next poll
+            # Errors that are still there are told anew before this has passed, and make it FAULT again.
+            self._settled_ns = self._clock.now_ns() + _SETTLE_NS
+            self._state = State.STOPPING
 
     def stop(self, period_ns: int, limit_ns: int) -> bool:
         self.disarm()
@@ -235,10 +256,13 @@ class MakersRobot:
             while n * period_ns <= limit_ns:
                 self.wait_until(begin_ns + n * period_ns)
                 feedback = self.poll()
-                if feedback is not None and self._state in (State.IDLE, State.FAULT, State.ESTOP):
+                is_over = self._state in (State.IDLE, State.FAULT, State.ESTOP) and self._stop.is_told
+                if feedback is not None and is_over:
                     self.wait_until(begin_ns + (n + 1) * period_ns)  # so that the last frames get there
                     return True
                 n += 1
+            if self.report.trouble is not None:
+                raise LinkError(self.report.trouble)
             return False
         finally:
             self.close()
@@ -264,9 +288,11 @@ class MakersRobot:
             self._drop(State.FAULT)
             raise
         self._hash.keep_up()
-        self._stop.repeat(self._clock.now_ns())
+        now_ns = self._clock.now_ns()
+        self._repeat_stop(now_ns)
+        self._ask(now_ns)
         self._renew()
-        return self._feedback
+        return self._feedback.newest
 
     def _supervise(self) -> None:
         """Find out what ends the session, and go on with a stop."""
@@ -282,8 +308,30 @@ class MakersRobot:
         elif is_active and not self._is_guarded():
             self.report.why = "the guardian was killed, which would stop it if this process were; see GUARDIAN.md"
             self._drop(State.STOPPING)
-        elif self._state is State.STOPPING and self._stop.go_on(self._clock.now_ns()):
-            self._state = State.IDLE
+        elif self._state is State.STOPPING:
+            now_ns = self._clock.now_ns()
+            if self._stop.go_on(now_ns) and now_ns >= self._settled_ns:
+                self._state = State.IDLE
+
+    def _repeat_stop(self, now_ns: int) -> None:
+        """Repeat a stop that is owed, and tell what a person has to know."""
+        self._stop.repeat(now_ns)
+        is_strange = self._state is State.IDLE and not self._has_armed and self._driver.capabilities.watchdog == "none"
+        is_unasked = self._unasked.lasts(self._driver.sample if is_strange else None)
+        self.report.trouble = None
+        if self._stop.problem is not None:
+            self.report.trouble = f"the stop could not be sent: {self._stop.problem}"
+        elif is_unasked:
+            self.report.trouble = "the wheels turn, and not by us: an e-stop stops them"
+
+    def _ask(self, now_ns: int) -> None:
+        """Ask for the state while nothing is commanded: many speak only when they are spoken to."""
+        if not self._is_greeted or self._state in (State.ARMED, State.ACTIVE) or now_ns < self._ask_again_ns:
+            return
+        self._ask_again_ns = now_ns + _ASK_NS
+        # While a stop is owed it goes the same way, and tells what became of it.
+        with contextlib.suppress(*(LinkError,) if self._stop.is_owed else ()):
+            self._send(self._driver.ask())
 
     @property
     def unread_ns(self) -> int:
@@ -291,7 +339,7 @@ class MakersRobot:
 
     @property
     def feedback(self) -> Feedback | None:
-        return self._feedback
+        return self._feedback.newest
 
     def send(self, command: WheelCommand) -> int:
         self._sequence = (self._sequence + 1) & 0xFF
@@ -316,19 +364,25 @@ class MakersRobot:
         self._send(self._driver.command(speed_rad_s, torque_n_m, self._clock.now_ns()))
 
     def _drop(self, state: State) -> None:
-        """Leave closed loop, at best effort; what is latched stays so."""
+        """Leave closed loop, at best effort; what is latched stays so.
+
+        But for an e-stop nothing is sent to motors that were not armed from here: others may be driving them.
+        """
         self._commanded = REST
         if self._state is not State.ESTOP and (self._state is not State.FAULT or state is State.ESTOP):
             self._state = state
-        self._stop.leave_loop(self._clock.now_ns(), latched=self._state is State.ESTOP)
+        if state is State.ESTOP or self._stop.is_needed:
+            self._stop.leave_loop(self._clock.now_ns(), latched=self._state is State.ESTOP)
 
     def _is_guarded(self) -> bool:
         """Ask once a second: it costs a system call."""
         now_ns = self._clock.now_ns()
         if now_ns < self._guarded_until_ns:
             return True
+        if not self._terms.is_guarded():
+            return False
         self._guarded_until_ns = now_ns + _GUARDED_NS
-        return self._terms.is_guarded()
+        return True
 
     # Frames
 
@@ -350,26 +404,9 @@ class MakersRobot:
             self._unread.polled(self._clock.now_ns(), everything=taken < _MOST_A_POLL)
 
     def _renew(self) -> None:
-        """Make feedback of the newest sample. Its time is that of the oldest speed, by the clock of the run."""
-        sample = self._driver.sample
-        if sample is None:
-            return
-        self.report.health = Health(
-            sample.battery_v, sample.battery_a, self._map.temperatures_from_wire(Wheels(*sample.temperature_degc))
-        )
-        self._feedback = self._map.feedback_from_wire(
-            Feedback(
-                sample.stamp_ns,
-                self._state,
-                self._sequence,
-                _AGE_UNKNOWN_MS,
-                self._angles.take(sample),
-                Wheels(*sample.speed_rad_s),
-                Wheels(*sample.current_a),
-                sample.acceleration_m_s2,
-                sample.yaw_rate_rad_s,
-            )
-        )
+        """Make feedback of what was heard. An e-stop is told when it went out whole: that is what confirms it."""
+        is_out = self._state is not State.ESTOP or self._stop.is_told
+        self._feedback.renew(self._state if is_out else State.STOPPING, self._sequence)
 
     # Accounts
 
@@ -384,8 +421,19 @@ class MakersRobot:
         return {cause: count for cause, count in self._link.rejected().items() if count}
 
     def close(self) -> None:
-        if self._state in (State.ARMED, State.ACTIVE, State.STOPPING) or not self._stop.is_told:
-            self._drop(State.IDLE)
+        if not self._stop.is_needed:
+            return
+        self._drop(State.STOPPING)
+        if self._has_lingered:
+            return
+        self._has_lingered = True
+        begin_ns = self._clock.now_ns()
+        for n in range(1, _LINGER + 1):  # the only one may be lost, and nobody comes after us
+            with contextlib.suppress(HilError):
+                self.wait_until(begin_ns + n * REPEAT_NS)
+                self.poll()
+            if not self._stop.is_owed:
+                return
 
     @property
     def is_told_to_stop(self) -> bool:

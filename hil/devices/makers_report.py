@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 from firmware_protocol.generated.messages import State
+from hil.devices.makers_feedback import MotorFeedback
 from hil.devices.robot_report import Health
 
 
@@ -20,9 +21,15 @@ class MotorsInfo(NamedTuple):
 class MakersReport:
     """What the controllers tell beside the feedback."""
 
-    def __init__(self) -> None:
-        self.health = Health()
+    def __init__(self, feedback: MotorFeedback) -> None:
+        self._feedback = feedback
         self.why: str | None = None  # they stopped, None where nothing but the host did
+        self.trouble: str | None = None
+
+    @property
+    def health(self) -> Health:
+        """What they say of the battery and the motors."""
+        return self._feedback.health
 
     def stop_reason(self) -> str:
         """Return why the robot last stopped."""

@@ -39,6 +39,10 @@ class Told(Protocol):
     def knows_no_reason(self) -> bool:
         """Whether it says that nothing has stopped it."""
 
+    @property
+    def trouble(self) -> str | None:
+        """What a person has to know now, such as that a stop could not be sent; None while there is nothing."""
+
 
 class Device(Protocol):
     """A robot at the other end of a link; states are those of our own protocol (PROTOCOL.md, "States").

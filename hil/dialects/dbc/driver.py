@@ -96,7 +96,7 @@ class DbcDriver:
     # A session
 
     def ask(self) -> Sequence[Frame]:
-        return self._all_of("ask")
+        return self._all_of("ask") if self.missing else ()
 
     @property
     def identity(self) -> str | None:
