@@ -67,7 +67,7 @@ class MakersRobot:
         self._state = State.IDLE
         self._sequence = 0
         self._commanded: FourWheels = REST
-        self._feedback = MotorFeedback(driver, wheel_map, terms.counts_per_revolution)
+        self._feedback = MotorFeedback(driver, wheel_map, terms.counts_per_revolution, terms.stop.stale_s)
         self._stop = MotorStop(driver, terms.stop, link, self._send)
         self._is_greeted = False
         self._has_armed = False  # ever
@@ -202,7 +202,7 @@ class MakersRobot:
         self._has_lingered = False
         self._stop.armed()
         self._send(self._driver.arm(now_ns))
-        if not self._driver.is_armed or not self._feedback.is_fresh(now_ns, self._terms.stop.stale_s):
+        if not self._driver.is_armed or not self._feedback.is_fresh(now_ns):
             return False
         self._send(self._driver.command(REST, REST, now_ns))
         self._commanded = REST
@@ -219,12 +219,10 @@ class MakersRobot:
                 f"the motor controllers reported {self.report.why}; find the cause, then clear it with their maker's "
                 "tool, or with hil serve and hil ctl clear"
             )
-        if self._feedback.newest is None:
-            return self._driver.missing or "the motor controllers send no feedback of all four wheels"
-        if not self._feedback.is_fresh(self._clock.now_ns(), self._terms.stop.stale_s):
-            return (
-                f"the speed of a wheel is older than the {self._terms.stop.stale_s:g} s of firmware.watchdog_s; look "
-                "at the rate of the controllers' feedback, and whether all four send it"
+        if not self._feedback.is_fresh(self._clock.now_ns()):
+            return self._driver.missing or (
+                "the motor controllers send no feedback of all four wheels that is younger than the "
+                f"{self._terms.stop.stale_s:g} s of firmware.watchdog_s; look at its rate, and whether all four send it"
             )
         return "the motor controllers did not go into closed loop within 4 s; look at them with their maker's tool"
 
@@ -406,7 +404,7 @@ class MakersRobot:
     def _renew(self) -> None:
         """Make feedback of what was heard. An e-stop is told when it went out whole: that is what confirms it."""
         is_out = self._state is not State.ESTOP or self._stop.is_told
-        self._feedback.renew(self._state if is_out else State.STOPPING, self._sequence)
+        self._feedback.renew(self._clock.now_ns(), self._state if is_out else State.STOPPING, self._sequence)
 
     # Accounts
 

@@ -140,7 +140,10 @@ class MotorStop:
         self._tell_again_ns = now_ns + REPEAT_NS
         self.is_told, self.problem = False, None
         interrupt: KeyboardInterrupt | None = None
-        steps: list[Callable[[], None]] = [*(functools.partial(self._send, [frame]) for frame in frames), self._line.flush]
+        steps: list[Callable[[], None]] = [
+            *(functools.partial(self._send, [frame]) for frame in frames),
+            self._line.flush,
+        ]
         while steps:
             try:
                 steps[0]()

@@ -96,9 +96,10 @@ class Sample(NamedTuple):
 class Driver(Protocol):
     """Drives four motors, or a base, of one maker.
 
-    The order of a session: ``ask`` until ``identity`` is known, and then while nothing is commanded, ``arm`` once a tick
-    until ``is_armed``, ``command`` once a tick, ``disarm``. ``feed`` takes all that arrives, at any time. Nothing but ``arm`` may lead to motion, and
-    ``arm`` itself asks for standstill.
+    The order of a session: ``ask`` until ``identity`` is known, and then while nothing is commanded; ``arm`` once a
+    tick until ``is_armed``, ``command`` once a tick, ``disarm``. ``feed`` takes all that arrives, at any time. Nothing
+    but ``arm`` may lead to motion, and ``arm`` itself asks for standstill. How old speeds may be to arm by is not the
+    driver's business.
     """
 
     @property
