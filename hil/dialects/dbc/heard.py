@@ -108,17 +108,20 @@ class Heard:
         self._errors = [(self._place(one.signal), one) for one in plan.errors]
         watched = _hearings([place for place, _ in chain(self._armed_when, self._errors)])
         self._watched = [(one, one.late_ns) for one in watched if one.late_ns is not None]
+        self._states = {one.message.id for one in watched}
         read = plan.watchdog.read
         self._watchdog = None if read is None else self._place(read.signal, gain(read))
         self._measured = _hearings(self._quantities[plan.measured])
         self._positions = [one for one in _hearings(self._quantities.get("position", ())) if one not in self._measured]
 
-    def feed(self, identifier: int, payload: bytes, stamp_ns: int) -> None:
-        """Take a frame's payload; one of no message of the mapping changes nothing."""
+    def feed(self, identifier: int, payload: bytes, stamp_ns: int) -> bool:
+        """Take a frame's payload, and tell whether it has states or errors; one of no message changes nothing."""
         hearing = self._by_id.get(identifier)
-        if hearing is not None:
-            self._now_ns = max(self._now_ns, stamp_ns)
-            hearing.feed(payload, stamp_ns)
+        if hearing is None:
+            return False
+        self._now_ns = max(self._now_ns, stamp_ns)
+        hearing.feed(payload, stamp_ns)
+        return identifier in self._states
 
     def _place(self, signal: Signal, gain: float | None = None) -> Place:
         """Have a signal read, raw without a gain: what is compared must not be rounded."""
@@ -188,9 +191,12 @@ class Heard:
             if place.hearing.stamp_ns is not None and place.value not in error.none
         ]
 
-    def watchdog_s(self) -> float:
-        """Return the time that the watchdog was read back with, NaN before it was."""
-        return NAN if self._watchdog is None else self._watchdog.value
+    def watchdog_s(self, since_ns: int) -> float:
+        """Return the time that the watchdog was read back with; NaN where that was not after an instant, or of late."""
+        place = self._watchdog
+        if place is None or place.hearing.stamp_ns is None or place.hearing.stamp_ns <= since_ns:
+            return NAN
+        return NAN if place.hearing.is_silent(self._now_ns) else place.value
 
 
 def _hearings(places: Sequence[Place]) -> list[Hearing]:
