@@ -242,7 +242,7 @@ class MakersRobot:
         self._send(self._driver.clear())
         if self._state in (State.ESTOP, State.FAULT):
             self._stop.clear()
-            # Errors that are still there are told anew before this has passed, and make it FAULT again.
+            # What is heard before this has passed may be of before; errors that are still there make it FAULT again.
             self._settled_ns = self._clock.now_ns() + _SETTLE_NS
             self._state = State.STOPPING
 
@@ -294,6 +294,9 @@ class MakersRobot:
 
     def _supervise(self) -> None:
         """Find out what ends the session, and go on with a stop."""
+        now_ns = self._clock.now_ns()
+        if self._state is State.STOPPING and now_ns < self._settled_ns:
+            return
         is_active = self._state is State.ACTIVE
         if errors := self._driver.errors:
             if self._state is not State.ESTOP:
@@ -306,10 +309,8 @@ class MakersRobot:
         elif is_active and not self._is_guarded():
             self.report.why = "the guardian was killed, which would stop it if this process were; see GUARDIAN.md"
             self._drop(State.STOPPING)
-        elif self._state is State.STOPPING:
-            now_ns = self._clock.now_ns()
-            if self._stop.go_on(now_ns) and now_ns >= self._settled_ns:
-                self._state = State.IDLE
+        elif self._state is State.STOPPING and self._stop.go_on(now_ns):
+            self._state = State.IDLE
 
     def _repeat_stop(self, now_ns: int) -> None:
         """Repeat a stop that is owed, and tell what a person has to know."""
