@@ -117,8 +117,10 @@ def test_a_run_whose_stop_did_not_go_out_says_so() -> None:
         bench.connect()
         bench.device.start(bench.clock, PERIOD_NS)
         drive(bench, 5)
-        with nothing_goes_out(bench), pytest.raises(LinkError, match="queue stays full"):
-            bench.device.stop(PERIOD_NS, 5_000_000_000)
+        with nothing_goes_out(bench):
+            bench.device.estop()
+            with pytest.raises(LinkError, match="the stop could not be sent: the transmit queue stays full"):
+                bench.device.stop(PERIOD_NS, 500_000_000)
 
 
 class LosesTheFirstStop(EmulatedC620):
@@ -254,6 +256,7 @@ def test_a_host_that_has_armed_nothing_leaves_motors_in_error_alone() -> None:
         for _ in range(2):
             with pytest.raises(DeviceError, match="is in mode 11, position timeout"):
                 bench.device.start(bench.clock, PERIOD_NS)
+            let_pass(bench, 0.1)
             assert [servo.mode for servo in servos] == [11] * 4
 
 
