@@ -45,7 +45,7 @@ def nothing_goes_out(bench: Bench) -> Iterator[None]:
         raise LinkError("the transmit queue stays full")
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(robot_of(bench)._link, "send", send)
+        patch.setattr(robot_of(bench)._line._link, "send", send)
         yield
 
 
@@ -166,7 +166,7 @@ def test_a_stop_goes_out_however_often_ctrl_c_is_pressed(monkeypatch: pytest.Mon
         bench.connect()
         bench.device.start(bench.clock, PERIOD_NS)
         drive(bench, 20)
-        link = robot_of(bench)._link
+        link = robot_of(bench)._line._link
         send, left = link.send, [presses]
 
         def interrupted(frame: Frame) -> None:

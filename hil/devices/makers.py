@@ -11,25 +11,21 @@ import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from firmware_protocol.framing import Frame
 from firmware_protocol.generated.messages import State
 from hil.devices.handshake import RETRY_NS, SILENCE_NS
 from hil.devices.link_times import ClockSync, RoundTrip
 from hil.devices.makers_feedback import MotorFeedback
 from hil.devices.makers_report import MakersReport, MotorsInfo
+from hil.devices.motor_line import MotorLine
 from hil.devices.motor_stop import REPEAT_NS, REST, MotorStop, StopTerms
 from hil.devices.snapshot import Feedback
-from hil.devices.unasked import UnaskedMotion
-from hil.devices.unread import Unread
 from hil.devices.wheel_map import WheelMap
-from hil.devices.wire_hash import WireHash
 from hil.dialects.port import Driver
 from hil.errors import BadInputError, DeviceError, HilError, LinkError
 from hil.links.delay import DelayedLink
 from hil.ports import Clock
 from hil.types import CommandMode, FourWheels, WheelCommand
 
-_MOST_A_POLL = 5000  # frames; four controllers at 1 kHz send forty in 10 ms
 _START_LIMIT_NS = 4_000_000_000
 _QUESTION_NS = 1_000_000
 _GUARDED_NS = 1_000_000_000
@@ -58,7 +54,7 @@ class MakersRobot:
     """See ``hil.devices.port.Device``. Raises nothing when it is made; ``connect`` is the first to speak."""
 
     def __init__(self, link: DelayedLink, clock: Clock, driver: Driver, wheel_map: WheelMap, terms: Terms) -> None:
-        self._link = link
+        self._line = MotorLine(link, driver, is_lockstep=terms.advance is not None)
         self._clock = clock
         self._driver = driver
         self._map = wheel_map
@@ -68,22 +64,17 @@ class MakersRobot:
         self._sequence = 0
         self._commanded: FourWheels = REST
         self._feedback = MotorFeedback(driver, wheel_map, terms.counts_per_revolution, terms.stop.stale_s)
-        self._stop = MotorStop(driver, terms.stop, link, self._send)
+        self._stop = MotorStop(driver, terms.stop, self._line)
         self._is_greeted = False
         self._has_armed = False  # ever
         self._has_lingered = False
         self._ask_again_ns = 0
         self._settled_ns = 0
-        self._unread = Unread()
-        self._unasked = UnaskedMotion()
         self._guarded_until_ns = 0
-        self._hash = WireHash(wide=True)
         self.report = MakersReport(self._feedback)
         self.round_trip = RoundTrip()
         self.clock_sync = ClockSync()
         self.tick = 0
-        self.sent = 0
-        self.received = 0
 
     # Connecting
 
@@ -97,7 +88,7 @@ class MakersRobot:
         while not self.greeted():
             n += 1
             if n * _QUESTION_NS > SILENCE_NS:
-                raise DeviceError(f"{self._driver.missing} ({self._link.describe()})")
+                raise DeviceError(f"{self._driver.missing} ({self._line.describe()})")
             self.wait_until(begin_ns + n * _QUESTION_NS)
         assert self._info is not None
         return self._info
@@ -118,7 +109,7 @@ class MakersRobot:
         )
 
     def describe_link(self) -> str:
-        return self._link.describe()
+        return self._line.describe()
 
     # Coming back after a loss
 
@@ -126,11 +117,10 @@ class MakersRobot:
         if self._stop.is_needed:
             self._drop(State.STOPPING)
         self._feedback.forget()
-        self._unread.forget()
-        self._link.discard()
+        self._line.discard()
 
     def reopen(self) -> None:
-        self._link.reopen()
+        self._line.reopen()
 
     def begin_again(self) -> None:
         self._is_greeted = False
@@ -146,13 +136,13 @@ class MakersRobot:
                 "the robot has motor controllers: real motors would move; add --allow-motion when it may move"
             )
         now_ns = self._clock.now_ns()
-        self._take_frames()
+        self._line.take(self._clock)
         self._repeat_stop(now_ns)
         words = self._driver.identity
         if words is None:
             if now_ns >= self._ask_again_ns:
                 self._ask_again_ns = now_ns + RETRY_NS
-                self._send(self._driver.ask())
+                self._line.send(self._driver.ask())
             return False
         if self._info is not None and self._info.words != words:
             raise BadInputError(
@@ -201,10 +191,10 @@ class MakersRobot:
         self._has_armed = True
         self._has_lingered = False
         self._stop.armed()
-        self._send(self._driver.arm(now_ns))
+        self._line.send(self._driver.arm(now_ns))
         if not self._driver.is_armed or not self._feedback.is_fresh(now_ns):
             return False
-        self._send(self._driver.command(REST, REST, now_ns))
+        self._line.send(self._driver.command(REST, REST, now_ns))
         self._commanded = REST
         self.report.why = None
         self._state = State.ACTIVE
@@ -239,7 +229,7 @@ class MakersRobot:
             self._renew()
 
     def clear(self) -> None:
-        self._send(self._driver.clear())
+        self._line.send(self._driver.clear())
         if self._state in (State.ESTOP, State.FAULT):
             self._stop.clear()
             # What is heard before this has passed may be of before; errors that are still there make it FAULT again.
@@ -268,16 +258,11 @@ class MakersRobot:
     # One tick
 
     def wait_until(self, t_ns: int) -> int:
-        link = self._link
-        link.hand_over_until(self._clock, t_ns)
-        late_ns = self._clock.wait_until(t_ns)
-        if link.may_hold:
-            link.service()
-        return late_ns
+        return self._line.wait_until(self._clock, t_ns)
 
     def poll(self) -> Feedback | None:
         try:
-            self._take_frames()
+            self._line.take(self._clock)
             self._supervise()
         except HilError:
             raise
@@ -285,7 +270,6 @@ class MakersRobot:
             self.report.why = "a failure of its driver"
             self._drop(State.FAULT)
             raise
-        self._hash.keep_up()
         now_ns = self._clock.now_ns()
         self._repeat_stop(now_ns)
         self._ask(now_ns)
@@ -316,25 +300,21 @@ class MakersRobot:
         """Repeat a stop that is owed, and tell what a person has to know."""
         self._stop.repeat(now_ns)
         is_strange = self._state is State.IDLE and not self._has_armed and self._driver.capabilities.watchdog == "none"
-        is_unasked = self._unasked.lasts(self._driver.sample if is_strange else None)
-        self.report.trouble = None
-        if self._stop.problem is not None:
-            self.report.trouble = f"the stop could not be sent: {self._stop.problem}"
-        elif is_unasked:
-            self.report.trouble = "the wheels turn, and not by us: an e-stop stops them"
+        self.report.look(self._stop.problem, self._driver.sample if is_strange else None)
 
     def _ask(self, now_ns: int) -> None:
         """Ask for the state while nothing is commanded: many speak only when they are spoken to."""
-        if not self._is_greeted or self._state in (State.ARMED, State.ACTIVE) or now_ns < self._ask_again_ns:
+        is_commanded = self._state in (State.ARMED, State.ACTIVE) or self._stop.is_ramping
+        if not self._is_greeted or is_commanded or now_ns < self._ask_again_ns:
             return
         self._ask_again_ns = now_ns + _ASK_NS
         # While a stop is owed it goes the same way, and tells what became of it.
         with contextlib.suppress(*(LinkError,) if self._stop.is_owed else ()):
-            self._send(self._driver.ask())
+            self._line.send(self._driver.ask())
 
     @property
     def unread_ns(self) -> int:
-        return self._unread.ns
+        return self._line.unread_ns
 
     @property
     def feedback(self) -> Feedback | None:
@@ -360,7 +340,7 @@ class MakersRobot:
         elif not all(map(math.isfinite, speed_rad_s)):
             raise ValueError(f"speeds {speed_rad_s} rad/s: expected finite numbers")
         self._commanded = speed_rad_s
-        self._send(self._driver.command(speed_rad_s, torque_n_m, self._clock.now_ns()))
+        self._line.send(self._driver.command(speed_rad_s, torque_n_m, self._clock.now_ns()))
 
     def _drop(self, state: State) -> None:
         """Leave closed loop, at best effort; what is latched stays so.
@@ -383,25 +363,6 @@ class MakersRobot:
         self._guarded_until_ns = now_ns + _GUARDED_NS
         return True
 
-    # Frames
-
-    def _send(self, frames: Sequence[Frame]) -> None:
-        for frame in frames:
-            self._link.send(frame)
-            self._hash.sent(frame)
-            self.sent += 1
-
-    def _take_frames(self) -> None:
-        taken = 0
-        while (self.is_lockstep or taken < _MOST_A_POLL) and (received := self._link.receive(0)) is not None:
-            frame, stamp_ns = received
-            self._hash.received(frame)
-            self._driver.feed(frame, stamp_ns)
-            taken += 1
-        self.received += taken
-        if not self.is_lockstep:
-            self._unread.polled(self._clock.now_ns(), everything=taken < _MOST_A_POLL)
-
     def _renew(self) -> None:
         """Make feedback of what was heard. An e-stop is told when it went out whole: that is what confirms it."""
         is_out = self._state is not State.ESTOP or self._stop.is_told
@@ -409,15 +370,23 @@ class MakersRobot:
 
     # Accounts
 
+    @property
+    def sent(self) -> int:
+        return self._line.sent
+
+    @property
+    def received(self) -> int:
+        return self._line.received
+
     def wire_sha256(self) -> str:
-        return self._hash.hexdigest()
+        return self._line.wire_sha256()
 
     @property
     def snapshots_lost(self) -> int:
         return 0
 
     def rejected(self) -> dict[str, int]:
-        return {cause: count for cause, count in self._link.rejected().items() if count}
+        return self._line.rejected()
 
     def close(self) -> None:
         if not self._stop.is_needed:
@@ -430,7 +399,9 @@ class MakersRobot:
         for n in range(1, _LINGER + 1):  # the only one may be lost, and nobody comes after us
             with contextlib.suppress(HilError):
                 self.wait_until(begin_ns + n * REPEAT_NS)
+            with contextlib.suppress(HilError):
                 self.poll()
+            self._repeat_stop(self._clock.now_ns())  # whatever kept the others from it
             if not self._stop.is_owed:
                 return
 

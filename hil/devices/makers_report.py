@@ -5,6 +5,8 @@ from typing import NamedTuple
 from firmware_protocol.generated.messages import State
 from hil.devices.makers_feedback import MotorFeedback
 from hil.devices.robot_report import Health
+from hil.devices.unasked import UnaskedMotion
+from hil.dialects.port import Sample
 
 
 class MotorsInfo(NamedTuple):
@@ -25,6 +27,16 @@ class MakersReport:
         self._feedback = feedback
         self.why: str | None = None  # they stopped, None where nothing but the host did
         self.trouble: str | None = None
+        self._unasked = UnaskedMotion()
+
+    def look(self, stop_problem: str | None, sample: Sample | None) -> None:
+        """Find out what a person has to know now, by why a stop did not go out, and a sample of who should stand."""
+        is_unasked = self._unasked.lasts(sample)
+        self.trouble = None
+        if stop_problem is not None:
+            self.trouble = f"the stop could not be sent: {stop_problem}"
+        elif is_unasked:
+            self.trouble = "the wheels turn, and not by us: an e-stop stops them"
 
     @property
     def health(self) -> Health:

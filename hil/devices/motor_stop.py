@@ -27,24 +27,26 @@ class StopTerms(NamedTuple):
 
 
 class Line(Protocol):
-    """The part of a link that a stop needs."""
+    """The part of a line that a stop needs."""
+
+    def send(self, frames: Sequence[Frame]) -> None: ...
 
     def flush(self) -> None: ...
 
 
 class MotorStop:
-    """Sends what stops the motors, by ``send``; times are those of the run's clock.
+    """Sends what stops the motors; times are those of the run's clock.
 
     Attributes:
         is_told: whether the newest stop went out whole, or nothing was ever armed.
         problem: why the newest stop did not go out whole; None where it did.
     """
 
-    def __init__(self, driver: Driver, terms: StopTerms, line: Line, send: Callable[[Sequence[Frame]], None]) -> None:
+    def __init__(self, driver: Driver, terms: StopTerms, line: Line) -> None:
         self._driver = driver
         self._terms = terms
         self._line = line
-        self._send = send
+        self._send = line.send
         self._ramp: tuple[int, FourWheels] | None = None  # when it began, and from which speeds
         self._owed_since_ns: int | None = None
         self._told_at_rest = 0
@@ -52,6 +54,11 @@ class MotorStop:
         self._tell_again_ns = 0
         self.is_told = True
         self.problem: str | None = None
+
+    @property
+    def is_ramping(self) -> bool:
+        """Whether ``go_on`` still commands."""
+        return self._ramp is not None
 
     @property
     def is_owed(self) -> bool:

@@ -53,8 +53,6 @@ class Device(Protocol):
     round_trip: RoundTrip
     clock_sync: ClockSync
     tick: int
-    sent: int
-    received: int
 
     @property
     def report(self) -> Told:
@@ -149,6 +147,14 @@ class Device(Protocol):
         """Lockstep: let so many ticks of 1 ms pass, and take what the robot sends meanwhile."""
 
     # Accounts
+
+    @property
+    def sent(self) -> int:
+        """Frames that were sent so far."""
+
+    @property
+    def received(self) -> int:
+        """Frames that were received so far."""
 
     def wire_sha256(self) -> str:
         """Return the hash of every frame of the session, both directions, in order."""
