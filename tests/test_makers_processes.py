@@ -42,8 +42,12 @@ def assert_drove(figures: dict[str, Any]) -> None:
 
 
 def test_a_base_that_takes_twists_is_driven_over_a_pseudo_terminal() -> None:
+    """A fault of its plant begins by the plant's clock, and not by ours."""
+    push = 'fault=[{kind="push",target="force_x_n",start_s=0.2,end_s=0.3,value=1.0}]'
     with device(*ROSMASTER, "--dialect", "rosmaster", "--link", "serial:pty") as robot:
-        assert_drove(run_json(*ROSMASTER, *short("rosmaster", robot)))
+        figures = run_json(*ROSMASTER, *short("rosmaster", robot, push))
+    assert_drove(figures)
+    assert figures["fault"][0]["applied"] == 100
 
 
 def test_four_vescs_behind_one_line_are_driven_over_a_pseudo_terminal() -> None:
