@@ -87,27 +87,33 @@ def test_an_emergency_stop_that_did_not_go_out_is_neither_confirmed_nor_cleared_
     with driven() as bench:
         with nothing_goes_out(bench.bench):
             bench.pilot.estop()
-            bench.run(0.5)
+            bench.run(0.3)
             assert bench.pilot.estop_owed
             assert "the stop could not be sent: the transmit queue stays full" in str(bench.pilot.why)
-            assert bench.notes == ["the stop could not be sent: the transmit queue stays full"]
+            assert "the stop could not be sent: the transmit queue stays full" in bench.notes
             bench.pilot.clear()
             bench.run(0.5)
             assert bench.pilot.phase is Phase.ESTOP
             assert bench.last("robot.state") != State.ESTOP
+            bench.run(3.0)
+            assert bench.pilot.estop_owed
+            assert "the stop could not be sent" in str(bench.pilot.why)
             bench.pilot.estop()  # takes the clear back
+        bench.run_until(Phase.ESTOP)
         bench.run(0.5)
         assert not bench.pilot.estop_owed
-        assert bench.pilot.why == "an e-stop was asked for"
+        assert "could not be sent" not in str(bench.pilot.why)
         assert bench.last("robot.state") == State.ESTOP
 
 
 def test_a_robot_whose_stop_did_not_go_out_is_not_disarmed() -> None:
     with driven() as bench:
         with nothing_goes_out(bench.bench):
-            bench.run(2.0)
-            assert bench.pilot.phase in (Phase.AWAY, Phase.STOPPING)
-            assert "the stop could not be sent" in str(bench.pilot.why)
+            for _ in range(40):
+                bench.run(0.1)
+                assert bench.pilot.phase in (Phase.AWAY, Phase.STOPPING)
+                assert "the stop could not be sent" in str(bench.pilot.why)
+        assert bench.phases.count(Phase.AWAY) > 2, "the link is opened anew"
         bench.run_until(Phase.DISARMED)
         assert not node_of(bench.bench).is_driving
 

@@ -272,6 +272,7 @@ class MakersRobot:
             raise
         now_ns = self._clock.now_ns()
         self._repeat_stop(now_ns)
+        self._stop.raise_lost(now_ns)
         self._ask(now_ns)
         self._renew()
         return self._feedback.newest
@@ -297,8 +298,12 @@ class MakersRobot:
             self._state = State.IDLE
 
     def _repeat_stop(self, now_ns: int) -> None:
-        """Repeat a stop that is owed, and tell what a person has to know."""
+        """Repeat a stop that is owed."""
         self._stop.repeat(now_ns)
+        self._look()
+
+    def _look(self) -> None:
+        """Tell what a person has to know."""
         is_strange = self._state is State.IDLE and not self._has_armed and self._driver.capabilities.watchdog == "none"
         self.report.look(self._stop.problem, self._driver.sample if is_strange else None)
 
@@ -352,6 +357,7 @@ class MakersRobot:
             self._state = state
         if state is State.ESTOP or self._stop.is_needed:
             self._stop.leave_loop(self._clock.now_ns(), latched=self._state is State.ESTOP)
+            self._look()
 
     def _is_guarded(self) -> bool:
         """Ask once a second: it costs a system call."""

@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol
 from firmware_protocol.framing import Frame
 from hil.brake import Brake
 from hil.dialects.port import Driver
-from hil.errors import HilError
+from hil.errors import HilError, LinkError
 from hil.types import CommandMode, FourWheels, Wheels
 
 REST: FourWheels = (0.0, 0.0, 0.0, 0.0)
@@ -15,6 +15,7 @@ REPEAT_NS = 50_000_000
 _TIMES_AT_REST = 2  # one of them may be lost, and wheels may rest though something still holds them
 _AT_REST_RAD_S = 0.2  # PROTOCOL.md, "States"
 _ROLLS_OUT_NS = 1_000_000_000
+_LOST_NS = 1_000_000_000
 
 
 class StopTerms(NamedTuple):
@@ -54,6 +55,7 @@ class MotorStop:
         self._tell_again_ns = 0
         self.is_told = True
         self.problem: str | None = None
+        self._failing_since_ns: int | None = None
 
     @property
     def is_ramping(self) -> bool:
@@ -69,6 +71,12 @@ class MotorStop:
     def is_needed(self) -> bool:
         """Whether the motors were armed from here, and have not been seen at rest, and told to stop, since."""
         return self.is_owed or not self.is_told
+
+    def raise_lost(self, now_ns: int) -> None:
+        """Raise LinkError where no stop has gone out for a second: a link that takes none is to be opened anew."""
+        if self._failing_since_ns is not None and now_ns > self._failing_since_ns + _LOST_NS:
+            self._failing_since_ns = None
+            raise LinkError(f"no stop went out for a second ({self.problem}), and the link was opened anew")
 
     def armed(self) -> None:
         """Nothing is owed any more: somebody arms the motors anew."""
@@ -161,5 +169,9 @@ class MotorStop:
                 continue
             steps.pop(0)
         self.is_told = self.problem is None
+        if self.is_told:
+            self._failing_since_ns = None
+        elif self._failing_since_ns is None:
+            self._failing_since_ns = now_ns
         if interrupt is not None:
             raise interrupt
