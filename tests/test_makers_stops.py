@@ -13,6 +13,7 @@ from hil.assembly import run_scenario
 from hil.bench import Bench
 from hil.devices.emulated.c620 import EmulatedC620
 from hil.devices.makers import MakersRobot
+from hil.dialects.port import Wire
 from hil.dialects.rosmaster import MOTION
 from hil.dialects.rosmaster_line import RosmasterFraming
 from hil.errors import DeviceError, LinkError
@@ -20,6 +21,8 @@ from hil.kinematics import BodyTwist
 from hil.scenario import load
 from hil.service.messages import Phase
 from hil.types import ZERO_WHEELS, CommandMode, WheelCommand, Wheels
+from tests.dbc_mappings import motors
+from tests.dialect_testbed import Rig, ramp_to
 from tests.pilot_bench import PilotBench
 
 PERIOD_NS = 10_000_000
@@ -222,6 +225,19 @@ def test_a_robot_that_is_not_driven_stays_with_the_service(changes: dict[str, An
         bench.run(0.6)
         way = [Phase.AWAY, Phase.STOPPING, Phase.DISARMED, Phase.ACTIVE, Phase.ESTOP, Phase.DISARMED]
         assert [phase for phase in bench.phases if phase is not Phase.ARMING] == way
+
+
+@pytest.mark.parametrize(("driver", "wire"), [("moteus", None), ("vesc", "can"), ("vesc", "serial"), ("dbc", None)])
+def test_questions_keep_no_watchdog_alive(driver: str, wire: Wire | None) -> None:
+    rig = Rig(driver, motors("wheel_drives") if driver == "dbc" else None, wire=wire)
+    rig.step(ticks=110)
+    rig.greet()
+    rig.arm()
+    rig.drive(0.3, ramp_to((8.0, 8.0, 8.0, 8.0), 0.2))
+    assert not rig.is_still()
+    for _ in range(400):
+        rig.step(rig.driver.ask())
+    assert rig.is_still() or not rig.node.is_driving  # a VESC lets its motor roll
 
 
 @pytest.mark.parametrize("link", ["memory:", "can:virtual/fault"])
