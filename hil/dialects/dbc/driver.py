@@ -198,10 +198,10 @@ class DbcDriver:
     # What arrives
 
     def feed(self, frame: Frame, stamp_ns: int) -> None:
-        if self._heard.feed(frame.id, frame.payload, stamp_ns) and self._is_armed:
-            # Of several that came together the last alone would count.
+        is_well = self._heard.feed(frame.id, frame.payload, stamp_ns)
+        if self._is_armed and not is_well:  # the next may be: of several that came together the last alone would count
             self._passed = self._reported()
-            self._is_armed = not self._passed and self._heard.follows()
+            self._is_armed = False
 
     @property
     def sample(self) -> Sample | None:
