@@ -224,11 +224,14 @@ class Bench:
 
     def begin(self, origin_ns: int) -> None:
         """Let the scenario's time begin at this time of the clock, the first ACTIVE tick."""
+        tick = self.device.tick
         feedback = self.device.poll()
-        if self._scenario.loop.mode == "lockstep" or feedback is None:
-            tick = self.device.tick
-        else:
-            tick = feedback.robot_time_ns // TICK_NS
+        if self._scenario.loop.mode != "lockstep":
+            if isinstance(self.device, MakersRobot):  # feedback has the time of this clock: those know none of ours
+                fix = self.truth.poll() if self.truth is not None else None
+                tick = fix.time_ns // TICK_NS if fix is not None else tick
+            elif feedback is not None:
+                tick = feedback.robot_time_ns // TICK_NS
         self.faults.begin(origin_ns, tick)
         self.wire.begin()
 

@@ -78,13 +78,12 @@ class Loop:
         try:
             # One that has not come back is not waited for, and may be somebody else's.
             if isinstance(failure, DeviceError | LinkError) or self._recovery is not None:
-                self._parts.device.close()
+                failure = self._give_up(failure)
             else:
                 stopped = self._stop()
                 failure = failure or (None if stopped else DeviceError("the robot did not come to rest within 5 s"))
         except HilError as error:
-            failure = failure or error
-            self._parts.device.close()
+            failure = self._give_up(failure or error)
         ticks = self._doing.count
         robot_s = self.t_s + self._timing.period_ns * 1e-9 if ticks else 0.0
         recoveries = tuple(self._recoveries)
@@ -101,6 +100,15 @@ class Loop:
 
     def _stop(self) -> bool:
         return self._parts.device.stop(self._timing.period_ns, _STOP_LIMIT_NS)
+
+    def _give_up(self, failure: HilError | None) -> HilError | None:
+        """Stop what may still be driven; return the failure, with what a person has to know where that did not work."""
+        device = self._parts.device
+        device.close()
+        trouble = device.report.trouble
+        if failure is None or trouble is None or trouble in str(failure):
+            return failure
+        return type(failure)(f"{failure}; {trouble}")
 
     def _run(self, origin_ns: int, duration_ns: int) -> None:
         timing = self._timing

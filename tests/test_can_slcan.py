@@ -1,6 +1,8 @@
 """slcan, byte for byte over pseudo-terminals: two emulated adapters on one bus."""
 
+import collections
 import contextlib
+import itertools
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -42,6 +44,18 @@ def two_links(filler: bytes = b"", bitrate: int = 1_000_000, bus=None) -> Iterat
         host.close()
         robot.close()
         bus.close()
+
+
+def test_an_adapter_that_takes_no_bytes_is_lost_and_holds_nobody_for_ever(monkeypatch):
+    monkeypatch.setattr("hil.links.can_ports._WRITE_TIMEOUT_S", 0.05)
+    master, slave = os.openpty()
+    host = CanLink(parse_link(f"can:slcan/{os.ttyname(slave)}"), "ROBOT")
+    with pytest.raises(LinkError, match="takes no bytes any more"):
+        collections.deque(map(host.send, itertools.repeat(COMMANDS[0])), maxlen=0)
+    host.reopen()
+    host.close()
+    os.close(master)
+    os.close(slave)
 
 
 @pytest.mark.parametrize("filler", [b"", b"\r", b"F00\r"])

@@ -6,6 +6,7 @@ import struct
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+import cantools
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -16,10 +17,12 @@ from hil.dialects.port import EXTENDED, Driver, Sample
 from hil.errors import BadInputError
 from hil.options import build
 from hil.types import CommandMode, FourWheels
-from tests.dbc_mappings import edited_dbc, motors
+from tests.dbc_mappings import EXAMPLES, edited_dbc, motors
 from tests.dialect_testbed import STILL, Rig, assert_near, ramp_to
 
 MOTION, IMU = EXTENDED | 0x18FF0200, EXTENDED | 0x18FF0300
+DBC = cantools.database.load_file(EXAMPLES / "wheel_drives.dbc")
+INFO = DBC.get_message_by_name("DRIVES_INFO").frame_id
 FORWARD = (8.0, 8.0, 8.0, 8.0)
 SIDEWAYS = (-6.0, 6.0, -6.0, 6.0)
 RPM_AT_MOTOR = 20.0 * 60.0 / math.tau
@@ -160,6 +163,20 @@ def test_a_watchdog_that_does_not_answer_as_it_was_set_keeps_the_wheels_disarmed
     assert not rig.node.is_on
 
 
+def test_a_watchdog_that_was_read_back_in_a_session_before_is_set_and_read_anew() -> None:
+    rig = armed(drives())
+    rig.step(rig.driver.disarm())
+    feed = rig.driver.feed
+    rig.driver.feed = lambda frame, t_ns: None if frame.id == INFO else feed(frame, t_ns)  # type: ignore[method-assign]
+    rig.sent.clear()
+    for _ in range(100):
+        rig.step(rig.driver.arm(rig.now_ns))
+        assert not rig.driver.is_armed
+    assert {frame.id for frame in rig.sent} == {0x100}
+    rig.driver.feed = feed  # type: ignore[method-assign]
+    rig.arm()
+
+
 def test_no_watchdog_and_a_slow_one_are_said() -> None:
     slow, unknown, dropped = driver_of("twist_base").warnings
     assert slow.startswith("when commands end the wheels go on for 0.5 s")
@@ -197,6 +214,24 @@ def test_an_error_is_told_in_the_words_of_the_value_table_ends_arming_and_is_cle
     assert not rig.node.is_on
     assert rig.driver.errors == []
     rig.arm()
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"), [({"Error": 1}, ["wheel fl: STATUS_FL.Error is 'overcurrent'"]), ({"State": 0}, [])]
+)
+def test_what_was_told_for_one_message_ends_closed_loop_also_where_the_next_is_well(
+    changed: dict[str, int], told: list[str]
+) -> None:
+    rig = armed(drives())
+    message = DBC.get_message_by_name("STATUS_FL")
+    [*_, well] = [frame for frame in rig.heard if frame.id == message.frame_id]
+    values = message.decode(well.payload, decode_choices=False)
+    rig.driver.feed(Frame(well.id, message.encode(values | changed, strict=False)), rig.now_ns)
+    rig.driver.feed(well, rig.now_ns)
+    assert not rig.driver.is_armed
+    assert rig.driver.errors == told
+    rig.driver.disarm()
+    assert rig.driver.errors == []
 
 
 def test_flags_of_the_robot_are_errors_too() -> None:
@@ -390,6 +425,15 @@ def test_every_command_arrives_within_half_a_step(speed: FourWheels, torque: Fou
 def test_what_is_beyond_a_signal_is_sent_as_its_limit() -> None:
     frames = DRIVERS["wheel_drives"].command((1e9, -1e9, math.inf, 0.0), (1e9, 0.0, 0.0, 0.0), 0)
     assert [struct.unpack_from("<h", frame.payload, 1)[0] for frame in frames] == [24000, -24000, 24000, 0]
+
+
+def test_a_command_that_cannot_say_zero_is_refused(tmp_path: Path) -> None:
+    speed = 'TargetSpeed : 8|16@1- (0.5,0) [-12000|12000] "rpm"'
+    file = edited_dbc(tmp_path, "wheel_drives", (speed, 'TargetSpeed : 8|16@1+ (0.7,-20000) [-12000|12000] "rpm"'))
+    with pytest.raises(BadInputError, match=r"TargetSpeed goes in steps of 0.7 from an offset of -20000, .* is -0.3,"):
+        driver_of("wheel_drives", {"file": file})
+    file = edited_dbc(tmp_path, "wheel_drives", (speed, 'TargetSpeed : 8|16@1+ (0.7,-21000) [-12000|12000] "rpm"'))
+    assert driver_of("wheel_drives", {"file": file}).disarm()
 
 
 def test_numbers_that_are_none_are_not_heard(tmp_path: Path) -> None:

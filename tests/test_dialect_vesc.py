@@ -162,10 +162,16 @@ def test_nobody_is_energised_while_one_is_in_fault(wire: Wire) -> None:
     assert not rig.node.is_driving
 
 
-def test_who_was_not_heard_of_late_is_not_armed() -> None:
-    rig = ready("can")
-    rig.driver.arm(rig.now_ns + 1_000_000_000)
-    assert not rig.driver.is_armed
+@pytest.mark.parametrize("wire", WIRES)
+def test_who_has_said_long_ago_that_it_is_fit_says_it_anew_before_anything_is_energised(wire: Wire) -> None:
+    rig = ready(wire)
+    rig.step(rig.driver.disarm(), ticks=1000)
+    rig.node.vescs[1].fail(5)
+    for _ in range(8):
+        rig.step(rig.driver.arm(rig.now_ns))
+        assert not rig.driver.is_armed
+        assert not rig.node.is_driving
+    assert rig.driver.errors == ["VESC 2 of wheel fr has the fault 5: over temperature of the MOSFETs"]
 
 
 def test_a_battery_that_is_gone_is_the_makers_fault_of_under_voltage() -> None:

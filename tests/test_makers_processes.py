@@ -2,13 +2,14 @@
 
 import subprocess
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from hil.devices.truth import TruthClient
 from hil.scenario import load
-from tests.processes import HIL, Device, device, environment, run_json, wait_for
+from tests.processes import HIL, Device, device, environment, is_running, run_json, wait_for
 
 pytestmark = pytest.mark.alone
 
@@ -41,8 +42,12 @@ def assert_drove(figures: dict[str, Any]) -> None:
 
 
 def test_a_base_that_takes_twists_is_driven_over_a_pseudo_terminal() -> None:
+    """A fault of its plant begins by the plant's clock, and not by ours."""
+    push = 'fault=[{kind="push",target="force_x_n",start_s=0.2,end_s=0.3,value=1.0}]'
     with device(*ROSMASTER, "--dialect", "rosmaster", "--link", "serial:pty") as robot:
-        assert_drove(run_json(*ROSMASTER, *short("rosmaster", robot)))
+        figures = run_json(*ROSMASTER, *short("rosmaster", robot, push))
+    assert_drove(figures)
+    assert figures["fault"][0]["applied"] == 100
 
 
 def test_four_vescs_behind_one_line_are_driven_over_a_pseudo_terminal() -> None:
@@ -56,10 +61,14 @@ def test_odrives_are_driven_over_slcan(slcan: list[str]) -> None:
         assert_drove(run_json(*REAL, *short("odrive", there)))
 
 
-def test_a_base_without_a_watchdog_is_stopped_when_the_host_is_killed() -> None:
-    """The guardian does it: the firmware would drive on for ever."""
+def children_of(pid: int) -> set[int]:
+    return {int(word) for word in subprocess.run(["pgrep", "-P", str(pid)], capture_output=True).stdout.split()}
+
+
+def test_a_base_without_a_watchdog_is_stopped_when_the_host_is_killed(tmp_path: Path) -> None:
+    """The guardian does it: the firmware would drive on for ever. Then it ends, and so does the recorder."""
     with device(*ROSMASTER, "--dialect", "rosmaster", "--link", "serial:pty") as robot:
-        long = short("rosmaster", robot, "loop.duration_s=60")
+        long = *short("rosmaster", robot, "loop.duration_s=60"), "--record", str(tmp_path / "run.mcap")
         host = subprocess.Popen([*HIL, "run", *ROSMASTER, *long], env=environment())
         scenario = load("circle_speed", set=[ROSMASTER[-1], "loop.rate_hz=100", "device.driver=rosmaster"])
         watcher = TruthClient(robot.truth, scenario.hash, reset=False)
@@ -70,9 +79,11 @@ def test_a_base_without_a_watchdog_is_stopped_when_the_host_is_killed() -> None:
             return 0.0 if twist is None else abs(twist.vx_m_s) + abs(twist.vy_m_s)
 
         wait_for(lambda: speed_m_s() > 0.2)
+        children = children_of(host.pid)
+        assert len(children) >= 2
         host.kill()
         host.wait()
         wait_for(lambda: speed_m_s() < 0.01)
         watcher.close()
-        # It says the stop a few times, to whatever the port's name then is: the port has to stay until it has ended.
-        wait_for(lambda: not subprocess.run(["pgrep", "-f", "hil.devices.guardian"], capture_output=True).stdout)
+        # The guardian says the stop a few times, to whatever the port's name then is: the port has to stay until then.
+        wait_for(lambda: not any(map(is_running, children)))

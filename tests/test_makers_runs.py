@@ -167,6 +167,20 @@ def test_what_the_motors_cannot_be_told_is_refused_with_the_scenario(changes: di
     assert "device" in str(refused.value) or "link.url" in str(refused.value)
 
 
+def test_a_fault_of_what_the_motors_do_not_measure_is_refused() -> None:
+    row = {"kind": "bias", "target": "robot.yaw_rate_rad_s", "start_s": 1.0, "value": 0.1}
+    with pytest.raises(BadInputError, match="RoboMaster C620 and C610 as it is set up does not measure it"):
+        scenario(fault=[row])
+    assert scenario("wheeltec", "memory:", **SPEED, fault=[row])
+
+
+def test_of_an_unknown_driver_the_name_alone_is_refused() -> None:
+    with pytest.raises(BadInputError) as refused:
+        scenario("c260", **{"device.motors.gear_ratio": 3.0})
+    assert "did you mean 'c620'" in str(refused.value)
+    assert "belongs to" not in str(refused.value)
+
+
 def test_a_pilot_arms_drives_stops_and_clears_an_estop() -> None:
     changes = {"device.driver": "c620", "link.url": BUS}
     with PilotBench(**changes).armed() as bench:

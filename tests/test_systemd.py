@@ -111,6 +111,7 @@ def test_the_unit_names_this_program_and_the_configuration_and_systemd_takes_it(
     assert f'serve "{escaped}" --log json --allow-motion --set "link.url=serial:/dev/tty ACM0"\n' in text
     assert "@" not in "".join(line for line in text.splitlines() if not line.startswith("#"))
     assert "Type=notify" in text
+    assert "\nKillMode=process\n" in text, "any other kills a guardian before it has stopped its base"
     if shutil.which("systemd-analyze") is None:
         return
     path = tmp_path / "hil-serve.service"

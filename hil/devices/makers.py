@@ -2,36 +2,36 @@
 
 The controllers know none of our states, so the session is kept here: nothing is sent but questions before the robot is
 armed, ramping down is done here, and an error, or a controller that leaves closed loop by itself, stops all of them. A
-stop is owed until it went out whole and all wheels were seen at rest: until then it is repeated.
+stop is owed until it went out whole and all wheels were seen at rest: until then it is repeated, and no state is told
+that it has not brought about.
 """
 
+import contextlib
 import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from firmware_protocol.framing import Frame
 from firmware_protocol.generated.messages import State
-from hil.devices.angles import Angles
 from hil.devices.handshake import RETRY_NS, SILENCE_NS
 from hil.devices.link_times import ClockSync, RoundTrip
+from hil.devices.makers_feedback import MotorFeedback
 from hil.devices.makers_report import MakersReport, MotorsInfo
-from hil.devices.motor_stop import REST, MotorStop, StopTerms
-from hil.devices.robot_report import Health
+from hil.devices.motor_line import MotorLine
+from hil.devices.motor_stop import REPEAT_NS, REST, MotorStop, StopTerms
 from hil.devices.snapshot import Feedback
-from hil.devices.unread import Unread
 from hil.devices.wheel_map import WheelMap
-from hil.devices.wire_hash import WireHash
 from hil.dialects.port import Driver
-from hil.errors import BadInputError, DeviceError, HilError
+from hil.errors import BadInputError, DeviceError, HilError, LinkError
 from hil.links.delay import DelayedLink
 from hil.ports import Clock
-from hil.types import CommandMode, FourWheels, WheelCommand, Wheels
+from hil.types import CommandMode, FourWheels, WheelCommand
 
-_MOST_A_POLL = 5000  # frames; four controllers at 1 kHz send forty in 10 ms
 _START_LIMIT_NS = 4_000_000_000
 _QUESTION_NS = 1_000_000
 _GUARDED_NS = 1_000_000_000
-_AGE_UNKNOWN_MS = 255  # as TICK.command_age_ms: this and more
+_ASK_NS = 20_000_000  # those that speak only when spoken to are lost after 250 ms, and some are asked in turn
+_SETTLE_NS = 300_000_000  # heartbeats with errors come ten times a second, as some makers set them
+_LINGER = 10  # repetitions of a stop that is owed at the end
 
 
 class Terms(NamedTuple):
@@ -54,7 +54,7 @@ class MakersRobot:
     """See ``hil.devices.port.Device``. Raises nothing when it is made; ``connect`` is the first to speak."""
 
     def __init__(self, link: DelayedLink, clock: Clock, driver: Driver, wheel_map: WheelMap, terms: Terms) -> None:
-        self._link = link
+        self._line = MotorLine(link, driver, is_lockstep=terms.advance is not None)
         self._clock = clock
         self._driver = driver
         self._map = wheel_map
@@ -63,20 +63,18 @@ class MakersRobot:
         self._state = State.IDLE
         self._sequence = 0
         self._commanded: FourWheels = REST
-        self._feedback: Feedback | None = None
-        self._angles = Angles(terms.counts_per_revolution)
-        self._was_armed = False  # ever, by this host: only then is there something to stop
-        self._stop = MotorStop(driver, terms.stop, link, self._send)
+        self._feedback = MotorFeedback(driver, wheel_map, terms.counts_per_revolution, terms.stop.stale_s)
+        self._stop = MotorStop(driver, terms.stop, self._line)
+        self._is_greeted = False
+        self._has_armed = False  # ever
+        self._has_lingered = False
         self._ask_again_ns = 0
-        self._unread = Unread()
+        self._settled_ns = 0
         self._guarded_until_ns = 0
-        self._hash = WireHash(wide=True)
-        self.report = MakersReport()
+        self.report = MakersReport(self._feedback)
         self.round_trip = RoundTrip()
         self.clock_sync = ClockSync()
         self.tick = 0
-        self.sent = 0
-        self.received = 0
 
     # Connecting
 
@@ -90,7 +88,7 @@ class MakersRobot:
         while not self.greeted():
             n += 1
             if n * _QUESTION_NS > SILENCE_NS:
-                raise DeviceError(f"{self._driver.missing} ({self._link.describe()})")
+                raise DeviceError(f"{self._driver.missing} ({self._line.describe()})")
             self.wait_until(begin_ns + n * _QUESTION_NS)
         assert self._info is not None
         return self._info
@@ -111,26 +109,25 @@ class MakersRobot:
         )
 
     def describe_link(self) -> str:
-        return self._link.describe()
+        return self._line.describe()
 
     # Coming back after a loss
 
     def leave(self) -> None:
-        if self._was_armed:
-            self._drop(State.IDLE)
-        self._feedback = None
-        self._unread.forget()
-        self._link.discard()
+        if self._stop.is_needed:
+            self._drop(State.STOPPING)
+        self._feedback.forget()
+        self._line.discard()
 
     def reopen(self) -> None:
-        self._link.reopen()
+        self._line.reopen()
 
     def begin_again(self) -> None:
-        if self._was_armed:  # whoever is there may be driving still, on the last command of before the loss
-            self._drop(State.IDLE)
-        self._feedback = None
-        self._angles.restart()
-        self._driver.restart()
+        self._is_greeted = False
+        self._feedback.restart()
+        self._driver.restart()  # first, for what was heard before says nothing of what a stop may do now
+        if self._stop.is_needed:  # whoever is there may be driving still, on the last command of before the loss
+            self._drop(State.STOPPING)
         self._ask_again_ns = self._clock.now_ns()
 
     def greeted(self) -> bool:
@@ -139,13 +136,13 @@ class MakersRobot:
                 "the robot has motor controllers: real motors would move; add --allow-motion when it may move"
             )
         now_ns = self._clock.now_ns()
-        self._take_frames()
-        self._stop.repeat(now_ns)
+        self._line.take(self._clock)
+        self._repeat_stop(now_ns)
         words = self._driver.identity
         if words is None:
             if now_ns >= self._ask_again_ns:
                 self._ask_again_ns = now_ns + RETRY_NS
-                self._send(self._driver.ask())
+                self._line.send(self._driver.ask())
             return False
         if self._info is not None and self._info.words != words:
             raise BadInputError(
@@ -153,6 +150,7 @@ class MakersRobot:
                 "one, or start a new run"
             )
         self._info = MotorsInfo(words)
+        self._is_greeted = True
         return True
 
     # The way to ACTIVE and back
@@ -183,19 +181,25 @@ class MakersRobot:
             raise DeviceError(self.why_not_active())
         if self._info is None or self._state is State.STOPPING:
             return False
+        if not self._terms.is_guarded():
+            raise DeviceError(
+                "the guardian was killed, which would stop the robot if this process were: nothing is armed without "
+                "it; start this program anew (GUARDIAN.md)"
+            )
         now_ns = self._clock.now_ns()
         self._state = State.ARMED
-        self._was_armed = True
+        self._has_armed = True
+        self._has_lingered = False
         self._stop.armed()
-        self._send(self._driver.arm(now_ns))
-        if not self._driver.is_armed:
+        self._line.send(self._driver.arm(now_ns))
+        if not self._driver.is_armed or not self._feedback.is_fresh(now_ns):
             return False
-        self._send(self._driver.command(REST, REST, now_ns))
+        self._line.send(self._driver.command(REST, REST, now_ns))
         self._commanded = REST
         self.report.why = None
         self._state = State.ACTIVE
         self._renew()
-        return self._feedback is not None
+        return self._feedback.newest is not None
 
     def why_not_active(self) -> str:
         if self._state is State.ESTOP:
@@ -205,8 +209,11 @@ class MakersRobot:
                 f"the motor controllers reported {self.report.why}; find the cause, then clear it with their maker's "
                 "tool, or with hil serve and hil ctl clear"
             )
-        if self._feedback is None:
-            return self._driver.missing or "the motor controllers send no feedback of all four wheels"
+        if not self._feedback.is_fresh(self._clock.now_ns()):
+            return self._driver.missing or (
+                "the motor controllers send no feedback of all four wheels that is younger than the "
+                f"{self._terms.stop.stale_s:g} s of firmware.watchdog_s; look at its rate, and whether all four send it"
+            )
         return "the motor controllers did not go into closed loop within 4 s; look at them with their maker's tool"
 
     def disarm(self) -> None:
@@ -222,10 +229,12 @@ class MakersRobot:
             self._renew()
 
     def clear(self) -> None:
-        self._send(self._driver.clear())
+        self._line.send(self._driver.clear())
         if self._state in (State.ESTOP, State.FAULT):
             self._stop.clear()
-            self._state = State.IDLE  # errors that are still there make it FAULT again at the next poll
+            # What is heard before this has passed may be of before; errors that are still there make it FAULT again.
+            self._settled_ns = self._clock.now_ns() + _SETTLE_NS
+            self._state = State.STOPPING
 
     def stop(self, period_ns: int, limit_ns: int) -> bool:
         self.disarm()
@@ -235,10 +244,13 @@ class MakersRobot:
             while n * period_ns <= limit_ns:
                 self.wait_until(begin_ns + n * period_ns)
                 feedback = self.poll()
-                if feedback is not None and self._state in (State.IDLE, State.FAULT, State.ESTOP):
+                is_over = self._state in (State.IDLE, State.FAULT, State.ESTOP) and self._stop.is_told
+                if feedback is not None and is_over:
                     self.wait_until(begin_ns + (n + 1) * period_ns)  # so that the last frames get there
                     return True
                 n += 1
+            if self.report.trouble is not None:
+                raise LinkError(self.report.trouble)
             return False
         finally:
             self.close()
@@ -246,16 +258,11 @@ class MakersRobot:
     # One tick
 
     def wait_until(self, t_ns: int) -> int:
-        link = self._link
-        link.hand_over_until(self._clock, t_ns)
-        late_ns = self._clock.wait_until(t_ns)
-        if link.may_hold:
-            link.service()
-        return late_ns
+        return self._line.wait_until(self._clock, t_ns)
 
     def poll(self) -> Feedback | None:
         try:
-            self._take_frames()
+            self._line.take(self._clock)
             self._supervise()
         except HilError:
             raise
@@ -263,13 +270,18 @@ class MakersRobot:
             self.report.why = "a failure of its driver"
             self._drop(State.FAULT)
             raise
-        self._hash.keep_up()
-        self._stop.repeat(self._clock.now_ns())
+        now_ns = self._clock.now_ns()
+        self._repeat_stop(now_ns)
+        self._stop.raise_lost(now_ns)
+        self._ask(now_ns)
         self._renew()
-        return self._feedback
+        return self._feedback.newest
 
     def _supervise(self) -> None:
         """Find out what ends the session, and go on with a stop."""
+        now_ns = self._clock.now_ns()
+        if self._state is State.STOPPING and now_ns < self._settled_ns:
+            return
         is_active = self._state is State.ACTIVE
         if errors := self._driver.errors:
             if self._state is not State.ESTOP:
@@ -282,16 +294,36 @@ class MakersRobot:
         elif is_active and not self._is_guarded():
             self.report.why = "the guardian was killed, which would stop it if this process were; see GUARDIAN.md"
             self._drop(State.STOPPING)
-        elif self._state is State.STOPPING and self._stop.go_on(self._clock.now_ns()):
+        elif self._state is State.STOPPING and self._stop.go_on(now_ns):
             self._state = State.IDLE
+
+    def _repeat_stop(self, now_ns: int) -> None:
+        """Repeat a stop that is owed."""
+        self._stop.repeat(now_ns)
+        self._look()
+
+    def _look(self) -> None:
+        """Tell what a person has to know."""
+        is_strange = self._state is State.IDLE and not self._has_armed and self._driver.capabilities.watchdog == "none"
+        self.report.look(self._stop.problem, self._driver.sample if is_strange else None)
+
+    def _ask(self, now_ns: int) -> None:
+        """Ask for the state while nothing is commanded: many speak only when they are spoken to."""
+        is_commanded = self._state in (State.ARMED, State.ACTIVE) or self._stop.is_ramping
+        if not self._is_greeted or is_commanded or now_ns < self._ask_again_ns:
+            return
+        self._ask_again_ns = now_ns + _ASK_NS
+        # While a stop is owed it goes the same way, and tells what became of it.
+        with contextlib.suppress(*(LinkError,) if self._stop.is_owed else ()):
+            self._line.send(self._driver.ask())
 
     @property
     def unread_ns(self) -> int:
-        return self._unread.ns
+        return self._line.unread_ns
 
     @property
     def feedback(self) -> Feedback | None:
-        return self._feedback
+        return self._feedback.newest
 
     def send(self, command: WheelCommand) -> int:
         self._sequence = (self._sequence + 1) & 0xFF
@@ -313,80 +345,71 @@ class MakersRobot:
         elif not all(map(math.isfinite, speed_rad_s)):
             raise ValueError(f"speeds {speed_rad_s} rad/s: expected finite numbers")
         self._commanded = speed_rad_s
-        self._send(self._driver.command(speed_rad_s, torque_n_m, self._clock.now_ns()))
+        self._line.send(self._driver.command(speed_rad_s, torque_n_m, self._clock.now_ns()))
 
     def _drop(self, state: State) -> None:
-        """Leave closed loop, at best effort; what is latched stays so."""
+        """Leave closed loop, at best effort; what is latched stays so.
+
+        But for an e-stop nothing is sent to motors that were not armed from here: others may be driving them.
+        """
         self._commanded = REST
         if self._state is not State.ESTOP and (self._state is not State.FAULT or state is State.ESTOP):
             self._state = state
-        self._stop.leave_loop(self._clock.now_ns(), latched=self._state is State.ESTOP)
+        if state is State.ESTOP or self._stop.is_needed:
+            self._stop.leave_loop(self._clock.now_ns(), latched=self._state is State.ESTOP)
+            self._look()
 
     def _is_guarded(self) -> bool:
         """Ask once a second: it costs a system call."""
         now_ns = self._clock.now_ns()
         if now_ns < self._guarded_until_ns:
             return True
+        if not self._terms.is_guarded():
+            return False
         self._guarded_until_ns = now_ns + _GUARDED_NS
-        return self._terms.is_guarded()
-
-    # Frames
-
-    def _send(self, frames: Sequence[Frame]) -> None:
-        for frame in frames:
-            self._link.send(frame)
-            self._hash.sent(frame)
-            self.sent += 1
-
-    def _take_frames(self) -> None:
-        taken = 0
-        while (self.is_lockstep or taken < _MOST_A_POLL) and (received := self._link.receive(0)) is not None:
-            frames, stamp_ns = received
-            for frame in frames:
-                self._hash.received(frame)
-                self._driver.feed(frame, stamp_ns)
-            taken += len(frames)
-        self.received += taken
-        if not self.is_lockstep:
-            self._unread.polled(self._clock.now_ns(), everything=taken < _MOST_A_POLL)
+        return True
 
     def _renew(self) -> None:
-        """Make feedback of the newest sample. Its time is that of the oldest speed, by the clock of the run."""
-        sample = self._driver.sample
-        if sample is None:
-            return
-        self.report.health = Health(
-            sample.battery_v, sample.battery_a, self._map.temperatures_from_wire(Wheels(*sample.temperature_degc))
-        )
-        self._feedback = self._map.feedback_from_wire(
-            Feedback(
-                sample.stamp_ns,
-                self._state,
-                self._sequence,
-                _AGE_UNKNOWN_MS,
-                self._angles.take(sample),
-                Wheels(*sample.speed_rad_s),
-                Wheels(*sample.current_a),
-                sample.acceleration_m_s2,
-                sample.yaw_rate_rad_s,
-            )
-        )
+        """Make feedback of what was heard. An e-stop is told when it went out whole: that is what confirms it."""
+        is_out = self._state is not State.ESTOP or self._stop.is_told
+        self._feedback.renew(self._clock.now_ns(), self._state if is_out else State.STOPPING, self._sequence)
 
     # Accounts
 
+    @property
+    def sent(self) -> int:
+        return self._line.sent
+
+    @property
+    def received(self) -> int:
+        return self._line.received
+
     def wire_sha256(self) -> str:
-        return self._hash.hexdigest()
+        return self._line.wire_sha256()
 
     @property
     def snapshots_lost(self) -> int:
         return 0
 
     def rejected(self) -> dict[str, int]:
-        return {cause: count for cause, count in self._link.rejected().items() if count}
+        return self._line.rejected()
 
     def close(self) -> None:
-        if self._state in (State.ARMED, State.ACTIVE, State.STOPPING) or not self._stop.is_told:
-            self._drop(State.IDLE)
+        if not self._stop.is_needed:
+            return
+        self._drop(State.STOPPING)
+        if self._has_lingered:
+            return
+        self._has_lingered = True
+        begin_ns = self._clock.now_ns()
+        for n in range(1, _LINGER + 1):  # the only one may be lost, and nobody comes after us
+            with contextlib.suppress(HilError):
+                self.wait_until(begin_ns + n * REPEAT_NS)
+            with contextlib.suppress(HilError):
+                self.poll()
+            self._repeat_stop(self._clock.now_ns())  # whatever kept the others from it
+            if not self._stop.is_owed:
+                return
 
     @property
     def is_told_to_stop(self) -> bool:

@@ -3,7 +3,10 @@
 from typing import NamedTuple
 
 from firmware_protocol.generated.messages import State
+from hil.devices.makers_feedback import MotorFeedback
 from hil.devices.robot_report import Health
+from hil.devices.unasked import UnaskedMotion
+from hil.dialects.port import Sample
 
 
 class MotorsInfo(NamedTuple):
@@ -20,9 +23,25 @@ class MotorsInfo(NamedTuple):
 class MakersReport:
     """What the controllers tell beside the feedback."""
 
-    def __init__(self) -> None:
-        self.health = Health()
+    def __init__(self, feedback: MotorFeedback) -> None:
+        self._feedback = feedback
         self.why: str | None = None  # they stopped, None where nothing but the host did
+        self.trouble: str | None = None
+        self._unasked = UnaskedMotion()
+
+    def look(self, stop_problem: str | None, sample: Sample | None) -> None:
+        """Find out what a person has to know now, by why a stop did not go out, and a sample of who should stand."""
+        is_unasked = self._unasked.lasts(sample)
+        self.trouble = None
+        if stop_problem is not None:
+            self.trouble = f"the stop could not be sent: {stop_problem}"
+        elif is_unasked:
+            self.trouble = "the wheels turn, and not by us: an e-stop stops them"
+
+    @property
+    def health(self) -> Health:
+        """What they say of the battery and the motors."""
+        return self._feedback.health
 
     def stop_reason(self) -> str:
         """Return why the robot last stopped, in words that follow on "because of"."""

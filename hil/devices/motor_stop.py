@@ -1,19 +1,21 @@
 """Stopping motors that know no session of ours: the ramp down, and the stop that is owed until the wheels rest."""
 
-import contextlib
+import functools
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, Protocol
 
 from firmware_protocol.framing import Frame
 from hil.brake import Brake
 from hil.dialects.port import Driver
-from hil.errors import HilError
+from hil.errors import HilError, LinkError
 from hil.types import CommandMode, FourWheels, Wheels
 
 REST: FourWheels = (0.0, 0.0, 0.0, 0.0)
-_REPEAT_NS = 50_000_000
+REPEAT_NS = 50_000_000
+_TIMES_AT_REST = 2  # one of them may be lost, and wheels may rest though something still holds them
 _AT_REST_RAD_S = 0.2  # PROTOCOL.md, "States"
 _ROLLS_OUT_NS = 1_000_000_000
+_LOST_NS = 1_000_000_000
 
 
 class StopTerms(NamedTuple):
@@ -26,32 +28,59 @@ class StopTerms(NamedTuple):
 
 
 class Line(Protocol):
-    """The part of a link that a stop needs."""
+    """The part of a line that a stop needs."""
+
+    def send(self, frames: Sequence[Frame]) -> None: ...
 
     def flush(self) -> None: ...
 
 
 class MotorStop:
-    """Sends what stops the motors, by ``send``; times are those of the run's clock.
+    """Sends what stops the motors; times are those of the run's clock.
 
     Attributes:
         is_told: whether the newest stop went out whole, or nothing was ever armed.
+        problem: why the newest stop did not go out whole; None where it did.
     """
 
-    def __init__(self, driver: Driver, terms: StopTerms, line: Line, send: Callable[[Sequence[Frame]], None]) -> None:
+    def __init__(self, driver: Driver, terms: StopTerms, line: Line) -> None:
         self._driver = driver
         self._terms = terms
         self._line = line
-        self._send = send
+        self._send = line.send
         self._ramp: tuple[int, FourWheels] | None = None  # when it began, and from which speeds
         self._owed_since_ns: int | None = None
+        self._told_at_rest = 0
         self._is_latched = False
         self._tell_again_ns = 0
         self.is_told = True
+        self.problem: str | None = None
+        self._failing_since_ns: int | None = None
+
+    @property
+    def is_ramping(self) -> bool:
+        """Whether ``go_on`` still commands."""
+        return self._ramp is not None
+
+    @property
+    def is_owed(self) -> bool:
+        """Whether a stop has begun that still has to be repeated."""
+        return self._owed_since_ns is not None
+
+    @property
+    def is_needed(self) -> bool:
+        """Whether the motors were armed from here, and have not been seen at rest, and told to stop, since."""
+        return self.is_owed or not self.is_told
+
+    def raise_lost(self, now_ns: int) -> None:
+        """Raise LinkError where no stop has gone out for a second: a link that takes none is to be opened anew."""
+        if self._failing_since_ns is not None and now_ns > self._failing_since_ns + _LOST_NS:
+            self._failing_since_ns = None
+            raise LinkError(f"no stop went out for a second ({self.problem}), and the link was opened anew")
 
     def armed(self) -> None:
         """Nothing is owed any more: somebody arms the motors anew."""
-        self._ramp = self._owed_since_ns = None
+        self._ramp = self._owed_since_ns = self.problem = None
         self._is_latched = False
         self.is_told = False
 
@@ -62,10 +91,10 @@ class MotorStop:
     def go_on(self, now_ns: int) -> bool:
         """Go on with the ramp, in mode TORQUE brake; then leave closed loop. True when the wheels rest, or rolled 1 s.
 
-        Raises LinkError when the link is lost.
+        Never true of a stop that did not go out whole. Raises LinkError when the link is lost.
         """
         if self._ramp is None:
-            return self._owed_since_ns is None or now_ns > self._owed_since_ns + _ROLLS_OUT_NS
+            return self.is_told and (self._owed_since_ns is None or now_ns > self._owed_since_ns + _ROLLS_OUT_NS)
         begin_ns, speed = self._ramp
         left = 1.0 - (now_ns - begin_ns) * 1e-9 / self._terms.ramp_s
         if self._terms.mode is CommandMode.SPEED and left > 0.0:
@@ -81,6 +110,7 @@ class MotorStop:
         """Stop at once, by the e-stop where that is to be ``latched``, at best effort; it is owed from now on."""
         self._ramp = None
         self._owed_since_ns = now_ns
+        self._told_at_rest = 0
         self._is_latched = latched or self._is_latched
         self._tell(now_ns)
 
@@ -89,13 +119,17 @@ class MotorStop:
         self._is_latched = False
 
     def repeat(self, now_ns: int) -> None:
-        """Send again a stop that is owed; it is no more when it went out whole and all wheels were seen at rest."""
+        """Send again a stop that is owed; it is no more once it went out whole, twice to wheels that were seen at rest.
+
+        What a controller needs may depend on what it says: what is sent after it was heard is what counts.
+        """
         if self._owed_since_ns is None or now_ns < self._tell_again_ns:
             return
-        if self.is_told and self._rests_since(self._owed_since_ns):
+        rests = self._rests_since(self._owed_since_ns)
+        self._tell(now_ns)
+        self._told_at_rest += rests and self.is_told
+        if self._told_at_rest >= _TIMES_AT_REST:
             self._owed_since_ns = None
-        else:
-            self._tell(now_ns)
 
     def _is_over(self, now_ns: int, begin_ns: int) -> bool:
         return self._rests_since(begin_ns) or now_ns > begin_ns + _ROLLS_OUT_NS
@@ -118,13 +152,26 @@ class MotorStop:
     def _tell(self, now_ns: int) -> None:
         """Send the stop, each frame of it whatever became of the one before."""
         frames = self._driver.estop() if self._is_latched else self._driver.disarm()
-        done = 0
-        for frame in frames:
-            with contextlib.suppress(HilError):
-                self._send([frame])
-                done += 1
-        with contextlib.suppress(HilError):
-            self._line.flush()
-            done += 1
-        self.is_told = done == len(frames) + 1
-        self._tell_again_ns = now_ns + _REPEAT_NS
+        self._tell_again_ns = now_ns + REPEAT_NS
+        self.is_told, self.problem = False, None
+        interrupt: KeyboardInterrupt | None = None
+        steps: list[Callable[[], None]] = [
+            *(functools.partial(self._send, [frame]) for frame in frames),
+            self._line.flush,
+        ]
+        while steps:
+            try:
+                steps[0]()
+            except HilError as error:
+                self.problem = str(error)
+            except KeyboardInterrupt as pressed:  # Ctrl-C by one who wants all to stop: not before this is out
+                interrupt = pressed
+                continue
+            steps.pop(0)
+        self.is_told = self.problem is None
+        if self.is_told:
+            self._failing_since_ns = None
+        elif self._failing_since_ns is None:
+            self._failing_since_ns = now_ns
+        if interrupt is not None:
+            raise interrupt

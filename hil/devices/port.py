@@ -39,6 +39,10 @@ class Told(Protocol):
     def knows_no_reason(self) -> bool:
         """Whether it says that nothing has stopped it."""
 
+    @property
+    def trouble(self) -> str | None:
+        """What a person has to know now, such as that a stop could not be sent; None while there is nothing."""
+
 
 class Device(Protocol):
     """A robot at the other end of a link; states are those of our own protocol (PROTOCOL.md, "States").
@@ -48,8 +52,6 @@ class Device(Protocol):
 
     round_trip: RoundTrip
     clock_sync: ClockSync
-    sent: int
-    received: int
 
     @property
     def tick(self) -> int:
@@ -148,6 +150,14 @@ class Device(Protocol):
         """Lockstep: let so many ticks of 1 ms pass, and take what the robot sends meanwhile."""
 
     # Accounts
+
+    @property
+    def sent(self) -> int:
+        """Frames that were sent so far."""
+
+    @property
+    def received(self) -> int:
+        """Frames that were received so far."""
 
     def wire_sha256(self) -> str:
         """Return the hash of every frame of the session, both directions, in order."""

@@ -79,6 +79,11 @@ class RobotReport:
         """Whether the robot says that nothing has stopped it since it was armed, or since its power came on."""
         return self.status is not None and self.status.stop_reason == m.StopReason.NONE
 
+    @property
+    def trouble(self) -> str | None:
+        """Nothing: a robot that has a session of its own stops by itself where it cannot be told to."""
+        return None
+
     def why_not_active(self, state: m.State | None) -> str:
         """Return what keeps a robot in this state, None without feedback, from being driven, and what to do."""
         if state is None:

@@ -101,6 +101,9 @@ class Moteus:
         }
         self._to_output = settings.gear_ratio / math.tau
         self._is_armed = False
+        self._has_armed = False  # where a controller is in mode 11, our silence may have led there
+        self._is_ending = False
+        self._was_lost = False
         self.capabilities = Capabilities(
             modes=frozenset(CommandMode),
             is_twist=False,
@@ -153,6 +156,7 @@ class Moteus:
         modes = [channel.mode for channel in self._channels]
         if any(mode in (None, _FAULT, _TIMEOUT) for mode in modes):
             return self.ask()
+        self._has_armed, self._is_ending, self._was_lost = True, False, False
         self._is_armed = all(
             channel.mode == _POSITION and math.isclose(channel.timeout_s, watchdog, rel_tol=1e-6)
             for channel in self._channels
@@ -193,16 +197,26 @@ class Moteus:
         )
 
     def disarm(self) -> Sequence[Frame]:
-        """See ``Driver``. A stop would clear a fault, so one that is in fault, and drives nothing, is only asked."""
+        """See ``Driver``. A stop would clear a fault, and a mode 11 that others want: such a one is only asked.
+
+        So is one of which nothing is known since the link was lost: it brakes by its watchdog until it is.
+        """
         self._end()
+        stop = frames.write_mode(_STOPPED) + _STATE
         return [
-            Frame(number, frames.padded(_STATE if channel.mode == _FAULT else frames.write_mode(_STOPPED) + _STATE))
+            Frame(number, frames.padded(stop if self._may_be_stopped(channel) else _STATE))
             for number, channel in zip(self._ids, self._channels, strict=True)
         ]
+
+    def _may_be_stopped(self, channel: _Channel) -> bool:
+        if channel.mode == _TIMEOUT:
+            return self._has_armed
+        return channel.mode not in (None, _FAULT)
 
     def estop(self) -> Sequence[Frame]:
         """See ``Driver``. A watchdog that ends at once: braking, in mode 11, that no command ends but a stop."""
         self._end()
+        self._has_armed = self._was_lost = False
         payload = frames.padded(self._position(0.0, 0.0, _ESTOP_S) + _STATE)
         return [Frame(number, payload) for number in self._ids]
 
@@ -213,7 +227,7 @@ class Moteus:
         return [Frame(number, payload) for payload in (stop, frames.padded(_STATE)) for number in self._ids]
 
     def _end(self) -> None:
-        self._is_armed = False
+        self._is_armed, self._is_ending = False, True
         for channel in self._channels:
             channel.timeout_s = NAN
 
@@ -223,6 +237,8 @@ class Moteus:
             return
         channel.feed(values, stamp_ns)
         self._is_armed = self._is_armed and channel.mode == _POSITION
+        if self._is_ending and all(channel.mode == _STOPPED for channel in self._channels):
+            self._has_armed = self._is_ending = self._was_lost = False
 
     @property
     def sample(self) -> Sample | None:
@@ -252,7 +268,7 @@ class Moteus:
                     channel.fault, "see the fault codes of register 0x00f in the maker's reference"
                 )
                 found.append(f"moteus {number} of wheel {WHEEL_NAMES[wheel]} has the fault {channel.fault}: {words}")
-            elif channel.mode == _TIMEOUT:
+            elif channel.mode == _TIMEOUT and not self._was_lost:
                 found.append(
                     f"moteus {number} of wheel {WHEEL_NAMES[wheel]} is in mode 11, position timeout: no command came "
                     "in time, or an e-stop was asked for; it stays there until it is cleared"
@@ -261,6 +277,7 @@ class Moteus:
 
     def restart(self) -> None:
         self._is_armed = False
+        self._was_lost = self._has_armed
         for channel in self._channels:
             channel.forget()
 

@@ -56,7 +56,10 @@ class ODrive:
     # Who is there
 
     def ask(self) -> Sequence[Frame]:
-        frames = [frame for axis in self._axes for frame in axis.ask()]
+        if self.missing:
+            frames = [frame for axis in self._axes for frame in axis.ask()]
+        else:  # heartbeats tell the rest
+            frames = [frame for axis in self._axes for frame in axis.ask_for_unread()]
         if not self._settings.feedback_hz:
             frames += [axis.remote(can.GET_ESTIMATES) for axis in self._axes]
         return frames

@@ -96,9 +96,10 @@ class Sample(NamedTuple):
 class Driver(Protocol):
     """Drives four motors, or a base, of one maker.
 
-    The order of a session: ``ask`` until ``identity`` is known, ``arm`` once a tick until ``is_armed``, ``command``
-    once a tick, ``disarm``. ``feed`` takes all that arrives, at any time. Nothing but ``arm`` may lead to motion, and
-    ``arm`` itself asks for standstill.
+    The order of a session: ``ask`` until ``identity`` is known, and then while nothing is commanded; ``arm`` once a
+    tick until ``is_armed``, ``command`` once a tick, ``disarm``. ``feed`` takes all that arrives, at any time. Nothing
+    but ``arm`` may lead to motion, and ``arm`` itself asks for standstill. How old speeds may be to arm by is not the
+    driver's business.
     """
 
     @property
@@ -106,7 +107,10 @@ class Driver(Protocol):
         """What they can do; what only some firmwares can is there until another firmware is known."""
 
     def ask(self) -> Sequence[Frame]:
-        """Return frames that ask who is there, in which version and state; nothing moves by them."""
+        """Return frames that ask who is there and in which version; once that is known, those that ask for the state.
+
+        Nothing moves by them. Who tells the state by itself is not asked for it: a question may feed a watchdog.
+        """
 
     @property
     def identity(self) -> str | None:

@@ -88,7 +88,7 @@ class Rosmaster:
         self._acceleration_m_s2 = (NAN, NAN, NAN)
 
     def ask(self) -> Sequence[Frame]:
-        return self._identity.ask()
+        return self._identity.ask() if self.missing else ()
 
     @property
     def identity(self) -> str | None:

@@ -75,7 +75,7 @@ class Vesc:
         self._asked: int | None = None  # the VESC whose answers are awaited
         self._turn = 0
         self._waited = 0
-        self._is_armed = False
+        self._is_armed = self._is_arming = False
         self._has_commanded = False
         self._to_erpm = settings.gear_ratio * settings.pole_pairs * 60.0 / math.tau
         self._to_current = 1.0 / robot.torque_constant_n_m_a
@@ -167,13 +167,19 @@ class Vesc:
         return said
 
     def arm(self, now_ns: int) -> Sequence[Frame]:
-        """See ``Driver``. There is nothing to arm: the first commands are of standstill, and who is fit follows."""
-        self._is_armed = all(
-            channel.is_fit and channel.stamp_ns is not None and now_ns - channel.stamp_ns < self._late_ns
-            for channel in self._channels
-        )
-        is_fit = all(channel.is_fit for channel in self._channels)
-        return self.command(_STILL, _STILL, now_ns) if is_fit else self._poll(now_ns)
+        """See ``Driver``. There is nothing to arm: the first commands are of standstill, and who is fit follows.
+
+        Whether they are fit they have to say anew: what they said last may be of hours ago.
+        """
+        if not self._is_arming:
+            self._is_arming = True
+            self._forget_fitness()
+        self._is_armed = all(channel.is_fit for channel in self._channels)
+        return self.command(_STILL, _STILL, now_ns) if self._is_armed else self._poll(now_ns)
+
+    def _forget_fitness(self) -> None:
+        for channel in self._channels:
+            channel.fault = channel.status = channel.asked_ns = None
 
     @property
     def is_armed(self) -> bool:
@@ -199,7 +205,7 @@ class Vesc:
 
     def _stand_down(self) -> None:
         """Nobody is asked from now on, so that nobody owes an answer."""
-        self._is_armed = False
+        self._is_armed = self._is_arming = False
         for channel in self._channels:
             channel.asked_ns = None
 
@@ -209,8 +215,7 @@ class Vesc:
 
     def clear(self) -> Sequence[Frame]:
         """See ``Driver``. A fault ends by itself, half a second after its cause as delivered: it is asked for anew."""
-        for channel in self._channels:
-            channel.fault = channel.status = channel.asked_ns = None
+        self._forget_fitness()
         return ()
 
     def feed(self, frame: Frame, stamp_ns: int) -> None:
@@ -271,7 +276,7 @@ class Vesc:
         return found
 
     def restart(self) -> None:
-        self._is_armed = self._has_commanded = False
+        self._is_armed = self._is_arming = self._has_commanded = False
         self._asked = None
         for channel in self._channels:
             channel.forget()

@@ -57,6 +57,8 @@ def failure(url: CanUrl, error: Exception) -> LinkError:
 
 
 def _of_serial_adapter(where: str, error: Exception) -> LinkError:
+    if "Write timeout" in str(error.__cause__):
+        return LinkError(f"{where} takes no bytes any more; plug the adapter out and in again")
     if is_gone(error):
         return LinkError(f"{where} was lost (it is gone); plug the adapter in again, and check its cable")
     if (problem := opening_problem(error)) is not None:

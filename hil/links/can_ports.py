@@ -4,6 +4,7 @@ What can go wrong is raised as it comes, for ``CanLink`` to explain. ``SocketCan
 dear: six system calls a frame each way, where one does.
 """
 
+import contextlib
 import errno
 import select
 import socket
@@ -22,6 +23,7 @@ _SELECTABLE_INTERFACES = ("slcan", "udp_multicast")
 # Where python-can parses lines of text, and raises these at one that is cut or garbled.
 _TEXT_INTERFACES = ("slcan",)
 _NO_FRAME = (IndexError, ValueError)
+_WRITE_TIMEOUT_S = 1.0  # as of a serial line: one that takes no byte for so long is lost
 
 # struct can_frame, struct canfd_frame and the flags of their identifier, include/uapi/linux/can.h
 _CLASSIC, _FD, _HEADER = struct.Struct("=IBB2x8s"), struct.Struct("=IBB2x64s"), struct.Struct("=IBB")
@@ -56,6 +58,8 @@ class PythonCan:
         self._garbled = garbled
         self._failures = (can.CanError, OSError, ValueError)
         self._descriptor = self._find_descriptor()
+        # Without one an adapter that takes no bytes any more would hold its sender for ever.
+        self._send_timeout_s = _WRITE_TIMEOUT_S if url.interface in _TEXT_INTERFACES else None
 
     def _find_descriptor(self) -> int | None:
         """Return what to wait on, or None where python-can is to wait."""
@@ -75,7 +79,14 @@ class PythonCan:
             is_fd=self._url.fd,
             bitrate_switch=self._url.fd and self._url.data_bitrate is not None,
         )
-        self._bus.send(message)
+        try:
+            self._bus.send(message, self._send_timeout_s)
+        except self._failures:
+            if self._url.interface in _TEXT_INTERFACES:
+                # What the adapter has not taken would keep closing, and opening anew, waiting for ever.
+                with contextlib.suppress(*self._failures):
+                    self._bus.serialPortOrig.reset_output_buffer()
+            raise
 
     def receive(self, timeout_ns: int) -> Any:
         if self._descriptor is None:

@@ -81,12 +81,14 @@ def contradictions(tables: Tables) -> Iterator[tuple[str, object, str]]:
                 fault.kind,
                 f"{title} as it is set up has no gyro, so that the fault could never strike; remove the row",
             )
-    for index, row in enumerate(tables.expect):
-        sensor = _SENSOR_OF.get(row.signal)
+    of_faults = [(f"fault.{i}.target", row.target) for i, row in enumerate(tables.fault) if row.row.acts_on == "signal"]
+    of_expectations = [(f"expect.{i}.signal", row.signal) for i, row in enumerate(tables.expect)]
+    for key, signal in of_faults + of_expectations:
+        sensor = _SENSOR_OF.get(signal)
         if sensor is not None and sensor not in can.sensors:
             yield (
-                f"expect.{index}.signal",
-                row.signal,
+                key,
+                signal,
                 f"{title} as it is set up does not measure it; remove the row (`hil list drivers` shows who measures "
                 "what)",
             )

@@ -185,7 +185,9 @@ class DeviceTable(Table):
     @field_validator("motors")
     @classmethod
     def _understood(cls, motors: Mapping[str, object], info: ValidationInfo) -> Mapping[str, object]:
-        driver = info.data.get("driver", OUR_DRIVER)
+        if "driver" not in info.data:
+            return motors  # that one is wrong, which is what has to be said
+        driver = info.data["driver"]
         if driver == OUR_DRIVER:
             if motors:
                 raise ValueError("belongs to the drivers of other makers; set device.driver, or leave it out")

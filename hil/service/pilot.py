@@ -46,6 +46,7 @@ class Pilot:
         self._deadline_s = math.inf
         self._emergency = EmergencyStop(rules.estop_repeat_s)
         self._why: str | None = None
+        self._trouble: str | None = None
         self._law_failed = False
         self._conduct = Conduct(rules)
         self.phase = Phase.AWAY
@@ -67,10 +68,10 @@ class Pilot:
 
     @property
     def why(self) -> str | None:
-        """The last thing that went wrong, as a sentence, and in AWAY what keeps the robot from coming back."""
-        if self.phase is not Phase.AWAY or self._recovery.problem == self._why:
-            return self._why
-        return "; ".join(filter(None, (self._why, self._recovery.problem)))
+        """What went wrong last, as a sentence, in AWAY what keeps the robot from coming back, and what is wrong now."""
+        problem = self._recovery.problem if self.phase is Phase.AWAY else None
+        said = filter(None, (self._why, problem, self._parts.device.report.trouble))
+        return "; ".join(dict.fromkeys(said)) or None
 
     @property
     def estop_owed(self) -> bool:
@@ -197,6 +198,13 @@ class Pilot:
                 self._doing.use(muted(self._parts))
             self.lose(error)
             self._doing.tell_away(now, fix, NOWHERE)
+        self._note_trouble()
+
+    def _note_trouble(self) -> None:
+        trouble = self._parts.device.report.trouble
+        if trouble is not None and trouble != self._trouble:
+            self._parts.note(self._t_s, "warning", trouble)
+        self._trouble = trouble
 
     def lose(self, error: HilError) -> None:
         """Take what went wrong, in a tick or while waiting for it. Raises as ``tick``."""

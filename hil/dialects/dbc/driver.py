@@ -91,12 +91,14 @@ class DbcDriver:
     def _restart_arming(self) -> None:
         self._step = 0
         self._stepped_ns = 0
+        self._watchdog_ns: int | None = None  # when its time was sent first
         self._is_armed = False
+        self._passed: list[str] = []  # errors that ended closed loop, though they may be over
 
     # A session
 
     def ask(self) -> Sequence[Frame]:
-        return self._all_of("ask")
+        return self._all_of("ask") if self.missing else ()
 
     @property
     def identity(self) -> str | None:
@@ -127,7 +129,9 @@ class DbcDriver:
 
     def arm(self, now_ns: int) -> Sequence[Frame]:
         if self._watchdog is not None and not self._watchdog_is_set():
-            self._restart_arming()
+            self._step, self._is_armed = 0, False
+            if self._watchdog_ns is None:
+                self._watchdog_ns = now_ns
             return self._frames([self._watchdog])
         steps = self._phases["enable"]
         if self._step < len(steps):
@@ -141,12 +145,15 @@ class DbcDriver:
         return self._standstill()
 
     def _watchdog_is_set(self) -> bool:
+        """Tell whether it was sent in this arming, and then read back where it can be."""
+        if self._watchdog_ns is None:
+            return False
         written, read = self._plan.watchdog.set, self._plan.watchdog.read
         if written is None or read is None:
             return True
         expected_s = self._gain(written) * written.signal.physical(self._watchdog_raw)
         half_a_step_s = abs(self._gain(read) * read.signal.factor) / 2
-        return abs(self._heard.watchdog_s() - expected_s) <= half_a_step_s + 1e-9
+        return abs(self._heard.watchdog_s(self._watchdog_ns) - expected_s) <= half_a_step_s + 1e-9
 
     @property
     def is_armed(self) -> bool:
@@ -191,7 +198,10 @@ class DbcDriver:
     # What arrives
 
     def feed(self, frame: Frame, stamp_ns: int) -> None:
-        self._heard.feed(frame.id, frame.payload, stamp_ns)
+        is_well = self._heard.feed(frame.id, frame.payload, stamp_ns)
+        if self._is_armed and not is_well:  # the next may be: of several that came together the last alone would count
+            self._passed = self._reported()
+            self._is_armed = False
 
     @property
     def sample(self) -> Sample | None:
@@ -226,17 +236,21 @@ class DbcDriver:
 
     @property
     def errors(self) -> Sequence[str]:
-        told = [
-            f"{'the robot' if error.where == 'robot' else f'wheel {error.where}'}: {error.signal} is "
-            f"{error.signal.word(raw)}"
-            for error, raw in self._heard.errors()
-        ]
+        told = self._reported()
+        told += [error for error in self._passed if error not in told]
         silent = [
             f"nothing heard of {_named(message)}, which tells errors or states, for more than {late_s:g} s (how often "
             "it comes is device.motors.cycle_time_s)"
             for message, late_s in self._heard.silent()
         ]
         return told + silent
+
+    def _reported(self) -> list[str]:
+        return [
+            f"{'the robot' if error.where == 'robot' else f'wheel {error.where}'}: {error.signal} is "
+            f"{error.signal.word(raw)}"
+            for error, raw in self._heard.errors()
+        ]
 
     def restart(self) -> None:
         self._restart_arming()

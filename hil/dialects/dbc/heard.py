@@ -1,7 +1,7 @@
 """What the controllers say: the messages of a mapping as they arrive, and quantities and conditions from them."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from itertools import chain
 from typing import NamedTuple
 
@@ -108,17 +108,30 @@ class Heard:
         self._errors = [(self._place(one.signal), one) for one in plan.errors]
         watched = _hearings([place for place, _ in chain(self._armed_when, self._errors)])
         self._watched = [(one, one.late_ns) for one in watched if one.late_ns is not None]
+        self._sound: dict[int, list[tuple[int, Collection[float]]]] = {one.message.id: [] for one in watched}
+        for place, sound in chain(
+            ((place, condition.raws) for place, condition in self._armed_when),
+            ((place, error.none) for place, error in self._errors),
+        ):
+            self._sound[place.hearing.message.id].append((place.number, sound))
         read = plan.watchdog.read
         self._watchdog = None if read is None else self._place(read.signal, gain(read))
         self._measured = _hearings(self._quantities[plan.measured])
         self._positions = [one for one in _hearings(self._quantities.get("position", ())) if one not in self._measured]
 
-    def feed(self, identifier: int, payload: bytes, stamp_ns: int) -> None:
-        """Take a frame's payload; one of no message of the mapping changes nothing."""
+    def feed(self, identifier: int, payload: bytes, stamp_ns: int) -> bool:
+        """Take a frame's payload, and tell whether it is well; it is not with an error, or a state not to be armed in.
+
+        One of no message of the mapping changes nothing.
+        """
         hearing = self._by_id.get(identifier)
-        if hearing is not None:
-            self._now_ns = max(self._now_ns, stamp_ns)
-            hearing.feed(payload, stamp_ns)
+        if hearing is None:
+            return True
+        self._now_ns = max(self._now_ns, stamp_ns)
+        hearing.feed(payload, stamp_ns)
+        if hearing.stamp_ns is None:
+            return True  # it was none, and there is nothing yet
+        return all(hearing.values[index] in sound for index, sound in self._sound.get(identifier, ()))
 
     def _place(self, signal: Signal, gain: float | None = None) -> Place:
         """Have a signal read, raw without a gain: what is compared must not be rounded."""
@@ -188,9 +201,12 @@ class Heard:
             if place.hearing.stamp_ns is not None and place.value not in error.none
         ]
 
-    def watchdog_s(self) -> float:
-        """Return the time that the watchdog was read back with, NaN before it was."""
-        return NAN if self._watchdog is None else self._watchdog.value
+    def watchdog_s(self, since_ns: int) -> float:
+        """Return the time that the watchdog was read back with; NaN where that was not after an instant, or of late."""
+        place = self._watchdog
+        if place is None or place.hearing.stamp_ns is None or place.hearing.stamp_ns <= since_ns:
+            return NAN
+        return NAN if place.hearing.is_silent(self._now_ns) else place.value
 
 
 def _hearings(places: Sequence[Place]) -> list[Hearing]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+from hil.dialects.dbc.file import Signal
 from hil.dialects.dbc.mapping import Bound
 from hil.dialects.dbc.settings import Plan, Settings
 from hil.dialects.dbc.units import SI, at_wheel
@@ -10,6 +11,7 @@ from hil.errors import BadInputError
 from hil.types import WHEEL_NAMES
 
 _KEY = "device.motors"
+_WHOLE = 1e-9
 
 Gain = Callable[[Bound], float]
 """Returns what 1 of a signal is in the SI unit of its dimension, with its sign."""
@@ -46,7 +48,7 @@ def check_wheels(plan: Plan, robot: RobotFacts) -> None:
 
 
 def check_limits(plan: Plan, robot: RobotFacts, gain: Gain) -> None:
-    """Raise BadInputError where a limit of the robot is beyond what a commanded signal can carry."""
+    """Raise BadInputError where a commanded signal cannot carry a limit of the robot, or standstill."""
     ground_m_s = robot.speed_limit_rad_s * robot.wheel_radius_m
     limits = {
         "speed": ("robot.speed_limit_rad_s", robot.speed_limit_rad_s),
@@ -58,12 +60,25 @@ def check_limits(plan: Plan, robot: RobotFacts, gain: Gain) -> None:
         for bound in quantity.bounds:
             name, limit = limits[bound.dimension]
             signal = bound.signal
+            _check_zero(signal)
             low, high = sorted(gain(bound) * signal.physical(raw) for raw in (signal.low, signal.high))
             if -limit < low or limit > high:
                 raise BadInputError(
                     f"{_KEY}.command: {signal} goes from {low:.4g} to {high:.4g} {SI[bound.dimension]}, and {name} "
                     f"asks for {limit:.4g} both ways; lower that, or correct unit, scale or gear_ratio"
                 )
+
+
+def _check_zero(signal: Signal) -> None:
+    """Raise BadInputError where a signal has no number for zero: its nearest would be a motion."""
+    zero = -signal.offset / signal.factor
+    if signal.is_float or abs(zero - round(zero)) <= _WHOLE * max(1.0, abs(zero)):
+        return
+    raise BadInputError(
+        f"{_KEY}.command: {signal} goes in steps of {signal.factor:g} from an offset of {signal.offset:g}, and so has "
+        f"no zero: the nearest is {signal.physical(round(zero)):.4g}, by which a robot at rest would creep; take a "
+        "signal that has one, or correct factor and offset in the DBC"
+    )
 
 
 def watchdog_raw(plan: Plan, robot: RobotFacts, gain: Gain) -> float:

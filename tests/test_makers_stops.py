@@ -1,0 +1,341 @@
+"""Motors of other makers: what is owed to them when something goes wrong, and what is kept from those of others."""
+
+import contextlib
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+import hil.robots
+from firmware_protocol.framing import Frame
+from firmware_protocol.generated.messages import State
+from hil.assembly import run_scenario
+from hil.bench import Bench
+from hil.devices.emulated.c620 import EmulatedC620
+from hil.devices.makers import MakersRobot
+from hil.dialects.port import Wire
+from hil.dialects.rosmaster import MOTION
+from hil.dialects.rosmaster_line import RosmasterFraming
+from hil.errors import DeviceError, LinkError
+from hil.kinematics import BodyTwist
+from hil.scenario import load
+from hil.service.messages import Phase
+from hil.types import ZERO_WHEELS, CommandMode, WheelCommand, Wheels
+from tests.dbc_mappings import motors
+from tests.dialect_testbed import Rig, ramp_to
+from tests.pilot_bench import PilotBench
+
+PERIOD_NS = 10_000_000
+ROSMASTER = {"device.driver": "rosmaster", "plant.start.battery_voltage_v": 12.0}
+FORWARD = WheelCommand(CommandMode.SPEED, Wheels(5.0, 5.0, 5.0, 5.0), ZERO_WHEELS)
+
+
+def robot_of(bench: Bench) -> MakersRobot:
+    assert isinstance(bench.device, MakersRobot)
+    return bench.device
+
+
+def node_of(bench: Bench) -> Any:
+    assert bench._robot is not None
+    return bench._robot.node
+
+
+@contextlib.contextmanager
+def nothing_goes_out(bench: Bench) -> Iterator[None]:
+    """As where the queue of a CAN controller stays full: what comes is still heard."""
+
+    def send(_frame: Frame) -> None:
+        raise LinkError("the transmit queue stays full")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(robot_of(bench)._line._link, "send", send)
+        yield
+
+
+@contextlib.contextmanager
+def on_bench(driver: str, **changes: Any) -> Iterator[Bench]:
+    short = {"loop.rate_hz": 100, "device.driver": driver} | changes
+    with Bench(load("circle_speed", mode="lockstep", set=short), None, allow_motion=True) as bench:
+        yield bench
+
+
+def let_pass(bench: Bench, time_s: float) -> None:
+    bench.device.wait_until(bench.clock.now_ns() + round(time_s * 1e9))
+
+
+def drive(bench: Bench, ticks: int) -> None:
+    for _ in range(ticks):
+        let_pass(bench, 0.01)
+        bench.device.poll()
+        bench.device.send(FORWARD)
+
+
+def come_back(bench: Bench) -> None:
+    bench.device.begin_again()
+    while not bench.device.greeted():
+        let_pass(bench, 0.01)
+
+
+# What did not go out is not done
+
+
+def driven(**changes: Any) -> PilotBench:
+    bench = PilotBench(**{"device.driver": "c620"} | changes).armed()
+    bench.pilot.twist(BodyTwist(0.3, 0.0, 0.0))
+    bench.run(0.15)
+    return bench
+
+
+def test_an_emergency_stop_that_did_not_go_out_is_neither_confirmed_nor_cleared_and_it_is_told() -> None:
+    with driven() as bench:
+        with nothing_goes_out(bench.bench):
+            bench.pilot.estop()
+            bench.run(0.3)
+            assert bench.pilot.estop_owed
+            assert "the stop could not be sent: the transmit queue stays full" in str(bench.pilot.why)
+            assert "the stop could not be sent: the transmit queue stays full" in bench.notes
+            bench.pilot.clear()
+            bench.run(0.5)
+            assert bench.pilot.phase is Phase.ESTOP
+            assert bench.last("robot.state") != State.ESTOP
+            bench.run(3.0)
+            assert bench.pilot.estop_owed
+            assert "the stop could not be sent" in str(bench.pilot.why)
+            bench.pilot.estop()  # takes the clear back
+        bench.run_until(Phase.ESTOP)
+        bench.run(0.5)
+        assert not bench.pilot.estop_owed
+        assert "could not be sent" not in str(bench.pilot.why)
+        assert bench.last("robot.state") == State.ESTOP
+
+
+def test_a_robot_whose_stop_did_not_go_out_is_not_disarmed() -> None:
+    with driven() as bench:
+        with nothing_goes_out(bench.bench):
+            for _ in range(40):
+                bench.run(0.1)
+                assert bench.pilot.phase in (Phase.AWAY, Phase.STOPPING)
+                assert "the stop could not be sent" in str(bench.pilot.why)
+        assert bench.phases.count(Phase.AWAY) > 2, "the link is opened anew"
+        bench.run_until(Phase.DISARMED)
+        assert not node_of(bench.bench).is_driving
+
+
+def test_a_run_whose_stop_did_not_go_out_says_so() -> None:
+    with on_bench("c620") as bench:
+        bench.connect()
+        bench.device.start(bench.clock, PERIOD_NS)
+        drive(bench, 5)
+        with nothing_goes_out(bench):
+            bench.device.estop()
+            with pytest.raises(LinkError, match="the stop could not be sent: the transmit queue stays full"):
+                bench.device.stop(PERIOD_NS, 500_000_000)
+
+
+class LosesTheFirstStop(EmulatedC620):
+    """Gets hot in motion; the first command without currents from then on is lost on the way."""
+
+    is_lost = False
+
+    @property
+    def is_hot(self) -> bool:
+        return self.ticks > 800
+
+    def take(self, frame: Frame) -> None:
+        if self.is_hot and frame.id == 0x200 and not any(frame.payload) and not self.is_lost:
+            self.is_lost = True
+            return
+        super().take(frame)
+
+    def _sample(self, drive: Any) -> None:
+        super()._sample(drive)
+        if self.is_hot:
+            self.temperature_degc = (120.0,) * 4
+
+
+def test_one_stop_that_is_lost_at_the_end_of_a_run_leaves_no_motor_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[LosesTheFirstStop] = []
+
+    def kind(*arguments: Any, **more: Any) -> LosesTheFirstStop:
+        made.append(LosesTheFirstStop(*arguments, **more))
+        return made[-1]
+
+    monkeypatch.setattr(hil.robots, "emulated", lambda _name: kind)
+    changes = {"loop.rate_hz": 100, "loop.duration_s": 2, "expect": [], "device.driver": "c620"}
+    result = run_scenario(load("circle_speed", mode="lockstep", set=changes))
+    assert "120 °C" in str(result.failure)
+    [robot] = made
+    assert robot.is_lost
+    assert not robot.is_driving
+
+
+@pytest.mark.parametrize("presses", [1, 3, 6])
+def test_a_stop_goes_out_however_often_ctrl_c_is_pressed(monkeypatch: pytest.MonkeyPatch, presses: int) -> None:
+    with on_bench("odrive") as bench:
+        bench.connect()
+        bench.device.start(bench.clock, PERIOD_NS)
+        drive(bench, 20)
+        link = robot_of(bench)._line._link
+        send, left = link.send, [presses]
+
+        def interrupted(frame: Frame) -> None:
+            if left[0]:
+                left[0] -= 1
+                raise KeyboardInterrupt
+            send(frame)
+
+        monkeypatch.setattr(link, "send", interrupted)
+        with contextlib.suppress(KeyboardInterrupt):
+            bench.device.stop(PERIOD_NS, 1_000_000_000)
+        bench.device.close()
+        let_pass(bench, 0.5)
+        assert not left[0]
+        assert all(abs(shaft.speed_rad_s) < 0.2 for shaft in node_of(bench).shafts)
+
+
+# Who speaks only when spoken to
+
+
+WIRED = [
+    {"device.driver": "moteus"},
+    {"device.driver": "odrive"},
+    {"device.driver": "odrive", "device.motors.feedback_hz": 0},
+    {"device.driver": "vesc"},
+    {"device.driver": "vesc", "link.url": "can:virtual/disarmed"},
+    {"device.driver": "c620"},
+    {"device.driver": "wheeltec"},
+    {"device.driver": "wheeltec", "link.url": "can:virtual/disarmed"},
+    ROSMASTER,
+]
+
+
+@pytest.mark.parametrize("changes", WIRED, ids=lambda changes: "-".join(map(str, changes.values())))
+def test_a_robot_that_is_not_driven_stays_with_the_service(changes: dict[str, Any]) -> None:
+    with PilotBench(**changes) as bench:
+        bench.run_until(Phase.DISARMED)
+        bench.run(0.6)
+        bench.armed()
+        bench.run(0.1)
+        bench.pilot.estop()
+        bench.run(1.0)
+        assert not bench.pilot.estop_owed
+        assert not robot_of(bench.bench)._stop.is_owed
+        bench.pilot.clear()
+        bench.run_until(Phase.DISARMED)
+        bench.run(0.6)
+        way = [Phase.AWAY, Phase.STOPPING, Phase.DISARMED, Phase.ACTIVE, Phase.ESTOP, Phase.DISARMED]
+        assert [phase for phase in bench.phases if phase is not Phase.ARMING] == way
+
+
+@pytest.mark.parametrize(("driver", "wire"), [("moteus", None), ("vesc", "can"), ("vesc", "serial"), ("dbc", None)])
+def test_questions_keep_no_watchdog_alive(driver: str, wire: Wire | None) -> None:
+    rig = Rig(driver, motors("wheel_drives") if driver == "dbc" else None, wire=wire)
+    rig.step(ticks=110)
+    rig.greet()
+    rig.arm()
+    rig.drive(0.3, ramp_to((8.0, 8.0, 8.0, 8.0), 0.2))
+    assert not rig.is_still()
+    for _ in range(400):
+        rig.step(rig.driver.ask())
+    assert rig.is_still() or not rig.node.is_driving  # a VESC lets its motor roll
+
+
+@pytest.mark.parametrize("link", ["memory:", "can:virtual/fault"])
+def test_a_fault_of_a_vesc_is_seen_while_disarmed_and_not_cleared_while_it_is_there(link: str) -> None:
+    with PilotBench(**{"device.driver": "vesc", "link.url": link}) as bench:
+        bench.run_until(Phase.DISARMED)
+        vesc = node_of(bench.bench).vescs[2]
+        vesc.fail(3)
+        vesc._fault_left = 10**6
+        bench.run_until(Phase.FAULT, 0.5)
+        assert "VESC 3 of wheel rr has the fault 3" in str(bench.pilot.why)
+        bench.pilot.clear()
+        bench.run(2.2)
+        assert bench.pilot.phase is Phase.FAULT
+        assert "clearing was refused" in str(bench.pilot.why)
+
+
+def test_nobody_is_armed_by_a_speed_of_long_ago(monkeypatch: pytest.MonkeyPatch) -> None:
+    with on_bench("c620") as bench:
+        bench.connect()
+        node = node_of(bench)
+        say = node.say
+        monkeypatch.setattr(node, "say", lambda frame: None if frame.id == 0x203 else say(frame))
+        let_pass(bench, 0.5)
+        with pytest.raises(DeviceError, match="no feedback of all four wheels that is younger"):
+            bench.device.start(bench.clock, PERIOD_NS)
+
+
+# What others drive, and what happened while nobody looked
+
+
+def test_a_host_that_has_armed_nothing_leaves_motors_in_error_alone() -> None:
+    with on_bench("moteus") as bench:
+        servos = node_of(bench).servos
+        for servo in servos:
+            servo.mode = 11  # the e-stop of a host before
+        bench.connect()
+        for _ in range(2):
+            with pytest.raises(DeviceError, match="is in mode 11, position timeout"):
+                bench.device.start(bench.clock, PERIOD_NS)
+            let_pass(bench, 0.1)
+            assert [servo.mode for servo in servos] == [11] * 4
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_a_fault_that_arose_while_the_link_was_away_is_not_cleared_by_our_own_stop(fails: bool) -> None:
+    """Without one the robot comes back from mode 11, where our silence has led it."""
+    with on_bench("moteus", **{"loop.rearm": True}) as bench:
+        device, servos = bench.device, node_of(bench).servos
+        bench.connect()
+        device.start(bench.clock, PERIOD_NS)
+        drive(bench, 20)
+        device.leave()
+        with nothing_goes_out(bench):
+            let_pass(bench, 0.3)
+            for servo in servos:
+                servo.mode = 11
+            if fails:
+                servos[1].fail(38)
+        come_back(bench)
+        with pytest.raises(DeviceError, match="over temperature") if fails else contextlib.nullcontext():
+            for _ in range(100):
+                let_pass(bench, 0.01)
+                if device.armed():
+                    break
+        assert [servo.mode for servo in servos] == ([11, 1, 11, 11] if fails else [10] * 4)
+
+
+def test_a_base_that_drives_on_is_told_of_and_an_emergency_stop_stops_it() -> None:
+    with PilotBench(**ROSMASTER) as bench:
+        bench.run_until(Phase.DISARMED)
+        node = node_of(bench.bench)
+        node.feed(RosmasterFraming().encode(Frame(MOTION, bytes([1]) + (300).to_bytes(2, "little") + bytes(4))))
+        bench.run(1.0)
+        assert bench.pilot.phase is Phase.DISARMED
+        assert bench.pilot.why == "the wheels turn, and not by us: an e-stop stops them"
+        assert bench.notes == [bench.pilot.why]
+        assert node.is_driving
+        bench.pilot.estop()
+        bench.run(1.0)
+        assert not node.is_driving
+        assert bench.pilot.why == "an e-stop was asked for"
+
+
+def test_nothing_is_armed_without_the_guardian_and_what_is_driven_is_stopped() -> None:
+    with on_bench("rosmaster", **{"plant.start.battery_voltage_v": 12.0, "loop.rearm": True}) as bench:
+        device = robot_of(bench)
+        bench.connect()
+        device.start(bench.clock, PERIOD_NS)
+        device._terms = device._terms._replace(is_guarded=lambda: False)
+        for _ in range(300):
+            let_pass(bench, 0.01)
+            feedback = device.poll()
+            device.send(FORWARD)
+        assert feedback is not None
+        assert feedback.state is State.IDLE
+        assert "the guardian was killed" in str(device.report.why)
+        come_back(bench)
+        for _ in range(2):
+            with pytest.raises(DeviceError, match="nothing is armed without it"):
+                device.armed()
