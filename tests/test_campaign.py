@@ -474,17 +474,20 @@ def test_what_a_campaign_of_this_machine_listens_on_is_loopback(tmp_path: Path) 
 
 def test_a_report_has_no_figures_of_runs_that_ended_early_and_calls_all_as_the_plan_does_now(tmp_path: Path) -> None:
     (tmp_path / "laws.py").write_text(LAWS, encoding="utf-8")
-    laws = 'keep = "none"\nseeds = 2\nlaws = [{{ law = "dsc", name = "{}" }}, "./laws.py:Light"]'
-    do(write_plan(tmp_path, laws.format("one")), tmp_path / "out")
+    laws = 'keep = {}\nseeds = 2\nlaws = [{{ law = "dsc", name = "{}" }}, "./laws.py:Light"]'
+    do(write_plan(tmp_path, laws.format('"none"', "one")), tmp_path / "out")
     axis = "[axes]\nrobot.mass_kg = { grid = [20, 22] }"  # 20 is as it was, so these runs are there; 22 ends the law
-    do(write_plan(tmp_path, laws.format("other"), axis), tmp_path / "out")
+    worst = '{ worst = 1, by = "effort_n_m_s" }'
+    rows = do(write_plan(tmp_path, laws.format(worst, "other"), axis), tmp_path / "out")
+    (kept,) = (tmp_path / "out" / RECORDINGS).iterdir()
+    assert [row["outcome"] for row in rows if row["key"] == kept.stem] == ["ended"]
     judged = judge(tmp_path / "out")
-    assert [rate[:4] for rate in judged.rates] == [
-        ("all", "", 8, 6),
-        ("robot.mass_kg", "20", 4, 4),
-        ("robot.mass_kg", "22", 4, 2),
-        ("law", "other", 4, 4),
-        ("law", "Light", 4, 2),
+    assert [rate[:5] for rate in judged.rates] == [
+        ("all", "", 8, 6, 2),
+        ("robot.mass_kg", "20", 4, 4, 2),
+        ("robot.mass_kg", "22", 4, 2, 2),
+        ("law", "other", 4, 4, 2),
+        ("law", "Light", 4, 2, 2),
     ]
     (effort,) = (duel for duel in judged.duels if duel.figure == "effort_n_m_s")
     assert (effort.first, effort.second, effort.pairs, effort.left_out, effort.units) == ("other", "Light", 2, 2, 2)

@@ -21,7 +21,7 @@ from hil.campaign.keys import key_of
 from hil.campaign.load import load_plan
 from hil.campaign.points import count, points
 from hil.campaign.rows import MACHINE, figures_of
-from hil.campaign.statistics import binned, paired_difference, ranked, share_explained, unit_means, wilson
+from hil.campaign.statistics import binned, paired_difference, ranked, share_explained, share_of, unit_means, wilson
 from hil.campaign.work import perform
 from hil.devices.virtual import KeptRobot
 from hil.errors import BadInputError
@@ -99,7 +99,10 @@ def test_a_key_follows_from_what_a_run_is_made_of_and_not_from_where_that_is(tmp
     other = [{"loop.seed": 2}, {"robot.mass_kg": 21.0}, {"controller.gains.k1_1_s": 1.5}, {"loop.duration_s": 1.0}]
     scenarios = [base, *(load("circle_speed", set={"controller.law": "dsc"} | more) for more in other)]
     assert len({key_of(scenario) for scenario in scenarios}) == len(scenarios)
-    assert key_of(load("circle_speed", set={"robot.mass_kg": 20})) == key_of(base)
+    for key, whole in (("robot.mass_kg", 20), ("reference.radius_m", 1), ("controller.gains.k1_1_s", 9)):
+        laws = {"controller.law": "dsc"}
+        same = [key_of(load("circle_speed", set={**laws, key: value})) for value in (whole, float(whole))]
+        assert same[0] == same[1], key
 
 
 LAW = """
@@ -194,10 +197,32 @@ def test_rows_that_a_kill_left_twice_count_once_and_what_was_not_finished_counts
 
 @given(st.integers(1, 2000).flatmap(lambda trials: st.tuples(st.integers(0, trials), st.just(trials))))
 def test_the_interval_of_a_share_is_that_of_scipy(counts: tuple[int, int]) -> None:
-    share, low, high = wilson(*counts)
+    share, low, high = wilson(counts[0] / counts[1], counts[1])
     expected = stats.binomtest(*counts).proportion_ci(0.95, method="wilson")
     assert (low, high) == pytest.approx((expected.low, expected.high), abs=1e-12)
     assert low <= share <= high
+
+
+@pytest.mark.parametrize(("draws", "runs"), [(10, 100), (40, 5)])
+def test_the_interval_of_a_pass_rate_knows_which_runs_repeat_each_other(draws: int, runs: int) -> None:
+    """Half of what decides a run is drawn for all runs of a draw: Wilson's interval of all runs held 0.7 rarely."""
+    generator = np.random.default_rng(3)
+    held = 0
+    for _ in range(300):
+        shares = generator.beta(1.4, 0.6, draws)  # of each draw; 0.7 in the mean
+        passed = generator.random((draws, runs)) < shares[:, None]
+        interval = share_of(np.repeat(np.arange(draws), runs).tolist(), passed.ravel().tolist())
+        assert interval.low is not None
+        assert interval.high is not None
+        held += interval.low <= 0.7 <= interval.high
+    assert 0.91 * 300 <= held <= 299
+
+
+def test_a_share_of_runs_that_each_were_drawn_is_wilsons_and_of_few_draws_there_is_no_interval() -> None:
+    assert share_of(range(30), [True] * 21 + [False] * 9) == wilson(0.7, 30)
+    assert share_of([1] * 30 + [2] * 30, [True] * 60) == (1.0, None, None)
+    twenty = share_of([draw for draw in range(20) for _ in range(9)], [True] * 180)
+    assert twenty.low == pytest.approx(wilson(1.0, 20 * (1.96 / 2.093) ** 2).low, abs=1e-3)
 
 
 @given(st.lists(st.integers(0, 20), min_size=1, max_size=50))

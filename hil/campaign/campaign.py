@@ -8,7 +8,7 @@ for rows in campaign.perform(Path("runs/mass"), Place(None, 2, 120.0)):
 import contextlib
 import shlex
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -19,7 +19,7 @@ from hil.campaign.jobs import ALWAYS, IF_FAILED, NEVER, Job
 from hil.campaign.keys import key_of
 from hil.campaign.load import Plan, load_plan
 from hil.campaign.points import Point, points
-from hil.campaign.rows import COLUMNS, FOREIGN, MACHINE, check_figure
+from hil.campaign.rows import COLUMNS, ENDED, FAILED, FOREIGN, MACHINE, PASSED, check_figure
 from hil.campaign.tables import KeepTable
 from hil.errors import BadInputError, LinkError
 from hil.links.opening import is_within_process
@@ -223,8 +223,8 @@ class Campaign:
         keep = self.plan.tables.keep
         if not isinstance(keep, KeepTable) or how.is_stopping():
             return
-        of_figure = [row for row in self._there(dataset.folder).values() if row[keep.by] is not None]
-        worst = [row[KEY] for row in sorted(of_figure, key=lambda row: -row[keep.by])[: keep.worst]]
+        began = [row for row in self._there(dataset.folder).values() if row["outcome"] in (PASSED, FAILED, ENDED)]
+        worst = [row[KEY] for row in sorted(began, key=partial(_badness, by=keep.by), reverse=True)[: keep.worst]]
         there = {path.stem for path in (dataset.folder / RECORDINGS).glob(f"*{_RECORDING_SUFFIX}")}
         for batch in self._done([self._by_key[key] for key in worst if key not in there], ALWAYS, how):
             for done in batch:
@@ -266,6 +266,12 @@ class Campaign:
             "by": keep["by"] if isinstance(keep, dict) else "steady_rms_m",
             "runs": len(self.runs),
         }
+
+
+def _badness(row: Row, by: str) -> tuple[bool, float]:
+    """Return how bad a run was: one that ended early, or never came so far as to have the figure, is worse than all."""
+    value = None if row["outcome"] == ENDED else row[by]
+    return value is None, value or 0.0
 
 
 @contextlib.contextmanager

@@ -1,5 +1,6 @@
 """How long a campaign takes: a few of its runs are timed in a process of their own."""
 
+import math
 from typing import NamedTuple
 
 from hil.campaign.campaign import Campaign
@@ -33,4 +34,4 @@ def estimate(campaign: Campaign, left: int, workers: int) -> Estimate:
         finally:
             performer.close()
         run_s = sum(one.wall_s for one in said) / _TIMED
-    return Estimate(run_s, run_s * left / workers)
+    return Estimate(run_s, run_s * math.ceil(left / workers))

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from hil.campaign.dataset import KEY, RECORDINGS, read_about, read_plan, read_rows
 from hil.campaign.rows import FAILED, FIGURES, MACHINE, PASSED
-from hil.campaign.statistics import Interval, binned, paired_difference, share_explained, wilson
+from hil.campaign.statistics import Interval, binned, paired_difference, share_explained, share_of
 
 Series = npt.NDArray[np.float64]
 Row = Mapping[str, Any]
@@ -23,12 +23,13 @@ _WORST = 20
 
 
 class Rate(NamedTuple):
-    """How many of the runs of one value of an axis passed; ``share`` with Wilson's interval."""
+    """How many of the runs of one value of an axis passed; ``units`` independent draws stand behind them."""
 
     axis: str
     value: str
     runs: int
     passed: int
+    units: int
     share: Interval
 
 
@@ -99,14 +100,24 @@ class Judged:
     @cached_property
     def rates(self) -> list[Rate]:
         """Pass rates: of all, and of each value of what has few."""
-        rates = [_rate("all", "", self.rows)] if self.rows else []
+        rates = [self._rate("all", "", self.rows)] if self.rows else []
         for axis, kind in self.axes.items():
             if kind in ("uniform", "log_uniform") or axis == "seed":
                 continue
             values = list(dict.fromkeys(row[axis] for row in self.plan))
             groups = ((value, [row for row in self.rows if row[axis] == value]) for value in values)
-            rates += [_rate(axis, word(value), some) for value, some in groups if some]
+            rates += [self._rate(axis, word(value), some) for value, some in groups if some]
         return rates
+
+    def _rate(self, axis: str, value: str, rows: Sequence[Row]) -> Rate:
+        units = [row[self._unit] for row in rows]
+        passed = [row["outcome"] == PASSED for row in rows]
+        return Rate(axis, value, len(rows), sum(passed), len(set(units)), share_of(units, passed))
+
+    @property
+    def _unit(self) -> str:
+        """What is drawn: samples come with all seeds; without random axes it is the seeds."""
+        return "sample" if self.about["samples"] > 1 else "seed"
 
     @cached_property
     def spreads(self) -> list[Spread]:
@@ -134,14 +145,12 @@ class Judged:
         same = [
             name for name in ("fault", "seed", "sample", *self.about["axes"]) if not name.startswith("controller.law")
         ]
-        # A draw of the random axes comes with all seeds; without random axes the seeds are what is drawn.
-        unit = "sample" if self.about["samples"] > 1 else "seed"
         by_law: dict[str, dict[tuple[Any, ...], Row]] = {law: {} for law in self.about["laws"]}
         for row in self.rows:
             by_law[row["law"]][tuple(row[name] for name in same)] = row
         for figure, (first, second) in itertools.product(COMPARED, itertools.combinations(by_law, 2)):
             both = [
-                (row[unit], row[figure], by_law[second][place][figure])
+                (row[self._unit], row[figure], by_law[second][place][figure])
                 for place, row in by_law[first].items()
                 if place in by_law[second]
             ]
@@ -210,8 +219,7 @@ class Judged:
         told = ", ".join(f"{count} {outcome}" for outcome, count in self.outcomes.items()) or "none"
         yield f"{len(self.rows)} runs: {told}{missing}"
         if self.rows:
-            share = self.rates[0].share
-            yield f"pass rate {percent(share)}"
+            yield f"pass rate {percent(self.rates[0])}"
         for duel in self.duels:
             if duel.figure == self.by:
                 yield f"{duel.figure}: {duel_words(duel)}"
@@ -256,25 +264,25 @@ def _judged(row: Row) -> dict[str, Any]:
     return {**missing, **row} if row["outcome"] in (PASSED, FAILED) else {**row, **missing}
 
 
-def percent(share: Interval) -> str:
+def percent(rate: Rate) -> str:
     """Return a share with its interval in words."""
-    low, high = (100.0 * (value or 0.0) for value in share[1:])
-    return f"{100.0 * share.value:.4g} % (95 %: {low:.3g} to {high:.3g} %)"
+    value, low, high = rate.share
+    if low is None or high is None:
+        return f"{100.0 * value:.4g} % (from {_draws(rate.units)}: too few for an interval)"
+    return f"{100.0 * value:.4g} % (95 %: {100.0 * low:.3g} to {100.0 * high:.3g} %)"
 
 
 def duel_words(duel: Duel) -> str:
     """Return what two laws are to each other in words."""
     value, low, high = duel.difference
     if low is None or high is None:
-        draws = "1 draw" if duel.units == 1 else f"{duel.units} draws"
-        return f"{duel.first} - {duel.second} = {value:+.3g}, from {draws}: too few for an interval"
+        return f"{duel.first} - {duel.second} = {value:+.3g}, from {_draws(duel.units)}: too few for an interval"
     verdict = "no difference shown" if low <= 0.0 <= high else f"{duel.first if high < 0.0 else duel.second} is less"
     return f"{duel.first} - {duel.second} = {value:+.3g} (95 %: {low:+.3g} to {high:+.3g}): {verdict}"
 
 
-def _rate(axis: str, value: str, rows: Sequence[Row]) -> Rate:
-    passed = sum(row["outcome"] == PASSED for row in rows)
-    return Rate(axis, value, len(rows), passed, wilson(passed, len(rows)))
+def _draws(count: int) -> str:
+    return "1 draw" if count == 1 else f"{count} draws"
 
 
 def word(value: object) -> str:

@@ -22,6 +22,8 @@ from hil.scenario.tables import Tables
 KEY_FORMAT = 2
 """Counts changes of what the key covers."""
 _NOT_OF_THE_RUN = ("service",)
+_OPTIONS = (("controller", "gains"), ("controller", "shadow_gains"), ("device", "motors"), ("plant", "start"))
+"""What the scenario's tables do not know the types of, beside the options of the reference."""
 
 
 def key_of(scenario: Scenario) -> str:
@@ -32,6 +34,9 @@ def key_of(scenario: Scenario) -> str:
     tables = scenario.model_dump(include=set(Tables.model_fields) - set(_NOT_OF_THE_RUN))
     canonical = {"format": KEY_FORMAT, "versions": versions(), "files": dict(_files(scenario)), "scenario": tables}
     _without_paths(tables)
+    tables["reference"] = _as_floats(tables["reference"])
+    for table, name in _OPTIONS:
+        tables[table][name] = _as_floats(tables[table][name])
     text = json.dumps(canonical, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode("ascii")).hexdigest()
 
@@ -71,6 +76,15 @@ def _without_paths(tables: dict[str, Any]) -> None:
     for table in (tables["reference"], tables["device"]["motors"]):
         if isinstance(table, dict) and "file" in table:
             table["file"] = last(table["file"])
+
+
+def _as_floats(value: Any) -> Any:
+    """Return whole numbers as the floats that equal them: where an option may be either, 9 and 9.0 are one value."""
+    if isinstance(value, dict):
+        return {name: _as_floats(one) for name, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_as_floats(one) for one in value]
+    return float(value) if type(value) is int else value
 
 
 def _digest(path: Path) -> str:

@@ -67,16 +67,21 @@ def _reasons(judged: Judged) -> Iterator[str]:
 def _rates(judged: Judged) -> Iterator[str]:
     yield "<h2>Pass rates</h2>"
     yield (
-        '<p class="about">Of all runs that are done, and of those with one value of an axis. The interval takes runs '
-        "for independent: where several share a draw or a seed, as under several laws, it is too narrow. Intervals on "
-        "this page are of 95 %: were the campaign done again with other draws, 19 of 20 such "
-        "intervals would hold the true value.</p>"
+        '<p class="about">Of all runs that are done, and of those with one value of an axis. Runs that share a draw '
+        "of the random axes, or without these a seed, repeat each other: the interval is that of as many independent "
+        "runs as would scatter so. Intervals on this page are of 95 %: were the campaign done again with other draws, "
+        "19 of 20 such intervals would hold the true value.</p>"
     )
     rows = [
-        (escape(rate.axis), escape(rate.value), str(rate.runs), str(rate.passed), escape(percent(rate.share)))
+        (
+            *map(escape, (rate.axis, rate.value)),
+            *map(str, (rate.runs, rate.passed, rate.units)),
+            escape(percent(rate)),
+        )
         for rate in judged.rates
     ]
-    yield from table(("axis", "value", "runs", "passed", "share, with Wilson's score interval"), rows, numbers=(2, 3))
+    heads = ("axis", "value", "runs", "passed", "draws", "share, with its interval")
+    yield from table(heads, rows, numbers=(2, 3, 4))
 
 
 def _figures(judged: Judged) -> Iterator[str]:

@@ -30,20 +30,40 @@ class Interval(NamedTuple):
     high: float | None
 
 
-def wilson(successes: int, trials: int) -> Interval:
-    """Return a share with Wilson's score interval (1927), which holds for few trials and for shares of 0 and 1.
-
-    Raises ValueError without trials.
-    """
-    if trials < 1:
-        raise ValueError("a share of no trials")
-    share = successes / trials
+def wilson(share: float, trials: float) -> Interval:
+    """Return a share of so many trials with Wilson's score interval (1927), which holds for few and for 0 and 1."""
     z2 = Z_95**2 / trials
     centre = (share + z2 / 2.0) / (1.0 + z2)
     half = Z_95 / (1.0 + z2) * np.sqrt(share * (1.0 - share) / trials + z2 / (4.0 * trials))
     # At the ends it is exactly there, which rounding misses.
-    low = 0.0 if successes == 0 else float(centre - half)
-    return Interval(share, low, 1.0 if successes == trials else float(centre + half))
+    low = 0.0 if share == 0.0 else float(centre - half)
+    return Interval(share, low, 1.0 if share == 1.0 else float(centre + half))
+
+
+def share_of(units: Sequence[object], passed: Sequence[bool]) -> Interval:
+    """Return the share of runs that passed, with an interval that knows which runs repeat each other.
+
+    ``units`` names what was drawn once for several runs, as for ``paired_difference``. Wilson's interval is that of as
+    many independent trials as would scatter as the units do (the effective sample size of a survey of clusters, Kish
+    1965), with Student's t of few units taken for the normal quantile; of few units there is none. Where each run is a
+    unit it is Wilson's own.
+
+    Raises ValueError without runs.
+    """
+    if not passed:
+        raise ValueError("a share of no runs")
+    values = np.array(passed, dtype=np.float64)
+    share, count = float(values.mean()), len(set(units))
+    if count == len(passed):
+        return wilson(share, count)
+    if count < _LEAST_DRAWS:
+        return Interval(share, None, None)
+    scatter = float(unit_means(units, values).var(ddof=1)) / count
+    alike = share * (1.0 - share)
+    trials = (
+        min(float(len(passed)), alike / scatter) if scatter > 0.0 else float(count if alike == 0.0 else len(passed))
+    )
+    return wilson(share, max(1.0, trials * (Z_95 / _student(count - 1)) ** 2))
 
 
 def paired_difference(units: Sequence[object], differences: Series, seed: int = 1) -> Interval:
@@ -72,11 +92,15 @@ def paired_difference(units: Sequence[object], differences: Series, seed: int = 
 def _expanded_tail(count: int) -> float:
     """Return what a 95 % interval of the bootstrap of so many values leaves out at each end: Student's t for the
     normal quantile, and the variance with count - 1."""
-    freedom, z = count - 1, Z_95
-    # Student's quantile by its expansion in 1 / freedom (Abramowitz and Stegun 26.7.5), to 0.003 from 5 on.
+    return NormalDist().cdf(-_student(count - 1) * math.sqrt(count / (count - 1)))
+
+
+def _student(freedom: int) -> float:
+    """Return Student's t of 95 %, to 0.003 from 5 degrees of freedom on."""
+    z = Z_95
+    # Its expansion in 1 / freedom (Abramowitz and Stegun 26.7.5).
     t = z + (z**3 + z) / (4 * freedom) + (5 * z**5 + 16 * z**3 + 3 * z) / (96 * freedom**2)
-    t += (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / (384 * freedom**3)
-    return NormalDist().cdf(-t * math.sqrt(count / freedom))
+    return t + (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / (384 * freedom**3)
 
 
 def unit_means(units: Sequence[object], values: Series) -> Series:
