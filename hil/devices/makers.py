@@ -128,6 +128,7 @@ class MakersRobot:
         self._driver.restart()  # first, for what was heard before says nothing of what a stop may do now
         if self._stop.is_needed:  # whoever is there may be driving still, on the last command of before the loss
             self._drop(State.STOPPING)
+            self._stop.wait_no_longer_than(_SETTLE_NS)  # wheels that roll are sooner at rest when they are driven
         self._ask_again_ns = self._clock.now_ns()
 
     def greeted(self) -> bool:

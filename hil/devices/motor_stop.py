@@ -51,6 +51,7 @@ class MotorStop:
         self._ramp: tuple[int, FourWheels] | None = None  # when it began, and from which speeds
         self._owed_since_ns: int | None = None
         self._told_at_rest = 0
+        self._wait_ns = _ROLLS_OUT_NS
         self._is_latched = False
         self._tell_again_ns = 0
         self.is_told = True
@@ -94,7 +95,7 @@ class MotorStop:
         Never true of a stop that did not go out whole. Raises LinkError when the link is lost.
         """
         if self._ramp is None:
-            return self.is_told and (self._owed_since_ns is None or now_ns > self._owed_since_ns + _ROLLS_OUT_NS)
+            return self.is_told and (self._owed_since_ns is None or now_ns > self._owed_since_ns + self._wait_ns)
         begin_ns, speed = self._ramp
         left = 1.0 - (now_ns - begin_ns) * 1e-9 / self._terms.ramp_s
         if self._terms.mode is CommandMode.SPEED and left > 0.0:
@@ -110,9 +111,14 @@ class MotorStop:
         """Stop at once, by the e-stop where that is to be ``latched``, at best effort; it is owed from now on."""
         self._ramp = None
         self._owed_since_ns = now_ns
+        self._wait_ns = _ROLLS_OUT_NS
         self._told_at_rest = 0
         self._is_latched = latched or self._is_latched
         self._tell(now_ns)
+
+    def wait_no_longer_than(self, wait_ns: int) -> None:
+        """Let ``go_on`` wait for so long at most until the wheels rest, for the stop that has begun; it stays owed."""
+        self._wait_ns = wait_ns
 
     def clear(self) -> None:
         """What is latched may be left."""
