@@ -19,7 +19,7 @@ from hil.campaign.jobs import ALWAYS, IF_FAILED, NEVER, Job
 from hil.campaign.keys import key_of
 from hil.campaign.load import Plan, load_plan
 from hil.campaign.points import Point, points
-from hil.campaign.rows import COLUMNS, ENDED, FAILED, FOREIGN, MACHINE, PASSED, check_figure
+from hil.campaign.rows import COLUMNS, ENDED, FAILED, FOREIGN, MACHINE, PASSED, as_judged, check_figure
 from hil.campaign.tables import KeepTable
 from hil.errors import BadInputError, LinkError
 from hil.links.opening import is_within_process
@@ -270,7 +270,7 @@ class Campaign:
 
 def _badness(row: Row, by: str) -> tuple[bool, float]:
     """Return how bad a run was: one that ended early, or never came so far as to have the figure, is worse than all."""
-    value = None if row["outcome"] == ENDED else row[by]
+    value = as_judged(row)[by]
     return value is None, value or 0.0
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.campaign.dataset import KEY, RECORDINGS, read_about, read_plan, read_rows
-from hil.campaign.rows import FAILED, FIGURES, MACHINE, PASSED
+from hil.campaign.rows import MACHINE, PASSED, as_judged
 from hil.campaign.statistics import Interval, binned, paired_difference, share_explained, share_of
 
 Series = npt.NDArray[np.float64]
@@ -253,15 +253,8 @@ def judge(folder: Path) -> Judged:
     about, plan = read_about(folder), read_plan(folder)
     planned = {row[KEY]: row for row in plan}
     # What a run is called is as the plan has it now: a row may be from before a law had this name, or before this axis.
-    done = {row[KEY]: _judged(row) | planned[row[KEY]] for row in rows.to_pylist() if row[KEY] in planned}
+    done = {row[KEY]: as_judged(row) | planned[row[KEY]] for row in rows.to_pylist() if row[KEY] in planned}
     return Judged(folder, about, plan, list(done.values()))
-
-
-def _judged(row: Row) -> dict[str, Any]:
-    """Return a row as it is judged: without figures when its run did not come to its end, for to stop early is no merit
-    and makes effort and overshoot less."""
-    missing: dict[str, Any] = dict.fromkeys(FIGURES)
-    return {**missing, **row} if row["outcome"] in (PASSED, FAILED) else {**row, **missing}
 
 
 def percent(rate: Rate) -> str:

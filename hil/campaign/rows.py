@@ -73,6 +73,13 @@ def figures_of(metrics: Mapping[str, Any]) -> dict[str, Any]:
     return row
 
 
+def as_judged(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a row as it is judged: without figures when its run did not come to its end, for to stop early is no merit
+    and makes effort and overshoot less."""
+    missing: dict[str, Any] = dict.fromkeys(FIGURES)
+    return {**missing, **row} if row["outcome"] in (PASSED, FAILED) else {**row, **missing}
+
+
 def why_failed(metrics: Mapping[str, Any]) -> str:
     """Return one sentence on why a run that came to its end did not pass."""
     return next(_reasons(metrics))

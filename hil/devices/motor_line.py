@@ -57,7 +57,8 @@ class MotorLine:
 
     def wait_until(self, clock: Clock, t_ns: int) -> int:
         """Let time pass, and hand over what becomes due. Returns the lateness [ns]."""
-        self._link.hand_over_until(clock, t_ns)
+        if self._link.may_hold:
+            self._link.hand_over_until(clock, t_ns)
         late_ns = clock.wait_until(t_ns)
         if self._link.may_hold:
             self._link.service()

@@ -47,7 +47,6 @@ class MotorStop:
         self._driver = driver
         self._terms = terms
         self._line = line
-        self._send = line.send
         self._ramp: tuple[int, FourWheels] | None = None  # when it began, and from which speeds
         self._owed_since_ns: int | None = None
         self._told_at_rest = 0
@@ -100,9 +99,9 @@ class MotorStop:
         left = 1.0 - (now_ns - begin_ns) * 1e-9 / self._terms.ramp_s
         if self._terms.mode is CommandMode.SPEED and left > 0.0:
             fl, fr, rr, rl = (left * one for one in speed)
-            self._send(self._driver.command((fl, fr, rr, rl), REST, now_ns))
+            self._line.send(self._driver.command((fl, fr, rr, rl), REST, now_ns))
         elif self._terms.mode is CommandMode.TORQUE and not self._is_over(now_ns, begin_ns):
-            self._send(self._driver.command(REST, self._brake(now_ns), now_ns))
+            self._line.send(self._driver.command(REST, self._brake(now_ns), now_ns))
         else:
             self.leave_loop(now_ns)
         return False
@@ -162,7 +161,7 @@ class MotorStop:
         self.is_told, self.problem = False, None
         interrupt: KeyboardInterrupt | None = None
         steps: list[Callable[[], None]] = [
-            *(functools.partial(self._send, [frame]) for frame in frames),
+            *(functools.partial(self._line.send, [frame]) for frame in frames),
             self._line.flush,
         ]
         while steps:

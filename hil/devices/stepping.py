@@ -29,7 +29,7 @@ class Stepping:
         self._from = tick
         self._expected = (tick + substeps) & 0xFFFF_FFFF if substeps else None
         self._is_awaiting = True
-        begin_ns = sent_ns = 0
+        begin_ns = sent_ns = time.monotonic_ns()
         while True:
             received = link.receive(RETRY_NS)
             if received is not None:
@@ -37,8 +37,6 @@ class Stepping:
                 if not self._is_awaiting:
                     return
             now_ns = time.monotonic_ns()
-            if not begin_ns:
-                begin_ns = sent_ns = now_ns
             if now_ns - begin_ns > SILENCE_NS:
                 raise RobotStoppedError("the robot did not answer STEP within 2 s of wall-clock time; it was lost")
             if received is None and now_ns - sent_ns > RETRY_NS:

@@ -83,12 +83,14 @@ class DelayedLink:
         self._link.service()
 
     def hand_over_until(self, clock: Clock, t_ns: int) -> None:
-        """Let time pass on the clock as long as something becomes due before then, and hand that over."""
-        if self.may_hold:
+        """Let time pass on the clock as long as something becomes due before then, and hand that over.
+
+        Nothing ever does where the link never holds anything (``may_hold``).
+        """
+        self.service()
+        while (due_ns := self.next_due_ns()) is not None and due_ns < t_ns:
+            clock.wait_until(due_ns)
             self.service()
-            while (due_ns := self.next_due_ns()) is not None and due_ns < t_ns:
-                clock.wait_until(due_ns)
-                self.service()
 
     def flush(self) -> None:
         """Hand over everything that is held, in order: nobody will wait for it to be due."""
