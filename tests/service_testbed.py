@@ -16,10 +16,11 @@ from websockets.sync.client import ClientConnection, connect
 
 from hil.service.api_child import ApiChild
 from hil.service.api_config import ApiConfig, Limits
-from hil.service.messages import Action, Answer, Order, Phase, Status, Task
+from hil.service.messages import SILENT_S, Action, Answer, Order, Phase, Status, Task
 from tests.processes import wait_for
 
-LIMITS = Limits(speed_m_s=2.0, yaw_rate_rad_s=4.0, distance_m=100.0, twist_timeout_s=0.2)
+# With a timeout as short as a robot's, an API process that waits for a processor refuses twists, as it should.
+LIMITS = Limits(speed_m_s=2.0, yaw_rate_rad_s=4.0, distance_m=100.0, twist_timeout_s=SILENT_S)
 STATUS = Status(
     time_unix_s=1.7e9,
     phase=Phase.ACTIVE,

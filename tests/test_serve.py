@@ -251,7 +251,8 @@ def test_a_link_that_takes_its_time_to_be_opened_keeps_nobody_waiting(tmp_path: 
 
 
 def test_twists_that_end_stop_the_robot_and_an_estop_latches(tmp_path: Path) -> None:
-    with serving(tmp_path) as service:
+    # An API that waits for a processor for 0.1 s longer refuses a twist.
+    with serving(tmp_path, "--set", "service.twist_timeout_s=0.9") as service:
         service.until(phase="disarmed")
         service.client.order(Action.ARM)
         service.until(phase="active")

@@ -120,13 +120,14 @@ def test_when_a_client_that_drives_is_killed_nothing_more_is_sent_for_it(side: C
     assert side.actions[taken:] == [Action.STOP], "that the twist times out is the control process's doing"
 
 
-def test_a_twist_that_waited_for_longer_than_it_would_be_in_force_is_not_taken(side: ControlSide) -> None:
-    pid = side.child.pid
-    assert pid is not None
-    with side.live() as live:
+def test_a_twist_that_waited_for_longer_than_it_would_be_in_force_is_not_taken(tmp_path: Path) -> None:
+    limits = replace(LIMITS, twist_timeout_s=0.2)
+    with own_state(tmp_path), served(limits=limits) as side, side.live() as live:
+        pid = side.child.pid
+        assert pid is not None
         os.kill(pid, signal.SIGSTOP)
         order(live, 0, "twist", TWIST)
-        time.sleep(LIMITS.twist_timeout_s + 0.2)  # the stall itself, shorter than what makes the child count as gone
+        time.sleep(limits.twist_timeout_s + 0.2)  # the stall itself, shorter than what makes the child count as gone
         os.kill(pid, signal.SIGCONT)
         assert next_answer(live)["refused"] == "the API stood still while this order waited; give it again"
         assert Action.TWIST not in side.actions

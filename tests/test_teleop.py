@@ -22,7 +22,7 @@ from tests.terminal_window import Window
 
 pytestmark = pytest.mark.alone
 
-TIMEOUT_S = 0.2
+TIMEOUT_S = 0.5  # an API that waits for a processor for 0.1 s longer refuses the twist of a key
 PRESS, RELEASE = "^[105;1:1u", "^[105;1:3u"  # i
 
 
