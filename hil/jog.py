@@ -21,14 +21,21 @@ _FREE_SHARE = 0.5  # of the angle that was asked for, by a wheel that nothing br
 _MOST_SHARE = 0.5
 
 
+class Verdict(NamedTuple):
+    """Whether the sensor of the right wheel alone saw it turn the right way; in words, and what to change if not."""
+
+    is_as_told: bool
+    sentence: str
+
+
 class Jogged(NamedTuple):
     """How far each wheel turned by its own sensor [rad], and how far the chosen one was asked to."""
 
     asked_rad: float
     turned_rad: Wheels
 
-    def verdict(self, wheel: str) -> str:
-        """Say whether it was the right wheel and the right way, and what to change if not."""
+    def verdict(self, wheel: str) -> Verdict:
+        """Judge by the sensors; whether the wheel that turned is the one that was named only a person can see."""
         turned = dict(zip(WHEEL_NAMES, self.turned_rad, strict=True))
         enough = min(_LEAST_SHARE * abs(self.asked_rad), _LEAST_RAD)
         least = max(enough, _MOST_SHARE * max(map(abs, self.turned_rad)))
@@ -36,11 +43,14 @@ class Jogged(NamedTuple):
         if moved == [wheel]:
             if turned[wheel] * self.asked_rad > 0.0:
                 short = self._short(turned[wheel])
-                return f"the sensor of {wheel} followed{short}; if you saw it turn the right way, its wiring is as told"
-            return f"the sensor of {wheel} counted the other way; put {wheel!r} into device.reversed, or take it out"
-        if not moved:
-            return f"no sensor saw a wheel turn; check the motor's power, and its encoder's cable, of {wheel}"
-        return f"{wheel} was asked to turn, and the sensors of {', '.join(moved)} saw it; correct device.wheels"
+                seen = f"the sensor of {wheel} followed{short}; if you saw it turn the right way, its wiring is as told"
+                return Verdict(True, seen)
+            what = f"the sensor of {wheel} counted the other way; put {wheel!r} into device.reversed, or take it out"
+        elif not moved:
+            what = f"no sensor saw a wheel turn; check the motor's power, and its encoder's cable, of {wheel}"
+        else:
+            what = f"{wheel} was asked to turn, and the sensors of {', '.join(moved)} saw it; correct device.wheels"
+        return Verdict(False, what)
 
     def _short(self, turned_rad: float) -> str:
         if abs(turned_rad) >= _FREE_SHARE * abs(self.asked_rad):

@@ -224,7 +224,15 @@ def test_a_wheel_is_turned_and_the_others_are_not() -> None:
     ],
 )
 def test_a_verdict_says_how_the_wheel_followed(asked: float, turned: float, sentence: str) -> None:
-    assert Jogged(asked, Wheels(-turned / 3, turned, turned / 3, 0.0)).verdict("fr").startswith(sentence)
+    verdict = Jogged(asked, Wheels(-turned / 3, turned, turned / 3, 0.0)).verdict("fr")
+    assert verdict.sentence.startswith(sentence)
+    assert verdict.is_as_told is ("followed" in sentence)
+
+
+def test_a_wheel_that_does_not_turn_is_told_by_the_exit_code() -> None:
+    weak = ("--set", "device.driver=c620", "--set", "firmware.torque_limit_n_m=0.001")
+    done = typed("rr\n", "circle_speed", "rr", "--link", "can:virtual/weak", *weak)
+    assert (done.returncode, "no sensor saw a wheel turn" in done.stdout) == (1, True), done.stderr
 
 
 @pytest.mark.parametrize(

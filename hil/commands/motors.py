@@ -79,7 +79,8 @@ def jog(
 ) -> None:
     """Turn one wheel slowly, with its name typed first, to check order and direction of the motors.
 
-    Put the robot on blocks, so that no wheel touches the ground.
+    Put the robot on blocks, so that no wheel touches the ground. The exit code is 1 where the wheels' sensors saw
+    something else than this wheel turning this way.
     """
     from hil import report
     from hil.jog import check
@@ -112,11 +113,11 @@ def jog(
             done = turn(resolved, wheel, speed_rad_s, seconds, report.warn)
     except KeyboardInterrupt:
         raise RunInterruptedError("interrupted; the wheel was told to stop") from None
+    is_as_told, sentence = done.verdict(wheel)
     if as_json:
-        print_json(
-            {"asked_rad": done.asked_rad, "turned_rad": done.turned_rad._asdict(), "verdict": done.verdict(wheel)}
-        )
+        print_json({"asked_rad": done.asked_rad, "turned_rad": done.turned_rad._asdict(), "verdict": sentence})
     else:
         angles = ", ".join(f"{name} {angle:+.2f}" for name, angle in done.turned_rad._asdict().items())
         print(f"asked {wheel} {done.asked_rad:+.2f} rad; the sensors saw {angles} rad")
-        print(done.verdict(wheel))
+        print(sentence)
+    raise typer.Exit(0 if is_as_told else 1)
