@@ -1,8 +1,9 @@
 """The paper's circle as one would write it first: each library used as its own tutorial shows.
 
 FMPy's class over the shipped FMU, cantools with wheel.dbc on both sides of a ``virtual`` bus of python-can, AFDSC in
-NumPy, and one ``rr.log`` a signal. The robot's side has no firmware: it puts the torques that it received on the FMU
-and sends what it measured. So there is less to do than in the bridge, and nothing is made slow on purpose.
+NumPy, and one ``rr.log`` a signal. On the bus are the frames that the bridge has on its wire in a tick: command, STEP,
+feedback, STEP_DONE. The robot's side has no firmware: it puts the torques that it received on the FMU and sends what it
+measured. So there is less to do than in the bridge, and nothing is made slow on purpose.
 """
 
 import math
@@ -38,11 +39,24 @@ OUTPUTS = [
 COUNTS = [f"wheel.{wheel}.count" for wheel in WHEEL_NAMES]
 
 
-class NaiveRobot:
+class NaiveNode:
+    """Who speaks wheel.dbc on the bus."""
+
+    def __init__(self, database: Any) -> None:
+        self.bus = can.Bus(interface="virtual", channel="naive_loop")
+        self.database = database
+
+    def send(self, name: str, signals: dict[str, float]) -> None:
+        """Encode a message and send it."""
+        message = self.database.get_message_by_name(name)
+        self.bus.send(can.Message(arbitration_id=message.frame_id, data=message.encode(signals), is_extended_id=False))
+
+
+class NaiveRobot(NaiveNode):
     """The robot's side: the FMU on the bus."""
 
-    def __init__(self, bus: can.BusABC, database: Any, start: Mapping[str, Any]) -> None:
-        self.bus, self.database = bus, database
+    def __init__(self, database: Any, start: Mapping[str, Any]) -> None:
+        super().__init__(database)
         path = str(plant_fmu.path(2))
         description = read_model_description(path)
         self.references = {variable.name: variable.valueReference for variable in description.modelVariables}
@@ -70,17 +84,19 @@ class NaiveRobot:
         self.values = dict(zip(OUTPUTS, self.fmu.getReal(self.outputs), strict=True))
         self.sequence = 0
 
-    def send(self, name: str, signals: dict[str, float]) -> None:
-        """Encode a message and send it."""
-        message = self.database.get_message_by_name(name)
-        self.bus.send(can.Message(arbitration_id=message.frame_id, data=message.encode(signals), is_extended_id=False))
+    def serve(self) -> None:
+        """Take the newest torques, and let a millisecond pass for each STEP."""
+        while (message := self.bus.recv(timeout=0)) is not None:
+            received = self.database.decode_message(message.arbitration_id, message.data)
+            if "substeps" in received:
+                self.step(received["tick"])
+                self.send("STEP_DONE", {"tick": received["tick"] + received["substeps"]})
+            else:
+                self.sequence = received["sequence"]
+                self.fmu.setReal(self.inputs, [*(received[f"{wheel}_n_m"] for wheel in WHEEL_NAMES), 1.0])
 
     def step(self, tick: int) -> None:
-        """Take the newest torques, let a millisecond pass, and send what was measured."""
-        while (message := self.bus.recv(timeout=0)) is not None:
-            torque = self.database.decode_message(message.arbitration_id, message.data)
-            self.sequence = torque["sequence"]
-            self.fmu.setReal(self.inputs, [*(torque[f"{wheel}_n_m"] for wheel in WHEEL_NAMES), 1.0])
+        """Let a millisecond pass, and send what was measured."""
         self.fmu.doStep(currentCommunicationPoint=tick * DT_S, communicationStepSize=DT_S)
         self.values = values = dict(zip(OUTPUTS, self.fmu.getReal(self.outputs), strict=True))
         counts = self.fmu.getInteger(self.counts)
@@ -107,20 +123,20 @@ class NaiveRobot:
             )
 
     def close(self) -> None:
-        """Free the FMU."""
+        """Free the FMU and release the bus."""
+        self.bus.shutdown()
         self.fmu.terminate()
         self.fmu.freeInstance()
         shutil.rmtree(self.folder)
 
 
-class NaiveLoop:
+class NaiveLoop(NaiveNode):
     """The host's side with the robot beside it; ``record`` is the ``.rrd`` file, or None."""
 
     def __init__(self, model: RobotModel, start: Mapping[str, Any], record: Path | None) -> None:
-        self.database: Any = cantools.database.load_file(DBC)
-        self.bus = can.Bus(interface="virtual", channel="naive_loop")
-        self.robot_bus = can.Bus(interface="virtual", channel="naive_loop")
-        self.robot = NaiveRobot(self.robot_bus, self.database, start)
+        super().__init__(cantools.database.load_file(DBC))
+        self.step_done = self.database.get_message_by_name("STEP_DONE").frame_id
+        self.robot = NaiveRobot(self.database, start)
         self.law = NumpyAfdsc(model, Afdsc.Options())
         self.limit_n_m = model.torque_limit_n_m
         self.heard: dict[str, float] = {}
@@ -151,7 +167,11 @@ class NaiveLoop:
         t_s = tick * DT_S
         while (message := self.bus.recv(timeout=0)) is not None:
             heard = self.database.decode_message(message.arbitration_id, message.data, decode_choices=False)
-            self.heard.update(heard)
+            if message.arbitration_id == self.step_done:
+                if heard["tick"] != tick:
+                    raise SystemExit(f"the naive robot is at tick {heard['tick']} where {tick} was expected")
+            else:
+                self.heard.update(heard)
         truth = self.robot.values
         state = State(
             Pose(truth["pose.x_m"], truth["pose.y_m"], truth["pose.heading_rad"]),
@@ -161,11 +181,10 @@ class NaiveLoop:
         if tick == 0:
             self.law.begin(reference, state)
         torque = np.clip(self.law.update(reference, state, DT_S), -self.limit_n_m, self.limit_n_m)
-        command = self.database.get_message_by_name("TORQUE_COMMAND")
         fields = {f"{wheel}_n_m": float(torque[i]) for i, wheel in enumerate(WHEEL_NAMES)}
-        data = command.encode({**fields, "sequence": tick % 256, "session": 1})
-        self.bus.send(can.Message(arbitration_id=command.frame_id, data=data, is_extended_id=False))
-        self.robot.step(tick)
+        self.send("TORQUE_COMMAND", {**fields, "sequence": tick % 256, "session": 1})
+        self.send("STEP", {"tick": tick, "substeps": 1})
+        self.robot.serve()
         error = np.array(state.pose) - np.array(reference.pose)
         return {
             "loop/t_s": t_s,
@@ -183,7 +202,6 @@ class NaiveLoop:
         """Release the bus and the FMU."""
         self.robot.close()
         self.bus.shutdown()
-        self.robot_bus.shutdown()
 
 
 def circle(t_s: float) -> Reference:
