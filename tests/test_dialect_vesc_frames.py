@@ -144,7 +144,10 @@ def answer(sender: int, message: bytes) -> list[Frame]:
     return [Frame(EXTENDED | command << 8 | 253, data) for command, data in can_parts(sender, message)]
 
 
-@given(st.integers(0, 254), st.binary(min_size=1, max_size=512))
+MESSAGES = st.integers(1, 512).flatmap(lambda size: st.binary(min_size=size, max_size=size))  # also long ones
+
+
+@given(st.integers(0, 254), MESSAGES)
 def test_any_message_comes_back_whole_from_its_parts(sender: int, message: bytes) -> None:
     frames, messages = answer(sender, message), CanMessages(253)
     assert messages.feed(frames[-1]) == (None if len(frames) > 1 else (sender, message))
@@ -152,7 +155,7 @@ def test_any_message_comes_back_whole_from_its_parts(sender: int, message: bytes
     assert heard == [None] * (len(frames) - 1) + [(sender, message)]
 
 
-@given(st.lists(st.tuples(st.integers(0, 254), st.binary(min_size=1, max_size=512)), min_size=2, max_size=3), st.data())
+@given(st.lists(st.tuples(st.integers(0, 254), MESSAGES), min_size=2, max_size=3), st.data())
 def test_parts_that_are_lost_doubled_or_mixed_make_no_message_that_nobody_sent(
     sent: list[tuple[int, bytes]], data: st.DataObject
 ) -> None:
@@ -165,6 +168,11 @@ def test_parts_that_are_lost_doubled_or_mixed_make_no_message_that_nobody_sent(
             for _ in range((0, 1, 2)[fate] if fate in (0, 2) else 1):
                 assert messages.feed(frame) in (None, *sent)
         del queue[:count]
+
+
+def test_a_message_longer_than_any_is_none() -> None:
+    messages = CanMessages(253)
+    assert not any(messages.feed(frame) for frame in answer(1, bytes(600)))
 
 
 def test_the_front_of_an_app_configuration_is_read() -> None:

@@ -2,10 +2,13 @@
 
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 
+import can
 import pytest
 
 from firmware_protocol.framing import Frame
+from hil.assembly import run_scenario
 from hil.bench import Bench
 from hil.dialects.port import EXTENDED, Wire
 from hil.scenario import load
@@ -174,6 +177,15 @@ def test_a_session_begins_after_what_another_program_has_said() -> None:
     assert rig.driver._channels[0].version is not None  # type: ignore[attr-defined]
     assert rig.is_still()
     assert not rig.node.is_driving
+
+
+def test_a_configuration_is_in_a_trace_in_pieces_that_bus_tools_can_take(tmp_path: Path) -> None:
+    changes = {"device.driver": "vesc", "loop.duration_s": 0.05, "loop.rate_hz": 200, "expect": []}
+    scenario = load("circle_speed", mode="lockstep", link="memory:", set=changes)
+    assert run_scenario(scenario, trace=tmp_path / "line.log").failure is None
+    with can.LogReader(tmp_path / "line.log") as messages:
+        told = [bytes(one.data) for one in messages if one.arbitration_id == 17 and one.is_rx]
+    assert [len(piece) for piece in told] == [64, 64, 64, 64, 22] * 4
 
 
 @pytest.fixture
