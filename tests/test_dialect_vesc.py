@@ -218,20 +218,6 @@ def test_who_does_not_say_what_fault_it_has_is_told_of() -> None:
     assert rig.driver.errors == [], "who is asked nothing owes no answer"
 
 
-def test_who_has_no_timeout_is_warned_of() -> None:
-    rig = rig_of("can")
-    rig.node.vescs[1].timeout_ticks = 0
-    rig.node.vescs[3].knows_status = False
-    rig.greet()
-    said = rig.driver.warnings
-    assert len(said) == 3
-    assert said[1].startswith("the timeout of the VESC 2 has not run out")
-    assert said[2].startswith("a VESC takes no torque beside a speed")
-    rig.arm()
-    rig.drive(0.1, lambda _t: (STILL, STILL))
-    assert rig.driver.warnings == said  # that those that are commanded have not timed out says nothing
-
-
 @pytest.mark.parametrize("wire", WIRES)
 def test_the_identity_has_each_ones_hardware_and_firmware(wire: Wire) -> None:
     rig = rig_of(wire, ODD)

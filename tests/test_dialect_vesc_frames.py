@@ -1,17 +1,31 @@
 """VESC's messages on a serial line and in parts over CAN: worked frames, any bytes, any pieces, any damage."""
 
+import math
+import struct
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.framing import Frame
+from hil.devices.emulated.vesc_wire import can_parts, float32_auto
 from hil.dialects import vesc_frames
 from hil.dialects.port import EXTENDED
-from hil.dialects.vesc_frames import SET_CURRENT, SET_CURRENT_BRAKE, SET_RPM, CanMessages, SerialFraming, Setting
+from hil.dialects.vesc_frames import (
+    IN_STEP,
+    SET_CURRENT,
+    SET_CURRENT_BRAKE,
+    SET_RPM,
+    CanMessages,
+    SerialFraming,
+    Setting,
+    Timeout,
+    parse_timeout,
+)
 from hil.dialects.vesc_wires import Bus, Line
 from tests.dialect_testbed import Rig
 
-NODE = Rig("vesc", wire="can").node
+NODE, LINE = (Rig("vesc", wire=wire).node for wire in ("can", "serial"))
 
 
 @pytest.mark.parametrize(
@@ -41,7 +55,7 @@ def test_a_number_too_large_for_a_frame_is_the_largest() -> None:
     assert SET_CURRENT.counts(-1e9) == b"\x80\x00\x00\x00"
 
 
-@given(st.lists(st.tuples(st.integers(0, 255), st.binary(max_size=300)), max_size=5), st.data())
+@given(st.lists(st.tuples(st.integers(1, 255), st.binary(min_size=1, max_size=300)), max_size=5), st.data())
 def test_packets_arrive_whole_in_pieces_of_any_size(messages: list[tuple[int, bytes]], data: st.DataObject) -> None:
     frames = [Frame(code, payload) for code, payload in messages]
     framing = SerialFraming()
@@ -124,3 +138,68 @@ def test_messages_in_parts_are_whole_or_nothing(hardware: str, lost: int) -> Non
     assert (sender, vesc_frames.parse_version(message)) == (2, (6, 5, hardware))
     if lost < len(said):
         assert not any(messages.feed(frame) for frame in said[:lost] + said[lost + 1 :])
+
+
+def answer(sender: int, message: bytes) -> list[Frame]:
+    return [Frame(EXTENDED | command << 8 | 253, data) for command, data in can_parts(sender, message)]
+
+
+MESSAGES = st.integers(1, 512).flatmap(lambda size: st.binary(min_size=size, max_size=size))  # also long ones
+
+
+@given(st.integers(0, 254), MESSAGES)
+def test_any_message_comes_back_whole_from_its_parts(sender: int, message: bytes) -> None:
+    frames, messages = answer(sender, message), CanMessages(253)
+    assert messages.feed(frames[-1]) == (None if len(frames) > 1 else (sender, message))
+    heard = [messages.feed(frame) for frame in frames]
+    assert heard == [None] * (len(frames) - 1) + [(sender, message)]
+
+
+@given(st.lists(st.tuples(st.integers(0, 254), MESSAGES), min_size=2, max_size=3), st.data())
+def test_parts_that_are_lost_doubled_or_mixed_make_no_message_that_nobody_sent(
+    sent: list[tuple[int, bytes]], data: st.DataObject
+) -> None:
+    waiting = [answer(*one) for one in sent]
+    messages = CanMessages(253)
+    for turn in data.draw(st.lists(st.tuples(st.sampled_from(waiting), st.integers(-1, 3)), max_size=40)):
+        queue, fate = turn
+        count = 1 + 9 * (fate == 3)
+        for frame in queue[:count]:
+            for _ in range((0, 1, 2)[fate] if fate in (0, 2) else 1):
+                assert messages.feed(frame) in (None, *sent)
+        del queue[:count]
+
+
+def test_a_message_longer_than_any_is_none() -> None:
+    messages = CanMessages(253)
+    assert not any(messages.feed(frame) for frame in answer(1, bytes(600)))
+
+
+def test_the_front_of_an_app_configuration_is_read() -> None:
+    """Of 6.00: its signature, id 7, 1500 ms, 12.5 A, and then 480 bytes of the rest."""
+    message = bytes.fromhex("11 1d003a2c 07 000005dc 41480000") + bytes(480)
+    assert parse_timeout(message) == Timeout(7, 1.5, 12.5)
+    assert parse_timeout(message[:13]) is None
+    assert parse_timeout(b"\x12" + message[1:]) is None  # the configuration as delivered, which nobody asked for
+    assert parse_timeout(message[:10] + bytes.fromhex("7fc00000")) is None
+
+
+@given(st.floats(width=32, allow_nan=False, allow_infinity=False))
+def test_numbers_of_a_configuration_are_what_the_format_says(value: float) -> None:
+    """The significand is 0.5 and its bits behind the point, times two to the exponent less 126."""
+    [bits] = struct.unpack(">I", float32_auto(value))
+    sign, exponent, behind = -1.0 if bits >> 31 else 1.0, bits >> 23 & 0xFF, bits & 0x7FFFFF
+    by_hand = sign * math.ldexp(0.5 + behind / 2**24, exponent - 126) if bits & 0x7FFFFFFF else 0.0
+    read = parse_timeout(b"\x11" + bytes(9) + float32_auto(value))
+    assert read is not None
+    assert read.brake_current_a == by_hand == (value if abs(value) >= 1.5e-38 else 0.0)
+
+
+@given(st.binary(max_size=600))
+def test_the_question_who_is_there_is_heard_after_any_bytes(before: bytes) -> None:
+    for question in (Frame(0, b""), Frame(34, b"\x02\x00")):
+        LINE.feed(before + SerialFraming().encode(question))
+        [told] = SerialFraming().feed(LINE.take_bytes())
+        assert told.id == 0
+    assert SerialFraming().encode(Frame(0, b"")).startswith(IN_STEP)
+    assert not SerialFraming().encode(Frame(50, b"\x00")).startswith(b"\x00")

@@ -35,6 +35,15 @@ def test_a_rate_of_feedback_that_follows_from_the_loop_says_so() -> None:
     assert feedback["vesc"] == "can: 50 Hz, serial: 66.67 Hz at loop.rate_hz = 200"
 
 
+def test_a_watchdog_that_a_setting_gives_is_not_said_to_be_missing_for_ever() -> None:
+    watchdog = {row[0]: row[COLUMNS.index("watchdog")] for row in listing("drivers")[1]}
+    assert watchdog["odrive"] == "none without device.motors.watchdog_endpoints"
+    assert watchdog["wheeltec"] == "none without device.motors.stops_on_silence"
+    assert watchdog["rosmaster"] == "none"
+    stops = {"device.driver": "wheeltec", "device.motors.stops_on_silence": True}
+    assert make_driver(load("circle_speed", set=stops)).capabilities.watchdog == "fixed"
+
+
 MUTE = {"kind": "mute", "target": "TICK", "start_s": 1.0, "end_s": 1.1}
 DROP = {"kind": "drop", "target": "WHEEL_COMMAND", "value": 1.0}
 GYRO = {"kind": "gyro_bias", "value": 0.1}

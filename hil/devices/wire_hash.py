@@ -6,7 +6,7 @@ import struct
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated.messages import HelloRequest
 
-_HEADER, _WIDE_HEADER = struct.Struct("<HB"), struct.Struct("<IB")
+_HEADER, _WIDE_HEADER = struct.Struct("<HB"), struct.Struct("<IH")
 _BEYOND_ALL_IDS = 1 << 32
 _AT_ONCE = 64  # frames; a call for each would cost a tick more than what it does with them
 
@@ -14,7 +14,7 @@ _AT_ONCE = 64  # frames; a call for each would cost a tick more than what it doe
 class WireHash:
     """Takes frames as they are sent and received, but HELLO: how often that is asked depends on the wall clock.
 
-    ``wide`` is for the frames of others: ids of 32 bits, and none of them HELLO.
+    ``wide`` is for the frames of others: ids of 32 bits, payloads of a serial line, and none of them HELLO.
 
     Attributes:
         sent, received: each takes a frame of its direction, which costs next to nothing; ``keep_up`` works on them.

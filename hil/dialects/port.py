@@ -43,7 +43,8 @@ class Capabilities(NamedTuple):
 
     ``is_twist``: they take a velocity of the body and close the loop of the wheels themselves. ``adds_torque``: they
     add a torque to a speed. ``watchdog``: whether the wheels stop by themselves when commands end: set and read back by
-    the driver, always there, or not at all. ``latches_estop``: a stop of its own, that commands do not end.
+    the driver, there as the maker's tool has set it, or not as far as is known. ``latches_estop``: a stop of its own,
+    that commands do not end.
     """
 
     modes: frozenset[CommandMode]
@@ -213,8 +214,9 @@ class Dialect(NamedTuple):
     ``settings`` is a dataclass: the options of [device.motors], checked by ``hil.options.build``. ``wires`` says what
     it is spoken over: ``can``, ``can_fd`` or ``serial``; ``baud`` is the rate of a serial line as delivered, None where
     there is no such line. ``probe`` is None where nothing can be found without a risk; ``serial_probe`` takes its place
-    on a serial line where a dialect that is spoken on a bus too has other questions there. A setting ``file`` is a
-    path, and an absolute one by the time that a driver sees it.
+    on a serial line where a dialect that is spoken on a bus too has other questions there. ``watchdog_setting`` is the
+    setting with which a driver that has no watchdog without it has one, None where there is none. A setting ``file`` is
+    a path, and an absolute one by the time that a driver sees it.
     """
 
     title: str
@@ -225,3 +227,4 @@ class Dialect(NamedTuple):
     probe: Callable[[], Probe] | None = None
     serial_probe: Callable[[], Probe] | None = None
     baud: int | None = None
+    watchdog_setting: str | None = None

@@ -2,7 +2,8 @@
 
 Over CAN the VESCs broadcast their state (STATUS 1, 4 and 5, switched on in VESC Tool), and are asked for their fault
 codes in turn. Over UART nothing comes unasked: the one on the line is asked in every tick, and one of the others.
-They know no arming: what is commanded is done, and a timeout of their own lets the motor go.
+They know no arming: what is commanded is done, and when commands end a timeout of their own stops the motor. It is read
+at the start, and said to be missing, too long or too short.
 Source: see hil/dialects/vesc_frames.py.
 """
 
@@ -17,6 +18,7 @@ from hil.dialects.port import EXTENDED, Capabilities, Dialect, RobotFacts, Sampl
 from hil.dialects.silence import holds_back, late_ns, lowest
 from hil.dialects.vesc_channel import Channel
 from hil.dialects.vesc_probe import BusProbe, LineProbe
+from hil.dialects.vesc_timeout import has_timeout, timeout_warnings
 from hil.dialects.vesc_wires import Bus, Line
 from hil.errors import BadInputError
 from hil.options import require_not_negative, require_positive
@@ -83,7 +85,7 @@ class Vesc:
         rate_hz = settings.status_hz if self._is_bus else 1.0 / (robot.period_s * len(self._rounds))
         self._late_ns = late_ns(1.0 / rate_hz)
         self._now_ns = 0
-        self.capabilities = Capabilities(
+        self._capabilities = Capabilities(
             modes=frozenset(CommandMode),
             is_twist=False,
             feedback_hz=rate_hz,
@@ -93,18 +95,36 @@ class Vesc:
             latches_estop=False,
         )
 
+    @property
+    def capabilities(self) -> Capabilities:
+        """See ``Driver``. A timeout is there until one is told to be 0, or is not told."""
+        if all(has_timeout(channel) or not channel.has_answered for channel in self._channels):
+            return self._capabilities
+        return self._capabilities._replace(watchdog="none")
+
     def ask(self) -> Sequence[Frame]:
-        """See ``Driver``. One VESC is asked at a time, and the next when it has answered or had ``_PATIENCE`` calls."""
+        """See ``Driver``. One VESC is asked at a time, and the next when it has answered or had ``_PATIENCE`` calls.
+
+        Who has said who it is, and has not told its timeout, does not keep the others waiting.
+        """
+        if self._asked is not None:
+            self._waited += 1
+            channel = self._by_id[self._asked]
+            if not channel.has_said_who and self._waited < _PATIENCE:
+                return ()
+            channel.miss_timeout()
         open_ids = [vesc for vesc, channel in self._by_id.items() if not channel.has_answered]
         if not open_ids:
+            self._asked = None
             return self._poll()
-        self._waited += 1
-        if self._asked in open_ids and self._waited < _PATIENCE:
-            return ()
         later = [vesc for vesc in open_ids if self._settings.ids.index(vesc) >= self._turn]
         self._asked, self._waited = (later or open_ids)[0], 0
         self._turn = self._settings.ids.index(self._asked) + 1
-        return [self._wire.message(self._asked, question) for question in self._wire.questions]
+        channel = self._by_id[self._asked]
+        questions = [] if channel.has_said_who else [*self._wire.questions]
+        if channel.is_asked_for_timeout:
+            questions.append(bytes((frames.GET_APPCONF,)))
+        return [self._wire.message(self._asked, question) for question in questions]
 
     def _poll(self, now_ns: int | None = None) -> Sequence[Frame]:
         """Ask the next; over the line the fault comes with the speed, and is as old as that."""
@@ -135,12 +155,18 @@ class Vesc:
 
     @property
     def missing(self) -> str:
-        silent = chosen(self._by_id, (not channel.has_answered for channel in self._channels))
+        rate = "bit rate" if self._is_bus else f"baud= in the link, {_BAUD} as delivered"
+        silent = chosen(self._by_id, (not channel.has_said_who for channel in self._channels))
         if silent:
-            rate = "bit rate" if self._is_bus else f"baud= in the link, {_BAUD} as delivered"
             return (
                 f"no answer of the VESC {silent}; check power, wiring and {rate}, and in VESC Tool App "
                 "Settings > General: VESC ID (device.motors.ids) and CAN Mode VESC"
+            )
+        awaited = chosen(self._by_id, (not channel.has_answered for channel in self._channels))
+        if awaited:
+            return (
+                f"no app configuration of the VESC {awaited} yet, which tells its timeout; a long message was lost: "
+                f"check wiring and {rate}, and start again"
             )
         mute = chosen(self._by_id, (not channel.has_measured for channel in self._channels))
         if mute:
@@ -152,16 +178,7 @@ class Vesc:
 
     @property
     def warnings(self) -> Sequence[str]:
-        said = [
-            "a VESC lets its motor roll when no command has come for its timeout, 1 s as delivered, which can only be "
-            "seen and set in VESC Tool: set App Settings > General > Timeout to 100 ms, with a brake current"
-        ]
-        running = chosen(self._by_id, (channel.runs_on for channel in self._channels))
-        if running:
-            said.append(
-                f"the timeout of the VESC {running} has not run out: it was commanded just now, by us or by "
-                "another app of it, or its timeout is 0, and then its wheel turns on when commands end"
-            )
+        said = [*timeout_warnings(self._by_id, self._robot)]
         if self._robot.mode is CommandMode.SPEED:
             said.append(torques_dropped("a VESC"))
         return said
@@ -238,6 +255,12 @@ class Vesc:
             if channel is not None:
                 channel.feed_values(values, stamp_ns, self._has_commanded)
                 self._is_armed = self._is_armed and channel.is_fit
+        elif (timeout := frames.parse_timeout(message)) is not None:
+            vesc = sender
+            if vesc is None:
+                vesc = timeout.vesc if timeout.vesc in self._by_id else self._asked
+            if vesc in self._by_id:
+                self._by_id[vesc].feed_timeout(timeout, vesc)
 
     @property
     def sample(self) -> Sample | None:

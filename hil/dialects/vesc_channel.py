@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from hil.dialects import vesc_frames as frames
 from hil.types import NAN
 
+_MOST_IN_VAIN = 2  # of the questions for a timeout; two for each of four fit into the time that a start waits
 _GAP_NS = 500_000_000  # a speed says nothing of a time as long
 
 _TRUST_A_STEP = 0.15  # measured on the circle by odometry: with less it drifts, with more the steps are felt
@@ -22,6 +23,7 @@ class Channel:
         fault, status: as of GET_VALUES_SELECTIVE, None where they have to be asked for.
         asked_ns: since when it has not answered what its fault is, None while nothing is asked.
         runs_on: whether its timeout had not run out while nothing was commanded.
+        timeout: as it was read, None while it is not known; strange_id: of whom what it told is, if not its own.
     """
 
     def __init__(self) -> None:
@@ -43,11 +45,24 @@ class Channel:
         self._fet_ns = 0
         self.asked_ns: int | None = None
         self.runs_on: bool | None = None
+        self.timeout: frames.Timeout | None = None
+        self.strange_id: int | None = None
+        self._in_vain = 0
+
+    @property
+    def has_said_who(self) -> bool:
+        """Whether it has said its version and, at some time, its fault."""
+        return self.version is not None and self._has_told_fault
+
+    @property
+    def is_asked_for_timeout(self) -> bool:
+        """Whether its timeout may still be told: some bridge may pass on no message as long as that."""
+        return self.timeout is None and self.strange_id is None and self._in_vain < _MOST_IN_VAIN
 
     @property
     def has_answered(self) -> bool:
-        """Whether it has said its version and, at some time, its fault."""
-        return self.version is not None and self._has_told_fault
+        """Whether it has said who it is, and its timeout is known or asked for no more."""
+        return self.has_said_who and not self.is_asked_for_timeout
 
     @property
     def has_measured(self) -> bool:
@@ -87,6 +102,18 @@ class Channel:
             self._feed_tachometer(int(values["tachometer"]), stamp_ns)
             self.fet_degc, self.input_a, self.input_v = values["fet_degc"], values["input_a"], values["input_v"]
             self._fet_ns = stamp_ns
+
+    def feed_timeout(self, timeout: frames.Timeout, vesc: int) -> None:
+        """Take the answer of the VESC with this id; with another id in it, it is not believed."""
+        if timeout.vesc == vesc:
+            self.timeout = timeout
+        else:
+            self.strange_id = timeout.vesc
+
+    def miss_timeout(self) -> None:
+        """Take note that who answers has not answered this."""
+        if self.has_said_who:
+            self._in_vain += 1
 
     def forget_late(self, now_ns: int, late_ns: int) -> None:
         """Forget temperature, current and voltage of the battery where their status messages have fallen silent."""

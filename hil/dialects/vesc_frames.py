@@ -3,10 +3,13 @@
 A message is a code (COMM_...) and its data. On a serial line it travels as ``02 length payload CRC-16 03``, with ``03``
 and two bytes for more than 255. On CAN the identifier is command << 8 | VESC; the commands of a motor have a frame of
 their own, and any message fits into others: up to 6 bytes in one (``8: sender, 0, message``), longer ones in parts of 7
-(``5: offset, part``) that a last frame ends (``7: sender, 1, length, CRC-16``).
-Source: VESC bldc, documentation/comm_can.md, comm/comm_can.c, comm/commands.c, comm/packet.c, datatypes.h.
+(``5: offset, part``), of 6 from where the offset needs two bytes (``6``), that a last frame ends
+(``7: sender, 1, length, CRC-16``).
+Source: VESC bldc, documentation/comm_can.md, comm/comm_can.c, comm/commands.c, comm/packet.c, confgenerator.c,
+util/buffer.c, datatypes.h.
 """
 
+import math
 import struct
 from binascii import crc_hqx
 from collections.abc import Mapping
@@ -16,8 +19,8 @@ from typing import NamedTuple
 from firmware_protocol.framing import Frame
 from hil.dialects.port import EXTENDED
 
-FW_VERSION, GET_VALUES_SELECTIVE, FORWARD_CAN, PING_CAN = 0, 50, 34, 62
-CAN_FILL, CAN_PROCESS, CAN_SHORT, CAN_PING, CAN_PONG = 5, 7, 8, 17, 18
+FW_VERSION, GET_APPCONF, GET_VALUES_SELECTIVE, FORWARD_CAN, PING_CAN = 0, 17, 50, 34, 62
+CAN_FILL, CAN_FILL_LONG, CAN_PROCESS, CAN_SHORT, CAN_PING, CAN_PONG = 5, 6, 7, 8, 17, 18
 CAN_STATUS, CAN_STATUS_4, CAN_STATUS_5 = 9, 16, 27
 STATUS = Struct(">ihh")  # ERPM, current [0.1 A], duty [0.001]
 STATUS_4 = Struct(">hhhh")  # temperatures of FET and motor [0.1 °C], input current [0.1 A], position of the PID
@@ -26,6 +29,8 @@ STEPS = 6  # of the tachometer in an electrical turn
 MOST_IDS = 254  # 255 is all of them at once
 _MOST_BYTES = 512  # of a message
 _INT32 = Struct(">i")
+_APPCONF = Struct(">xxxxxBIf")  # code and signature, id, timeout [ms], brake current [A]
+_OFFSET_BYTES = {CAN_FILL: 1, CAN_FILL_LONG: 2}
 
 
 class Setting(NamedTuple):
@@ -141,6 +146,29 @@ def parse_version(message: bytes) -> Version | None:
     return Version(message[1], message[2], hardware if hardware.isprintable() else "")
 
 
+class Timeout(NamedTuple):
+    """What a VESC does when commands end, of its app configuration: ``vesc`` is the id that stands there with it.
+
+    After ``timeout_s`` without a command it brakes with ``brake_current_a``; a timeout of 0 is none.
+    """
+
+    vesc: int
+    timeout_s: float
+    brake_current_a: float
+
+
+def parse_timeout(message: bytes) -> Timeout | None:
+    """Return the timeout of an answer to COMM_GET_APPCONF, None for another message or no finite current.
+
+    The configuration begins alike in every firmware that was looked at, and goes on differently (VESC.md). Its numbers
+    of ``float32_auto`` are IEEE 754 singles, but that those below the least normal one are sent as 0.
+    """
+    if len(message) < _APPCONF.size or message[0] != GET_APPCONF:
+        return None
+    vesc, timeout_ms, brake_current_a = _APPCONF.unpack_from(message)
+    return Timeout(vesc, timeout_ms * 1e-3, brake_current_a) if math.isfinite(brake_current_a) else None
+
+
 class CanMessages:
     """Messages from the frames that a host with an id of its own is sent; one VESC at a time is to be asked.
 
@@ -158,9 +186,12 @@ class CanMessages:
             return None
         if command == CAN_SHORT and len(payload) > 2:
             return payload[0], payload[2:]
-        if command == CAN_FILL and len(payload) > 1:
-            before = self._open if payload[0] else b""
-            self._open = before + payload[1:] if payload[0] == len(before) else b""
+        head = _OFFSET_BYTES.get(command)
+        if head is not None and len(payload) > head:
+            offset = int.from_bytes(payload[:head], "big")
+            before = self._open if offset else b""
+            fits = offset == len(before) <= _MOST_BYTES
+            self._open = before + payload[head:] if fits else b""
         elif command == CAN_PROCESS and len(payload) == 6:
             message, self._open = self._open, b""
             sender, _, length, crc = struct.unpack(">BBHH", payload)
@@ -170,6 +201,11 @@ class CanMessages:
 
 
 CAUSES = ("start", "length", "end", "checksum")
+
+
+IN_STEP = bytes(_MOST_BYTES + 6)
+"""Before each question of who is there on a serial line. Bytes of another protocol may look like the begin of a packet,
+and a VESC then waits for as many as the longest has. Zeros complete it, end it wrongly and begin none themselves."""
 
 
 class SerialFraming:
@@ -190,6 +226,9 @@ class SerialFraming:
         if len(message) > _MOST_BYTES:
             raise ValueError(f"message {frame.id} of {len(message)} bytes: expected at most {_MOST_BYTES}")
         head = bytes((2, len(message))) if len(message) < 256 else struct.pack(">BH", 3, len(message))
+        asked = message[2:] if frame.id == FORWARD_CAN else message
+        if asked == bytes((FW_VERSION,)):
+            head = IN_STEP + head
         return head + message + struct.pack(">HB", crc_hqx(message, 0), 3)
 
     def feed(self, data: bytes) -> list[Frame]:

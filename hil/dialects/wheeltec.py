@@ -245,4 +245,5 @@ DIALECT = Dialect(
     make_framing=WheeltecFraming,
     probe=_Probe,
     baud=_BAUD,
+    watchdog_setting="stops_on_silence",
 )

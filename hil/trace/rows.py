@@ -10,7 +10,8 @@ from typing import Any
 
 SENT, EXTENDED, REMOTE, ERROR, FD, SWITCHED = (1 << place for place in range(6))
 
-_WORDS = 16
+MOST_BYTES = 64
+_WORDS = MOST_BYTES // 4
 _PAD = struct.Struct("<16I")
 _SHORT = struct.Struct("<2I")
 _REST = (0.0,) * (_WORDS - 2)

@@ -1,7 +1,8 @@
 """Four VESCs as their firmware is published: on one CAN bus, and one of them at a serial line that it passes on.
 
-Their timeout is 1 s with no brake current, and a fault holds a motor off for half a second, both as delivered. The
-minimum ERPM of the speed controller is 0, as hil/dialects/VESC.md asks for; status 1, 4 and 5 go at ``status_hz``.
+Their timeout is 1 s with no brake current, and a fault holds a motor off for half a second, both as delivered. Of the
+app configuration the front is told, where firmware 5 and 6 have the timeout; the rest is as long as in 6.00 or 6.05.
+The minimum ERPM of the speed controller is 0, as hil/dialects/VESC.md asks for; status 1, 4 and 5 go at ``status_hz``.
 """
 
 import math
@@ -9,15 +10,18 @@ import struct
 from collections.abc import Callable
 
 from firmware_protocol.framing import Frame
+from hil.devices.emulated import vesc_wire as wire
 from hil.devices.emulated.motors import EmulatedMotors, Shaft, SpeedLoop
 from hil.dialects.vesc import Settings
 from hil.types import FourWheels
 
 _EXTENDED = 0x8000_0000
 _TIMEOUT_TICKS, _FAULT_TICKS = 1000, 500
+_SIGNATURE = 486554156  # of an app configuration, as 6.00 lays it out
+_CONFIGURATION_BYTES = {(6, 5): 278}  # without the balance app, which 6.00 still has
+_MOST_CONFIGURATION_BYTES = 493
 _UNDER_VOLTAGE, _HOT_MOTOR = 2, 6
 _LEAST_V, _LEAST_A = 8.0, 0.05
-_LONGEST = 512
 _IDS, _PING_TICKS = 255, 10
 
 Reply = Callable[[bytes], None]
@@ -32,6 +36,9 @@ class _Vesc:
         self.version = (6, 5)
         self.hardware = b"60_MK6"
         self.timeout_ticks = _TIMEOUT_TICKS
+        self.timeout_brake_a = 0.0
+        self.tells_configuration = True
+        self.told_number = number  # in the configuration
         self.kill_switch = False
         self.knows_status = True
         self.fault = 0
@@ -72,8 +79,11 @@ class _Vesc:
             self._fault_left -= 1
             if self._fault_left <= 0:
                 self.fault = 0
-        if self.has_timed_out or self.kill_switch:
+        if self.kill_switch:
             self._control = "off"
+        elif self.has_timed_out and not self.fault:
+            self._control = "brake" if self.timeout_brake_a >= _LEAST_A else "off"
+            self._wanted = self.timeout_brake_a
         if self._control == "rpm":
             return self._loop.torque(self._wanted / self._to_erpm, self.speed)
         if self._control == "current":
@@ -113,10 +123,18 @@ class _Vesc:
         if code == 0:
             name = self.hardware + b"\0"
             reply(bytes((0, *self.version)) + name + bytes(range(12)) + bytes((0, 0, 0, 0, 0, 0, 0, 0)) + b"\0")
+        elif code == 17 and self.tells_configuration:
+            reply(b"\x11" + self._configuration())
         elif code == 50 and len(data) >= 4:
             reply(message[:5] + self._values(int.from_bytes(data[:4], "big")))
         elif code in (6, 7, 8) and len(data) >= 4:
             self.command({6: "current", 7: "brake", 8: "rpm"}[code], struct.unpack_from(">i", data)[0])
+
+    def _configuration(self) -> bytes:
+        size = _CONFIGURATION_BYTES.get(self.version, _MOST_CONFIGURATION_BYTES)
+        front = struct.pack(">IBI", _SIGNATURE, self.told_number, self.timeout_ticks)
+        front += wire.float32_auto(self.timeout_brake_a)
+        return front + bytes(place & 0xFF for place in range(len(front), size))
 
     def _values(self, mask: int) -> bytes:
         nothing = 0
@@ -208,13 +226,8 @@ class EmulatedVesc(EmulatedMotors):
 
     def _can_reply(self, sender: int, to: int) -> Reply:
         def reply(message: bytes) -> None:
-            if len(message) <= 6:
-                self.say(Frame(_EXTENDED | 8 << 8 | to, bytes((sender, 1)) + message))
-                return
-            for offset in range(0, len(message), 7):
-                self.say(Frame(_EXTENDED | 5 << 8 | to, bytes((offset,)) + message[offset : offset + 7]))
-            end = struct.pack(">BBHH", sender, 1, len(message), _crc(message))
-            self.say(Frame(_EXTENDED | 7 << 8 | to, end))
+            for command, data in wire.can_parts(sender, message):
+                self.say(Frame(_EXTENDED | command << 8 | to, data))
 
         return reply
 
@@ -223,7 +236,7 @@ class EmulatedVesc(EmulatedMotors):
     def feed(self, data: bytes) -> None:
         self._open += data
         while self._open:
-            size, message = _first_packet(self._open)
+            size, message = wire.first_packet(self._open)
             if size == 0:
                 return
             self._open = self._open[size:]
@@ -245,7 +258,7 @@ class EmulatedVesc(EmulatedMotors):
         return sorted(number for number in self._by_id if number != self._settings.serial_id)
 
     def _serial_reply(self, message: bytes) -> None:
-        self._bytes += bytes((2, len(message))) + message + _crc(message).to_bytes(2, "big") + b"\x03"
+        self._bytes += wire.packet(message)
 
     def take_bytes(self) -> bytes:
         """Return what the near VESC says; what they broadcast on the bus between them reaches nobody here."""
@@ -253,35 +266,6 @@ class EmulatedVesc(EmulatedMotors):
         said = bytes(self._bytes)
         self._bytes.clear()
         return said
-
-
-def _first_packet(data: bytes) -> tuple[int, bytes]:
-    """Return how many bytes to take off and the message that they carry, if any; 0 bytes where more are needed."""
-    if data[0] not in (2, 3):
-        return 1, b""
-    head = data[0]
-    if len(data) < head:
-        return 0, b""
-    length = int.from_bytes(data[1:head], "big")
-    if not 0 < length <= _LONGEST:
-        return 1, b""
-    size = head + length + 3
-    if len(data) < size:
-        return 0, b""
-    message = data[head : head + length]
-    if data[size - 1] != 3 or _crc(message) != int.from_bytes(data[size - 3 : size - 1], "big"):
-        return 1, b""
-    return size, message
-
-
-def _crc(message: bytes) -> int:
-    crc = 0
-    for byte in message:
-        crc ^= byte << 8
-        for _ in range(8):
-            crc = crc << 1 ^ 0x1021 if crc & 0x8000 else crc << 1
-        crc &= 0xFFFF
-    return crc
 
 
 EMULATED = EmulatedVesc

@@ -1,0 +1,69 @@
+"""A VESC's messages on its wires as it makes and takes them, written from the format and not from the driver."""
+
+import math
+import struct
+from collections.abc import Iterator
+
+_LONGEST = 512
+
+
+def can_parts(sender: int, message: bytes) -> Iterator[tuple[int, bytes]]:
+    """Yield command and data of the frames in which an answer travels: one for up to 6 bytes, else parts and an end."""
+    if len(message) <= 6:
+        yield 8, bytes((sender, 1)) + message
+        return
+    offset = 0
+    while offset < len(message):
+        if offset <= 255:
+            yield 5, bytes((offset,)) + message[offset : offset + 7]
+            offset += 7
+        else:
+            yield 6, offset.to_bytes(2, "big") + message[offset : offset + 6]
+            offset += 6
+    yield 7, struct.pack(">BBHH", sender, 1, len(message), crc16(message))
+
+
+def packet(message: bytes) -> bytes:
+    """Return a message as it goes over the serial line."""
+    size = len(message)
+    head = bytes((3, size >> 8, size & 0xFF)) if size > 255 else bytes((2, size))
+    return head + message + crc16(message).to_bytes(2, "big") + b"\x03"
+
+
+def first_packet(data: bytes) -> tuple[int, bytes]:
+    """Return how many bytes to take off and the message that they carry, if any; 0 bytes where more are needed."""
+    if data[0] not in (2, 3):
+        return 1, b""
+    head = data[0]
+    if len(data) < head:
+        return 0, b""
+    length = int.from_bytes(data[1:head], "big")
+    if not (1 if head == 2 else 255) <= length <= _LONGEST:
+        return 1, b""
+    size = head + length + 3
+    if len(data) < size:
+        return 0, b""
+    message = data[head : head + length]
+    if data[size - 1] != 3 or crc16(message) != int.from_bytes(data[size - 3 : size - 1], "big"):
+        return 1, b""
+    return size, message
+
+
+def float32_auto(value: float) -> bytes:
+    """Return a number as a configuration has it: sign, exponent of ``frexp`` plus 126, significand beyond a half."""
+    if abs(value) < 1.5e-38:
+        return bytes(4)
+    significand, exponent = math.frexp(abs(value))
+    bits = (value < 0.0) << 31 | exponent + 126 << 23 | int((significand - 0.5) * 2**24)
+    return bits.to_bytes(4, "big")
+
+
+def crc16(message: bytes) -> int:
+    """Return the CRC-16 with the polynomial 0x1021, begun with 0."""
+    crc = 0
+    for byte in message:
+        crc ^= byte << 8
+        for _ in range(8):
+            crc = crc << 1 ^ 0x1021 if crc & 0x8000 else crc << 1
+        crc &= 0xFFFF
+    return crc
