@@ -179,11 +179,13 @@ def test_a_session_begins_after_what_another_program_has_said() -> None:
     assert not rig.node.is_driving
 
 
-def test_a_configuration_is_in_a_trace_in_pieces_that_bus_tools_can_take(tmp_path: Path) -> None:
+@pytest.mark.parametrize("suffix", ["blf", "asc", "log"])
+def test_a_configuration_is_whole_in_a_trace_in_pieces(tmp_path: Path, suffix: str) -> None:
     changes = {"device.driver": "vesc", "loop.duration_s": 0.05, "loop.rate_hz": 200, "expect": []}
     scenario = load("circle_speed", mode="lockstep", link="memory:", set=changes)
-    assert run_scenario(scenario, trace=tmp_path / "line.log").failure is None
-    with can.LogReader(tmp_path / "line.log") as messages:
+    trace = tmp_path / f"line.{suffix}"
+    assert run_scenario(scenario, trace=trace).failure is None
+    with can.LogReader(trace) as messages:
         told = [bytes(one.data) for one in messages if one.arbitration_id == 17 and one.is_rx]
     assert [len(piece) for piece in told] == [64, 64, 64, 64, 22] * 4
 

@@ -10,7 +10,7 @@ from typing import Any
 
 SENT, EXTENDED, REMOTE, ERROR, FD, SWITCHED = (1 << place for place in range(6))
 
-MOST_BYTES = 64
+MOST_CLASSIC_BYTES, MOST_BYTES = 8, 64
 _WORDS = MOST_BYTES // 4
 _PAD = struct.Struct("<16I")
 _SHORT = struct.Struct("<2I")

@@ -84,13 +84,15 @@ class Trace:
         self._zero_unix_us = zero_unix_ns // 1000
 
     def frame(self, stamp_ns: int, frame: Frame, *, sent: bool) -> None:
-        """Take one of our frames; a longer one than any of CAN, of a serial line, is in the trace in pieces."""
+        """Take one of our frames. What only a serial line carries is in the trace as CAN FD, in pieces of 64 bytes."""
         number, payload = frame
         if len(payload) > rows.MOST_BYTES:
             for at in range(0, len(payload), rows.MOST_BYTES):
                 self.frame(stamp_ns, Frame(number, payload[at : at + rows.MOST_BYTES]), sent=sent)
             return
         flags = self._flags + rows.SENT * sent
+        if len(payload) > rows.MOST_CLASSIC_BYTES:
+            flags |= rows.FD  # of a frame without it Vector's formats keep the first eight bytes
         if number >= REMOTE:
             flags += rows.EXTENDED * (number >= EXTENDED) + rows.REMOTE * bool(number & REMOTE)
             number &= ~(EXTENDED | REMOTE)
