@@ -156,10 +156,12 @@ class HostNode:
             raise ValueError(f"{len(stored)} stored bytes; expected {stored_size()}")
         kept = self._ffi.NULL if stored is None else self._ffi.new("uint8_t[]", stored)
         self._lib.wheel_host_init(self._host, block, kept, capabilities, exchange, context)
+        # What a call looks up each time costs as much as the call.
+        self._feed, self._take_bytes = self._lib.wheel_host_feed, self._lib.wheel_host_take_bytes
 
     def feed(self, data: bytes) -> None:
         """Take bytes of a serial line."""
-        self._lib.wheel_host_feed(self._host, data, len(data))
+        self._feed(self._host, data, len(data))
 
     def receive(self, frame: Frame) -> None:
         """Take one CAN frame."""
@@ -181,7 +183,7 @@ class HostNode:
 
     def take_bytes(self) -> bytes:
         """Return all that the robot has to send, as bytes of a serial line."""
-        count = self._lib.wheel_host_take_bytes(self._host, self._bytes, _BYTES)
+        count = self._take_bytes(self._host, self._bytes, _BYTES)
         data: bytes = self._buffer[:count]
         return data
 

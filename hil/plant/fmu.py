@@ -5,7 +5,9 @@ their addresses: one C call a tick, where a step through FMPy's own methods cost
 """
 
 import contextlib
+import functools
 import shutil
+import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -49,6 +51,11 @@ class FmuPlant:
         self._context = self._ffi.new("cosim *", {"step_ns": step_ns})
         # What a call looks up each time costs more than the call.
         self._run = self._lib.cosim_run
+        place_of = functools.partial(self._ffi.offsetof, "cosim")
+        between = place_of("signal") - place_of("steps") - 8
+        unpack = struct.Struct(f"=Q{between}x6d").unpack_from
+        self._read_motion = functools.partial(unpack, self._ffi.buffer(self._context), place_of("steps"))
+        self._step_ns = step_ns
         self._torque = self._ffi.new("float[4]")
         self._speeds = self._context.signal + self._lib.COSIM_WHEEL_SPEED
         self._solve: Any = None  # the solver as a C function, for model exchange
@@ -125,8 +132,9 @@ class FmuPlant:
 
     def truth(self) -> PoseFix:
         """Return pose and twist, world frame, with the time since the start."""
-        motion = self._ffi.unpack(self._context.signal, 6)
-        return make_fix((self._time_ns, make_pose(motion[:3]), make_twist(motion[3:])))
+        steps, x_m, y_m, heading_rad, vx_m_s, vy_m_s, yaw_rate_rad_s = self._read_motion()
+        twist = make_twist((vx_m_s, vy_m_s, yaw_rate_rad_s))
+        return make_fix((steps * self._step_ns, make_pose((x_m, y_m, heading_rad)), twist))
 
     def wheel_speeds(self) -> Wheels:
         """Return the true wheel speeds [rad/s]."""
