@@ -44,7 +44,7 @@ def compiler(cc: str | None = None) -> list[str]:
     if given:
         words = [given] if shutil.which(given) else shlex.split(given, posix=sys.platform != "win32")
         if found := shutil.which(words[0]):
-            return [found, *words[1:]]
+            return [str(Path(found).absolute()), *words[1:]]
         raise BuildError(f"the C compiler {words[0]!r} (from CC) is not there; set CC to one, or leave it empty")
     system, zig = _on_the_path(), _zig()
     if command := (zig or system) if sys.platform == "win32" else (system or zig):
@@ -89,7 +89,8 @@ def compile_shared(
     compiler said.
     """
     command = [*zig(), "-target", zig_target] if zig_target else compiler(cc)
-    command += [*FLAGS, *flags, "-shared", *(f"-I{folder}" for folder in include), *map(str, sources)]
+    command += [*FLAGS, *flags, "-shared"]
+    command += [f"-I{folder.absolute()}" for folder in include] + [str(source.absolute()) for source in sources]
     if library.suffix == ".dylib":
         command += [f"-Wl,-install_name,@rpath/{library.name}", "-Wl,-x"]
     if library.suffix != ".dll":
@@ -97,8 +98,9 @@ def compile_shared(
     # The file has its own name from the start, because linkers write it into the library.
     try:
         with tempfile.TemporaryDirectory(dir=library.parent, prefix=f".{library.name}.") as folder:
-            made = Path(folder) / library.name
-            _run([*command, "-o", str(made)])
+            made = Path(folder).absolute() / library.name
+            # Not from the user's folder: below an environment's, zig makes its C libraries anew for that folder alone.
+            _run([*command, "-o", str(made)], made.parent)
             made.replace(library)
     except OSError as error:
         raise BuildError(f"{library}: cannot be written ({error.strerror}); make its folder writable") from error
@@ -122,9 +124,9 @@ def _zig() -> list[str]:
     return [sys.executable, "-m", "ziglang", "cc", "-mcpu=baseline", "-s"]
 
 
-def _run(command: Sequence[str]) -> str:
+def _run(command: Sequence[str], folder: Path | None = None) -> str:
     try:
-        done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, errors="replace", check=False)
     except OSError as error:
         raise BuildError(f"{shlex.join(command)} cannot be run ({error.strerror}); set CC to a C compiler") from error
     if done.returncode != 0:

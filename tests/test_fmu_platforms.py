@@ -203,7 +203,8 @@ def _steps(fmu: Path, fmi: int, machine: str, folder: Path) -> str:
     program = folder / f"fmu_steps_{machine}"
     source = Path(__file__).with_name("fmu_steps.c")
     command = [*compiler.zig(), "-target", platforms.ZIG_TARGETS[f"{machine}-linux"], *compiler.FLAGS]
-    subprocess.run([*command, str(source), "-o", str(program), "-ldl"], check=True)
+    # From there, as the libraries were made: zig would make its C library anew for another folder.
+    subprocess.run([*command, str(source.absolute()), "-o", str(program), "-ldl"], cwd=folder, check=True)
     description = fmpy.read_model_description(str(fmu))
     real = {"Real", "Float64"}
     variables = [v for v in description.modelVariables if v.causality in {"input", "output"}]
