@@ -100,8 +100,9 @@ def run_scenario(
     """Run a scenario that was loaded. Raises as ``run``.
 
     ``live_port`` serves live viewers on 127.0.0.1. ``watch`` is entered with the loop while it runs; ``warn`` is
-    called before anything is opened, with each sentence on what the robot will not be able to follow; ``linger`` is
-    called when all is done and recorded, while the viewers are still served. ``make_robot`` makes a robot in this
+    called before anything is opened with each sentence on what the robot will not be able to follow, and with what the
+    robot itself warns of once it is known, before it is armed; ``linger`` is called when all is done and recorded,
+    while the viewers are still served. ``make_robot`` makes a robot in this
     process, ``make_node`` its firmware, ``make_recording`` the recording. Without ``keep_signals`` the result has none,
     and memory does not grow with the length of the run.
     """
@@ -160,7 +161,7 @@ def run_scenario(
         events = RunEvents(scenario, laws.signals, note)
         sinks: list[Sink] = [sink for sink in (memory, recording, streaming, events) if sink is not None]
         made = parts.make(bench, _All(sinks), note)
-        loop = Loop(made, scenario.controller.mode, parts.timing, rearm=scenario.loop.rearm)
+        loop = Loop(made, scenario.controller.mode, parts.timing, rearm=scenario.loop.rearm, warn=warn)
         # Behind all other processes, which inherit the processors, and before the robot arms: locking takes its time.
         with _real_time(scenario, bench) as granted:
             origin_ns = _reach(bench, lambda: bench.device.start(bench.clock, scenario.loop.period_ns))

@@ -2,11 +2,12 @@
 
 import contextlib
 import time
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from hil.errors import DeviceError, HilError, LinkError, RobotStoppedError
 from hil.lateness import Lateness
-from hil.recovery import Recovered, Recovery
+from hil.recovery import Recovered, Recovery, Warned
 from hil.sampling import Sampling, Timing
 from hil.signals import make_loop_signals
 from hil.tick import Parts, Tick
@@ -39,15 +40,26 @@ class Loop:
     due is skipped and counted, never made up in a burst.
 
     With ``rearm`` a lost link or a stopped robot does not end the run: it is brought back while the ticks go on, with
-    nothing commanded, and the law begins anew at the reference of the present ``t``.
+    nothing commanded, and the law begins anew at the reference of the present ``t``. ``warn`` is called with what its
+    device warns of then and did not before.
     """
 
-    def __init__(self, parts: Parts, mode: CommandMode, timing: Timing, *, rearm: bool = False) -> None:
+    def __init__(
+        self,
+        parts: Parts,
+        mode: CommandMode,
+        timing: Timing,
+        *,
+        rearm: bool = False,
+        warn: Callable[[str], None] | None = None,
+    ) -> None:
         self._parts = parts
         self._timing = timing
         self._rearm = rearm
         self._doing = Tick(parts, mode, timing)
         self._sampling = Sampling(parts.clock, parts.device, parts.truth, timing)
+        self._warn = warn
+        self._warned = Warned(parts.device, self._tell_warning, said=tuple(parts.device.warnings))
         self._recovery: Recovery | None = None
         self._recoveries: list[Recovered] = []
         self._misses = 0
@@ -187,11 +199,16 @@ class Loop:
         if not self._rearm:
             raise type(error)(f"{error}; to reconnect and arm anew in such a case, set loop.rearm = true") from error
         if self._recovery is None:
-            self._recovery = Recovery(self._parts.device, self._parts.clock, error, self.t_s)
+            self._recovery = Recovery(self._parts.device, self._parts.clock, error, self.t_s, self._warned)
             self._parts.note(self.t_s, "warning", f"{error}; it is being brought back")
         else:
             self._recovery.fail(error)
         return self._recovery
+
+    def _tell_warning(self, sentence: str) -> None:
+        self._parts.note(self.t_s, "warning", sentence)
+        if self._warn is not None:
+            self._warn(sentence)
 
     def _come_back(self, recovery: Recovery) -> None:
         self._doing.raise_robot_failure()

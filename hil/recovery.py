@@ -1,7 +1,7 @@
 """Bringing a robot back that was lost or stopped: reopen the link, shake hands, arm anew. One step a tick."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from hil.devices.port import Device
@@ -23,6 +23,26 @@ class Recovered(NamedTuple):
     why: str
 
 
+class Warned:
+    """Says what a device warns of as soon as it is known who it is, and once it has come back what is new then.
+
+    ``said`` has been said already.
+    """
+
+    def __init__(self, device: Device, say: Callable[[str], None], said: Sequence[str] = ()) -> None:
+        self._device = device
+        self._say = say
+        self._said = said
+
+    def __call__(self) -> None:
+        """Say what has not been said, of a device that has just answered."""
+        warnings = tuple(self._device.warnings)
+        for sentence in warnings:
+            if sentence not in self._said:
+                self._say(sentence)
+        self._said = warnings
+
+
 class Recovery:
     """The way back to ACTIVE, for a loop whose time goes on meanwhile. Nothing is commanded on it.
 
@@ -30,12 +50,15 @@ class Recovery:
     handshake is repeated, the parameters are compared again, and the robot is armed with a new nonce. What fails on
     the way begins it again from the link.
 
-    ``why`` is what was lost at ``lost_s`` of the scenario's time. Where it is not to arm, the way ends with the first
-    feedback after the handshake.
+    ``why`` is what was lost at ``lost_s`` of the scenario's time. ``warned`` is called after each handshake, before
+    anything is armed. Where it is not to arm, the way ends with the first feedback after the handshake.
     """
 
-    def __init__(self, device: Device, clock: Clock, why: HilError, lost_s: float, *, arm: bool = True) -> None:
+    def __init__(
+        self, device: Device, clock: Clock, why: HilError, lost_s: float, warned: Warned, *, arm: bool = True
+    ) -> None:
         self._device = device
+        self._warned = warned
         self._clock = clock
         self.why = str(why)
         self.lost_s = lost_s
@@ -113,6 +136,7 @@ class Recovery:
 
     def _greet(self) -> bool:
         if self._device.greeted():
+            self._warned()
             self._due_ns = self._clock.now_ns() + _ARMING_LIMIT_NS
             self._step = self._last_step
         elif self._clock.now_ns() > self._due_ns:

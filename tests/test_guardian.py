@@ -172,3 +172,10 @@ def test_one_that_does_not_start_is_an_error(monkeypatch: pytest.MonkeyPatch, py
     monkeypatch.setattr(sys, "executable", python)
     with pytest.raises(DeviceError, match=words):
         Guardian("any", 115200, b"stop")
+
+
+def test_one_that_hangs_at_its_start_is_not_waited_for_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hil.devices.guardian._START_LIMIT_S", 0.2)
+    monkeypatch.setattr("hil.devices.guardian.module_command", lambda _: [sys.executable, "-c", "input(); input()"])
+    with pytest.raises(DeviceError, match=r"did not start \(exit status -9\)"):
+        Guardian("any", 115200, b"stop")

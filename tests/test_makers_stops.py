@@ -314,7 +314,7 @@ def test_a_base_that_drives_on_is_told_of_and_an_emergency_stop_stops_it() -> No
         bench.run(1.0)
         assert bench.pilot.phase is Phase.DISARMED
         assert bench.pilot.why == "the wheels turn, and not by us: an e-stop stops them"
-        assert bench.notes == [bench.pilot.why]
+        assert bench.notes.count(bench.pilot.why) == 1
         assert node.is_driving
         bench.pilot.estop()
         bench.run(1.0)

@@ -11,6 +11,7 @@ import json
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 from hil.child import away_from_terminal, child_environment, module_command
@@ -22,6 +23,7 @@ _GOODBYE = b"goodbye\n"
 _TIMES = 5
 _GAP_S = 0.04
 _RETRY_S = 0.02
+_START_LIMIT_S = 10.0
 _EXIT_TIMEOUT_S = 10.0
 # What ends a whole group of processes in order, such as a service's, must not end this one before the host.
 _OUTLIVED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
@@ -50,7 +52,12 @@ class Guardian:
         order = {"port": port, "baud": baud, "stop": stop.hex(), "patience_s": patience_s}
         self._tell(json.dumps(order).encode() + b"\n")
         out = self._process.stdout
-        if out is None or out.readline() != _READY:
+        assert out is not None
+        patience = threading.Timer(_START_LIMIT_S, self._process.kill)
+        patience.start()
+        is_ready = out.readline() == _READY
+        patience.cancel()
+        if not is_ready:
             self.dismiss()
             raise DeviceError(
                 f"the guardian of serial port {port!r} did not start (exit status {self._process.returncode}); without "

@@ -79,7 +79,10 @@ class Device(Protocol):
 
     @property
     def warnings(self) -> Sequence[str]:
-        """Sentences to be said before anything moves, such as that nothing stops the wheels when the host dies."""
+        """Sentences to be said before anything moves, such as that nothing stops the wheels when the host dies.
+
+        Some are known only once the robot has said what it is, and what comes back may be another one.
+        """
 
     def describe_link(self) -> str:
         """Return what the link is, in words for a person."""

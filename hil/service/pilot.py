@@ -11,7 +11,7 @@ from collections.abc import Callable
 from firmware_protocol.generated.messages import State as RobotState
 from hil.errors import BadInputError, DeviceError, HilError, LinkError, RobotStoppedError
 from hil.kinematics import BodyTwist
-from hil.recovery import Recovery
+from hil.recovery import Recovery, Warned
 from hil.references import ReferenceSource
 from hil.sampling import Timing
 from hil.scenario.laws import Laws
@@ -55,7 +55,8 @@ class Pilot:
         self.recoveries = 0
         self._was_connected = False
         parts.device.attend(parts.clock)
-        self._recovery = Recovery(parts.device, parts.clock, RobotStoppedError("not connected yet"), 0.0, arm=False)
+        self._warned = Warned(parts.device, lambda sentence: self._parts.note(self._t_s, "warning", sentence))
+        self._recovery = self._way_back(RobotStoppedError("not connected yet"))
         self._steps: dict[Phase, Callable[[LoopSignals, PoseFix | None], None]] = {
             Phase.AWAY: self._come_back,
             Phase.DISARMED: self._wait,
@@ -220,7 +221,7 @@ class Pilot:
             if self.phase is Phase.ESTOP:
                 self._emergency.ask(self._t_s)  # one that was reset meanwhile knows nothing of it
             self._enter(Phase.AWAY)
-            self._recovery = Recovery(self._parts.device, self._parts.clock, error, self._t_s, arm=False)
+            self._recovery = self._way_back(error)
         elif isinstance(error, DeviceError) and feedback is not None and feedback.state in latched:
             self._parts.device.disarm()
             self._enter(latched[feedback.state])
@@ -230,6 +231,9 @@ class Pilot:
                 self._enter(Phase.ESTOP)
             else:
                 self._enter(Phase.STOPPING, _STOPPING_LIMIT_S)
+
+    def _way_back(self, error: HilError) -> Recovery:
+        return Recovery(self._parts.device, self._parts.clock, error, self._t_s, self._warned, arm=False)
 
     def _come_back(self, now: LoopSignals, fix: PoseFix | None) -> None:
         self._doing.raise_robot_failure()

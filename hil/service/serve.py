@@ -158,8 +158,6 @@ class _Service:
                 return
             beside = resources.enter_context(ThreadPoolExecutor(1, "beside"))
             beside.submit(time.monotonic).result()  # its thread begins here, before this one has real-time priority
-            for sentence in bench.device.warnings:
-                logs.warning("the robot's motors", why=sentence)
             pilot = self._pilot(bench)
             if self._estop_owed:
                 pilot.estop()

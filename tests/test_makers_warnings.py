@@ -1,0 +1,60 @@
+"""What motors of other makers are warned of: once they have answered, before they are armed, and what changes later."""
+
+import contextlib
+from contextlib import AbstractContextManager
+
+from hil.assembly import run_scenario
+from hil.devices.virtual import MakeNode, VirtualRobot, VirtualStm32
+from hil.scenario import load
+from hil.service.messages import Phase
+from tests.pilot_bench import PilotBench
+
+AWAY = {"kind": "disconnect", "target": "link", "start_s": 1.0, "end_s": 1.3}
+LONG, ENDLESS = "the timeout of the VESC 1, 2, 3, 4 is 1000 ms", "the timeout of the VESC 1, 2, 3, 4 is 0"
+
+
+def of_the_timeout(sentences: list[str]) -> list[str]:
+    return [sentence for sentence in sentences if "the timeout of" in sentence]
+
+
+def set_endless(robot: VirtualStm32) -> None:
+    for vesc in robot.node.vescs:  # type: ignore[attr-defined]
+        vesc.timeout_ticks = 0
+
+
+def test_a_service_says_what_they_have_told_and_what_is_new_when_they_come_back() -> None:
+    with PilotBench(**{"device.driver": "vesc", "fault": [AWAY]}) as bench:
+        assert bench.notes == []
+        bench.run_until(Phase.DISARMED)
+        [said] = of_the_timeout(bench.notes)
+        assert said.startswith(LONG)
+        assert bench.bench._robot is not None
+        set_endless(bench.bench._robot)
+        bench.run_until(Phase.AWAY)
+        before = len(bench.notes)
+        bench.run_until(Phase.DISARMED)
+        [said] = of_the_timeout(bench.notes[before:])
+        assert said.startswith(ENDLESS)
+
+
+def test_a_run_says_what_is_new_when_they_come_back_before_it_arms_them() -> None:
+    robots: list[VirtualStm32] = []
+    said: list[str] = []
+
+    def make(made_of: VirtualRobot, make_node: MakeNode) -> AbstractContextManager[VirtualStm32]:
+        robots.append(VirtualStm32(made_of, make_node))
+        return contextlib.closing(robots[0])
+
+    def warn(sentence: str) -> None:
+        said.append(sentence)
+        if sentence.startswith(ENDLESS):
+            assert not robots[0].node.is_driving  # type: ignore[attr-defined]
+        set_endless(robots[0])
+
+    changes = {"device.driver": "vesc", "loop.rearm": True, "loop.duration_s": 3.0, "fault": [AWAY], "expect": []}
+    scenario = load("circle_speed", mode="lockstep", link="memory:", set=changes)
+    assert run_scenario(scenario, make_robot=make, warn=warn).failure is None
+    first, second = of_the_timeout(said)
+    assert first.startswith(LONG)
+    assert second.startswith(ENDLESS)
+    assert len(said) == len(set(said))
