@@ -54,7 +54,8 @@ class _Vesc:
 
     @property
     def is_driving(self) -> bool:
-        return self._control != "off"
+        """Whether somebody's command has the motor; the brake of the timeout is nobody's."""
+        return self._control != "off" and not self.has_timed_out
 
     def command(self, control: str, raw: int) -> None:
         """Take a command; a fault keeps the motor off whatever comes."""
