@@ -223,6 +223,19 @@ def test_after_the_timeout_its_current_brakes(wire: Wire) -> None:
     assert all(abs(one) < 0.1 * abs(two) for one, two in zip(braked.speeds(), rolling.speeds(), strict=True))
 
 
+def test_a_late_answer_of_another_on_the_bus_is_not_that_of_who_is_asked() -> None:
+    rig = set_all(rig_of("can"))
+    first, second = rig.node.vescs[:2]
+    first.tells_configuration = second.tells_configuration = False
+    for _ in range(2):
+        rig.step(rig.driver.ask())
+    assert timeouts_asked_for(rig)[-1].id & 0xFF == second.number
+    first.tells_configuration = second.tells_configuration = True
+    rig.node.receive(timeouts_asked_for(rig)[0])
+    rig.step()
+    assert warnings_of(rig) == []
+
+
 # A VESC whose reader waits for the rest of a packet
 
 BEGIN_OF_512_BYTES = bytes.fromhex("030200")

@@ -65,6 +65,13 @@ def children_of(pid: int) -> set[int]:
     return {int(word) for word in subprocess.run(["pgrep", "-P", str(pid)], capture_output=True).stdout.split()}
 
 
+def speed_m_s(watcher: TruthClient) -> float:
+    """Return how fast the robot's centre goes, 0 before anything is known of it."""
+    watcher.poll()
+    twist = watcher.newest.fix.twist if watcher.newest is not None else None
+    return 0.0 if twist is None else abs(twist.vx_m_s) + abs(twist.vy_m_s)
+
+
 def test_a_base_without_a_watchdog_is_stopped_when_the_host_is_killed(tmp_path: Path) -> None:
     """The guardian does it: the firmware would drive on for ever. Then it ends, and so does the recorder."""
     with device(*ROSMASTER, "--dialect", "rosmaster", "--link", "serial:pty") as robot:
@@ -73,17 +80,27 @@ def test_a_base_without_a_watchdog_is_stopped_when_the_host_is_killed(tmp_path: 
         scenario = load("circle_speed", set=[ROSMASTER[-1], "loop.rate_hz=100", "device.driver=rosmaster"])
         watcher = TruthClient(robot.truth, scenario.hash, reset=False)
 
-        def speed_m_s() -> float:
-            watcher.poll()
-            twist = watcher.newest.fix.twist if watcher.newest is not None else None
-            return 0.0 if twist is None else abs(twist.vx_m_s) + abs(twist.vy_m_s)
-
-        wait_for(lambda: speed_m_s() > 0.2)
+        wait_for(lambda: speed_m_s(watcher) > 0.2)
         children = children_of(host.pid)
         assert len(children) >= 2
         host.kill()
         host.wait()
-        wait_for(lambda: speed_m_s() < 0.01)
+        wait_for(lambda: speed_m_s(watcher) < 0.01)
         watcher.close()
         # The guardian says the stop a few times, to whatever the port's name then is: the port has to stay until then.
+        wait_for(lambda: not any(map(is_running, children)))
+
+
+def test_vescs_as_delivered_are_braked_when_the_host_is_killed() -> None:
+    """Their timeout of 1 s would let them roll, and on this plant they would do so for a minute and more."""
+    with device(*REAL, "--dialect", "vesc", "--link", "serial:pty") as robot:
+        host = subprocess.Popen([*HIL, "run", *REAL, *short("vesc", robot, "loop.duration_s=60")], env=environment())
+        scenario = load("circle_speed", set=[*REAL[4::2], "device.driver=vesc"])
+        watcher = TruthClient(robot.truth, scenario.hash, reset=False)
+        wait_for(lambda: speed_m_s(watcher) > 0.2)
+        children = children_of(host.pid)
+        host.kill()
+        host.wait()
+        wait_for(lambda: speed_m_s(watcher) < 0.01)
+        watcher.close()
         wait_for(lambda: not any(map(is_running, children)))
