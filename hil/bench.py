@@ -154,28 +154,17 @@ class Bench:
             self._guardian.dismiss()
 
     def _guard(self, url: LinkUrl, driver: Driver) -> None:
-        """Have a base that nothing stops when commands end stopped by another process, should this one be killed.
-
-        Some controllers tell only once they are there whether they have a watchdog: the guardian comes when it is known
-        that it is needed, which is before anything is armed.
-        """
-        make_framing = dialect(self._scenario.device.driver).make_framing
-        if not isinstance(url, SerialUrl) or make_framing is None:
+        """Have a base that nothing stops when commands end stopped by another process, should this one be killed."""
+        made = dialect(self._scenario.device.driver)
+        if driver.capabilities.watchdog != "none" or not isinstance(url, SerialUrl) or made.make_framing is None:
             return
-        framing = make_framing()
-        stop = b"".join(framing.encode(frame) for frame in driver.disarm())
+        from hil.devices.guardian import Guardian  # which brings pyserial: not for every run
 
-        def is_guarded() -> bool:
-            if driver.capabilities.watchdog != "none":
-                return True
-            if self._guardian is None:
-                from hil.devices.guardian import Guardian  # which brings pyserial: not for every run
-
-                self._guardian = Guardian(url.port, url.baud, stop)
-            return self._guardian.is_watching
-
-        self._is_guarded = is_guarded
-        is_guarded()
+        framing = made.make_framing()
+        stop = b"".join(framing.encode(frame) for frame in made.last_stop(driver))
+        guardian = Guardian(url.port, url.baud, stop)
+        self._guardian = guardian
+        self._is_guarded = lambda: guardian.is_watching
 
     def _device(self, link: DelayedLink, driver: Driver | None, *, allow_motion: bool) -> Device:
         scenario = self._scenario
@@ -257,10 +246,8 @@ class Bench:
         return UdpFixes(estimator.fix, estimator.filter.history_s)
 
     def connect(self) -> Identity:
-        """Shake hands with the robot; who it is may tell that a guardian is needed, which takes a while to start."""
-        identity = self.device.connect()
-        self._is_guarded()
-        return identity
+        """Shake hands with the robot."""
+        return self.device.connect()
 
     def start_pose(self) -> Pose:
         """Return where odometry begins, asked before the robot moves.

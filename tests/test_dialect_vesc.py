@@ -302,6 +302,7 @@ STRANGE = rig_of("can"), rig_of("serial")
         ({"pole_pairs": 0}, "expected 1 or more"),
         ({"gear_ratio": -1.0}, "more than zero"),
         ({"brake_current_a": -1.0}, "zero or more"),
+        ({"brake_current_a": 0.01}, "expected 0, or 0.05 and more, as a VESC does not brake with less"),
     ],
 )
 def test_settings_that_cannot_be_are_refused(settings: dict[str, object], words: str) -> None:

@@ -12,7 +12,6 @@ from hil.devices.emulated.vesc_wire import can_parts, float32_auto
 from hil.dialects import vesc_frames
 from hil.dialects.port import EXTENDED
 from hil.dialects.vesc_frames import (
-    IN_STEP,
     SET_CURRENT,
     SET_CURRENT_BRAKE,
     SET_RPM,
@@ -25,7 +24,7 @@ from hil.dialects.vesc_frames import (
 from hil.dialects.vesc_wires import Bus, Line
 from tests.dialect_testbed import Rig
 
-NODE, LINE = (Rig("vesc", wire=wire).node for wire in ("can", "serial"))
+NODE, LINE = Rig("vesc", wire="can").node, Rig("vesc", wire="serial")
 
 
 @pytest.mark.parametrize(
@@ -179,9 +178,10 @@ def test_the_front_of_an_app_configuration_is_read() -> None:
     """Of 6.00: its signature, id 7, 1500 ms, 12.5 A, and then 480 bytes of the rest."""
     message = bytes.fromhex("11 1d003a2c 07 000005dc 41480000") + bytes(480)
     assert parse_timeout(message) == Timeout(7, 1.5, 12.5)
-    assert parse_timeout(message[:13]) is None
+    assert parse_timeout(message[:199]) is None  # as short as none
+    assert parse_timeout(message[:5] + bytes(1) + (700).to_bytes(4, "big") + message[10:]) == Timeout(0, 0.7, 12.5)
     assert parse_timeout(b"\x12" + message[1:]) is None  # the configuration as delivered, which nobody asked for
-    assert parse_timeout(message[:10] + bytes.fromhex("7fc00000")) is None
+    assert parse_timeout(message[:10] + bytes.fromhex("7fc00000") + bytes(480)) is None
 
 
 @given(st.floats(width=32, allow_nan=False, allow_infinity=False))
@@ -190,16 +190,28 @@ def test_numbers_of_a_configuration_are_what_the_format_says(value: float) -> No
     [bits] = struct.unpack(">I", float32_auto(value))
     sign, exponent, behind = -1.0 if bits >> 31 else 1.0, bits >> 23 & 0xFF, bits & 0x7FFFFF
     by_hand = sign * math.ldexp(0.5 + behind / 2**24, exponent - 126) if bits & 0x7FFFFFFF else 0.0
-    read = parse_timeout(b"\x11" + bytes(9) + float32_auto(value))
+    read = parse_timeout(b"\x11" + bytes(9) + float32_auto(value) + bytes(264))
     assert read is not None
     assert read.brake_current_a == by_hand == (value if abs(value) >= 1.5e-38 else 0.0)
 
 
-@given(st.binary(max_size=600))
-def test_the_question_who_is_there_is_heard_after_any_bytes(before: bytes) -> None:
-    for question in (Frame(0, b""), Frame(34, b"\x02\x00")):
-        LINE.feed(before + SerialFraming().encode(question))
-        [told] = SerialFraming().feed(LINE.take_bytes())
-        assert told.id == 0
-    assert SerialFraming().encode(Frame(0, b"")).startswith(IN_STEP)
-    assert not SerialFraming().encode(Frame(50, b"\x00")).startswith(b"\x00")
+HELD = (Frame(8, b"\0\0\1\0"), Frame(34, b"\2\x08\0\0\1\0"), Frame(34, b"\4\6\0\0\x20\0"))
+
+
+@given(
+    st.lists(
+        st.binary(max_size=100)
+        | st.sampled_from(HELD).map(SerialFraming().encode)
+        | st.sampled_from((b"\3\2\0", b"\3\1", b"\2\xff", b"\3")),
+        max_size=8,
+    )
+)
+def test_the_last_stop_is_the_last_that_is_done_after_any_bytes(pieces: list[bytes]) -> None:
+    node = LINE.node
+    node.feed(b"".join(pieces))
+    for vesc in node.vescs:
+        vesc.command("rpm", 400)
+    node.feed(b"".join(map(SerialFraming().encode, [*LINE.driver.last_stop(), Frame(0, b"")])))  # type: ignore[attr-defined]
+    assert [vesc._control for vesc in node.vescs] == ["brake"] * 4
+    heard = SerialFraming().feed(node.take_bytes())
+    assert heard[-1].id == 0

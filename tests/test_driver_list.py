@@ -40,6 +40,7 @@ def test_a_watchdog_that_a_setting_gives_is_not_said_to_be_missing_for_ever() ->
     assert watchdog["odrive"] == "none without device.motors.watchdog_endpoints"
     assert watchdog["wheeltec"] == "none without device.motors.stops_on_silence"
     assert watchdog["rosmaster"] == "none"
+    assert watchdog["vesc"] == "none without a Timeout of at most firmware.watchdog_s, set in VESC Tool"
     stops = {"device.driver": "wheeltec", "device.motors.stops_on_silence": True}
     assert make_driver(load("circle_speed", set=stops)).capabilities.watchdog == "fixed"
 

@@ -1,5 +1,7 @@
 """Robots with motors of other makers as processes of their own, in real time: over pseudo-terminals and slcan."""
 
+import itertools
+import math
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -65,6 +67,13 @@ def children_of(pid: int) -> set[int]:
     return {int(word) for word in subprocess.run(["pgrep", "-P", str(pid)], capture_output=True).stdout.split()}
 
 
+def speed_m_s(watcher: TruthClient) -> float:
+    """Return how fast the robot's centre goes, 0 before anything is known of it."""
+    watcher.poll()
+    twist = watcher.newest.fix.twist if watcher.newest is not None else None
+    return 0.0 if twist is None else math.hypot(twist.vx_m_s, twist.vy_m_s)
+
+
 def test_a_base_without_a_watchdog_is_stopped_when_the_host_is_killed(tmp_path: Path) -> None:
     """The guardian does it: the firmware would drive on for ever. Then it ends, and so does the recorder."""
     with device(*ROSMASTER, "--dialect", "rosmaster", "--link", "serial:pty") as robot:
@@ -73,17 +82,37 @@ def test_a_base_without_a_watchdog_is_stopped_when_the_host_is_killed(tmp_path: 
         scenario = load("circle_speed", set=[ROSMASTER[-1], "loop.rate_hz=100", "device.driver=rosmaster"])
         watcher = TruthClient(robot.truth, scenario.hash, reset=False)
 
-        def speed_m_s() -> float:
-            watcher.poll()
-            twist = watcher.newest.fix.twist if watcher.newest is not None else None
-            return 0.0 if twist is None else abs(twist.vx_m_s) + abs(twist.vy_m_s)
-
-        wait_for(lambda: speed_m_s() > 0.2)
+        wait_for(lambda: speed_m_s(watcher) > 0.2)
         children = children_of(host.pid)
         assert len(children) >= 2
         host.kill()
         host.wait()
-        wait_for(lambda: speed_m_s() < 0.01)
+        wait_for(lambda: speed_m_s(watcher) < 0.01)
         watcher.close()
         # The guardian says the stop a few times, to whatever the port's name then is: the port has to stay until then.
+        wait_for(lambda: not any(map(is_running, children)))
+
+
+def test_vescs_as_delivered_are_braked_when_the_host_is_killed() -> None:
+    """Their timeout would let them roll, at less than 0.5 m/s² on this circle; the brake makes it 4."""
+    with device(*REAL, "--dialect", "vesc", "--link", "serial:pty") as robot:
+        host = subprocess.Popen([*HIL, "run", *REAL, *short("vesc", robot, "loop.duration_s=60")], env=environment())
+        scenario = load("circle_speed", set=[*REAL[4::2], "device.driver=vesc"])
+        watcher = TruthClient(robot.truth, scenario.hash, reset=False)
+        wait_for(lambda: speed_m_s(watcher) > 0.2)
+        children = children_of(host.pid)
+        host.kill()
+        host.wait()
+        seen: list[tuple[int, float]] = []
+
+        def rests() -> bool:
+            speed = speed_m_s(watcher)
+            assert watcher.newest is not None
+            seen.append((watcher.newest.fix.time_ns, speed))
+            return speed < 0.01
+
+        wait_for(rests)
+        watcher.close()
+        slowing = [(a[1] - b[1]) / (b[0] - a[0]) * 1e9 for a, b in itertools.pairwise(seen) if b[0] > a[0]]
+        assert max(slowing) > 1.0
         wait_for(lambda: not any(map(is_running, children)))

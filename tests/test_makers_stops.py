@@ -306,6 +306,21 @@ def test_a_fault_that_arose_while_the_link_was_away_is_not_cleared_by_our_own_st
         assert [servo.mode for servo in servos] == ([11, 1, 11, 11] if fails else [10] * 4)
 
 
+@pytest.mark.parametrize(("link", "timeout_ms"), [("memory:", 0), ("can:virtual/app", 1000)])
+def test_vescs_without_a_watchdog_that_another_app_of_theirs_drives_are_told_of(link: str, timeout_ms: int) -> None:
+    with PilotBench(**{"device.driver": "vesc", "link.url": link}) as bench:
+        for vesc in node_of(bench.bench).vescs:
+            vesc.timeout_ticks = timeout_ms
+        bench.run_until(Phase.DISARMED)
+        for vesc in node_of(bench.bench).vescs:
+            vesc.command("rpm", 400)
+        bench.run(0.8)
+        assert bench.pilot.why == "the wheels turn, and not by us: an e-stop stops them"
+        bench.pilot.estop()
+        bench.run(0.5)
+        assert node_of(bench.bench).shafts[0].speed_rad_s == pytest.approx(0.0, abs=0.2)
+
+
 def test_a_base_that_drives_on_is_told_of_and_an_emergency_stop_stops_it() -> None:
     with PilotBench(**ROSMASTER) as bench:
         bench.run_until(Phase.DISARMED)

@@ -262,5 +262,5 @@ DIALECT = Dialect(
     settings=Settings,
     make=ODrive,
     probe=OdriveProbe,
-    watchdog_setting="watchdog_endpoints",
+    watchdog_setting="device.motors.watchdog_endpoints",
 )

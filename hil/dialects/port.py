@@ -208,15 +208,22 @@ class Probe(Protocol):
         """Return what answered so far, None while nothing of this maker's has."""
 
 
+def by_disarming(driver: Driver) -> Sequence[Frame]:
+    """Return the last stop of controllers whose disarming is right for that."""
+    return driver.disarm()
+
+
 class Dialect(NamedTuple):
     """One maker's protocol as the registry has it.
 
     ``settings`` is a dataclass: the options of [device.motors], checked by ``hil.options.build``. ``wires`` says what
     it is spoken over: ``can``, ``can_fd`` or ``serial``; ``baud`` is the rate of a serial line as delivered, None where
     there is no such line. ``probe`` is None where nothing can be found without a risk; ``serial_probe`` takes its place
-    on a serial line where a dialect that is spoken on a bus too has other questions there. ``watchdog_setting`` is the
-    setting with which a driver that has no watchdog without it has one, None where there is none. A setting ``file`` is
-    a path, and an absolute one by the time that a driver sees it.
+    on a serial line where a dialect that is spoken on a bus too has other questions there. ``watchdog_setting`` says
+    in words what a driver that has no watchdog without it needs for one, None where nothing gives it one. ``last_stop``
+    returns, of a driver of this dialect, what the guardian sends on a serial line when the host has died: it stops them
+    whatever they were told last, and in the middle of a frame too. A setting ``file`` is a path, and an absolute one by
+    the time that a driver sees it.
     """
 
     title: str
@@ -228,3 +235,4 @@ class Dialect(NamedTuple):
     serial_probe: Callable[[], Probe] | None = None
     baud: int | None = None
     watchdog_setting: str | None = None
+    last_stop: Callable[[Any], Sequence[Frame]] = by_disarming

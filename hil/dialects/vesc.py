@@ -19,7 +19,7 @@ from hil.dialects.silence import holds_back, late_ns, lowest
 from hil.dialects.vesc_channel import Channel
 from hil.dialects.vesc_probe import BusProbe, LineProbe
 from hil.dialects.vesc_timeout import has_timeout, timeout_warnings
-from hil.dialects.vesc_wires import Bus, Line
+from hil.dialects.vesc_wires import Bus, Line, past_any_rest
 from hil.errors import BadInputError
 from hil.options import require_not_negative, require_positive
 from hil.types import WHEEL_NAMES, CommandMode, FourWheels
@@ -59,6 +59,11 @@ class Settings:
             raise ValueError(f"pole_pairs = {self.pole_pairs}: expected 1 or more")
         require_positive(self, "gear_ratio", "status_hz")
         require_not_negative(self, "brake_current_a")
+        if 0.0 < self.brake_current_a < frames.LEAST_CURRENT_A:
+            raise ValueError(
+                f"brake_current_a = {self.brake_current_a:g}: expected 0, or {frames.LEAST_CURRENT_A:g} and more, as a "
+                "VESC does not brake with less"
+            )
 
 
 class Vesc:
@@ -75,6 +80,8 @@ class Vesc:
         self._rounds = self._wire.rounds
         self._round = 0
         self._asked: int | None = None  # the VESC whose answers are awaited
+        self._may_wait = not self._is_bus  # the near one, for the rest of a packet that nobody sends
+        self._nameless: Sequence[frames.Version] = ()  # versions of a serial line, until values tell whose
         self._turn = 0
         self._waited = 0
         self._is_armed = self._is_arming = False
@@ -91,28 +98,35 @@ class Vesc:
             feedback_hz=rate_hz,
             sensors=frozenset({"position", "current", "temperature", "battery_voltage", "battery_current"}),
             adds_torque=False,
-            watchdog="fixed",
+            watchdog="none",
             latches_estop=False,
         )
 
     @property
     def capabilities(self) -> Capabilities:
-        """See ``Driver``. A timeout is there until one is told to be 0, or is not told."""
-        if all(has_timeout(channel) or not channel.has_answered for channel in self._channels):
-            return self._capabilities
-        return self._capabilities._replace(watchdog="none")
+        """See ``Driver``. There is a watchdog when all four have told a timeout that is one."""
+        if all(has_timeout(channel, self._robot) for channel in self._channels):
+            return self._capabilities._replace(watchdog="fixed")
+        return self._capabilities
 
     def ask(self) -> Sequence[Frame]:
         """See ``Driver``. One VESC is asked at a time, and the next when it has answered or had ``_PATIENCE`` calls.
 
-        Who has said who it is, and has not told its timeout, does not keep the others waiting.
+        Who has said who it is, and has not told its timeout, does not keep the others waiting. When the first question
+        over a line was in vain, the near VESC may wait for the rest of a packet, with commands of long ago in what it
+        holds: stops go with the next one, so many that they are the last of what is done when that wait ends.
         """
+        before: Sequence[Frame] = ()
         if self._asked is not None:
             self._waited += 1
             channel = self._by_id[self._asked]
             if not channel.has_said_who and self._waited < _PATIENCE:
                 return ()
             channel.miss_timeout()
+            if self._may_wait:
+                before = past_any_rest(self._all(frames.SET_CURRENT, _STILL))
+                self._may_wait = False
+                self._has_commanded = True
         open_ids = [vesc for vesc, channel in self._by_id.items() if not channel.has_answered]
         if not open_ids:
             self._asked = None
@@ -124,7 +138,7 @@ class Vesc:
         questions = [] if channel.has_said_who else [*self._wire.questions]
         if channel.is_asked_for_timeout:
             questions.append(bytes((frames.GET_APPCONF,)))
-        return [self._wire.message(self._asked, question) for question in questions]
+        return [*before, *(self._wire.message(self._asked, question) for question in questions)]
 
     def _poll(self, now_ns: int | None = None) -> Sequence[Frame]:
         """Ask the next; over the line the fault comes with the speed, and is as old as that."""
@@ -230,6 +244,10 @@ class Vesc:
         self._stand_down()
         return self._all(frames.SET_CURRENT_BRAKE, (self._brake_a,) * 4)
 
+    def last_stop(self) -> Sequence[Frame]:
+        """Return what the guardian sends: the brake, as nobody comes after it, and past the rest of any packet."""
+        return past_any_rest(self._all(frames.SET_CURRENT_BRAKE, (self._brake_a,) * 4))
+
     def clear(self) -> Sequence[Frame]:
         """See ``Driver``. A fault ends by itself, half a second after its cause as delivered: it is asked for anew."""
         self._forget_fitness()
@@ -237,6 +255,7 @@ class Vesc:
 
     def feed(self, frame: Frame, stamp_ns: int) -> None:
         if not self._is_bus:
+            self._may_wait = False
             self._feed_message(None, bytes((frame.id & 0xFF,)) + frame.payload, stamp_ns)
         elif (heard := self._messages.feed(frame)) is not None:
             self._feed_message(*heard, stamp_ns)
@@ -245,21 +264,27 @@ class Vesc:
             channel.forget_late(stamp_ns, self._late_ns)
 
     def _feed_message(self, sender: int | None, message: bytes, stamp_ns: int) -> None:
-        """Take a message. On a serial line it does not say whose it is, but for the values, as those have the id."""
+        """Take a message. On a serial line it does not say whose it is, but for the values, as those have the id.
+
+        A version there is of him whose values come next; two without values between them are nobody's. A timeout is
+        taken of who is asked, behind what it was asked before.
+        """
         if (version := frames.parse_version(message)) is not None:
-            vesc = self._asked if sender is None else sender
-            if vesc in self._by_id:
-                self._by_id[vesc].version = version
+            if sender is None:
+                self._nameless = (*self._nameless[-1:], version)
+            elif sender in self._by_id:
+                self._by_id[sender].version = version
         elif (values := frames.parse_values(message)) is not None:
             channel = self._by_id.get(int(values.get("id", -1)) if sender is None else sender)
             if channel is not None:
+                if len(self._nameless) == 1:
+                    channel.version = self._nameless[0]
                 channel.feed_values(values, stamp_ns, self._has_commanded)
                 self._is_armed = self._is_armed and channel.is_fit
+            self._nameless = ()
         elif (timeout := frames.parse_timeout(message)) is not None:
-            vesc = sender
-            if vesc is None:
-                vesc = timeout.vesc if timeout.vesc in self._by_id else self._asked
-            if vesc in self._by_id:
+            vesc = self._asked
+            if vesc is not None and sender in (None, vesc) and self._by_id[vesc].awaits_timeout:
                 self._by_id[vesc].feed_timeout(timeout, vesc)
 
     @property
@@ -301,6 +326,8 @@ class Vesc:
     def restart(self) -> None:
         self._is_armed = self._is_arming = self._has_commanded = False
         self._asked = None
+        self._may_wait = not self._is_bus
+        self._nameless = ()
         for channel in self._channels:
             channel.forget()
 
@@ -314,4 +341,6 @@ DIALECT = Dialect(
     probe=BusProbe,
     serial_probe=LineProbe,
     baud=_BAUD,
+    watchdog_setting="a Timeout of at most firmware.watchdog_s, set in VESC Tool",
+    last_stop=Vesc.last_stop,
 )

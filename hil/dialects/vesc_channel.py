@@ -60,6 +60,11 @@ class Channel:
         return self.timeout is None and self.strange_id is None and self._in_vain < _MOST_IN_VAIN
 
     @property
+    def awaits_timeout(self) -> bool:
+        """Whether an answer with a timeout is believed: it comes behind those of who it is."""
+        return self.has_said_who and self.is_asked_for_timeout
+
+    @property
     def has_answered(self) -> bool:
         """Whether it has said who it is, and its timeout is known or asked for no more."""
         return self.has_said_who and not self.is_asked_for_timeout

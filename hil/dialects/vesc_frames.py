@@ -28,8 +28,10 @@ STATUS_5 = Struct(">ih")  # tachometer [a sixth of an electrical turn], input vo
 STEPS = 6  # of the tachometer in an electrical turn
 MOST_IDS = 254  # 255 is all of them at once
 _MOST_BYTES = 512  # of a message
+LONGEST_PACKET = _MOST_BYTES + 6  # in bytes of a serial line
 _INT32 = Struct(">i")
 _APPCONF = Struct(">xxxxxBIf")  # code and signature, id, timeout [ms], brake current [A]
+_LEAST_APPCONF = 200  # bytes; the shortest that is known has 278
 _OFFSET_BYTES = {CAN_FILL: 1, CAN_FILL_LONG: 2}
 
 
@@ -44,6 +46,8 @@ class Setting(NamedTuple):
         """Return the number of a command, saturated to what it can carry."""
         return _INT32.pack(min(max(round(value * self.per_unit), -(2**31)), 2**31 - 1))
 
+
+LEAST_CURRENT_A = 0.05  # a VESC lets its motor go when less is asked for, also of a brake
 
 SET_CURRENT = Setting(6, 1, 1000.0)
 SET_CURRENT_BRAKE = Setting(7, 2, 1000.0)
@@ -160,13 +164,14 @@ class Timeout(NamedTuple):
 def parse_timeout(message: bytes) -> Timeout | None:
     """Return the timeout of an answer to COMM_GET_APPCONF, None for another message or no finite current.
 
-    The configuration begins alike in every firmware that was looked at, and goes on differently (VESC.md). Its numbers
-    of ``float32_auto`` are IEEE 754 singles, but that those below the least normal one are sent as 0.
+    The configuration begins alike in every firmware that was looked at, and goes on differently (VESC.md); what is much
+    shorter than any is none. Its numbers of ``float32_auto`` are IEEE 754 singles, but that those below the least
+    normal one are sent as 0.
     """
-    if len(message) < _APPCONF.size or message[0] != GET_APPCONF:
+    if len(message) < _LEAST_APPCONF or message[0] != GET_APPCONF:
         return None
     vesc, timeout_ms, brake_current_a = _APPCONF.unpack_from(message)
-    return Timeout(vesc, timeout_ms * 1e-3, brake_current_a) if math.isfinite(brake_current_a) else None
+    return Timeout(vesc, timeout_ms / 1000, brake_current_a) if math.isfinite(brake_current_a) else None
 
 
 class CanMessages:
@@ -203,11 +208,6 @@ class CanMessages:
 CAUSES = ("start", "length", "end", "checksum")
 
 
-IN_STEP = bytes(_MOST_BYTES + 6)
-"""Before each question of who is there on a serial line. Bytes of another protocol may look like the begin of a packet,
-and a VESC then waits for as many as the longest has. Zeros complete it, end it wrongly and begin none themselves."""
-
-
 class SerialFraming:
     """The packets of a serial line. ``Frame.id`` is the message's code.
 
@@ -226,9 +226,6 @@ class SerialFraming:
         if len(message) > _MOST_BYTES:
             raise ValueError(f"message {frame.id} of {len(message)} bytes: expected at most {_MOST_BYTES}")
         head = bytes((2, len(message))) if len(message) < 256 else struct.pack(">BH", 3, len(message))
-        asked = message[2:] if frame.id == FORWARD_CAN else message
-        if asked == bytes((FW_VERSION,)):
-            head = IN_STEP + head
         return head + message + struct.pack(">HB", crc_hqx(message, 0), 3)
 
     def feed(self, data: bytes) -> list[Frame]:

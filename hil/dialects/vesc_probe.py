@@ -8,7 +8,6 @@ from hil.dialects.port import ANSWER_S, EXTENDED, Found
 
 _HOST = 253
 _IS_VESC = 0  # the hardware type; others are batteries' managers and modules
-_FIRST_S = ANSWER_S + 0.1  # the question is behind 518 zeros, which take 45 ms at 115200 baud
 _SCAN_S = 4.0  # it waits 10 ms for each of 255 ids
 _UNKNOWN = ("device.motors.pole_pairs", "device.motors.gear_ratio", "firmware.torque_constant_n_m_a")
 
@@ -71,7 +70,7 @@ class LineProbe:
     @property
     def patience_s(self) -> float:
         if not self._is_known:
-            return _FIRST_S
+            return ANSWER_S
         return _SCAN_S if self._has_asked_for_scan and self._behind is None else 0.0
 
     def feed(self, frame: Frame) -> bool:

@@ -55,3 +55,16 @@ class Line:
         if vesc == self._near:
             return Frame(message[0], message[1:])
         return Frame(frames.FORWARD_CAN, bytes((vesc,)) + message)
+
+
+_AROUND_BYTES = 6  # of a short packet: begin, length, code, checksum and end
+
+
+def past_any_rest(commands: Sequence[Frame]) -> Sequence[Frame]:
+    """Return commands of a serial line so often that the last of them are done whatever a VESC's reader waits for.
+
+    After a byte that was lost, or that another program has sent, it may wait for the rest of the longest packet. Then
+    it reads anew what it held, with commands of long ago in it, and right behind those it reads these.
+    """
+    size = sum(len(frame.payload) + _AROUND_BYTES for frame in commands)
+    return [*commands] * (frames.LONGEST_PACKET // size + 1)

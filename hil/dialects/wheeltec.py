@@ -245,5 +245,5 @@ DIALECT = Dialect(
     make_framing=WheeltecFraming,
     probe=_Probe,
     baud=_BAUD,
-    watchdog_setting="stops_on_silence",
+    watchdog_setting="device.motors.stops_on_silence",
 )

@@ -49,7 +49,7 @@ def _words(made: Dialect, facts: RobotFacts) -> tuple[str, ...]:
         ", ".join(_commands(can)),
         rates[wire] if same else ", ".join(f"{wire}: {rate}" for wire, rate in rates.items()),
         ", ".join(sorted(can.sensors)) or "none",
-        _WATCHDOG[can.watchdog] + (f" without device.motors.{made.watchdog_setting}" if made.watchdog_setting else ""),
+        _WATCHDOG[can.watchdog] + (f" without {made.watchdog_setting}" if made.watchdog_setting else ""),
         "latched" if can.latches_estop else "not latched",
     )
 

@@ -23,6 +23,7 @@ _MOST_CONFIGURATION_BYTES = 493
 _UNDER_VOLTAGE, _HOT_MOTOR = 2, 6
 _LEAST_V, _LEAST_A = 8.0, 0.05
 _IDS, _PING_TICKS = 255, 10
+_BRAKE_N_M_S_RAD = 1.0  # near standstill, where no brake drives; with 3 wheels swing, as their speed is told late
 
 Reply = Callable[[bytes], None]
 
@@ -54,7 +55,8 @@ class _Vesc:
 
     @property
     def is_driving(self) -> bool:
-        return self._control != "off"
+        """Whether somebody's command has the motor; the brake of the timeout is nobody's."""
+        return self._control != "off" and not self.has_timed_out
 
     def command(self, control: str, raw: int) -> None:
         """Take a command; a fault keeps the motor off whatever comes."""
@@ -90,7 +92,7 @@ class _Vesc:
             return self._limited(self._wanted * self._constant)
         if self._control == "brake":
             most = abs(self._limited(self._wanted * self._constant))
-            return min(max(-10.0 * self.speed, -most), most)
+            return min(max(-_BRAKE_N_M_S_RAD * self.speed, -most), most)
         return None
 
     def _limited(self, torque: float) -> float:
