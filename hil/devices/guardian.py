@@ -21,6 +21,7 @@ from hil.links.serial_port import SerialStream
 _READY = b"ready\n"
 _GOODBYE = b"goodbye\n"
 _TIMES = 5
+_BITS_PER_BYTE = 10  # on the line, with start and stop
 _GAP_S = 0.04
 _RETRY_S = 0.02
 _START_LIMIT_S = 10.0
@@ -133,7 +134,8 @@ def _send(port: str, baud: int, stop: bytes, patience_s: float) -> None:
             try:
                 for _ in range(_TIMES):
                     stream.write(stop)
-                    time.sleep(_GAP_S)  # one that the line damages is not the only one, and all are out when it closes
+                    # One that the line damages is not the only one, and all are out when it closes.
+                    time.sleep(max(_GAP_S, len(stop) * _BITS_PER_BYTE / baud))
             finally:
                 stream.close()
             return
