@@ -148,7 +148,8 @@ class Bench:
         """Part with the guardian once the port is closed; a stop that did not go out is its business."""
         if self._guardian is None:
             return
-        if isinstance(self.device, MakersRobot) and not self.device.is_told_to_stop:
+        device = getattr(self, "device", None)  # not there where it could not be made: nothing has been sent then
+        if isinstance(device, MakersRobot) and not device.is_told_to_stop:
             self._guardian.leave_it_to()
         else:
             self._guardian.dismiss()

@@ -1,5 +1,6 @@
 """What the commands print for a person."""
 
+import contextlib
 import shutil
 import sys
 import threading
@@ -74,8 +75,10 @@ def progress(duration_s: float) -> "Watch":
 
 
 def warn(sentence: str) -> None:
-    """Say on stderr what a user should know before a run."""
-    print(f"hil: warning: {sentence}", file=sys.stderr)
+    """Say on stderr what a user should know before a run, or when its robot has come back."""
+    # Whoever read them may be gone, which is no reason to end a run; the recording has the sentence too.
+    with contextlib.suppress(OSError):
+        print(f"hil: warning: {sentence}", file=sys.stderr)
 
 
 def announce_live(port: int) -> None:

@@ -13,6 +13,7 @@ from hil.dialects.port import EXTENDED, Wire
 from hil.dialects.registry import dialect
 from hil.dialects.vesc_frames import SET_RPM, SerialFraming
 from hil.dialects.vesc_wires import Line
+from hil.errors import BadInputError
 from hil.scenario import load
 from tests.dialect_testbed import STILL, Rig, ramp_to
 from tests.test_dialect_vesc import FORWARD, ODD, WIRES, ready, rig_of
@@ -295,6 +296,15 @@ def test_the_guardians_stop_brakes_to_rest_whatever_a_reader_waits_for(held: str
         rig.step(ticks=1)
     rig.step(ticks=300)
     assert rig.is_still()
+
+
+def test_one_on_a_line_that_says_its_version_alone_is_named_and_not_the_next_one() -> None:
+    rig = rig_of("serial")
+    old = rig.node.vescs[2]
+    old.version, process = (3, 38), old.process
+    old.process = lambda message, reply: process(message, reply) if message[0] == 0 else None
+    with pytest.raises(BadInputError, match=r"VESC 3 has the firmware 3\.38"):
+        rig.greet()
 
 
 @pytest.mark.parametrize("suffix", ["blf", "asc", "log"])

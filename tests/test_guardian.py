@@ -7,6 +7,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 
 import pytest
@@ -16,7 +17,7 @@ from hil.errors import DeviceError
 from hil.links.serial_port import SerialStream
 from tests.dialect_testbed import Rig
 from tests.guarded_host import STOP, encoded
-from tests.processes import environment
+from tests.processes import environment, wait_for
 
 if sys.platform == "win32":
     pytest.skip("pseudo-terminals need a POSIX system", allow_module_level=True)
@@ -179,3 +180,16 @@ def test_one_that_hangs_at_its_start_is_not_waited_for_for_ever(monkeypatch: pyt
     monkeypatch.setattr("hil.devices.guardian.module_command", lambda _: [sys.executable, "-c", "input(); input()"])
     with pytest.raises(DeviceError, match=r"did not start \(exit status -9\)"):
         Guardian("any", 115200, b"stop")
+
+
+def test_ctrl_c_at_its_start_is_ctrl_c_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    interrupts = "import os, signal, sys; os.kill(os.getppid(), signal.SIGINT); sys.stdin.read()"
+    monkeypatch.setattr("hil.devices.guardian.module_command", lambda _: [sys.executable, "-c", interrupts])
+    threads = threading.active_count()
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            Guardian("any", 115200, b"stop")
+    finally:
+        signal.signal(signal.SIGINT, before)
+    wait_for(lambda: threading.active_count() == threads, 5.0)  # nothing that the interpreter would wait for at its end

@@ -3,6 +3,8 @@
 import contextlib
 from contextlib import AbstractContextManager
 
+import pytest
+
 from hil.assembly import run_scenario
 from hil.devices.virtual import MakeNode, VirtualRobot, VirtualStm32
 from hil.scenario import load
@@ -57,4 +59,16 @@ def test_a_run_says_what_is_new_when_they_come_back_before_it_arms_them() -> Non
     first, second = of_the_timeout(said)
     assert first.startswith(LONG)
     assert second.startswith(ENDLESS)
+    assert said[-1] == second
+
+
+@pytest.mark.parametrize("link", ["memory:", "can:virtual/again"])
+def test_a_run_says_nothing_twice_nor_that_its_own_stops_were_somebodys_commands(link: str) -> None:
+    said: list[str] = []
+    changes = {"device.driver": "vesc", "loop.rearm": True, "loop.duration_s": 3.0, "fault": [AWAY], "expect": []}
+    scenario = load("circle_speed", mode="lockstep", link=link, set=changes)
+    result = run_scenario(scenario, warn=said.append)
+    assert (result.failure, len(result.metrics["recoveries"])) == (None, 1)
+    assert len(of_the_timeout(said)) == 1
+    assert not any("commanded just now" in sentence for sentence in said)
     assert len(said) == len(set(said))

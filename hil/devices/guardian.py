@@ -56,8 +56,13 @@ class Guardian:
         assert out is not None
         patience = threading.Timer(_START_LIMIT_S, self._process.kill)
         patience.start()
-        is_ready = out.readline() == _READY
-        patience.cancel()
+        try:
+            is_ready = out.readline() == _READY
+        except BaseException:  # Ctrl-C: nothing has moved yet that it would have to stop
+            self.dismiss()
+            raise
+        finally:
+            patience.cancel()
         if not is_ready:
             self.dismiss()
             raise DeviceError(

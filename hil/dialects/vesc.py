@@ -122,6 +122,10 @@ class Vesc:
             channel = self._by_id[self._asked]
             if not channel.has_said_who and self._waited < _PATIENCE:
                 return ()
+            # Its values were lost, or its firmware has none: those of the next one are not to be taken for its.
+            if len(self._nameless) == 1 and channel.version is None:
+                channel.version = self._nameless[0]
+            self._nameless = ()
             channel.miss_timeout()
             if self._may_wait:
                 before = past_any_rest(self._all(frames.SET_CURRENT, _STILL))
@@ -235,8 +239,9 @@ class Vesc:
         return self._all(frames.SET_CURRENT, _STILL)
 
     def _stand_down(self) -> None:
-        """Nobody is asked from now on, so that nobody owes an answer."""
+        """Nobody is asked from now on, so that nobody owes an answer. A stop is a command too, for a timeout."""
         self._is_armed = self._is_arming = False
+        self._has_commanded = True
         for channel in self._channels:
             channel.asked_ns = None
 
