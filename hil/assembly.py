@@ -102,9 +102,9 @@ def run_scenario(
     ``live_port`` serves live viewers on 127.0.0.1. ``watch`` is entered with the loop while it runs; ``warn`` is
     called before anything is opened with each sentence on what the robot will not be able to follow, and with what the
     robot itself warns of once it is known, before it is armed; ``linger`` is called when all is done and recorded,
-    while the viewers are still served. ``make_robot`` makes a robot in this
-    process, ``make_node`` its firmware, ``make_recording`` the recording. Without ``keep_signals`` the result has none,
-    and memory does not grow with the length of the run.
+    while the viewers are still served. ``make_robot`` makes a robot in this process, ``make_node`` its firmware,
+    ``make_recording`` the recording. Without ``keep_signals`` the result has none, and memory does not grow with the
+    length of the run.
     """
     if record is not None:
         check_output_path("recording", record)

@@ -247,11 +247,14 @@ class Vesc:
 
     def estop(self) -> Sequence[Frame]:
         self._stand_down()
-        return self._all(frames.SET_CURRENT_BRAKE, (self._brake_a,) * 4)
+        return self._brakes()
 
     def last_stop(self) -> Sequence[Frame]:
         """Return what the guardian sends: the brake, as nobody comes after it, and past the rest of any packet."""
-        return past_any_rest(self._all(frames.SET_CURRENT_BRAKE, (self._brake_a,) * 4))
+        return past_any_rest(self._brakes())
+
+    def _brakes(self) -> list[Frame]:
+        return self._all(frames.SET_CURRENT_BRAKE, (self._brake_a,) * 4)
 
     def clear(self) -> Sequence[Frame]:
         """See ``Driver``. A fault ends by itself, half a second after its cause as delivered: it is asked for anew."""
