@@ -3,7 +3,9 @@
 import math
 
 from hil.errors import BadInputError
-from hil.types import ZERO_WHEELS, CommandMode, WheelCommand, Wheels
+from hil.types import ZERO_WHEELS, CommandMode, WheelCommand, Wheels, make_command
+
+_TORQUE = CommandMode.TORQUE  # a member of an enumeration takes longer to look up than a global name
 
 
 class Guard:
@@ -31,22 +33,29 @@ class Guard:
         gives a stop (all zero) of the same mode.
         """
         mode, speed, torque = command
-        if mode is CommandMode.TORQUE:
+        if mode is _TORQUE and speed is not ZERO_WHEELS:
             speed = ZERO_WHEELS
-        # A sum is finite only if every term is; two infinities give NaN. Only large finite values need a look
-        # each.
-        if not math.isfinite(sum(speed) + sum(torque)) and not all(map(math.isfinite, speed + torque)):
+            command = make_command((mode, speed, torque))
+        if _is_within(torque, self.torque_limit_n_m) and (
+            speed is ZERO_WHEELS or _is_within(speed, self.speed_limit_rad_s)
+        ):
+            return command, False
+        if not all(map(math.isfinite, speed + torque)):
             self.refused += 1
             return WheelCommand(mode, ZERO_WHEELS, ZERO_WHEELS), False
         limited_speed = _scaled(speed, self.speed_limit_rad_s)
         limited_torque = _scaled(torque, self.torque_limit_n_m)
-        if limited_speed is speed and limited_torque is torque:
-            return WheelCommand(mode, speed, torque), False
         return WheelCommand(mode, limited_speed, limited_torque), True
 
 
+def _is_within(value: Wheels, limit: float) -> bool:
+    """Whether every wheel is within the limit, which no NaN is."""
+    fl, fr, rr, rl = value
+    return -limit <= fl <= limit and -limit <= fr <= limit and -limit <= rr <= limit and -limit <= rl <= limit
+
+
 def _scaled(value: Wheels, limit: float) -> Wheels:
-    """Return the same object when no wheel is beyond the limit."""
+    """Return finite wheels within the limit; the same object when none is beyond it."""
     fl, fr, rr, rl = value
     largest = max(abs(fl), abs(fr), abs(rr), abs(rl))
     if largest <= limit:
