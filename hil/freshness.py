@@ -1,6 +1,6 @@
 """The newest feedback of the robot and the newest truth, how old they are, and whether they may drive anything."""
 
-import math
+from math import isfinite
 
 from firmware_protocol.generated.messages import State as RobotState
 from hil.devices.port import Device
@@ -18,6 +18,7 @@ _CLOCKS_APART_NS = 50_000_000
 _CLOCK_SHARE = 50
 # No stall of this machine, or of a virtual robot's, is so long and leaves the link as it is.
 _LEAP_NS = 1_000_000_000
+_ACTIVE = RobotState.ACTIVE  # a member of an enumeration takes longer to look up than a global name
 
 
 class Freshness:
@@ -28,6 +29,8 @@ class Freshness:
         self._device = device
         self._faults = faults
         self._timing = timing
+        self._stale_ns = timing.stale_ns
+        self._now_ns = 0  # at the last poll
         self._newest_ns = 0
         self._heard_ns: int | None = None
         self._truth_ns: int | None = None
@@ -46,8 +49,8 @@ class Freshness:
         """
         feedback = self._device.poll()
         unread_ns = self._device.unread_ns
-        is_old = unread_ns > self._timing.stale_ns
-        now_ns = self._clock.now_ns()
+        is_old = unread_ns > self._stale_ns
+        self._now_ns = now_ns = self._clock.now_ns()
         if feedback is None:
             raise RobotStoppedError("the robot sends no feedback")
         if self._faults is not None:
@@ -57,7 +60,7 @@ class Freshness:
                 raise RobotStoppedError(f"the robot was reset at t = {t_s:.3f} s")
             self._newest_ns, self._heard_ns = feedback.robot_time_ns, now_ns
         self.silent_ns = now_ns - self._heard_ns
-        if active and feedback.state is not RobotState.ACTIVE:
+        if active and feedback.state is not _ACTIVE:
             latched = feedback.state in (RobotState.FAULT, RobotState.ESTOP)
             raise (DeviceError if latched else RobotStoppedError)(self._why_stopped(feedback.state, t_s))
         if is_old:
@@ -91,29 +94,31 @@ class Freshness:
         One that is no number makes nothing newer. A reset of the robot leaves the truth's clock, which is the plant's,
         as it is; the first sample after it, or after a truth that began anew, is taken to be as old as the feedback.
         """
-        if fix is not None and math.isfinite(sum(fix.pose)):
-            began_anew = self._truth_ns is not None and fix.time_ns < self._truth_ns - self._timing.stale_ns
+        if fix is not None and isfinite(sum(fix.pose)):
+            time_ns = fix.time_ns
+            began_anew = self._truth_ns is not None and time_ns < self._truth_ns - self._stale_ns
             if self._ahead_ns is None or began_anew:
-                self._ahead_ns = feedback.robot_time_ns - fix.time_ns
-            if fix.time_ns != self._truth_ns:
-                self._truth_ns, self._truth_heard_ns = fix.time_ns, self._clock.now_ns()
+                self._ahead_ns = feedback.robot_time_ns - time_ns
+            if time_ns != self._truth_ns:
+                self._truth_ns, self._truth_heard_ns = time_ns, self._now_ns
         if self._truth_ns is None or self._ahead_ns is None:
             return None
         return self._truth_ns + self._ahead_ns
 
     def is_silent(self) -> bool:
         """Whether the feedback itself is too old to be driven by."""
-        return self.silent_ns > self._timing.stale_ns
+        return self.silent_ns > self._stale_ns
 
     def is_stale(self, feedback: Feedback, truth_ns: int | None) -> bool:
         """Nothing is driven by what is older than the firmware's own patience with us.
 
         ``truth_ns`` is what ``take_truth`` said: a truth is too old by its stamp, and where no other has come so long.
         """
-        age_ns = self.silent_ns
-        if truth_ns is not None:
-            age_ns = max(age_ns, feedback.robot_time_ns - truth_ns, self._clock.now_ns() - self._truth_heard_ns)
-        return age_ns > self._timing.stale_ns
+        stale_ns = self._stale_ns
+        return self.silent_ns > stale_ns or (
+            truth_ns is not None
+            and (feedback.robot_time_ns - truth_ns > stale_ns or self._clock.now_ns() - self._truth_heard_ns > stale_ns)
+        )
 
     def restart(self) -> bool:
         """Begin anew with a robot that came back; return whether it was reset.
