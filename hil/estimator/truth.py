@@ -1,12 +1,11 @@
 """Where the robot is by ground truth: for reference, not for a robot that has to find out itself."""
 
-import math
 from collections.abc import Mapping, Sequence
+from math import isfinite
 
 from hil.estimator.measurement import NO_STATUS, Measurement, measured_twist
 from hil.kinematics import to_world
 from hil.model import RobotModel
-from hil.signals import EstimatorSignals
 from hil.types import MeasuredPose, PoseFix, State, make_state
 
 
@@ -17,12 +16,9 @@ class TruthEstimator:
     pose is not finite is ignored. None until there is one.
     """
 
-    @property
-    def status(self) -> EstimatorSignals:
-        """Nothing to tell: the truth is not estimated."""
-        return NO_STATUS
-
     uses_truth = True
+    status = NO_STATUS
+    """Nothing to tell: the truth is not estimated."""
 
     def __init__(self, model: RobotModel, twist: str = "source") -> None:
         self._model = model
@@ -33,12 +29,12 @@ class TruthEstimator:
         self, measurement: Measurement, truth: PoseFix | None, fixes: Sequence[MeasuredPose] = ()
     ) -> State | None:
         """Return the newest true pose and the twist."""
-        if truth is not None and math.isfinite(sum(truth.pose)):
+        if truth is not None and isfinite(sum(truth.pose)):
             self._truth = truth
         if self._truth is None:
             return None
-        pose, twist = self._truth.pose, self._truth.twist
-        if self._uses_wheels or not math.isfinite(sum(twist)):
+        _, pose, twist = self._truth
+        if self._uses_wheels or not isfinite(sum(twist)):
             twist = to_world(measured_twist(self._model, measurement), pose.heading_rad)
         return make_state((pose, twist))
 
