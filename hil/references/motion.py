@@ -1,10 +1,8 @@
 """What references are made of: a path of points, and how far along it the robot should be at a time."""
 
-from collections.abc import Callable
-from functools import partial
 from typing import NamedTuple, Protocol
 
-from hil.types import Axes, Reference, make_acceleration, make_pose, make_reference, make_twist
+from hil.types import Reference, make_acceleration, make_pose, make_reference, make_twist
 
 
 class ReferenceSource(Protocol):
@@ -22,15 +20,8 @@ class ReferenceSource(Protocol):
         """Return pose, twist and acceleration in the world frame at this time of the scenario [s], at least 0."""
 
 
-class Phase(NamedTuple):
-    """How far along a path, and the first and second derivative of that with respect to time."""
-
-    value: float
-    rate: float
-    acceleration: float
-
-
-_make_phase: Callable[[Axes], Phase] = partial(tuple.__new__, Phase)
+Phase = tuple[float, float, float]
+"""How far along a path, and the first and second derivative of that with respect to time."""
 
 
 class Point(NamedTuple):
@@ -67,7 +58,7 @@ def ramped(t_s: float, rate: float, ramp_s: float) -> Phase:
     rate (t - ramp / 2). Without a ramp the motion is at its rate from the beginning.
     """
     if t_s >= ramp_s or ramp_s == 0.0:
-        return _make_phase((rate * (t_s - 0.5 * ramp_s), rate, 0.0))
+        return rate * (t_s - 0.5 * ramp_s), rate, 0.0
     u = t_s / ramp_s
     value = rate * ramp_s * u * u * u * (1.0 - 0.5 * u)
-    return _make_phase((value, rate * u * u * (3.0 - 2.0 * u), rate * 6.0 * u * (1.0 - u) / ramp_s))
+    return value, rate * u * u * (3.0 - 2.0 * u), rate * 6.0 * u * (1.0 - u) / ramp_s

@@ -75,7 +75,7 @@ class Played:
         self._length_s = length_s
         self._ramp_s = ramp_s
         self.span_s = length_s + ramp_s
-        end = self._moving(Phase(length_s, 0.0, 0.0))
+        end = self._moving((length_s, 0.0, 0.0))
         self._end = Reference(end.pose, Twist(0.0, 0.0, 0.0), Acceleration(0.0, 0.0, 0.0))
 
     def at(self, t_s: float) -> Reference:
@@ -84,13 +84,14 @@ class Played:
         if left_s <= 0.0:
             return self._end
         if left_s < self._ramp_s:
-            gone = ramped(left_s, 1.0, self._ramp_s)
-            return self._moving(Phase(self._length_s - gone.value, gone.rate, -gone.acceleration))
+            gone_s, rate, acceleration = ramped(left_s, 1.0, self._ramp_s)
+            return self._moving((self._length_s - gone_s, rate, -acceleration))
         return self._moving(ramped(t_s, 1.0, self._ramp_s))
 
     def _moving(self, phase: Phase) -> Reference:
-        (x, x1, x2), (y, y1, y2), (heading, heading1, heading2) = self._spline.at(phase.value)
-        return moving(Point(x, y, heading, x1, y1, heading1, x2, y2, heading2), phase.rate, phase.acceleration)
+        spline_s, rate, acceleration = phase
+        (x, x1, x2), (y, y1, y2), (heading, heading1, heading2) = self._spline.at(spline_s)
+        return moving(Point(x, y, heading, x1, y1, heading1, x2, y2, heading2), rate, acceleration)
 
 
 def _unwrapped(headings: Sequence[float]) -> list[float]:
