@@ -1,8 +1,8 @@
 """One tick: sense, estimate, refer, control, guard, command, tell. When it is due, its caller knows."""
 
-import math
 from collections.abc import Callable, Sequence
 from functools import partial
+from math import isfinite
 from typing import Any, NamedTuple
 
 from hil.brake import Brake
@@ -92,6 +92,8 @@ class Tick:
     def __init__(self, parts: Parts, mode: CommandMode, timing: Timing) -> None:
         self._parts = parts
         self._timing = timing
+        self._period_ns = timing.period_ns
+        self._is_lockstep = parts.device.is_lockstep
         self._rows = self._make_rows()
         self._freshness = Freshness(parts.clock, parts.device, parts.faults, timing)
         self._rest = WheelCommand(mode, ZERO_WHEELS, ZERO_WHEELS)
@@ -122,7 +124,7 @@ class Tick:
         faults, status = parts.faults, parts.estimator.status
         if faults is not None:
             state, reference = faults.state(state), faults.reference(reference)
-        if state is not None and not math.isfinite(sum(state.pose) + sum(state.twist)):
+        if state is not None and not isfinite(sum(state.pose) + sum(state.twist)):
             state = None  # no law is asked with it: what it integrates would be no number for ever
         if state is None or status.health == LOST or self._freshness.is_stale(feedback, truth_ns):
             asked = None
@@ -133,15 +135,17 @@ class Tick:
             if self._before is None:
                 parts.controller.reset(state, reference)
                 self._before = now.tick - 1
-            dt_s = (now.tick - self._before) * self._timing.period_ns * 1e-9
+            dt_s = (now.tick - self._before) * self._period_ns * 1e-9
             asked = state, dt_s, begins
             wanted = parts.controller.update(reference, state, self._applied, dt_s)
             if faults is not None:
                 wanted = faults.command(wanted)
             command, saturated = parts.guard.apply(wanted)
         sequence = parts.device.send(command)
-        self._measure_latency(sequence, feedback, truth_ns)
-        self._ask_shadows(now.t_s, reference, asked)
+        if not self._is_lockstep:
+            self._measure_latency(sequence, feedback, truth_ns)
+        if parts.shadows is not None:
+            self._ask_shadows(parts.shadows, now.t_s, reference, asked)
         self._applied = make_applied((command, saturated, self._latency.s))
         self._tell(now, feedback, make_beliefs((fix, state, reference, self._applied, status, asked is None)))
         # After a hold the law begins anew: what it has integrated and awaits is of before it.
@@ -152,7 +156,8 @@ class Tick:
     ) -> None:
         """Tell of a tick in which nothing is commanded: what is heard of the robot, which may be nothing."""
         parts = self._parts
-        self._ask_shadows(now.t_s, reference, None)
+        if parts.shadows is not None:
+            parts.shadows.hold()
         applied = Applied(self._nothing, False, self._latency.s)
         self._tell(now, parts.device.feedback, Beliefs(fix, state, reference, applied, parts.estimator.status, True))
         self._before = None
@@ -217,11 +222,8 @@ class Tick:
         latency_ns = self._timing.feedback_latency_ns
         return Rows(parts.device, parts.wire, parts.controller, parts.extra, parts.sink, latency_ns)
 
-    def _ask_shadows(self, t_s: float, reference: Reference, asked: _Asked | None) -> None:
+    def _ask_shadows(self, shadows: Shadows, t_s: float, reference: Reference, asked: _Asked | None) -> None:
         """Compute the shadows: after the command has gone, from what the law in command was told."""
-        shadows = self._parts.shadows
-        if shadows is None:
-            return
         if asked is None:
             shadows.hold()
         else:
@@ -230,12 +232,10 @@ class Tick:
                 self._parts.note(t_s, "warning", sentence)
 
     def _measure_latency(self, sequence: int, feedback: Feedback, truth_ns: int | None) -> None:
-        """Note on what the command rests, and how late the one acted that the robot says is in force.
+        """Real time: note on what the command rests, and how late the one acted that the robot says is in force.
 
         A state that rests on the truth is as old as that, else as the feedback.
         """
-        if self._parts.device.is_lockstep:
-            return
         self._latency.acted(feedback.command_sequence, feedback.robot_time_ns, feedback.command_age_ms)
         self._latency.sent(sequence, feedback.robot_time_ns if truth_ns is None else truth_ns)
 
