@@ -124,18 +124,21 @@ class Tick:
         faults, status = parts.faults, parts.estimator.status
         if faults is not None:
             state, reference = faults.state(state), faults.reference(reference)
-        if state is not None and not isfinite(sum(state.pose) + sum(state.twist)):
-            state = None  # no law is asked with it: what it integrates would be no number for ever
+        if state is not None:
+            (x, y, heading), (vx, vy, yaw_rate) = state
+            if not isfinite((x + y + heading) + (vx + vy + yaw_rate)):
+                state = None  # no law is asked with it: what it integrates would be no number for ever
         if state is None or status.health == LOST or self._freshness.is_stale(feedback, truth_ns):
             asked = None
             command, saturated = parts.brake.command(None if self._freshness.is_silent() else feedback.speed_rad_s)
             self.stale += state is not None
         else:
-            begins = self._before is None
-            if self._before is None:
+            tick, before = now.tick, self._before
+            begins = before is None
+            if before is None:
                 parts.controller.reset(state, reference)
-                self._before = now.tick - 1
-            dt_s = (now.tick - self._before) * self._period_ns * 1e-9
+                self._before = before = tick - 1
+            dt_s = (tick - before) * self._period_ns * 1e-9
             asked = state, dt_s, begins
             wanted = parts.controller.update(reference, state, self._applied, dt_s)
             if faults is not None:
