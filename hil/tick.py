@@ -1,8 +1,8 @@
 """One tick: sense, estimate, refer, control, guard, command, tell. When it is due, its caller knows."""
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from math import isfinite
+from types import MethodType
 from typing import Any, NamedTuple
 
 from hil.brake import Brake
@@ -68,7 +68,7 @@ class Sensed(NamedTuple):
     state: State | None
 
 
-_make_sensed: Callable[[tuple[Feedback, PoseFix | None, int | None, State | None]], Sensed] = partial(
+_make_sensed: Callable[[tuple[Feedback, PoseFix | None, int | None, State | None]], Sensed] = MethodType(
     tuple.__new__, Sensed
 )
 _Asked = tuple[State, float, bool]

@@ -6,7 +6,7 @@ y left. Wheels are FL, FR, RR, RL everywhere (the paper's 1 to 4).
 
 from collections.abc import Callable
 from enum import IntEnum
-from functools import partial
+from types import MethodType
 from typing import NamedTuple
 
 NAN = float("nan")
@@ -142,18 +142,18 @@ class MeasuredPose(NamedTuple):
     covariance: PoseCovariance
 
 
-# What a tick makes of a tuple, in a third of the time that calling the class takes. Of fields that are checked by name
-# the class itself is the better maker.
-make_wheels: Callable[[FourWheels], Wheels] = partial(tuple.__new__, Wheels)
-make_pose: Callable[[Axes], Pose] = partial(tuple.__new__, Pose)
-make_twist: Callable[[Axes], Twist] = partial(tuple.__new__, Twist)
-make_acceleration: Callable[[Axes], Acceleration] = partial(tuple.__new__, Acceleration)
-make_state: Callable[[tuple[Pose, Twist]], State] = partial(tuple.__new__, State)
-make_reference: Callable[[tuple[Pose, Twist, Acceleration]], Reference] = partial(tuple.__new__, Reference)
-make_command: Callable[[tuple[CommandMode, Wheels, Wheels]], WheelCommand] = partial(tuple.__new__, WheelCommand)
-make_applied: Callable[[tuple[WheelCommand, bool, float]], Applied] = partial(tuple.__new__, Applied)
-make_gains: Callable[[Pairs], Gains] = partial(tuple.__new__, Gains)
-make_fix: Callable[[tuple[int, Pose, Twist]], PoseFix] = partial(tuple.__new__, PoseFix)
+# What a tick makes of a tuple, in half the time that calling the class takes: bound methods, as a functools.partial
+# makes a tuple of its own on the way. Of fields that are checked by name the class itself is the better maker.
+make_wheels: Callable[[FourWheels], Wheels] = MethodType(tuple.__new__, Wheels)
+make_pose: Callable[[Axes], Pose] = MethodType(tuple.__new__, Pose)
+make_twist: Callable[[Axes], Twist] = MethodType(tuple.__new__, Twist)
+make_acceleration: Callable[[Axes], Acceleration] = MethodType(tuple.__new__, Acceleration)
+make_state: Callable[[tuple[Pose, Twist]], State] = MethodType(tuple.__new__, State)
+make_reference: Callable[[tuple[Pose, Twist, Acceleration]], Reference] = MethodType(tuple.__new__, Reference)
+make_command: Callable[[tuple[CommandMode, Wheels, Wheels]], WheelCommand] = MethodType(tuple.__new__, WheelCommand)
+make_applied: Callable[[tuple[WheelCommand, bool, float]], Applied] = MethodType(tuple.__new__, Applied)
+make_gains: Callable[[Pairs], Gains] = MethodType(tuple.__new__, Gains)
+make_fix: Callable[[tuple[int, Pose, Twist]], PoseFix] = MethodType(tuple.__new__, PoseFix)
 
 ZERO_WHEELS = Wheels(0.0, 0.0, 0.0, 0.0)
 NAN_WHEELS = Wheels(NAN, NAN, NAN, NAN)
