@@ -149,8 +149,10 @@ class Tick:
             self._measure_latency(sequence, feedback, truth_ns)
         if parts.shadows is not None:
             self._ask_shadows(parts.shadows, now.t_s, reference, asked)
-        self._applied = make_applied((command, saturated, self._latency.s))
-        self._tell(now, feedback, make_beliefs((fix, state, reference, self._applied, status, asked is None)))
+        self._applied = applied = make_applied((command, saturated, self._latency.s))
+        told = make_beliefs((fix, state, reference, applied, status, asked is None))
+        self.count += 1
+        self._rows.tell(now, feedback, self._freshness.silent_ns, told)
         # After a hold the law begins anew: what it has integrated and awaits is of before it.
         self._before = None if asked is None else now.tick
 
@@ -162,7 +164,9 @@ class Tick:
         if parts.shadows is not None:
             parts.shadows.hold()
         applied = Applied(self._nothing, False, self._latency.s)
-        self._tell(now, parts.device.feedback, Beliefs(fix, state, reference, applied, parts.estimator.status, True))
+        told = Beliefs(fix, state, reference, applied, parts.estimator.status, True)
+        self.count += 1
+        self._rows.tell(now, parts.device.feedback, self._freshness.silent_ns, told)
         self._before = None
 
     @property
@@ -241,7 +245,3 @@ class Tick:
         """
         self._latency.acted(feedback.command_sequence, feedback.robot_time_ns, feedback.command_age_ms)
         self._latency.sent(sequence, feedback.robot_time_ns if truth_ns is None else truth_ns)
-
-    def _tell(self, now: LoopSignals, feedback: Feedback | None, beliefs: Beliefs) -> None:
-        self.count += 1
-        self._rows.tell(now, feedback, self._freshness.silent_ns, beliefs)
