@@ -94,13 +94,14 @@ class Freshness:
         One that is no number makes nothing newer. A reset of the robot leaves the truth's clock, which is the plant's,
         as it is; the first sample after it, or after a truth that began anew, is taken to be as old as the feedback.
         """
-        if fix is not None and isfinite(sum(fix.pose)):
-            time_ns = fix.time_ns
-            began_anew = self._truth_ns is not None and time_ns < self._truth_ns - self._stale_ns
-            if self._ahead_ns is None or began_anew:
-                self._ahead_ns = feedback.robot_time_ns - time_ns
-            if time_ns != self._truth_ns:
-                self._truth_ns, self._truth_heard_ns = time_ns, self._now_ns
+        if fix is not None:
+            time_ns, (x, y, heading), _ = fix
+            if isfinite(x + y + heading):
+                began_anew = self._truth_ns is not None and time_ns < self._truth_ns - self._stale_ns
+                if self._ahead_ns is None or began_anew:
+                    self._ahead_ns = feedback.robot_time_ns - time_ns
+                if time_ns != self._truth_ns:
+                    self._truth_ns, self._truth_heard_ns = time_ns, self._now_ns
         if self._truth_ns is None or self._ahead_ns is None:
             return None
         return self._truth_ns + self._ahead_ns

@@ -29,12 +29,15 @@ class TruthEstimator:
         self, measurement: Measurement, truth: PoseFix | None, fixes: Sequence[MeasuredPose] = ()
     ) -> State | None:
         """Return the newest true pose and the twist."""
-        if truth is not None and isfinite(sum(truth.pose)):
-            self._truth = truth
+        if truth is not None:
+            x, y, heading = truth.pose
+            if isfinite(x + y + heading):
+                self._truth = truth
         if self._truth is None:
             return None
         _, pose, twist = self._truth
-        if self._uses_wheels or not isfinite(sum(twist)):
+        vx, vy, yaw_rate = twist
+        if self._uses_wheels or not isfinite(vx + vy + yaw_rate):
             twist = to_world(measured_twist(self._model, measurement), pose.heading_rad)
         return make_state((pose, twist))
 
