@@ -90,7 +90,7 @@ class Tick:
     """
 
     def __init__(self, parts: Parts, mode: CommandMode, timing: Timing) -> None:
-        self._parts = parts
+        self._take(parts)
         self._timing = timing
         self._period_ns = timing.period_ns
         self._is_lockstep = parts.device.is_lockstep
@@ -110,8 +110,7 @@ class Tick:
         Raises RobotStoppedError or DeviceError for a robot that is not ACTIVE, LinkError for one that is lost. One that
         need not be ``active`` is only stopped when it was reset.
         """
-        parts = self._parts
-        estimator, fixes = parts.estimator, parts.fixes
+        estimator, fixes = self._estimator, self._fixes
         feedback = self._freshness.poll(t_s, active=active)
         measured = fixes.poll(self._freshness.robot_now_ns(feedback), fix) if fixes is not None else ()
         truth_ns = self._freshness.take_truth(feedback, fix if estimator.uses_truth else None)
@@ -119,9 +118,8 @@ class Tick:
 
     def drive(self, now: LoopSignals, sensed: Sensed, reference: Reference) -> None:
         """Control, guard, command, tell. Raises LinkError when the link is lost."""
-        parts = self._parts
         feedback, fix, truth_ns, state = sensed
-        faults, status = parts.faults, parts.estimator.status
+        faults, status = self._faults, self._estimator.status
         if faults is not None:
             state, reference = faults.state(state), faults.reference(reference)
         if state is not None:
@@ -130,25 +128,26 @@ class Tick:
                 state = None  # no law is asked with it: what it integrates would be no number for ever
         if state is None or status.health == LOST or self._freshness.is_stale(feedback, truth_ns):
             asked = None
-            command, saturated = parts.brake.command(None if self._freshness.is_silent() else feedback.speed_rad_s)
+            measured = None if self._freshness.is_silent() else feedback.speed_rad_s
+            command, saturated = self._parts.brake.command(measured)
             self.stale += state is not None
         else:
             tick, before = now.tick, self._before
             begins = before is None
             if before is None:
-                parts.controller.reset(state, reference)
+                self._controller.reset(state, reference)
                 self._before = before = tick - 1
             dt_s = (tick - before) * self._period_ns * 1e-9
             asked = state, dt_s, begins
-            wanted = parts.controller.update(reference, state, self._applied, dt_s)
+            wanted = self._controller.update(reference, state, self._applied, dt_s)
             if faults is not None:
                 wanted = faults.command(wanted)
-            command, saturated = parts.guard.apply(wanted)
-        sequence = parts.device.send(command)
+            command, saturated = self._guard.apply(wanted)
+        sequence = self._device.send(command)
         if not self._is_lockstep:
             self._measure_latency(sequence, feedback, truth_ns)
-        if parts.shadows is not None:
-            self._ask_shadows(parts.shadows, now.t_s, reference, asked)
+        if self._shadows is not None:
+            self._ask_shadows(self._shadows, now.t_s, reference, asked)
         self._applied = applied = make_applied((command, saturated, self._latency.s))
         told = make_beliefs((fix, state, reference, applied, status, asked is None))
         self.count += 1
@@ -205,7 +204,7 @@ class Tick:
 
     def use(self, parts: Parts) -> None:
         """Go on with other laws."""
-        self._parts = parts
+        self._take(parts)
         self._rows = self._make_rows()
         self._before = None
 
@@ -223,6 +222,13 @@ class Tick:
         """Return where pose fixes were lost, from the source to the filter; None where none are taken."""
         fixes = self._parts.fixes
         return None if fixes is None else {**fixes.figures(), **self._parts.estimator.fix_figures()}
+
+    def _take(self, parts: Parts) -> None:
+        self._parts = parts
+        # What every tick asks: an attribute takes less time than a field of a tuple.
+        self._device, self._fixes, self._estimator = parts.device, parts.fixes, parts.estimator
+        self._controller, self._guard = parts.controller, parts.guard
+        self._faults, self._shadows = parts.faults, parts.shadows
 
     def _make_rows(self) -> Rows:
         parts = self._parts
