@@ -55,10 +55,11 @@ class Freshness:
             raise RobotStoppedError("the robot sends no feedback")
         if self._faults is not None:
             feedback = self._faults.feedback(feedback)
-        if self._heard_ns is None or (feedback.robot_time_ns != self._newest_ns and not is_old):
+        robot_time_ns = feedback.robot_time_ns
+        if self._heard_ns is None or (robot_time_ns != self._newest_ns and not is_old):
             if not active and self._heard_ns is not None and self._began_anew(feedback, now_ns - self._heard_ns):
                 raise RobotStoppedError(f"the robot was reset at t = {t_s:.3f} s")
-            self._newest_ns, self._heard_ns = feedback.robot_time_ns, now_ns
+            self._newest_ns, self._heard_ns = robot_time_ns, now_ns
         self.silent_ns = now_ns - self._heard_ns
         if active and feedback.state is not _ACTIVE:
             latched = feedback.state in (RobotState.FAULT, RobotState.ESTOP)
