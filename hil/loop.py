@@ -54,7 +54,10 @@ class Loop:
         warn: Callable[[str], None] | None = None,
     ) -> None:
         self._parts = parts
+        self._faults = parts.faults
+        self._reference_at = parts.reference.at
         self._timing = timing
+        self._period_ns = timing.period_ns
         self._rearm = rearm
         self._doing = Tick(parts, mode, timing)
         self._sampling = Sampling(parts.clock, parts.device, parts.truth, timing)
@@ -140,8 +143,9 @@ class Loop:
             else:
                 self._tick(number, late_ns)
             following = self._sampling.following(number)
-            # Those of the run alone, also where none comes after them to be recorded.
-            self._misses += max(0, min(following, ticks) - max(number, -1) - 1)
+            if following != number + 1:
+                # Those of the run alone, also where none comes after them to be recorded.
+                self._misses += max(0, min(following, ticks) - max(number, -1) - 1)
             number = following
         if self._recovery is not None:
             raise LinkError(f"{self._recovery.why}; it did not come back until the end: {self._recovery.problem}")
@@ -173,24 +177,24 @@ class Loop:
     def _tick(self, number: int, late_ns: int) -> None:
         """Do one tick of the run: drive, or come back, and tell."""
         begin_ns = time.perf_counter_ns()
-        parts, doing = self._parts, self._doing
-        self.t_s = number * self._timing.period_ns * 1e-9
-        now = make_loop_signals((self.t_s, number, late_ns * 1e-3, self._tick_us, self._misses))
+        doing, faults, t_ns = self._doing, self._faults, number * self._period_ns
+        self.t_s = t_s = t_ns * 1e-9
+        now = make_loop_signals((t_s, number, late_ns * 1e-3, self._tick_us, self._misses))
         self.lateness.add(late_ns)
         fix = self._sampling.fix_of(number)
-        if parts.faults is not None:
-            parts.faults.at(number * self._timing.period_ns)
-            fix = parts.faults.truth(fix)
+        if faults is not None:
+            faults.at(t_ns)
+            fix = faults.truth(fix)
         if self._recovery is None:
             try:
-                doing.drive(now, doing.sense(self.t_s, fix), parts.reference.at(self.t_s))
+                doing.drive(now, doing.sense(t_s, fix), self._reference_at(t_s))
             except (LinkError, RobotStoppedError) as error:
                 self._lose(error)
-                doing.tell_away(now, fix, parts.reference.at(self.t_s))
+                doing.tell_away(now, fix, self._reference_at(t_s))
         else:
             doing.skip_fixes()
             self._come_back(self._recovery)
-            doing.tell_away(now, fix, parts.reference.at(self.t_s))
+            doing.tell_away(now, fix, self._reference_at(t_s))
         self._tick_us = (time.perf_counter_ns() - begin_ns) * 1e-3
 
     def _lose(self, error: HilError) -> Recovery:

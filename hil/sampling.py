@@ -69,4 +69,5 @@ class Sampling:
     def following(self, number: int) -> int:
         """Return the next tick that can still begin on time."""
         elapsed_ns = self._clock.now_ns() - self._origin_ns - self._latency_ns
-        return max(number + 1, -(-elapsed_ns // self._period_ns))
+        due = -(-elapsed_ns // self._period_ns)
+        return due if due > number else number + 1
