@@ -22,7 +22,10 @@ class Lateness:
 
     def add(self, late_ns: int) -> None:
         """Count a tick that was late by so much [ns], 0 for one that was not."""
-        self.counts[bisect_right(EDGES_NS, late_ns)] += 1
+        if late_ns < _FIRST_NS:  # all of lockstep
+            self.counts[0] += 1
+        else:
+            self.counts[bisect_right(EDGES_NS, late_ns)] += 1
         if late_ns > self.worst_ns:
             self.worst_ns = late_ns
 
