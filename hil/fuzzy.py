@@ -128,7 +128,8 @@ class FuzzyBlock:
         q = self._sets_a_rate * rate + 2.0
         p = 4.0 if p >= 4.0 else p if p > 0.0 else 0.0
         q = 4.0 if q >= 4.0 else q if q > 0.0 else 0.0
-        column, row = int(p + 0.5), int(q + 0.5)
+        # Whole floats: numbers of one kind cost less than half.
+        column, row = (p + 0.5) // 1.0, (q + 0.5) // 1.0
         return p - 2.0, q - 2.0, 5.0 * row + column, (1.0 - abs(p - column)) * (1.0 - abs(q - row))
 
     def gains_batch(
