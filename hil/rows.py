@@ -9,11 +9,11 @@ from hil.devices.port import Device
 from hil.devices.snapshot import Feedback
 from hil.links.statistics import Statistics
 from hil.ports import Controller, OwnSignals, Sink
-from hil.signals import EstimatorSignals, LoopSignals, RobotSignals
+from hil.signals import EstimatorSignals, LoopSignals
 from hil.types import NAN, NAN_POSE, NAN_WHEELS, Applied, CommandMode, PoseFix, Reference, State, Twist
 
 _NO_STATE = State(NAN_POSE, Twist(NAN, NAN, NAN))
-_NO_ROBOT: tuple[float, ...] = (NAN,) * len(RobotSignals._fields)
+_NO_FEEDBACK = (NAN, NAN, NAN, NAN, NAN_WHEELS, NAN_WHEELS, NAN_WHEELS, (NAN, NAN, NAN), NAN)
 _REJECTED_EVERY = 100  # ticks; the sum over all causes is too dear for each of them
 
 
@@ -51,7 +51,7 @@ class Rows:
         self._wire = wire
         self._controller = controller
         self._extra = extra
-        self._sink = sink
+        self._put = sink.put
         self._feedback_latency_ns = feedback_latency_ns
         self._rejected = 0
 
@@ -66,21 +66,12 @@ class Rows:
         truth = fix.pose if fix is not None else NAN_POSE
         (x_m, y_m, heading_rad), (wanted_x_m, wanted_y_m, wanted_heading_rad) = truth, reference.pose
         error_x_m, error_y_m = x_m - wanted_x_m, y_m - wanted_y_m
-        health, round_trip, clock_sync = device.report.health, device.round_trip, device.clock_sync
-        speed = current = NAN_WHEELS
-        robot, age_ms = _NO_ROBOT, NAN
-        if feedback is not None:
-            speed, current = feedback.speed_rad_s, feedback.current_a
-            age_ms = (silent_ns + self._feedback_latency_ns) * 1e-6
-            robot = (
-                feedback.robot_time_ns * 1e-9,
-                feedback.state,
-                feedback.command_age_ms,
-                feedback.yaw_rate_rad_s,
-                *feedback.acceleration_m_s2,
-            )
+        robot_time_ns, robot_state, _, command_age_ms, _, speed, current, acceleration, yaw_rate_rad_s = (
+            feedback if feedback is not None else _NO_FEEDBACK
+        )
+        battery_v, battery_a, temperature_degc = device.report.health
         # One display: a named tuple for each group would cost more than all of the rest.
-        row = (
+        row = [
             *tick,
             *reference.pose,
             *reference.twist,
@@ -97,26 +88,30 @@ class Rows:
             *(command.speed_rad_s if command.mode is CommandMode.SPEED else NAN_WHEELS),
             *command.torque_n_m,
             *current,
-            *health.temperature_degc,
-            *robot,
-            health.battery_v,
-            health.battery_a,
+            *temperature_degc,
+            robot_time_ns * 1e-9,
+            robot_state,
+            command_age_ms,
+            yaw_rate_rad_s,
+            *acceleration,
+            battery_v,
+            battery_a,
             *estimator,
             saturated,
             is_held,
             device.sent,
             device.received,
             self._rejected,
-            age_ms,
+            (silent_ns + self._feedback_latency_ns) * 1e-6 if feedback is not None else NAN,
             device.snapshots_lost,
             wire.sent.bytes,
             wire.received.bytes,
             wire.load_percent(),
-            round_trip.ms,
+            device.round_trip.ms,
             latency_s * 1e3,
-            clock_sync.offset_us,
-            clock_sync.drift_ppm,
-        )
+            device.clock_sync.offset_us,
+            device.clock_sync.drift_ppm,
+        ]
         for own in self._extra:
             row += own.telemetry
-        self._sink.put(row)
+        self._put(tuple(row))
