@@ -34,8 +34,9 @@ class MemorySink:
         self._age_place = names.index("link.feedback_age_ms")
         self._age_ms = Samples()
         self._blocks: list[Series] = []
-        self._pack_into = struct.Struct(f"{len(names)}d").pack_into
+        self._pack = struct.Struct(f"{len(names)}d").pack
         self._row_bytes = 8 * len(names)
+        self._block_bytes = BLOCK_ROWS * self._row_bytes
         self._steps: Iterator[None] = iter(())
         self._new_block()
 
@@ -47,9 +48,11 @@ class MemorySink:
 
     def put(self, row: tuple[float, ...]) -> None:
         """Take one row in the order of the signals."""
-        self._pack_into(self._bytes, self._filled, *row)  # a third of what extending an array takes
-        self._filled += self._row_bytes
-        if self._filled >= len(self._bytes):
+        begin = self._filled
+        self._filled = end = begin + self._row_bytes
+        # With the row alone as its arguments a call takes it as it is; ``pack_into`` has it copied twice.
+        self._bytes[begin:end] = self._pack(*row)
+        if end >= self._block_bytes:
             self._begin_block()
         else:
             next(self._steps, None)

@@ -142,7 +142,7 @@ def _putter(
     when_full: Callable[[Row], bool],
 ) -> Callable[[Row], bool]:
     """Return ``RingWriter.try_put``. It is called in each tick: a closure looks nothing up in an object."""
-    pack_into = struct.Struct(f"{width}d").pack_into
+    pack = struct.Struct(f"{width}d").pack
     row_bytes = width * 8
     head = tail_seen = 0
 
@@ -152,7 +152,9 @@ def _putter(
             tail_seen = words[_TAIL]
             if head - tail_seen >= capacity:
                 return when_full(row)
-        pack_into(rows, head % capacity * row_bytes, *row)
+        begin = head % capacity * row_bytes
+        # With the row alone as its arguments a call takes it as it is; ``pack_into`` has it copied twice.
+        rows[begin : begin + row_bytes] = pack(*row)
         head += 1
         words[_HEAD] = head
         return True
