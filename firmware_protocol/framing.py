@@ -1,15 +1,18 @@
-"""Serial framing, without I/O: frames to bytes, and bytes, whatever they are, back to frames.
+"""Frames, and serial framing without I/O: frames to bytes, and bytes, whatever they are, back to frames.
 
 On the wire a frame is ``COBS(id16 LE | sequence8 | payload | CRC16-CCITT-FALSE LE) 00`` (PROTOCOL.md, "Serial
 framing"). A zero byte ends a frame and occurs nowhere else, so that a receiver that was disturbed is back in
 step at the next zero.
+
+A run's own line is ``firmware_protocol.host_line``, which is the firmware's C. What is here owes nothing to that: who
+judges a firmware listens by it.
 """
 
 from binascii import crc_hqx
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from struct import Struct
-from typing import NamedTuple
+from types import MethodType
+from typing import NamedTuple, overload
 
 from cobs import cobs
 
@@ -39,8 +42,54 @@ class Frame(NamedTuple):
     payload: bytes
 
 
-make_frame: Callable[[tuple[int, bytes]], Frame] = partial(tuple.__new__, Frame)
+make_frame: Callable[[tuple[int, bytes]], Frame] = MethodType(tuple.__new__, Frame)
 """Return the frame of a pair, in half the time that ``Frame`` takes: for those that are made by the thousand."""
+
+
+class PackedFrames(Sequence[Frame]):
+    """Frames one after the other in ``packed``, as C has them: id16 LE, length8, payload.
+
+    Each is made into a ``Frame`` when it is asked for.
+    """
+
+    __slots__ = ("_count", "packed")
+
+    def __init__(self, packed: bytes, count: int) -> None:
+        self.packed = packed
+        self._count = count
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __iter__(self) -> Iterator[Frame]:
+        at, packed = 0, self.packed
+        while at < len(packed):
+            frame, at = packed_frame(packed, at)
+            yield frame
+
+    @overload
+    def __getitem__(self, place: int) -> Frame: ...
+    @overload
+    def __getitem__(self, place: slice) -> list[Frame]: ...
+    def __getitem__(self, place: int | slice) -> Frame | list[Frame]:
+        return list(self)[place]
+
+
+_PACKED_HEADER = Struct("<HB")
+
+
+def pack(frames: Iterable[Frame]) -> bytes:
+    """Return frames as ``PackedFrames`` holds them."""
+    header = _PACKED_HEADER.pack
+    return b"".join([header(number, len(payload)) + payload for number, payload in frames])
+
+
+def packed_frame(packed: bytes, at: int) -> tuple[Frame, int]:
+    """Return the packed frame that begins at a place, and the place of the next one."""
+    number, length = _PACKED_HEADER.unpack_from(packed, at)
+    begin = at + _PACKED_HEADER.size
+    end = begin + length
+    return make_frame((number, packed[begin:end])), end
 
 
 def crc16(data: bytes) -> int:

@@ -19,7 +19,13 @@ from firmware_protocol.capabilities import Capability
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated.messages import Fault, FaultWheel, Mode, State, StopReason, Type
 
-_HEADERS = ("firmware/plant_port.h", "generated/wheel_parameters.h", "firmware/parameters.h", "port/host/host.h")
+_HEADERS = (
+    "firmware/plant_port.h",
+    "generated/wheel_parameters.h",
+    "firmware/parameters.h",
+    "port/host/host.h",
+    "port/host/line.h",
+)
 _SECTION = re.compile(r"/\* cffi: begin \*/(.*?)/\* cffi: end \*/", re.DOTALL)
 _BYTES = 1 << 17  # twice what all frames of a full queue take (WHEEL_HOST_QUEUE)
 

@@ -1,7 +1,7 @@
 """The ports of the house: what the tick needs, and nothing of how it is provided."""
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from types import MethodType
 from typing import Any, NamedTuple, Protocol
 
 from firmware_protocol.framing import Frame
@@ -18,7 +18,7 @@ class Received(NamedTuple):
     stamp_ns: int
 
 
-make_received: Callable[[tuple[Sequence[Frame], int]], Received] = partial(tuple.__new__, Received)
+make_received: Callable[[tuple[Sequence[Frame], int]], Received] = MethodType(tuple.__new__, Received)
 """Return what ``Received`` does of a pair, in half the time."""
 
 
@@ -36,7 +36,7 @@ class Framing(Protocol):
     def encode(self, frame: Frame) -> bytes:
         """Return the bytes for the wire."""
 
-    def feed(self, data: bytes) -> list[Frame]:
+    def feed(self, data: bytes) -> Sequence[Frame]:
         """Take bytes in pieces of any size, and return the frames that they complete. Memory is bounded."""
 
 

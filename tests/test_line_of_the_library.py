@@ -1,11 +1,15 @@
 """Framing in the library as it is shipped, optimised and without sanitizers: the same laws, and its own counters."""
 
+from itertools import pairwise
+
+import pytest
 from cobs import cobs
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from firmware_protocol.framing import CAUSES, Deframer, Frame, Framer
+from firmware_protocol.framing import CAUSES, Deframer, Frame, Framer, PackedFrames, pack
 from firmware_protocol.generated import messages as m
+from firmware_protocol.host_line import HostLine
 from tests.bare_node import core
 from tests.protocol_cases import frames, rejected
 
@@ -64,3 +68,54 @@ def test_it_does_not_send_a_length_that_is_not_the_ids() -> None:
             block = ffi.new("wheel_frame *", {"id": number, "length": length})
             assert lib.wheel_frame_encode(block, 0, out) == (length + 7 if length == right else 0)
     assert lib.wheel_frame_encode(ffi.new("wheel_frame *", {"id": 0x123}), 0, out) == 0
+
+
+pieces_of_a_line = st.lists(st.builds(lambda f: Framer().encode(f), frames) | st.binary(max_size=30), max_size=20)
+
+
+@given(pieces=pieces_of_a_line, cuts=st.lists(st.integers(0, 400), max_size=8))
+def test_the_hosts_line_hears_what_the_python_twin_does(pieces: list[bytes], cuts: list[int]) -> None:
+    stream = b"".join(pieces) + b"".join(serial for _, serial in rejected())
+    line, twin = HostLine(), Deframer()
+    places = sorted({0, len(stream), *(min(cut, len(stream)) for cut in cuts)})
+    for begin, end in pairwise(places):
+        heard = line.feed(stream[begin:end])
+        assert (list(heard), len(heard)) == (expected := twin.feed(stream[begin:end]), len(expected))
+    assert line.rejected == twin.rejected | {"lost": twin.lost}
+
+
+@given(sent=st.lists(frames, max_size=300))
+def test_the_hosts_line_sends_what_the_python_twin_does(sent: list[Frame]) -> None:
+    line, twin = HostLine(), Framer()
+    assert [line.encode(frame) for frame in sent] == [twin.encode(frame) for frame in sent]
+
+
+@pytest.mark.parametrize(
+    "frame", [Frame(0x123, b""), Frame(m.Tick.ID, b"1234567"), Frame(m.Tick.ID, bytes(64)), Frame(1 << 16, b"")]
+)
+def test_the_hosts_line_refuses_what_the_python_twin_does(frame: Frame) -> None:
+    line, twin = HostLine(), Framer()
+    with pytest.raises(ValueError, match="expected") as ours:
+        line.encode(frame)
+    with pytest.raises(ValueError, match="expected") as theirs:
+        twin.encode(frame)
+    assert str(ours.value) == str(theirs.value)
+    right = Frame(m.StepDone.ID, bytes(4))
+    assert line.encode(right) == twin.encode(right), "what was refused is not counted"
+
+
+def test_much_at_once_is_taken_whole() -> None:
+    framer, line = Framer(), HostLine()
+    sent = [Frame(m.StepDone.ID, number.to_bytes(4, "little")) for number in range(10_000)]
+    heard = line.feed(b"".join(map(framer.encode, sent)))
+    assert (list(heard), len(heard)) == (sent, len(sent))
+    assert line.rejected["lost"] == 0
+
+
+@given(some=st.lists(frames, max_size=9), wide=st.binary(max_size=255))
+def test_packed_frames_are_the_frames(some: list[Frame], wide: bytes) -> None:
+    some = [*some, Frame(0xFFFF, wide)]
+    packed = PackedFrames(pack(some), len(some))
+    assert (list(packed), len(packed)) == (some, len(some))
+    assert (packed[0], packed[-1], packed[1:]) == (some[0], some[-1], some[1:])
+    assert pack(packed) == packed.packed == pack(some)

@@ -1,7 +1,8 @@
-"""Measures which lines and branches of the firmware core the test suite runs, with gcc's --coverage and gcov.
+"""Measures which lines and branches of the firmware core are run by its tests, with gcc's --coverage and gcov.
 
-``python -m tools.coverage_firmware`` builds an instrumented host library aside, runs the tests of the core on it, and
-prints a row a file. It fails when a test fails or a line was not run. ``--missing`` names the branches not taken.
+The host's end of a line is measured too. ``python -m tools.coverage_firmware`` builds an instrumented host library
+aside, runs the tests of the core on it, and prints a row a file. It fails when a test fails or a line was not run.
+``--missing`` names the branches not taken.
 """
 
 import argparse
@@ -18,7 +19,7 @@ from firmware_protocol.build import FLAGS, HERE, SOURCES
 from native_build.compiler import compiler
 
 ROOT = Path(__file__).parent.parent
-CORE = HERE / "firmware"
+CORE = (*sorted((HERE / "firmware").glob("*.c")), HERE / "port" / "host" / "line.c")
 TESTS = (
     "tests/test_node.py",
     "tests/test_node_faults.py",
@@ -30,6 +31,7 @@ TESTS = (
     "tests/test_current_loop.py",
     "tests/test_line_of_the_library.py",
     "tests/test_parameters.py",
+    "tests/test_snapshot.py",
 )
 
 
@@ -61,7 +63,7 @@ def build_instrumented(folder: Path) -> Path:
 def read_counts(folder: Path) -> list[Coverage]:
     """Return the coverage of the core's files, from what gcov makes of the counts."""
     found = []
-    for source in sorted(CORE.glob("*.c")):
+    for source in CORE:
         command = ["gcov", "--json-format", "--stdout", "--branch-probabilities", f"{source.stem}.gcda"]
         done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=folder)
         files: list[dict[str, Any]] = json.loads(done.stdout)["files"]

@@ -1,6 +1,6 @@
-"""Fuzzes the C decoder and the firmware core with libFuzzer, under AddressSanitizer and UndefinedBehaviorSanitizer.
+"""Fuzzes the C decoder, the host's end of a line and the firmware core with libFuzzer, under ASan and UBSan.
 
-``python -m tools.fuzz --runs 10000000`` runs both targets so often. The targets, what they check after every call, and
+``python -m tools.fuzz --runs 10000000`` runs each target so often. The targets, what they check after every call, and
 the mutator that gets past CRC and COBS are in ``tests/fuzz``. An input that breaks a check is kept and named.
 """
 
@@ -20,9 +20,9 @@ from firmware_protocol.build import FLAGS, SOURCES
 ROOT = Path(__file__).parent.parent
 HARNESSES = ROOT / "tests" / "fuzz"
 FRAMES = ROOT / "tests" / "vectors" / "frames.csv"
-TARGETS = ("decoder", "node")
+TARGETS = ("decoder", "line", "node")
 COMPILERS = ("clang", *(f"clang-{version}" for version in range(22, 13, -1)))
-CORE = [source for source in SOURCES if "port" not in source.parts]
+CORE = [source for source in SOURCES if "port" not in source.parts or source.name == "line.c"]
 # Comparisons are not traced: the mutator writes valid frames itself, and a run is 1.5 times as fast.
 FUZZ = (
     "-g",
@@ -108,7 +108,7 @@ def fuzz(target: str, runs: int, seed: int, keep_in: Path) -> Outcome:
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--runs", type=int, default=100_000, help="runs of each target")
-    parser.add_argument("--target", choices=TARGETS, action="append", help="default: both")
+    parser.add_argument("--target", choices=TARGETS, action="append", help="default: all")
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
     failed = False

@@ -1,5 +1,6 @@
-/* Serial framing: COBS(id16 LE | sequence8 | payload | CRC16-CCITT-FALSE LE) 00. The wire's other half is
- * framing.py; PROTOCOL.md explains it. */
+/* Serial framing: COBS(id16 LE | sequence8 | payload | CRC16-CCITT-FALSE LE) 00. PROTOCOL.md explains it. The
+ * host's end, port/host/line.h, is made of it; framing.py is another implementation, which shares nothing
+ * with it. */
 #ifndef WHEEL_FRAMING_H
 #define WHEEL_FRAMING_H
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from firmware_protocol.framing import Frame
 from hil.devices.unread import Unread
-from hil.devices.wire_hash import WireHash
+from hil.devices.wire_hash import WireHash, pack_wide
 from hil.dialects.port import Driver
 from hil.links.delay import DelayedLink
 from hil.ports import Clock
@@ -26,7 +26,7 @@ class MotorLine:
         self._driver = driver
         self._is_lockstep = is_lockstep
         self._unread = Unread()
-        self._hash = WireHash(wide=True)
+        self._hash = WireHash(pack_wide, pack_wide)
         self.sent = 0
         self.received = 0
 

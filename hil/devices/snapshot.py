@@ -5,20 +5,18 @@ not mixed where the snapshot has inertial parts, which name their instant. In on
 part up to that same part of a later snapshot cannot be told; the later one counts as lost.
 """
 
-from collections.abc import Callable
-from functools import partial
+import struct
+from collections.abc import Callable, Sequence
+from types import MethodType
 from typing import Any, NamedTuple
 
-from firmware_protocol.codec import Message
-from firmware_protocol.generated.messages import Accelerometer, Currents, Encoders, Gyro, State, Tick, WheelSpeeds
+from firmware_protocol.generated.messages import State
+from firmware_protocol.host import library
 from hil.types import NAN, NAN_WHEELS, Wheels, make_wheels
 
-_PARTS: dict[type, int] = {Encoders: 1, WheelSpeeds: 2, Currents: 4, Accelerometer: 8, Gyro: 16}
-_INERTIAL = _PARTS[Accelerometer]  # and above
-IN_SNAPSHOT = frozenset([Tick, *_PARTS])
-"""The messages that make a snapshot."""
 _STATES = {int(state): state for state in State}
-_NO_ACCELERATION = (NAN, NAN, NAN)
+_unpack = struct.Struct("=2Q7I4f4H4B").unpack  # wheel_snapshot
+_unpack_slow = struct.Struct("=8f").unpack
 
 
 class Feedback(NamedTuple):
@@ -40,100 +38,85 @@ class Feedback(NamedTuple):
     yaw_rate_rad_s: float
 
 
-_make_feedback: Callable[[tuple[Any, ...]], Feedback] = partial(tuple.__new__, Feedback)
+_make_feedback: Callable[[tuple[Any, ...]], Feedback] = MethodType(tuple.__new__, Feedback)
 
 
-class SnapshotAssembler:
-    """Puts snapshots together; pure. ``incomplete`` counts what was dropped, ``lost`` gaps in their numbers;
-    128 and more in a row go unseen."""
+class SnapshotReader:
+    """Puts snapshots together and hears what ends a step, by the host library; pure.
+
+    Attributes:
+        feedback: the newest snapshot, None before the first.
+        frames: how many were taken.
+        incomplete: snapshots of which a part was lost.
+        lost: gaps in the snapshots' numbers; 128 and more in a row go unseen.
+        sequences: TICK.sequence of each TICK that the newest ``take`` took.
+        step_done: the tick of the STEP_DONE that the newest ``take`` ended with, None where it did not.
+    """
 
     def __init__(self) -> None:
-        self._tick: Tick | None = None
-        self._missing = 0
-        self._pending: list[Message] = []
-        self._last_number: int | None = None
-        self._last_us: int | None = None
-        self._time_us = 0
-        self._count = (0, 0, 0, 0)
-        self._speed = NAN_WHEELS
-        self._current = NAN_WHEELS
-        self._acceleration = _NO_ACCELERATION
-        self._yaw_rate = NAN
-        self.incomplete = 0
-        self.lost = 0
+        ffi, lib = library()
+        self._memory = ffi.new("uint64_t[]", lib.wheel_reader_size() // 8 + 1)
+        self._reader = ffi.cast("wheel_reader *", self._memory)
+        lib.wheel_reader_init(self._reader)
+        address = ffi.cast("char *", lib.wheel_reader_snapshot(self._reader))
+        slow = ffi.offsetof("wheel_snapshot", "current_a")
+        sequences = ffi.offsetof("wheel_snapshot", "sequences")
+        self._fast_bytes = ffi.buffer(address, slow)
+        self._slow_bytes = ffi.buffer(address + slow, sequences - slow)
+        self._ring = memoryview(ffi.buffer(address + sequences, ffi.sizeof("wheel_snapshot") - sequences))
+        self._take, self._restart = lib.wheel_reader_take, lib.wheel_reader_restart
+        self._completed = self._slow = self._ticks = self._steps_done = 0
+        self.sequences: Sequence[int] = ()
+        self._held: tuple[Wheels, tuple[float, ...], float] = (NAN_WHEELS, (NAN, NAN, NAN), NAN)
+        self.step_done: int | None = None
+        self.feedback: Feedback | None = None
+        self.frames = self.incomplete = self.lost = 0
 
     def restart(self) -> None:
         """Begin anew with a robot that was lost or reset: its numbers and its clock may have begun anew too."""
-        self._missing = 0
-        self._last_number = None
-        self._last_us = None
+        self._restart(self._reader)
 
-    def feed(self, message: Message) -> Feedback | None:
-        """Take a message; return the snapshot that it completes, if it does."""
-        part = _PARTS.get(type(message))
-        if part is None:
-            if isinstance(message, Tick):
-                self._open(message)
-            return None
-        missing = self._missing
-        if not missing:
-            return None
-        if part != missing & -missing or (part >= _INERTIAL and not self._belongs(message)):
-            self._missing = 0
-            self.incomplete += 1
-            return None
-        self._pending.append(message)
-        self._missing = missing & ~part
-        return None if self._missing else self._commit()
+    def take(self, packed: bytes, begin: int) -> int:
+        """Take packed frames from a place on; return the place of the first that is none of its own.
 
-    def _belongs(self, message: Message) -> bool:
-        """The parts of the inertial sensors say themselves when they were sampled."""
-        tick = self._tick
-        if tick is None or not isinstance(message, Accelerometer | Gyro):
-            return True
-        return message.tick == tick.time_us // 1000 & 0xFFFF
-
-    def _open(self, tick: Tick) -> None:
-        self.incomplete += self._missing != 0
-        if self._last_number is not None:
-            missing = (tick.snapshot - self._last_number - 1) & 0xFF
-            # Half the circle or more is a repeated TICK, one that was overtaken, or a robot that began anew.
-            self.lost += missing if missing < 128 else 0
-        self._last_number = tick.snapshot
-        self._tick = tick
-        self._missing = tick.parts
-        self._pending.clear()
-
-    def _commit(self) -> Feedback | None:
-        tick = self._tick
-        if tick is None:
-            return None
-        for message in self._pending:
-            if isinstance(message, Encoders):
-                self._count = message
-            elif isinstance(message, WheelSpeeds):
-                self._speed = make_wheels(message)
-            elif isinstance(message, Currents):
-                self._current = make_wheels(message)
-            elif isinstance(message, Accelerometer):
-                self._acceleration = message[:3]
-            elif isinstance(message, Gyro):
-                self._yaw_rate = message.z_rad_s
-        if self._last_us is None:
-            self._time_us = tick.time_us
+        Its own are valid messages of snapshots, and a STEP_DONE behind them, after which it ends.
+        """
+        end: int = self._take(self._reader, packed, begin, len(packed))
+        values = _unpack(self._fast_bytes)
+        time_us, self.frames, completed, slow, ticks, self.incomplete, self.lost, steps_done, step_done = values[:9]
+        if ticks == self._ticks + 1:  # as nearly always
+            self._ticks, self.sequences = ticks, values[20:]
         else:
-            self._time_us += (tick.time_us - self._last_us) & 0xFFFF_FFFF
-        self._last_us = tick.time_us
-        return _make_feedback(
-            (
-                self._time_us * 1000,
-                _STATES[tick.state],
-                tick.sequence,
-                tick.command_age_ms,
-                self._count,
-                self._speed,
-                self._current,
-                self._acceleration,
-                self._yaw_rate,
+            self.sequences = self._sequences(ticks)
+        if completed != self._completed:
+            self._completed = completed
+            if slow != self._slow:
+                self._slow = slow
+                at_a_lower_rate = _unpack_slow(self._slow_bytes)
+                self._held = make_wheels(at_a_lower_rate[:4]), at_a_lower_rate[4:7], at_a_lower_rate[7]
+            state, sequence, age_ms = values[17:20]
+            current_a, acceleration_m_s2, yaw_rate_rad_s = self._held
+            self.feedback = _make_feedback(
+                (
+                    time_us * 1000,
+                    _STATES[state],
+                    sequence,
+                    age_ms,
+                    values[13:17],
+                    make_wheels(values[9:13]),
+                    current_a,
+                    acceleration_m_s2,
+                    yaw_rate_rad_s,
+                )
             )
-        )
+        if steps_done != self._steps_done:
+            self._steps_done = steps_done
+            self.step_done = step_done
+        else:
+            self.step_done = None
+        return end
+
+    def _sequences(self, ticks: int) -> Sequence[int]:
+        """Return the sequences of the TICKs up to this one that were not given yet; numbers wrap at 32 bits."""
+        new, self._ticks = (ticks - self._ticks) & 0xFFFF_FFFF, ticks
+        return [self._ring[(ticks - before) % len(self._ring)] for before in range(new, 0, -1)]

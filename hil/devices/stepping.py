@@ -44,16 +44,16 @@ class Stepping:
                 link.send(codec.encode(step))
                 sent_ns = now_ns
 
-    def answered(self, done: m.StepDone) -> bool:
+    def answered(self, tick: int) -> bool:
         """Take an answer; return whether it is the one that was awaited. Raises RobotStoppedError for a wrong tick."""
         # One with the tick where this step begins is the second answer to a step that was sent twice.
-        if not self._is_awaiting or (self._expected is not None and done.tick == self._from):
+        if not self._is_awaiting or (self._expected is not None and tick == self._from):
             return False
-        if self._expected not in (None, done.tick):
+        if self._expected not in (None, tick):
             raise RobotStoppedError(
-                f"the robot is at tick {done.tick} where {self._expected} was expected; it was reset or is stepped by "
+                f"the robot is at tick {tick} where {self._expected} was expected; it was reset or is stepped by "
                 "another host"
             )
         self._is_awaiting = False
-        self.tick = done.tick
+        self.tick = tick
         return True

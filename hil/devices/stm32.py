@@ -5,15 +5,17 @@ can tell, except by what HELLO says.
 """
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from types import MethodType
 
 from firmware_protocol.codec import Message, decode, encode
+from firmware_protocol.framing import PackedFrames, make_frame, pack, packed_frame
 from firmware_protocol.generated import messages as m
 from hil.devices import handshake
 from hil.devices.handshake import RETRY_NS, Expected, Greeting, RobotInfo
 from hil.devices.link_times import SYNC_PERIOD_NS, ClockSync, RoundTrip
 from hil.devices.robot_report import RobotReport
-from hil.devices.snapshot import IN_SNAPSHOT, Feedback, SnapshotAssembler
+from hil.devices.snapshot import Feedback, SnapshotReader
 from hil.devices.stepping import Stepping
 from hil.devices.unread import Unread
 from hil.devices.wheel_map import WheelMap
@@ -27,6 +29,13 @@ _MOST_A_POLL = 200  # frames; a robot sends at most some ten a tick
 _HEARTBEAT_NS = 100_000_000
 _START_LIMIT_NS = 4_000_000_000
 _ESTOP_BY_HOST = 1
+_STEP_DONE_BYTES = len(pack([encode(m.StepDone(0))]))
+_TORQUE = CommandMode.TORQUE  # a member of an enumeration takes longer to look up than a global name
+_Command = tuple[float, float, float, float, int, int]
+_make_torque_command: Callable[[_Command], m.TorqueCommand] = MethodType(tuple.__new__, m.TorqueCommand)
+_make_feedforward: Callable[[_Command], m.TorqueFeedforward] = MethodType(tuple.__new__, m.TorqueFeedforward)
+_make_wheel_command: Callable[[_Command], m.WheelCommand] = MethodType(tuple.__new__, m.WheelCommand)
+_make_step: Callable[[tuple[int, int]], m.Step] = MethodType(tuple.__new__, m.Step)
 _FIRST_UNCOUNTED = m.HelloRequest.ID  # how often HELLO is asked depends on the wall clock
 _ANOTHER_NONCE_HELPS = (
     m.ArmRefusal.NONCE_USED,
@@ -41,6 +50,10 @@ class Stm32:
 
     ``nonces`` gives the session nonces to try, in order. Raises DeviceError when the robot does not answer, refuses
     or stops; BadInputError when it is not the robot that the scenario describes.
+
+    Attributes:
+        sent, received: messages, HELLO's not counted.
+        snapshots_lost: feedback snapshots that are missing in the robot's count (TICK.snapshot), or came in part.
     """
 
     def __init__(
@@ -51,12 +64,14 @@ class Stm32:
         nonces: Iterator[int],
         wheel_map: WheelMap,
     ) -> None:
+        # Python 3.11 finds an attribute at once in an object that has less than 30: one more costs a tick 3 % here.
         self._link = link
         self._mode = mode
         self._expected = expected
         self._nonces = nonces
         self._map = wheel_map
-        self._assembler = SnapshotAssembler()
+        self._reader = SnapshotReader()
+        self._snapshot: Feedback | None = None  # the newest, as it came
         self._clock: Clock | None = None
         self._feedback: Feedback | None = None
         self._info: RobotInfo | None = None
@@ -69,7 +84,7 @@ class Stm32:
         self._request = m.Request.IDLE
         # None until something was asked for: a host that only looks must not disarm another one's robot.
         self._next_heartbeat_ns: int | None = None
-        self._hash = WireHash()
+        self._hash = WireHash(pack, b"".join)
         self._out_of_range = 0
         self.report = RobotReport(wheel_map)
         self.round_trip = RoundTrip()
@@ -78,6 +93,8 @@ class Stm32:
         self._unread = Unread()
         self.sent = 0
         self.received = 0
+        self.snapshots_lost = 0
+        self._others = 0  # that were received and counted, and are not of a snapshot
 
     # Connecting
 
@@ -129,7 +146,7 @@ class Stm32:
         Raises RobotStoppedError when it does not answer in lockstep.
         """
         self.leave()
-        self._assembler.restart()
+        self._reader.restart()
         self.report.restart()
         self.round_trip.restart()
         self._nonce = next(self._nonces)
@@ -335,19 +352,20 @@ class Stm32:
         self._sequence = (self._sequence + 1) & 0xFF
         if self._clock is not None:
             self.round_trip.sent(self._sequence, self._clock.now_ns())
-        session = self._nonce & 0xF
-        torque = self._map.to_wire(command.torque_n_m)
-        if command.mode is CommandMode.TORQUE:
-            self._send(m.TorqueCommand(*torque, self._sequence, session))
-            return self._sequence
+        mode, speed_rad_s, torque_n_m = command
+        sequence, session = self._sequence, self._nonce & 0xF
+        torque = self._map.to_wire(torque_n_m)
+        if mode is _TORQUE:
+            self._send(_make_torque_command((*torque, sequence, session)))
+            return sequence
         if any(torque):
-            self._send(m.TorqueFeedforward(*torque, self._sequence, session))
-        self._send(m.WheelCommand(*self._map.to_wire(command.speed_rad_s), self._sequence, session))
-        return self._sequence
+            self._send(_make_feedforward((*torque, sequence, session)))
+        self._send(_make_wheel_command((*self._map.to_wire(speed_rad_s), sequence, session)))
+        return sequence
 
     def step(self, ticks: int) -> None:
         """Lockstep: let so many firmware ticks pass, and take what the robot sends meanwhile."""
-        self._exchange_step(m.Step(self.tick, ticks))
+        self._exchange_step(_make_step((self._stepping.tick, ticks)))
 
     @property
     def tick(self) -> int:
@@ -370,34 +388,52 @@ class Stm32:
         self._send(m.HostHeartbeat(self._nonce, m.SCHEMA_HASH, request, mode, check))
 
     def _send(self, message: Message) -> None:
-        frame = encode(message)
+        frame = make_frame((message.ID, message.encode()))
         self._link.send(frame)
-        self.sent += frame[0] < _FIRST_UNCOUNTED
-        self._hash.sent(frame)
+        if message.ID < _FIRST_UNCOUNTED:
+            self.sent += 1
+            self._hash.sent(frame)
 
     def _take(self, received: Received) -> None:
         frames, stamp_ns = received
-        note, feed = self._hash.received, self._assembler.feed
-        for frame in frames:
-            message = decode(frame)
-            if message is None:
-                self._out_of_range += 1
-                continue
-            self.received += frame[0] < _FIRST_UNCOUNTED
-            if type(message) in IN_SNAPSHOT:
-                note(frame)
-                if (snapshot := feed(message)) is not None:
+        packed = frames.packed if type(frames) is PackedFrames else pack(frames)
+        reader, begin, size = self._reader, 0, len(packed)
+        try:
+            while begin < size:
+                end = reader.take(packed, begin)
+                for sequence in reader.sequences:
+                    self.round_trip.echoed(sequence, stamp_ns)
+                if (snapshot := reader.feedback) is not self._snapshot and snapshot is not None:
+                    self._snapshot = snapshot
                     self._feedback = self._map.feedback_from_wire(snapshot)
-                if isinstance(message, m.Tick):
-                    self.round_trip.echoed(message.sequence, stamp_ns)
-            elif isinstance(message, m.StepDone):
-                if self._stepping.answered(message):  # once, however often STEP was repeated
-                    note(frame)
-            else:
-                note(frame)
-                self._take_other(message, stamp_ns)
+                if (tick := reader.step_done) is not None:
+                    before = end - _STEP_DONE_BYTES
+                    self._hash.received(packed[begin:before])
+                    if self._stepping.answered(tick):  # once, however often STEP was repeated
+                        self._hash.received(packed[before:end])
+                elif end > begin:
+                    self._hash.received(packed[begin:end])
+                else:
+                    end = self._take_other(packed, begin, stamp_ns)
+                begin = end
+        finally:
+            self.received = reader.frames + self._others
+            self.snapshots_lost = reader.lost + reader.incomplete
 
-    def _take_other(self, message: Message, stamp_ns: int) -> None:
+    def _take_other(self, packed: bytes, begin: int, stamp_ns: int) -> int:
+        """Take a frame that is neither of a snapshot nor the end of a step; return where the next one begins."""
+        frame, end = packed_frame(packed, begin)
+        message = decode(frame)
+        if message is None:
+            self._out_of_range += 1
+            return end
+        if message.ID < _FIRST_UNCOUNTED:
+            self._others += 1
+            self._hash.received(packed[begin:end])
+        self._take_message(message, stamp_ns)
+        return end
+
+    def _take_message(self, message: Message, stamp_ns: int) -> None:
         if self._greeting is not None and (info := self._greeting.feed(message)) is not None:
             self._check_same(info)
             self._greeting = None
@@ -415,16 +451,11 @@ class Stm32:
         """
         return self._hash.hexdigest()
 
-    @property
-    def snapshots_lost(self) -> int:
-        """Feedback snapshots that are missing in the robot's count (TICK.snapshot), or came in part."""
-        return self._assembler.lost + self._assembler.incomplete
-
     def rejected(self) -> dict[str, int]:
         """Return the frames that this host dropped, by cause, and those that the robot reported (``robot_...``)."""
         own = self._link.rejected() | {
             "range": self._out_of_range,
-            "incomplete_snapshot": self._assembler.incomplete,
+            "incomplete_snapshot": self._reader.incomplete,
         }
         robot = {f"robot_{cause}": count for cause, count in self.report.rejected.items()}
         return {cause: count for cause, count in (own | robot).items() if count}

@@ -2,27 +2,30 @@
 
 import hashlib
 import struct
+from collections.abc import Callable
+from typing import Any
 
 from firmware_protocol.framing import Frame
-from firmware_protocol.generated.messages import HelloRequest
 
-_HEADER, _WIDE_HEADER = struct.Struct("<HB"), struct.Struct("<IH")
-_BEYOND_ALL_IDS = 1 << 32
-_AT_ONCE = 64  # frames; a call for each would cost a tick more than what it does with them
+_WIDE_HEADER = struct.Struct("<IH")
+_AT_ONCE = 64  # pieces; a call for each would cost a tick more than what it does with them
+
+Pack = Callable[[list[Any]], bytes]
+"""Makes bytes of what a ``WireHash`` was given."""
 
 
 class WireHash:
-    """Takes frames as they are sent and received, but HELLO: how often that is asked depends on the wall clock.
+    """Takes what is sent and received; ``pack_sent`` and ``pack_received`` make bytes of it, some at once.
 
-    ``wide`` is for the frames of others: ids of 32 bits, payloads of a serial line, and none of them HELLO.
+    What depends on the wall clock, as how often HELLO is asked, its user leaves out.
 
     Attributes:
-        sent, received: each takes a frame of its direction, which costs next to nothing; ``keep_up`` works on them.
+        sent, received: each takes a piece of its direction, which costs next to nothing; ``keep_up`` works on them.
     """
 
-    def __init__(self, *, wide: bool = False) -> None:
-        self._sent = _Way(wide)
-        self._received = _Way(wide)
+    def __init__(self, pack_sent: Pack, pack_received: Pack) -> None:
+        self._sent = _Way(pack_sent)
+        self._received = _Way(pack_received)
         self.sent = self._sent.waiting.append
         self.received = self._received.waiting.append
 
@@ -37,19 +40,22 @@ class WireHash:
         return hashlib.sha256(self._sent.digest() + self._received.digest()).hexdigest()
 
 
-class _Way:
-    """The frames of one direction."""
+def pack_wide(frames: list[Frame]) -> bytes:
+    """Return frames of others for the hash: ids of 32 bits, and payloads of a serial line."""
+    pack = _WIDE_HEADER.pack
+    return b"".join([pack(number, len(payload)) + payload for number, payload in frames])
 
-    def __init__(self, wide: bool) -> None:
+
+class _Way:
+    """What went one way."""
+
+    def __init__(self, pack: Pack) -> None:
         self._hash = hashlib.sha256()
-        self._pack = (_WIDE_HEADER if wide else _HEADER).pack
-        self._first_left_out = _BEYOND_ALL_IDS if wide else HelloRequest.ID
-        self.waiting: list[Frame] = []
+        self._pack = pack
+        self.waiting: list[Any] = []
 
     def fold(self) -> None:
-        pack, end = self._pack, self._first_left_out
-        pieces = [pack(number, len(payload)) + payload for number, payload in self.waiting if number < end]
-        self._hash.update(b"".join(pieces))
+        self._hash.update(self._pack(self.waiting))
         self.waiting.clear()
 
     def digest(self) -> bytes:

@@ -2,6 +2,7 @@
 
 import time
 from collections import Counter
+from collections.abc import Callable, Sequence
 
 from firmware_protocol.framing import Frame
 from hil.links.language import WHEEL_DBC, Language
@@ -13,7 +14,13 @@ _MOST_AT_ONCE = 50
 
 
 class StreamLink:
-    """Frames over a byte stream. Wrong bytes are dropped and counted by cause, never raised."""
+    """Frames over a byte stream. Wrong bytes are dropped and counted by cause, never raised.
+
+    Attributes:
+        now_ns: the clock that stamps what is received.
+        sent_frames, sent_bytes, received_frames, received_bytes: so far; received are frames that were given, and
+            all bytes.
+    """
 
     def __init__(self, stream: HostStream, language: Language = WHEEL_DBC) -> None:
         self._stream = stream
@@ -22,28 +29,33 @@ class StreamLink:
         self._framing = language.make_framing()  # of what is received
         self._encode = language.make_framing().encode  # the count of what is sent goes on over a loss
         self._earlier: Counter[str] = Counter()  # what was rejected before the link was reopened
-        self._waiting: tuple[list[Frame], int] | None = None
-        self.received_bytes = 0
+        self._waiting: tuple[Sequence[Frame], int] | None = None
+        self.now_ns: Callable[[], int] = time.monotonic_ns
+        self.sent_frames = 0
         self.sent_bytes = 0
+        self.received_frames = 0
+        self.received_bytes = 0
 
     def send(self, frame: Frame) -> None:
         data = self._encode(frame)
-        self.sent_bytes += len(data)
         self._stream.write(data)
+        self.sent_frames += 1
+        self.sent_bytes += len(data)
 
     def receive(self, timeout_ns: int) -> Received | None:
         if self._waiting is not None:
             return self._part_of(*self._waiting)
         deadline_ns = time.monotonic_ns() + timeout_ns if timeout_ns > 0 else 0
         while True:
-            data = self._stream.read(timeout_ns)
-            if data:
-                stamp_ns = time.monotonic_ns()
+            if data := self._stream.read(timeout_ns):
+                stamp_ns = self.now_ns()
                 self.received_bytes += len(data)
-                if frames := self._framing.feed(data):
-                    if len(frames) > _MOST_AT_ONCE:
-                        return self._part_of(frames, stamp_ns)
-                    return make_received((frames, stamp_ns))
+                frames = self._framing.feed(data)
+                if count := len(frames):
+                    self.received_frames += count
+                    return (
+                        make_received((frames, stamp_ns)) if count <= _MOST_AT_ONCE else self._part_of(frames, stamp_ns)
+                    )
             if timeout_ns <= 0:
                 return None
             # Bytes came that completed no frame: wait on for what is left of the time.
@@ -54,11 +66,12 @@ class StreamLink:
         """Whether the frames carry a count by which lost ones are noticed."""
         return "lost" in self._framing.rejected
 
-    def _part_of(self, frames: list[Frame], stamp_ns: int) -> Received:
+    def _part_of(self, frames: Sequence[Frame], stamp_ns: int) -> Received:
         """Give the first of many frames; the others wait for the next calls."""
-        rest = frames[_MOST_AT_ONCE:]
+        part, rest = frames[:_MOST_AT_ONCE], frames[_MOST_AT_ONCE:]
         self._waiting = (rest, stamp_ns) if rest else None
-        return Received(frames[:_MOST_AT_ONCE], stamp_ns)
+        self.received_frames += len(part)
+        return Received(part, stamp_ns)
 
     def rejected(self) -> dict[str, int]:
         counts = {cause: count + self._earlier[cause] for cause, count in self._framing.rejected.items()}

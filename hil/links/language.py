@@ -4,8 +4,8 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Literal, NamedTuple
 
-from firmware_protocol.framing import Deframer, Frame, Framer
 from firmware_protocol.generated.messages import LENGTHS, NAMES, SENDERS
+from firmware_protocol.host_line import HostLine
 from hil.ports import Framing
 
 STANDARD_IDS = 0x7FF
@@ -62,19 +62,5 @@ class Language(NamedTuple):
         return [piece + self.delimiter for piece in data.split(self.delimiter)[:-1]]
 
 
-class WheelFraming:
-    """The framing of our own protocol (PROTOCOL.md, "Serial framing")."""
-
-    def __init__(self) -> None:
-        self._deframer = Deframer()
-        self.encode: Callable[[Frame], bytes] = Framer().encode
-        self.feed: Callable[[bytes], list[Frame]] = self._deframer.feed
-
-    @property
-    def rejected(self) -> Mapping[str, int]:
-        """What was no frame, by cause, and frames that the robot counted and that did not come."""
-        return self._deframer.rejected | {"lost": self._deframer.lost}
-
-
-WHEEL_DBC = Language(WheelFraming, NAMES, SENDERS, LENGTHS, 0x300, b"\0")
+WHEEL_DBC = Language(HostLine, NAMES, SENDERS, LENGTHS, 0x300, b"\0")
 """Our own protocol. STEP, STEP_DONE and the HELLO pages carry no control."""

@@ -3,7 +3,8 @@
 from collections.abc import Callable, Sequence
 
 from firmware_protocol.framing import Frame
-from hil.links.language import WHEEL_DBC, Language, WheelFraming
+from firmware_protocol.host_line import HostLine
+from hil.links.language import WHEEL_DBC, Language
 from hil.links.wire import Node, Wire
 from hil.ports import Framing
 from hil.trace.session import Trace
@@ -35,7 +36,7 @@ class _Ear:
     def __init__(self, trace: Trace, now_ns: Callable[[], int], language: Language) -> None:
         self._trace = trace
         self._now_ns = now_ns
-        make_framing = language.make_framing or WheelFraming
+        make_framing = language.make_framing or HostLine
         self._received = make_framing()
         self._sent = make_framing()
 

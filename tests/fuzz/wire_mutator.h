@@ -1,5 +1,5 @@
 /* A mutator for streams of the serial line that gets past the checks of the line: it repairs what random
- * changes break, lengths, CRCs and COBS, and writes plausible frames of its own. Both fuzzers use it. */
+ * changes break, lengths, CRCs and COBS, and writes plausible frames of its own. All fuzzers use it. */
 #ifndef WIRE_MUTATOR_H
 #define WIRE_MUTATOR_H
 

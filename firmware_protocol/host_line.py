@@ -1,0 +1,70 @@
+"""The host's end of a serial line, by the C of the firmware: a fifth of what ``firmware_protocol.framing`` takes."""
+
+from firmware_protocol.framing import CAUSES, Frame, PackedFrames
+from firmware_protocol.generated.messages import LENGTHS
+from firmware_protocol.host import library
+
+_MOST_AT_ONCE = 1 << 12  # bytes that the library is given in one call
+
+
+class HostLine:
+    """Both ways of one serial line, each for one thread at a time.
+
+    It counts the frames that it sends, modulo 256. No byte that it receives raises: what is no valid frame is dropped
+    and counted. Memory is bounded.
+    """
+
+    def __init__(self) -> None:
+        ffi, lib = library()
+        self._new = ffi.new
+        self._memory = ffi.new("uint64_t[]", lib.wheel_line_size() // 8 + 1)
+        self._line = ffi.cast("wheel_line *", self._memory)
+        lib.wheel_line_init(self._line)
+        room = _MOST_AT_ONCE + lib.WHEEL_LINE_OPEN
+        self._packed, self._used = ffi.new("uint8_t[]", room), ffi.new("size_t *")
+        self._received = ffi.buffer(self._packed, room)
+        self._encoded = ffi.new("uint8_t[]", lib.WHEEL_LINE_LONGEST)
+        self._sent = ffi.buffer(self._encoded, lib.WHEEL_LINE_LONGEST)
+        # What a call looks up each time costs as much as the call.
+        self._feed, self._encode, self._count = lib.wheel_line_feed, lib.wheel_line_encode, lib.wheel_line_count
+
+    def encode(self, frame: Frame) -> bytes:
+        """Return the bytes for the wire, with the final zero.
+
+        Raises ValueError when no message has the frame's id, or when the payload has not the length that the
+        id asks for: the other side would drop it.
+        """
+        number, payload = frame
+        try:
+            count = self._encode(self._line, number, payload, len(payload), self._encoded)
+        except OverflowError:  # an id of more than 16 bits
+            count = 0
+        if count:
+            data: bytes = self._sent[:count]
+            return data
+        raise ValueError(f"frame {number:#05x} with {len(payload)} bytes: expected {_expected(number)}")
+
+    def feed(self, data: bytes) -> PackedFrames:
+        """Take the bytes that arrived, in pieces of any size, and return the frames that they complete."""
+        if len(data) > _MOST_AT_ONCE:
+            return self._feed_much(data)
+        count = self._feed(self._line, data, len(data), self._packed, self._used)
+        return PackedFrames(self._received[: self._used[0]], count)
+
+    def _feed_much(self, data: bytes) -> PackedFrames:
+        pieces = [self.feed(data[at : at + _MOST_AT_ONCE]) for at in range(0, len(data), _MOST_AT_ONCE)]
+        return PackedFrames(b"".join(piece.packed for piece in pieces), sum(map(len, pieces)))
+
+    @property
+    def rejected(self) -> dict[str, int]:
+        """How many pieces were no frame, by cause (``CAUSES``); ``lost`` are frames that the other side counted and
+        that did not arrive whole, but not 128 and more in a row.
+        """
+        counts = self._new("wheel_line_counts *")
+        self._count(self._line, counts)
+        return {cause: getattr(counts, cause) for cause in (*CAUSES, "lost")}
+
+
+def _expected(number: int) -> str:
+    length = LENGTHS.get(number)
+    return "the id of a message of wheel.dbc" if length is None else f"{length} bytes"
