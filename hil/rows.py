@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from functools import partial
+from types import MethodType
 from typing import NamedTuple
 
 from hil.devices.port import Device
@@ -12,6 +12,7 @@ from hil.ports import Controller, OwnSignals, Sink
 from hil.signals import EstimatorSignals, LoopSignals
 from hil.types import NAN, NAN_POSE, NAN_WHEELS, Applied, CommandMode, PoseFix, Reference, State, Twist
 
+_SPEED = CommandMode.SPEED  # a member of an enumeration takes longer to look up than a global name
 _NO_STATE = State(NAN_POSE, Twist(NAN, NAN, NAN))
 _NO_FEEDBACK = (NAN, NAN, NAN, NAN, NAN_WHEELS, NAN_WHEELS, NAN_WHEELS, (NAN, NAN, NAN), NAN)
 _REJECTED_EVERY = 100  # ticks; the sum over all causes is too dear for each of them
@@ -32,7 +33,7 @@ class Beliefs(NamedTuple):
 
 
 _Beliefs = tuple[PoseFix | None, State | None, Reference, Applied, EstimatorSignals, bool]
-make_beliefs: Callable[[_Beliefs], Beliefs] = partial(tuple.__new__, Beliefs)
+make_beliefs: Callable[[_Beliefs], Beliefs] = MethodType(tuple.__new__, Beliefs)
 
 
 class Rows:
@@ -85,7 +86,7 @@ class Rows:
             math.hypot(error_x_m, error_y_m),
             *self._controller.gains,
             *speed,
-            *(command.speed_rad_s if command.mode is CommandMode.SPEED else NAN_WHEELS),
+            *(command.speed_rad_s if command.mode is _SPEED else NAN_WHEELS),
             *command.torque_n_m,
             *current,
             *temperature_degc,
@@ -104,8 +105,7 @@ class Rows:
             self._rejected,
             (silent_ns + self._feedback_latency_ns) * 1e-6 if feedback is not None else NAN,
             device.snapshots_lost,
-            wire.sent.bytes,
-            wire.received.bytes,
+            *wire.byte_counts(),
             wire.load_percent(),
             device.round_trip.ms,
             latency_s * 1e3,

@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol import codec
-from firmware_protocol.framing import Frame, Framer
+from firmware_protocol.framing import Frame, Framer, pack
 from firmware_protocol.generated import messages as m
 from hil.assembly import run
-from hil.devices.snapshot import SnapshotAssembler
+from hil.devices.snapshot import SnapshotReader
 from hil.links.can_bus import CanLink
 from hil.links.can_frame import classic_bits, fd_bits
 from hil.links.framed import StreamLink
@@ -172,10 +172,10 @@ def test_snapshots_that_a_fault_swallows_are_counted_as_lost():
 
 
 def test_a_tick_that_is_repeated_leaves_no_gap_in_the_count():
-    assembler = SnapshotAssembler()
+    reader = SnapshotReader()
     for number in (254, 255, 255, 0, 1, 1, 5):
-        assembler.feed(m.Tick(0, 0, 0, m.State.ACTIVE, 0, number))
-    assert assembler.lost == 3
+        reader.take(pack([codec.encode(m.Tick(0, 0, 0, m.State.ACTIVE, 0, number))]), 0)
+    assert reader.lost == 3
 
 
 def test_the_signals_say_how_the_link_is_at_each_tick():
@@ -213,7 +213,8 @@ def test_a_frame_of_another_length_is_not_counted_as_ours():
     try:
         bus.send(can.Message(arbitration_id=m.Tick.ID, data=b"\1\2", is_extended_id=False))
         assert wire.receive(0) is None
-        assert (wire.received.frames, wire.foreign.frames) == (0, 1)
+        figures = wire.figures()
+        assert (figures["received"]["frames"], figures["foreign"]["frames"]) == (0, 1)
     finally:
         wire.close()
         bus.shutdown()

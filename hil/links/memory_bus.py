@@ -2,6 +2,7 @@
 
 import queue
 import time
+from collections.abc import Callable
 
 from firmware_protocol.framing import Frame
 from hil.errors import LinkError
@@ -9,15 +10,23 @@ from hil.ports import Received
 
 
 class MemoryBus:
-    """One end; made in pairs by ``memory_bus``. Safe between two threads. Bytes are those of the payloads."""
+    """One end; made in pairs by ``memory_bus``. Safe between two threads. Bytes are those of the payloads.
+
+    Attributes:
+        now_ns: the clock that stamps what is received.
+        sent_frames, sent_bytes, received_frames, received_bytes: so far.
+    """
 
     counts_frames = False
 
     def __init__(self) -> None:
         self._received: queue.SimpleQueue[Frame] = queue.SimpleQueue()
         self._peer: MemoryBus | None = None
-        self.received_bytes = 0
+        self.now_ns: Callable[[], int] = time.monotonic_ns
+        self.sent_frames = 0
         self.sent_bytes = 0
+        self.received_frames = 0
+        self.received_bytes = 0
 
     def connect(self, peer: "MemoryBus") -> None:
         """Make ``peer`` the other end."""
@@ -26,8 +35,9 @@ class MemoryBus:
     def send(self, frame: Frame) -> None:
         if self._peer is None:
             raise LinkError("the memory link was closed; open a new one")
-        self.sent_bytes += len(frame.payload)
         self._peer._received.put(frame)
+        self.sent_frames += 1
+        self.sent_bytes += len(frame.payload)
 
     def receive(self, timeout_ns: int) -> Received | None:
         received = self._received
@@ -37,8 +47,9 @@ class MemoryBus:
             return None
         while not received.empty():  # one thread alone reads this end
             frames.append(received.get())
+        self.received_frames += len(frames)
         self.received_bytes += sum(len(frame.payload) for frame in frames)
-        return Received(frames, time.monotonic_ns())
+        return Received(frames, self.now_ns())
 
     def rejected(self) -> dict[str, int]:
         return {}

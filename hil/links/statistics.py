@@ -6,7 +6,7 @@ says what each figure means.
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol
 
 from firmware_protocol.framing import Frame
@@ -89,8 +89,19 @@ class Usage(NamedTuple):
     busy_ns: int
 
 
+class Count(NamedTuple):
+    """Frames, bytes and bits of one direction."""
+
+    frames: int = 0
+    bytes: int = 0
+    bits: int = 0
+
+    def and_one(self, usage: Usage) -> "Count":
+        """Return the count with a frame more."""
+        return Count(self.frames + 1, self.bytes + usage.bytes, self.bits + usage.bits)
+
+
 _NOTHING = Usage(0, 0, 0)
-_MOST_USAGES = 1024  # sizes of chunks that are remembered
 _REMOTE_LENGTH = 8  # a request asks for as much as its answer may have
 _NO_NOISE = ("lost", "unread_bytes")
 
@@ -101,27 +112,44 @@ class Meter(Protocol):
     duplex: bool
     """Whether the two directions have a line each, as serial has, or share one, as CAN does."""
     timed: bool
-    """Whether the link has a bit rate."""
+    """Whether the link has a bit rate. One without need not be told of what was sent and received."""
 
     @property
     def counts_frames(self) -> bool:
         """Whether the frames carry a count by which lost ones are noticed."""
 
-    def sent(self, frame: Frame) -> Usage:
-        """Return what a frame took that was just sent."""
+    def begin(self) -> None:
+        """Count from now on."""
 
-    def received(self, frames: Sequence[Frame]) -> Usage:
-        """Return what was received since the last call, these frames as the last of it."""
+    def sent(self, frame: Frame) -> int:
+        """Take a frame that was just sent; return for how long it keeps the wire busy [ns]."""
+
+    def received(self, frames: Sequence[Frame]) -> int:
+        """Take what was received since the last call, these frames as the last of it; return how long that took."""
+
+    def counts(self) -> tuple[Count, Count]:
+        """Return what was sent and what was received since ``begin``."""
+
+    def byte_counts(self) -> tuple[int, int]:
+        """Return the bytes of both alone, which is done at every tick."""
 
 
-class ByteSource(Protocol):
-    """The part of a link over a byte stream that tells how many bytes have come, whatever they were, and gone."""
+class StreamSource(Protocol):
+    """The part of a serial line, or of a link in memory, that says what has come and gone since it was opened.
+
+    Of what came over a byte stream all bytes count, whatever they were.
+    """
+
+    now_ns: Callable[[], int]
+    """Stamps what it receives."""
 
     counts_frames: bool
     """Whether the frames carry a count by which lost ones are noticed."""
 
-    received_bytes: int
+    sent_frames: int
     sent_bytes: int
+    received_frames: int
+    received_bytes: int
 
 
 class SerialMeter:
@@ -129,34 +157,39 @@ class SerialMeter:
 
     duplex = True
 
-    def __init__(self, source: ByteSource, baud: int | None) -> None:
+    def __init__(self, source: StreamSource, baud: int | None) -> None:
         self._source = source
-        self._baud = baud
-        self._seen = source.received_bytes
-        self._seen_sent = source.sent_bytes
+        self._byte_ns = _BITS_PER_BYTE * 1_000_000_000 / baud if baud else 0.0
         self.timed = baud is not None
-        self._usages: dict[int, Usage] = {}
+        self._sent_bytes, self._received_bytes = source.sent_bytes, source.received_bytes  # that were taken
+        self.begin()
 
-    def sent(self, _frame: Frame) -> Usage:
-        total = self._source.sent_bytes
-        count, self._seen_sent = total - self._seen_sent, total
-        return self._usages.get(count) or self._usage(count)
+    def begin(self) -> None:
+        source = self._source
+        self._before = source.sent_frames, source.sent_bytes, source.received_frames, source.received_bytes
 
-    def received(self, _frames: Sequence[Frame]) -> Usage:
-        total = self._source.received_bytes
-        count, self._seen = total - self._seen, total
-        return self._usages.get(count) or self._usage(count)
+    def sent(self, _frame: Frame) -> int:
+        before, self._sent_bytes = self._sent_bytes, self._source.sent_bytes
+        return round((self._sent_bytes - before) * self._byte_ns)
+
+    def received(self, _frames: Sequence[Frame]) -> int:
+        before, self._received_bytes = self._received_bytes, self._source.received_bytes
+        return round((self._received_bytes - before) * self._byte_ns)
+
+    def counts(self) -> tuple[Count, Count]:
+        (sent, _, received, _), (sent_bytes, received_bytes) = self._before, self.byte_counts()
+        return (
+            Count(self._source.sent_frames - sent, sent_bytes, sent_bytes * _BITS_PER_BYTE),
+            Count(self._source.received_frames - received, received_bytes, received_bytes * _BITS_PER_BYTE),
+        )
+
+    def byte_counts(self) -> tuple[int, int]:
+        source, (_, sent, _, received) = self._source, self._before
+        return source.sent_bytes - sent, source.received_bytes - received
 
     @property
     def counts_frames(self) -> bool:
         return self._source.counts_frames
-
-    def _usage(self, count: int) -> Usage:
-        bits = count * _BITS_PER_BYTE
-        usage = Usage(count, bits, round(bits * 1_000_000_000 / self._baud) if self._baud else 0)
-        if len(self._usages) < _MOST_USAGES:
-            self._usages[count] = usage
-        return usage
 
 
 class CanMeter:
@@ -170,8 +203,43 @@ class CanMeter:
         self._url = url
         self._bit_ns = 1_000_000_000 / url.bitrate
         self._data_bit_ns = 1_000_000_000 / (url.data_bitrate or url.bitrate)
+        self.begin()
 
-    def sent(self, frame: Frame) -> Usage:
+    def begin(self) -> None:
+        self._sent = self._received = self._foreign = Count()
+
+    def sent(self, frame: Frame) -> int:
+        usage = self._ours(frame)
+        self._sent = self._sent.and_one(usage)
+        return usage.busy_ns
+
+    def received(self, frames: Sequence[Frame]) -> int:
+        busy_ns = 0
+        for frame in frames:
+            usage = self._ours(frame)
+            self._received = self._received.and_one(usage)
+            busy_ns += usage.busy_ns
+        return busy_ns
+
+    def overheard(self, message: Any) -> int:
+        """Take a ``can.Message`` of somebody else; return for how long it kept the bus busy [ns]."""
+        usage = self._others(message)
+        self._foreign = self._foreign.and_one(usage)
+        return usage.busy_ns
+
+    def counts(self) -> tuple[Count, Count]:
+        return self._sent, self._received
+
+    def byte_counts(self) -> tuple[int, int]:
+        return self._sent.bytes, self._received.bytes
+
+    @property
+    def foreign(self) -> Count:
+        """What others said."""
+        return self._foreign
+
+    def _ours(self, frame: Frame) -> Usage:
+        """Return what a frame takes."""
         number, payload = frame
         extended = number >= EXTENDED
         if extended or number >= REMOTE:
@@ -192,12 +260,7 @@ class CanMeter:
             bits = classic_bits(identifier, payload, extended=extended)
         return Usage(len(payload), bits, round(bits * self._bit_ns))
 
-    def received(self, frames: Sequence[Frame]) -> Usage:
-        if len(frames) == 1:
-            return self.sent(frames[0])
-        return Usage(*map(sum, zip(*map(self.sent, frames), strict=True)))
-
-    def foreign(self, message: Any) -> Usage:
+    def _others(self, message: Any) -> Usage:
         """Return what a ``can.Message`` of somebody else took; an error frame's bits cannot be known."""
         number, payload, extended = message.arbitration_id, bytes(message.data), message.is_extended_id
         if message.is_error_frame:
@@ -213,48 +276,29 @@ class CanMeter:
         return Usage(len(payload), nominal + data, round(nominal * self._bit_ns + data * self._data_bit_ns))
 
 
-class Count:
-    """Frames, bytes and bits of one direction."""
-
-    def __init__(self) -> None:
-        self.frames = 0
-        self.bytes = 0
-        self.bits = 0
-
-    def add(self, usage: Usage, frames: int = 1) -> None:
-        """Count what frames took."""
-        count, bits, _ = usage
-        self.frames += frames
-        self.bytes += count
-        self.bits += bits
-
-    def figures(self) -> dict[str, int]:
-        """Return the counts by name."""
-        return {"frames": self.frames, "bytes": self.bytes, "bits": self.bits}
-
-
 class Statistics:
     """Counts and traces what a transport link sends and receives.
 
-    Stamps of what it receives are turned to the clock of the run: in lockstep robot time, in real time the moment at
-    which the transport had the frame.
+    A link without a bit rate and a trace sends and receives as the transport, with no step between. ``ahead_ns`` is
+    what the stamps of the transport are ahead of the clock of the run; None where what is received has the time at
+    which it is taken.
     """
 
-    def __init__(self, link: Link, meter: Meter, clock: Clock, *, lockstep: bool) -> None:
+    def __init__(self, link: Link, meter: Meter, clock: Clock, ahead_ns: int | None) -> None:
         self._link = link
         self._meter = meter
         self._clock = clock
-        # What the transport's stamps, of the monotonic clock, are ahead of the run's.
-        self._ahead_ns = None if lockstep else time.monotonic_ns() - clock.now_ns()
+        self._ahead_ns = ahead_ns
         self._trace: TraceSink | None = None
         self._noise_seen = 0
         self._begin()
+        self.byte_counts = meter.byte_counts
+        self.send = self._send if meter.timed else link.send
+        self.receive = self._receive if meter.timed else link.receive
 
     def _begin(self) -> None:
         self._since_ns = self._clock.now_ns()
-        self.sent = Count()
-        self.received = Count()
-        self.foreign = Count()
+        self._meter.begin()
         self._down = LoadWindow()
         self._up = LoadWindow() if self._meter.duplex else self._down
 
@@ -263,20 +307,19 @@ class Statistics:
         self._begin()
 
     def trace_to(self, sink: TraceSink) -> None:
-        """Show what is on the wire to a trace, from now on."""
+        """Show what is on the wire to a trace, from now on; before anybody else makes use of the link."""
         self._trace = sink
         self._noise_seen = self._noise()
+        self.send, self.receive = self._send, self._receive
 
-    def send(self, frame: Frame) -> None:
+    def _send(self, frame: Frame) -> None:
         self._link.send(frame)
-        usage = self._meter.sent(frame)
-        self.sent.add(usage)
-        if usage.busy_ns:
-            self._down.add(self._clock.now_ns(), usage.busy_ns)
+        if self._meter.timed:
+            self._down.add(self._clock.now_ns(), self._meter.sent(frame))
         if self._trace is not None:
             self._trace.frame(self._clock.now_ns(), frame, sent=True)
 
-    def receive(self, timeout_ns: int) -> Received | None:
+    def _receive(self, timeout_ns: int) -> Received | None:
         received = self._link.receive(timeout_ns)
         trace = self._trace
         if trace is not None:
@@ -285,10 +328,8 @@ class Statistics:
             return None
         frames, stamp_ns = received
         stamp_ns = self._clock.now_ns() if self._ahead_ns is None else stamp_ns - self._ahead_ns
-        usage = self._meter.received(frames)
-        self.received.add(usage, len(frames))
-        if usage.busy_ns:
-            self._up.add(stamp_ns, usage.busy_ns)
+        if self._meter.timed:
+            self._up.add(stamp_ns, self._meter.received(frames))
         if trace is not None:
             for frame in frames:
                 trace.frame(stamp_ns, frame, sent=False)
@@ -298,10 +339,7 @@ class Statistics:
         """Take a ``can.Message`` on the bus that is none of ours."""
         assert isinstance(self._meter, CanMeter)
         now_ns = self._clock.now_ns()
-        usage = self._meter.foreign(message)
-        self.foreign.add(usage)
-        if usage.busy_ns:
-            self._down.add(now_ns, usage.busy_ns)
+        self._down.add(now_ns, self._meter.overheard(message))
         if self._trace is not None:
             self._trace.foreign(now_ns, message)
 
@@ -333,11 +371,12 @@ class Statistics:
     def figures(self) -> dict[str, Any]:
         """Return the figures since ``begin``, by name."""
         lasted_ns = self._clock.now_ns() - self._since_ns
+        sent, received = self._meter.counts()
         return {
             "lasted_s": lasted_ns * 1e-9,
-            "sent": self.sent.figures(),
-            "received": self.received.figures(),
-            "foreign": None if self._meter.duplex else self.foreign.figures(),
+            "sent": sent._asdict(),
+            "received": received._asdict(),
+            "foreign": self._meter.foreign._asdict() if isinstance(self._meter, CanMeter) else None,
             "load": self._load(lasted_ns),
         }
 
@@ -365,10 +404,12 @@ def measured(link: Any, url: LinkUrl, clock: Clock, *, lockstep: bool) -> Statis
     """Return the statistics of a link, the transport that was opened from ``url``."""
     match url:
         case CanUrl():
-            statistics = Statistics(link, CanMeter(url), clock, lockstep=lockstep)
+            # Stamps of the transport are of the monotonic clock; in lockstep they mean nothing.
+            ahead_ns = None if lockstep else time.monotonic_ns() - clock.now_ns()
+            statistics = Statistics(link, CanMeter(url), clock, ahead_ns)
             link.on_foreign = statistics.overhear
             return statistics
-        case SerialUrl():
-            return Statistics(link, SerialMeter(link, url.baud), clock, lockstep=lockstep)
-        case MemoryUrl():
-            return Statistics(link, SerialMeter(link, None), clock, lockstep=lockstep)
+        case SerialUrl() | MemoryUrl():
+            link.now_ns = clock.now_ns
+            baud = url.baud if isinstance(url, SerialUrl) else None
+            return Statistics(link, SerialMeter(link, baud), clock, 0)
