@@ -20,6 +20,7 @@ from hil.devices.port import Device, Identity
 from hil.devices.stm32 import Stm32
 from hil.devices.truth import TruthClient
 from hil.devices.virtual import (
+    DirectRobot,
     LocalTruth,
     MakeNode,
     MakeRobot,
@@ -35,9 +36,9 @@ from hil.faults.injection import LocalFaults, RunFaults
 from hil.guard import Guard
 from hil.links.delay import DelayedLink
 from hil.links.faults import FaultLink
-from hil.links.opening import is_within_process, open_host, open_pair
+from hil.links.opening import is_within_process, open_direct, open_host, open_pair
 from hil.links.statistics import measured
-from hil.links.url import LinkUrl, SerialUrl
+from hil.links.url import LinkUrl, MemoryUrl, SerialUrl
 from hil.localisation import SimulatedFixes, SimulatedOptions, UdpFixes
 from hil.ports import Clock, FixSource, Link, PoseSource
 from hil.robots import (
@@ -192,22 +193,18 @@ class Bench:
         lockstep = self._scenario.loop.mode == "lockstep"
         self._robot = robot = resources.enter_context(self._make_robot(virtual_robot(self._scenario), self._make_node))
         self.faults.arm(LocalFaults(robot.faults, self._do))
-        pair = open_pair(
-            link_of(self._scenario),
-            self.faults.line,
-            lockstep=lockstep,
-            language=language_of(self._scenario),
-        )
+        url, is_makers = link_of(self._scenario), self._scenario.device.is_makers
+        if lockstep and not is_makers and isinstance(url, MemoryUrl):
+            self.truth = direct = DirectRobot(robot)
+            link = open_direct(direct.answer, self.faults.line)
+            resources.callback(link.close)
+            return link
+        self.truth = truth = LocalTruth()
+        pair = open_pair(url, self.faults.line, lockstep=lockstep, language=language_of(self._scenario))
         resources.callback(pair.wire.close)
         resources.callback(pair.link.close)
-        self.truth = truth = LocalTruth()
         self._server = server = VirtualServer(robot, pair.wire, truth, lockstep=lockstep)
-        if lockstep and self._scenario.device.is_makers:
-            pass  # it is served when time passes
-        elif lockstep and pair.memory is not None:
-            # No thread is needed: the robot is served when the host waits for it.
-            pair.memory.on_starved = lambda: server.service(0)
-        else:
+        if not (lockstep and is_makers):  # those are served when time passes
             self._thread = ServerThread(server)
             resources.callback(self._thread.close)
         return pair.link

@@ -55,7 +55,11 @@ class Sampling:
         """
         instant = number + self._late_periods
         late_ns = self._device.wait_until(self._origin_ns + instant * self._period_ns)
-        self._fixes.append((instant, self._truth.poll() if self._truth is not None else None))
+        fix = self._truth.poll() if self._truth is not None else None
+        if self._late_periods:
+            self._fixes.append((instant, fix))
+        else:
+            self._fix = fix
         if self._late_rest_ns:
             late_ns = self._device.wait_until(self._origin_ns + number * self._period_ns + self._latency_ns)
         return late_ns

@@ -22,7 +22,7 @@ from hil.links.can_bus import CanLink
 from hil.links.framed import StreamLink
 from hil.links.opening import open_host, open_pair, open_robot
 from hil.links.serial_port import SerialStream
-from hil.links.streams import memory_pair
+from hil.links.streams import DirectStream, memory_pair
 from hil.links.url import CanUrl, parse_link
 from hil.links.wire import CanWire, ReopeningWire, SerialWire
 from tests.heard import the_next
@@ -73,7 +73,8 @@ def test_a_reopening_that_takes_long_does_not_hold_the_firmware_up():
         assert may_end.wait(10.0)
         robot.connect(host)
 
-    node = WheelRig().node
+    rig = WheelRig()  # whose plant the node steps
+    node = rig.node
     wire = ReopeningWire(SerialWire(robot), reopen, said.append)
     robot.close()
     node.run(5)
@@ -105,6 +106,22 @@ def test_closed_memory_stream_is_lost():
     one.close()
     with pytest.raises(LinkError, match="closed"):
         one.write(b"x")
+
+
+@given(chunks=st.lists(st.binary(max_size=9), min_size=1))
+def test_a_direct_stream_is_answered_when_it_is_read(chunks):
+    asked = []
+    stream = DirectStream(lambda data: asked.append(data) or data[::-1])
+    assert stream.read(0) == b""
+    for chunk in chunks:
+        stream.write(chunk)
+    assert asked == []
+    written = b"".join(chunks)
+    assert (stream.read(0), stream.read(0)) == (written[::-1], b"")
+    assert asked == ([written] if written else [])
+    stream.close()
+    with pytest.raises(LinkError, match="closed"):
+        stream.write(b"x")
 
 
 def received_all(link):

@@ -209,7 +209,7 @@ def test_no_fault_moves_a_robot_that_was_not_armed(rows, garbage) -> None:
             if robot.faults.is_off:
                 robot.restart()
         assert robot.plant.wheel_speeds() == (0.0, 0.0, 0.0, 0.0)
-        assert robot.truth().pose == (0.0, 0.0, 0.0)
+        assert robot.plant.truth().pose == (0.0, 0.0, 0.0)
     finally:
         robot.close()
 

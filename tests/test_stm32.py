@@ -20,33 +20,38 @@ from hil.links.delay import DelayedLink
 from hil.links.fault_rows import ScenarioTime
 from hil.links.faults import FaultLink
 from hil.links.framed import StreamLink
-from hil.links.streams import MemoryStream, memory_pair
-from hil.links.wire import SerialWire
+from hil.links.streams import DirectStream, memory_pair
 from hil.types import ZERO_WHEELS, CommandMode, WheelCommand
 from tests.wheel_rig import PARAMETERS, WheelRig
 
 PERIOD_NS = 5_000_000
 
 
-def plug_in(rig: WheelRig, robot_end: list[MemoryStream] | None = None) -> MemoryStream:
-    """A line to the rig's firmware, served whenever the host waits."""
-    host, robot = memory_pair()
-    if robot_end is not None:
-        robot_end.append(robot)
-    wire = SerialWire(robot)
+class Line(DirectStream):
+    """A line to the rig's firmware, on which another robot may say something first."""
 
-    def serve() -> None:
-        if wire.receive_into(rig.node, 0):
-            wire.send_from(rig.node)
+    def __init__(self, rig: WheelRig) -> None:
+        super().__init__(self._ask)
+        self._rig = rig
+        self._said = b""
 
-    host.on_starved = serve
-    return host
+    def says(self, message: m.StepDone) -> None:
+        """Let another robot send something."""
+        self._said += Framer().encode(codec.encode(message))
+
+    def read(self, timeout_ns: int) -> bytes:
+        said, self._said = self._said, b""
+        return said or super().read(timeout_ns)
+
+    def _ask(self, data: bytes) -> bytes:
+        self._rig.node.feed(data)
+        return self._rig.node.take_bytes()
 
 
 def driver(
-    rig: WheelRig, *, lockstep=True, allow_motion=False, values=PARAMETERS, nonces=None, robot_end=None
+    rig: WheelRig, *, lockstep=True, allow_motion=False, values=PARAMETERS, nonces=None, line=None
 ) -> tuple[Stm32, LockstepClock]:
-    link = StreamLink(plug_in(rig, robot_end))
+    link = StreamLink(line or Line(rig))
     expected = Expected(parameter_hash(values), lockstep, allow_motion)
     nonces = itertools.count(0x2341) if nonces is None else iter(nonces)
     clock = LockstepClock(lambda ticks: device.step(ticks))
@@ -134,28 +139,67 @@ def test_a_second_host_does_not_disarm_the_first_ones_robot():
 
 def test_the_second_answer_to_a_step_sent_twice_is_ignored():
     def run(twice: bool) -> str:
-        rig, ends = WheelRig(lockstep=True), []
-        device, _ = driver(rig, robot_end=ends)
+        rig = WheelRig(lockstep=True)
+        line = Line(rig)
+        device, _ = driver(rig, line=line)
         device.connect()
         for tick in range(0, 50, 5):
             device.step(5)
             if twice:
-                ends[0].write(Framer().encode(codec.encode(m.StepDone(tick + 5))))
+                line.says(m.StepDone(tick + 5))
                 device.poll()
             assert device.tick == tick + 5
             if twice:
-                ends[0].write(Framer().encode(codec.encode(m.StepDone(tick + 5))))
+                line.says(m.StepDone(tick + 5))
         return device.wire_sha256()
 
     assert run(twice=True) == run(twice=False)
 
 
-def test_a_robot_that_was_reset_is_noticed():
-    rig, ends = WheelRig(lockstep=True), []
-    device, _ = driver(rig, robot_end=ends)
+def test_a_round_trip_ends_with_the_tick_that_says_so_whatever_becomes_of_its_snapshot():
+    class Clock:
+        now = 0
+
+        def now_ns(self) -> int:
+            return self.now
+
+        def wait_until(self, t_ns: int) -> int:
+            return 0
+
+    (here, there), framer, clock = memory_pair(), Framer(), Clock()
+    link = StreamLink(here)
+    link.now_ns = clock.now_ns
+    line = DelayedLink(FaultLink(link, ScenarioTime(clock), ()), clock, 0, 0)
+    device = Stm32(line, CommandMode.SPEED, Expected(0, False, True), itertools.count(1), WheelMap())
+    device.attend(clock)
+    sent = [device.send(WheelCommand(CommandMode.SPEED, ZERO_WHEELS, ZERO_WHEELS)) for clock.now in (0, 1_000_000)]
+    for number, sequence in enumerate(sent):
+        there.write(framer.encode(codec.encode(m.Tick(number * 1000, sequence, 0, m.State.ACTIVE, 3, number))))
+    clock.now = 3_000_000
+    device.poll()
+    assert device.round_trip.figures() == {"p50": 2.5, "p99": pytest.approx(2.99), "count": 2}
+    assert (device.received, device.snapshots_lost) == (2, 1)
+
+
+def test_what_came_with_a_wrong_answer_to_a_step_is_counted():
+    rig = WheelRig(lockstep=True)
+    line = Line(rig)
+    device, _ = driver(rig, line=line)
     device.connect()
     device.step(5)
-    rig.node = WheelRig(lockstep=True).node
+    before = device.received
+    line.says(m.StepDone(99))
+    with pytest.raises(DeviceError, match="was reset"):
+        device.step(5)
+    assert device.received == before + 1
+
+
+def test_a_robot_that_was_reset_is_noticed():
+    rig, another = WheelRig(lockstep=True), WheelRig(lockstep=True)
+    device, _ = driver(rig)
+    device.connect()
+    device.step(5)
+    rig.node = another.node
     with pytest.raises(DeviceError, match="was reset"):
         device.step(5)
 
@@ -187,7 +231,7 @@ def test_another_hosts_session_is_not_taken_for_ours():
 
 def test_a_stop_does_not_wait_for_the_links_latency():
     rig = WheelRig(lockstep=True)
-    link = StreamLink(plug_in(rig))
+    link = StreamLink(Line(rig))
     clock = LockstepClock(lambda ticks: device.step(ticks))
     expected = Expected(parameter_hash(PARAMETERS), lockstep=True, allow_motion=False)
     delayed = DelayedLink(FaultLink(link, ScenarioTime(clock), ()), clock, 20_000_000, 0)

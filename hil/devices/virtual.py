@@ -153,10 +153,6 @@ class VirtualStm32:
         at_s = self.plant.truth().time_ns * 1e-9
         return DeviceError(f"the plant {self._made_of.plant.fmu.name} failed at {at_s:g} s: {self.plant.message}")
 
-    def truth(self) -> PoseFix:
-        """Return where the robot really is."""
-        return self.plant.truth()
-
     def close(self) -> None:
         """Free the plant."""
         self.plant.close()
@@ -348,7 +344,7 @@ class VirtualServer:
 
     def _publish(self) -> None:
         view = self._robot.node.look() if self._truth.wants_view else None
-        self._truth.publish(self._robot.truth(), view)
+        self._truth.publish(self._robot.plant.truth(), view)
         if view is not None and view.plant_failed and (failure := self._robot.failure()) is not None:
             raise failure
 
@@ -381,6 +377,31 @@ class LocalTruth:
     def poll(self) -> PoseFix | None:
         """Return the newest fix."""
         return self._fix
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+
+class DirectRobot:
+    """A virtual robot in lockstep that answers a host in the same thread: no link is between them but bytes.
+
+    It is the source of its truth too: between two answers no time passes.
+    """
+
+    def __init__(self, robot: VirtualStm32) -> None:
+        self._robot = robot
+
+    def answer(self, data: bytes) -> bytes:
+        """Give the firmware bytes of a serial line, and return what it says to them."""
+        robot = self._robot
+        robot.node.feed(data)
+        if robot.faults.is_off:  # a reset has switched it off
+            robot.restart()
+        return robot.node.take_bytes()
+
+    def poll(self) -> PoseFix | None:
+        """Return where the robot really is."""
+        return self._robot.plant.truth()
 
     def close(self) -> None:
         """Nothing to release."""

@@ -9,7 +9,7 @@ from hil.errors import BadInputError
 from hil.links.framed import StreamLink
 from hil.links.language import WHEEL_DBC, Language, Side
 from hil.links.memory_bus import memory_bus
-from hil.links.streams import HostStream, MemoryStream, memory_pair
+from hil.links.streams import DirectStream, HostStream, memory_pair
 from hil.links.url import CanUrl, LinkUrl, MemoryUrl, SerialUrl, format_link
 from hil.links.wire import CanWire, LossySerialWire, ReopeningWire, SerialWire, Wire
 from hil.ports import Link
@@ -29,11 +29,10 @@ def _as_it_is(stream: HostStream) -> HostStream:
 
 
 class Pair(NamedTuple):
-    """Both ends of a link in this process. ``memory`` is the host's stream where no descriptor is between them."""
+    """Both ends of a link in this process."""
 
     link: Link
     wire: Wire
-    memory: MemoryStream | None
 
 
 def is_within_process(url: LinkUrl) -> bool:
@@ -53,17 +52,22 @@ def open_pair(url: LinkUrl, line: Line = _as_it_is, *, lockstep: bool, language:
         case MemoryUrl():
             if language.make_framing is None:
                 link, other = memory_bus()
-                return Pair(link, CanWire(other), None)
+                return Pair(link, CanWire(other))
             host, robot = memory_pair()
-            return Pair(StreamLink(line(host), language), SerialWire(robot), host)
+            return Pair(StreamLink(line(host), language), SerialWire(robot))
         case SerialUrl():
             pty = _pty_stream(url, language, lockstep=lockstep)
             with _closed_on_failure(pty):
-                return Pair(StreamLink(line(_serial_stream(pty.port, url.baud)), language), LossySerialWire(pty), None)
+                return Pair(StreamLink(line(_serial_stream(pty.port, url.baud)), language), LossySerialWire(pty))
         case CanUrl():
             host_end = _can_link(url, "ROBOT", language)
             with _closed_on_failure(host_end):
-                return Pair(host_end, CanWire(_can_link(url, "HOST", language)), None)
+                return Pair(host_end, CanWire(_can_link(url, "HOST", language)))
+
+
+def open_direct(answer: Callable[[bytes], bytes], line: Line = _as_it_is) -> Link:
+    """Open the host's end of ``memory:`` to a robot in the same thread, for our own protocol in lockstep."""
+    return StreamLink(line(DirectStream(answer)))
 
 
 @contextlib.contextmanager

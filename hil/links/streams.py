@@ -1,4 +1,4 @@
-"""Byte streams: what a serial line is to the framing. The memory stream is one within a process."""
+"""Byte streams: what a serial line is to the framing. Those of memory stay within a process."""
 
 import queue
 from collections.abc import Callable
@@ -33,17 +33,47 @@ class HostStream(ByteStream, Protocol):
         """Return what the line is, in words for a person."""
 
 
-class MemoryStream:
-    """One end of a line within this process; made in pairs by ``memory_pair``.
+class DirectStream:
+    """The host's end of a line to a robot in the same thread, in lockstep: a read lets it answer what was written.
 
-    Safe between two threads. ``on_starved``, where set, is called by a read that finds nothing while the other
-    end has something to read: in lockstep that is served there, in the same thread.
+    ``answer`` takes all that was written since, and returns all that the robot says to that.
     """
+
+    def __init__(self, answer: Callable[[bytes], bytes]) -> None:
+        self._answer = answer
+        self._written = b""
+        self._is_open = True
+
+    def write(self, data: bytes) -> None:
+        if not self._is_open:
+            raise LinkError("the memory link was closed; open a new one")
+        self._written += data
+
+    def read(self, _timeout_ns: int) -> bytes:
+        if not self._written or not self._is_open:
+            return b""
+        data, self._written = self._written, b""
+        return self._answer(data)
+
+    def reopen(self) -> None:
+        """Nothing to do: what the robot said was read."""
+
+    def unread_bytes(self) -> int:
+        return 0
+
+    def describe(self) -> str:
+        return "memory, both sides in one process"
+
+    def close(self) -> None:
+        self._is_open = False
+
+
+class MemoryStream:
+    """One end of a line within this process; made in pairs by ``memory_pair``. Safe between two threads."""
 
     def __init__(self) -> None:
         self._received: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         self._peer: MemoryStream | None = None
-        self.on_starved: Callable[[], None] | None = None
 
     def connect(self, peer: "MemoryStream") -> None:
         """Make ``peer`` the other end."""
@@ -58,13 +88,7 @@ class MemoryStream:
     def read(self, timeout_ns: int) -> bytes:
         received = self._received
         if received.empty():
-            if self.on_starved is not None:
-                if self._peer is not None and not self._peer._received.empty():
-                    self.on_starved()
-            elif timeout_ns > 0:
-                return self._await(timeout_ns)
-        if received.empty():
-            return b""
+            return self._await(timeout_ns) if timeout_ns > 0 else b""
         data = received.get()
         while not received.empty():  # one thread alone reads this end
             data += received.get()
