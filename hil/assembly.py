@@ -24,6 +24,7 @@ from hil.run_events import RunEvents
 from hil.samples import Percentiles
 from hil.scenario import Scenario, load
 from hil.service.lock import device_held
+from hil.signals import SIGNAL_NAMES
 from hil.telemetry import Recording, Rotation, RunRecording, check_output_path, early_recorder, rotation
 from hil.telemetry.provenance import properties
 from hil.telemetry.udp import UdpStream, parse_destination
@@ -104,7 +105,7 @@ def run_scenario(
     robot itself warns of once it is known, before it is armed; ``linger`` is called when all is done and recorded,
     while the viewers are still served. ``make_robot`` makes a robot in this process, ``make_node`` its firmware,
     ``make_recording`` the recording. Without ``keep_signals`` the result has none, and memory does not grow with the
-    length of the run.
+    length of the run; extra signals are then asked for only where somebody else reads them.
     """
     if record is not None:
         check_output_path("recording", record)
@@ -136,7 +137,9 @@ def run_scenario(
         if warn is not None:
             for sentence in bench.device.warnings:
                 warn(sentence)
-        memory = MemorySink(laws.signals, _signal_figures(scenario), keep=keep_signals)
+        all_are_read = keep_signals or record is not None or live_port is not None or destination is not None
+        names = laws.signals if all_are_read or laws.extra_may_fail else _read_by_the_run(scenario, laws.signals)
+        memory = MemorySink(names, _signal_figures(scenario), keep=keep_signals)
         recording: RunRecording | None = None
         if record is not None or live_port is not None:
             options = {"rotation": rotate} if any(rotate) else {}
@@ -158,9 +161,11 @@ def run_scenario(
         if destination is not None:
             streaming = resources.enter_context(UdpStream(destination, signals=laws.signals, blocking=blocking))
         note = recording.event if recording is not None else _unheard
-        events = RunEvents(scenario, laws.signals, note)
+        events = RunEvents(scenario, names, note)
         sinks: list[Sink] = [sink for sink in (memory, recording, streaming, events) if sink is not None]
         made = parts.make(bench, _All(sinks), note)
+        if len(names) == len(SIGNAL_NAMES):
+            made = made._replace(extra=())
         loop = Loop(made, scenario.controller.mode, parts.timing, rearm=scenario.loop.rearm, warn=warn)
         # Behind all other processes, which inherit the processors, and before the robot arms: locking takes its time.
         with _real_time(scenario, bench) as granted:
@@ -184,6 +189,13 @@ def run_scenario(
             if linger is not None:
                 linger()
     return RunResult(scenario, metrics, memory.signals(), failure)
+
+
+def _read_by_the_run(scenario: Scenario, signals: Sequence[str]) -> Sequence[str]:
+    """Return the signals of a run whose rows nobody reads but the run itself: the extra ones only for who names one."""
+    extra = signals[len(SIGNAL_NAMES) :]
+    named = {row.signal for row in scenario.expect} | {table.row.target for table in scenario.fault}
+    return SIGNAL_NAMES if named.isdisjoint(extra) else signals
 
 
 def check_scenario(scenario: Scenario) -> Feasibility:
@@ -222,11 +234,11 @@ class _All:
     """Some sinks as one."""
 
     def __init__(self, sinks: Sequence[Sink]) -> None:
-        self._sinks = sinks
+        self._puts = tuple(sink.put for sink in sinks)
 
     def put(self, row: tuple[float, ...]) -> None:
-        for sink in self._sinks:
-            sink.put(row)
+        for put in self._puts:
+            put(row)
 
 
 def _signal_figures(scenario: Scenario) -> SignalFigures:

@@ -9,7 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import hil
+from hil.assembly import run_scenario
 from hil.controllers.afdsc import Afdsc
+from hil.controllers.fuzzy_gains import FuzzyLaw
 from hil.controllers.registry import SHIPPED, make_controller
 from hil.errors import BadInputError
 from hil.fuzzy import FuzzyBlock
@@ -104,6 +106,40 @@ def test_a_fault_changes_what_is_recorded_of_an_own_signal(tmp_path):
     result = hil.run("paper_circle", set=SHORT | {"controller.law": counting(tmp_path), "fault": fault})
     assert result.metrics["fault"][0]["applied"] == 50
     assert result.signals["mine.count"][-1] == 1100
+
+
+def test_own_signals_are_asked_for_only_where_somebody_reads_them(tmp_path, monkeypatch):
+    """Where they are recorded, kept, judged or spoilt by a fault: not in a run of which the figures alone are left."""
+    asked = []
+    monkeypatch.setattr(FuzzyLaw, "telemetry", property(lambda law: asked.append(law) or law._tuner.telemetry))
+
+    def ticks_asked(record=None, *, keep_signals=False, **more):
+        asked.clear()
+        scenario = load("paper_circle", mode="lockstep", link="memory:", set=SHORT | more)
+        result = run_scenario(scenario, record=record, keep_signals=keep_signals)
+        assert result.failure is None
+        return len(asked), result.metrics
+
+    degree = {"signal": "fuzzy.x.degree", "above": -1.0}
+    fault = {"kind": "bias", "target": "fuzzy.x.degree", "value": 1.0, "start_s": 0.1, "end_s": 0.2}
+    (nobody, alone), (all_read, kept) = ticks_asked(), ticks_asked(keep_signals=True)
+    assert (nobody, all_read) == (0, 100)
+    depends_on_the_wall_clock = {"realtime_factor", "tick_us"}
+    assert {name: value for name, value in alone.items() if name not in depends_on_the_wall_clock} == {
+        name: value for name, value in kept.items() if name not in depends_on_the_wall_clock
+    }
+    assert ticks_asked(tmp_path / "run.rrd")[0] == 100
+    (judged, figures), (faulty, _) = ticks_asked(expect=[degree]), ticks_asked(fault=[fault])
+    assert (judged, faulty) == (100, 100)
+    assert figures["expect"][0]["passed"]
+
+
+def test_signals_of_a_law_of_somebody_else_are_asked_for_in_every_run_as_they_may_fail(tmp_path):
+    law = counting(tmp_path, telemetry="(1.0 / (5 - self.count),)")
+    scenario = load("paper_circle", mode="lockstep", link="memory:", set=SHORT | {"controller.law": law})
+    result = run_scenario(scenario, keep_signals=False)
+    assert result.exit_code == 2
+    assert "telemetry" in str(result.failure)
 
 
 def test_no_law_with_own_signals_leaves_the_vocabulary_alone():

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 from hil.controllers.own_signals import own_signals
 from hil.controllers.registry import make_controller
+from hil.controllers.user import UserLaw
 from hil.model import RobotModel
 from hil.ports import Controller, OwnSignals
 from hil.scenario.tables import Tables
@@ -22,6 +23,11 @@ class Laws(NamedTuple):
     def extra(self) -> tuple[OwnSignals, ...]:
         """What has signals behind those of the vocabulary, in the order of a row."""
         return own_signals(self.controller) + (() if self.shadows is None else (self.shadows,))
+
+    @property
+    def extra_may_fail(self) -> bool:
+        """Whether a law of somebody else's brings signals: only who asks for them learns that they fail."""
+        return any(isinstance(own, UserLaw) for own in self.extra)
 
     @property
     def signals(self) -> tuple[str, ...]:
