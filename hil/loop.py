@@ -129,6 +129,7 @@ class Loop:
         timing = self._timing
         ticks = -(-duration_ns // timing.period_ns)
         number = self._sampling.begin(origin_ns)
+        is_lockstep = self._parts.device.is_lockstep
         self._doing.skip_fixes()
         in_vain: set[bool] = set()  # since time has passed: waits that ended with a lost link, and a stopped robot
         while number < ticks:
@@ -142,7 +143,7 @@ class Loop:
                 self._keep_armed()
             else:
                 self._tick(number, late_ns)
-            following = self._sampling.following(number)
+            following = number + 1 if is_lockstep else self._sampling.following(number)  # no tick is late there
             if following != number + 1:
                 # Those of the run alone, also where none comes after them to be recorded.
                 self._misses += max(0, min(following, ticks) - max(number, -1) - 1)

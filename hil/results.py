@@ -49,9 +49,10 @@ class MemorySink:
     def put(self, row: tuple[float, ...]) -> None:
         """Take one row in the order of the signals."""
         begin = self._filled
-        self._filled = end = begin + self._row_bytes
+        end = begin + self._row_bytes
         # With the row alone as its arguments a call takes it as it is; ``pack_into`` has it copied twice.
         self._bytes[begin:end] = self._pack(*row)
+        self._filled = end
         if end >= self._block_bytes:
             self._begin_block()
         else:

@@ -6,7 +6,7 @@ groups below, so that a signal is defined once; the unit is the end of its name.
 """
 
 from collections.abc import Callable
-from functools import partial
+from types import MethodType
 from typing import NamedTuple
 
 from hil.types import WHEEL_NAMES, Gains, Pose, Twist, Wheels
@@ -20,7 +20,9 @@ class LoopSignals(NamedTuple):
     deadline_misses: float
 
 
-make_loop_signals: Callable[[tuple[float, int, float, float, float]], LoopSignals] = partial(tuple.__new__, LoopSignals)
+make_loop_signals: Callable[[tuple[float, int, float, float, float]], LoopSignals] = MethodType(
+    tuple.__new__, LoopSignals
+)
 
 
 class ReferenceSignals(NamedTuple):
