@@ -86,6 +86,17 @@ def test_a_serial_line_s_bytes_are_those_on_the_line(sent, received, noise):
     assert figures["load"]["sent"]["mean_percent"] == pytest.approx(len(line_down) * 10 / 115_200 / 0.25 * 100)
 
 
+def test_of_many_frames_at_once_those_count_that_were_given():
+    here, there = memory_pair()
+    wire = measured(StreamLink(here), parse_link("memory:"), Clock(), lockstep=True)
+    framer = Framer()
+    there.write(b"".join(framer.encode(Frame(m.TimeSyncRequest.ID, b"\1")) for _ in range(120)))
+    counted = []
+    while wire.receive(0) is not None:
+        counted.append(wire.figures()["received"]["frames"])
+    assert counted == [50, 100, 120]
+
+
 @pytest.mark.parametrize("settings", ["", "?fd=1", "?fd=1&data_bitrate=4000000"])
 def test_a_can_bus_carries_both_directions_and_what_others_say(settings):
     url = parse_link(f"can:virtual/load{settings}")

@@ -52,10 +52,10 @@ class StreamLink:
                 self.received_bytes += len(data)
                 frames = self._framing.feed(data)
                 if count := len(frames):
+                    if count > _MOST_AT_ONCE:
+                        return self._part_of(frames, stamp_ns)
                     self.received_frames += count
-                    return (
-                        make_received((frames, stamp_ns)) if count <= _MOST_AT_ONCE else self._part_of(frames, stamp_ns)
-                    )
+                    return make_received((frames, stamp_ns))
             if timeout_ns <= 0:
                 return None
             # Bytes came that completed no frame: wait on for what is left of the time.
