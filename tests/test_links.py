@@ -14,7 +14,7 @@ from can.interfaces.virtual import VirtualBus
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol import codec
+from firmware_protocol import codec, host_line
 from firmware_protocol.framing import Frame, Framer
 from firmware_protocol.generated import messages as m
 from hil.errors import BadInputError, LinkError
@@ -122,6 +122,15 @@ def test_a_direct_stream_is_answered_when_it_is_read(chunks):
     stream.close()
     with pytest.raises(LinkError, match="closed"):
         stream.write(b"x")
+
+
+def test_a_library_that_is_not_built_is_told_as_what_to_do(monkeypatch):
+    def missing():
+        raise FileNotFoundError("libwheel_host.so is not built; run: python -m firmware_protocol.build")
+
+    monkeypatch.setattr(host_line, "library", missing)
+    with pytest.raises(BadInputError, match=r"is not built; run: python -m firmware_protocol\.build"):
+        StreamLink(memory_pair()[0])
 
 
 def received_all(link):

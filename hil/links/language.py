@@ -6,6 +6,7 @@ from typing import Literal, NamedTuple
 
 from firmware_protocol.generated.messages import LENGTHS, NAMES, SENDERS
 from firmware_protocol.host_line import HostLine
+from hil.errors import BadInputError
 from hil.ports import Framing
 
 STANDARD_IDS = 0x7FF
@@ -62,5 +63,13 @@ class Language(NamedTuple):
         return [piece + self.delimiter for piece in data.split(self.delimiter)[:-1]]
 
 
-WHEEL_DBC = Language(HostLine, NAMES, SENDERS, LENGTHS, 0x300, b"\0")
+def _wheel_framing() -> Framing:
+    """Return the framing of our own protocol. Raises BadInputError where the library that it is in was not built."""
+    try:
+        return HostLine()
+    except FileNotFoundError as error:
+        raise BadInputError(str(error)) from error
+
+
+WHEEL_DBC = Language(_wheel_framing, NAMES, SENDERS, LENGTHS, 0x300, b"\0")
 """Our own protocol. STEP, STEP_DONE and the HELLO pages carry no control."""
