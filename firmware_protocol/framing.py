@@ -118,7 +118,7 @@ class Framer:
         """
         number, payload = frame
         if LENGTHS.get(number) != len(payload):
-            raise ValueError(f"frame {number:#05x} with {len(payload)} bytes: expected {_expected(number)}")
+            raise unsendable(frame)
         body = (number | self._sequence << 16).to_bytes(_HEADER, "little") + payload
         self._sequence = (self._sequence + 1) & 0xFF
         encoded: bytes = cobs.encode(body + crc_hqx(body, _CRC_START).to_bytes(_CRC, "little"))
@@ -202,6 +202,8 @@ class Deframer:
             self.lost += missing if missing < 128 else 0
 
 
-def _expected(number: int) -> str:
-    length = LENGTHS.get(number)
-    return "the id of a message of wheel.dbc" if length is None else f"{length} bytes"
+def unsendable(frame: Frame) -> ValueError:
+    """Return the error for a frame that is no message's, or has not the length of its id."""
+    length = LENGTHS.get(frame.id)
+    expected = "the id of a message of wheel.dbc" if length is None else f"{length} bytes"
+    return ValueError(f"frame {frame.id:#05x} with {len(frame.payload)} bytes: expected {expected}")

@@ -1,7 +1,6 @@
 """The host's end of a serial line, by the C of the firmware: a fifth of what ``firmware_protocol.framing`` takes."""
 
-from firmware_protocol.framing import CAUSES, Frame, PackedFrames
-from firmware_protocol.generated.messages import LENGTHS
+from firmware_protocol.framing import CAUSES, Frame, PackedFrames, unsendable
 from firmware_protocol.host import library
 
 _MOST_AT_ONCE = 1 << 12  # bytes that the library is given in one call
@@ -42,7 +41,7 @@ class HostLine:
         if count:
             data: bytes = self._sent[:count]
             return data
-        raise ValueError(f"frame {number:#05x} with {len(payload)} bytes: expected {_expected(number)}")
+        raise unsendable(frame)
 
     def feed(self, data: bytes) -> PackedFrames:
         """Take the bytes that arrived, in pieces of any size, and return the frames that they complete."""
@@ -63,8 +62,3 @@ class HostLine:
         counts = self._new("wheel_line_counts *")
         self._count(self._line, counts)
         return {cause: getattr(counts, cause) for cause in (*CAUSES, "lost")}
-
-
-def _expected(number: int) -> str:
-    length = LENGTHS.get(number)
-    return "the id of a message of wheel.dbc" if length is None else f"{length} bytes"

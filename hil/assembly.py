@@ -23,6 +23,7 @@ from hil.robots import open_trace
 from hil.run_events import RunEvents
 from hil.samples import Percentiles
 from hil.scenario import Scenario, load
+from hil.scenario.laws import Laws
 from hil.service.lock import device_held
 from hil.signals import SIGNAL_NAMES
 from hil.telemetry import Recording, Rotation, RunRecording, check_output_path, early_recorder, rotation
@@ -138,7 +139,7 @@ def run_scenario(
             for sentence in bench.device.warnings:
                 warn(sentence)
         all_are_read = keep_signals or record is not None or live_port is not None or destination is not None
-        names = laws.signals if all_are_read or laws.extra_may_fail else _read_by_the_run(scenario, laws.signals)
+        names = laws.signals if all_are_read else _read_by_the_run(scenario, laws)
         memory = MemorySink(names, _signal_figures(scenario), keep=keep_signals)
         recording: RunRecording | None = None
         if record is not None or live_port is not None:
@@ -164,7 +165,7 @@ def run_scenario(
         events = RunEvents(scenario, names, note)
         sinks: list[Sink] = [sink for sink in (memory, recording, streaming, events) if sink is not None]
         made = parts.make(bench, _All(sinks), note)
-        if len(names) == len(SIGNAL_NAMES):
+        if names is SIGNAL_NAMES:
             made = made._replace(extra=())
         loop = Loop(made, scenario.controller.mode, parts.timing, rearm=scenario.loop.rearm, warn=warn)
         # Behind all other processes, which inherit the processors, and before the robot arms: locking takes its time.
@@ -191,11 +192,14 @@ def run_scenario(
     return RunResult(scenario, metrics, memory.signals(), failure)
 
 
-def _read_by_the_run(scenario: Scenario, signals: Sequence[str]) -> Sequence[str]:
-    """Return the signals of a run whose rows nobody reads but the run itself: the extra ones only for who names one."""
-    extra = signals[len(SIGNAL_NAMES) :]
+def _read_by_the_run(scenario: Scenario, laws: Laws) -> Sequence[str]:
+    """Return the signals of a run whose rows nobody reads but the run itself.
+
+    Extra ones are among them where the scenario names one, or where only who asks learns that they fail.
+    """
     named = {row.signal for row in scenario.expect} | {table.row.target for table in scenario.fault}
-    return SIGNAL_NAMES if named.isdisjoint(extra) else signals
+    is_asked = laws.extra_may_fail or any(name in named for own in laws.extra for name in own.signals)
+    return laws.signals if is_asked else SIGNAL_NAMES
 
 
 def check_scenario(scenario: Scenario) -> Feasibility:

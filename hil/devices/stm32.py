@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from types import MethodType
 
 from firmware_protocol.codec import Message, decode, encode
-from firmware_protocol.framing import PackedFrames, make_frame, pack, packed_frame
+from firmware_protocol.framing import PackedFrames, pack, packed_frame
 from firmware_protocol.generated import messages as m
 from hil.devices import handshake
 from hil.devices.handshake import RETRY_NS, Expected, Greeting, RobotInfo
@@ -388,7 +388,7 @@ class Stm32:
         self._send(m.HostHeartbeat(self._nonce, m.SCHEMA_HASH, request, mode, check))
 
     def _send(self, message: Message) -> None:
-        frame = make_frame((message.ID, message.encode()))
+        frame = encode(message)
         self._link.send(frame)
         if message.ID < _FIRST_UNCOUNTED:
             self.sent += 1

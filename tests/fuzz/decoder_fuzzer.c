@@ -1,31 +1,15 @@
 /* Fuzzes the decoder: any bytes as a serial line, as a COBS block, and as the payload of every message. */
-#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "../../firmware_protocol/firmware/framing.h"
+#include "check.h"
 #include "wire_mutator.h"
 
 const size_t wire_header_size = 0;
 
 uint8_t wire_parameter_check(void) {
     return 0u;
-}
-
-#define CHECK(condition)                                                                                     \
-    do {                                                                                                     \
-        if (!(condition)) {                                                                                  \
-            fprintf(stderr, "%s:%d: %s\n", __FILE__, __LINE__, #condition);                                  \
-            abort();                                                                                         \
-        }                                                                                                    \
-    } while (0)
-
-/* Memory of exactly this size, so that the sanitizer sees a read or write beyond it. */
-static uint8_t *exactly(const uint8_t *bytes, size_t size) {
-    uint8_t *copy = malloc(size + (size == 0u));
-    CHECK(copy != NULL);
-    memcpy(copy, bytes, size);
-    return copy;
 }
 
 /* What is decoded encodes to the same bits: a payload has one meaning or none. */

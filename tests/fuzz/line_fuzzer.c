@@ -1,10 +1,10 @@
 /* Fuzzes the host's end of a serial line: any bytes in two pieces, and the frames of them to snapshots. */
 #include <math.h>
-#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "../../firmware_protocol/port/host/line.h"
+#include "check.h"
 #include "wire_mutator.h"
 
 const size_t wire_header_size = 0;
@@ -13,25 +13,10 @@ uint8_t wire_parameter_check(void) {
     return 0u;
 }
 
-#define CHECK(condition)                                                                                     \
-    do {                                                                                                     \
-        if (!(condition)) {                                                                                  \
-            fprintf(stderr, "%s:%d: %s\n", __FILE__, __LINE__, #condition);                                  \
-            abort();                                                                                         \
-        }                                                                                                    \
-    } while (0)
-
 static void *room(size_t size) {
     void *memory = calloc(1, size + (size == 0u));
     CHECK(memory != NULL);
     return memory;
-}
-
-/* Memory of exactly this size, so that the sanitizer sees a read or write beyond it. */
-static uint8_t *exactly(const uint8_t *bytes, size_t size) {
-    uint8_t *copy = room(size);
-    memcpy(copy, bytes, size);
-    return copy;
 }
 
 /* Reads packed frames, or what is none, to the end; what no snapshot has is stepped over. */

@@ -2,11 +2,11 @@
  * in IDLE, ARMED or ACTIVE. After every call of the core this file checks what has to hold whatever comes in.
  * It reads the protocol by itself: what may arm or keep the robot going is not asked of the code under test.
  */
-#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "../../firmware_protocol/firmware/node.h"
+#include "check.h"
 #include "wire_mutator.h"
 
 /* The input begins with this many bytes of choices; the rest is the line. */
@@ -50,14 +50,6 @@ static const wheel_parameters BUILT_IN = {
     .ramp_s = 0.02f,
     .feedback_period_s = 0.005f,
 };
-
-#define CHECK(condition)                                                                                     \
-    do {                                                                                                     \
-        if (!(condition)) {                                                                                  \
-            fprintf(stderr, "%s:%d: %s\n", __FILE__, __LINE__, #condition);                                  \
-            abort();                                                                                         \
-        }                                                                                                    \
-    } while (0)
 
 typedef struct {
     const uint8_t *choice;
