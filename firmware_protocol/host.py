@@ -25,6 +25,7 @@ _HEADERS = (
     "firmware/parameters.h",
     "port/host/host.h",
     "port/host/line.h",
+    "port/host/direct.h",
 )
 _SECTION = re.compile(r"/\* cffi: begin \*/(.*?)/\* cffi: end \*/", re.DOTALL)
 _BYTES = 1 << 17  # twice what all frames of a full queue take (WHEEL_HOST_QUEUE)
@@ -134,6 +135,9 @@ class HostNode:
     does not change.
 
     Raises ValueError when a parameter is unknown, missing or out of its range, or ``stored`` has a wrong length.
+
+    Attributes:
+        handle: the C struct, valid as long as this object, for others of the library's functions.
     """
 
     def __init__(
@@ -150,7 +154,7 @@ class HostNode:
         self._ffi, self._lib = library()
         block = _parameter_block(values)
         self._memory = self._ffi.new("uint64_t[]", self._lib.wheel_host_size() // 8 + 1)
-        self._host = self._ffi.cast("wheel_host *", self._memory)
+        self.handle = self._ffi.cast("wheel_host *", self._memory)
         self._bytes = self._ffi.new("uint8_t[]", _BYTES)
         self._buffer = self._ffi.buffer(self._bytes, _BYTES)
         self._id = self._ffi.new("uint16_t *")
@@ -161,53 +165,53 @@ class HostNode:
         if stored is not None and len(stored) != stored_size():
             raise ValueError(f"{len(stored)} stored bytes; expected {stored_size()}")
         kept = self._ffi.NULL if stored is None else self._ffi.new("uint8_t[]", stored)
-        self._lib.wheel_host_init(self._host, block, kept, capabilities, exchange, context)
+        self._lib.wheel_host_init(self.handle, block, kept, capabilities, exchange, context)
         # What a call looks up each time costs as much as the call.
         self._feed, self._take_bytes = self._lib.wheel_host_feed, self._lib.wheel_host_take_bytes
 
     def feed(self, data: bytes) -> None:
         """Take bytes of a serial line."""
-        self._feed(self._host, data, len(data))
+        self._feed(self.handle, data, len(data))
 
     def receive(self, frame: Frame) -> None:
         """Take one CAN frame."""
-        self._lib.wheel_host_receive(self._host, frame.id, frame.payload, len(frame.payload))
+        self._lib.wheel_host_receive(self.handle, frame.id, frame.payload, len(frame.payload))
 
     def set_clock(self, now_us: int) -> None:
         """Set the robot's clock between two ticks [µs], for the time stamps of what arrives and leaves."""
-        self._lib.wheel_host_set_clock(self._host, now_us & 0xFFFF_FFFF)
+        self._lib.wheel_host_set_clock(self.handle, now_us & 0xFFFF_FFFF)
 
     def stored(self) -> bytes | None:
         """Return what the robot keeps across a reset: the newest STORE, or None."""
         size = stored_size()
         block = self._ffi.new("uint8_t[]", size)
-        return bytes(self._ffi.buffer(block, size)) if self._lib.wheel_host_stored(self._host, block) else None
+        return bytes(self._ffi.buffer(block, size)) if self._lib.wheel_host_stored(self.handle, block) else None
 
     def run(self, ticks: int) -> None:
         """Let so many 1 ms ticks pass."""
-        self._lib.wheel_host_run(self._host, ticks)
+        self._lib.wheel_host_run(self.handle, ticks)
 
     def take_bytes(self) -> bytes:
         """Return all that the robot has to send, as bytes of a serial line."""
-        count = self._take_bytes(self._host, self._bytes, _BYTES)
+        count = self._take_bytes(self.handle, self._bytes, _BYTES)
         data: bytes = self._buffer[:count]
         return data
 
     def take_frames(self) -> list[Frame]:
         """Return what the robot has to send, as frames."""
         frames = []
-        while (length := self._lib.wheel_host_take_frame(self._host, self._id, self._bytes)) >= 0:
+        while (length := self._lib.wheel_host_take_frame(self.handle, self._id, self._bytes)) >= 0:
             frames.append(Frame(self._id[0], bytes(self._buffer[:length])))
         return frames
 
     def count_unsent(self, frames: int) -> None:
         """Take note that so many frames that were taken could not be sent (DBC PORT_COUNTERS.transmit_overrun)."""
-        self._lib.wheel_host_count_unsent(self._host, frames)
+        self._lib.wheel_host_count_unsent(self.handle, frames)
 
     def look(self) -> View:
         """Return the firmware's inner state."""
         v = self._ffi.new("wheel_host_view *")
-        self._lib.wheel_host_look(self._host, v)
+        self._lib.wheel_host_look(self.handle, v)
         rejected = {
             "cobs": v.rejected_cobs,
             "crc": v.rejected_crc,

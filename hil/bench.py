@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Self
 from firmware_protocol.host import parameter_hash
 from hil.brake import Brake
 from hil.clock import TICK_NS, LockstepClock, WallClock
+from hil.devices.direct import DirectTruth, open_direct
 from hil.devices.faults import RobotFaults
 from hil.devices.handshake import Expected
 from hil.devices.makers import MakersRobot, Terms
@@ -20,7 +21,6 @@ from hil.devices.port import Device, Identity
 from hil.devices.stm32 import Stm32
 from hil.devices.truth import TruthClient
 from hil.devices.virtual import (
-    DirectRobot,
     LocalTruth,
     MakeNode,
     MakeRobot,
@@ -36,7 +36,7 @@ from hil.faults.injection import LocalFaults, RunFaults
 from hil.guard import Guard
 from hil.links.delay import DelayedLink
 from hil.links.faults import FaultLink
-from hil.links.opening import is_within_process, open_direct, open_host, open_pair
+from hil.links.opening import is_within_process, open_host, open_pair
 from hil.links.statistics import measured
 from hil.links.url import LinkUrl, MemoryUrl, SerialUrl
 from hil.localisation import SimulatedFixes, SimulatedOptions, UdpFixes
@@ -195,8 +195,8 @@ class Bench:
         self.faults.arm(LocalFaults(robot.faults, self._do))
         url, is_makers = link_of(self._scenario), self._scenario.device.is_makers
         if lockstep and not is_makers and isinstance(url, MemoryUrl):
-            self.truth = direct = DirectRobot(robot)
-            link = open_direct(direct.answer, self.faults.line)
+            self.truth = DirectTruth(robot)
+            link = open_direct(robot, self.faults.line)
             resources.callback(link.close)
             return link
         self.truth = truth = LocalTruth()

@@ -19,7 +19,7 @@ from firmware_protocol.build import FLAGS, HERE, SOURCES
 from native_build.compiler import compiler
 
 ROOT = Path(__file__).parent.parent
-CORE = (*sorted((HERE / "firmware").glob("*.c")), HERE / "port" / "host" / "line.c")
+CORE = (*sorted((HERE / "firmware").glob("*.c")), *(HERE / "port" / "host" / name for name in ("line.c", "direct.c")))
 TESTS = (
     "tests/test_node.py",
     "tests/test_node_faults.py",
@@ -29,6 +29,7 @@ TESTS = (
     "tests/test_node_states.py",
     "tests/test_node_thresholds.py",
     "tests/test_current_loop.py",
+    "tests/test_direct.py",
     "tests/test_line_of_the_library.py",
     "tests/test_parameters.py",
     "tests/test_snapshot.py",

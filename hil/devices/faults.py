@@ -32,6 +32,9 @@ class RobotFaults:
     """The faults of one virtual robot. ``exchange_address`` and ``context_address`` stand for the plant's own.
 
     Nothing happens before ``begin``. Not safe between threads: whoever runs the robot calls.
+
+    Attributes:
+        can_reset: whether there is a row that may switch the firmware off.
     """
 
     def __init__(self, plant: FmuPlant | RemotePlant, body: Body) -> None:
@@ -58,6 +61,7 @@ class RobotFaults:
         plant, cast = self._plant, self._ffi.cast
         self._memory = ()
         self._accounts = 0
+        self.can_reset = False
         self._faults[0] = self._ffi.new("robot_faults *")[0]
         self._faults.exchange = cast("wheel_plant_exchange", plant.exchange_address)
         self._faults.context = cast("void *", plant.context_address)
@@ -81,6 +85,7 @@ class RobotFaults:
             raise BadInputError("\n".join(problems))
         row_memory = self._ffi.new("robot_fault[]", found)
         accounts = self._ffi.new("robot_fault_account[]", len(rows))
+        self.can_reset = any(row.kind == "reset" for row in rows)
         self._memory, self._accounts = (row_memory, accounts), len(rows)
         self._faults.account, self._faults.row, self._faults.rows = accounts, row_memory, len(found)
 

@@ -143,6 +143,12 @@ class VirtualStm32:
         self.faults.power_on()
         self.node = self._power_on()
 
+    def awake(self) -> RobotNode:
+        """Return the firmware to be heard: where a reset has switched one off, it is switched on again."""
+        if self.faults.can_reset and self.faults.is_off:
+            self.restart()
+        return self.node
+
     def _power_off(self) -> None:
         self._stored = self.node.stored()
 
@@ -313,10 +319,8 @@ class VirtualServer:
             self._asked.get()()
 
     def _send(self) -> None:
-        """Send what the robot has to send; where a reset switched it off, it is switched on again instead."""
-        if self._robot.faults.is_off:
-            self._robot.restart()
-        self._wire.send_from(self._robot.node)
+        """Send what the robot has to send."""
+        self._wire.send_from(self._robot.awake())
 
     def _serve_real_time(self) -> None:
         next_ns = self._start_ns + (self._ticks + 1) * TICK_NS
@@ -377,31 +381,6 @@ class LocalTruth:
     def poll(self) -> PoseFix | None:
         """Return the newest fix."""
         return self._fix
-
-    def close(self) -> None:
-        """Nothing to release."""
-
-
-class DirectRobot:
-    """A virtual robot in lockstep that answers a host in the same thread: no link is between them but bytes.
-
-    It is the source of its truth too: between two answers no time passes.
-    """
-
-    def __init__(self, robot: VirtualStm32) -> None:
-        self._robot = robot
-
-    def answer(self, data: bytes) -> bytes:
-        """Give the firmware bytes of a serial line, and return what it says to them."""
-        robot = self._robot
-        robot.node.feed(data)
-        if robot.faults.is_off:  # a reset has switched it off
-            robot.restart()
-        return robot.node.take_bytes()
-
-    def poll(self) -> PoseFix | None:
-        """Return where the robot really is."""
-        return self._robot.plant.truth()
 
     def close(self) -> None:
         """Nothing to release."""

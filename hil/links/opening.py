@@ -9,7 +9,7 @@ from hil.errors import BadInputError
 from hil.links.framed import StreamLink
 from hil.links.language import WHEEL_DBC, Language, Side
 from hil.links.memory_bus import memory_bus
-from hil.links.streams import DirectStream, HostStream, memory_pair
+from hil.links.streams import HostStream, memory_pair
 from hil.links.url import CanUrl, LinkUrl, MemoryUrl, SerialUrl, format_link
 from hil.links.wire import CanWire, LossySerialWire, ReopeningWire, SerialWire, Wire
 from hil.ports import Link
@@ -63,11 +63,6 @@ def open_pair(url: LinkUrl, line: Line = _as_it_is, *, lockstep: bool, language:
             host_end = _can_link(url, "ROBOT", language)
             with _closed_on_failure(host_end):
                 return Pair(host_end, CanWire(_can_link(url, "HOST", language)))
-
-
-def open_direct(answer: Callable[[bytes], bytes], line: Line = _as_it_is) -> Link:
-    """Open the host's end of ``memory:`` to a robot in the same thread, for our own protocol in lockstep."""
-    return StreamLink(line(DirectStream(answer)))
 
 
 @contextlib.contextmanager

@@ -8,9 +8,11 @@ Both loops have to be on the circle at the end.
 """
 
 import argparse
+import contextlib
 import json
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,13 +20,14 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from firmware_protocol.host import HostNode
 from hil.assembly import run_scenario
+from hil.devices.virtual import MakeNode, VirtualRobot, VirtualStm32, new_robot
 from hil.model import RobotModel
 from hil.plant import archive
 from hil.plant.description import parameter_names
 from hil.robots import plant_start
 from hil.scenario import Scenario, load
+from hil.types import PoseFix
 from tools.bench.naive_loop import NaiveLoop
 
 SCENARIO = "paper_circle"
@@ -78,14 +81,20 @@ def ours(seconds: float, record: Path | None) -> Turn:
     """Run the bridge, as ``hil run`` does with and without a recording."""
     stamps_ns: list[int] = []
 
-    class StampedNode(HostNode):
-        """A firmware that notes when it is called."""
+    @contextlib.contextmanager
+    def stamped_robot(made_of: VirtualRobot, make_node: MakeNode) -> Iterator[VirtualStm32]:
+        """Make a robot that notes when it is asked for the truth: once a tick, between its answer and the law."""
+        with new_robot(made_of, make_node) as robot:
+            truth = robot.plant.truth
 
-        def feed(self, data: bytes) -> None:
-            stamps_ns.append(time.perf_counter_ns())
-            super().feed(data)
+            def stamped_truth() -> PoseFix:
+                stamps_ns.append(time.perf_counter_ns())
+                return truth()
 
-    result = run_scenario(_scenario(seconds), record=record, make_node=StampedNode, keep_signals=False)
+            robot.plant.truth = stamped_truth  # type: ignore[method-assign]
+            yield robot
+
+    result = run_scenario(_scenario(seconds), record=record, make_robot=stamped_robot, keep_signals=False)
     if not result.passed:
         raise SystemExit(f"the run failed: {result.failure or result.metrics['expect'][0]['text']}")
     # What follows is the stop, in which no law is asked.
