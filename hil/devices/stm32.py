@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from types import MethodType
 
 from firmware_protocol.codec import Message, decode, encode
-from firmware_protocol.framing import PackedFrames, pack, packed_frame
+from firmware_protocol.framing import PackedFrames, make_frame, pack, packed_frame
 from firmware_protocol.generated import messages as m
 from hil.devices import handshake
 from hil.devices.handshake import RETRY_NS, Expected, Greeting, RobotInfo
@@ -110,7 +110,7 @@ class Stm32:
         self._info = info
         self._is_known = True
         if self._expected.lockstep:
-            self._exchange_step(m.Step(0, 0))
+            self.step(0)
         return info
 
     @property
@@ -153,7 +153,7 @@ class Stm32:
         self._greeting = Greeting()
         self._greet_again_ns = 0
         if self._expected.lockstep:
-            self._exchange_step(m.Step(0, 0))
+            self.step(0)
 
     def _check_same(self, info: RobotInfo) -> None:
         handshake.check(info, self._expected)
@@ -345,7 +345,7 @@ class Stm32:
         self._send(m.TimeSyncRequest(self.clock_sync.request(now_ns)))
         if self._expected.lockstep and self._link.next_due_ns() is None:
             # No time passes here, so that the answer has the stamp of its tick, not that of the next step's end.
-            self._exchange_step(m.Step(self.tick, 0))
+            self.step(0)
 
     def send(self, command: WheelCommand) -> int:
         """Send a command that the guard has passed; return its sequence. Raises ValueError for what cannot be sent."""
@@ -354,7 +354,7 @@ class Stm32:
             self.round_trip.sent(self._sequence, self._clock.now_ns())
         mode, speed_rad_s, torque_n_m = command
         sequence, session = self._sequence, self._nonce & 0xF
-        torque = self._map.to_wire(torque_n_m)
+        torque = torque_n_m if self._map.is_identity else self._map.to_wire(torque_n_m)
         if mode is _TORQUE:
             self._send(_make_torque_command((*torque, sequence, session)))
             return sequence
@@ -364,18 +364,15 @@ class Stm32:
         return sequence
 
     def step(self, ticks: int) -> None:
-        """Lockstep: let so many firmware ticks pass, and take what the robot sends meanwhile."""
-        self._exchange_step(_make_step((self._stepping.tick, ticks)))
+        """Lockstep: let so many firmware ticks pass, and take what the robot sends meanwhile; 0 asks for its tick."""
+        step = _make_step((self._stepping.tick, ticks))
+        self._send(step)
+        self._stepping.exchange(self._link, step, self._take)
 
     @property
     def tick(self) -> int:
         """In lockstep: the firmware tick that the robot has reached."""
         return self._stepping.tick
-
-    def _exchange_step(self, step: m.Step) -> None:
-        """Send a STEP and take what comes until its answer. 0 substeps only ask for the tick."""
-        self._send(step)
-        self._stepping.exchange(self._link, step, self._take)
 
     # Frames
 
@@ -388,7 +385,7 @@ class Stm32:
         self._send(m.HostHeartbeat(self._nonce, m.SCHEMA_HASH, request, mode, check))
 
     def _send(self, message: Message) -> None:
-        frame = encode(message)
+        frame = make_frame((message.ID, message.encode()))
         self._link.send(frame)
         if message.ID < _FIRST_UNCOUNTED:
             self.sent += 1
@@ -405,7 +402,7 @@ class Stm32:
                     self.round_trip.echoed(sequence, stamp_ns)
                 if (snapshot := reader.feedback) is not self._snapshot and snapshot is not None:
                     self._snapshot = snapshot
-                    self._feedback = self._map.feedback_from_wire(snapshot)
+                    self._feedback = snapshot if self._map.is_identity else self._map.feedback_from_wire(snapshot)
                 if (tick := reader.step_done) is not None:
                     before = end - _STEP_DONE_BYTES
                     self._hash.received(packed[begin:before])
