@@ -1,9 +1,7 @@
 """What a run tells of each tick: one row of all signals, for the recording and for the judge."""
 
-import math
-from collections.abc import Callable, Sequence
-from types import MethodType
-from typing import NamedTuple
+from collections.abc import Sequence
+from math import hypot, remainder, tau
 
 from hil.devices.port import Device
 from hil.devices.snapshot import Feedback
@@ -16,24 +14,6 @@ _SPEED = CommandMode.SPEED  # a member of an enumeration takes longer to look up
 _NO_STATE = State(NAN_POSE, Twist(NAN, NAN, NAN))
 _NO_FEEDBACK = (NAN, NAN, NAN, NAN, NAN_WHEELS, NAN_WHEELS, NAN_WHEELS, (NAN, NAN, NAN), NAN)
 _REJECTED_EVERY = 100  # ticks; the sum over all causes is too dear for each of them
-
-
-class Beliefs(NamedTuple):
-    """What a tick rests on and what came of it; ``fix`` and ``state`` are None where nothing is known.
-
-    ``is_held`` says that the law was not asked.
-    """
-
-    fix: PoseFix | None
-    state: State | None
-    reference: Reference
-    applied: Applied
-    estimator: EstimatorSignals
-    is_held: bool
-
-
-_Beliefs = tuple[PoseFix | None, State | None, Reference, Applied, EstimatorSignals, bool]
-make_beliefs: Callable[[_Beliefs], Beliefs] = MethodType(tuple.__new__, Beliefs)
 
 
 class Rows:
@@ -56,12 +36,26 @@ class Rows:
         self._feedback_latency_ns = feedback_latency_ns
         self._rejected = 0
 
-    def tell(self, tick: LoopSignals, feedback: Feedback | None, silent_ns: int, beliefs: Beliefs) -> None:
-        """Tell of a tick; ``silent_ns`` is how long ``feedback`` has been the newest, which is None after a loss."""
+    def tell(
+        self,
+        tick: LoopSignals,
+        feedback: Feedback | None,
+        silent_ns: int,
+        fix: PoseFix | None,
+        state: State | None,
+        reference: Reference,
+        applied: Applied,
+        estimator: EstimatorSignals,
+        is_held: bool,
+    ) -> None:
+        """Tell of a tick: what it rests on, and what came of it.
+
+        ``silent_ns`` is how long ``feedback`` has been the newest, which is None after a loss; ``fix`` and ``state``
+        are None where nothing is known. ``is_held`` says that the law was not asked.
+        """
         device, wire = self._device, self._wire
         if tick.tick % _REJECTED_EVERY == 0:
             self._rejected = sum(device.rejected().values())
-        fix, state, reference, applied, estimator, is_held = beliefs
         command, saturated, latency_s = applied
         pose, twist = state if state is not None else _NO_STATE
         truth = fix.pose if fix is not None else NAN_POSE
@@ -82,8 +76,8 @@ class Rows:
             *truth,
             error_x_m,
             error_y_m,
-            math.remainder(heading_rad - wanted_heading_rad, math.tau),
-            math.hypot(error_x_m, error_y_m),
+            remainder(heading_rad - wanted_heading_rad, tau),
+            hypot(error_x_m, error_y_m),
             *self._controller.gains,
             *speed,
             *(command.speed_rad_s if command.mode is _SPEED else NAN_WHEELS),

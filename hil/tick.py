@@ -17,7 +17,7 @@ from hil.guard import Guard
 from hil.links.statistics import Statistics
 from hil.ports import Clock, Controller, FixSource, Note, OwnSignals, PoseSource, Sink
 from hil.references import ReferenceSource
-from hil.rows import Beliefs, Rows, make_beliefs
+from hil.rows import Rows
 from hil.sampling import Timing
 from hil.shadows import Shadows
 from hil.signals import LoopSignals
@@ -149,9 +149,9 @@ class Tick:
         if self._shadows is not None:
             self._ask_shadows(self._shadows, now.t_s, reference, asked)
         self._applied = applied = make_applied((command, saturated, self._latency.s))
-        told = make_beliefs((fix, state, reference, applied, status, asked is None))
         self.count += 1
-        self._rows.tell(now, feedback, self._freshness.silent_ns, told)
+        silent_ns, is_held = self._freshness.silent_ns, asked is None
+        self._rows.tell(now, feedback, silent_ns, fix, state, reference, applied, status, is_held)
         # After a hold the law begins anew: what it has integrated and awaits is of before it.
         self._before = None if asked is None else now.tick
 
@@ -163,9 +163,9 @@ class Tick:
         if parts.shadows is not None:
             parts.shadows.hold()
         applied = Applied(self._nothing, False, self._latency.s)
-        told = Beliefs(fix, state, reference, applied, parts.estimator.status, True)
+        status, silent_ns = parts.estimator.status, self._freshness.silent_ns
         self.count += 1
-        self._rows.tell(now, parts.device.feedback, self._freshness.silent_ns, told)
+        self._rows.tell(now, parts.device.feedback, silent_ns, fix, state, reference, applied, status, True)
         self._before = None
 
     @property
