@@ -164,7 +164,7 @@ def run_scenario(
         note = recording.event if recording is not None else _unheard
         events = RunEvents(scenario, names, note)
         sinks: list[Sink] = [sink for sink in (memory, recording, streaming, events) if sink is not None]
-        made = parts.make(bench, _All(sinks), note)
+        made = parts.make(bench, sinks, note)
         if names is SIGNAL_NAMES:
             made = made._replace(extra=())
         loop = Loop(made, scenario.controller.mode, parts.timing, rearm=scenario.loop.rearm, warn=warn)
@@ -232,17 +232,6 @@ def _reach(bench: Bench, step: Callable[[], T]) -> T:
 
 def _unheard(_t_s: float, _level: str, _text: str) -> None:
     """Take a line of the event log of a run that keeps none."""
-
-
-class _All:
-    """Some sinks as one."""
-
-    def __init__(self, sinks: Sequence[Sink]) -> None:
-        self._puts = tuple(sink.put for sink in sinks)
-
-    def put(self, row: tuple[float, ...]) -> None:
-        for put in self._puts:
-            put(row)
 
 
 def _signal_figures(scenario: Scenario) -> SignalFigures:

@@ -1,5 +1,7 @@
 """From a scenario to what its ticks are made of; what stands at the ends of the link is the bench's."""
 
+from collections.abc import Sequence
+
 from hil.bench import NS, Bench
 from hil.brake import Brake
 from hil.estimator import EstimatorOptions, FusedOptions, make_estimator
@@ -43,7 +45,7 @@ class PartsOf:
         loop = self._scenario.loop
         return feasibility(self.reference, self.model, loop.duration_s, loop.period_ns / NS)
 
-    def make(self, bench: Bench, sink: Sink, note: Note) -> Parts:
+    def make(self, bench: Bench, sinks: Sequence[Sink], note: Note) -> Parts:
         """Return the parts of the ticks on a bench, once its robot can be asked where it starts."""
         counts = self._scenario.firmware.counts_per_revolution
         faults = bench.faults.signals
@@ -58,7 +60,7 @@ class PartsOf:
             self.laws.controller,
             self._guard,
             self._brake,
-            sink if faults is None else _Faulted(sink, faults),
+            sinks if faults is None else [_Faulted(sinks, faults)],
             note,
             bench.robot_failure,
             faults,
@@ -68,11 +70,13 @@ class PartsOf:
 
 
 class _Faulted:
-    """A sink that is told what faults make of the signals that nothing else reads."""
+    """A sink that tells others what faults make of the signals that nothing else reads."""
 
-    def __init__(self, sink: Sink, faults: SignalFaults) -> None:
-        self._sink = sink
+    def __init__(self, sinks: Sequence[Sink], faults: SignalFaults) -> None:
+        self._sinks = sinks
         self._faults = faults
 
     def put(self, row: tuple[float, ...]) -> None:
-        self._sink.put(self._faults.recorded(row))
+        recorded = self._faults.recorded(row)
+        for sink in self._sinks:
+            sink.put(recorded)

@@ -17,7 +17,7 @@ _REJECTED_EVERY = 100  # ticks; the sum over all causes is too dear for each of 
 
 
 class Rows:
-    """Puts one row a tick into a sink: ``SIGNALS``, then what each of ``extra`` has."""
+    """Puts one row a tick into sinks: ``SIGNALS``, then what each of ``extra`` has."""
 
     def __init__(
         self,
@@ -25,14 +25,14 @@ class Rows:
         wire: Statistics,
         controller: Controller,
         extra: Sequence[OwnSignals],
-        sink: Sink,
+        sinks: Sequence[Sink],
         feedback_latency_ns: int,
     ) -> None:
         self._device = device
         self._wire = wire
         self._controller = controller
         self._extra = extra
-        self._put = sink.put
+        self._puts = tuple(sink.put for sink in sinks)
         self._feedback_latency_ns = feedback_latency_ns
         self._rejected = 0
 
@@ -108,4 +108,6 @@ class Rows:
         ]
         for own in self._extra:
             row += own.telemetry
-        self._put(tuple(row))
+        told = tuple(row)
+        for put in self._puts:
+            put(told)

@@ -51,7 +51,7 @@ class Parts(NamedTuple):
     controller: Controller
     guard: Guard
     brake: Brake
-    sink: Sink
+    sinks: Sequence[Sink]
     note: Note
     robot_failure: Callable[[], HilError | None]
     faults: SignalFaults | None = None
@@ -233,7 +233,7 @@ class Tick:
     def _make_rows(self) -> Rows:
         parts = self._parts
         latency_ns = self._timing.feedback_latency_ns
-        return Rows(parts.device, parts.wire, parts.controller, parts.extra, parts.sink, latency_ns)
+        return Rows(parts.device, parts.wire, parts.controller, parts.extra, parts.sinks, latency_ns)
 
     def _ask_shadows(self, shadows: Shadows, t_s: float, reference: Reference, asked: _Asked | None) -> None:
         """Compute the shadows: after the command has gone, from what the law in command was told."""

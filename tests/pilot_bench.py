@@ -31,7 +31,7 @@ class PilotBench:
         self.bench = self._resources.enter_context(
             Bench(loaded, None, allow_motion=False, signals=self.made.laws.signals)
         )
-        parts = self.made.make(self.bench, self, lambda _t_s, _level, text: self.notes.append(text))
+        parts = self.made.make(self.bench, [self], lambda _t_s, _level, text: self.notes.append(text))
         self.pilot = Pilot(parts, loaded.controller.mode, self.made.timing, rules)
         self._sampling = Sampling(parts.clock, parts.device, parts.truth, self.made.timing)
         origin_ns = parts.clock.now_ns()

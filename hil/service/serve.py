@@ -213,7 +213,7 @@ class _Service:
         table = self._scenario.service
         speeds = Speeds(**{name: getattr(table, name) for name in Speeds._fields})
         rules = Rules(speeds, table.twist_timeout_s, table.error_limit_m)
-        made = self._parts.make(bench, self._records, self._records.note)
+        made = self._parts.make(bench, [self._records], self._records.note)
         if made.truth is not None:
             lost = "; a state that rests on it is unknown from now on: restart the service to have it again"
             made = made._replace(
