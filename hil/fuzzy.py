@@ -99,19 +99,28 @@ class FuzzyBlock:
         """Return (K1, K2) [1/s] at an error and its rate. NaN counts as NB: the gains are always finite."""
         p = self._sets_an_error * error + 2.0
         q = self._sets_a_rate * rate + 2.0
-        # The last cell, not the last point: its far side is that point.
-        if p >= 4.0:
-            p, cell = 4.0, 3
-        elif p > 0.0:
-            cell = int(p)
+        # Between which two sets each is: by comparisons, which cost less than int(). PB belongs to the last two.
+        if p >= 3.0:
+            cell = 3
+            if p > 4.0:
+                p = 4.0
+        elif p >= 2.0:
+            cell = 2
+        elif p >= 1.0:
+            cell = 1
         else:
-            p, cell = 0.0, 0
-        if q >= 4.0:
-            q = 4.0
+            cell = 0
+            if not p > 0.0:
+                p = 0.0
+        if q >= 3.0:
             cell += 12
-        elif q > 0.0:
-            cell += 4 * int(q)
-        else:
+            if q > 4.0:
+                q = 4.0
+        elif q >= 2.0:
+            cell += 8
+        elif q >= 1.0:
+            cell += 4
+        elif not q > 0.0:
             q = 0.0
         a, b, c, d, e, f, g, h = self._cells[cell]
         return a + b * p + q * (c + d * p), e + f * p + q * (g + h * p)

@@ -52,9 +52,8 @@ class FuzzyGains:
         """Return K1 and K2 [1/s] at this error and its rate."""
         self._error = error
         x, y, heading, vx, vy, yaw_rate = error
-        planar = self._planar.gains
-        k1_x, k2_x = planar(x, vx)
-        k1_y, k2_y = planar(y, vy)
+        k1_x, k2_x = self._planar.gains(x, vx)
+        k1_y, k2_y = self._planar.gains(y, vy)
         k1_heading, k2_heading = self._heading.gains(heading, yaw_rate)
         return k1_x, k1_y, k1_heading, k2_x, k2_y, k2_heading
 
