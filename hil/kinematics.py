@@ -9,7 +9,7 @@ third row of equation 7 is printed with an entry missing, it is (-1, 1, 1, -1) /
 
 The second line is the first one's dual: the power τ·ω of the wheels is the power F·v of the body. Four
 wheels drive three degrees of freedom: of all torques with the wrench F the map gives those of the least sum
-of squares.
+of squares (``hil.model.RobotModel.wheel_torques``).
 """
 
 import math
@@ -80,15 +80,6 @@ def body_twist(wheel_speed_rad_s: FourWheels, wheel_radius_m: float, lever_m: fl
         quarter * (fr - fl + rl - rr),
         quarter * (fr - fl + rr - rl) / lever_m,
     )
-
-
-def wheel_torques(wrench: Axes, wheel_radius_m: float, lever_m: float) -> FourWheels:
-    """Return the wheel torques [N·m] of least norm that give this ``BodyWrench``: B⁺ in the body frame."""
-    quarter = wheel_radius_m / 4.0
-    forward_n, left_n, yaw_n_m = wrench
-    forward, left, turn = quarter * forward_n, quarter * left_n, quarter * yaw_n_m / lever_m
-    minus, plus = forward - left, forward + left
-    return minus - turn, plus + turn, minus + turn, plus - turn
 
 
 def body_wrench(wheel_torque_n_m: FourWheels, wheel_radius_m: float, lever_m: float) -> BodyWrench:

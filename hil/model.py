@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from math import cos, isfinite, sin, tanh
 
 from hil.errors import BadInputError
-from hil.kinematics import body_twist, to_world, wheel_speeds, wheel_torques
+from hil.kinematics import body_twist, to_world, wheel_speeds
 from hil.types import Axes, FourWheels, Twist, Wheels, make_wheels
 
 GRAVITY_M_S2 = 9.81
@@ -87,18 +87,21 @@ class RobotModel:
         """
         ax, ay, yaw_acceleration = acceleration
         vx, vy, yaw_rate = twist
-        radius, lever = self.wheel_radius_m, self.lever_m
         mass, coupling = self.effective_mass_kg, self.wheels_mass_kg * yaw_rate
         fx = mass * ax + coupling * vy
         fy = mass * ay - coupling * vx
+        # B⁺, the torques of least norm: into the body frame, there to the wheels by (r / 4) H diag(1, 1, 1 / L²).
         c, s = cos(heading_rad), sin(heading_rad)
-        wrench = c * fx + s * fy, c * fy - s * fx, self.effective_inertia_kg_m2 * yaw_acceleration
-        torque = wheel_torques(wrench, radius, lever)
+        quarter = self.wheel_radius_m / 4.0
+        forward, left = quarter * (c * fx + s * fy), quarter * (c * fy - s * fx)
+        turn = quarter * (self.effective_inertia_kg_m2 * yaw_acceleration) / self.lever_m
+        minus, plus = forward - left, forward + left
+        torque = minus - turn, plus + turn, minus + turn, plus - turn
         if self.wheel_friction_n_m == 0.0:
             return make_wheels(torque)
         to_fl, to_fr, to_rr, to_rl = torque
         vx, vy, yaw_rate = moving
-        speeds = wheel_speeds((c * vx + s * vy, c * vy - s * vx, yaw_rate), radius, lever)
+        speeds = wheel_speeds((c * vx + s * vy, c * vy - s * vx, yaw_rate), self.wheel_radius_m, self.lever_m)
         fl, fr, rr, rl = self.friction_torques(speeds)
         return make_wheels((to_fl + fl, to_fr + fr, to_rr + rr, to_rl + rl))
 

@@ -9,16 +9,15 @@ from hypothesis import strategies as st
 
 from hil.kinematics import (
     BodyTwist,
-    BodyWrench,
     body_twist,
     body_wrench,
     to_body,
     to_world,
     wheel_speeds,
-    wheel_torques,
     wrap_angle,
 )
-from hil.types import Twist, Wheels
+from hil.model import RobotModel
+from hil.types import FourWheels, Twist, Wheels
 
 number = st.floats(-50.0, 50.0)
 triple = st.tuples(number, number, number)
@@ -54,15 +53,22 @@ def test_body_twist_undoes_wheel_speeds(v, r, lever):
     assert body_twist(wheel_speeds(BodyTwist(*v), r, lever), r, lever) == pytest.approx(v, rel=1e-9, abs=1e-9)
 
 
+def wheel_torques(wrench: tuple[float, float, float], r: float, l1: float, l2: float) -> FourWheels:
+    """Return the torques of a robot whose acceleration is the force on it: of unit mass, its wheels of none."""
+    robot = RobotModel(1.0, 1.0, r, l1, l2, 0.0, 0.0, torque_limit_n_m=1.0, speed_limit_rad_s=1.0)
+    still = 0.0, 0.0, 0.0
+    return robot.wheel_torques(wrench, still, 0.0, still)
+
+
 @given(triple, radius, half, half)
 def test_wheel_torques_are_the_least_norm_solution(wrench, r, l1, l2):
     expected = np.linalg.pinv(geometry(r, l1, l2).T) @ wrench
-    assert wheel_torques(BodyWrench(*wrench), r, l1 + l2) == pytest.approx(expected, rel=1e-9, abs=1e-9)
+    assert wheel_torques(wrench, r, l1, l2) == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
-@given(triple, radius, half)
-def test_body_wrench_undoes_wheel_torques(wrench, r, lever):
-    back = body_wrench(wheel_torques(BodyWrench(*wrench), r, lever), r, lever)
+@given(triple, radius, half, half)
+def test_body_wrench_undoes_wheel_torques(wrench, r, l1, l2):
+    back = body_wrench(wheel_torques(wrench, r, l1, l2), r, l1 + l2)
     assert back == pytest.approx(wrench, rel=1e-9, abs=1e-9)
 
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.controllers.dsc import Dsc
-from hil.kinematics import BodyTwist, BodyWrench, body_twist, body_wrench, to_body, wheel_speeds, wheel_torques
+from hil.kinematics import BodyTwist, body_twist, body_wrench, wheel_speeds
 from hil.types import Acceleration, CommandMode, Pose, Reference, State, Twist, Wheels
 from tests.closed_loop import AT_REST, PAPER_ROBOT
 
@@ -105,7 +105,8 @@ def test_equation_18_is_the_law_with_a_coriolis_term_of_k(error, v, heading):
 
 @given(triple, value)
 def test_b_times_its_pseudo_inverse_is_one(wrench, heading):
-    torques = wheel_torques(BodyWrench(*to_body(Twist(*wrench), heading)), R, L)
+    still = 0.0, 0.0, 0.0
+    torques = PAPER_ROBOT.wheel_torques(np.linalg.solve(MASS, wrench), still, heading, still)
     assert rot(heading) @ body_wrench(torques, R, L) == pytest.approx(wrench, abs=1e-9)
 
 
