@@ -35,14 +35,15 @@ class LockstepClock:
         return self._now_ns
 
     def wait_until(self, t_ns: int) -> int:
-        ticks = (t_ns - self._now_ns) // TICK_NS
+        now_ns = self._now_ns
+        ticks = (t_ns - now_ns) // TICK_NS
         if ticks > 0:
             # What the robot sends during the step is stamped with the step's end.
-            self._now_ns += ticks * TICK_NS
+            self._now_ns = now_ns + ticks * TICK_NS
             try:
                 self._step(ticks)
             except BaseException:
                 # The robot did not get there; when it is back, the same ticks are still to come.
-                self._now_ns -= ticks * TICK_NS
+                self._now_ns = now_ns
                 raise
         return 0

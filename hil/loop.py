@@ -1,8 +1,8 @@
 """The schedule of a run: when a tick is due, the same in lockstep and in real time, and a lost robot brought back."""
 
 import contextlib
-import time
 from collections.abc import Callable
+from time import perf_counter
 from typing import Any, NamedTuple
 
 from hil.errors import DeviceError, HilError, LinkError, RobotStoppedError
@@ -76,7 +76,7 @@ class Loop:
         What ends the run early is reported: a lost link or device, or a law that fails. Whatever it is, the robot is
         told to stop while it can be reached.
         """
-        begin = time.perf_counter()
+        begin = perf_counter()
         failure: HilError | None = None
         try:
             self._run(origin_ns, duration_ns)
@@ -88,7 +88,7 @@ class Loop:
                 self._stop()
             self._parts.device.close()
             raise
-        wall_s = time.perf_counter() - begin
+        wall_s = perf_counter() - begin
         stopped = False
         try:
             # One that has not come back is not waited for, and may be somebody else's.
@@ -138,12 +138,16 @@ class Loop:
             except (LinkError, RobotStoppedError) as error:
                 self._wait_again(error, in_vain)
                 continue
-            in_vain.clear()
+            if in_vain:
+                in_vain.clear()
             if number < 0:
                 self._keep_armed()
             else:
                 self._tick(number, late_ns)
-            following = number + 1 if is_lockstep else self._sampling.following(number)  # no tick is late there
+            if is_lockstep:  # where no tick is late
+                number += 1
+                continue
+            following = self._sampling.following(number)
             if following != number + 1:
                 # Those of the run alone, also where none comes after them to be recorded.
                 self._misses += max(0, min(following, ticks) - max(number, -1) - 1)
@@ -177,7 +181,7 @@ class Loop:
 
     def _tick(self, number: int, late_ns: int) -> None:
         """Do one tick of the run: drive, or come back, and tell."""
-        begin_ns = time.perf_counter_ns()
+        begin_s = perf_counter()
         doing, faults, t_ns = self._doing, self._faults, number * self._period_ns
         self.t_s = t_s = t_ns * 1e-9
         now = make_loop_signals((t_s, number, late_ns * 1e-3, self._tick_us, self._misses))
@@ -196,7 +200,7 @@ class Loop:
             doing.skip_fixes()
             self._come_back(self._recovery)
             doing.tell_away(now, fix, self._reference_at(t_s))
-        self._tick_us = (time.perf_counter_ns() - begin_ns) * 1e-3
+        self._tick_us = (perf_counter() - begin_s) * 1e6
 
     def _lose(self, error: HilError) -> Recovery:
         """Begin to bring the robot back, or begin that again; without ``rearm`` the run ends."""
