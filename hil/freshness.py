@@ -22,35 +22,49 @@ _ACTIVE = RobotState.ACTIVE  # a member of an enumeration takes longer to look u
 
 
 class Freshness:
-    """Takes the robot's feedback once a tick. ``silent_ns`` is how long the newest one has been the newest."""
+    """Takes the robot's feedback once a tick, and the truth where the state rests on it.
+
+    Attributes, as of the last ``poll``:
+        silent_ns: how long the newest feedback has been the newest.
+        truth_ns: time of the newest truth by the robot's clock; None before any.
+        is_stale: nothing is driven by what is older than the firmware's own patience with us. A truth is too old by
+            its stamp, and where no other has come so long.
+    """
 
     def __init__(self, clock: Clock, device: Device, faults: SignalFaults | None, timing: Timing) -> None:
         self._clock = clock
         self._device = device
+        self._is_lockstep = device.is_lockstep
         self._faults = faults
         self._timing = timing
         self._stale_ns = timing.stale_ns
-        self._now_ns = 0  # at the last poll
         self._newest_ns = 0
         self._heard_ns: int | None = None
-        self._truth_ns: int | None = None
+        self._stamp_ns: int | None = None  # of the newest truth, by its own clock
         self._truth_heard_ns = 0
         self._ahead_ns: int | None = 0  # the robot's clock ahead of the truth's; None until both are heard again
         self.silent_ns = 0
+        self.truth_ns: int | None = None
+        self.is_stale = False
 
-    def poll(self, t_s: float, *, active: bool = True) -> Feedback:
-        """Return the newest feedback; ``t_s`` is the tick's, for messages.
+    def poll(self, t_s: float, truth: PoseFix | None = None, active: bool = True) -> Feedback:
+        """Return the newest feedback; ``t_s`` is the tick's, for messages, ``truth`` that on which the state rests.
 
         Raises RobotStoppedError or DeviceError for a robot that is not ACTIVE, LinkError after a long silence of the
         robot, or of this process. One that need not be ``active`` is only stopped when it was reset.
 
         What was taken after this process stood still may be as old as that. It makes nothing newer, whatever came with
         it, and neither the robot's clock is judged by it: what comes next is fresh.
+
+        A truth that is no number makes nothing newer. A reset of the robot leaves the truth's clock, which is the
+        plant's, as it is; the first sample after it, or after a truth that began anew, is taken to be as old as the
+        feedback.
         """
         feedback = self._device.poll()
-        unread_ns = self._device.unread_ns
-        is_old = unread_ns > self._stale_ns
-        self._now_ns = now_ns = self._clock.now_ns()
+        unread_ns = 0 if self._is_lockstep else self._device.unread_ns  # a property, and 0 there
+        stale_ns = self._stale_ns
+        is_old = unread_ns > stale_ns
+        now_ns = self._clock.now_ns()
         if feedback is None:
             raise RobotStoppedError("the robot sends no feedback")
         if self._faults is not None:
@@ -60,7 +74,7 @@ class Freshness:
             if not active and self._heard_ns is not None and self._began_anew(feedback, now_ns - self._heard_ns):
                 raise RobotStoppedError(f"the robot was reset at t = {t_s:.3f} s")
             self._newest_ns, self._heard_ns = robot_time_ns, now_ns
-        self.silent_ns = now_ns - self._heard_ns
+        self.silent_ns = silent_ns = now_ns - self._heard_ns
         if active and feedback.state is not _ACTIVE:
             latched = feedback.state in (RobotState.FAULT, RobotState.ESTOP)
             raise (DeviceError if latched else RobotStoppedError)(self._why_stopped(feedback.state, t_s))
@@ -70,10 +84,23 @@ class Freshness:
                     f"feedback lay unread for {unread_ns * 1e-6:.0f} ms at t = {t_s:.3f} s: this process stood still, "
                     "or is slower than the robot; what the link holds is too old to be driven by"
                 )
-        elif self.silent_ns > _LOST_NS:
+        elif silent_ns > _LOST_NS:
             raise LinkError(
-                f"no feedback for {self.silent_ns * 1e-6:.0f} ms at t = {t_s:.3f} s: the link or the robot was lost"
+                f"no feedback for {silent_ns * 1e-6:.0f} ms at t = {t_s:.3f} s: the link or the robot was lost"
             )
+        if truth is not None:
+            time_ns, (x, y, heading), _ = truth
+            if isfinite(x + y + heading):
+                stamp_ns = self._stamp_ns
+                if self._ahead_ns is None or (stamp_ns is not None and time_ns < stamp_ns - stale_ns):
+                    self._ahead_ns = robot_time_ns - time_ns
+                if time_ns != stamp_ns:
+                    self._stamp_ns, self._truth_heard_ns = time_ns, now_ns
+                self.truth_ns = time_ns + self._ahead_ns
+        truth_ns = self.truth_ns
+        self.is_stale = silent_ns > stale_ns or (
+            truth_ns is not None and (robot_time_ns - truth_ns > stale_ns or now_ns - self._truth_heard_ns > stale_ns)
+        )
         return feedback
 
     def robot_now_ns(self, feedback: Feedback) -> int:
@@ -84,43 +111,18 @@ class Freshness:
         """
         now_ns = feedback.robot_time_ns + self._timing.feedback_latency_ns + self.silent_ns
         offset_us = self._device.clock_sync.offset_us
-        if self._device.is_lockstep or offset_us != offset_us:
+        if self._is_lockstep or offset_us != offset_us:
             return now_ns
         synced_ns = self._clock.now_ns() + round(offset_us * 1e3)
         return synced_ns if abs(synced_ns - now_ns) < _CLOCKS_APART_NS else now_ns
-
-    def take_truth(self, feedback: Feedback, fix: PoseFix | None) -> int | None:
-        """Take the truth on which the state rests, if it does; return its time by the robot's clock, None before any.
-
-        One that is no number makes nothing newer. A reset of the robot leaves the truth's clock, which is the plant's,
-        as it is; the first sample after it, or after a truth that began anew, is taken to be as old as the feedback.
-        """
-        if fix is not None:
-            time_ns, (x, y, heading), _ = fix
-            if isfinite(x + y + heading):
-                began_anew = self._truth_ns is not None and time_ns < self._truth_ns - self._stale_ns
-                if self._ahead_ns is None or began_anew:
-                    self._ahead_ns = feedback.robot_time_ns - time_ns
-                if time_ns != self._truth_ns:
-                    self._truth_ns, self._truth_heard_ns = time_ns, self._now_ns
-        if self._truth_ns is None or self._ahead_ns is None:
-            return None
-        return self._truth_ns + self._ahead_ns
 
     def is_silent(self) -> bool:
         """Whether the feedback itself is too old to be driven by."""
         return self.silent_ns > self._stale_ns
 
-    def is_stale(self, feedback: Feedback, truth_ns: int | None) -> bool:
-        """Nothing is driven by what is older than the firmware's own patience with us.
-
-        ``truth_ns`` is what ``take_truth`` said: a truth is too old by its stamp, and where no other has come so long.
-        """
-        stale_ns = self._stale_ns
-        return self.silent_ns > stale_ns or (
-            truth_ns is not None
-            and (feedback.robot_time_ns - truth_ns > stale_ns or self._clock.now_ns() - self._truth_heard_ns > stale_ns)
-        )
+    def has_aged(self) -> bool:
+        """Whether the truth has become too old since ``poll``, because this process stood still; never in lockstep."""
+        return self.truth_ns is not None and self._clock.now_ns() - self._truth_heard_ns > self._stale_ns
 
     def restart(self) -> bool:
         """Begin anew with a robot that came back; return whether it was reset.
@@ -130,7 +132,7 @@ class Freshness:
         was_reset = self._was_reset()
         self._heard_ns = None
         if was_reset:
-            self._ahead_ns = None
+            self._ahead_ns = self.truth_ns = None
         return was_reset
 
     def _began_anew(self, feedback: Feedback, passed_ns: int) -> bool:

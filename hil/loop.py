@@ -192,7 +192,7 @@ class Loop:
             fix = faults.truth(fix)
         if self._recovery is None:
             try:
-                doing.drive(now, doing.sense(t_s, fix), self._reference_at(t_s))
+                doing.drive(now, fix, doing.sense(t_s, fix), self._reference_at(t_s))
             except (LinkError, RobotStoppedError) as error:
                 self._lose(error)
                 doing.tell_away(now, fix, self._reference_at(t_s))

@@ -1,8 +1,7 @@
 """One tick: sense, estimate, refer, control, guard, command, tell. When it is due, its caller knows."""
 
 from collections.abc import Callable, Sequence
-from math import isfinite
-from types import MethodType
+from math import dist, isfinite
 from typing import Any, NamedTuple
 
 from hil.brake import Brake
@@ -59,18 +58,8 @@ class Parts(NamedTuple):
     extra: Sequence[OwnSignals] = ()
 
 
-class Sensed(NamedTuple):
-    """What a tick knows of the robot; ``state`` is None where nothing sure is known."""
-
-    feedback: Feedback
-    fix: PoseFix | None
-    truth_ns: int | None
-    state: State | None
-
-
-_make_sensed: Callable[[tuple[Feedback, PoseFix | None, int | None, State | None]], Sensed] = MethodType(
-    tuple.__new__, Sensed
-)
+Sensed = tuple[Feedback, State | None]
+"""What a tick knows of the robot; the state is None where nothing sure is known."""
 _Asked = tuple[State, float, bool]
 """With what a law is asked: the state, dt [s], and whether it was reset for this tick."""
 
@@ -104,39 +93,40 @@ class Tick:
         self.count = 0
         self.stale = 0
 
-    def sense(self, t_s: float, fix: PoseFix | None, *, active: bool = True) -> Sensed:
+    def sense(self, t_s: float, fix: PoseFix | None, active: bool = True) -> Sensed:
         """Take what has arrived and estimate; ``fix`` is the truth of the sampling instant.
 
         Raises RobotStoppedError or DeviceError for a robot that is not ACTIVE, LinkError for one that is lost. One that
         need not be ``active`` is only stopped when it was reset.
         """
-        estimator, fixes = self._estimator, self._fixes
-        feedback = self._freshness.poll(t_s, active=active)
+        fixes = self._fixes
+        feedback = self._freshness.poll(t_s, fix if self._uses_truth else None, active)
         measured = fixes.poll(self._freshness.robot_now_ns(feedback), fix) if fixes is not None else ()
-        truth_ns = self._freshness.take_truth(feedback, fix if estimator.uses_truth else None)
-        return _make_sensed((feedback, fix, truth_ns, estimator.update(feedback, fix, measured)))
+        return feedback, self._estimator.update(feedback, fix, measured)
 
-    def drive(self, now: LoopSignals, sensed: Sensed, reference: Reference) -> None:
+    def drive(self, now: LoopSignals, fix: PoseFix | None, sensed: Sensed, reference: Reference) -> None:
         """Control, guard, command, tell. Raises LinkError when the link is lost."""
-        feedback, fix, truth_ns, state = sensed
-        faults, status = self._faults, self._estimator.status
+        feedback, state = sensed
+        faults, status, tick = self._faults, self._estimator.status, now.tick
         if faults is not None:
             state, reference = faults.state(state), faults.reference(reference)
         if state is not None:
-            (x, y, heading), (vx, vy, yaw_rate) = state
-            if not isfinite((x + y + heading) + (vx + vy + yaw_rate)):
+            pose, twist = state
+            if not isfinite(dist(pose, twist)):  # one call for all six: a distance between what is no number is none
                 state = None  # no law is asked with it: what it integrates would be no number for ever
-        if state is None or status.health == LOST or self._freshness.is_stale(feedback, truth_ns):
+        is_stale = self._freshness.is_stale or (not self._is_lockstep and self._freshness.has_aged())
+        if state is None or status.health == LOST or is_stale:
             asked = None
             measured = None if self._freshness.is_silent() else feedback.speed_rad_s
             command, saturated = self._parts.brake.command(measured)
             self.stale += state is not None
+            self._before = None  # after a hold the law begins anew: what it has integrated and awaits is of before it
         else:
-            tick, before = now.tick, self._before
+            before, self._before = self._before, tick
             begins = before is None
             if before is None:
                 self._controller.reset(state, reference)
-                self._before = before = tick - 1
+                before = tick - 1
             dt_s = (tick - before) * self._period_ns * 1e-9
             asked = state, dt_s, begins
             wanted = self._controller.update(reference, state, self._applied, dt_s)
@@ -145,15 +135,13 @@ class Tick:
             command, saturated = self._guard.apply(wanted)
         sequence = self._device.send(command)
         if not self._is_lockstep:
-            self._measure_latency(sequence, feedback, truth_ns)
+            self._measure_latency(sequence, feedback)
         if self._shadows is not None:
             self._ask_shadows(self._shadows, now.t_s, reference, asked)
         self._applied = applied = make_applied((command, saturated, self._latency.s))
         self.count += 1
         silent_ns, is_held = self._freshness.silent_ns, asked is None
         self._rows.tell(now, feedback, silent_ns, fix, state, reference, applied, status, is_held)
-        # After a hold the law begins anew: what it has integrated and awaits is of before it.
-        self._before = None if asked is None else now.tick
 
     def tell_away(
         self, now: LoopSignals, fix: PoseFix | None, reference: Reference, state: State | None = None
@@ -229,6 +217,7 @@ class Tick:
         self._device, self._fixes, self._estimator = parts.device, parts.fixes, parts.estimator
         self._controller, self._guard = parts.controller, parts.guard
         self._faults, self._shadows = parts.faults, parts.shadows
+        self._uses_truth = parts.estimator.uses_truth
 
     def _make_rows(self) -> Rows:
         parts = self._parts
@@ -244,10 +233,11 @@ class Tick:
             for sentence in shadows.update(t_s, reference, state, self._applied, dt_s, begins=begins):
                 self._parts.note(t_s, "warning", sentence)
 
-    def _measure_latency(self, sequence: int, feedback: Feedback, truth_ns: int | None) -> None:
+    def _measure_latency(self, sequence: int, feedback: Feedback) -> None:
         """Real time: note on what the command rests, and how late the one acted that the robot says is in force.
 
         A state that rests on the truth is as old as that, else as the feedback.
         """
+        truth_ns = self._freshness.truth_ns
         self._latency.acted(feedback.command_sequence, feedback.robot_time_ns, feedback.command_age_ms)
         self._latency.sent(sequence, feedback.robot_time_ns if truth_ns is None else truth_ns)

@@ -18,7 +18,7 @@ from hil.links.framed import StreamLink
 from hil.links.streams import memory_pair
 from hil.links.wire import SerialWire
 from hil.sampling import Timing
-from hil.types import ZERO_WHEELS, CommandMode, WheelCommand
+from hil.types import NAN_POSE, ZERO_WHEELS, CommandMode, Pose, PoseFix, Twist, WheelCommand
 from tests.wheel_rig import WheelRig
 
 TICK_NS = 1_000_000
@@ -59,9 +59,9 @@ class Robot:
     def tick(self, ms: int = 5, *, active: bool = True) -> bool:
         """Let so much time pass, and be driven once; return whether the feedback is too old to be driven by."""
         self.wait_until(self._now_ns + ms * TICK_NS)
-        feedback = self.freshness.poll(0.0, active=active)
+        self.freshness.poll(0.0, active=active)
         self.device.send(REST)
-        return self.freshness.is_stale(feedback, None)
+        return self.freshness.is_stale
 
     def armed(self) -> "Robot":
         while not self.device.greeted() or not self.device.armed():
@@ -102,3 +102,15 @@ def test_a_long_standstill_is_a_lost_link_and_no_reset_of_the_robot() -> None:
     assert not [idle.tick(active=False) for _ in range(8)][-1]
     with pytest.raises(LinkError, match="lay unread for 1100 ms"):
         idle.tick(1100, active=False)
+
+
+def test_a_truth_ages_on_while_the_host_stands_still_within_a_tick() -> None:
+    robot = Robot(watchdog_s=0.1).armed()
+    assert not robot.tick()
+    assert not robot.freshness.has_aged(), "no truth is no old one"
+    for pose in (Pose(0.0, 0.0, 0.0), NAN_POSE):
+        robot.freshness.poll(0.0, PoseFix(robot.now_ns(), pose, Twist(0.0, 0.0, 0.0)))
+        assert not robot.freshness.is_stale
+        assert not robot.freshness.has_aged()
+        robot.wait_until(robot.now_ns() + 30 * TICK_NS)
+    assert robot.freshness.has_aged(), "by the first: the second makes nothing newer"

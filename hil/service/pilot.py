@@ -20,7 +20,7 @@ from hil.service.emergency import EmergencyStop
 from hil.service.messages import Phase, Task
 from hil.service.muted import muted
 from hil.signals import LoopSignals
-from hil.tick import Parts, Sensed, Tick
+from hil.tick import Parts, Tick
 from hil.types import CommandMode, Pose, PoseFix, Reference, State
 
 _ARMING_LIMIT_S = 4.0
@@ -259,7 +259,7 @@ class Pilot:
         self._doing.tell_away(now, fix, NOWHERE)
 
     def _wait(self, now: LoopSignals, fix: PoseFix | None) -> None:
-        robot = self._look(now, fix).feedback.state
+        robot = self._look(now, fix)
         if robot in (RobotState.FAULT, RobotState.ESTOP):
             self._latch(robot)
         elif robot in (RobotState.ARMED, RobotState.ACTIVE):
@@ -279,15 +279,15 @@ class Pilot:
 
     def _drive(self, now: LoopSignals, fix: PoseFix | None) -> None:
         sensed = self._doing.sense(now.t_s, fix)
-        self.state = sensed.state
-        self._doing.drive(now, sensed, self._conduct.at(now.t_s, sensed.state))
+        _, self.state = sensed
+        self._doing.drive(now, fix, sensed, self._conduct.at(now.t_s, self.state))
         if self._doing.is_held:
             self._conduct.held()
         if self._conduct.gave_up is not None:
             self._why, self._conduct.gave_up = self._conduct.gave_up, None
 
     def _ramp_down(self, now: LoopSignals, fix: PoseFix | None) -> None:
-        robot = self._look(now, fix).feedback.state
+        robot = self._look(now, fix)
         if robot is RobotState.IDLE:
             self._enter(Phase.DISARMED)
         elif robot in (RobotState.FAULT, RobotState.ESTOP):
@@ -297,7 +297,7 @@ class Pilot:
 
     def _be_latched(self, now: LoopSignals, fix: PoseFix | None) -> None:
         device = self._parts.device
-        robot = self._look(now, fix).feedback.state
+        robot = self._look(now, fix)
         if self._emergency.is_sent(robot, now.t_s):
             device.estop()
             return
@@ -313,12 +313,11 @@ class Pilot:
             self._deadline_s = math.inf
             self._why = f"clearing was refused: {device.why_not_active()}"
 
-    def _look(self, now: LoopSignals, fix: PoseFix | None) -> Sensed:
-        """Sense and tell, without driving."""
-        sensed = self._doing.sense(now.t_s, fix, active=False)
-        self.state = sensed.state
-        self._doing.tell_away(now, fix, NOWHERE, sensed.state)
-        return sensed
+    def _look(self, now: LoopSignals, fix: PoseFix | None) -> RobotState:
+        """Sense and tell, without driving; return the robot's own state."""
+        feedback, self.state = self._doing.sense(now.t_s, fix, active=False)
+        self._doing.tell_away(now, fix, NOWHERE, self.state)
+        return feedback.state
 
     # Changes
 
