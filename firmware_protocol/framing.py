@@ -76,6 +76,8 @@ class PackedFrames(Sequence[Frame]):
 
 
 _PACKED_HEADER = Struct("<HB")
+PACKED_HEADERS = {(number, length): _PACKED_HEADER.pack(number, length) for number, length in LENGTHS.items()}
+"""What stands before the payload of a packed frame, by id and length: of all frames that can be sent."""
 
 
 def pack(frames: Iterable[Frame]) -> bytes:

@@ -1,17 +1,9 @@
 """The host's end of a serial line, by the C of the firmware: a fifth of what ``firmware_protocol.framing`` takes."""
 
-from collections.abc import Sequence
-from struct import Struct, pack
-from typing import Any
-
 from firmware_protocol.framing import CAUSES, Frame, PackedFrames, unsendable
-from firmware_protocol.generated.messages import LENGTHS
 from firmware_protocol.host import HostNode, library
 
 _MOST_AT_ONCE = 1 << 12  # bytes that the library is given in one call
-_ROOM = 1 << 16  # more than all packed frames of a full queue take (WHEEL_HOST_QUEUE)
-_unpack_bytes = Struct("@3N").unpack  # wheel_direct_bytes
-_PACKED_HEADERS = {(number, length): pack("<HB", number, length) for number, length in LENGTHS.items()}
 
 
 class HostLine:
@@ -27,12 +19,10 @@ class HostLine:
         self._memory = ffi.new("uint64_t[]", lib.wheel_line_size() // 8 + 1)
         self._line = ffi.cast("wheel_line *", self._memory)
         lib.wheel_line_init(self._line)
-        self._packed, self._used = ffi.new("uint8_t[]", _ROOM), ffi.new("size_t *")
-        self._received = ffi.buffer(self._packed, _ROOM)
+        self._packed, self._used = ffi.new("uint8_t[]", lib.WHEEL_DIRECT_ROOM), ffi.new("size_t[2]")
+        self._received = ffi.buffer(self._packed, lib.WHEEL_DIRECT_ROOM)
         self._encoded = ffi.new("uint8_t[]", lib.WHEEL_LINE_LONGEST)
         self._sent = ffi.buffer(self._encoded, lib.WHEEL_LINE_LONGEST)
-        self._bytes = ffi.new("wheel_direct_bytes *")
-        self._sizes = ffi.buffer(self._bytes)
         # What a call looks up each time costs as much as the call.
         self._feed, self._encode, self._count = lib.wheel_line_feed, lib.wheel_line_encode, lib.wheel_line_count
         self._converse = lib.wheel_direct_converse
@@ -64,35 +54,20 @@ class HostLine:
         pieces = [self.feed(data[at : at + _MOST_AT_ONCE]) for at in range(0, len(data), _MOST_AT_ONCE)]
         return PackedFrames(b"".join(piece.packed for piece in pieces), sum(map(len, pieces)))
 
-    def converse(self, robot: HostNode, frames: Sequence[Frame]) -> tuple[PackedFrames, int, int]:
-        """Send frames to a robot in this thread; return all that it sends then, and how many bytes went each way.
+    def converse(self, robot: HostNode, packed: bytes, there: "HostLine") -> tuple[PackedFrames, int]:
+        """Send packed frames to a robot in this thread by another line; return all that comes back by this one then.
 
-        Raises as ``encode``, with nothing sent.
+        With it goes how many bytes the line carried for that. What is sent ends at a frame that ``encode`` refuses.
         """
-        packed = b""
-        try:
-            for number, payload in frames:
-                packed += _PACKED_HEADERS[number, len(payload)] + payload
-        except KeyError:
-            raise unsendable(Frame(number, payload)) from None
-        count = self._converse(self._line, robot.handle, packed, len(packed), self._packed, _ROOM, self._bytes)
-        sent, received, size = _unpack_bytes(self._sizes)
-        return PackedFrames(self._received[:size], count), sent, received
-
-    @property
-    def frames(self) -> int:
-        """How many frames were received."""
-        return int(self._counts().frames)
+        used = self._used
+        count = self._converse(there._line, self._line, robot.handle, packed, len(packed), self._packed, used)
+        return PackedFrames(self._received[: used[0]], count), used[1]
 
     @property
     def rejected(self) -> dict[str, int]:
         """How many pieces were no frame, by cause (``CAUSES``); ``lost`` are frames that the other side counted and
         that did not arrive whole, but not 128 and more in a row.
         """
-        counts = self._counts()
-        return {cause: getattr(counts, cause) for cause in (*CAUSES, "lost")}
-
-    def _counts(self) -> Any:
         counts = self._new("wheel_line_counts *")
         self._count(self._line, counts)
-        return counts
+        return {cause: getattr(counts, cause) for cause in (*CAUSES, "lost")}

@@ -61,6 +61,10 @@ class Rows:
         truth = fix.pose if fix is not None else NAN_POSE
         (x_m, y_m, heading_rad), (wanted_x_m, wanted_y_m, wanted_heading_rad) = truth, reference.pose
         error_x_m, error_y_m = x_m - wanted_x_m, y_m - wanted_y_m
+        try:
+            error_heading_rad = remainder(heading_rad - wanted_heading_rad, tau)
+        except ValueError:  # an infinite heading
+            error_heading_rad = NAN
         robot_time_ns, robot_state, _, command_age_ms, _, speed, current, acceleration, yaw_rate_rad_s = (
             feedback if feedback is not None else _NO_FEEDBACK
         )
@@ -76,7 +80,7 @@ class Rows:
             *truth,
             error_x_m,
             error_y_m,
-            remainder(heading_rad - wanted_heading_rad, tau),
+            error_heading_rad,
             hypot(error_x_m, error_y_m),
             *self._controller.gains,
             *speed,

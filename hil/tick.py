@@ -122,14 +122,15 @@ class Tick:
             self.stale += state is not None
             self._before = None  # after a hold the law begins anew: what it has integrated and awaits is of before it
         else:
-            before, self._before = self._before, tick
+            before = self._before
             begins = before is None
             if before is None:
                 self._controller.reset(state, reference)
-                before = tick - 1
+                self._before = before = tick - 1
             dt_s = (tick - before) * self._period_ns * 1e-9
             asked = state, dt_s, begins
             wanted = self._controller.update(reference, state, self._applied, dt_s)
+            self._before = tick
             if faults is not None:
                 wanted = faults.command(wanted)
             command, saturated = self._guard.apply(wanted)

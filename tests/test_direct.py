@@ -5,9 +5,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol import codec
-from firmware_protocol.framing import Frame, Framer, pack
+from firmware_protocol.framing import Frame, pack
 from firmware_protocol.generated import messages as m
-from firmware_protocol.host import HostNode, library
+from firmware_protocol.host import HostNode
 from firmware_protocol.host_line import HostLine
 from hil.assembly import run_scenario
 from hil.devices.direct import DirectLink
@@ -23,12 +23,18 @@ class ByBytes(HostNode):
     """A firmware of a type of its own, which is given and asked for bytes."""
 
 
-def by_bytes(rig: WheelRig) -> StreamLink:
+def stream_to(rig: WheelRig) -> DirectStream:
     def answer(data: bytes) -> bytes:
         rig.node.feed(data)
         return rig.node.take_bytes()
 
-    return StreamLink(DirectStream(answer))
+    return DirectStream(answer)
+
+
+def both() -> tuple[DirectLink, StreamLink, WheelRig, WheelRig]:
+    """Return the link under test, one by bytes, and the robot of each."""
+    one, other = WheelRig(lockstep=True), WheelRig(lockstep=True)
+    return DirectLink(one, stream_to(one)), StreamLink(stream_to(other)), one, other
 
 
 def received(link: DirectLink | StreamLink) -> list[Frame]:
@@ -43,14 +49,16 @@ def received(link: DirectLink | StreamLink) -> list[Frame]:
 steps = st.builds(m.Step, st.integers(0, 3), st.integers(0, 40)).map(codec.encode)
 
 
-@given(turns=st.lists(st.lists(frames | steps, max_size=6), max_size=8))
-def test_it_says_hears_and_counts_what_a_line_of_bytes_does(turns: list[list[Frame]]) -> None:
-    one, other = WheelRig(lockstep=True), WheelRig(lockstep=True)
-    direct, line = DirectLink(one), by_bytes(other)
-    for turn in turns:
+@given(turns=st.lists(st.lists(frames | steps, max_size=6), max_size=8), reopened=st.sets(st.integers(0, 8)))
+def test_it_says_hears_and_counts_what_a_line_of_bytes_does(turns: list[list[Frame]], reopened: set[int]) -> None:
+    direct, line, one, other = both()
+    for number, turn in enumerate(turns):
         for frame in turn:
             direct.send(frame)
             line.send(frame)
+        if number in reopened:
+            direct.reopen()
+            line.reopen()
         assert (direct.sent_frames, direct.sent_bytes) == (line.sent_frames, line.sent_bytes)
         assert received(direct) == received(line)
         assert (direct.received_frames, direct.received_bytes) == (line.received_frames, line.received_bytes)
@@ -58,52 +66,56 @@ def test_it_says_hears_and_counts_what_a_line_of_bytes_does(turns: list[list[Fra
     assert one.node.look() == other.node.look()
 
 
+def test_a_robot_that_began_anew_counts_as_on_a_line_of_bytes() -> None:
+    direct, line, one, other = both()
+    for begins_anew in (False, True, True):
+        for link, rig in ((direct, one), (line, other)):
+            if begins_anew:
+                rig.node = WheelRig(lockstep=True).node
+            link.send(codec.encode(m.Step(0, 70)))
+            assert codec.decode(received(link)[-1]) == m.StepDone(70)
+        assert direct.rejected() == line.rejected()
+        direct.reopen()
+        line.reopen()
+
+
 def test_all_that_a_full_queue_has_comes_at_once() -> None:
-    """A thousand ticks are the most that a STEP brings, and more frames than the robot's queue takes."""
-    one, other = WheelRig(lockstep=True), WheelRig(lockstep=True)
-    direct, line = DirectLink(one), by_bytes(other)
+    direct, line, one, _ = both()
     for link in (direct, line):
-        link.send(codec.encode(m.Step(0, 1000)))
-        link.send(codec.encode(m.Step(1000, 1000)))
+        for number in range(8):
+            link.send(codec.encode(m.Step(1000 * number, 1000)))
     some = direct.receive(0)
     assert some is not None
     assert list(some.frames) == received(line)
-    assert len(some.frames) > 1000
+    assert one.node.look().rejected["transmit_overruns"] > 0
     assert direct.receive(0) is None
 
 
-def test_what_was_sent_before_the_link_is_opened_anew_arrives_as_on_any_line() -> None:
-    rig = WheelRig(lockstep=True)
-    link = DirectLink(rig)
-    link.send(codec.encode(m.Step(0, 7)))
-    link.reopen()
-    assert codec.decode(received(link)[-1]) == m.StepDone(7)
-
-
-def test_a_link_that_was_closed_says_so() -> None:
-    link = DirectLink(WheelRig(lockstep=True))
-    link.close()
-    link.close()
-    assert link.receive(0) is None
-    link.send(codec.encode(m.Step(0, 1)))
-    with pytest.raises(LinkError, match="closed; open a new one"):
-        link.receive(0)
+def test_a_link_that_was_closed_says_so_and_its_robot_hears_nothing_more() -> None:
+    direct, line, *rigs = both()
+    for link in (direct, line):
+        link.send(codec.encode(m.Step(0, 1)))
+        send = link.send  # as whoever stands before the link holds it
+        link.close()
+        link.close()
+        assert link.receive(0) is None
+        with pytest.raises(LinkError, match="closed; open a new one"):
+            send(codec.encode(m.Step(0, 1)))
+    assert [rig.node.look().tick for rig in rigs] == [0, 0]
 
 
 @pytest.mark.parametrize("wrong", [Frame(0x123, b""), Frame(m.Tick.ID, b"1234567"), Frame(1 << 16, b"")])
-def test_what_is_no_message_is_refused_and_nothing_of_it_is_sent(wrong: Frame) -> None:
-    rig = WheelRig(lockstep=True)
-    link = DirectLink(rig)
-    link.send(codec.encode(m.Step(0, 1)))
-    link.send(wrong)
-    with pytest.raises(ValueError, match="expected") as ours:
-        link.receive(0)
-    with pytest.raises(ValueError, match="expected") as theirs:
-        Framer().encode(wrong)
-    assert str(ours.value) == str(theirs.value)
-    assert rig.node.look().tick == 0
-    link.send(codec.encode(m.Step(0, 1)))
-    assert codec.decode(received(link)[-1]) == m.StepDone(1), "the frames that were refused are forgotten"
+def test_what_is_no_message_is_refused_and_changes_nothing(wrong: Frame) -> None:
+    direct, line, *_ = both()
+    words = []
+    for link in (direct, line):
+        link.send(codec.encode(m.Step(0, 3)))
+        with pytest.raises(ValueError, match="expected") as refused:
+            link.send(wrong)
+        words.append(str(refused.value))
+        assert link.sent_frames == 1
+        assert codec.decode(received(link)[-1]) == m.StepDone(3)
+    assert words[0] == words[1]
 
 
 STEP = pack([codec.encode(m.Step(0, 1))])
@@ -113,33 +125,10 @@ STEP = pack([codec.encode(m.Step(0, 1))])
     "rest", [STEP[:1], STEP[:-1], b"\x23\x01\x00" + STEP, b"\x00\x03\x05" + STEP], ids=["cut", "short", "id", "length"]
 )
 def test_the_library_sends_what_is_whole_and_stops_there(rest: bytes) -> None:
-    ffi, lib = library()
     rig = WheelRig(lockstep=True)
-    memory = ffi.new("uint64_t[]", lib.wheel_line_size() // 8 + 1)
-    line = ffi.cast("wheel_line *", memory)
-    lib.wheel_line_init(line)
-    answer, done = ffi.new("uint8_t[]", lib.WHEEL_DIRECT_ROOM), ffi.new("wheel_direct_bytes *")
-    packed = STEP + rest
-    lib.wheel_direct_converse(line, rig.node.handle, packed, len(packed), answer, len(answer), done)
-    assert done.sent == len(Framer().encode(codec.encode(m.Step(0, 1))))
-    assert rig.node.look().tick == 1
-
-
-def test_what_has_no_room_is_there_the_next_time() -> None:
-    ffi, lib = library()
-    rig, other = WheelRig(lockstep=True), WheelRig(lockstep=True)
-    memory = ffi.new("uint64_t[]", lib.wheel_line_size() // 8 + 1)
-    line = ffi.cast("wheel_line *", memory)
-    lib.wheel_line_init(line)
-    answer, done = ffi.new("uint8_t[]", lib.WHEEL_DIRECT_ROOM), ffi.new("wheel_direct_bytes *")
-    packed = pack([codec.encode(m.Step(0, 1000))])
-    expected = pack(HostLine().converse(other.node, [codec.encode(m.Step(0, 1000))])[0])
-    heard = b""
-    while lib.wheel_direct_converse(line, rig.node.handle, packed, len(packed), answer, len(answer), done):
-        assert done.packed <= len(answer)
-        heard += bytes(ffi.buffer(answer, done.packed))
-        packed = b""
-    assert heard == expected
+    some, _ = HostLine().converse(rig.node, STEP + rest, HostLine())
+    assert codec.decode(some[-1]) == m.StepDone(1)
+    assert sum(frame.id == m.StepDone.ID for frame in some) == 1
 
 
 def test_a_run_is_the_same_with_a_firmware_that_is_asked_for_bytes() -> None:

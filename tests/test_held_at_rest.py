@@ -12,7 +12,7 @@ from hil.controllers.registry import SHIPPED
 from hil.devices.link_times import CommandLatency
 from hil.estimator.truth import TruthEstimator
 from hil.sampling import Sampling
-from hil.types import WHEEL_NAMES, PoseFix, State
+from hil.types import WHEEL_NAMES, Pose, PoseFix, State
 
 PERIOD_S = 0.005
 PATIENCE_S = 0.1  # of the firmware: [firmware] watchdog_s
@@ -42,10 +42,11 @@ def truth_with(monkeypatch: pytest.MonkeyPatch, changed: Callable[[float, PoseFi
     monkeypatch.setattr(Sampling, "fix_of", fix_of)
 
 
+@pytest.mark.parametrize("field", Pose._fields)
 @pytest.mark.parametrize("value", [math.nan, math.inf])
-def test_a_truth_that_is_no_number_any_more_drives_no_longer_than_one_that_stopped(value, monkeypatch):
+def test_a_truth_that_is_no_number_any_more_drives_no_longer_than_one_that_stopped(field, value, monkeypatch):
     def changed(t_s: float, fix: PoseFix) -> PoseFix:
-        return fix._replace(pose=fix.pose._replace(x_m=value)) if 0.2 <= t_s < 0.5 else fix
+        return fix._replace(pose=fix.pose._replace(**{field: value})) if 0.2 <= t_s < 0.5 else fix
 
     truth_with(monkeypatch, changed)
     result = run()

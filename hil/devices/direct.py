@@ -1,17 +1,14 @@
 """A virtual robot in lockstep whose host is in the same thread: its truth, and the host's end of the line to it."""
 
-import time
-from collections.abc import Callable
 from typing import Protocol, cast
 
-from firmware_protocol.framing import FRAME_OVERHEAD, Frame
+from firmware_protocol.framing import FRAME_OVERHEAD, PACKED_HEADERS, Frame, unsendable
 from firmware_protocol.host import HostNode
+from firmware_protocol.host_line import HostLine
 from hil.devices.virtual import VirtualStm32
-from hil.errors import LinkError
 from hil.links.framed import StreamLink
-from hil.links.language import wheel_framing
 from hil.links.opening import Line
-from hil.links.streams import DirectStream
+from hil.links.streams import DirectStream, closed
 from hil.ports import Link, Received, make_received
 
 
@@ -36,7 +33,7 @@ def open_direct(robot: VirtualStm32, line: Line) -> Link:
     stream = line(direct)
     # Faults of the line want the bytes, and so does a firmware that is watched. One that is reset is silent then.
     if stream is direct and type(robot.node) is HostNode and not robot.faults.can_reset:
-        return DirectLink(cast(LibraryRobot, robot))
+        return DirectLink(cast(LibraryRobot, robot), direct)
     return StreamLink(stream)
 
 
@@ -46,68 +43,42 @@ class LibraryRobot(Protocol):
     node: HostNode
 
 
-class DirectLink:
-    """Does what a ``StreamLink`` over a ``DirectStream`` does, but that the line's bytes stay within the library.
+class DirectLink(StreamLink):
+    """A ``StreamLink`` over a stream to this robot, whose bytes stay within the library: a call for all of a tick."""
 
-    What is sent waits until something is to be received: ``receive`` raises ValueError for a frame that is no message.
+    _framing: HostLine
 
-    Attributes:
-        now_ns: the clock that stamps what is received.
-        sent_frames, sent_bytes, received_frames, received_bytes: so far.
-    """
-
-    counts_frames = True
-
-    def __init__(self, robot: LibraryRobot) -> None:
+    def __init__(self, robot: LibraryRobot, stream: DirectStream) -> None:
+        super().__init__(stream)
         self._robot = robot
-        self._line = wheel_framing()
-        self._unsent: list[Frame] = []
-        self._told_frames = self._told_bytes = 0
+        self._there = HostLine()
+        self._unsent = b""  # packed
         self._is_open = True
-        self.send: Callable[[Frame], None] = self._unsent.append
-        self.now_ns: Callable[[], int] = time.monotonic_ns
-        self.received_bytes = 0
 
-    @property
-    def sent_frames(self) -> int:
-        return self._told_frames + len(self._unsent)
-
-    @property
-    def sent_bytes(self) -> int:
-        size = self._told_bytes
-        for _, payload in self._unsent:
-            size += len(payload) + FRAME_OVERHEAD
-        return size
-
-    @property
-    def received_frames(self) -> int:
-        return self._line.frames
+    def send(self, frame: Frame) -> None:
+        number, payload = frame
+        header = PACKED_HEADERS.get((number, len(payload)))
+        if header is None:
+            raise unsendable(frame)
+        if not self._is_open:
+            raise closed()
+        self._unsent += header + payload
+        self.sent_frames += 1
+        self.sent_bytes += FRAME_OVERHEAD + len(payload)
 
     def receive(self, _timeout_ns: int) -> Received | None:
         unsent = self._unsent
         if not unsent:
             return None
-        if not self._is_open:
-            raise LinkError("the memory link was closed; open a new one")
-        try:
-            frames, sent, received = self._line.converse(self._robot.node, unsent)
-            self._told_frames += len(unsent)
-            self._told_bytes += sent
-        finally:
-            unsent.clear()
-        if not received:
+        self._unsent = b""
+        frames, size = self._framing.converse(self._robot.node, unsent, self._there)
+        if not size:
             return None
-        self.received_bytes += received
+        self.received_frames += len(frames)
+        self.received_bytes += size
         return make_received((frames, self.now_ns()))
-
-    def rejected(self) -> dict[str, int]:
-        return self._line.rejected | {"unread_bytes": 0}
-
-    def reopen(self) -> None:
-        """Nothing to do: what the robot said was read, and it hears what was sent before."""
-
-    def describe(self) -> str:
-        return "memory, both sides in one process"
 
     def close(self) -> None:
         self._is_open = False
+        self._unsent = b""
+        super().close()

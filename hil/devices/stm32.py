@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from types import MethodType
 
 from firmware_protocol.codec import Message, decode, encode
-from firmware_protocol.framing import PackedFrames, make_frame, pack, packed_frame
+from firmware_protocol.framing import PackedFrames, pack, packed_frame
 from firmware_protocol.generated import messages as m
 from hil.devices import handshake
 from hil.devices.handshake import RETRY_NS, Expected, Greeting, RobotInfo
@@ -110,7 +110,7 @@ class Stm32:
         self._info = info
         self._is_known = True
         if self._expected.lockstep:
-            self.step(0)
+            self._exchange(m.Step(0, 0))
         return info
 
     @property
@@ -153,7 +153,7 @@ class Stm32:
         self._greeting = Greeting()
         self._greet_again_ns = 0
         if self._expected.lockstep:
-            self.step(0)
+            self._exchange(m.Step(0, 0))
 
     def _check_same(self, info: RobotInfo) -> None:
         handshake.check(info, self._expected)
@@ -345,7 +345,7 @@ class Stm32:
         self._send(m.TimeSyncRequest(self.clock_sync.request(now_ns)))
         if self._expected.lockstep and self._link.next_due_ns() is None:
             # No time passes here, so that the answer has the stamp of its tick, not that of the next step's end.
-            self.step(0)
+            self._exchange(m.Step(self.tick, 0))
 
     def send(self, command: WheelCommand) -> int:
         """Send a command that the guard has passed; return its sequence. Raises ValueError for what cannot be sent."""
@@ -364,8 +364,11 @@ class Stm32:
         return sequence
 
     def step(self, ticks: int) -> None:
-        """Lockstep: let so many firmware ticks pass, and take what the robot sends meanwhile; 0 asks for its tick."""
-        step = _make_step((self._stepping.tick, ticks))
+        """Lockstep: let so many firmware ticks pass, and take what the robot sends meanwhile."""
+        self._exchange(_make_step((self._stepping.tick, ticks)))
+
+    def _exchange(self, step: m.Step) -> None:
+        """Send a STEP and take what comes until its answer. 0 substeps only ask for the tick."""
         self._send(step)
         self._stepping.exchange(self._link, step, self._take)
 
@@ -385,7 +388,7 @@ class Stm32:
         self._send(m.HostHeartbeat(self._nonce, m.SCHEMA_HASH, request, mode, check))
 
     def _send(self, message: Message) -> None:
-        frame = make_frame((message.ID, message.encode()))
+        frame = encode(message)
         self._link.send(frame)
         if message.ID < _FIRST_UNCOUNTED:
             self.sent += 1

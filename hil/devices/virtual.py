@@ -319,7 +319,7 @@ class VirtualServer:
             self._asked.get()()
 
     def _send(self) -> None:
-        """Send what the robot has to send."""
+        """Send what the robot has to send; where a reset switched it off, it is switched on again first."""
         self._wire.send_from(self._robot.awake())
 
     def _serve_real_time(self) -> None:

@@ -63,7 +63,7 @@ class Language(NamedTuple):
         return [piece + self.delimiter for piece in data.split(self.delimiter)[:-1]]
 
 
-def wheel_framing() -> HostLine:
+def _wheel_framing() -> Framing:
     """Return the framing of our own protocol. Raises BadInputError where the library that it is in was not built."""
     try:
         return HostLine()
@@ -71,5 +71,5 @@ def wheel_framing() -> HostLine:
         raise BadInputError(str(error)) from error
 
 
-WHEEL_DBC = Language(wheel_framing, NAMES, SENDERS, LENGTHS, 0x300, b"\0")
+WHEEL_DBC = Language(_wheel_framing, NAMES, SENDERS, LENGTHS, 0x300, b"\0")
 """Our own protocol. STEP, STEP_DONE and the HELLO pages carry no control."""

@@ -33,6 +33,11 @@ class HostStream(ByteStream, Protocol):
         """Return what the line is, in words for a person."""
 
 
+def closed() -> LinkError:
+    """Return the error of who sends by a link in memory that was closed."""
+    return LinkError("the memory link was closed; open a new one")
+
+
 class DirectStream:
     """The host's end of a line to a robot in the same thread, in lockstep: a read lets it answer what was written.
 
@@ -46,7 +51,7 @@ class DirectStream:
 
     def write(self, data: bytes) -> None:
         if not self._is_open:
-            raise LinkError("the memory link was closed; open a new one")
+            raise closed()
         self._written += data
 
     def read(self, _timeout_ns: int) -> bytes:
@@ -82,7 +87,7 @@ class MemoryStream:
     def write(self, data: bytes) -> None:
         peer = self._peer
         if peer is None:
-            raise LinkError("the memory link was closed; open a new one")
+            raise closed()
         peer._received.put(data)
 
     def read(self, timeout_ns: int) -> bytes:

@@ -8,19 +8,13 @@
 #include "line.h"
 
 /* cffi: begin */
-/* What became of a conversation, in bytes. */
-typedef struct {
-    size_t sent;     /* over the line, to the robot */
-    size_t received; /* over the line, from the robot */
-    size_t packed;   /* were written */
-} wheel_direct_bytes;
-
-/* Sends the robot packed frames, byte by byte as on any line, and packs all that it has to send then, as far
- * as there is room, which is at least WHEEL_DIRECT_ROOM; returns how many frames that are. What is sent ends
- * at a frame that is cut or has not the length of its id. */
-size_t wheel_direct_converse(wheel_line *line, wheel_host *robot, const uint8_t *packed, size_t length,
-                             uint8_t *answer, size_t room, wheel_direct_bytes *bytes);
-#define WHEEL_DIRECT_ROOM 1024
+/* Sends the robot packed frames by the line `there`, byte by byte as on any other, and packs what it has to
+ * send then, as it comes by the line `back`; returns how many frames that are. `used` becomes how many bytes
+ * were written into `answer`, which has room for WHEEL_DIRECT_ROOM, and how many the line carried for them.
+ * What is sent ends at a frame that is cut or has not the length of its id. */
+size_t wheel_direct_converse(wheel_line *there, wheel_line *back, wheel_host *robot, const uint8_t *packed,
+                             size_t length, uint8_t *answer, size_t used[2]);
+#define WHEEL_DIRECT_ROOM 65536
 /* cffi: end */
 
 #endif
