@@ -28,6 +28,7 @@ def cut(end_s: float) -> str:
 
 # The link is opened again 0.1, 0.3, 0.7 and 1.5 s after the loss.
 BACK_AT_ONCE, BACK_AT_THE_SECOND, BACK_AT_THE_FOURTH = cut(1.05), cut(1.2), cut(2.0)
+RESET = 'fault=[{kind="reset",target="robot",start_s=1.0}]'
 
 
 def run_short(*options: str, rearm: bool = True, link: str = "memory:", trace: Path | None = None) -> RunResult:
@@ -102,8 +103,9 @@ def test_the_robot_has_stopped_until_the_new_arm():
     assert max(x_m[driven]) - min(x_m[driven]) > 0.01, "and then it drives again"
 
 
-def test_a_recovery_in_lockstep_repeats_exactly_on_every_link():
-    results = [run_short(BACK_AT_THE_SECOND, link=link) for link in (*LINKS, LINKS[0])]
+@pytest.mark.parametrize("lost", [BACK_AT_THE_SECOND, RESET])
+def test_a_recovery_in_lockstep_repeats_exactly_on_every_link(lost):
+    results = [run_short(lost, link=link) for link in (*LINKS, LINKS[0])]
     assert len({result.metrics["wire_sha256"] for result in results}) == 1
     assert len({str(result.metrics["recoveries"]) for result in results}) == 1
 
@@ -168,9 +170,6 @@ def test_without_the_key_bus_off_ends_the_run():
     result = run_short(BIT_ERRORS, rearm=False, link="can:virtual/bus_off")
     assert isinstance(result.failure, LinkError)
     assert "bus-off" in str(result.failure)
-
-
-RESET = 'fault=[{kind="reset",target="robot",start_s=1.0}]'
 
 
 @pytest.mark.parametrize("link", LINKS)

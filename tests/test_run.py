@@ -90,6 +90,12 @@ def test_every_link_carries_the_same_frames():
         assert np.array_equal(result.signals["truth.x_m"], first.signals["truth.x_m"])
 
 
+def test_with_latency_both_ways_every_link_carries_the_same_frames():
+    late = {"loop.duration_s": 0.3, "expect": [], "link.command_latency_s": 0.003, "link.feedback_latency_s": 0.007}
+    hashes = {link: hil.run("paper_circle", set=late, link=link).metrics["wire_sha256"] for link in LINKS}
+    assert len(set(hashes.values())) == 1, hashes
+
+
 def test_seed_changes_the_wire_and_nothing_else():
     one, again, other = run(), run(), run(loop__seed=2)
     assert one.metrics["wire_sha256"] == again.metrics["wire_sha256"]

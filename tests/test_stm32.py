@@ -48,15 +48,22 @@ class Line(DirectStream):
         return self._rig.node.take_bytes()
 
 
+class SlowLine(Line):
+    """A line on which an answer is only once it is waited for, as where the robot's thread has not run until then."""
+
+    def read(self, timeout_ns: int) -> bytes:
+        return super().read(timeout_ns) if timeout_ns > 0 else b""
+
+
 def driver(
-    rig: WheelRig, *, lockstep=True, allow_motion=False, values=PARAMETERS, nonces=None, line=None
+    rig: WheelRig, *, lockstep=True, allow_motion=False, values=PARAMETERS, nonces=None, line=None, latencies=(0, 0)
 ) -> tuple[Stm32, LockstepClock]:
     link = StreamLink(line or Line(rig))
     expected = Expected(parameter_hash(values), lockstep, allow_motion)
     nonces = itertools.count(0x2341) if nonces is None else iter(nonces)
     clock = LockstepClock(lambda ticks: device.step(ticks))
     device = Stm32(
-        DelayedLink(FaultLink(link, ScenarioTime(clock), ()), clock, 0, 0),
+        DelayedLink(FaultLink(link, ScenarioTime(clock), ()), clock, *latencies),
         CommandMode.SPEED,
         expected,
         nonces,
@@ -192,6 +199,24 @@ def test_what_came_with_a_wrong_answer_to_a_step_is_counted():
     with pytest.raises(DeviceError, match="was reset"):
         device.step(5)
     assert device.received == before + 1
+
+
+@pytest.mark.parametrize("latencies", [(0, 0), (3_000_000, 0), (0, 7_000_000), (3_000_000, 7_000_000)])
+def test_in_lockstep_it_changes_nothing_when_an_answer_is_on_the_line(latencies):
+    def run(line: type[Line]) -> tuple[str, int, int]:
+        rig = WheelRig(lockstep=True)
+        device, clock = driver(rig, line=line(rig), latencies=latencies)
+        device.connect()
+        device.start(clock, 1_000_000)  # polls when a held TIME_SYNC_REQUEST has just been handed over
+        device.begin_again()
+        while not device.greeted():
+            device.wait_until(clock.now_ns() + 1_000_000)
+        greeted_ns = clock.now_ns()
+        while not device.armed():
+            device.wait_until(clock.now_ns() + 1_000_000)
+        return device.wire_sha256(), greeted_ns, clock.now_ns()
+
+    assert run(Line) == run(SlowLine)
 
 
 def test_a_robot_that_was_reset_is_noticed():

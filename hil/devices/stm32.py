@@ -311,13 +311,15 @@ class Stm32:
     def poll(self) -> Feedback | None:
         """Take what has arrived; return the newest snapshot so far. Sends heartbeat and TIME_SYNC when they are due.
 
-        In real time what was taken may have lain there for ``unread_ns``: since the link was last found empty.
+        In real time what was taken may have lain there for ``unread_ns``: since the link was last found empty. In
+        lockstep ``step`` alone takes: what else the line already has of an answer depends on the wall clock.
         """
         taken = 0
-        # In real time the rest is for the next tick: a host that is slower than its robot would never be done.
-        while (taken < _MOST_A_POLL or self._expected.lockstep) and (received := self._link.receive(0)) is not None:
-            self._take(received)
-            taken += len(received.frames)
+        if not self._expected.lockstep:
+            # The rest is for the next tick: a host that is slower than its robot would never be done.
+            while taken < _MOST_A_POLL and (received := self._link.receive(0)) is not None:
+                self._take(received)
+                taken += len(received.frames)
         self._hash.keep_up()
         if self._clock is not None:
             now_ns = self._clock.now_ns()
