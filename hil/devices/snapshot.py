@@ -82,33 +82,10 @@ class SnapshotReader:
         Its own are valid messages of snapshots, and a STEP_DONE behind them, after which it ends.
         """
         end: int = self._take(self._reader, packed, begin, len(packed))
-        # fmt: off -- as wheel_snapshot has them
-        (
-            time_us,
-            self.frames,
-            completed,
-            slow,
-            ticks,
-            self.incomplete,
-            self.lost,
-            steps_done,
-            step_done,
-            fl,
-            fr,
-            rr,
-            rl,
-            fl_count,
-            fr_count,
-            rr_count,
-            rl_count,
-            state,
-            sequence,
-            age_ms,
-            newest_sequence,
-        ) = _unpack(self._fast_bytes)
-        # fmt: on
+        values = _unpack(self._fast_bytes)
+        time_us, self.frames, completed, slow, ticks, self.incomplete, self.lost, steps_done, step_done = values[:9]
         if ticks == self._ticks + 1:  # as nearly always
-            self._ticks, self.sequences = ticks, (newest_sequence,)
+            self._ticks, self.sequences = ticks, values[20:]
         else:
             self.sequences = self._sequences(ticks)
         if completed != self._completed:
@@ -117,6 +94,7 @@ class SnapshotReader:
                 self._slow = slow
                 at_a_lower_rate = _unpack_slow(self._slow_bytes)
                 self._held = make_wheels(at_a_lower_rate[:4]), at_a_lower_rate[4:7], at_a_lower_rate[7]
+            state, sequence, age_ms = values[17:20]
             current_a, acceleration_m_s2, yaw_rate_rad_s = self._held
             self.feedback = _make_feedback(
                 (
@@ -124,8 +102,8 @@ class SnapshotReader:
                     _STATES[state],
                     sequence,
                     age_ms,
-                    (fl_count, fr_count, rr_count, rl_count),
-                    make_wheels((fl, fr, rr, rl)),
+                    values[13:17],
+                    make_wheels(values[9:13]),
                     current_a,
                     acceleration_m_s2,
                     yaw_rate_rad_s,

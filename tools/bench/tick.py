@@ -2,7 +2,7 @@
 
 The paper's circle at 1 kHz in lockstep, AFDSC with FMU and firmware core in the loop and every byte of the protocol on
 the wire, beside ``naive_loop``: FMPy's class, cantools, python-can's virtual bus, NumPy, and ``rr.log`` a signal. Both
-without and with a recording, all in turns. A tick reaches from one exchange with the plant to the next. Ratios are of
+without and with a recording, all in turns. A tick reaches from one exchange with the robot to the next. Ratios are of
 the 10th percentiles, the ticks in which nobody else had the processor or its caches; of the turns the least counts.
 Both loops have to be on the circle at the end.
 """
@@ -31,7 +31,7 @@ from hil.types import PoseFix
 from tools.bench.naive_loop import NaiveLoop
 
 SCENARIO = "paper_circle"
-FIRST = 600  # exchanges that do not count: those of the handshake, and the first ticks
+FIRST = 600  # ticks that do not count
 ON_THE_CIRCLE_M = 0.02
 WAYS = ("not recorded", "recorded")
 
