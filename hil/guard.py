@@ -36,24 +36,22 @@ class Guard:
         if mode is _TORQUE and speed is not ZERO_WHEELS:
             speed = ZERO_WHEELS
             command = make_command((mode, speed, torque))
-        # Both checks are written out: in most ticks the first is all that is done here, and a call would double it.
-        fl, fr, rr, rl = torque
-        most = self.torque_limit_n_m
-        least = -most
-        if least <= fl <= most and least <= fr <= most and least <= rr <= most and least <= rl <= most:
-            if speed is ZERO_WHEELS:
-                return command, False
-            fl, fr, rr, rl = speed
-            most = self.speed_limit_rad_s
-            least = -most
-            if least <= fl <= most and least <= fr <= most and least <= rr <= most and least <= rl <= most:
-                return command, False
+        if _is_within(torque, self.torque_limit_n_m) and (
+            speed is ZERO_WHEELS or _is_within(speed, self.speed_limit_rad_s)
+        ):
+            return command, False
         if not all(map(math.isfinite, speed + torque)):
             self.refused += 1
             return WheelCommand(mode, ZERO_WHEELS, ZERO_WHEELS), False
         limited_speed = _scaled(speed, self.speed_limit_rad_s)
         limited_torque = _scaled(torque, self.torque_limit_n_m)
         return WheelCommand(mode, limited_speed, limited_torque), True
+
+
+def _is_within(value: Wheels, limit: float) -> bool:
+    """Whether every wheel is within the limit, which no NaN is."""
+    fl, fr, rr, rl = value
+    return -limit <= fl <= limit and -limit <= fr <= limit and -limit <= rr <= limit and -limit <= rl <= limit
 
 
 def _scaled(value: Wheels, limit: float) -> Wheels:

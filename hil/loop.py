@@ -138,8 +138,7 @@ class Loop:
             except (LinkError, RobotStoppedError) as error:
                 self._wait_again(error, in_vain)
                 continue
-            if in_vain:
-                in_vain.clear()
+            in_vain.clear()
             if number < 0:
                 self._keep_armed()
             else:

@@ -47,8 +47,8 @@ class RoundTrip:
         sent_ns = self._sent_ns[sequence]
         if sent_ns is not None:
             self._sent_ns[sequence] = None
-            self.ms = ms = (stamp_ns - sent_ns) * 1e-6
-            self._all_ms.append(ms)
+            self.ms = (stamp_ns - sent_ns) * 1e-6
+            self._all_ms.append(self.ms)
 
     def restart(self) -> None:
         """Begin with a new session: an echo of the last one's commands is no round trip."""

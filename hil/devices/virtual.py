@@ -145,7 +145,7 @@ class VirtualStm32:
 
     def awake(self) -> RobotNode:
         """Return the firmware to be heard: where a reset has switched one off, it is switched on again."""
-        if self.faults.can_reset and self.faults.is_off:
+        if self.faults.is_off:
             self.restart()
         return self.node
 

@@ -1,7 +1,7 @@
 """Where the robot is by ground truth: for reference, not for a robot that has to find out itself."""
 
 from collections.abc import Mapping, Sequence
-from math import dist, isfinite
+from math import isfinite
 
 from hil.estimator.measurement import NO_STATUS, Measurement, measured_twist
 from hil.kinematics import to_world
@@ -30,17 +30,14 @@ class TruthEstimator:
     ) -> State | None:
         """Return the newest true pose and the twist."""
         if truth is not None:
-            _, pose, twist = truth
-            # As nearly always, and one call for all six: a distance between what is no number is none.
-            if isfinite(dist(pose, twist)) and not self._uses_wheels:
-                self._truth = truth
-                return make_state((pose, twist))
-            if isfinite(sum(pose)):
+            x, y, heading = truth.pose
+            if isfinite(x + y + heading):
                 self._truth = truth
         if self._truth is None:
             return None
         _, pose, twist = self._truth
-        if self._uses_wheels or not isfinite(sum(twist)):
+        vx, vy, yaw_rate = twist
+        if self._uses_wheels or not isfinite(vx + vy + yaw_rate):
             twist = to_world(measured_twist(self._model, measurement), pose.heading_rad)
         return make_state((pose, twist))
 

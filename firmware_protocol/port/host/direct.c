@@ -1,22 +1,21 @@
 #include "direct.h"
 
-#define HEADER 3u /* id16, length8 */
+#include "packed.h"
 
-_Static_assert(WHEEL_HOST_QUEUE *(HEADER + sizeof((wheel_frame *)0)->payload) + WHEEL_LINE_OPEN <=
+_Static_assert(WHEEL_HOST_QUEUE *(WHEEL_PACKED_HEADER + sizeof((wheel_frame *)0)->payload) +
+                       WHEEL_LINE_OPEN <=
                    WHEEL_DIRECT_ROOM,
                "a full queue of the robot has no room");
 
 static void tell(wheel_line *line, wheel_host *robot, const uint8_t *packed, size_t length) {
     uint8_t bytes[WHEEL_LINE_LONGEST];
-    size_t at = 0;
-    while (at + HEADER <= length && at + HEADER + packed[at + 2u] <= length) {
-        const uint16_t id = (uint16_t)(packed[at] | (packed[at + 1u] << 8));
-        const size_t written = wheel_line_encode(line, id, packed + at + HEADER, packed[at + 2u], bytes);
+    wheel_packed frame;
+    for (size_t at = 0; wheel_packed_take(packed, at, length, &frame); at = frame.next) {
+        const size_t written = wheel_line_encode(line, frame.id, frame.payload, frame.length, bytes);
         if (written == 0u) {
             return;
         }
         wheel_host_feed(robot, bytes, written);
-        at += HEADER + packed[at + 2u];
     }
 }
 

@@ -1,9 +1,10 @@
 #include "line.h"
 
+#include "packed.h"
+
 #include <math.h>
 #include <string.h>
 
-#define HEADER 3u /* id16, length8 */
 #define SEQUENCES (sizeof((wheel_snapshot *)0)->sequences)
 
 _Static_assert(WHEEL_LINE_LONGEST >= WHEEL_FRAME_MAX, "a frame needs more room than is promised");
@@ -34,8 +35,8 @@ size_t wheel_line_feed(wheel_line *line, const uint8_t *bytes, size_t length, ui
         out[0] = (uint8_t)(frame.id & 0xFFu);
         out[1] = (uint8_t)(frame.id >> 8);
         out[2] = frame.length;
-        memcpy(out + HEADER, frame.payload, frame.length);
-        out += HEADER + frame.length;
+        memcpy(out + WHEEL_PACKED_HEADER, frame.payload, frame.length);
+        out += WHEEL_PACKED_HEADER + frame.length;
         count++;
     }
     *used = (size_t)(out - packed);
@@ -242,19 +243,14 @@ static bool take_frame(wheel_reader *reader, uint16_t id, const uint8_t *payload
 size_t wheel_reader_take(wheel_reader *reader, const uint8_t *packed, size_t begin, size_t end) {
     size_t at = begin;
     const uint32_t ticks = reader->snapshot.ticks;
-    while (at + HEADER <= end && reader->snapshot.ticks - ticks < SEQUENCES) {
-        const uint8_t *frame = packed + at;
-        const size_t length = frame[2];
-        if (at + HEADER + length > end) {
-            break;
-        }
-        const uint16_t id = (uint16_t)(frame[0] | (frame[1] << 8));
-        if (!take_frame(reader, id, frame + HEADER, length)) {
+    wheel_packed frame;
+    while (reader->snapshot.ticks - ticks < SEQUENCES && wheel_packed_take(packed, at, end, &frame)) {
+        if (!take_frame(reader, frame.id, frame.payload, frame.length)) {
             break;
         }
         reader->snapshot.frames++;
-        at += HEADER + length;
-        if (id == WP_STEP_DONE_ID) {
+        at = frame.next;
+        if (frame.id == WP_STEP_DONE_ID) {
             break;
         }
     }

@@ -92,8 +92,7 @@ class QemuServer(VirtualServer):
         if self._wire.receive_into(board, timeout_ns):
             self._heard_ns = time.monotonic_ns()
         board.check()
-        if self._robot.faults.is_off:
-            self._robot.restart()
+        self._robot.awake()
 
     def _forward(self) -> None:
         self._publish()
