@@ -53,7 +53,7 @@ bench: setup .venv/tools
 	$(BIN)/python -m tools.bench $(ARGS)
 
 picture: setup .venv/tools
-	$(BIN)/hil run paper_circle --record runs/picture.rrd
+	$(BIN)/hil run paper_circle --record runs/picture.rrd --force
 	$(BIN)/python tools/screenshot.py runs/picture.rrd tools/pictures/paper_circle.png --at 0.5
 	$(BIN)/python tools/screenshot.py runs/picture.rrd tools/pictures/paper_circle_law.png --tab Law
 

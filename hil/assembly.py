@@ -14,6 +14,7 @@ from hil.figure_words import applied_words
 from hil.links.url import parse_link
 from hil.loop import Loop, Report
 from hil.metrics import CommandLimits, SignalFigures
+from hil.outputs import Existing, existing_files
 from hil.parts import PartsOf
 from hil.ports import Sink
 from hil.realtime import RealTime, Wanted, real_time
@@ -47,17 +48,21 @@ def run(
     rotate: str | None = None,
     trace: str | Path | None = None,
     stream: str | None = None,
+    force: bool = False,
     allow_motion: bool = False,
 ) -> RunResult:
-    """Run a scenario and return its result; the same as ``hil run``.
+    """Run a scenario and return its result, as ``hil run`` does; nothing is recorded unless ``record`` names a file.
+
+    ``hil run`` records into ``runs/`` by itself, for its process ends with the run; here the result has all signals.
 
     ``scenario`` is a shipped name or a path; ``set`` overrides any of its keys, ``robot`` merges a robot's own file.
     ``truth`` is the URL of the truth socket of a robot in another process, ``record`` an ``.rrd`` or ``.mcap``
     file, ``rotate`` when it goes on in another, as in ``1GB|10min``, ``trace`` a ``.blf``, ``.asc`` or ``.log`` file
     for what is on the wire, ``stream`` the URL ``udp://127.0.0.1:PORT`` of a program that plots JSON datagrams.
+    ``force`` replaces a recording and a trace that are there already.
 
-    Raises BadInputError for a wrong scenario or option, LinkError or DeviceError when the robot cannot be reached or
-    does not arm. What fails later is in the result.
+    Raises BadInputError for a wrong scenario or option and for a file that is there already, LinkError or DeviceError
+    when the robot cannot be reached or does not arm. What fails later is in the result.
     """
     loaded = load(scenario, set=set, robot=robot, mode=mode, link=link, seed=seed)
     recording, traced = (Path(path) if path is not None else None for path in (record, trace))
@@ -69,6 +74,7 @@ def run(
             record=recording,
             rotate=parts,
             trace=traced,
+            existing=existing_files(force=force),
             stream=stream,
             allow_motion=allow_motion,
             make_recording=make_recording,
@@ -88,6 +94,7 @@ def run_scenario(
     record: Path | None = None,
     rotate: Rotation = Rotation(),  # noqa: B008 -- immutable
     trace: Path | None = None,
+    existing: Existing = "refuse",
     live_port: int | None = None,
     stream: str | None = None,
     allow_motion: bool = False,
@@ -101,6 +108,7 @@ def run_scenario(
 ) -> RunResult:
     """Run a scenario that was loaded. Raises as ``run``.
 
+    ``existing`` says what is done where ``record`` is there already; a ``trace`` is never numbered, but refused.
     ``live_port`` serves live viewers on 127.0.0.1. ``watch`` is entered with the loop while it runs; ``warn`` is
     called before anything is opened with each sentence on what the robot will not be able to follow, and with what the
     robot itself warns of once it is known, before it is armed; ``linger`` is called when all is done and recorded,
@@ -108,10 +116,11 @@ def run_scenario(
     ``make_recording`` the recording. Without ``keep_signals`` the result has none, and memory does not grow with the
     length of the run; extra signals are then asked for only where somebody else reads them.
     """
+    trace_existing: Existing = "refuse" if existing == "number" else existing
     if record is not None:
-        check_output_path("recording", record)
+        check_output_path("recording", record, existing)
     if trace is not None:
-        check_output_path("trace", trace)
+        check_output_path("trace", trace, trace_existing)
     destination = parse_destination(stream) if stream is not None else None
     parts = PartsOf(scenario)
     laws, demands = parts.laws, parts.demands()
@@ -121,7 +130,7 @@ def run_scenario(
     blocking = scenario.loop.mode == "lockstep"
     with contextlib.ExitStack() as resources:
         resources.enter_context(device_held(parse_link(scenario.link.url), f"hil run {scenario.name}"))
-        tracing = resources.enter_context(open_trace(scenario, trace)) if trace is not None else None
+        tracing = resources.enter_context(open_trace(scenario, trace, trace_existing)) if trace is not None else None
         bench = resources.enter_context(
             Bench(
                 scenario,
@@ -143,7 +152,9 @@ def run_scenario(
         memory = MemorySink(names, _signal_figures(scenario), keep=keep_signals)
         recording: RunRecording | None = None
         if record is not None or live_port is not None:
-            options = {"rotation": rotate} if any(rotate) else {}
+            options: dict[str, Any] = {"rotation": rotate} if any(rotate) else {}
+            if existing != "refuse":
+                options["existing"] = existing
             recording = resources.enter_context(
                 make_recording(
                     record,

@@ -26,6 +26,7 @@ from hil.commands.init import init
 from hil.commands.motors import jog, probe
 from hil.commands.options import (
     AllowMotion,
+    Force,
     Json,
     LinkUrl,
     LivePort,
@@ -91,6 +92,7 @@ def run(
     ] = None,
     seed: Seed = None,
     sets: Sets = None,
+    force: Force = False,
     allow_motion: AllowMotion = False,
     as_json: Json = False,
 ) -> None:
@@ -104,6 +106,7 @@ def run(
 
     from hil import report
     from hil.assembly import run_scenario
+    from hil.outputs import existing_files
     from hil.scenario import load
 
     resolved = load(scenario, set=sets or [], robot=robot, mode=mode, link=link, seed=seed)
@@ -121,6 +124,7 @@ def run(
             record=path,
             rotate=parts,
             trace=trace,
+            existing="number" if record is None and not force else existing_files(force=force),
             live_port=live_port if live else None,
             stream=stream,
             allow_motion=allow_motion,

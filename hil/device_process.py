@@ -17,9 +17,11 @@ from hil.links.language import Language
 from hil.links.opening import open_robot
 from hil.links.url import LinkUrl
 from hil.links.wire import Wire
+from hil.outputs import Existing
 from hil.realtime import Wanted, real_time
 from hil.robots import language_of, link_of, no_lockstep, node_maker, open_trace, virtual_robot
 from hil.scenario import Scenario
+from hil.telemetry import check_output_path
 from hil.trace import Trace
 from hil.trace.tap import TracedWire
 
@@ -31,23 +33,27 @@ def serve(
     target: str = "host",
     trace: Path | None = None,
     lifeline: int | None = None,
+    *,
+    existing: Existing = "refuse",
 ) -> None:
     """Serve the scenario's virtual robot until SIGTERM or SIGINT; ``target`` says what its firmware runs on.
 
-    ``trace`` is a file for what is on the wire. With a ``lifeline``, the descriptor of a pipe, it ends with that too:
-    when whoever held the other end is gone.
+    ``trace`` is a file for what is on the wire, ``existing`` what is done where it is there already. With a
+    ``lifeline``, the descriptor of a pipe, it ends with that too: when whoever held the other end is gone.
 
     ``say`` gets one line when the robot is ready: how to reach it; one for each part of ``[realtime]`` that was not
     granted; and one at the end each if this machine's stalls
     cost robot time, and if the trace is incomplete. Raises BadInputError when a part cannot be made, LinkError when
     the link is lost, DeviceError when the plant fails.
     """
+    if trace is not None:
+        check_output_path("trace", trace, existing)
     with contextlib.ExitStack() as resources:
         url = link_of(scenario)
         lockstep = scenario.loop.mode == "lockstep"
         robot = _robot(scenario, target, url)
         resources.callback(robot.close)
-        tracing = resources.enter_context(open_trace(scenario, trace)) if trace is not None else None
+        tracing = resources.enter_context(open_trace(scenario, trace, existing)) if trace is not None else None
         wire, reach = open_robot(url, say, lockstep=lockstep, language=language_of(scenario))
         resources.callback(wire.close)
         if tracing is not None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hil.fuzzy import K1_1_S, K2_1_S, RULES, FuzzyBlock, Rules, Tables
+from hil.outputs import Existing
 from hil.plots import Series, drawing
 
 if TYPE_CHECKING:
@@ -18,15 +19,15 @@ _POINTS = 201
 _BEYOND = 1.25  # of the range, to show that the inputs saturate
 
 
-def draw_gains(tables: Tables, path: Path) -> None:
+def draw_gains(tables: Tables, path: Path, existing: Existing = "refuse") -> None:
     """Write a PNG of K1 and K2 [1/s] over error and rate, both in units of their ranges, with the rules at the peaks.
 
-    Raises BadInputError when the file cannot be written.
+    ``existing`` says what is done where the file is there already. Raises BadInputError when it cannot be written.
     """
     across = np.linspace(-_BEYOND, _BEYOND, _POINTS)
     error, rate = np.meshgrid(across, across)
     surfaces = FuzzyBlock.from_tables(tables, 1.0, 1.0).gains_batch(error, rate)
-    with drawing(path, columns=2, size_in=(10.0, 4.6)) as both:
+    with drawing(path, columns=2, size_in=(10.0, 4.6), existing=existing) as both:
         for axes, name, levels, surface, rules in zip(
             both, ("K1", "K2"), (K1_1_S, K2_1_S), surfaces, RULES[tables], strict=True
         ):

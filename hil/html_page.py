@@ -7,6 +7,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from hil.outputs import Existing
 from hil.plots import drawing
 from hil.telemetry.files import check_output_path
 from hil.whole_file import write_whole
@@ -90,10 +91,13 @@ def document(title: str, parts: Iterable[str]) -> str:
     )
 
 
-def write_document(path: Path, text: str) -> None:
-    """Write a page. Raises BadInputError when its name does not end in .html, and where it cannot be written."""
-    check_output_path("page", path)
-    write_whole(path, text.encode("utf-8"), "page")
+def write_document(path: Path, text: str, existing: Existing = "refuse") -> None:
+    """Write a page; ``existing`` says what is done where the file is there already.
+
+    Raises BadInputError when its name does not end in .html, and where it cannot be written.
+    """
+    check_output_path("page", path, existing)
+    write_whole(path, text.encode("utf-8"), "page", existing)
 
 
 def figure(drawn: Picture) -> Iterator[str]:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from hil.outputs import Existing
 from hil.telemetry.layout import ALARM_COLOUR, REFERENCE_COLOUR, WHEEL_COLOURS, Colour
 from hil.types import WHEEL_NAMES
 from hil.whole_file import write_whole
@@ -96,12 +97,18 @@ class Bar(NamedTuple):
 
 @contextmanager
 def drawing(
-    file: Path | BytesIO, *, rows: int = 1, columns: int = 1, size_in: tuple[float, float] = (6.4, 4.0)
+    file: Path | BytesIO,
+    *,
+    rows: int = 1,
+    columns: int = 1,
+    size_in: tuple[float, float] = (6.4, 4.0),
+    existing: Existing = "refuse",
 ) -> Iterator[list["Axes"]]:
     """Give the axes to draw on, row by row, and write them: as PNG to a path, as SVG to a buffer, for a page.
 
-    ``size_in`` is the whole picture's. What matplotlib makes inside has the house's style. Raises BadInputError when
-    the file cannot be written; after an error of the caller's nothing is written.
+    ``existing`` says what is done where the file is there already. ``size_in`` is the whole picture's. What matplotlib
+    makes inside has the house's style. Raises BadInputError when the file cannot be written; after an error of the
+    caller's nothing is written.
     """
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -116,7 +123,7 @@ def drawing(
             return
         png = BytesIO()
         figure.savefig(png, format="png")
-        write_whole(file, png.getvalue(), "picture")
+        write_whole(file, png.getvalue(), "picture", existing)
 
 
 def thinned(curve: Curve, points: int = 1200) -> Curve:

@@ -84,10 +84,11 @@ class ScenarioTest(pytest.Item):
         self._overrides = overrides
 
     def runtest(self) -> None:
+        from hil.outputs import free_name
         from hil.testing.verdict import run_as_test
 
         folder = _folder(self, None)
-        record = None if folder is None else folder / f"{self.name}.rrd"
+        record = None if folder is None else free_name(folder / f"{self.name}.rrd")
         repeat = self._overrides.command(self._scenario)
         verdict = run_as_test(self._scenario, self._overrides.truth, record, repeat)
         if verdict.passed and verdict.recording is not None and not self.config.getoption("hil_record"):
@@ -133,11 +134,12 @@ def hil_run(request: pytest.FixtureRequest) -> "RunScenario":
     ``hil_run("paper_circle", set={"robot.mass_kg": 24.0})`` returns a ``hil.RunResult``; a run that does not pass fails
     the test, except with ``check=False``.
     """
+    from hil.outputs import free_name
     from hil.testing import RunScenario
 
     def recording(name: str) -> Path | None:
         folder = _folder(request.node, request)
-        return None if folder is None else folder / f"{name}.rrd"
+        return None if folder is None else free_name(folder / f"{name}.rrd")
 
     return RunScenario(request.node, _overrides(request.config), recording)
 

@@ -13,6 +13,7 @@ from hil.dialects.registry import dialect
 from hil.errors import BadInputError
 from hil.links.language import WHEEL_DBC, Language
 from hil.links.url import DEFAULT_BAUD, CanUrl, LinkUrl, parse_link
+from hil.outputs import Existing
 from hil.plant import archive
 from hil.plant.description import check_start, parameter_names
 from hil.plant.mapping import Row, SignalMap
@@ -154,9 +155,9 @@ def no_lockstep(scenario: Scenario) -> BadInputError:
     )
 
 
-def open_trace(scenario: Scenario, path: Path) -> Trace:
-    """Start writing a trace of the scenario's link. Raises as ``Trace``."""
+def open_trace(scenario: Scenario, path: Path, existing: Existing = "refuse") -> Trace:
+    """Start writing a trace of the scenario's link; ``existing`` and what is raised are those of ``Trace``."""
     url = link_of(scenario)
     fd = isinstance(url, CanUrl) and url.fd
     switched = isinstance(url, CanUrl) and url.data_bitrate is not None
-    return Trace(path, blocking=scenario.loop.mode == "lockstep", fd=fd, switched=switched)
+    return Trace(path, blocking=scenario.loop.mode == "lockstep", fd=fd, switched=switched, existing=existing)

@@ -4,10 +4,14 @@ from datetime import datetime
 from pathlib import Path
 
 from hil.errors import BadInputError
+from hil.outputs import free_name
 
 
 def new_in_runs(name: str, suffix: str, remedy: str) -> Path:
-    """Return a new path in ``runs/``, which is made. Raises BadInputError, with ``remedy``, when it cannot be."""
+    """Return a path in ``runs/`` that is free; the folder is made.
+
+    Raises BadInputError, with ``remedy``, when it cannot be.
+    """
     folder = Path("runs")
     try:
         folder.mkdir(exist_ok=True)
@@ -15,4 +19,4 @@ def new_in_runs(name: str, suffix: str, remedy: str) -> Path:
         raise BadInputError(
             f"recording folder {folder.absolute()}: it cannot be made ({error.strerror}); {remedy}"
         ) from error
-    return folder / f"{name}-{datetime.now():%Y%m%d-%H%M%S-%f}{suffix}"  # noqa: DTZ005 - the user's own time
+    return free_name(folder / f"{name}-{datetime.now():%Y%m%d-%H%M%S-%f}{suffix}")  # noqa: DTZ005 - the user's own time

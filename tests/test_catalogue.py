@@ -216,9 +216,11 @@ def test_a_worker_that_is_none_is_a_verdict_on_each_job_and_a_line_of_progress(
 def test_a_run_that_ends_for_another_reason_or_with_a_fault_that_did_nothing_is_not_as_it_should_be(tmp_path) -> None:
     (job,) = alone(Asked("circle_speed", [], ["memory"], ["stuck_encoder"], tmp_path))
     assert perform(job).is_ok
+    job = job._replace(recording=str(tmp_path / "other.rrd"))
     other = perform(job._replace(causes=["OVERSPEED"], causes_of_end=["OVERSPEED"]))
     assert "the robot was lost, but not for OVERSPEED" in other.verdict
     idle = {"kind": "mute", "target": "ESTOP", "start_s": 0.2}
+    job = job._replace(recording=str(tmp_path / "idle.rrd"))
     assert "was never applied" in perform(job._replace(rows=[idle, *job.rows])).verdict
 
 

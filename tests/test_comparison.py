@@ -194,7 +194,7 @@ def test_nobody_is_first_in_the_last_second_of_a_run(tmp_path) -> None:
     row = Row(entry, Condition(5.0, "ideal", None, None), [Run(Variation(), Outcome(figures, {}, None, None, None))])
     for duration_s, (t10, notes) in {15.0: ("14.200", 1), 20.0: ("**14.200**", 0)}.items():
         found = Comparison("compare_circle", 1, duration_s, [row])
-        write_markdown(found, tmp_path / "PAGE.md", "hil compare")
+        write_markdown(found, tmp_path / "PAGE.md", "hil compare", existing="replace")
         assert f"| dsc | {t10} | **1.000** |" in (tmp_path / "PAGE.md").read_text(encoding="utf-8")
         ((_, _, told),) = terminal(found)
         assert len([note for note in told if note.startswith("t10: the least is in the last second")]) == notes
@@ -266,10 +266,10 @@ def test_what_cannot_be_written_is_said_after_the_table_and_keeps_nothing_else_b
         (tmp_path / name).write_text("older")
     page = tmp_path / "PAGE.md"
     words = ["dsc", "circle_speed", "--quick", "--torque", "5", "--drive", "ideal", "--set", SHORT]
-    done = CliRunner().invoke(app, ["compare", *words, "--out", str(tmp_path), "--markdown", str(page)])
+    done = CliRunner().invoke(app, ["compare", *words, "--out", str(tmp_path), "--markdown", str(page), "--force"])
     assert "\ndsc " in done.stdout
     assert isinstance(done.exception, BadInputError)
-    assert str(done.exception).startswith(f"picture {tmp_path / 'figures.png'}: it cannot be written")
+    assert str(done.exception).startswith(f"picture {tmp_path / 'figures.png'}: it is there already")
     assert page.stat().st_size
     assert (tmp_path / "comparison.csv").stat().st_size
     older = [path.name for path in tmp_path.iterdir() if path.is_file() and path.read_bytes() == b"older"]

@@ -121,9 +121,9 @@ def test_a_path_that_was_being_read_when_the_service_stood_still_is_not_followed
 
 def test_a_second_recording_is_refused_whenever_it_is_asked_for(tmp_path: Path) -> None:
     with Served() as served:
-        first = served.order(Action.RECORD, path=str(tmp_path / "one.rrd"))
+        first = served.order(Action.RECORD, path=str(tmp_path / "one.rrd"), force=False)
         served.beside.work()  # it has been started, and nobody has taken note yet
-        second = served.order(Action.RECORD, path=str(tmp_path / "two.rrd"))
+        second = served.order(Action.RECORD, path=str(tmp_path / "two.rrd"), force=False)
         assert "is being written" in served.refusal(second)
         assert served.answers[first].result["path"] == str(tmp_path / "one.rrd")
         end = served.order(Action.STOP_RECORDING)
@@ -135,7 +135,7 @@ def test_a_second_recording_is_refused_whenever_it_is_asked_for(tmp_path: Path) 
 
 def test_a_recording_that_is_being_started_at_the_end_is_one_that_can_be_finished(tmp_path: Path) -> None:
     with Served() as served:
-        served.order(Action.RECORD, path=str(tmp_path / "one.rrd"))
+        served.order(Action.RECORD, path=str(tmp_path / "one.rrd"), force=False)
         served.beside.work()
         served.desk.end()
         recording = served.records.end()

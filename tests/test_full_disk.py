@@ -41,7 +41,7 @@ def test_a_disk_that_is_full_ends_the_trace_and_not_the_run(tmp_path):
     path = tmp_path / "bus.log"
     path.symlink_to("/dev/full")
     done = hil("run", "paper_circle", "--set", "loop.duration_s=0.4", "--set", "expect=[]", "--record", "none",
-               "--mode", "lockstep", "--trace", path)  # fmt: skip
+               "--mode", "lockstep", "--trace", path, "--force")  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert "is incomplete: the disk is full (No space left on device)" in done.stdout
     assert "lost, 0 are safe in it" in done.stdout

@@ -40,7 +40,7 @@ def test_whatever_the_robot_its_first_circle_is_one_that_it_can_drive(
 ) -> None:
     folder = tmp_path_factory.mktemp("robot")
     answers = _answers(mass_kg=mass, wheel_radius_m=radius, half_length_m=length, half_width_m=width)
-    _, path = begin(folder, answers, force=False)
+    _, path = begin(folder, answers)
     scenario = load(path)
     assert check_scenario(scenario).sentences == ()
     assert scenario.robot.mass_kg == mass
@@ -54,7 +54,7 @@ def test_whatever_the_robot_its_first_circle_is_one_that_it_can_drive(
 )
 def test_the_first_circle_is_driven_and_passes(tmp_path: Path, sizes: tuple[float, ...]) -> None:
     names = ("mass_kg", "wheel_radius_m", "half_length_m", "half_width_m")
-    _, path = begin(tmp_path, _answers(**dict(zip(names, sizes, strict=True))), force=False)
+    _, path = begin(tmp_path, _answers(**dict(zip(names, sizes, strict=True))))
     (expected,) = load(path).expect
     run = hil.run(path, set={"loop.duration_s": expected.from_s + 1.0})
     assert run.passed, run.metrics["expect"]
@@ -71,7 +71,7 @@ def test_by_flags_both_files_are_written_and_never_over_others(
     hint = capsys.readouterr().out.splitlines()[1]
     assert hint.startswith(f"Next: hil run {folder / SCENARIO_FILE} --link memory:")
     assert load("paper_circle", robot=folder / ROBOT_FILE).robot.mass_kg == 12.0
-    with pytest.raises(BadInputError, match="is there already; name another folder, or replace it with --force"):
+    with pytest.raises(BadInputError, match="it is there already; choose another name, or replace it with --force"):
         init(folder, defaults=True)
     init(folder, defaults=True, force=True)
     assert tomllib.loads((folder / ROBOT_FILE).read_text("utf-8"))["robot"]["mass_kg"] == 20.0

@@ -5,6 +5,7 @@ import json
 import math
 import os
 import queue
+import shutil
 import signal
 import socket
 import subprocess
@@ -18,7 +19,7 @@ import pytest
 
 from hil.devices.truth import TruthClient
 from hil.errors import DeviceError, LinkError
-from hil.review import read
+from hil.review import RecordedRun, read
 from hil.scenario import load
 from hil.service.client import Client
 from hil.service.messages import Action
@@ -136,6 +137,26 @@ def test_sigterm_ramps_down_disarms_closes_the_recording_and_exits_0(tmp_path: P
     run = read(tmp_path / "run.rrd")
     assert max(abs(run.signals[f"wheel.{wheel}.speed_rad_s"][-1]) for wheel in ("fl", "fr", "rr", "rl")) < 0.5
     assert any("the robot is stopping" in event.text for event in run.events)
+
+
+def test_a_killed_services_recording_is_still_there_after_its_next_start(tmp_path: Path) -> None:
+    recorded = []
+    for _ in range(2):
+        with serving(tmp_path, "--record", "n.rrd") as service:
+            recorded.append(service.until(phase="disarmed")["recording"])
+            service.process.kill()
+            service.process.wait()
+        shutil.rmtree(tmp_path / "state")  # with the token of the killed one
+    assert recorded == ["n.rrd", "n_2.rrd"]
+    assert any((line.get("asked"), line.get("path")) == ("n.rrd", "n_2.rrd") for line in service.lines)
+    first, second = (wait_for(lambda name=name: has_rows(tmp_path / name)) for name in recorded)  # type: ignore[misc]
+    assert first.properties["started"] < second.properties["started"]
+
+
+def has_rows(path: Path) -> RecordedRun | None:
+    """Return what a recorder whose service was killed has written by now; None while it has no row."""
+    run = read(path)
+    return run if len(run.signals["loop.t_s"]) else None
 
 
 def test_when_the_control_process_is_killed_the_firmware_stops_the_wheels(tmp_path: Path) -> None:

@@ -39,7 +39,7 @@ BODIES = {
     "/v1/go": {"x_m": 1.0, "y_m": -2.0, "heading_rad": 3},
     "/v1/twist": {"vx_m_s": 0.5, "vy_m_s": 0.0, "yaw_rate_rad_s": -0.1},
     "/v1/gains": {"gains": {"kp": 2.0}},
-    "/v1/record": {"path": "a.mcap"},
+    "/v1/record": {"path": "a.mcap", "force": False},
 }
 TWIST = BODIES["/v1/twist"]
 

@@ -13,6 +13,7 @@ from hil.campaign.pictures import TITLES, draw_distributions, draw_duels, draw_e
 from hil.campaign.rows import PASSED
 from hil.campaign.statistics import Interval
 from hil.html_page import document, figure, mark, picture, table, write_document
+from hil.outputs import Existing
 
 _MEANINGS = (
     "Steady: the planar error over the last 5 s, its root mean square and its greatest value; to 10 mm: the first time "
@@ -22,9 +23,12 @@ _MEANINGS = (
 _REASONS = 12
 
 
-def write_page(path: Path, judged: Judged) -> None:
-    """Write the page. Raises BadInputError when its name does not end in .html, and where it cannot be written."""
-    write_document(path, page(judged, path.parent))
+def write_page(path: Path, judged: Judged, existing: Existing = "refuse") -> None:
+    """Write the page; ``existing`` says what is done where the file is there already.
+
+    Raises BadInputError when its name does not end in .html, and where it cannot be written.
+    """
+    write_document(path, page(judged, path.parent), existing)
 
 
 def page(judged: Judged, folder: Path) -> str:

@@ -10,6 +10,7 @@ from typing import Self
 import numpy as np
 import rerun as rr
 
+from hil.outputs import Existing, claim
 from hil.signals import SIGNAL_NAMES
 from hil.telemetry import RecordingReport
 from hil.telemetry.stream import Stream
@@ -29,15 +30,16 @@ class RecordingHere:
         blocking: bool,
         live_port: int | None = None,
         signals: Sequence[str] = SIGNAL_NAMES,
+        existing: Existing = "refuse",
     ) -> None:
         assert path is not None, "there is no live view here"
         assert blocking, "in real time nothing waits for it"
         assert live_port is None, "there is no live view here"
-        self.path: Path | None = path
+        self.path: Path | None = claim("recording", path, existing)
         self._rows = array.array("d")
         self._width = len(signals)
         self._stream = Stream(
-            rr.FileSink(path),
+            rr.FileSink(self.path),
             recording_id=str(uuid.uuid4()),
             signals=signals,
             properties=properties,

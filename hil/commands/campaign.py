@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hil.commands.group import Commands
-from hil.commands.options import AllowMotion, Json, end_in_order, print_json
+from hil.commands.options import AllowMotion, Force, Json, end_in_order, print_json
 from hil.errors import BadInputError, RunInterruptedError, nearest
 
 if TYPE_CHECKING:
@@ -95,15 +95,19 @@ def run(
 def report(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="the results of a campaign")],
     html: Annotated[Path | None, typer.Option(metavar="FILE", help="the page; by default DIR/report.html")] = None,
+    force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Write one page about a campaign: distributions, effects, pass rates, law against law, the worst runs."""
     from hil.campaign.judged import judge
     from hil.campaign.page import write_page
+    from hil.outputs import check_free, existing_files
 
-    judged = judge(folder)
+    existing = existing_files(force=force)
     path = html if html is not None else folder / "report.html"
-    write_page(path, judged)
+    check_free("page", path, existing)
+    judged = judge(folder)
+    write_page(path, judged, existing)
     if as_json:
         print_json({"html": str(path), **judged.plain()})
     else:

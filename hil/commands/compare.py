@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.commands.options import Json, Seed, Sets, end_in_order, print_json
+from hil.commands.options import Force, Json, Seed, Sets, end_in_order, print_json
 from hil.errors import BadInputError, RunInterruptedError
 
 if TYPE_CHECKING:
     from hil.comparison import Comparison
+    from hil.outputs import Existing
 
 
 def compare(
@@ -43,12 +44,14 @@ def compare(
     ] = 120.0,
     seed: Seed = None,
     sets: Sets = None,
+    force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Run laws under the same conditions and print one table for each; exit 1 when a run failed."""
     from hil.comparison import Asked
     from hil.comparison import compare as run_comparison
     from hil.comparison.conditions import DRIVES, TORQUES_N_M
+    from hil.outputs import check_free, existing_files
     from hil.progress import runs_progress
 
     end_in_order()
@@ -65,8 +68,11 @@ def compare(
         quick=quick,
         curves=out is not None,
     )
+    existing = existing_files(force=force)
     if out is not None:
-        _make_folder(out)
+        _make_folder(out, existing)
+    if markdown is not None:
+        check_free("page", markdown, existing)
     tell = None if as_json or not sys.stderr.isatty() else runs_progress(lambda _: None)
     try:
         comparison = run_comparison(asked, jobs=jobs, limit_s=limit_s, tell=tell)
@@ -78,18 +84,27 @@ def compare(
     else:
         _print_comparison(comparison)
     sys.stdout.flush()
-    _write(comparison, out, markdown)
+    _write(comparison, out, markdown, existing)
     raise typer.Exit(1 if comparison.has_failed else 0)
 
 
-def _make_folder(folder: Path) -> None:
+def _make_folder(folder: Path, existing: "Existing") -> None:
+    """Make the folder. Raises BadInputError when it cannot be made, and when it has results that must stay."""
+    from hil.comparison.tables import older
+
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        results = older(folder)
     except OSError as error:
         raise BadInputError(f"--out {folder}: it cannot be made ({error.strerror}); name a folder") from error
+    if results and existing == "refuse":
+        raise BadInputError(
+            f"--out {folder}: it has {results[0].name} of an earlier comparison; name another folder, or replace its "
+            "results with --force"
+        )
 
 
-def _write(comparison: "Comparison", out: Path | None, markdown: Path | None) -> None:
+def _write(comparison: "Comparison", out: Path | None, markdown: Path | None, existing: "Existing") -> None:
     """Write the files; one that cannot be written keeps none of the others back. Raises BadInputError for the first."""
     pictures: list[Path] = []
     troubles: list[BadInputError] = []
@@ -98,7 +113,8 @@ def _write(comparison: "Comparison", out: Path | None, markdown: Path | None) ->
         from hil.comparison.tables import remove_older, write_csv
 
         try:
-            remove_older(out)
+            if existing == "replace":
+                remove_older(out)
             write_csv(comparison, out / "comparison.csv")
         except BadInputError as error:
             troubles.append(error)
@@ -110,7 +126,7 @@ def _write(comparison: "Comparison", out: Path | None, markdown: Path | None) ->
         from hil.comparison.tables import write_markdown
 
         try:
-            write_markdown(comparison, markdown, f"hil {shlex.join(sys.argv[1:])}", pictures)
+            write_markdown(comparison, markdown, f"hil {shlex.join(sys.argv[1:])}", pictures, existing)
         except BadInputError as error:
             troubles.append(error)
     if troubles:

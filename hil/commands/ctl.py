@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from hil.commands.options import Json, ServicePort, ServiceUrl, TokenFile, end_in_order, print_json
+from hil.commands.options import Force, Json, ServicePort, ServiceUrl, TokenFile, end_in_order, print_json
 from hil.errors import BadInputError, RunInterruptedError
 
 if TYPE_CHECKING:
@@ -159,10 +159,15 @@ def gains(
 def record(
     context: typer.Context,
     file: Annotated[Path | None, typer.Argument(metavar="[FILE]", help=".rrd or .mcap; by default runs/...")] = None,
+    force: Force = False,
 ) -> None:
     """Begin a recording."""
+    if file is not None:
+        from hil.outputs import check_free, existing_files
+
+        check_free("recording", file, existing_files(force=force))
     # The service runs in a folder of its own.
-    _order(context, "record", {"path": None if file is None else str(file.absolute())})
+    _order(context, "record", {"path": None if file is None else str(file.absolute()), "force": force})
 
 
 @app.command("stop-recording")

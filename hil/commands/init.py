@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hil.commands.options import Force
+
 if TYPE_CHECKING:
     from hil.init import Question, Value
 
@@ -28,7 +30,7 @@ def init(
     torque_constant_n_m_a: Annotated[_Number, typer.Option(metavar="N·M/A")] = None,
     link: Annotated[str | None, typer.Option(metavar="LINK")] = None,
     defaults: Annotated[bool, typer.Option("--defaults", help="take what is proposed where no flag says more")] = False,
-    force: Annotated[bool, typer.Option("--force", help="replace files that are there")] = False,
+    force: Force = False,
 ) -> None:
     """Write a robot file and a first scenario: asks for what no flag gives.
 
@@ -49,6 +51,7 @@ def init(
     }
     from hil.errors import BadInputError
     from hil.init import QUESTIONS, begin, problem_with
+    from hil.outputs import existing_files
 
     asks = not defaults and sys.stdin.isatty()
     missing = [question.flag for question in QUESTIONS if given[question.key] is None]
@@ -66,7 +69,7 @@ def init(
         elif (problem := problem_with(question, value)) is not None:
             raise BadInputError(f"{question.flag}: {problem}")
         answers[question.key] = value
-    robot, scenario = begin(directory, answers, force=force)
+    robot, scenario = begin(directory, answers, existing_files(force=force))
     print(f"wrote {robot} and {scenario}")
     elsewhere = " --link memory:" if answers["link.url"] != "memory:" else ""
     print(f"Next: hil run {scenario}{elsewhere}    # on the virtual robot")

@@ -26,6 +26,7 @@ Seed = Annotated[int | None, typer.Option(metavar="N", help="of everything rando
 TraceFile = Annotated[
     Path | None, typer.Option("--trace", metavar="FILE.blf|.asc|.log", help="write what is on the wire, for bus tools")
 ]
+Force = Annotated[bool, typer.Option("--force", help="replace files that are there already")]
 TruthUrl = Annotated[
     str | None, typer.Option("--truth", metavar="URL", help="truth socket of hil device, tcp://127.0.0.1:PORT")
 ]

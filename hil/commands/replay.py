@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.commands.options import Json, print_json
+from hil.commands.options import Force, Json, print_json
 
 if TYPE_CHECKING:
     from hil.replay import Replay
@@ -17,17 +17,23 @@ def replay(
     record: Annotated[
         Path | None, typer.Option(metavar="FILE.rrd", help="record the run again with the replayed commands beside it")
     ] = None,
+    force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Open loop: feed a recording's states and references to another law, and show how its commands differ."""
+    from hil.outputs import existing_files
     from hil.replay import replay as replay_run
     from hil.replay import write_replay
     from hil.review import read
+    from hil.telemetry import check_output_path
 
+    existing = existing_files(force=force)
+    if record is not None and record.resolve() != recording.resolve():
+        check_output_path("recording", record, existing)
     run = read(recording)
     replayed = replay_run(run, law)
     if record is not None:
-        write_replay(run, replayed, record)
+        write_replay(run, replayed, record, existing)
     if as_json:
         print_json({**replayed.figures(), "recorded": None if record is None else str(record)})
     else:

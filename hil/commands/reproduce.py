@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hil.commands.options import Json, end_in_order, print_json
+from hil.commands.options import Force, Json, end_in_order, print_json
 from hil.errors import RunInterruptedError
 
 if TYPE_CHECKING:
@@ -25,9 +25,11 @@ def reproduce(
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="a few short runs instead of all")] = False,
     jobs: Annotated[int | None, typer.Option(metavar="N", help="processes; by default one a processor", min=1)] = None,
+    force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Run section IV of the paper and say which of its figures come out, which do not, and why."""
+    from hil.outputs import existing_files
     from hil.progress import runs_progress
     from hil.reproduction import NotWrittenError
     from hil.reproduction import reproduce as run_reproduction
@@ -39,7 +41,7 @@ def reproduce(
     not_written: NotWrittenError | None = None
     tell = None if as_json or not sys.stderr.isatty() else runs_progress(_trouble)
     try:
-        summary = run_reproduction(out, quick=quick, jobs=jobs, tell=tell)
+        summary = run_reproduction(out, quick=quick, jobs=jobs, tell=tell, existing=existing_files(force=force))
     except KeyboardInterrupt:
         raise RunInterruptedError("interrupted; the runs were ended") from None
     except NotWrittenError as error:

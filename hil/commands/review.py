@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hil.commands.options import Json, print_json
+from hil.commands.options import Force, Json, print_json
 from hil.errors import BadInputError
 
 if TYPE_CHECKING:
+    from hil.outputs import Existing
     from hil.review import Change, Difference
 
 _EVENTS_SHOWN = 8
@@ -32,13 +33,20 @@ def review(
         Path | None,
         typer.Option(metavar="FILE.csv", help="write the robot's poses, for reference.kind = 'trajectory'"),
     ] = None,
+    force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Say from its recording alone how a run went and why; with two runs, what became better and what worse."""
+    """Say from its recording alone how a run went and why; with two runs, what became better and what worse.
+
+    The exit code is 0 whenever the recordings could be read, also where a run failed: it judges the review and not the
+    run. What the run came to is "passed" in the output of --json.
+    """
+    from hil.outputs import existing_files
     from hil.review import changes, differences, read, write_trajectory
     from hil.review.figures import figures, read_for_figures
 
-    _check(recordings, html, overlay, export, trajectory)
+    existing = existing_files(force=force)
+    _check(recordings, existing, {"page": html, "overlay": overlay, "export": export, "trajectory": trajectory})
     needed: Collection[str] = ()
     if html is not None:
         from hil.review.page import page_signals, write_page
@@ -47,17 +55,17 @@ def review(
     runs = [read(path) if export else read_for_figures(path, needed) for path in recordings]
     found = [figures(run) for run in runs]
     if html is not None:
-        write_page(html, runs, found)
+        write_page(html, runs, found, existing)
     if trajectory is not None:
-        write_trajectory(runs[0], trajectory)
+        write_trajectory(runs[0], trajectory, existing)
     if overlay is not None:
         from hil.review.overlay import write_overlay
 
-        write_overlay(runs[0].path, runs[1].path, overlay)
+        write_overlay(runs[0].path, runs[1].path, overlay, existing)
     if export is not None:
         from hil.review.export import write_export
 
-        write_export(runs[0], export)
+        write_export(runs[0], export, existing)
     if len(runs) == 1:
         print_json(found[0]) if as_json else _print_run(found[0])
         return
@@ -69,25 +77,26 @@ def review(
         _print_two(found, rows, changed)
 
 
-def _check(
-    recordings: Sequence[Path], html: Path | None, overlay: Path | None, export: Path | None, trajectory: Path | None
-) -> None:
-    """Refuse what does not go together and what cannot be written, before anything long is done."""
+def _check(recordings: Sequence[Path], existing: "Existing", files: Mapping[str, Path | None]) -> None:
+    """Refuse what does not go together and what cannot be written, before anything long is done.
+
+    ``files`` are those to write, by what they are; None for those that nobody asked for.
+    """
     from hil.telemetry.files import check_output_path
 
     if len(recordings) > 2:
         raise BadInputError(f"{len(recordings)} recordings were given; hil review takes one, or two to compare")
-    if overlay is not None and len(recordings) == 1:
+    if (overlay := files["overlay"]) is not None and len(recordings) == 1:
         raise BadInputError(f"--overlay {overlay}: an overlay is of two runs; name the other recording too")
-    for option, file in (("--export", export), ("--trajectory", trajectory)):
-        if file is not None and len(recordings) == 2:
-            raise BadInputError(f"{option} {file}: it is of one run; name one recording")
-    for what, file in (("page", html), ("overlay", overlay), ("export", export)):
+    for what in ("export", "trajectory"):
+        if files[what] is not None and len(recordings) == 2:
+            raise BadInputError(f"--{what} {files[what]}: it is of one run; name one recording")
+    for what, file in files.items():
         if file is None:
             continue
-        check_output_path(what, file)
         if any(file.exists() and recording.exists() and file.samefile(recording) for recording in recordings):
             raise BadInputError(f"{what} {file}: it is a recording that is reviewed; choose another name")
+        check_output_path(what, file, existing)
 
 
 def _print_run(found: Mapping[str, Any]) -> None:

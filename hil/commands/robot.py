@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from hil.commands.options import Json, LinkUrl, Mode, RobotFile, ScenarioName, Seed, Sets, TraceFile, print_json
+from hil.commands.options import Force, Json, LinkUrl, Mode, RobotFile, ScenarioName, Seed, Sets, TraceFile, print_json
 
 
 def device(
@@ -28,18 +28,28 @@ def device(
     seed: Seed = None,
     sets: Sets = None,
     trace: TraceFile = None,
+    force: Force = False,
     until_eof: Annotated[
         bool, typer.Option("--until-eof", help="end when stdin does, as when the program that started this one is gone")
     ] = False,
 ) -> None:
     """Be the scenario's virtual robot in a process of its own; print one line when ready."""
     from hil.device_process import serve
+    from hil.outputs import existing_files
     from hil.scenario import load
 
     changes = [*(sets or []), *([] if dialect is None else [f"device.driver={dialect}"])]
     resolved = load(scenario, set=changes, robot=robot, mode=mode, link=link, seed=seed)
     lifeline = sys.stdin.fileno() if until_eof else None
-    serve(resolved, truth_port, lambda line: print(line, flush=True), target, trace, lifeline)
+    serve(
+        resolved,
+        truth_port,
+        lambda line: print(line, flush=True),
+        target,
+        trace,
+        lifeline,
+        existing=existing_files(force=force),
+    )
 
 
 def params(

@@ -16,7 +16,12 @@ def serve(
     truth: TruthUrl = None,
     robot: RobotFile = None,
     record: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="record from the start (.rrd, .mcap); hil ctl record does later")
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="record from the start (.rrd, .mcap), to the next free FILE_2, FILE_3 where it is there already; "
+            "hil ctl record does later",
+        ),
     ] = None,
     live: Annotated[bool, typer.Option("--live", help="serve live viewers on 127.0.0.1, for hil live")] = False,
     live_port: LivePort = LIVE_PORT,

@@ -12,6 +12,7 @@ from hil.comparison.conditions import DRIVES, FRICTIONS, MASS_FACTORS, Condition
 from hil.comparison.result import Comparison, Row
 from hil.comparison.runs import FIGURES
 from hil.errors import BadInputError
+from hil.outputs import Existing
 from hil.whole_file import write_whole
 
 OVERVIEW = "figures"
@@ -24,18 +25,22 @@ def names(condition: Condition) -> tuple[str, str]:
     return f"error-{condition.slug}", f"torque-{condition.slug}"
 
 
-def remove_older(folder: Path) -> None:
-    """Remove the files that an earlier comparison wrote into a folder, whatever its conditions; nothing else."""
+def older(folder: Path) -> list[Path]:
+    """Return the files that an earlier comparison wrote into a folder, whatever its conditions."""
     drives = "|".join(DRIVES)
     own = re.compile(rf"comparison\.csv|{OVERVIEW}\.png|(error|torque)-[0-9.e+-]+nm-({drives})(-[a-z-]+)?\.png")
-    for file in folder.iterdir():
-        if own.fullmatch(file.name) and file.is_file():
-            try:
-                file.unlink()
-            except OSError as error:
-                raise BadInputError(
-                    f"file {file}: this older result cannot be removed ({error.strerror}); name another folder"
-                ) from error
+    return sorted(file for file in folder.iterdir() if own.fullmatch(file.name) and file.is_file())
+
+
+def remove_older(folder: Path) -> None:
+    """Remove the files that an earlier comparison wrote into a folder; nothing else. Raises BadInputError."""
+    for file in older(folder):
+        try:
+            file.unlink()
+        except OSError as error:
+            raise BadInputError(
+                f"file {file}: this older result cannot be removed ({error.strerror}); name another folder"
+            ) from error
 
 
 def terminal(comparison: Comparison) -> Iterator[tuple[str, list[tuple[str, ...]], list[str]]]:
@@ -52,8 +57,17 @@ def _pair(column: Column, row: Row) -> str:
     return nominal if len(row.runs) == 1 else f"{nominal} / {column.text(row.worst(column.name))}"
 
 
-def write_markdown(comparison: Comparison, file: Path, command: str, pictures: Sequence[Path] = ()) -> None:
-    """Write the page; ``command`` is what made it. Raises BadInputError when it cannot be written."""
+def write_markdown(
+    comparison: Comparison,
+    file: Path,
+    command: str,
+    pictures: Sequence[Path] = (),
+    existing: Existing = "refuse",
+) -> None:
+    """Write the page; ``command`` is what made it, ``existing`` says what is done where the file is there already.
+
+    Raises BadInputError when it cannot be written.
+    """
     lines = [*_preface(comparison, command)]
     for condition in comparison.conditions():
         rows = comparison.under(condition)
@@ -69,7 +83,7 @@ def write_markdown(comparison: Comparison, file: Path, command: str, pictures: S
             lines += ["", *(f"- {note}" for note in notes)]
         lines += _shown(pictures, names(condition), file)
     lines += _shown(pictures, (OVERVIEW,), file)
-    write_whole(file, ("\n".join(lines) + "\n").encode("utf-8"))
+    write_whole(file, ("\n".join(lines) + "\n").encode("utf-8"), "page", existing)
 
 
 def _preface(comparison: Comparison, command: str) -> Iterator[str]:

@@ -12,6 +12,7 @@ from hil.assembly import check_scenario
 from hil.errors import BadInputError
 from hil.init.questions import QUESTIONS, Question, Value, problem_with
 from hil.init.texts import robot_text, scenario_text
+from hil.outputs import Existing, check_free
 from hil.scenario import load
 from hil.whole_file import write_whole
 
@@ -23,7 +24,7 @@ _SLOWER = 1.25
 _TRIES = 40
 
 
-def begin(folder: Path, answers: Mapping[str, Value], *, force: bool) -> tuple[Path, Path]:
+def begin(folder: Path, answers: Mapping[str, Value], existing: Existing = "refuse") -> tuple[Path, Path]:
     """Write both files and return them; the folder is made. ``answers`` has every question's key.
 
     Raises BadInputError when a file is there already and is not to be replaced, when values contradict each other, or
@@ -31,15 +32,14 @@ def begin(folder: Path, answers: Mapping[str, Value], *, force: bool) -> tuple[P
     """
     robot, scenario = folder / ROBOT_FILE, folder / SCENARIO_FILE
     for path in (robot, scenario):
-        if path.exists() and not force:
-            raise BadInputError(f"{path} is there already; name another folder, or replace it with --force")
+        check_free("file", path, existing)
     texts = robot_text(answers), _feasible(answers)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BadInputError(f"folder {folder}: it cannot be made ({error.strerror}); name another") from error
     for path, text in zip((robot, scenario), texts, strict=True):
-        write_whole(path, text.encode(), "file")
+        write_whole(path, text.encode(), "file", existing)
     return robot, scenario
 
 

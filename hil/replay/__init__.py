@@ -18,6 +18,7 @@ from hil.controllers.own_signals import short_name
 from hil.controllers.registry import make_controller
 from hil.errors import BadInputError, DeviceError
 from hil.guard import Guard
+from hil.outputs import Existing
 from hil.ports import Controller
 from hil.replay.recorded import check_signals, model_of, recorded_gains, rows, scenario_of, tuples
 from hil.review import RecordedRun
@@ -135,15 +136,16 @@ def replay(run: RecordedRun, text: str) -> Replay:
     )
 
 
-def write_replay(run: RecordedRun, replayed: Replay, path: Path) -> None:
+def write_replay(run: RecordedRun, replayed: Replay, path: Path, existing: Existing = "refuse") -> None:
     """Record the run again with the replayed commands and their differences beside the recorded ones.
 
-    They are signals ``replay.LAW.wheel.fl.torque_command_n_m`` and ``..._difference_n_m``. Raises BadInputError for a
-    path that cannot be written, or is the recording's own, DeviceError when not all could be recorded.
+    They are signals ``replay.LAW.wheel.fl.torque_command_n_m`` and ``..._difference_n_m``. ``existing`` says what
+    is done where the file is there already. Raises BadInputError for a path that cannot be written, or is the
+    recording's own, DeviceError when not all could be recorded.
     """
-    check_output_path("recording", path)
     if path.resolve() == run.path.resolve():
         raise BadInputError(f"--record {path}: this is the recording that is replayed; choose another name")
+    check_output_path("recording", path, existing)
     prefix = f"replay.{short_name(replayed.law)}"
     signals = {name: series for name, series in run.signals.items() if not name.startswith(f"{prefix}.")}
     for name, series in replayed.commands.items():
@@ -151,7 +153,7 @@ def write_replay(run: RecordedRun, replayed: Replay, path: Path) -> None:
         signals[f"{prefix}.{name.replace('_command_', '_difference_')}"] = series - run.signals[name]
     told = f"{replayed.law}, {_LABEL}; it replays {run.path.name}"
     properties = dict(run.properties) | {"replay": told}
-    with Recording(path, properties=properties, blocking=True, signals=tuple(signals)) as recording:
+    with Recording(path, properties=properties, blocking=True, signals=tuple(signals), existing=existing) as recording:
         for event in run.events:
             recording.event(event.t_s, event.severity, event.text)
         for sentence in (told, *replayed.notes):

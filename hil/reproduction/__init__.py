@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.errors import BadInputError
+from hil.outputs import Existing, claim
 from hil.pool import counted, perform_all
 from hil.reproduction import pictures
 from hil.reproduction.plan import FILTERS, LAWS, Case, cases
@@ -24,6 +25,7 @@ from hil.whole_file import write_whole
 __all__ = ["NotWrittenError", "reproduce"]
 
 _SUMMARY = "summary.json"
+_PICTURES = ("figure_8.png", "convergence.png", "figure_10.png", "figure_11.png", "delay.png")
 
 Tell = Callable[[int, int, Outcome], None]
 Signals = Mapping[str, npt.NDArray[np.float64]]
@@ -47,20 +49,32 @@ class NotWrittenError(BadInputError):
 
 
 def reproduce(
-    folder: Path, *, quick: bool = False, jobs: int | None = None, limit_s: float = 120.0, tell: Tell | None = None
+    folder: Path,
+    *,
+    quick: bool = False,
+    jobs: int | None = None,
+    limit_s: float = 120.0,
+    tell: Tell | None = None,
+    existing: Existing = "refuse",
 ) -> dict[str, Any]:
     """Run section IV and return the summary; it goes into ``folder`` as ``summary.json``, with pictures and recordings.
 
     ``quick`` leaves out most variants and shortens the others. ``jobs`` is the number of processes, by default one a
     processor; a run that takes more than ``limit_s`` of wall-clock time is ended. ``tell`` gets how many runs are done,
-    of how many, and the newest outcome.
+    of how many, and the newest outcome. ``existing`` says what is done where the folder has results of an earlier one:
+    they are removed when the runs are done, or nothing begins.
 
-    Raises BadInputError when ``folder`` cannot be made or written to, and NotWrittenError, which has the summary, when
-    it could be at first and a file then could not be written.
+    Raises BadInputError when ``folder`` cannot be made or written to or has results that must stay, and
+    NotWrittenError, which has the summary, when it could be at first and a file then could not be written.
     """
     began = time.monotonic()
     _make(folder)
     planned = cases(quick=quick)
+    if existing == "refuse" and (older := _older(folder)):
+        raise BadInputError(
+            f"--out {folder}: it has {older[0].name} of an earlier reproduction; name another folder, or replace its "
+            "results with --force"
+        )
     with tempfile.TemporaryDirectory(prefix="hil-reproduce-") as scratch:
         asked = [_job(case, Path(scratch)) for case in planned]
         outcomes = perform_all(WORK, asked, jobs or os.cpu_count() or 1, limit_s, counted(tell, len(planned)))
@@ -69,6 +83,7 @@ def reproduce(
         drawn: list[str] = []
         trouble: BadInputError | None = None
         try:
+            _remove(_older(folder) if existing == "replace" else [])
             _draw(folder, results, {label: found for label, found in signals.items() if found is not None}, drawn)
         except BadInputError as error:
             trouble = error
@@ -112,8 +127,25 @@ def _make(folder: Path) -> None:
         ) from error
 
 
+def _older(folder: Path) -> list[Path]:
+    """Return the files that an earlier reproduction, quick or not, wrote into a folder."""
+    recordings = [f"{_file_name(case)}.rrd" for case in cases(quick=False) + cases(quick=True) if case.records]
+    names = dict.fromkeys([_SUMMARY, *_PICTURES, *recordings])
+    return [folder / name for name in names if (folder / name).exists()]
+
+
+def _remove(files: Sequence[Path]) -> None:
+    for file in files:
+        try:
+            file.unlink()
+        except OSError as error:
+            raise BadInputError(
+                f"file {file}: this older result cannot be removed ({error.strerror}); name another folder"
+            ) from error
+
+
 def _move(recording: Path, folder: Path) -> None:
-    place = folder / recording.name
+    place = claim("recording", folder / recording.name)
     try:
         shutil.move(recording, place)
     except OSError as error:
@@ -126,8 +158,12 @@ def _move(recording: Path, folder: Path) -> None:
 
 def _job(case: Case, scratch: Path) -> Job:
     series = str(scratch / f"{case.name}.npz") if case.name in _SHOWN.values() else None
-    recording = str(scratch / f"{case.name.replace(' ', '_')}.rrd") if case.records else None
+    recording = str(scratch / f"{_file_name(case)}.rrd") if case.records else None
     return Job(case.name, case.scenario, dict(case.sets), series, recording)
+
+
+def _file_name(case: Case) -> str:
+    return case.name.replace(" ", "_")
 
 
 def _signals(path: Path) -> Signals | None:

@@ -15,9 +15,11 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.errors import BadInputError
+from hil.outputs import Existing
 from hil.review.reader import RecordedRun
 from hil.signals import SIGNALS, unit_of
 from hil.telemetry.files import check_output_path
+from hil.whole_file import whole_file
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -25,15 +27,17 @@ if TYPE_CHECKING:
 _ROWS_AT_ONCE = 50_000
 
 
-def write_export(run: RecordedRun, file: Path) -> None:
+def write_export(run: RecordedRun, file: Path, existing: Existing = "refuse") -> None:
     """Write all signals of a run that was read whole; the file's name tells the format.
 
-    Raises BadInputError when the name tells none, and where the file cannot be written.
+    ``existing`` says what is done where the file is there already. Raises BadInputError when the name tells none, and
+    where the file cannot be written.
     """
-    check_output_path("export", file)
+    check_output_path("export", file, existing)
     write = {".csv": _write_csv, ".parquet": _write_parquet, ".mcap": _write_mcap}[file.suffix]
     try:
-        write(run, file)
+        with whole_file(file, "export", existing) as unfinished:
+            write(run, unfinished)
     except ImportError as error:
         remedy = "install pyarrow, or export to .mcap, which needs no more than this machine has"
         raise BadInputError(f"export {file}: what writes {file.suffix} is not installed ({error}); {remedy}") from error

@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from hil.child import module_command
 from hil.errors import BadInputError
+from hil.outputs import Existing
 from hil.plots import Curve, colour_of, thinned
 from hil.review.difference import changes
 from hil.review.reader import RecordedRun, read
@@ -27,6 +28,7 @@ from hil.telemetry.files import check_output_path
 from hil.telemetry.layout import REFERENCE_COLOUR
 from hil.telemetry.names import OVERLAY_PROPERTY
 from hil.types import WHEEL_NAMES
+from hil.whole_file import whole_file
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -41,19 +43,23 @@ _TRAIL_POINTS = 4000
 _WIDTHS_PX = (3.0, 1.5)  # the second is drawn over the first, which must still show
 
 
-def write_overlay(first: Path, second: Path, file: Path) -> None:
-    """Write the overlay of two recordings. Raises BadInputError when one cannot be read, or the file not be written."""
-    check_output_path("overlay", file)
-    done = subprocess.run(
-        module_command("hil.review.overlay", str(first), str(second), str(file)),
-        capture_output=True,
-        env=rerun_environment(),
-        check=False,
-        text=True,
-    )
-    if done.returncode != 0:
-        reason = done.stdout.strip() or f"its writer ended with exit status {done.returncode}"
-        raise BadInputError(f"overlay {file}: {reason}; choose a path that can be written")
+def write_overlay(first: Path, second: Path, file: Path, existing: Existing = "refuse") -> None:
+    """Write the overlay of two recordings; ``existing`` says what is done where the file is there already.
+
+    Raises BadInputError when a recording cannot be read, or the file not be written.
+    """
+    check_output_path("overlay", file, existing)
+    with whole_file(file, "overlay", existing) as unfinished:
+        done = subprocess.run(
+            module_command("hil.review.overlay", str(first), str(second), str(unfinished)),
+            capture_output=True,
+            env=rerun_environment(),
+            check=False,
+            text=True,
+        )
+        if done.returncode != 0:
+            reason = done.stdout.strip() or f"its writer ended with exit status {done.returncode}"
+            raise BadInputError(f"overlay {file}: {reason}; choose a path that can be written")
 
 
 def main() -> int:

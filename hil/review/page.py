@@ -7,6 +7,7 @@ from typing import Any
 
 from hil.figure_words import applied_words, belief_rows, figure_rows, link_rows, outcome_rows
 from hil.html_page import document, figure, mark, table, write_document
+from hil.outputs import Existing
 from hil.review.difference import Difference, changes, differences
 from hil.review.figures import figure_signals, scenario_of, sources_of
 from hil.review.pictures import SIGNALS, Shown, pictures
@@ -20,12 +21,18 @@ def page_signals() -> frozenset[str]:
     return figure_signals().union(SIGNALS)
 
 
-def write_page(path: Path, runs: Sequence[RecordedRun], figures: Sequence[Mapping[str, Any]]) -> None:
+def write_page(
+    path: Path,
+    runs: Sequence[RecordedRun],
+    figures: Sequence[Mapping[str, Any]],
+    existing: Existing = "refuse",
+) -> None:
     """Write the page of one run, or of two; ``figures`` are those of ``hil.review.figures.figures``.
 
-    Raises BadInputError when the file's name does not end in .html, and where it cannot be written.
+    ``existing`` says what is done where the file is there already. Raises BadInputError when the file's name does not
+    end in .html, and where it cannot be written.
     """
-    write_document(path, page(runs, figures))
+    write_document(path, page(runs, figures), existing)
 
 
 def page(runs: Sequence[RecordedRun], figures: Sequence[Mapping[str, Any]]) -> str:

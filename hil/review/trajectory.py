@@ -6,18 +6,21 @@ from pathlib import Path
 import numpy as np
 
 from hil.errors import BadInputError
+from hil.outputs import Existing
 from hil.review.reader import RecordedRun
+from hil.telemetry.files import check_output_path
+from hil.whole_file import whole_file
 
 _POSE = ("x_m", "y_m", "heading_rad")
 
 
-def write_trajectory(run: RecordedRun, path: Path) -> None:
+def write_trajectory(run: RecordedRun, path: Path, existing: Existing = "refuse") -> None:
     """Write time and pose of each tick that has one: the true pose where the run knew it, else the estimate.
 
-    Raises BadInputError where the recording has no pose, and where the file cannot be written.
+    ``existing`` says what is done where the file is there already. Raises BadInputError where the recording has no
+    pose, and where the file cannot be written.
     """
-    if path.suffix.lower() != ".csv":
-        raise BadInputError(f"--trajectory {path}: expected the name of a file that ends in .csv")
+    check_output_path("trajectory", path, existing)
     signals = run.signals
     for source in ("truth", "pose"):
         names = [f"{source}.{name}" for name in _POSE]
@@ -29,7 +32,10 @@ def write_trajectory(run: RecordedRun, path: Path) -> None:
     else:
         raise BadInputError(f"{run.path}: no tick of it has a pose; a trajectory needs some")
     try:
-        with path.open("w", encoding="utf-8", newline="") as file:
+        with (
+            whole_file(path, "trajectory", existing) as unfinished,
+            unfinished.open("w", encoding="utf-8", newline="") as file,
+        ):
             writer = csv.writer(file)
             writer.writerow(("t_s", *_POSE))
             writer.writerows(rows.tolist())

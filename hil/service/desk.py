@@ -9,6 +9,7 @@ from typing import Any
 
 from hil.errors import BadInputError, HilError
 from hil.kinematics import BodyTwist
+from hil.outputs import existing_files
 from hil.references import ReferenceSource, make_reference
 from hil.runs_folder import new_in_runs
 from hil.scenario import Scenario
@@ -197,11 +198,13 @@ class Desk:
     def _record(self, order: Order) -> None:
         if self._are_records_busy or self._records.path is not None:
             raise BadInputError(f"{self._records.path or 'a recording'} is being written; stop that first")
-        wanted = order.arguments["path"]
+        wanted, force = order.arguments["path"], bool(order.arguments["force"])
 
         def make() -> Recording:
-            path = new_in_runs(self._scenario.name, ".rrd", "name a file") if wanted is None else Path(wanted)
-            return recording_of(self._scenario, self._signals, path)
+            if wanted is None:
+                path = new_in_runs(self._scenario.name, ".rrd", "name a file")
+                return recording_of(self._scenario, self._signals, path, existing="number")
+            return recording_of(self._scenario, self._signals, Path(wanted), existing=existing_files(force=force))
 
         def then(recording: Any) -> Result:
             self._records.begin(recording)

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from hil.outputs import Existing
 from hil.scenario import Scenario
 from hil.service import logs
 from hil.telemetry import Recording, RecordingReport
@@ -59,13 +60,30 @@ class Records:
 
 
 def recording_of(
-    scenario: Scenario, signals: Sequence[str], path: Path | None, live_port: int | None = None
+    scenario: Scenario,
+    signals: Sequence[str],
+    path: Path | None,
+    live_port: int | None = None,
+    existing: Existing = "refuse",
 ) -> Recording:
     """Start a recording of a service: to a file, or for live viewers alone; takes longer than a tick.
 
-    Raises BadInputError and DeviceError as ``Recording``.
+    ``existing`` says what is done where the file is there already; that another name was taken is logged. Raises
+    BadInputError and DeviceError as ``Recording``.
     """
-    return Recording(path, properties=properties(scenario), blocking=False, live_port=live_port, signals=signals)
+    recording = Recording(
+        path,
+        properties=properties(scenario),
+        blocking=False,
+        live_port=live_port,
+        signals=signals,
+        existing=existing,
+    )
+    if recording.path != path:
+        logs.warning(
+            "a recording of this name is there already; another name was taken", asked=path, path=recording.path
+        )
+    return recording
 
 
 def finished(recording: Recording, summary: Mapping[str, Any]) -> RecordingReport:

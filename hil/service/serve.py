@@ -45,8 +45,9 @@ _ENDING_LIMIT_S = 7.0  # longer than a robot is waited for that is told to stop
 class Options:
     """What ``hil serve`` takes besides the configuration.
 
-    ``record`` is a file to record to from the start, ``live_port`` serves viewers, ``token_file`` has the API's token,
-    ``truth`` is the URL of a virtual robot's truth socket, ``log`` the form of the log's lines.
+    ``record`` is a file to record to from the start, the next free number where it is there; ``live_port`` serves
+    viewers, ``token_file`` has the API's token, ``truth`` is the URL of a virtual robot's truth socket, ``log`` the
+    form of the log's lines.
     """
 
     record: Path | None = None
@@ -92,7 +93,7 @@ def serve(scenario: Scenario, options: Options, reload: Callable[[], Scenario]) 
         resources.callback(notifier.close)
         records = Records(_live(scenario, parts, options, resources))
         if options.record is not None:
-            records.begin(recording_of(scenario, parts.laws.signals, options.record))
+            records.begin(recording_of(scenario, parts.laws.signals, options.record, existing="number"))
         resources.callback(_finish, records)
         api = ApiChild(_api_config(scenario, options))
         resources.callback(api.close)

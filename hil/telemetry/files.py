@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from hil.errors import BadInputError
+from hil.outputs import Existing, check_free
 
 EXPECTED_FILE = "an .rrd or .mcap file made by 'hil run --record'"
 OUTPUTS = {
@@ -16,6 +17,7 @@ OUTPUTS = {
     "page": (".html",),
     "overlay": (".rrd",),
     "export": (".csv", ".parquet", ".mcap"),
+    "trajectory": (".csv",),
 }
 """What a run or its review writes, and how its name may end.
 
@@ -28,21 +30,27 @@ _PROBE_BYTES = 1 << 20
 _SMALLEST_BYTES = 1_000_000
 
 
-def check_output_path(what: str, path: Path) -> None:
-    """Raise BadInputError unless one of ``OUTPUTS`` can be written to ``path``; touches nothing."""
+def check_output_path(what: str, path: Path, existing: Existing = "refuse") -> None:
+    """Raise BadInputError unless one of ``OUTPUTS`` can be written to ``path``; touches nothing.
+
+    ``existing`` says what is done where a file is there. A later part of another recording is never replaced.
+    """
     folder = path.absolute().parent
     *others, last = OUTPUTS[what]
     if path.suffix not in OUTPUTS[what]:
         problem = f"its name must end in {', '.join(others)}{' or ' * bool(others)}{last}, which tells its format"
     elif path.is_dir():
         problem = "it is a folder; name a file in it"
-    elif (first := _first_part(path)) is not None:
+    elif existing != "number" and (first := _first_part(path)) is not None:
         problem = f"by its name it is a later part of {first.name}; choose another name, or remove it before"
     elif not folder.is_dir():
         problem = f"there is no folder {folder}; make it, or choose another path"
-    elif not os.access(path if path.exists() else folder, os.W_OK):
-        problem = f"{'it' if path.exists() else folder} is not writable; choose another path, or no {what}"
+    elif existing == "replace" and path.exists() and not os.access(path, os.W_OK):
+        problem = f"it is not writable; choose another path, or no {what}"
+    elif not os.access(folder, os.W_OK) and not (existing == "replace" and path.exists()):
+        problem = f"{folder} is not writable; choose another path, or no {what}"
     else:
+        check_free(what, path, existing)
         return
     raise BadInputError(f"{what} {path}: {problem}")
 

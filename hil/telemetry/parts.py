@@ -14,6 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
+from hil.outputs import release
 from hil.telemetry.files import Rotation, check_writable, has_end, part_path, why_not_written
 from hil.telemetry.ring import MOST_PARTS, RingReader, Rows
 from hil.telemetry.ring_child import Record, RefusedError
@@ -189,7 +190,14 @@ class Parts:
             "first_row": self._ring.tail,
             "first_event": self._ring.lines_taken,
         }
-        self._file = _open_file(path, self._config, part)
+        # The first is the run's own already; of a later one another process may think so at the same time.
+        if number > 1:
+            path.open("xb").close()
+        try:
+            self._file = _open_file(path, self._config, part)
+        except (RuntimeError, OSError):
+            release(path)
+            raise
         self._ring.begin_part(number)
         self._identity = _identity(path)
         self._part_path = path

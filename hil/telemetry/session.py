@@ -10,6 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol, Self
 
+from hil.outputs import Existing, claim, release
 from hil.signals import SIGNAL_NAMES
 from hil.telemetry.environment import WITH_RERUN, rerun_environment
 from hil.telemetry.files import Rotation, check_output_path, part_path
@@ -107,7 +108,8 @@ class Recording:
         name (see ``hil.telemetry.provenance``). blocking: in lockstep, ``put`` waits for room in the ring; in real
         time it drops the row and counts. live_port: serve live viewers on this port of 127.0.0.1. capacity:
         rows that the ring holds. signals: the names of a row's values; ``loop.t_s``, ``loop.tick`` and what
-        is drawn must be among them. rotation: when the recording goes on in another file. started: a recorder
+        is drawn must be among them. rotation: when the recording goes on in another file. existing: what is done
+        where the file is there already; ``path`` then has the name that was taken. started: a recorder
         that was started for such a file (see ``early_recorder``); by default it is started now.
 
     Raises:
@@ -128,16 +130,37 @@ class Recording:
         capacity: int = 16384,
         signals: Sequence[str] = SIGNAL_NAMES,
         rotation: Rotation = Rotation(),  # noqa: B008 -- immutable
+        existing: Existing = "refuse",
         started: Started | None = None,
     ) -> None:
         if path is not None:
-            check_output_path("recording", path)
-        if started is None:
-            started = _start_recorder(None if path is None else path.suffix, live=live_port is not None)
+            check_output_path("recording", path, existing)
+            path = claim("recording", path, existing)
         self._path = path
         self._live_port = live_port
         self._report: RecordingReport | None = None
-        self._process = RingProcess(
+        try:
+            self._process = self._begun(started, properties, signals, rotation, capacity, blocking=blocking)
+        except BaseException:
+            if path is not None:
+                release(path, existing)
+            raise
+        self.put = self._process.put
+
+    def _begun(
+        self,
+        started: Started | None,
+        properties: Mapping[str, str],
+        signals: Sequence[str],
+        rotation: Rotation,
+        capacity: int,
+        *,
+        blocking: bool,
+    ) -> RingProcess:
+        path, live_port = self._path, self._live_port
+        if started is None:
+            started = _start_recorder(None if path is None else path.suffix, live=live_port is not None)
+        return RingProcess(
             started,
             {
                 "path": None if path is None else str(path.absolute()),
@@ -155,7 +178,6 @@ class Recording:
             remedy="run without a recording to go on",
             restart=True,
         )
-        self.put = self._process.put
 
     @property
     def path(self) -> Path | None:

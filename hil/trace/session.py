@@ -7,6 +7,7 @@ from typing import Any, Self
 
 from firmware_protocol.framing import Frame
 from hil.child import child_environment
+from hil.outputs import Existing, claim, release
 from hil.ports import EXTENDED, REMOTE
 from hil.telemetry.files import check_output_path
 from hil.telemetry.ring_process import RingProcess
@@ -53,26 +54,39 @@ class Trace:
 
     The ending of ``path`` tells the format. ``fd`` says that our frames go in CAN FD frames, ``switched`` that these
     have a bit rate of their own for the data. With ``blocking``, as in lockstep, frames wait for room; else they are
-    dropped, and counted. When the run dies, the file is finished with what it gave.
+    dropped, and counted. When the run dies, the file is finished with what it gave. ``existing`` says what is done
+    where the file is there already.
 
     Raises BadInputError when the file cannot be written, DeviceError when the process does not start.
     """
 
-    def __init__(self, path: Path, *, blocking: bool, fd: bool = False, switched: bool = False) -> None:
-        check_output_path("trace", path)
-        self._path = path
+    def __init__(
+        self,
+        path: Path,
+        *,
+        blocking: bool,
+        fd: bool = False,
+        switched: bool = False,
+        existing: Existing = "refuse",
+    ) -> None:
+        check_output_path("trace", path, existing)
+        self._path = path = claim("trace", path, existing)
         self._zero_unix_us = 0
         self._flags = rows.FD * fd + rows.SWITCHED * (fd and switched)
         self._report: TraceReport | None = None
-        self._process = RingProcess(
-            Started("hil.trace.writer", child_environment()),
-            {"path": str(path.absolute())},
-            width=rows.WIDTH,
-            capacity=_CAPACITY,
-            blocking=blocking,
-            name="the writer of the trace",
-            remedy="run without --trace to go on",
-        )
+        try:
+            self._process = RingProcess(
+                Started("hil.trace.writer", child_environment()),
+                {"path": str(path.absolute())},
+                width=rows.WIDTH,
+                capacity=_CAPACITY,
+                blocking=blocking,
+                name="the writer of the trace",
+                remedy="run without --trace to go on",
+            )
+        except BaseException:
+            release(path, existing)
+            raise
 
     @property
     def pid(self) -> int:

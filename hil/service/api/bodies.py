@@ -74,6 +74,7 @@ class Record(Body):
         pattern=r"\.(rrd|mcap)$",
         description="an .rrd or .mcap file, as the service's user sees it; null for a name by scenario and time",
     )
+    force: bool = Field(default=False, description="replace the file if it is there already; else that is refused")
 
 
 def bodies(limits: Limits) -> Mapping[Action, type[Body]]:

@@ -1,0 +1,191 @@
+"""A file that is there is never replaced unless ``--force`` says so: by any command, and by a service at all."""
+
+import socket
+from collections.abc import Callable
+from datetime import datetime, tzinfo
+from multiprocessing.pool import ThreadPool
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+import hil
+import hil.runs_folder
+from hil.catalogue.recording import RecordingHere
+from hil.cli import app
+from hil.commands.ctl import app as ctl
+from hil.errors import BadInputError
+from hil.outputs import claim, free_name
+from hil.review import read
+from hil.runs_folder import new_in_runs
+from hil.telemetry import Recording
+from hil.telemetry.files import part_path
+from hil.trace import Trace
+from hil.whole_file import write_whole
+from tests.recorded_circle import circle_rows
+
+OLD = Path(__file__).parent / "recordings" / "circle_speed_ca92b7a.rrd"
+SHORT = ("--set", "loop.duration_s=0.1", "--set", "expect=[]")
+KEPT = b"evidence of another day"
+
+
+@pytest.mark.parametrize(
+    ("words", "file"),
+    [
+        (("run", "circle_speed", *SHORT, "--record", "{}"), "keep.rrd"),
+        (("run", "circle_speed", *SHORT, "--record", "{}"), "keep.mcap"),
+        (("run", "circle_speed", *SHORT, "--record", "none", "--trace", "{}"), "bus.log"),
+        (("device", "circle_speed", "--link", "serial:pty", "--trace", "{}"), "bus.blf"),
+        (("replay", str(OLD), "--law", "pid", "--record", "{}"), "again.rrd"),
+        (("review", str(OLD), "--html", "{}"), "page.html"),
+        (("review", str(OLD), "--export", "{}"), "run.csv"),
+        (("review", str(OLD), "--export", "{}"), "run.parquet"),
+        (("review", str(OLD), "--export", "{}"), "run.mcap"),
+        (("review", str(OLD), "--trajectory", "{}"), "path.csv"),
+        (("review", str(OLD), str(OLD), "--overlay", "{}"), "both.rrd"),
+        (("fuzzy", "--out", "{}"), "gains.png"),
+        (("compare", "pid", "circle_speed", "--quick", "--markdown", "{}"), "PAGE.md"),
+        (("compare", "pid", "circle_speed", "--quick", "--out", "."), "comparison.csv"),
+        (("compare", "pid", "circle_speed", "--quick", "--out", "."), "torque-5nm-ideal.png"),
+        (("reproduce", "--quick", "--out", "."), "summary.json"),
+        (("reproduce", "--quick", "--out", "."), "delay.png"),
+        (("reproduce", "--quick", "--out", "."), "dsc_common_together.rrd"),
+        (("campaign", "report", "."), "report.html"),
+        (("campaign", "report", ".", "--html", "{}"), "page.html"),
+        (("init", ".", "--defaults"), "robot.toml"),
+        (("init", ".", "--defaults"), "first_circle.toml"),
+    ],
+)
+def test_a_command_refuses_a_file_that_is_there(words, file, tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path(file).write_bytes(KEPT)
+    done = CliRunner().invoke(app, [word.format(file) for word in words])
+    assert isinstance(done.exception, BadInputError), done.output
+    assert file in str(done.exception)
+    assert "--force" in str(done.exception)
+    assert [path.name for path in tmp_path.iterdir()] == [file], "nothing was begun"
+    assert Path(file).read_bytes() == KEPT
+
+
+@pytest.mark.parametrize(
+    ("words", "file"),
+    [
+        (("run", "circle_speed", *SHORT, "--record", "{}"), "keep.mcap"),
+        (("run", "circle_speed", *SHORT, "--record", "none", "--trace", "{}"), "bus.log"),
+        (("review", str(OLD), "--export", "{}"), "run.csv"),
+        (("review", str(OLD), "--trajectory", "{}"), "path.csv"),
+        (("fuzzy", "--out", "{}"), "gains.png"),
+        (("init", ".", "--defaults"), "robot.toml"),
+    ],
+)
+def test_force_replaces_it(words, file, tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path(file).write_bytes(KEPT)
+    done = CliRunner().invoke(app, [*(word.format(file) for word in words), "--force"])
+    assert done.exit_code == 0, done.exception
+    assert KEPT not in Path(file).read_bytes()
+
+
+def test_a_run_in_python_refuses_and_replaces_alike(tmp_path: Path) -> None:
+    path, short = tmp_path / "run.mcap", {"loop.duration_s": 0.1, "expect": []}
+    path.write_bytes(KEPT)
+    with pytest.raises(BadInputError, match=r"recording .*run\.mcap: it is there already"):
+        hil.run("circle_speed", set=short, record=path)
+    assert hil.run("circle_speed", set=short, record=path, force=True).metrics["recording"] == str(path)
+    assert len(read(path).signals["loop.t_s"])
+
+
+def test_a_recording_for_a_service_is_refused_before_it_is_asked(tmp_path: Path) -> None:
+    path = tmp_path / "night.rrd"
+    path.write_bytes(KEPT)
+    done = CliRunner().invoke(ctl, ["record", str(path)])
+    assert isinstance(done.exception, BadInputError)
+    assert "it is there already" in str(done.exception)
+
+
+@pytest.mark.parametrize(
+    "write",
+    [
+        lambda path: Recording(path, properties={}, blocking=True),
+        lambda path: RecordingHere(path, properties={}, blocking=True),
+        lambda path: write_whole(path, b"new"),
+    ],
+)
+def test_what_writes_refuses_too(write: Callable[[Path], object], tmp_path: Path) -> None:
+    path = tmp_path / "run.rrd"
+    path.write_bytes(KEPT)
+    with pytest.raises(BadInputError, match="it is there already; choose another name, or replace it with --force"):
+        write(path)
+    assert path.read_bytes() == KEPT
+
+
+def test_a_trace_refuses_too(tmp_path: Path) -> None:
+    path = tmp_path / "bus.log"
+    path.write_bytes(KEPT)
+    with pytest.raises(BadInputError, match=r"trace .*bus\.log: it is there already"):
+        Trace(path, blocking=True)
+    assert path.read_bytes() == KEPT
+
+
+def test_of_many_at_once_each_gets_a_name_of_its_own(tmp_path: Path) -> None:
+    path = tmp_path / "run.rrd"
+    with ThreadPool(8) as pool:
+        names = pool.map(lambda _: claim("recording", path, "number"), range(64))
+    assert sorted(names) == sorted(tmp_path.iterdir())
+    assert len(set(names)) == 64
+    with pytest.raises(BadInputError):
+        claim("recording", path)
+
+
+def test_a_numbered_recording_is_no_part_of_another(tmp_path: Path) -> None:
+    first = tmp_path / "run.mcap"
+    first.write_bytes(KEPT)
+    with Recording(first, properties={}, blocking=True, existing="number") as recording:
+        for row in circle_rows(20):
+            recording.put(row)
+        report = recording.finish({})
+    assert recording.path == report.path == tmp_path / "run_2.mcap"
+    assert report.parts == (tmp_path / "run_2.mcap",)
+    assert recording.path not in [part_path(first, number) for number in range(1, 10)]
+    assert len(read(recording.path).signals["loop.t_s"]) == 20
+
+
+def test_a_recording_that_cannot_begin_leaves_nothing(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken, pytest.raises(BadInputError, match="live port"):
+        Recording(tmp_path / "run.mcap", properties={}, blocking=True, live_port=taken.getsockname()[1])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_default_name_is_free_whatever_the_clock_says(tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+    class Stopped(datetime):
+        @classmethod
+        def now(cls, tz: tzinfo | None = None) -> datetime:  # type: ignore[override]
+            return datetime(2026, 1, 2, tzinfo=tz)
+
+    monkeypatch.setattr(hil.runs_folder, "datetime", Stopped)
+    names = []
+    for _ in range(3):
+        names.append(new_in_runs("circle", ".rrd", ""))
+        names[-1].touch()
+    assert [name.name for name in names] == [
+        f"circle-20260102-000000-000000{number}.rrd" for number in ("", "_2", "_3")
+    ]
+
+
+def test_a_name_that_a_broken_link_has_is_taken(tmp_path: Path) -> None:
+    path = tmp_path / "run.rrd"
+    path.symlink_to(tmp_path / "gone.rrd")
+    assert free_name(path) == tmp_path / "run_2.rrd"
+    with pytest.raises(BadInputError, match="it is there already"):
+        claim("recording", path)
+
+
+def test_a_file_that_cannot_be_replaced_stays(tmp_path: Path) -> None:
+    path = tmp_path / "page.html"
+    path.write_bytes(KEPT)
+    with pytest.raises(TypeError):
+        write_whole(path, None, "page", "replace")  # type: ignore[arg-type]
+    assert path.read_bytes() == KEPT
+    assert list(tmp_path.iterdir()) == [path]
