@@ -190,11 +190,13 @@ class Loop:
             faults.at(t_ns)
             fix = faults.truth(fix)
         if self._recovery is None:
+            count = doing.count
             try:
                 doing.drive(now, fix, doing.sense(t_s, fix), self._reference_at(t_s))
             except (LinkError, RobotStoppedError) as error:
                 self._lose(error)
-                doing.tell_away(now, fix, self._reference_at(t_s))
+                if doing.count == count:
+                    doing.tell_away(now, fix, self._reference_at(t_s))
         else:
             doing.skip_fixes()
             self._come_back(self._recovery)

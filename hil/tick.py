@@ -140,9 +140,9 @@ class Tick:
         if self._shadows is not None:
             self._ask_shadows(self._shadows, now.t_s, reference, asked)
         self._applied = applied = make_applied((command, saturated, self._latency.s))
-        self.count += 1
         silent_ns, is_held = self._freshness.silent_ns, asked is None
         self._rows.tell(now, feedback, silent_ns, fix, state, reference, applied, status, is_held)
+        self.count += 1
 
     def tell_away(
         self, now: LoopSignals, fix: PoseFix | None, reference: Reference, state: State | None = None
@@ -153,8 +153,8 @@ class Tick:
             parts.shadows.hold()
         applied = Applied(self._nothing, False, self._latency.s)
         status, silent_ns = parts.estimator.status, self._freshness.silent_ns
-        self.count += 1
         self._rows.tell(now, parts.device.feedback, silent_ns, fix, state, reference, applied, status, True)
+        self.count += 1
         self._before = None
 
     @property

@@ -1,11 +1,15 @@
 """What a served robot does, tick by tick, with firmware and FMU behind the wire; in lockstep, so that all repeats."""
 
+import contextlib
 import math
+from collections.abc import Callable, Iterator
+from itertools import count
+from pathlib import Path
 
 import pytest
 
 from firmware_protocol.generated.messages import State as RobotState
-from hil.errors import BadInputError
+from hil.errors import BadInputError, DeviceError, HilError, LinkError, RobotStoppedError
 from hil.kinematics import BodyTwist
 from hil.parts import PartsOf
 from hil.references import make_reference
@@ -302,3 +306,71 @@ def test_other_gains_take_over_in_motion() -> None:
         assert bench.last("gain.k1_x_1_s") == 4.0
         assert bench.pilot.task is Task.TRACK
         assert max(v for v in bench.series("error.planar_m")[-100:]) < 0.1
+
+
+_FAILS_TO_TELL = """
+from hil.types import CommandMode, WheelCommand, Wheels
+
+class FailsToTell:
+    signals = ("own.number",)
+    asked = 0
+
+    def reset(self, state, reference):
+        pass
+
+    def update(self, reference, state, applied, dt_s):
+        self.asked += 1
+        return WheelCommand(CommandMode.SPEED, Wheels(0.0, 0.0, 0.0, 0.0), Wheels(0.0, 0.0, 0.0, 0.0))
+
+    @property
+    def telemetry(self):
+        return (1.0 / (self.asked < 20),)
+"""
+_RAISED = (LinkError("the line broke"), RobotStoppedError("it stopped"), DeviceError("it refused"))
+
+
+@pytest.mark.parametrize("name", ["poll", "send", "armed", "estop", "clear", "greeted", "reopen", "begin_again"])
+def test_each_tick_is_told_once_whatever_call_of_the_device_fails(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    with PilotBench() as bench:
+        device, raised = bench.bench.device, 0
+
+        def failing(works: Callable[..., object], every: int, kinds: Iterator[HilError]) -> Callable[..., object]:
+            calls = count(1)
+
+            def call(*arguments: object) -> object:
+                nonlocal raised
+                if next(calls) % every == 0 and (failure := next(kinds, None)) is not None:
+                    raised += 1
+                    raise failure
+                return works(*arguments)
+
+            return call
+
+        works = failing(getattr(device, name), {"poll": 37, "send": 31}.get(name, 2), iter(_RAISED))
+        monkeypatch.setattr(device, name, works)
+        # A line that breaks now and then, so that the way back is gone too.
+        monkeypatch.setattr(device, "poll", failing(device.poll, 83, iter(_RAISED[:1] * 4)))
+        for _ in range(10):
+            bench.run(0.2)
+            with contextlib.suppress(BadInputError):
+                bench.pilot.arm()
+            bench.run(0.3)
+            bench.pilot.estop()
+            bench.run(0.2)
+            with contextlib.suppress(BadInputError, DeviceError, LinkError):
+                bench.pilot.clear()
+        assert raised == len(_RAISED) + 4
+        assert bench.series("loop.tick") == list(range(len(bench.rows)))
+        assert len(bench.rows) == 700
+
+
+def test_each_tick_is_told_once_when_the_law_fails_in_its_own_signals(tmp_path: Path) -> None:
+    law = tmp_path / "own_signals.py"
+    law.write_text(_FAILS_TO_TELL)
+    with PilotBench(**{"controller.law": f"{law}:FailsToTell", "controller.gains": {}}) as bench:
+        bench.run(2.0)
+        bench.pilot.arm()
+        bench.run(1.0)
+        assert "telemetry failed" in str(bench.pilot.why)
+        assert bench.pilot.phase is Phase.DISARMED
+        assert [row[1] for row in bench.rows] == list(range(300))

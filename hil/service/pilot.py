@@ -183,14 +183,24 @@ class Pilot:
     # The tick
 
     def tick(self, now: LoopSignals, fix: PoseFix | None) -> None:
-        """Do one tick, and tell of it. Raises what ended a robot in this process, which cannot come back."""
+        """Do one tick, and tell of it once. Raises what ended a robot in this process, which cannot come back."""
         self._t_s = now.t_s
         faults = self._parts.faults
         if faults is not None:
             faults.at(round(now.t_s * 1e9))
             fix = faults.truth(fix)
+        count = self._doing.count
+        self._attempt(lambda: self._steps[self.phase](now, fix))
+        if self._doing.count == count:  # only a tick that was driven has been told of
+            self._attempt(lambda: self._doing.tell_away(now, fix, NOWHERE, self.state))
+        if self._doing.count == count:  # the law's own signals failed, and it is asked for none any more
+            self._doing.tell_away(now, fix, NOWHERE, self.state)
+        self._note_trouble()
+
+    def _attempt(self, part: Callable[[], None]) -> None:
+        """Do a part of a tick, and take what goes wrong in it. Raises as ``tick``."""
         try:
-            self._steps[self.phase](now, fix)
+            part()
         except (HilError, ArithmeticError, ValueError) as error:
             if not isinstance(error, HilError):  # a law or a path beyond what numbers can do
                 error = BadInputError(f"the law or the path failed: {type(error).__name__}: {error}")
@@ -198,8 +208,6 @@ class Pilot:
                 self._law_failed = True
                 self._doing.use(muted(self._parts))
             self.lose(error)
-            self._doing.tell_away(now, fix, NOWHERE)
-        self._note_trouble()
 
     def _note_trouble(self) -> None:
         trouble = self._parts.device.report.trouble
@@ -244,7 +252,6 @@ class Pilot:
             self._recovery.fail(error)
             is_back = False
         if not is_back:
-            self._doing.tell_away(now, fix, NOWHERE)
             return
         self._doing.restart()
         self.recoveries += self._was_connected
@@ -256,7 +263,6 @@ class Pilot:
             self._parts.device.estop()
         else:
             self._enter(Phase.STOPPING, _STOPPING_LIMIT_S)  # until its feedback says that it is none
-        self._doing.tell_away(now, fix, NOWHERE)
 
     def _wait(self, now: LoopSignals, fix: PoseFix | None) -> None:
         robot = self._look(now, fix)
@@ -314,9 +320,8 @@ class Pilot:
             self._why = f"clearing was refused: {device.why_not_active()}"
 
     def _look(self, now: LoopSignals, fix: PoseFix | None) -> RobotState:
-        """Sense and tell, without driving; return the robot's own state."""
+        """Sense without driving; return the robot's own state."""
         feedback, self.state = self._doing.sense(now.t_s, fix, active=False)
-        self._doing.tell_away(now, fix, NOWHERE, self.state)
         return feedback.state
 
     # Changes

@@ -238,8 +238,7 @@ class _Service:
                 late_ns = sampling.wait(number)
             except HilError as error:
                 pilot.lose(error)
-                number = sampling.following(number)
-                continue
+                continue  # waits for the same tick again, with nothing left on the link that could fail once more
             begin_ns = time.perf_counter_ns()
             orders = self._api.orders()
             # What waited while this process stood still, wherever in this loop it did, is no wish of this moment.
