@@ -7,6 +7,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, TypeVar
 
+from hil.allowed import allow_figures
 from hil.bench import NS, Bench
 from hil.devices.virtual import MakeNode, MakeRobot, new_robot
 from hil.errors import DeviceError, HilError, LinkError
@@ -178,7 +179,8 @@ def run_scenario(
         made = parts.make(bench, sinks, note)
         if names is SIGNAL_NAMES:
             made = made._replace(extra=())
-        loop = Loop(made, scenario.controller.mode, parts.timing, rearm=scenario.loop.rearm, warn=warn)
+        faults = [table.row for table in scenario.fault]
+        loop = Loop(made, scenario.controller.mode, parts.timing, faults=faults, rearm=scenario.loop.rearm, warn=warn)
         # Behind all other processes, which inherit the processors, and before the robot arms: locking takes its time.
         with _real_time(scenario, bench) as granted:
             origin_ns = _reach(bench, lambda: bench.device.start(bench.clock, scenario.loop.period_ns))
@@ -270,6 +272,8 @@ def _figures(
     faulted = all(row["applied"] for row in applied)
     # Neither does a run in which the law gave no number and the robot was held still.
     lawful = loop.commands_refused == 0
+    allow = allow_figures(scenario.allow, report.counted, report.ticks)
+    allowed = all(row["passed"] for row in allow)
     realtime_factor = report.robot_s / report.wall_s if report.ticks else None
     if realtime_factor is None:
         reasons["realtime_factor"] = "the run has no ticks"
@@ -278,7 +282,7 @@ def _figures(
         reasons["pose_fixes"] = f"{scenario.estimator.source!r} takes none"
     device = bench.device
     return {
-        "passed": failure is None and held and faulted and lawful,
+        "passed": failure is None and held and faulted and lawful and allowed,
         "scenario": scenario.name,
         "law": scenario.controller.law,
         "mode": scenario.loop.mode,
@@ -294,7 +298,8 @@ def _figures(
         "wire_sha256": device.wire_sha256(),
         "stopped": report.stopped,
         "commands_refused": loop.commands_refused,
-        "stale_ticks": report.stale,
+        **{name: count.all for name, count in report.counted.items()},
+        "allow": allow,
         "recoveries": [recovered._asdict() for recovered in report.recoveries],
         "robot_slipped_ticks": bench.slipped_ticks,
         "expect": outcomes,

@@ -102,7 +102,9 @@ def belief_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
     if refused := metrics.get("commands_refused"):
         yield "law", f"it gave no number {refused} times, and the robot was held still"
     if stale := metrics.get("stale_ticks"):
-        yield "held", f"for {stale} ticks, for nothing fresh said where the robot is"
+        yield "stale", f"{stale} ticks, in which nothing fresh said where the robot is: it was not driven"
+    if held := metrics.get("held_ticks"):
+        yield "held", f"{held} ticks, in which the robot was held at rest or away for another reason"
     if slipped := metrics.get("robot_slipped_ticks"):
         yield "virtual robot", f"lost {slipped} ms of its time to stalls of this machine"
 
@@ -115,6 +117,9 @@ def outcome_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
         yield "recovery", f"lost at {row['lost_s']:.3f} s, ACTIVE again at {row['armed_s']:.3f} s: {row['why']}"
     for row in sorted(metrics.get("expect") or (), key=lambda row: bool(row["passed"])):
         yield "expect", row["text"]
+    for row in metrics.get("allow") or ():
+        if not row["passed"]:
+            yield "allow", row["text"]
     for row in metrics.get("shadows") or ():
         if row["dropped"] is not None:
             yield "shadow", row["dropped"]

@@ -1,17 +1,20 @@
 """The schedule of a run: when a tick is due, the same in lockstep and in real time, and a lost robot brought back."""
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from time import perf_counter
 from typing import Any, NamedTuple
 
+from hil.allowed import Counted
 from hil.errors import DeviceError, HilError, LinkError, RobotStoppedError
+from hil.faults.rows import FaultRow
 from hil.lateness import Lateness
 from hil.recovery import Recovered, Recovery, Warned
 from hil.sampling import Sampling, Timing
 from hil.signals import make_loop_signals
 from hil.tick import Parts, Tick
 from hil.types import NAN, CommandMode
+from hil.undriven import Undriven
 
 _STOP_LIMIT_NS = 5_000_000_000
 
@@ -19,12 +22,12 @@ _STOP_LIMIT_NS = 5_000_000_000
 class Report(NamedTuple):
     """How the loop went. ``failure`` is what ended it, ``recoveries`` are the losses that were recovered from.
 
-    ``stale`` counts ticks in which the robot was held at rest (see ``Tick``).
+    ``counted`` has by the names of ``[allow]`` how many ticks were not driven.
     """
 
     ticks: int
     deadline_misses: int
-    stale: int
+    counted: dict[str, Counted]
     robot_s: float
     wall_s: float
     stopped: bool
@@ -41,7 +44,7 @@ class Loop:
 
     With ``rearm`` a lost link or a stopped robot does not end the run: it is brought back while the ticks go on, with
     nothing commanded, and the law begins anew at the reference of the present ``t``. ``warn`` is called with what its
-    device warns of then and did not before.
+    device warns of then and did not before. ``faults`` are the scenario's, which explain ticks that are not driven.
     """
 
     def __init__(
@@ -50,6 +53,7 @@ class Loop:
         mode: CommandMode,
         timing: Timing,
         *,
+        faults: Sequence[FaultRow] = (),
         rearm: bool = False,
         warn: Callable[[str], None] | None = None,
     ) -> None:
@@ -63,6 +67,7 @@ class Loop:
         self._sampling = Sampling(parts.clock, parts.device, parts.truth, timing)
         self._warn = warn
         self._warned = Warned(parts.device, self._tell_warning, said=tuple(parts.device.warnings))
+        self._undriven = Undriven(faults, timing)
         self._recovery: Recovery | None = None
         self._recoveries: list[Recovered] = []
         self._misses = 0
@@ -102,7 +107,8 @@ class Loop:
         ticks = self._doing.count
         robot_s = self.t_s + self._timing.period_ns * 1e-9 if ticks else 0.0
         recoveries = tuple(self._recoveries)
-        return Report(ticks, self._misses, self._doing.stale, robot_s, wall_s, stopped, failure, recoveries)
+        counted = self._undriven.counted(ticks)
+        return Report(ticks, self._misses, counted, robot_s, wall_s, stopped, failure, recoveries)
 
     @property
     def commands_refused(self) -> int:
@@ -201,6 +207,10 @@ class Loop:
             doing.skip_fixes()
             self._come_back(self._recovery)
             doing.tell_away(now, fix, self._reference_at(t_s))
+        if doing.is_held:
+            self._undriven.hold(t_ns, is_stale=doing.is_stale)
+        else:
+            self._undriven.drive()
         self._tick_us = (perf_counter() - begin_s) * 1e6
 
     def _lose(self, error: HilError) -> Recovery:

@@ -73,9 +73,10 @@ class Tick:
     frames is unknown to it there; in real time what the link is measured to have, faults and all.
 
     Attributes:
-        count: ticks that were told of. stale: those in which the robot was held at rest: for old feedback, an old
-            truth where the state rests on it, or an estimator that is lost. In TORQUE mode it is braked by its wheel
-            speeds; while they too are old, no torque holds it, and it coasts.
+        count: ticks that were told of.
+        is_stale: whether the last tick held the robot at rest because its feedback was too old, or a truth on which
+            the state rests. In TORQUE mode it is braked by its wheel speeds; while they too are old, no torque holds
+            it, and it coasts.
     """
 
     def __init__(self, parts: Parts, mode: CommandMode, timing: Timing) -> None:
@@ -91,7 +92,7 @@ class Tick:
         self._applied = Applied(self._rest, False, timing.latency_s)
         self._before: int | None = None  # the tick before, of this session of the law; None where it has not begun
         self.count = 0
-        self.stale = 0
+        self.is_stale = False
 
     def sense(self, t_s: float, fix: PoseFix | None, active: bool = True) -> Sensed:
         """Take what has arrived and estimate; ``fix`` is the truth of the sampling instant.
@@ -114,12 +115,11 @@ class Tick:
             pose, twist = state
             if not isfinite(dist(pose, twist)):  # one call for all six: a distance between what is no number is none
                 state = None  # no law is asked with it: what it integrates would be no number for ever
-        is_stale = self._freshness.is_stale or (not self._is_lockstep and self._freshness.has_aged())
+        self.is_stale = is_stale = self._freshness.is_stale or (not self._is_lockstep and self._freshness.has_aged())
         if state is None or status.health == LOST or is_stale:
             asked = None
             measured = None if self._freshness.is_silent() else feedback.speed_rad_s
             command, saturated = self._parts.brake.command(measured)
-            self.stale += state is not None
             self._before = None  # after a hold the law begins anew: what it has integrated and awaits is of before it
         else:
             before = self._before
@@ -149,6 +149,7 @@ class Tick:
     ) -> None:
         """Tell of a tick in which nothing is commanded: what is heard of the robot, which may be nothing."""
         parts = self._parts
+        self.is_stale = False
         if parts.shadows is not None:
             parts.shadows.hold()
         applied = Applied(self._nothing, False, self._latency.s)

@@ -80,7 +80,7 @@ def test_when_fixes_stop_the_robot_is_degraded_then_held_at_rest_and_goes_on_wit
     health, t_s = result.signals["estimator.health"], result.signals["loop.t_s"]
     assert set(health) == {0.0, DEGRADED, LOST}
     lost = health == LOST
-    assert result.metrics["stale_ticks"] == lost.sum() > 10
+    assert result.metrics["held_ticks"] == lost.sum() > 10
     commands = np.array([result.signals[f"wheel.{wheel}.speed_command_rad_s"] for wheel in ("fl", "fr", "rr", "rl")])
     assert not commands[:, lost].any()
     assert t_s[lost].min() > 1.0

@@ -24,7 +24,7 @@ _FIGURES = (
     "torque_variation_n_m_per_s",
     "saturation_s",
 )
-_COUNTS = ("ticks", "commands_refused", "stale_ticks", "deadline_misses")
+_COUNTS = ("ticks", "commands_refused", "stale_ticks", "held_ticks", "deadline_misses")
 _NESTED: Mapping[str, tuple[str, ...]] = {
     "estimation_rms_m": ("estimation_error", "rms_m"),
     "estimation_max_m": ("estimation_error", "max_m"),
@@ -90,6 +90,7 @@ def _reasons(metrics: Mapping[str, Any]) -> Iterator[str]:
         yield metrics["failure"]
     yield from (outcome["text"] for outcome in metrics["expect"] if not outcome["passed"])
     yield from (f"{fault['text']} was never applied" for fault in metrics["fault"] if not fault["applied"])
+    yield from (row["text"] for row in metrics["allow"] if not row["passed"])
     yield f"the law gave no number {metrics['commands_refused']} times, and the robot was held still"
 
 

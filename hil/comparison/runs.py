@@ -95,6 +95,8 @@ def _failure(result: RunResult) -> str | None:
         return str(result.failure)
     if refused := result.metrics["commands_refused"]:
         return f"the law gave no number {refused} times, and the robot was held still"
+    if beyond := [row["text"] for row in result.metrics["allow"] if not row["passed"]]:
+        return str(beyond[0])
     if idle := [row["text"] for row in result.metrics["fault"] if not row["applied"]]:
         return f"{idle[0]} was never applied"
     return None

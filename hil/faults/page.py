@@ -37,6 +37,10 @@ A row of `[[fault]]` in a scenario makes something go wrong while a run goes on:
   of other messages in the same direction wait behind it.
 - Every row reports how often it was applied, in the figures (`fault`, key `applied`), the report and the recording.
   A row that was never applied fails the run: it has shown nothing.
+- A fault explains the ticks in which the robot is not driven, and these do not count against `[allow]`: from the first
+  tick at which the fault may have shown until the robot is driven again. After its window it may still show for as long
+  as frames are on their way (`[link]`, and the value of a `delay` or `jitter`) and old feedback is fresh enough
+  (`firmware.watchdog_s`). Nothing explains a run in which the robot was never driven.
 - STEP, STEP_DONE and HELLO are spared by all faults of the link: they carry no control.
 - Faults of the device and of the plant act inside the virtual robot. One in another process (`hil device`) gets them
   through its truth socket, so `hil run` needs `--truth`; on a real board they are refused.
@@ -77,6 +81,7 @@ Runs are in lockstep, so they are exact, and every run that can be recovered fro
 - **The cause.** Each sentence that tells why the robot was lost, and what ended the run, names the fault, or the stop
   that follows from it.
 - **The fault was applied**, each of its rows that began before the run was over.
+- **The fault explains** every tick in which the robot was not driven (`[allow]`), in lockstep.
 - **The recording** opens again, with every row of the run, and with the fault and what ended the run as events.
 - **The run ends.** After `--limit` seconds it is `hung`; a process that ends by itself is `crashed`; what was raised
   in another thread is `traceback`.

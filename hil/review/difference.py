@@ -55,6 +55,7 @@ _NESTED = (
     ("round trip p99", "link_statistics.round_trip_ms.p99", "ms", 1.0),
     ("commands refused", "commands_refused", "", 1),
     ("stale ticks", "stale_ticks", "", 1),
+    ("held ticks", "held_ticks", "", 1),
     ("recoveries", "recoveries", "", 1),
     ("expectations failed", "expect", "", 1),
 )

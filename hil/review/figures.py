@@ -30,6 +30,8 @@ _OUTCOME = (
     "recoveries",
     "commands_refused",
     "stale_ticks",
+    "held_ticks",
+    "allow",
     "realtime",
     "robot_slipped_ticks",
 )

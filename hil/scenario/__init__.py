@@ -5,6 +5,7 @@ resolved(scenario)                                -> every value and where it ca
 shipped()                                         -> what can be loaded by name
 """
 
+from hil.scenario.allow import AllowTable
 from hil.scenario.fields import StartValue
 from hil.scenario.load import Sources, load, read, set_texts, shipped
 from hil.scenario.plain import from_plain, to_plain
@@ -27,6 +28,7 @@ from hil.scenario.toml_text import format_value
 
 __all__ = [
     "SHIPPED_FMUS",
+    "AllowTable",
     "ControllerTable",
     "DeviceTable",
     "EstimatorTable",

@@ -9,6 +9,7 @@ from pydantic import ValidationError
 from hil.errors import BadInputError, nearest
 from hil.references import make_reference
 from hil.scenario import layers, motors
+from hil.scenario.allow import REALTIME_ALLOW
 from hil.scenario.laws import make_laws
 from hil.scenario.layers import Given, Tree
 from hil.scenario.problems import complaint, describe, place
@@ -17,16 +18,19 @@ from hil.signals import INDEX
 
 WATCHDOG_PERIODS = 5
 _WATCHDOG_RULE = f"default: {WATCHDOG_PERIODS} command periods, within 0.02 to 0.1 s"
+_ALLOW_RULE = "default in real time"
 
 
 def derived(tree: Tree) -> Tree:
-    """Return the defaults that follow from other values: the watchdog from the command rate."""
-    loop, firmware = tree.get("loop"), tree.get("firmware")
-    rate = loop.get("rate_hz") if isinstance(loop, dict) else None
-    if not isinstance(rate, Given) or rate.value not in RATES_HZ or not isinstance(firmware, dict):
-        return {}
-    watchdog_s = min(max(WATCHDOG_PERIODS * (1000 // int(rate.value)) / 1000.0, 0.02), 0.1)
-    return {"firmware": {"watchdog_s": Given(watchdog_s, _WATCHDOG_RULE)}}
+    """Return the defaults that follow from other values: the watchdog from the command rate, [allow] from the mode."""
+    loop, found = tree.get("loop"), Tree()
+    rate, mode = (loop.get(key) if isinstance(loop, dict) else None for key in ("rate_hz", "mode"))
+    if isinstance(rate, Given) and rate.value in RATES_HZ and isinstance(tree.get("firmware"), dict):
+        watchdog_s = min(max(WATCHDOG_PERIODS * (1000 // int(rate.value)) / 1000.0, 0.02), 0.1)
+        found["firmware"] = {"watchdog_s": Given(watchdog_s, _WATCHDOG_RULE)}
+    if isinstance(mode, Given) and mode.value == "realtime" and isinstance(tree.get("allow", {}), dict):
+        found["allow"] = {name: Given(limit, _ALLOW_RULE) for name, limit in REALTIME_ALLOW.items()}
+    return found
 
 
 def check(tree: Tree, scenario: str, directory: Path) -> Tables:

@@ -19,6 +19,7 @@ from hil.links.url import parse_link
 from hil.localisation.address import parse_address
 from hil.options import build
 from hil.plant_signals import INPUTS, OUTPUTS
+from hil.scenario.allow import AllowTable
 from hil.scenario.fields import Milliseconds, Option, OptionValue, Setting, Start, Table, Text, is_path
 from hil.scenario.process_tables import RealtimeTable, ServiceTable
 from hil.scenario.rows import ExpectTable, FaultTable
@@ -388,5 +389,6 @@ class Tables(Table):
     loop: LoopTable
     realtime: RealtimeTable = RealtimeTable()
     service: ServiceTable = ServiceTable()
+    allow: AllowTable = AllowTable()
     fault: tuple[FaultTable, ...] = ()
     expect: tuple[ExpectTable, ...] = ()

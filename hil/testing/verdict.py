@@ -76,6 +76,7 @@ class Verdict:
         if metrics["commands_refused"]:
             yield f"the law gave {metrics['commands_refused']} commands that were no numbers"
         yield from (f"expectation: {row['text']}" for row in metrics["expect"] if not row["passed"])
+        yield from (f"allow: {row['text']}" for row in metrics["allow"] if not row["passed"])
         for row, counted in _faults(self.scenario, metrics):
             if not counted["applied"]:
                 yield f"fault: {_fault(row, counted)}"

@@ -1,0 +1,121 @@
+"""Ticks in which the robot was not driven: counted, explained by the faults of the scenario, and judged by [allow]."""
+
+from pathlib import Path
+
+import pytest
+
+import hil
+from hil.commands.review import review as command
+from hil.errors import BadInputError
+from hil.faults.rows import FaultRow
+from hil.review import review
+from hil.review.figures import figures, read_for_figures
+from hil.review.page import page
+from hil.sampling import Timing
+from hil.scenario import load
+from hil.scenario.allow import most
+from hil.testing.verdict import run_as_test
+from hil.undriven import Undriven
+
+MS = 1_000_000
+TIMING = Timing(5 * MS, 3 * MS, 2 * MS, 25 * MS)
+BLIND = {
+    "estimator.source": "fused",
+    "estimator.filter.begin": "fix",
+    "estimator.simulated_fix.dropout_probability": 1.0,
+    "loop.duration_s": 0.5,
+    "expect": [],
+}
+"""No fix ever says where the robot is, so that it is never driven."""
+
+
+def drop(start_ms: int, end_ms: int) -> FaultRow:
+    return FaultRow("drop", "link", "feedback", start_ms * MS, end_ms * MS, 1.0)
+
+
+def unexplained(*faults: FaultRow, held_ms: range, ticks: int = 1000) -> int:
+    undriven = Undriven(faults, TIMING)
+    for t_ms in range(0, 5 * ticks, 5):
+        if t_ms in held_ms:
+            undriven.hold(t_ms * MS, is_stale=False)
+        else:
+            undriven.drive()
+    counted = undriven.counted(ticks)["held_ticks"]
+    assert counted.all == len(held_ms)
+    return counted.unexplained
+
+
+def test_a_run_in_which_the_robot_was_never_driven_has_not_passed(tmp_path: Path) -> None:
+    result = hil.run("circle_speed", set=BLIND, record=tmp_path / "run.rrd")
+    assert not result.passed
+    assert result.exit_code == 1
+    assert (result.metrics["stale_ticks"], result.metrics["held_ticks"]) == (0, 100)
+    told = result.metrics["allow"][1]
+    assert (told["name"], told["passed"], told["all"], told["unexplained"]) == ("held_ticks", False, 100, 100)
+    assert told["text"].startswith("held_ticks: 100 of 100 ticks not driven for another reason: state unknown")
+    assert "allow.held_ticks lets 0: find the cause, or raise it" in told["text"]
+    assert review(tmp_path / "run.rrd")["allow"] == result.metrics["allow"]
+    recorded = read_for_figures(tmp_path / "run.rrd")
+    assert "allow.held_ticks lets 0" in page([recorded], [figures(recorded)])
+
+
+def test_what_a_scenario_allows_passes_and_the_review_of_what_it_does_not_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert hil.run("circle_speed", set={**BLIND, "allow.held_ticks": "100%"}).passed
+    assert not hil.run("circle_speed", set={**BLIND, "allow.held_ticks": 99}, record=tmp_path / "run.rrd").passed
+    command([tmp_path / "run.rrd"])
+    assert "allow                  held_ticks: 100 of 100" in capsys.readouterr().out
+
+
+def test_a_scenario_as_a_test_says_which_limit_was_passed(tmp_path: Path) -> None:
+    verdict = run_as_test(load("circle_speed", set=BLIND), None, None, "hil run ...")
+    assert not verdict.passed
+    assert verdict.text().startswith("allow: held_ticks: 100 of 100")
+
+
+def test_the_ticks_that_a_fault_explains_do_not_count() -> None:
+    fault = [{"kind": "drop", "target": "feedback", "value": 1.0, "start_s": 0.2, "end_s": 0.4}]
+    result = hil.run("circle_speed", set={"loop.duration_s": 0.6, "expect": [], "fault": fault})
+    assert result.passed
+    assert result.metrics["stale_ticks"] > 5
+    assert [row["unexplained"] for row in result.metrics["allow"]] == [0, 0]
+
+
+def test_a_fault_explains_what_follows_it_until_the_robot_is_driven_again() -> None:
+    assert unexplained(drop(1000, 1100), held_ms=range(1025, 4000, 5)) == 0
+    assert unexplained(drop(1000, 1100), held_ms=range(500, 600, 5)) == 20
+    assert unexplained(drop(1000, 1100), held_ms=range(500, 1200, 5)) == 100, "what was before it is not its doing"
+
+
+@pytest.mark.parametrize(("begin_ms", "counts"), [(1140, 0), (1145, 1), (995, 1), (1000, 0)])
+def test_a_fault_shows_for_as_long_as_frames_are_on_their_way_and_old_ones_fresh(begin_ms: int, counts: int) -> None:
+    held_ms = range(begin_ms, begin_ms + 5, 5)
+    assert unexplained(drop(1000, 1100), held_ms=held_ms) == counts
+
+
+def test_a_delay_shows_for_its_own_time_longer_and_a_reset_from_its_instant_on() -> None:
+    late = FaultRow("delay", "link", "feedback", 1000 * MS, 1100 * MS, 0.5)
+    assert unexplained(late, held_ms=range(1600, 1700, 5)) == 0
+    reset = FaultRow("reset", "device", "robot", 1000 * MS, 2**62)
+    assert unexplained(reset, held_ms=range(1025, 2000, 5)) == 0
+    assert unexplained(reset, held_ms=range(1500, 2000, 5)) == 100
+
+
+def test_no_fault_explains_a_run_of_which_no_tick_was_driven() -> None:
+    assert unexplained(drop(0, 5000), held_ms=range(0, 5000, 5)) == 1000
+    assert unexplained(drop(0, 5000), held_ms=range(0, 4995, 5)) == 0
+
+
+def test_limits_are_ticks_or_shares_and_have_their_defaults_by_mode() -> None:
+    assert [most(limit, 399) for limit in (0, 7, "5%", "12.5 %", "100%")] == [0, 7, 19, 49, 399]
+    assert dict(load("circle_speed").allow) == {"stale_ticks": 0, "held_ticks": 0}
+    real = load("circle_speed", mode="realtime", set={"allow.stale_ticks": 3})
+    assert dict(real.allow) == {"stale_ticks": 3, "held_ticks": "5%"}
+
+
+@pytest.mark.parametrize("limit", [-1, 0.5, True, "5", "101%", "some"])
+def test_what_is_no_limit_is_refused_with_what_is_expected(limit: object) -> None:
+    expected = r'allow.held_ticks = .*; expected a whole number of at least 0, or a share of the ticks such as "5%"'
+    with pytest.raises(BadInputError, match=expected):
+        load("circle_speed", set={"allow.held_ticks": limit})
