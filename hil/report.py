@@ -237,16 +237,27 @@ def print_fmu(info: "FmuInfo") -> None:
 
 
 def print_check(fmu: Path, result: "CheckResult") -> None:
-    """Print the parts of a check as a table, then what is wrong."""
+    """Print the parts of a check as a table, then what was found, violations of the standard first."""
+    from hil.plant.conformance.findings import Kind
+
     rows = []
     for part in result.parts:
-        outcome = "fail" if part.problems else "skip" if part.skipped else "pass"
+        kinds = {finding.kind for finding in part.findings}
+        found = next((kind for kind in Kind if kind in kinds), None)
+        outcome = "fail" if found == Kind.VIOLATION else found or ("skip" if part.skipped else "pass")
         rows.append((part.name, outcome, part.skipped or ""))
     _print_rich_table(("part", "outcome", "reason"), rows)
-    for problem in result.problems:
-        print(one_line(problem))
-    count = len(result.problems)
-    print(f"{fmu}: {count or 'no'} problem{'' if count == 1 else 's'}")
+    for kind in Kind:
+        for finding in result.told(kind):
+            print(one_line(f"{kind}: {finding}"))
+    counts = {kind: len(result.told(kind)) for kind in Kind}
+    violations = counts[Kind.VIOLATION]
+    words = [f"{violations or 'no'} violation{'' if violations == 1 else 's'} of the standard"]
+    if count := counts[Kind.ADVICE]:
+        words.append(f"{count} piece{'' if count == 1 else 's'} of advice")
+    if count := counts[Kind.NEED]:
+        words.append(f"{count} thing{'' if count == 1 else 's'} that this importer needs otherwise")
+    print(f"{fmu}: {', '.join(words)}")
 
 
 def _print_rich_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

@@ -122,6 +122,16 @@ NOT_AN_FMU: list[tuple[str, Make, str]] = [
         "claims 251658240 bytes",
     ),
 ]
+# An FMU that a check fails, and that nobody runs.
+BROKEN: list[tuple[str, Make, str]] = [
+    ("no identifier", changed(replaced('modelIdentifier="lag"', "")), "its CoSimulation has no modelIdentifier"),
+    (
+        "another identifier",
+        changed(replaced('modelIdentifier="lag"', 'modelIdentifier="no"')),
+        "; its name is to be the modelIdentifier",
+    ),
+]
+# One that may be in order, and has nothing to run here.
 NOT_FOR_US: list[tuple[str, Make, str]] = [
     (
         "scheduled",
@@ -129,13 +139,7 @@ NOT_FOR_US: list[tuple[str, Make, str]] = [
         "interface is ScheduledExecution; expected",
     ),
     ("no interface", changed(replaced("<CoSimulation", "<Something")), "interface is none at all; expected"),
-    ("no identifier", changed(replaced('modelIdentifier="lag"', "")), "its CoSimulation has no modelIdentifier"),
     ("a way out", changed(replaced('modelIdentifier="lag"', 'modelIdentifier="../../lag"')), "/../../lag"),
-    (
-        "another identifier",
-        changed(replaced('modelIdentifier="lag"', 'modelIdentifier="no"')),
-        "for this platform; it has",
-    ),
     ("no binaries", changed(without("binaries")), "for this platform; it has no binaries"),
     (
         "another platform",
@@ -173,9 +177,25 @@ def test_an_fmu_without_a_library_for_us_is_refused_and_can_be_looked_at(
 ) -> None:
     fmu = tmp_path / "foreign.fmu"
     make(fmu)
-    assert words in refusal(archive.library_of, fmu)
+    for open_it in (archive.library_of, check):
+        assert words in refusal(open_it, fmu)
     assert info(fmu).model_name == "lag"
-    assert any(words in problem for problem in check(fmu).problems)
+
+
+@pytest.mark.parametrize(("_name", "make", "words"), BROKEN, ids=ids(BROKEN))
+def test_an_fmu_that_contradicts_itself_is_refused_and_fails_a_check(
+    _name: str, make: Make, words: str, tmp_path: Path
+) -> None:
+    fmu = tmp_path / "foreign.fmu"
+    make(fmu)
+    assert words in refusal(archive.library_of, fmu)
+    assert any(words in violation for violation in check(fmu).violations)
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_check_refuses_an_fmu_for_model_exchange_alone(fmi: int, tmp_path: Path) -> None:
+    fmu = pack(tmp_path / "a.fmu", fmi, replaced("CoSimulation", "ModelExchange"))
+    assert "it is for model exchange only" in refusal(check, fmu)
 
 
 @pytest.mark.parametrize("fmi", [2, 3])

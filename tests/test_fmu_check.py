@@ -1,4 +1,4 @@
-"""``check`` finds nothing in good FMUs, and each fault of a broken one in the part that is meant for it."""
+"""``check`` finds nothing in good FMUs, and each fault of a broken one in its part and of its kind."""
 
 import re
 import signal
@@ -10,8 +10,9 @@ import pytest
 from fmpy.fmi2 import FMU2Slave
 from fmpy.fmi3 import FMU3Slave
 
+from hil.plant.conformance.findings import Kind
 from hil.plant.conformance.order import PARTS, title
-from hil.plant.tools import check
+from hil.plant.tools import CheckResult, check
 from tests.broken_fmu import HEADERS, HERE, Change, lag
 from tests.plant_testbed import FMU
 from tests.processes import ROOT, environment, is_running, wait_for
@@ -40,6 +41,8 @@ FAULTS = {
     "ASKS_FOR_EVENT_MODE": ("time", "asks for event mode, which was not agreed on"),
     "FIXED_STEP": ("step size", "20 steps of half the size bring the outputs as far as 20 whole ones"),
     "REFUSED_STEP": ("step size", "DoStep returns error"),
+    "DISCARDED_STEP": ("step size", "a step of 0.03 s is not done: fmi"),
+    "DISCARDED_STEPS": ("life cycle", "DoStep returns discard"),
     "STATE_REFUSED": ("saved state", "returns error"),
     "STATE_LOST": ("saved state", "a restored state gives other outputs than when it was saved"),
     "STATE_NOT_REUSED": ("saved state", "a state that was saved over an older one gives other outputs"),
@@ -68,6 +71,9 @@ FAULTS = {
     "NO_ROOM": ("illegal calls", "reading a variable into no room (nValues = 0) is accepted"),
     "CRASH_AT_THE_END": ("illegal calls", "at its exit, its process was ended by SIGABRT"),
 }
+ADVISORY = {"values out of range", "illegal calls"}  # parts in which the importer does what it must not
+ADVICE = {"DISCARDED_STEP"}
+NEEDS = {"NOT_A_NUMBER", "WRONG_LAST_TIME", "ENDS_SIMULATION", "DISCARDED_STEPS"}
 FMI_2_ONLY = {"SETUP_LATE"}
 FMI_3_ONLY = {"WRONG_LAST_TIME", "ENDS_SIMULATION", "RETURNS_EARLY", "ASKS_FOR_EVENT_MODE", "NO_ROOM"}
 NOT_HERE = set() if sys.platform == "linux" else {"REAL_TIME_SIGNAL"}
@@ -79,27 +85,40 @@ CASES = [
 ]
 
 
-def test_the_shipped_fmu_has_no_problem() -> None:
-    assert check(FMU).problems == []
+def kind_of(fault: str) -> Kind:
+    """Return what the standard makes of a fault."""
+    if FAULTS[fault][0] in ADVISORY or fault in ADVICE:
+        return Kind.ADVICE
+    return Kind.NEED if fault in NEEDS else Kind.VIOLATION
+
+
+def found(result: CheckResult) -> list[str]:
+    """Return all that was found, of whatever kind."""
+    return [words for kind in Kind for words in result.told(kind)]
+
+
+def test_nothing_is_found_in_the_shipped_fmu() -> None:
+    assert found(check(FMU)) == []
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_a_good_fmu_passes_every_part(fmi: int, tmp_path: Path) -> None:
     result = check(lag(tmp_path, fmi))
-    assert [(part.name, part.problems, part.skipped) for part in result.parts] == [
+    assert [(part.name, part.findings, part.skipped) for part in result.parts] == [
         (name, (), None) for name in ("archive", "model description", *map(title, PARTS))
     ]
 
 
 @pytest.mark.parametrize(("fmi", "fault"), CASES)
-def test_a_fault_is_found_by_the_part_meant_for_it_and_by_no_other(fmi: int, fault: str, tmp_path: Path) -> None:
+def test_a_fault_is_found_by_its_part_and_is_of_its_kind(fmi: int, fault: str, tmp_path: Path) -> None:
     part, words = FAULTS[fault]
     fmu = lag(tmp_path, fmi, fault)
     result = check(fmu, longest_s=1.0) if fault == "HANG_IN_STEP" else check(fmu)
-    problems = result.problems
     assert [p.name for p in result.parts[2:]] == [title(p) for p in PARTS]
-    assert any(words in problem for problem in problems), problems
-    assert {problem.split(":")[0] for problem in problems} == {part}, problems
+    told = result.told(kind_of(fault))
+    assert any(words in one for one in told), found(result)
+    assert found(result) == told
+    assert {one.split(":")[0] for one in told} == {part}
 
 
 def test_every_fault_of_the_header_has_a_case() -> None:
@@ -127,7 +146,7 @@ def test_a_function_that_is_not_exported_is_named_and_nothing_else_is_run(
     fmi: int, function: str, tmp_path: Path
 ) -> None:
     result = check(lag(tmp_path, fmi, change=renamed(function)))
-    assert result.problems == [f"functions: {function} is not exported"]
+    assert found(result) == [f"functions: {function} is not exported"]
     after = result.parts[3:]
     assert [part.skipped for part in after] == ["not run, since functions failed"] * len(after)
 
@@ -157,7 +176,6 @@ DESCRIPTIONS = [
     (3, 'Token="{c0', 'Token="{c1', "life cycle: fmi3InstantiateCoSimulation returns no instance (another token)"),
     (2, 'modelIdentifier="lag"', 'modelIdentifier="other"', "archive: FMU"),
     (3, 'modelIdentifier="lag"', 'modelIdentifier="other"', "archive: FMU"),
-    (2, "CoSimulation", "ModelExchange", "archive: FMU"),
     (2, 'unit="s"', 'unit="lb"', 'model description: The unit "lb" of variable "time"'),
     (3, 'unit="s"', 'unit="lb"', 'model description: The unit "lb" of variable "time"'),
     (3, 'start="2" min', 'start="4" min', "start values: gain reads 2.0 at the start; modelDescription.xml says 4.0"),
@@ -170,8 +188,8 @@ DESCRIPTIONS = [
 def test_a_description_that_does_not_fit_the_library_is_found(
     fmi: int, old: str, new: str, words: str, tmp_path: Path
 ) -> None:
-    problems = check(lag(tmp_path, fmi, change=text(old, new))).problems
-    assert any(problem.startswith(words) for problem in problems), problems
+    violations = check(lag(tmp_path, fmi, change=text(old, new))).violations
+    assert any(violation.startswith(words) for violation in violations), violations
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
@@ -183,13 +201,13 @@ def test_what_is_not_claimed_is_not_tested(fmi: int, tmp_path: Path) -> None:
         ("REFUSED_STEP", "canHandleVariableCommunicationStepSize", "step size"),
     ):
         result = check(lag(tmp_path, fmi, fault, text(f'{claim}="true"', "")))
-        assert result.problems == []
+        assert found(result) == []
         assert [p.name for p in result.parts if p.skipped] == [part]
 
 
 def test_a_library_that_cannot_be_loaded_is_a_problem(tmp_path: Path) -> None:
     fmu = lag(tmp_path, 2, change=lambda name, data: data if name.endswith(".xml") else b"no library")
-    (problem,) = check(fmu).problems
+    (problem,) = check(fmu).violations
     assert problem.startswith("functions: the library cannot be loaded (")
 
 
@@ -197,7 +215,7 @@ def test_a_part_of_many_short_calls_is_no_hang(tmp_path: Path) -> None:
     """Together, the steps of a part take longer than one call may."""
     alone = text('modelIdentifier="lag"', 'modelIdentifier="lag" canBeInstantiatedOnlyOncePerProcess="true"')
     result = check(lag(tmp_path, 2, "SLOW_STEP", alone), longest_s=0.5)
-    assert result.problems == []
+    assert found(result) == []
     assert "saved state" in [part.name for part in result.parts if part.skipped is None]  # 120 steps of 8 ms
 
 
@@ -205,7 +223,7 @@ def test_a_file_in_the_users_folder_shadows_no_module(tmp_path: Path, monkeypatc
     monkeypatch.chdir(tmp_path)
     for name in ("numpy.py", "json.py"):
         (tmp_path / name).write_text("raise SystemExit('a file of the user')\n")
-    assert check(lag(tmp_path, 2)).problems == []
+    assert check(lag(tmp_path, 2)).violations == []
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals need a POSIX system")
@@ -215,7 +233,7 @@ def test_a_check_that_is_ended_leaves_no_child_and_no_files(tmp_path: Path, numb
     fmu = lag(tmp_path, 2, "HANG_IN_STEP")
     scratch = tmp_path / "scratch"
     scratch.mkdir()
-    code = f"from pathlib import Path; from hil.plant.tools import check; check(Path({str(fmu)!r}), 1000)"
+    code = f"from pathlib import Path; from hil.plant.tools import CheckResult, check; check(Path({str(fmu)!r}), 1000)"
     checker = subprocess.Popen(
         [sys.executable, "-c", code], env=environment() | {"TMPDIR": str(scratch)}, cwd=ROOT, stderr=subprocess.DEVNULL
     )
@@ -235,5 +253,5 @@ def test_a_check_that_is_ended_leaves_no_child_and_no_files(tmp_path: Path, numb
 def test_a_description_that_cannot_be_read_is_a_problem_and_nothing_is_run(tmp_path: Path) -> None:
     result = check(lag(tmp_path, 2, change=text('valueReference="1"', 'valueReference="one"')))
     archive, *_, last = result.parts
-    assert "its modelDescription.xml cannot be used" in archive.problems[0]
+    assert "its modelDescription.xml cannot be used" in archive.findings[0].text
     assert last.skipped == "not run, since archive failed"

@@ -48,17 +48,47 @@ def test_check_prints_every_part_and_then_the_problems(tmp_path: Path) -> None:
     assert done.returncode == 1
     assert {"functions pass", "termination fail", "illegal calls pass"} <= set(lines)
     assert lines[-2:] == [
-        "termination: fmi3GetFloat64 returns error (the lag says no, for once)",
-        f"{fmu}: 1 problem",
+        "violation: termination: fmi3GetFloat64 returns error (the lag says no, for once)",
+        f"{fmu}: 1 violation of the standard",
     ]
     result = json.loads(hil("fmu", "check", fmu, "--json").stdout)
     assert result["passed"] is False
-    assert [part["name"] for part in result["parts"] if part["problems"]] == ["termination"]
+    ((part, findings),) = [(part["name"], part["findings"]) for part in result["parts"] if part["findings"]]
+    assert (part, [finding["kind"] for finding in findings]) == ("termination", ["violation"])
+
+
+def test_advice_is_printed_and_fails_nothing(tmp_path: Path) -> None:
+    fmu = lag(tmp_path, 2, "OUTPUT_SET")
+    done = hil("fmu", "check", fmu)
+    assert done.returncode == 0
+    lines = [" ".join(line.split()) for line in done.stdout.splitlines()]
+    assert "illegal calls advice" in lines
+    assert lines[-2:] == [
+        "advice: illegal calls: setting an output is accepted",
+        f"{fmu}: no violations of the standard, 1 piece of advice",
+    ]
+    assert json.loads(hil("fmu", "check", fmu, "--json").stdout)["passed"] is True
+
+
+def test_fmus_that_cannot_be_run_here_are_bad_input_alike(tmp_path: Path) -> None:
+    """FMI 1.0, another interface: in a check as in a run."""
+    for old, new, words in (
+        (b'fmiVersion="2.0"', b'fmiVersion="1.0"', "FMI version 1.0; expected 2.0 or 3.0"),
+        (b"CoSimulation", b"ScheduledExecution", "its interface is ScheduledExecution; expected co-simulation"),
+    ):
+        fmu = pack(tmp_path / "a.fmu", 2, lambda _, data, old=old, new=new: data.replace(old, new))
+        for command in (
+            ("fmu", "check", fmu),
+            ("run", "circle_speed", "--set", f"plant.fmu={fmu}", "--record", "none"),
+        ):
+            done = hil(*command)
+            assert (done.returncode, done.stdout) == (2, "")
+            assert words in done.stderr
 
 
 def test_check_of_a_good_fmu_exits_with_0(tmp_path: Path) -> None:
     fmu = lag(tmp_path, 2)
     done = hil("fmu", "check", fmu)
     assert done.returncode == 0
-    assert done.stdout.splitlines()[-1] == f"{fmu}: no problems"
+    assert done.stdout.splitlines()[-1] == f"{fmu}: no violations of the standard"
     assert json.loads(hil("fmu", "check", fmu, "--json").stdout)["passed"] is True

@@ -33,7 +33,7 @@ def excite(plant: Robot, first: int, last: int) -> list[list[float]]:
 
 def test_the_fmu_is_valid_and_keeps_every_claim() -> None:
     assert validate_fmu(str(FMU)) == []
-    assert check(FMU).problems == []
+    assert [part.findings for part in check(FMU).parts if part.findings] == []
 
 
 def test_the_fmu_gives_the_bits_of_mujoco_in_this_process(tmp_path: Path) -> None:

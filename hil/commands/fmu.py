@@ -67,7 +67,7 @@ def show_info(
 
 @app.command("check")
 def check_fmu(fmu: FmuName = "mecanum", as_json: Json = False) -> None:
-    """Validate an FMU and run it through the FMI calling sequence; exit 1 when something is wrong."""
+    """Validate an FMU and run it through the FMI calling sequence; exit 1 when it violates the standard."""
     from hil import report
     from hil.plant import archive
     from hil.plant.tools import check
@@ -75,7 +75,7 @@ def check_fmu(fmu: FmuName = "mecanum", as_json: Json = False) -> None:
     path = archive.locate(fmu, Path())
     result = check(path)
     if as_json:
-        print_json({"fmu": str(path), "passed": not result.problems, **asdict(result)})
+        print_json({"fmu": str(path), "passed": not result.violations, **asdict(result)})
     else:
         report.print_check(path, result)
-    raise typer.Exit(1 if result.problems else 0)
+    raise typer.Exit(1 if result.violations else 0)

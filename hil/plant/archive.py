@@ -48,6 +48,10 @@ class Library(NamedTuple):
     model_identifier: str
 
 
+class BrokenFmuError(BadInputError):
+    """The FMU contradicts itself in a way that the standard forbids: nobody can run it, and a check fails it."""
+
+
 def locate(name: str, directory: Path) -> Path:
     """Return the FMU of a scenario: a shipped name, or a path relative to ``directory``.
 
@@ -123,7 +127,7 @@ def library_of(fmu: Path) -> Library:
         raise BadInputError(f"FMU {fmu}: its interface is {there}; expected co-simulation, export it for that")
     identifier = header.interfaces[element].get("modelIdentifier", "")
     if not identifier:
-        raise BadInputError(f"FMU {fmu}: its {element} has no modelIdentifier, so its library has no name")
+        raise BrokenFmuError(f"FMU {fmu}: its {element} has no modelIdentifier, so its library has no name")
     members = [f"binaries/{folder}/{identifier}{LIBRARY_SUFFIX}" for folder in binary_folders(header.fmi_version)]
     with opened(fmu) as archive:
         names = archive.namelist()
@@ -131,6 +135,12 @@ def library_of(fmu: Path) -> Library:
         if member in names:
             return Library(member, header.fmi_version, INTERFACES[element], identifier)
     folders = platforms(fmu)
+    here = {PurePosixPath(member).parent for member in members}
+    for name in names:
+        if PurePosixPath(name).parent in here and name.endswith(LIBRARY_SUFFIX):
+            raise BrokenFmuError(
+                f"FMU {fmu}: no {members[-1]} for this platform, but {name}; its name is to be the modelIdentifier"
+            )
     there = f"it has binaries for {', '.join(folders)}" if folders else "it has no binaries"
     raise BadInputError(f"FMU {fmu}: no {members[-1]} for this platform; {there}")
 

@@ -25,7 +25,7 @@ def read_description(fmu: Path) -> Any:
         return read_model_description(folder, validate=False)
     except Exception as error:  # FMPy raises whatever its parser meets, down to plain Exception
         reason = one_line(str(error)) or type(error).__name__
-        raise BadInputError(f"FMU {fmu}: its modelDescription.xml cannot be used ({reason})") from error
+        raise archive.BrokenFmuError(f"FMU {fmu}: its modelDescription.xml cannot be used ({reason})") from error
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 

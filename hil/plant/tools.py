@@ -12,6 +12,7 @@ from typing import Any
 
 from hil.errors import BadInputError
 from hil.plant import archive, shim
+from hil.plant.conformance.findings import Finding, Kind, advice, violation
 from hil.plant.description import read_description
 from hil.plant.process import THERE_S, ChildProcess, Watch
 from hil.plant.words import one_line
@@ -22,11 +23,15 @@ _NOT_RUN = "not run, since {} failed"
 
 @dataclass(frozen=True)
 class Part:
-    """One part of the check: the problems found, and why it was skipped if it was."""
+    """One part of the check: what was found, and why it was skipped if it was."""
 
     name: str
-    problems: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     skipped: str | None = None
+
+    def having(self, finding: Finding) -> "Part":
+        """Return the part with one finding more."""
+        return replace(self, findings=(*self.findings, finding))
 
 
 @dataclass(frozen=True)
@@ -36,17 +41,23 @@ class CheckResult:
     parts: tuple[Part, ...]
 
     @property
-    def problems(self) -> list[str]:
-        """Return every problem, one sentence each, after the name of its part; none for a good FMU."""
-        return [f"{part.name}: {problem}" for part in self.parts for problem in part.problems]
+    def violations(self) -> list[str]:
+        """Return every violation of the standard; none for a good FMU."""
+        return self.told(Kind.VIOLATION)
+
+    def told(self, kind: Kind) -> list[str]:
+        """Return what was found of a kind, one sentence each, after the name of its part."""
+        return [f"{part.name}: {one.text}" for part in self.parts for one in part.findings if one.kind == kind]
 
 
 def check(fmu: Path, longest_s: float = _LONGEST_CALL_S) -> CheckResult:
     """Check the archive, the description, and how the FMU behaves when it is run.
 
-    The run is that of ``hil.plant.conformance``, for co-simulation with a library for this platform; without it
-    nothing is proven, which is a problem, too. A call of the FMU that takes longer than ``longest_s`` is a hang. Raises
-    BadInputError when the file is no readable FMU, and DeviceError when no process can be started.
+    The run is that of ``hil.plant.conformance``. A call of the FMU that takes longer than ``longest_s`` is a hang.
+
+    Raises BadInputError when the file is no readable FMU, and when it is one that cannot be run here: of another
+    version, without co-simulation, or without a library for this platform. Raises DeviceError when no process can be
+    started.
     """
     archive.read_header(fmu)
     shim.load()  # the child needs it; what is missing is said here
@@ -57,20 +68,19 @@ def check(fmu: Path, longest_s: float = _LONGEST_CALL_S) -> CheckResult:
     names = [title(part) for part in PARTS]
     folder = archive.extract(fmu)
     try:
-        found = [one_line(problem) for problem in validate_fmu(str(folder))]
+        found = [violation(one_line(problem)) for problem in validate_fmu(str(folder))]
         description = Part("model description", tuple(found))
         try:
             library = archive.library_of(fmu)
             read_description(fmu)
-        except BadInputError as error:
-            unusable = str(error)
-        else:
-            if library.interface == "co_simulation":
-                run = _run(_Job(fmu, folder, library, longest_s), names)
-                return CheckResult((Part("archive"), description, *run))
-            unusable = f"FMU {fmu}: it is for model exchange only, so no call was checked; export it for co-simulation"
-        rest = [Part(name, skipped=_NOT_RUN.format("archive")) for name in names]
-        return CheckResult((Part("archive", (unusable,)), description, *rest))
+        except archive.BrokenFmuError as error:
+            rest = [Part(name, skipped=_NOT_RUN.format("archive")) for name in names]
+            return CheckResult((Part("archive", (violation(str(error)),)), description, *rest))
+        if library.interface != "co_simulation":
+            raise BadInputError(
+                f"FMU {fmu}: it is for model exchange only; a check runs co-simulation, export it for that"
+            )
+        return CheckResult((Part("archive"), description, *_run(_Job(fmu, folder, library, longest_s), names)))
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
@@ -93,7 +103,7 @@ def _run(job: _Job, names: Sequence[str]) -> list[Part]:
     parts: list[Part] = []
     while len(parts) < len(names):
         parts += _run_child(job, names[len(parts) :])
-        if parts[-1].name in gates and parts[-1].problems:
+        if parts[-1].name in gates and parts[-1].findings:
             reason = _NOT_RUN.format(parts[-1].name)
             parts += [Part(name, skipped=reason) for name in names[len(parts) :]]
     return parts
@@ -101,6 +111,8 @@ def _run(job: _Job, names: Sequence[str]) -> list[Part]:
 
 def _run_child(job: _Job, todo: Sequence[str]) -> list[Part]:
     """Run the parts ``todo`` until one ends the process; return those that began, at least one."""
+    from hil.plant.conformance.order import ADVISORY, title
+
     progress = _Progress()
     heard = 0
     with contextlib.ExitStack() as resources:
@@ -123,9 +135,10 @@ def _run_child(job: _Job, todo: Sequence[str]) -> list[Part]:
             watch.limit_s = job.longest_s if progress.parts else THERE_S
         if child.wait() == 0 and progress.is_done:
             return progress.parts
-        problem = f"{progress.place}{child.ending()}{child.last_words()}"
+        ending = f"{progress.place}{child.ending()}{child.last_words()}"
     *before, last = progress.parts or [Part(todo[0])]
-    return [*before, replace(last, problems=(*last.problems, problem))]
+    is_advice = last.name in map(title, ADVISORY)
+    return [*before, last.having(advice(ending) if is_advice else violation(ending))]
 
 
 class _Progress:
@@ -148,9 +161,8 @@ class _Progress:
             self.is_done = False
         if "part" in entry or "trying" in entry:
             self._trying, self._doing = entry.get("trying", ""), ""
-        if "problem" in entry:
-            part = self.parts[-1]
-            self.parts[-1] = replace(part, problems=(*part.problems, entry["problem"]))
+        if "found" in entry:
+            self.parts[-1] = self.parts[-1].having(Finding(Kind(entry["kind"]), entry["found"]))
         if "skipped" in entry:
             self.parts[-1] = replace(self.parts[-1], skipped=entry["skipped"])
         self._doing = entry.get("doing", self._doing)

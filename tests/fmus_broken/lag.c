@@ -195,6 +195,11 @@ bool lag_set_integer(lag *m, unsigned reference, int value) {
     return true;
 }
 
+bool lag_discards(const lag *m, double size_s) {
+    return m->now.mode == STEP_MODE &&
+           (BROKEN(DISCARDED_STEPS) || (BROKEN(DISCARDED_STEP) && fabs(size_s - 3.0 * LAG_STEP_S) < 1e-9));
+}
+
 bool lag_step(lag *m, double size_s) {
     unsigned modes = STEP_MODE;
     modes |= BROKEN(STEP_WITHOUT_INITIALIZATION) ? INSTANTIATED : 0U;

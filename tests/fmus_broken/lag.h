@@ -32,6 +32,8 @@ enum {
     ASKS_FOR_EVENT_MODE,
     FIXED_STEP,
     REFUSED_STEP,
+    DISCARDED_STEP,
+    DISCARDED_STEPS,
     STATE_REFUSED,
     STATE_LOST,
     STATE_NOT_REUSED,
@@ -106,6 +108,9 @@ bool lag_get_float(lag *m, unsigned reference, double *value);
 bool lag_set_float(lag *m, unsigned reference, double value);
 bool lag_get_integer(lag *m, unsigned reference, int *value);
 bool lag_set_integer(lag *m, unsigned reference, int value);
+
+/* Tells whether a fault has this step discarded, which leaves the instance as it is. */
+bool lag_discards(const lag *m, double size_s);
 
 bool lag_step(lag *m, double size_s);
 

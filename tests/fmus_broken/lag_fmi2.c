@@ -101,7 +101,7 @@ EACH(fmi2SetInteger, const fmi2Integer, lag_set_integer(c, vr[i], values[i]))
 
 FUNCTION(fmi2Status, fmi2DoStep, fmi2Component c, fmi2Real time_s, fmi2Real size_s, fmi2Boolean no_way_back) {
     (void)time_s, (void)no_way_back;
-    return status(c, lag_step(c, size_s));
+    return lag_discards(c, size_s) ? fmi2Discard : status(c, lag_step(c, size_s));
 }
 
 FUNCTION(fmi2Status, fmi2GetFMUstate, fmi2Component c, fmi2FMUstate *state) {

@@ -144,7 +144,7 @@ FUNCTION(fmi3Status, fmi3DoStep, fmi3Instance c, fmi3Float64 time_s, fmi3Float64
     *terminate = BROKEN(ENDS_SIMULATION);
     *early = BROKEN(RETURNS_EARLY);
     *last_s = BROKEN(WRONG_LAST_TIME) ? time_s : time_s + size_s;
-    return status(c, lag_step(c, size_s));
+    return lag_discards(c, size_s) ? fmi3Discard : status(c, lag_step(c, size_s));
 }
 
 FUNCTION(fmi3Status, fmi3GetFMUState, fmi3Instance c, fmi3FMUState *state) {

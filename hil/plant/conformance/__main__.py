@@ -1,7 +1,7 @@
 """``python -m hil.plant.conformance FOLDER``: the child of the check, which runs an FMU that is unpacked in FOLDER.
 
 It is told the FMU, its library and the parts to run, and says when a part begins, every call of the FMU before it is
-made, each problem, and when the part is done: a crash tells where it happened, and silence where the FMU hangs.
+made, each finding, and when the part is done: a crash tells where it happened, and silence where the FMU hangs.
 """
 
 import os
@@ -9,10 +9,11 @@ from pathlib import Path
 
 from fmpy.fmi1 import FMICallException
 
+from hil.plant.conformance.findings import Kind
 from hil.plant.conformance.fmi2 import Slave2
 from hil.plant.conformance.fmi3 import Slave3
 from hil.plant.conformance.order import GATES, PARTS, title
-from hil.plant.conformance.slave import InstantiationError, Model, NotTestedError, Slave
+from hil.plant.conformance.slave import DISCARD, InstantiationError, Model, NotTestedError, Slave
 from hil.plant.parent import Parent
 
 SLAVES: dict[str, type[Slave]] = {"2.0": Slave2, "3.0": Slave3}
@@ -32,17 +33,19 @@ def main() -> None:
         say(part=title(part))
         failed = False
         try:
-            for problem in part(model):
+            for finding in part(model):
                 failed = True
-                say(problem=problem)
+                say(kind=finding.kind, found=finding.text)
         except NotTestedError as reason:
             say(skipped=str(reason))
         except FMICallException as error:
             failed = True
-            say(problem=model.explain(error))
+            # A call may be discarded: the FMU is as it was. But nobody here tries another one then.
+            kind = Kind.NEED if error.status == DISCARD else Kind.VIOLATION
+            say(kind=kind, found=model.explain(error))
         except InstantiationError as error:
             failed = True
-            say(problem=str(error))
+            say(kind=Kind.VIOLATION, found=str(error))
         say(done=True)
         if failed and part in GATES:
             break

@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 
 from fmpy.fmi2 import FMU2Slave, defaultCallbacks, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 
-from hil.plant.conformance.slave import InstantiationError, Model, Slave, Value
+from hil.plant.conformance.slave import InstantiationError, Model, Slave, Step, Value
 
 
 class Slave2(Slave):
@@ -34,10 +34,10 @@ class Slave2(Slave):
         values: list[Value] = getattr(self.fmu, f"get{kind}")([reference])
         return [bool(value) for value in values] if kind == "Boolean" else values
 
-    def step(self, time_s: float, size_s: float) -> str | None:
+    def step(self, time_s: float, size_s: float) -> Step:
         """Step; there is nothing in the answer but the status."""
         self.fmu.doStep(time_s, size_s)
-        return None
+        return Step(time_s + size_s)
 
     def serialized_size(self, state: Any) -> int:
         """Return the number of bytes that the state needs."""

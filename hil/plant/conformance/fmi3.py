@@ -5,7 +5,8 @@ from typing import Any, ClassVar
 
 from fmpy.fmi3 import FMU3Slave
 
-from hil.plant.conformance.slave import InstantiationError, Slave, Value
+from hil.plant.conformance.findings import need, violation
+from hil.plant.conformance.slave import InstantiationError, Slave, Step, Value
 
 _ROUNDING = 1e-9  # relative to the time, at least to 1 s
 
@@ -37,19 +38,23 @@ class Slave3(Slave):
         values: list[Value] = getattr(self.fmu, f"get{kind}")([reference], nValues=count)
         return values
 
-    def step(self, time_s: float, size_s: float) -> str | None:
-        """Step, and look at what doStep returns: the whole step was done, as nothing else was allowed."""
+    def step(self, time_s: float, size_s: float) -> Step:
+        """Step, and look at what doStep returns: events and an early return were not agreed on."""
         event, terminate, early, reached_s = self.fmu.doStep(time_s, size_s)
         end_s = time_s + size_s
+        finding = None
         if terminate:
-            return f"doStep from {time_s:g} s asks to end the simulation"
-        if event:
-            return f"doStep from {time_s:g} s asks for event mode, which was not agreed on"
-        if early:
-            return f"doStep from {time_s:g} s returns early, which was not agreed on"
-        if not abs(reached_s - end_s) <= _ROUNDING * max(1.0, abs(end_s)):
-            return f"doStep to {end_s:g} s gives the last successful time {reached_s:g} s"
-        return None
+            finding = need(f"doStep from {time_s:g} s asks to end the simulation, and a run of this importer with it")
+        elif event:
+            finding = violation(f"doStep from {time_s:g} s asks for event mode, which was not agreed on")
+        elif early:
+            finding = violation(f"doStep from {time_s:g} s returns early, which was not agreed on")
+        elif not abs(reached_s - end_s) <= _ROUNDING * max(1.0, abs(end_s)):
+            finding = need(
+                f"doStep to {end_s:g} s gives the last successful time {reached_s:g} s; this importer takes "
+                "the outputs for those of its own time"
+            )
+        return Step(reached_s, finding)
 
     def serialized_size(self, state: Any) -> int:
         """Return the number of bytes that the state needs."""

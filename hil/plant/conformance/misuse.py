@@ -1,4 +1,8 @@
-"""What an FMU has to refuse, and what it has to survive. The FMU may crash here: each attempt is announced first."""
+"""What an importer must not do, and an FMU had better refuse: what is found here is advice.
+
+FMI 3.0.1 section 2.2.3 asks for an error where the FMU detects an illegal call or argument, not that it detects each.
+The FMU may crash here: each attempt is announced first.
+"""
 
 import ctypes
 import math
@@ -9,6 +13,7 @@ from typing import NamedTuple
 from fmpy.fmi1 import FMICallException
 from fmpy.model_description import ModelVariable
 
+from hil.plant.conformance.findings import Finding, advice
 from hil.plant.conformance.slave import Model, Slave, count, is_float, limits, start
 
 _UNUSED_REFERENCE = 0xFFFFFFF0
@@ -24,8 +29,8 @@ class Misuse(NamedTuple):
     call: Callable[[Slave], object]
 
 
-def illegal_calls(model: Model) -> Iterator[str]:
-    """What the standard forbids is refused with an error, not done: FMI 3.0 section 2.2.3, FMI 2.0 section 4.2.4."""
+def illegal_calls(model: Model) -> Iterator[Finding]:
+    """What an importer must not call is refused with an error: FMI 3.0 section 2.2.3, FMI 2.0 section 4.2.4."""
     for misuse in _misuses(model):
         model.say(trying=misuse.name)
         with model.instance(initialised=False) as slave:
@@ -34,13 +39,14 @@ def illegal_calls(model: Model) -> Iterator[str]:
                 misuse.call(slave)
             except FMICallException:
                 continue
-            yield f"{misuse.name} is accepted"
+            yield advice(f"{misuse.name} is accepted")
 
 
-def values_out_of_range(model: Model) -> Iterator[str]:
+def values_out_of_range(model: Model) -> Iterator[Finding]:
     """A value outside its range is refused or dealt with; it does not give outputs that are not finite.
 
-    Ranges say what a model was made for (FMI 3.0 section 2.2.6); an FMU need not refuse what is outside.
+    Ranges say what a model was made for; an FMU need not refuse what is outside (FMI 2.0 section 2.2.7, FMI 3.0 section
+    2.2.6).
     """
     for variable in model.variables:
         if variable.causality not in ("parameter", "input"):
@@ -59,7 +65,7 @@ def values_out_of_range(model: Model) -> Iterator[str]:
                 except FMICallException:
                     continue
                 if not all(math.isfinite(output) for output in outputs):
-                    yield f"{variable.name} = {value!r} is accepted and gives outputs that are not finite"
+                    yield advice(f"{variable.name} = {value!r} is accepted and gives outputs that are not finite")
 
 
 def _bring_to(slave: Slave, state: str) -> None:

@@ -19,6 +19,8 @@ PARTS: tuple[parts.Part, ...] = (
     misuse.illegal_calls,
 )
 
+ADVISORY = (misuse.values_out_of_range, misuse.illegal_calls)  # what an FMU does there is advice, also a crash
+
 
 def title(part: parts.Part) -> str:
     """Return the part's name as a user reads it."""

@@ -8,11 +8,12 @@ import functools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 from fmpy.fmi1 import FMICallException
 from fmpy.model_description import ModelDescription, ModelVariable
 
+from hil.plant.conformance.findings import Finding
 from hil.plant.description import read_description
 from hil.plant.words import one_line
 
@@ -22,6 +23,7 @@ Outputs = list[Value]
 _FLOATS = ("Real", "Float64", "Float32")
 _NOT_NUMERIC = ("String", "Binary", "Clock")
 _STATUS = ("ok", "warning", "discard", "error", "fatal", "pending")
+DISCARD = _STATUS.index("discard")
 
 
 class InstantiationError(Exception):
@@ -30,6 +32,13 @@ class InstantiationError(Exception):
 
 class NotTestedError(Exception):
     """A part cannot be tested; says why, such as that the FMU does not claim it."""
+
+
+class Step(NamedTuple):
+    """What came of a step that succeeded: the time that the FMU has reached, and what there is to say of it."""
+
+    reached_s: float
+    finding: Finding | None = None
 
 
 class Slave(abc.ABC):
@@ -57,8 +66,8 @@ class Slave(abc.ABC):
         """Read with the function for ``kind`` (Real, Float64, ...)."""
 
     @abc.abstractmethod
-    def step(self, time_s: float, size_s: float) -> str | None:
-        """Step from ``time_s``; return what is wrong with the answer to a step that succeeded."""
+    def step(self, time_s: float, size_s: float) -> Step:
+        """Step from ``time_s``."""
 
     @abc.abstractmethod
     def serialized_size(self, state: Any) -> int:
