@@ -174,7 +174,7 @@ def run_scenario(
         if destination is not None:
             streaming = resources.enter_context(UdpStream(destination, signals=laws.signals, blocking=blocking))
         note = recording.event if recording is not None else _unheard
-        events = RunEvents(scenario, names, note)
+        events = RunEvents(scenario, names, note, bench.said)
         sinks: list[Sink] = [sink for sink in (memory, recording, streaming, events) if sink is not None]
         made = parts.make(bench, sinks, note)
         if names is SIGNAL_NAMES:

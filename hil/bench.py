@@ -40,6 +40,7 @@ from hil.links.opening import is_within_process, open_host, open_pair
 from hil.links.statistics import measured
 from hil.links.url import LinkUrl, MemoryUrl, SerialUrl
 from hil.localisation import SimulatedFixes, SimulatedOptions, UdpFixes
+from hil.plant.said import Said
 from hil.ports import Clock, FixSource, Link, PoseSource
 from hil.robots import (
     firmware_values,
@@ -270,6 +271,11 @@ class Bench:
             if (failure := self.robot_failure()) is not None:
                 return failure
         return self._robot.failure() if self._robot is not None else None
+
+    @property
+    def said(self) -> Said | None:
+        """What the plant of the robot in this process prints and logs, where it has a process of its own."""
+        return self._robot.said if self._robot is not None else None
 
     @property
     def robot_threads(self) -> tuple[int, ...]:

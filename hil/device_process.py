@@ -42,9 +42,9 @@ def serve(
     ``lifeline``, the descriptor of a pipe, it ends with that too: when whoever held the other end is gone.
 
     ``say`` gets one line when the robot is ready: how to reach it; one for each part of ``[realtime]`` that was not
-    granted; and one at the end each if this machine's stalls
-    cost robot time, and if the trace is incomplete. Raises BadInputError when a part cannot be made, LinkError when
-    the link is lost, DeviceError when the plant fails.
+    granted; and at the end what a foreign FMU has said, one if this machine's stalls cost robot time, and one if the
+    trace is incomplete. Raises BadInputError when a part cannot be made, LinkError when the link is lost, DeviceError
+    when the plant fails.
     """
     if trace is not None:
         check_output_path("trace", trace, existing)
@@ -78,6 +78,8 @@ def serve(
         try:
             server.serve()
         finally:
+            for line in robot.said.end() if robot.said is not None else ():
+                say(f"the plant says: {line}")
             if server.slipped_ticks:
                 say(f"this machine stalled: the robot lost {server.slipped_ticks} ms of its time")
             if tracing is not None and (trouble := tracing.finish().trouble()) is not None:

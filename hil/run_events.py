@@ -7,6 +7,7 @@ from typing import Any
 
 from hil.expectations import Watch, outcome_figures
 from hil.faults.rows import find
+from hil.plant.said import LOGGED_TROUBLE, Said
 from hil.ports import Note
 from hil.scenario import Scenario
 
@@ -14,12 +15,13 @@ from hil.scenario import Scenario
 class RunEvents:
     """A sink that passes nothing on: it watches each row, and has something to say only when something happens.
 
-    A tick pays one comparison, and one more for each expectation that is open then. ``names`` are the signals of the
-    run, ``loop.t_s`` among them.
+    A tick pays two comparisons, and one more for each expectation that is open then. ``names`` are the signals of the
+    run, ``loop.t_s`` among them; ``said`` has what the plant says, where it is one of those that do.
     """
 
-    def __init__(self, scenario: Scenario, names: Sequence[str], note: Note) -> None:
+    def __init__(self, scenario: Scenario, names: Sequence[str], note: Note, said: Said | None = None) -> None:
         self._note = note
+        self._said = Said() if said is None else said
         self._t_place = names.index("loop.t_s")
         self._watches = [(names.index(row.signal), Watch(row)) for row in scenario.expect]
         self._open: tuple[tuple[int, Watch], ...] = ()
@@ -43,17 +45,24 @@ class RunEvents:
         t_s = row[self._t_place]
         if t_s >= self._next_s:
             self._cross(t_s)
+        if self._said:
+            self._tell_said(t_s, self._said.take())
         for place, watch in self._open:
             if watch.take(t_s, row[place]):
                 self._decide(watch, t_s)
 
     def finish(self, t_s: float) -> list[dict[str, Any]]:
         """Say that the run has ended, with its last tick at ``t_s``; return the figures of all expectations."""
+        self._tell_said(t_s, self._said.end())
         for words in self._in_force:
             self._note(t_s, "info", f"fault ends with the run: {words}")
         for watch in tuple(self._undecided):
             self._decide(watch, t_s)
         return [outcome_figures(watch.expect, watch.outcome()) for _, watch in self._watches]
+
+    def _tell_said(self, t_s: float, lines: Sequence[str]) -> None:
+        for line in lines:
+            self._note(t_s, "warning" if line.startswith(LOGGED_TROUBLE) else "info", f"the plant says: {line}")
 
     def _cross(self, t_s: float) -> None:
         """Do what is due at a tick: edges at infinity never are."""

@@ -103,6 +103,26 @@ def test_a_foreign_fmu_takes_down_the_run_in_order(flawed: Path, tmp_path: Path,
     assert event.level == "ERROR"
 
 
+def test_what_a_chatty_fmu_prints_is_recorded_in_part_and_disturbs_nothing(
+    flawed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Some 40,000 lines: the first and the newest ones are in the recording, and how many there were between them."""
+    short = {"loop.duration_s": 0.4, "expect": [], "plant.fmu": flawed}
+    quiet = bridge.run("circle_speed", set=short)
+    monkeypatch.setenv("FLAW", "print 0")
+    recording = tmp_path / "run.rrd"
+    chatty = bridge.run("circle_speed", set=short, record=recording)
+    assert chatty.failure is None
+    assert chatty.metrics["wire_sha256"] == quiet.metrics["wire_sha256"]
+    told = [event.text for event in read(recording).events if event.text.startswith("the plant says: ")]
+    assert 100 < len(told) <= 122  # one of them may not have come whole
+    assert told[0].endswith(" s: all is well, and this line is there to fill the pipe of whoever reads it")
+    left_out = re.fullmatch(r"the plant says: (\d+) lines are left out here", told[100])
+    assert left_out is not None
+    assert int(left_out[1]) > 20_000
+    assert float(told[-2].removeprefix("the plant says: ").split()[0]) > 0.3
+
+
 def test_a_plant_that_failed_is_not_waited_for(flawed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With loop.rearm a robot that is silent is waited for, but this one cannot come back."""
     monkeypatch.setenv("FLAW", "error 0.5")

@@ -1,14 +1,17 @@
 """FMUs from exporters that others wrote: pythonfmu for FMI 2.0, pythonfmu3 for FMI 3.0; a Python class is inside."""
 
 import importlib.util
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from hil.errors import DeviceError
 from hil.plant.fmu import FmuPlant
 from hil.plant.mapping import Row, SignalMap
+from hil.plant.remote import RemotePlant
 from hil.types import WHEEL_NAMES, Wheels
 
 SLAVE = """
@@ -28,6 +31,9 @@ class Wheels({base}):
         self.register_variable({real}(name, causality=causality))
 
     def do_step(self, from_s, step_s):
+        if from_s >= 0.15:
+            print("it is getting hot")
+            raise RuntimeError("the gearbox is on fire")
         for i in range(4):
             self.speed[i] += getattr(self, f"tau{{i + 1}}") / 0.02 * step_s
             setattr(self, f"phi{{i + 1}}", getattr(self, f"phi{{i + 1}}") + self.speed[i] * step_s)
@@ -71,3 +77,9 @@ def test_an_fmu_of_another_exporter_is_the_plant(
         angles = [t / 0.02 * 1e-6 * 100 * 101 / 2 for t in torque]
         assert plant.truth().pose.x_m == pytest.approx(2.0 * 0.025 * sum(angles), rel=1e-9)
         assert plant.wheel_speeds() == pytest.approx([t / 0.02 * 0.1 for t in torque], rel=1e-9)
+    with RemotePlant(tmp_path / "Wheels.fmu", {}, mapping=MAP) as plant:
+        with pytest.raises(DeviceError, match=r"stopped at 0\.15 s: .*the gearbox is on fire"):
+            plant.step(torque, 200)
+        printed, logged = plant.said.end()
+        assert printed == "it is getting hot"
+        assert re.fullmatch(r"log \(fatal\): .*RuntimeError\('the gearbox is on fire'\)", logged)

@@ -25,6 +25,7 @@ from hil.plant import archive
 from hil.plant.fmu import FmuPlant
 from hil.plant.mapping import SignalMap
 from hil.plant.remote import RemotePlant
+from hil.plant.said import Said
 from hil.types import PoseFix
 
 # A stall of this machine is made up for in one burst up to here, as a robot would have moved on meanwhile. Beyond it
@@ -158,6 +159,11 @@ class VirtualStm32:
             return None
         at_s = self.plant.truth().time_ns * 1e-9
         return DeviceError(f"the plant {self._made_of.plant.fmu.name} failed at {at_s:g} s: {self.plant.message}")
+
+    @property
+    def said(self) -> Said | None:
+        """What a plant in a process of its own prints and logs; None of one in this process."""
+        return self.plant.said if isinstance(self.plant, RemotePlant) else None
 
     def close(self) -> None:
         """Free the plant."""

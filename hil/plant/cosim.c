@@ -16,6 +16,12 @@ enum { MOST_EARLY_RETURNS = 1000 }; /* within one tick */
 
 static const double LARGEST_COUNT = 9007199254740992.0; /* 2^53: a double tells no further counts apart */
 
+static const char *status_name(int status) {
+    static const char *const NAME[] = {"ok", "warning", "discard", "error", "fatal", "pending"};
+    const bool known = status >= 0 && (size_t)status < sizeof NAME / sizeof *NAME;
+    return known ? NAME[status] : "which no standard has";
+}
+
 /* Keeps our own reason, and the FMU's words with it. */
 static int fail(cosim *c, const char *format, ...) {
     char words[sizeof c->text];
@@ -33,13 +39,11 @@ static int fail(cosim *c, const char *format, ...) {
 
 /* A call returned a status that ends the run. The FMU's own words, when it gave some, are the reason. */
 static int refused(cosim *c, int status, const char *what) {
-    static const char *const NAME[] = {"ok", "warning", "discard", "error", "fatal", "pending"};
     c->failed = 1;
     c->fatal = status == STATUS_FATAL;
     if (c->text[0] == '\0') {
-        const bool known = status >= 0 && (size_t)status < sizeof NAME / sizeof *NAME;
         snprintf(c->text, sizeof c->text, "the FMU %s (status %d, %s) and did not say why", what, status,
-                 known ? NAME[status] : "which no standard has");
+                 status_name(status));
     }
     return 1;
 }
@@ -301,31 +305,38 @@ int cosim_run(void *context, const float *torque_n_m, uint32_t ticks) {
     return 0;
 }
 
-static bool is_worth_keeping(cosim *c, int status, const char *message) {
-    if (message == NULL || status < STATUS_WARNING || status < c->text_status || c->failed) {
-        return false;
+static void take_message(cosim *c, int status, const char *message) {
+    if (status >= STATUS_WARNING && status >= c->text_status && !c->failed) {
+        c->text_status = status;
+        snprintf(c->text, sizeof c->text, "%s", message);
     }
-    c->text_status = status;
-    return true;
+    if (c->prints_log) {
+        const char *const kind = status >= STATUS_WARNING ? status_name(status) : "info";
+        fprintf(stderr, "log (%s): ", kind);
+        for (const char *letter = message; *letter != '\0'; letter++) {
+            fputc(*letter == '\n' ? ' ' : *letter, stderr);
+        }
+        fputc('\n', stderr);
+    }
 }
 
 void cosim_log2(void *environment, const char *instance, int status, const char *category,
                 const char *message, ...) {
     (void)instance, (void)category;
-    cosim *const c = environment;
-    if (is_worth_keeping(c, status, message)) {
+    if (message != NULL) {
+        char text[sizeof((cosim *)NULL)->text];
         va_list arguments;
         va_start(arguments, message);
-        vsnprintf(c->text, sizeof c->text, message, arguments);
+        vsnprintf(text, sizeof text, message, arguments);
         va_end(arguments);
+        take_message(environment, status, text);
     }
 }
 
 void cosim_log3(void *environment, int status, const char *category, const char *message) {
     (void)category;
-    cosim *const c = environment;
-    if (is_worth_keeping(c, status, message)) {
-        snprintf(c->text, sizeof c->text, "%s", message);
+    if (message != NULL) {
+        take_message(environment, status, message);
     }
 }
 

@@ -116,6 +116,7 @@ typedef struct {
     cosim_winding winding[5];         /* heading, wheel angles */
     char text[512];                   /* the FMU's words since the last good exchange, or why that failed */
     int text_status;                  /* the worst fmi2Status or fmi3Status that those words came with */
+    int prints_log;                   /* every message for the logger is a line on stderr, too */
 } cosim;
 
 /* Samples the outputs of an FMU that has just been initialised, and starts the time. Returns like
@@ -135,7 +136,8 @@ int cosim_set(void *context, size_t place, double value);
 int cosim_run(void *context, const float *torque_n_m, uint32_t ticks);
 
 /* fmi2CallbackLogger and fmi3LogMessageCallback; the environment is a cosim. Of the warnings and worse
- * since the last good exchange they keep the newest of the worst status. */
+ * since the last good exchange they keep the newest of the worst status, and print all where that is wanted.
+ */
 void cosim_log2(void *environment, const char *instance, int status, const char *category,
                 const char *message, ...);
 void cosim_log3(void *environment, int status, const char *category, const char *message);

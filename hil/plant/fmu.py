@@ -33,6 +33,8 @@ class FmuPlant:
 
     ``settable`` are the variables that may be set between two ticks, by name.
 
+    With ``prints_log`` all that the FMU says to its logger is printed on stderr, a line for each message.
+
     ``lacks`` names the sensors, keys of ``plant_signals.SENSORS``, that the FMU has not.
 
     The FMU's code runs here: where it crashes or hangs, this process does.
@@ -42,13 +44,19 @@ class FmuPlant:
     """
 
     def __init__(
-        self, fmu: Path, start: Mapping[str, Value], step_ns: int = 1_000_000, mapping: SignalMap | None = None
+        self,
+        fmu: Path,
+        start: Mapping[str, Value],
+        step_ns: int = 1_000_000,
+        mapping: SignalMap | None = None,
+        *,
+        prints_log: bool = False,
     ) -> None:
         library = archive.library_of(fmu)
         if step_ns <= 0:
             raise BadInputError(f"plant step {step_ns} ns; expected a positive number")
         self._ffi, self._lib = shim.load()
-        self._context = self._ffi.new("cosim *", {"step_ns": step_ns})
+        self._context = self._ffi.new("cosim *", {"step_ns": step_ns, "prints_log": prints_log})
         # What a call looks up each time costs more than the call.
         self._run = self._lib.cosim_run
         place_of = functools.partial(self._ffi.offsetof, "cosim")

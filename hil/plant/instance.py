@@ -24,7 +24,6 @@ _ALIVE: set[str] = set()  # GUIDs of those FMUs of which a process may hold but 
 _NAME = "plant"
 _FATAL = 4  # fmi2Fatal and fmi3Fatal: no function of the FMU may be called any more
 _LONGEST_TEXT = 511  # of cosim.text
-_ERROR_CATEGORIES = {"logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal"}
 
 
 class Instance:
@@ -91,9 +90,9 @@ class Instance:
         Raises BadInputError when the FMU refuses a start value, DeviceError when it fails otherwise.
         """
         self._forget()
+        # All categories stay on, as they are in a new instance: what is logged without one, as pythonfmu does with the
+        # exception that it dies of, is lost once some have been chosen.
         with self._answering(DeviceError, f"FMU {self._file} failed at its start"):
-            if categories := _ERROR_CATEGORIES & {category.name for category in self.description.logCategories}:
-                self.fmu.setDebugLogging(True, sorted(categories))
             if self.version == 2:
                 self.fmu.setupExperiment(startTime=0.0)
         self._set_starts(starts)

@@ -30,6 +30,7 @@ class Parent:
         os.close(nothing)
         os.dup2(2, 1)
         shim.load()[1].remote_flush_lines()
+        sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]  # an FMU of Python code prints there
         threading.Thread(target=self._end_with_it, args=(os.dup(2),), name="parent", daemon=True).start()
         self.say(here=True)
 

@@ -14,10 +14,9 @@ from typing import IO, Any, cast
 
 from hil.child import away_from_terminal, child_environment, module_command
 from hil.errors import DeviceError
-from hil.plant.words import one_line
+from hil.plant.said import Said
 
 THERE_S = 60.0  # that Python and our own modules may take to be there
-_KEPT_BYTES = 4096  # of what it prints
 _LAST_WORDS = 200  # characters of its last line in a sentence
 _END_S = 1.0
 _POLL_S = 0.002
@@ -60,13 +59,13 @@ class Watch:
 class ChildProcess:
     """One of our modules as a process, with pipes to its stdin and from its stdout; there a ``Parent`` is their end.
 
-    They begin with lines of JSON; what they carry then is the owner's affair. What it prints is read and the end of it
-    kept. Ctrl-C in the terminal does not reach it. When this process goes away it ends too, and removes the folder
-    ``scratch``. What it has started ends with it, on Linux also when it was killed. ``inherited`` are descriptors that
-    it has under the same numbers; POSIX only. Raises DeviceError when no process can be started.
+    They begin with lines of JSON; what they carry then is the owner's affair. What it prints goes to ``said``. Ctrl-C
+    in the terminal does not reach it. When this process goes away it ends too, and removes the folder ``scratch``. What
+    it has started ends with it, on Linux also when it was killed. ``inherited`` are descriptors that it has under the
+    same numbers; POSIX only. Raises DeviceError when no process can be started.
     """
 
-    def __init__(self, module: str, scratch: Path, inherited: Sequence[int] = ()) -> None:
+    def __init__(self, module: str, scratch: Path, inherited: Sequence[int] = (), said: Said | None = None) -> None:
         try:
             self._process = subprocess.Popen(
                 module_command(module, str(scratch)),
@@ -81,7 +80,7 @@ class ChildProcess:
         except OSError as error:
             raise DeviceError(f"no process can be started for the plant ({error}); end others first") from error
         self._unanswered_s: float | None = None  # how long it was waited for until it was given up
-        self._printed = b""
+        self._said = Said() if said is None else said
         self._reader = threading.Thread(target=self._read_words, name="plant words", daemon=True)
         self._reader.start()
 
@@ -143,10 +142,9 @@ class ChildProcess:
         return f"its process {_how(status)}"
 
     def last_words(self) -> str:
-        """Return the last line that it printed, as the end of a sentence; empty when it printed none."""
+        """Return the last line that it printed until its end, to end a sentence with; empty when it printed none."""
         self._reader.join(_END_S)
-        lines = [one_line(line) for line in self._printed.decode(errors="replace").split("\n")]
-        words = next((line for line in reversed(lines) if line), "")
+        words = self._said.last()
         return f"; its last words: {words[-_LAST_WORDS:]!r}" if words else ""
 
     def close(self, patience_s: float) -> None:
@@ -170,11 +168,10 @@ class ChildProcess:
         return self._process.poll() is not None
 
     def _read_words(self) -> None:
-        """Take all that is printed, so that nobody who prints has to wait, and keep the end."""
+        """Take in all that is printed, so that nobody who prints has to wait."""
         with _pipe(self._process.stderr) as words:
             while printed := words.read(65536):
-                # The zeros are the child's question whether we are still here.
-                self._printed = (self._printed + printed.replace(b"\0", b""))[-_KEPT_BYTES:]
+                self._said.feed(printed.replace(b"\0", b""))  # the child's question whether we are still here
 
 
 def handle(descriptor: int) -> int:

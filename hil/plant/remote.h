@@ -31,7 +31,7 @@ typedef struct {
 
 enum {
     REMOTE_DONE,
-    REMOTE_FAILED,  /* `text` says why, and the rest means nothing; so does every later reply */
+    REMOTE_FAILED,  /* `text` says why, and the rest means nothing; it is the last reply */
     REMOTE_REFUSED, /* the request was wrong, and nothing came of it; `text` says why */
 };
 

@@ -11,6 +11,7 @@ from hil.errors import BadInputError, DeviceError
 from hil.plant import shim
 from hil.plant.mapping import SignalMap
 from hil.plant.process import THERE_S, ChildProcess, Watch, handle
+from hil.plant.said import Said
 from hil.plant.settable import Settable
 from hil.plant.start import Value
 from hil.plant.words import one_line
@@ -18,6 +19,7 @@ from hil.types import Pose, PoseFix, Twist, Wheels
 
 _OPENING_STEPS = 10.0  # time limits of a step that loading, initialising and resetting may take
 _NO_ROWS = SignalMap()
+_NO_WHY = "did not say why"  # as cosim.c has it
 
 
 class RemotePlant:
@@ -25,7 +27,7 @@ class RemotePlant:
 
     ``timeout_s`` is how long a tick may take until the FMU counts as hung; opening it and going back to the start
     may take ten times as long. What ends the child is a failure of the plant: the exchange fails, and ``message``
-    says why. The child never outlives this process.
+    says why. The child never outlives this process. ``said`` has what the FMU prints and logs.
 
     Raises BadInputError as ``FmuPlant`` does, and DeviceError when the FMU fails, crashes or hangs while it is opened.
     """
@@ -54,6 +56,7 @@ class RemotePlant:
         self._context = self._ffi.new("remote_plant *")
         self._wiring: tuple[Sequence[int], Sequence[int]] = ((0, 1, 2, 3), (1, 1, 1, 1))
         self._closed = False
+        self.said = Said()
         self._open()
 
     def _open(self) -> None:
@@ -63,7 +66,8 @@ class RemotePlant:
             # Removed here, because a child that crashes cannot.
             scratch = tempfile.TemporaryDirectory(prefix="hil_plant_", ignore_cleanup_errors=True)
             resources.enter_context(scratch)
-            self._child = child = ChildProcess("hil.plant.serve", Path(scratch.name))
+            self.said.forget_newest()
+            self._child = child = ChildProcess("hil.plant.serve", Path(scratch.name), said=self.said)
             resources.callback(child.close, self._timeout_s)
             ends = {"read_end": handle(child.read_end), "write_end": handle(child.write_end)}
             self._context[0] = self._ffi.new("remote_plant *", {"pipes": ends})[0]
@@ -87,7 +91,7 @@ class RemotePlant:
                 child.tell(self._config)
                 answer = child.hear()
         if answer is None or "failed" in answer:
-            why = self._ending() if answer is None else f"{answer['failed']}{child.last_words()}"
+            why = self._ending() if answer is None else self._with_last_words(str(answer["failed"]))
             raise DeviceError(f"the plant {self._fmu.name} could not be opened: {why}")
         if "refused" in answer:
             raise BadInputError(str(answer["refused"]))
@@ -158,7 +162,7 @@ class RemotePlant:
         if not self._context.failed:
             return ""
         if not self._text:
-            self._text = self._ending() if self._context.lost else self._words()
+            self._text = self._ending() if self._context.lost else self._last_reply()
         return self._text
 
     def reset(self) -> None:
@@ -195,6 +199,18 @@ class RemotePlant:
             if not self._context.failed:
                 raise BadInputError(self._words())
             raise DeviceError(f"the plant stopped at {self.truth().time_ns / 1e9:g} s: {self.message}")
+
+    def _last_reply(self) -> str:
+        """Return why the FMU failed. Its process is of no use any more, and ends: so all that it has said is here."""
+        self._child.wait()
+        words = self._words()
+        return self._with_last_words(words) if words.endswith(_NO_WHY) else words
+
+    def _with_last_words(self, why: str) -> str:
+        """Return a reason with the last line that the FMU printed, unless the reason says it already."""
+        last_words = self._child.last_words()
+        logged = self.said.last().partition("): ")[2]
+        return why if logged and logged in why else f"{why}{last_words}"
 
     def _words(self) -> str:
         return one_line(self._ffi.string(self._context.reply.text).decode(errors="replace"))

@@ -26,7 +26,7 @@ def main() -> None:
     rows = {signal: Row(*row) for signal, row in config["rows"].items()}
     mapping = SignalMap(rows, config["counts_per_revolution"], config["torque_constant_n_m_a"])
     try:
-        plant = FmuPlant(Path(config["fmu"]), config["start"], config["step_ns"], mapping)
+        plant = FmuPlant(Path(config["fmu"]), config["start"], config["step_ns"], mapping, prints_log=True)
     except HilError as error:
         parent.say(**{"refused" if isinstance(error, BadInputError) else "failed": str(error)})
         parent.end()
@@ -45,8 +45,8 @@ def main() -> None:
             reply.text = message.encode()[: ffi.sizeof(reply.text) - 1]
         reply.time_ns, reply.pose, reply.twist = plant.truth()
         reply.wheel_speed = plant.wheel_speeds()
-        if lib.remote_answer(pipes, reply) != 0:
-            break
+        if lib.remote_answer(pipes, reply) != 0 or reply.status == lib.REMOTE_FAILED:
+            break  # a plant that failed is opened anew, in another process
     plant.close()
     parent.end()
 

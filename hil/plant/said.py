@@ -1,0 +1,79 @@
+"""What a process says, on stdout and stderr: taken in as fast as it comes, and kept as far as it is bounded."""
+
+import threading
+from collections import deque
+
+from hil.plant.words import one_line
+
+LOGGED_TROUBLE = tuple(f"log ({status})" for status in ("warning", "discard", "error", "fatal"))  # as cosim.c has it
+_FIRST_LINES = 100
+_NEWEST_LINES = 20
+_LONGEST_LINE = 300  # characters that are kept of a line
+_KEPT_BYTES = 8192  # of a line that has not ended, and of the newest lines
+
+
+class Said:
+    """The first lines and the newest ones of what was said, and how many there were between them.
+
+    One thread feeds, another one takes. Whoever takes slowly keeps nobody from talking: a process that talks without
+    end costs a look for line ends, and no memory.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()  # never held for longer than a few lines take
+        self._waiting: deque[str] = deque()
+        self._begun = b""  # a line that has not ended
+        self._newest = b""
+        self._lines = 0
+        self._passed_on = 0
+
+    def feed(self, printed: bytes) -> None:
+        """Take in some bytes."""
+        with self._lock:
+            self._newest = (self._newest + printed)[-_KEPT_BYTES:]
+            self._lines += printed.count(b"\n")
+            if self._passed_on >= _FIRST_LINES:
+                return
+            *lines, rest = (self._begun + printed).split(b"\n")
+            self._begun = rest[:_KEPT_BYTES]
+            for line in lines[: _FIRST_LINES - self._passed_on]:
+                self._passed_on += 1
+                self._waiting.append(_words(line))
+
+    def __bool__(self) -> bool:
+        """Tell whether there is something to take."""
+        return bool(self._waiting)
+
+    def forget_newest(self) -> None:
+        """Forget the newest lines: what comes now is said by another process."""
+        with self._lock:
+            self._newest = b""
+
+    def take(self) -> list[str]:
+        """Return the lines that have come since the last time, as long as they are among the first ones."""
+        lines = [self._waiting.popleft() for _ in range(len(self._waiting))]
+        return [line for line in lines if line]
+
+    def end(self) -> list[str]:
+        """Return what is left to be told at the end: how much is left out, and the newest lines."""
+        with self._lock:
+            *whole, unfinished = self._newest.split(b"\n")
+            rest = self._lines - self._passed_on
+            newest = whole[-min(rest, _NEWEST_LINES, len(whole)) :] if rest else []
+            self._passed_on = self._lines
+            self._begun = b""
+            left_out = rest - len(newest)
+            note = [f"{left_out} lines are left out here"] if left_out else []
+            lines = [*map(_words, newest), _words(unfinished)]
+            return self.take() + note + [line for line in lines if line]
+
+    def last(self) -> str:
+        """Return the last line that says something; empty when there is none."""
+        with self._lock:
+            newest = self._newest
+        lines = (_words(line) for line in reversed(newest.split(b"\n")))
+        return next((line for line in lines if line), "")
+
+
+def _words(line: bytes) -> str:
+    return one_line(line[: 4 * _LONGEST_LINE].decode(errors="replace"))[:_LONGEST_LINE]
