@@ -8,6 +8,8 @@ import struct
 from collections.abc import Mapping
 from typing import NamedTuple
 
+from hil.devices.emulated.motors import limited
+
 INT8, INT16, INT32, FLOAT = 0, 1, 2, 3
 MODE, FAULT = 0x00, 0x0F
 MODEL, FIRMWARE, REGISTER_MAP = 0x100, 0x101, 0x102
@@ -153,11 +155,6 @@ def raw_of(kind: int, value: float, quantity: str) -> float:
         return value
     most = (1 << (8 << kind) - 1) - 1
     return -most - 1 if not math.isfinite(value) else int(limited(value / _SCALES[quantity][kind], most))
-
-
-def limited(value: float, most: float) -> float:
-    """Return a value cut to -most ... most."""
-    return min(max(value, -most), most)
 
 
 def varuint(value: int) -> bytes:

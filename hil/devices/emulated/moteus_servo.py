@@ -12,8 +12,9 @@ import math
 from collections.abc import Mapping
 
 from hil.devices.emulated import moteus_registers as registers
-from hil.devices.emulated.moteus_registers import COMMAND, MEASURED, SHADOWS, limited
-from hil.devices.emulated.moteus_trajectory import Trajectory
+from hil.devices.emulated.moteus_registers import COMMAND, MEASURED, SHADOWS
+from hil.devices.emulated.motors import limited
+from hil.devices.emulated.trajectory import Trajectory
 
 _TICK_S = 0.001
 STOPPED, FAULT, TIMEOUT = 0, 1, 11

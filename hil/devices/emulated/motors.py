@@ -16,6 +16,11 @@ _TICK_S = TICK_NS * 1e-9
 _STILL: FourWheels = (0.0, 0.0, 0.0, 0.0)
 
 
+def limited(value: float, most: float) -> float:
+    """Return a value cut to -most ... most."""
+    return min(max(value, -most), most)
+
+
 class Shaft:
     """One wheel's encoder as a controller sees it: position without wraps, and the speed of a tracking observer.
 
@@ -50,6 +55,10 @@ class SpeedLoop:
         self._ki = ki_n_m_rad
         self._limit_n_m = limit_n_m
         self._integral_n_m = 0.0
+
+    def set_gains(self, kp_n_m_s_rad: float, ki_n_m_rad: float) -> None:
+        """Take other gains."""
+        self._kp, self._ki = kp_n_m_s_rad, ki_n_m_rad
 
     def reset(self) -> None:
         """Forget what was integrated."""

@@ -8,66 +8,23 @@ alone is assumed: the makers do not say, and nobody here has measured it.
 
 import math
 import struct
+from collections.abc import Mapping
 
 from firmware_protocol.framing import Frame
-from hil.devices.emulated.motors import EmulatedMotors, SpeedLoop
+from hil.devices.emulated.motors import EmulatedMotors
+from hil.devices.emulated.odrive_axis import CLOSED_LOOP, ESTOP, IDLE, TRAP_TRAJ, UNADDRESSED, EmulatedAxis
 from hil.dialects.odrive_settings import Settings
 from hil.types import FourWheels
 
 _REMOTE, _STANDARD = 0x4000_0000, 0x7FF
-_IDLE, _CLOSED_LOOP = 1, 8
-_TORQUE, _VELOCITY, _POSITION = 1, 2, 3
-_SUCCESS, _DISARMED, _NOT_CALIBRATED = 0, 3, 14
-_WATCHDOG, _ESTOP, _INVALID_STATE = "watchdog", "estop", "invalid state"
-_BITS = {
-    5: {_WATCHDOG: 0x800, _ESTOP: 0x4000, _INVALID_STATE: 0x1},
-    6: {_WATCHDOG: 0x0100_0000, _ESTOP: 0x0200_0000},
-}
-_POSITION_GAIN = 20.0  # of both firmwares, as they come [(rev/s)/rev]
-
-
-class EmulatedAxis:
-    """One axis. Errors are set by ``fail``, as a fault of motor or encoder would; ``is_calibrated`` as it was left.
-
-    ``enable_watchdog`` and ``watchdog_timeout_s`` are what odrivetool sets over USB; as they come there is none.
-    """
-
-    def __init__(self, node: int, loop: SpeedLoop) -> None:
-        self.node = node
-        self.loop = loop
-        self.state = _IDLE
-        self.result = _SUCCESS
-        self.is_calibrated = True
-        self.axis_error = 0  # 0.6: the active errors
-        self.disarm_reason = 0
-        self.motor_error = 0
-        self.encoder_error = 0
-        self.controller_error = 0
-        self.control_mode, self.input_mode = _POSITION, 1
-        self.input_vel_rev_s = 0.0
-        self.input_torque_n_m = 0.0
-        self.hold_rev = 0.0
-        self.enable_watchdog = False
-        self.watchdog_timeout_s = 0.0
-        self.fed_tick = 0
-
-    def fail(self, axis: int = 0, *, motor: int = 0, encoder: int = 0, controller: int = 0) -> None:
-        """Set error bits; a motor that is driven is disarmed by them."""
-        self.axis_error |= axis
-        self.motor_error |= motor
-        self.encoder_error |= encoder
-        self.controller_error |= controller
-        if self.state == _CLOSED_LOOP:
-            self.disarm_reason = axis
-            self.result = _DISARMED
-            self.state = _IDLE
-
-    @property
-    def has_errors(self) -> bool:
-        return bool(self.axis_error or self.motor_error or self.encoder_error or self.controller_error)
-
-    def clear(self) -> None:
-        self.axis_error = self.motor_error = self.encoder_error = self.controller_error = self.disarm_reason = 0
+_ADDRESS, _REBOOT = 0x06, 0x16
+_INPUTS = (0x0C, 0x0D, 0x0E)
+_TO_ALL = (0x02, _ADDRESS, _REBOOT, 0x18)  # Estop, Address, Reboot, Clear_Errors
+_LEAST_BYTES: Mapping[int, int] = {  # of a command that is not empty; a shorter one is not obeyed
+    0x07: 4, 0x0B: 8, 0x0C: 4, 0x0D: 4, 0x0E: 4, 0x0F: 8, 0x11: 4, 0x12: 8, 0x19: 4, 0x1A: 4, 0x1B: 8,
+}  # fmt: skip
+_REBOOT_ACTIONS = (_RESTART, _SAVE, _ERASE) = (0, 1, 2)
+_COUNTS_PER_TURN = 8192  # of the encoder that 0.5 is delivered for
 
 
 class EmulatedODrive(EmulatedMotors):
@@ -80,14 +37,18 @@ class EmulatedODrive(EmulatedMotors):
             self.firmware = _version(settings.endpoints_firmware)
             self.hardware = _version(settings.endpoints_hardware)
         self._timeout_id, self._enable_id = settings.watchdog_endpoints or (419, 420)
-        self._gear = settings.gear_ratio
+        gear = self._gear = settings.gear_ratio
         self._estimates_ticks = round(1000.0 / settings.feedback_hz) if settings.feedback_hz else 0
         super().__init__(*node, **keywords)  # type: ignore[arg-type]
-        self.axes = [EmulatedAxis(node, loop) for node, loop in zip(settings.node_ids, self.speed_loops(), strict=True)]
+        limit, constant = self.values["torque_limit_n_m"], self.values["torque_constant_n_m_a"]
+        self.axes = [
+            EmulatedAxis(node, 0x3868_0000_1000 + node, self.firmware[1], loop, gear, limit, constant)
+            for node, loop in zip(settings.node_ids, self.speed_loops(), strict=True)
+        ]
 
     @property
     def is_driving(self) -> bool:
-        return any(axis.state == _CLOSED_LOOP for axis in self.axes)
+        return any(axis.state == CLOSED_LOOP for axis in self.axes)
 
     # Commands
 
@@ -95,48 +56,93 @@ class EmulatedODrive(EmulatedMotors):
         is_remote, number = bool(frame.id & _REMOTE), frame.id & ~_REMOTE
         if number > _STANDARD:
             return
+        node, command = number >> 5, number & 0x1F
+        is_to_all = node == UNADDRESSED and self.firmware[1] >= 6
         for channel, axis in enumerate(self.axes):
-            if axis.node == number >> 5:
-                self._take(channel, axis, number & 0x1F, frame.payload, is_remote)
+            is_meant = command in _TO_ALL if is_to_all else axis.node == node
+            if is_meant and axis.boot_left == 0:
+                self._take(channel, axis, command, frame.payload, is_remote)
 
     def _take(self, channel: int, axis: EmulatedAxis, command: int, payload: bytes, is_remote: bool) -> None:
-        if self.firmware[1] == 5 or (command in (0x0C, 0x0D, 0x0E) and not is_remote):
+        axis.firmware = self.firmware[1]
+        if self.firmware[1] == 5 or (command in _INPUTS and not is_remote):
             axis.fed_tick = self.ticks
         if is_remote or (not payload and self.firmware >= (0, 5, 5)):
             self._answer(channel, axis, command)
-        if is_remote and self.firmware[1] >= 6:
-            return  # 0.5 does not look, and takes a remote frame of a command for one that says zero
-        payload = payload.ljust(8, b"\0")
-        first, second = struct.unpack_from("<II", payload)
+        if self.firmware[1] >= 6 and (is_remote or (not payload and command in _LEAST_BYTES)):
+            return  # 0.5 does not look, and takes a remote or an empty frame of a command for one that says zero
+        if payload and len(payload) < _LEAST_BYTES.get(command, 0):
+            return
+        if command == 0x04 and self.firmware[1] >= 6:
+            self._parameter(axis, payload.ljust(8, b"\0"))
+        elif command == _ADDRESS:
+            self._address(axis, payload)
+        elif command == _REBOOT:
+            self._reboot(axis, payload)
+        else:
+            self._command(channel, axis, command, payload.ljust(8, b"\0"))
+
+    def _command(self, channel: int, axis: EmulatedAxis, command: int, payload: bytes) -> None:
+        first, second = struct.unpack("<II", payload)
+        numbers = one, other = struct.unpack("<ff", payload)
+        if command in (0x0D, 0x0F, 0x12, 0x1B) and not all(map(math.isfinite, numbers)):
+            return
+        if command in (0x0C, 0x0E, 0x11, 0x1A) and not math.isfinite(one):
+            return
         if command == 0x02:
-            axis.fail(_BITS[self.firmware[1]][_ESTOP])
-        elif command == 0x04 and self.firmware[1] >= 6:
-            self._parameter(axis, payload)
+            axis.fail_by(ESTOP)
         elif command == 0x07:
-            self._request(channel, axis, first)
+            axis.request(first, self.ticks)
         elif command == 0x0B:
             axis.control_mode, axis.input_mode = first, second
+        elif command == 0x0C:
+            velocity_ff, torque_ff = struct.unpack_from("<hh", payload, 4)
+            axis.go_to(one, velocity_ff / 1000.0, torque_ff / 1000.0)
         elif command == 0x0D:
-            axis.input_vel_rev_s, axis.input_torque_n_m = struct.unpack("<ff", payload)
+            axis.input_vel_rev_s, axis.input_torque_n_m = numbers
         elif command == 0x0E:
-            (axis.input_torque_n_m,) = struct.unpack_from("<f", payload)
+            axis.input_torque_n_m = one
+        elif command == 0x0F and min(numbers) >= 0.0:
+            axis.velocity_limit_rev_s, axis.current_limit_a = numbers
+        elif command == 0x11 and one >= 0.0:
+            axis.trajectory_limits = (one, *axis.trajectory_limits[1:])
+        elif command == 0x12 and min(numbers) >= 0.0:
+            axis.trajectory_limits = (axis.trajectory_limits[0], *numbers)
         elif command == 0x18:
             axis.clear()
+            axis.is_identified = self.firmware[1] >= 6 and payload[0] == 1
+        elif command == 0x19:
+            counts = struct.unpack_from("<i", payload)[0] / _COUNTS_PER_TURN
+            position = counts if self.firmware[1] == 5 else one
+            if math.isfinite(position):
+                axis.set_position(position, self.shafts[channel])
+        elif command == 0x1A and one >= 0.0:
+            axis.position_gain = one
+        elif command == 0x1B and min(numbers) >= 0.0:
+            per_rad = axis.wheel_gain
+            axis.loop.set_gains(one * per_rad, other * per_rad)
 
-    def _request(self, channel: int, axis: EmulatedAxis, state: int) -> None:
+    def _address(self, axis: EmulatedAxis, payload: bytes) -> None:
+        """Take a node id; who has one that another is given has none from then on."""
         if self.firmware[1] == 5:
-            axis.axis_error &= ~_BITS[5][_INVALID_STATE]  # which a new request clears by itself
-        if state == _IDLE:
-            axis.state, axis.result = _IDLE, _SUCCESS
-        elif state == _CLOSED_LOOP and not axis.is_calibrated:
-            axis.result = _NOT_CALIBRATED
-            if self.firmware[1] == 5:
-                axis.fail(_BITS[5][_INVALID_STATE])
-        elif state == _CLOSED_LOOP and not axis.has_errors:
-            axis.state, axis.result = _CLOSED_LOOP, _SUCCESS
-            axis.hold_rev = self._revolutions(self.shafts[channel].position_rad)
-            axis.fed_tick = self.ticks
-            axis.loop.reset()
+            if len(payload) >= 4 and (node := int.from_bytes(payload[:4], "little")) < UNADDRESSED:
+                axis.node = node
+        elif len(payload) >= 7 and payload[0] <= UNADDRESSED:
+            if int.from_bytes(payload[1:7], "little") == axis.serial:
+                axis.node = payload[0]
+            elif axis.node == payload[0]:
+                axis.node = UNADDRESSED
+
+    def _reboot(self, axis: EmulatedAxis, payload: bytes) -> None:
+        action = payload[0] if payload and self.firmware[1] >= 6 else _RESTART
+        if action not in _REBOOT_ACTIONS or (action == _SAVE and axis.state != IDLE):
+            return
+        if action == _ERASE:
+            axis.set_defaults()
+            axis.node = UNADDRESSED
+        if action != _RESTART:
+            axis.save()
+        axis.boot()
 
     def _parameter(self, axis: EmulatedAxis, payload: bytes) -> None:
         operation, number = struct.unpack_from("<BH", payload)
@@ -168,65 +174,60 @@ class EmulatedODrive(EmulatedMotors):
             payload = old if is_old else new
         elif command == 0x04 and is_old:
             payload = struct.pack("<II", axis.encoder_error, 0)
+        elif command == _ADDRESS and not is_old:
+            payload = bytes((axis.node,)) + axis.serial.to_bytes(6, "little") + b"\0"
         elif command == 0x09:
             payload = self._estimates(channel)
+        elif command == 0x0A and is_old:
+            count = math.floor(axis.position_rev(self.shafts[channel]) * _COUNTS_PER_TURN)
+            payload = struct.pack("<ii", (count + 2**31) % 2**32 - 2**31, count % _COUNTS_PER_TURN)
         elif command == 0x14:
             current = self.current_a[channel]
             payload = struct.pack("<ff", current, current)
         elif command == 0x15 and not is_old:
             payload = struct.pack("<ff", self.temperature_degc[channel], math.nan)
+        elif command == 0x15:
+            payload = bytes(8)  # there is no sensorless estimator
         elif command == 0x17:
             payload = struct.pack("<ff", self.battery_v, self.battery_a / (2 if is_old else 4))
+        elif command == 0x1C and self.firmware >= (0, 6, 9):
+            estimate = self.current_a[channel] * self.values["torque_constant_n_m_a"] / self._gear
+            payload = struct.pack("<ff", axis.torque_n_m, estimate)
         elif command == 0x1D and self.firmware >= (0, 5, 4):
-            powers = struct.pack("<ff", self.battery_v * self.battery_a, 0.0)
+            mechanical = self.torque_n_m[channel] * self.shafts[channel].speed_rad_s
+            powers = struct.pack("<ff", self.battery_v * self.battery_a / 4.0, mechanical)
             payload = struct.pack("<II", axis.controller_error, 0) if is_old else powers
         if payload is not None:
             self._say(axis, command, payload)
 
     def _heartbeat(self, axis: EmulatedAxis) -> bytes:
+        is_done = axis.trajectory.is_complete or axis.input_mode != TRAP_TRAJ
         if self.firmware[1] == 5:
-            flags = (bool(axis.motor_error), bool(axis.encoder_error), bool(axis.controller_error) | 0x80)
+            flags = (bool(axis.motor_error), bool(axis.encoder_error), bool(axis.controller_error) | is_done << 7)
             return struct.pack("<IBBBB", axis.axis_error, axis.state, *flags)
-        return struct.pack("<IBBBx", axis.axis_error | axis.disarm_reason, axis.state, axis.result, 1)
+        return struct.pack("<IBBBx", axis.axis_error | axis.disarm_reason, axis.state, axis.result, is_done)
 
     def _estimates(self, channel: int) -> bytes:
-        shaft = self.shafts[channel]
-        return struct.pack("<ff", self._revolutions(shaft.position_rad), self._revolutions(shaft.speed_rad_s))
-
-    def _revolutions(self, wheel_rad: float) -> float:
-        return wheel_rad / math.tau * self._gear
+        axis, shaft = self.axes[channel], self.shafts[channel]
+        return struct.pack("<ff", axis.position_rev(shaft), axis.revolutions(shaft.speed_rad_s))
 
     # Loops
 
     def tick(self) -> FourWheels | None:
         for channel, axis in enumerate(self.axes):
-            self._watch(axis)
+            axis.firmware = self.firmware[1]
+            axis.boot_left = max(axis.boot_left - 1, 0)
+            axis.watch(self.ticks)
+            if axis.boot_left or axis.node == UNADDRESSED:
+                continue
             if self.ticks % 100 == 0:
                 self._say(axis, 0x01, self._heartbeat(axis))
             if self._estimates_ticks and self.ticks % self._estimates_ticks == 0:
                 self._say(axis, 0x09, self._estimates(channel))
         if not self.is_driving:
             return None
-        a, b, c, d = (self._torque(channel, axis) for channel, axis in enumerate(self.axes))
+        a, b, c, d = (axis.torque(shaft) for axis, shaft in zip(self.axes, self.shafts, strict=True))
         return a, b, c, d
-
-    def _watch(self, axis: EmulatedAxis) -> None:
-        runs = axis.enable_watchdog and (self.firmware[1] == 5 or axis.state == _CLOSED_LOOP)
-        if runs and self.ticks - axis.fed_tick > axis.watchdog_timeout_s * 1000.0:
-            axis.fail(_BITS[self.firmware[1]][_WATCHDOG])
-
-    def _torque(self, channel: int, axis: EmulatedAxis) -> float:
-        """Return the torque at the wheel [N·m]: of a cascade of position, velocity and torque, cut at the limit."""
-        if axis.state != _CLOSED_LOOP:
-            return 0.0
-        shaft, limit = self.shafts[channel], self.values["torque_limit_n_m"]
-        if axis.control_mode == _TORQUE:
-            return min(max(axis.input_torque_n_m * self._gear, -limit), limit)
-        speed_rev_s = axis.input_vel_rev_s
-        if axis.control_mode != _VELOCITY:
-            speed_rev_s = _POSITION_GAIN * (axis.hold_rev - self._revolutions(shaft.position_rad))
-        target_rad_s = speed_rev_s / self._gear * math.tau
-        return axis.loop.torque(target_rad_s, shaft.speed_rad_s, axis.input_torque_n_m * self._gear)
 
 
 def _version(dotted: str) -> tuple[int, int, int]:

@@ -1,15 +1,15 @@
-"""The control position of an emulated moteus: at once at what is commanded, or on a ramp within limits."""
+"""The control position of an emulated position loop: at once at what is commanded, or on a ramp within limits."""
 
 import math
 
-from hil.devices.emulated.moteus_registers import limited
+from hil.devices.emulated.motors import limited
 
 _TICK_S = 0.001
 _NEAR_REV = 2e-6
 
 
 class Trajectory:
-    """Where the position loop is to be, in revolutions of the output.
+    """Where the position loop is to be, in revolutions.
 
     Attributes:
         position_rev: NaN while nothing is controlled.
