@@ -123,6 +123,8 @@ class Tick:
             self._before = None  # after a hold the law begins anew: what it has integrated and awaits is of before it
         else:
             before = self._before
+            if before is not None and (tick - before) * self._period_ns > self._timing.stale_ns:
+                before = None  # nothing was commanded for so long, and no law integrates over it
             begins = before is None
             if before is None:
                 self._controller.reset(state, reference)
@@ -187,10 +189,11 @@ class Tick:
     def restart(self) -> None:
         """Begin anew with a robot that was lost or stopped and is heard again."""
         self.begin()
-        if self._freshness.restart():
-            self._parts.estimator.restart()
-            if self._parts.fixes is not None:
-                self._parts.fixes.restart()
+        was_reset = self._freshness.restart()
+        if was_reset or not self._device.keeps_counts:
+            self._estimator.restart()
+        if was_reset and self._fixes is not None:
+            self._fixes.restart()
 
     def use(self, parts: Parts) -> None:
         """Go on with other laws."""

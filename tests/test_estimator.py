@@ -8,6 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import hil
+from hil.devices.angles import Angles
+from hil.dialects.port import Sample
 from hil.errors import BadInputError
 from hil.estimator import (
     Estimator,
@@ -183,3 +185,50 @@ def test_only_where_the_pose_is_the_truths_an_old_truth_holds_the_robot():
         for source in ("truth", "odometry")
     }
     assert stale == {"truth": 40, "odometry": 0}
+
+
+@pytest.mark.parametrize("gap_s", [0.3, 3.0])
+def test_over_a_gap_the_wheels_turn_the_robot_and_no_rate_is_integrated(gap_s):
+    """The robot stopped just after the link was lost, and turns again when it is back: its rates were of both ends."""
+    turning = drive(BodyTwist(0.0, 0.0, 0.8), 1, gyro=0.8)
+    estimator = odometry()
+    for measured in turning:
+        estimator.update(measured, None)
+    back = turning[-1]._replace(robot_time_ns=turning[-1].robot_time_ns + round(gap_s * 1e9))
+    state = estimator.update(back, None)
+    assert state.pose.heading_rad == pytest.approx(START.heading_rad + 0.8 * TICK_NS * 1e-9)
+    speeds_alone = odometry()
+    for measured in (*turning, back):
+        state = speeds_alone.update(measured._replace(encoder_count=None, yaw_rate_rad_s=NAN), None)
+    assert abs(state.pose.heading_rad - START.heading_rad) < 0.8 * 0.06
+
+
+def test_a_spinning_robot_that_was_lost_for_three_seconds_knows_its_heading():
+    """0.8 rad/s over 3 s without a link: the gyro integrated over the gap would be 1.1 rad wrong for good."""
+    result = hil.run(
+        "circle_speed",
+        set={
+            "reference": {"kind": "spin", "speed_m_s": 0.0, "x_m": 0.5, "y_m": 0.0, "heading_rad": 0.6},
+            "estimator.source": "odometry",
+            "loop.rearm": True,
+            "loop.duration_s": 5.0,
+            "fault": [{"kind": "disconnect", "start_s": 1.0, "end_s": 4.0}],
+            "expect": [],
+        },
+    )
+    (recovery,) = result.metrics["recoveries"]
+    assert recovery["armed_s"] - recovery["lost_s"] > 3.0
+    apart_rad = result.signals["pose.heading_rad"][-1] - result.signals["truth.heading_rad"][-1]
+    assert abs(math.remainder(apart_rad, math.tau)) < 0.01
+
+
+@pytest.mark.parametrize(("gap_s", "turned_rad"), [(0.2, 2.0), (0.3, 0.0), (3.0, 0.0)])
+def test_of_controllers_that_tell_speeds_alone_the_angle_over_a_gap_is_not_known(gap_s, turned_rad):
+    angles = Angles(COUNTS)
+    first = Sample(0, (10.0,) * 4)
+    before = angles.take(first)
+    after = angles.take(first._replace(stamp_ns=round(gap_s * 1e9)))
+    assert {(b - a) & 0xFFFF for a, b in zip(before, after, strict=True)} == {round(turned_rad * COUNTS / math.tau)}
+    told = Angles(COUNTS)
+    told.take(first._replace(position_rad=(0.0,) * 4))
+    assert told.take(first._replace(stamp_ns=10**10, position_rad=(1.0,) * 4))[0] == round(COUNTS / math.tau)

@@ -286,6 +286,15 @@ def test_each_contradiction_is_slip_within_a_window_and_over_after_it(fault, dt_
     assert not detector.is_slipping
 
 
+def test_a_gap_in_the_measurements_is_no_slip():
+    """Before it the robot drove, after it the robot drives again: nobody knows how its velocity changed."""
+    detector = SlipDetector(ROBOT.lever_m, 0.1)
+    driving = rolling(BodyTwist(1.0, 0.0, 0.5), 0.005, (0.0, 0.0025))
+    gap = driving._replace(dt_s=0.3, forward_m=0.05, turned_rad=0.03, gyro_rad=NAN, gained_forward_m_s=NAN)
+    for motion in (*[driving] * 100, gap, *[driving] * 100):
+        assert detector.update(motion) < 0.01
+
+
 def test_without_gyro_and_accelerometer_the_rollers_alone_tell():
     detector = SlipDetector(ROBOT.lever_m, 0.1)
     motion = Motion(0.005, 0.0, 0.0, 0.1, NAN, 0.0, NAN, NAN)

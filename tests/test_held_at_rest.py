@@ -12,6 +12,7 @@ from hil.controllers.registry import SHIPPED
 from hil.devices.link_times import CommandLatency
 from hil.estimator.truth import TruthEstimator
 from hil.sampling import Sampling
+from hil.signals import make_loop_signals
 from hil.types import WHEEL_NAMES, Pose, PoseFix, State
 
 PERIOD_S = 0.005
@@ -136,6 +137,20 @@ def test_after_a_hold_the_law_and_its_shadows_begin_anew(counting, monkeypatch):
     assert set(begun[:first]) == {1.0}
     assert set(begun[first + held.sum() :]) == {2.0}
     assert len(resets) == 2
+
+
+@pytest.mark.parametrize(("skipped", "resets"), [(18, 1), (20, 2)])
+def test_after_a_stall_longer_than_the_firmwares_patience_the_law_begins_anew(counting, monkeypatch, skipped, resets):
+    """As when the whole machine stood still, robot and all: no law integrates over it."""
+
+    def told(values):
+        t_s, tick, *rest = values
+        return make_loop_signals((t_s, tick if tick < 60 else tick + skipped, *rest))
+
+    monkeypatch.setattr("hil.loop.make_loop_signals", told)
+    result = run(**counting)
+    assert set(result.signals["counting.resets"]) == set(range(1, resets + 1))
+    assert not result.signals["guard.held"].any()
 
 
 def test_in_torque_mode_a_robot_that_is_held_is_braked_to_rest_within_a_second():

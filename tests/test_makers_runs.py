@@ -95,6 +95,17 @@ def test_the_papers_circle_is_tracked_through_a_device_of_the_users_own() -> Non
     assert result.metrics["steady_max_m"] < 0.006
 
 
+def test_after_a_lost_link_the_filter_is_less_sure_of_a_robot_whose_controllers_may_have_been_reset() -> None:
+    lost = {"kind": "disconnect", "start_s": 0.5, "end_s": 0.7}
+    fixes = {"estimator.source": "fused", "estimator.simulated_fix.gap_start_s": 0.4}
+    fixes |= {"estimator.simulated_fix.gap_end_s": 60.0}
+    result = run_scenario(scenario("vesc", "memory:", **{"loop.rearm": True, "fault": [lost]} | SPEED | fixes))
+    (recovery,) = result.metrics["recoveries"]
+    t_s, sigma_rad = result.signals["loop.t_s"], result.signals["estimator.sigma_heading_rad"]
+    assert sigma_rad[t_s < recovery["lost_s"]][-1] < 0.02
+    assert sigma_rad[t_s > recovery["armed_s"]][0] > 0.2
+
+
 def test_the_motors_are_off_at_the_end_of_a_run(bystander: Any) -> None:
     assert run_scenario(scenario(**{"loop.duration_s": 1})).failure is None
     assert_off(bystander)

@@ -5,12 +5,15 @@ import math
 from hil.dialects.port import Sample
 from hil.types import FourWheels
 
+# Over a longer gap, which is a lost link or a stall of this process, two speeds say nothing of what was between them.
+_LONGEST_S = 0.25
+
 
 class Angles:
     """Follows the positions that controllers tell, or their speeds where they tell none.
 
     After a loss it goes on from where it was: a controller that was reset counts from zero again, and how far the
-    wheels rolled meanwhile is not known.
+    wheels rolled meanwhile is not known. Nor is it over a gap of more than 0.25 s where only speeds are told.
     """
 
     def __init__(self, counts_per_revolution: int) -> None:
@@ -32,8 +35,9 @@ class Angles:
 
     def _moved(self, last: Sample, sample: Sample) -> FourWheels:
         dt_s = max(0.0, (sample.stamp_ns - last.stamp_ns) * 1e-9)
+        counted_s = dt_s if dt_s <= _LONGEST_S else 0.0
         fl, fr, rr, rl = (
-            turned + (0.5 * (slow + fast) * dt_s if math.isnan(now - before) else now - before)
+            turned + (0.5 * (slow + fast) * counted_s if math.isnan(now - before) else now - before)
             for turned, before, now, slow, fast in zip(
                 self._turned_rad,
                 last.position_rad,

@@ -113,6 +113,10 @@ class MakersRobot:
 
     # Coming back after a loss
 
+    @property
+    def keeps_counts(self) -> bool:
+        return False  # a controller that was reset counts from zero, and nothing tells which were
+
     def leave(self) -> None:
         if self._stop.is_needed:
             self._drop(State.STOPPING)

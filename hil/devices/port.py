@@ -89,6 +89,10 @@ class Device(Protocol):
 
     # Coming back after a loss, in steps that do not wait
 
+    @property
+    def keeps_counts(self) -> bool:
+        """Whether encoder counts have gone on while the robot was away, unless its clock began anew."""
+
     def leave(self) -> None:
         """Command nothing any more, and forget what is held: the link or the robot was lost."""
 

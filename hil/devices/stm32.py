@@ -125,6 +125,11 @@ class Stm32:
 
     # Coming back after a loss, in steps that do not wait: the tick of the loop goes on meanwhile
 
+    @property
+    def keeps_counts(self) -> bool:
+        """The encoders of a robot that was not reset count on while its link is lost."""
+        return True
+
     def leave(self) -> None:
         """Command nothing any more: the link or the robot was lost, and what is held is not for the next session."""
         self._request = m.Request.IDLE

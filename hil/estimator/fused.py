@@ -28,7 +28,6 @@ from hil.types import MeasuredPose, Pose, PoseFix, State
 _NS = 1e9
 _AHEAD_NS = 100_000_000
 _WAITING_AT_MOST = 32
-_GAP_S = 0.05  # over a longer gap the gyro's two ends say little of what was between them; encoders have counted on
 # What a robot may have rolled unseen before its reset: the shipped ramp of 0.2 s, from 1.5 m/s and 2 rad/s.
 _UNSEEN_M = 0.15
 _UNSEEN_RAD = 0.2
@@ -156,7 +155,7 @@ class FusedEstimator:
         dt_s = motion.dt_s
         position_m2 = options.wheels_sigma_m**2 * way_m + slip_m_s**2 * dt_s * _SLIP_LASTS_S
         bias_rad2_s2 = options.gyro_bias_walk_rad_s**2 * dt_s
-        if dt_s > _GAP_S or math.isnan(motion.gyro_rad):
+        if math.isnan(motion.gyro_rad):
             slip_rad_s = slip_m_s / self._model.lever_m
             heading_rad2 = options.wheels_sigma_rad**2 * way_m + slip_rad_s**2 * dt_s * _SLIP_LASTS_S
             return Step(

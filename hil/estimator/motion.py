@@ -8,15 +8,19 @@ from hil.errors import BadInputError
 from hil.estimator.measurement import Measurement
 from hil.kinematics import body_twist
 from hil.model import RobotModel
-from hil.types import Wheels
+from hil.types import NAN, Wheels
+
+# Over a longer gap the two ends of a rate say little of what was between them; encoders have counted on.
+_LONGEST_S = 0.05
 
 
 class Motion(NamedTuple):
     """Displacement in the body frame between two measurements, and what contradicts it.
 
-    ``turned_rad`` is by the wheels, ``gyro_rad`` by the gyro, NaN without one. ``disagreement_m`` is by how much more
-    the front wheels rolled than the rear ones: four wheels with three degrees of freedom roll without slip only where
-    it is zero. What was gained in velocity is by the accelerometer, NaN without one.
+    ``turned_rad`` is by the wheels, ``gyro_rad`` by the gyro. ``disagreement_m`` is by how much more the front wheels
+    rolled than the rear ones: four wheels with three degrees of freedom roll without slip only where it is zero. What
+    was gained in velocity is by the accelerometer. What gyro and accelerometer tell is NaN without one, and over a
+    gap of more than 50 ms between the measurements.
     """
 
     dt_s: float
@@ -39,6 +43,9 @@ class MotionReader:
     A wheel's angle comes from its encoder, counted through the wrap of 16 bits: between two measurements it must turn
     less than 32768 counts (8 revolutions at 4096 a revolution). Without counts it comes from the wheel's speed.
 
+    Over a gap of more than 50 ms, as after a lost link, no rate is integrated: the robot may have stopped just after
+    the first measurement. Gyro and accelerometer then tell nothing, and a speed counts for 50 ms at most.
+
     Raises BadInputError for counts that make no encoder.
     """
 
@@ -58,15 +65,16 @@ class MotionReader:
         forward, left, turned = body_twist(angles, radius_m, self._model.lever_m)
         fl, fr, rr, rl = angles
         before, after = last.acceleration_m_s2, now.acceleration_m_s2
+        rate_s = NAN if dt_s > _LONGEST_S else dt_s
         return Motion(
             dt_s,
             forward,
             left,
             turned,
-            0.5 * (last.yaw_rate_rad_s + now.yaw_rate_rad_s) * dt_s,
+            0.5 * (last.yaw_rate_rad_s + now.yaw_rate_rad_s) * rate_s,
             0.25 * radius_m * (fl + fr - rr - rl),
-            0.5 * (before[0] + after[0]) * dt_s,
-            0.5 * (before[1] + after[1]) * dt_s,
+            0.5 * (before[0] + after[0]) * rate_s,
+            0.5 * (before[1] + after[1]) * rate_s,
         )
 
     def _wheel_angles(self, last: Measurement, now: Measurement, dt_s: float) -> Wheels:
@@ -82,4 +90,5 @@ class MotionReader:
                 scale * (((g - c + 0x8000) & 0xFFFF) - 0x8000),
                 scale * (((h - d + 0x8000) & 0xFFFF) - 0x8000),
             )
-        return Wheels(*(0.5 * (a + b) * dt_s for a, b in zip(last.speed_rad_s, now.speed_rad_s, strict=True)))
+        counted_s = min(dt_s, _LONGEST_S)
+        return Wheels(*(0.5 * (a + b) * counted_s for a, b in zip(last.speed_rad_s, now.speed_rad_s, strict=True)))

@@ -15,8 +15,9 @@ from hil.types import MeasuredPose, Pose, PoseFix, State
 class OdometryEstimator:
     """Integrates the motion of the wheels (``MotionReader``) from a known pose; truth and fixes have no part in it.
 
-    The heading comes from the gyro where there is one, because rollers slip sideways first in a turn. The displacement
-    is taken at the heading half way (midpoint rule). Slip is told, and changes nothing: there is nothing better here.
+    The heading comes from the gyro where there is one, because rollers slip sideways first in a turn; over a gap of
+    more than 50 ms between two measurements it comes from the wheels. The displacement is taken at the heading half way
+    (midpoint rule). Slip is told, and changes nothing: there is nothing better here.
 
     Raises BadInputError as ``MotionReader``.
     """

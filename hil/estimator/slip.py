@@ -66,8 +66,12 @@ class SlipDetector:
     def _against_accelerometer(self, motion: Motion, turned_rad: float) -> float:
         dt_s = motion.dt_s
         forward_m_s, left_m_s = motion.forward_m / dt_s, motion.left_m / dt_s
+        if math.isnan(motion.gained_forward_m_s + motion.gained_left_m_s):
+            # How the velocity changed is not known: what was compared is over.
+            self._last_m_s, self._forward_m_s, self._left_m_s = None, 0.0, 0.0
+            return 0.0
         last, self._last_m_s = self._last_m_s, (forward_m_s, left_m_s)
-        if last is None or math.isnan(motion.gained_forward_m_s + motion.gained_left_m_s):
+        if last is None:
             return 0.0
         kept = math.exp(-dt_s / _ACCELEROMETER_WINDOW_S)
         # In the turning body frame the velocity changes by the acceleration minus the yaw rate crossed with it.

@@ -181,6 +181,7 @@ def _commands(
 ) -> Iterator[WheelCommand | None]:
     """Yield what the law says at each tick, after the guard; None where the law in command was not asked."""
     period_ns = 1_000_000_000 // int(scenario["loop.rate_hz"])
+    stale_ns = round(1e9 * float(scenario["firmware.watchdog_s"]))
     rest = WheelCommand(mode, ZERO_WHEELS, ZERO_WHEELS)
     latency_s = sum(float(scenario.get(f"link.{way}_latency_s", 0.0)) for way in ("command", "feedback"))
     applied = Applied(rest, False, latency_s)
@@ -195,8 +196,8 @@ def _commands(
             before = None  # after a hold the law begins anew
             yield None
         else:
-            if before is None:
-                law.reset(row.state, row.reference)
+            if before is None or (row.tick - before) * period_ns > stale_ns:
+                law.reset(row.state, row.reference)  # as hil.tick does after so many skipped ticks
                 before = row.tick - 1
             dt_s = (row.tick - before) * period_ns * 1e-9
             command, _ = guard.apply(law.update(row.reference, row.state, applied, dt_s))

@@ -61,6 +61,7 @@ def scenario_of(run: RecordedRun) -> dict[str, Any]:
     try:
         scenario: dict[str, Any] = dict(json.loads(run.properties["scenario"]))
         known = str(scenario["controller.law"]) and int(scenario["loop.rate_hz"]) > 0
+        known = known and float(scenario["firmware.watchdog_s"]) > 0.0
         CommandMode[str(scenario["controller.command"]).upper()]
     except (KeyError, TypeError, ValueError):
         known = False
