@@ -151,13 +151,13 @@ class Profile:
         along_1, along_2 = vx_d * x1 + vy_d * y1, vx_d * x2 + vy_d * y2
         k1, braking = self._k1, self._braking_m_s2
         limit, step = self._turn_rad_s, self._turn_step_rad_s
-        low, high = max(-limit, yaw_rate - step), min(limit, yaw_rate + step)
+        low, high = _range(-limit, limit, yaw_rate, step)
         turn, turn_slope = profile(turned, yaw_rate, k1, self._turn_braking_rad_s2, low, high)
         limit, step = self._push_speed_m_s(yaw_rate_d + turn), self._push_step_m_s
         now_1, now_2 = vx * x1 + vy * y1, vx * x2 + vy * y2
-        low, high = max(-limit - along_1, now_1 - step), min(limit - along_1, now_1 + step)
+        low, high = _range(-limit - along_1, limit - along_1, now_1, step)
         rate_1, slope_1 = profile(x * x1 + y * y1, now_1, k1, braking, low, high)
-        low, high = max(-limit - along_2, now_2 - step), min(limit - along_2, now_2 + step)
+        low, high = _range(-limit - along_2, limit - along_2, now_2, step)
         rate_2, slope_2 = profile(x * x2 + y * y2, now_2, k1, braking, low, high)
         # What the profile asks for on the way, no more than in step with it: its noise is not fed forward.
         slope_1, slope_2 = slope_1 * in_step(now_1, rate_1), slope_2 * in_step(now_2, rate_2)
@@ -201,6 +201,15 @@ def profile(error: float, rate: float, k1: float, braking: float, low: float, hi
     if wanted > high:
         return high, 0.0
     return (low, 0.0) if wanted < low else (wanted, slope)
+
+
+def _range(low: float, high: float, now: float, step: float) -> tuple[float, float]:
+    """Return the range from ``low`` to ``high`` within ``step`` of ``now``, or where that is none, the nearest to it.
+
+    A rate beyond a limit by more than a step comes back to it by a step at a time.
+    """
+    least, most = now - step, now + step
+    return min(max(low, least), most), max(min(high, most), least)
 
 
 def in_step(rate: float, wanted: float) -> float:
