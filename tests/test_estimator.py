@@ -197,10 +197,10 @@ def test_over_a_gap_the_wheels_turn_the_robot_and_no_rate_is_integrated(gap_s):
     back = turning[-1]._replace(robot_time_ns=turning[-1].robot_time_ns + round(gap_s * 1e9))
     state = estimator.update(back, None)
     assert state.pose.heading_rad == pytest.approx(START.heading_rad + 0.8 * TICK_NS * 1e-9)
-    speeds_alone = odometry()
+    speeds_alone = odometry()  # nobody knows when the robot stopped
     for measured in (*turning, back):
         state = speeds_alone.update(measured._replace(encoder_count=None, yaw_rate_rad_s=NAN), None)
-    assert abs(state.pose.heading_rad - START.heading_rad) < 0.8 * 0.06
+    assert abs(state.pose.heading_rad - START.heading_rad) < 0.8 * 0.11
 
 
 def test_a_spinning_robot_that_was_lost_for_three_seconds_knows_its_heading():

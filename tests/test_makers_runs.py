@@ -95,6 +95,24 @@ def test_the_papers_circle_is_tracked_through_a_device_of_the_users_own() -> Non
     assert result.metrics["steady_max_m"] < 0.006
 
 
+@pytest.mark.parametrize(("driver", "battery_v"), [("vesc", 24.0), ("rosmaster", 12.0), ("wheeltec", 24.0)])
+def test_in_lockstep_the_frames_are_the_same_however_a_line_hands_over_its_bytes(
+    driver: str, battery_v: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A system gives what was written in parts of its own choice, here of 7 bytes at most."""
+    pytest.importorskip("hil.links.pty", reason="pseudo-terminals need a POSIX system")
+    changes = SPEED | {"loop.duration_s": 0.3, "plant.start.battery_voltage_v": battery_v}
+
+    def over(link: str) -> Any:
+        return run_scenario(scenario(driver, link, **changes)).metrics["wire_sha256"]
+
+    in_memory = over("memory:")
+    assert over("serial:pty") == in_memory
+    monkeypatch.setattr("hil.links.pty._CHUNK", 7)
+    monkeypatch.setattr("hil.links.serial_port._CHUNK", 7)
+    assert over("serial:pty") == in_memory
+
+
 def test_after_a_lost_link_the_filter_is_less_sure_of_a_robot_whose_controllers_may_have_been_reset() -> None:
     lost = {"kind": "disconnect", "start_s": 0.5, "end_s": 0.7}
     fixes = {"estimator.source": "fused", "estimator.simulated_fix.gap_start_s": 0.4}

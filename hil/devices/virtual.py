@@ -312,7 +312,9 @@ class VirtualServer:
     def advance(self, ticks: int) -> None:
         """Lockstep with a robot whose protocol has no STEP: take what was sent, and let so many ticks pass."""
         self._do_what_was_asked()
-        self._wire.receive_into(self._robot.node, 0)
+        # All of it: the system hands over in parts what was written in parts, and gives no sign of the last.
+        while self._wire.receive_into(self._robot.node, 0):
+            pass
         for _ in range(ticks):
             self._robot.node.run(1)
             self._send()

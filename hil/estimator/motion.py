@@ -10,8 +10,9 @@ from hil.kinematics import body_twist
 from hil.model import RobotModel
 from hil.types import NAN, Wheels
 
-# Over a longer gap the two ends of a rate say little of what was between them; encoders have counted on.
-_LONGEST_S = 0.05
+# Over a longer gap the two ends of a rate say little of what was between them; encoders have counted on. No robot is
+# driven while its feedback is as old, and the slowest base tells its own every 50 ms.
+_LONGEST_S = 0.1
 
 
 class Motion(NamedTuple):
@@ -20,7 +21,7 @@ class Motion(NamedTuple):
     ``turned_rad`` is by the wheels, ``gyro_rad`` by the gyro. ``disagreement_m`` is by how much more the front wheels
     rolled than the rear ones: four wheels with three degrees of freedom roll without slip only where it is zero. What
     was gained in velocity is by the accelerometer. What gyro and accelerometer tell is NaN without one, and over a
-    gap of more than 50 ms between the measurements.
+    gap of more than 0.1 s between the measurements.
     """
 
     dt_s: float
@@ -43,8 +44,8 @@ class MotionReader:
     A wheel's angle comes from its encoder, counted through the wrap of 16 bits: between two measurements it must turn
     less than 32768 counts (8 revolutions at 4096 a revolution). Without counts it comes from the wheel's speed.
 
-    Over a gap of more than 50 ms, as after a lost link, no rate is integrated: the robot may have stopped just after
-    the first measurement. Gyro and accelerometer then tell nothing, and a speed counts for 50 ms at most.
+    Over a gap of more than 0.1 s, as after a lost link, no rate is integrated: the robot may have stopped just after
+    the first measurement. Gyro and accelerometer then tell nothing, and a speed counts for 0.1 s at most.
 
     Raises BadInputError for counts that make no encoder.
     """

@@ -16,7 +16,7 @@ class OdometryEstimator:
     """Integrates the motion of the wheels (``MotionReader``) from a known pose; truth and fixes have no part in it.
 
     The heading comes from the gyro where there is one, because rollers slip sideways first in a turn; over a gap of
-    more than 50 ms between two measurements it comes from the wheels. The displacement is taken at the heading half way
+    more than 0.1 s between two measurements it comes from the wheels. The displacement is taken at the heading half way
     (midpoint rule). Slip is told, and changes nothing: there is nothing better here.
 
     Raises BadInputError as ``MotionReader``.

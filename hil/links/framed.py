@@ -12,6 +12,8 @@ from hil.ports import Received, make_received
 _MOST_AT_ONCE = 50
 """Frames that are given together: what some ticks have to say. A host that has a backlog decides how much it takes."""
 
+_MOST_NOISE = 65536  # bytes without a frame in one call: more than any buffer of a line holds
+
 
 class StreamLink:
     """Frames over a byte stream. Wrong bytes are dropped and counted by cause, never raised.
@@ -46,6 +48,7 @@ class StreamLink:
         if self._waiting is not None:
             return self._part_of(*self._waiting)
         deadline_ns = time.monotonic_ns() + timeout_ns if timeout_ns > 0 else 0
+        of_no_frame = 0
         while True:
             if data := self._stream.read(timeout_ns):
                 stamp_ns = self.now_ns()
@@ -56,10 +59,15 @@ class StreamLink:
                         return self._part_of(frames, stamp_ns)
                     self.received_frames += count
                     return make_received((frames, stamp_ns))
-            if timeout_ns <= 0:
+                # Bytes came that completed no frame: the rest of one may be there too, or come in what is left of the
+                # time. A line full of noise must not keep a tick.
+                of_no_frame += len(data)
+                if of_no_frame > _MOST_NOISE:
+                    return None
+            elif timeout_ns <= 0:
                 return None
-            # Bytes came that completed no frame: wait on for what is left of the time.
-            timeout_ns = deadline_ns - time.monotonic_ns()
+            if timeout_ns > 0:
+                timeout_ns = deadline_ns - time.monotonic_ns()
 
     @property
     def counts_frames(self) -> bool:
