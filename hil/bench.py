@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 from firmware_protocol.host import parameter_hash
 from hil.brake import Brake
@@ -15,6 +15,7 @@ from hil.clock import TICK_NS, LockstepClock, WallClock
 from hil.devices.direct import DirectTruth, open_direct
 from hil.devices.faults import RobotFaults
 from hil.devices.handshake import Expected
+from hil.devices.host_watch import HostWatch, Unwatched, watch_over
 from hil.devices.makers import MakersRobot, Terms
 from hil.devices.motor_stop import StopTerms
 from hil.devices.port import Device, Identity
@@ -38,7 +39,7 @@ from hil.links.delay import DelayedLink
 from hil.links.faults import FaultLink
 from hil.links.opening import is_within_process, open_host, open_pair
 from hil.links.statistics import measured
-from hil.links.url import LinkUrl, MemoryUrl, SerialUrl
+from hil.links.url import MemoryUrl
 from hil.localisation import SimulatedFixes, SimulatedOptions, UdpFixes
 from hil.plant.said import Said
 from hil.ports import Clock, FixSource, Link, PoseSource
@@ -58,9 +59,6 @@ from hil.scenario.motors import make_driver
 from hil.signals import SIGNAL_NAMES
 from hil.trace import Trace
 from hil.types import Pose
-
-if TYPE_CHECKING:
-    from hil.devices.guardian import Guardian
 
 NS = 1_000_000_000
 _ANSWER_S = 2.0
@@ -94,8 +92,7 @@ class Bench:
         self._robot: VirtualStm32 | None = None
         self._server: VirtualServer | None = None
         self._thread: ServerThread | None = None
-        self._guardian: Guardian | None = None
-        self._is_guarded: Callable[[], bool] = lambda: True
+        self._watch: HostWatch = Unwatched()
         lockstep = scenario.loop.mode == "lockstep"
         url = link_of(scenario)
         language = language_of(scenario)
@@ -128,7 +125,7 @@ class Bench:
                     self.truth = TruthClient(truth, scenario.hash, reset=True, not_before=not_before)
                     resources.callback(self.truth.close)
                 self.faults.arm(self.truth)
-                resources.callback(self._release_guardian)  # after the link was closed
+                guarding = resources.enter_context(contextlib.ExitStack())  # which ends after the link was closed
                 link = open_host(url, self.faults.line, language)
                 resources.callback(link.close)
             self.wire = measured(link, url, self.clock, lockstep=lockstep)
@@ -141,33 +138,12 @@ class Bench:
             delayed = DelayedLink(faulty, self.clock, *latencies, language)
             driver = make_driver(scenario) if scenario.device.is_makers else None
             if driver is not None and self._robot is None:
-                self._guard(url, driver)
+                made, priority = dialect(scenario.device.driver), scenario.realtime.priority
+                self._watch = watch_over(made, driver, url, scenario.device.guardian_s, priority)
+                guarding.callback(self._watch.release)
             self.device = self._device(delayed, driver, allow_motion=allow_motion or self._robot is not None)
             resources.callback(self.device.close)
             self._resources = resources.pop_all()
-
-    def _release_guardian(self) -> None:
-        """Part with the guardian once the port is closed; a stop that did not go out is its business."""
-        if self._guardian is None:
-            return
-        device = getattr(self, "device", None)  # not there where it could not be made: nothing has been sent then
-        if isinstance(device, MakersRobot) and not device.is_told_to_stop:
-            self._guardian.leave_it_to()
-        else:
-            self._guardian.dismiss()
-
-    def _guard(self, url: LinkUrl, driver: Driver) -> None:
-        """Have a base that nothing stops when commands end stopped by another process, should this one be killed."""
-        made = dialect(self._scenario.device.driver)
-        if driver.capabilities.watchdog != "none" or not isinstance(url, SerialUrl) or made.make_framing is None:
-            return
-        from hil.devices.guardian import Guardian  # which brings pyserial: not for every run
-
-        framing = made.make_framing()
-        stop = b"".join(framing.encode(frame) for frame in made.last_stop(driver))
-        guardian = Guardian(url.port, url.baud, stop)
-        self._guardian = guardian
-        self._is_guarded = lambda: guardian.is_watching
 
     def _device(self, link: DelayedLink, driver: Driver | None, *, allow_motion: bool) -> Device:
         scenario = self._scenario
@@ -180,7 +156,7 @@ class Bench:
             stop = StopTerms(mode, firmware.ramp_s, firmware.watchdog_s, brake)
             advance = self._server.advance if lockstep and self._server is not None else None
             rearm = scenario.loop.rearm
-            terms = Terms(stop, firmware.counts_per_revolution, allow_motion, rearm, advance, self._is_guarded)
+            terms = Terms(stop, firmware.counts_per_revolution, allow_motion, rearm, advance, self._watch)
             return MakersRobot(link, self.clock, driver, wheel_map(scenario), terms)
         return Stm32(
             link,

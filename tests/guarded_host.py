@@ -1,10 +1,14 @@
-"""A host that drives a Rosmaster board over a port, guarded: for tests that kill it.
+"""A host that drives a Rosmaster board over a port, guarded: for tests that stop and kill it.
 
-Says ``driving`` once the board has its command; every line that it is given then ends it: ``goodbye`` in order,
-``raise`` by an exception.
+Says ``driving`` and the guardian's process id once the board has its command, and ``told`` with the guardian's reason
+when it must not drive on. Each line that it is given is an order: ``goodbye`` ends it in order, ``raise`` by an
+exception, ``busy`` and a number keep it from commanding for so many seconds, ``lost`` says that its link is lost,
+``arm`` begins anew.
 """
 
+import select
 import sys
+import time
 
 from firmware_protocol.framing import Frame
 from hil.devices.guardian import Guardian
@@ -13,6 +17,7 @@ from hil.links.serial_port import SerialStream
 
 STOP = (Frame(0x12, bytes([1, 0, 0, 0, 0, 0, 0])), Frame(0x0F, b"\x5f"))
 DRIVE = Frame(0x12, bytes.fromhex("01C80000000000"))  # 0.2 m/s forward
+PERIOD_S = 0.01
 
 
 def encoded(*frames: Frame) -> bytes:
@@ -23,19 +28,47 @@ def encoded(*frames: Frame) -> bytes:
     return b"".join(map(framing.encode, frames))
 
 
-def main(port: str) -> None:
-    guardian = Guardian(port, 115200, encoded(*STOP))
-    assert guardian.is_watching
-    stream = SerialStream(port, 115200)
+def arm(guardian: Guardian, stream: SerialStream) -> None:
+    while not guardian.begin():
+        time.sleep(PERIOD_S)
     stream.write(encoded(DRIVE))
+    guardian.beat()
     print("driving", guardian.pid, flush=True)
-    word = sys.stdin.readline().strip()
-    if word == "raise":
-        raise RuntimeError("nobody catches this")
+
+
+def main(port: str, silence_s: str) -> None:
+    guardian = Guardian(port, 115200, encoded(*STOP), silence_s=float(silence_s))
+    stream = SerialStream(port, 115200)
+    arm(guardian, stream)
+    is_driving = True
+    while True:
+        if select.select([sys.stdin], [], [], PERIOD_S)[0]:
+            order, *words = sys.stdin.readline().split()
+            match order:
+                case "raise":
+                    raise RuntimeError("nobody catches this")
+                case "busy":
+                    time.sleep(float(words[0]))
+                    print("done", flush=True)
+                case "arm":
+                    arm(guardian, stream)
+                    is_driving = True
+                case "lost":
+                    guardian.hold()
+                    is_driving = False
+                case "goodbye":
+                    break
+        if is_driving and guardian.failure is not None:
+            is_driving = False
+            stream.write(encoded(*STOP))
+            print("told", guardian.failure, flush=True)
+        if is_driving:
+            stream.write(encoded(DRIVE))
+            guardian.beat()
     stream.close()
-    guardian.dismiss()
-    guardian.dismiss()
-    assert not guardian.is_watching
+    guardian.rest()
+    guardian.release()
+    guardian.release()
 
 
 if __name__ == "__main__":

@@ -1,7 +1,9 @@
 """Robots with motors of other makers as processes of their own, in real time: over pseudo-terminals and slcan."""
 
 import itertools
+import json
 import math
+import signal
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -91,6 +93,32 @@ def test_a_base_without_a_watchdog_is_stopped_when_the_host_is_killed(tmp_path: 
         watcher.close()
         # The guardian says the stop a few times, to whatever the port's name then is: the port has to stay until then.
         wait_for(lambda: not any(map(is_running, children)))
+
+
+def test_a_base_without_a_watchdog_is_stopped_when_the_host_hangs_and_the_host_then_ends() -> None:
+    """It is stopped for long enough to have the guardian, and not itself, stop the base; then it has to know."""
+    with device(*ROSMASTER, "--dialect", "rosmaster", "--link", "serial:pty") as robot:
+        long = short("rosmaster", robot, "loop.duration_s=60", "loop.rearm=false")
+        host = subprocess.Popen(
+            [*HIL, "run", *ROSMASTER, *long, "--json"],
+            env=environment(),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        scenario = load("circle_speed", set=[ROSMASTER[-1], "loop.rate_hz=100", "device.driver=rosmaster"])
+        watcher = TruthClient(robot.truth, scenario.hash, reset=False)
+        wait_for(lambda: speed_m_s(watcher) > 0.2)
+        host.send_signal(signal.SIGSTOP)
+        wait_for(lambda: speed_m_s(watcher) < 0.01)
+        watcher.close()
+        host.send_signal(signal.SIGCONT)
+        said, words = host.communicate(timeout=30)
+        assert host.returncode == 3
+        assert "no command has come from the host for 0.3 s; the guardian has sent the stop" in words
+        assert "if both are killed or stopped together" in words
+        figures = json.loads(said)
+        assert "the guardian stops the robot after 0.3 s of silence" in figures["failure"]
 
 
 def test_vescs_as_delivered_are_braked_when_the_host_is_killed() -> None:

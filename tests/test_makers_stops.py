@@ -1,6 +1,10 @@
 """Motors of other makers: what is owed to them when something goes wrong, and what is kept from those of others."""
 
 import contextlib
+import os
+import signal
+import sys
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -12,6 +16,7 @@ from firmware_protocol.generated.messages import State
 from hil.assembly import run_scenario
 from hil.bench import Bench
 from hil.devices.emulated.c620 import EmulatedC620
+from hil.devices.guardian import Guardian
 from hil.devices.makers import MakersRobot
 from hil.dialects.port import Wire
 from hil.dialects.rosmaster import MOTION
@@ -24,6 +29,7 @@ from hil.types import ZERO_WHEELS, CommandMode, WheelCommand, Wheels
 from tests.dbc_mappings import motors
 from tests.dialect_testbed import Rig, ramp_to
 from tests.pilot_bench import PilotBench
+from tests.processes import wait_for
 
 PERIOD_NS = 10_000_000
 ROSMASTER = {"device.driver": "rosmaster", "plant.start.battery_voltage_v": 12.0}
@@ -337,20 +343,119 @@ def test_a_base_that_drives_on_is_told_of_and_an_emergency_stop_stops_it() -> No
         assert bench.pilot.why == "an e-stop was asked for"
 
 
-def test_nothing_is_armed_without_the_guardian_and_what_is_driven_is_stopped() -> None:
-    with on_bench("rosmaster", **{"plant.start.battery_voltage_v": 12.0, "loop.rearm": True}) as bench:
-        device = robot_of(bench)
+# The guardian: a real one, that watches over a pseudo-terminal beside the robot in this process
+
+
+@contextlib.contextmanager
+def guarded_bench(silence_s: float) -> Iterator[tuple[Bench, Guardian]]:
+    pty = pytest.importorskip("hil.links.pty", reason="pseudo-terminals need a POSIX system")
+    with contextlib.ExitStack() as resources:
+        line = resources.enter_context(contextlib.closing(pty.PtyStream()))
+        guardian = Guardian(line.port, 115200, b"stop", silence_s=silence_s)
+        resources.callback(guardian.release)
+        bench = resources.enter_context(on_bench("rosmaster", **{"plant.start.battery_voltage_v": 12.0}))
+        robot_of(bench)._watch = guardian
         bench.connect()
-        device.start(bench.clock, PERIOD_NS)
-        device._terms = device._terms._replace(is_guarded=lambda: False)
-        for _ in range(300):
-            let_pass(bench, 0.01)
-            feedback = device.poll()
-            device.send(FORWARD)
-        assert feedback is not None
-        assert feedback.state is State.IDLE
-        assert "the guardian was killed" in str(device.report.why)
-        come_back(bench)
-        for _ in range(2):
-            with pytest.raises(DeviceError, match="nothing is armed without it"):
-                device.armed()
+        yield bench, guardian
+
+
+def arm(bench: Bench) -> None:
+    """Arm by the wall clock, by which the guardian answers."""
+
+    def step() -> bool:
+        let_pass(bench, 0.01)
+        return bench.device.armed()
+
+    wait_for(step)
+
+
+def state_of(bench: Bench) -> State | None:
+    feedback = bench.device.feedback
+    return None if feedback is None else feedback.state
+
+
+def come_to_rest(bench: Bench) -> None:
+    """Let time pass until the motors are disarmed; commands that come meanwhile change nothing."""
+    for _ in range(300):
+        let_pass(bench, 0.01)
+        bench.device.poll()
+        bench.device.send(FORWARD)
+    assert state_of(bench) is State.IDLE
+    assert not node_of(bench).is_driving
+
+
+def test_a_robot_whose_guardian_dies_is_stopped_and_armed_again_with_the_next_one_alone() -> None:
+    with guarded_bench(60.0) as (bench, guardian):
+        arm(bench)
+        drive(bench, 50)
+        assert node_of(bench).is_driving
+        first = guardian.pid
+        assert first is not None
+        os.kill(first, signal.SIGKILL)
+
+        def is_stopped() -> bool:
+            drive(bench, 1)
+            return state_of(bench) is not State.ACTIVE
+
+        wait_for(is_stopped)
+        assert "the guardian died" in bench.device.report.stop_reason()
+        come_to_rest(bench)
+        arm(bench)
+        assert guardian.pid not in (None, first)
+        drive(bench, 50)
+        assert node_of(bench).is_driving
+
+
+def test_a_host_that_was_silent_sends_no_command_but_the_stop() -> None:
+    """It does not wait for the guardian to tell it: its own clock does."""
+    with guarded_bench(0.1) as (bench, guardian):
+        arm(bench)
+        drive(bench, 50)
+        wait_for(lambda: time.monotonic_ns() - guardian._beat_ns > 200_000_000)
+        bench.device.send(FORWARD)
+        assert "no command went out for" in bench.device.report.stop_reason()
+        let_pass(bench, 0.01)
+        bench.device.poll()
+        assert state_of(bench) is State.STOPPING
+        come_to_rest(bench)
+        arm(bench)
+        bench.device.disarm()
+        come_to_rest(bench)
+        wait_for(lambda: guardian._phase.name == "REST")
+
+
+def test_a_service_that_was_silent_is_disarmed_until_somebody_arms_it() -> None:
+    pty = pytest.importorskip("hil.links.pty", reason="pseudo-terminals need a POSIX system")
+    with contextlib.closing(pty.PtyStream()) as line, PilotBench(**ROSMASTER) as bench:
+        guardian = Guardian(line.port, 115200, b"stop", silence_s=0.2)
+        try:
+            robot_of(bench.bench)._watch = guardian
+            bench.run_until(Phase.DISARMED)
+
+            def is_active() -> bool:
+                if bench.pilot.phase is Phase.DISARMED:
+                    bench.pilot.arm()
+                bench.run(0.01)
+                return bench.pilot.phase is Phase.ACTIVE
+
+            wait_for(is_active)
+            wait_for(lambda: guardian._stopped)
+            bench.run_until(Phase.DISARMED)
+            bench.run(1.0)
+            assert bench.phases[-3:] == [Phase.AWAY, Phase.STOPPING, Phase.DISARMED]
+            assert "no command went out for" in str(bench.pilot.why)
+            assert not node_of(bench.bench).is_driving
+            wait_for(is_active)
+        finally:
+            guardian.release()
+
+
+def test_arming_is_refused_while_no_guardian_can_be_started(monkeypatch: pytest.MonkeyPatch) -> None:
+    with guarded_bench(60.0) as (bench, guardian):
+        monkeypatch.setattr(sys, "executable", "/no/such/python")
+        assert guardian.pid is not None
+        os.kill(guardian.pid, signal.SIGKILL)
+        wait_for(lambda: guardian.pid is None)
+        with pytest.raises(DeviceError, match=r"the guardian of serial port .* could not be started"):
+            arm(bench)
+        assert not node_of(bench).is_driving

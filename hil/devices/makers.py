@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from firmware_protocol.generated.messages import State
 from hil.devices.handshake import RETRY_NS, SILENCE_NS
+from hil.devices.host_watch import HostWatch
 from hil.devices.link_times import ClockSync, RoundTrip
 from hil.devices.makers_feedback import MotorFeedback
 from hil.devices.makers_report import MakersReport, MotorsInfo
@@ -28,7 +29,6 @@ from hil.types import CommandMode, FourWheels, WheelCommand
 
 _START_LIMIT_NS = 4_000_000_000
 _QUESTION_NS = 1_000_000
-_GUARDED_NS = 1_000_000_000
 _ASK_NS = 20_000_000  # those that speak only when spoken to are lost after 250 ms, and some are asked in turn
 _SETTLE_NS = 300_000_000  # heartbeats with errors come ten times a second, as some makers set them
 _LINGER = 10  # repetitions of a stop that is owed at the end
@@ -38,8 +38,7 @@ class Terms(NamedTuple):
     """What the session rests on.
 
     ``advance`` lets ticks of 1 ms pass of an emulated robot in this process: lockstep. ``rearm`` says that the loop
-    arms anew a robot that comes back. ``is_guarded`` says whether what stops the robot when this process is killed is
-    still there; true where nothing has to be.
+    arms anew a robot that comes back. ``watch`` is who stops the robot when this process dies or hangs.
     """
 
     stop: StopTerms
@@ -47,7 +46,7 @@ class Terms(NamedTuple):
     allow_motion: bool
     rearm: bool
     advance: Callable[[int], None] | None
-    is_guarded: Callable[[], bool]
+    watch: HostWatch
 
 
 class MakersRobot:
@@ -70,7 +69,8 @@ class MakersRobot:
         self._has_lingered = False
         self._ask_again_ns = 0
         self._settled_ns = 0
-        self._guarded_until_ns = 0
+        self._watch = terms.watch
+        self._is_watched = True
         self.report = MakersReport(self._feedback)
         self.round_trip = RoundTrip()
         self.clock_sync = ClockSync()
@@ -100,13 +100,15 @@ class MakersRobot:
     @property
     def warnings(self) -> Sequence[str]:
         """What has to be said before anything moves."""
-        if not self._terms.rearm:
-            return self._driver.warnings
-        return (
-            *self._driver.warnings,
-            "with loop.rearm a robot that comes back is armed and driven on at once, also one whose power was cut by "
-            "somebody for a reason",
-        )
+        said = [*self._driver.warnings]
+        if self._driver.capabilities.watchdog == "none" and self._watch.warning is not None:
+            said.append(self._watch.warning)
+        if self._terms.rearm:
+            said.append(
+                "with loop.rearm a robot that comes back is armed and driven on at once, also one whose power was cut "
+                "by somebody for a reason"
+            )
+        return said
 
     def describe_link(self) -> str:
         return self._line.describe()
@@ -120,6 +122,7 @@ class MakersRobot:
     def leave(self) -> None:
         if self._stop.is_needed:
             self._drop(State.STOPPING)
+            self._watch.hold()  # the next command may be long in coming, and this process knows it
         self._feedback.forget()
         self._line.discard()
 
@@ -179,24 +182,24 @@ class MakersRobot:
             raise
 
     def armed(self) -> bool:
-        self.poll()
+        self._take()
         if self._state is State.ACTIVE:
             return True
         if self._state in (State.FAULT, State.ESTOP):
             raise DeviceError(self.why_not_active())
         if self._info is None or self._state is State.STOPPING:
+            self._tell_watch()
             return False
-        if not self._terms.is_guarded():
-            raise DeviceError(
-                "the guardian was killed, which would stop the robot if this process were: nothing is armed without "
-                "it; start this program anew (GUARDIAN.md)"
-            )
+        self._is_watched = self._watch.begin()
+        if not self._is_watched:
+            return False
         now_ns = self._clock.now_ns()
         self._state = State.ARMED
         self._has_armed = True
         self._has_lingered = False
         self._stop.armed()
         self._line.send(self._driver.arm(now_ns))
+        self._watch.beat()
         if not self._driver.is_armed or not self._feedback.is_fresh(now_ns):
             return False
         self._line.send(self._driver.command(REST, REST, now_ns))
@@ -214,6 +217,8 @@ class MakersRobot:
                 f"the motor controllers reported {self.report.why}; find the cause, then clear it with their maker's "
                 "tool, or with hil serve and hil ctl clear"
             )
+        if not self._is_watched:
+            return "the guardian, without which nothing is armed, has not answered within 4 s (GUARDIAN.md)"
         if not self._feedback.is_fresh(self._clock.now_ns()):
             return self._driver.missing or (
                 "the motor controllers send no feedback of all four wheels that is younger than the "
@@ -266,6 +271,12 @@ class MakersRobot:
         return self._line.wait_until(self._clock, t_ns)
 
     def poll(self) -> Feedback | None:
+        self._take()
+        self._tell_watch()
+        return self._feedback.newest
+
+    def _take(self) -> None:
+        """Take what has arrived, and go on with what it asks for."""
         try:
             self._line.take(self._clock)
             self._supervise()
@@ -280,7 +291,13 @@ class MakersRobot:
         self._stop.raise_lost(now_ns)
         self._ask(now_ns)
         self._renew()
-        return self._feedback.newest
+
+    def _tell_watch(self) -> None:
+        """Tell the guardian whether there is anything to be stopped; while ACTIVE it is each command that tells it."""
+        if not self._stop.is_needed:
+            self._watch.rest()
+        elif self._state is not State.ACTIVE:
+            self._watch.beat()
 
     def _supervise(self) -> None:
         """Find out what ends the session, and go on with a stop."""
@@ -296,9 +313,8 @@ class MakersRobot:
         elif is_active and not self._driver.is_armed:
             self.report.why = "a motor controller left closed loop by itself"
             self._drop(State.STOPPING)
-        elif is_active and not self._is_guarded():
-            self.report.why = "the guardian was killed, which would stop it if this process were; see GUARDIAN.md"
-            self._drop(State.STOPPING)
+        elif (is_active or self._state is State.ARMED) and not self._may_drive():
+            return
         elif self._state is State.STOPPING and self._stop.go_on(now_ns):
             self._state = State.IDLE
 
@@ -332,10 +348,21 @@ class MakersRobot:
 
     def send(self, command: WheelCommand) -> int:
         self._sequence = (self._sequence + 1) & 0xFF
-        if self._state is State.ACTIVE:
+        if self._state is State.ACTIVE and self._may_drive():
             speed = self._map.to_wire(command.speed_rad_s)
             self._command(speed, self._map.to_wire(command.torque_n_m))
+            self._watch.beat()
+            self._may_drive()  # this process may have stood still just before: that command is followed by the stop
         return self._sequence
+
+    def _may_drive(self) -> bool:
+        """Tell whether the guardian watches, and has not stopped the robot; stop it here too where that is not so."""
+        why = self._watch.failure
+        if why is None:
+            return True
+        self.report.why = why
+        self._drop(State.STOPPING)
+        return False
 
     def step(self, ticks: int) -> None:
         assert self._terms.advance is not None
@@ -364,16 +391,6 @@ class MakersRobot:
             self._stop.leave_loop(self._clock.now_ns(), latched=self._state is State.ESTOP)
             self._look()
 
-    def _is_guarded(self) -> bool:
-        """Ask once a second: it costs a system call."""
-        now_ns = self._clock.now_ns()
-        if now_ns < self._guarded_until_ns:
-            return True
-        if not self._terms.is_guarded():
-            return False
-        self._guarded_until_ns = now_ns + _GUARDED_NS
-        return True
-
     def _renew(self) -> None:
         """Make feedback of what was heard. An e-stop is told when it went out whole: that is what confirms it."""
         is_out = self._state is not State.ESTOP or self._stop.is_told
@@ -400,12 +417,16 @@ class MakersRobot:
         return self._line.rejected()
 
     def close(self) -> None:
-        if not self._stop.is_needed:
-            return
-        self._drop(State.STOPPING)
-        if self._has_lingered:
-            return
-        self._has_lingered = True
+        if self._stop.is_needed:
+            self._drop(State.STOPPING)
+            if not self._has_lingered:
+                self._has_lingered = True
+                self._linger()
+        if self._stop.is_told:  # else the guardian is left to stop the robot
+            self._watch.rest()
+
+    def _linger(self) -> None:
+        """Repeat the stop until it is owed no more, for half a second."""
         begin_ns = self._clock.now_ns()
         for n in range(1, _LINGER + 1):  # the only one may be lost, and nobody comes after us
             with contextlib.suppress(HilError):
@@ -415,8 +436,3 @@ class MakersRobot:
             self._repeat_stop(self._clock.now_ns())  # whatever kept the others from it
             if not self._stop.is_owed:
                 return
-
-    @property
-    def is_told_to_stop(self) -> bool:
-        """Whether the newest stop went out whole, or nothing was ever armed."""
-        return self._stop.is_told

@@ -156,6 +156,12 @@ class DeviceTable(Table):
         default=("fl", "fr", "rr", "rl"), description="the wheel at each motor output, in order"
     )
     reversed: tuple[Wheel, ...] = Field(default=(), description="wheels whose motor turns the other way")
+    guardian_s: float = Field(
+        default=0.3,
+        ge=0.1,
+        le=2,
+        description="silence of the host after which another process stops motors that drive on (GUARDIAN.md)",
+    )
     motors: Mapping[Text, Setting] = Field(
         default_factory=dict, description="what the driver has to know of another maker's controllers (DIALECTS.md)"
     )
