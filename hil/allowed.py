@@ -31,7 +31,7 @@ def _judged(name: str, meaning: str, limit: int | str, counted: Counted, ticks: 
     verdict = "as allowed" if passed else "find the cause, or raise it"
     sentence = (
         f"{name}: {counted.unexplained} of {ticks} {meaning}; no fault of the scenario explains them, and "
-        f"allow.{name} lets {share}: {verdict}"
+        f"allow.{name} permits {share}: {verdict}"
     )
     return {
         "name": name,

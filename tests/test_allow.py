@@ -53,10 +53,10 @@ def test_a_run_in_which_the_robot_was_never_driven_has_not_passed(tmp_path: Path
     told = result.metrics["allow"][1]
     assert (told["name"], told["passed"], told["all"], told["unexplained"]) == ("held_ticks", False, 100, 100)
     assert told["text"].startswith("held_ticks: 100 of 100 ticks not driven for another reason: state unknown")
-    assert "allow.held_ticks lets 0: find the cause, or raise it" in told["text"]
+    assert "allow.held_ticks permits 0: find the cause, or raise it" in told["text"]
     assert review(tmp_path / "run.rrd")["allow"] == result.metrics["allow"]
     recorded = read_for_figures(tmp_path / "run.rrd")
-    assert "allow.held_ticks lets 0" in page([recorded], [figures(recorded)])
+    assert "allow.held_ticks permits 0" in page([recorded], [figures(recorded)])
 
 
 def test_what_a_scenario_allows_passes_and_the_review_of_what_it_does_not_says_so(
