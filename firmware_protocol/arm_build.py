@@ -31,6 +31,7 @@ _COMMON = (
     "uptime",
     "pins",
     "watchdog",
+    "reset_cause",
     "supply",
     "flash_memory",
     "parameter_log",

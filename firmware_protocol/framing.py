@@ -16,7 +16,7 @@ from typing import NamedTuple, overload
 
 from cobs import cobs
 
-from firmware_protocol.generated.messages import LENGTHS
+from firmware_protocol.generated.messages import LENGTHS, Estop
 
 _HEADER = 3  # id16, sequence8
 _CRC = 2
@@ -29,7 +29,8 @@ _UNPACK = [Struct(f"<HB{max(0, size - _HEADER - _CRC)}sH").unpack for size in ra
 # By the size of a frame before COBS, which is at least one less than after it.
 
 FRAME_OVERHEAD = _HEADER + _CRC + 2
-"""Bytes of a frame on the wire beside its payload: header, CRC, the byte that COBS adds, and the zero."""
+"""Bytes of a frame on the wire beside its payload: header, CRC, the byte that COBS adds, and the zero. An ESTOP has
+one zero more, before it."""
 
 CAUSES = ("cobs", "crc", "length", "unknown_id", "overrun")
 """Why a received frame is dropped: the keys of ``Deframer.rejected``."""
@@ -113,7 +114,7 @@ class Framer:
         self._sequence = 0
 
     def encode(self, frame: Frame) -> bytes:
-        """Return the bytes for the wire, with the final zero.
+        """Return the bytes for the wire, with the final zero, and for an ESTOP with one before it too.
 
         Raises ValueError when no message has the frame's id, or when the payload has not the length that the
         id asks for: the other side would drop it.
@@ -124,7 +125,8 @@ class Framer:
         body = (number | self._sequence << 16).to_bytes(_HEADER, "little") + payload
         self._sequence = (self._sequence + 1) & 0xFF
         encoded: bytes = cobs.encode(body + crc_hqx(body, _CRC_START).to_bytes(_CRC, "little"))
-        return encoded + b"\0"
+        # An emergency stop is not to be lost behind half a frame that the line still holds.
+        return b"\0" + encoded + b"\0" if number == Estop.ID else encoded + b"\0"
 
 
 class Deframer:

@@ -17,7 +17,7 @@ import cffi
 from firmware_protocol.build import LIBRARY
 from firmware_protocol.capabilities import Capability
 from firmware_protocol.framing import Frame
-from firmware_protocol.generated.messages import Fault, FaultWheel, Mode, State, StopReason, Type
+from firmware_protocol.generated.messages import Fault, FaultWheel, Mode, ResetCause, State, StopReason, Type
 
 _HEADERS = (
     "firmware/plant_port.h",
@@ -132,7 +132,7 @@ class HostNode:
     keeps them alive as long as this object. ``values`` gives every parameter of ``parameters()``. ``power_stage``
     makes it report motors, as a board with motors does; it then refuses STEP. ``lacks`` are sensors that its plant has
     not. ``stored`` is what ``stored()`` of an earlier life gave: parameters kept across a reset, which a damaged copy
-    does not change.
+    does not change. ``reset_cause`` is why this life begins, as STATUS tells it.
 
     Raises ValueError when a parameter is unknown, missing or out of its range, or ``stored`` has a wrong length.
 
@@ -150,6 +150,7 @@ class HostNode:
         power_stage: bool = False,
         lacks: Capability = _NOTHING,
         stored: bytes | None = None,
+        reset_cause: ResetCause = ResetCause.POWER_ON,
     ) -> None:
         self._ffi, self._lib = library()
         block = _parameter_block(values)
@@ -165,7 +166,7 @@ class HostNode:
         if stored is not None and len(stored) != stored_size():
             raise ValueError(f"{len(stored)} stored bytes; expected {stored_size()}")
         kept = self._ffi.NULL if stored is None else self._ffi.new("uint8_t[]", stored)
-        self._lib.wheel_host_init(self.handle, block, kept, capabilities, exchange, context)
+        self._lib.wheel_host_init(self.handle, block, kept, capabilities, reset_cause, exchange, context)
         # What a call looks up each time costs as much as the call.
         self._feed, self._take_bytes = self._lib.wheel_host_feed, self._lib.wheel_host_take_bytes
 

@@ -28,7 +28,7 @@ class HostLine:
         self._converse = lib.wheel_direct_converse
 
     def encode(self, frame: Frame) -> bytes:
-        """Return the bytes for the wire, with the final zero.
+        """Return the bytes for the wire, with the final zero, and for an ESTOP with one before it too.
 
         Raises ValueError when no message has the frame's id, or when the payload has not the length that the
         id asks for: the other side would drop it.

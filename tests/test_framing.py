@@ -7,7 +7,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from firmware_protocol.framing import CAUSES, MAX_ENCODED, Deframer, Frame, Framer, crc16
-from firmware_protocol.generated.messages import StepDone
+from firmware_protocol.generated.messages import Estop, StepDone
 from tests.protocol_cases import Vector, frames, rejected, vectors
 
 STEP_DONE = Frame(StepDone.ID, StepDone(tick=7).encode())
@@ -33,7 +33,8 @@ def test_golden_vectors(vector: Vector) -> None:
     framer = Framer()
     for _ in range(vector.sequence):
         framer.encode(STEP_DONE)
-    assert framer.encode(vector.frame) == vector.serial
+    begins = b"\0" if vector.frame.id == Estop.ID else b""
+    assert framer.encode(vector.frame) == begins + vector.serial
     deframer = Deframer()
     assert deframer.feed(vector.serial) == [vector.frame]
     assert not any(deframer.rejected.values())
@@ -52,7 +53,7 @@ def test_frames_come_back_in_order(sent: list[Frame]) -> None:
     stream = b"".join(framer.encode(frame) for frame in sent)
     assert deframer.feed(stream) == sent
     assert (deframer.bytes, deframer.frames, deframer.lost) == (len(stream), len(sent), 0)
-    assert stream.count(0) == len(sent)
+    assert stream.count(0) == len(sent) + sum(frame.id == Estop.ID for frame in sent)
 
 
 @given(data=st.binary(max_size=200))
@@ -86,6 +87,16 @@ def test_stray_zeros_are_no_errors(frame: Frame) -> None:
     deframer = Deframer()
     assert deframer.feed(b"\0\0" + Framer().encode(frame) + b"\0\0\0") == [frame]
     assert not any(deframer.rejected.values())
+
+
+@given(half=st.binary(min_size=1, max_size=MAX_ENCODED), before=st.integers(0, 300))
+def test_an_estop_is_heard_behind_half_a_frame(half: bytes, before: int) -> None:
+    framer, deframer = Framer(), Deframer()
+    for _ in range(before):
+        framer.encode(STEP_DONE)
+    estop = Frame(Estop.ID, b"\1\0")
+    deframer.feed(half.replace(b"\0", b"\1"))
+    assert deframer.feed(framer.encode(estop)) == [estop]
 
 
 def test_memory_is_bounded_and_an_endless_frame_is_one_overrun() -> None:

@@ -12,6 +12,7 @@ from firmware_protocol.generated import messages as m
 from firmware_protocol.host_line import HostLine
 from tests.bare_node import core
 from tests.protocol_cases import frames, rejected
+from tests.wheel_rig import WheelRig
 
 blocks = st.binary(max_size=40) | st.integers(250, 520).map(lambda n: b"\x01" * n)
 
@@ -88,6 +89,14 @@ def test_the_hosts_line_hears_what_the_python_twin_does(pieces: list[bytes], cut
 def test_the_hosts_line_sends_what_the_python_twin_does(sent: list[Frame]) -> None:
     line, twin = HostLine(), Framer()
     assert [line.encode(frame) for frame in sent] == [twin.encode(frame) for frame in sent]
+
+
+@given(half=st.binary(min_size=1, max_size=20))
+def test_an_estop_of_the_hosts_line_is_obeyed_behind_half_a_frame(half: bytes) -> None:
+    rig, line = WheelRig(), HostLine()
+    rig.node.feed(half.replace(b"\0", b"\1"))
+    rig.node.feed(line.encode(Frame(m.Estop.ID, b"\1\0")))
+    assert rig.state is m.State.ESTOP
 
 
 @pytest.mark.parametrize(

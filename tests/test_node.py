@@ -108,11 +108,11 @@ def test_nothing_but_a_fresh_command_feeds_the_watchdog(feed):
 def test_sequence_window(distance):
     rig = WheelRig()
     rig.activate()
-    for last in range(0, 256, 32):
+    for last in range(0, 256, 20):
         rig.command(0.0, last)
     before = rig.node.look().rejected["stale"]
-    rig.command(0.0, 224 + distance)
-    assert (rig.node.look().rejected["stale"] == before) == (1 <= distance <= 32)
+    rig.command(0.0, 240 + distance)
+    assert (rig.node.look().rejected["stale"] == before) == (1 <= distance <= 20)
 
 
 def test_a_repeated_wish_never_rearms():
@@ -276,7 +276,7 @@ def test_a_plant_that_is_gone_is_not_cleared():
 def test_estop_of_a_faulty_robot_latches_and_keeps_its_reason():
     rig = WheelRig(overspeed_rad_s=8.0)
     rig.activate()
-    rig.drive(10.0, 1000)
+    push(rig, 9.0)
     assert (rig.state, rig.node.look().stop_reason) == (m.State.FAULT, m.StopReason.FAULT)
     rig.send(m.Estop(0, 0))
     rig.current_a[0] = float("nan")
@@ -369,8 +369,43 @@ def test_a_failed_plant_and_a_sensor_that_is_no_number_are_faults():
 def test_overspeed_is_a_fault():
     rig = WheelRig(overspeed_rad_s=8.0)
     rig.activate()
-    rig.drive(10.0, 1000)
+    push(rig, 9.0)
     assert (rig.state, rig.node.look().fault) == (m.State.FAULT, m.Fault.OVERSPEED)
+
+
+def push(rig, speed_rad_s):
+    """Somebody pushes all wheels, against whatever the drives do."""
+    rig.speed_rad_s, rig.held = [speed_rad_s] * 4, [True] * 4
+    rig.drive(0.0, 200)
+
+
+@pytest.mark.parametrize(("overspeed_rad_s", "limit_rad_s"), [(8.0, 6.390625), (10.0, 8.0), (100.0, 63.984375)])
+def test_a_command_beyond_the_speed_limit_is_scaled_and_keeps_its_direction(overspeed_rad_s, limit_rad_s):
+    """0.8 times the speed that is a fault, in steps of 1/64; a robot that stands more drives as it is told."""
+    rig = WheelRig(overspeed_rad_s=overspeed_rad_s)
+    rig.activate()
+    rig.held = [True] * 4
+    asked = (63.984375, -32.0, 16.0, 0.0)
+    for sequence in range(1, 20):
+        rig.send(m.WheelCommand(*asked, sequence, rig.nonce & 0xF))
+        rig.run(5)
+    view = rig.node.look()
+    assert view.set_point_rad_s == pytest.approx([limit_rad_s * x / asked[0] for x in asked], rel=1e-6)
+    assert max(view.set_point_rad_s) <= limit_rad_s
+    assert view.state is m.State.ACTIVE, "without a fault"
+    assert view.rejected["range"] == 0
+
+
+@pytest.mark.parametrize(("asked_rad_s", "is_counted"), [(8.0, False), (-8.0, False), (8.015625, True)])
+def test_a_scaled_speed_is_counted_and_the_end_of_the_limit_is_not(asked_rad_s, is_counted):
+    rig = WheelRig(overspeed_rad_s=10.0)
+    rig.speed_rad_s, rig.held = [asked_rad_s] * 4, [True] * 4  # nothing to gain, so that no torque is limited
+    rig.run(200)
+    rig.activate()
+    rig.heard()
+    rig.drive(asked_rad_s, 300)
+    *_, first, second = (x.limited for x in rig.heard() if isinstance(x, m.Status))
+    assert second - first == (100 if is_counted else 0)
 
 
 def test_step_is_idempotent_and_answers_after_the_feedback():
@@ -395,13 +430,15 @@ def test_step_is_refused_outside_lockstep_and_by_motors(kind):
 
 
 def test_hello_reports_identity_and_parameter_hash():
-    rig = WheelRig()
+    rig = WheelRig(overspeed_rad_s=40.0)
     rig.heard()
     rig.send(m.HelloRequest(1))
-    identity, _firmware, held, size = rig.heard()
+    identity, _firmware, held, size, limits, *fault = rig.heard()
     assert identity.schema_hash == m.SCHEMA_HASH
     assert size == m.HelloGeometry(614 / 8192, 2458 / 8192, 2458 / 8192, 4096), "0.075, 0.3 and 0.3 m"
-    assert held == m.HelloParameters(parameter_hash(PARAMETERS), 50, 5)
+    assert held == m.HelloParameters(parameter_hash(PARAMETERS | {"overspeed_rad_s": 40.0}), 50, 5)
+    assert limits == m.HelloLimits(32.0, 40.0, 5.0)
+    assert fault == [m.HelloFaultStatus(0, 0), m.HelloFaultPlace(0, 0), m.HelloFaultAddress(0, 0)]
 
 
 @pytest.mark.parametrize("name", [p.name for p in parameters()])

@@ -148,8 +148,9 @@ def test_hello_tells_the_identity() -> None:
     node = BareNode()
     node.heard()
     node.send(m.HelloRequest(1))
-    identity, firmware, *_ = node.heard()
-    assert identity == m.HelloIdentity(1, 4, int(ALL), m.SCHEMA_HASH)
+    identity, firmware, *others = node.heard()
+    assert identity == m.HelloIdentity(2, 2 + len(others), int(ALL), m.SCHEMA_HASH)
+    assert [page.ID for page in others] == [*range(firmware.ID + 1, firmware.ID + 1 + len(others))]
     assert firmware == m.HelloFirmware(1, 2, 3, 0, 7)
 
 

@@ -129,6 +129,23 @@ def test_another_host_cannot_take_a_session_over(state: State) -> None:
     assert refusal(node) is m.ArmRefusal.NOT_IDLE, "the heartbeat of the session is no wish to arm, and changes nothing"
 
 
+@pytest.mark.parametrize("state", [State.STOPPING, State.IDLE, State.FAULT, State.ESTOP])
+def test_the_nonce_of_a_session_that_has_ended_is_told_as_used_whatever_else_holds(state: State) -> None:
+    """PROTOCOL.md: NONCE_USED comes before NOT_IDLE; in ARMED and ACTIVE the same ARM is the session's heartbeat."""
+    node = BareNode()
+    node.activate(nonce=0x51)
+    if state is State.FAULT:
+        node.lib.wheel_node_fail(node.node)
+    elif state is State.ESTOP:
+        node.send(m.Estop(0, 0))
+    else:
+        node.heartbeat(m.Request.IDLE, 0x51)
+        node.tick(1 if state is State.STOPPING else 400)
+    assert node.state is state
+    node.heartbeat(m.Request.ARM, 0x51)
+    assert (node.state, refusal(node)) == (state, m.ArmRefusal.NONCE_USED)
+
+
 def test_a_refusal_is_told_once_and_again_when_it_changes() -> None:
     node = BareNode()
     node.heard()

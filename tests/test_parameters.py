@@ -144,7 +144,8 @@ def test_parameters_are_read_in_every_state_and_change_in_idle_only(state: State
         assert (answer.result, answer.value) == (Result.STATE, value)
         assert ask(rig, Operation.READ, index)[3:] == (Result.OK, row.type, value)
     for operation in (Operation.STORE, Operation.RESTORE):
-        assert ask(rig, operation).result == Result.STATE
+        refused = ask(rig, operation)
+        assert (refused.result, refused.value) == (Result.STATE, parameter_hash(PARAMETERS))
     assert rig.node.stored() is None
 
 
@@ -262,6 +263,7 @@ def test_a_board_ends_a_range_where_its_hardware_does() -> None:
     (index,) = [i for i, p in enumerate(ROWS) if p.name == "ramp_s"]
     node = BareNode(maximum=maximum)
     assert ask(node, Operation.READ_MAXIMUM, index).value == bits(ROWS[index], 0.4)
+    assert ask(node, Operation.READ_MINIMUM, index).value == bits(ROWS[index], ROWS[index].minimum), "no board's"
     assert ask(node, Operation.WRITE, index, bits(ROWS[index], 0.5)).result == Result.RANGE
     assert ask(node, Operation.WRITE, index, bits(ROWS[index], 0.4)).result == Result.OK
     assert single(node.node.parameters.ramp_s) == single(0.4)
@@ -273,7 +275,8 @@ def test_a_board_ends_a_range_where_its_hardware_does() -> None:
 
 def test_a_robot_without_storage_says_so() -> None:
     node = BareNode(capabilities=ALL & ~Capability.STORAGE)
-    assert ask(node, Operation.STORE).result == Result.STORAGE
+    refused = ask(node, Operation.STORE)
+    assert (refused.result, refused.value) == (Result.STORAGE, parameter_hash(PARAMETERS))
     assert ask(node, Operation.RESTORE).result == Result.OK
 
 

@@ -90,7 +90,7 @@ def test_a_document_without_markers_is_refused(tmp_path: Path) -> None:
         ('VAL_ 128 state 0 "BOOT"', 'VAL_ 128 state 0 "START"', r"STATUS.state: its VAL_ table differs"),
         ('VAL_ 32 request 0 "IDLE"', "VAL_ 32 request", r"request: VAL_ must name every value"),
         ("SG_ pages : 8|8", "SG_ page_count : 8|8", r"id 0x701: its layout is frozen"),
-        ('VERSION "1"', 'VERSION ""', r"VERSION"),
+        ('VERSION "2"', 'VERSION ""', r"VERSION"),
     ],
 )  # fmt: skip
 def test_what_the_codecs_do_not_support_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
@@ -136,7 +136,7 @@ def test_the_parameters_are_part_of_the_schema_hash(tmp_path: Path, old: str, ne
     ("old", "new", "changes"),
     [
         ('CM_ BO_ 16 "Stop driving', 'CM_ BO_ 16 "Halt', False),
-        ('VERSION "1"', 'VERSION "2"', False),
+        ('VERSION "2"', 'VERSION "3"', False),
         ("BU_: HOST ROBOT", "BU_: ROBOT HOST", False),
         (FL, FL.replace("[-63.984375|", "[-63.96875|"), True),
         (FL, FL.replace("0.015625,0) [-63.984375|63.984375]", "0.0078125,0) [-31.9921875|31.9921875]"), True),

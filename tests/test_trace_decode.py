@@ -29,7 +29,7 @@ snapshot 200
    0.010000  Rx  foreign             080 remote [0]
    0.011000  Rx  error               error frame, or bytes that are no frame
    1.000000  Rx  STATUS              state FAULT  mode SPEED  fault OVERCURRENT  fault_wheel RR  stop_reason FAULT  \
-nonce 4661  arm_refusal NONE  limited 12
+reset_cause POWER_ON  nonce 4661  arm_refusal NONE  limited 12
 """
 
 

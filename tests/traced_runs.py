@@ -19,7 +19,7 @@ def one_second_of_frames():
     """What a bus with somebody else on it carries."""
     command = codec.encode(m.WheelCommand(1.5, -2.25, 10.0, 0.015625, 17, 5))
     tick = codec.encode(m.Tick(1_234_567, 17, 3, m.State.ACTIVE, 3, 200))
-    status = codec.encode(m.Status(m.State.FAULT, 0, m.Fault.OVERCURRENT, m.FaultWheel.RR, 5, 0x1235, 0, 12))
+    status = codec.encode(m.Status(m.State.FAULT, 0, m.Fault.OVERCURRENT, m.FaultWheel.RR, 5, 1, 0x1235, 0, 12))
     yield can.Message(1.7e9, command.id, False, data=command.payload, is_rx=False)
     yield can.Message(1.7e9 + 0.005, tick.id, False, data=tick.payload)
     yield can.Message(1.7e9 + 0.006, 0x18FF1234, True, data=b"\1\2\3")

@@ -141,7 +141,8 @@ static bool drive_by_speed(wheel_node *node, const float feedforward_n_m[WHEEL_C
 static bool drive_active(wheel_node *node, wheel_drive *drive) {
     if (node->mode == WP_MODE_SPEED) {
         memcpy(node->set_point_rad_s, node->setting.target, sizeof node->set_point_rad_s);
-        return drive_by_speed(node, node->setting.feedforward_n_m, drive);
+        const bool slowed = wheel_scale_to_limit(node->set_point_rad_s, wheel_node_speed_limit(node));
+        return drive_by_speed(node, node->setting.feedforward_n_m, drive) || slowed;
     }
     /* A stop that follows begins at the speed that the wheels have. */
     memcpy(node->set_point_rad_s, node->speed_rad_s, sizeof node->set_point_rad_s);

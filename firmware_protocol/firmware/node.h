@@ -32,7 +32,7 @@
 #define WHEEL_CAPABILITY_TEMPERATURES 0x0200u
 #define WHEEL_CAPABILITY_STORAGE 0x0400u /* parameters are kept across a reset */
 
-#define WHEEL_SEQUENCE_WINDOW 32u     /* forward distances 1..32 of 256 are accepted */
+#define WHEEL_SEQUENCE_WINDOW 20u     /* forward distances 1..20 of 256 are accepted */
 #define WHEEL_ARM_TIMEOUT_TICKS 1000u /* ARMED without a command */
 #define WHEEL_STOP_LIMIT_TICKS 1000u  /* after the ramp the wheels are held for at most so long */
 #define WHEEL_STATUS_PERIOD_TICKS 100u
@@ -40,11 +40,23 @@
 #define WHEEL_SLOW_PART_PERIOD_TICKS 5u /* CURRENTS, ACCELEROMETER and GYRO at 200 Hz at most */
 #define WHEEL_TRANSMIT_QUEUE 32u
 
+/* What a Cortex-M tells of the fault that stopped it; all zero when none did. */
+typedef struct {
+    uint32_t cfsr; /* configurable fault status */
+    uint32_t hfsr; /* hard fault status */
+    uint32_t pc;   /* of the instruction */
+    uint32_t lr;
+    uint32_t mmfar;
+    uint32_t bfar;
+} wheel_processor_fault;
+
 typedef struct {
     uint16_t capabilities;
     uint8_t board; /* 0 is the host library */
     uint8_t version[3];
-    uint32_t build; /* first 32 bits of the source hash, 0 when unknown */
+    uint32_t build;                        /* first 32 bits of the source hash, 0 when unknown */
+    uint8_t reset_cause;                   /* WP_RESET_CAUSE_..., of the reset that this node begins after */
+    wheel_processor_fault processor_fault; /* that this reset came from */
     const wheel_parameters
         *maximum; /* what the board stands (wheel_parameter_maximum); lives as long as the node */
 } wheel_identity;
@@ -82,6 +94,14 @@ typedef struct {
     float fastest_rad_s;     /* greatest speed since `backward_ticks` began */
 } wheel_encoder_watch;
 
+/* What the robot tells as means over the feedback period. */
+typedef struct {
+    float current_a[WHEEL_COUNT];
+    float acceleration_m_s2[3];
+    float battery_v;
+    float battery_a;
+} wheel_measured;
+
 /* An accepted command, held until the next one. */
 typedef struct {
     float target[WHEEL_COUNT]; /* rad/s in speed mode, N m in torque mode */
@@ -117,7 +137,11 @@ typedef struct {
     wheel_tracker tracker[WHEEL_COUNT];
     wheel_speed_loop speed_loop;
     wheel_current_loop current_loop;
-    wheel_sense sense;             /* of this tick */
+    wheel_sense sense;  /* of this tick */
+    wheel_measured sum; /* over the ticks of the feedback period so far whose values were plausible */
+    uint32_t summed_ticks;
+    wheel_measured mean; /* over the newest whole feedback period */
+    bool has_mean;
     float torque_n_m[WHEEL_COUNT]; /* given to the drives in the last tick */
     uint32_t absolute_count[WHEEL_COUNT];
     wheel_encoder_watch encoder[WHEEL_COUNT];
@@ -190,6 +214,10 @@ bool wheel_node_at_rest(const wheel_node *node);
 
 /* What a wheel may drive with [N m]: the torque limit, or the current limit as far as heat leaves it. */
 float wheel_node_torque_limit(const wheel_node *node);
+
+/* The largest speed that a wheel is told to have [rad/s]: so far below the overspeed limit that a speed loop
+ * which overshoots does not reach that. A whole number of the steps of WHEEL_COMMAND. */
+float wheel_node_speed_limit(const wheel_node *node);
 
 bool wheel_node_on_time_sync(wheel_node *node, const wheel_frame *frame);
 bool wheel_node_on_parameter(wheel_node *node, const wheel_frame *frame);

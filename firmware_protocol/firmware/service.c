@@ -69,17 +69,19 @@ static void on_one(wheel_node *node, const wp_parameter_request *m) {
 /* STORE and RESTORE: in IDLE only, one at a time. */
 static void on_all(wheel_node *node, const wp_parameter_request *m) {
     const bool store = m->operation == WP_OPERATION_STORE;
+    uint8_t result = WP_RESULT_OK;
     if (node->state != WP_STATE_IDLE || node->store_pending) {
-        answer(node, m, WP_RESULT_STATE, 0u);
+        result = WP_RESULT_STATE;
     } else if (store && (node->identity.capabilities & WHEEL_CAPABILITY_STORAGE) == 0u) {
-        answer(node, m, WP_RESULT_STORAGE, 0u);
+        result = WP_RESULT_STORAGE;
     } else if (store) {
         node->store_pending = true;
         node->store_request = *m;
+        return; /* answered when it is done */
     } else {
         node->parameters = node->built_in;
-        answer(node, m, WP_RESULT_OK, wheel_parameters_hash(&node->parameters));
     }
+    answer(node, m, result, wheel_parameters_hash(&node->parameters));
 }
 
 bool wheel_node_on_parameter(wheel_node *node, const wheel_frame *frame) {

@@ -18,6 +18,10 @@
 /* All four wheels drive with less and less over so many degrees before the limit. */
 #define DERATING_DEGC 15.0f
 
+/* The part of the overspeed limit that a set point may reach. */
+#define SPEED_LIMIT_PART 0.8f
+#define STEPS_A_RAD_S 64.0f /* of WHEEL_COMMAND */
+
 /* A wheel is expected to turn when its set point, its torque and the three others all say so. */
 #define EXPECTED_RAD_S 2.0f
 /* A wheel runs away when it gains so much while it is driven the other way. */
@@ -90,6 +94,11 @@ float wheel_node_torque_limit(const wheel_node *node) {
     const wheel_parameters *p = &node->parameters;
     const float by_current = p->torque_constant_n_m_a * p->current_limit_a * derating(node);
     return by_current < p->torque_limit_n_m ? by_current : p->torque_limit_n_m;
+}
+
+float wheel_node_speed_limit(const wheel_node *node) {
+    const uint32_t steps = (uint32_t)(SPEED_LIMIT_PART * node->parameters.overspeed_rad_s * STEPS_A_RAD_S);
+    return (float)steps / STEPS_A_RAD_S;
 }
 
 static void check_speed(wheel_node *node) {

@@ -25,8 +25,8 @@ def _out_of_range(message: str, values: Sequence[float], ranges: Sequence[_Range
     raise AssertionError(f"{message}: all values are in range")
 
 
-PROTOCOL_VERSION = 1
-SCHEMA_HASH = 0xC295EEA3
+PROTOCOL_VERSION = 2
+SCHEMA_HASH = 0x8DC26BB0
 
 
 class Request(IntEnum):
@@ -89,6 +89,19 @@ class StopReason(IntEnum):
     ARM_TIMEOUT = 3
     ESTOP = 4
     FAULT = 5
+
+
+class ResetCause(IntEnum):
+    """Values of STATUS.reset_cause."""
+
+    UNKNOWN = 0
+    POWER_ON = 1
+    BROWN_OUT = 2
+    PIN = 3
+    SOFTWARE = 4
+    WATCHDOG = 5
+    LOW_POWER = 6
+    PROCESSOR_FAULT = 7
 
 
 class ArmRefusal(IntEnum):
@@ -693,7 +706,7 @@ class _CurrentsFields(NamedTuple):
 
 
 class Currents(_CurrentsFields):
-    """CURRENTS: Motor currents."""
+    """CURRENTS: Motor currents, each the mean over the feedback period that ends at time_us."""
 
     __slots__ = ()
     ID: ClassVar[int] = 0x083
@@ -759,7 +772,7 @@ class _AccelerometerFields(NamedTuple):
 
 class Accelerometer(_AccelerometerFields):
     """ACCELEROMETER: Acceleration of the robot's centre without gravity's, in the body frame: at rest z is
-    9.81 m/s2.
+    9.81 m/s2. The mean over the feedback period that ends at time_us.
     tick: As in GYRO.
     """
 
@@ -824,7 +837,7 @@ class _GyroFields(NamedTuple):
 
 
 class Gyro(_GyroFields):
-    """GYRO: Angular rates in the body frame, x forward, y left, z up.
+    """GYRO: Angular rates in the body frame at time_us, x forward, y left, z up.
     tick: Low 16 bits of TICK.time_us / 1000 of the snapshot that this part belongs to.
     """
 
@@ -879,6 +892,7 @@ _STATUS_RANGES: tuple[_Range, ...] = (
     ("fault", 0, 8, ""),
     ("fault_wheel", 0, 4, ""),
     ("stop_reason", 0, 5, ""),
+    ("reset_cause", 0, 7, ""),
     ("nonce", 0, 65535, ""),
     ("arm_refusal", 0, 7, ""),
     ("limited", 0, 65535, ""),
@@ -891,6 +905,7 @@ class _StatusFields(NamedTuple):
     fault: int
     fault_wheel: int
     stop_reason: int
+    reset_cause: int
     nonce: int
     arm_refusal: int
     limited: int
@@ -899,8 +914,9 @@ class _StatusFields(NamedTuple):
 class Status(_StatusFields):
     """STATUS: State, and why the robot last stopped or refused to arm; 10 Hz and on every change of state.
     fault_wheel: Wheel of the fault, 1 to 4 for FL, FR, RR, RL; 0 when it is not one wheel's.
+    reset_cause: Why the robot began anew the last time.
     nonce: Nonce of the last session; 0 when there was none.
-    limited: Ticks in which all four wheels were scaled at a limit of torque, current or temperature,
+    limited: Ticks in which all four wheels were scaled at a limit of torque, current, temperature or speed,
         wrapping.
     """
 
@@ -910,13 +926,14 @@ class Status(_StatusFields):
     NAME: ClassVar[str] = "STATUS"
 
     def encode(self) -> bytes:
-        state, mode, fault, fault_wheel, stop_reason, nonce, arm_refusal, limited = self
+        state, mode, fault, fault_wheel, stop_reason, reset_cause, nonce, arm_refusal, limited = self
         if not (
             0 <= state <= 6
             and 0 <= mode <= 1
             and 0 <= fault <= 8
             and 0 <= fault_wheel <= 4
             and 0 <= stop_reason <= 5
+            and 0 <= reset_cause <= 7
             and 0 <= nonce <= 65535
             and 0 <= arm_refusal <= 7
             and 0 <= limited <= 65535
@@ -928,6 +945,7 @@ class Status(_StatusFields):
             | _index(fault) << 8
             | _index(fault_wheel) << 13
             | _index(stop_reason) << 16
+            | _index(reset_cause) << 20
             | _index(nonce) << 24
             | _index(arm_refusal) << 40
             | _index(limited) << 48
@@ -937,17 +955,20 @@ class Status(_StatusFields):
     def decode(cls, payload: bytes) -> Self | None:
         if len(payload) != 8:
             return None
-        word_0, word_1, stop_reason, nonce, arm_refusal, limited = _STATUS_WORDS.unpack(payload)
+        word_0, word_1, word_2, nonce, arm_refusal, limited = _STATUS_WORDS.unpack(payload)
         state = word_0 & 0xF
         mode = word_0 >> 4
         fault = word_1 & 0x1F
         fault_wheel = word_1 >> 5
+        stop_reason = word_2 & 0xF
+        reset_cause = word_2 >> 4
         if not (
             state <= 6
             and mode <= 1
             and fault <= 8
             and fault_wheel <= 4
             and stop_reason <= 5
+            and reset_cause <= 7
             and arm_refusal <= 7
         ):
             return None
@@ -957,6 +978,7 @@ class Status(_StatusFields):
             fault,
             fault_wheel,
             stop_reason,
+            reset_cause,
             nonce,
             arm_refusal,
             limited,
@@ -976,7 +998,7 @@ class _PowerFields(NamedTuple):
 
 
 class Power(_PowerFields):
-    """POWER: Battery; 10 Hz.
+    """POWER: Battery, the means over the newest feedback period; 10 Hz.
     battery_a: Out of the battery; negative while braking charges it.
     """
 
@@ -1455,7 +1477,8 @@ class ParameterResponse(_ParameterResponseFields):
     """PARAMETER_RESPONSE: Answers PARAMETER_REQUEST.
     result: PARAMETER: no such one. RANGE: not from its minimum to its maximum. STATE: not in IDLE. STORAGE:
         could not be kept.
-    value: The bits of the value, or of a limit, as it is now; after STORE and RESTORE the parameter hash.
+    value: The bits of the value, or of a limit, as it is now; for STORE and RESTORE, done or refused, the
+        parameter hash.
     """
 
     __slots__ = ()
@@ -1840,6 +1863,194 @@ class HelloGeometry(_HelloGeometryFields):
         ))
 
 
+_HELLO_LIMITS = Struct("<hhh")
+_HELLO_LIMITS_RANGES: tuple[_Range, ...] = (
+    ("speed_limit_rad_s", -127.99609375, 127.99609375, " rad/s"),
+    ("overspeed_rad_s", -127.99609375, 127.99609375, " rad/s"),
+    ("torque_limit_n_m", -127.99609375, 127.99609375, " N.m"),
+)
+
+
+class _HelloLimitsFields(NamedTuple):
+    speed_limit_rad_s: float
+    overspeed_rad_s: float
+    torque_limit_n_m: float
+
+
+class HelloLimits(_HelloLimitsFields):
+    """HELLO_LIMITS: HELLO page 4: what the robot keeps its wheels to.
+    speed_limit_rad_s: WHEEL_COMMANDs beyond it are scaled to it, all four wheels by one factor.
+    overspeed_rad_s: A wheel faster than this is a fault.
+    torque_limit_n_m: Of one wheel; beyond it all four are scaled.
+    """
+
+    __slots__ = ()
+    ID: ClassVar[int] = 0x705
+    LENGTH: ClassVar[int] = 6
+    NAME: ClassVar[str] = "HELLO_LIMITS"
+
+    def encode(self) -> bytes:
+        speed_limit_rad_s, overspeed_rad_s, torque_limit_n_m = self
+        if not (
+            -127.99609375 <= speed_limit_rad_s <= 127.99609375
+            and -127.99609375 <= overspeed_rad_s <= 127.99609375
+            and -127.99609375 <= torque_limit_n_m <= 127.99609375
+        ):
+            raise _out_of_range(self.NAME, self, _HELLO_LIMITS_RANGES)
+        # Half of a truncated double: the nearest step, halves away from zero.
+        speed_limit_rad_s_twice = int(speed_limit_rad_s * 512.0)
+        overspeed_rad_s_twice = int(overspeed_rad_s * 512.0)
+        torque_limit_n_m_twice = int(torque_limit_n_m * 512.0)
+        return _HELLO_LIMITS.pack(
+            (speed_limit_rad_s_twice + (speed_limit_rad_s_twice > 0) >> 1),
+            (overspeed_rad_s_twice + (overspeed_rad_s_twice > 0) >> 1),
+            (torque_limit_n_m_twice + (torque_limit_n_m_twice > 0) >> 1),
+        )
+
+    @classmethod
+    def decode(cls, payload: bytes) -> Self | None:
+        if len(payload) != 6:
+            return None
+        speed_limit_rad_s, overspeed_rad_s, torque_limit_n_m = _HELLO_LIMITS.unpack(payload)
+        if not (
+            -32767 <= speed_limit_rad_s
+            and -32767 <= overspeed_rad_s
+            and -32767 <= torque_limit_n_m
+        ):
+            return None
+        return _new(cls, (
+            speed_limit_rad_s * 0.00390625,
+            overspeed_rad_s * 0.00390625,
+            torque_limit_n_m * 0.00390625,
+        ))
+
+
+_HELLO_FAULT_STATUS = Struct("<II")
+_HELLO_FAULT_STATUS_RANGES: tuple[_Range, ...] = (
+    ("cfsr", 0, 4294967295, ""),
+    ("hfsr", 0, 4294967295, ""),
+)
+
+
+class _HelloFaultStatusFields(NamedTuple):
+    cfsr: int
+    hfsr: int
+
+
+class HelloFaultStatus(_HelloFaultStatusFields):
+    """HELLO_FAULT_STATUS: HELLO page 5: fault status registers of the processor fault that reset the robot;
+    0 when none did.
+    """
+
+    __slots__ = ()
+    ID: ClassVar[int] = 0x706
+    LENGTH: ClassVar[int] = 8
+    NAME: ClassVar[str] = "HELLO_FAULT_STATUS"
+
+    def encode(self) -> bytes:
+        cfsr, hfsr = self
+        if not (
+            0 <= cfsr <= 4294967295
+            and 0 <= hfsr <= 4294967295
+        ):
+            raise _out_of_range(self.NAME, self, _HELLO_FAULT_STATUS_RANGES)
+        return _HELLO_FAULT_STATUS.pack(
+            _index(cfsr),
+            _index(hfsr),
+        )
+
+    @classmethod
+    def decode(cls, payload: bytes) -> Self | None:
+        if len(payload) != 8:
+            return None
+        return _new(cls, _HELLO_FAULT_STATUS.unpack(payload))
+
+
+_HELLO_FAULT_PLACE = Struct("<II")
+_HELLO_FAULT_PLACE_RANGES: tuple[_Range, ...] = (
+    ("pc", 0, 4294967295, ""),
+    ("lr", 0, 4294967295, ""),
+)
+
+
+class _HelloFaultPlaceFields(NamedTuple):
+    pc: int
+    lr: int
+
+
+class HelloFaultPlace(_HelloFaultPlaceFields):
+    """HELLO_FAULT_PLACE: HELLO page 6: where the processor was at that fault; 0 when it is not known.
+    pc: Address of the instruction.
+    lr: Where its function would have returned to.
+    """
+
+    __slots__ = ()
+    ID: ClassVar[int] = 0x707
+    LENGTH: ClassVar[int] = 8
+    NAME: ClassVar[str] = "HELLO_FAULT_PLACE"
+
+    def encode(self) -> bytes:
+        pc, lr = self
+        if not (
+            0 <= pc <= 4294967295
+            and 0 <= lr <= 4294967295
+        ):
+            raise _out_of_range(self.NAME, self, _HELLO_FAULT_PLACE_RANGES)
+        return _HELLO_FAULT_PLACE.pack(
+            _index(pc),
+            _index(lr),
+        )
+
+    @classmethod
+    def decode(cls, payload: bytes) -> Self | None:
+        if len(payload) != 8:
+            return None
+        return _new(cls, _HELLO_FAULT_PLACE.unpack(payload))
+
+
+_HELLO_FAULT_ADDRESS = Struct("<II")
+_HELLO_FAULT_ADDRESS_RANGES: tuple[_Range, ...] = (
+    ("mmfar", 0, 4294967295, ""),
+    ("bfar", 0, 4294967295, ""),
+)
+
+
+class _HelloFaultAddressFields(NamedTuple):
+    mmfar: int
+    bfar: int
+
+
+class HelloFaultAddress(_HelloFaultAddressFields):
+    """HELLO_FAULT_ADDRESS: HELLO page 7: which address that fault was about, where cfsr says that it holds
+    one.
+    mmfar: Of a memory management fault.
+    bfar: Of a bus fault.
+    """
+
+    __slots__ = ()
+    ID: ClassVar[int] = 0x708
+    LENGTH: ClassVar[int] = 8
+    NAME: ClassVar[str] = "HELLO_FAULT_ADDRESS"
+
+    def encode(self) -> bytes:
+        mmfar, bfar = self
+        if not (
+            0 <= mmfar <= 4294967295
+            and 0 <= bfar <= 4294967295
+        ):
+            raise _out_of_range(self.NAME, self, _HELLO_FAULT_ADDRESS_RANGES)
+        return _HELLO_FAULT_ADDRESS.pack(
+            _index(mmfar),
+            _index(bfar),
+        )
+
+    @classmethod
+    def decode(cls, payload: bytes) -> Self | None:
+        if len(payload) != 8:
+            return None
+        return _new(cls, _HELLO_FAULT_ADDRESS.unpack(payload))
+
+
 Message: TypeAlias = (
     Estop
     | HostHeartbeat
@@ -1870,6 +2081,10 @@ Message: TypeAlias = (
     | HelloFirmware
     | HelloParameters
     | HelloGeometry
+    | HelloLimits
+    | HelloFaultStatus
+    | HelloFaultPlace
+    | HelloFaultAddress
 )
 
 MESSAGES: dict[int, type[Message]] = {
@@ -1902,6 +2117,10 @@ MESSAGES: dict[int, type[Message]] = {
     0x702: HelloFirmware,
     0x703: HelloParameters,
     0x704: HelloGeometry,
+    0x705: HelloLimits,
+    0x706: HelloFaultStatus,
+    0x707: HelloFaultPlace,
+    0x708: HelloFaultAddress,
 }
 DECODERS: dict[int, Callable[[bytes], Message | None]] = {
     0x010: Estop.decode,
@@ -1933,6 +2152,10 @@ DECODERS: dict[int, Callable[[bytes], Message | None]] = {
     0x702: HelloFirmware.decode,
     0x703: HelloParameters.decode,
     0x704: HelloGeometry.decode,
+    0x705: HelloLimits.decode,
+    0x706: HelloFaultStatus.decode,
+    0x707: HelloFaultPlace.decode,
+    0x708: HelloFaultAddress.decode,
 }
 LENGTHS: dict[int, int] = {number: message.LENGTH for number, message in MESSAGES.items()}
 NAMES: dict[int, str] = {number: message.NAME for number, message in MESSAGES.items()}
@@ -1966,6 +2189,10 @@ SENDERS: dict[int, str] = {
     0x702: "ROBOT",
     0x703: "ROBOT",
     0x704: "ROBOT",
+    0x705: "ROBOT",
+    0x706: "ROBOT",
+    0x707: "ROBOT",
+    0x708: "ROBOT",
 }
 UNITS: dict[int, dict[str, str]] = {
     0x030: {"fl_n_m": "N.m", "fr_n_m": "N.m", "rr_n_m": "N.m", "rl_n_m": "N.m"},
@@ -1981,11 +2208,12 @@ UNITS: dict[int, dict[str, str]] = {
     0x181: {"received_us": "us", "held_us": "us"},
     0x703: {"watchdog_ms": "ms", "feedback_period_ms": "ms"},
     0x704: {"wheel_radius_m": "m", "half_length_m": "m", "half_width_m": "m"},
+    0x705: {"speed_limit_rad_s": "rad/s", "overspeed_rad_s": "rad/s", "torque_limit_n_m": "N.m"},
 }
 NAMED_VALUES: dict[int, dict[str, type[IntEnum]]] = {
     0x020: {"request": Request, "mode": Mode},
     0x080: {"state": State},
-    0x100: {"state": State, "mode": Mode, "fault": Fault, "fault_wheel": FaultWheel, "stop_reason": StopReason, "arm_refusal": ArmRefusal},
+    0x100: {"state": State, "mode": Mode, "fault": Fault, "fault_wheel": FaultWheel, "stop_reason": StopReason, "reset_cause": ResetCause, "arm_refusal": ArmRefusal},
     0x200: {"operation": Operation},
     0x280: {"operation": Operation, "result": Result, "type": Type},
 }

@@ -98,6 +98,14 @@ int wp_payload_length(uint16_t id) {
         return (int)WP_HELLO_PARAMETERS_LENGTH;
     case WP_HELLO_GEOMETRY_ID:
         return (int)WP_HELLO_GEOMETRY_LENGTH;
+    case WP_HELLO_LIMITS_ID:
+        return (int)WP_HELLO_LIMITS_LENGTH;
+    case WP_HELLO_FAULT_STATUS_ID:
+        return (int)WP_HELLO_FAULT_STATUS_LENGTH;
+    case WP_HELLO_FAULT_PLACE_ID:
+        return (int)WP_HELLO_FAULT_PLACE_LENGTH;
+    case WP_HELLO_FAULT_ADDRESS_ID:
+        return (int)WP_HELLO_FAULT_ADDRESS_LENGTH;
     default:
         return -1;
     }
@@ -618,6 +626,9 @@ bool wp_status_encode(const wp_status *message, uint8_t *payload) {
     if (message->stop_reason > 5u) {
         return false;
     }
+    if (message->reset_cause > 7u) {
+        return false;
+    }
     if (message->arm_refusal > 7u) {
         return false;
     }
@@ -627,6 +638,7 @@ bool wp_status_encode(const wp_status *message, uint8_t *payload) {
     bits |= (uint64_t)message->fault << 8;
     bits |= (uint64_t)message->fault_wheel << 13;
     bits |= (uint64_t)message->stop_reason << 16;
+    bits |= (uint64_t)message->reset_cause << 20;
     bits |= (uint64_t)message->nonce << 24;
     bits |= (uint64_t)message->arm_refusal << 40;
     bits |= (uint64_t)message->limited << 48;
@@ -643,7 +655,8 @@ bool wp_status_decode(const uint8_t *payload, size_t length, wp_status *message)
     const uint32_t raw_mode = field(bits, 4, 4);
     const uint32_t raw_fault = field(bits, 8, 5);
     const uint32_t raw_fault_wheel = field(bits, 13, 3);
-    const uint32_t raw_stop_reason = field(bits, 16, 8);
+    const uint32_t raw_stop_reason = field(bits, 16, 4);
+    const uint32_t raw_reset_cause = field(bits, 20, 4);
     const uint32_t raw_nonce = field(bits, 24, 16);
     const uint32_t raw_arm_refusal = field(bits, 40, 8);
     const uint32_t raw_limited = field(bits, 48, 16);
@@ -662,6 +675,9 @@ bool wp_status_decode(const uint8_t *payload, size_t length, wp_status *message)
     if (raw_stop_reason > 5u) {
         return false;
     }
+    if (raw_reset_cause > 7u) {
+        return false;
+    }
     if (raw_arm_refusal > 7u) {
         return false;
     }
@@ -670,6 +686,7 @@ bool wp_status_decode(const uint8_t *payload, size_t length, wp_status *message)
     message->fault = (uint8_t)raw_fault;
     message->fault_wheel = (uint8_t)raw_fault_wheel;
     message->stop_reason = (uint8_t)raw_stop_reason;
+    message->reset_cause = (uint8_t)raw_reset_cause;
     message->nonce = (uint16_t)raw_nonce;
     message->arm_refusal = (uint8_t)raw_arm_refusal;
     message->limited = (uint16_t)raw_limited;
@@ -1169,5 +1186,106 @@ bool wp_hello_geometry_decode(const uint8_t *payload, size_t length, wp_hello_ge
     message->half_length_m = (float)raw_half_length_m * 0.0001220703125f;
     message->half_width_m = (float)raw_half_width_m * 0.0001220703125f;
     message->counts_per_revolution = (uint16_t)raw_counts_per_revolution;
+    return true;
+}
+
+bool wp_hello_limits_encode(const wp_hello_limits *message, uint8_t *payload) {
+    if (!within(message->speed_limit_rad_s, -127.99609375f, 127.99609375f)) {
+        return false;
+    }
+    if (!within(message->overspeed_rad_s, -127.99609375f, 127.99609375f)) {
+        return false;
+    }
+    if (!within(message->torque_limit_n_m, -127.99609375f, 127.99609375f)) {
+        return false;
+    }
+    uint64_t bits = 0;
+    bits |= (uint64_t)(nearest(message->speed_limit_rad_s * 512.0f) & 0xFFFFu);
+    bits |= (uint64_t)(nearest(message->overspeed_rad_s * 512.0f) & 0xFFFFu) << 16;
+    bits |= (uint64_t)(nearest(message->torque_limit_n_m * 512.0f) & 0xFFFFu) << 32;
+    store(payload, WP_HELLO_LIMITS_LENGTH, bits);
+    return true;
+}
+
+bool wp_hello_limits_decode(const uint8_t *payload, size_t length, wp_hello_limits *message) {
+    if (length != WP_HELLO_LIMITS_LENGTH) {
+        return false;
+    }
+    const uint64_t bits = load(payload, length);
+    const int32_t raw_speed_limit_rad_s = signed_field(bits, 0, 16);
+    const int32_t raw_overspeed_rad_s = signed_field(bits, 16, 16);
+    const int32_t raw_torque_limit_n_m = signed_field(bits, 32, 16);
+    if (raw_speed_limit_rad_s < -32767) {
+        return false;
+    }
+    if (raw_overspeed_rad_s < -32767) {
+        return false;
+    }
+    if (raw_torque_limit_n_m < -32767) {
+        return false;
+    }
+    message->speed_limit_rad_s = (float)raw_speed_limit_rad_s * 0.00390625f;
+    message->overspeed_rad_s = (float)raw_overspeed_rad_s * 0.00390625f;
+    message->torque_limit_n_m = (float)raw_torque_limit_n_m * 0.00390625f;
+    return true;
+}
+
+bool wp_hello_fault_status_encode(const wp_hello_fault_status *message, uint8_t *payload) {
+    uint64_t bits = 0;
+    bits |= (uint64_t)message->cfsr;
+    bits |= (uint64_t)message->hfsr << 32;
+    store(payload, WP_HELLO_FAULT_STATUS_LENGTH, bits);
+    return true;
+}
+
+bool wp_hello_fault_status_decode(const uint8_t *payload, size_t length, wp_hello_fault_status *message) {
+    if (length != WP_HELLO_FAULT_STATUS_LENGTH) {
+        return false;
+    }
+    const uint64_t bits = load(payload, length);
+    const uint32_t raw_cfsr = field(bits, 0, 32);
+    const uint32_t raw_hfsr = field(bits, 32, 32);
+    message->cfsr = raw_cfsr;
+    message->hfsr = raw_hfsr;
+    return true;
+}
+
+bool wp_hello_fault_place_encode(const wp_hello_fault_place *message, uint8_t *payload) {
+    uint64_t bits = 0;
+    bits |= (uint64_t)message->pc;
+    bits |= (uint64_t)message->lr << 32;
+    store(payload, WP_HELLO_FAULT_PLACE_LENGTH, bits);
+    return true;
+}
+
+bool wp_hello_fault_place_decode(const uint8_t *payload, size_t length, wp_hello_fault_place *message) {
+    if (length != WP_HELLO_FAULT_PLACE_LENGTH) {
+        return false;
+    }
+    const uint64_t bits = load(payload, length);
+    const uint32_t raw_pc = field(bits, 0, 32);
+    const uint32_t raw_lr = field(bits, 32, 32);
+    message->pc = raw_pc;
+    message->lr = raw_lr;
+    return true;
+}
+
+bool wp_hello_fault_address_encode(const wp_hello_fault_address *message, uint8_t *payload) {
+    uint64_t bits = 0;
+    bits |= (uint64_t)message->mmfar;
+    bits |= (uint64_t)message->bfar << 32;
+    store(payload, WP_HELLO_FAULT_ADDRESS_LENGTH, bits);
+    return true;
+}
+
+bool wp_hello_fault_address_decode(const uint8_t *payload, size_t length, wp_hello_fault_address *message) {
+    if (length != WP_HELLO_FAULT_ADDRESS_LENGTH) {
+        return false;
+    }
+    const uint64_t bits = load(payload, length);
+    const uint32_t raw_mmfar = field(bits, 0, 32);
+    const uint32_t raw_bfar = field(bits, 32, 32);
+    message->mmfar = raw_mmfar;
+    message->bfar = raw_bfar;
     return true;
 }

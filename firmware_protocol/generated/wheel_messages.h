@@ -6,8 +6,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#define WP_PROTOCOL_VERSION 1u
-#define WP_SCHEMA_HASH 0xC295EEA3u
+#define WP_PROTOCOL_VERSION 2u
+#define WP_SCHEMA_HASH 0x8DC26BB0u
 #define WP_PAYLOAD_MAX 8u
 
 enum wp_request {
@@ -58,6 +58,17 @@ enum wp_stop_reason {
     WP_STOP_REASON_ARM_TIMEOUT = 3,
     WP_STOP_REASON_ESTOP = 4,
     WP_STOP_REASON_FAULT = 5,
+};
+
+enum wp_reset_cause {
+    WP_RESET_CAUSE_UNKNOWN = 0,
+    WP_RESET_CAUSE_POWER_ON = 1,
+    WP_RESET_CAUSE_BROWN_OUT = 2,
+    WP_RESET_CAUSE_PIN = 3,
+    WP_RESET_CAUSE_SOFTWARE = 4,
+    WP_RESET_CAUSE_WATCHDOG = 5,
+    WP_RESET_CAUSE_LOW_POWER = 6,
+    WP_RESET_CAUSE_PROCESSOR_FAULT = 7,
 };
 
 enum wp_arm_refusal {
@@ -127,7 +138,11 @@ int wp_payload_length(uint16_t id);
     X(HELLO_IDENTITY, hello_identity) \
     X(HELLO_FIRMWARE, hello_firmware) \
     X(HELLO_PARAMETERS, hello_parameters) \
-    X(HELLO_GEOMETRY, hello_geometry)
+    X(HELLO_GEOMETRY, hello_geometry) \
+    X(HELLO_LIMITS, hello_limits) \
+    X(HELLO_FAULT_STATUS, hello_fault_status) \
+    X(HELLO_FAULT_PLACE, hello_fault_place) \
+    X(HELLO_FAULT_ADDRESS, hello_fault_address)
 /* clang-format on */
 
 /* Encoders return false, with the payload untouched, when a value is out of its range or not finite.
@@ -268,7 +283,7 @@ bool wp_wheel_speeds_decode(const uint8_t *payload, size_t length, wp_wheel_spee
 #define WP_CURRENTS_ID 0x083u
 #define WP_CURRENTS_LENGTH 8u
 
-/* Motor currents. */
+/* Motor currents, each the mean over the feedback period that ends at time_us. */
 typedef struct {
     float fl_a;
     float fr_a;
@@ -282,7 +297,8 @@ bool wp_currents_decode(const uint8_t *payload, size_t length, wp_currents *mess
 #define WP_ACCELEROMETER_ID 0x090u
 #define WP_ACCELEROMETER_LENGTH 8u
 
-/* Acceleration of the robot's centre without gravity's, in the body frame: at rest z is 9.81 m/s2. */
+/* Acceleration of the robot's centre without gravity's, in the body frame: at rest z is 9.81 m/s2. The
+ * mean over the feedback period that ends at time_us. */
 typedef struct {
     float x_m_s2;
     float y_m_s2;
@@ -297,7 +313,7 @@ bool wp_accelerometer_decode(const uint8_t *payload, size_t length, wp_accelerom
 #define WP_GYRO_ID 0x091u
 #define WP_GYRO_LENGTH 8u
 
-/* Angular rates in the body frame, x forward, y left, z up. */
+/* Angular rates in the body frame at time_us, x forward, y left, z up. */
 typedef struct {
     float x_rad_s;
     float y_rad_s;
@@ -320,10 +336,13 @@ typedef struct {
     /* Wheel of the fault, 1 to 4 for FL, FR, RR, RL; 0 when it is not one wheel's. */
     uint8_t fault_wheel;
     uint8_t stop_reason;
+    /* Why the robot began anew the last time. */
+    uint8_t reset_cause;
     /* Nonce of the last session; 0 when there was none. */
     uint16_t nonce;
     uint8_t arm_refusal;
-    /* Ticks in which all four wheels were scaled at a limit of torque, current or temperature, wrapping. */
+    /* Ticks in which all four wheels were scaled at a limit of torque, current, temperature or speed,
+     * wrapping. */
     uint16_t limited;
 } wp_status;
 
@@ -333,7 +352,7 @@ bool wp_status_decode(const uint8_t *payload, size_t length, wp_status *message)
 #define WP_POWER_ID 0x101u
 #define WP_POWER_LENGTH 4u
 
-/* Battery; 10 Hz. */
+/* Battery, the means over the newest feedback period; 10 Hz. */
 typedef struct {
     float battery_v;
     /* Out of the battery; negative while braking charges it. */
@@ -478,7 +497,8 @@ typedef struct {
      * could not be kept. */
     uint8_t result;
     uint8_t type;
-    /* The bits of the value, or of a limit, as it is now; after STORE and RESTORE the parameter hash. */
+    /* The bits of the value, or of a limit, as it is now; for STORE and RESTORE, done or refused, the
+     * parameter hash. */
     uint32_t value;
 } wp_parameter_response;
 
@@ -582,5 +602,61 @@ typedef struct {
 
 bool wp_hello_geometry_encode(const wp_hello_geometry *message, uint8_t *payload);
 bool wp_hello_geometry_decode(const uint8_t *payload, size_t length, wp_hello_geometry *message);
+
+#define WP_HELLO_LIMITS_ID 0x705u
+#define WP_HELLO_LIMITS_LENGTH 6u
+
+/* HELLO page 4: what the robot keeps its wheels to. */
+typedef struct {
+    /* WHEEL_COMMANDs beyond it are scaled to it, all four wheels by one factor. */
+    float speed_limit_rad_s;
+    /* A wheel faster than this is a fault. */
+    float overspeed_rad_s;
+    /* Of one wheel; beyond it all four are scaled. */
+    float torque_limit_n_m;
+} wp_hello_limits;
+
+bool wp_hello_limits_encode(const wp_hello_limits *message, uint8_t *payload);
+bool wp_hello_limits_decode(const uint8_t *payload, size_t length, wp_hello_limits *message);
+
+#define WP_HELLO_FAULT_STATUS_ID 0x706u
+#define WP_HELLO_FAULT_STATUS_LENGTH 8u
+
+/* HELLO page 5: fault status registers of the processor fault that reset the robot; 0 when none did. */
+typedef struct {
+    uint32_t cfsr;
+    uint32_t hfsr;
+} wp_hello_fault_status;
+
+bool wp_hello_fault_status_encode(const wp_hello_fault_status *message, uint8_t *payload);
+bool wp_hello_fault_status_decode(const uint8_t *payload, size_t length, wp_hello_fault_status *message);
+
+#define WP_HELLO_FAULT_PLACE_ID 0x707u
+#define WP_HELLO_FAULT_PLACE_LENGTH 8u
+
+/* HELLO page 6: where the processor was at that fault; 0 when it is not known. */
+typedef struct {
+    /* Address of the instruction. */
+    uint32_t pc;
+    /* Where its function would have returned to. */
+    uint32_t lr;
+} wp_hello_fault_place;
+
+bool wp_hello_fault_place_encode(const wp_hello_fault_place *message, uint8_t *payload);
+bool wp_hello_fault_place_decode(const uint8_t *payload, size_t length, wp_hello_fault_place *message);
+
+#define WP_HELLO_FAULT_ADDRESS_ID 0x708u
+#define WP_HELLO_FAULT_ADDRESS_LENGTH 8u
+
+/* HELLO page 7: which address that fault was about, where cfsr says that it holds one. */
+typedef struct {
+    /* Of a memory management fault. */
+    uint32_t mmfar;
+    /* Of a bus fault. */
+    uint32_t bfar;
+} wp_hello_fault_address;
+
+bool wp_hello_fault_address_encode(const wp_hello_fault_address *message, uint8_t *payload);
+bool wp_hello_fault_address_decode(const uint8_t *payload, size_t length, wp_hello_fault_address *message);
 
 #endif

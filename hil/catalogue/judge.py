@@ -7,7 +7,7 @@ set points of the speed loops, which laws 1 and 2 bound to the last digit; laws 
 the robot's own ticks.
 
 1. Drives are on, or a set point is not zero, only on a command that was valid (CRC, length, range), fresh (its
-   sequence 1 to 32 ahead of the last valid one's) and of the session in force. No wheel's set point is beyond what the
+   sequence 1 to 20 ahead of the last valid one's) and of the session in force. No wheel's set point is beyond what the
    newest such command asks, nor against it. In torque mode this is said of the torques.
 2. Without such a command for the time of the watchdog, or once told to stop, the set points go to zero at least as fast
    as the line that ends after the time of the ramp, and stay there; at ESTOP they are zero at once. Drives that are
@@ -42,7 +42,7 @@ from firmware_protocol.generated.messages import (
 from hil.types import WHEEL_NAMES
 
 # PROTOCOL.md, "States" and "Freshness".
-_WINDOW = 32
+_WINDOW = 20
 _ARM_TIMEOUT_TICKS = 1000
 _HOLD_TICKS = 1000
 # Scaling four torques to a limit rounds in single precision.

@@ -3,6 +3,7 @@
 from typing import Protocol, cast
 
 from firmware_protocol.framing import FRAME_OVERHEAD, PACKED_HEADERS, Frame, unsendable
+from firmware_protocol.generated.messages import Estop
 from firmware_protocol.host import HostNode
 from firmware_protocol.host_line import HostLine
 from hil.devices.virtual import VirtualStm32
@@ -64,7 +65,7 @@ class DirectLink(StreamLink):
             raise closed()
         self._unsent += header + payload
         self.sent_frames += 1
-        self.sent_bytes += FRAME_OVERHEAD + len(payload)
+        self.sent_bytes += FRAME_OVERHEAD + len(payload) + (number == Estop.ID)
 
     def receive(self, _timeout_ns: int) -> Received | None:
         unsent = self._unsent

@@ -12,7 +12,27 @@ from hil.ports import Link
 
 SILENCE_NS = 2_000_000_000
 RETRY_NS = 200_000_000
-_PAGES = (m.HelloIdentity, m.HelloFirmware, m.HelloParameters, m.HelloGeometry)
+_PAGES = (
+    m.HelloIdentity,
+    m.HelloFirmware,
+    m.HelloParameters,
+    m.HelloGeometry,
+    m.HelloLimits,
+    m.HelloFaultStatus,
+    m.HelloFaultPlace,
+    m.HelloFaultAddress,
+)
+
+
+class ProcessorFault(NamedTuple):
+    """The record of the processor fault that reset the robot; all zero when none did (PROTOCOL.md, "Resets")."""
+
+    cfsr: int = 0
+    hfsr: int = 0
+    pc: int = 0
+    lr: int = 0
+    mmfar: int = 0
+    bfar: int = 0
 
 
 class RobotInfo(NamedTuple):
@@ -24,6 +44,12 @@ class RobotInfo(NamedTuple):
     parameter_hash: int
     watchdog_ms: int
     geometry: m.HelloGeometry
+    limits: m.HelloLimits
+    processor_fault: ProcessorFault = ProcessorFault()
+
+    def is_same_robot(self, other: "RobotInfo") -> bool:
+        """Whether the other one may be this robot, perhaps after a reset."""
+        return self == other._replace(processor_fault=self.processor_fault)
 
     @property
     def has_power_stage(self) -> bool:
@@ -68,14 +94,25 @@ class Greeting:
         return self._info() if len(self._pages) == len(_PAGES) else None
 
     def _info(self) -> RobotInfo:
-        identity, firmware, held, geometry = (self._pages[kind] for kind in _PAGES)
+        identity, firmware, held, geometry, limits, status, place, address = (self._pages[kind] for kind in _PAGES)
         assert isinstance(identity, m.HelloIdentity)
         assert isinstance(firmware, m.HelloFirmware)
         assert isinstance(held, m.HelloParameters)
         assert isinstance(geometry, m.HelloGeometry)
+        assert isinstance(limits, m.HelloLimits)
+        assert isinstance(status, m.HelloFaultStatus)
+        assert isinstance(place, m.HelloFaultPlace)
+        assert isinstance(address, m.HelloFaultAddress)
         version = f"{firmware.major}.{firmware.minor}.{firmware.patch}"
         return RobotInfo(
-            identity.capabilities, version, firmware.build, held.parameter_hash, held.watchdog_ms, geometry
+            identity.capabilities,
+            version,
+            firmware.build,
+            held.parameter_hash,
+            held.watchdog_ms,
+            geometry,
+            limits,
+            ProcessorFault(*status, *place, *address),
         )
 
 

@@ -24,7 +24,7 @@ class Feedback(NamedTuple):
 
     ``robot_time_ns`` is the robot's own clock (TICK.time_us) and does not wrap from the first snapshot on.
     ``current_a``, ``acceleration_m_s2`` (body frame, without gravity's) and ``yaw_rate_rad_s`` come at a lower rate and
-    hold their last value; NaN before the first.
+    hold their last value; NaN before the first. The first two are means over the feedback period that ends then.
     """
 
     robot_time_ns: int

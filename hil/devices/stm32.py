@@ -164,7 +164,7 @@ class Stm32:
         handshake.check(info, self._expected)
         if self._info is None:
             self._info = info
-        if info != self._info:
+        if not self._info.is_same_robot(info):
             raise BadInputError(
                 f"another robot answers on the link: {info.describe()}; the run began with {self._info.describe()}; "
                 "plug in the first one, or start a new run"

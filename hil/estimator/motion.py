@@ -65,6 +65,7 @@ class MotionReader:
         radius_m = self._model.wheel_radius_m
         forward, left, turned = body_twist(angles, radius_m, self._model.lever_m)
         fl, fr, rr, rl = angles
+        # Of means over the two intervals this is what their mean velocities, as the wheels tell them, differ by.
         before, after = last.acceleration_m_s2, now.acceleration_m_s2
         rate_s = NAN if dt_s > _LONGEST_S else dt_s
         return Motion(

@@ -125,7 +125,7 @@ static bool may_feed(const robot *r, const wheel_frame *frame) {
         return m.fl_rad_s == 0.0f && m.fr_rad_s == 0.0f && m.rr_rad_s == 0.0f && m.rl_rad_s == 0.0f;
     }
     const uint8_t ahead = (uint8_t)(m.sequence - r->last_sequence);
-    return r->node.state == WP_STATE_ACTIVE && ahead >= 1u && ahead <= 32u;
+    return r->node.state == WP_STATE_ACTIVE && ahead >= 1u && ahead <= 20u;
 }
 
 /* True when the protocol lets this frame arm. */

@@ -37,8 +37,10 @@ size_t wheel_host_size(void) {
 }
 
 void wheel_host_init(wheel_host *host, const wheel_parameters *parameters, const uint8_t *stored,
-                     uint16_t capabilities, wheel_plant_exchange exchange, void *context) {
-    const wheel_identity identity = {.capabilities = capabilities, .version = {0, 1, 0}};
+                     uint16_t capabilities, uint8_t reset_cause, wheel_plant_exchange exchange,
+                     void *context) {
+    const wheel_identity identity = {
+        .capabilities = capabilities, .version = {0, 1, 0}, .reset_cause = reset_cause};
     memset(host, 0, sizeof *host);
     host->exchange = exchange;
     host->context = context;

@@ -44,10 +44,11 @@ typedef struct {
 /* Bytes that wheel_host_init needs, with the alignment of malloc. */
 size_t wheel_host_size(void);
 
-/* Powers the robot on: samples the plant once and starts in IDLE. `stored` is what an earlier STORE kept, of
- * `wheel_host_stored_size` bytes, or NULL. */
+/* Powers the robot on, or begins it anew: samples the plant once and starts in IDLE. `stored` is what an
+ * earlier STORE kept, of `wheel_host_stored_size` bytes, or NULL; `reset_cause` is what STATUS tells. */
 void wheel_host_init(wheel_host *host, const wheel_parameters *parameters, const uint8_t *stored,
-                     uint16_t capabilities, wheel_plant_exchange exchange, void *context);
+                     uint16_t capabilities, uint8_t reset_cause, wheel_plant_exchange exchange,
+                     void *context);
 
 /* Sets the robot's clock between two ticks [us], for the time stamps of what arrives and leaves. Without it
  * the clock stands still within a tick. */

@@ -7,7 +7,7 @@
 
 #define SEQUENCES (sizeof((wheel_snapshot *)0)->sequences)
 
-_Static_assert(WHEEL_LINE_LONGEST >= WHEEL_FRAME_MAX, "a frame needs more room than is promised");
+_Static_assert(WHEEL_LINE_LONGEST >= 1u + WHEEL_FRAME_MAX, "a frame needs more room than is promised");
 _Static_assert(WHEEL_LINE_OPEN >= WHEEL_FRAME_MAX, "what is open may be a whole frame but its zero");
 
 struct wheel_line {
@@ -50,11 +50,17 @@ size_t wheel_line_encode(wheel_line *line, uint16_t id, const uint8_t *payload, 
     }
     frame.length = (uint8_t)length;
     memcpy(frame.payload, payload, length);
-    const size_t written = wheel_frame_encode(&frame, line->sequence, out);
-    if (written > 0u) {
-        line->sequence++;
+    /* An emergency stop is not to be lost behind half a frame that the line still holds. */
+    const size_t cleared = id == WP_ESTOP_ID ? 1u : 0u;
+    const size_t written = wheel_frame_encode(&frame, line->sequence, out + cleared);
+    if (written == 0u) {
+        return 0;
     }
-    return written;
+    if (cleared > 0u) {
+        out[0] = 0;
+    }
+    line->sequence++;
+    return cleared + written;
 }
 
 void wheel_line_count(const wheel_line *line, wheel_line_counts *counts) {

@@ -37,7 +37,7 @@ size_t wheel_line_feed(wheel_line *line, const uint8_t *bytes, size_t length, ui
 #define WHEEL_LINE_OPEN 16
 
 /* Writes a frame with its zero, counted in the line's sequence, and returns the number of bytes, at most
- * WHEEL_LINE_LONGEST; 0 when the length is not the id's. */
+ * WHEEL_LINE_LONGEST; 0 when the length is not the id's. An ESTOP begins with a zero too. */
 size_t wheel_line_encode(wheel_line *line, uint16_t id, const uint8_t *payload, size_t length, uint8_t *out);
 #define WHEEL_LINE_LONGEST 16
 

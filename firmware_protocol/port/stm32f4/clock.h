@@ -11,7 +11,8 @@ typedef struct {
     uint32_t core_hz;
     uint32_t apb1_hz;
     uint32_t apb2_hz;
-    bool lockstep; /* robot time comes from STEP, not from this clock */
+    bool lockstep;                /* robot time comes from STEP, not from this clock */
+    uint32_t assumed_reset_flags; /* of RCC_CSR, where none is set: an emulator may not keep them */
 } clock_tree;
 
 clock_tree clock_init(void);

@@ -6,6 +6,7 @@
 #include "parameter_log.h"
 #include "plant.h"
 #include "registers/core.h"
+#include "reset_cause.h"
 #include "supply.h"
 #include "uptime.h"
 #include "watchdog.h"
@@ -30,6 +31,7 @@ void robot_start(robot *r) {
         .board = BOARD.number,
         .version = {0, 1, 0},
         .build = FIRMWARE_BUILD,
+        .reset_cause = reset_cause_take(&r->clocks),
         .maximum = BOARD.maximum,
     };
     wheel_node_init(&r->node, &BOARD.parameters, parameter_log_open(), &identity);

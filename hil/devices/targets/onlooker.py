@@ -25,7 +25,7 @@ class Onlooker:
     def __init__(self) -> None:
         self._state = m.State.BOOT
         self._age_ms = _OLDEST_MS
-        self._status = m.Status(0, 0, 0, 0, 0, 0, 0, 0)
+        self._status = m.Status(0, 0, 0, 0, 0, 0, 0, 0, 0)
         self._rejected: dict[str, int] = {}
         self.unsent = 0
 

@@ -13,6 +13,9 @@ typedef struct {
     volatile uint32_t reserved_34[3];
     volatile uint32_t APB1ENR; /* 40 */
     volatile uint32_t APB2ENR; /* 44 */
+    volatile uint32_t reserved_48[10];
+    volatile uint32_t BDCR; /* 70 */
+    volatile uint32_t CSR;  /* 74 */
 } rcc_registers;
 
 #define RCC ((rcc_registers *)0x40023800u)
@@ -56,5 +59,16 @@ static inline void clock_enable(volatile uint32_t *enable_register, uint32_t bit
 #define RCC_APB2ENR_USART1 (1u << 4)
 #define RCC_APB2ENR_USART6 (1u << 5)
 #define RCC_APB2ENR_ADC1 (1u << 8)
+
+/* Why the chip was reset; they stay until they are removed. PIN is set by every reset but a low-power one, as
+ * the chip pulls the pin itself. */
+#define RCC_CSR_RMVF (1u << 24)
+#define RCC_CSR_BORRSTF (1u << 25) /* by a power-on too */
+#define RCC_CSR_PINRSTF (1u << 26)
+#define RCC_CSR_PORRSTF (1u << 27)
+#define RCC_CSR_SFTRSTF (1u << 28)
+#define RCC_CSR_IWDGRSTF (1u << 29)
+#define RCC_CSR_WWDGRSTF (1u << 30)
+#define RCC_CSR_LPWRRSTF (1u << 31)
 
 #endif
