@@ -14,7 +14,7 @@ from hil.errors import DeviceError, HilError, LinkError
 from hil.figure_words import applied_words
 from hil.links.url import parse_link
 from hil.loop import Loop, Report
-from hil.metrics import CommandLimits, SignalFigures
+from hil.metrics import CommandLimits, SignalFigures, cut_words
 from hil.outputs import Existing, existing_files
 from hil.parts import PartsOf
 from hil.ports import Sink
@@ -188,8 +188,9 @@ def run_scenario(
             with watch(loop) if watch is not None else contextlib.nullcontext():
                 report = loop.run(origin_ns, round(scenario.loop.duration_s * NS))
         failure = bench.stop_robot() or report.failure
-        outcomes = events.finish(loop.t_s)
-        metrics = _figures(scenario, bench, memory, report, failure, loop, outcomes)
+        is_cut = failure is not None and loop.t_s < scenario.loop.duration_s - 2.0 / scenario.loop.rate_hz
+        outcomes = events.finish(loop.t_s, is_cut=is_cut)
+        metrics = _figures(scenario, bench, memory, report, failure, loop, outcomes, is_cut=is_cut)
         metrics["realtime"] = None if granted is None else granted.figures()
         metrics["shadows"] = [] if laws.shadows is None else laws.shadows.figures()
         metrics["reference"] = {"kind": scenario.reference.kind, **demands.figures()}
@@ -260,8 +261,10 @@ def _figures(
     failure: HilError | None,
     loop: Loop,
     outcomes: list[dict[str, Any]],
+    *,
+    is_cut: bool,
 ) -> dict[str, Any]:
-    figures, reasons = memory.figures()
+    figures, reasons = memory.figures(cut_words(loop.t_s, scenario.loop.duration_s) if is_cut else None)
     applied: list[dict[str, Any]] = [
         {"kind": row.kind, "target": row.target, "text": row.words, "applied": count, "counts": row.counts}
         | {"start_s": row.start_s, "end_s": row.end_s if math.isfinite(row.end_s) else None, "value": row.value}

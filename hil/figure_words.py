@@ -4,7 +4,7 @@ Pure: the figures of ``hil run --json`` in, pairs of a label and a text out.
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 Row = tuple[str, str]
@@ -110,12 +110,12 @@ def belief_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def outcome_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
-    """Yield faults, recoveries, expectations, those that failed first, and what is missing in the recording."""
+    """Yield faults, recoveries, expectations as ``in_order``, and what is missing in the recording."""
     for row in metrics.get("fault") or ():
         yield "fault", applied_words(row)
     for row in metrics.get("recoveries") or ():
         yield "recovery", f"lost at {row['lost_s']:.3f} s, ACTIVE again at {row['armed_s']:.3f} s: {row['why']}"
-    for row in sorted(metrics.get("expect") or (), key=lambda row: bool(row["passed"])):
+    for row in in_order(metrics.get("expect") or ()):
         yield "expect", row["text"]
     for row in metrics.get("allow") or ():
         if not row["passed"]:
@@ -126,6 +126,16 @@ def outcome_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
     recorded = metrics.get("recorded")
     if recorded is not None and (text := _what_became_of(recorded, metrics["recording"])):
         yield "recording", text
+
+
+def in_order(expect: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Return the rows of expectations: those that failed in the order of time, those not judged, those that held."""
+
+    def place(row: Mapping[str, Any]) -> tuple[int, float]:
+        passed, at_s = row["passed"], row["violation_s"]
+        return 1 if passed is None else 2 * passed, math.inf if at_s is None else at_s
+
+    return sorted(expect, key=place)
 
 
 def applied_words(fault: Mapping[str, Any]) -> str:

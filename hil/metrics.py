@@ -135,9 +135,12 @@ class SignalFigures:
         self._ticks += len(t_s)
         self._misses = int(misses[-1]) if len(misses) else self._misses
 
-    def figures(self) -> tuple[dict[str, Any], dict[str, str]]:
-        """Return the figures by name, and for each None the reason."""
-        tracking, demand = self._tracking.tracking(), self._demand.demand()
+    def figures(self, cut: str | None = None) -> tuple[dict[str, Any], dict[str, str]]:
+        """Return the figures by name, and for each None the reason.
+
+        ``cut`` says when and of how much a run ended before its time: those of its end are then None.
+        """
+        tracking, demand = self._tracking.tracking(cut), self._demand.demand()
         reasons = tracking.reasons | demand.reasons
         estimation = self._estimation.figures()
         if estimation is None:
@@ -160,6 +163,7 @@ def signal_figures(
     signals: Mapping[str, Series],
     torque_constant_n_m_a: float | None = None,
     limits: CommandLimits | None = None,
+    cut: str | None = None,
 ) -> tuple[dict[str, Any], dict[str, str]]:
     """Return the figures of a whole run at once, see ``SignalFigures``. Raises KeyError for a missing signal."""
     so_far = SignalFigures(torque_constant_n_m_a, limits)
@@ -167,7 +171,13 @@ def signal_figures(
     for start in range(0, len(signals["loop.t_s"]), BLOCK_ROWS):
         for _ in so_far.take({name: signals[name][start : start + BLOCK_ROWS] for name in needed}):
             pass
-    return so_far.figures()
+    return so_far.figures(cut)
+
+
+def cut_words(t_s: float, duration_s: float | None) -> str:
+    """Return the reason why a run that ended before its time, where that is known, has no figures of its end."""
+    whole = "" if duration_s is None else f" of {duration_s:g} s"
+    return f"there is nothing after t = {t_s:.6g} s{whole}, and this is a figure of the run's end"
 
 
 def _at_limit(signals: Mapping[str, Series], limits: CommandLimits | None) -> Series:

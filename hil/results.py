@@ -58,11 +58,11 @@ class MemorySink:
         else:
             next(self._steps, None)
 
-    def figures(self) -> tuple[dict[str, Any], dict[str, str]]:
+    def figures(self, cut: str | None = None) -> tuple[dict[str, Any], dict[str, str]]:
         """Return the figures and reasons of the run so far, as ``SignalFigures``."""
         self._begin_block()
         self._finish_block()
-        return self._figures.figures()
+        return self._figures.figures(cut)
 
     def feedback_age_ms(self) -> Percentiles | None:
         """Return the percentiles of ``link.feedback_age_ms`` over the rows that ``figures`` has taken."""

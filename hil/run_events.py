@@ -11,6 +11,8 @@ from hil.plant.said import LOGGED_TROUBLE, Said
 from hil.ports import Note
 from hil.scenario import Scenario
 
+_LEVELS = {True: "info", None: "warning", False: "error"}
+
 
 class RunEvents:
     """A sink that passes nothing on: it watches each row, and has something to say only when something happens.
@@ -26,6 +28,7 @@ class RunEvents:
         self._watches = [(names.index(row.signal), Watch(row)) for row in scenario.expect]
         self._open: tuple[tuple[int, Watch], ...] = ()
         self._undecided = [watch for _, watch in self._watches]
+        self._told: dict[int, str] = {}  # what was said of a watch when it failed
         self._in_force: list[str] = []
         edges: list[tuple[float, Callable[[], None]]] = []
         for fault in scenario.fault:
@@ -49,16 +52,20 @@ class RunEvents:
             self._tell_said(t_s, self._said.take())
         for place, watch in self._open:
             if watch.take(t_s, row[place]):
-                self._decide(watch, t_s)
+                self._tell_of_failure(watch)
 
-    def finish(self, t_s: float) -> list[dict[str, Any]]:
-        """Say that the run has ended, with its last tick at ``t_s``; return the figures of all expectations."""
+    def finish(self, t_s: float, *, is_cut: bool) -> list[dict[str, Any]]:
+        """Say that the run has ended, with its last tick at ``t_s``; return the figures of all expectations.
+
+        ``is_cut`` says that it ended before it should have.
+        """
         self._tell_said(t_s, self._said.end())
         for words in self._in_force:
             self._note(t_s, "info", f"fault ends with the run: {words}")
+        cut_s = t_s if is_cut else None
         for watch in tuple(self._undecided):
-            self._decide(watch, t_s)
-        return [outcome_figures(watch.expect, watch.outcome()) for _, watch in self._watches]
+            self._decide(watch, t_s, cut_s)
+        return [outcome_figures(watch.expect, watch.outcome(cut_s)) for _, watch in self._watches]
 
     def _tell_said(self, t_s: float, lines: Sequence[str]) -> None:
         for line in lines:
@@ -82,12 +89,21 @@ class RunEvents:
         self._open += ((place, watch),)
 
     def _close(self, watch: Watch) -> None:
-        if watch in self._undecided:
-            self._decide(watch, watch.expect.to_s)
+        self._decide(watch, watch.expect.to_s, None)
 
-    def _decide(self, watch: Watch, t_s: float) -> None:
+    def _tell_of_failure(self, watch: Watch) -> None:
+        """Say at once that a claim has failed; how bad it became is said when its time is over."""
+        outcome = watch.outcome()
+        assert outcome.at_s is not None, "it was violated"
+        self._told[id(watch)] = outcome.sentence
+        self._note(outcome.at_s, "error", outcome.sentence)
+
+    def _decide(self, watch: Watch, t_s: float, cut_s: float | None) -> None:
         self._open = tuple(one for one in self._open if one[1] is not watch)
         self._undecided.remove(watch)
-        outcome = watch.outcome()
-        at_s = t_s if outcome.at_s is None else outcome.at_s
-        self._note(at_s, "info" if outcome.passed else "error", outcome.sentence)
+        outcome = watch.outcome(cut_s)
+        told = self._told.get(id(watch))
+        if outcome.sentence == told:
+            return
+        at_s = t_s if outcome.at_s is None or told is not None else outcome.at_s
+        self._note(at_s, _LEVELS[outcome.passed], outcome.sentence)

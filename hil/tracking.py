@@ -84,8 +84,14 @@ class TrackingSoFar:
         start = min(int(np.searchsorted(times, times[-1] - _MORE_THAN_WINDOW_S)), max(0, len(times) - 2))
         self._tail = (times[start:], errors[start:])
 
-    def tracking(self) -> Tracking:
-        """Return the figures."""
+    def tracking(self, cut: str | None = None) -> Tracking:
+        """Return the figures; none of them for a run that ended before its time, of which ``cut`` is the sentence.
+
+        All of them tell of how it was at the end: that of such a run is any moment of it.
+        """
+        if cut is not None:
+            names = [name for name in Tracking._fields if name != "reasons"]
+            return Tracking(**dict.fromkeys(names), reasons=dict.fromkeys(names, cut))
         values, reasons = figures_or_reasons(
             {
                 "tracked_s": self._tracked,

@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.errors import BadInputError
-from hil.expectations import check_expectation
+from hil.expectations import check_expectation, outcomes_of
+from hil.figure_words import in_order
 from hil.scenario import load
 from hil.scenario.rows import ExpectTable
 
@@ -75,7 +76,7 @@ def test_settling_is_the_earliest_time_from_which_it_stays_near(values, target, 
 
 
 def test_the_first_violation_is_told_in_words() -> None:
-    outcome = check_expectation(Row(below=0.5, to_s=2.0), signals([0.1, 0.7, 0.9]))
+    outcome = check_expectation(Row(below=0.5, to_s=2.0), signals([0.1, 0.7, 0.3]))
     assert outcome.sentence == "error.planar_m below 0.5 from 0 s to 2 s: failed, 0.7 at t = 1 s"
 
 
@@ -134,3 +135,50 @@ def test_all_claims_load(tmp_path) -> None:
     loaded = load(str(path)).expect
     assert all(isinstance(row, ExpectTable) for row in loaded)
     assert [loaded[-3].within, loaded[-2].equals, loaded[-1].settles_to] == [(0.0, 1.0), 1.0, 0.0]
+
+
+def test_a_failure_tells_its_first_and_its_worst_violation_and_how_long_it_was_in_all() -> None:
+    outcome = check_expectation(Row(below=5.0), signals([0.0, 5.5, 53.0, 6.0, 1.0, 7.0, 2.0]))
+    assert (outcome.at_s, outcome.value) == (1.0, 5.5)
+    assert (outcome.worst_s, outcome.worst_value, outcome.violated_s) == (2.0, 53.0, 4.0)
+    assert outcome.sentence.endswith(": failed, 5.5 at t = 1 s; worst 53 at t = 2 s; 4 s in all")
+
+
+@given(VALUES, LIMIT, LIMIT)
+def test_the_worst_violation_is_the_farthest_from_what_was_claimed(
+    values: list[float], low: float, high: float
+) -> None:
+    low, high = min(low, high), max(low, high)
+    outcome = check_expectation(Row(within=(low, high)), signals(values))
+    outside = [(max(low - v, v - high), -t) for t, v in enumerate(values) if not low <= v <= high and v == v]
+    if outcome.worst_s is None or math.isnan(outcome.worst_value or 0.0):
+        assert not outside
+    else:
+        assert outcome.worst_s == -max(outside)[1]
+        assert outcome.worst_value == values[int(outcome.worst_s)]
+    violating = [not low <= v <= high for v in values]
+    assert outcome.violated_s in (None, sum(violating[:-1]))
+
+
+@pytest.mark.parametrize(
+    ("row", "passed", "told"),
+    [
+        (Row(below=9.0, from_s=5.0), None, "the run ended at t = 3 s, before there was a sample of it"),
+        (Row(below=9.0), None, "the run ended at t = 3 s; held over 4 samples until then"),
+        (Row(below=9.0, to_s=2.0), True, "held over 3 samples"),
+        (Row(below=2.0), False, "failed, 2 at t = 2 s; worst 3 at t = 3 s; 1 s in all"),
+        (Row(settles_to=9.0, tolerance=1.0), None, "the run ended at t = 3 s, and it had not settled until then"),
+        (Row(settles_to=3.0, tolerance=0.5), None, "the run ended at t = 3 s; settled since t = 3 s over 1 samples"),
+    ],
+)
+def test_what_a_run_that_ended_early_did_not_come_to_is_not_judged(row: Row, passed: bool | None, told: str) -> None:
+    outcome = check_expectation(row, signals([0.0, 1.0, 2.0, 3.0]), cut_s=3.0)
+    assert outcome.passed is passed
+    assert told in outcome.sentence
+    assert ("not judged" in outcome.sentence) is (passed is None)
+
+
+def test_failures_are_told_in_the_order_of_time() -> None:
+    rows = [Row(below=9.0), Row(below=3.0), Row(below=9.0, from_s=9.0), Row(below=1.0)]
+    found = outcomes_of(rows, signals([0.0, 1.0, 2.0, 3.0, 9.5]), cut_s=4.0)
+    assert [row["violation_s"] for row in in_order(found)] == [1.0, 3.0, 4.0, None]

@@ -59,6 +59,7 @@ def test_faults_and_expectations_are_told_at_their_tick_and_what_was_counted_at_
         f"fault begins: {open_end}": (301, 1.5, "info"),
         f"fault ends with the run: {open_end}": (400, last_s, "info"),
         settled: (400, last_s, "info"),
+        f"{failed}; worst 9 at t = 0.5 s; 0.255 s in all": (400, last_s, "error"),
         f"fault: {first}: applied 51 times (ticks in which the value changed)": (400, last_s, "info"),
         **{text: event for text, event in in_time.items() if text.startswith(f"fault: {open_end}: applied ")},
     }

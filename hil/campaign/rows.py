@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 from hil.errors import BadInputError, nearest
+from hil.figure_words import in_order
 
 MACHINE = "machine."
 """What begins the names of columns that depend on the machine, and not on the run."""
@@ -68,7 +69,7 @@ def figures_of(metrics: Mapping[str, Any]) -> dict[str, Any]:
     row |= {name: _at(metrics, path) for name, path in _NESTED.items()}
     row["faults_applied"] = sum(fault["applied"] or 0 for fault in metrics["fault"])
     row["recoveries"] = len(metrics["recoveries"])
-    row["failed_expectation"] = next((one["text"] for one in metrics["expect"] if not one["passed"]), None)
+    row["failed_expectation"] = next(_failed(metrics), None)
     row[MACHINE + "tick_p50_us"] = _at(metrics, ("tick_us", "p50"))
     return row
 
@@ -88,10 +89,14 @@ def why_failed(metrics: Mapping[str, Any]) -> str:
 def _reasons(metrics: Mapping[str, Any]) -> Iterator[str]:
     if metrics["failure"] is not None:
         yield metrics["failure"]
-    yield from (outcome["text"] for outcome in metrics["expect"] if not outcome["passed"])
+    yield from _failed(metrics)
     yield from (f"{fault['text']} was never applied" for fault in metrics["fault"] if not fault["applied"])
     yield from (row["text"] for row in metrics["allow"] if not row["passed"])
     yield f"the law gave no number {metrics['commands_refused']} times, and the robot was held still"
+
+
+def _failed(metrics: Mapping[str, Any]) -> Iterator[str]:
+    return (one["text"] for one in in_order(metrics["expect"]) if one["passed"] is False)
 
 
 def check_figure(name: str, where: str) -> None:

@@ -136,8 +136,10 @@ def _about(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 def _event_rows(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield the newest warnings and errors that nothing above says."""
-    said = {found["failure"], *(row["text"] for row in found["expect"] or ())}
-    events = [event for event in found["events"] if event["level"] in ("WARN", "ERROR") and event["text"] not in said]
+    said = [found["failure"] or "", *(row["text"] for row in found["expect"] or ())]
+    warned = [event for event in found["events"] if event["level"] in ("WARN", "ERROR")]
+    # An expectation tells of its first violation at once: the end of its time has the same words and more.
+    events = [event for event in warned if not any(text.startswith(event["text"]) for text in said)]
     if len(events) > _EVENTS_SHOWN:
         yield "events", f"the last {_EVENTS_SHOWN} of {len(events)}; --json and --html have them all"
     for event in events[-_EVENTS_SHOWN:]:

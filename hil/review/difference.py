@@ -16,8 +16,8 @@ _NEUTRAL = frozenset({"ticks", "realtime_factor", "frames.sent", "frames.receive
 class Difference(NamedTuple):
     """A figure of both runs: ``difference`` is the second less the first, in the figure's own unit.
 
-    ``verdict`` tells of the second run: better, worse or same; None where that has no meaning, or a run lacks the
-    figure for a reason which ``notes`` says.
+    ``verdict`` tells of the second run: better, worse or same; None where that has no meaning, where a run did not come
+    to its end, for to stop early is no merit, or where one lacks the figure for a reason which ``notes`` says.
     """
 
     label: str
@@ -77,6 +77,7 @@ def changes(first: RecordedRun, second: RecordedRun) -> list[Change]:
 
 
 def _differences(first: Mapping[str, Any], second: Mapping[str, Any]) -> Iterator[Difference]:
+    both_ended = all(run.get("failure") is None for run in (first, second))
     for label, name, unit, scale in (*FIGURES, *_NESTED):
         one, other = _value(first, name), _value(second, name)
         if one is None and other is None:
@@ -89,7 +90,8 @@ def _differences(first: Mapping[str, Any], second: Mapping[str, Any]) -> Iterato
         if one is None or other is None:
             yield Difference(label, name, unit, scale, one, other, None, None, notes)
             continue
-        yield Difference(label, name, unit, scale, one, other, other - one, _verdict(name, one, other), notes)
+        verdict = _verdict(name, one, other) if both_ended else None
+        yield Difference(label, name, unit, scale, one, other, other - one, verdict, notes)
 
 
 def _verdict(name: str, first: float, second: float) -> str | None:
@@ -108,7 +110,7 @@ def _value(figures: Mapping[str, Any], name: str) -> float | None:
     if isinstance(value, Mapping):
         return sum(value.values())
     if isinstance(value, list):
-        return sum(not row.get("passed", False) for row in value)
+        return sum(row.get("passed", False) is False for row in value)
     return value if isinstance(value, int | float) and math.isfinite(value) else None
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.errors import BadInputError
 from hil.expectations import outcomes_of
-from hil.metrics import FIGURE_SIGNALS, CommandLimits, signal_figures
+from hil.metrics import FIGURE_SIGNALS, CommandLimits, cut_words, signal_figures
 from hil.review.reader import RecordedRun, read
 from hil.signals import SIGNAL_NAMES
 from hil.telemetry.known import table_rows
@@ -88,8 +88,12 @@ def figures(run: RecordedRun) -> dict[str, Any]:
     if "loop.t_s" in missing:
         raise BadInputError(f"{run.path}: it has no signal 'loop.t_s'; no recording of a run")
     blank = np.zeros(len(run.signals["loop.t_s"]))
+    cut_s = _cut_s(run)
     found, reasons = signal_figures(
-        {**dict.fromkeys(missing, blank), **run.signals}, torque_constant_n_m_a(run), _limits(run)
+        {**dict.fromkeys(missing, blank), **run.signals},
+        torque_constant_n_m_a(run),
+        _limits(run),
+        None if cut_s is None else cut_words(cut_s, _number(run, "loop.duration_s")),
     )
     for name, needed in FIGURE_SIGNALS.items():
         if lacking := [signal for signal in needed if signal in missing]:
@@ -106,7 +110,7 @@ def figures(run: RecordedRun) -> dict[str, Any]:
     outcome = {name: summary.get(name) for name in _OUTCOME}
     if run.summary is None:
         outcome["failure"] = no_summary
-        outcome["expect"] = outcomes_of([row for row in expected(run) if row.signal in run.signals], run.signals)
+        outcome["expect"] = outcomes_of([row for row in expected(run) if row.signal in run.signals], run.signals, cut_s)
     return {
         "passed": found.pop("passed"),
         **was,
@@ -132,8 +136,28 @@ def sources_of(run: RecordedRun) -> dict[str, Any]:
 
 def torque_constant_n_m_a(run: RecordedRun) -> float | None:
     """Return what the run's scenario says of the motors [N·m/A at the wheel]; None where it says nothing."""
-    value = scenario_of(run).get("firmware.torque_constant_n_m_a")
+    return _number(run, "firmware.torque_constant_n_m_a")
+
+
+def _number(run: RecordedRun, key: str) -> float | None:
+    """Return a number of the run's scenario; None where it has none."""
+    value = scenario_of(run).get(key)
     return float(value) if isinstance(value, int | float) else None
+
+
+def _cut_s(run: RecordedRun) -> float | None:
+    """Return the time of the last row where there should have been more; None for a run that came to its end.
+
+    A run with a summary came to its end unless something ended it early. One without may have been at its end.
+    """
+    if run.summary is not None and run.summary.get("failure") is None:
+        return None
+    t_s = run.signals["loop.t_s"]
+    last_s = float(t_s[-1]) if len(t_s) else 0.0
+    duration_s, rate_hz = _number(run, "loop.duration_s"), _number(run, "loop.rate_hz")
+    if run.goes_on or duration_s is None or not rate_hz:
+        return last_s
+    return last_s if last_s < duration_s - 2.0 / rate_hz else None
 
 
 def _limits(run: RecordedRun) -> CommandLimits | None:

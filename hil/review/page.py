@@ -5,7 +5,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from hil.figure_words import applied_words, belief_rows, figure_rows, link_rows, outcome_rows
+from hil.figure_words import applied_words, belief_rows, figure_rows, in_order, link_rows, outcome_rows
 from hil.html_page import document, figure, mark, table, write_document
 from hil.outputs import Existing
 from hil.review.difference import Difference, changes, differences
@@ -13,6 +13,7 @@ from hil.review.figures import figure_signals, scenario_of, sources_of
 from hil.review.pictures import SIGNALS, Shown, pictures
 from hil.review.reader import RecordedRun
 
+_VERDICTS = {True: "held", None: "not judged", False: "failed"}
 _LEVELS = {"ERROR": "failed", "WARN": "note"}
 
 
@@ -84,13 +85,11 @@ def _head(labels: Sequence[str], figures: Sequence[Mapping[str, Any]]) -> Iterat
 
 
 def _outcomes(figures: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the expectations, those that failed first, then what went wrong with the run on its way."""
-    rows = sorted(figures["expect"] or (), key=lambda row: bool(row["passed"]))
+    """Yield the expectations as ``in_order``, then what went wrong with the run on its way."""
+    rows = in_order(figures["expect"] or ())
     if rows:
         yield "<h2>Expectations</h2>"
-        cells = [
-            (mark("held" if row["passed"] else "failed", bool(row["passed"])), escape(row["text"])) for row in rows
-        ]
+        cells = [(mark(_VERDICTS[row["passed"]], row["passed"] is not False), escape(row["text"])) for row in rows]
         yield from table(("", "expectation"), cells)
     if figures["fault"]:
         yield "<h2>Faults</h2>"

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.errors import DeviceError, HilError, LinkError
-from hil.figure_words import why_incomplete
+from hil.figure_words import in_order, why_incomplete
 from hil.testing.overrides import shown
 
 if TYPE_CHECKING:
@@ -75,7 +75,8 @@ class Verdict:
         metrics = self.result.metrics
         if metrics["commands_refused"]:
             yield f"the law gave {metrics['commands_refused']} commands that were no numbers"
-        yield from (f"expectation: {row['text']}" for row in metrics["expect"] if not row["passed"])
+        failed = [row for row in in_order(metrics["expect"]) if row["passed"] is False]
+        yield from (f"expectation: {row['text']}" for row in failed)
         yield from (f"allow: {row['text']}" for row in metrics["allow"] if not row["passed"])
         for row, counted in _faults(self.scenario, metrics):
             if not counted["applied"]:
