@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.opcode import Opcode
 
 from hil.commands.review import review as command
 from hil.errors import BadInputError
@@ -300,3 +301,57 @@ def test_a_recording_of_another_program_is_refused(tmp_path: Path) -> None:
     other.disconnect()
     with pytest.raises(BadInputError, match="another program"):
         read(path)
+
+
+def chunks(path: Path) -> list[tuple[int, int]]:
+    """Return where each chunk of an MCAP file begins and how long it is, with its head of 9 bytes."""
+    content, place, found = path.read_bytes(), 8, []
+    while place + 9 < len(content):
+        length = 9 + int.from_bytes(content[place + 1 : place + 9], "little")
+        if content[place] == Opcode.CHUNK:
+            found.append((place, length))
+        place += length
+    return found
+
+
+@pytest.mark.parametrize("which", [0, 1, -1])
+def test_one_damaged_chunk_is_left_out_and_what_is_lost_with_it_is_said(mcap: Path, tmp_path: Path, which: int) -> None:
+    damaged = tmp_path / "run.mcap"
+    content = bytearray(mcap.read_bytes())
+    begin, length = chunks(mcap)[which]
+    content[begin + length - 50] ^= 1
+    damaged.write_bytes(content)
+    whole, run = read(mcap), read(damaged)
+    assert run.summary == SUMMARY
+    [note] = run.notes
+    assert note.startswith("run.mcap is damaged: ")
+    ticks = run.signals["loop.tick"]
+    lost = ROWS - len(ticks)
+    if lost:
+        assert run.rows_missing == lost
+        gone = np.setdiff1d(whole.signals["loop.tick"], ticks)
+        t_s = whole.signals["loop.t_s"][np.isin(whole.signals["loop.tick"], gone)]
+        assert f"{lost} rows from t = {t_s[0]:.6g} s to {t_s[-1]:.6g} s cannot be read and are left out: " in note
+        assert figures(run)["ticks"] == ROWS
+    else:
+        assert len(run.events) < len(whole.events)
+    assert np.isin(ticks, whole.signals["loop.tick"]).all()
+
+
+def test_a_file_of_which_no_chunk_is_whole_is_damaged(mcap: Path, tmp_path: Path) -> None:
+    damaged = tmp_path / "run.mcap"
+    content = bytearray(mcap.read_bytes())
+    for begin, length in chunks(mcap):
+        content[begin + length - 50] ^= 1
+    damaged.write_bytes(content)
+    with pytest.raises(DamagedError, match="none of its rows can be read"):
+        decode(damaged)
+
+
+def test_a_recording_that_was_cut_before_its_first_row_is_none_of_a_run_of_no_ticks(mcap: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "run.mcap"
+    first = chunks(mcap)[0][0]
+    for size in (first, first + 20):
+        cut.write_bytes(mcap.read_bytes()[:size])
+        with pytest.raises(BadInputError, match="cut before its first rows"):
+            read(cut)

@@ -14,6 +14,9 @@ Wanted = Collection[str] | None
 """Names of the signals to read; None for all."""
 
 
+CUT_BEFORE_ROWS = "cut before its first rows"
+
+
 class DamagedError(Exception):
     """The file cannot be read as a recording of a run; the text says what is wrong with it."""
 
@@ -22,13 +25,16 @@ class Contents(NamedTuple):
     """A file as it was read: signals by name, events, and the texts of each property.
 
     ``cut_bytes`` is None for a file that ends as its format does, else how many of its last bytes are a message or
-    record that was cut short, and was left out.
+    record that was cut short, and was left out. ``damage`` has a sentence for each piece in the middle that could not be
+    read, and ``lost_rows`` is how many rows were in them, as far as that is known.
     """
 
     signals: dict[str, Series]
     events: list[tuple[float, str, str]]
     properties: dict[str, dict[str, str]]
     cut_bytes: int | None
+    damage: tuple[str, ...] = ()
+    lost_rows: int = 0
 
     def json(self, name: str) -> dict[str, Any] | None:
         """Return a property that holds a JSON object, or None when the recording does not have it.
@@ -41,7 +47,7 @@ class Contents(NamedTuple):
 def why_nothing(programs: Collection[str], cut_bytes: int | None) -> str:
     """Say why a file has nothing of a run, by what it says made it, if it says, and whether it was cut."""
     if APPLICATION in programs:
-        return "damaged: it does not say what its signals are" if cut_bytes is None else "cut before its first rows"
+        return "damaged: it does not say what its signals are" if cut_bytes is None else CUT_BEFORE_ROWS
     if programs or cut_bytes is None:
         return "a recording of another program"
     return "cut so short that it does not tell whose recording it is"

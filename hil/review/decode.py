@@ -16,7 +16,7 @@ from typing import Any, TypedDict
 import numpy as np
 
 from hil.errors import BadInputError
-from hil.review.contents import Contents, DamagedError, Series, Wanted
+from hil.review.contents import CUT_BEFORE_ROWS, Contents, DamagedError, Series, Wanted
 from hil.review.decode_rrd import decode_rrd
 from hil.review.plausibility import CLOCK, check_plausible
 from hil.telemetry.environment import refuse_pandas
@@ -45,13 +45,17 @@ def decode(path: Path, wanted: Wanted = None) -> tuple[Decoded, dict[str, Series
     parts, notes = _parts(path, wanted)
     first, last = parts[0][1], parts[-1][1]
     told = [contents.json(PART_PROPERTY) or {} for _, contents in parts]
-    spans, missing = _spans([one.get("first_row") for one in told], [_length(contents) for _, contents in parts])
+    spans, missing = _spans(
+        [one.get("first_row") for one in told], [_length(contents) + contents.lost_rows for _, contents in parts]
+    )
     event_spans, events_missing = _spans(
         [one.get("first_event") for one in told], [len(contents.events) for _, contents in parts]
     )
     for count, what in ((missing, "rows"), (events_missing, "events")):
         if count:
             notes.append(f"{count} {what} between its parts were lost")
+    notes.extend(f"{one.name} is damaged: {sentence}" for one, contents in parts for sentence in contents.damage)
+    missing += sum(contents.lost_rows for _, contents in parts)
     signals = {
         name: np.concatenate([c.signals[name][:n] for (_, c), n in zip(parts, spans, strict=True)])
         if len(parts) > 1
@@ -59,6 +63,11 @@ def decode(path: Path, wanted: Wanted = None) -> tuple[Decoded, dict[str, Series
         for name, series in first.signals.items()
     }
     recorder = last.json(RECORDER_PROPERTY)
+    if not len(next(iter(signals.values()), ())):
+        if any(contents.damage for _, contents in parts):
+            raise DamagedError("damaged: none of its rows can be read")
+        if recorder is None:
+            raise DamagedError(CUT_BEFORE_ROWS)
     notes.extend(note for part in parts if (note := _cut(*part, is_last=part is parts[-1])))
     next_part = (recorder or {}).get("next_part")
     if next_part is not None:

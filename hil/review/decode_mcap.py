@@ -19,12 +19,18 @@ from hil.telemetry.names import SIGNALS_PROPERTY
 
 _LEVEL_NAMES = {number: {"warning": "WARN"}.get(name, name.upper()) for name, number in LEVELS.items()}
 _LONGEST_RECORD_BYTES = 256 << 20
+_UNREADABLE = (McapError, CRCValidationError, zstandard.ZstdError, struct.error, ValueError, KeyError)
+# Of lz4, and of lengths that make no sense.
+_SENSELESS = (RuntimeError, MemoryError, OverflowError)
 _MAGIC = b"\x89MCAP0\r\n"  # a file begins and ends with it; between are records of (opcode u8, length u64, content)
 _RECORD = struct.Struct("<BQ")
 
 
 def decode_mcap(path: Path, wanted: Wanted = None) -> Contents:
-    """Return what an MCAP file of ours holds; without its end, up to where it was cut. Raises DamagedError."""
+    """Return what an MCAP file of ours holds; without its end, up to where it was cut.
+
+    A chunk that is damaged is left out, which ``damage`` says. Raises DamagedError for any other damage.
+    """
     reader = _Reader(wanted)
     with path.open("rb") as file:
         end, cut_bytes = _end_of_records(file)
@@ -34,10 +40,8 @@ def decode_mcap(path: Path, wanted: Wanted = None) -> Contents:
             records = stream.records
             while max(file.tell(), len(_MAGIC)) < end:
                 reader.take(next(records))
-        except (McapError, CRCValidationError, zstandard.ZstdError, struct.error, ValueError, KeyError) as error:
+        except (*_UNREADABLE, *_SENSELESS) as error:
             raise DamagedError(f"damaged: {error or type(error).__name__}") from error
-        except (RuntimeError, MemoryError, OverflowError) as error:  # of lz4, and of lengths that make no sense
-            raise DamagedError(f"damaged: {error}") from error
     return reader.contents(cut_bytes)
 
 
@@ -68,6 +72,8 @@ class _Reader:
         self._pieces: list[Series] = []
         self._names: list[str] | None = None
         self._zero_ns = 0
+        self._damage: list[str] = []
+        self._lost_rows = 0
 
     def take(self, record: object) -> None:
         """Take a record of the file."""
@@ -81,9 +87,8 @@ class _Reader:
             self._topics[record.id] = record.topic
         elif isinstance(record, Message):
             self._message(record)
-        elif isinstance(record, Chunk) and not self._rows_alone(record):
-            for inner in breakup_chunk(record, validate_crc=True):
-                self.take(inner)
+        elif isinstance(record, Chunk):
+            self._chunk(record)
 
     def contents(self, cut_bytes: int | None) -> Contents:
         """Return what was taken. Raises DamagedError for a file that has nothing of a run."""
@@ -92,7 +97,9 @@ class _Reader:
         table = np.concatenate([np.empty((0, len(self._columns))), *self._pieces])
         self._pieces.clear()
         names = [self._names[column] for column in self._columns]
-        return Contents({name: table[:, i] for i, name in enumerate(names)}, self._events, self._properties, cut_bytes)
+        return Contents(
+            {name: table[:, i] for i, name in enumerate(names)}, self._events, self._properties, cut_bytes
+        )._replace(damage=tuple(self._damage), lost_rows=self._lost_rows)
 
     def _begin(self) -> None:
         held = json_property(self._properties, SIGNALS_PROPERTY)
@@ -112,6 +119,26 @@ class _Reader:
             ]
         )
 
+    def _chunk(self, chunk: Chunk) -> None:
+        """Take what is in a chunk, all of it or nothing."""
+        try:
+            inside = [] if self._rows_alone(chunk) else breakup_chunk(chunk, validate_crc=True)
+        except (*_UNREADABLE, *_SENSELESS) as error:
+            self._leave_out(chunk, error)
+            return
+        for inner in inside:
+            self.take(inner)
+
+    def _leave_out(self, chunk: Chunk, error: Exception) -> None:
+        """Note what is lost with a damaged chunk: what its head says, which has no CRC of its own."""
+        begin_s, end_s = ((t_ns - self._zero_ns) / 1e9 for t_ns in (chunk.message_start_time, chunk.message_end_time))
+        rows = chunk.uncompressed_size / self._row.itemsize if self._names is not None else 0.5
+        are_rows = rows.is_integer() and chunk.uncompressed_size < _LONGEST_RECORD_BYTES
+        self._lost_rows += int(rows) if are_rows else 0
+        what = f"{int(rows)} rows" if are_rows else "what was recorded"
+        why = str(error).partition("\n")[0] or type(error).__name__
+        self._damage.append(f"{what} from t = {begin_s:.6g} s to {end_s:.6g} s cannot be read and are left out: {why}")
+
     def _rows_alone(self, chunk: Chunk) -> bool:
         """Take a chunk at once, when there is nothing but rows in it."""
         if self._names is None:
@@ -123,8 +150,8 @@ class _Reader:
         expected = self._row.itemsize - 9
         if (rows["opcode"] != Opcode.MESSAGE).any() or (rows["length"] != expected).any():
             return False
-        if {self._topics.get(int(number)) for number in np.unique(rows["channel"])} - {SIGNALS_TOPIC}:
-            return False
+        if {self._topics.get(int(number)) for number in np.unique(rows["channel"])} - {SIGNALS_TOPIC, None}:
+            return False  # None: the chunk that says which topic is which may be lost
         self._pieces.append(rows["values"][:, self._columns])
         return True
 
