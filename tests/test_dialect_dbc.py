@@ -456,3 +456,23 @@ def test_numbers_that_are_none_are_not_heard(tmp_path: Path) -> None:
         driver.feed(Frame(EXTENDED | 0x18FF0300, struct.pack(">f4x", degrees)), 0)
         assert driver.sample is not None
         assert driver.sample.yaw_rate_rad_s == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("rpm", [math.nan, math.inf, -math.inf])
+def test_numbers_that_are_none_are_not_obeyed_by_the_emulated_drives(tmp_path: Path, rpm: float) -> None:
+    types = "".join(f"SIG_VALTYPE_ {number} TargetSpeed : 1;\n" for number in (272, 273, 274, 275))
+    file = edited_dbc(
+        tmp_path,
+        "wheel_drives",
+        ("TargetSpeed : 8|16@1- (0.5,0)", "TargetSpeed : 8|32@1- (1,0)"),
+        ("Feedforward : 24|16", "Feedforward : 40|16"),
+        ("VAL_ 256 State", f"{types}VAL_ 256 State"),
+    )
+    rig = armed(Rig("dbc", motors("wheel_drives", {"file": file})))
+    rig.drive(0.5, ramp_to(FORWARD, 0.3))
+    command = next(iter(rig.driver.command(FORWARD, STILL, rig.now_ns)))
+    rig.step([Frame(command.id, command.payload[:1] + struct.pack("<f", rpm) + command.payload[5:])], ticks=1)
+    assert rig.node.ignored == 1
+    assert all(math.isfinite(torque) for torque in rig.node.torque_n_m)
+    rig.drive(0.2, lambda _t: (FORWARD, STILL))
+    assert_near(rig.speeds(), FORWARD, 0.2)

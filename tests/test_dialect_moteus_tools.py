@@ -205,7 +205,7 @@ def test_moteus_tool_begins_reads_and_sets_the_configuration(rig: Rig) -> None:
         await tool.stream.command("conf set servo.default_timeout_s 0.7")
         await tool.stream.command("conf load")
         assert await tool.stream.read_config_double("servo.default_timeout_s") == pytest.approx(0.3)
-        for refused in ("id.id 9", "servo.timeout_mode 10", "servo.pid_position.kp nan", "servo.max_current_A -1"):
+        for refused in ("id.id 9", "servo.timeout_mode 10", "servo.pid_position.kp nan", "servo.max_current_A 1e6"):
             with pytest.raises(moteus.CommandError, match="ERR error setting"):
                 await tool.stream.command(f"conf set {refused}")
         found: list[bytes] = dump.splitlines()
@@ -251,6 +251,16 @@ def test_a_line_of_the_console_begins_a_mode(rig: Rig, line: str, mode: int) -> 
     asyncio.run(Tool(rig).stream.command(line))
     rig.step(ticks=500)
     assert rig.node.servos[0].mode == mode, "a line of the console has no watchdog"
+
+
+def test_numbers_that_a_float_cannot_hold_are_told_as_the_largest(rig: Rig) -> None:
+    one, tool = controller(rig), Tool(rig)
+    asyncio.run(tool.stream.command("conf set servo.max_position_slip nan"))
+    asyncio.run(tool.stream.command("d pos 1e300 1e300 1e300"))
+    rig.step(ticks=30)
+    told = values(asyncio.run(one.custom_query({0x21: moteus.F32, 0x25: moteus.F32, 0x38: moteus.F32})))
+    assert all(value > 3e38 for value in told.values())
+    assert abs(rig.node.torque_n_m[0]) <= rig.node.values["torque_limit_n_m"]
 
 
 def test_an_option_of_the_console_gives_it_a_watchdog(rig: Rig) -> None:

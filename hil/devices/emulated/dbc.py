@@ -5,6 +5,7 @@ with counters that count. Without commands they go on for ever, unless the mappi
 switched off brake until the wheels stand, then let go.
 """
 
+import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -84,10 +85,10 @@ class EmulatedDbc(EmulatedMotors):
             return
         payload = frame.payload[: message.length]
         raw: Mapping[str, Any] = message.decode(payload, decode_choices=False, scaling=False)
-        if not self._counts_on(message.name, raw):
+        physical = message.decode(payload, decode_choices=False)
+        if not all(math.isfinite(value) for value in physical.values()) or not self._counts_on(message.name, raw):
             self.ignored += 1
             return
-        physical = message.decode(payload, decode_choices=False)
         self._set_watchdog(message.name, physical)
         if self._is_last(message.name, raw, "clear"):
             self.is_stopped = False

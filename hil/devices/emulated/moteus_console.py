@@ -89,6 +89,8 @@ class Console:
         if name not in servos.SETTABLE or value is None:
             return "ERR error setting"
         least, most = servos.SETTABLE[name]
+        if name == "servo.max_current_A":
+            most = self._delivered[name]  # what the motor bears
         if math.isnan(value):
             if name not in servos.OPTIONAL:
                 return "ERR error setting"

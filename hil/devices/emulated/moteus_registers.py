@@ -22,6 +22,7 @@ _LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 WRITE_ERROR, READ_ERROR = 0x30, 0x31
 NO_REGISTER, READ_ONLY, NO_MODE = 1, 2, 3
 
+_MOST_FLOAT = 3.4028234663852886e38
 _FORMATS = ("<b", "<h", "<i", "<f")
 _SCALES: Mapping[str, tuple[float, float, float]] = {
     "position": (1e-2, 1e-4, 1e-5),
@@ -152,7 +153,7 @@ def physical(kind: int, raw: float, quantity: str) -> float:
 def raw_of(kind: int, value: float, quantity: str) -> float:
     """Return a value as its type carries it, saturated; the least integer for what is no number."""
     if kind == FLOAT:
-        return value
+        return limited(value, _MOST_FLOAT) if math.isfinite(value) else value
     most = (1 << (8 << kind) - 1) - 1
     return -most - 1 if not math.isfinite(value) else int(limited(value / _SCALES[quantity][kind], most))
 

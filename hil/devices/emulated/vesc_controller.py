@@ -28,6 +28,7 @@ _COMMANDS: Mapping[int, tuple[str, float]] = {  # COMM_SET_...: mode, and counts
     7: ("brake", 1e3),
     8: ("rpm", 1.0),
 }
+_ENDS = {"B": (0, 255), "h": (-(2**15), 2**15 - 1), "i": (-(2**31), 2**31 - 1)}
 _EVERY_VALUE = (1 << 22) - 1
 
 Reply = Callable[[bytes], None]
@@ -170,11 +171,11 @@ class VescController:
         """Return the status messages that are switched on: command and data."""
         (drawn_ah, given_ah), (drawn_wh, given_wh) = self._amp_hours, self._watt_hours
         every = {
-            1: (9, struct.pack(">ihh", self.erpm, int(self.motor_a * 10), int(self.duty * 1000))),
-            2: (14, struct.pack(">ii", int(drawn_ah * 1e4), int(given_ah * 1e4))),
-            3: (15, struct.pack(">ii", int(drawn_wh * 1e4), int(given_wh * 1e4))),
-            4: (16, struct.pack(">hhhh", int(self.degc * 10), int(self.degc * 10), int(self.input_a * 10), 0)),
-            5: (27, struct.pack(">ihh", self.tachometer, int(self.input_v * 10), 0)),
+            1: (9, _packed("ihh", self.erpm, self.motor_a * 10, self.duty * 1000)),
+            2: (14, _packed("ii", drawn_ah * 1e4, given_ah * 1e4)),
+            3: (15, _packed("ii", drawn_wh * 1e4, given_wh * 1e4)),
+            4: (16, _packed("hhhh", self.degc * 10, self.degc * 10, self.input_a * 10, 0)),
+            5: (27, _packed("ihh", self.tachometer, self.input_v * 10, 0)),
         }
         return [every[number] for number in self.told_statuses]
 
@@ -218,4 +219,11 @@ class VescController:
         if self.knows_status:
             every[21] = ("B", self.has_timed_out | self.kill_switch << 1)
         parts = (every[bit] for bit in sorted(every) if mask >> bit & 1)
-        return b"".join(struct.pack(">" + layout, *[int(value)] * len(layout)) for layout, value in parts)
+        return b"".join(_packed(layout, *[value] * len(layout)) for layout, value in parts)
+
+
+def _packed(layout: str, *values: float) -> bytes:
+    """Return numbers as a message carries them, cut at what each can be."""
+    ends = [_ENDS[letter] for letter in layout]
+    whole = (int(min(max(value, least), most)) for value, (least, most) in zip(values, ends, strict=True))
+    return struct.pack(">" + layout, *whole)

@@ -109,7 +109,7 @@ class EmulatedWheeltec(EmulatedMotors):
         numbers += [force / 19.6 * 32768 for force in self.acceleration_m_s2]
         numbers += [rate * 57.30 * 65.5 for rate in rates]
         body = struct.pack(">BB9h", 0x7B, self._is_off, *(min(max(int(n), -32768), 32767) for n in numbers))
-        body += struct.pack(">H", min(int(self.battery_v * 1000), 65535))
+        body += struct.pack(">H", min(max(int(self.battery_v * 1000), 0), 65535))
         total = 0
         for byte in body:
             total ^= byte
