@@ -97,7 +97,7 @@ def virtual_robot(scenario: Scenario) -> VirtualRobot:
     known = parameter_names(fmu)
     start = plant_start(scenario, known)
     return VirtualRobot(
-        VirtualPlant(fmu, start, signal_map(scenario), scenario.plant.timeout_s),
+        VirtualPlant(fmu, start, signal_map(scenario), scenario.plant.timeout_s, scenario.plant.memory_limit_mb),
         firmware_values(scenario),
         scenario.loop.mode == "lockstep",
         wheel_map(scenario),

@@ -17,10 +17,12 @@ from hypothesis import strategies as st
 import plant_fmu
 from hil.errors import BadInputError
 from hil.plant import archive
+from hil.plant.fmu import FmuPlant
 from hil.plant.info import info
 from hil.plant.tools import check
 from plant_fmu import platforms
 from tests.broken_fmu import Change, pack
+from tests.foreign_fmu import foreign_fmu
 from tests.plant_testbed import FMU
 
 DIRECTORY_ENTRY, LOCAL_ENTRY = b"PK\x01\x02", b"PK\x03\x04"
@@ -190,6 +192,19 @@ def test_an_fmu_that_contradicts_itself_is_refused_and_fails_a_check(
     make(fmu)
     assert words in refusal(archive.library_of, fmu)
     assert any(words in violation for violation in check(fmu).violations)
+
+
+def test_a_folder_is_called_a_folder(tmp_path: Path) -> None:
+    folder = tmp_path / "unpacked.fmu"
+    folder.mkdir()
+    for open_it in (lambda fmu: archive.locate(str(fmu), tmp_path), archive.library_of, info, check):
+        assert "is a folder; expected an .fmu file" in refusal(open_it, folder)
+
+
+def test_a_model_exchange_fmu_is_called_one_where_it_does_not_fit(tmp_path: Path) -> None:
+    fmu = foreign_fmu(tmp_path, 2, "ModelExchange")
+    with pytest.raises(BadInputError, match="it is an FMU for model exchange only"):
+        FmuPlant(fmu, {})
 
 
 @pytest.mark.parametrize("fmi", [2, 3])

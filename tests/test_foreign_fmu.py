@@ -254,10 +254,10 @@ def test_an_fmu_that_fails_at_its_start_says_why(version: int, interface: str, t
     start = fault("fail_at_initialization")
     with pytest.raises(DeviceError, match=r"wheels.\.fmu failed to initialise: wheel 1 fell off"):
         FmuPlant(foreign_fmu(tmp_path, version, interface), start, mapping=foreign_map(version))
-    with pytest.raises(DeviceError, match=r"made no instance: wrong"):
+    with pytest.raises(BadInputError, match=r"made no instance: wrong"):
         FmuPlant(foreign_fmu(tmp_path, version, interface, guid="{other}"), {}, mapping=foreign_map(version))
     fmu = foreign_fmu(tmp_path, version, interface, guid="{other}", needsExecutionTool="true")
-    with pytest.raises(DeviceError, match=r"made no instance, it needs A Tool: wrong"):
+    with pytest.raises(BadInputError, match=r"made no instance, it needs A Tool: wrong"):
         FmuPlant(fmu, {}, mapping=foreign_map(version))
     with pytest.raises(BadInputError, match=r"plant\.start\.label: wheel 1 fell off"):
         FmuPlant(foreign_fmu(tmp_path, version, interface), {"label": "x" * 40}, mapping=foreign_map(version))

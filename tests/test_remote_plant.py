@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import threading
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from hil.plant import shim
 from hil.plant.build import PLANT_PORT
 from hil.plant.fmu import FmuPlant
 from hil.plant.mapping import Row, SignalMap
+from hil.plant.memory import IS_TOLD
 from hil.plant.remote import RemotePlant
 from hil.types import Wheels
 from native_build.compiler import FLAGS, compiler
@@ -131,12 +133,45 @@ def test_an_fmu_that_ends_its_process_while_it_is_opened(
     assert list(scratch.iterdir()) == []
 
 
+def test_an_fmu_that_makes_no_instance_and_says_nothing_may_be_of_two_builds(
+    flawed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FLAW", "no_instance -1")
+    with pytest.raises(BadInputError, match=r"it made no instance: it did not say why$"):
+        RemotePlant(flawed, {})
+    other = tmp_path / "other.fmu"
+    with zipfile.ZipFile(flawed) as whole, zipfile.ZipFile(other, "w") as packed:
+        for name in whole.namelist():
+            data = whole.read(name)
+            packed.writestr(name, data.replace(b'guid="{', b'guid="{no') if name == "modelDescription.xml" else data)
+    with pytest.raises(BadInputError, match=r"did not say why; the GUID \{no.* is not in its library"):
+        RemotePlant(other, {})
+
+
+@pytest.mark.skipif(not IS_TOLD, reason="this system does not tell how much memory a process takes")
+def test_an_fmu_that_takes_more_memory_than_it_may_is_ended(flawed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """50 MB a tick; within the tenth of a second between two looks it may take a little more than its limit."""
+    monkeypatch.setenv("FLAW", "hog 0.02")
+    words = r"it took \d+ MB of memory, more than the limit of 300 MB \(plant\.memory_limit_mb\), and was ended"
+    with RemotePlant(flawed, {}, memory_limit_mb=300.0) as plant:
+        with pytest.raises(DeviceError, match=rf"^the plant stopped at 0\.\d+ s: {words}$"):
+            plant.step(TORQUE, 200)
+        plant.reset()
+        assert plant.truth().time_ns == 0
+
+
+def test_where_memory_is_not_told_that_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hil.plant.remote.IS_TOLD", False)
+    with RemotePlant(FMU, {}) as plant:
+        assert plant.said.take() == ["nothing yet; its limit of 2000 MB is not watched on this system"]
+
+
 @pytest.mark.parametrize("kind", [FmuPlant, RemotePlant])
 def test_what_an_fmu_says_is_one_line_that_steers_no_terminal(
     tmp_path: Path, kind: type[FmuPlant | RemotePlant]
 ) -> None:
     rude = foreign_fmu(tmp_path, 2, guid="\x9b31mred\nnext\u2028")
-    with pytest.raises(DeviceError, match="it made no instance: wrong GUID 31mred next") as caught:
+    with pytest.raises(BadInputError, match="it made no instance: wrong GUID 31mred next") as caught:
         kind(rude, {}, mapping=foreign_map(2))
     assert str(caught.value).isprintable()
 

@@ -47,6 +47,7 @@ class VirtualPlant(NamedTuple):
     start: Mapping[str, float | bool | str]
     mapping: SignalMap
     timeout_s: float
+    memory_limit_mb: float
 
 
 class VirtualRobot(NamedTuple):
@@ -212,7 +213,13 @@ class KeptRobot:
 def _open(plant: VirtualPlant) -> FmuPlant | RemotePlant:
     if archive.is_shipped(plant.fmu):
         return FmuPlant(plant.fmu, plant.start, mapping=plant.mapping)
-    return RemotePlant(plant.fmu, plant.start, mapping=plant.mapping, timeout_s=plant.timeout_s)
+    return RemotePlant(
+        plant.fmu,
+        plant.start,
+        mapping=plant.mapping,
+        timeout_s=plant.timeout_s,
+        memory_limit_mb=plant.memory_limit_mb,
+    )
 
 
 class WallClockNode:

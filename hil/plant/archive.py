@@ -13,7 +13,7 @@ from xml.parsers import expat
 
 from hil.errors import BadInputError, nearest
 from hil.plant.unpacking import extract as extract
-from hil.plant.unpacking import opened, pieces
+from hil.plant.unpacking import opened, pieces, refuse_folder
 from plant_fmu import SHIPPED
 from plant_fmu import path as plant_path
 from plant_fmu.platforms import suffix, this_platform, word_size_name
@@ -58,6 +58,7 @@ def locate(name: str, directory: Path) -> Path:
     Raises BadInputError when there is none.
     """
     path = SHIPPED[name] if name in SHIPPED else directory / name
+    refuse_folder(path)
     if path.is_file():
         return path
     if name in SHIPPED:
@@ -150,6 +151,12 @@ def platforms(fmu: Path) -> tuple[str, ...]:
     with opened(fmu) as archive:
         paths = [PurePosixPath(name) for name in archive.namelist() if not name.endswith("/")]
     return tuple(sorted({path.parts[1] for path in paths if path.parts[0] == "binaries" and len(path.parts) > 2}))
+
+
+def holds(fmu: Path, member: str, text: bytes) -> bool:
+    """Tell whether a member of the archive has these bytes in it. Raises BadInputError."""
+    with opened(fmu) as archive:
+        return text in b"".join(pieces(fmu, archive, archive.getinfo(member)))
 
 
 def binary_folders(fmi_version: str) -> tuple[str, ...]:

@@ -193,7 +193,12 @@ class FmuPlant:
         """Hand the FMU's addresses and variables to the shim; return what has to live as long as it."""
         instance, context = self.instance, self._context
         resize(self._start, instance.variables)
-        wiring = resolve(mapping, fmu, instance.variables)
+        try:
+            wiring = resolve(mapping, fmu, instance.variables)
+        except BadInputError as error:
+            if not instance.is_model_exchange:
+                raise
+            raise BadInputError(f"{error}; it is an FMU for model exchange only, which is integrated here") from error
         self._driven = {connection.variable.name for connection in wiring.inputs}
         missing = {OUTPUTS[place] for place in wiring.derived}
         self.lacks = frozenset(name for name, signals in SENSORS.items() if missing & set(signals))

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.errors import BadInputError, DeviceError, HilError
+from hil.plant import archive
 from hil.plant.archive import Library
 from hil.plant.description import read_description, variables_of
 from hil.plant.shim import load
@@ -36,6 +37,7 @@ class Instance:
         self._file = fmu
         self._folder = folder
         self._context = context
+        self._library = library
         self.is_model_exchange = library.interface == "model_exchange"
         self._is_running = False
         self.description = read_description(fmu)
@@ -68,7 +70,7 @@ class Instance:
             return float(getattr(self.fmu, f"get{variable.type}")([variable.valueReference])[0])
 
     def instantiate(self) -> None:
-        """Make the instance. Raises BadInputError when there may be no further one, DeviceError when there is none."""
+        """Make the instance. Raises BadInputError when there may be no further one, and when the FMU makes none."""
         if self._interface.canBeInstantiatedOnlyOncePerProcess:
             if self.description.guid in _ALIVE:
                 raise BadInputError(
@@ -81,8 +83,19 @@ class Instance:
             _ALIVE.discard(self.description.guid)
             maker = one_line(self.description.generationTool or "the tool that made it")
             tool = f", it needs {maker}" if self._interface.needsExecutionTool else ""
-            raise DeviceError(f"FMU {self._file}: it made no instance{tool}: {self.words or 'it did not say why'}")
+            raise BadInputError(f"FMU {self._file}: it made no instance{tool}: {self.words or self._guess()}")
         self._context.component = load()[0].cast("void *", self.fmu.component)
+
+    def _guess(self) -> str:
+        """Say what may be wrong where the FMU made no instance and gave no reason."""
+        guid = self.description.guid
+        if archive.holds(self._file, self._library.member, guid.encode()):
+            return "it did not say why"
+        name = "GUID" if self.version == 2 else "instantiationToken"
+        return (
+            f"it did not say why; the {name} {one_line(guid)} of its modelDescription.xml is not in its library, so "
+            "they may be of two builds: export it anew"
+        )
 
     def initialise(self, starts: Sequence[Start]) -> None:
         """Set the start values of a new or reset instance and bring it to where it can be stepped.

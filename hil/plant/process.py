@@ -14,6 +14,7 @@ from typing import IO, Any, cast
 
 from hil.child import away_from_terminal, child_environment, module_command
 from hil.errors import DeviceError
+from hil.plant.memory import excess
 from hil.plant.said import Said
 
 THERE_S = 60.0  # that Python and our own modules may take to be there
@@ -27,13 +28,22 @@ _LONGEST_ROUNDS_S = 2.0
 class Watch:
     """Calls ``expire(limit_s)`` when one request has been pending for so long, and each ``limit_s`` from then on.
 
+    It also calls ``look`` several times in that time, at least every tenth of a second.
+
     ``pending`` returns a token of the request that waits for its reply, another one for each request, or None. Rounds
     are counted, not time: a suspended program does not take its own absence for a hang. Detection comes up to a
     twentieth late of ``limit_s`` as it was at first, or of 2 s where that is longer.
     """
 
-    def __init__(self, pending: Callable[[], object], expire: Callable[[float], None], limit_s: float) -> None:
+    def __init__(
+        self,
+        pending: Callable[[], object],
+        expire: Callable[[float], None],
+        limit_s: float,
+        look: Callable[[], None],
+    ) -> None:
         self.limit_s = limit_s
+        self._look = look
         self._pending = pending
         self._expire = expire
         self._round_s = min(limit_s, _LONGEST_ROUNDS_S) / _ROUNDS
@@ -43,6 +53,7 @@ class Watch:
     def _run(self) -> None:
         rounds, before = 0, None
         while not self._stopped.wait(self._round_s):
+            self._look()
             token = self._pending()
             rounds = rounds + 1 if token is not None and token == before else 0
             before = token
@@ -79,7 +90,7 @@ class ChildProcess:
             )
         except OSError as error:
             raise DeviceError(f"no process can be started for the plant ({error}); end others first") from error
-        self._unanswered_s: float | None = None  # how long it was waited for until it was given up
+        self._why_ended: str | None = None  # by us
         self._said = Said() if said is None else said
         self._reader = threading.Thread(target=self._read_words, name="plant words", daemon=True)
         self._reader.start()
@@ -126,8 +137,18 @@ class ChildProcess:
 
     def give_up(self, waited_s: float) -> None:
         """End it at once, since it has not answered for so long."""
-        if self._unanswered_s is None:
-            self._unanswered_s = waited_s
+        self._end_because(f"it gave no answer within {waited_s:g} s and was ended")
+
+    def limit_memory(self, limit_mb: float, setting: str = "") -> None:
+        """End it at once when it has taken more memory; where the system does not tell, it takes what it likes.
+
+        ``setting`` is what a user may set the limit by.
+        """
+        if self._process.returncode is None and (words := excess(self.pid, limit_mb)) is not None:
+            self._end_because(f"{words}{setting and f' ({setting})'}, and was ended")
+
+    def _end_because(self, why: str) -> None:
+        self._why_ended = self._why_ended or why
         self.kill()
 
     def wait(self) -> int:
@@ -137,9 +158,7 @@ class ChildProcess:
     def ending(self) -> str:
         """Wait for its end as ``wait`` does, and say how it was."""
         status = self.wait()
-        if self._unanswered_s is not None:
-            return f"it gave no answer within {self._unanswered_s:g} s and was ended"
-        return f"its process {_how(status)}"
+        return self._why_ended or f"its process {_how(status)}"
 
     def last_words(self) -> str:
         """Return the last line that it printed until its end, to end a sentence with; empty when it printed none."""

@@ -10,6 +10,7 @@ from typing import Self
 from hil.errors import BadInputError, DeviceError
 from hil.plant import shim
 from hil.plant.mapping import SignalMap
+from hil.plant.memory import DEFAULT_LIMIT_MB, IS_TOLD
 from hil.plant.process import THERE_S, ChildProcess, Watch, handle
 from hil.plant.said import Said
 from hil.plant.settable import Settable
@@ -26,8 +27,10 @@ class RemotePlant:
     """An instance of an FMU behind the plant port, like ``FmuPlant``, but loaded and stepped in a child process.
 
     ``timeout_s`` is how long a tick may take until the FMU counts as hung; opening it and going back to the start
-    may take ten times as long. What ends the child is a failure of the plant: the exchange fails, and ``message``
-    says why. The child never outlives this process. ``said`` has what the FMU prints and logs.
+    may take ten times as long. A process that takes more memory than ``memory_limit_mb`` is ended, where the system
+    tells how much it takes; where it does not, that is the first thing in ``said``, which has all that the FMU prints
+    and logs. What ends the child is a failure of the plant: the exchange fails, and ``message`` says why. The child
+    never outlives this process.
 
     Raises BadInputError as ``FmuPlant`` does, and DeviceError when the FMU fails, crashes or hangs while it is opened.
     """
@@ -40,10 +43,12 @@ class RemotePlant:
         mapping: SignalMap = _NO_ROWS,
         *,
         timeout_s: float = 2.0,
+        memory_limit_mb: float = DEFAULT_LIMIT_MB,
     ) -> None:
         self._fmu = fmu
         self._step_ns = step_ns
         self._timeout_s = timeout_s
+        self._memory_limit_mb = memory_limit_mb
         self._config = {
             "fmu": str(fmu.absolute()),
             "start": dict(start),
@@ -57,6 +62,8 @@ class RemotePlant:
         self._wiring: tuple[Sequence[int], Sequence[int]] = ((0, 1, 2, 3), (1, 1, 1, 1))
         self._closed = False
         self.said = Said()
+        if not IS_TOLD:
+            self.said.feed(f"nothing yet; its limit of {memory_limit_mb:g} MB is not watched on this system\n".encode())
         self._open()
 
     def _open(self) -> None:
@@ -72,7 +79,7 @@ class RemotePlant:
             ends = {"read_end": handle(child.read_end), "write_end": handle(child.write_end)}
             self._context[0] = self._ffi.new("remote_plant *", {"pipes": ends})[0]
             resources.callback(setattr, self._context, "failed", 1)
-            self._watch = Watch(self._pending, child.give_up, self._timeout_s)
+            self._watch = Watch(self._pending, child.give_up, self._timeout_s, self._limit_memory)
             resources.callback(self._watch.stop)
             try:
                 self._have_it_opened()
@@ -94,7 +101,7 @@ class RemotePlant:
             why = self._ending() if answer is None else self._with_last_words(str(answer["failed"]))
             raise DeviceError(f"the plant {self._fmu.name} could not be opened: {why}")
         if "refused" in answer:
-            raise BadInputError(str(answer["refused"]))
+            raise BadInputError(self._with_last_words(str(answer["refused"])))
         self.lacks = frozenset(map(str, answer["lacks"]))
         self.settable = {name: Settable(*row) for name, row in answer["settable"].items()}
 
@@ -228,6 +235,9 @@ class RemotePlant:
         finally:
             self._context.answered += 1
             self._watch.limit_s = self._timeout_s
+
+    def _limit_memory(self) -> None:
+        self._child.limit_memory(self._memory_limit_mb, "plant.memory_limit_mb")
 
     def _pending(self) -> int | None:
         """Return the number of the request that waits for its reply, None when all have theirs."""

@@ -14,6 +14,7 @@ from hil.errors import BadInputError
 from hil.plant import archive, shim
 from hil.plant.conformance.findings import Finding, Kind, advice, violation
 from hil.plant.description import read_description
+from hil.plant.memory import DEFAULT_LIMIT_MB
 from hil.plant.process import THERE_S, ChildProcess, Watch
 from hil.plant.words import one_line
 
@@ -54,6 +55,7 @@ def check(fmu: Path, longest_s: float = _LONGEST_CALL_S) -> CheckResult:
     """Check the archive, the description, and how the FMU behaves when it is run.
 
     The run is that of ``hil.plant.conformance``. A call of the FMU that takes longer than ``longest_s`` is a hang.
+    Its process is ended at 2000 MB.
 
     Raises BadInputError when the file is no readable FMU, and when it is one that cannot be run here: of another
     version, without co-simulation, or without a library for this platform. Raises DeviceError when no process can be
@@ -118,7 +120,7 @@ def _run_child(job: _Job, todo: Sequence[str]) -> list[Part]:
     with contextlib.ExitStack() as resources:
         child = ChildProcess("hil.plant.conformance", job.folder)
         resources.callback(child.close, 0.0)
-        watch = Watch(lambda: heard, child.give_up, job.longest_s)
+        watch = Watch(lambda: heard, child.give_up, job.longest_s, lambda: child.limit_memory(DEFAULT_LIMIT_MB))
         resources.callback(watch.stop)
         watch.limit_s = THERE_S
         child.tell(

@@ -32,6 +32,7 @@ _DAMAGED = (zipfile.BadZipFile, zlib.error, struct.error, RuntimeError, ValueErr
 @contextlib.contextmanager
 def opened(fmu: Path) -> Iterator[zipfile.ZipFile]:
     """Give the archive, with every entry's name and size checked. Raises BadInputError."""
+    refuse_folder(fmu)
     if not fmu.is_file():
         raise BadInputError(f"FMU {fmu} does not exist; give the path of an .fmu file, or a shipped name")
     try:
@@ -44,6 +45,14 @@ def opened(fmu: Path) -> Iterator[zipfile.ZipFile]:
         if problem := _unsafe(archive.infolist()):
             raise BadInputError(f"FMU {fmu}: {problem}; it is not opened")
         yield archive
+
+
+def refuse_folder(fmu: Path) -> None:
+    """Raise BadInputError for a folder, such as one into which an FMU was unpacked."""
+    if fmu.is_dir():
+        raise BadInputError(
+            f"FMU {fmu} is a folder; expected an .fmu file, which is a zip archive with modelDescription.xml at its top"
+        )
 
 
 def pieces(fmu: Path, archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Iterator[bytes]:

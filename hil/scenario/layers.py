@@ -33,7 +33,7 @@ Tree = dict[str, Node]
 _CHOICES = (
     ("controller", "law", ("command", "shadow", "shadow_gains")),
     ("reference", "kind", ()),
-    ("plant", "fmu", ("timeout_s",)),
+    ("plant", "fmu", ("timeout_s", "memory_limit_mb")),
     ("device", "driver", ("wheels", "reversed")),
 )
 _DEFAULTS = {"fmu": Given(PlantTable().fmu, "default"), "driver": Given(OUR_DRIVER, "default")}

@@ -81,6 +81,9 @@ class PlantTable(Table):
 
     fmu: Text = Field(default="mecanum", description="a shipped name, or a path relative to this file")
     timeout_s: float = Field(default=2.0, ge=0.05, le=3600, description="silence of a foreign FMU that counts as hung")
+    memory_limit_mb: float = Field(
+        default=2000.0, ge=50, le=1e6, description="memory of a foreign FMU's process at which it is ended"
+    )
     map: Mapping[Annotated[str, AfterValidator(_signal_of_plant)], MapRow] = Field(
         default_factory=dict,
         description="the FMU's variables of the signals that it does not have by their own names",

@@ -63,6 +63,9 @@ EXPORT int fmi2GetReal(void *c, const unsigned references[], size_t count, doubl
 void *fmi2Instantiate(const char *name, int type, const char *guid, const char *resources,
                       const void *functions, int visible, int logging) {
     crash(-1.0);
+    if (has("no_instance", -1.0)) {
+        return NULL;
+    }
     return sound_fmi2Instantiate(name, type, guid, resources, functions, visible, logging);
 }
 
@@ -97,6 +100,12 @@ int fmi2DoStep(void *c, double from_s, double step_s, int no_return) {
         for (int i = 0; i < 100; i++) {
             printf("%f s: all is well, and this line is there to fill the pipe of whoever reads it\n",
                    from_s);
+        }
+    }
+    if (has("hog", after_s)) {
+        char *const taken = malloc(50000000);
+        for (size_t i = 0; taken != NULL && i < 50000000; i += 1000) {
+            ((volatile char *)taken)[i] = 1;
         }
     }
     spoilt = has("nan", after_s);

@@ -1,14 +1,12 @@
 """Measures what memory stays behind."""
 
 import gc
-import mmap
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 from hil.plant.conformance.slave import NotTestedError
+from hil.plant.memory import IS_TOLD, resident_bytes
 
-_STATM = Path("/proc/self/statm")  # sizes in pages; the second is the resident one
 _LONGEST_S = 0.25  # of one call: what takes longer cannot be done often enough
 _BLOCKS = 5
 _BLOCK_S = 1.0
@@ -23,7 +21,7 @@ def bytes_per_instance(live: Callable[[], None]) -> float:
     settles grew by 88 and 156 KB in two or three of five. From 330 bytes a call on, a leak is found, more where a call
     takes longer than 5 ms. Raises NotTestedError where memory cannot be measured.
     """
-    if not _STATM.exists():
+    if not IS_TOLD:
         raise NotTestedError("resident memory can be read on Linux only")
     live()
     begin = time.perf_counter()
@@ -46,4 +44,4 @@ def bytes_per_instance(live: Callable[[], None]) -> float:
 
 def _resident_bytes() -> int:
     gc.collect()
-    return int(_STATM.read_text(encoding="ascii").split()[1]) * mmap.PAGESIZE
+    return resident_bytes()
