@@ -25,8 +25,8 @@ class Contents(NamedTuple):
     """A file as it was read: signals by name, events, and the texts of each property.
 
     ``cut_bytes`` is None for a file that ends as its format does, else how many of its last bytes are a message or
-    record that was cut short, and was left out. ``damage`` has a sentence for each piece in the middle that could not be
-    read, and ``lost_rows`` is how many rows were in them, as far as that is known.
+    record that was cut short, and was left out. ``damage`` has a sentence for each piece in the middle that could not
+    be read, and ``lost_rows`` is how many rows were in them, as far as that is known.
     """
 
     signals: dict[str, Series]
