@@ -216,6 +216,22 @@ def test_moteus_tool_begins_reads_and_sets_the_configuration(rig: Rig) -> None:
     assert not rig.node.is_driving
 
 
+def test_moteus_tool_tells_who_it_is_and_how_it_is(rig: Rig) -> None:
+    asyncio.run(repeat(60, controller(rig).set_position, position=NAN, velocity=1.0))
+    tool = Tool(rig)
+    info = asyncio.run(tool.stream.get_device_info())
+    assert info["model"] == "500"
+    assert info["uuid"].replace("-", "") == rig.node.servos[0].uuid.hex()
+    stats = asyncio.run(tool.stream.read_servo_stats())
+    assert stats.mode == Mode.TIMEOUT, "the tool has taken longer than the watchdog"
+    assert stats.bus_V == pytest.approx(rig.node.battery_v, abs=0.3)
+    assert stats.position > 0.1
+    assert asyncio.run(tool.stream.command("tel list")).split() == [b"firmware", b"git", b"servo_stats"]
+    with pytest.raises(moteus.CommandError, match="ERR unknown command"):
+        asyncio.run(tool.stream.command("tel rate servo_stats 100"))
+    asyncio.run(tool.stream.command("d stop"))
+
+
 def test_a_configured_timeout_is_the_one_that_ends_a_position_command(rig: Rig) -> None:
     tool, one = Tool(rig), controller(rig)
     asyncio.run(tool.stream.command("conf set servo.default_timeout_s 0.3"))

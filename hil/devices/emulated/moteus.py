@@ -1,7 +1,7 @@
 """Four moteus on one CAN FD bus: the frames of their registers, and of their diagnostic stream.
 
-Source: mjbots moteus, docs/protocol/can.md. Not there are the stream with acknowledgements, in which moteus_tool asks
-first, and telemetry channels in their binary form.
+Source: mjbots moteus, docs/protocol/can.md. Not there is the stream with acknowledgements, in which moteus_tool asks
+first.
 """
 
 import math

@@ -1,8 +1,9 @@
 """The diagnostic stream of an emulated moteus: the lines of text that moteus_tool, tview and a user's console send.
 
-Known are ``tel stop``, ``tel text``, the ``conf`` commands, and of ``d``: stop, pos, tmt, zero, within, brake, dq, vdq,
-pwm, nearest, rezero, exact and recapture. A line that is not known, or has too few numbers, is answered with ERR and
-changes nothing. Motion that a line begins has no watchdog unless its option t gives one, as in the firmware.
+Known are of ``tel``: stop, list, and schema, fmt and get of the binary channels; the ``conf`` commands; and of ``d``:
+stop, pos, tmt, zero, within, brake, dq, vdq, pwm, nearest, rezero, exact and recapture. A line that is not known, or
+has too few numbers, is answered with ERR and changes nothing. Motion that a line begins has no watchdog unless its
+option t gives one, as in the firmware.
 Source: mjbots moteus, docs/protocol/diagnostic.md.
 """
 
@@ -10,6 +11,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 
 from hil.devices.emulated import moteus_servo as servos
+from hil.devices.emulated import moteus_telemetry as telemetry
 
 _LONGEST_LINE, _MOST_UNREAD = 256, 8192
 _OK, _UNKNOWN = "OK", "ERR unknown command"
@@ -47,20 +49,34 @@ class Console:
         for line in lines:
             words = line.decode("latin1").split()
             if words:
-                answer = "".join(f"{told}\r\n" for told in self._do(words)).encode("latin1")
-                self._unread = (self._unread + answer)[:_MOST_UNREAD]
+                self._unread = (self._unread + self._answer(words))[:_MOST_UNREAD]
 
     def take(self, most: int) -> bytes:
         """Return at most so many bytes of what there is to read."""
         taken, self._unread = self._unread[:most], self._unread[most:]
         return taken
 
+    def _answer(self, words: Sequence[str]) -> bytes:
+        if words[0] == "tel" and len(words) == 3 and words[1] in ("schema", "get"):
+            fields = telemetry.channels(self._servo).get(words[2])
+            if fields is None:
+                return b"ERR unknown channel\r\n"
+            blob = telemetry.schema(fields) if words[1] == "schema" else telemetry.data(fields)
+            said = "schema" if words[1] == "schema" else "emit"
+            return f"{said} {words[2]}\r\n".encode("latin1") + len(blob).to_bytes(4, "little") + blob
+        return "".join(f"{told}\r\n" for told in self._do(words)).encode("latin1")
+
     def _do(self, words: Sequence[str]) -> Sequence[str]:
+        names = telemetry.channels(self._servo)
+        if words == ["tel", "list"]:
+            return [*names, _OK]
+        if words[:2] == ["tel", "fmt"] and len(words) == 4 and words[2] in names and words[3] == "0":
+            return [_OK]
         if words[0] == "conf":
             return self._configure(words[1:])
         if words[0] == "d":
             return [self._drive(words[1:])]
-        return [_OK if words in (["tel", "stop"], ["tel", "text"]) else _UNKNOWN]
+        return [_OK if words == ["tel", "stop"] else _UNKNOWN]
 
     # conf
 
