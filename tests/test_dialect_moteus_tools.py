@@ -147,6 +147,18 @@ def test_a_position_is_reached_within_the_limits_of_speed_and_acceleration(rig: 
     assert told[Register.POSITION] == pytest.approx(begin + 0.7, abs=0.05)
 
 
+def test_the_package_waits_for_its_trajectories_and_moves_several_at_once(rig: Rig) -> None:
+    first, second = controller(rig, 1, ticks=20), controller(rig, 2, ticks=20)
+    limits = {"velocity_limit": 1.0, "accel_limit": 5.0}
+    told = asyncio.run(first.set_position_wait_complete(position=0.3, period_s=0.0, watchdog_timeout=0.1, **limits))
+    assert values(told)[Register.POSITION] == pytest.approx(0.3, abs=0.05)
+    asyncio.run(
+        moteus.move_to([(first, 0.0), (second, -0.3)], transport=first.transport, period_s=0.0, timeout=5.0, **limits)
+    )
+    assert values(asyncio.run(first.query()))[Register.POSITION] == pytest.approx(0.0, abs=0.05)
+    assert values(asyncio.run(second.query()))[Register.POSITION] == pytest.approx(-0.3, abs=0.05)
+
+
 def test_a_stop_position_ends_a_speed_and_is_a_fault_beside_limits(rig: Rig) -> None:
     one = controller(rig)
     settings = {"position": NAN, "velocity": 0.5, "stop_position": 0.2}

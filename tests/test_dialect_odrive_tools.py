@@ -244,6 +244,20 @@ def test_gains_are_those_that_are_sent() -> None:
     assert stiff.rig.node.torque_n_m[0] == pytest.approx(20.0 * soft.rig.node.torque_n_m[0], rel=0.05)
 
 
+UNASKED = {"0.5": {"Heartbeat", "Get_ADC_Voltage"}, "0.6": {"TxSdo"}}
+"""What an axis sends by itself, is asked for otherwise, or, as ODRIVE.md says, is left out."""
+
+
+@pytest.mark.parametrize("firmware", ["0.5", "0.6"])
+def test_every_message_of_an_axis_in_the_dbc_is_an_answer(firmware: str) -> None:
+    axis = Axis(firmware)
+    said = [message for message in DBC[firmware].messages if "ODrive_Axis0" in message.senders]
+    names = {message.name.partition("_")[2] for message in said}
+    assert len(names) > 8
+    for name in names - UNASKED[firmware]:
+        axis.ask(name)
+
+
 class Bus:
     """A bus of python-can as far as odrive_can looks at one; each look for a message is a millisecond of the plant."""
 

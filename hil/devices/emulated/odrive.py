@@ -172,6 +172,8 @@ class EmulatedODrive(EmulatedMotors):
         elif command == 0x03:
             old, new = struct.pack("<Q", axis.motor_error), struct.pack("<II", axis.axis_error, axis.disarm_reason)
             payload = old if is_old else new
+        elif command == 0x01 and not is_old:
+            payload = self._heartbeat(axis)
         elif command == 0x04 and is_old:
             payload = struct.pack("<II", axis.encoder_error, 0)
         elif command == _ADDRESS and not is_old:
@@ -186,8 +188,8 @@ class EmulatedODrive(EmulatedMotors):
             payload = struct.pack("<ff", current, current)
         elif command == 0x15 and not is_old:
             payload = struct.pack("<ff", self.temperature_degc[channel], math.nan)
-        elif command == 0x15:
-            payload = bytes(8)  # there is no sensorless estimator
+        elif command == 0x15 or (command == 0x05 and is_old):
+            payload = bytes(8)  # there is no sensorless estimator, and so no error of one
         elif command == 0x17:
             payload = struct.pack("<ff", self.battery_v, self.battery_a / (2 if is_old else 4))
         elif command == 0x1C and self.firmware >= (0, 6, 9):
