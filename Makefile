@@ -18,8 +18,10 @@ test: setup .venv/tools
 	$(BIN)/python -m pytest -m alone
 
 # Only the tests over real SocketCAN, which `make test` runs too; for example: make test-socketcan ARGS='-k lockstep -v'
+# Where there is none it says so and fails before any test is collected.
 test-socketcan: setup .venv/tools
-	$(BIN)/python -m pytest -m socketcan -rs $(ARGS)
+	$(BIN)/python -m tools.socketcan true
+	$(BIN)/python -m pytest -m socketcan -rs tests/test_socketcan_*.py $(ARGS)
 
 # Every fault alone over each link, all pairs, and a part in real time, then over motors of two other makers; ARGS goes to
 # hil catalogue.

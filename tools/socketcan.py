@@ -37,6 +37,10 @@ _PACKAGES = {
     "taskset": "util-linux",
 }
 _MEMORY_MB = 1024
+_SILENT_END = (
+    ". Debian's user-mode Linux 6.1 does not start on processors with AMX (amx_tile in /proc/cpuinfo): take another "
+    "machine, or one whose own kernel has vcan"
+)
 _PROBE_S = 20.0
 # Runs the rest as a process group, which is killed when stdin ends: when we close it, or die. Nothing of the guest may
 # stay behind, and a kernel that is killed alone leaves its helpers. The folder, $0, goes last.
@@ -201,7 +205,9 @@ def main() -> int:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         with Inside(arguments.command, {}, arguments.limit_s, directory=Path.cwd()) as inside:
+            has_said = False
             while chunk := inside.output.read1(65536):  # type: ignore[attr-defined]
+                has_said = True
                 sys.stdout.buffer.write(chunk)
                 sys.stdout.buffer.flush()
             code = inside.exit_code()
@@ -214,7 +220,8 @@ def main() -> int:
     if out_of_time:
         print(f"socketcan: killed after {arguments.limit_s:g} s; --limit-s sets how long it may take", file=sys.stderr)
         return 124
-    print("socketcan: the guest ended before its command; what it said is above", file=sys.stderr)
+    why = "what it said is above" if has_said else f"it said nothing{_SILENT_END}"
+    print(f"socketcan: the guest ended before its command; {why}", file=sys.stderr)
     return 2
 
 
