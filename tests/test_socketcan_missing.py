@@ -1,4 +1,4 @@
-"""On a machine that has no SocketCAN, and no guest that has: what asks for it fails at once, and says what to install."""
+"""On a machine with no SocketCAN, and no guest that has it: what asks for it fails at once and says what to install."""
 
 import os
 import shutil
