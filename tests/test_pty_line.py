@@ -4,6 +4,7 @@ import contextlib
 import itertools
 import os
 import threading
+import time
 
 import pytest
 
@@ -87,6 +88,20 @@ def test_in_lockstep_a_host_that_has_gone_is_not_waited_for_for_ever(monkeypatch
         assert len(heard) + stream.lost_frames in (19_999, 20_000), "one may have begun"
         assert stream.lost_frames > 0
         assert not any(deframer.rejected.values())
+
+
+def test_a_robot_is_given_no_more_than_a_line_of_its_bit_rate_carries():
+    """3000 bytes at once at 115200 baud: those of 50 ms come at once, the others with time, and none is lost."""
+    stream, sent = pty.PtyStream(baud=115_200), bytes(range(250)) * 12
+    with opened(stream) as port:
+        begin_s = time.monotonic()
+        os.write(port, sent)
+        heard = stream.read(WAIT_NS)
+        assert len(heard) <= 576
+        while len(heard) < len(sent):
+            heard += stream.read(1_000_000)
+        assert time.monotonic() - begin_s >= (len(sent) - 576) / 11_520
+    assert heard == sent
 
 
 def test_the_firmware_tells_how_many_frames_nobody_took():

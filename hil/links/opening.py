@@ -126,7 +126,9 @@ def _pty_stream(url: SerialUrl, language: Language, *, lockstep: bool) -> "PtySt
         raise BadInputError(
             "serial:pty needs a POSIX system; on Windows use memory:, or a pair of virtual COM ports"
         ) from error
-    return PtyStream(Path(url.symlink) if url.symlink else None, waits=lockstep, language=language)
+    # In lockstep time stands still while bytes are on their way.
+    baud = None if lockstep else url.baud
+    return PtyStream(Path(url.symlink) if url.symlink else None, waits=lockstep, baud=baud, language=language)
 
 
 def _can_link(url: CanUrl, hears: Side, language: Language) -> "CanLink":
