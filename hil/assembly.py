@@ -102,6 +102,7 @@ def run_scenario(
     watch: Watch | None = None,
     warn: Callable[[str], None] | None = None,
     linger: Callable[[], None] | None = None,
+    on_stuck: Callable[[str], None] | None = None,
     make_node: MakeNode | None = None,
     make_robot: MakeRobot = new_robot,
     make_recording: MakeRecording = Recording,
@@ -113,9 +114,11 @@ def run_scenario(
     ``live_port`` serves live viewers on 127.0.0.1. ``watch`` is entered with the loop while it runs; ``warn`` is
     called before anything is opened with each sentence on what the robot will not be able to follow, and with what the
     robot itself warns of once it is known, before it is armed; ``linger`` is called when all is done and recorded,
-    while the viewers are still served. ``make_robot`` makes a robot in this process, ``make_node`` its firmware,
-    ``make_recording`` the recording. Without ``keep_signals`` the result has none, and memory does not grow with the
-    length of the run; extra signals are then asked for only where somebody else reads them.
+    while the viewers are still served. ``on_stuck`` is called with a sentence, in a thread of its own, before a law
+    that is stuck in a tick where no exception gets to ends this process (``hil.tick_watch``). ``make_robot`` makes a
+    robot in this process, ``make_node`` its firmware, ``make_recording`` the recording. Without ``keep_signals`` the
+    result has none, and memory does not grow with the length of the run; extra signals are then asked for only where
+    somebody else reads them.
     """
     trace_existing: Existing = "refuse" if existing == "number" else existing
     if record is not None:
@@ -180,7 +183,29 @@ def run_scenario(
         if names is SIGNAL_NAMES:
             made = made._replace(extra=())
         faults = [table.row for table in scenario.fault]
-        loop = Loop(made, scenario.controller.mode, parts.timing, faults=faults, rearm=scenario.loop.rearm, warn=warn)
+
+        def last_words(sentence: str) -> None:
+            """Do what cannot be left undone when the law holds the thread that would do it at the end of the run."""
+            with contextlib.suppress(HilError):
+                bench.device.close()
+            if tracing is not None:
+                tracing.finish()
+            if recording is not None:
+                recording.event(loop.t_s, "error", sentence)
+                recording.finish({"passed": False, "failure": sentence, "expect": events.finish(loop.t_s, is_cut=True)})
+            if on_stuck is not None:
+                on_stuck(sentence)
+
+        loop = Loop(
+            made,
+            scenario.controller.mode,
+            parts.timing,
+            faults=faults,
+            rearm=scenario.loop.rearm,
+            warn=warn,
+            tick_limit_s=scenario.loop.tick_limit_s,
+            last_words=last_words,
+        )
         # Behind all other processes, which inherit the processors, and before the robot arms: locking takes its time.
         with _real_time(scenario, bench) as granted:
             origin_ns = _reach(bench, lambda: bench.device.start(bench.clock, scenario.loop.period_ns))

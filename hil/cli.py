@@ -1,7 +1,7 @@
 """The ``hil`` command. Each command parses, calls one function and prints; what it does is elsewhere.
 
-Exit codes: 0 the run ended as expected, 1 an expectation failed, 2 bad input, 3 a failed link or device, 130
-interrupted.
+Exit codes: 0 the run ended as expected, 1 an expectation failed, 2 bad input, 3 a failed link or device, or a law that
+does not return, 130 interrupted.
 """
 
 import errno
@@ -131,6 +131,7 @@ def run(
             watch=watch,
             warn=report.warn,
             linger=linger,
+            on_stuck=_print_stuck if as_json else None,
             make_recording=make_recording,
             keep_signals=False,
         )
@@ -148,6 +149,12 @@ def run(
     if result.failure is not None:
         print(f"hil: {result.failure}", file=sys.stderr)
     raise typer.Exit(result.exit_code)
+
+
+def _print_stuck(sentence: str) -> None:
+    """Print what ``--json`` gives of a run that a stuck law ends with the process."""
+    print_json({"passed": False, "failure": sentence})
+    _bring_out()
 
 
 app.command()(catalogue)

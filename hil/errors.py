@@ -34,6 +34,12 @@ class RobotStoppedError(DeviceError):
     """The robot left ACTIVE, was reset or is silent, but not in FAULT or ESTOP: arming it anew may bring it back."""
 
 
+class OverdueError(HilError):
+    """A tick took longer than the scenario lets it, as where the law does not return (exit code 3)."""
+
+    exit_code = 3
+
+
 class RunInterruptedError(HilError):
     """Somebody ended the run with Ctrl-C or SIGTERM (exit code 130, as shells have it)."""
 

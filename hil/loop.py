@@ -6,13 +6,14 @@ from time import perf_counter
 from typing import Any, NamedTuple
 
 from hil.allowed import Counted
-from hil.errors import DeviceError, HilError, LinkError, RobotStoppedError
+from hil.errors import DeviceError, HilError, LinkError, OverdueError, RobotStoppedError
 from hil.faults.rows import FaultRow
 from hil.lateness import Lateness
 from hil.recovery import Recovered, Recovery, Warned
 from hil.sampling import Sampling, Timing
 from hil.signals import make_loop_signals
 from hil.tick import Parts, Tick
+from hil.tick_watch import TickOverdue, TickWatch
 from hil.types import NAN, CommandMode
 from hil.undriven import Undriven
 
@@ -45,6 +46,7 @@ class Loop:
     With ``rearm`` a lost link or a stopped robot does not end the run: it is brought back while the ticks go on, with
     nothing commanded, and the law begins anew at the reference of the present ``t``. ``warn`` is called with what its
     device warns of then and did not before. ``faults`` are the scenario's, which explain ticks that are not driven.
+    A tick that takes longer than ``tick_limit_s`` of wall-clock time ends the run (``TickWatch``; 0 for no limit).
     """
 
     def __init__(
@@ -56,6 +58,8 @@ class Loop:
         faults: Sequence[FaultRow] = (),
         rearm: bool = False,
         warn: Callable[[str], None] | None = None,
+        tick_limit_s: float = 0.0,
+        last_words: Callable[[str], None] = lambda _: None,
     ) -> None:
         self._parts = parts
         self._faults = parts.faults
@@ -74,19 +78,23 @@ class Loop:
         self._tick_us = NAN
         self.lateness = Lateness()
         self.t_s = 0.0
+        self._watch = TickWatch(tick_limit_s, lambda: self.t_s, last_words)
 
     def run(self, origin_ns: int, duration_ns: int) -> Report:
         """Run from the first ACTIVE tick at ``origin_ns`` on the clock, then stop the robot.
 
-        What ends the run early is reported: a lost link or device, or a law that fails. Whatever it is, the robot is
-        told to stop while it can be reached.
+        What ends the run early is reported: a lost link or device, or a law that fails or does not return. Whatever it
+        is, the robot is told to stop while it can be reached.
         """
         begin = perf_counter()
         failure: HilError | None = None
         try:
-            self._run(origin_ns, duration_ns)
+            with self._watch:
+                self._run(origin_ns, duration_ns)
         except HilError as error:
             failure = error
+        except TickOverdue as overdue:
+            failure = OverdueError(str(overdue))
         except BaseException:
             self._parts.device.disarm()
             with contextlib.suppress(HilError):
@@ -187,6 +195,7 @@ class Loop:
     def _tick(self, number: int, late_ns: int) -> None:
         """Do one tick of the run: drive, or come back, and tell."""
         begin_s = perf_counter()
+        self._watch.turn += 1
         doing, faults, t_ns = self._doing, self._faults, number * self._period_ns
         self.t_s = t_s = t_ns * 1e-9
         now = make_loop_signals((t_s, number, late_ns * 1e-3, self._tick_us, self._misses))
@@ -211,6 +220,7 @@ class Loop:
             self._undriven.hold(t_ns, is_stale=doing.is_stale)
         else:
             self._undriven.drive()
+        self._watch.turn += 1
         self._tick_us = (perf_counter() - begin_s) * 1e6
 
     def _lose(self, error: HilError) -> Recovery:

@@ -97,9 +97,9 @@ class _Reader:
         table = np.concatenate([np.empty((0, len(self._columns))), *self._pieces])
         self._pieces.clear()
         names = [self._names[column] for column in self._columns]
-        return Contents(
-            {name: table[:, i] for i, name in enumerate(names)}, self._events, self._properties, cut_bytes
-        )._replace(damage=tuple(self._damage), lost_rows=self._lost_rows)
+        signals = {name: table[:, i] for i, name in enumerate(names)}
+        damage = tuple(self._damage)
+        return Contents(signals, self._events, self._properties, cut_bytes, damage, self._lost_rows)
 
     def _begin(self) -> None:
         held = json_property(self._properties, SIGNALS_PROPERTY)

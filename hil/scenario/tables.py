@@ -365,6 +365,12 @@ class LoopTable(Table):
     mode: Literal["lockstep", "realtime"] = Field(default="lockstep", description="whose time passes")
     seed: int = Field(default=1, ge=0, le=2**32 - 1, description="of everything random in the run")
     rearm: bool = Field(default=False, description="reconnect and arm anew after a lost link or a stop of the robot")
+    tick_limit_s: float = Field(
+        default=10.0,
+        ge=0,
+        allow_inf_nan=True,
+        description="wall-clock time of a tick's own work, beyond which the run is ended; 0 or inf for no limit",
+    )
 
     @field_validator("rate_hz")
     @classmethod

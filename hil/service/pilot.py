@@ -21,6 +21,7 @@ from hil.service.messages import Phase, Task
 from hil.service.muted import muted
 from hil.signals import LoopSignals
 from hil.tick import Parts, Tick
+from hil.tick_watch import TickOverdue
 from hil.types import CommandMode, Pose, PoseFix, Reference, State
 
 _ARMING_LIMIT_S = 4.0
@@ -201,13 +202,18 @@ class Pilot:
         """Do a part of a tick, and take what goes wrong in it. Raises as ``tick``."""
         try:
             part()
-        except (HilError, ArithmeticError, ValueError) as error:
-            if not isinstance(error, HilError):  # a law or a path beyond what numbers can do
-                error = BadInputError(f"the law or the path failed: {type(error).__name__}: {error}")
-            if isinstance(error, BadInputError):
-                self._law_failed = True
-                self._doing.use(muted(self._parts))
-            self.lose(error)
+        except HilError as error:
+            self._take_failure(error)
+        except TickOverdue as overdue:
+            self._take_failure(BadInputError(str(overdue)))
+        except (ArithmeticError, ValueError) as error:  # a law or a path beyond what numbers can do
+            self._take_failure(BadInputError(f"the law or the path failed: {type(error).__name__}: {error}"))
+
+    def _take_failure(self, error: HilError) -> None:
+        if isinstance(error, BadInputError):
+            self._law_failed = True
+            self._doing.use(muted(self._parts))
+        self.lose(error)
 
     def _note_trouble(self) -> None:
         trouble = self._parts.device.report.trouble

@@ -33,6 +33,7 @@ from hil.service.systemd import Notifier
 from hil.signals import LoopSignals
 from hil.telemetry import Recording
 from hil.telemetry.view import live_hint
+from hil.tick_watch import TickWatch
 from hil.types import NAN
 
 _STATUS_HZ = 20
@@ -166,8 +167,9 @@ class _Service:
             desk = Desk(self._scenario, signals, pilot, self._records, self._api.send, reload, beside)
             resources.callback(desk.end)
             resources.callback(bench.device.disarm)
-            with real_time(Wanted(**dict(self._scenario.realtime)), bench.robot_threads) as granted:
-                self._tick(bench, pilot, desk, granted)
+            watch = TickWatch(self._scenario.loop.tick_limit_s, lambda: self._t_s, self._last_words)
+            with real_time(Wanted(**dict(self._scenario.realtime)), bench.robot_threads) as granted, watch:
+                self._tick(bench, pilot, desk, granted, watch)
 
     def _open_bench(self, resources: contextlib.ExitStack) -> Bench | None:
         """Open link and robot, again and again while that fails; None when the service is to end before."""
@@ -222,7 +224,7 @@ class _Service:
             )
         return Pilot(made, self._scenario.controller.mode, self._parts.timing, rules)
 
-    def _tick(self, bench: Bench, pilot: Pilot, desk: Desk, granted: RealTime) -> None:
+    def _tick(self, bench: Bench, pilot: Pilot, desk: Desk, granted: RealTime, watch: TickWatch) -> None:
         timing, counts, clock = self._parts.timing, self._counts, bench.clock
         sampling = Sampling(clock, bench.device, pilot.parts.truth, timing)
         origin_ns = clock.now_ns()
@@ -253,7 +255,9 @@ class _Service:
                 counts.lateness.add(late_ns)
                 self._t_s = t_s
                 now = LoopSignals(t_s, number, late_ns * 1e-3, tick_us, counts.deadline_misses)
+                watch.turn += 1
                 pilot.tick(now, sampling.fix_of(number))
+                watch.turn += 1
             if pilot.phase is not told or number % every == 0:
                 if pilot.phase is not told:
                     self._tell(pilot)
@@ -283,6 +287,11 @@ class _Service:
                     logs.error("robot did not come to rest in time; its watchdog stops it")
                     return
             yield
+
+    def _last_words(self, sentence: str) -> None:
+        """Do what cannot be left undone before a law that is stuck ends this process."""
+        self._records.note(self._t_s, "error", sentence)
+        _finish(self._records)
 
     def _tell(self, pilot: Pilot) -> None:
         """Have the log, the recording and systemd know of another phase."""

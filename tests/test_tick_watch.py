@@ -1,0 +1,142 @@
+"""A law that never returns: found out by the wall clock, said, and ended, with what was recorded kept."""
+
+import json
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+import hil
+from hil.child import module_command
+from hil.errors import BadInputError, OverdueError
+from hil.review import read
+from hil.review.figures import figures
+from hil.scenario import load
+from hil.service.messages import Phase
+from hil.tick_watch import TickOverdue, TickWatch
+from tests.pilot_bench import PilotBench
+
+LIMIT = {"loop.tick_limit_s": 0.2, "loop.duration_s": 1.0, "expect": [], "controller.gains": {}}
+_LAW = """
+import time
+from hil.types import CommandMode, WheelCommand, Wheels
+
+STILL = WheelCommand(CommandMode.SPEED, Wheels(0.0, 0.0, 0.0, 0.0), Wheels(0.0, 0.0, 0.0, 0.0))
+
+class Law:
+    asked = 0
+
+    def reset(self, state, reference):
+        pass
+
+    def update(self, reference, state, applied, dt_s):
+        self.asked += 1
+        if self.asked == 20:
+            {stuck}
+        return STILL
+"""
+LOOP = "while True: pass"
+STUBBORN = """
+            while True:
+                try:
+                    time.sleep(0.001)
+                except Exception:
+                    pass
+"""
+SLEEP = "time.sleep(60.0)"
+
+
+def law(folder: Path, stuck: str) -> str:
+    (folder / "stuck_law.py").write_text(_LAW.format(stuck=stuck))
+    return f"{folder / 'stuck_law.py'}:Law"
+
+
+@pytest.mark.parametrize(("stuck", "mode"), [(LOOP, "lockstep"), (STUBBORN, "lockstep"), (LOOP, "realtime")])
+def test_a_law_that_never_returns_ends_the_run_with_a_sentence(tmp_path: Path, stuck: str, mode: str) -> None:
+    result = hil.run(
+        "circle_speed", set={**LIMIT, "controller.law": law(tmp_path, stuck)}, mode=mode, record=tmp_path / "run.rrd"
+    )
+    assert result.exit_code == 3
+    assert isinstance(result.failure, OverdueError)
+    assert "did not end within 0.2 s of wall-clock time at " in str(result.failure)
+    assert "stuck_law.py:" in str(result.failure)
+    assert result.metrics["stopped"]
+    recorded = len(read(tmp_path / "run.rrd", ["loop.tick"]).signals["loop.tick"])
+    assert result.metrics["ticks"] == recorded >= 19
+
+
+def test_a_law_that_no_exception_gets_to_ends_the_process_and_its_recording_is_kept(tmp_path: Path) -> None:
+    sets = [f"--set={key}={json.dumps(value)}" for key, value in LIMIT.items() if key != "controller.gains"]
+    command = module_command("hil.cli", "run", "circle_speed", "--record", str(tmp_path / "run.rrd"), "--json", *sets)
+    ran = subprocess.run(
+        [*command, "--set", "controller.gains={}", "--set", f"controller.law={law(tmp_path, SLEEP)}"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert ran.returncode == 3, ran.stderr
+    sentence = ran.stderr.splitlines()[-1].removeprefix("hil: ")
+    assert "in update: a law that does not return? loop.tick_limit_s is the limit" in sentence
+    assert "time.sleep(60.0)" in ran.stderr
+    assert json.loads(ran.stdout) == {"passed": False, "failure": sentence}
+    run = read(tmp_path / "run.rrd")
+    assert len(run.signals["loop.tick"]) == 19
+    found = figures(run)
+    assert (found["passed"], found["failure"]) == (False, sentence)
+    assert sentence in [event.text for event in run.events]
+
+
+def test_a_service_whose_law_never_returns_disarms_its_robot_and_goes_on(tmp_path: Path) -> None:
+    with PilotBench(**{"controller.law": law(tmp_path, LOOP), "controller.gains": {}}) as bench:
+        bench.run_until(Phase.DISARMED)
+        bench.pilot.arm()
+        with TickWatch(0.2, lambda: 0.0, pytest.fail) as watch:
+            watch.turn = 1
+            bench.run(1.0)
+            watch.turn += 1
+        assert "did not end within 0.2 s" in str(bench.pilot.why)
+        assert bench.pilot.phase is Phase.DISARMED
+        assert bench.series("loop.tick") == list(range(len(bench.rows)))
+
+
+@pytest.mark.parametrize("limit_s", [0.0, float("inf")])
+def test_without_a_limit_nothing_is_watched(limit_s: float) -> None:
+    assert load("circle_speed", set={"loop.tick_limit_s": limit_s}).loop.tick_limit_s == limit_s
+    with TickWatch(limit_s, lambda: 0.0, pytest.fail) as watch:
+        watch.turn += 1
+        time.sleep(0.05)
+
+
+def test_ticks_that_go_on_and_waits_between_them_are_let_be() -> None:
+    with TickWatch(0.1, lambda: 0.0, pytest.fail) as watch:
+        for _ in range(8):
+            watch.turn += 1
+            time.sleep(0.03)
+            watch.turn += 1
+        time.sleep(0.25)
+
+
+def test_a_tick_that_a_debugger_holds_is_let_be() -> None:
+    debugger = {"__name__": "pdb", "wait": time.sleep}
+    exec("def interaction():\n    wait(0.4)", debugger)  # noqa: S102 -- a frame as pdb's own are
+    with TickWatch(0.1, lambda: 0.0, pytest.fail) as watch:
+        watch.turn += 1
+        debugger["interaction"]()  # type: ignore[operator]
+        watch.turn += 1
+
+
+def test_what_was_raised_in_a_tick_is_not_raised_behind_it() -> None:
+    with (
+        pytest.raises(TickOverdue, match="did not end within 0.1 s"),
+        TickWatch(0.1, lambda: 0.0, pytest.fail) as watch,
+    ):
+        watch.turn += 1
+        while True:
+            pass
+
+
+def test_no_limit_is_less_than_nothing() -> None:
+    with pytest.raises(BadInputError, match="loop.tick_limit_s = -1"):
+        load("circle_speed", set={"loop.tick_limit_s": -1})
