@@ -20,11 +20,11 @@ from hil.parts import PartsOf
 from hil.ports import Sink
 from hil.realtime import RealTime, Wanted, real_time
 from hil.references import Feasibility
-from hil.results import MemorySink, RunResult
+from hil.results import MemorySink, RunResult, Signals
 from hil.robots import open_trace
 from hil.run_events import RunEvents
 from hil.samples import Percentiles
-from hil.scenario import Scenario, load
+from hil.scenario import Scenario, load, set_texts
 from hil.scenario.laws import Laws
 from hil.service.lock import device_held
 from hil.signals import SIGNAL_NAMES
@@ -40,6 +40,7 @@ def run(
     scenario: str | Path,
     *,
     set: Mapping[str, object] | Sequence[str] = (),  # noqa: A002 - the name of the option
+    law: str | type | None = None,
     robot: str | Path | None = None,
     mode: str | None = None,
     link: str | None = None,
@@ -57,6 +58,7 @@ def run(
     ``hil run`` records into ``runs/`` by itself, for its process ends with the run; here the result has all signals.
 
     ``scenario`` is a shipped name or a path; ``set`` overrides any of its keys, ``robot`` merges a robot's own file.
+    ``law`` is the control law: a class, or a text as ``controller.law`` takes it.
     ``truth`` is the URL of the truth socket of a robot in another process, ``record`` an ``.rrd`` or ``.mcap``
     file, ``rotate`` when it goes on in another, as in ``1GB|10min``, ``trace`` a ``.blf``, ``.asc`` or ``.log`` file
     for what is on the wire, ``stream`` the URL ``udp://127.0.0.1:PORT`` of a program that plots JSON datagrams.
@@ -65,6 +67,8 @@ def run(
     Raises BadInputError for a wrong scenario or option and for a file that is there already, LinkError or DeviceError
     when the robot cannot be reached or does not arm. What fails later is in the result.
     """
+    if law is not None:
+        set = [*set_texts(set), *set_texts({"controller.law": law})]  # noqa: A001
     loaded = load(scenario, set=set, robot=robot, mode=mode, link=link, seed=seed)
     recording, traced = (Path(path) if path is not None else None for path in (record, trace))
     parts = rotation(rotate) if rotate is not None else Rotation()
@@ -228,7 +232,7 @@ def run_scenario(
             _close_recording(recording, metrics, keep_live=linger is not None)
             if linger is not None:
                 linger()
-    return RunResult(scenario, metrics, memory.signals(), failure)
+    return RunResult(scenario, metrics, Signals(memory.signals()), failure)
 
 
 def _read_by_the_run(scenario: Scenario, laws: Laws) -> Sequence[str]:

@@ -18,6 +18,17 @@ class BadInputError(HilError):
     """A scenario, an option or a file is wrong: nothing was started (exit code 2)."""
 
 
+class UnknownSignalError(BadInputError, KeyError):
+    """A run has no signal of this name. A KeyError too, so that ``in`` and ``get`` of a mapping take it as one."""
+
+    __str__ = Exception.__str__  # that of KeyError puts quotation marks around it
+
+    def __init__(self, name: object, known: Iterable[str]) -> None:
+        hint = nearest(str(name), known)  # the whole vocabulary is too long for a sentence
+        told = hint if "did you mean" in hint else "; `hil list signals` prints them all"
+        super().__init__(f"the run has no signal {name!r}{told}")
+
+
 class LinkError(HilError):
     """The link could not be opened, or was lost (exit code 3)."""
 

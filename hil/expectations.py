@@ -11,6 +11,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from hil.errors import UnknownSignalError
+
 Series = npt.NDArray[np.float64]
 
 
@@ -183,9 +185,11 @@ def _found(value: float) -> str:
 def check_expectation(expect: Expect, signals: Mapping[str, Series], cut_s: float | None = None) -> Outcome:
     """Check one expectation against the signals of a run, ``loop.t_s`` among them.
 
-    ``cut_s`` is the time at which the run ended before it should have, or None. Raises KeyError for a signal that is
-    not there.
+    ``cut_s`` is the time at which the run ended before it should have, or None. Raises UnknownSignalError, with near
+    names, for a signal that is not there.
     """
+    if expect.signal not in signals:
+        raise UnknownSignalError(expect.signal, signals)
     t_s, values = signals["loop.t_s"], signals[expect.signal]
     inside = (t_s >= expect.from_s) & (t_s <= expect.to_s)
     watch = Watch(expect)

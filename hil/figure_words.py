@@ -128,6 +128,17 @@ def outcome_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
         yield "recording", text
 
 
+def why_not_passed(metrics: Mapping[str, Any]) -> Iterator[str]:
+    """Yield a sentence for each reason why a run did not pass, the cause before what follows from it."""
+    if metrics["failure"] is not None:
+        yield metrics["failure"]
+    yield from (row["text"] for row in in_order(metrics["expect"]) if row["passed"] is False)
+    yield from (f"{fault['text']} was never applied" for fault in metrics["fault"] if not fault["applied"])
+    yield from (row["text"] for row in metrics["allow"] if not row["passed"])
+    if metrics["commands_refused"]:
+        yield f"the law gave no number {metrics['commands_refused']} times, and the robot was held still"
+
+
 def in_order(expect: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     """Return the rows of expectations: those that failed in the order of time, those not judged, those that held."""
 

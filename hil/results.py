@@ -2,14 +2,15 @@
 
 import struct
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from hil.errors import HilError
+from hil.errors import HilError, UnknownSignalError
+from hil.figure_words import FIGURES, why_not_passed
 from hil.metrics import BLOCK_ROWS, SignalFigures
 from hil.samples import Percentiles, Samples
 from hil.scenario import Scenario
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Series = npt.NDArray[np.float64]
+
+_PRINTED = ("tracked_s", "steady_rms_m", "steady_max_m", "ticks")
 
 
 class MemorySink:
@@ -99,9 +102,32 @@ class MemorySink:
         yield from self._figures.take({name: rows[:, i] for i, name in enumerate(self._names)})
 
 
-@dataclass(frozen=True)
+class Signals(Mapping[str, Series]):
+    """The signals of a run by name, each of shape (ticks,); a wrong name raises UnknownSignalError with near ones."""
+
+    def __init__(self, series: Mapping[str, Series]) -> None:
+        self._series = series
+
+    def __getitem__(self, name: str) -> Series:
+        try:
+            return self._series[name]
+        except KeyError:
+            raise UnknownSignalError(name, self._series) from None
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._series)
+
+    def __len__(self) -> int:
+        return len(self._series)
+
+    def __repr__(self) -> str:
+        ticks = len(next(iter(self._series.values()), ()))
+        return f"<{len(self)} signals of {ticks} ticks>"
+
+
+@dataclass(frozen=True, repr=False)
 class RunResult:
-    """A finished run.
+    """A finished run; printed, it says in a few lines how it went.
 
     Attributes:
         scenario: what was run.
@@ -113,9 +139,25 @@ class RunResult:
     """
 
     scenario: Scenario
-    metrics: Mapping[str, Any] = field(repr=False)
-    signals: Mapping[str, Series] = field(repr=False)
+    metrics: Mapping[str, Any]
+    signals: Signals
     failure: HilError | None
+
+    def __repr__(self) -> str:
+        metrics = self.metrics
+        name, law, mode, link, seed = (metrics[key] for key in ("scenario", "law", "mode", "link", "seed"))
+        lines = [
+            f"<RunResult {name}: {law}, {mode} over {link}, seed {seed}",
+            f"  passed: {'yes' if self.passed else 'no'}",
+        ]
+        lines += [f"  {why}" for why in why_not_passed(metrics)]
+        shown = [
+            f"{figure.label} {metrics[figure.name] * figure.scale:.5g} {figure.unit}".rstrip()
+            for figure in FIGURES
+            if figure.name in _PRINTED and metrics[figure.name] is not None
+        ]
+        lines.append(f"  {', '.join(shown)}")
+        return "\n".join(lines) + ">"
 
     @property
     def passed(self) -> bool:

@@ -2,12 +2,20 @@
 
 import itertools
 import tracemalloc
+from typing import Any
 
 import numpy as np
+import pytest
 
+import hil
+from hil.controllers.lqi import Lqi
+from hil.errors import BadInputError
+from hil.expectations import check_expectation
 from hil.metrics import CommandLimits, SignalFigures, signal_figures
 from hil.results import MemorySink
+from hil.scenario import ExpectTable
 from hil.signals import SIGNAL_NAMES
+from hil.types import ZERO_WHEELS, Applied, CommandMode, Reference, State, WheelCommand
 from tests.recorded_circle import circle_rows
 
 LIMITS = CommandLimits(20.0, 5.0)
@@ -44,3 +52,57 @@ def test_without_its_rows_a_run_needs_no_more_memory_when_it_goes_on() -> None:
     assert max(sizes[10:]) - max(sizes[:10]) < 20_000 * row_bytes / 10
     assert sink.figures()[0]["ticks"] == 40_000
     assert sink.signals() == {}
+
+
+class Still:
+    """A law that stands still."""
+
+    def reset(self, state: State, reference: Reference) -> None:
+        pass
+
+    def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
+        return WheelCommand(CommandMode.SPEED, ZERO_WHEELS, ZERO_WHEELS)
+
+
+SHORT = {"loop.duration_s": 0.1, "expect": []}
+
+
+def test_a_result_is_printed_in_a_few_lines_that_say_why_it_has_not_passed() -> None:
+    failed = hil.run("circle_speed", set={**SHORT, "expect": [{"signal": "loop.tick", "below": 5.0}]})
+    text = repr(failed)
+    assert text == str(failed)
+    lines = text.splitlines()
+    assert len(lines) <= 5
+    assert len(text) < 600
+    assert lines[0].startswith("<RunResult circle_speed: ")
+    assert lines[1] == "  passed: no"
+    assert lines[2].startswith("  loop.tick below 5 from 0 s to the end: failed, 5 at t = 0.025 s")
+    assert "ticks 20" in lines[-1]
+
+
+def test_a_wrong_name_of_a_signal_is_answered_with_the_near_ones() -> None:
+    result = hil.run("circle_speed", set=SHORT)
+    with pytest.raises(
+        BadInputError, match=r"^the run has no signal 'error\.planar'; did you mean 'error\.planar_m'\?$"
+    ):
+        result.signals["error.planar"]
+    with pytest.raises(KeyError, match=r"no signal 'nonsense'; `hil list signals` prints them all"):
+        result.signals["nonsense"]
+    with pytest.raises(BadInputError, match="did you mean"):
+        check_expectation(ExpectTable(signal="error.planar", below=1.0), dict(result.signals))
+    assert result.signals.get("nonsense") is None
+    assert "nonsense" not in result.signals
+    assert repr(result.signals).endswith(" signals of 20 ticks>")
+
+
+@pytest.mark.parametrize("given", [{"law": Still}, {"set": {"controller.law": Still, **SHORT}}])
+def test_a_law_is_given_as_a_class(given: dict[str, Any]) -> None:
+    result = hil.run("circle_speed", **{"set": SHORT, **given})
+    assert result.metrics["law"] == f"{__name__}:Still"
+    assert set(result.signals["wheel.fl.speed_command_rad_s"]) == {0.0}
+
+
+def test_a_law_of_ours_is_given_as_a_class_too_and_what_is_no_law_is_refused() -> None:
+    assert hil.run("circle_speed", law=Lqi, set=SHORT).metrics["law"] == "lqi"
+    with pytest.raises(BadInputError, match=r"the class has no update; expected update\(self, reference, state"):
+        hil.run("circle_speed", law=type("Nothing", (), {"reset": Still.reset}), set=SHORT)

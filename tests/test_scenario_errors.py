@@ -107,7 +107,15 @@ def test_a_key_that_is_unknown(text: str, sentence: str) -> None:
         ("[expect]\nsignal = 'a'", "my.toml:3: expect: expected an array of tables: write [[...]]"),
         ("[[expect]]\nsignal = 'error.planar'\nbelow = 1", "did you mean 'error.planar_m'?"),
         ("[[expect]]\nsignal = 'zzz'\nbelow = 1", "`hil list signals` prints them all"),
-        ("[[expect]]\nbelow = 1", "expect.0.signal is missing; expected text"),
+        ("[[expect]]\nbelow = 1", "my.toml:3: expect.0.signal is missing; expected the name of a signal"),
+        (
+            "[[fault]]\nstart_s = 1",
+            "my.toml:3: fault.0.kind is missing; expected a kind of fault, one of drop, burst_loss",
+        ),
+        (
+            "[[fault]]\nkind = 'reset'\ntarget = 'robot'\n[[fault]]\nkind = 'drop'",
+            "my.toml:6: fault.1.target is missing; expected what drop acts on: command (to the robot), feedback (from it)",
+        ),
         (EXPECT, "my.toml:3: expect.0: needs one claim: below or above or both"),
         (EXPECT + "below = 1\nabove = 2", "above = 2.0 is not less than below = 1.0"),
         (EXPECT + "below = 1\nfrom_s = 2\nto_s = 1", "to_s = 1.0 is before from_s = 2.0"),

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 from hil.errors import BadInputError, nearest
-from hil.figure_words import in_order
+from hil.figure_words import in_order, why_not_passed
 
 MACHINE = "machine."
 """What begins the names of columns that depend on the machine, and not on the run."""
@@ -83,16 +83,7 @@ def as_judged(row: Mapping[str, Any]) -> dict[str, Any]:
 
 def why_failed(metrics: Mapping[str, Any]) -> str:
     """Return one sentence on why a run that came to its end did not pass."""
-    return next(_reasons(metrics))
-
-
-def _reasons(metrics: Mapping[str, Any]) -> Iterator[str]:
-    if metrics["failure"] is not None:
-        yield metrics["failure"]
-    yield from _failed(metrics)
-    yield from (f"{fault['text']} was never applied" for fault in metrics["fault"] if not fault["applied"])
-    yield from (row["text"] for row in metrics["allow"] if not row["passed"])
-    yield f"the law gave no number {metrics['commands_refused']} times, and the robot was held still"
+    return next(why_not_passed(metrics))
 
 
 def _failed(metrics: Mapping[str, Any]) -> Iterator[str]:

@@ -17,7 +17,7 @@ from hil.controllers.dsc_eso import DscEso
 from hil.controllers.lqi import Lqi
 from hil.controllers.pid import Pid
 from hil.controllers.profile import Profile
-from hil.controllers.user import UserLaw, find_class
+from hil.controllers.user import UserLaw, check_class, find_class
 from hil.errors import BadInputError, nearest
 from hil.model import RobotModel
 from hil.options import build
@@ -42,6 +42,7 @@ _GROUP = "hil.laws"
 _LAW_KEY = "controller.law"
 _PACKAGE = "mecanum-hil"
 
+_given: dict[str, type] = {}  # classes that were given as such, by the text that stands for them in this process
 _NO_OPTIONS = make_dataclass("Options", [])
 
 
@@ -51,6 +52,14 @@ def laws() -> list[tuple[str, str, str]]:
     registered = _registered()
     others = [(point.name, _package_of(point), _told(point, registered)) for point in registered]
     return shipped + others
+
+
+def give_law(law: type) -> str:
+    """Return the text by which scenarios of this process name a class, so that a class can be given where text is."""
+    shipped = [name for name, one in SHIPPED.items() if one is law]
+    spec = shipped[0] if shipped else f"{law.__module__}:{law.__qualname__}"
+    _given[spec] = law
+    return spec
 
 
 def load_law(spec: str, base: Path) -> type:
@@ -69,7 +78,7 @@ def forget_law(spec: str, base: Path) -> None:
 
     That of a law in a file always is; those that it imports stay as they are. Raises as ``load_law``.
     """
-    if spec in SHIPPED:
+    if spec in SHIPPED or spec in _given:
         return
     law = load_law(spec, base)
     named = next((point.value for point in _registered() if point.name == spec), spec).rpartition(":")[0]
@@ -116,6 +125,8 @@ def _found(spec: str, base: Path, key: str) -> tuple[type, str]:
     named = f"{key} = {spec!r}"
     if spec in SHIPPED:
         return SHIPPED[spec], named
+    if spec in _given:
+        return check_class(_given[spec], named), named
     if ":" in spec:
         return find_class(spec, base, named), named
     if spec.endswith(".py"):

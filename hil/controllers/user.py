@@ -37,6 +37,11 @@ def find_class(spec: str, base: Path, named: str) -> type:
         own = [v for v in vars(module).values() if isinstance(v, type) and v.__module__ == module.__name__]
         hint = nearest(name, [v.__name__ for v in own]) or "; it has none"
         raise BadInputError(f"{named}: no class {name!r} in {location}{hint}")
+    return check_class(law, named)
+
+
+def check_class(law: type, named: str) -> type:
+    """Return a class that can be a law. Raises BadInputError, which begins with ``named``, as ``find_class``."""
     for method, arguments in _METHODS.items():
         expected = f"{method}({', '.join(arguments)})"
         function = getattr(law, method, None)

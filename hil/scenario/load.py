@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from hil.controllers.registry import give_law
 from hil.errors import BadInputError, nearest
 from hil.scenario import layers
 from hil.scenario.check import check, derived
@@ -69,8 +70,9 @@ def load(
 ) -> Scenario:
     """Return the scenario of a shipped name, or of a path (with a slash or ``.toml``), validated and frozen.
 
-    ``set`` takes dotted keys with values, or texts ``key=value`` whose value is read as TOML and, where that
-    fails, as text. Relative paths in a file start from its folder, those in ``set`` from the current one.
+    ``set`` takes dotted keys with values (of ``controller.law`` also a class), or texts ``key=value`` whose value is
+    read as TOML and, where that fails, as text. Relative paths in a file start from its folder, those in ``set`` from
+    the current one.
     Raises BadInputError, with one line for each problem.
     """
     return read(name_or_path, robot=robot).scenario(set=set, mode=mode, link=link, seed=seed)
@@ -214,7 +216,9 @@ def _key_and_value(text: str) -> tuple[str, object]:
 
 
 def _plain_python(value: object) -> object:
-    """Return a value of a caller as TOML would hold it: paths as text, NumPy's numbers as Python's."""
+    """Return a value of a caller as TOML would hold it: paths and classes as text, NumPy's numbers as Python's."""
+    if isinstance(value, type):
+        return give_law(value)
     if isinstance(value, os.PathLike):
         return os.fspath(value)
     if isinstance(value, Mapping):

@@ -7,6 +7,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from hil.errors import near, nearest
+from hil.faults.rows import find, names
 from hil.scenario.fields import Table
 from hil.scenario.layers import Given, Node, Path, Tree, dotted, leaves
 from hil.scenario.tables import Tables
@@ -28,7 +29,9 @@ def describe(error: ValidationError, tree: Tree, scenario: str) -> list[str]:
         path = tuple(str(part) for part in problem["loc"])
         if problem["type"] == "missing":
             if not misspelt:
-                sentences.append(f"{scenario}: {_missing(path)}")
+                is_of_row = len(path) > 2 and path[1].isdigit()  # which is somewhere, and a table is in many files
+                where = place(tree, path[:2], scenario) if is_of_row else scenario
+                sentences.append(f"{where}: {_missing(path, tree)}")
         elif path[-1] == _KEY:
             sentences.append(f"{place(tree, path[:-1], scenario)}: {dotted(path[:-1])}: {problem['ctx']['error']}")
         elif problem["type"] == "extra_forbidden":
@@ -119,11 +122,25 @@ def _without_signal(path: Path) -> Path:
     return (*_MAP, *path[3:]) if path[:2] == _MAP else path
 
 
-def _missing(path: Path) -> str:
+def _missing(path: Path, tree: Tree) -> str:
     field = _field(path)
+    if path[0] == "fault" and path[-1] in ("kind", "target"):
+        return f"{dotted(path)} is missing; expected {_fault_choice(path, tree)}"
+    if path[0] == "expect" and path[-1] == "signal":
+        return f"{dotted(path)} is missing; expected the name of a signal; `hil list signals` prints them all"
     if field is not None and _table(field) is not None:
         return f'the table [{dotted(path)}] is missing; write it, or start with extends = "paper_circle"'
     return f"{dotted(path)} is missing; {_expected_of(field)}"
+
+
+def _fault_choice(path: Path, tree: Tree) -> str:
+    """Return what the kind of a fault can be, or the target of its kind."""
+    rows = tree.get("fault")
+    row = rows[int(path[1])] if isinstance(rows, list) else None
+    kind = row.get("kind") if isinstance(row, dict) else None
+    if path[-1] == "kind" or not isinstance(kind, Given):
+        return f"a kind of fault, one of {', '.join(names())}"
+    return f"what {kind.value} acts on: {find(str(kind.value), None).target_words.replace('`', '')}"
 
 
 def _expected(problem: Any, path: Path) -> str:

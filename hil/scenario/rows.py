@@ -28,8 +28,10 @@ class FaultTable(Table):
     @classmethod
     def _filled(cls, given: Any) -> Any:
         """Give a row the target and the numbers that its kind has by default."""
-        if not isinstance(given, dict) or not isinstance(given.get("kind"), str):
+        if not isinstance(given, dict):
             return given
+        if not isinstance(given.get("kind"), str):
+            return {"target": "?"} | given  # of the kind alone there is something to say
         target = given.get("target")
         try:
             kind = find(given["kind"], target if isinstance(target, str) else None)
