@@ -114,7 +114,7 @@ def test_a_key_that_is_unknown(text: str, sentence: str) -> None:
         ),
         (
             "[[fault]]\nkind = 'reset'\ntarget = 'robot'\n[[fault]]\nkind = 'drop'",
-            "my.toml:6: fault.1.target is missing; expected what drop acts on: command (to the robot), feedback (from it)",
+            "my.toml:6: fault.1.target is missing; expected what drop acts on: command (to the robot), ",
         ),
         (EXPECT, "my.toml:3: expect.0: needs one claim: below or above or both"),
         (EXPECT + "below = 1\nabove = 2", "above = 2.0 is not less than below = 1.0"),
