@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import serial
 
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m
@@ -125,6 +126,22 @@ def test_an_adapter_that_is_unplugged_is_lost_and_not_there_when_it_is_opened_ag
     where = f"CAN interface 'slcan', channel {str(port)!r}"
     assert str(lost.value) == f"{where} was lost (it is gone); plug the adapter in again, and check its cable"
     assert str(missing.value).startswith(f"{where} does not exist; list the ports with: ")
+
+
+def test_an_adapter_whose_port_another_program_reads_too_is_busy(monkeypatch):
+    bus = adapters.SlcanBus(1)
+    try:
+        with contextlib.closing(open_host(parse_link(f"can:slcan/{bus.ports[0]}"))) as host:
+            monkeypatch.setattr(
+                serial.serialposix.os, "read", lambda _descriptor, _size: b""
+            )  # what the other one left
+            monkeypatch.setattr(serial.Serial, "in_waiting", 1)
+            with pytest.raises(LinkError, match=r"is busy: another program reads it too"):
+                host.receive(1_000_000_000)
+            monkeypatch.undo()
+    finally:
+        monkeypatch.undo()
+        bus.close()
 
 
 @contextlib.contextmanager

@@ -5,7 +5,17 @@ from pathlib import Path
 
 import pytest
 
+from firmware_protocol import codec
+from firmware_protocol.framing import Frame
+from firmware_protocol.generated import messages as m
+from firmware_protocol.host import parameter_hash
+from hil.devices.parameters import ParameterClient
+from hil.errors import DeviceError
+from hil.ports import Received
+from hil.robots import firmware_values
+from hil.scenario import load
 from tests.processes import device, hil
+from tests.wheel_rig import PARAMETERS, WheelRig
 
 
 def test_parameters_are_shown_changed_and_kept(tmp_path: Path) -> None:
@@ -15,7 +25,12 @@ def test_parameters_are_shown_changed_and_kept(tmp_path: Path) -> None:
         changes = ("speed_kp_n_m_s_rad=1.5", "counts_per_revolution=2048", "watchdog_s=0.1")
         after = json.loads(hil("params", robot.link, *changes, "--store", "--json").stdout)
         assert (after["speed_kp_n_m_s_rad"], after["counts_per_revolution"]) == (1.5, 2048)
-        assert "speed_kp_n_m_s_rad        1.5" in hil("params", robot.link).stdout
+        head, *rows, _ = hil("params", robot.link).stdout.splitlines()
+        assert head.split() == ["parameter", "type", "value", "range", "default", "of", "a", "scenario"]
+        shown = {row.split()[0]: " ".join(row.split()[1:]) for row in rows}
+        assert shown["speed_kp_n_m_s_rad"] == "float32 1.5 0 to 100 1.1"
+        assert shown["counts_per_revolution"] == "uint32 2048 4 to 32768 -"
+        assert shown["watchdog_s"] == "float32 0.1 0.02 to 0.1 5 command periods"
         restored = json.loads(hil("params", robot.link, "--restore", "--json").stdout)
         assert restored == before
 
@@ -28,6 +43,19 @@ def test_a_link_that_reaches_no_robot_elsewhere_is_one_sentence(link) -> None:
     assert "serial:/dev/ttyACM0, or the link that 'hil device' prints" in done.stderr
 
 
+def test_nothing_is_changed_unless_all_can_be_and_the_footer_is_of_what_is_in_force(tmp_path: Path) -> None:
+    with device("paper_circle", "--mode", "realtime", "--link", f"serial:pty?symlink={tmp_path}/robot") as robot:
+        done = hil("params", robot.link, "ramp_s=1", "--restore", "watchdog_s=5", "ramp=1")
+        assert done.returncode == 2
+        assert [line.partition(";")[0] for line in done.stderr.splitlines()] == [
+            "hil: watchdog_s = 5",
+            "the firmware has no parameter 'ramp'",
+        ]
+        footer = hil("params", robot.link, "speed_kp_n_m_s_rad=2").stdout.splitlines()[-1]
+        in_force = firmware_values(load("paper_circle")) | {"speed_kp_n_m_s_rad": 2.0}
+        assert f"parameters {parameter_hash(in_force):08x}" in footer
+
+
 def test_a_wrong_parameter_is_one_sentence(tmp_path: Path) -> None:
     with device("paper_circle", "--mode", "realtime", "--link", f"serial:pty?symlink={tmp_path}/robot") as robot:
         for change, words in (
@@ -37,9 +65,47 @@ def test_a_wrong_parameter_is_one_sentence(tmp_path: Path) -> None:
             ("counts_per_revolution=1e39", "expected a number from"),
             ("counts_per_revolution=7.5", "expected a whole number"),
             ("ramp_s", "expected NAME=NUMBER"),
+            ("ramp_s=0.1 ramp_s=0.2", "ramp_s is given twice"),
             ("ramp_s=nan", "expected NAME=NUMBER"),
         ):
-            done = hil("params", robot.link, change)
+            done = hil("params", robot.link, *change.split())
             assert done.returncode == 2
             assert words in done.stderr
             assert done.stderr.count("\n") == 1
+
+
+class RigLink:
+    """A link to a firmware in this process, which is armed by another host after so many writes."""
+
+    def __init__(self, writes: int = 1000) -> None:
+        self.rig = WheelRig()
+        self._writes = writes
+
+    def send(self, frame: Frame) -> None:
+        message = codec.decode(frame)
+        if isinstance(message, m.ParameterRequest) and message.operation == m.Operation.WRITE:
+            self._writes -= 1
+            if self._writes < 0:
+                self.rig.activate()
+                self.rig.heard()
+        self.rig.send(message)
+
+    def receive(self, _timeout_ns: int) -> Received | None:
+        return Received(frames, 0) if (frames := self.rig.frames()) else None
+
+    def rejected(self) -> dict[str, int]:
+        return {}
+
+
+def test_a_change_that_is_refused_after_others_says_which_are_in_force() -> None:
+    client = ParameterClient(RigLink(writes=1))
+    changes = client.check({"ramp_s": PARAMETERS["ramp_s"], "speed_kp_n_m_s_rad": 2.0})
+    with pytest.raises(DeviceError, match=r"not in IDLE; .*; changed before that, and in force until a reset: ramp_s$"):
+        client.write(changes)
+    assert {row.name: row.value for row in client.read()} == pytest.approx(PARAMETERS)
+
+
+def test_a_change_that_is_refused_before_others_says_that_nothing_was_changed() -> None:
+    client = ParameterClient(RigLink(writes=0))
+    with pytest.raises(DeviceError, match=r"; nothing was changed$"):
+        client.write(client.check({"ramp_s": 0.3}))

@@ -237,6 +237,21 @@ def test_a_replugged_port_is_reopened_and_counters_go_on(tmp_path: Path):
         assert host.rejected() == rejected
 
 
+def test_a_port_that_another_program_reads_too_is_busy_and_one_that_hangs_up_is_gone(monkeypatch):
+    """pyserial has the same words for both: there was something to read, and then nothing."""
+    master = pty.PtyStream()
+    with contextlib.closing(SerialStream(master.port, 921_600)) as stream:
+        monkeypatch.setattr(serial.serialposix.os, "read", lambda _descriptor, _size: b"")  # what the other one left
+        master.write(b"x")
+        with pytest.raises(LinkError, match=rf"serial port '{master.port}' is busy: another program reads it too"):
+            stream.read(WAIT_NS)
+        monkeypatch.undo()
+        assert stream.read(WAIT_NS) == b"x"
+        master.close()
+        with pytest.raises(LinkError, match=r"was lost \(it is gone\)"):
+            stream.read(WAIT_NS)
+
+
 def test_a_port_that_is_unplugged_while_it_is_opened_is_one_sentence(monkeypatch):
     """What pyserial flushes then is gone; that is an error of termios, which is no OSError."""
     master, slave = os.openpty()

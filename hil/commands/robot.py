@@ -59,9 +59,9 @@ def params(
     restore: Annotated[bool, typer.Option("--restore", help="first take the values of the build")] = False,
     as_json: Json = False,
 ) -> None:
-    """Show and change the parameters of a robot's firmware; it must be in IDLE to change."""
+    """Show and change the parameters of a robot's firmware; it must be in IDLE to change. All are changed, or none."""
     from hil import report
-    from hil.devices.parameters import ParameterClient, assignment
+    from hil.devices.parameters import ParameterClient, assignments
     from hil.errors import BadInputError
     from hil.links.opening import is_within_process, open_host
     from hil.links.url import parse_link
@@ -73,19 +73,41 @@ def params(
             f"link {link!r} reaches no robot outside this process, and one made for it would hold the values of "
             "the build; name the robot's port, such as serial:/dev/ttyACM0, or the link that 'hil device' prints"
         )
-    wanted = dict(assignment(change) for change in changes or [])
+    wanted = assignments(changes or [])
     with device_held(url, f"hil params {link}"), contextlib.closing(open_host(url)) as opened:
         client = ParameterClient(opened)
+        checked = client.check(wanted)  # all of them before anything is changed
         if restore:
             client.restore()
-        for name, value in wanted.items():
-            client.write(name, value)
+        client.write(checked)
         if store:
             client.store()
         held = client.read()
+        info = client.greet()
     if as_json:
         print_json({row.name: row.value for row in held})
     else:
-        rows = [(row.name, f"{row.value:.7g}", f"{row.minimum:.7g} to {row.maximum:.7g}") for row in held]
-        report.print_table([("parameter", "value", "range"), *rows])
-        print(client.info.describe())
+        rows = [
+            (
+                row.name,
+                row.type.name.lower(),
+                f"{row.value:.7g}",
+                f"{row.minimum:.7g} to {row.maximum:.7g}",
+                _default_of(row.name),
+            )
+            for row in held
+        ]
+        report.print_table([("parameter", "type", "value", "range", "default of a scenario"), *rows])
+        print(info.describe())
+
+
+def _default_of(parameter: str) -> str:
+    """Return what a scenario takes for a parameter that it does not give; "-" where it has to give it."""
+    from hil.scenario import FirmwareTable
+    from hil.scenario.check import WATCHDOG_PERIODS
+
+    follows = {"watchdog_s": f"{WATCHDOG_PERIODS} command periods", "feedback_period_s": "1 command period"}
+    if parameter in follows:
+        return follows[parameter]
+    field = FirmwareTable.model_fields.get(parameter)
+    return "-" if field is None or field.is_required() else f"{field.default:.7g}"

@@ -109,13 +109,13 @@ class Guardian:
     # Told by the ticks
 
     def begin(self) -> bool:
-        if self._phase in (_Phase.REST, _Phase.HELD):
+        if self._phase is _Phase.WATCHED and self.failure is None:
+            return True
+        if self._phase is not _Phase.ASKED:
             self._session += 1
             self._failure = None
-            self._beat_ns = self._answered_ns = time.monotonic_ns()
+            self._answered_ns = time.monotonic_ns()
             self._enter(_Phase.ASKED)
-        if self._phase is _Phase.WATCHED:
-            return True
         number, why = self._refused
         if number == self._session:
             raise DeviceError(

@@ -154,10 +154,16 @@ def _why_silent(heard: int, rejected: Mapping[str, int]) -> str:
             "set bitrate= in the link to the robot's"
         )
     if noise:
-        return f"bytes came, but {noise} frames of them were not whole: set baud= in the link to the robot's rate"
+        return (
+            f"bytes came, but {noise} frames of them were not whole: set baud= in the link to the robot's rate, and "
+            "close any other program that reads the port"
+        )
     if strangers:
         return f"{strangers} frames of others came, so the bus works; check that the robot is powered and on this bus"
-    return "check that it is powered, that the link is the right one, and its baud or bit rate"
+    return (
+        "check that it is powered, that the link is the right one, that no other program reads it, and its baud or "
+        "bit rate"
+    )
 
 
 def _check_version(identity: m.HelloIdentity) -> None:

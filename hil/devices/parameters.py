@@ -4,13 +4,14 @@ import ctypes
 import math
 import struct
 import time
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 from firmware_protocol import codec
 from firmware_protocol.generated import messages as m
 from firmware_protocol.host import parameters
 from hil.devices import handshake
-from hil.errors import BadInputError, DeviceError, nearest
+from hil.errors import BadInputError, DeviceError, LinkError, nearest
 from hil.ports import Link
 
 _RETRY_NS = 200_000_000
@@ -34,13 +35,32 @@ def assignment(text: str) -> tuple[str, float]:
     return name, value
 
 
+def assignments(texts: Iterable[str]) -> dict[str, float]:
+    """Return the values of ``name=value``, by name. Raises BadInputError, also for a name that is given twice."""
+    wanted: dict[str, float] = {}
+    for name, value in map(assignment, texts):
+        if name in wanted:
+            raise BadInputError(f"{name} is given twice, as {wanted[name]:g} and as {value:g}; keep one of them")
+        wanted[name] = value
+    return wanted
+
+
 class Held(NamedTuple):
     """A parameter as the robot holds it."""
 
     name: str
+    type: m.Type
     value: float
     minimum: float
     maximum: float
+
+
+class Change(NamedTuple):
+    """A change that the robot will take: ``number`` is the parameter's, ``bits`` those of its value on the wire."""
+
+    name: str
+    number: int
+    bits: int
 
 
 class ParameterClient:
@@ -52,45 +72,84 @@ class ParameterClient:
     def __init__(self, link: Link) -> None:
         self._link = link
         self._transaction = 0
-        self.info = handshake.greet(link, lambda message: link.send(codec.encode(message)))
+        self._changed: list[str] = []
         self._table = parameters()
+        self.greet()
+
+    def greet(self) -> handshake.RobotInfo:
+        """Return what the robot says of itself now; the hash is that of the parameters in force."""
+        return handshake.greet(self._link, lambda message: self._link.send(codec.encode(message)))
 
     def read(self) -> list[Held]:
         """Return every parameter in the firmware's order."""
         operations = (m.Operation.READ, m.Operation.READ_MINIMUM, m.Operation.READ_MAXIMUM)
         return [
-            Held(row.name, *(self._value(self._ask(number, operation)) for operation in operations))
+            Held(row.name, row.type, *(self._value(self._ask(number, operation)) for operation in operations))
             for number, row in enumerate(self._table)
         ]
 
-    def write(self, name: str, value: float) -> None:
-        """Change one parameter until the robot is reset.
+    def check(self, wanted: Mapping[str, float]) -> list[Change]:
+        """Return the changes to these values, which change nothing yet.
 
-        Raises BadInputError for an unknown name or a value out of range, DeviceError when the robot refuses.
+        Raises BadInputError with a line for each name that is unknown, and each value outside of the robot's own range.
         """
+        changes: list[Change] = []
+        problems: list[str] = []
+        for name, value in wanted.items():
+            try:
+                changes.append(self._change_to(name, value))
+            except BadInputError as error:
+                problems.append(str(error))
+        if problems:
+            raise BadInputError("\n".join(problems))
+        return changes
+
+    def _change_to(self, name: str, value: float) -> Change:
         names = [row.name for row in self._table]
         if name not in names:
             raise BadInputError(f"the firmware has no parameter {name!r}{nearest(name, names)}")
         number = names.index(name)
-        row = self._table[number]
-        whole = row.type is m.Type.UINT32
+        whole = self._table[number].type is m.Type.UINT32
         if whole and value != int(value):
             raise BadInputError(f"{name} = {value:g}; expected a whole number")
         # As the robot will hold it: a bound that single precision rounds is in the range. Infinity stands for too much.
         held = value if whole else ctypes.c_float(value).value
-        if row.minimum <= held <= row.maximum:
-            bits = int(value) if whole else struct.unpack("<I", struct.pack("<f", held))[0]
-            if self._ask(number, m.Operation.WRITE, bits).result != m.Result.RANGE:
-                return
-        raise BadInputError(f"{name} = {value:g}; expected a number from {row.minimum:g} to {row.maximum:g}")
+        # A board may take less than the table has.
+        least, most = (
+            self._value(self._ask(number, limit)) for limit in (m.Operation.READ_MINIMUM, m.Operation.READ_MAXIMUM)
+        )
+        if not least <= held <= most:
+            raise BadInputError(f"{name} = {value:g}; expected a number from {least:g} to {most:g}")
+        return Change(name, number, int(value) if whole else struct.unpack("<I", struct.pack("<f", held))[0])
+
+    def write(self, changes: Iterable[Change]) -> None:
+        """Make changes until the robot is reset. Raises DeviceError when it refuses one, with what it took before."""
+        for change in changes:
+            answer = self._order(change.number, m.Operation.WRITE, change.bits)
+            if answer.result == m.Result.RANGE:
+                raise DeviceError(self._with_changes(f"the robot refused {change.name}, for its range has changed"))
+            self._changed.append(change.name)
 
     def store(self) -> None:
         """Have the robot keep its parameters across a reset. Raises DeviceError when it refuses."""
-        self._ask(0, m.Operation.STORE)
+        self._order(0, m.Operation.STORE)
 
     def restore(self) -> None:
         """Go back to the values that the firmware was built with. Raises DeviceError when the robot refuses."""
-        self._ask(0, m.Operation.RESTORE)
+        self._order(0, m.Operation.RESTORE)
+        self._changed.append("all to those of the build")
+
+    def _order(self, number: int, operation: m.Operation, value: int = 0) -> m.ParameterResponse:
+        """Ask for what changes something. Raises DeviceError or LinkError, with what was changed before."""
+        try:
+            return self._ask(number, operation, value)
+        except (DeviceError, LinkError) as error:
+            raise type(error)(self._with_changes(str(error))) from error
+
+    def _with_changes(self, sentence: str) -> str:
+        if not self._changed:
+            return f"{sentence}; nothing was changed"
+        return f"{sentence}; changed before that, and in force until a reset: {', '.join(self._changed)}"
 
     def _ask(self, number: int, operation: m.Operation, value: int = 0) -> m.ParameterResponse:
         self._transaction = (self._transaction + 1) & 0xFF

@@ -4,7 +4,7 @@ import errno
 import re
 
 from hil.errors import LinkError
-from hil.links.serial_failures import LIST_PORTS, is_gone, opening_problem, words_of
+from hil.links.serial_failures import LIST_PORTS, SHARED, is_gone, is_shared, opening_problem, words_of
 from hil.links.url import CanUrl
 
 _INSTEAD = "; on Linux most adapters need none with can:socketcan/can0"
@@ -31,7 +31,7 @@ def failure(url: CanUrl, error: Exception) -> LinkError:
     where = f"CAN interface {url.interface!r}, channel {url.channel!r}"
     number, text = _number(error), " ".join(_NUMBERS.sub("", str(error)).split())
     if url.interface in _SERIAL_INTERFACES and "bitrate" not in text:
-        return _of_serial_adapter(where, error)
+        return _of_serial_adapter(where, url, error)
     up = f"bring it up: ip link set {url.channel} up type can bitrate {url.bitrate}"
     if number == errno.ENETDOWN or "Network is down" in text:
         return LinkError(f"{where} is down; {up}")
@@ -56,9 +56,11 @@ def failure(url: CanUrl, error: Exception) -> LinkError:
     return LinkError(f"{where} failed ({text}); check that the adapter is plugged in and that nobody else uses it")
 
 
-def _of_serial_adapter(where: str, error: Exception) -> LinkError:
+def _of_serial_adapter(where: str, url: CanUrl, error: Exception) -> LinkError:
     if "Write timeout" in str(error.__cause__):
         return LinkError(f"{where} takes no bytes any more; plug the adapter out and in again")
+    if is_shared(url.channel.partition("@")[0], error):
+        return LinkError(f"{where} {SHARED}")
     if is_gone(error):
         return LinkError(f"{where} was lost (it is gone); plug the adapter in again, and check its cable")
     if (problem := opening_problem(error)) is not None:

@@ -15,7 +15,13 @@ PORT_ERRORS: tuple[type[Exception], ...] = (OSError, *_TERMIOS_ERROR)
 """What a port raises besides pyserial's own, which is an OSError mostly without a number."""
 
 LIST_PORTS = "list the ports with: python -m serial.tools.list_ports"
+SHARED = "is busy: another program reads it too, and takes what is meant for this one; close that program"
+"""What is the matter with a port that ``is_shared``, to follow its name."""
+
 _GONE = (errno.EIO, errno.ENODEV, errno.ENXIO, errno.EBADF)
+# pyserial's words under POSIX where there was something to read and then nothing: the device has hung up, or another
+# program has been quicker.
+_NOTHING_LEFT = "multiple access on port"
 # pyserial's words where a device is gone: on reading, on Windows, and python-can's.
 _GONE_WORDS = ("disconnected", "ClearCommError failed", "Could not read from serial", "Could not write to serial")
 
@@ -53,6 +59,26 @@ def opening_problem(error: Exception) -> str | None:
     if number in (errno.ENOTTY, errno.EISDIR):
         return "is not a serial port; expected a device such as /dev/ttyACM0 or COM3"
     return None
+
+
+def is_shared(port: str, error: Exception) -> bool:
+    """Tell whether a port was lost because another program reads it too: its bytes went there, and it is still there.
+
+    pyserial has the same words for a port that was unplugged.
+    """
+    cause: BaseException | None = error
+    while cause is not None and _NOTHING_LEFT not in str(cause):
+        cause = cause.__cause__
+    if cause is None or sys.platform == "win32":
+        return False
+    try:
+        descriptor = os.open(port, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK)
+    except OSError:
+        return False
+    try:
+        return os.isatty(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def is_gone(error: Exception) -> bool:

@@ -12,7 +12,7 @@ import serial
 from hil.errors import LinkError, nearest
 from hil.links.opening_beside import OpeningBeside
 from hil.links.reader import Reader
-from hil.links.serial_failures import LIST_PORTS, PORT_ERRORS, is_gone, opening_problem, words_of
+from hil.links.serial_failures import LIST_PORTS, PORT_ERRORS, SHARED, is_gone, is_shared, opening_problem, words_of
 
 _CHUNK = 65536
 _WRITE_TIMEOUT_S = 1.0  # a line that takes no byte for so long is lost
@@ -180,6 +180,8 @@ class SerialStream:
             raise self._lost(error) from error
 
     def _lost(self, error: Exception) -> LinkError:
+        if is_shared(self._name, error):
+            return LinkError(f"serial port {self._name!r} {SHARED} (fuser -v {self._name} names it)")
         why = "it is gone" if is_gone(error) else words_of(error)
         return LinkError(f"serial port {self._name!r} was lost ({why}); check the cable and the robot's power")
 
