@@ -433,19 +433,29 @@ def test_a_service_that_was_silent_is_disarmed_until_somebody_arms_it() -> None:
             bench.run_until(Phase.DISARMED)
 
             def is_active() -> bool:
-                if bench.pilot.phase is Phase.DISARMED:
-                    bench.pilot.arm()
                 bench.run(0.01)
                 return bench.pilot.phase is Phase.ACTIVE
 
+            bench.pilot.arm()
             wait_for(is_active)
+            assert guardian._session == 1
             wait_for(lambda: guardian._stopped)
             bench.run_until(Phase.DISARMED)
             bench.run(1.0)
             assert bench.phases[-3:] == [Phase.AWAY, Phase.STOPPING, Phase.DISARMED]
             assert "no command went out for" in str(bench.pilot.why)
             assert not node_of(bench.bench).is_driving
+            bench.pilot.arm()
             wait_for(is_active)
+            bench.pilot.disarm()
+            bench.run_until(Phase.DISARMED)
+            bench.run(1.0)
+            assert guardian._phase.name == "REST"
+            bench.pilot.arm()
+            bench.run(0.01)
+            bench.pilot.disarm()
+            bench.run(1.0)
+            assert guardian._phase.name == "REST"
         finally:
             guardian.release()
 

@@ -70,7 +70,7 @@ class MakersRobot:
         self._ask_again_ns = 0
         self._settled_ns = 0
         self._watch = terms.watch
-        self._is_watched = True
+        self._awaits_watch = False  # to be armed
         self.report = MakersReport(self._feedback)
         self.round_trip = RoundTrip()
         self.clock_sync = ClockSync()
@@ -120,6 +120,7 @@ class MakersRobot:
         return False  # a controller that was reset counts from zero, and nothing tells which were
 
     def leave(self) -> None:
+        self._awaits_watch = False
         if self._stop.is_needed:
             self._drop(State.STOPPING)
             self._watch.hold()  # the next command may be long in coming, and this process knows it
@@ -190,8 +191,8 @@ class MakersRobot:
         if self._info is None or self._state is State.STOPPING:
             self._tell_watch()
             return False
-        self._is_watched = self._watch.begin()
-        if not self._is_watched:
+        self._awaits_watch = not self._watch.begin()
+        if self._awaits_watch:
             return False
         now_ns = self._clock.now_ns()
         self._state = State.ARMED
@@ -217,7 +218,7 @@ class MakersRobot:
                 f"the motor controllers reported {self.report.why}; find the cause, then clear it with their maker's "
                 "tool, or with hil serve and hil ctl clear"
             )
-        if not self._is_watched:
+        if self._awaits_watch:
             return "the guardian, without which nothing is armed, has not answered within 4 s (GUARDIAN.md)"
         if not self._feedback.is_fresh(self._clock.now_ns()):
             return self._driver.missing or (
@@ -227,6 +228,7 @@ class MakersRobot:
         return "the motor controllers did not go into closed loop within 4 s; look at them with their maker's tool"
 
     def disarm(self) -> None:
+        self._awaits_watch = False
         if self._state is State.ACTIVE:
             self._state = State.STOPPING
             self._stop.ramp_down(self._clock.now_ns(), self._commanded)
@@ -294,10 +296,11 @@ class MakersRobot:
 
     def _tell_watch(self) -> None:
         """Tell the guardian whether there is anything to be stopped; while ACTIVE it is each command that tells it."""
-        if not self._stop.is_needed:
+        if self._stop.is_needed:
+            if self._state is not State.ACTIVE:
+                self._watch.beat()
+        elif not self._awaits_watch:
             self._watch.rest()
-        elif self._state is not State.ACTIVE:
-            self._watch.beat()
 
     def _supervise(self) -> None:
         """Find out what ends the session, and go on with a stop."""
@@ -385,6 +388,7 @@ class MakersRobot:
         But for an e-stop nothing is sent to motors that were not armed from here: others may be driving them.
         """
         self._commanded = REST
+        self._awaits_watch = False
         if self._state is not State.ESTOP and (self._state is not State.FAULT or state is State.ESTOP):
             self._state = state
         if state is State.ESTOP or self._stop.is_needed:
