@@ -161,7 +161,9 @@ class Bench:
         return Stm32(
             link,
             scenario.controller.mode,
-            Expected(parameter_hash(firmware_values(scenario)), lockstep, allow_motion),
+            Expected(
+                parameter_hash(firmware_values(scenario)), lockstep, allow_motion, scenario.robot.speed_limit_rad_s
+            ),
             _nonces(scenario.loop.seed if lockstep else None),
             wheel_map(scenario),
         )

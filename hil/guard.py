@@ -11,9 +11,10 @@ _TORQUE = CommandMode.TORQUE  # a member of an enumeration takes longer to look 
 class Guard:
     """Limits the commands of a law; the only place on the host that does.
 
-    All four wheels are scaled by one factor: the direction of motion, or of force, is kept. The firmware has
-    limits of its own. ``refused`` counts commands that were not finite and were replaced by a stop. Raises
-    BadInputError for a limit that is not a finite number above zero.
+    All four wheels are scaled by one factor: the direction of motion, or of force, is kept. Speeds are kept within the
+    smaller of ``speed_limit_rad_s`` and what the robot says that it takes (``heed``). ``refused`` counts commands that
+    were not finite and were replaced by a stop. Raises BadInputError for a limit that is not a finite number above
+    zero.
     """
 
     def __init__(self, speed_limit_rad_s: float, torque_limit_n_m: float) -> None:
@@ -21,9 +22,18 @@ class Guard:
         for name, value in limits.items():
             if not (math.isfinite(value) and value > 0.0):
                 raise BadInputError(f"robot.{name} = {value!r}: expected a finite number, more than zero")
+        self._own_speed_limit_rad_s = speed_limit_rad_s
         self.speed_limit_rad_s = speed_limit_rad_s
         self.torque_limit_n_m = torque_limit_n_m
         self.refused = 0
+
+    def heed(self, robot_speed_limit_rad_s: float) -> None:
+        """Keep speeds within what the robot says that it takes as well; infinite where it says nothing.
+
+        The robot's limit has the margin for the overshoot of its speed loop in it: our firmware's is 0.8 times the
+        speed that is a fault (PROTOCOL.md, "Limits").
+        """
+        self.speed_limit_rad_s = min(self._own_speed_limit_rad_s, max(0.0, robot_speed_limit_rad_s))
 
     def apply(self, command: WheelCommand) -> tuple[WheelCommand, bool]:
         """Return the command within the limits, and whether it had to be scaled.

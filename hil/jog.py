@@ -6,6 +6,7 @@ from typing import NamedTuple
 from hil.bench import Bench
 from hil.errors import BadInputError, DeviceError
 from hil.freshness import Freshness
+from hil.guard import Guard
 from hil.sampling import Timing
 from hil.scenario import Scenario
 from hil.scenario.motors import make_driver
@@ -75,6 +76,7 @@ def jog(
         bench.connect()
         for sentence in device.warnings:
             warn(sentence)
+        speed_rad_s = _limited(scenario, device.speed_limit_rad_s, speed_rad_s, warn)
         begin_ns = device.start(bench.clock, period_ns)
         freshness = Freshness(bench.clock, device, None, Timing(period_ns, 0, 0, stale_ns))
         turned = [0.0] * 4
@@ -97,6 +99,17 @@ def jog(
     if not is_still:
         raise DeviceError("the robot did not come to rest within 5 s; cut the motors' power")
     return Jogged(speed_rad_s * (seconds - _RAMP_S), Wheels(*turned))
+
+
+def _limited(scenario: Scenario, robot_rad_s: float, speed_rad_s: float, warn: Callable[[str], None]) -> float:
+    """Return the speed as the guard lets it through."""
+    guard = Guard(scenario.robot.speed_limit_rad_s, scenario.robot.torque_limit_n_m)
+    guard.heed(robot_rad_s)
+    asked = WheelCommand(CommandMode.SPEED, ZERO_WHEELS._replace(fl=speed_rad_s), ZERO_WHEELS)
+    limited, is_scaled = guard.apply(asked)
+    if is_scaled:
+        warn(f"the wheel is turned with {limited.speed_rad_s.fl:.4g} rad/s, the limit, and not with {speed_rad_s:g}")
+    return limited.speed_rad_s.fl
 
 
 def check(scenario: Scenario, wheel: str, speed_rad_s: float, seconds: float) -> None:

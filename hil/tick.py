@@ -183,6 +183,7 @@ class Tick:
     def begin(self) -> None:
         """Let the law begin anew, with a robot that has just become ACTIVE."""
         self._before = None
+        self._heed_limits()
         self._latency.restart()
         self._applied = Applied(self._rest, False, self._latency.s)
 
@@ -223,6 +224,14 @@ class Tick:
         self._controller, self._guard = parts.controller, parts.guard
         self._faults, self._shadows = parts.faults, parts.shadows
         self._uses_truth = parts.estimator.uses_truth
+        self._heed_limits()
+
+    def _heed_limits(self) -> None:
+        """Limit commands to what the robot, which may have just answered, says that it takes."""
+        limit_rad_s = self._device.speed_limit_rad_s
+        self._guard.heed(limit_rad_s)
+        if self._shadows is not None:
+            self._shadows.heed(limit_rad_s)
 
     def _make_rows(self) -> Rows:
         parts = self._parts

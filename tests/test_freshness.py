@@ -37,7 +37,7 @@ class Robot:
         self.device = Stm32(
             DelayedLink(FaultLink(StreamLink(host), ScenarioTime(self), ()), self, 0, 0),
             CommandMode.SPEED,
-            Expected(parameter_hash(self.rig.values), False, False),
+            Expected(parameter_hash(self.rig.values), False, False, 20.0),
             itertools.count(0x2341),
             WheelMap(),
         )

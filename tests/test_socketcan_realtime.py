@@ -251,7 +251,9 @@ def test_a_second_controller_is_turned_away_and_the_first_drives_on(robot: Devic
         ):
             clock = WallClock()
             link = DelayedLink(FaultLink(bus, ScenarioTime(clock), ()), clock, 0, 0)
-            expected = Expected(parameter_hash(firmware_values(SCENARIO)), lockstep=False, allow_motion=False)
+            expected = Expected(
+                parameter_hash(firmware_values(SCENARIO)), lockstep=False, allow_motion=False, speed_limit_rad_s=20.0
+            )
             second = Stm32(link, CommandMode.TORQUE, expected, iter((1, 2, 3)), wheel_map(SCENARIO))
             second.connect()
             refusal = "none"

@@ -59,7 +59,7 @@ def driver(
     rig: WheelRig, *, lockstep=True, allow_motion=False, values=PARAMETERS, nonces=None, line=None, latencies=(0, 0)
 ) -> tuple[Stm32, LockstepClock]:
     link = StreamLink(line or Line(rig))
-    expected = Expected(parameter_hash(values), lockstep, allow_motion)
+    expected = Expected(parameter_hash(values), lockstep, allow_motion, 20.0)
     nonces = itertools.count(0x2341) if nonces is None else iter(nonces)
     clock = LockstepClock(lambda ticks: device.step(ticks))
     device = Stm32(
@@ -177,7 +177,7 @@ def test_a_round_trip_ends_with_the_tick_that_says_so_whatever_becomes_of_its_sn
     link = StreamLink(here)
     link.now_ns = clock.now_ns
     line = DelayedLink(FaultLink(link, ScenarioTime(clock), ()), clock, 0, 0)
-    device = Stm32(line, CommandMode.SPEED, Expected(0, False, True), itertools.count(1), WheelMap())
+    device = Stm32(line, CommandMode.SPEED, Expected(0, False, True, 20.0), itertools.count(1), WheelMap())
     device.attend(clock)
     sent = [device.send(WheelCommand(CommandMode.SPEED, ZERO_WHEELS, ZERO_WHEELS)) for clock.now in (0, 1_000_000)]
     for number, sequence in enumerate(sent):
@@ -258,7 +258,7 @@ def test_a_stop_does_not_wait_for_the_links_latency():
     rig = WheelRig(lockstep=True)
     link = StreamLink(Line(rig))
     clock = LockstepClock(lambda ticks: device.step(ticks))
-    expected = Expected(parameter_hash(PARAMETERS), lockstep=True, allow_motion=False)
+    expected = Expected(parameter_hash(PARAMETERS), lockstep=True, allow_motion=False, speed_limit_rad_s=20.0)
     delayed = DelayedLink(FaultLink(link, ScenarioTime(clock), ()), clock, 20_000_000, 0)
     device = Stm32(delayed, CommandMode.SPEED, expected, itertools.count(0x2341), WheelMap())
     device.connect()

@@ -72,6 +72,7 @@ class Expected(NamedTuple):
     parameter_hash: int
     lockstep: bool
     allow_motion: bool
+    speed_limit_rad_s: float  # of the scenario; the robot's may be smaller
 
 
 class Greeting:

@@ -98,6 +98,11 @@ class MakersRobot:
         return self._info
 
     @property
+    def speed_limit_rad_s(self) -> float:
+        """Infinite: what makers' controllers keep their motors to is in their own settings."""
+        return math.inf
+
+    @property
     def warnings(self) -> Sequence[str]:
         """What has to be said before anything moves."""
         said = [*self._driver.warnings]

@@ -78,6 +78,10 @@ class Device(Protocol):
         """What the robot said of itself, None before it has."""
 
     @property
+    def speed_limit_rad_s(self) -> float:
+        """The largest wheel speed that the robot says it takes as a command; infinite where it says none."""
+
+    @property
     def warnings(self) -> Sequence[str]:
         """Sentences to be said before anything moves, such as that nothing stops the wheels when the host dies.
 

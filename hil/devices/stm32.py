@@ -5,6 +5,7 @@ can tell, except by what HELLO says.
 """
 
 import contextlib
+import math
 from collections.abc import Callable, Iterator
 from types import MethodType
 
@@ -119,9 +120,23 @@ class Stm32:
         return self._info
 
     @property
+    def speed_limit_rad_s(self) -> float:
+        """To what the robot scales speeds (DBC HELLO_LIMITS); infinite in TORQUE mode, and before it has told it."""
+        if self._info is None or self._mode is _TORQUE:
+            return math.inf
+        return self._info.limits.speed_limit_rad_s
+
+    @property
     def warnings(self) -> tuple[str, ...]:
-        """Nothing: the firmware stops by itself whatever becomes of the host."""
-        return ()
+        """That the robot takes less speed than the scenario's limit; what stops it when the host dies is its own."""
+        limit_rad_s, ours_rad_s = self.speed_limit_rad_s, self._expected.speed_limit_rad_s
+        if self._info is None or limit_rad_s >= ours_rad_s:
+            return ()
+        overspeed_rad_s = self._info.limits.overspeed_rad_s
+        return (
+            f"the robot takes wheel speeds of at most {limit_rad_s:.4g} rad/s, as {overspeed_rad_s:.4g} rad/s are a "
+            f"fault there; commands are scaled to that and not to robot.speed_limit_rad_s = {ours_rad_s:g}",
+        )
 
     # Coming back after a loss, in steps that do not wait: the tick of the loop goes on meanwhile
 

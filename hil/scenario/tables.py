@@ -49,7 +49,9 @@ class RobotTable(Table):
     wheel_inertia_kg_m2: float = Field(ge=0, le=100, description="of one wheel and its motor about its axle, Ib")
     friction_coefficient: float = Field(default=0.0, ge=0, le=2, description="rolling friction, mu in xi")
     torque_limit_n_m: float = Field(gt=0, le=15.99609375, description="of one wheel")
-    speed_limit_rad_s: float = Field(gt=0, le=63.984375, description="of one wheel")
+    speed_limit_rad_s: float = Field(
+        gt=0, le=63.984375, description="of one wheel; the robot's own limit counts where that is smaller"
+    )
 
 
 def _signal_of_plant(name: str) -> str:
