@@ -32,6 +32,7 @@ _COMMON = (
     "pins",
     "watchdog",
     "reset_cause",
+    "fault",
     "supply",
     "flash_memory",
     "parameter_log",

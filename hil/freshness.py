@@ -152,5 +152,6 @@ class Freshness:
         report = self._device.report
         # A robot that stopped by itself knows why, and passes through STOPPING, which tells it.
         was_reset = state in (RobotState.BOOT, RobotState.IDLE) and report.knows_no_reason
-        why = "it was reset" if was_reset else f"it is {state.name} because of {report.stop_reason()}"
+        reset = f"it was reset ({report.last_reset})" if report.last_reset else "it was reset"
+        why = reset if was_reset else f"it is {state.name} because of {report.stop_reason()}"
         return f"the robot left ACTIVE at t = {t_s:.3f} s: {why}"

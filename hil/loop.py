@@ -88,6 +88,7 @@ class Loop:
         """
         begin = perf_counter()
         failure: HilError | None = None
+        self._warned()  # since it was armed the robot has told more
         try:
             with self._watch:
                 self._run(origin_ns, duration_ns)

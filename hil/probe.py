@@ -100,7 +100,8 @@ class _OurProbe:
 
     @property
     def patience_s(self) -> float:
-        return 0.0 if self._info is not None else handshake.RETRY_NS * 1e-9
+        is_done = self._info is not None and self._info.reset_cause is not None
+        return 0.0 if is_done else handshake.RETRY_NS * 1e-9
 
     def ask(self) -> Sequence[Frame]:
         if self._info is not None or self._asked == _GREETINGS:

@@ -51,7 +51,8 @@ class Recovery:
     the way begins it again from the link.
 
     ``why`` is what was lost at ``lost_s`` of the scenario's time. ``warned`` is called after each handshake, before
-    anything is armed. Where it is not to arm, the way ends with the first feedback after the handshake.
+    anything is armed, and at the end of the way. Where it is not to arm, the way ends with the first feedback after the
+    handshake.
     """
 
     def __init__(
@@ -145,6 +146,7 @@ class Recovery:
 
     def _arm(self) -> bool:
         if self._device.armed():
+            self._warned()  # by now it has told why it was reset
             return True
         if self._clock.now_ns() > self._due_ns:
             raise RobotStoppedError(self._device.why_not_active())
@@ -152,6 +154,7 @@ class Recovery:
 
     def _hear(self) -> bool:
         if self._device.poll() is not None:
+            self._warned()
             return True
         if self._clock.now_ns() > self._due_ns:
             raise RobotStoppedError(self._device.why_not_active())

@@ -9,7 +9,7 @@ from firmware_protocol.host import parameter_hash
 from hil.devices.handshake import Expected
 from hil.devices.stm32 import Stm32
 from hil.devices.wheel_map import WheelMap
-from hil.errors import LinkError
+from hil.errors import LinkError, RobotStoppedError
 from hil.freshness import Freshness
 from hil.links.delay import DelayedLink
 from hil.links.fault_rows import ScenarioTime
@@ -102,6 +102,14 @@ def test_a_long_standstill_is_a_lost_link_and_no_reset_of_the_robot() -> None:
     assert not [idle.tick(active=False) for _ in range(8)][-1]
     with pytest.raises(LinkError, match="lay unread for 1100 ms"):
         idle.tick(1100, active=False)
+
+
+def test_a_robot_that_was_reset_while_it_was_driven_says_why() -> None:
+    robot = Robot().armed()
+    assert not robot.tick()
+    robot.rig = WheelRig(watchdog_s=0.05)
+    with pytest.raises(RobotStoppedError, match=r"left ACTIVE at t = 0.000 s: it was reset \(its power came on\)"):
+        robot.tick()
 
 
 def test_a_truth_ages_on_while_the_host_stands_still_within_a_tick() -> None:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 from firmware_protocol import codec
 from firmware_protocol.capabilities import Capability
 from firmware_protocol.generated import messages as m
+from hil.devices.reset_words import NO_FAULT, ProcessorFault, reset_words
 from hil.errors import BadInputError, DeviceError
 from hil.ports import Link
 
@@ -24,17 +25,6 @@ _PAGES = (
 )
 
 
-class ProcessorFault(NamedTuple):
-    """The record of the processor fault that reset the robot; all zero when none did (PROTOCOL.md, "Resets")."""
-
-    cfsr: int = 0
-    hfsr: int = 0
-    pc: int = 0
-    lr: int = 0
-    mmfar: int = 0
-    bfar: int = 0
-
-
 class RobotInfo(NamedTuple):
     """What the robot said of itself in HELLO."""
 
@@ -45,11 +35,12 @@ class RobotInfo(NamedTuple):
     watchdog_ms: int
     geometry: m.HelloGeometry
     limits: m.HelloLimits
-    processor_fault: ProcessorFault = ProcessorFault()
+    processor_fault: ProcessorFault = NO_FAULT
+    reset_cause: m.ResetCause | None = None  # where a STATUS came with HELLO
 
     def is_same_robot(self, other: "RobotInfo") -> bool:
         """Whether the other one may be this robot, perhaps after a reset."""
-        return self == other._replace(processor_fault=self.processor_fault)
+        return self == other._replace(processor_fault=self.processor_fault, reset_cause=self.reset_cause)
 
     @property
     def has_power_stage(self) -> bool:
@@ -62,8 +53,15 @@ class RobotInfo(NamedTuple):
             f"firmware {self.firmware} (build {self.build:08x}), capabilities {self.capabilities:#06x}, parameters "
             f"{self.parameter_hash:08x}, watchdog {self.watchdog_ms} ms, wheels of "
             f"{self.geometry.wheel_radius_m:.3f} m at ±{self.geometry.half_length_m:.3f}, "
-            f"±{self.geometry.half_width_m:.3f} m"
+            f"±{self.geometry.half_width_m:.3f} m, speeds up to {self.limits.speed_limit_rad_s:.4g} rad/s"
+            f"{self._last_reset()}"
         )
+
+    def _last_reset(self) -> str:
+        if self.processor_fault == NO_FAULT and self.reset_cause is None:
+            return ""
+        cause = m.ResetCause.PROCESSOR_FAULT if self.reset_cause is None else self.reset_cause
+        return f"; last reset {cause.name}: {reset_words(cause, self.processor_fault)}"
 
 
 class Expected(NamedTuple):
@@ -80,18 +78,22 @@ class Greeting:
 
     def __init__(self) -> None:
         self._pages: dict[type, codec.Message] = {}
+        self._status: m.Status | None = None
 
     def feed(self, message: codec.Message | None) -> RobotInfo | None:
-        """Take a message; return what the robot is once all pages are there.
+        """Take a message; return what the robot is once all pages are there, and again with the STATUS after them.
 
         Raises BadInputError when it speaks another version.
         """
         if isinstance(message, m.HelloIdentity):
             # Page 0 is frozen for ever; the others may differ in a robot of another version.
             _check_version(message)
-        if not isinstance(message, _PAGES):
+        if isinstance(message, m.Status):
+            self._status = message
+        elif isinstance(message, _PAGES):
+            self._pages[type(message)] = message
+        else:
             return None
-        self._pages[type(message)] = message
         return self._info() if len(self._pages) == len(_PAGES) else None
 
     def _info(self) -> RobotInfo:
@@ -114,11 +116,12 @@ class Greeting:
             geometry,
             limits,
             ProcessorFault(*status, *place, *address),
+            None if self._status is None else m.ResetCause(self._status.reset_cause),
         )
 
 
-def greet(link: Link, send: Callable[[codec.Message], None]) -> RobotInfo:
-    """Ask for the HELLO pages until all have come.
+def greet(link: Link, send: Callable[[codec.Message], None], *, status: bool = False) -> RobotInfo:
+    """Ask for the HELLO pages until all have come; with ``status`` wait for a STATUS too, which comes at 10 Hz, or not.
 
     Raises DeviceError when the robot does not answer within 2 s, BadInputError when it speaks another version.
     """
@@ -127,15 +130,17 @@ def greet(link: Link, send: Callable[[codec.Message], None]) -> RobotInfo:
     heard = 0
     deadline_ns = time.monotonic_ns() + SILENCE_NS
     retry_ns = 0
+    found: RobotInfo | None = None
     while (now_ns := time.monotonic_ns()) <= deadline_ns:
+        if found is not None and (found.reset_cause is not None or not status or now_ns >= retry_ns):
+            return found
         if now_ns >= retry_ns:
             send(m.HelloRequest(m.PROTOCOL_VERSION))
             retry_ns = now_ns + RETRY_NS
         received = link.receive(RETRY_NS)
         for frame in received.frames if received is not None else ():
             heard += 1
-            if (info := greeting.feed(codec.decode(frame))) is not None:
-                return info
+            found = greeting.feed(codec.decode(frame)) or found
     rejected = {cause: count - before.get(cause, 0) for cause, count in link.rejected().items()}
     raise DeviceError(f"the robot did not answer HELLO within 2 s ({link.describe()}); {_why_silent(heard, rejected)}")
 

@@ -52,6 +52,11 @@ class MakersReport:
         return state is not State.FAULT or self.why is not None
 
     @property
+    def last_reset(self) -> str:
+        """Empty: they do not tell."""
+        return ""
+
+    @property
     def knows_no_reason(self) -> bool:
         """Whether nothing has stopped them."""
         return False

@@ -78,7 +78,7 @@ class ParameterClient:
 
     def greet(self) -> handshake.RobotInfo:
         """Return what the robot says of itself now; the hash is that of the parameters in force."""
-        return handshake.greet(self._link, lambda message: self._link.send(codec.encode(message)))
+        return handshake.greet(self._link, lambda message: self._link.send(codec.encode(message)), status=True)
 
     def read(self) -> list[Held]:
         """Return every parameter in the firmware's order."""

@@ -40,6 +40,10 @@ class Told(Protocol):
         """Whether it says that nothing has stopped it."""
 
     @property
+    def last_reset(self) -> str:
+        """Why it began anew the last time, in words; empty where it does not tell."""
+
+    @property
     def trouble(self) -> str | None:
         """What a person has to know now, such as that a stop could not be sent; None while there is nothing."""
 

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 from firmware_protocol.codec import Message
 from firmware_protocol.generated import messages as m
+from hil.devices.reset_words import reset_words
 from hil.devices.wheel_map import WheelMap
 from hil.types import NAN, NAN_WHEELS, WHEEL_NAMES, Wheels
 
@@ -78,6 +79,11 @@ class RobotReport:
     def knows_no_reason(self) -> bool:
         """Whether the robot says that nothing has stopped it since it was armed, or since its power came on."""
         return self.status is not None and self.status.stop_reason == m.StopReason.NONE
+
+    @property
+    def last_reset(self) -> str:
+        """Why the robot began anew the last time (STATUS.reset_cause), in words; empty before it has told."""
+        return "" if self.status is None else reset_words(m.ResetCause(self.status.reset_cause))
 
     @property
     def trouble(self) -> str | None:

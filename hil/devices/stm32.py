@@ -15,6 +15,7 @@ from firmware_protocol.generated import messages as m
 from hil.devices import handshake
 from hil.devices.handshake import RETRY_NS, Expected, Greeting, RobotInfo
 from hil.devices.link_times import SYNC_PERIOD_NS, ClockSync, RoundTrip
+from hil.devices.reset_words import reset_warning
 from hil.devices.robot_report import RobotReport
 from hil.devices.snapshot import Feedback, SnapshotReader
 from hil.devices.stepping import Stepping
@@ -128,7 +129,18 @@ class Stm32:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """That the robot takes less speed than the scenario's limit; what stops it when the host dies is its own."""
+        """What trouble led to its last reset, and that it takes less speed than the scenario's limit."""
+        return (*self._reset_warnings(), *self._limit_warnings())
+
+    def _reset_warnings(self) -> tuple[str, ...]:
+        status, info = self.report.status, self._info
+        if info is None:
+            return ()
+        cause = info.reset_cause if status is None else m.ResetCause(status.reset_cause)
+        warning = None if cause is None else reset_warning(cause, info.processor_fault)
+        return () if warning is None else (warning,)
+
+    def _limit_warnings(self) -> tuple[str, ...]:
         limit_rad_s, ours_rad_s = self.speed_limit_rad_s, self._expected.speed_limit_rad_s
         if self._info is None or limit_rad_s >= ours_rad_s:
             return ()
@@ -184,6 +196,7 @@ class Stm32:
                 f"another robot answers on the link: {info.describe()}; the run began with {self._info.describe()}; "
                 "plug in the first one, or start a new run"
             )
+        self._info = info  # it may have been reset
         self._is_known = True
 
     def greeted(self) -> bool:

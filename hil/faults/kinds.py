@@ -173,7 +173,8 @@ KINDS: tuple[Kind, ...] = (
     ),
     Kind(
         "reset", "device", ("robot",), "`robot`",
-        "The firmware is powered off at start_s and on again; the plant goes on moving, with the drives off.",
+        "The firmware is powered off at start_s and on again; the plant goes on moving, with the drives off. STATUS "
+        "tells POWER_ON as the cause.",
         "resets",
         {"target": "robot", "start_s": 4.0},
         is_instant=True,

@@ -333,6 +333,8 @@ class Pilot:
     # Changes
 
     def _enter(self, phase: Phase, limit_s: float = math.inf) -> None:
+        if phase is Phase.ACTIVE:
+            self._warned()  # since it was armed the robot has told more
         self.phase = phase
         self.motions_asked += 1
         self._deadline_s = self._t_s + limit_s

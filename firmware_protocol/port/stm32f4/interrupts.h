@@ -15,7 +15,7 @@ void can1_transmit_interrupt(void);
 void can1_receive_interrupt(void);
 void can1_status_interrupt(void);
 
-/* Switches the drives off and stays there until the watchdog resets the chip. */
+/* Switches the drives off, leaves a record and resets the chip: fault.c. */
 void fault(void);
 
 #endif

@@ -1,4 +1,6 @@
-/* The reset flags (RM0090, 7.3.21). One reset may set several: the most particular one tells. */
+/* The reset flags (RM0090, 7.3.21). One reset may set several: the most particular one tells. What a fault
+ * has left is more particular than any: its reset is one by software, or by the watchdog where that came
+ * first. */
 #include "reset_cause.h"
 
 #include <stddef.h>
@@ -27,8 +29,11 @@ static uint8_t cause_of(uint32_t flags) {
     return WP_RESET_CAUSE_UNKNOWN; /* a boot loader may have removed them */
 }
 
-uint8_t reset_cause_take(const clock_tree *clocks) {
-    const uint8_t cause = cause_of(RCC->CSR);
+uint8_t reset_cause_take(const clock_tree *clocks, wheel_processor_fault *fault) {
+    uint8_t cause = cause_of(RCC->CSR);
     RCC->CSR |= RCC_CSR_RMVF;
-    return cause != WP_RESET_CAUSE_UNKNOWN ? cause : cause_of(clocks->assumed_reset_flags);
+    if (!fault_take(&cause, fault) && cause == WP_RESET_CAUSE_UNKNOWN) {
+        cause = cause_of(clocks->assumed_reset_flags);
+    }
+    return cause;
 }

@@ -26,14 +26,14 @@ void robot_start(robot *r) {
     r->clocks = clock_init();
     uptime_start(r->clocks.core_hz);
     const uint16_t lockstep = r->clocks.lockstep ? WHEEL_CAPABILITY_LOCKSTEP : 0u;
-    const wheel_identity identity = {
+    wheel_identity identity = {
         .capabilities = (uint16_t)(plant_capabilities() | WHEEL_CAPABILITY_STORAGE | lockstep),
         .board = BOARD.number,
         .version = {0, 1, 0},
         .build = FIRMWARE_BUILD,
-        .reset_cause = reset_cause_take(&r->clocks),
         .maximum = BOARD.maximum,
     };
+    identity.reset_cause = reset_cause_take(&r->clocks, &identity.processor_fault);
     wheel_node_init(&r->node, &BOARD.parameters, parameter_log_open(), &identity);
     host_link_open(&r->clocks);
     plant_open(&r->clocks);

@@ -2,8 +2,8 @@
 #include <stdint.h>
 #include <string.h>
 
+#include "fault.h"
 #include "interrupts.h"
-#include "plant.h"
 #include "registers/can.h"
 #include "registers/core.h"
 #include "registers/usart.h"
@@ -15,15 +15,9 @@ extern unsigned char data_load[], data_start[], data_end[], bss_start[], bss_end
 int main(void);
 void reset(void);
 
-__attribute__((used, noreturn)) static void stay_off(void) {
-    plant_off();
-    for (;;) {
-    }
-}
-
 /* Begins a new stack: the old one may have left the RAM, which is how an overflow ends up here. */
 __attribute__((naked)) void fault(void) {
-    __asm volatile("ldr r0, =stack_top\n\tmov sp, r0\n\tb stay_off");
+    __asm volatile("mov r0, sp\n\tmov r1, lr\n\tldr r2, =stack_top\n\tmov sp, r2\n\tb fault_taken");
 }
 
 #define UNLESS_DEFINED __attribute__((weak, alias("fault")))

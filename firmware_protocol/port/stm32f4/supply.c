@@ -1,4 +1,5 @@
-/* The programmable voltage detector (RM0090, 5.2.3). Its interrupt is fault() in the vector table. */
+/* The programmable voltage detector (RM0090, 5.2.3). Its interrupt is fault() in the vector table, which
+ * leaves a record of it. */
 #include "supply.h"
 
 #include "registers/core.h"

@@ -25,6 +25,20 @@ typedef struct {
 #define SCB_CPACR (*(volatile uint32_t *)0xE000ED88u)
 #define SCB_CPACR_FPU (0xFu << 20)
 
+/* The exception that is being handled; 16 and more are interrupts. */
+#define SCB_ICSR (*(volatile uint32_t *)0xE000ED04u)
+#define SCB_ICSR_VECTACTIVE 0x1FFu
+
+#define SCB_AIRCR (*(volatile uint32_t *)0xE000ED0Cu)
+#define SCB_AIRCR_RESET 0x05FA0004u /* with its key */
+
+/* Fault status and addresses. */
+#define SCB_CFSR (*(volatile uint32_t *)0xE000ED28u)
+#define SCB_CFSR_STACKING ((1u << 4) | (1u << 12)) /* the stack could not be written: MSTKERR, STKERR */
+#define SCB_HFSR (*(volatile uint32_t *)0xE000ED2Cu)
+#define SCB_MMFAR (*(volatile uint32_t *)0xE000ED34u)
+#define SCB_BFAR (*(volatile uint32_t *)0xE000ED38u)
+
 static inline void interrupt_enable(uint8_t number) {
     NVIC_ISER[number / 32u] = 1u << (number % 32u);
 }

@@ -6,6 +6,7 @@ instruction again from its beginning, so an access is either not begun or done o
 """
 
 import re
+import struct
 import threading
 import time
 from collections.abc import Callable
@@ -14,7 +15,7 @@ from typing import Any, Protocol
 import unicorn
 from unicorn import arm_const as arm
 
-from hil.devices.targets.machine.nvic import Nvic
+from hil.devices.targets.machine.nvic import HARD_FAULT, Nvic
 from hil.devices.targets.machine.registers import MachineError
 
 RUNAWAY_S = 5.0
@@ -26,6 +27,10 @@ _THUMB = 1
 _XPSR_THUMB = 1 << 24
 _RETURN_TO_HANDLER, _RETURN_TO_THREAD = 0xFFFF_FFE1, 0xFFFF_FFE9  # main stack, with floating-point context
 _FRAME_BYTES = 26 * 4
+_FRAME = (  # what an exception stacks, lowest address first; the floating-point registers follow
+    *(arm.UC_ARM_REG_R0, arm.UC_ARM_REG_R1, arm.UC_ARM_REG_R2, arm.UC_ARM_REG_R3, arm.UC_ARM_REG_R12),
+    *(arm.UC_ARM_REG_LR, arm.UC_ARM_REG_PC, arm.UC_ARM_REG_XPSR),
+)
 
 # Unicorn's numbers of exceptions are QEMU's EXCP_*.
 _EXCEPTION_EXIT = 8
@@ -107,6 +112,17 @@ class Core:
                     return
         finally:
             self._guard.end()
+
+    def hard_fault(self, *, stacked: bool) -> int:
+        """Take a hard fault where the core waits, and return that address; ``run`` then executes its handler.
+
+        The frame is on the stack as a processor leaves it, unless it could not be ``stacked``.
+        """
+        frame = struct.pack("<8I", *(self._uc.reg_read(register) for register in _FRAME))
+        self._enter(HARD_FAULT)
+        if stacked:
+            self._uc.mem_write(self._uc.reg_read(arm.UC_ARM_REG_SP), frame)
+        return int.from_bytes(frame[24:28], "little")
 
     def read(self, address: int, size: int) -> bytes:
         """Return bytes of the memory."""

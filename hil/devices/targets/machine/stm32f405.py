@@ -23,6 +23,7 @@ CAN_HZ = 42_000_000
 
 _RAM = [(0x2000_0000, 0x2_0000), (0x1000_0000, 0x1_0000)]  # SRAM, core-coupled memory
 _DWT, _SCS = 0xE000_1000, 0xE000_E000
+_FORCED = 1 << 30  # HFSR: another fault that became a hard one
 _USART = {1: (0x4001_1000, 37), 2: (0x4000_4400, 38), 3: (0x4000_4800, 39), 6: (0x4001_1400, 71)}
 _TIMER = {  # address, line of the update interrupt, width, divider of the core's clock
     1: (0x4001_0000, 25, 16, 1),
@@ -96,6 +97,16 @@ class Stm32f405:
             peripheral.advance(cycles)
         if self.watchdog.has_bitten:
             self._reset(by_watchdog=True)
+
+    def hard_fault(self, cfsr: int, *, mmfar: int = 0, bfar: int = 0, stacked: bool = True) -> int:
+        """Let the core take a hard fault where it waits, for the cause in ``cfsr``; ``run`` executes the handler.
+
+        Returns the address of the instruction.
+
+        What the firmware does by itself that a processor does not allow ends ``run`` with a MachineError instead.
+        """
+        self.nvic.tell_fault(cfsr, _FORCED, mmfar, bfar)
+        return self._core.hard_fault(stacked=stacked)
 
     def memory(self, address: int, size: int) -> bytes:
         """Return bytes of the memory."""
