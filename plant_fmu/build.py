@@ -15,7 +15,6 @@ import plant_fmu
 from native_build.compiler import FLAGS, BuildError, compile_shared, compiler, version, zig
 from plant_fmu import generate, pack, platforms
 
-_FLAGS = ("-fvisibility=hidden",)
 _INCLUDE = (pack.HERE, pack.GENERATED)
 
 
@@ -61,7 +60,7 @@ def _libraries(cc: str | None, all_platforms: bool) -> dict[str, bytes]:
     with tempfile.TemporaryDirectory(prefix="plant_fmu_") as folder:
         for name, target in targets.items():
             library = Path(folder) / f"mecanum{platforms.suffix(name)}"
-            compile_shared(pack.SOURCES, library, include=_INCLUDE, cc=cc, flags=_FLAGS, zig_target=target)
+            compile_shared(pack.SOURCES, library, include=_INCLUDE, cc=cc, zig_target=target)
             libraries[name] = library.read_bytes()
     return libraries
 
@@ -69,7 +68,7 @@ def _libraries(cc: str | None, all_platforms: bool) -> dict[str, bytes]:
 def _inputs_digest(fmi: int, command: list[str], all_platforms: bool) -> str:
     """Return a hash of all that the FMU is made from: the compiler wherever it is, flags, targets, files."""
     targets = sorted(platforms.ZIG_TARGETS.items()) if all_platforms else platforms.this_platform()
-    digest = hashlib.sha256(repr((command[1:], version(command), FLAGS, _FLAGS, targets)).encode())
+    digest = hashlib.sha256(repr((command[1:], version(command), FLAGS, targets)).encode())
     for module in (sys.modules[__name__], pack, platforms):
         digest.update(Path(str(module.__file__)).read_bytes())
     for name, content in sorted({**pack.text_members(fmi), "variables.toml": pack.DEFINITION.read_bytes()}.items()):

@@ -6,7 +6,10 @@ from collections.abc import Iterator
 from plant_fmu.variables import HERE, Definition, Variable
 
 LICENSE = HERE / "documentation" / "licenses" / "license.txt"
-LOG_CATEGORY = {"name": "logStatusError", "description": "Why a call returned an error"}
+LOG_CATEGORIES = (
+    {"name": "logStatusError", "description": "Why a call returned an error"},
+    {"name": "logStatusDiscard", "description": "Why a call was discarded, which left the instance as it was"},
+)
 _INITIAL = {"output": "calculated", "parameter": "exact"}  # FMI 2.0 section 2.2.7, FMI 3.0 section 2.4.7
 
 
@@ -32,11 +35,20 @@ def default_experiment(definition: Definition) -> dict[str, str]:
 
 
 def add_units(root: ET.Element, definition: Definition) -> None:
-    """Add UnitDefinitions: every unit as exponents of the SI base units, with the factor 1."""
+    """Add UnitDefinitions: every unit as exponents of the SI base units, with the factor 1, and how it may be shown."""
     units = ET.SubElement(root, "UnitDefinitions")
     for name, exponents in definition.units.items():
         unit = ET.SubElement(units, "Unit", name=name)
         ET.SubElement(unit, "BaseUnit", {base: str(power) for base, power in exponents.items()})
+        for shown, factor in definition.display_units.get(name, {}).items():
+            ET.SubElement(unit, "DisplayUnit", name=shown, factor=repr(factor))
+
+
+def add_log_categories(root: ET.Element) -> None:
+    """Add LogCategories."""
+    categories = ET.SubElement(root, "LogCategories")
+    for category in LOG_CATEGORIES:
+        ET.SubElement(categories, "Category", category)
 
 
 def add_items(element: ET.Element, definition: Definition, name: str) -> None:
@@ -63,7 +75,13 @@ def value_attributes(variable: Variable) -> dict[str, str]:
     """Return what belongs to a variable's type: unit, range, start value; an enumeration's range is its items."""
     if variable.type == "Enumeration":
         return {"declaredType": variable.name, "start": str(variable.start)}
-    values = {"unit": variable.unit, "min": variable.minimum, "max": variable.maximum, "start": variable.start}
+    values = {
+        "unit": variable.unit,
+        "displayUnit": variable.display_unit,
+        "min": variable.minimum,
+        "max": variable.maximum,
+        "start": variable.start,
+    }
     return {name: str(value) for name, value in values.items() if value is not None}
 
 

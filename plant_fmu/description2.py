@@ -29,7 +29,7 @@ def model_description(definition: Definition, guid: str, sources: Iterable[str])
     for name, enumeration in definition.enumerations.items():
         simple = ET.SubElement(types, "SimpleType", name=name, description=enumeration["description"])
         description.add_items(ET.SubElement(simple, "Enumeration"), definition, name)
-    ET.SubElement(ET.SubElement(root, "LogCategories"), "Category", description.LOG_CATEGORY)
+    description.add_log_categories(root)
     ET.SubElement(root, "DefaultExperiment", description.default_experiment(definition))
     scalars = ET.SubElement(root, "ModelVariables")
     for reference, variable in enumerate(definition.variables):

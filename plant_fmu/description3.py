@@ -17,6 +17,7 @@ def model_description(definition: Definition, token: str) -> str:
         "CoSimulation",
         modelIdentifier=definition.model["name"],
         canHandleVariableCommunicationStepSize="true",
+        fixedInternalStepSize=repr(longest_step_s(definition)),
         canGetAndSetFMUState="true",
         canSerializeFMUState="true",
     )
@@ -25,7 +26,7 @@ def model_description(definition: Definition, token: str) -> str:
     for name, enumeration in definition.enumerations.items():
         kind = ET.SubElement(types, "EnumerationType", name=name, description=enumeration["description"])
         description.add_items(kind, definition, name)
-    ET.SubElement(ET.SubElement(root, "LogCategories"), "Category", description.LOG_CATEGORY)
+    description.add_log_categories(root)
     ET.SubElement(root, "DefaultExperiment", description.default_experiment(definition))
     variables = ET.SubElement(root, "ModelVariables")
     for reference, variable in enumerate(definition.variables):
@@ -33,6 +34,11 @@ def model_description(definition: Definition, token: str) -> str:
         ET.SubElement(variables, _TYPE[variable.type], attributes)
     _add_structure(root, definition)
     return description.text_of(root)
+
+
+def longest_step_s(definition: Definition) -> float:
+    """Return how long internal steps are with the defaults, where a communication step is a multiple of them."""
+    return next(float(v.start or 0.0) for v in definition.variables if v.name == "longest_step_s")
 
 
 def _add_structure(root: ET.Element, definition: Definition) -> None:

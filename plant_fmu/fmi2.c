@@ -12,10 +12,12 @@ typedef struct {
     plant_instance plant; /* first: who has a component has its plant */
     fmi2CallbackFunctions callbacks;
     bool log_errors;
+    bool log_discards;
     char name[]; /* flexible: the importer's string need not outlive the call */
 } slave;
 
 static const char ERRORS[] = "logStatusError";
+static const char DISCARDS[] = "logStatusDiscard";
 
 /* Where each call is legal: FMI 2.0 section 4.2.4, the table of the state machine. */
 enum {
@@ -30,15 +32,23 @@ static void log_error(fmi2CallbackFunctions callbacks, const char *name, const c
     }
 }
 
-static void report(void *owner, const char *text) {
+static void report(void *owner, bool discarded, const char *text) {
     const slave *const s = owner;
-    if (s->log_errors) {
+    if (discarded && s->log_discards && s->callbacks.logger != NULL) {
+        s->callbacks.logger(s->callbacks.componentEnvironment, s->name, fmi2Discard, DISCARDS, "%s", text);
+    }
+    if (!discarded && s->log_errors) {
         log_error(s->callbacks, s->name, text);
     }
 }
 
 static fmi2Status status(bool done) {
     return done ? fmi2OK : fmi2Error;
+}
+
+/* Of a call that may be discarded: section 2.1.3 allows it of fmi2SetXXX and fmi2DoStep. */
+static fmi2Status status_of(const plant_instance *plant, bool done) {
+    return !done && plant != NULL && plant_has_discarded(plant) ? fmi2Discard : status(done);
 }
 
 /* Returns the plant when the call is legal, else NULL. */
@@ -93,7 +103,7 @@ FMI(fmi2Component, fmi2Instantiate, fmi2String instanceName, fmi2Type fmuType, f
     }
     memcpy(s->name, instanceName, name_size);
     s->callbacks = *functions;
-    s->log_errors = true;
+    s->log_errors = s->log_discards = true;
     plant_init(&s->plant, report, s);
     return s;
 }
@@ -111,12 +121,19 @@ FMI(fmi2Status, fmi2SetDebugLogging, fmi2Component c, fmi2Boolean loggingOn, siz
     if (plant == NULL) {
         return fmi2Error;
     }
+    bool errors = nCategories == 0, discards = nCategories == 0;
     for (size_t i = 0; i < nCategories; i++) {
-        if (categories[i] == NULL || strcmp(categories[i], ERRORS) != 0) {
-            return status(plant_fail(plant, "setDebugLogging: unknown category; the only one is %s", ERRORS));
+        const char *const category = categories[i] == NULL ? "" : categories[i];
+        if (strcmp(category, ERRORS) != 0 && strcmp(category, DISCARDS) != 0) {
+            return status(
+                plant_fail(plant, "setDebugLogging: unknown category; expected %s or %s", ERRORS, DISCARDS));
         }
+        errors = errors || strcmp(category, ERRORS) == 0;
+        discards = discards || strcmp(category, DISCARDS) == 0;
     }
-    ((slave *)c)->log_errors = loggingOn != fmi2False;
+    slave *const s = c;
+    s->log_errors = errors ? loggingOn != fmi2False : s->log_errors;
+    s->log_discards = discards ? loggingOn != fmi2False : s->log_discards;
     return fmi2OK;
 }
 
@@ -173,13 +190,14 @@ FMI(fmi2Status, fmi2GetInteger, fmi2Component c, const fmi2ValueReference vr[], 
 FMI(fmi2Status, fmi2SetReal, fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
     const fmi2Real value[]) {
     plant_instance *const plant = legal(c, IN_SET, "setReal");
-    return status(plant != NULL && plant_set(plant, PLANT_REAL, vr, nvr, value));
+    return status_of(plant, plant != NULL && plant_set(plant, PLANT_REAL, vr, nvr, value));
 }
 
 FMI(fmi2Status, fmi2SetInteger, fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
     const fmi2Integer value[]) {
     plant_instance *const plant = legal(c, IN_SET, "setInteger");
-    return status(plant != NULL && plant_set(plant, PLANT_INTEGER | PLANT_ENUMERATION, vr, nvr, value));
+    return status_of(plant,
+                     plant != NULL && plant_set(plant, PLANT_INTEGER | PLANT_ENUMERATION, vr, nvr, value));
 }
 
 /* There are no Boolean or String variables: a call for none of them is fine. */
@@ -260,7 +278,8 @@ FMI(fmi2Status, fmi2DoStep, fmi2Component c, fmi2Real currentCommunicationPoint,
     fmi2Real communicationStepSize, fmi2Boolean noSetFMUStatePriorToCurrentPoint) {
     (void)noSetFMUStatePriorToCurrentPoint; /* nothing is kept for going back */
     plant_instance *const plant = legal(c, PLANT_STEP_COMPLETE, "doStep");
-    return status(plant != NULL && plant_step(plant, currentCommunicationPoint, communicationStepSize));
+    return status_of(plant,
+                     plant != NULL && plant_step(plant, currentCommunicationPoint, communicationStepSize));
 }
 
 FMI(fmi2Status, fmi2GetRealStatus, fmi2Component c, const fmi2StatusKind s, fmi2Real *value) {

@@ -15,19 +15,27 @@ typedef struct {
     fmi3LogMessageCallback log_message;
     fmi3InstanceEnvironment environment;
     bool log_errors;
+    bool log_discards;
 } slave;
 
 static const char ERRORS[] = "logStatusError";
+static const char DISCARDS[] = "logStatusDiscard";
 
-static void report(void *owner, const char *text) {
+static void report(void *owner, bool discarded, const char *text) {
     const slave *const s = owner;
-    if (s->log_errors && s->log_message != NULL) {
-        s->log_message(s->environment, fmi3Error, ERRORS, text);
+    if (s->log_message != NULL && (discarded ? s->log_discards : s->log_errors)) {
+        s->log_message(s->environment, discarded ? fmi3Discard : fmi3Error, discarded ? DISCARDS : ERRORS,
+                       text);
     }
 }
 
 static fmi3Status status(bool done) {
     return done ? fmi3OK : fmi3Error;
+}
+
+/* Of a call that may be discarded: setting variables, and a step. */
+static fmi3Status status_of(const plant_instance *plant, bool done) {
+    return !done && plant != NULL && plant_has_discarded(plant) ? fmi3Discard : status(done);
 }
 
 plant_instance *fmi3_legal(fmi3Instance instance, unsigned modes, const char *call) {
@@ -82,7 +90,7 @@ FMI(fmi3Instance, fmi3InstantiateCoSimulation, fmi3String instanceName, fmi3Stri
     }
     s->log_message = logMessage;
     s->environment = instanceEnvironment;
-    s->log_errors = loggingOn;
+    s->log_errors = s->log_discards = loggingOn;
     plant_init(&s->plant, report, s);
     return s;
 }
@@ -119,13 +127,19 @@ FMI(fmi3Status, fmi3SetDebugLogging, fmi3Instance instance, fmi3Boolean loggingO
     if (plant == NULL) {
         return fmi3Error;
     }
+    bool errors = nCategories == 0, discards = nCategories == 0;
     for (size_t i = 0; i < nCategories; i++) {
-        if (categories[i] == NULL || strcmp(categories[i], ERRORS) != 0) {
-            return status(
-                plant_fail(plant, "fmi3SetDebugLogging: unknown category; the only one is %s", ERRORS));
+        const char *const category = categories[i] == NULL ? "" : categories[i];
+        if (strcmp(category, ERRORS) != 0 && strcmp(category, DISCARDS) != 0) {
+            return status(plant_fail(plant, "fmi3SetDebugLogging: unknown category; expected %s or %s",
+                                     ERRORS, DISCARDS));
         }
+        errors = errors || strcmp(category, ERRORS) == 0;
+        discards = discards || strcmp(category, DISCARDS) == 0;
     }
-    ((slave *)instance)->log_errors = loggingOn;
+    slave *const s = instance;
+    s->log_errors = errors ? loggingOn : s->log_errors;
+    s->log_discards = discards ? loggingOn : s->log_discards;
     return fmi3OK;
 }
 
@@ -182,7 +196,8 @@ FMI(fmi3Status, fmi3GetFloat64, fmi3Instance instance, const fmi3ValueReference 
 FMI(fmi3Status, fmi3SetFloat64, fmi3Instance instance, const fmi3ValueReference valueReferences[],
     size_t nValueReferences, const fmi3Float64 values[], size_t nValues) {
     plant_instance *const plant = scalars(instance, FMI3_IN_SET, "fmi3SetFloat64", nValueReferences, nValues);
-    return status(plant != NULL && plant_set(plant, PLANT_REAL, valueReferences, nValueReferences, values));
+    return status_of(plant, plant != NULL &&
+                                plant_set(plant, PLANT_REAL, valueReferences, nValueReferences, values));
 }
 
 FMI(fmi3Status, fmi3GetInt32, fmi3Instance instance, const fmi3ValueReference valueReferences[],
@@ -195,8 +210,8 @@ FMI(fmi3Status, fmi3GetInt32, fmi3Instance instance, const fmi3ValueReference va
 FMI(fmi3Status, fmi3SetInt32, fmi3Instance instance, const fmi3ValueReference valueReferences[],
     size_t nValueReferences, const fmi3Int32 values[], size_t nValues) {
     plant_instance *const plant = scalars(instance, FMI3_IN_SET, "fmi3SetInt32", nValueReferences, nValues);
-    return status(plant != NULL &&
-                  plant_set(plant, PLANT_INTEGER, valueReferences, nValueReferences, values));
+    return status_of(plant, plant != NULL &&
+                                plant_set(plant, PLANT_INTEGER, valueReferences, nValueReferences, values));
 }
 
 /* Enumerations travel in 64 bits; the plant keeps them in 32. */
@@ -223,15 +238,20 @@ FMI(fmi3Status, fmi3SetInt64, fmi3Instance instance, const fmi3ValueReference va
     if (plant == NULL) {
         return fmi3Error;
     }
+    /* All are looked at before the first is set: a call that is discarded has set none. */
     for (size_t i = 0; i < nValueReferences; i++) {
         const int32_t item = (int32_t)values[i];
         if (item != values[i]) {
-            return status(
-                plant_fail(plant, "fmi3SetInt64: %lld is no item of an enumeration", (long long)values[i]));
+            return status_of(plant, plant_discard(plant, "fmi3SetInt64: %lld is no item of an enumeration",
+                                                  (long long)values[i]));
         }
-        if (!plant_set(plant, PLANT_ENUMERATION, &valueReferences[i], 1, &item)) {
-            return fmi3Error;
+        if (!plant_may_set(plant, PLANT_ENUMERATION, &valueReferences[i], 1, &item)) {
+            return status_of(plant, false);
         }
+    }
+    for (size_t i = 0; i < nValueReferences; i++) {
+        const int32_t item = (int32_t)values[i];
+        plant_set(plant, PLANT_ENUMERATION, &valueReferences[i], 1, &item);
     }
     return fmi3OK;
 }
@@ -293,5 +313,5 @@ FMI(fmi3Status, fmi3DoStep, fmi3Instance instance, fmi3Float64 currentCommunicat
     *terminateSimulation = fmi3False; /* the plant never ends a simulation by itself */
     *earlyReturn = fmi3False;
     *lastSuccessfulTime = plant->now.time_s;
-    return status(done);
+    return status_of(plant, done);
 }

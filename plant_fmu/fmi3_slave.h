@@ -3,7 +3,10 @@
 #define FMI3_SLAVE_H
 
 #include "fmi3.h"
+#include "hidden.h"
 #include "instance.h"
+
+HIDDEN_BEGIN
 
 /* Where variables can be read and set: FMI 3.0 sections 2.3 and 4.2. In the instantiated state only start
  * values can be read, which plant_get sees to. */
@@ -14,5 +17,7 @@ enum {
 
 /* Returns the plant when the call is legal now, else reports it and returns NULL. */
 plant_instance *fmi3_legal(fmi3Instance instance, unsigned modes, const char *call);
+
+HIDDEN_END
 
 #endif

@@ -8,6 +8,11 @@
 
 /* Past this many internal steps a communication step would look like a hang. */
 static const double MOST_INTERNAL_STEPS = 2e5;
+/* A value that is so many times its start value, or that part of it, is worth a word where numbers fail. */
+static const double EXTREME_FACTOR = 100.0;
+/* The same of a value that starts at 0, without a range: in SI units. */
+static const double EXTREME_SIZE = 1e4;
+enum { MOST_NAMED = 4 };
 
 /* A tunable parameter may also be set between steps. */
 typedef enum { INPUT, OUTPUT, PARAMETER, TUNABLE, INDEPENDENT } causality;
@@ -43,7 +48,7 @@ static void store(plant_snapshot *snapshot, const variable *v, double value) {
     }
 }
 
-void plant_init(plant_instance *plant, void (*report)(void *owner, const char *text), void *owner) {
+void plant_init(plant_instance *plant, plant_report report, void *owner) {
     /* memset, not an initialiser: padding too, so that equal states are equal bytes. */
     memset(plant, 0, sizeof *plant);
     plant->report = report;
@@ -66,7 +71,76 @@ bool plant_fail(plant_instance *plant, const char *format, ...) {
     vsnprintf(text, sizeof text, format, arguments);
     va_end(arguments);
     plant->now.mode = PLANT_ERROR;
-    plant->report(plant->owner, text);
+    plant->report(plant->owner, false, text);
+    return false;
+}
+
+bool plant_discard(plant_instance *plant, const char *format, ...) {
+    char text[256];
+    va_list arguments;
+    va_start(arguments, format);
+    vsnprintf(text, sizeof text, format, arguments);
+    va_end(arguments);
+    plant->report(plant->owner, true, text);
+    return false;
+}
+
+bool plant_has_discarded(const plant_instance *plant) {
+    return plant->now.mode != PLANT_ERROR;
+}
+
+static double value_of(const plant_snapshot *snapshot, const variable *v) {
+    const char *const place = (const char *)snapshot + v->offset;
+    double value;
+    int32_t integer;
+    if (v->type == PLANT_REAL) {
+        memcpy(&value, place, sizeof value);
+        return value;
+    }
+    memcpy(&integer, place, sizeof integer);
+    return (double)integer;
+}
+
+/* Tells how far a value is from usual: 1 and more is worth a word. */
+static double extremeness(const plant_snapshot *snapshot, const variable *v) {
+    if (v->type != PLANT_REAL || v->causality == OUTPUT || v->causality == INDEPENDENT) {
+        return 0.0;
+    }
+    const double size = fabs(value_of(snapshot, v));
+    const double usual = fabs(v->start);
+    if (usual > 0.0) {
+        return size == usual ? 0.0 : fmax(size / usual, usual / size) / EXTREME_FACTOR;
+    }
+    const double limit = fmin(fmax(fabs(v->min), fabs(v->max)), 2.0 * EXTREME_SIZE);
+    return size / (0.5 * limit);
+}
+
+bool plant_discard_extreme(plant_instance *plant, const char *format, ...) {
+    char text[512];
+    va_list arguments;
+    va_start(arguments, format);
+    size_t length = (size_t)vsnprintf(text, sizeof text, format, arguments);
+    va_end(arguments);
+    bool is_named[MECANUM_VARIABLE_COUNT] = {false};
+    for (int named = 0; named < MOST_NAMED && length < sizeof text; named++) {
+        const variable *most = NULL;
+        double most_extreme = 1.0;
+        for (const variable *v = VARIABLES; v < VARIABLES + MECANUM_VARIABLE_COUNT; v++) {
+            const double extreme = is_named[v - VARIABLES] ? 0.0 : extremeness(&plant->now, v);
+            if (extreme >= most_extreme) {
+                most = v;
+                most_extreme = extreme;
+            }
+        }
+        if (most == NULL) {
+            break;
+        }
+        is_named[most - VARIABLES] = true;
+        length +=
+            (size_t)snprintf(text + length, sizeof text - length, "%s %s = %.10g",
+                             named == 0 ? "; far from usual:" : ",", most->name, value_of(&plant->now, most));
+    }
+    plant->report(plant->owner, true, text);
     return false;
 }
 
@@ -182,8 +256,12 @@ static const char *obstacle(const variable *v, plant_mode mode) {
     }
 }
 
-bool plant_set(plant_instance *plant, unsigned types, const unsigned references[], size_t count,
-               const void *values) {
+static double given(unsigned types, const void *values, size_t i) {
+    return types == PLANT_REAL ? ((const double *)values)[i] : (double)((const int32_t *)values)[i];
+}
+
+bool plant_may_set(plant_instance *plant, unsigned types, const unsigned references[], size_t count,
+                   const void *values) {
     for (size_t i = 0; i < count; i++) {
         const variable *const v = find(plant, types, references[i], "set");
         if (v == NULL) {
@@ -193,16 +271,25 @@ bool plant_set(plant_instance *plant, unsigned types, const unsigned references[
         if (why_not != NULL) {
             return plant_fail(plant, "set: %s cannot be set %s", v->name, why_not);
         }
-        const double value =
-            types == PLANT_REAL ? ((const double *)values)[i] : (double)((const int32_t *)values)[i];
+        const double value = given(types, values, i);
         if (!isfinite(value)) {
-            return plant_fail(plant, "%s = %g; expected a finite number", v->name, value);
+            return plant_discard(plant, "%s = %g; expected a finite number", v->name, value);
         }
         if (value < v->min || value > v->max) {
-            return plant_fail(plant, "%s = %.10g; expected a number from %.10g to %.10g", v->name, value,
-                              v->min, v->max);
+            return plant_discard(plant, "%s = %.10g; expected a number from %.10g to %.10g", v->name, value,
+                                 v->min, v->max);
         }
-        store(&plant->now, v, value);
+    }
+    return true;
+}
+
+bool plant_set(plant_instance *plant, unsigned types, const unsigned references[], size_t count,
+               const void *values) {
+    if (!plant_may_set(plant, types, references, count, values)) {
+        return false;
+    }
+    for (size_t i = 0; i < count; i++) {
+        store(&plant->now, &VARIABLES[references[i]], given(types, values, i));
         plant->now.outputs_stale = true;
     }
     return true;
@@ -224,10 +311,11 @@ bool plant_step(plant_instance *plant, double from_s, double step_s) {
     }
     const double steps = physics_internal_steps(plant, step_s);
     if (steps > MOST_INTERNAL_STEPS) {
-        return plant_fail(plant,
-                          "doStep: a communication step of %g s needs %.0f internal steps; expected at most "
-                          "%.0f, take shorter ones, or look at the inertias, stiffness and inductance",
-                          step_s, steps, MOST_INTERNAL_STEPS);
+        return plant_discard_extreme(
+            plant,
+            "doStep: a communication step of %g s needs %.0f internal steps; expected at most "
+            "%.0f, take shorter ones, or look at the inertias, stiffness and inductance",
+            step_s, steps, MOST_INTERNAL_STEPS);
     }
     if (!physics_advance(plant, step_s)) {
         return false;

@@ -8,7 +8,10 @@
 
 #include <stdbool.h>
 
+#include "hidden.h"
 #include "mecanum_variables.h"
+
+HIDDEN_BEGIN
 
 enum {
     MECANUM_X_M, /* of the robot's centre, world frame */
@@ -52,5 +55,7 @@ void mecanum_output(const mecanum_parameters *p, const mecanum_inputs *u, const 
 
 /* Tells whether every state is a finite number. */
 bool mecanum_is_finite(const mecanum_state *state);
+
+HIDDEN_END
 
 #endif

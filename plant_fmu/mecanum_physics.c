@@ -19,13 +19,14 @@ bool physics_advance(plant_instance *plant, double step_s) {
     mecanum_state state = plant->now.state;
     mecanum_advance(&plant->now.parameters, &plant->now.inputs, step_s, &state);
     if (!mecanum_is_finite(&state)) {
-        return plant_fail(plant, "doStep: the state is no longer finite after %.10g s; look at the inputs",
-                          plant->now.time_s);
+        return plant_discard_extreme(
+            plant, "doStep: the state is no longer finite after %.10g s; look at the inputs",
+            plant->now.time_s);
     }
     const double turn_rad =
         fabs(state.x[MECANUM_YAW_RATE_RAD_S]) * step_s / physics_internal_steps(plant, step_s);
     if (turn_rad > 1.0) {
-        return plant_fail(
+        return plant_discard_extreme(
             plant,
             "doStep: after %.10g s the robot turns by %g rad in an internal step; expected at most 1, "
             "look at the inputs or take a shorter longest_step_s",

@@ -10,7 +10,10 @@
 #ifndef MECANUM_MODEL_H
 #define MECANUM_MODEL_H
 
+#include "hidden.h"
 #include "mecanum.h"
+
+HIDDEN_BEGIN
 
 /* How fast a drive's current limiter regulates. */
 #define MECANUM_LIMITER_RATE_1_S 4000.0
@@ -130,5 +133,7 @@ void mecanum_integrate(const mecanum_model *model, const mecanum_inputs *u, cons
 
 void mecanum_sense(const mecanum_model *model, const mecanum_state *state, const mecanum_state *derivative,
                    double time_s, mecanum_outputs *out);
+
+HIDDEN_END
 
 #endif

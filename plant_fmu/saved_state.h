@@ -6,7 +6,10 @@
 #ifndef PLANT_SAVED_STATE_H
 #define PLANT_SAVED_STATE_H
 
+#include "hidden.h"
 #include "instance.h"
+
+HIDDEN_BEGIN
 
 /* Copies the instance's state to `*state`, which is allocated when it is NULL. */
 bool plant_save(plant_instance *plant, void **state);
@@ -19,5 +22,7 @@ void plant_forget(void **state);
 size_t plant_serialized_size(void);
 bool plant_serialize(plant_instance *plant, const void *state, void *bytes, size_t size);
 bool plant_deserialize(plant_instance *plant, const void *bytes, size_t size, void **state);
+
+HIDDEN_END
 
 #endif

@@ -24,6 +24,7 @@ class Variable:
     causality: str
     variability: str
     unit: str | None
+    display_unit: str | None  # in which people think of it
     start: float | int | None
     minimum: float | int | None
     maximum: float | int | None
@@ -48,6 +49,7 @@ class Definition:
     model: dict[str, Any]
     wheels: dict[str, str]
     units: dict[str, dict[str, int]]
+    display_units: dict[str, dict[str, float]]  # of a unit: by name, how many of them are one of the unit
     enumerations: dict[str, dict[str, Any]]
     variables: tuple[Variable, ...]
 
@@ -75,7 +77,9 @@ def define(data: dict[str, Any]) -> Definition:
             raise DefinitionError(f"variable {variable.name!r} is defined twice")
         if unknown := set(variable.depends_on) - set(names):
             raise DefinitionError(f"{variable.name}: depends_on names the unknown {min(unknown)!r}")
-    return Definition(data["model"], data["wheels"], data["units"], data["enumerations"], tuple(variables))
+    return Definition(
+        data["model"], data["wheels"], data["units"], data["display_units"], data["enumerations"], tuple(variables)
+    )
 
 
 def _variable(entry: dict[str, Any], wheel: str | None, data: dict[str, Any]) -> Variable:
@@ -84,6 +88,9 @@ def _variable(entry: dict[str, Any], wheel: str | None, data: dict[str, Any]) ->
         raise DefinitionError(f"{name}: causality {causality!r}; expected one of {', '.join(STRUCTURE)}")
     if entry.get("unit") is not None and entry["unit"] not in data["units"]:
         raise DefinitionError(f"{name}: unit {entry['unit']!r} is not in [units]")
+    shown = entry.get("display_unit")
+    if shown is not None and shown not in data["display_units"].get(entry.get("unit"), {}):
+        raise DefinitionError(f"{name}: display_unit {shown!r} is not in [display_units] of its unit")
     if (entry.get("start") is None) != (causality == "output"):
         raise DefinitionError(f"{name}: an input or a parameter needs a start value, an output has none")
     minimum, maximum = entry.get("min"), entry.get("max")
@@ -95,6 +102,7 @@ def _variable(entry: dict[str, Any], wheel: str | None, data: dict[str, Any]) ->
         causality=causality,
         variability=entry.get("variability", _VARIABILITY[causality]),
         unit=entry.get("unit"),
+        display_unit=entry.get("display_unit"),
         start=entry.get("start"),
         minimum=minimum,
         maximum=maximum,
@@ -112,6 +120,7 @@ def _time() -> Variable:
         causality="independent",
         variability="continuous",
         unit="s",
+        display_unit=None,
         start=None,
         minimum=None,
         maximum=None,

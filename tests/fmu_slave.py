@@ -90,6 +90,11 @@ class Slave:
         for name, value in values.items():
             self._call("set", name, [value])
 
+    def set_together(self, values: dict[str, float]) -> None:
+        """Set floating-point variables by one call."""
+        references = [VARIABLES[self.fmi][name].valueReference for name in values]
+        getattr(self.raw, "setReal" if self.fmi == 2 else "setFloat64")(references, list(values.values()))
+
     def _call(self, verb: str, name: str, *values: list[float]) -> list[float]:
         variable = VARIABLES[self.fmi][name]
         call: Callable[..., list[float]] = getattr(self.raw, verb + ACCESS[self.fmi][variable.type])
@@ -143,3 +148,10 @@ def refused(call: Callable[[], object]) -> None:
     with pytest.raises(FMICallException) as caught:
         call()
     assert caught.value.status == 3
+
+
+def discarded(call: Callable[[], object]) -> None:
+    """Expect the status fmi2Discard or fmi3Discard."""
+    with pytest.raises(FMICallException) as caught:
+        call()
+    assert caught.value.status == 2

@@ -13,6 +13,7 @@ import zipfile
 from pathlib import Path
 
 import fmpy
+import lief
 import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
@@ -121,6 +122,19 @@ def test_fmi_2_lists_its_sources_in_its_description_too() -> None:
     assert listed == list(generate.SOURCE_FILES)
 
 
+def exports(fmu: Path, fmi: int) -> set[str]:
+    """Return what the library of this machine exports, but for the linker's own marks."""
+    here = platforms.this_platform()
+    folder = platforms.word_size_name(here) if fmi == 2 else here
+    with zipfile.ZipFile(fmu) as archive:
+        libraries = [name for name in archive.namelist() if name.endswith(platforms.suffix(here))]
+        (name,) = (name for name in libraries if name.startswith(f"binaries/{folder}/"))
+        binary = lief.parse(list(archive.read(name)))
+    assert isinstance(binary, lief.Binary)
+    names = {str(function.name).removeprefix("_") for function in binary.abstract.exported_functions}
+    return names - {"mh_dylib_header", "_dso_handle", "init", "fini"}
+
+
 @pytest.mark.skipif(not (shutil.which("cmake", path=SCRIPTS) or shutil.which("cmake")), reason="pip install cmake")
 @pytest.mark.parametrize("fmi", VERSIONS)
 def test_others_can_compile_the_sources(fmi: int, tmp_path: Path) -> None:
@@ -141,6 +155,8 @@ def test_others_can_compile_the_sources(fmi: int, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
     assert len(fmpy.supported_platforms(str(stripped))) == 2, done.stdout + done.stderr
     start = {"wheel.fl.torque_n_m": 1.0, "wheel.rr.torque_n_m": -0.5, "start_vx_m_s": 0.5}
+    exported = exports(stripped, fmi)
+    assert exported == {name for name in exported if name.startswith(("fmi2", "fmi3"))} != set()
     theirs, ours = (
         fmpy.simulate_fmu(str(path), stop_time=0.2, start_values=start) for path in (stripped, build.build(fmi=fmi))
     )

@@ -10,7 +10,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.fmu_slave import DESCRIPTIONS, OUTPUTS, TORQUES, VARIABLES, VERSIONS, Slave, fmpy_slave, refused, slave
+from tests.fmu_slave import (
+    DESCRIPTIONS,
+    OUTPUTS,
+    TORQUES,
+    VARIABLES,
+    VERSIONS,
+    Slave,
+    discarded,
+    fmpy_slave,
+    refused,
+    slave,
+)
 
 TORQUE, MASS, RADIUS, X, COUNT = TORQUES[0], "mass_kg", "wheel_radius_m", "pose.x_m", "wheel.fl.count"
 
@@ -91,21 +102,67 @@ WRONG: dict[str, Call] = {
     "an output is set": lambda f: f.set({X: 1.0}),
     "the time is set": lambda f: f.set({"time": 1.0}),
     "a fixed parameter is set after initialization": lambda f: f.set({RADIUS: 0.08}),
-    "not a number": lambda f: f.set({TORQUE: math.nan}),
-    "infinite": lambda f: f.set({TORQUE: -math.inf}),
-    "a tunable parameter below its range": lambda f: f.set({MASS: 0.0}),
     "a Boolean": lambda f: f.raw.getBoolean([VARIABLES[f.fmi][X].valueReference]),
     "a String": lambda f: f.raw.setString([VARIABLES[f.fmi][X].valueReference], ["1"]),
     "an unknown log category": lambda f: f.raw.setDebugLogging(True, ["logEverything"]),
     "a step of zero": lambda f: f.raw.doStep(0.0, 0.0),
     "a step back": lambda f: f.raw.doStep(0.0, -1e-3),
     "a step that is no number": lambda f: f.raw.doStep(0.0, math.nan),
-    "a step of a year": lambda f: f.raw.doStep(0.0, 3.15e7),
     "a step from elsewhere": lambda f: f.raw.doStep(0.5, 1e-3),
     "a damaged state": lambda f: f.restore(damaged(f)),
     "a cut state": lambda f: f.restore(f.serialized()[:-1]),
     "no state": lambda f: f.raw.setFMUState(None),
 }
+
+
+DISCARDED: dict[str, Call] = {
+    "not a number": lambda f: f.set({TORQUE: math.nan}),
+    "infinite": lambda f: f.set({TORQUE: -math.inf}),
+    "a tunable parameter below its range": lambda f: f.set({MASS: 0.0}),
+    "one of two values out of its range": lambda f: f.set_together({TORQUE: 0.5, MASS: 0.0}),
+    "a step of a year": lambda f: f.raw.doStep(0.0, 3.15e7),
+}
+
+
+@both_versions
+@pytest.mark.parametrize("call", DISCARDED.values(), ids=list(DISCARDED))
+def test_after_a_discarded_call_the_instance_is_as_it_was(fmi: int, call: Call) -> None:
+    """FMI 3.0 section 2.2.3; FMI 2.0 section 2.2.7 has it for values out of range."""
+    with slave(fmi) as fmu, slave(fmi) as other:
+        before = fmu.serialized()
+        discarded(lambda: call(fmu))
+        assert fmu.serialized() == before
+        if fmi == 3:
+            status, category, _ = fmu.log[-1]
+            assert (status, category) == (2, "logStatusDiscard")
+        assert fmu.drive(0, 3) == other.drive(0, 3)
+
+
+@both_versions
+def test_a_step_that_does_not_stay_finite_names_what_is_far_from_usual_and_may_be_tried_again(fmi: int) -> None:
+    with slave(fmi, {"mass_kg": 0.01, "com_y_m": 8.0}) as fmu:
+        fmu.set({TORQUE: 1e200})
+        before = fmu.serialized()
+        discarded(lambda: fmu.step())
+        if fmi == 3:
+            words = fmu.log[-1][2]
+            assert "no longer finite" in words
+            assert words.endswith("; far from usual: wheel.fl.torque_n_m = 1e+200, mass_kg = 0.01, com_y_m = 8")
+        assert fmu.serialized() == before
+        fmu.set({TORQUE: 0.1})
+        fmu.step()
+
+
+@both_versions
+def test_errors_and_discards_are_logged_apart(fmi: int) -> None:
+    with slave(fmi) as fmu:
+        fmu.raw.setDebugLogging(False, ["logStatusDiscard"])
+        discarded(lambda: fmu.set({MASS: 0.0}))
+        assert fmu.log == []
+        refused(lambda: fmu.step(-1.0))
+        if fmi == 3:
+            ((status, category, _),) = fmu.log
+            assert (status, category) == (3, "logStatusError")
 
 
 @both_versions
@@ -128,9 +185,13 @@ def test_after_a_wrong_call_values_can_be_read_and_a_reset_starts_afresh(fmi: in
     ("name", "value"),
     [(MASS, 0.0), ("half_width_m", 11.0), (RADIUS, -0.1), ("counts_per_revolution", 0), ("contact", 3), ("drive", 0)],
 )
-def test_a_value_out_of_its_range_is_refused(fmi: int, name: str, value: float) -> None:
+def test_a_value_out_of_its_range_is_discarded(fmi: int, name: str, value: float) -> None:
     with slave(fmi, initialized=False) as fmu:
-        refused(lambda: fmu.set({name: value}))
+        discarded(lambda: fmu.set({name: value}))
+        fmu.initialize()
+        start = VARIABLES[fmi][name].start
+        assert start is not None
+        assert fmu.get([name]) == [float(start)]
 
 
 @both_versions
@@ -260,7 +321,7 @@ def test_a_saved_state_leads_out_of_the_error_state(fmi: int) -> None:
         fmu.drive(0, 5)
         data = fmu.serialized()
         onward = fmu.drive(5, 10)
-        refused(lambda: fmu.set({TORQUE: math.nan}))
+        refused(lambda: fmu.step(-1.0))
         fmu.restore(data)
         assert fmu.drive(5, 10) == onward
 

@@ -54,7 +54,6 @@ def build(out: Path | None = None, cc: str | None = None) -> Path:
         # MuJoCo lies next to the binary, wherever that is unpacked.
         beside = "@loader_path" if sys.platform == "darwin" else "$ORIGIN"
         flags = (
-            "-fvisibility=hidden",
             '-DPLANT_STATE_HEADER="state.h"',
             f"-isystem{package / 'include'}",
             f"-Wl,-rpath,{beside}",

@@ -33,6 +33,7 @@ def read() -> variables.Definition:
             "model": model,
             "wheels": whole["wheels"],
             "units": {name: exponents for name, exponents in whole["units"].items() if name in units},
+            "display_units": {name: shown for name, shown in whole["display_units"].items() if name in units},
             "enumerations": {name: items for name, items in whole["enumerations"].items() if name in taken},
             "variable": chosen,
         }

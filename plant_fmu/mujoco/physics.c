@@ -86,7 +86,7 @@ static bool stepped(plant_instance *plant, const workshop *w) {
     mj_forward(w->model, w->data);
     for (int v = 0; v < VELOCITIES; v++) {
         if (mju_isBad(w->data->qacc[v])) {
-            return plant_fail(
+            return plant_discard_extreme(
                 plant, "doStep: an acceleration is no longer finite after %.10g s; look at the torques",
                 plant->now.time_s);
         }

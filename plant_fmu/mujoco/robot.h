@@ -7,7 +7,10 @@
 
 #include <mujoco/mujoco.h>
 
+#include "hidden.h"
 #include "state.h"
+
+HIDDEN_BEGIN
 
 enum { CHASSIS_BODY = 1, WHEEL_BODIES = 1 + ROLLERS };
 
@@ -31,5 +34,7 @@ mjSpec *robot_specification(const mecanum_parameters *p, char *problem, size_t s
 
 /* Writes the velocities with which the robot rolls at the start's twist, wheels and rollers without slip. */
 void robot_rolling(const mecanum_parameters *p, double velocity[VELOCITIES]);
+
+HIDDEN_END
 
 #endif
