@@ -7,7 +7,7 @@ from typing import Any
 
 from hil.expectations import Watch, outcome_figures
 from hil.faults.rows import find
-from hil.plant.said import LOGGED_TROUBLE, Said
+from hil.plant.said import Said, tell
 from hil.ports import Note
 from hil.scenario import Scenario
 
@@ -49,7 +49,7 @@ class RunEvents:
         if t_s >= self._next_s:
             self._cross(t_s)
         if self._said:
-            self._tell_said(t_s, self._said.take())
+            tell(self._said.take(), t_s, self._note)
         for place, watch in self._open:
             if watch.take(t_s, row[place]):
                 self._tell_of_failure(watch)
@@ -59,17 +59,13 @@ class RunEvents:
 
         ``is_cut`` says that it ended before it should have.
         """
-        self._tell_said(t_s, self._said.end())
+        tell(self._said.end(), t_s, self._note)
         for words in self._in_force:
             self._note(t_s, "info", f"fault ends with the run: {words}")
         cut_s = t_s if is_cut else None
         for watch in tuple(self._undecided):
             self._decide(watch, t_s, cut_s)
         return [outcome_figures(watch.expect, watch.outcome(cut_s)) for _, watch in self._watches]
-
-    def _tell_said(self, t_s: float, lines: Sequence[str]) -> None:
-        for line in lines:
-            self._note(t_s, "warning" if line.startswith(LOGGED_TROUBLE) else "info", f"the plant says: {line}")
 
     def _cross(self, t_s: float) -> None:
         """Do what is due at a tick: edges at infinity never are."""

@@ -169,6 +169,9 @@ def test_in_two_processes_both_end_with_exit_code_3(
         assert robot.process.wait(30) == 3
         assert robot.process.stderr is not None
         words = robot.process.stderr.read()
+        assert robot.process.stdout is not None
+        said = robot.process.stdout.read()
+    assert ("the plant says: the last words of a crash\n" in said) == (flaw == "segfault")
     told = FAILED.fullmatch(words)
     assert told is not None, words
     assert FLAWS[flaw] in told["why"]

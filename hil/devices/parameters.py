@@ -74,11 +74,14 @@ class ParameterClient:
         self._transaction = 0
         self._changed: list[str] = []
         self._table = parameters()
-        self.greet()
+        self._reset_cause = self._ask_who(status=True).reset_cause
 
     def greet(self) -> handshake.RobotInfo:
         """Return what the robot says of itself now; the hash is that of the parameters in force."""
-        return handshake.greet(self._link, lambda message: self._link.send(codec.encode(message)), status=True)
+        return self._ask_who()._replace(reset_cause=self._reset_cause)
+
+    def _ask_who(self, *, status: bool = False) -> handshake.RobotInfo:
+        return handshake.greet(self._link, lambda message: self._link.send(codec.encode(message)), status=status)
 
     def read(self) -> list[Held]:
         """Return every parameter in the firmware's order."""

@@ -2,10 +2,12 @@
 
 import threading
 from collections import deque
+from collections.abc import Iterable
 
 from hil.plant.words import one_line
+from hil.ports import Note
 
-LOGGED_TROUBLE = tuple(f"log ({status})" for status in ("warning", "discard", "error", "fatal"))  # as cosim.c has it
+_LOGGED_TROUBLE = tuple(f"log ({status})" for status in ("warning", "discard", "error", "fatal"))  # as cosim.c has it
 _FIRST_LINES = 100
 _NEWEST_LINES = 20
 _LONGEST_LINE = 300  # characters that are kept of a line
@@ -73,6 +75,12 @@ class Said:
             newest = self._newest
         lines = (_words(line) for line in reversed(newest.split(b"\n")))
         return next((line for line in lines if line), "")
+
+
+def tell(lines: Iterable[str], t_s: float, note: Note) -> None:
+    """Put what a plant has said into the event log of a run."""
+    for line in lines:
+        note(t_s, "warning" if line.startswith(_LOGGED_TROUBLE) else "info", f"the plant says: {line}")
 
 
 def _words(line: bytes) -> str:

@@ -14,6 +14,7 @@ from hil.links.back_off import BackOff
 from hil.links.opening_beside import OpeningBeside
 from hil.links.url import parse_link
 from hil.parts import PartsOf
+from hil.plant.said import tell
 from hil.realtime import RealTime, Wanted, real_time
 from hil.sampling import Sampling
 from hil.scenario import Scenario
@@ -167,6 +168,8 @@ class _Service:
             desk = Desk(self._scenario, signals, pilot, self._records, self._api.send, reload, beside)
             resources.callback(desk.end)
             resources.callback(bench.device.disarm)
+            if (said := bench.said) is not None:
+                resources.callback(lambda: tell(said.end(), self._t_s, self._records.note))
             watch = TickWatch(self._scenario.loop.tick_limit_s, lambda: self._t_s, self._last_words)
             with real_time(Wanted(**dict(self._scenario.realtime)), bench.robot_threads) as granted, watch:
                 self._tick(bench, pilot, desk, granted, watch)
@@ -263,6 +266,8 @@ class _Service:
                     self._tell(pilot)
                     told = pilot.phase
                 self._api.send(self._now.status(pilot, bench, granted))
+                if bench.said:
+                    tell(bench.said.take(), t_s, self._records.note)
             self._notifier.beat(begin_ns)
             tick_us = (time.perf_counter_ns() - begin_ns) * 1e-3
             following = sampling.following(number)
