@@ -120,7 +120,9 @@ def time(model: Model) -> Iterator[Finding]:
             if clock is not None:
                 (value,) = slave.get(clock)
                 if not abs(value - reached_s) <= _ROUNDING * max(1.0, abs(reached_s)):
-                    yield violation(f"the time {clock.name} is {value!r} s; expected {reached_s!r} s")
+                    yield violation(
+                        f"the time {clock.name} is {value!r} s; expected {reached_s!r} s, to where it was stepped"
+                    )
                     return
             answer = slave.step(model.time_s(step), model.step_s)
             if answer.finding is not None:
