@@ -370,7 +370,7 @@ FACTS = RobotFacts(0.05, 0.3, (0, 1, 2, 3), (1, 1, 1, 1), 1.0, 20.0, 0.1, 0.1, 0
     [
         (
             "can:socketcan/can0",
-            "if this program dies or hangs: a guardian process, as on a serial line, is not possible",
+            "if this program dies or hangs: a guardian process watches over serial lines alone",
         ),
         (
             "serial:socket://robot:3000",

@@ -70,8 +70,8 @@ def watch_over(made: Dialect, driver: Driver, url: LinkUrl, silence_s: float, pr
         return Unwatched()
     if not isinstance(url, SerialUrl) or made.make_framing is None:
         return Unwatched(
-            "nothing that is known to us stops the robot if this program dies or hangs: a guardian process, as on a "
-            "serial line, is not possible over CAN; keep a switch that cuts the motors' power within reach"
+            "nothing that is known to us stops the robot if this program dies or hangs: a guardian process watches "
+            "over serial lines alone; keep a switch that cuts the motors' power within reach"
         )
     from hil.devices.guardian import Guardian  # a thread and a process: not for every run
 
