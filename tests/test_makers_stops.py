@@ -427,7 +427,7 @@ def test_a_host_that_was_silent_sends_no_command_but_the_stop() -> None:
 def test_a_service_that_was_silent_is_disarmed_until_somebody_arms_it() -> None:
     pty = pytest.importorskip("hil.links.pty", reason="pseudo-terminals need a POSIX system")
     with contextlib.closing(pty.PtyStream()) as line, PilotBench(**ROSMASTER) as bench:
-        guardian = Guardian(line.port, 115200, b"stop", silence_s=0.2)
+        guardian = Guardian(line.port, 115200, b"stop", silence_s=0.5)
         try:
             robot_of(bench.bench)._watch = guardian
             bench.run_until(Phase.DISARMED)
