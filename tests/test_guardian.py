@@ -419,4 +419,4 @@ def test_ctrl_c_at_its_start_is_ctrl_c_at_once(monkeypatch: pytest.MonkeyPatch) 
             Guardian("any", 115200, b"stop", silence_s=1.0)
     finally:
         signal.signal(signal.SIGINT, before)
-    wait_for(lambda: threading.active_count() == threads, 5.0)  # nothing that the interpreter would wait for at its end
+    wait_for(lambda: threading.active_count() <= threads, 5.0)  # nothing that the interpreter would wait for at its end

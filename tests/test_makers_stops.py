@@ -23,6 +23,7 @@ from hil.dialects.rosmaster import MOTION
 from hil.dialects.rosmaster_line import RosmasterFraming
 from hil.errors import DeviceError, LinkError
 from hil.kinematics import BodyTwist
+from hil.links.streams import ByteStream
 from hil.scenario import load
 from hil.service.messages import Phase
 from hil.types import ZERO_WHEELS, CommandMode, WheelCommand, Wheels
@@ -32,6 +33,7 @@ from tests.pilot_bench import PilotBench
 from tests.processes import wait_for
 
 PERIOD_NS = 10_000_000
+PATIENCE_NS = 60_000_000_000
 ROSMASTER = {"device.driver": "rosmaster", "plant.start.battery_voltage_v": 12.0}
 FORWARD = WheelCommand(CommandMode.SPEED, Wheels(5.0, 5.0, 5.0, 5.0), ZERO_WHEELS)
 
@@ -347,7 +349,7 @@ def test_a_base_that_drives_on_is_told_of_and_an_emergency_stop_stops_it() -> No
 
 
 @contextlib.contextmanager
-def guarded_bench(silence_s: float) -> Iterator[tuple[Bench, Guardian]]:
+def guarded_bench(silence_s: float) -> Iterator[tuple[Bench, Guardian, ByteStream]]:
     pty = pytest.importorskip("hil.links.pty", reason="pseudo-terminals need a POSIX system")
     with contextlib.ExitStack() as resources:
         line = resources.enter_context(contextlib.closing(pty.PtyStream()))
@@ -356,7 +358,7 @@ def guarded_bench(silence_s: float) -> Iterator[tuple[Bench, Guardian]]:
         bench = resources.enter_context(on_bench("rosmaster", **{"plant.start.battery_voltage_v": 12.0}))
         robot_of(bench)._watch = guardian
         bench.connect()
-        yield bench, guardian
+        yield bench, guardian, line
 
 
 def arm(bench: Bench) -> None:
@@ -385,7 +387,7 @@ def come_to_rest(bench: Bench) -> None:
 
 
 def test_a_robot_whose_guardian_dies_is_stopped_and_armed_again_with_the_next_one_alone() -> None:
-    with guarded_bench(60.0) as (bench, guardian):
+    with guarded_bench(60.0) as (bench, guardian, _):
         arm(bench)
         drive(bench, 50)
         assert node_of(bench).is_driving
@@ -408,7 +410,7 @@ def test_a_robot_whose_guardian_dies_is_stopped_and_armed_again_with_the_next_on
 
 def test_a_host_that_was_silent_sends_no_command_but_the_stop() -> None:
     """It does not wait for the guardian to tell it: its own clock does."""
-    with guarded_bench(0.1) as (bench, guardian):
+    with guarded_bench(0.1) as (bench, guardian, _):
         arm(bench)
         drive(bench, 50)
         wait_for(lambda: time.monotonic_ns() - guardian._beat_ns > 200_000_000)
@@ -422,6 +424,20 @@ def test_a_host_that_was_silent_sends_no_command_but_the_stop() -> None:
         bench.device.disarm()
         come_to_rest(bench)
         wait_for(lambda: guardian._phase.name == "REST")
+
+
+def test_a_stop_that_did_not_go_out_when_the_link_was_lost_is_the_guardians_too() -> None:
+    with guarded_bench(0.3) as (bench, guardian, line):
+        arm(bench)
+        bench.device.leave()
+        assert guardian._phase.name == "HELD", "the stop went out"
+        come_back(bench)
+        arm(bench)
+        with nothing_goes_out(bench):
+            bench.device.leave()
+            assert line.read(PATIENCE_NS).startswith(b"stop")
+        come_back(bench)
+        arm(bench)
 
 
 def test_a_service_that_was_silent_is_disarmed_until_somebody_arms_it() -> None:
@@ -461,7 +477,7 @@ def test_a_service_that_was_silent_is_disarmed_until_somebody_arms_it() -> None:
 
 
 def test_arming_is_refused_while_no_guardian_can_be_started(monkeypatch: pytest.MonkeyPatch) -> None:
-    with guarded_bench(60.0) as (bench, guardian):
+    with guarded_bench(60.0) as (bench, guardian, _):
         monkeypatch.setattr(sys, "executable", "/no/such/python")
         assert guardian.pid is not None
         os.kill(guardian.pid, signal.SIGKILL)

@@ -50,7 +50,7 @@ class _Phase(enum.Enum):
     REST = "nothing is to be stopped"
     ASKED = "to be watched, which is not confirmed yet"
     WATCHED = "each command beats"
-    HELD = "the robot is being stopped, or the link is lost: no command beats, and our death alone is watched for"
+    HELD = "the robot has its stop: no command beats, and our death alone is watched for"
 
 
 class Guardian:
@@ -282,8 +282,8 @@ class Guardian:
         assert process.stdin is not None
         assert process.stdout is not None
         patience = threading.Timer(_START_LIMIT_S, process.kill)
-        patience.start()
         try:
+            patience.start()
             with contextlib.suppress(OSError):  # then it does not become ready
                 process.stdin.write(self._order + b"\n")
             is_ready = process.stdout.readline() == READY + b"\n"

@@ -30,7 +30,7 @@ class HostWatch(Protocol):
         """Say that a command, or a step of a stop, went out just now."""
 
     def hold(self) -> None:
-        """Say that the link is lost: no command will come for a while. Our death is still watched for."""
+        """Say that no command will come for a while, and the robot has its stop. Our death is still watched for."""
 
     def rest(self) -> None:
         """Say that the wheels rest: nothing is to be stopped until ``begin``."""

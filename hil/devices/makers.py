@@ -128,7 +128,8 @@ class MakersRobot:
         self._awaits_watch = False
         if self._stop.is_needed:
             self._drop(State.STOPPING)
-            self._watch.hold()  # the next command may be long in coming, and this process knows it
+            if self._stop.is_told:  # else the guardian, which has a way of its own to the port, is to try it too
+                self._watch.hold()
         self._feedback.forget()
         self._line.discard()
 
