@@ -59,7 +59,7 @@ def params(
     restore: Annotated[bool, typer.Option("--restore", help="first take the values of the build")] = False,
     as_json: Json = False,
 ) -> None:
-    """Show and change the parameters of a robot's firmware; it must be in IDLE to change. All are changed, or none."""
+    """Show and change the parameters of a robot's firmware; it must be in IDLE to change. All are checked first."""
     from hil import report
     from hil.devices.parameters import ParameterClient, assignments
     from hil.errors import BadInputError
