@@ -5,14 +5,16 @@ from pathlib import Path
 import pytest
 
 import hil
+from hil.campaign.rows import why_failed
 from hil.commands.review import review as command
+from hil.comparison.runs import Job, perform
 from hil.errors import BadInputError
 from hil.faults.rows import FaultRow
 from hil.review import review
 from hil.review.figures import figures, read_for_figures
 from hil.review.page import page
 from hil.sampling import Timing
-from hil.scenario import load
+from hil.scenario import load, set_texts
 from hil.scenario.allow import most
 from hil.testing.verdict import run_as_test
 from hil.undriven import Undriven
@@ -72,6 +74,13 @@ def test_a_scenario_as_a_test_says_which_limit_was_passed(tmp_path: Path) -> Non
     verdict = run_as_test(load("circle_speed", set=BLIND), None, None, "hil run ...")
     assert not verdict.passed
     assert verdict.text().startswith("allow: held_ticks: 100 of 100")
+
+
+def test_a_comparison_has_no_figures_of_a_run_beyond_it_and_a_campaign_says_why_it_failed() -> None:
+    outcome = perform(Job("circle_speed", set_texts(BLIND), None, "lqi", {}, curves=False))
+    assert outcome.figures is None
+    assert str(outcome.failed).startswith("held_ticks: 100 of 100")
+    assert why_failed(hil.run("circle_speed", set=BLIND).metrics) == outcome.failed
 
 
 def test_the_ticks_that_a_fault_explains_do_not_count() -> None:
