@@ -5,6 +5,7 @@ tick costs no Python call.
 """
 
 import functools
+import hashlib
 import re
 import struct
 import zlib
@@ -14,10 +15,11 @@ from typing import Any, NamedTuple
 
 import cffi
 
-from firmware_protocol.build import LIBRARY
+from firmware_protocol.build import BUILT, OTHER
 from firmware_protocol.capabilities import Capability
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated.messages import Fault, FaultWheel, Mode, ResetCause, State, StopReason, Type
+from native_build.built_from import NotCurrentError, digest_in_library
 
 _HEADERS = (
     "firmware/plant_port.h",
@@ -35,21 +37,45 @@ _NOTHING = Capability(0)
 _CAN_DO = ~(Capability.POWER_STAGE | Capability.LOCKSTEP)
 
 
-@functools.cache
+class Loaded(NamedTuple):
+    """The library as it was loaded.
+
+    Attributes:
+        ffi: of cffi. library: of cffi. sha256: of the file, in hex. sources_sha256: of the sources that it was built
+        from, None where it does not say.
+    """
+
+    ffi: Any
+    library: Any
+    sha256: str
+    sources_sha256: str | None
+
+
 def library() -> tuple[Any, Any]:
     """Return cffi's (ffi, library), with the declarations taken from the C headers themselves.
 
-    Raises FileNotFoundError when the library was not built (``python -m firmware_protocol.build``).
+    A library that was not built from the sources beside it is built anew in a checkout. Raises NotCurrentError where
+    that cannot be done.
     """
-    if not LIBRARY.exists():
-        raise FileNotFoundError(f"{LIBRARY} is not built; run: python -m firmware_protocol.build")
+    return loaded()[:2]
+
+
+@functools.cache
+def loaded() -> Loaded:
+    """Return what ``library`` does, and what was loaded. Raises as ``library``."""
+    if OTHER is None:
+        BUILT.make_current()
+    path = BUILT.path if OTHER is None else Path(OTHER)
+    if not path.is_file():
+        raise NotCurrentError(f"{path} is not there; build it, or leave WHEEL_HOST_LIBRARY out")
     ffi = cffi.FFI()
     here = Path(__file__).parent
     for header in _HEADERS:
         for section in _SECTION.findall((here / header).read_text(encoding="utf-8")):
             ffi.cdef(section)
     ffi.cdef("extern const wheel_parameter_info wheel_parameter_table[];")
-    return ffi, ffi.dlopen(str(LIBRARY))
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    return Loaded(ffi, ffi.dlopen(str(path)), digest, digest_in_library(path))
 
 
 class Parameter(NamedTuple):

@@ -29,7 +29,7 @@ from hil.scenario.laws import Laws
 from hil.service.lock import device_held
 from hil.signals import SIGNAL_NAMES
 from hil.telemetry import Recording, Rotation, RunRecording, check_output_path, early_recorder, rotation
-from hil.telemetry.provenance import properties
+from hil.telemetry.provenance import ingredients, properties
 from hil.telemetry.udp import UdpStream, parse_destination
 from hil.trace import Trace
 
@@ -131,6 +131,7 @@ def run_scenario(
         check_output_path("trace", trace, trace_existing)
     destination = parse_destination(stream) if stream is not None else None
     parts = PartsOf(scenario)
+    made_of = ingredients(scenario) if record is not None or live_port is not None else {}
     laws, demands = parts.laws, parts.demands()
     if warn is not None:
         for sentence in demands.sentences:
@@ -166,7 +167,7 @@ def run_scenario(
             recording = resources.enter_context(
                 make_recording(
                     record,
-                    properties=properties(scenario),
+                    properties=properties(scenario, made_of),
                     blocking=blocking,
                     live_port=live_port,
                     signals=laws.signals,

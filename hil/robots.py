@@ -20,6 +20,7 @@ from hil.plant.mapping import Row, SignalMap
 from hil.scenario import SHIPPED_FMUS, Scenario, StartValue
 from hil.trace import Trace
 from hil.types import Pose
+from native_build.built_from import NotCurrentError
 
 _NS = 1_000_000_000
 
@@ -27,14 +28,14 @@ _NS = 1_000_000_000
 def firmware_values(scenario: Scenario) -> dict[str, float]:
     """Return the firmware's parameters by the names of its own table.
 
-    Raises BadInputError when the host library is not built.
+    Raises BadInputError when the host library is not that of the sources beside it, and cannot be built anew.
     """
     robot = scenario.robot
     size = {name: getattr(robot, name) for name in ("wheel_radius_m", "half_length_m", "half_width_m")}
     given = dict(scenario.firmware) | size | {"feedback_period_s": scenario.loop.period_ns / _NS}
     try:
         return {p.name: float(given[p.name]) for p in parameters()}
-    except FileNotFoundError as error:
+    except NotCurrentError as error:
         raise BadInputError(str(error)) from error
 
 

@@ -16,6 +16,8 @@ import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from native_build.built_from import Built, mark
+
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 # Without fused multiply-add the same sources give the same numbers on every machine that rounds by IEEE 754.
 FLAGS = (
@@ -81,9 +83,11 @@ def compile_shared(
     cc: str | None = None,
     flags: Sequence[str] = (),
     zig_target: str | None = None,
+    built: Built | None = None,
 ) -> None:
     """Compile C sources into a shared library, whole or not at all.
 
+    ``built`` is what is made, where the hash of its sources is to be in it.
     With ``zig_target``, such as ``aarch64-linux-gnu.2.17``, zig compiles for that machine, and the result depends on
     nothing but the sources, the flags, the library's name and zig's version. Raises BuildError with what the
     compiler said.
@@ -91,6 +95,8 @@ def compile_shared(
     command = [*zig(), "-target", zig_target] if zig_target else compiler(cc)
     command += [*FLAGS, *flags, "-shared"]
     command += [f"-I{folder.absolute()}" for folder in include] + [str(source.absolute()) for source in sources]
+    # Before compiling: sources that change meanwhile make the library one that is not current.
+    digest = None if built is None else built.digest()
     if library.suffix == ".dylib":
         command += [f"-Wl,-install_name,@rpath/{library.name}", "-Wl,-x"]
     if library.suffix != ".dll":
@@ -99,16 +105,14 @@ def compile_shared(
     try:
         with tempfile.TemporaryDirectory(dir=library.parent, prefix=f".{library.name}.") as folder:
             made = Path(folder).absolute() / library.name
+            if digest is not None:
+                (marked := made.with_name("built_from.c")).write_text(mark(digest), encoding="ascii")
+                command.append(str(marked))
             # Not from the user's folder: below an environment's, zig makes its C libraries anew for that folder alone.
             _run([*command, "-o", str(made)], made.parent)
             made.replace(library)
     except OSError as error:
         raise BuildError(f"{library}: cannot be written ({error.strerror}); make its folder writable") from error
-
-
-def is_fresh(made: Path, inputs: Iterable[Path]) -> bool:
-    """Tell whether the file is there and newer than every input."""
-    return made.exists() and all(path.stat().st_mtime <= made.stat().st_mtime for path in inputs)
 
 
 def _on_the_path() -> list[str]:

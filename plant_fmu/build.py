@@ -14,8 +14,9 @@ from pathlib import Path
 import plant_fmu
 from native_build.compiler import FLAGS, BuildError, compile_shared, compiler, version, zig
 from plant_fmu import generate, pack, platforms
+from plant_fmu.built import BUILT, DEFINITION, DESCRIPTIONS, GENERATED, HERE, SOURCES, comment_of
 
-_INCLUDE = (pack.HERE, pack.GENERATED)
+_INCLUDE = (HERE, GENERATED)
 
 
 def build(out: Path | None = None, *, fmi: int = 2, cc: str | None = None, all_platforms: bool = False) -> Path:
@@ -32,16 +33,16 @@ def build_all(folder: Path | None = None, *, cc: str | None = None, all_platform
 
     Raises BuildError as ``build`` does.
     """
-    paths = {fmi: plant_fmu.path(fmi) for fmi in pack.DESCRIPTIONS}
+    paths = {fmi: plant_fmu.path(fmi) for fmi in DESCRIPTIONS}
     outs = {fmi: path if folder is None else folder / path.name for fmi, path in paths.items()}
     return _build(outs, cc, all_platforms)
 
 
 def _build(outs: dict[int, Path], cc: str | None, all_platforms: bool) -> list[Path]:
     command = zig() if all_platforms else compiler(cc)
-    inputs = {fmi: _inputs_digest(fmi, command, all_platforms) for fmi in outs}
-    wanted = {fmi: out for fmi, out in outs.items() if pack.comment_of(out) != inputs[fmi]}
-    if wanted and (stale := [path for path in generate.stale() if pack.GENERATED in path.parents]):
+    inputs = {fmi: f"{_inputs_digest(fmi, command, all_platforms)} {BUILT[fmi].digest()}" for fmi in outs}
+    wanted = {fmi: out for fmi, out in outs.items() if comment_of(out) != inputs[fmi]}
+    if wanted and (stale := [path for path in generate.stale() if GENERATED in path.parents]):
         raise BuildError(f"{stale[0].name} is stale; run python -m plant_fmu.generate")
     libraries = _libraries(cc, all_platforms) if wanted else {}
     for fmi, out in wanted.items():
@@ -60,7 +61,7 @@ def _libraries(cc: str | None, all_platforms: bool) -> dict[str, bytes]:
     with tempfile.TemporaryDirectory(prefix="plant_fmu_") as folder:
         for name, target in targets.items():
             library = Path(folder) / f"mecanum{platforms.suffix(name)}"
-            compile_shared(pack.SOURCES, library, include=_INCLUDE, cc=cc, zig_target=target)
+            compile_shared(SOURCES, library, include=_INCLUDE, cc=cc, zig_target=target)
             libraries[name] = library.read_bytes()
     return libraries
 
@@ -71,7 +72,7 @@ def _inputs_digest(fmi: int, command: list[str], all_platforms: bool) -> str:
     digest = hashlib.sha256(repr((command[1:], version(command), FLAGS, targets)).encode())
     for module in (sys.modules[__name__], pack, platforms):
         digest.update(Path(str(module.__file__)).read_bytes())
-    for name, content in sorted({**pack.text_members(fmi), "variables.toml": pack.DEFINITION.read_bytes()}.items()):
+    for name, content in sorted({**pack.text_members(fmi), "variables.toml": DEFINITION.read_bytes()}.items()):
         digest.update(name.encode() + b"\0" + content + b"\0")
     return digest.hexdigest()
 

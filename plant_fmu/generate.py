@@ -10,24 +10,8 @@ import sys
 from pathlib import Path
 
 from plant_fmu import c_header, description2, description3, manifest, tables
+from plant_fmu.built import GENERATED, SOURCE_FILES
 from plant_fmu.variables import HERE, Definition, DefinitionError, read
-
-SOURCE_FILES = (
-    "fmi2.c",
-    "fmi3.c",
-    "fmi3_unclaimed.c",
-    "instance.c",
-    "saved_state.c",
-    "mecanum.c",
-    "mecanum_physics.c",
-    "model.c",
-    "motor.c",
-    "contact.c",
-    "counter.c",
-    "friction.c",
-    "sensors.c",
-)
-GENERATED = HERE / "generated"
 
 
 def guid(definition: Definition) -> str:

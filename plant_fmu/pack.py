@@ -8,26 +8,14 @@ import xml.etree.ElementTree as ET
 import zipfile
 from pathlib import Path
 
-from plant_fmu import generate, manifest
+from plant_fmu import manifest
+from plant_fmu.built import DESCRIPTIONS, GENERATED, HEADERS, HERE, SOURCES
 from plant_fmu.platforms import ZIG_TARGETS
 
-HERE = Path(__file__).parent
-GENERATED = HERE / "generated"
-DEFINITION = HERE / "variables.toml"
-SOURCES = tuple(HERE / name for name in generate.SOURCE_FILES)
-HEADERS = (*sorted(HERE.glob("*.h")), *sorted(GENERATED.glob("*.h")))
 DOCUMENTS = (HERE / "documentation" / "index.html", HERE / "documentation" / "licenses" / "license.txt")
 _DATE = (1980, 1, 1, 0, 0, 0)
 
 
-# What each version's archive has beside what both have: member -> file.
-DESCRIPTIONS = {
-    2: {"modelDescription.xml": GENERATED / "fmi2" / "modelDescription.xml"},
-    3: {
-        "modelDescription.xml": GENERATED / "fmi3" / "modelDescription.xml",
-        "terminalsAndIcons/terminalsAndIcons.xml": GENERATED / "fmi3" / "terminalsAndIcons.xml",
-    },
-}
 # Reference results: member -> file.
 REFERENCE = {f"{manifest.FOLDER}/{path.name}": path for path in (GENERATED / manifest.NAME, *manifest.files())}
 
@@ -69,14 +57,6 @@ def write(members: dict[str, bytes], out: Path, comment: str) -> None:
         unfinished.replace(out)
     finally:
         unfinished.unlink(missing_ok=True)
-
-
-def comment_of(archive: Path) -> str | None:
-    """Return the comment of an archive, None when the file is none."""
-    if not zipfile.is_zipfile(archive):
-        return None
-    with zipfile.ZipFile(archive) as opened:
-        return opened.comment.decode("ascii", "replace")
 
 
 def _build_description(identifier: str) -> bytes:

@@ -28,7 +28,7 @@ import hil.plant.build
 import plant_fmu.build
 
 FMU = plant_fmu.build.build()
-if not hil.plant.build.is_fresh():
+if not hil.plant.build.BUILT.is_current():
     hil.plant.build.build()
 
 DESCRIPTION = read_model_description(str(FMU))

@@ -91,6 +91,15 @@ def test_a_key_follows_from_what_a_run_is_made_of_and_not_from_where_that_is(tmp
         plan = Campaign(write_plan(tmp_path / folder, 'laws = ["./law.py:Law"]'))
         keys.append(plan.runs[0].key)
     assert keys[0] == keys[1] != keys[2]
+    (tmp_path / "four").mkdir()
+    (tmp_path / "four" / "tuning.py").write_text("K = 1", encoding="utf-8")
+    (tmp_path / "four" / "law.py").write_text(f"{law}\n    import tuning", encoding="utf-8")
+    at_four = {"controller.law": str(tmp_path / "four" / "law.py:Law")}
+    covers_imports = key_of(load("circle_speed", set=at_four))
+    (tmp_path / "five").mkdir()
+    (tmp_path / "five" / "tuning.py").write_text("K = 2", encoding="utf-8")
+    (tmp_path / "five" / "law.py").write_text(f"{law}\n    import tuning", encoding="utf-8")
+    assert key_of(load("circle_speed", set={"controller.law": str(tmp_path / "five" / "law.py:Law")})) != covers_imports
     (tmp_path / "two" / "law.py").write_text(f"{law}\n# another", encoding="utf-8")
     shadowed = {"controller.shadow": [str(tmp_path / "three" / "law.py:Law")]}
     one, two = (shadowed | {"controller.law": str(tmp_path / folder / "law.py:Law")} for folder in ("one", "two"))

@@ -1,6 +1,7 @@
 """Orders at the desk of a service: what is done at once, what takes its time, and what became outdated meanwhile."""
 
 import itertools
+import json
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from pathlib import Path
@@ -9,11 +10,14 @@ from typing import Any
 import pytest
 
 from firmware_protocol.generated.messages import State as RobotState
+from hil.controllers.registry import law_sha256
+from hil.review import read
 from hil.scenario import load
 from hil.scenario.laws import Laws
 from hil.service.desk import Desk
 from hil.service.messages import MOVING, Action, Answer, Order, Phase, Task
 from hil.service.records import Records
+from hil.telemetry.provenance import ingredients
 from hil.types import NO_GAINS
 from tests.pilot_bench import PilotBench
 
@@ -50,7 +54,14 @@ class Served(PilotBench):
         self.records = Records(None)
         signals = self.made.laws.signals
         self.desk = Desk(
-            self.config, signals, self.pilot, self.records, self._answer, lambda: load("circle_speed"), self.beside
+            self.config,
+            ingredients(self.config) | {"law_sha256": "as it was made"},
+            signals,
+            self.pilot,
+            self.records,
+            self._answer,
+            lambda: load("circle_speed"),
+            self.beside,
         )
 
     def _answer(self, answer: Answer) -> None:
@@ -131,6 +142,22 @@ def test_a_second_recording_is_refused_whenever_it_is_asked_for(tmp_path: Path) 
         served.finish()
         assert served.answers[end].result["complete"]
         assert served.refusal(again) == "nothing is being recorded"
+
+
+def test_a_recording_names_the_code_that_is_served_and_not_the_files_of_later(tmp_path: Path) -> None:
+    with Served() as served:
+        for name in ("before.mcap", "after.mcap"):
+            served.order(Action.RECORD, path=str(tmp_path / name), force=False)
+            served.finish()
+            served.order(Action.STOP_RECORDING)
+            served.finish()
+            served.order(Action.GAINS, gains={"k1_1_s": 7.0})  # the law is made anew
+            served.finish()
+    before, after = (read(tmp_path / name).properties for name in ("before.mcap", "after.mcap"))
+    assert before["law_sha256"] == "as it was made"
+    assert after["law_sha256"] == law_sha256("dsc", tmp_path)
+    assert (json.loads(before["gains"])["k1_1_s"], json.loads(after["gains"])["k1_1_s"]) == (8.0, 7.0)
+    assert before["fmu_sha256"] == after["fmu_sha256"]
 
 
 def test_a_recording_that_is_being_started_at_the_end_is_one_that_can_be_finished(tmp_path: Path) -> None:

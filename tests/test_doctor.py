@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
+from firmware_protocol.build import BUILT
 from hil.doctor import Finding, Verdict, can, compiler, disk, kernel, versions, viewer
 from hil.report import print_findings
 from tests.processes import hil
@@ -106,14 +107,16 @@ def test_a_package_of_another_version_is_a_problem() -> None:
     assert missing.sentence == "no-such-package is not installed, any version is needed"
 
 
-def test_a_library_older_than_its_sources_is_a_problem(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_library_not_built_from_its_sources_is_a_problem(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     there = tmp_path / "libold.so"
     there.touch()
-    told = {"a.build": (there, lambda: False), "b.build": (tmp_path / "libgone.so", lambda: False)}
-    monkeypatch.setattr(compiler, "_LIBRARIES", told)
-    old, gone = (one for one in compiler.check() if one.subject == "native library")
-    assert (old.verdict, old.remedy) == (Verdict.PROBLEM, "python -m a.build")
+    native = (BUILT._replace(path=there), BUILT._replace(path=tmp_path / "libgone.so", module="b.build"), BUILT)
+    monkeypatch.setattr(compiler, "_NATIVE", native)
+    old, gone, own = (one for one in compiler.check() if one.subject == "native library")
+    assert (old.verdict, old.remedy) == (Verdict.PROBLEM, "python -m firmware_protocol.build")
+    assert old.sentence == "libold.so was not built from the sources beside it"
     assert (gone.sentence, gone.remedy) == ("libgone.so is not built", "python -m b.build")
+    assert own.verdict is Verdict.OK
 
 
 @linux

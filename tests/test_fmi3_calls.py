@@ -21,6 +21,7 @@ from lxml import etree
 
 import plant_fmu
 from plant_fmu import build, generate
+from plant_fmu.built import SOURCE_FILES
 from tests.fmu_slave import DESCRIPTIONS, FMUS, TORQUES, VARIABLES, VERSIONS, Slave, fmpy_slave, refused, slave
 
 HEADERS = Path(fmpy.__file__).parent / "c-code"
@@ -81,7 +82,7 @@ def test_a_life_passes_the_sanitizers(tmp_path: Path) -> None:
     program = tmp_path / "driver"
     command = [*build.compiler(), *build.FLAGS, "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
     command += [f"-I{folder}" for folder in (SOURCES, generate.GENERATED, HEADERS)]
-    command += [str(Path(__file__).with_name("fmi3_driver.c")), *(str(SOURCES / n) for n in generate.SOURCE_FILES)]
+    command += [str(Path(__file__).with_name("fmi3_driver.c")), *(str(SOURCES / n) for n in SOURCE_FILES)]
     compiled = subprocess.run([*command, "-o", str(program), "-lm"], capture_output=True, text=True, check=False)
     assert compiled.returncode == 0, compiled.stderr
     done = subprocess.run([program], capture_output=True, text=True, check=False)

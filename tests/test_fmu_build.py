@@ -21,13 +21,14 @@ from fmpy.validation import validate_fmu
 import hil.plant.build
 import plant_fmu
 from native_build import compiler
-from plant_fmu import build, generate, pack, platforms, variables
+from plant_fmu import build, generate, platforms, variables
+from plant_fmu.built import DESCRIPTIONS, SOURCE_FILES
 from tests.plant_testbed import FMU
 
 STRICT = ["-std=c11", "-O1", "-g", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Werror"]
 SANITIZE = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 ROOT = plant_fmu.path().parents[1]
-VERSIONS = sorted(pack.DESCRIPTIONS)
+VERSIONS = sorted(DESCRIPTIONS)
 SCRIPTS = sysconfig.get_path("scripts")  # of the virtual environment, where cmake is
 needs_zig = pytest.mark.skipif(
     importlib.util.find_spec("ziglang") is None, reason=f"zig is not there: pip install {compiler.ZIG_REQUIREMENT}"
@@ -109,7 +110,7 @@ def test_the_archive_has_what_a_user_needs(fmi: int) -> None:
         names = set(archive.namelist())
         built = ET.fromstring(archive.read("sources/buildDescription.xml"))
         licence = archive.read("documentation/licenses/license.txt")
-    assert {*pack.DESCRIPTIONS[fmi], "documentation/index.html"} <= names
+    assert {*DESCRIPTIONS[fmi], "documentation/index.html"} <= names
     sources = {Path(name).name for name in names if name.endswith(".c")}
     for configuration in built.findall("BuildConfiguration"):
         assert {file.get("name") for file in configuration.findall("SourceFileSet/SourceFile")} == sources
@@ -117,9 +118,9 @@ def test_the_archive_has_what_a_user_needs(fmi: int) -> None:
 
 
 def test_fmi_2_lists_its_sources_in_its_description_too() -> None:
-    root = ET.parse(pack.DESCRIPTIONS[2]["modelDescription.xml"]).getroot()
+    root = ET.parse(DESCRIPTIONS[2]["modelDescription.xml"]).getroot()
     listed = [file.get("name") for file in root.findall("CoSimulation/SourceFiles/File")]
-    assert listed == list(generate.SOURCE_FILES)
+    assert listed == list(SOURCE_FILES)
 
 
 def exports(fmu: Path, fmi: int) -> set[str]:

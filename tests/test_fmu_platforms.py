@@ -18,9 +18,10 @@ from hypothesis import strategies as st
 
 import plant_fmu
 from native_build import compiler
-from plant_fmu import build, pack, platforms
+from plant_fmu import build, platforms
+from plant_fmu.built import DESCRIPTIONS
 
-VERSIONS = sorted(pack.DESCRIPTIONS)
+VERSIONS = sorted(DESCRIPTIONS)
 FOLDERS = {
     2: {
         "linux64": "x86_64-linux",

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import plant_fmu
 from native_build.compiler import SUFFIX
-from plant_fmu import pack
+from plant_fmu.built import DESCRIPTIONS
 
 ROOT = Path(__file__).parents[1]
 NOT_SOURCES = shutil.ignore_patterns(".*", "__pycache__", "*.so", "*.dylib", "*.dll", "*.fmu", "runs", "dist", "build")
@@ -40,7 +40,7 @@ def test_a_machine_without_a_compiler_builds_installs_and_runs_the_wheel(tmp_pat
     with zipfile.ZipFile(wheel) as archive:
         names = set(archive.namelist())
         [entry_points] = [archive.read(name).decode() for name in names if name.endswith("/entry_points.txt")]
-    fmus = {f"plant_fmu/{plant_fmu.path(fmi).name}" for fmi in pack.DESCRIPTIONS}
+    fmus = {f"plant_fmu/{plant_fmu.path(fmi).name}" for fmi in DESCRIPTIONS}
     assert {*fmus, f"firmware_protocol/libwheel_host{SUFFIX}", f"hil/plant/libcosim{SUFFIX}"} <= names
     assert {"hil/pytest_plugin.py", "hil/py.typed", "firmware_protocol/py.typed", "plant_fmu/py.typed"} <= names
     pages = {

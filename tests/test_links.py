@@ -25,6 +25,7 @@ from hil.links.serial_port import SerialStream
 from hil.links.streams import DirectStream, memory_pair
 from hil.links.url import CanUrl, parse_link
 from hil.links.wire import CanWire, ReopeningWire, SerialWire
+from native_build.built_from import NotCurrentError
 from tests.heard import the_next
 from tests.processes import environment, wait_for
 from tests.wheel_rig import WheelRig
@@ -126,7 +127,7 @@ def test_a_direct_stream_is_answered_when_it_is_read(chunks):
 
 def test_a_library_that_is_not_built_is_told_as_what_to_do(monkeypatch):
     def missing():
-        raise FileNotFoundError("libwheel_host.so is not built; run: python -m firmware_protocol.build")
+        raise NotCurrentError("libwheel_host.so is not built; run: python -m firmware_protocol.build")
 
     monkeypatch.setattr(host_line, "library", missing)
     with pytest.raises(BadInputError, match=r"is not built; run: python -m firmware_protocol\.build"):

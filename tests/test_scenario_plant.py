@@ -144,9 +144,12 @@ def test_a_recording_names_the_map_and_the_bytes_of_the_fmu() -> None:
     Path("x.fmu").write_bytes(b"one")
     told = properties(scenario())
     assert told["fmu_sha256"] == "7692c3ad3540bb803c020b3aee66cd8887123234ea0c6e7143c0add73ff431ed"
+    assert told["map_sha256"] != properties(scenario(set=["plant.map.pose.x_m.sign=-1"]))["map_sha256"]
     assert json.loads(told["scenario"])["plant.map.wheel.fl.angle_rad.name"] == "phi1"
     Path("x.fmu").unlink()
-    assert "fmu_sha256" not in properties(scenario())
+    with pytest.raises(BadInputError, match=r"FMU 'x\.fmu' does not exist"):
+        properties(scenario())
+    assert "fmu_sha256" not in properties(scenario(set=["link.url=serial:/dev/robot"]))
 
 
 def test_a_row_without_a_name_has_the_signals_own() -> None:

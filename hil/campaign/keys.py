@@ -5,21 +5,21 @@ Two runs with one key have the same figures in lockstep, on whatever machine. A 
 
 import functools
 import hashlib
-import inspect
 import json
 from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from firmware_protocol.build import BUILT as FIRMWARE
 from firmware_protocol.generated.messages import SCHEMA_HASH
-from hil.controllers.registry import SHIPPED, load_law
+from hil.controllers.registry import law_sha256
 from hil.errors import BadInputError
 from hil.plant import archive
 from hil.scenario import Scenario
 from hil.scenario.tables import Tables
 
-KEY_FORMAT = 2
+KEY_FORMAT = 3
 """Counts changes of what the key covers."""
 _NOT_OF_THE_RUN = ("service",)
 _OPTIONS = (("controller", "gains"), ("controller", "shadow_gains"), ("device", "motors"), ("plant", "start"))
@@ -43,12 +43,12 @@ def key_of(scenario: Scenario) -> str:
 
 @functools.cache
 def versions() -> dict[str, str]:
-    """Return the version of this package and of what it says on the wire."""
+    """Return the version of this package and of what it says on the wire, and the hash of the firmware's sources."""
     try:
         package = version("mecanum-hil")
     except PackageNotFoundError:
         package = "not installed"
-    return {"mecanum_hil": package, "schema": f"{SCHEMA_HASH:08x}"}
+    return {"mecanum_hil": package, "schema": f"{SCHEMA_HASH:08x}", "firmware": str(FIRMWARE.digest())}
 
 
 def _files(scenario: Scenario) -> Iterator[tuple[str, str]]:
@@ -56,11 +56,25 @@ def _files(scenario: Scenario) -> Iterator[tuple[str, str]]:
     yield "plant.fmu", _digest(archive.locate(scenario.plant.fmu, scenario.directory))
     # By place and not by name: two files may both have a class Law.
     for place, law in enumerate((scenario.controller.law, *scenario.controller.shadow)):
-        if law not in SHIPPED and (source := inspect.getsourcefile(load_law(law, scenario.directory))) is not None:
-            yield f"law {place}", _digest(Path(source))
+        if (digest := _law(law, scenario.directory)) is not None:
+            yield f"law {place}", digest
     for name, table in (("reference.file", scenario.reference.options), ("device.motors.file", scenario.device.motors)):
         if isinstance(path := table.get("file"), str):
             yield name, _digest(scenario.directory / path)
+
+
+def _law(law: str, directory: Path) -> str | None:
+    """Return the hash of a law's code, None where its source is not there; what it imports is looked at once."""
+    file = directory / law.rpartition(":")[0]
+    if file.suffix != ".py" or not file.is_file():
+        return _law_at(law, directory, 0, 0)
+    now = file.stat()
+    return _law_at(law, directory, now.st_mtime_ns, now.st_size)
+
+
+@functools.lru_cache
+def _law_at(law: str, directory: Path, _mtime_ns: int, _size: int) -> str | None:
+    return law_sha256(law, directory)
 
 
 def _without_paths(tables: dict[str, Any]) -> None:

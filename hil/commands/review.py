@@ -162,7 +162,8 @@ def _print_two(found: Sequence[Mapping[str, Any]], rows: "Sequence[Difference]",
         print(f"  {note}")
     if changed:
         print()
-        shown = [(one.key, _short(one.first), _short(one.second)) for one in changed[:_CHANGES_SHOWN]]
+        rows_of = [one.words() for one in changed[:_CHANGES_SHOWN]]
+        shown = [(key, _short(one), _short(other)) for key, one, other in rows_of]
         report.print_table([("what is different", "first", "second"), *shown])
     if len(changed) > _CHANGES_SHOWN:
         print(f"{len(changed) - _CHANGES_SHOWN} more; --json and --html have them all")
@@ -177,6 +178,5 @@ def _difference_row(row: "Difference") -> tuple[str, ...]:
     return row.label, text(row.first, ".5g"), text(row.second, ".5g"), difference, ratio, row.verdict or ""
 
 
-def _short(value: object) -> str:
-    text = "-" if value is None else str(value)
+def _short(text: str) -> str:
     return text if len(text) <= _LONGEST_VALUE else f"{text[: _LONGEST_VALUE - 1]}…"

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, cast
 from hil.controllers.afdsc import Afdsc
 from hil.controllers.afdsc_corrected import AfdscCorrected
 from hil.controllers.afdsc_eso import AfdscEso
+from hil.controllers.code import code_of_file, code_of_module, forget
 from hil.controllers.computed_torque import ComputedTorque
 from hil.controllers.dsc import Dsc
 from hil.controllers.dsc_eso import DscEso
@@ -85,6 +86,19 @@ def forget_law(spec: str, base: Path) -> None:
     for name in (law.__module__, named):
         if not f"{name}.".startswith("hil."):
             sys.modules.pop(name, None)
+            forget(name)
+
+
+def law_sha256(spec: str, base: Path) -> str | None:
+    """Return the hash of a law's code (see ``hil.controllers.code``), None where its source is not there.
+
+    ``spec`` and ``base`` are those of ``load_law``, whose errors it does not raise. Executes nothing of the law.
+    """
+    if spec in SHIPPED:
+        return code_of_module(SHIPPED[spec].__module__)
+    value = next((point.value for point in _registered() if point.name == spec), spec)
+    location = value.rpartition(":")[0]
+    return code_of_file(base / location) if location.endswith(".py") else code_of_module(location)
 
 
 def make_controller(

@@ -12,7 +12,9 @@ from typing import Any, NamedTuple
 
 from firmware_protocol.generated.messages import State
 from firmware_protocol.host import library
+from hil.errors import BadInputError
 from hil.types import NAN, NAN_WHEELS, Wheels, make_wheels
+from native_build.built_from import NotCurrentError
 
 _STATES = {int(state): state for state in State}
 _unpack = struct.Struct("=2Q7I4f4H4B").unpack  # wheel_snapshot
@@ -51,10 +53,15 @@ class SnapshotReader:
         lost: gaps in the snapshots' numbers; 128 and more in a row go unseen.
         sequences: TICK.sequence of each TICK that the newest ``take`` took.
         step_done: the tick of the STEP_DONE that the newest ``take`` ended with, None where it did not.
+
+    Raises BadInputError when the host library cannot be loaded.
     """
 
     def __init__(self) -> None:
-        ffi, lib = library()
+        try:
+            ffi, lib = library()
+        except NotCurrentError as error:
+            raise BadInputError(str(error)) from error
         self._memory = ffi.new("uint64_t[]", lib.wheel_reader_size() // 8 + 1)
         self._reader = ffi.cast("wheel_reader *", self._memory)
         lib.wheel_reader_init(self._reader)

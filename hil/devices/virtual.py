@@ -27,6 +27,7 @@ from hil.plant.mapping import SignalMap
 from hil.plant.remote import RemotePlant
 from hil.plant.said import Said
 from hil.types import PoseFix
+from native_build.built_from import NotCurrentError
 
 # A stall of this machine is made up for in one burst up to here, as a robot would have moved on meanwhile. Beyond it
 # robot time slips, which is counted: a frozen machine is no robot any more.
@@ -104,7 +105,7 @@ class VirtualStm32:
                 lacks=functools.reduce(operator.or_, (_SENSORS[name] for name in plant.lacks), Capability(0)),
                 stored=self._stored,
             )
-        except (ValueError, FileNotFoundError) as error:
+        except (ValueError, NotCurrentError) as error:
             raise BadInputError(f"the virtual robot cannot start: {error}") from error
 
     def power_cycle(self) -> None:

@@ -5,36 +5,40 @@ from pathlib import Path
 
 import firmware_protocol.build
 import hil.plant.build
+import plant_fmu.built
 from hil.doctor.finding import Finding, ok, problem
 from hil.doctor.finding import note as note_of
 from hil.errors import BadInputError
 from hil.plant import archive
+from native_build.built_from import is_checkout
 from native_build.compiler import BuildError, compiler, version
 
-_CHECKOUT = Path(__file__).parents[2] / "pyproject.toml"
-_LIBRARIES = {
-    "firmware_protocol.build": (firmware_protocol.build.LIBRARY, firmware_protocol.build.is_fresh),
-    "hil.plant.build": (hil.plant.build.LIBRARY, hil.plant.build.is_fresh),
-}
+_NATIVE = (firmware_protocol.build.BUILT, hil.plant.build.BUILT, *plant_fmu.built.BUILT.values())
 
 
 def check() -> Iterator[Finding]:
-    """Yield the libraries, the plant FMU, and the compiler, which only who builds anew needs."""
-    for module, (library, is_fresh) in _LIBRARIES.items():
-        build = f"python -m {module}"
-        if not library.exists():
-            yield problem("native library", f"{library.name} is not built", build)
-        elif _CHECKOUT.exists() and not is_fresh():
-            yield problem("native library", f"{library.name} is older than its sources", build)
+    """Yield the libraries, the plant FMUs, and the compiler, which only who builds anew needs."""
+    for built in _NATIVE:
+        path = built.path
+        subject = "plant" if path.suffix == ".fmu" else "native library"
+        build = f"python -m {built.module}" if is_checkout() else "install the package anew"
+        if not path.is_file():
+            yield problem(subject, f"{path.name} is not built", build)
+        elif not built.is_current():
+            yield problem(subject, f"{path.name} was not built from the sources beside it", build)
+        elif subject == "plant":
+            yield from _platforms(path)
         else:
-            yield ok("native library", library.name)
-    try:
-        fmu = archive.locate("mecanum", Path())
-        yield ok("plant", f"{fmu.name}, for {', '.join(archive.platforms(fmu))}")
-    except BadInputError as error:
-        yield problem("plant", str(error), "hil fmu build")
+            yield ok(subject, path.name)
     try:
         command = compiler()
         yield ok("C compiler", version(command))
     except BuildError as error:
         yield note_of("C compiler", str(error), "sudo apt install gcc, or pip install ziglang; only builds need it")
+
+
+def _platforms(fmu: Path) -> Iterator[Finding]:
+    try:
+        yield ok("plant", f"{fmu.name}, for {', '.join(archive.platforms(fmu))}")
+    except BadInputError as error:
+        yield problem("plant", str(error), "hil fmu build")

@@ -8,6 +8,7 @@ from firmware_protocol.generated.messages import LENGTHS, NAMES, SENDERS
 from firmware_protocol.host_line import HostLine
 from hil.errors import BadInputError
 from hil.ports import Framing
+from native_build.built_from import NotCurrentError
 
 STANDARD_IDS = 0x7FF
 _NOTHING: Mapping[int, str] = MappingProxyType({})
@@ -67,7 +68,7 @@ def _wheel_framing() -> Framing:
     """Return the framing of our own protocol. Raises BadInputError where the library that it is in was not built."""
     try:
         return HostLine()
-    except FileNotFoundError as error:
+    except NotCurrentError as error:
         raise BadInputError(str(error)) from error
 
 

@@ -3,6 +3,7 @@
 Every refusal is a BadInputError of one sentence that names the file.
 """
 
+import functools
 import hashlib
 import re
 import zipfile
@@ -14,15 +15,18 @@ from xml.parsers import expat
 from hil.errors import BadInputError, nearest
 from hil.plant.unpacking import extract as extract
 from hil.plant.unpacking import opened, pieces, refuse_folder
+from native_build.built_from import NotCurrentError
 from plant_fmu import SHIPPED
 from plant_fmu import path as plant_path
+from plant_fmu.built import BUILT
 from plant_fmu.platforms import suffix, this_platform, word_size_name
 
 DESCRIPTIONS = ("modelDescription.xml", "sources/buildDescription.xml")  # all the XML that FMPy reads
 INTERFACES = {"CoSimulation": "co_simulation", "ModelExchange": "model_exchange"}  # that with the better first
 _MOST_DESCRIPTION_BYTES = 64 * 1024 * 1024
 LIBRARY_SUFFIX = suffix(this_platform())
-_BUILD = {"mecanum_mujoco": "hil fmu build --mujoco"}
+_WANTS_MORE = {SHIPPED["mecanum_mujoco"]: "hil fmu build --mujoco"}
+"""What is not built by itself when it is missing, for it takes a package that not everyone has; and its command."""
 
 
 class Header(NamedTuple):
@@ -52,18 +56,39 @@ class BrokenFmuError(BadInputError):
     """The FMU contradicts itself in a way that the standard forbids: nobody can run it, and a check fails it."""
 
 
+def place(name: str, directory: Path) -> Path:
+    """Return where the FMU of a scenario is to be: of a shipped name, or a path relative to ``directory``."""
+    return SHIPPED[name] if name in SHIPPED else directory / name
+
+
 def locate(name: str, directory: Path) -> Path:
     """Return the FMU of a scenario: a shipped name, or a path relative to ``directory``.
 
-    Raises BadInputError when there is none.
+    A shipped one that was not built from the sources beside it is built anew in a checkout. Raises BadInputError when
+    that cannot be done, and when there is none.
     """
-    path = SHIPPED[name] if name in SHIPPED else directory / name
+    path = place(name, directory)
     refuse_folder(path)
+    if is_ours(path) and (path.is_file() or path not in _WANTS_MORE):
+        _make_current(path)
     if path.is_file():
         return path
     if name in SHIPPED:
-        raise BadInputError(f"the shipped FMU {path} is not built; run: {_BUILD.get(name, 'hil fmu build')}")
+        raise BadInputError(f"the shipped FMU {path} is not built; run: {_WANTS_MORE[path]}")
     raise BadInputError(f"FMU {name!r} does not exist at {path}{nearest(name, SHIPPED)}")
+
+
+@functools.cache
+def _make_current(fmu: Path) -> None:
+    """Have an FMU of ours built anew where its sources have changed; once a process. Raises BadInputError."""
+    if fmu == SHIPPED["mecanum_mujoco"]:
+        from plant_fmu.mujoco.build import built
+    else:
+        built = next(one for one in BUILT.values() if one.path == fmu)
+    try:
+        built.make_current()
+    except NotCurrentError as error:
+        raise BadInputError(str(error)) from error
 
 
 def sha256(fmu: Path) -> str:

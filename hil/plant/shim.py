@@ -1,32 +1,59 @@
 """The C shim cosim.[ch] as cffi sees it, and how a wiring is laid out for it: one group of variables a type."""
 
 import functools
+import hashlib
 import re
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import Any, NamedTuple
 
 import cffi
 
 from hil.errors import BadInputError
-from hil.plant.build import HEADERS, LIBRARY
+from hil.plant.build import BUILT, HEADERS
 from hil.plant.mapping import Connection, Wiring
 from hil.plant_signals import OUTPUTS
+from native_build.built_from import NotCurrentError, digest_in_library
 
 _SECTION = re.compile(r"/\* cffi: begin \*/(.*?)/\* cffi: end \*/", re.DOTALL)
 _FMI2_TYPES = {"Real": "Float64", "Integer": "Int32"}
 _C_TYPES = {"Float64": "double", "Float32": "float"}
 
 
-@functools.cache
+class Loaded(NamedTuple):
+    """The shim as it was loaded.
+
+    Attributes:
+        ffi: of cffi. library: of cffi. sha256: of the file, in hex. sources_sha256: of the sources that it was built
+        from, None where it does not say.
+    """
+
+    ffi: Any
+    library: Any
+    sha256: str
+    sources_sha256: str | None
+
+
 def load() -> tuple[Any, Any]:
-    """Return cffi's (ffi, library) of the shim, with the declarations taken from the C headers themselves."""
-    if not LIBRARY.exists():
-        raise BadInputError(f"{LIBRARY} is not built; run: python -m hil.plant.build")
+    """Return cffi's (ffi, library) of the shim, with the declarations taken from the C headers themselves.
+
+    Raises BadInputError when it was not built from the sources beside it and cannot be built anew.
+    """
+    return loaded()[:2]
+
+
+@functools.cache
+def loaded() -> Loaded:
+    """Return what ``load`` does, and what was loaded. Raises as ``load``."""
+    try:
+        BUILT.make_current()
+    except NotCurrentError as error:
+        raise BadInputError(str(error)) from error
     ffi = cffi.FFI()
     for header in HEADERS:
         for section in _SECTION.findall(header.read_text(encoding="utf-8")):
             ffi.cdef(section)
-    return ffi, ffi.dlopen(str(LIBRARY))
+    digest = hashlib.sha256(BUILT.path.read_bytes()).hexdigest()
+    return Loaded(ffi, ffi.dlopen(str(BUILT.path)), digest, digest_in_library(BUILT.path))
 
 
 def connect(context: Any, wiring: Wiring, access: Callable[[str, str], Any]) -> list[object]:

@@ -1,5 +1,6 @@
 """Two runs side by side: the difference of every figure, which of the two is better, and what was different before."""
 
+import json
 import math
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
@@ -7,6 +8,7 @@ from typing import Any, NamedTuple
 from hil.figure_words import FIGURES
 from hil.review.figures import scenario_of
 from hil.review.reader import RecordedRun
+from hil.telemetry.names import HASH_LETTERS, HASHES, PROPERTY_WORDS
 
 _SAME = 1e-9
 # Neither less nor more of these is better.
@@ -38,6 +40,20 @@ class Change(NamedTuple):
     first: object
     second: object
 
+    def words(self) -> tuple[str, str, str]:
+        """Return the key and both values for a reader: what a hash is of, and as much of it as tells one from another.
+
+        An older recording has not every hash: of such it is not known whether the code was another.
+        """
+        if self.key not in HASHES:
+            return self.key, _text(self.first, "-"), _text(self.second, "-")
+        first, second = (_text(value, "not recorded")[:HASH_LETTERS] for value in (self.first, self.second))
+        return PROPERTY_WORDS[self.key], first, second
+
+
+def _text(value: object, nothing: str) -> str:
+    return nothing if value is None else str(value)
+
 
 _NESTED = (
     ("estimation error rms", "estimation_error.rms_m", "mm", 1e3),
@@ -67,13 +83,30 @@ def differences(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[Dif
 
 
 def changes(first: RecordedRun, second: RecordedRun) -> list[Change]:
-    """Return what the two runs do not share of scenario, seed, versions, commit and machine, the scenario first."""
-    scenarios = scenario_of(first), scenario_of(second)
-    about = [
-        {name: text for name, text in run.properties.items() if name not in ("scenario", "scenario_sources", "started")}
-        for run in (first, second)
-    ]
-    return [*_unequal(*scenarios), *_unequal(*about)]
+    """Return what the two runs do not share.
+
+    First come code, FMU, map and native libraries by their hashes, then the scenario with all options of the law, and
+    last seed, versions, commit and machine.
+    """
+    runs = first, second
+    hashes = [{name: run.properties[name] for name in HASHES if name in run.properties} for run in runs]
+    scenarios = [_gains_of(run) | scenario_of(run) for run in runs]
+    left_out = {"scenario", "scenario_sources", "started", "gains", *HASHES}
+    about = [{name: text for name, text in run.properties.items() if name not in left_out} for run in runs]
+    return [*sorted(_unequal(*hashes), key=_place), *_unequal(*scenarios), *_unequal(*about)]
+
+
+def _gains_of(run: RecordedRun) -> dict[str, object]:
+    """Return every option of a run's law, those left to their defaults too, by the scenario's keys."""
+    try:
+        gains = json.loads(run.properties.get("gains", "{}"))
+    except ValueError:
+        return {}
+    return {f"controller.gains.{name}": value for name, value in gains.items()} if isinstance(gains, dict) else {}
+
+
+def _place(change: Change) -> int:
+    return HASHES.index(change.key)
 
 
 def _differences(first: Mapping[str, Any], second: Mapping[str, Any]) -> Iterator[Difference]:

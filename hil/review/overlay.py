@@ -145,7 +145,7 @@ def _times(t_s: Series) -> "rr.TimeColumn":
 def _about(labels: Sequence[str], runs: Sequence[RecordedRun]) -> str:
     """Return a page that says which runs these are, and what was different from the beginning."""
     lines = [f"- **{label}**: {run.path}" for label, run in zip(labels, runs, strict=True)]
-    table = [f"| {key} | {one!s:.24} | {other!s:.24} |" for key, one, other in changes(*runs)]
+    table = [f"| {key} | {one:.24} | {other:.24} |" for key, one, other in (row.words() for row in changes(*runs))]
     return "\n".join([*lines, "", "| different | first | second |", "|---|---|---|", *table, ""])
 
 

@@ -161,7 +161,7 @@ def _scenario(labels: Sequence[str], runs: Sequence[RecordedRun]) -> Iterator[st
     """Yield every value of the scenario with where it was given; of two runs, what differs comes first."""
     if len(runs) > 1:
         yield "<h2>What is different</h2>"
-        rows = [(change.key, _value(change.first), _value(change.second)) for change in changes(*runs)]
+        rows = [change.words() for change in changes(*runs)]
         cells = [tuple(map(escape, row)) for row in rows]
         yield from table(("", *map(escape, labels)), cells) if cells else ["<p>Nothing.</p>"]
     for label, run in zip(labels, runs, strict=True):

@@ -19,6 +19,7 @@ from hil.service.messages import MOVING, Action, Answer, Order
 from hil.service.pilot import Pilot
 from hil.service.records import Records, finished, recording_of
 from hil.telemetry import Recording
+from hil.telemetry.provenance import law_ingredients
 from hil.types import Pose
 
 Result = Mapping[str, Any]
@@ -29,8 +30,8 @@ Then = Callable[[Any], Result]
 class Desk:
     """Has orders done, and answers each by ``answer``.
 
-    ``signals`` are those of a row. ``reload`` loads the configuration again; ``beside`` does one thing at a time, in
-    order.
+    ``made_of`` are the ``ingredients`` of the parts that are served, ``signals`` those of a row. ``reload`` loads the
+    configuration again; ``beside`` does one thing at a time, in order.
 
     Attributes:
         shutdown: whether the service was asked to end.
@@ -39,6 +40,7 @@ class Desk:
     def __init__(
         self,
         scenario: Scenario,
+        made_of: Mapping[str, str],
         signals: Sequence[str],
         pilot: Pilot,
         records: Records,
@@ -47,6 +49,7 @@ class Desk:
         beside: Executor,
     ) -> None:
         self._scenario = scenario
+        self._made_of = dict(made_of)
         self._pilot = pilot
         self._records = records
         self._answer = answer
@@ -174,13 +177,14 @@ class Desk:
             wanted, now = order.arguments["gains"], self._scenario.controller
             gains = self._reload_gains() if wanted is None else {**now.gains, **wanted}
             tables = self._scenario.model_copy(update={"controller": now.model_copy(update={"gains": gains})})
-            return tables, make_laws(tables, tables.directory)
+            return tables, make_laws(tables, tables.directory), law_ingredients(tables)
 
         def then(made: Any) -> Result:
-            scenario, laws = made
+            scenario, laws, made_of = made
             if laws.signals != self._signals:
                 raise BadInputError("these gains change what the law records; restart the service to use them")
             self._scenario = scenario
+            self._made_of |= made_of
             self._pilot.use(laws)
             return {"gains": dict(self._scenario.controller.gains)}
 
@@ -199,12 +203,14 @@ class Desk:
         if self._are_records_busy or self._records.path is not None:
             raise BadInputError(f"{self._records.path or 'a recording'} is being written; stop that first")
         wanted, force = order.arguments["path"], bool(order.arguments["force"])
+        made_of = dict(self._made_of)
 
         def make() -> Recording:
             if wanted is None:
                 path = new_in_runs(self._scenario.name, ".rrd", "name a file")
-                return recording_of(self._scenario, self._signals, path, existing="number")
-            return recording_of(self._scenario, self._signals, Path(wanted), existing=existing_files(force=force))
+                return recording_of(self._scenario, self._signals, path, existing="number", made_of=made_of)
+            existing = existing_files(force=force)
+            return recording_of(self._scenario, self._signals, Path(wanted), existing=existing, made_of=made_of)
 
         def then(recording: Any) -> Result:
             self._records.begin(recording)

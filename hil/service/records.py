@@ -65,15 +65,18 @@ def recording_of(
     path: Path | None,
     live_port: int | None = None,
     existing: Existing = "refuse",
+    *,
+    made_of: Mapping[str, str],
 ) -> Recording:
     """Start a recording of a service: to a file, or for live viewers alone; takes longer than a tick.
 
+    ``made_of`` are the ``ingredients`` of the service's parts, for files may have changed since these were made.
     ``existing`` says what is done where the file is there already; that another name was taken is logged. Raises
     BadInputError and DeviceError as ``Recording``.
     """
     recording = Recording(
         path,
-        properties=properties(scenario),
+        properties=properties(scenario, made_of),
         blocking=False,
         live_port=live_port,
         signals=signals,

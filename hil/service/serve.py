@@ -3,7 +3,7 @@
 import contextlib
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,6 +33,7 @@ from hil.service.records import Records, finished, recording_of
 from hil.service.systemd import Notifier
 from hil.signals import LoopSignals
 from hil.telemetry import Recording
+from hil.telemetry.provenance import ingredients
 from hil.telemetry.view import live_hint
 from hil.tick_watch import TickWatch
 from hil.types import NAN
@@ -93,22 +94,31 @@ def serve(scenario: Scenario, options: Options, reload: Callable[[], Scenario]) 
         resources.enter_context(device_held(parse_link(scenario.link.url), f"hil serve {scenario.name}"))
         notifier = Notifier()
         resources.callback(notifier.close)
-        records = Records(_live(scenario, parts, options, resources))
+        made_of = ingredients(scenario)
+        records = Records(_live(scenario, parts, options, resources, made_of))
         if options.record is not None:
-            records.begin(recording_of(scenario, parts.laws.signals, options.record, existing="number"))
+            records.begin(
+                recording_of(scenario, parts.laws.signals, options.record, existing="number", made_of=made_of)
+            )
         resources.callback(_finish, records)
         api = ApiChild(_api_config(scenario, options))
         resources.callback(api.close)
-        service = _Service(scenario, options, parts, records, api, notifier, ending)
+        service = _Service(scenario, made_of, options, parts, records, api, notifier, ending)
         service.run(reload)
         notifier.stopping()
         logs.info("service ends")
 
 
-def _live(scenario: Scenario, parts: PartsOf, options: Options, resources: contextlib.ExitStack) -> Recording | None:
+def _live(
+    scenario: Scenario,
+    parts: PartsOf,
+    options: Options,
+    resources: contextlib.ExitStack,
+    made_of: Mapping[str, str],
+) -> Recording | None:
     if options.live_port is None:
         return None
-    live = resources.enter_context(recording_of(scenario, parts.laws.signals, None, options.live_port))
+    live = resources.enter_context(recording_of(scenario, parts.laws.signals, None, options.live_port, made_of=made_of))
     logs.info(live_hint(options.live_port))
     return live
 
@@ -133,6 +143,7 @@ class _Service:
     def __init__(
         self,
         scenario: Scenario,
+        made_of: Mapping[str, str],
         options: Options,
         parts: PartsOf,
         records: Records,
@@ -141,6 +152,7 @@ class _Service:
         ending: _Ending,
     ) -> None:
         self._scenario = scenario
+        self._made_of = made_of
         self._options = options
         self._parts = parts
         self._records = records
@@ -165,7 +177,7 @@ class _Service:
             if self._estop_owed:
                 pilot.estop()
             signals = self._parts.laws.signals
-            desk = Desk(self._scenario, signals, pilot, self._records, self._api.send, reload, beside)
+            desk = Desk(self._scenario, self._made_of, signals, pilot, self._records, self._api.send, reload, beside)
             resources.callback(desk.end)
             resources.callback(bench.device.disarm)
             if (said := bench.said) is not None:

@@ -16,6 +16,36 @@ The last two count the run's rows and events from 0: one that is in two parts, f
 say that it had written it, is taken from the later part.
 """
 
+PROPERTY_WORDS = {
+    "scenario_name": "scenario",
+    "law": "law",
+    "command": "commands by",
+    "mode": "time",
+    "link": "link",
+    "seed": "seed",
+    "started": "started",
+    "mecanum_hil": "version",
+    "rerun_sdk": "version of rerun",
+    "python": "version of Python",
+    "gains": "options of the law",
+    "law_sha256": "code of the law",
+    "shadow_laws_sha256": "code of the shadow laws",
+    "fmu_sha256": "FMU",
+    "map_sha256": "map of the FMU",
+    "reference_file_sha256": "file of the reference",
+    "motors_file_sha256": "file of the motors",
+    "wheel_host_sources_sha256": "sources of the firmware (wheel_host)",
+    "cosim_sources_sha256": "sources of the FMU's shim (cosim)",
+    "wheel_host_sha256": "native library wheel_host",
+    "cosim_sha256": "native library cosim",
+    "scenario_sha256": "scenario with all values",
+}
+"""What the properties of a recording are called for a reader (see ``hil.telemetry.provenance``)."""
+HASHES = tuple(name for name in PROPERTY_WORDS if name.endswith("_sha256") and name != "scenario_sha256")
+"""Of these, the hashes of what the run was made of, in the order in which a reader wants them."""
+HASH_LETTERS = 12
+"""As much of a hash as tells one from another."""
+
 
 def state_names() -> dict[int, str]:
     """Return the names of the robot's states by number (DBC TICK.state)."""

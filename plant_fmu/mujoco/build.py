@@ -11,8 +11,10 @@ import sys
 import tempfile
 from pathlib import Path
 
+from native_build.built_from import Built
 from native_build.compiler import FLAGS, BuildError, compile_shared, compiler, version
 from plant_fmu import c_header, description2, generate, mujoco, pack, platforms, tables
+from plant_fmu.built import comment_of, sources_of
 from plant_fmu.mujoco import definition
 
 HERE = Path(__file__).parent
@@ -23,6 +25,7 @@ SOURCES = (
     HERE / "robot.c",
 )
 HEADERS = (*sorted(SHARED.glob("*.h")), HERE / "robot.h", HERE / "state.h")
+built = Built(mujoco.path(), "plant_fmu.mujoco", (*SOURCES, *HEADERS, *definition.PARTS), FLAGS, sources_of)
 LICENSE = SHARED / "documentation" / "licenses" / "license.txt"
 PAGE, TABLE = HERE / "documentation.html", "<!-- variables -->"
 
@@ -43,8 +46,8 @@ def build(out: Path | None = None, cc: str | None = None) -> Path:
         "mecanum_variables.h": c_header.c_header(variables, guid),
         "documentation/index.html": PAGE.read_text(encoding="utf-8").replace(TABLE, tables.html_tables(variables)),
     }
-    inputs = _digest(compiler(cc), library, texts)
-    if pack.comment_of(out) == inputs:
+    inputs = f"{_digest(compiler(cc), library, texts)} {built.digest()}"
+    if comment_of(out) == inputs:
         return out
     with tempfile.TemporaryDirectory(prefix="plant_fmu_mujoco_") as folder:
         header = Path(folder) / "mecanum_variables.h"

@@ -17,6 +17,7 @@ from hil.devices.virtual import TruthSink, VirtualRobot, VirtualServer, VirtualS
 from hil.errors import BadInputError, nearest
 from hil.links.url import CanUrl, LinkUrl
 from hil.links.wire import Wire
+from native_build.built_from import NotCurrentError
 from native_build.compiler import BuildError
 
 TARGETS: Mapping[str, str] = {
@@ -53,7 +54,7 @@ class EmulatedStm32(VirtualStm32):
     def _power_on(self) -> Board:
         try:
             stored = self._stored or stored_parameters(self._made_of.firmware, HIL_BOARD)
-        except (ValueError, FileNotFoundError) as error:
+        except (ValueError, NotCurrentError) as error:
             raise BadInputError(f"the virtual robot cannot start: {error}") from error
         faults = self.faults
         # A file only for as long as the board takes it in: a process that is killed later leaves none behind.

@@ -1,0 +1,115 @@
+"""The hash of a law's code, so that a recording tells which code drove the robot.
+
+It covers the file in which the law is, and every module that this imports, directly or through others, from the same
+place: for a law in a file from the file's own folder, for a law in a package from that package. What comes from
+elsewhere, NumPy for one, is not covered.
+"""
+
+import ast
+import hashlib
+from collections.abc import Iterator
+from importlib.machinery import EXTENSION_SUFFIXES
+from importlib.util import find_spec
+from pathlib import Path
+from typing import NamedTuple
+
+_OURS = "hil"
+_held: dict[Path, bytes] = {}
+"""What modules held when they were first looked at: Python imports each once, whatever becomes of its file."""
+
+
+class _Place(NamedTuple):
+    """Where modules are looked for: below a folder, and only those of one package, or all but ours."""
+
+    folder: Path
+    package: str | None
+
+    def file_of(self, module: str) -> Path | None:
+        """Return the file of a module by its dotted name, None for one that is not from here."""
+        top = module.partition(".")[0]
+        if top != self.package if self.package is not None else top == _OURS:
+            return None
+        path = self.folder.joinpath(*module.split("."))
+        files = (path / "__init__.py", *(path.with_name(path.name + suffix) for suffix in (".py", *EXTENSION_SUFFIXES)))
+        return next((file for file in files if file.is_file()), None)
+
+
+def code_of_file(file: Path) -> str | None:
+    """Return the SHA-256 of a law in a file, in hex; None where it cannot be read.
+
+    A file that imports nothing from its folder has the hash that ``sha256sum`` prints.
+    """
+    # This file alone is executed anew whenever the law is made.
+    _held.pop(file, None)
+    return _digest(_Place(file.parent, None), file, file.stem)
+
+
+def code_of_module(module: str) -> str | None:
+    """Return the SHA-256 of a law in a module, in hex; None where its source is not there. Executes nothing."""
+    package = module.partition(".")[0]
+    try:
+        found = find_spec(package)
+    except (ImportError, ValueError):
+        return None
+    if found is None or found.origin is None:
+        return None
+    origin = Path(found.origin)
+    folder = origin.parents[1] if found.submodule_search_locations is not None else origin.parent
+    place = _Place(folder, package)
+    file = place.file_of(module)
+    return None if file is None else _digest(place, file, module)
+
+
+def forget(module: str) -> None:
+    """Have the file of a module read anew, for the module will be executed anew."""
+    for file in [file for file in _held if file.stem == module.rpartition(".")[2]]:
+        del _held[file]
+
+
+def _digest(place: _Place, first: Path, name: str) -> str | None:
+    files: dict[Path, str] = {}
+    wanted = [(first, name)]
+    try:
+        while wanted:
+            file, module = wanted.pop()
+            if file in files:
+                continue
+            content = _content(file)
+            files[file] = hashlib.sha256(content).hexdigest()
+            if file.suffix == ".py":
+                imported = _imports(content, module, is_package=file.name == "__init__.py")
+                wanted += [(other, name) for name in imported if (other := place.file_of(name)) is not None]
+    except OSError:
+        return None
+    if len(files) == 1:
+        return files[first]
+    rows = sorted(f"{file.relative_to(place.folder).as_posix()} {digest}" for file, digest in files.items())
+    return hashlib.sha256("\n".join(rows).encode()).hexdigest()
+
+
+def _content(file: Path) -> bytes:
+    if file not in _held:
+        _held[file] = file.read_bytes()
+    return _held[file]
+
+
+def _imports(content: bytes, module: str, *, is_package: bool) -> Iterator[str]:
+    """Yield the dotted names that a module may import, but for those that only a type checker reads."""
+    package = module if is_package else module.rpartition(".")[0]
+    try:
+        waiting: list[ast.AST] = [ast.parse(content)]
+    except (SyntaxError, ValueError):
+        return
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            above = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
+            source = ".".join([*above, *([node.module] if node.module else [])])
+            yield source
+            yield from (f"{source}.{alias.name}" for alias in node.names)
+        elif isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test):
+            waiting += node.orelse
+        else:
+            waiting += ast.iter_child_nodes(node)

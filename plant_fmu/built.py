@@ -1,0 +1,71 @@
+"""What an FMU of ours is made of that decides how it runs, and whether the one that is there was built from that.
+
+Every process with a plant asks this, so that it imports nothing that only building needs. Documents and reference
+results are in the FMU too, and change no run.
+"""
+
+import zipfile
+from pathlib import Path
+
+import plant_fmu
+from native_build.built_from import Built
+from native_build.compiler import FLAGS
+
+HERE = Path(__file__).parent
+GENERATED = HERE / "generated"
+DEFINITION = HERE / "variables.toml"
+SOURCE_FILES = (
+    "fmi2.c",
+    "fmi3.c",
+    "fmi3_unclaimed.c",
+    "instance.c",
+    "saved_state.c",
+    "mecanum.c",
+    "mecanum_physics.c",
+    "model.c",
+    "motor.c",
+    "contact.c",
+    "counter.c",
+    "friction.c",
+    "sensors.c",
+)
+SOURCES = tuple(HERE / name for name in SOURCE_FILES)
+HEADERS = (*sorted(HERE.glob("*.h")), *sorted(GENERATED.glob("*.h")))
+# What each version's archive has beside what both have: member -> file.
+DESCRIPTIONS = {
+    2: {"modelDescription.xml": GENERATED / "fmi2" / "modelDescription.xml"},
+    3: {
+        "modelDescription.xml": GENERATED / "fmi3" / "modelDescription.xml",
+        "terminalsAndIcons/terminalsAndIcons.xml": GENERATED / "fmi3" / "terminalsAndIcons.xml",
+    },
+}
+
+
+def comment_of(archive: Path) -> str | None:
+    """Return the comment of an archive, None when the file is none."""
+    if not zipfile.is_zipfile(archive):
+        return None
+    with zipfile.ZipFile(archive) as opened:
+        return opened.comment.decode("ascii", "replace")
+
+
+def sources_of(archive: Path) -> str | None:
+    """Return the hash of the sources from which an FMU of ours was built; None where its comment has none.
+
+    The comment has two hashes: of all that the archive was made from, the compiler among it, and of its sources alone.
+    """
+    words = (comment_of(archive) or "").split()
+    return words[1] if len(words) == 2 else None
+
+
+BUILT = {
+    fmi: Built(
+        plant_fmu.path(fmi),
+        "plant_fmu.build",
+        (*SOURCES, *HEADERS, DEFINITION, *descriptions.values()),
+        FLAGS,
+        sources_of,
+    )
+    for fmi, descriptions in DESCRIPTIONS.items()
+}
+"""By the FMI version."""

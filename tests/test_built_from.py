@@ -1,0 +1,173 @@
+"""What runs was built from the sources beside it, by hash; else it is built anew, or refused in a sentence."""
+
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+import firmware_protocol.build
+import hil.plant.build
+import native_build.built_from
+from firmware_protocol import host
+from hil.cli import app
+from hil.errors import BadInputError
+from hil.plant import archive, shim
+from hil.review import read
+from native_build.built_from import Built, NotCurrentError, digest_in_library
+from plant_fmu.built import BUILT as PLANTS
+from tests.processes import ROOT
+
+EDITED = """
+import ctypes
+from hil.plant.build import BUILT
+from native_build.built_from import NotCurrentError
+try:
+    BUILT.make_current()
+except NotCurrentError as error:
+    print(error)
+else:
+    print(hasattr(ctypes.CDLL(str(BUILT.path)), "edited"))
+"""
+ALL = [firmware_protocol.build.BUILT, hil.plant.build.BUILT, *PLANTS.values()]
+
+
+@pytest.fixture
+def checkout(tmp_path: Path) -> Path:
+    """A checkout of the FMU's shim alone, with its library."""
+    port = hil.plant.build.PLANT_PORT.relative_to(ROOT)
+    for path in (Path("hil/__init__.py"), Path("pyproject.toml"), port):
+        (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / path, tmp_path / path)
+    for package in ("native_build", "hil/plant"):
+        shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
+    return tmp_path
+
+
+def started(folder: Path) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-c", EDITED],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONPATH": str(folder)},
+        cwd=folder,
+    )
+
+
+def said(process: subprocess.Popen[str]) -> tuple[str, str]:
+    """Return what a process has printed on stdout and stderr by its end."""
+    output, errors = process.communicate(timeout=120)
+    assert process.returncode == 0, errors
+    return output.strip(), errors.strip()
+
+
+def test_edited_sources_are_what_runs(checkout: Path) -> None:
+    source = checkout / "hil/plant/derive.c"
+    os.utime(source)  # newer than the library, and the same: git and copies do that
+    assert said(started(checkout)) == ("False", "")
+
+    with source.open("a", encoding="utf-8") as file:
+        file.write("int edited(void);\nint edited(void) { return 1; }\n")
+    os.utime(source, (0, 0))  # older than the library
+    told = [said(process) for process in (started(checkout), started(checkout))]  # both build it at the same time
+    assert [output for output, _ in told] == ["True", "True"]
+    for _, errors in told:
+        what = f"{hil.plant.build.BUILT.path.name} was not built from the sources beside it"
+        assert errors in ("", f"{what}: running python -m hil.plant.build")
+    assert list((checkout / "hil/plant").glob(".*")) == [], "nothing half built is left"
+
+    source.write_text("this is no C\n", encoding="utf-8")
+    output, _ = said(started(checkout))
+    assert "was not built from the sources beside it, and python -m hil.plant.build could not build it:" in output
+    assert "derive.c" in output
+    (checkout / "pyproject.toml").unlink()  # as in site-packages
+    output, errors = said(started(checkout))
+    assert "and this is no checkout in which it could be; install the package anew" in output
+    assert errors == ""
+
+
+@pytest.mark.parametrize("built", ALL, ids=lambda built: built.path.name)
+def test_what_is_there_is_current_until_a_source_changes(built: Built, tmp_path, monkeypatch) -> None:
+    assert built.is_current()
+    assert built.read(built.path) == built.digest()
+    monkeypatch.setattr(native_build.built_from, "ROOT", tmp_path)
+    copies = []
+    for source in built.sources:
+        copies.append(tmp_path / source.relative_to(ROOT))
+        copies[-1].parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(source, copies[-1])
+    copied = built._replace(sources=tuple(copies))
+    assert copied.is_current()
+    for copy in (copies[0], copies[-1]):
+        content = copy.read_bytes()
+        copy.write_bytes(content + b"\n")
+        assert not copied.is_current()
+        copy.write_bytes(content)
+        assert copied.is_current()
+    copies[0].unlink()
+    assert not copied.is_current()
+    assert not copied._replace(recipe=(*built.recipe, "-ffast-math")).is_current()
+    assert copied._replace(sources=(tmp_path / "none.c",)).is_current(), "without sources there is nothing to compare"
+
+
+@pytest.fixture
+def installed_with_other_sources(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Have every native part be one that was not built from the sources beside it, outside a checkout."""
+    others = [built._replace(recipe=("another",)) for built in ALL]
+    monkeypatch.setattr(native_build.built_from, "is_checkout", lambda: False)
+    monkeypatch.setattr(host, "BUILT", others[0])
+    monkeypatch.setattr(shim, "BUILT", others[1])
+    monkeypatch.setattr(archive, "BUILT", dict(zip(PLANTS, others[2:], strict=True)))
+    caches = (host.loaded, host.parameters, shim.loaded, archive._make_current)
+    for cache in caches:
+        cache.cache_clear()
+    yield
+    for cache in caches:
+        cache.cache_clear()
+
+
+@pytest.mark.usefixtures("installed_with_other_sources")
+def test_what_cannot_be_built_anew_is_refused_in_a_sentence() -> None:
+    done = CliRunner().invoke(app, ["run", "circle_speed", "--record", "none"])
+    assert isinstance(done.exception, BadInputError)
+    for load in (shim.load, lambda: archive.locate("mecanum", Path()), lambda: archive.locate("mecanum_fmi3", Path())):
+        with pytest.raises(BadInputError, match="was not built from the sources beside it, and this is no checkout"):
+            load()
+    with pytest.raises(NotCurrentError, match=r"libwheel_host\.\w+ was not built from the sources beside it"):
+        host.library()
+
+
+def test_a_library_built_in_another_way_is_taken_as_it_is(tmp_path, monkeypatch) -> None:
+    path = tmp_path / "libother.so"
+    path.write_bytes(firmware_protocol.build.BUILT.path.read_bytes() + b"\0")
+    monkeypatch.setattr(host, "OTHER", str(path))
+    host.loaded.cache_clear()
+    try:
+        assert host.loaded().sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+        path.unlink()
+        host.loaded.cache_clear()
+        with pytest.raises(NotCurrentError, match="leave WHEEL_HOST_LIBRARY out"):
+            host.library()
+    finally:
+        host.loaded.cache_clear()
+
+
+def test_a_library_without_a_mark_says_nothing_of_its_sources(tmp_path: Path) -> None:
+    (tmp_path / "lib.so").write_bytes(b"native_build sources of old")
+    assert digest_in_library(tmp_path / "lib.so") is None
+
+
+def test_a_recording_names_each_native_library(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    hil.run("circle_speed", set={"loop.duration_s": 0.1, "expect": []}, record=path)
+    properties = read(path).properties
+    for name, built in (("wheel_host", firmware_protocol.build.BUILT), ("cosim", hil.plant.build.BUILT)):
+        assert properties[f"{name}_sha256"] == hashlib.sha256(built.path.read_bytes()).hexdigest()
+        assert properties[f"{name}_sources_sha256"] == built.digest()
+    assert properties["fmu_sha256"] == archive.sha256(PLANTS[2].path)
