@@ -1,5 +1,6 @@
 """Where signals lie in a recording, and how series are thinned."""
 
+import json
 import subprocess
 import sys
 
@@ -7,10 +8,13 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+import hil
 from hil.fuzzy import FIRING
 from hil.signals import SIGNAL_NAMES, unit_of
 from hil.telemetry.decimate import Decimator
 from hil.telemetry.layout import layout
+from hil.telemetry.page import page
+from hil.telemetry.provenance import properties
 
 AXES = ("x", "y", "heading")
 
@@ -65,3 +69,19 @@ def test_the_run_s_side_imports_nothing_heavy() -> None:
     code = f"import hil.telemetry, hil.telemetry.view, hil.review, hil.metrics, sys; sys.exit(str({heavy} or 0))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.stderr.strip() == "0"
+
+
+def test_the_page_of_a_run_has_words_and_units() -> None:
+    result = hil.run("circle_speed", set={"loop.duration_s": 0.1, "expect": []})
+    told = page(properties(result.scenario), json.loads(json.dumps(result.metrics)))
+    raw = {*result.metrics, *properties(result.scenario)} - {"law", "link", "seed", "mode", "started", "python"}
+    raw -= {"passed", "ticks", "effort", "overshoot", "frames", "machine", "commit", "failure", "scenario"}
+    labels = {line.split("|")[1].strip() for line in told.splitlines() if line.startswith("|")}
+    assert not labels & raw, "names of the JSON are no words"
+    assert "| passed | yes |" in told
+    assert "| ticks | 20 |" in told
+    assert " N·m·s |" in told
+    assert "[]" not in told
+    assert "| options of the law | k1_1_s = " in told
+    assert all(line.count("|") == 3 for line in told.splitlines() if line.startswith("|"))
+    assert "a\\|b c" in page({"replay": "a|b\nc"}, {})

@@ -1,25 +1,48 @@
-"""The page of a recording that says what the run was, and in the end what came of it."""
+"""The page of a recording that says what the run was, and in the end what came of it, in words and units."""
 
-from collections.abc import Mapping
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
 
-_LONGEST_CELL = 80
+from hil.figure_words import belief_rows, figure_rows, link_rows, outcome_rows
+from hil.telemetry.names import HASH_LETTERS, PROPERTY_WORDS
 
-
-def page(properties: Mapping[str, str], summary: Mapping[str, object] | None) -> str:
-    """Return the page as Markdown: the figures, when there are any, and the properties that fit a line."""
-    text = _table("run", properties)
-    return text if summary is None else _table("figure", summary) + "\n" + text
-
-
-def _table(title: str, values: Mapping[str, object]) -> str:
-    cells = {name: _cell(value) for name, value in values.items() if value is not None}
-    rows = [f"| {name} | {cell} |" for name, cell in cells.items() if len(cell) <= _LONGEST_CELL]
-    return "\n".join([f"| {title} | |", "|---|---|", *rows, ""])
+_LEFT_OUT = frozenset({"scenario", "scenario_sources"})
+"""Of the properties, those that have hundreds of values; ``hil show`` and ``hil review --html`` list them."""
 
 
-def _cell(value: object) -> str:
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    if isinstance(value, Mapping):
-        return ", ".join(f"{name} {_cell(one)}" for name, one in value.items())
-    return str(value)
+def page(properties: Mapping[str, str], summary: Mapping[str, Any] | None) -> str:
+    """Return the page as Markdown: the figures, when there are any, and what the run was."""
+    text = _table("run", _about(properties))
+    return text if not summary else _table("figure", _figures(summary)) + "\n" + text
+
+
+def _figures(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield what ``hil run`` prints, the verdict first."""
+    if (passed := summary.get("passed")) is not None:
+        yield "passed", "yes" if passed else "no"
+    if summary.get("failure") is not None:
+        yield "failure", str(summary["failure"])
+    for rows in (outcome_rows, figure_rows, belief_rows, link_rows):
+        yield from rows(summary)
+
+
+def _about(properties: Mapping[str, str]) -> Iterator[tuple[str, str]]:
+    for name, text in properties.items():
+        if name in _LEFT_OUT:
+            continue
+        label = PROPERTY_WORDS.get(name, name.replace("_", " "))
+        if name in ("gains", "shadow_laws_sha256"):
+            yield label, ", ".join(f"{key} = {value}" for key, value in json.loads(text).items()) or "none"
+        else:
+            yield label, text[:HASH_LETTERS] if name.endswith("_sha256") else text
+
+
+def _table(title: str, rows: Iterable[tuple[str, str]]) -> str:
+    lines = [f"| {_cell(label)} | {_cell(text)} |" for label, text in rows]
+    return "\n".join([f"| {title} | |", "|---|---|", *lines, ""])
+
+
+def _cell(text: str) -> str:
+    """Return a text that neither ends its cell nor its row."""
+    return text.replace("|", "\\|").replace("\n", " ")
