@@ -50,10 +50,10 @@ def test_a_failed_expectation_tells_what_when_and_how_to_go_on(suite: pytest.Pyt
     done.stdout.fnmatch_lines(
         [
             "*_ scenario strict _*",
-            "expectation: error.planar_m below 0.001 from 0.1 s to the end: failed, 0.* at t = 0.1 s; worst 0.* in all",
+            "expectation: error.planar_m below 0.001 from 0.1 s to the end: failed, 0.* at t = 0.1 s; worst 0.*",
             "",
             "  scenario     strict.hil.toml, lockstep, memory:, seed 7",
-            "  expectation  error.planar_m below 0.001 from 0.1 s to the end: failed, 0.* at t = 0.1 s; worst 0.* in all",
+            "  expectation  error.planar_m below 0.001 from 0.1 s to the end: failed, 0.* at t = 0.1 s; worst 0.*",
             "  recording    *strict.rrd",
             "  look at it   hil view *strict.rrd",
             "               hil review *strict.rrd",
