@@ -22,7 +22,12 @@ SOURCES = (
 FLAGS = (*native_build.compiler.FLAGS, "-Wdouble-promotion")
 HEADERS = tuple(header for folder in ("firmware", "port/host", "generated") for header in (HERE / folder).glob("*.h"))
 BUILT = Built(
-    HERE / f"libwheel_host{SUFFIX}", "firmware_protocol.build", (*SOURCES, *HEADERS), FLAGS, digest_in_library
+    HERE / f"libwheel_host{SUFFIX}",
+    HERE.parent,
+    "firmware_protocol.build",
+    (*SOURCES, *HEADERS),
+    FLAGS,
+    digest_in_library,
 )
 # A library built in another way, to measure what tests cover or notice, takes the place of this one when it is loaded.
 OTHER = os.environ.get("WHEEL_HOST_LIBRARY")

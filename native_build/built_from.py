@@ -12,8 +12,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-ROOT = Path(__file__).parents[1]
-"""Where the packages are: of a checkout its top, else site-packages."""
 _PREFIX = "native_build sources "
 
 
@@ -26,6 +24,7 @@ class Built(NamedTuple):
 
     Attributes:
         path: the library or FMU.
+        root: where the packages are, the top of a checkout or site-packages.
         module: what builds it, as in ``python -m MODULE``.
         sources: the files that it is made of.
         recipe: what else decides what it does, such as the flags of the compiler.
@@ -33,6 +32,7 @@ class Built(NamedTuple):
     """
 
     path: Path
+    root: Path
     module: str
     sources: tuple[Path, ...]
     recipe: tuple[str, ...]
@@ -46,12 +46,16 @@ class Built(NamedTuple):
         digest = hashlib.sha256("\0".join(self.recipe).encode())
         for source in there:
             content = source.read_bytes()
-            digest.update(f"\0{source.relative_to(ROOT).as_posix()}\0{len(content)}\0".encode() + content)
+            digest.update(f"\0{source.relative_to(self.root).as_posix()}\0{len(content)}\0".encode() + content)
         return digest.hexdigest()
 
     def is_current(self) -> bool:
         """Tell whether the file is there and was built from these sources, as far as these are there."""
         return self.path.is_file() and self.digest() in (None, self.read(self.path))
+
+    def is_checkout(self) -> bool:
+        """Tell whether the sources are those of a checkout, and not installed ones."""
+        return (self.root / "pyproject.toml").is_file()
 
     def make_current(self) -> None:
         """Build the file anew unless it is current, in a process of its own, which says so on stderr.
@@ -62,22 +66,17 @@ class Built(NamedTuple):
         if self.is_current():
             return
         problem = "was not built from the sources beside it" if self.path.is_file() else "is not built"
-        if not is_checkout():
+        if not self.is_checkout():
             raise NotCurrentError(
                 f"{self.path} {problem}, and this is no checkout in which it could be; install the package anew"
             )
         print(f"{self.path.name} {problem}: running python -m {self.module}", file=sys.stderr)
         command = [sys.executable, "-m", self.module]
-        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, errors="replace", check=False)
+        done = subprocess.run(command, cwd=self.root, capture_output=True, text=True, errors="replace", check=False)
         # Another process may have done it meanwhile: Windows lets nobody replace a library that is loaded.
         if not self.is_current():
             words = done.stderr.strip() or f"it ended with exit code {done.returncode}"
             raise NotCurrentError(f"{self.path} {problem}, and python -m {self.module} could not build it: {words}")
-
-
-def is_checkout() -> bool:
-    """Tell whether these packages are those of a checkout, and not installed ones."""
-    return (ROOT / "pyproject.toml").is_file()
 
 
 def mark(digest: str) -> str:

@@ -61,6 +61,7 @@ def sources_of(archive: Path) -> str | None:
 BUILT = {
     fmi: Built(
         plant_fmu.path(fmi),
+        HERE.parent,
         "plant_fmu.build",
         (*SOURCES, *HEADERS, DEFINITION, *descriptions.values()),
         FLAGS,

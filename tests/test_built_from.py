@@ -13,7 +13,6 @@ from typer.testing import CliRunner
 
 import firmware_protocol.build
 import hil.plant.build
-import native_build.built_from
 from firmware_protocol import host
 from hil.cli import app
 from hil.errors import BadInputError
@@ -93,16 +92,15 @@ def test_edited_sources_are_what_runs(checkout: Path) -> None:
 
 
 @pytest.mark.parametrize("built", ALL, ids=lambda built: built.path.name)
-def test_what_is_there_is_current_until_a_source_changes(built: Built, tmp_path, monkeypatch) -> None:
+def test_what_is_there_is_current_until_a_source_changes(built: Built, tmp_path) -> None:
     assert built.is_current()
     assert built.read(built.path) == built.digest()
-    monkeypatch.setattr(native_build.built_from, "ROOT", tmp_path)
     copies = []
     for source in built.sources:
         copies.append(tmp_path / source.relative_to(ROOT))
         copies[-1].parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(source, copies[-1])
-    copied = built._replace(sources=tuple(copies))
+    copied = built._replace(sources=tuple(copies), root=tmp_path)
     assert copied.is_current()
     for copy in (copies[0], copies[-1]):
         content = copy.read_bytes()
@@ -119,8 +117,8 @@ def test_what_is_there_is_current_until_a_source_changes(built: Built, tmp_path,
 @pytest.fixture
 def installed_with_other_sources(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Have every native part be one that was not built from the sources beside it, outside a checkout."""
+    monkeypatch.setattr(Built, "is_checkout", lambda _: False)
     others = [built._replace(recipe=("another",)) for built in ALL]
-    monkeypatch.setattr(native_build.built_from, "is_checkout", lambda: False)
     monkeypatch.setattr(host, "BUILT", others[0])
     monkeypatch.setattr(shim, "BUILT", others[1])
     monkeypatch.setattr(archive, "BUILT", dict(zip(PLANTS, others[2:], strict=True)))

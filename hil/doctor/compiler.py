@@ -10,7 +10,6 @@ from hil.doctor.finding import Finding, ok, problem
 from hil.doctor.finding import note as note_of
 from hil.errors import BadInputError
 from hil.plant import archive
-from native_build.built_from import is_checkout
 from native_build.compiler import BuildError, compiler, version
 
 _NATIVE = (firmware_protocol.build.BUILT, hil.plant.build.BUILT, *plant_fmu.built.BUILT.values())
@@ -21,7 +20,7 @@ def check() -> Iterator[Finding]:
     for built in _NATIVE:
         path = built.path
         subject = "plant" if path.suffix == ".fmu" else "native library"
-        build = f"python -m {built.module}" if is_checkout() else "install the package anew"
+        build = f"python -m {built.module}" if built.is_checkout() else "install the package anew"
         if not path.is_file():
             yield problem(subject, f"{path.name} is not built", build)
         elif not built.is_current():

@@ -14,7 +14,9 @@ HERE = Path(__file__).parent
 PLANT_PORT = HERE.parents[1] / "firmware_protocol" / "firmware" / "plant_port.h"
 HEADERS = (PLANT_PORT, HERE / "cosim.h", HERE / "derive.h", HERE / "remote.h", HERE / "robot_faults.h")
 SOURCES = (HERE / "cosim.c", HERE / "derive.c", HERE / "remote.c", HERE / "robot_faults.c")
-BUILT = Built(HERE / f"libcosim{SUFFIX}", "hil.plant.build", (*SOURCES, *HEADERS), FLAGS, digest_in_library)
+BUILT = Built(
+    HERE / f"libcosim{SUFFIX}", HERE.parents[1], "hil.plant.build", (*SOURCES, *HEADERS), FLAGS, digest_in_library
+)
 
 
 def build(library: Path = BUILT.path, cc: str | None = None) -> Path:

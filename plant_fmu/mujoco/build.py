@@ -25,7 +25,9 @@ SOURCES = (
     HERE / "robot.c",
 )
 HEADERS = (*sorted(SHARED.glob("*.h")), HERE / "robot.h", HERE / "state.h")
-built = Built(mujoco.path(), "plant_fmu.mujoco", (*SOURCES, *HEADERS, *definition.PARTS), FLAGS, sources_of)
+built = Built(
+    mujoco.path(), SHARED.parent, "plant_fmu.mujoco", (*SOURCES, *HEADERS, *definition.PARTS), FLAGS, sources_of
+)
 LICENSE = SHARED / "documentation" / "licenses" / "license.txt"
 PAGE, TABLE = HERE / "documentation.html", "<!-- variables -->"
 
