@@ -153,7 +153,7 @@ def test_no_pin_does_two_things(boards, board):
 
 @pytest.mark.parametrize("board", WITH_MOTORS)
 @pytest.mark.parametrize("other", sorted(set(BOARDS) - set(WITH_MOTORS)))
-def test_a_firmware_without_motors_touches_no_pin_of_theirs_if_it_is_flashed_into_the_wrong_board(boards, board, other):
+def test_a_firmware_without_motors_touches_no_motor_pin_even_on_the_wrong_board(boards, board, other):
     motors, without = boards[board][1].MOTORS, boards[other][1]
     of_motors = {name_of(pin) for pin in (motors.enable, *(p for m in motors.motor for p in (m.first, m.second)))}
     lines = (*serial_lines(without, other), without.BOARD.host_can)

@@ -85,7 +85,7 @@ def test_the_vector_table_is_the_firmwares_also_behind_a_boot_loader():
     assert own.peek(SCB_VTOR) == FLASH
 
 
-def test_reserved_bits_of_the_oscillator_stay_and_the_flash_is_slow_enough_before_the_clock_is_fast():
+def test_reserved_oscillator_bits_stay_and_the_flash_slows_before_the_clock_rises():
     own = machine("motors", "f405_drivers")
     own.poke(RCC_PLLCFGR, 0x2400_3010)
     own.boot()

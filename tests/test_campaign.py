@@ -91,7 +91,7 @@ def rows_written(folder: Path) -> int:
     return len(list(rows.glob("*.parquet"))) if rows.is_dir() else 0
 
 
-def test_a_campaign_that_is_stopped_or_killed_goes_on_without_a_run_twice_or_lost_as_hil_run_would_have_it(
+def test_a_campaign_that_was_stopped_or_killed_goes_on_with_no_run_twice_or_lost(
     tmp_path: Path,
 ) -> None:
     more = 'laws = ["afdsc", "dsc"]\nseeds = 2\nsamples = {}\nkeep = "none"'
@@ -244,7 +244,7 @@ def test_what_is_wrong_with_a_plan_is_a_sentence_with_its_line_before_anything_r
         Campaign(tmp_path / "no.toml")
 
 
-def test_what_stands_behind_a_link_is_asked_for_what_it_cannot_do_before_anything_runs(tmp_path: Path) -> None:
+def test_what_is_behind_a_link_is_asked_what_it_cannot_do_before_anything_runs(tmp_path: Path) -> None:
     url, odometry = 'link.url = "can:socketcan/can0"\n', 'estimator.source = "odometry"\n'
     makers = f'{url}{odometry}device.driver = "c620"\n'
     for tables, sentence in (
@@ -267,7 +267,7 @@ def test_what_stands_behind_a_link_is_asked_for_what_it_cannot_do_before_anythin
     assert "there is one bench behind its link or its pose fixes" in str(done.exception)
 
 
-def test_a_folder_that_is_not_this_campaigns_or_is_damaged_is_a_sentence_and_stays_as_it_is(tmp_path: Path) -> None:
+def test_another_campaigns_folder_or_a_damaged_one_is_a_sentence_and_stays_as_it_is(tmp_path: Path) -> None:
     plan, out = write_plan(tmp_path, 'seeds = 2\nkeep = "none"'), tmp_path / "out"
     do(plan, out)
 
@@ -473,7 +473,7 @@ def test_what_a_campaign_of_this_machine_listens_on_is_loopback(tmp_path: Path) 
     assert heard == {"127.0.0.1"}
 
 
-def test_a_report_has_no_figures_of_runs_that_ended_early_and_calls_all_as_the_plan_does_now(tmp_path: Path) -> None:
+def test_a_report_has_no_figures_of_runs_that_ended_early_and_the_plans_names(tmp_path: Path) -> None:
     (tmp_path / "laws.py").write_text(LAWS, encoding="utf-8")
     laws = 'keep = {}\nseeds = 2\nlaws = [{{ law = "dsc", name = "{}" }}, "./laws.py:Light"]'
     do(write_plan(tmp_path, laws.format('"none"', "one")), tmp_path / "out")
@@ -496,9 +496,7 @@ def test_a_report_has_no_figures_of_runs_that_ended_early_and_calls_all_as_the_p
     assert "from 2 draws: too few for an interval" in "".join(duel_words(effort))
 
 
-def test_a_worker_that_is_killed_and_a_scheduler_that_goes_and_comes_back_lose_no_run(
-    tmp_path: Path, cluster: Cluster
-) -> None:
+def test_a_killed_worker_and_a_scheduler_that_comes_back_lose_no_run(tmp_path: Path, cluster: Cluster) -> None:
     plan = write_plan(tmp_path, 'seeds = 30\nkeep = "none"')
     scheduler, first = cluster.processes[:2]
     troubles: set[str] = set()

@@ -227,7 +227,7 @@ def test_the_interval_of_a_pass_rate_knows_which_runs_repeat_each_other(draws: i
     assert 0.91 * 300 <= held <= 299
 
 
-def test_a_share_of_runs_that_each_were_drawn_is_wilsons_and_of_few_draws_there_is_no_interval() -> None:
+def test_a_share_of_drawn_runs_has_wilsons_interval_and_few_draws_have_none() -> None:
     assert share_of(range(30), [True] * 21 + [False] * 9) == wilson(0.7, 30)
     assert share_of([1] * 30 + [2] * 30, [True] * 60) == (1.0, None, None)
     twenty = share_of([draw for draw in range(20) for _ in range(9)], [True] * 180)
@@ -239,7 +239,7 @@ def test_ranks_are_those_of_scipy(values: list[int]) -> None:
     assert ranked(np.array(values, dtype=float)).tolist() == stats.rankdata(values).tolist()
 
 
-def test_the_interval_of_a_difference_is_over_draws_and_covers_the_truth_as_often_as_it_says() -> None:
+def test_the_interval_of_a_difference_covers_the_truth_as_often_as_it_says() -> None:
     generator = np.random.default_rng(7)
     covered = 0
     for trial in range(120):

@@ -213,7 +213,7 @@ def test_a_worker_that_is_none_is_a_verdict_on_each_job_and_a_line_of_progress(
     assert all(verdict.verdict.startswith("crashed: ") for verdict in verdicts)
 
 
-def test_a_run_that_ends_for_another_reason_or_with_a_fault_that_did_nothing_is_not_as_it_should_be(tmp_path) -> None:
+def test_a_run_that_ends_otherwise_or_whose_fault_did_nothing_is_not_as_it_should_be(tmp_path) -> None:
     (job,) = alone(Asked("circle_speed", [], ["memory"], ["stuck_encoder"], tmp_path))
     assert perform(job).is_ok
     job = job._replace(recording=str(tmp_path / "other.rrd"))

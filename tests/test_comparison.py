@@ -87,7 +87,7 @@ def in_folder_of_laws(tmp_path, monkeypatch) -> Path:
     return tmp_path
 
 
-def test_the_command_gives_the_figures_of_the_runs_the_same_every_time_and_writes_them(tmp_path) -> None:
+def test_the_command_gives_and_writes_the_figures_of_the_runs_the_same_every_time(tmp_path) -> None:
     laws, sets = ("dsc,speed.k1_1_s=7,torque.k1_1_s=9", "afdsc"), (SHORT,)
     words = (*laws, "circle_speed", "--torque", "3", "--drive", "motors", "--quick", "--set", *sets, "--json")
     written = ("--out", tmp_path / "pictures", "--markdown", tmp_path / "PAGE.md")
@@ -120,7 +120,7 @@ def test_the_command_gives_the_figures_of_the_runs_the_same_every_time_and_write
     assert [float(line["effort_n_m_s"]) for line in table] == [row["nominal"]["effort_n_m_s"] for row in rows]
 
 
-def test_a_law_that_refuses_fails_or_takes_its_process_along_is_a_row_with_its_reason(in_folder_of_laws) -> None:
+def test_a_law_that_refuses_fails_or_kills_its_process_is_a_row_with_its_reason(in_folder_of_laws) -> None:
     laws = [f"laws.py:{name}" for name in ("Rests", "SpeedOnly", "Raises", "NoNumber", "Dies")]
     found = compare(asked(*laws, drives=["ideal", "motors"]), jobs=2)
     rests, refused, raises, no_number, dies, *motors = found.rows

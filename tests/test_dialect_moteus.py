@@ -96,7 +96,7 @@ def test_replies_are_read_as_the_maker_reads_them(registers: list[tuple[int, int
     assert moteus_frames.parse_reply(moteus_frames.padded(buffer.getvalue())) == pytest.approx(expected, nan_ok=True)
 
 
-def test_what_could_not_be_read_or_written_is_passed_over_and_what_is_no_number_refused() -> None:
+def test_the_unreadable_and_unwritable_is_passed_over_and_what_is_no_number_refused() -> None:
     assert moteus_frames.parse_reply(bytes.fromhex("302b01318a020121000a")) == {0x00: 10}
     for register in (0x00, 0x0F):
         for raw in ("0000c07f", "0000807f"):  # NaN, infinity

@@ -113,7 +113,7 @@ def test_axes_that_another_host_left_turning_are_stopped() -> None:
 # Watchdog
 
 
-def test_the_watchdog_of_0_6_is_set_and_read_back_before_closed_loop_and_stops_the_wheels() -> None:
+def test_the_watchdog_of_0_6_is_set_and_read_back_before_arming_and_stops_the_wheels() -> None:
     rig = armed(WATCHED)
     assert rig.driver.capabilities.watchdog == "set"
     assert len(rig.driver.warnings) == 1
@@ -271,7 +271,7 @@ def test_what_an_axis_answers_no_longer_is_not_known() -> None:
         assert sample.speed_rad_s == STILL
 
 
-def test_a_heartbeat_that_was_on_its_way_when_errors_were_cleared_is_not_taken_for_a_new_error() -> None:
+def test_a_heartbeat_on_its_way_when_errors_were_cleared_is_no_new_error() -> None:
     rig = armed({})
     emulated(rig).axes[1].fail(axis=0x20)
     until_told(rig)

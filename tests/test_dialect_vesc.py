@@ -163,7 +163,7 @@ def test_nobody_is_energised_while_one_is_in_fault(wire: Wire) -> None:
 
 
 @pytest.mark.parametrize("wire", WIRES)
-def test_who_has_said_long_ago_that_it_is_fit_says_it_anew_before_anything_is_energised(wire: Wire) -> None:
+def test_one_that_was_fit_long_ago_says_so_anew_before_anything_is_energised(wire: Wire) -> None:
     rig = ready(wire)
     rig.step(rig.driver.disarm(), ticks=1000)
     rig.node.vescs[1].fail(5)

@@ -102,7 +102,7 @@ def test_a_message_that_no_packet_holds_is_an_error() -> None:
         SerialFraming().encode(Frame(0, bytes(512)))
 
 
-def test_an_answer_that_is_cut_off_has_no_values_but_may_lack_the_last_that_an_old_firmware_does_not_know() -> None:
+def test_an_answer_cut_off_has_no_values_but_may_lack_the_last_of_newer_firmware() -> None:
     wanted = vesc_frames.values_wanted(*vesc_frames.ALL_VALUES)
     NODE.receive(Frame(EXTENDED | 0x0802, b"\xfd\x00" + wanted))
     messages = CanMessages(253)

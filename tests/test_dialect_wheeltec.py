@@ -109,7 +109,7 @@ def test_wheels_turn_for_ever_when_commands_end_as_the_firmware_is_by_default() 
 
 
 @pytest.mark.parametrize("is_in_step", [True, False])
-def test_a_stop_is_obeyed_wherever_a_command_was_cut_and_without_the_bytes_before_it_some_never_are(
+def test_a_stop_is_obeyed_wherever_a_command_was_cut_thanks_to_the_bytes_before_it(
     is_in_step: bool,
 ) -> None:
     """As when the host dies in the middle of a frame. It is the sum of a stop that makes it look like a beginning."""
@@ -149,7 +149,7 @@ def test_a_base_that_still_drives_is_stopped_before_it_counts_as_armed() -> None
     assert max(map(abs, made.speeds())) < 0.8
 
 
-def test_the_emergency_stop_of_the_base_is_told_and_ends_arming_and_its_release_does_not_arm() -> None:
+def test_the_bases_emergency_stop_is_told_and_disarms_and_its_release_does_not_arm() -> None:
     made = armed()
     made.drive(0.5, ramp_to(FORWARD, 0.3))
     made.node.is_switched_off = True

@@ -134,7 +134,7 @@ def test_own_signals_are_asked_for_only_where_somebody_reads_them(tmp_path, monk
     assert figures["expect"][0]["passed"]
 
 
-def test_signals_of_a_law_of_somebody_else_are_asked_for_in_every_run_as_they_may_fail(tmp_path):
+def test_signals_of_somebody_elses_law_are_asked_for_in_every_run_as_they_may_fail(tmp_path):
     law = counting(tmp_path, telemetry="(1.0 / (5 - self.count),)")
     scenario = load("paper_circle", mode="lockstep", link="memory:", set=SHORT | {"controller.law": law})
     result = run_scenario(scenario, keep_signals=False)

@@ -132,7 +132,7 @@ def test_the_recording_tells_when_a_fault_began_and_what_it_did(tmp_path) -> Non
     assert any(f"applied {applied(recorded)[0]} times (frames lost)" in event.text for event in text)
 
 
-def test_a_robot_that_latched_a_fault_while_its_link_was_cut_is_told_with_fault_wheel_and_way_out(tmp_path) -> None:
+def test_a_fault_latched_while_the_link_was_cut_is_told_with_wheel_and_way_out(tmp_path) -> None:
     cut = {"kind": "disconnect", "start_s": 0.25, "end_s": 0.35}
     stuck = {"kind": "stuck_encoder", "target": "fl", "start_s": 0.2}
     wired = ("device.wheels=['rr','rl','fl','fr']", "loop.rearm=true", "expect=[]")

@@ -42,7 +42,7 @@ def test_info_of_some_variables(tmp_path: Path) -> None:
         info(fmu, "gian")
 
 
-def test_a_description_that_cannot_be_used_is_refused_in_the_same_words_by_all_who_read_it(tmp_path: Path) -> None:
+def test_an_unusable_description_is_refused_in_the_same_words_by_all_who_read_it(tmp_path: Path) -> None:
     fmu = pack(tmp_path / "a.fmu", 2, lambda _, data: data.replace(b'valueReference="1"', b'valueReference="&#10;one"'))
     assert library_of(fmu).fmi_version == "2.0"
     words = set()

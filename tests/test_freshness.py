@@ -69,7 +69,7 @@ class Robot:
         return self
 
 
-def test_what_came_while_the_host_stood_still_drives_nothing_and_what_comes_next_does() -> None:
+def test_what_came_while_the_host_stalled_drives_nothing_and_what_comes_next_does() -> None:
     robot = Robot(watchdog_s=0.1).armed()
     assert not any(robot.tick() for _ in range(10))
     assert robot.tick(60), "the newest of it may be as old as the first"

@@ -70,7 +70,7 @@ def test_outliers_are_rejected():
     assert result.signals["estimator.fixes_rejected"][-1] == fixes["rejected"]
 
 
-def test_when_fixes_stop_the_robot_is_degraded_then_held_at_rest_and_goes_on_with_them():
+def test_when_fixes_stop_the_robot_is_degraded_then_held_until_they_come_again():
     result = run(
         estimator__simulated_fix__gap_start_s=1.0,
         estimator__simulated_fix__gap_end_s=2.5,

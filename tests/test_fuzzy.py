@@ -103,7 +103,7 @@ def pictures(tmp_path_factory):
     return folder
 
 
-def test_the_picture_of_the_surfaces_is_the_same_each_time_and_another_for_other_tables(pictures, tmp_path):
+def test_the_picture_of_the_surfaces_repeats_and_is_another_for_other_tables(pictures, tmp_path):
     draw_gains("printed", tmp_path / "again.png")
     printed, corrected = ((pictures / f"{which}.png").read_bytes() for which in ("printed", "corrected"))
     assert (tmp_path / "again.png").read_bytes() == printed

@@ -92,7 +92,7 @@ def test_in_lockstep_the_law_is_told_what_the_scenario_says():
 
 
 @pytest.mark.parametrize("source", ["truth", "odometry"])
-def test_in_real_time_the_latency_is_at_least_that_of_the_scenario_and_at_most_the_watchdog(source):
+def test_in_real_time_the_latency_lies_between_the_scenarios_and_the_watchdog(source):
     keys = {"estimator.source": source}
     found = hil.run("circle_speed", set=SHORT | keys, mode="realtime").signals["link.latency_ms"]
     assert found[0] == pytest.approx(5.0)

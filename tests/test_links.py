@@ -254,7 +254,7 @@ def test_a_host_gets_the_robots_messages_over_can_and_counts_what_is_foreign(fd)
         assert host.receive(1_000_000) is None
 
 
-def test_a_robots_firmware_gets_every_standard_data_frame_of_others_and_counts_it_by_itself():
+def test_a_robots_firmware_gets_and_counts_every_standard_data_frame_of_others():
     url = CanUrl("virtual", "test_links_robot")
     rig = WheelRig(lockstep=True)
     with contextlib.closing(CanWire(CanLink(url, "HOST"))) as wire:

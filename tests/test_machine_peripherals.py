@@ -121,7 +121,7 @@ def test_a_frame_that_is_stored_after_an_overrun_is_told_as_stored():
     assert controller.missed == 1
 
 
-def test_frames_that_find_the_controller_off_the_bus_are_missed_and_those_of_no_filter_are_not():
+def test_frames_are_missed_while_off_the_bus_but_not_those_that_no_filter_takes():
     controller = open_can((5 << 21, 5 << 21))
     assert not controller.receive(can.CanFrame(6, b""))
     assert controller.missed == 0

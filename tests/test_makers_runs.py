@@ -113,7 +113,7 @@ def test_in_lockstep_the_frames_are_the_same_however_a_line_hands_over_its_bytes
     assert over("serial:pty") == in_memory
 
 
-def test_after_a_lost_link_the_filter_is_less_sure_of_a_robot_whose_controllers_may_have_been_reset() -> None:
+def test_after_a_lost_link_the_filter_is_less_sure_of_makers_controllers() -> None:
     lost = {"kind": "disconnect", "start_s": 0.5, "end_s": 0.7}
     fixes = {"estimator.source": "fused", "estimator.simulated_fix.gap_start_s": 0.4}
     fixes |= {"estimator.simulated_fix.gap_end_s": 60.0}

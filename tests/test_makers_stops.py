@@ -94,7 +94,7 @@ def driven(**changes: Any) -> PilotBench:
     return bench
 
 
-def test_an_emergency_stop_that_did_not_go_out_is_neither_confirmed_nor_cleared_and_it_is_told() -> None:
+def test_an_emergency_stop_that_did_not_go_out_is_told_and_not_confirmed_or_cleared() -> None:
     with driven() as bench:
         with nothing_goes_out(bench.bench):
             bench.pilot.estop()

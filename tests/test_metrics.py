@@ -140,7 +140,7 @@ def test_percentiles_leave_gaps_out() -> None:
     assert percentiles(np.array([NAN])) is None
 
 
-def test_percentiles_are_exact_up_to_a_million_values_and_close_beyond_in_bounded_memory() -> None:
+def test_percentiles_are_exact_to_a_million_values_then_close_in_bounded_memory() -> None:
     values = np.random.default_rng(3).lognormal(size=4 * MOST_SAMPLES)
     values[::200] = 1e6  # taken by a stride of 2, 4 or 8 these would be more than one of a hundred
     samples = Samples()
@@ -155,7 +155,7 @@ def test_percentiles_are_exact_up_to_a_million_values_and_close_beyond_in_bounde
     assert tuple(samples.percentiles()) == pytest.approx(tuple(percentiles(values)), rel=0.02)
 
 
-def test_an_underdamped_step_overshoots_by_what_its_equation_says_along_the_line_it_began_on() -> None:
+def test_an_underdamped_step_overshoots_along_its_line_by_what_its_equation_says() -> None:
     t_s, damping = seconds(10_000, 0.001), 0.4
     rate_1_s = 6.0 * math.sqrt(1 - damping**2)
     along = np.exp(-damping * 6.0 * t_s) * (

@@ -169,7 +169,7 @@ def test_a_host_that_greets_is_not_told_what_was_refused_to_another() -> None:
 
 
 @pytest.mark.parametrize("nonce", [0x1231, 0x4321, 0xFFF1])
-def test_the_session_number_of_the_last_session_is_refused_but_the_first_session_is_free(nonce: int) -> None:
+def test_the_last_sessions_number_is_refused_but_the_first_session_is_free(nonce: int) -> None:
     fresh = BareNode()
     fresh.activate(nonce=0x0010)  # its number is 0, and so was the nonce of no session
     node = BareNode()
@@ -206,7 +206,7 @@ def test_a_fault_does_not_hide_the_one_before_and_switches_off_in_the_same_tick(
     assert list(node.node.set_point_rad_s) == [0.0] * 4
 
 
-def test_clearing_needs_a_nonce_that_was_not_used_for_it_and_works_on_a_latched_state_only() -> None:
+def test_clearing_needs_an_unused_nonce_and_works_on_a_latched_state_only() -> None:
     node = BareNode()
     node.heartbeat(m.Request.CLEAR, 0x50)
     node.activate()

@@ -150,7 +150,7 @@ def direction(wheel: int, sign: float, target: float, torque: float, speeds: lis
         (3.01, 0.0, -STRONG_N_M, 0.0, False),
     ],
 )
-def test_a_wheel_runs_away_when_it_gains_speed_against_its_torque_from_its_set_point_or_from_the_others(
+def test_a_wheel_runs_away_against_its_torque_its_set_point_or_the_other_wheels(
     wheel: int, sign: float, gained: float, target: float, torque: float, by_others: float, found: bool
 ) -> None:
     """`by_others` is the part of its speed that the three others tell."""
@@ -229,7 +229,7 @@ def test_a_wheel_that_loses_speed_brakes_and_is_not_mirrored(wheel: int, sign: f
     assert supervise(node, half, **fast) == fault, "the time counts from the last loss on"
 
 
-def test_a_coarse_encoder_moves_the_estimate_more_and_a_loss_within_that_is_no_braking() -> None:
+def test_a_coarse_encoder_moves_the_estimate_and_a_loss_within_that_is_no_braking() -> None:
     node = BareNode(changes={"counts_per_revolution": 1024.0})
     node.activate()
     supervise(node, 1, **direction(0, 1.0, 0.5, 0.0, still(0, 10.0, -10.0)))
@@ -259,9 +259,7 @@ def test_a_wheel_that_was_right_for_one_tick_is_not_mirrored(wheel: int) -> None
 
 @WHEELS
 @SIGNS
-def test_direction_is_watched_where_the_speed_loop_drives_and_in_the_stop_of_either_mode(
-    wheel: int, sign: float
-) -> None:
+def test_direction_is_watched_under_the_speed_loop_and_in_the_stop_of_either_mode(wheel: int, sign: float) -> None:
     """In torque mode others may drag a wheel against its torque."""
     cases = {
         "mirrored": direction(wheel, sign, 5.0, STRONG_N_M, still(wheel, 5.0, -5.0)),
@@ -295,7 +293,7 @@ def test_a_wheel_rests_below_a_fifth_of_a_rad_s_for_fifty_ticks(wheel: int, sign
     assert node.state is State.IDLE
 
 
-def test_a_stop_is_over_after_the_ramp_at_the_earliest_and_a_second_later_at_the_latest() -> None:
+def test_a_stop_is_over_after_the_ramp_and_a_second_later_at_the_latest() -> None:
     for ticks, rests, expected in (
         (199, True, State.STOPPING),
         (200, True, State.IDLE),

@@ -82,7 +82,7 @@ def test_an_observer_without_a_bandwidth_or_a_limit_is_refused(value):
 
 
 @given(st.lists(accelerations, min_size=1, max_size=12), st.floats(0.0, 0.03), st.sampled_from([0.001, 0.005, 0.01]))
-def test_what_is_predicted_is_what_an_integrator_gives_that_knows_when_each_command_acts(commands, latency_s, dt_s):
+def test_the_prediction_is_that_of_an_integrator_that_knows_when_each_command_acts(commands, latency_s, dt_s):
     """Since each tick, and over the latency ahead of the last one, for any latency in periods."""
     on_their_way = CommandsOnTheirWay()
     position, rate = np.zeros(3), np.zeros(3)

@@ -62,7 +62,7 @@ def test_equation_12_is_the_energy_of_equations_7_and_10(speeds):
 
 
 @given(triple, value)
-def test_lagrange_on_four_wheel_angles_that_depend_on_each_other_gives_the_printed_coriolis_term(v, heading):
+def test_lagrange_on_four_dependent_wheel_angles_gives_the_printed_coriolis_term(v, heading):
     """Equation 13 on equation 12: A ω̇ = Q with ω = H Rᵀ q̇ / r gives (m + k) θ̇ (ẏ, -ẋ, 0), where k belongs."""
     x, y, turn = v
     rotation = rot(heading)
@@ -110,7 +110,7 @@ def test_b_times_its_pseudo_inverse_is_one(wrench, heading):
     assert rot(heading) @ body_wrench(torques, R, L) == pytest.approx(wrench, abs=1e-9)
 
 
-def test_the_inequality_of_equation_21_fails_for_the_small_epsilon_that_the_proof_needs():
+def test_the_inequality_of_equation_21_fails_for_the_small_epsilon_of_the_proof():
     """z <= 3 z² / 2 + ε / 3 for all z = abs(χ) abs(η) wants ε >= 1/2; "ε can be arbitrarily small" is what follows."""
     z = np.linspace(0.0, 1.0, 3001)
     assert np.all(z <= 1.5 * z**2 + 0.5 / 3.0 + 1e-12)

@@ -117,7 +117,7 @@ def test_a_path_in_the_world_begins_at_its_own_begin_after_a_way_there() -> None
         assert bench.pilot.task is Task.TRACK
 
 
-def test_stop_ramps_down_and_holds_and_a_task_in_motion_comes_to_rest_before_the_next() -> None:
+def test_stop_ramps_down_and_holds_and_a_moving_task_rests_before_the_next() -> None:
     with armed_pilot() as bench:
         bench.pilot.track(bench.made.reference, here=True)
         bench.run(3.0)
@@ -164,7 +164,7 @@ def test_an_emergency_stop_latches_until_it_is_cleared_and_clearing_arms_nothing
         bench.armed()
 
 
-def test_clearing_waits_until_the_emergency_stop_is_confirmed_and_another_one_ends_that() -> None:
+def test_clearing_waits_for_the_emergency_stop_confirmed_and_another_one_ends_that() -> None:
     with armed_pilot() as bench:
         bench.pilot.estop()
         bench.pilot.clear()
@@ -220,7 +220,7 @@ def test_an_emergency_stop_reaches_a_robot_that_was_away() -> None:
         assert bench.last("robot.state") == RobotState.ESTOP
 
 
-def test_an_emergency_stop_is_latched_over_a_reset_of_the_robot_and_a_clear_from_before_is_not_obeyed() -> None:
+def test_an_emergency_stop_outlasts_a_reset_of_the_robot_and_any_earlier_clear() -> None:
     with PilotBench(fault=[fault("reset", 1.5, target="robot")]) as bench:
         bench.armed()
         bench.run(0.5)

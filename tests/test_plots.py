@@ -43,7 +43,7 @@ def test_a_picture_is_a_png_and_the_same_for_the_same_data(tmp_path) -> None:
     assert "matplotlib.pyplot" not in sys.modules, "it would want a display"
 
 
-def test_a_picture_that_cannot_be_written_is_a_sentence_and_one_that_failed_is_no_file(tmp_path) -> None:
+def test_an_unwritable_picture_is_a_sentence_and_one_that_failed_is_no_file(tmp_path) -> None:
     with pytest.raises(BadInputError, match=r"picture .*none/a\.png: it cannot be written \(No such file"):
         draw(tmp_path / "none" / "a.png")
     with pytest.raises(ValueError, match="shorter"), drawing(tmp_path / "c.png") as (axes,):

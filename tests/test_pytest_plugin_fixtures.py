@@ -92,7 +92,7 @@ def test_a_run_that_does_not_pass_fails_the_test_unless_it_judges_itself(suite: 
         assert ours not in done.stdout.str(), "the traceback shows the user's lines alone"
 
 
-def test_a_robot_in_another_process_gives_the_bytes_of_one_process_and_ends_with_a_test_that_fails(
+def test_a_robot_in_another_process_gives_the_same_bytes_and_ends_with_a_failed_test(
     suite: pytest.Pytester,
 ):
     suite.makepyfile(

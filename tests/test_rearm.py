@@ -74,7 +74,7 @@ def test_a_lost_link_is_reopened_with_back_off_and_the_run_goes_on(link):
     assert fault["applied"] == 4, "the command that found no link, and three attempts to open it"
 
 
-def test_nothing_is_commanded_while_it_is_away_and_only_zeros_before_the_new_session_is_active(tmp_path):
+def test_nothing_is_commanded_while_it_is_away_and_zeros_before_the_new_session(tmp_path):
     result = run_short(BACK_AT_THE_SECOND, trace=tmp_path / "line.log")
     signals = result.signals
     assert all(math.isnan(signals["wheel.fl.torque_command_n_m"][i]) for i in away(result))
@@ -202,7 +202,7 @@ def test_a_reset_soon_after_power_on_is_seen_by_odometry(resets_s):
     assert (np.hypot(np.diff(x_m[after]), np.diff(y_m[after])) > 0.0).all(), "and it counts from then on"
 
 
-def test_a_link_that_is_lost_while_the_first_feedback_is_on_its_way_is_recovered_from():
+def test_a_link_lost_while_the_first_feedback_is_on_its_way_is_recovered_from():
     result = run_short('fault=[{kind="disconnect",start_s=0.0,end_s=0.2}]', "link.feedback_latency_s=0.02")
     assert result.failure is None
     (recovery,) = result.metrics["recoveries"]

@@ -96,7 +96,7 @@ def test_given_gains_go_over_the_recorded_ones_and_the_figures_are_what_they_say
     assert recorded.signals["loop.t_s"][np.nanargmax(np.abs(apart))] == one.max_s
 
 
-def test_the_recording_of_a_replay_holds_the_run_and_the_difference_and_says_what_it_is(recorded, tmp_path):
+def test_a_replays_recording_holds_the_run_and_the_difference_and_says_what_it_is(recorded, tmp_path):
     replayed = replay(recorded, "pid")
     path = tmp_path / "replayed.rrd"
     write_replay(recorded, replayed, path)

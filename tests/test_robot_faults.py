@@ -140,7 +140,7 @@ def test_a_push_moves_the_robot_from_its_tick_on_and_is_over_at_the_end(place) -
     assert bridge.faults.applied() == [20]
 
 
-def test_of_rows_for_one_variable_the_last_in_force_counts_and_at_the_end_all_is_as_before() -> None:
+def test_of_rows_for_one_variable_the_last_in_force_counts_and_all_ends_as_before() -> None:
     rows = (
         row("push", "force_y_n", 10, 40, 50.0),
         row("parameter", "push.force_y_n", 20, 30, -50.0),

@@ -38,7 +38,7 @@ def told(path: Path, *changes: str) -> tuple[dict[str, tuple[int, float, str]], 
     return made[0].told, result
 
 
-def test_faults_and_expectations_are_told_at_their_tick_and_what_was_counted_at_the_end(tmp_path: Path) -> None:
+def test_faults_and_expectations_are_told_at_their_tick_and_counts_at_the_end(tmp_path: Path) -> None:
     window = "kind = 'override', target = 'error.planar_m', value = 9.0, start_s = 0.5, end_s = 0.752"
     events, result = told(
         tmp_path / "run.rrd",

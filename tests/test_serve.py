@@ -192,7 +192,7 @@ def test_a_robot_that_was_unplugged_is_reconnected_and_is_not_armed_by_itself(tm
             service.client.order(Action.ARM)
 
 
-def test_a_control_process_that_stood_still_waits_disarmed_and_knows_where_the_robot_is(
+def test_a_stalled_control_process_waits_disarmed_and_knows_where_the_robot_is(
     tmp_path: Path,
 ) -> None:
     port = tmp_path / "robot"

@@ -88,7 +88,7 @@ def test_the_websocket_lets_nobody_in_without_the_token_or_under_a_foreign_name(
 
 
 @pytest.mark.parametrize(("method", "path"), [route for route, action in ROUTES.items() if action])
-def test_an_order_reaches_the_control_process_as_it_was_given_and_its_answer_comes_back(
+def test_an_order_reaches_the_control_process_as_given_and_its_answer_comes_back(
     side: ControlSide, method: str, path: str
 ) -> None:
     side.answer = lambda order: Answer(order.number, result={"note": "there we go"})

@@ -46,7 +46,7 @@ def flood(live: ClientConnection) -> None:
         live.recv(timeout=30.0)
 
 
-def test_orders_on_the_websocket_come_in_their_order_and_answers_by_the_clients_numbers(side: ControlSide) -> None:
+def test_websocket_orders_come_in_order_and_answers_by_the_clients_numbers(side: ControlSide) -> None:
     with side.live() as live:
         for number in range(100, 150):
             order(live, number, "twist", TWIST | {"vx_m_s": number / 100.0})
@@ -139,7 +139,7 @@ def test_a_twist_that_waited_for_longer_than_it_would_be_in_force_is_not_taken(t
         wait_for(is_taken)
 
 
-def test_a_burst_that_waited_for_an_api_that_stood_still_moves_nothing_and_an_emergency_stop_in_it_is_done(
+def test_a_burst_held_up_by_a_stalled_api_moves_nothing_but_its_estop_is_done(
     side: ControlSide,
 ) -> None:
     pid = side.child.pid
@@ -165,7 +165,7 @@ def test_a_burst_that_waited_for_an_api_that_stood_still_moves_nothing_and_an_em
         wait_for(is_taken)
 
 
-def test_a_client_that_sends_more_than_it_reads_is_closed_and_what_it_sent_drives_no_longer(
+def test_a_client_that_sends_more_than_it_reads_is_closed_and_drives_no_longer(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     with own_state(tmp_path), served() as side:
@@ -195,7 +195,7 @@ def test_emergency_stops_come_first_of_what_is_at_hand(side: ControlSide) -> Non
     assert side.actions == [Action.ESTOP, Action.TWIST, Action.STOP]
 
 
-def test_an_api_process_that_is_killed_or_hangs_is_started_again_where_it_was_with_its_token(
+def test_an_api_process_that_is_killed_or_hangs_is_restarted_with_its_port_and_token(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("hil.service.api_child._HUNG_S", 0.2)

@@ -99,7 +99,7 @@ def test_wheel_map_is_undone_by_its_inverse(order, reversed_wheels):
     assert wheel_map.to_wire(value)[channel] == (-4.0 if "rl" in reversed_wheels else 4.0)
 
 
-def test_a_burst_that_joins_two_instants_is_told_by_the_inertial_parts_or_counted_as_lost():
+def test_a_burst_joining_two_instants_is_told_by_inertial_parts_or_counted_as_lost():
     """PROTOCOL.md, "Feedback": all from ENCODERS to the next TICK is lost, and its parts follow."""
     reader = SnapshotReader()
     assert feed(reader, [snapshot(1)[0], *snapshot(2)[1:], *snapshot(3)]) == feed(SnapshotReader(), snapshot(3))
@@ -114,7 +114,7 @@ PARTS = (m.Tick, m.Encoders, m.WheelSpeeds, m.Currents, m.Accelerometer, m.Gyro)
 
 
 @pytest.mark.parametrize("kind", [*PARTS, m.StepDone])
-def test_what_is_no_valid_message_is_left_where_it_is_and_breaks_the_snapshot_that_lacks_it(kind):
+def test_an_invalid_message_stays_where_it_is_and_breaks_the_snapshot_that_lacks_it(kind):
     reader = SnapshotReader()
     feed(reader, snapshot(1))
     whole = [codec.encode(message) for message in [*snapshot(2), m.StepDone(10), *snapshot(3)]]
@@ -157,7 +157,7 @@ def test_packed_bytes_are_not_read_beyond_their_end(data, begin, frame, cut):
     assert reader.take(whole + pack([codec.encode(frame)])[:-cut], 0) == len(whole)
 
 
-def test_every_sequence_is_told_once_also_of_many_at_once_and_of_snapshots_that_lack_a_part():
+def test_every_sequence_is_told_once_also_of_many_at_once_and_of_partial_snapshots():
     reader, told = SnapshotReader(), []
     ticks = pack([codec.encode(m.Tick(n, n & 0xFF, 0, m.State.ACTIVE, 3, n & 0xFF)) for n in range(500)])
     at = 0

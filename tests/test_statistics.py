@@ -139,7 +139,7 @@ def statistics(link, **options):
     return result
 
 
-def test_in_lockstep_the_figures_of_a_link_are_the_same_each_time_and_the_frames_on_every_link():
+def test_in_lockstep_a_links_figures_repeat_and_the_frames_are_those_of_every_link():
     links = ["memory:", "memory:", "serial:pty", "can:virtual/statistics"]
     results = [statistics(link) for link in links]
     figures = [result.metrics["link_statistics"] for result in results]

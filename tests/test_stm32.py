@@ -163,7 +163,7 @@ def test_the_second_answer_to_a_step_sent_twice_is_ignored():
     assert run(twice=True) == run(twice=False)
 
 
-def test_a_round_trip_ends_with_the_tick_that_says_so_whatever_becomes_of_its_snapshot():
+def test_a_round_trip_ends_with_the_tick_that_says_so_even_without_its_snapshot():
     class Clock:
         now = 0
 

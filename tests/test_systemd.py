@@ -75,7 +75,7 @@ def test_a_watchdog_that_is_not_ours_gets_no_beat(
     assert heard(end) == []
 
 
-def test_a_manager_that_does_not_read_is_not_waited_for_and_one_that_has_gone_is_no_error(
+def test_a_manager_that_does_not_read_is_not_waited_for_and_a_gone_one_is_no_error(
     manager: tuple[socket.socket, dict[str, str]],
 ) -> None:
     end, environment = manager

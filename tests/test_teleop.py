@@ -182,7 +182,7 @@ def test_a_termination_stops_and_the_terminal_is_put_back(robot: Robot) -> None:
     robot.rests()
 
 
-def test_a_process_that_stands_still_or_is_killed_sends_nothing_and_the_twist_times_out(robot: Robot) -> None:
+def test_a_stalled_or_killed_process_sends_nothing_and_the_twist_times_out(robot: Robot) -> None:
     stops = robot.ordered(Action.STOP)
     with teleop(kitty=True) as window:
         window.type(PRESS)

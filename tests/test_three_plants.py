@@ -75,7 +75,7 @@ def test_a_rigid_robot_never_slips() -> None:
     assert slip_onset_n_m(start("rigid"), "forward", highest_n_m=12.0) is None
 
 
-def test_in_the_turn_both_slip_plants_hold_longer_because_the_wheels_take_most_of_the_torque() -> None:
+def test_in_the_turn_both_slip_plants_hold_longer_as_wheels_take_most_of_the_torque() -> None:
     onsets = [slip_onset_n_m(start(plant), "turn", highest_n_m=12.0) for plant in ("slip", "mujoco")]
     for onset in onsets:
         assert onset is not None
