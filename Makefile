@@ -12,7 +12,7 @@ NATIVE_SOURCES := $(wildcard native_build/*.py firmware_protocol/build.py firmwa
 demo: setup
 	$(BIN)/hil run paper_circle
 
-# Real time comes last and alone.
+# Real time comes last and alone. HIL_EXAMPLES=thorough tries each property with ten times the examples, new ones each time.
 test: setup .venv/tools
 	$(BIN)/python -m pytest --numprocesses auto --maxprocesses 8 --dist worksteal -m 'not alone'
 	$(BIN)/python -m pytest -m alone

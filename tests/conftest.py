@@ -4,10 +4,9 @@ import os
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-import hypothesis
 import pytest
 
-from tests import socketcan_runner
+from tests import examples, socketcan_runner
 from tests.plugin_suites import suite
 
 if TYPE_CHECKING:
@@ -16,9 +15,7 @@ if TYPE_CHECKING:
 __all__ = ["suite"]
 
 _CI = os.environ.get("HIL_CI") == "1"
-# No time limit an example: these machines are shared. In CI the examples are the same on every run.
-hypothesis.settings.register_profile("hil", deadline=None, derandomize=_CI)
-hypothesis.settings.load_profile("hil")
+examples.load_profile()
 
 # They begin first, so that no process is left with one of them when the others have ended.
 _LONGEST = ("test_install.py", "test_fmu_platforms.py")

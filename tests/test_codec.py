@@ -5,13 +5,14 @@ from fractions import Fraction
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol import codec
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages
 from firmware_protocol.generated.messages import LENGTHS, MESSAGES, NAMES, WheelCommand
+from tests.examples import share_of_examples
 from tests.protocol_cases import (
     DBC,
     IDS,
@@ -58,7 +59,7 @@ def test_the_enumerations_hold_the_value_tables(table: Any, message: str, signal
 
 
 @by_id
-@settings(max_examples=40)
+@share_of_examples(0.4)
 @given(data=st.data())
 def test_on_the_grid_decode_inverts_encode(number: int, data: st.DataObject) -> None:
     message = build(number, data.draw(grid_values(number)))
@@ -66,7 +67,7 @@ def test_on_the_grid_decode_inverts_encode(number: int, data: st.DataObject) -> 
 
 
 @by_id
-@settings(max_examples=40)
+@share_of_examples(0.4)
 @given(data=st.data())
 def test_off_the_grid_the_nearest_step_is_sent_halves_away_from_zero(number: int, data: st.DataObject) -> None:
     values = data.draw(any_values(number))
@@ -93,7 +94,7 @@ def test_halves_go_away_from_zero() -> None:
 
 
 @by_id
-@settings(max_examples=40)
+@share_of_examples(0.4)
 @given(data=st.data())
 def test_cantools_writes_and_reads_the_same_payload(number: int, data: st.DataObject) -> None:
     values = data.draw(grid_values(number))
@@ -147,7 +148,7 @@ def test_an_integer_field_takes_no_float(number: int) -> None:
 
 
 @by_id
-@settings(max_examples=40)
+@share_of_examples(0.4)
 @given(data=st.data())
 def test_any_payload_is_refused_or_has_one_meaning(number: int, data: st.DataObject) -> None:
     payload = data.draw(st.binary(min_size=LENGTHS[number], max_size=LENGTHS[number]))

@@ -10,7 +10,7 @@ import dataclasses
 import math
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.controllers.afdsc import Afdsc
@@ -27,6 +27,7 @@ from tests.closed_loop import (
     run_speed,
     run_torque,
 )
+from tests.examples import share_of_examples
 
 SLOW_FILTER_S, FAST_FILTER_S = 0.0675, 0.0217
 LAWS = [Dsc, Afdsc]
@@ -273,7 +274,7 @@ def test_speed_mode_converges_on_wheels_with_ideal_speed(law):
     assert heading_rad < 1e-6
 
 
-@settings(max_examples=20)
+@share_of_examples(0.2)
 @given(poses)
 def test_speed_mode_comes_home_from_anywhere(start):
     controller = speed_law(Dsc, k1_1_s=8.0)

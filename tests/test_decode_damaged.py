@@ -4,10 +4,11 @@ import json
 
 import can
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.trace import decode
+from tests.examples import share_of_examples
 from tests.processes import hil
 
 EVERYTHING = decode.Selection.of([], 0, 1000)
@@ -95,7 +96,7 @@ def test_the_events_of_other_tools_in_an_asc_file_are_no_damage(tmp_path):
     assert reading.trouble is None
 
 
-@settings(deadline=None, max_examples=200)
+@share_of_examples(2.0)
 @given(ending=st.sampled_from(["asc", "log"]), share=st.floats(0, 1, exclude_max=True))
 def test_no_cut_makes_up_a_frame(tmp_path_factory, ending, share):
     path = written(tmp_path_factory.mktemp("cut") / f"bus.{ending}")
@@ -144,7 +145,7 @@ def test_a_damaged_blf_file_of_one_block_says_that_it_is_damaged(tmp_path):
     assert_broken_off(path, 0, "damaged in the block at byte 144")
 
 
-@settings(deadline=None, max_examples=200)
+@share_of_examples(2.0)
 @given(place=st.integers(144, 144 + 300), bit=st.integers(0, 7))
 def test_no_damaged_bit_of_a_block_makes_up_a_frame(tmp_path_factory, place, bit):
     path = written(tmp_path_factory.mktemp("damaged") / "bus.blf")

@@ -4,7 +4,7 @@ import struct
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.framing import Frame
@@ -16,6 +16,7 @@ from hil.kinematics import BodyTwist, wheel_speeds
 from hil.options import build
 from hil.types import FourWheels
 from tests.dialect_testbed import STILL, Rig, assert_near, ramp_to
+from tests.examples import share_of_examples
 
 X3 = (0.204203 / (2 * 3.141592653589793), 0.164555)  # the firmware's wheel radius and lever
 FORWARD = (8.0, 8.0, 8.0, 8.0)
@@ -251,7 +252,7 @@ def test_settings_that_cannot_be_are_refused(options: dict[str, object], words: 
         build(dialect("rosmaster").settings, options, "device.motors")
 
 
-@settings(max_examples=50)
+@share_of_examples(0.5)
 @given(st.lists(st.integers(-(2**31), 2**31 - 1), min_size=1, max_size=8))
 def test_counts_go_on_beyond_their_32_bits(steps: list[int]) -> None:
     driver = RIG.driver
@@ -267,7 +268,7 @@ def test_counts_go_on_beyond_their_32_bits(steps: list[int]) -> None:
     assert driver.sample.position_rad[0] == pytest.approx(total / 1320 * 6.283185307179586)
 
 
-@settings(max_examples=50)
+@share_of_examples(0.5)
 @given(st.integers(0, 255), st.binary(max_size=32))
 def test_no_frame_is_too_strange(number: int, payload: bytes) -> None:
     driver = RIG.driver
@@ -277,7 +278,7 @@ def test_no_frame_is_too_strange(number: int, payload: bytes) -> None:
     assert driver.sample is None or (number == 0x0A and len(payload) == 7)
 
 
-@settings(max_examples=50)
+@share_of_examples(0.5)
 @given(st.lists(st.tuples(st.integers(0, 255), st.binary(max_size=29)), max_size=6), st.binary(max_size=40), st.data())
 def test_frames_come_out_of_any_pieces_and_noise_is_counted(
     sent: list[tuple[int, bytes]], noise: bytes, data: st.DataObject
@@ -298,7 +299,7 @@ def test_frames_come_out_of_any_pieces_and_noise_is_counted(
     assert last == Frame(0x51, b"\3\5")
 
 
-@settings(max_examples=50)
+@share_of_examples(0.5)
 @given(st.binary(min_size=3, max_size=8), st.integers(0, 7), st.integers(1, 255))
 def test_a_damaged_byte_costs_its_frame_alone(payload: bytes, at: int, damage: int) -> None:
     made = dialect("rosmaster").make_framing

@@ -4,7 +4,7 @@ import struct
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.framing import Frame
@@ -15,6 +15,7 @@ from hil.kinematics import BodyTwist, wheel_speeds
 from hil.options import build
 from hil.types import FourWheels
 from tests.dialect_testbed import STILL, Rig, assert_near, ramp_to
+from tests.examples import share_of_examples
 
 FORWARD = (8.0, 8.0, 8.0, 8.0)
 EVERY_WAY: tuple[FourWheels, ...] = (FORWARD, (-6.0, 6.0, -6.0, 6.0), (-5.0, 5.0, 5.0, -5.0), (2.0, 8.0, 5.0, 5.0))
@@ -193,7 +194,7 @@ def test_on_can_a_report_that_lacks_a_part_or_mixes_two_is_none() -> None:
     assert driver.missing.startswith("no report of a WHEELTEC base; check its power")
 
 
-@settings(max_examples=50)
+@share_of_examples(0.5)
 @given(st.integers(0x100, 0x104), st.lists(st.binary(max_size=9), max_size=6))
 def test_no_frame_is_too_strange(number: int, payloads: list[bytes]) -> None:
     driver = RIG.driver
@@ -203,7 +204,7 @@ def test_no_frame_is_too_strange(number: int, payloads: list[bytes]) -> None:
     assert driver.sample is None
 
 
-@settings(max_examples=50)
+@share_of_examples(0.5)
 @given(st.lists(st.binary(min_size=22, max_size=22), max_size=4), st.binary(max_size=40), st.data())
 def test_reports_come_out_of_any_pieces_and_noise_is_counted(
     bodies: list[bytes], noise: bytes, data: st.DataObject
@@ -222,7 +223,7 @@ def test_reports_come_out_of_any_pieces_and_noise_is_counted(
     assert sum(ours.rejected.values()) > 0
 
 
-@settings(max_examples=50)
+@share_of_examples(0.5)
 @given(st.integers(0, 23), st.integers(1, 255))
 def test_a_damaged_byte_costs_its_report_alone(at: int, damage: int) -> None:
     damaged = bytearray(whole(REPORT))

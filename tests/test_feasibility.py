@@ -4,11 +4,12 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.model import RobotModel
 from hil.references import Circle, Hold, Spin, feasibility
+from tests.examples import share_of_examples
 from tests.test_references import circles, eights, routes, spins, squares
 
 MASS, INERTIA, RADIUS, LEVER, WHEEL_INERTIA, FRICTION = 24.0, 0.8, 0.08, 0.55, 0.006, 0.02
@@ -37,7 +38,7 @@ def demanded(source, t_s: np.ndarray):
     return np.array(speeds), np.array(torques)
 
 
-@settings(max_examples=25, deadline=None)
+@share_of_examples(0.25)
 @given(st.one_of(circles, eights, squares, spins, routes), st.floats(2.0, 20.0), st.floats(0.05, 2.0))
 def test_demands_are_those_of_an_independent_computation(source, speed_limit, torque_limit):
     found = feasibility(source, robot(speed_limit, torque_limit), 5.0, 0.02)
@@ -58,7 +59,7 @@ def test_demands_are_those_of_an_independent_computation(source, speed_limit, to
             assert demand.first is None or demand.first == pytest.approx(limit, abs=1e-8)
 
 
-@settings(max_examples=15, deadline=None)
+@share_of_examples(0.15)
 @given(st.floats(0.3, 3.0), st.floats(4.0, 15.0), st.floats(-4.0, 4.0))
 def test_a_circle_with_a_fixed_heading_asks_for_the_diagonal_of_its_speed(radius, period, heading):
     speed = feasibility(Circle(radius, period, heading), robot(20.0, 2.0), 1e4, 0.01).speed

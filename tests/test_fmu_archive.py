@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import plant_fmu
@@ -22,6 +22,7 @@ from hil.plant.info import info
 from hil.plant.tools import check
 from plant_fmu import platforms
 from tests.broken_fmu import Change, pack
+from tests.examples import share_of_examples
 from tests.foreign_fmu import foreign_fmu
 from tests.plant_testbed import FMU
 
@@ -309,7 +310,7 @@ def mutated(data: bytes, edits: list[tuple[int, bytes]], length: int) -> bytes:
 EDITS = st.lists(st.tuples(st.integers(0, 2**20), st.binary(min_size=1, max_size=8)), max_size=6)
 
 
-@settings(max_examples=400, deadline=None)
+@share_of_examples(4.0)
 @given(st.sampled_from([2, 3]), EDITS, st.one_of(st.just(0), st.integers(0, 2**16)))
 def test_no_bytes_of_an_archive_raise_anything_but_bad_input(
     tmp_path_factory: pytest.TempPathFactory, fmi: int, edits: list[tuple[int, bytes]], length: int
@@ -319,7 +320,7 @@ def test_no_bytes_of_an_archive_raise_anything_but_bad_input(
     opens_or_refuses(fmu)
 
 
-@settings(max_examples=400, deadline=None)
+@share_of_examples(4.0)
 @given(st.sampled_from([2, 3]), EDITS, st.one_of(st.just(0), st.integers(0, 2**16)))
 def test_no_description_raises_anything_but_bad_input(
     tmp_path_factory: pytest.TempPathFactory, fmi: int, edits: list[tuple[int, bytes]], length: int

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from scipy.stats import chi2
@@ -25,6 +25,7 @@ from hil.estimator.belief import (
 )
 from hil.estimator.history import History
 from hil.types import MeasuredPose, Pose, PoseCovariance
+from tests.examples import share_of_examples
 
 Array = npt.NDArray[np.float64]
 
@@ -182,7 +183,7 @@ def test_the_errors_are_as_large_as_the_covariance_says():
     assert chi2.ppf(0.001, 4 * seeds) < total < chi2.ppf(0.999, 4 * seeds)
 
 
-@settings(max_examples=30, deadline=None)
+@share_of_examples(0.3)
 @given(st.lists(st.integers(0, 40), min_size=10, max_size=10), st.integers(0, TICK_NS - 1), st.randoms())
 def test_late_and_out_of_order_is_exactly_in_order(delays, apart_ns, chance):
     """Bit for bit, with gate and streak of rejections: fixes between the ticks, two of one instant, outliers."""
@@ -245,7 +246,7 @@ def test_outliers_are_rejected_and_change_nothing():
 
 
 @given(st.floats(0.5, 20.0), st.floats(-3.0, 3.0), st.floats(-2.5, 2.5))
-@settings(max_examples=30, deadline=None)
+@share_of_examples(0.3)
 def test_a_robot_that_was_carried_away_is_found_after_the_streak(dx, dy, turned):
     """Fixes of another place that agree with one another and with the motion are believed, at any heading."""
     world = World(6)

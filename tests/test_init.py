@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import hil
@@ -16,6 +16,7 @@ from hil.commands.init import init
 from hil.errors import BadInputError
 from hil.init import QUESTIONS, ROBOT_FILE, SCENARIO_FILE, begin
 from hil.scenario import load
+from tests.examples import share_of_examples
 from tests.processes import HIL, environment
 
 
@@ -28,7 +29,7 @@ def _answers(**known: Any) -> dict[str, Any]:
     return answers
 
 
-@settings(max_examples=8, deadline=None)
+@share_of_examples(0.08)
 @given(
     st.floats(0.5, 2000.0),
     st.floats(0.02, 0.3),

@@ -9,7 +9,7 @@ import dataclasses
 from collections.abc import Callable
 
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from hil.controllers.registry import SHIPPED
@@ -28,6 +28,7 @@ from hil.types import (
     Wheels,
 )
 from tests.closed_loop import PAPER_ROBOT
+from tests.examples import share_of_examples
 
 ROBOT = dataclasses.replace(PAPER_ROBOT, friction_coefficient=0.03, speed_limit_rad_s=20.0)
 PERIOD_S = 0.005
@@ -98,7 +99,7 @@ FRONT_REAR = Reflection(-1.0, 1.0, -1.0, lambda fl, fr, rr, rl: Wheels(-rl, -rr,
 
 @pytest.mark.parametrize("reflection", [LEFT_RIGHT, FRONT_REAR], ids=["left_right", "front_rear"])
 @pytest.mark.parametrize(("law", "mode"), LAWS)
-@settings(max_examples=15)
+@share_of_examples(0.15)
 @given(ticks=ticks)
 @example(ticks=[FASTER_THAN_ITS_LIMIT])
 def test_mirrored_inputs_give_mirrored_commands(law, mode, reflection, ticks):

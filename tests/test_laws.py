@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 import scipy.signal
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.controllers.dsc import Dsc
@@ -30,6 +30,7 @@ from hil.types import (
     Wheels,
 )
 from tests.closed_loop import AT_REST, PAPER_CIRCLE, PAPER_ROBOT, after, derivative
+from tests.examples import share_of_examples
 
 DT_S = 0.005
 TORQUE_LAWS = ["pid", "computed_torque", "lqi", "dsc_eso", "afdsc_eso"]
@@ -142,7 +143,7 @@ def test_the_circle_is_tracked_without_the_filter_s_lag(name):
 @pytest.mark.parametrize("mode", CommandMode)
 @pytest.mark.parametrize("name", SHIPPED)
 @given(state=states, reference=references, before=states)
-@settings(max_examples=20)
+@share_of_examples(0.2)
 def test_reset_forgets_whatever_was_before(name, mode, state, reference, before):
     if (name, mode) == ("computed_torque", CommandMode.SPEED):
         return
@@ -204,7 +205,7 @@ def test_computed_torque_decays_as_the_second_order_system(damping):
     control=st.floats(1e-2, 1e2),
     dt_s=st.sampled_from([0.001, 0.005, 0.02]),
 )
-@settings(max_examples=20)
+@share_of_examples(0.2)
 def test_the_riccati_equation_is_solved_as_scipy_does(weights, control, dt_s):
     a = np.array([[1.0, dt_s, dt_s**2 / 2], [0.0, 1.0, dt_s], [0.0, 0.0, 1.0]])
     b = np.array([[dt_s**3 / 6], [dt_s**2 / 2], [dt_s]])
@@ -267,7 +268,7 @@ def test_pid_in_torque_mode_knows_neither_mass_nor_friction():
     filter_s=st.floats(0.005, 0.5),
     dt_s=st.sampled_from([0.001, 0.005, 0.02]),
 )
-@settings(max_examples=30)
+@share_of_examples(0.3)
 def test_the_filter_s_steps_are_the_exact_solution_for_an_input_that_is_held(speeds, filter_s, dt_s):
     """ς ẋ + x = x̄2 by SciPy's zero-order hold; x is what DSC's torque tells of it for a robot at rest."""
     k2 = 40.0

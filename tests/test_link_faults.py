@@ -4,7 +4,7 @@ import itertools
 import math
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.framing import Deframer, Frame, Framer
@@ -16,6 +16,7 @@ from hil.links.fault_rows import ScenarioTime, link_faults
 from hil.links.faults import FaultLink
 from hil.links.line_faults import FaultLine
 from hil.ports import Received
+from tests.examples import share_of_examples
 from tests.heard import everything
 
 MS = 1_000_000
@@ -183,7 +184,7 @@ def test_what_was_reordered_meets_the_rows_behind_when_it_goes_on(leaves) -> Non
 
 
 @pytest.mark.parametrize("kind", ["drop", "duplicate", "freeze", "delay", "reorder"])
-@settings(max_examples=10)
+@share_of_examples(0.1)
 @given(st.integers(0, 2**32 - 1))
 def test_every_kind_behind_a_reorder_acts_on_all_frames(kind, seed) -> None:
     behind = row(kind, start=90 * MS, end=NEVER_NS, value=0.01 if kind == "delay" else 1.0)

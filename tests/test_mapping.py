@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.errors import BadInputError
@@ -13,6 +13,7 @@ from hil.plant.fmu import FmuPlant
 from hil.plant.mapping import Row, SignalMap
 from hil.plant.start import Value
 from hil.types import WHEEL_NAMES, Wheels
+from tests.examples import share_of_examples
 from tests.foreign_fmu import Var, foreign_fmu, foreign_map, variables2
 from tests.plant_testbed import FMU
 
@@ -41,7 +42,7 @@ def foreign3(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return foreign_fmu(tmp_path_factory.mktemp("three"), 3)
 
 
-@settings(max_examples=15, deadline=None)
+@share_of_examples(0.15)
 @given(
     torque=st.tuples(*[st.floats(-1, 1, width=32)] * 4),
     rows=st.lists(st.tuples(SCALES, OFFSETS, SIGNS), min_size=5, max_size=5),

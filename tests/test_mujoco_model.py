@@ -4,9 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.examples import share_of_examples
 from tests.mujoco_testbed import FIRST_WHEEL, FMU, WHEEL_JOINTS, compiled, model, mujoco
 
 BODIES = st.fixed_dictionaries(
@@ -24,7 +25,7 @@ BODIES = st.fixed_dictionaries(
 )
 
 
-@settings(max_examples=20, deadline=None)
+@share_of_examples(0.2)
 @given(parameters=BODIES, roundness=st.floats(0.3, 1.0), angle_rad=st.floats(-10.0, 10.0))
 def test_masses_and_inertias_are_the_parameters(
     tmp_path_factory: pytest.TempPathFactory, parameters: dict[str, float], roundness: float, angle_rad: float

@@ -4,9 +4,10 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.examples import share_of_examples
 from tests.mujoco_testbed import DIRECTIONS, FORWARD, RIGID, TURN, Robot, Row, robot, wheel_speeds
 
 ROLLING_MASS_KG = 4 * 0.005 / 0.075**2  # what four turning wheels add to the mass: 4 Ib / r^2
@@ -20,7 +21,7 @@ def drive(plant: Robot, wanted_rad_s: Row, steps: int) -> None:
         plant.step()
 
 
-@settings(max_examples=10, deadline=None)
+@share_of_examples(0.1)
 @given(
     twist=st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5), st.floats(-1.0, 1.0)),
     heading_rad=st.floats(-10.0, 10.0),

@@ -1,7 +1,7 @@
 """The firmware core: what makes it move, and above all what does not."""
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol import codec
@@ -9,6 +9,7 @@ from firmware_protocol.framing import Frame, Framer, pack
 from firmware_protocol.generated import messages as m
 from firmware_protocol.host import HostNode, library, parameter_hash, parameters
 from hil.devices.snapshot import SnapshotReader
+from tests.examples import share_of_examples
 from tests.wheel_rig import PARAMETERS, REST_TICKS, WheelRig
 
 
@@ -476,7 +477,7 @@ _ANY_FRAME = st.builds(
 )
 
 
-@settings(max_examples=300)
+@share_of_examples(3.0)
 @given(data=st.lists(st.binary(max_size=40) | _ANY_FRAME, max_size=40))
 def test_neither_bytes_nor_valid_frames_move_an_idle_robot(data):
     """Frames of any content with a right CRC: none of them arms, commands first at rest, and then drives."""
@@ -491,7 +492,7 @@ def test_neither_bytes_nor_valid_frames_move_an_idle_robot(data):
 _PLAUSIBLE = st.builds(Frame, st.sampled_from(sorted(set(m.LENGTHS) - {m.Step.ID})), st.binary(min_size=8, max_size=8))
 
 
-@settings(max_examples=300)
+@share_of_examples(3.0)
 @given(frames=st.lists(_PLAUSIBLE, max_size=60))
 def test_no_stale_frames_keep_an_active_robot_going(frames):
     """Valid frames with any content, none with a fresh command: the robot stops in time."""

@@ -4,10 +4,11 @@ import math
 from collections.abc import Callable
 
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from firmware_protocol.generated import messages as m
+from tests.examples import share_of_examples
 from tests.wheel_rig import PARAMETERS, WheelRig
 
 FREE = (0.0,) * 4
@@ -328,7 +329,7 @@ def moves(value: st.SearchStrategy[float]) -> st.SearchStrategy[list[tuple[tuple
     return st.lists(st.tuples(four | same, st.integers(20, 400)), min_size=1, max_size=12)
 
 
-@settings(max_examples=60)
+@share_of_examples(0.6)
 @given(
     profile=moves(_SPEED | st.sampled_from([0.0, 2.1, -2.1, 60.0, -60.0])),
     limit_n_m=st.sampled_from([0.5, 5.0, 15.0]),
@@ -345,7 +346,7 @@ def test_no_false_alarm_whatever_speeds_are_commanded(
     stand.assert_no_fault()
 
 
-@settings(max_examples=60)
+@share_of_examples(0.6)
 @given(profile=moves(_TORQUE))
 def test_no_false_alarm_whatever_torques_are_commanded(profile: list[tuple[tuple[float, ...], int]]) -> None:
     stand = Stand(m.Mode.TORQUE)

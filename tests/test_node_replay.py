@@ -3,13 +3,14 @@
 from collections.abc import Callable
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol import codec
 from firmware_protocol.framing import Framer
 from firmware_protocol.generated import messages as m
 from firmware_protocol.generated.messages import State
+from tests.examples import share_of_examples
 from tests.wheel_rig import WheelRig
 
 STILL_RAD_S = 0.3
@@ -134,7 +135,7 @@ _, OLD = record(0x1231)
 COMMANDS = [x for x in OLD if isinstance(x, m.WheelCommand | m.TorqueFeedforward)]
 
 
-@settings(max_examples=200)
+@share_of_examples(2.0)
 @given(frames=st.lists(st.sampled_from(COMMANDS) | st.integers(1, 10), max_size=80))
 def test_old_commands_neither_move_a_new_session_nor_keep_it_alive(frames: list[codec.Message | int]) -> None:
     rig = WheelRig()
@@ -204,7 +205,7 @@ def test_a_recorded_session_of_256_commands_moves_no_other_session(mode: m.Mode,
     assert rig.speed_rad_s == [0.0] * 4
 
 
-@settings(max_examples=150)
+@share_of_examples(1.5)
 @given(data=st.data())
 def test_a_session_at_rest_on_a_line_that_spoils_every_frame_moves_nothing(data: st.DataObject) -> None:
     """One or two wrong bits in each command of zero, fresh ones, and any bytes between: the robot stops in time."""

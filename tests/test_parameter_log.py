@@ -6,12 +6,13 @@ import subprocess
 
 import cffi
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.arm_build import PORT
 from firmware_protocol.build import FLAGS, HERE
 from firmware_protocol.stm32_flash import flash_image
+from tests.examples import share_of_examples
 from tests.protocol_cases import PROTOCOL
 
 STORED_SIZE = 96  # WHEEL_STORED_SIZE
@@ -66,7 +67,7 @@ def test_the_newest_survives_a_reset(flash, many):
         assert robot.open() == data
 
 
-@settings(max_examples=300)
+@share_of_examples(3.0)
 @given(old=st.none() | stored_bytes, new=stored_bytes, cut=st.integers(0, WORDS - 1), mask=st.integers(0, 2**32 - 1))
 def test_a_power_cut_at_any_word_leaves_the_old_or_the_new(flash, old, new, cut, mask):
     robot = Robot(flash)
@@ -114,7 +115,7 @@ def fill(robot: Robot, data: bytes) -> None:
     robot.append(data)
 
 
-@settings(max_examples=30, deadline=None)
+@share_of_examples(0.3)
 @given(new=stored_bytes, seed=st.integers(0, 2**32 - 1), chance=st.integers(0, 256), again=stored_bytes)
 def test_a_power_cut_in_an_erasure_leaves_the_newest_and_the_log_goes_on(flash, new, seed, chance, again):
     robot = Robot(flash)

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.examples import share_of_examples
 from tests.plant_testbed import (
     CURRENT,
     CURRENTS,
@@ -77,7 +78,7 @@ def stored_j(plant: Robot, p: dict[str, float]) -> float:
 
 @contacts
 @drives
-@settings(max_examples=25)
+@share_of_examples(0.25)
 @given(p=robots, sequence=st.lists(inputs, min_size=4, max_size=4))
 def test_energy_is_neither_made_nor_lost_unseen(contact: int, drive: int, p: dict[str, float], sequence: list) -> None:
     """And the heat only grows. What is stored beyond motion, height and windings bends rollers: (mu N)^2 / 2 K each."""

@@ -5,8 +5,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 
+from tests.examples import share_of_examples
 from tests.plant_cases import held, robots
 from tests.plant_oracle import Inputs, Oracle
 from tests.plant_testbed import (
@@ -52,7 +53,7 @@ def theirs(parameters: Mapping[str, float], run: list[Any]) -> np.ndarray:
 
 
 # Viscous friction on light wheels leaves 3e-8 at the default step of 1 ms; a quarter of it leaves 1e-10.
-@settings(max_examples=30)
+@share_of_examples(0.3)
 @given(robots(longest_step_s=2.5e-4), held(2.0))
 @example(LIGHT, [((1.0, 0.2, -0.7, 0.4), (3.0, -5.0, 0.2))])
 def test_agrees_with_independent_equations(parameters: dict[str, float], run: list[Any]) -> None:
@@ -60,7 +61,7 @@ def test_agrees_with_independent_equations(parameters: dict[str, float], run: li
 
 
 # The default step, a quarter of the electrical time constant, leaves 1e-7; it falls with the fourth power.
-@settings(max_examples=8)
+@share_of_examples(0.08)
 @given(robots(drive=VOLTAGE, longest_step_s=5e-5, current_limit_a=1000.0), held(0.3))
 def test_motors_agree_with_independent_equations(parameters: dict[str, float], run: list[Any]) -> None:
     np.testing.assert_allclose(ours(parameters, run), theirs(parameters, run), rtol=1e-8, atol=1e-10)
@@ -71,13 +72,13 @@ ELASTIC: dict[str, Any] = {"contact": SLIP, "longest_step_s": 2.5e-5, "grip_coef
 ELASTIC |= {"start_vx_m_s": 0.0, "start_vy_m_s": 0.0, "start_yaw_rate_rad_s": 0.0, "wheel_radius_m": 0.08}
 
 
-@settings(max_examples=8)
+@share_of_examples(0.08)
 @given(robots(**ELASTIC), held(2.0))
 def test_elastic_rollers_agree_with_independent_equations(parameters: dict[str, float], run: list[Any]) -> None:
     np.testing.assert_allclose(ours(parameters, run), theirs(parameters, run), rtol=1e-8, atol=1e-9)
 
 
-@settings(max_examples=5)
+@share_of_examples(0.05)
 @given(robots(**ELASTIC, drive=VOLTAGE, current_limit_a=1000.0), held(0.05))
 def test_motors_on_elastic_rollers_agree_with_independent_equations(
     parameters: dict[str, float], run: list[Any]
@@ -87,7 +88,7 @@ def test_motors_on_elastic_rollers_agree_with_independent_equations(
 
 # The friction of sliding rollers has corners, at the limit and where a slide turns back, that cost the integrator its
 # order: 80 runs left 1e-5 of a value or 1e-6 at most.
-@settings(max_examples=6)
+@share_of_examples(0.06)
 @given(robots(contact=SLIP, longest_step_s=2e-5, mass_kg=30.0), held(9.0))
 def test_sliding_rollers_agree_with_independent_equations(parameters: dict[str, float], run: list[Any]) -> None:
     np.testing.assert_allclose(ours(parameters, run), theirs(parameters, run), rtol=1e-5, atol=5e-6)

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
-from hypothesis import HealthCheck, example, given, settings
+from hypothesis import HealthCheck, example, given
 from hypothesis import strategies as st
 
+from tests.examples import share_of_examples
 from tests.plant_testbed import (
     ENERGY,
     MESSAGES,
@@ -72,7 +73,7 @@ def internal_step_s(parameters: Mapping[str, float]) -> float:
     return 1e9 / int(needed[1])
 
 
-@settings(max_examples=150, suppress_health_check=[HealthCheck.too_slow])
+@share_of_examples(1.5, suppress_health_check=[HealthCheck.too_slow])
 @given(extremes(), inputs)
 @example(
     dict.fromkeys(START, 0.0) | {"battery_voltage_v": 0.0, "gear_ratio": 0.01, "com_x_m": -10.0, "drive": 2.0},

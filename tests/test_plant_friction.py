@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
+from tests.examples import share_of_examples
 from tests.plant_oracle import G, Oracle
 from tests.plant_testbed import (
     ANGLES,
@@ -126,7 +127,7 @@ def test_one_wheel_on_slipping_rollers_breaks_away_alone() -> None:
 torques = st.tuples(*[st.floats(-3, 3)] * 4)
 
 
-@settings(max_examples=60)
+@share_of_examples(0.6)
 @given(
     torques, st.floats(0, 0.2), st.floats(-0.1, 0.1), st.floats(-0.1, 0.1), st.floats(0, 0.3), st.sampled_from([X, O])
 )

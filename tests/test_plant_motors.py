@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.examples import share_of_examples
 from tests.plant_testbed import AXLE_TORQUES, CURRENT, CURRENTS, DEFAULTS, SPEEDS, VOLTAGE, robot
 
 CONSTANT, RESISTANCE = DEFAULTS["motor_constant_n_m_a"], DEFAULTS["motor_resistance_ohm"]
@@ -130,7 +131,7 @@ def test_an_ideal_current_follows_its_set_point_up_to_the_limit() -> None:
 duties = st.lists(st.tuples(*[st.floats(-1, 1)] * 4), min_size=5, max_size=20)
 
 
-@settings(max_examples=25)
+@share_of_examples(0.25)
 @given(
     duties,
     st.floats(1e-4, 2e-2),

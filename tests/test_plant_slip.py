@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.examples import share_of_examples
 from tests.plant_oracle import G
 from tests.plant_testbed import (
     DEFAULTS,
@@ -114,7 +115,7 @@ def test_the_default_step_resolves_slides_that_turn_back(torque: float) -> None:
     np.testing.assert_allclose(ends[0], ends[1], rtol=0.01, atol=1e-3)
 
 
-@settings(max_examples=30)
+@share_of_examples(0.3)
 @given(
     st.tuples(*[st.floats(-8, 8)] * 4),
     st.floats(-0.2, 0.2),

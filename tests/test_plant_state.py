@@ -5,9 +5,10 @@ from itertools import product
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.examples import share_of_examples
 from tests.plant_cases import robots
 from tests.plant_testbed import (
     ANGLES,
@@ -105,7 +106,7 @@ def test_many_steps_equal_one_where_internal_steps_coincide(contact: int, drives
         np.testing.assert_allclose(long.read(names), short.read(names), rtol=1e-10, atol=1e-12)
 
 
-@settings(max_examples=15)
+@share_of_examples(0.15)
 @given(robots(friction_coefficient=0.02), st.lists(st.floats(1e-5, 3e-2), min_size=3, max_size=20))
 def test_steps_of_any_length_lead_to_the_same_place(parameters: dict[str, float], steps_s: list[float]) -> None:
     """Irregular communication steps against a single one: the integrator's own error, and exact standstills."""
@@ -131,7 +132,7 @@ def test_a_parameter_that_is_tuned_before_the_first_step_is_a_start_value(name: 
     assert ends[0] != ends[2]
 
 
-@settings(max_examples=15)
+@share_of_examples(0.15)
 @given(robots(), robots())
 def test_parameters_tuned_on_the_way_act_as_if_started_there(before: dict[str, float], after: dict[str, float]) -> None:
     """A robot that is loaded while it moves goes on as one that starts there, at that speed, with that load."""

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
@@ -15,6 +15,7 @@ from hil.controllers.profile import Profile, profile
 from hil.kinematics import body_wrench, to_body
 from hil.types import Acceleration, Applied, CommandMode, Pose, Reference, State, Twist, WheelCommand, Wheels
 from tests.closed_loop import AT_REST, PAPER_ROBOT, after
+from tests.examples import share_of_examples
 
 ROBOT = dataclasses.replace(PAPER_ROBOT, friction_coefficient=0.03, speed_limit_rad_s=20.0)
 LIMIT_N_M = 5.0
@@ -55,7 +56,7 @@ def test_no_wheel_is_given_more_than_its_limit_and_pushing_comes_before_turning(
     assert wrench.yaw_n_m == pytest.approx(4.0 * lever * given_turn / radius, abs=1e-9)
 
 
-@settings(max_examples=40)
+@share_of_examples(0.4)
 @given(torque, torque, torque, losses)
 def test_of_turning_there_is_as_much_as_four_wheels_can_give_beside_pushing(push_1, push_2, turn, losses):
     """Against a linear program over the four torques that holds the pushes and goes as near to the turn as it can."""

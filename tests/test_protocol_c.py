@@ -12,12 +12,13 @@ from typing import Any
 import cffi
 import pytest
 from cobs import cobs
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.framing import Deframer, Frame, Framer, crc16
 from firmware_protocol.generated import messages
 from firmware_protocol.generated.messages import LENGTHS, MESSAGES
+from tests.examples import share_of_examples
 from tests.protocol_cases import (
     DBC,
     IDS,
@@ -139,7 +140,7 @@ def test_the_constants_agree(c: tuple[Any, Any]) -> None:
 
 
 @by_id
-@settings(max_examples=40)
+@share_of_examples(0.4)
 @given(data=st.data())
 def test_c_and_python_encode_the_same_bits(c: tuple[Any, Any], number: int, data: st.DataObject) -> None:
     values = data.draw(any_values(number))
@@ -147,7 +148,7 @@ def test_c_and_python_encode_the_same_bits(c: tuple[Any, Any], number: int, data
 
 
 @by_id
-@settings(max_examples=40)
+@share_of_examples(0.4)
 @given(data=st.data())
 def test_c_and_python_decode_the_same_values(c: tuple[Any, Any], number: int, data: st.DataObject) -> None:
     payload = data.draw(st.binary(min_size=LENGTHS[number], max_size=LENGTHS[number]))

@@ -4,19 +4,20 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import make_smoothing_spline
 
 from hil.references.double_s import Limits, after, change_way, profile, reachable_speed
 from hil.references.route import Waypoint, plan
 from hil.references.smoothing import SmoothingSpline
+from tests.examples import share_of_examples
 from tests.test_references import limits, waypoints
 
 blends = st.sampled_from([0.0, 0.1, 0.5])
 
 
-@settings(max_examples=60, deadline=None)
+@share_of_examples(0.6)
 @given(st.floats(0.001, 5.0), st.floats(0.0, 1.0), st.floats(0.0, 1.0), limits)
 def test_a_profile_is_as_fast_as_the_fastest_of_ruckig(spare, first_share, last_share, within):
     ruckig = pytest.importorskip("ruckig", reason="it has no wheel for Linux on ARM")
@@ -43,7 +44,7 @@ def test_the_reachable_speed_is_reached_on_just_this_way(speed, way, within):
         assert peak <= reached + 1e-6  # nothing is left for a detour over a higher speed
 
 
-@settings(max_examples=15, deadline=None)
+@share_of_examples(0.15)
 @given(waypoints, limits, limits, blends)
 def test_waypoints_keep_the_limits_of_speed_acceleration_and_jerk(points, plane, yaw, blend_m):
     route = plan(points, plane, yaw, blend_m)
@@ -60,7 +61,7 @@ def test_waypoints_keep_the_limits_of_speed_acceleration_and_jerk(points, plane,
         assert abs(steps[:, 2]).max() <= of_yaw * h * (1 + 1e-6) + 1e-9
 
 
-@settings(max_examples=20, deadline=None)
+@share_of_examples(0.2)
 @given(waypoints, limits, limits, blends)
 def test_waypoints_begin_at_the_first_pass_the_others_and_rest_at_the_last(points, plane, yaw, blend_m):
     route = plan(points, plane, yaw, blend_m)
@@ -99,7 +100,7 @@ def test_blended_corners_are_faster_than_stops_and_do_not_stop():
     assert min(inner) > 0.25
 
 
-@settings(max_examples=25, deadline=None)
+@share_of_examples(0.25)
 @given(st.integers(0, 2**31), st.integers(5, 60), st.floats(0.001, 0.3))
 def test_the_smoothing_spline_is_that_of_scipy(seed, count, smoothing_s):
     random = np.random.default_rng(seed)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
@@ -18,6 +18,7 @@ from hil.references.route import Waypoint, plan
 from hil.references.smoothing import SmoothingSpline
 from hil.references.trajectory import Played
 from hil.report import listing
+from tests.examples import share_of_examples
 
 PAGE = (Path(__file__).parents[1] / "hil" / "references" / "REFERENCES.md").read_text("utf-8")
 
@@ -88,7 +89,7 @@ def one_sided(values, h: float):
     return weights @ np.asarray(values) / h
 
 
-@settings(max_examples=120, deadline=None)
+@share_of_examples(1.2)
 @given(sources, st.floats(0.0, 1.3))
 def test_twist_and_acceleration_are_derivatives(source, share):
     h, t = 2e-3, 0.05 + share * min(source.span_s, 60.0)
@@ -103,7 +104,7 @@ def test_twist_and_acceleration_are_derivatives(source, share):
     assert min(sides[1], sides[3]) < 2e-6
 
 
-@settings(max_examples=30, deadline=None)
+@share_of_examples(0.3)
 @given(st.one_of(closed, spins))
 def test_neither_pose_nor_twist_nor_acceleration_jumps(source):
     def largest_steps(count):
@@ -115,7 +116,7 @@ def test_neither_pose_nor_twist_nor_acceleration_jumps(source):
     assert (fine <= 0.5 * coarse + 1e-9).all()  # a jump is as large at any resolution
 
 
-@settings(max_examples=60, deadline=None)
+@share_of_examples(0.6)
 @given(closed, st.floats(0.0, 1.0))
 def test_closed_paths_return(source, share):
     t = source.ramp_s + share * source.period_s
@@ -128,7 +129,7 @@ def test_closed_paths_return(source, share):
     assert later.acceleration == pytest.approx(first.acceleration, abs=1e-8)
 
 
-@settings(max_examples=60, deadline=None)
+@share_of_examples(0.6)
 @given(closed, st.floats(0.01, 30.0))
 def test_a_heading_along_the_path_looks_where_the_robot_goes(source, t):
     pose, twist, _ = source.at(t)
@@ -139,7 +140,7 @@ def test_a_heading_along_the_path_looks_where_the_robot_goes(source, t):
         assert math.remainder(ahead - math.atan2(twist.vy_m_s, twist.vx_m_s), math.tau) == pytest.approx(0.0, abs=1e-6)
 
 
-@settings(max_examples=40, deadline=None)
+@share_of_examples(0.4)
 @given(st.one_of(closed, spins), st.floats(0.0, 1.0))
 def test_a_ramp_starts_from_rest_and_then_goes_on_as_without_one(source, share):
     if source.ramp_s == 0.0 or getattr(source, "yaw_ramp_s", source.ramp_s) != source.ramp_s:
@@ -195,7 +196,7 @@ def test_the_square_has_straight_sides_and_round_corners_at_one_speed():
     assert rows[0].twist == pytest.approx((0.0, speeds[0], 0.0))
 
 
-@settings(max_examples=30, deadline=None)
+@share_of_examples(0.3)
 @given(st.floats(-2.6, 2.6), st.floats(0.05, 2.0), st.floats(0.0, 1.0), angles)
 def test_a_bend_is_the_integral_of_its_direction_and_ends_on_the_other_leg(turn, tangent, share, direction):
     bend = Bend(0.5, -0.25, direction, turn, tangent)

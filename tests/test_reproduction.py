@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 from typer.testing import CliRunner
@@ -27,6 +27,7 @@ from hil.reproduction.oscillation import oscillation
 from hil.reproduction.plan import EXPERIMENT, EXPERIMENT_PERIOD_S, Case, cases
 from hil.reproduction.runs import Outcome
 from hil.scenario import load
+from tests.examples import share_of_examples
 
 ROOT = Path(__file__).parents[1]
 
@@ -47,7 +48,7 @@ def summary(folder: Path) -> dict[str, Any]:
 # ---------------------------------------------------------------------------------------- by the equations
 
 
-@settings(max_examples=10)
+@share_of_examples(0.1)
 @given(st.floats(0.01, 0.1), st.floats(3.0, 20.0))
 def test_the_steady_error_follows_from_equation_17(filter_s, k1_1_s):
     """The periodic solution of ς (ë + q̈_d) + ė + K1 e = 0 with q_d = r0 exp(j ω t), by putting it in."""
@@ -109,7 +110,7 @@ def test_the_scenarios_have_the_numbers_of_the_paper():
     assert experiment.fault[0].end_s == published.SILENT_TO_S - published.SILENT_FROM_S
 
 
-@settings(max_examples=10)
+@share_of_examples(0.1)
 @given(st.floats(0.001, 0.1), st.floats(2.0, 20.0), st.floats(-0.01, 0.01), st.floats(0.0, 6.0))
 def test_an_oscillation_is_found_beside_what_turns_with_the_path(amplitude_m, frequency_hz, lag_m, phase):
     t = np.arange(1700) * 0.01

@@ -13,7 +13,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 import scipy.signal
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.assembly import run_scenario
@@ -26,6 +26,7 @@ from hil.review.page import page, page_signals, write_page
 from hil.review.spectrum import LEAST_SAMPLES, spectrum
 from hil.scenario import load
 from hil.signals import SIGNAL_NAMES, unit_of
+from tests.examples import share_of_examples
 from tests.processes import hil
 
 OLD = Path(__file__).parent / "recordings" / "circle_speed_ca92b7a.rrd"
@@ -261,7 +262,7 @@ def test_what_a_review_cannot_do_is_one_sentence(options: list[str | Path], prob
 
 
 @given(st.integers(LEAST_SAMPLES, 3000), st.sampled_from([200.0, 1000.0]), st.integers(0, 2**32 - 1))
-@settings(max_examples=25, deadline=None)
+@share_of_examples(0.25)
 def test_a_spectrum_is_that_of_scipy(count: int, rate_hz: float, seed: int) -> None:
     values = np.random.default_rng(seed).normal(size=count) + 3.0
     found = spectrum(np.arange(count) / rate_hz, values)
@@ -286,7 +287,7 @@ def test_a_spectrum_leaves_out_gaps_and_needs_enough_without_one() -> None:
 
 
 @given(st.integers(0, 5000), st.integers(0, 2**32 - 1))
-@settings(max_examples=25, deadline=None)
+@share_of_examples(0.25)
 def test_a_thinned_curve_keeps_its_extremes_and_its_order(count: int, seed: int) -> None:
     y: npt.NDArray[np.float64] = np.random.default_rng(seed).normal(size=count)
     curve = thinned(Curve("", np.arange(count, dtype=np.float64), y), 100)

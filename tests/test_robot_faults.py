@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.devices.faults import Body, RobotFaults
@@ -15,6 +15,7 @@ from hil.plant import archive
 from hil.plant.fmu import FmuPlant
 from hil.plant.remote import RemotePlant
 from hil.plant.shim import load
+from tests.examples import share_of_examples
 
 MS = 1_000_000
 BODY = Body((0, 1, 2, 3), 0.3, 0.3, has_rigid_contact=False)
@@ -194,7 +195,7 @@ DEVICE_ROWS = st.one_of(
 )
 
 
-@settings(max_examples=25, deadline=None)
+@share_of_examples(0.25)
 @given(st.lists(DEVICE_ROWS, min_size=1, max_size=6), st.lists(st.binary(max_size=40), max_size=10))
 def test_no_fault_moves_a_robot_that_was_not_armed(rows, garbage) -> None:
     robot = robot_at_rest()

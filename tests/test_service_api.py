@@ -148,7 +148,7 @@ ANYTHING = st.recursive(
 )
 
 
-@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.sampled_from(list(BODIES)), ANYTHING)
 def test_whatever_the_body_is_it_is_an_order_or_refused_with_a_sentence(
     side: ControlSide, path: str, anything: object

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.errors import BadInputError, LinkError
@@ -15,6 +15,7 @@ from hil.links.url import SerialUrl, parse_link
 from hil.service.claims import Claim, TakenError, held
 from hil.service.discovery import Service, announce, running
 from hil.service.lock import _file_name, _folder, device_held, device_name
+from tests.examples import share_of_examples
 from tests.processes import environment
 from tests.service_testbed import own_state
 
@@ -83,7 +84,7 @@ def test_options_make_no_other_device(one: str, other: str) -> None:
     assert device_name(parse_link(one)) != device_name(parse_link("can:socketcan/can1"))
 
 
-@settings(max_examples=30)
+@share_of_examples(0.3)
 @given(st.text(min_size=1, max_size=100), st.text(min_size=1, max_size=100))
 def test_two_ports_have_one_lock_only_when_they_are_one(one: str, other: str) -> None:
     assert (_file_name(one) == _file_name(other)) == (one == other)

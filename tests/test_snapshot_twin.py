@@ -3,13 +3,14 @@
 from collections.abc import Iterator
 from random import Random
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol import codec
 from firmware_protocol.framing import Frame, pack
 from firmware_protocol.generated import messages as m
 from hil.devices.snapshot import SnapshotReader
+from tests.examples import share_of_examples
 from tests.protocol_cases import frames as any_frames
 from tests.snapshot_twin import SnapshotAssembler
 
@@ -70,7 +71,7 @@ def batches(frames: list[Frame], chance: Random) -> Iterator[list[Frame]]:
         frames = frames[count:]
 
 
-@settings(max_examples=300)
+@share_of_examples(3.0)
 @given(
     pieces=st.lists(st.tuples(snapshots | gaps | ends | strangers | st.just("restart"), accidents), max_size=12),
     chance=st.randoms(use_true_random=False),

@@ -6,12 +6,13 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.kinematics import body_wrench
 from hil.telemetry.robot_model import SIDEWAYS, RobotShape, drive_directions
 from hil.types import WHEEL_NAMES, Wheels
+from tests.examples import share_of_examples
 
 SHAPE = RobotShape(mass_kg=20.0, wheel_radius_m=0.075, half_length_m=0.3, half_width_m=0.25)
 ROLLERS = 9
@@ -38,7 +39,7 @@ def test_the_urdf_is_read_with_each_wheel_where_the_scenario_has_it(tmp_path: Pa
     assert all(len(tree.get_visual_geometry_paths(f"wheel_{wheel}")) == 2 for wheel in WHEEL_NAMES)
 
 
-@settings(max_examples=20)
+@share_of_examples(0.2)
 @given(radius=lengths, length=lengths, width=lengths)
 def test_a_robot_of_any_size_is_drawn_with_positive_sizes(radius: float, length: float, width: float) -> None:
     import xml.etree.ElementTree as ElementTree

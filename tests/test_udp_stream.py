@@ -9,7 +9,7 @@ import threading
 from collections.abc import Iterator
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import hil
@@ -17,6 +17,7 @@ from hil.errors import BadInputError
 from hil.signals import SIGNAL_NAMES
 from hil.telemetry.datagrams import MOST_BYTES, DatagramWriter
 from hil.telemetry.udp import Destination, UdpStream, parse_destination
+from tests.examples import share_of_examples
 from tests.recorded_circle import circle_rows
 
 SHORT = {"loop.duration_s": 0.5, "loop.rate_hz": 200, "expect": []}
@@ -91,7 +92,7 @@ def test_every_signal_of_a_run_arrives_a_hundred_times_a_second(receiver: Receiv
             assert value == expected or (value is None and math.isnan(expected)), name
 
 
-@settings(max_examples=25, deadline=None)
+@share_of_examples(0.25)
 @given(st.lists(st.floats(), min_size=len(SIGNAL_NAMES), max_size=len(SIGNAL_NAMES)), st.booleans())
 def test_whatever_the_values_a_datagram_is_json_and_fits_a_frame(row: list[float], many: bool) -> None:
     names = [*SIGNAL_NAMES, *(f"shadow.A{i}.wheel.fl.torque_command_n_m" for i in range(40 * many))]

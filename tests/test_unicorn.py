@@ -6,7 +6,7 @@ import threading
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol import codec
@@ -17,6 +17,7 @@ from hil.devices.targets.machine.timer import CR1
 from hil.errors import DeviceError
 from tests.arm_programs import compile_program
 from tests.emulated_boards import Host, converse, firmware, needs_compiler, needs_unicorn, plant_of, stored
+from tests.examples import share_of_examples
 from tests.processes import wait_for
 from tests.wheel_rig import PARAMETERS, WheelRig
 
@@ -63,7 +64,7 @@ def test_both_drive_their_plants_alike():
     assert any(abs(angle) > 1.0 for angle in one.angle_rad)
 
 
-@settings(max_examples=15)
+@share_of_examples(0.15)
 @given(st.lists(st.binary(max_size=60), max_size=6))
 def test_no_bytes_stop_the_board_or_move_a_wheel(noise: list[bytes]):
     rig, other = WheelRig(lockstep=True), WheelRig(lockstep=True)

@@ -1,0 +1,22 @@
+"""The profiles of hypothesis, and the share of them that a test takes."""
+
+import pytest
+from hypothesis import settings
+
+from tests.examples import load_profile, share_of_examples
+
+
+@pytest.mark.parametrize(("profile", "whole"), [("quick", 100), ("thorough", 1000)])
+def test_a_share_is_of_the_examples_that_the_profile_has(profile: str, whole: int, monkeypatch: pytest.MonkeyPatch):
+    with monkeypatch.context() as patch:
+        patch.setenv("HIL_EXAMPLES", profile)
+        load_profile()
+        found = [settings().max_examples, share_of_examples(0.3).max_examples, share_of_examples(0.0001).max_examples]
+    load_profile()
+    assert found == [whole, 0.3 * whole, 1]
+
+
+def test_a_profile_that_is_none_is_refused_with_the_names_of_those_that_are(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("HIL_EXAMPLES", "slow")
+    with pytest.raises(SystemExit, match="HIL_EXAMPLES=slow: unknown; expected quick or thorough"):
+        load_profile()
