@@ -4,12 +4,13 @@ import struct
 from collections.abc import Sequence
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol import codec
 from firmware_protocol.generated import messages as m
 from tests.bare_node import BareNode
+from tests.examples import share_of_examples
 from tests.wheel_rig import PARAMETERS
 
 PERIOD = 19  # index of feedback_period_s
@@ -72,7 +73,7 @@ def on_wire(message: codec.Message) -> bytes:
 numbers = st.floats(-12.0, 12.0, width=32)
 
 
-@settings(max_examples=30)
+@share_of_examples(0.3)
 @given(period=st.sampled_from([1, 2, 5, 7, 20, 50]), values=st.lists(numbers, min_size=51, max_size=120))
 def test_each_is_the_mean_over_the_period_that_ends_with_the_snapshot(period: int, values: list[float]) -> None:
     node = Robot(period / 1000)
