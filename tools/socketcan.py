@@ -23,6 +23,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Self
 
+from native_build.compiler import BuildError, compile_shared, compiler
 from tools.socketcan_inside import EXIT_CODE, JOB
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -36,11 +37,8 @@ _PACKAGES = {
     "bash": "bash",
     "taskset": "util-linux",
 }
+_XSTATE = Path(__file__).with_name("socketcan_xstate.c")
 _MEMORY_MB = 1024
-_SILENT_END = (
-    ". Debian's user-mode Linux 6.1 does not start on processors with AMX (amx_tile in /proc/cpuinfo): take another "
-    "machine, or one whose own kernel has vcan"
-)
 _PROBE_S = 20.0
 # Runs the rest as a process group, which is killed when stdin ends: when we close it, or die. Nothing of the guest may
 # stay behind, and a kernel that is killed alone leaves its helpers. The folder, $0, goes last.
@@ -64,7 +62,16 @@ def missing() -> str | None:
             "this machine's kernel has no vcan that we may make, and there is no guest that has; on Debian: "
             f"apt-get install {' '.join(lacking)}"
         )
+    if _has_amx():
+        try:
+            compiler()
+        except BuildError as error:
+            return f"on a processor with AMX the guest needs a C compiler: {error}"
     return None
+
+
+def _has_amx() -> bool:
+    return "amx_tile" in Path("/proc/cpuinfo").read_text()
 
 
 class Inside:
@@ -72,7 +79,7 @@ class Inside:
 
     It runs in ``directory``, and ``environment`` is added to this process's. ``output`` is what the command writes, as
     it comes; stdin is empty.
-    Raises OSError when nothing can be started; ask ``missing`` first.
+    Raises OSError when nothing can be started, and BuildError; ask ``missing`` first.
     """
 
     def __init__(
@@ -120,7 +127,15 @@ class Inside:
         # Each system call changes from one process of the guest to another: 15 us on one processor, 40 between two.
         processors = sorted(os.sched_getaffinity(0))
         one = ["taskset", "--cpu-list", str(processors[os.getpid() % len(processors)])]
-        return [*one, _KERNEL, f"mem={_MEMORY_MB}M", "quiet", *root, *lines, f"init={script}"]
+        return [*one, *self._preloaded(), _KERNEL, f"mem={_MEMORY_MB}M", "quiet", *root, *lines, f"init={script}"]
+
+    def _preloaded(self) -> list[str]:
+        """Return what goes before the kernel where ``socketcan_xstate.c`` says why; that is compiled for it."""
+        if not _has_amx():
+            return []
+        library = self._folder / "xstate.so"
+        compile_shared([_XSTATE], library)
+        return ["env", f"LD_PRELOAD={library}"]
 
     def exit_code(self) -> int | None:
         """Return the command's exit code when ``output`` has ended; None when it did not come to its end."""
@@ -220,7 +235,7 @@ def main() -> int:
     if out_of_time:
         print(f"socketcan: killed after {arguments.limit_s:g} s; --limit-s sets how long it may take", file=sys.stderr)
         return 124
-    why = "what it said is above" if has_said else f"it said nothing{_SILENT_END}"
+    why = "what it said is above" if has_said else "it said nothing"
     print(f"socketcan: the guest ended before its command; {why}", file=sys.stderr)
     return 2
 
