@@ -25,6 +25,7 @@ ODR, BSRR = 0x14, 0x18
 TIM1, TIM8 = 0x4001_0000, 0x4001_0400
 ENCODER_TIMERS = {2: 0x4000_0000, 3: 0x4000_0400, 4: 0x4000_0800, 5: 0x4000_0C00}
 CR1, EGR, SMCR, CCMR1, CCER, CNT, ARR, CCR1, BDTR = 0x00, 0x14, 0x08, 0x18, 0x20, 0x24, 0x2C, 0x34, 0x44
+SR, BIF = 0x10, 1 << 7
 MOE = 1 << 15
 RCC_AHB1ENR = 0x4002_3830
 DRIVERS, BRIDGES = ("f405_drivers", "A8"), ("f405_bridges", "C5")  # boards, and the pin that enables their bridges
@@ -159,6 +160,33 @@ def test_a_fault_switches_the_bridges_off_and_feeds_no_watchdog(board, enable):
     base, number = bits_of(enable)
     assert (base + BSRR, 1 << number + 16) in own.writes
     assert all(address != IWDG_KR for address, _ in own.writes)
+
+
+@by_board
+@pytest.mark.parametrize("timer", [TIM1, TIM8])
+def test_a_break_of_either_timer_stops_all_motors_and_is_not_armed_again(board, enable, timer):
+    own = with_motors(board)
+    drive(own, 0.1, 0.1, 0.1, 0.1)
+    own.poke(timer + BDTR, own.peek(timer + BDTR) & ~MOE)  # as the hardware does
+    own.poke(timer + SR, BIF)
+    for _ in range(2):
+        writes = drive(own, 0.2, 0.2, 0.2, 0.2)
+        assert not (own.peek(TIM1 + BDTR) | own.peek(TIM8 + BDTR)) & MOE
+        assert not [value for address, value in writes if address in (TIM1 + BDTR, TIM8 + BDTR) and value & MOE]
+    assert struct.unpack("<4f", own.read(SCRATCH, 16)) == (0.0,) * 4, "told to the caller"
+    base, number = bits_of(enable)
+    assert (base + BSRR, 1 << number + 16) in writes
+    assert own.call("plant_sense", 0, SCRATCH) == 2, "the firmware takes it for a fault"
+
+
+@by_board
+@pytest.mark.parametrize("timer", [TIM1, TIM8])
+def test_outputs_that_are_off_at_one_timer_alone_come_on_at_both(board, enable, timer):
+    own = with_motors(board)
+    drive(own, 0.1, 0.1, 0.1, 0.1)
+    own.poke(timer + BDTR, own.peek(timer + BDTR) & ~MOE)
+    drive(own, 0.1, 0.1, 0.1, 0.1)
+    assert own.peek(TIM1 + BDTR) & own.peek(TIM8 + BDTR) & MOE
 
 
 def test_a_dead_current_sensor_is_a_fault():

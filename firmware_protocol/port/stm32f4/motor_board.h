@@ -9,6 +9,9 @@
  * Overcurrent. The firmware looks at the currents once a millisecond, and no pin of the board switches the
  * timers off: a short circuit is for the bridge itself to survive.
  *
+ * A break. One of a timer's outputs, as by a pin BKIN of a board that has one, is a fault (SENSOR) with all
+ * four motors off until the chip is reset.
+ *
  * A supply that sinks. The firmware switches off at 2.8 V; the option byte BOR_LEV at level 3 keeps the chip
  * in reset where it cannot work.
  *

@@ -26,7 +26,7 @@ void plant_open(const clock_tree *clocks) {
 }
 
 plant_answer plant_sense(uint32_t tick, wheel_sense *sense) {
-    if (!body.sensors_good || !analog_is_good()) {
+    if (!body.sensors_good || !analog_is_good() || pwm_has_broken()) {
         return PLANT_FAILED;
     }
     memset(sense, 0, sizeof *sense);

@@ -40,6 +40,7 @@ void pwm_open(const clock_tree *clocks) {
     }
     for (size_t i = 0; i < TIMERS; i++) {
         timers[i]->EGR = TIMER_EGR_UG;
+        timers[i]->SR = 0; /* no break so far; one that lasts sets its flag again */
         timers[i]->CR1 |= TIMER_CR1_CEN;
     }
     /* Only now, with the timers holding their outputs low. */
@@ -89,13 +90,21 @@ static void set(const motor_output *motor, float wish) {
     timer->CCR[motor->channel - 1u] = (uint32_t)(on + 0.5f);
 }
 
+bool pwm_has_broken(void) {
+    const uint32_t one = TIM1->SR;
+    return ((one | TIM8->SR) & TIMER_SR_BIF) != 0u;
+}
+
 void pwm_drive(float duty[4]) {
-    const bool was_off = (timer_of(&MOTORS.motor[0])->BDTR & TIMER_BDTR_MOE) == 0u;
+    const bool broken = pwm_has_broken(); /* of one timer alone: the other wheels would drive on */
+    const bool was_off = (TIM1->BDTR & TIM8->BDTR & TIMER_BDTR_MOE) == 0u;
     for (size_t i = 0; i < WHEEL_COUNT; i++) {
-        duty[i] = limited(duty[i]);
+        duty[i] = broken ? 0.0f : limited(duty[i]);
         set(&MOTORS.motor[i], duty[i]);
     }
-    if (was_off) {
+    if (broken) {
+        pwm_off();
+    } else if (was_off) {
         for (size_t i = 0; i < TIMERS; i++) {
             timers[i]->EGR = TIMER_EGR_UG; /* these duties from the first period on */
             timers[i]->BDTR |= TIMER_BDTR_MOE;

@@ -31,7 +31,8 @@ typedef struct {
 #define TIMER_CR1_CEN (1u << 0)
 #define TIMER_CR1_CENTRE (1u << 5) /* up and down; compare flags while counting down */
 #define TIMER_CR1_ARPE (1u << 7)
-#define TIMER_SMCR_ENCODER 3u /* counts every edge of both inputs */
+#define TIMER_SMCR_ENCODER 3u  /* counts every edge of both inputs */
+#define TIMER_SR_BIF (1u << 7) /* a break has switched the outputs off */
 #define TIMER_EGR_UG (1u << 0)
 #define TIMER_CCMR_PWM1 (6u << 4) /* of a channel, to be shifted by 8 for the second of a register */
 #define TIMER_CCMR_PRELOAD (1u << 3)
