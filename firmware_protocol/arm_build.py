@@ -90,6 +90,7 @@ _FLAGS = (
     "-Wall",
     "-Wextra",
     "-Wconversion",
+    "-Wcast-qual",
     "-Wdouble-promotion",
     "-Werror",
 )

@@ -20,20 +20,30 @@ static struct {
     size_t next;     /* record to be written there */
     uint32_t sequence;
     bool has_spare; /* the other sector is blank */
+    uint8_t newest[WHEEL_STORED_SIZE];
 } state;
 
 static const volatile uint32_t *record_at(unsigned sector, size_t index) {
     return flash_sector(sector) + index * RECORD_WORDS;
 }
 
-static const uint8_t *bytes_of(const volatile uint32_t *record) {
-    return (const uint8_t *)record;
+/* Word by word: who has no access by `volatile` may be given what was there before an erasure. */
+static void read_record(const volatile uint32_t *record, uint8_t bytes[WHEEL_STORED_SIZE]) {
+    uint32_t words[DATA_WORDS];
+    for (size_t i = 0; i < DATA_WORDS; i++) {
+        words[i] = record[i];
+    }
+    memcpy(bytes, words, WHEEL_STORED_SIZE);
 }
 
 /* The check sees what an erasure that was cut short left of a record with its mark. */
 static bool is_whole(const volatile uint32_t *record) {
-    return record[SEQUENCE_WORD] == ~record[SEQUENCE_WORD + 1u] &&
-           record[CHECK_WORD] == wheel_crc16(bytes_of(record), WHEEL_STORED_SIZE);
+    uint8_t bytes[WHEEL_STORED_SIZE];
+    if (record[SEQUENCE_WORD] != ~record[SEQUENCE_WORD + 1u]) {
+        return false;
+    }
+    read_record(record, bytes);
+    return record[CHECK_WORD] == wheel_crc16(bytes, WHEEL_STORED_SIZE);
 }
 
 static bool is_blank(const volatile uint32_t *words, size_t count) {
@@ -80,7 +90,11 @@ const uint8_t *parameter_log_open(void) {
         state.next--;
     }
     state.sequence = newest == NULL ? 0u : newest[SEQUENCE_WORD] + 1u;
-    return newest == NULL ? NULL : bytes_of(newest);
+    if (newest == NULL) {
+        return NULL;
+    }
+    read_record(newest, state.newest);
+    return state.newest;
 }
 
 bool parameter_log_append(const uint8_t bytes[WHEEL_STORED_SIZE]) {
