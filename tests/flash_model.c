@@ -22,6 +22,9 @@ void model_set_word(unsigned sector, unsigned at, uint32_t word);
 /* Opens the log, with the supply failing in the next erasure: each bit of the sector is then set or as it
  * was. `chance` in 256 is that it is set. Returns false when there was nothing to erase. */
 bool model_tear_erasure(uint32_t seed, uint32_t chance);
+/* The same, but in the erasure that a STORE of these bytes needs. */
+bool model_tear_append(const uint8_t *bytes, uint32_t seed, uint32_t chance);
+bool model_is_full(void);
 /* Erasures from now on leave a word as it was. */
 void model_keep_word(unsigned sector, unsigned at);
 extern int model_erasures;
@@ -132,16 +135,30 @@ void model_set_word(unsigned sector, unsigned at, uint32_t word) {
     words[sector][at] = word;
 }
 
-bool model_tear_erasure(uint32_t seed, uint32_t chance) {
+static bool tear(const uint8_t *bytes, uint32_t seed, uint32_t chance) {
     erasure_tears = true;
     tear_seed = seed;
     tear_chance = chance;
     const bool was_torn = setjmp(power) != 0;
-    if (!was_torn) {
+    if (!was_torn && bytes != NULL) {
+        (void)parameter_log_append(bytes);
+    } else if (!was_torn) {
         (void)parameter_log_open();
     }
     erasure_tears = false;
     return was_torn;
+}
+
+bool model_tear_erasure(uint32_t seed, uint32_t chance) {
+    return tear(NULL, seed, chance);
+}
+
+bool model_tear_append(const uint8_t *bytes, uint32_t seed, uint32_t chance) {
+    return tear(bytes, seed, chance);
+}
+
+bool model_is_full(void) {
+    return parameter_log_is_full();
 }
 
 void model_keep_word(unsigned sector, unsigned at) {

@@ -119,6 +119,20 @@ def test_a_store_unlocks_programs_and_locks_the_flash():
     assert controls == once * 2, "the record, then its mark"
 
 
+@pytest.mark.parametrize("is_full", [False, True])
+def test_the_watchdog_waits_for_the_erasure_that_a_full_log_needs(is_full):
+    own = with_motors("f405_drivers")
+    if is_full:
+        own.write(own.symbols["state"], struct.pack("<IIIB", 0, 1024, 7, 0))  # parameter_log.c
+    own.writes.clear()
+    own.arrived[USARTS[0]] += Framer().encode(codec.encode(m.ParameterRequest(0, m.Operation.STORE, 1, 0)))
+    own.run(5)
+    limits = [value for address, value in own.writes if address == IWDG_RLR]
+    assert limits == ([4000, 30] if is_full else [])
+    place = PARAMETER_ADDRESS + (128 << 10) * is_full
+    assert own.read(place, 4) != b"\xff" * 4, "in the other sector where the first one is full"
+
+
 def current_limit_a(own) -> float:
     at = own.symbols["own"] + own.member("wheel_node", "parameters") + own.member("wheel_parameters", "current_limit_a")
     return struct.unpack("<f", own.read(at, 4))[0]

@@ -95,17 +95,30 @@ def test_a_broken_word_is_told_and_the_next_record_is_good(flash):
     assert robot.open() == b"b" * STORED_SIZE
 
 
-def test_both_sectors_are_used_and_nothing_is_erased_while_the_robot_runs(flash):
+def test_a_full_log_is_erased_by_the_store_that_needs_it(flash):
     robot = Robot(flash)
     for i in range(2 * RECORDS):
         assert robot.append(i.to_bytes(2, "big") * (STORED_SIZE // 2)) == 1
-    assert robot.append(b"z" * STORED_SIZE) == 0, "full until the next reset"
+        assert robot.lib.model_is_full() == (i == 2 * RECORDS - 1)
     assert robot.lib.model_erasures == 0
-    last = (2 * RECORDS - 1).to_bytes(2, "big") * (STORED_SIZE // 2)
+    for i in range(2 * RECORDS):
+        assert robot.append(i.to_bytes(2, "little") * (STORED_SIZE // 2)) == 1
+        assert robot.lib.model_erasures == 1 + i // RECORDS
+    last = (2 * RECORDS - 1).to_bytes(2, "little") * (STORED_SIZE // 2)
     assert robot.open() == last
-    assert robot.lib.model_erasures == 1
     assert robot.append(b"z" * STORED_SIZE) == 1
     assert robot.open() == b"z" * STORED_SIZE
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), chance=st.integers(0, 256))
+def test_a_power_cut_while_a_full_log_is_erased_leaves_the_newest(flash, seed, chance):
+    robot = Robot(flash)
+    for _ in range(2 * RECORDS - 1):
+        robot.append(b"o" * STORED_SIZE)
+    robot.append(b"n" * STORED_SIZE)
+    assert robot.lib.model_tear_append(b"z" * STORED_SIZE, seed, chance)
+    assert robot.open() == b"n" * STORED_SIZE
 
 
 def fill(robot: Robot, data: bytes) -> None:

@@ -15,7 +15,7 @@ from hil.errors import BadInputError, DeviceError, LinkError, nearest
 from hil.ports import Link
 
 _RETRY_NS = 200_000_000
-_SILENCE_NS = 2_000_000_000
+_SILENCE_NS = 4_000_000_000  # a board may erase its flash for 2 s before it answers a STORE
 _WHY_NOT = {
     m.Result.PARAMETER: "it knows no such parameter",
     m.Result.STATE: "it is not in IDLE; stop its controller first",
@@ -173,7 +173,7 @@ class ParameterClient:
                         f"the robot refused to {operation.name} a parameter: {_WHY_NOT[m.Result(answer.result)]}"
                     )
                 return answer
-        raise DeviceError("the robot did not answer a parameter request within 2 s; it was lost")
+        raise DeviceError("the robot did not answer a parameter request within 4 s; it was lost")
 
     @staticmethod
     def _value(answer: m.ParameterResponse) -> float:

@@ -97,11 +97,15 @@ const uint8_t *parameter_log_open(void) {
     return state.newest;
 }
 
+bool parameter_log_is_full(void) {
+    return state.next == RECORDS && !state.has_spare;
+}
+
 bool parameter_log_append(const uint8_t bytes[WHEEL_STORED_SIZE]) {
     uint32_t data[DATA_WORDS] = {0};
     const uint32_t end[3] = {wheel_crc16(bytes, WHEEL_STORED_SIZE), state.sequence, ~state.sequence};
     if (state.next == RECORDS) {
-        if (!state.has_spare) {
+        if (!state.has_spare && !make_blank(1u - state.sector)) {
             return false;
         }
         state.sector = 1u - state.sector;

@@ -11,7 +11,8 @@
 #include "uptime.h"
 #include "watchdog.h"
 
-/* Erasing a sector of 128 KB takes up to 2 s (data sheet, table 40), and nothing feeds meanwhile. */
+/* At the start, and where a STORE has to erase: a sector of 128 KB takes up to 2 s (data sheet, table 40),
+ * and nothing feeds meanwhile. */
 #define START_LIMIT_MS 4000u
 /* Some ticks, and the 2 ms in which a STORE writes the flash. */
 #define RUN_LIMIT_MS 30u
@@ -65,7 +66,14 @@ static bool store(robot *r) {
     uint8_t bytes[WHEEL_STORED_SIZE];
     const bool is_pending = wheel_node_store_pending(&r->node, bytes);
     if (is_pending) {
+        const bool erases = parameter_log_is_full();
+        if (erases) {
+            watchdog_set(START_LIMIT_MS);
+        }
         wheel_node_stored(&r->node, parameter_log_append(bytes));
+        if (erases) {
+            watchdog_set(RUN_LIMIT_MS);
+        }
     }
     return is_pending;
 }
