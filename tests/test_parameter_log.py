@@ -110,7 +110,7 @@ def test_a_full_log_is_erased_by_the_store_that_needs_it(flash):
     assert robot.open() == b"z" * STORED_SIZE
 
 
-@settings(max_examples=20, deadline=None)
+@share_of_examples(0.2)
 @given(seed=st.integers(0, 2**32 - 1), chance=st.integers(0, 256))
 def test_a_power_cut_while_a_full_log_is_erased_leaves_the_newest(flash, seed, chance):
     robot = Robot(flash)
