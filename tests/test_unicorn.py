@@ -147,6 +147,26 @@ def test_firmware_that_hangs_is_reset_by_its_watchdog_and_disarmed(link: str):
         assert not rig.enabled
 
 
+def test_a_bus_on_which_nobody_acknowledges_is_waited_for_without_a_reset():
+    """Time stands still in lockstep: what the robot has to say waits for its host, and nothing of it is lost."""
+    with open_board("can") as board, open_board("can") as undisturbed:
+        host, expected = Host(board, "can"), Host(undisturbed, "can")
+        for one in (host, expected):
+            one.activate()
+            one.heard.clear()
+        board.machine.can.acknowledge(False)
+        host.say(m.Step(0, 100))
+        expected.say(m.Step(0, 100))
+        assert host.heard == []
+        for _ in range(90):  # three times the watchdog's limit
+            board.machine.advance(CORE_HZ // 1000)
+            board.machine.run()
+        assert board.machine.resets == 0
+        board.machine.can.acknowledge(True)
+        host.say(m.Step(100, 0))
+        assert host.heard[: len(expected.heard)] == expected.heard
+
+
 @pytest.mark.parametrize(("link", "pins"), [("serial", {"A2", "A3", "A9", "A10"}), ("can", {"A2", "A3", "B8", "B9"})])
 def test_only_the_pins_of_its_two_lines_are_configured(link: str, pins: set[str]):
     with open_board(link) as board:

@@ -126,6 +126,7 @@ void robot_transmit(robot *r) {
             if (!r->clocks.lockstep) {
                 return;
             }
+            watchdog_feed(); /* time stands still until a host listens: on CAN, until one acknowledges */
             robot_idle(r);
         }
         if (!wheel_node_transmit(&r->node, &frame, now_us(r))) {

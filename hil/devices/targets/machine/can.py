@@ -55,6 +55,7 @@ class Can(Peripheral):
         self.irq_error: IrqLine = not_connected
         self.sent: list[CanFrame] = []
         self.missed = 0
+        self._is_acknowledged = True
         self._fifo: tuple[list[tuple[CanFrame, int]], ...] = ([], [])
         self._core_cycles_of_clock = core_hz // clock_hz
         self._recovery_cycles = 0
@@ -103,6 +104,12 @@ class Can(Peripheral):
         if state & _BUS_OFF and self._register[MCR] & _ABOM:
             self._begin_recovery()
         self._register[MSR] |= _ERRI
+        self._interrupts()
+
+    def acknowledge(self, peer_is_there: bool) -> None:
+        """Say whether another node acknowledges what is sent; without one a frame stays in its mailbox."""
+        self._is_acknowledged = peer_is_there
+        self._transmit_all()
         self._interrupts()
 
     def advance(self, cycles: int) -> None:
@@ -183,7 +190,7 @@ class Can(Peripheral):
         if not identifier & _TXRQ:
             return
         self._register[TSR] &= ~(1 << 26 + mailbox)
-        if not self.is_on_bus:
+        if not self.is_on_bus or not self._is_acknowledged:
             return  # stays pending
         length = min(self._register[at + 4] & 0xF, 8)
         data = (self._register[at + 8] | self._register[at + 12] << 32).to_bytes(8, "little")[:length]
