@@ -10,7 +10,7 @@ from hil.links.can_filters import Filter, filters_for
 IDENTIFIERS = range(2048)
 
 
-@pytest.mark.parametrize(("sender", "most", "foreign"), [("ROBOT", 8, 1), ("HOST", 8, 0), ("ROBOT", 1, 2048 - 20)])
+@pytest.mark.parametrize(("sender", "most", "foreign"), [("ROBOT", 8, 3), ("HOST", 8, 0), ("ROBOT", 1, 2048 - 20)])
 def test_of_all_identifiers_ours_pass_and_few_others(sender, most, foreign):
     ours = {number for number, who in SENDERS.items() if who == sender}
     filters = filters_for(ours, most)
