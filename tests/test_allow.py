@@ -47,6 +47,7 @@ def unexplained(*faults: FaultRow, held_ms: range, ticks: int = 1000) -> int:
     return counted.unexplained
 
 
+@pytest.mark.filterwarnings("error")
 def test_a_run_in_which_the_robot_was_never_driven_has_not_passed(tmp_path: Path) -> None:
     result = hil.run("circle_speed", set=BLIND, record=tmp_path / "run.rrd")
     assert not result.passed

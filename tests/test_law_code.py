@@ -1,6 +1,7 @@
 """The hash of a law's code: what it covers, that nothing is executed for it, and that two runs are told apart by it."""
 
 import hashlib
+import json
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ import hil
 from hil.cli import app
 from hil.controllers import code
 from hil.controllers.registry import SHIPPED, forget_law, law_sha256, load_law
-from hil.review import changes, read
+from hil.review import Change, changes, read
 from hil.telemetry.names import HASHES
 
 LAW = """
@@ -140,3 +141,10 @@ def test_of_an_older_recording_a_hash_is_not_known(tmp_path: Path) -> None:
     assert words["law_sha256"][:2] == ("code of the law", "not recorded")
     keys = [change.key for change in changes(old, read(path))]
     assert keys.index("law_sha256") < keys.index("loop.duration_s"), "what was driven with comes first"
+
+
+def test_shadow_laws_are_told_apart_each_by_its_name_and_hash() -> None:
+    one, two = (json.dumps({"afdsc_corrected": "0" * 64, "Law": letter * 64}) for letter in "ab")
+    words = Change("shadow_laws_sha256", one, two).words()
+    same = "afdsc_corrected 000000000000, Law "
+    assert words == ("code of the shadow laws", same + "a" * 12, same + "b" * 12)

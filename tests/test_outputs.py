@@ -1,5 +1,6 @@
 """A file that is there is never replaced unless ``--force`` says so: by any command, and by a service at all."""
 
+import os
 import socket
 from collections.abc import Callable
 from datetime import datetime, tzinfo
@@ -19,7 +20,7 @@ from hil.outputs import claim, free_name
 from hil.review import read
 from hil.runs_folder import new_in_runs
 from hil.telemetry import Recording
-from hil.telemetry.files import part_path
+from hil.telemetry.files import check_output_path, part_path
 from hil.trace import Trace
 from hil.whole_file import write_whole
 from tests.recorded_circle import circle_rows
@@ -189,3 +190,11 @@ def test_a_file_that_cannot_be_replaced_stays(tmp_path: Path) -> None:
         write_whole(path, None, "page", "replace")  # type: ignore[arg-type]
     assert path.read_bytes() == KEPT
     assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+def test_what_is_no_file_is_refused_with_force_too(tmp_path: Path) -> None:
+    pipe = tmp_path / "run.rrd"
+    os.mkfifo(pipe)
+    with pytest.raises(BadInputError, match="a device, a pipe or a socket; name a file"):
+        check_output_path("recording", pipe, "replace")

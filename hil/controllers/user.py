@@ -105,7 +105,7 @@ class UserLaw:
             raise BadInputError(f"{self._named}: update returned {command!r}, expected a WheelCommand")
         if command.mode != self._mode:
             raise BadInputError(
-                f"{self._named}: update returned a command of mode {command.mode!r}, "
+                f"{self._named}: update returned a command of mode {_mode_name(command.mode)}, "
                 f"expected {self._mode.name}, the mode that it was made with"
             )
         try:
@@ -199,3 +199,7 @@ def _place(error: BaseException) -> str:
         return f"{error.filename}:{error.lineno}"
     frames = [f for f in traceback.extract_tb(error.__traceback__) if not f.filename.startswith("<frozen")]
     return f"{frames[-1].filename}:{frames[-1].lineno}" if frames else "an unknown place"
+
+
+def _mode_name(mode: object) -> str:
+    return mode.name if isinstance(mode, CommandMode) else repr(mode)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from hil.figure_words import FIGURES
 from hil.review.figures import scenario_of
 from hil.review.reader import RecordedRun
-from hil.telemetry.names import HASH_LETTERS, HASHES, PROPERTY_WORDS
+from hil.telemetry.names import HASHES, PROPERTY_WORDS, hash_text
 
 _SAME = 1e-9
 # Neither less nor more of these is better.
@@ -47,7 +47,9 @@ class Change(NamedTuple):
         """
         if self.key not in HASHES:
             return self.key, _text(self.first, "-"), _text(self.second, "-")
-        first, second = (_text(value, "not recorded")[:HASH_LETTERS] for value in (self.first, self.second))
+        first, second = (
+            "not recorded" if value is None else hash_text(str(value)) for value in (self.first, self.second)
+        )
         return PROPERTY_WORDS[self.key], first, second
 
 

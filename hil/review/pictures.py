@@ -174,7 +174,8 @@ def _spectra(axes: "list[Axes]", runs: Sequence[Shown]) -> None:
         for number, shown in enumerate(runs):
             torque_n_m = _torque(shown, wheel)
             found = None if torque_n_m is None else spectrum(shown.series("loop.t_s"), torque_n_m)
-            if found is not None:
+            # A wheel that was never commanded has nothing to show on a logarithmic scale.
+            if found is not None and found.density[1:].any():
                 amplitude = np.sqrt(found.density[1:])
                 panel.loglog(found.frequency_hz[1:], amplitude, color=rgb(colour_of(number)), label=shown.label)
                 panel.legend()

@@ -1,5 +1,7 @@
 """Names that the writer and the reader of a recording share."""
 
+import json
+
 APPLICATION = "mecanum-hil"
 RUN_PROPERTY = "run"
 SIGNALS_PROPERTY = "signals"
@@ -45,6 +47,13 @@ HASHES = tuple(name for name in PROPERTY_WORDS if name.endswith("_sha256") and n
 """Of these, the hashes of what the run was made of, in the order in which a reader wants them."""
 HASH_LETTERS = 12
 """As much of a hash as tells one from another."""
+
+
+def hash_text(text: str) -> str:
+    """Return as much of a recorded hash as a reader wants; of a JSON object of hashes by name, that of each."""
+    if not text.startswith("{"):
+        return text[:HASH_LETTERS]
+    return ", ".join(f"{name} {digest[:HASH_LETTERS]}" for name, digest in json.loads(text).items()) or "none"
 
 
 def state_names() -> dict[int, str]:

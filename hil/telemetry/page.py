@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from hil.figure_words import belief_rows, figure_rows, link_rows, outcome_rows
-from hil.telemetry.names import HASH_LETTERS, PROPERTY_WORDS
+from hil.telemetry.names import PROPERTY_WORDS, hash_text
 
 _LEFT_OUT = frozenset({"scenario", "scenario_sources"})
 """Of the properties, those that have hundreds of values; ``hil show`` and ``hil review --html`` list them."""
@@ -32,10 +32,10 @@ def _about(properties: Mapping[str, str]) -> Iterator[tuple[str, str]]:
         if name in _LEFT_OUT:
             continue
         label = PROPERTY_WORDS.get(name, name.replace("_", " "))
-        if name in ("gains", "shadow_laws_sha256"):
+        if name == "gains":
             yield label, ", ".join(f"{key} = {value}" for key, value in json.loads(text).items()) or "none"
         else:
-            yield label, text[:HASH_LETTERS] if name.endswith("_sha256") else text
+            yield label, hash_text(text) if name.endswith("_sha256") else text
 
 
 def _table(title: str, rows: Iterable[tuple[str, str]]) -> str:
