@@ -132,10 +132,9 @@ def test_an_adapter_whose_port_another_program_reads_too_is_busy(monkeypatch):
     bus = adapters.SlcanBus(1)
     try:
         with contextlib.closing(open_host(parse_link(f"can:slcan/{bus.ports[0]}"))) as host:
-            monkeypatch.setattr(
-                serial.serialposix.os, "read", lambda _descriptor, _size: b""
-            )  # what the other one left
-            monkeypatch.setattr(serial.Serial, "in_waiting", 1)
+            bus.wait_until_open()  # from then on it reads nothing
+            bus.say(0, b"t1230\r")
+            monkeypatch.setattr(serial.serialposix.os, "read", lambda *_: b"")  # what the other one left
             with pytest.raises(LinkError, match=r"is busy: another program reads it too"):
                 host.receive(1_000_000_000)
             monkeypatch.undo()
