@@ -426,6 +426,29 @@ def test_a_host_that_was_silent_sends_no_command_but_the_stop() -> None:
         wait_for(lambda: guardian._phase.name == "REST")
 
 
+@pytest.mark.parametrize("ramped", [0, 5])
+def test_after_a_silence_no_ramp_begins_or_goes_on(monkeypatch: pytest.MonkeyPatch, ramped: int) -> None:
+    """The guardian has stopped the robot, and a step of the ramp would drive it again."""
+    with guarded_bench(0.2) as (bench, guardian, line):
+        arm(bench)
+        drive(bench, 50)
+        if ramped:
+            bench.device.disarm()
+        for _ in range(ramped):
+            let_pass(bench, 0.01)
+            bench.device.poll()
+        assert line.read(PATIENCE_NS).startswith(b"stop")
+        wait_for(lambda: guardian._stopped)
+        link, sent = robot_of(bench)._line._link, list[Frame]()
+        send = link.send
+        monkeypatch.setattr(link, "send", lambda frame: (sent.append(frame), send(frame)))
+        bench.device.disarm()
+        come_to_rest(bench)
+        motions = [frame for frame in sent if frame.id == MOTION]
+        assert motions
+        assert not any(any(frame.payload[1:]) for frame in motions)
+
+
 def test_a_stop_that_did_not_go_out_when_the_link_was_lost_is_the_guardians_too() -> None:
     with guarded_bench(0.3) as (bench, guardian, line):
         arm(bench)

@@ -322,7 +322,7 @@ class MakersRobot:
         elif is_active and not self._driver.is_armed:
             self.report.why = "a motor controller left closed loop by itself"
             self._drop(State.STOPPING)
-        elif (is_active or self._state is State.ARMED) and not self._may_drive():
+        elif (is_active or self._state is State.ARMED or self._stop.is_ramping) and not self._may_drive():
             return
         elif self._state is State.STOPPING and self._stop.go_on(now_ns):
             self._state = State.IDLE
