@@ -24,8 +24,11 @@ from hil.dialects.rosmaster_line import RosmasterFraming
 from hil.errors import DeviceError, LinkError
 from hil.kinematics import BodyTwist
 from hil.links.streams import ByteStream
+from hil.parts import PartsOf
 from hil.scenario import load
 from hil.service.messages import Phase
+from hil.service.records import Records
+from hil.service.serve import Options, _Service
 from hil.types import ZERO_WHEELS, CommandMode, WheelCommand, Wheels
 from tests.dbc_mappings import motors
 from tests.dialect_testbed import Rig, ramp_to
@@ -199,6 +202,20 @@ def test_a_stop_goes_out_however_often_ctrl_c_is_pressed(monkeypatch: pytest.Mon
         let_pass(bench, 0.5)
         assert not left[0]
         assert all(abs(shaft.speed_rad_s) < 0.2 for shaft in node_of(bench).shafts)
+
+
+def test_a_service_that_a_stuck_law_ends_stops_the_motors_first() -> None:
+    scenario = load("circle_speed", mode="realtime", set={"loop.rate_hz": 100} | ROSMASTER)
+    unused: Any = None  # the API, systemd and the signals, which the end does not wait for
+    options, parts = Options(allow_motion=True), PartsOf(scenario)
+    service = _Service(scenario, {}, options, parts, Records(None), unused, unused, unused)
+    with service._opened() as bench:
+        bench.connect()
+        bench.device.start(bench.clock, PERIOD_NS)
+        drive(bench, 30)
+        assert node_of(bench).is_driving
+        service._last_words("a law that does not return?")
+        assert not node_of(bench).is_driving
 
 
 # Who speaks only when spoken to

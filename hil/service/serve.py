@@ -163,6 +163,7 @@ class _Service:
         self._now = Now(scenario, records, self._counts)
         self._t_s = 0.0
         self._estop_owed = False
+        self._bench: Bench | None = None
 
     def run(self, reload: Callable[[], Scenario]) -> None:
         """Serve until the end."""
@@ -210,7 +211,9 @@ class _Service:
 
     def _opened(self) -> Bench:
         options = self._options
-        return Bench(self._scenario, options.truth, allow_motion=options.allow_motion, signals=self._parts.laws.signals)
+        signals = self._parts.laws.signals
+        self._bench = Bench(self._scenario, options.truth, allow_motion=options.allow_motion, signals=signals)
+        return self._bench
 
     def _attend(self, why: str) -> bool:
         """Answer the orders that have come for a robot that is away; False when the service is to end."""
@@ -307,6 +310,9 @@ class _Service:
 
     def _last_words(self, sentence: str) -> None:
         """Do what cannot be left undone before a law that is stuck ends this process."""
+        assert self._bench is not None
+        with contextlib.suppress(HilError):
+            self._bench.device.close()
         self._records.note(self._t_s, "error", sentence)
         _finish(self._records)
 
