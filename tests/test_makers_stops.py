@@ -480,6 +480,17 @@ def test_a_stop_that_did_not_go_out_when_the_link_was_lost_is_the_guardians_too(
         arm(bench)
 
 
+@pytest.mark.parametrize("ended_by", ["leave", "estop"])
+def test_an_arming_that_ends_before_the_guardian_answers_leaves_nothing_to_be_stopped(ended_by: str) -> None:
+    with guarded_bench(0.1) as (bench, guardian, line):
+        assert guardian.pid is not None
+        os.kill(guardian.pid, signal.SIGSTOP)
+        assert not bench.device.armed()
+        getattr(bench.device, ended_by)()
+        os.kill(guardian.pid, signal.SIGCONT)
+        assert line.read(300_000_000) == b""
+
+
 def test_a_service_that_was_silent_is_disarmed_until_somebody_arms_it() -> None:
     pty = pytest.importorskip("hil.links.pty", reason="pseudo-terminals need a POSIX system")
     with contextlib.closing(pty.PtyStream()) as line, PilotBench(**ROSMASTER) as bench:

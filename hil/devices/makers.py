@@ -130,6 +130,8 @@ class MakersRobot:
             self._drop(State.STOPPING)
             if self._stop.is_told:  # else the guardian, which has a way of its own to the port, is to try it too
                 self._watch.hold()
+        else:
+            self._watch.rest()
         self._feedback.forget()
         self._line.discard()
 
@@ -243,6 +245,8 @@ class MakersRobot:
 
     def estop(self) -> None:
         if self._terms.allow_motion:
+            if not self._stop.is_needed:
+                self._watch.rest()  # it may have been asked, for an arming that does not come
             self._drop(State.ESTOP)
             self._renew()
 
