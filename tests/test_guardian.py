@@ -288,6 +288,25 @@ def test_one_that_hangs_is_replaced_whether_it_watches_or_is_asked_to() -> None:
         assert not is_running(second)
 
 
+def test_one_that_starts_slowly_is_not_taken_for_one_that_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
+    slow = "import time; time.sleep(1.8); from hil.devices.guardian_process import _main; _main()"
+    with contextlib.closing(PtyStream()) as line, guarded(line.port) as guardian:
+        first = guardian.pid
+        assert first is not None
+        monkeypatch.setattr("hil.devices.guardian.module_command", lambda _: [sys.executable, "-c", slow])
+        os.kill(first, signal.SIGKILL)
+        wait_for(lambda: guardian.pid is None)
+        seen = set()
+
+        def begins() -> bool:
+            has_begun = guardian.begin()
+            seen.add(guardian.pid)
+            return has_begun
+
+        wait_for(begins)
+        assert len(seen) == 2, "none, and the next one"
+
+
 def test_one_that_takes_nothing_holds_nobody_up() -> None:
     """A pipe holds 64 KiB here; a blocking write to a full one would not end."""
     with guarded("no such port") as guardian:

@@ -258,6 +258,7 @@ class Guardian:
                 continue
             with self._lock:
                 self._problem = None
+                self._answered_ns = time.monotonic_ns()
                 self._process = process
                 if self._phase is not _Phase.REST:
                     self._tell(self._line_of(self._phase))
