@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -305,6 +306,18 @@ def test_one_that_starts_slowly_is_not_taken_for_one_that_hangs(monkeypatch: pyt
 
         wait_for(begins)
         assert len(seen) == 2, "none, and the next one"
+
+
+def test_a_pause_of_the_host_is_not_taken_for_one_of_the_guardians() -> None:
+    with contextlib.closing(PtyStream()) as line, guarded(line.port) as guardian:
+        wait_for(guardian.begin)
+        first = guardian.pid
+        wait_for(lambda: time.monotonic_ns() - guardian._answered_ns > 1_600_000_000)
+        for _ in range(3):
+            assert guardian.failure is None
+            guardian.beat()
+        assert guardian.failure is None
+        assert guardian.pid == first
 
 
 def test_one_that_takes_nothing_holds_nobody_up() -> None:

@@ -128,7 +128,7 @@ class Guardian:
             return True
         if self._problem is not None:
             raise DeviceError(self._problem)
-        self._end_if_hung()
+        self._end_if_hung(time.monotonic_ns())
         return False
 
     @property
@@ -144,7 +144,7 @@ class Guardian:
                 why = f"no command reached the guardian in time, and it stopped the robot after {self._limit}"
             elif self._process is None:
                 why = "the guardian died, and without it nothing would stop the robot if this program did (GUARDIAN.md)"
-            elif self._end_if_hung():
+            elif self._end_if_hung(self._beat_ns):
                 why = "the guardian has not answered for 1.5 s, and is started anew (GUARDIAN.md)"
             if why is not None:
                 self._failure = why
@@ -160,6 +160,8 @@ class Guardian:
         if _LEAST_GAP_NS <= silent_ns <= self._silence_ns:
             self._tell(BEAT)
             self._beat_ns = now_ns
+            if silent_ns >= ALIVE_EVERY_S * 1e9:  # it answers beats alone: our pause is none of its own
+                self._answered_ns = now_ns
 
     def hold(self) -> None:
         if self._phase in (_Phase.ASKED, _Phase.WATCHED):
@@ -203,10 +205,10 @@ class Guardian:
         with contextlib.suppress(OSError):
             process.stdin.write(line + b"\n")
 
-    def _end_if_hung(self) -> bool:
-        """End a guardian that does not answer, so that another one is started."""
+    def _end_if_hung(self, told_ns: int) -> bool:
+        """End a guardian that has not answered what it was told until then, so that another one is started."""
         process = self._process
-        if process is None or time.monotonic_ns() - self._answered_ns < _HUNG_NS:
+        if process is None or told_ns - self._answered_ns < _HUNG_NS:
             return False
         process.kill()
         self._answered_ns = time.monotonic_ns()  # the next one has its time
