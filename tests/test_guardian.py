@@ -308,6 +308,22 @@ def test_one_that_starts_slowly_is_not_taken_for_one_that_hangs(monkeypatch: pyt
         assert len(seen) == 2, "none, and the next one"
 
 
+def test_the_guardian_counts_the_silence_from_the_arming_as_the_host_does() -> None:
+    with contextlib.closing(PtyStream()) as line, guarded(line.port, 1.0) as guardian:
+        assert guardian.pid is not None
+        os.kill(guardian.pid, signal.SIGSTOP)
+        assert not guardian.begin()
+        os.kill(guardian.pid, signal.SIGCONT)
+        wait_for(lambda: guardian._watching)
+        watched_ns = time.monotonic_ns()
+        wait_for(lambda: time.monotonic_ns() - watched_ns > 600_000_000)
+        assert guardian.begin()
+        guardian.beat()
+        wait_for(lambda: time.monotonic_ns() - watched_ns > 1_200_000_000)
+        assert guardian.failure is None
+        assert line.read(0) == b""
+
+
 def test_a_pause_of_the_host_is_not_taken_for_one_of_the_guardians() -> None:
     with contextlib.closing(PtyStream()) as line, guarded(line.port) as guardian:
         wait_for(guardian.begin)

@@ -153,6 +153,10 @@ def test_a_value_that_is_wrong(text: str, sentence: str) -> None:
             "[robot]\nspeed_limit_rad_s = 50\n[firmware]\noverspeed_rad_s = 50",
             "my.toml:5: firmware.overspeed_rad_s = 50.0; expected more than robot.speed_limit_rad_s = 50",
         ),
+        (
+            "[device]\ndriver = 'rosmaster'\nguardian_s = 0.1\n[loop]\nrate_hz = 20",
+            "my.toml:4: device.guardian_s = 0.1; expected at least 3 command periods of 0.05 s, or a command that",
+        ),
     ],
 )
 def test_values_that_cannot_work_together(text: str, sentence: str) -> None:

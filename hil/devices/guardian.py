@@ -123,6 +123,7 @@ class Guardian:
                 "armed without it; close whatever else uses the port"
             )
         if self._watching == self._session:
+            self._tell(BEAT)  # it has counted since its answer, and the host's next beat may be a whole period away
             self._beat_ns = time.monotonic_ns()
             self._phase = _Phase.WATCHED
             return True

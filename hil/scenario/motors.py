@@ -15,6 +15,7 @@ _WIRES = {
     "serial": "a serial line: serial:PATH?baud=115200, or memory: within one process",
 }
 
+_GUARDIAN_PERIODS = 3
 
 _SENSOR_OF: Mapping[str, Sensor] = {
     **{f"wheel.{wheel}.current_a": "current" for wheel in WHEEL_NAMES},
@@ -56,6 +57,13 @@ def contradictions(tables: Tables) -> Iterator[tuple[str, object, str]]:
     wires = dialect(device.driver).wires
     if wire_of(parse_link(tables.link.url), wires) not in wires:
         yield "link.url", tables.link.url, f"expected for {title} {' or '.join(_WIRES[wire] for wire in sorted(wires))}"
+    if device.guardian_s * tables.loop.rate_hz < _GUARDIAN_PERIODS:
+        yield (
+            "device.guardian_s",
+            device.guardian_s,
+            f"expected at least {_GUARDIAN_PERIODS} command periods of {1.0 / tables.loop.rate_hz:g} s, or a command "
+            "that is a little late would count as silence",
+        )
     can = make_driver(tables).capabilities
     if tables.controller.mode not in can.modes:
         able = " or ".join(f'"{mode.name.lower()}"' for mode in sorted(can.modes))
