@@ -457,6 +457,35 @@ def test_one_that_hangs_at_its_start_is_not_waited_for_for_ever(monkeypatch: pyt
         Guardian("any", 115200, b"stop", silence_s=1.0)
 
 
+def no_thread(_thread: threading.Thread) -> None:
+    raise RuntimeError("can't start new thread")
+
+
+@pytest.mark.parametrize("kind", [threading.Thread, threading.Timer])
+def test_without_a_thread_for_it_there_is_no_guardian(
+    monkeypatch: pytest.MonkeyPatch, kind: type[threading.Thread]
+) -> None:
+    start = threading.Thread.start
+    monkeypatch.setattr(
+        threading.Thread, "start", lambda thread: (no_thread if type(thread) is kind else start)(thread)
+    )
+    with pytest.raises(DeviceError, match="could not be started: can't start new thread"):
+        Guardian("any", 115200, b"stop", silence_s=1.0)
+
+
+def test_one_that_no_thread_is_to_be_had_for_is_started_later(monkeypatch: pytest.MonkeyPatch) -> None:
+    with contextlib.closing(PtyStream()) as line, guarded(line.port) as guardian:
+        assert guardian.pid is not None
+        with monkeypatch.context() as patch:
+            patch.setattr(threading.Timer, "start", no_thread)
+            os.kill(guardian.pid, signal.SIGKILL)
+            wait_for(lambda: guardian._problem)
+            with pytest.raises(DeviceError, match="could not be started: can't start new thread"):
+                guardian.begin()
+        wait_for(lambda: guardian._problem is None)
+        wait_for(guardian.begin)
+
+
 def test_ctrl_c_at_its_start_is_ctrl_c_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     interrupts = "import os, signal, sys; os.kill(os.getppid(), signal.SIGINT); sys.stdin.read()"
     monkeypatch.setattr("hil.devices.guardian.module_command", lambda _: [sys.executable, "-c", interrupts])

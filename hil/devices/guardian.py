@@ -85,7 +85,11 @@ class Guardian:
         process = self._started()
         self._process = process
         self._keeper = threading.Thread(target=self._keep, args=(process,), name="guardian", daemon=True)
-        self._keeper.start()
+        try:
+            self._keeper.start()
+        except RuntimeError as error:
+            _part(process)
+            raise self._not_started(error) from error
 
     @property
     def pid(self) -> int | None:
@@ -282,7 +286,7 @@ class Guardian:
                 **away_from_terminal(),
             )
         except OSError as error:
-            raise DeviceError(f"the guardian of serial port {self._port!r} could not be started: {error}") from error
+            raise self._not_started(error) from error
         assert process.stdin is not None
         assert process.stdout is not None
         patience = threading.Timer(_START_LIMIT_S, process.kill)
@@ -291,9 +295,11 @@ class Guardian:
             with contextlib.suppress(OSError):  # then it does not become ready
                 process.stdin.write(self._order + b"\n")
             is_ready = process.stdout.readline() == READY + b"\n"
-        except BaseException:  # Ctrl-C: nothing has moved yet that it would have to stop
+        except BaseException as error:  # Ctrl-C: nothing has moved yet that it would have to stop
             _part(process)
             process.stdout.close()
+            if isinstance(error, (OSError, RuntimeError)):  # no thread is to be had
+                raise self._not_started(error) from error
             raise
         finally:
             patience.cancel()
@@ -307,6 +313,9 @@ class Guardian:
         if sys.platform != "win32":
             os.set_blocking(process.stdin.fileno(), False)  # one that hangs must not hold up a tick
         return process
+
+    def _not_started(self, error: Exception) -> DeviceError:
+        return DeviceError(f"the guardian of serial port {self._port!r} could not be started: {error}")
 
 
 def _part(process: "subprocess.Popen[bytes]") -> None:
