@@ -308,6 +308,16 @@ def test_one_that_starts_slowly_is_not_taken_for_one_that_hangs(monkeypatch: pyt
         assert len(seen) == 2, "none, and the next one"
 
 
+def test_the_pipe_of_one_that_died_is_closed() -> None:
+    with guarded("any") as guardian:
+        first = guardian._process
+        assert first is not None
+        assert first.stdin is not None
+        first.kill()
+        wait_for(lambda: guardian.pid not in (None, first.pid))
+        assert first.stdin.closed
+
+
 def test_the_guardian_counts_the_silence_from_the_arming_as_the_host_does() -> None:
     with contextlib.closing(PtyStream()) as line, guarded(line.port, 1.0) as guardian:
         assert guardian.pid is not None

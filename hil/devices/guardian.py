@@ -127,7 +127,8 @@ class Guardian:
                 "armed without it; close whatever else uses the port"
             )
         if self._watching == self._session:
-            self._tell(BEAT)  # it has counted since its answer, and the host's next beat may be a whole period away
+            with self._lock:
+                self._tell(BEAT)  # it has counted since its answer, and our next one may be a whole period away
             self._beat_ns = time.monotonic_ns()
             self._phase = _Phase.WATCHED
             return True
@@ -163,7 +164,8 @@ class Guardian:
         silent_ns = now_ns - self._beat_ns
         # After a silence that was too long it is the failure that is to be seen, and none of it made good.
         if _LEAST_GAP_NS <= silent_ns <= self._silence_ns:
-            self._tell(BEAT)
+            with self._lock:
+                self._tell(BEAT)
             self._beat_ns = now_ns
             if silent_ns >= ALIVE_EVERY_S * 1e9:  # it answers beats alone: our pause is none of its own
                 self._answered_ns = now_ns
@@ -224,8 +226,10 @@ class Guardian:
     def _keep(self, process: subprocess.Popen[bytes]) -> None:
         while True:
             self._listen(process)
-            with self._lock:
+            assert process.stdin is not None
+            with self._lock:  # nobody is writing to it
                 self._process = None
+                process.stdin.close()
             process.kill()  # one that has but closed its pipe is of no use
             process.wait()
             found = self._started_anew()
