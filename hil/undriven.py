@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from hil.allowed import Counted
 from hil.faults.rows import FaultRow, find
+from hil.faults.signals import can_hold
 from hil.sampling import Timing
 
 _LATE_KINDS = ("delay", "jitter")  # their value is a time for which frames are still on their way after the window
@@ -15,9 +16,10 @@ class Undriven:
     A stale tick is one in which the feedback was too old, or a truth on which the state rests. In a held one the robot
     was held at rest, or not commanded, for any other reason: its state was unknown, or it was away.
 
-    A fault explains the ticks of a streak from the first one on at which it may have shown: so what it takes to come
-    back, however long, belongs to it. It may show in a tick that samples so much before the fault as feedback takes to
-    arrive, and for as long after it as commands and feedback are on their way and old ones are still fresh enough.
+    A fault that can take feedback, state or robot away explains the ticks of a streak from the first one on at which
+    it may have shown: so what it takes to come back, however long, belongs to it. It may show in a tick that samples
+    so much before the fault as feedback takes to arrive, and for as long after it as commands and feedback are on
+    their way and old ones are still fresh enough.
 
     Nothing explains a run of which no tick was driven: it shows nothing of the law.
     """
@@ -25,7 +27,9 @@ class Undriven:
     def __init__(self, faults: Sequence[FaultRow], timing: Timing) -> None:
         tail_ns = timing.command_latency_ns + timing.feedback_latency_ns + timing.stale_ns + 2 * timing.period_ns
         self._windows = [
-            (row.start_ns - timing.feedback_latency_ns, _last_ns(row) + tail_ns + _on_the_way_ns(row)) for row in faults
+            (row.start_ns - timing.feedback_latency_ns, _last_ns(row) + tail_ns + _on_the_way_ns(row))
+            for row in faults
+            if can_hold(row)
         ]
         self._is_explained = False
         self._stale = self._stale_explained = 0

@@ -117,6 +117,39 @@ def test_no_fault_explains_a_run_of_which_no_tick_was_driven() -> None:
     assert unexplained(drop(0, 5000), held_ms=range(0, 4995, 5)) == 0
 
 
+@pytest.mark.parametrize(
+    ("kind", "acts_on", "target", "explains"),
+    [
+        ("babble", "link", "feedback", True),
+        ("slow_clock", "device", "clock", True),
+        ("dead_motor", "device", "rr", False),
+        ("push", "plant", "force_y_n", False),
+        ("bias", "signal", "battery.voltage_v", False),
+        ("bias", "signal", "observer.x_m_s2", False),
+        ("bias", "signal", "pose.x_m", False),
+        ("bias", "signal", "reference.x_m", False),
+        ("override", "signal", "wheel.fl.speed_command_rad_s", False),
+        ("override", "signal", "wheel.fl.current_a", False),
+        ("override", "signal", "wheel.fl.speed_rad_s", True),
+        ("override", "signal", "robot.state", True),
+        ("bias", "signal", "truth.x_m", True),
+    ],
+)
+def test_only_what_can_take_feedback_state_or_robot_away_explains(
+    kind: str, acts_on: str, target: str, explains: bool
+) -> None:
+    row = FaultRow(kind, acts_on, target, 0, 2**62, 1.0)
+    assert unexplained(row, held_ms=range(1000, 1100, 5)) == (0 if explains else 20)
+
+
+def test_a_fault_that_is_only_recorded_does_not_switch_the_limits_off() -> None:
+    recorded = {"kind": "bias", "target": "battery.voltage_v", "value": 0.001}
+    sparse = {"estimator.filter.begin": "fix", "estimator.simulated_fix.dropout_probability": 0.9}
+    result = hil.run("circle_speed", set={**BLIND, **sparse, "loop.duration_s": 3.0, "fault": [recorded]})
+    assert not result.passed
+    assert 0 < result.metrics["allow"][1]["unexplained"] < result.metrics["ticks"]
+
+
 def test_limits_are_ticks_or_shares_and_have_their_defaults_by_mode() -> None:
     assert [most(limit, 399) for limit in (0, 7, "5%", "12.5 %", "100%")] == [0, 7, 19, 49, 399]
     assert dict(load("circle_speed").allow) == {"stale_ticks": 0, "held_ticks": 0}

@@ -46,7 +46,8 @@ class Kind(NamedTuple):
 
     ``targets`` are the names that a row may give, empty where only the FMU knows them; ``target_words`` says the same
     for a person. ``value`` is the row's number, ``further`` the other ones, of which all or none are given.
-    ``is_instant``: it happens at start_s and has no end. ``counts`` is what ``applied`` counts.
+    ``is_instant``: it happens at start_s and has no end. ``counts`` is what ``applied`` counts. ``explains``: it can
+    take feedback, state or robot away, so that a tick is not driven (``can_hold``).
     """
 
     name: str
@@ -59,6 +60,7 @@ class Kind(NamedTuple):
     value: Quantity | None = None
     further: tuple[Quantity, ...] = ()
     is_instant: bool = False
+    explains: bool = False
 
     @property
     def unit(self) -> str:
@@ -87,6 +89,7 @@ KINDS: tuple[Kind, ...] = (
         "frames lost",
         {"target": "command", "start_s": 1.0, "end_s": 2.0, "value": 0.2},
         _probability("lost"),
+        explains=True,
     ),
     Kind(
         "burst_loss", "link", _FRAMES, _FRAMES_WORDS,
@@ -95,6 +98,7 @@ KINDS: tuple[Kind, ...] = (
         {"target": "feedback", "value": 0.1, "burst_frames": 8.0},
         Quantity("value", "", "share of the frames that is lost in the long run", 0.0, 0.99, excludes_low=True),
         (Quantity("burst_frames", "frames", "mean length of a burst", 1.0, 10_000.0, 5.0),),
+        explains=True,
     ),
     Kind(
         "delay", "link", _FRAMES, _FRAMES_WORDS,
@@ -102,6 +106,7 @@ KINDS: tuple[Kind, ...] = (
         "frames delayed",
         {"target": "command", "start_s": 1.0, "value": 0.01},
         Quantity("value", "s", "delay", 0.0, 10.0, excludes_low=True),
+        explains=True,
     ),
     Kind(
         "jitter", "link", _FRAMES, _FRAMES_WORDS,
@@ -109,6 +114,7 @@ KINDS: tuple[Kind, ...] = (
         "frames delayed",
         {"target": "feedback", "value": 0.004},
         Quantity("value", "s", "longest delay", 0.0, 10.0, excludes_low=True),
+        explains=True,
     ),
     Kind(
         "duplicate", "link", _FRAMES, _FRAMES_WORDS,
@@ -116,6 +122,7 @@ KINDS: tuple[Kind, ...] = (
         "frames doubled",
         {"target": "command", "value": 0.5},
         _probability("doubled"),
+        explains=True,
     ),
     Kind(
         "reorder", "link", _FRAMES, _FRAMES_WORDS,
@@ -123,6 +130,7 @@ KINDS: tuple[Kind, ...] = (
         "frames overtaken",
         {"target": "command", "value": 0.1},
         _probability("overtaken"),
+        explains=True,
     ),
     Kind(
         "bit_errors", "link", _FRAMES, _FRAMES_WORDS,
@@ -134,6 +142,7 @@ KINDS: tuple[Kind, ...] = (
         "frames with a wrong bit; on CAN the error frames",
         {"target": "feedback", "value": 0.0005},
         Quantity("value", "", "bit error rate", 0.0, 0.5, excludes_low=True),
+        explains=True,
     ),
     Kind(
         "truncation", "link", _FRAMES, _FRAMES_WORDS,
@@ -142,6 +151,7 @@ KINDS: tuple[Kind, ...] = (
         "frames cut",
         {"target": "command", "value": 0.05},
         _probability("cut"),
+        explains=True,
     ),
     Kind(
         "disconnect", "link", ("link",), "`link`, the default",
@@ -150,18 +160,21 @@ KINDS: tuple[Kind, ...] = (
         "over. In lockstep STEP passes, so that robot time goes on.",
         "attempts to use the link",
         {"start_s": 2.0, "end_s": 2.5},
+        explains=True,
     ),
     Kind(
         "mute", "link", MESSAGES, _MESSAGE_WORDS,
         "One message is lost, every frame of it.",
         "frames lost",
         {"target": "TICK", "start_s": 2.0, "end_s": 2.02},
+        explains=True,
     ),
     Kind(
         "freeze", "link", _FRAMES, _FRAMES_WORDS,
         "Frames carry old content: the newest of the same message from before the window.",
         "frames with old content",
         {"target": "feedback", "start_s": 3.0, "end_s": 3.05},
+        explains=True,
     ),
     Kind(
         "babble", "link", DIRECTIONS, "`command` (towards the robot) or `feedback`; on CAN both ends hear either",
@@ -170,6 +183,7 @@ KINDS: tuple[Kind, ...] = (
         "foreign frames and pieces of garbage",
         {"target": "command", "value": 200.0},
         Quantity("value", "1/s", "how many in a second", 0.0, 100_000.0, excludes_low=True),
+        explains=True,
     ),
     Kind(
         "reset", "device", ("robot",), "`robot`",
@@ -178,12 +192,14 @@ KINDS: tuple[Kind, ...] = (
         "resets",
         {"target": "robot", "start_s": 4.0},
         is_instant=True,
+        explains=True,
     ),
     Kind(
         "stuck_encoder", "device", WHEEL_NAMES, _WHEEL_WORDS,
         "The encoder counts no more; what it missed stays missing.",
         "ticks of 1 ms in which counts were lost",
         {"target": "fl", "start_s": 2.0, "end_s": 2.05},
+        explains=True,
     ),
     Kind(
         "dead_motor", "device", WHEEL_NAMES, _WHEEL_WORDS,
@@ -198,6 +214,7 @@ KINDS: tuple[Kind, ...] = (
         "ticks of 1 ms",
         {"start_s": 2.0, "value": 17.0},
         Quantity("value", "V", "voltage without load", 0.0, 10_000.0),
+        explains=True,
     ),
     Kind(
         "gyro_bias", "device", ("gyro",), "`gyro`, the default",
@@ -205,6 +222,7 @@ KINDS: tuple[Kind, ...] = (
         "ticks of 1 ms",
         {"start_s": 1.0, "value": 0.05},
         Quantity("value", "rad/s", "bias", -100.0, 100.0),
+        explains=True,
     ),
     Kind(
         "slow_clock", "device", ("clock",), "`clock`, the default",
@@ -212,6 +230,7 @@ KINDS: tuple[Kind, ...] = (
         "milliseconds that it missed",
         {"value": 1000.0},
         Quantity("value", "ppm", "how slow", 0.0, 100_000.0, excludes_low=True),
+        explains=True,
     ),
     Kind(
         "parameter", "plant", (), "a tunable parameter, or an unused input, of the FMU (`hil fmu info`)",
@@ -246,6 +265,7 @@ KINDS: tuple[Kind, ...] = (
         "ticks in which the value changed",
         {"target": "truth.x_m", "start_s": 2.0, "end_s": 3.0, "value": 0.05},
         Quantity("value", "the signal's", "what is added", -_ANY, _ANY),
+        explains=True,
     ),
     Kind(
         "override", "signal", FAULTY_SIGNALS, _SIGNAL_WORDS,
@@ -253,6 +273,7 @@ KINDS: tuple[Kind, ...] = (
         "ticks in which the value changed",
         {"target": "wheel.fl.speed_command_rad_s", "start_s": 2.0, "end_s": 2.1, "value": 3.0},
         Quantity("value", "the signal's", "value", -_ANY, _ANY),
+        explains=True,
     ),
     Kind(
         "reset", "signal", FAULTY_SIGNALS, _SIGNAL_WORDS,
@@ -260,5 +281,6 @@ KINDS: tuple[Kind, ...] = (
         "biases and overrides in force that it ended",
         {"target": "truth.x_m", "start_s": 2.5},
         is_instant=True,
+        explains=True,
     ),
 )  # fmt: skip

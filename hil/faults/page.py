@@ -37,10 +37,12 @@ A row of `[[fault]]` in a scenario makes something go wrong while a run goes on:
   of other messages in the same direction wait behind it.
 - Every row reports how often it was applied, in the figures (`fault`, key `applied`), the report and the recording.
   A row that was never applied fails the run: it has shown nothing.
-- A fault explains the ticks in which the robot is not driven, and these do not count against `[allow]`: from the first
-  tick at which the fault may have shown until the robot is driven again. After its window it may still show for as long
-  as frames are on their way (`[link]`, and the value of a `delay` or `jitter`) and old feedback is fresh enough
-  (`firmware.watchdog_s`). Nothing explains a run in which the robot was never driven.
+- A fault that can take feedback, state or robot away explains the ticks in which the robot is not driven, and these do
+  not count against `[allow]`: from the first tick at which the fault may have shown until the robot is driven again.
+  After its window it may still show for as long as frames are on their way (`[link]`, and the value of a `delay` or
+  `jitter`) and old feedback is fresh enough (`firmware.watchdog_s`). Which kinds can is said below; one that only
+  changes how the robot moves, or what is recorded, explains nothing. Nothing explains a run in which the robot was
+  never driven.
 - STEP, STEP_DONE and HELLO are spared by all faults of the link: they carry no control.
 - Faults of the device and of the plant act inside the virtual robot. One in another process (`hil device`) gets them
   through its truth socket, so `hil run` needs `--truth`; on a real board they are refused.
@@ -157,6 +159,9 @@ def _section(kind: Kind) -> str:
     if kind.is_instant:
         rows.append("- no `end_s`: it happens at `start_s`")
     rows.append(f"- applied counts: {kind.counts}")
+    if kind.explains:
+        where = "; of wheel speeds, `robot.*` and `truth.*` only" if kind.acts_on == "signal" else ""
+        rows.append(f"- explains ticks in which the robot is not driven{where}")
     example = [f'    kind = "{kind.name}"', *(f"    {key} = {_toml(value)}" for key, value in kind.example.items())]
     return "\n".join([f"### {kind.name}", "", kind.meaning, "", *rows, "", "    [[fault]]", *example, ""])
 

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from firmware_protocol.generated.messages import State as RobotState
 from hil.devices.snapshot import Feedback
-from hil.faults.rows import FaultRow
+from hil.faults.rows import FaultRow, find
 from hil.signals import SIGNAL_NAMES, ReferenceSignals
 from hil.types import WHEEL_NAMES, Acceleration, Pose, PoseFix, Reference, State, Twist, WheelCommand, Wheels
 
@@ -20,6 +20,7 @@ _PER_WHEEL = {
     "torque_command_n_m": "torque_command",
 }
 _FEEDBACK = ("speed", "current", "robot")
+_MAKES_THE_STATE = ("speed", "robot", "truth")
 _ROBOT = ("time_s", "state", "command_age_ms", "yaw_rate_rad_s")
 _AXES = tuple(f"acceleration_{axis}_m_s2" for axis in "xyz")
 _NS = 1e9
@@ -54,6 +55,12 @@ def _place(signal: str, names: Sequence[str]) -> tuple[str, int]:
     if group == "twist":
         return "pose", len(Pose._fields) + Twist._fields.index(name)
     return "recorded", names.index(signal)
+
+
+def can_hold(row: FaultRow) -> bool:
+    """Tell whether a fault of any kind can keep a tick from being driven: it takes feedback, state or robot away."""
+    kind = find(row.kind, row.target)
+    return kind.explains and (kind.acts_on != "signal" or _place(row.target, (row.target,))[0] in _MAKES_THE_STATE)
 
 
 Made = TypeVar("Made")
