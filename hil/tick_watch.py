@@ -7,7 +7,7 @@ import threading
 import time
 import traceback
 from collections.abc import Callable
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Self
 
 from hil.errors import OverdueError
@@ -16,6 +16,7 @@ _LOOKS = 8  # in the time of the limit
 _LONGEST_LOOK_S = 1.0
 _GRACE_S = 1.0  # from the exception in the tick to the end of the process
 _LAST_WORDS_S = 15.0  # for what is to be done before that end
+_PRINT_S = 2.0
 _DEBUGGERS = ("bdb", "pdb", "pydevd", "debugpy")
 
 
@@ -50,7 +51,6 @@ class TickWatch:
         self._ended = threading.Event()
         self._thread: threading.Thread | None = None
         self._ident = 0
-        self._has_raised = False
         self.turn = 0
 
     def __enter__(self) -> Self:
@@ -60,14 +60,10 @@ class TickWatch:
             self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._ended.set()
         if self._thread is not None:
             self._thread.join()
-        if self._has_raised and kind is None:  # in a tick that ended at the same moment
-            ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(self._ident), None)
 
     def _watch(self) -> None:
         turn, stood_s, looked_s, sentence = self.turn, 0.0, time.monotonic(), ""
@@ -97,20 +93,23 @@ class TickWatch:
         )
 
     def _raise(self, sentence: str) -> None:
-        self._has_raised = True
         overdue = type("TickOverdue", (TickOverdue,), {"sentence": sentence})
         ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(self._ident), ctypes.py_object(overdue))
 
     def _end(self, sentence: str) -> None:
         """End the process: the control thread does not run Python any more."""
-        words = threading.Thread(target=self._last_words, args=(sentence,), name="last words", daemon=True)
-        words.start()
-        words.join(_LAST_WORDS_S)
-        stack = traceback.format_stack(sys._current_frames().get(self._ident))
+        stack = "".join(traceback.format_stack(sys._current_frames().get(self._ident)))
         # The sentence last: of a worker that ends, its last line is told.
-        sys.stderr.write(f"{''.join(stack)}hil: {sentence}\n")
-        sys.stderr.flush()
+        _say(lambda: self._last_words(sentence), _LAST_WORDS_S)
+        _say(lambda: print(f"{stack}hil: {sentence}", file=sys.stderr, flush=True), _PRINT_S)
         os._exit(OverdueError.exit_code)
+
+
+def _say(words: Callable[[], None], limit_s: float) -> None:
+    """Do it for so long at most: the thread that is stuck may hold what it needs."""
+    thread = threading.Thread(target=words, name="last words", daemon=True)
+    thread.start()
+    thread.join(limit_s)
 
 
 def _is_debugged(frame: FrameType | None) -> bool:

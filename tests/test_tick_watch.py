@@ -2,6 +2,7 @@
 
 import json
 import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -86,6 +87,27 @@ def test_a_law_that_no_exception_gets_to_ends_the_process_and_its_recording_is_k
     found = figures(run)
     assert (found["passed"], found["failure"]) == (False, sentence)
     assert sentence in [event.text for event in run.events]
+
+
+STUCK_IN_STDERR = """
+import sys
+from hil.tick_watch import TickWatch
+
+with TickWatch(0.1, lambda: 0.0, lambda _: print("last words", flush=True)) as watch:
+    watch.turn += 1
+    sys.stderr.write("x" * 1_000_000)
+"""
+
+
+def test_a_process_ends_whose_tick_is_stuck_where_the_sentence_is_to_be_written() -> None:
+    pipe = subprocess.PIPE  # that of stderr is read by nobody
+    with subprocess.Popen([sys.executable, "-c", STUCK_IN_STDERR], stdout=pipe, stderr=pipe, text=True) as process:
+        try:
+            assert process.wait(20) == OverdueError.exit_code
+        finally:
+            process.kill()
+        assert process.stdout is not None
+        assert process.stdout.read() == "last words\n"
 
 
 def test_a_service_whose_law_never_returns_disarms_its_robot_and_goes_on(tmp_path: Path) -> None:
