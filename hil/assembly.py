@@ -65,7 +65,9 @@ def run(
     ``force`` replaces a recording and a trace that are there already.
 
     Raises BadInputError for a wrong scenario or option and for a file that is there already, LinkError or DeviceError
-    when the robot cannot be reached or does not arm. What fails later is in the result.
+    when the robot cannot be reached or does not arm. What fails later is in the result. A law that is stuck longer than
+    ``loop.tick_limit_s`` where no exception gets to, in a sleep or in C, ends the calling process with ``os._exit(3)``,
+    which runs nothing of the caller's; ``set={"loop.tick_limit_s": 0}`` has it wait for ever instead.
     """
     if law is not None:
         set = [*set_texts(set), *set_texts({"controller.law": law})]  # noqa: A001

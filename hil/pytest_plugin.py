@@ -90,7 +90,7 @@ class ScenarioTest(pytest.Item):
         folder = _folder(self, None)
         record = None if folder is None else free_name(folder / f"{self.name}.rrd")
         repeat = self._overrides.command(self._scenario)
-        verdict = run_as_test(self._scenario, self._overrides.truth, record, repeat)
+        verdict = run_as_test(self._scenario, self._overrides.truth, record, repeat, self.config)
         if verdict.passed and verdict.recording is not None and not self.config.getoption("hil_record"):
             verdict.recording.unlink()
             verdict = dataclasses.replace(verdict, recording=None)

@@ -71,8 +71,8 @@ def test_what_a_scenario_allows_passes_and_the_review_of_what_it_does_not_says_s
     assert "allow                  held_ticks: 100 of 100" in capsys.readouterr().out
 
 
-def test_a_scenario_as_a_test_says_which_limit_was_passed(tmp_path: Path) -> None:
-    verdict = run_as_test(load("circle_speed", set=BLIND), None, None, "hil run ...")
+def test_a_scenario_as_a_test_says_which_limit_was_passed(pytestconfig: pytest.Config) -> None:
+    verdict = run_as_test(load("circle_speed", set=BLIND), None, None, "hil run ...", pytestconfig)
     assert not verdict.passed
     assert verdict.text().startswith("allow: held_ticks: 100 of 100")
 

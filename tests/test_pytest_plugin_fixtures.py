@@ -11,6 +11,7 @@ import pytest
 from hil.review import review
 from tests.plugin_suites import PASSING, PLUGIN, TOO_STRICT, cases, environment, properties, run, write
 from tests.processes import is_running, wait_for
+from tests.test_tick_watch import SLEEP, law
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals need a POSIX system")
 
@@ -43,6 +44,25 @@ def test_a_run_returns_its_result_records_and_reports(suite: pytest.Pytester):
     assert (kept["hil.seed"], kept["hil-2.seed"], kept["hil-3.ticks"]) == ("4", "5", "100")
     assert review(Path(kept["hil-2.recording"]))["wire_sha256"] == kept["hil-2.wire_sha256"] != kept["hil.wire_sha256"]
     assert "hil-3.recording" not in kept
+
+
+@pytest.mark.parametrize("is_fixture", [True, False])
+def test_a_law_that_no_exception_gets_to_ends_the_session_with_its_sentence(suite: pytest.Pytester, is_fixture: bool):
+    stuck = law(suite.path, SLEEP)
+    if is_fixture:
+        limited = f'{{"loop.tick_limit_s": 0.2, "loop.duration_s": 1.0, "expect": [], "controller.law": {stuck!r}}}'
+        suite.makepyfile(
+            f"""
+            def test_stuck(hil_run):
+                hil_run("circle_speed", set={limited} | {{"controller.gains": {{}}}}, record=False)
+            """
+        )
+    else:
+        head = 'extends = "circle_speed"\nexpect = []\n[loop]\ntick_limit_s = 0.2\n[controller]\ngains = {}\n'
+        write(suite, stuck=f'{head}law = "{stuck}"\n')
+    ended = run(suite, "--hil-record", "none")
+    assert ended.ret == 3
+    assert "did not end within 0.2 s of wall-clock time" in ended.errlines[-1]
 
 
 def test_a_run_that_does_not_pass_fails_the_test_unless_it_judges_itself(suite: pytest.Pytester):

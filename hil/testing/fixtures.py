@@ -147,7 +147,7 @@ class RunScenario:
         recording = self._recording(f"{loaded.name}{number}") if record else None
         # A robot of the test is gone with it.
         repeat = overrides.command(loaded) if on is None else shlex.join(["pytest", self._item.nodeid])
-        verdict = run_as_test(loaded, overrides.truth, recording, repeat)
+        verdict = run_as_test(loaded, overrides.truth, recording, repeat, self._item.config)
         self._item.user_properties += [(f"hil{number}.{name}", value) for name, value in verdict.properties()]
         if not verdict.passed:
             if check:

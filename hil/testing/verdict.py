@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import pytest
+
 from hil.errors import DeviceError, HilError, LinkError
 from hil.figure_words import in_order, why_incomplete
 from hil.testing.overrides import shown
@@ -94,13 +96,22 @@ class Verdict:
         return rows
 
 
-def run_as_test(scenario: "Scenario", truth: str | None, record: Path | None, repeat: str) -> Verdict:
-    """Run a scenario; whatever a user is meant to read is in the verdict. ``repeat`` is the command that does it."""
+def run_as_test(
+    scenario: "Scenario", truth: str | None, record: Path | None, repeat: str, config: pytest.Config
+) -> Verdict:
+    """Run a scenario; whatever a user is meant to read is in the verdict. ``repeat`` is the command that does it.
+
+    A law that is stuck where no exception gets to ends the session; what is said of it then is not captured.
+    """
     from hil.assembly import run_scenario
+
+    def uncapture(_sentence: str) -> None:
+        if (capturing := config.pluginmanager.getplugin("capturemanager")) is not None:
+            capturing.suspend_global_capture(in_=False)
 
     result, error = None, None
     try:
-        result = run_scenario(scenario, truth=truth, record=record)
+        result = run_scenario(scenario, truth=truth, record=record, on_stuck=uncapture)
         error = result.failure
     except HilError as before_the_run:
         error = before_the_run
