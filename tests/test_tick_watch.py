@@ -16,7 +16,7 @@ from hil.review.figures import figures
 from hil.scenario import load
 from hil.service.messages import Phase
 from hil.tick_watch import TickOverdue, TickWatch
-from tests.pilot_bench import PilotBench
+from tests.pilot_bench import PilotBench, armed_pilot
 
 LIMIT = {"loop.tick_limit_s": 0.2, "loop.duration_s": 1.0, "expect": [], "controller.gains": {}}
 _LAW = """
@@ -121,6 +121,19 @@ def test_a_service_whose_law_never_returns_disarms_its_robot_and_goes_on(tmp_pat
         assert "did not end within 0.2 s" in str(bench.pilot.why)
         assert bench.pilot.phase is Phase.DISARMED
         assert bench.series("loop.tick") == list(range(len(bench.rows)))
+
+
+def test_a_service_goes_on_when_a_tick_is_overdue_outside_its_law(monkeypatch: pytest.MonkeyPatch) -> None:
+    with armed_pilot() as bench, TickWatch(0.1, lambda: 0.0, pytest.fail) as watch:
+        with monkeypatch.context() as stalled:
+            stalled.setattr(bench.pilot, "_note_trouble", lambda: time.sleep(0.4))  # as a log that nobody reads
+            watch.turn += 1
+            bench.run(0.01)
+            watch.turn += 1
+        assert "did not end within 0.1 s" in str(bench.pilot.why)
+        bench.run_until(Phase.DISARMED)
+        bench.pilot.arm()
+        bench.run_until(Phase.ACTIVE)
 
 
 @pytest.mark.parametrize("limit_s", [0.0, float("inf")])

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 
 from firmware_protocol.generated.messages import State as RobotState
-from hil.errors import BadInputError, DeviceError, HilError, LinkError, RobotStoppedError
+from hil.errors import BadInputError, DeviceError, HilError, LinkError, OverdueError, RobotStoppedError
 from hil.kinematics import BodyTwist
 from hil.recovery import Recovery, Warned
 from hil.references import ReferenceSource
@@ -186,6 +186,12 @@ class Pilot:
     def tick(self, now: LoopSignals, fix: PoseFix | None) -> None:
         """Do one tick, and tell of it once. Raises what ended a robot in this process, which cannot come back."""
         self._t_s = now.t_s
+        try:
+            self._do(now, fix)
+        except TickOverdue as overdue:  # in what is not the law's, as a log whose reader stalls
+            self.lose(OverdueError(str(overdue)))
+
+    def _do(self, now: LoopSignals, fix: PoseFix | None) -> None:
         faults = self._parts.faults
         if faults is not None:
             faults.at(round(now.t_s * 1e9))
