@@ -1,6 +1,7 @@
 """``[allow]``: how much may go wrong in a run that no fault of its scenario explains, before the run is not passed."""
 
 import re
+from fractions import Fraction
 from typing import Annotated, Any
 
 from pydantic import Field, PlainValidator
@@ -43,4 +44,4 @@ def most(limit: int | str, ticks: int) -> int:
     """Return the greatest number that a limit lets be in a run of so many ticks."""
     if isinstance(limit, int):
         return limit
-    return int(float(limit.rstrip("% ")) / 100.0 * ticks)
+    return int(Fraction(limit.rstrip("% ")) * ticks / 100)
