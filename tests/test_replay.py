@@ -10,10 +10,11 @@ import pytest
 
 import hil
 from hil.controllers.registry import SHIPPED
-from hil.errors import BadInputError
+from hil.errors import BadInputError, OverdueError
 from hil.replay import replay, write_replay
 from hil.review import read
 from hil.types import WHEEL_NAMES, CommandMode
+from tests.test_tick_watch import LOOP, law
 
 SHORT = {"loop.duration_s": 0.5, "loop.rate_hz": 200, "expect": []}
 DELAYED = {"link.command_latency_s": 0.003, "link.feedback_latency_s": 0.007}
@@ -53,6 +54,12 @@ def test_the_law_that_made_the_run_says_the_same_again(recorded):
     for one in replayed.differences.values():
         assert one.max < 1e-12  # a recording holds doubles; only the latency went through a unit
         assert one.recorded_rms > 0.1
+
+
+def test_a_law_that_never_returns_ends_the_replay_with_its_time_and_line(by_speed, tmp_path):
+    limited = replace(by_speed, **changed(by_speed, "loop.tick_limit_s", 0.1))
+    with pytest.raises(OverdueError, match=r"the tick at t = 0\.095 s did not end within 0\.1 s .*stuck_law\.py"):
+        replay(limited, law(tmp_path, LOOP))
 
 
 def test_so_does_the_law_of_a_run_by_speed_with_its_feedforward(by_speed):

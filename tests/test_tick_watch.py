@@ -174,6 +174,8 @@ def test_what_is_overdue_is_ended_in_the_thread_that_does_it() -> None:
         never_return()
 
 
-def test_no_limit_is_less_than_nothing() -> None:
-    with pytest.raises(BadInputError, match=r"loop\.tick_limit_s = -1"):
-        load("circle_speed", set={"loop.tick_limit_s": -1})
+@pytest.mark.parametrize("limit_s", [-1, 1e-9, 0.049])
+def test_no_limit_is_so_short_that_the_watch_would_spin(limit_s: float) -> None:
+    with pytest.raises(BadInputError, match=rf"loop\.tick_limit_s = {limit_s}"):
+        load("circle_speed", set={"loop.tick_limit_s": limit_s})
+    assert load("circle_speed", set={"loop.tick_limit_s": 0.05}).loop.tick_limit_s == 0.05

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from hil.controllers.own_signals import short_name
 from hil.controllers.registry import make_controller
-from hil.errors import BadInputError, DeviceError
+from hil.errors import BadInputError, DeviceError, OverdueError
 from hil.guard import Guard
 from hil.outputs import Existing
 from hil.ports import Controller
@@ -25,6 +25,7 @@ from hil.review import RecordedRun
 from hil.scenario.toml_text import parse_value
 from hil.shadows import QUANTITY
 from hil.telemetry import Recording, check_output_path
+from hil.tick_watch import TickOverdue, TickWatch
 from hil.types import NAN, WHEEL_NAMES, ZERO_WHEELS, Applied, CommandMode, WheelCommand
 
 __all__ = ["Difference", "Replay", "replay", "write_replay"]
@@ -99,7 +100,8 @@ def replay(run: RecordedRun, text: str) -> Replay:
 
     The robot's model is the recording's. So are the gains where the law is the one in command, or one of its shadows;
     over these come those of the text. Raises BadInputError for a recording that does not hold what a law hears, for a
-    law or gains as ``make_controller`` does, and with what a law that is not ours raises.
+    law or gains as ``make_controller`` does, and with what a law that is not ours raises; OverdueError for one that
+    does not return within the recording's ``loop.tick_limit_s``. One that is stuck ends the process, as in ``hil.run``.
     """
     check_signals(run)
     scenario = scenario_of(run)
@@ -111,8 +113,16 @@ def replay(run: RecordedRun, text: str) -> Replay:
     guard = Guard(model.speed_limit_rad_s, model.torque_limit_n_m)
     names = _compared(mode)
     said = array.array("d")
-    for command in _commands(run, law, guard, mode, scenario):
-        said.extend(_flat(command, mode))
+    t_s = run.signals["loop.t_s"]
+    watch = TickWatch(
+        float(scenario.get("loop.tick_limit_s", 0.0)), lambda: float(t_s[len(said) // len(names)]), lambda _: None
+    )
+    try:
+        with watch:
+            for command in _commands(run, law, guard, mode, scenario, watch):
+                said.extend(_flat(command, mode))
+    except TickOverdue as overdue:
+        raise OverdueError(str(overdue)) from None
     table = np.frombuffer(said, dtype=np.float64).reshape(-1, len(names))
     asked = np.isfinite(table[:, 0])
     if not asked.any():
@@ -128,10 +138,7 @@ def replay(run: RecordedRun, text: str) -> Replay:
         asked=int(asked.sum()),
         commands_refused=guard.refused,
         commands=commands,
-        differences={
-            name: _difference(run.signals["loop.t_s"][asked], run.signals[name][asked], commands[name][asked])
-            for name in names
-        },
+        differences={name: _difference(t_s[asked], run.signals[name][asked], commands[name][asked]) for name in names},
         notes=tuple(_notes(run, scenario)),
     )
 
@@ -177,7 +184,7 @@ def _given(text: str, assignments: Sequence[str]) -> dict[str, object]:
 
 
 def _commands(
-    run: RecordedRun, law: Controller, guard: Guard, mode: CommandMode, scenario: Mapping[str, Any]
+    run: RecordedRun, law: Controller, guard: Guard, mode: CommandMode, scenario: Mapping[str, Any], watch: TickWatch
 ) -> Iterator[WheelCommand | None]:
     """Yield what the law says at each tick, after the guard; None where the law in command was not asked."""
     period_ns = 1_000_000_000 // int(scenario["loop.rate_hz"])
@@ -196,11 +203,13 @@ def _commands(
             before = None  # after a hold the law begins anew
             yield None
         else:
+            watch.turn += 1
             if before is None or (row.tick - before) * period_ns > stale_ns:
                 law.reset(row.state, row.reference)  # as hil.tick does after so many skipped ticks
                 before = row.tick - 1
             dt_s = (row.tick - before) * period_ns * 1e-9
             command, _ = guard.apply(law.update(row.reference, row.state, applied, dt_s))
+            watch.turn += 1
             yield command
             before = row.tick
         applied = row.applied

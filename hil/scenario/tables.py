@@ -29,6 +29,7 @@ from plant_fmu import SHIPPED
 TICKS_PER_SECOND = 1000  # the firmware loop
 LOWEST_RATE_HZ = 20  # two commands within the longest watchdog
 RATES_HZ = tuple(rate for rate in range(LOWEST_RATE_HZ, 1001) if TICKS_PER_SECOND % rate == 0)
+LEAST_TICK_LIMIT_S = 0.05  # a thread looks several times within it
 SHIPPED_FMUS = tuple(SHIPPED)
 
 PLANT_SIGNALS = (*INPUTS, *OUTPUTS)
@@ -373,6 +374,13 @@ class LoopTable(Table):
         allow_inf_nan=True,
         description="wall-clock time of a tick's own work, beyond which the run is ended; 0 or inf for no limit",
     )
+
+    @field_validator("tick_limit_s")
+    @classmethod
+    def _no_spin(cls, tick_limit_s: float) -> float:
+        if 0.0 < tick_limit_s < LEAST_TICK_LIMIT_S:
+            raise ValueError(f"expected at least {LEAST_TICK_LIMIT_S:g} s, or 0 for no limit")
+        return tick_limit_s
 
     @field_validator("rate_hz")
     @classmethod
