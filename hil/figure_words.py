@@ -104,7 +104,7 @@ def belief_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
     if stale := metrics.get("stale_ticks"):
         yield "stale", f"{stale} ticks, in which nothing fresh said where the robot is: it was not driven"
     if held := metrics.get("held_ticks"):
-        yield "held", f"{held} ticks, in which the robot was held at rest or away for another reason"
+        yield "held", f"{held} ticks, in which the state was unknown, the estimator lost, or the robot away"
     if slipped := metrics.get("robot_slipped_ticks"):
         yield "virtual robot", f"lost {slipped} ms of its time to stalls of this machine"
 

@@ -55,7 +55,7 @@ def test_a_run_in_which_the_robot_was_never_driven_has_not_passed(tmp_path: Path
     assert (result.metrics["stale_ticks"], result.metrics["held_ticks"]) == (0, 100)
     told = result.metrics["allow"][1]
     assert (told["name"], told["passed"], told["all"], told["unexplained"]) == ("held_ticks", False, 100, 100)
-    assert told["text"].startswith("held_ticks: 100 of 100 ticks not driven for another reason: state unknown")
+    assert told["text"].startswith("held_ticks: 100 of 100 ticks not driven because the state was unknown")
     assert "allow.held_ticks permits 0: find the cause, or raise it" in told["text"]
     assert review(tmp_path / "run.rrd")["allow"] == result.metrics["allow"]
     recorded = read_for_figures(tmp_path / "run.rrd")

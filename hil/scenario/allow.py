@@ -32,7 +32,7 @@ class AllowTable(Table):
 
     stale_ticks: Limit = Field(default=0, description="ticks not driven because the feedback or the truth was too old")
     held_ticks: Limit = Field(
-        default=0, description="ticks not driven for another reason: state unknown, estimator lost, robot away"
+        default=0, description="ticks not driven because the state was unknown, the estimator lost, or the robot away"
     )
 
 

@@ -234,7 +234,9 @@ class Pilot:
             # Whatever it is, another robot among it: the way back begins again, and never ends in an armed one.
             self._recovery.fail(error)
             return
-        self._why = str(error)
+        # What follows a law that failed, such as feedback that lay unread meanwhile, does not take its place.
+        if not self._law_failed or isinstance(error, BadInputError):
+            self._why = str(error)
         latched = {RobotState.FAULT: Phase.FAULT, RobotState.ESTOP: Phase.ESTOP}
         feedback = self._parts.device.feedback
         if isinstance(error, LinkError | RobotStoppedError):
