@@ -42,7 +42,7 @@ check: setup .venv/tools
 	$(BIN)/python -m plant_fmu.generate --check
 	$(BIN)/python -m plant_fmu.reference --check
 	$(BIN)/python -m hil.faults.page --check
-	$(BIN)/python -m hil.reproduction.page --check
+	$(BIN)/python -m hil.batch.reproduction.page --check
 
 # What the tests of the firmware are worth: lines run, and wrong checks noticed. All of it: tools.mutate without
 # --sample, and tools.fuzz --runs 10000000.

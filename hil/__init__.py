@@ -14,12 +14,12 @@ __version__ = "0.1.0"
 __all__ = ["RunResult", "__version__", "run"]
 
 if TYPE_CHECKING:
-    from hil.assembly import RunResult, run
+    from hil.runtime.assembly import RunResult, run
 
 
 def __getattr__(name: str) -> Any:
     if name in ("run", "RunResult"):
-        from hil import assembly
+        from hil.runtime import assembly
 
         return getattr(assembly, name)
     raise AttributeError(f"module 'hil' has no attribute {name!r}")

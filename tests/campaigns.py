@@ -4,10 +4,10 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hil.campaign.campaign import Campaign
-from hil.campaign.cluster import Place
-from hil.campaign.dataset import KEY, read_rows
-from hil.campaign.rows import MACHINE
+from hil.batch.campaign.campaign import Campaign
+from hil.batch.campaign.cluster import Place
+from hil.batch.campaign.dataset import KEY, read_rows
+from hil.batch.campaign.rows import MACHINE
 
 PLAN = """
 scenario = "circle_speed"

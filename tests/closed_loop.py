@@ -4,10 +4,10 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from hil.kinematics import body_twist, to_world
-from hil.model import RobotModel
+from hil.core.kinematics import body_twist, to_world
+from hil.core.model import RobotModel
+from hil.core.types import ZERO_WHEELS, Applied, CommandMode, Pose, State, Twist, WheelCommand, Wheels
 from hil.references import Circle
-from hil.types import ZERO_WHEELS, Applied, CommandMode, Pose, State, Twist, WheelCommand, Wheels
 
 PAPER_ROBOT = RobotModel(
     mass_kg=20.0,

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-EXAMPLES = Path(__file__).parents[1] / "hil" / "dialects" / "examples"
+EXAMPLES = Path(__file__).parents[1] / "hil" / "drivers" / "dbc" / "examples"
 
 
 def motors(name: str, changes: Mapping[str, Any] | None = None) -> dict[str, Any]:

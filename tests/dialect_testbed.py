@@ -5,16 +5,16 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from firmware_protocol.framing import Frame
-from hil.devices.emulated.registry import emulated
-from hil.dialects.port import Driver, RobotFacts, Sample, Wire
-from hil.dialects.registry import dialect
-from hil.options import build
+from hil.core.options import build
+from hil.core.types import CommandMode, FourWheels
+from hil.drivers.emulated_registry import emulated
+from hil.drivers.port import Driver, RobotFacts, Sample, Wire
+from hil.drivers.registry import dialect
 from hil.plant import archive
 from hil.plant.description import parameter_names
 from hil.plant.fmu import FmuPlant
-from hil.robots import firmware_values, plant_start
+from hil.runtime.robots import firmware_values, plant_start
 from hil.scenario import load
-from hil.types import CommandMode, FourWheels
 
 TICK_NS = 1_000_000
 STILL = (0.0, 0.0, 0.0, 0.0)

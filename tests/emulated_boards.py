@@ -15,7 +15,7 @@ from firmware_protocol.framing import Deframer, Frame, Framer
 from firmware_protocol.generated import messages as m
 from firmware_protocol.host import library, parameter_hash, stored_parameters
 from firmware_protocol.stm32_flash import HIL_BOARD
-from hil.links.wire import Node
+from hil.wire.robot_end import Node
 from tests.arm_programs import HAS_COMPILER, NEEDS_COMPILER
 from tests.wheel_rig import PARAMETERS, WheelRig
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from hil.assembly import RunResult, run
+from hil.runtime.assembly import RunResult, run
 
 LINKS = ("memory:", "serial:pty", "can:virtual/faults")
 Row = Mapping[str, str | float]

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import fmpy
 
+from hil.core.types import WHEEL_NAMES
 from hil.plant.mapping import Row, SignalMap
-from hil.types import WHEEL_NAMES
 from native_build.compiler import SUFFIX, compile_shared
 
 SOURCES = Path(__file__).with_name("fmus")

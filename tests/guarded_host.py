@@ -11,9 +11,9 @@ import sys
 import time
 
 from firmware_protocol.framing import Frame
-from hil.devices.guardian import Guardian
-from hil.dialects.registry import dialect
-from hil.links.serial_port import SerialStream
+from hil.drivers.guardian import Guardian
+from hil.drivers.registry import dialect
+from hil.wire.serial_port import SerialStream
 
 STOP = (Frame(0x12, bytes([1, 0, 0, 0, 0, 0, 0])), Frame(0x0F, b"\x5f"))
 DRIVE = Frame(0x12, bytes.fromhex("01C80000000000"))  # 0.2 m/s forward

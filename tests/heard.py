@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from firmware_protocol.framing import Frame
-from hil.ports import Link
+from hil.core.ports import Link
 
 
 def everything(link: Link) -> list[Frame]:

@@ -9,9 +9,9 @@ import csv
 from pathlib import Path
 
 import hil
-from hil.controllers.registry import SHIPPED
-from hil.errors import BadInputError
-from hil.types import CommandMode
+from hil.core.errors import BadInputError
+from hil.core.types import CommandMode
+from hil.laws.registry import SHIPPED
 
 VECTORS = Path(__file__).parent / "vectors" / "laws.csv"
 HEAD = ["law", "command", "t_s", "x_m", "y_m", "heading_rad"]

@@ -7,7 +7,7 @@ from moteus.transport_device import Frame as MakersFrame
 from moteus.transport_device import TransportDevice
 
 from firmware_protocol.framing import Frame
-from hil.dialects.port import EXTENDED
+from hil.drivers.port import EXTENDED
 from tests.dialect_testbed import Rig
 
 

@@ -4,16 +4,16 @@ import contextlib
 from collections.abc import Iterator
 from typing import Any, Self
 
-from hil.bench import Bench
-from hil.errors import HilError, RobotStoppedError
-from hil.parts import PartsOf
-from hil.sampling import Sampling
+from hil.core.errors import HilError, RobotStoppedError
+from hil.core.signals import SIGNAL_NAMES, LoopSignals
+from hil.runtime.bench import Bench
+from hil.runtime.parts import PartsOf
+from hil.runtime.sampling import Sampling
 from hil.scenario import load
 from hil.service.conduct import Rules
 from hil.service.messages import Phase
 from hil.service.motions import Speeds
 from hil.service.pilot import Pilot
-from hil.signals import SIGNAL_NAMES, LoopSignals
 
 SPEEDS = Speeds(0.5, 1.0, 5.0, 1.0, 3.0, 15.0)
 RULES = Rules(SPEEDS, twist_timeout_s=0.2, error_limit_m=0.5)

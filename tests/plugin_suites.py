@@ -8,7 +8,7 @@ import pytest
 
 from tests.processes import ROOT
 
-PLUGIN = ("-p", "hil.pytest_plugin")  # changes nothing where the package is installed
+PLUGIN = ("-p", "hil.cli.pytest_plugin")  # changes nothing where the package is installed
 
 _HEAD = 'extends = "paper_circle"\n'
 _SHORT = "[loop]\nduration_s = 0.2\n"

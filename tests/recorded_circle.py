@@ -10,7 +10,7 @@ from itertools import chain
 import numpy as np
 import numpy.typing as npt
 
-from hil.signals import (
+from hil.core.signals import (
     INDEX,
     SIGNAL_NAMES,
     BatterySignals,
@@ -23,7 +23,7 @@ from hil.signals import (
     RobotSignals,
     Sample,
 )
-from hil.types import NAN, NAN_WHEELS, Gains, Pose, Twist, Wheels
+from hil.core.types import NAN, NAN_WHEELS, Gains, Pose, Twist, Wheels
 
 PERIOD_S = 0.001
 ACTIVE, STOPPING = 3.0, 4.0

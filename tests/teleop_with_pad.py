@@ -6,7 +6,7 @@ from pathlib import Path
 
 import sdl2
 
-from hil.cli import main
+from hil.cli.main import main
 from tests.virtual_pad import VirtualPad
 
 

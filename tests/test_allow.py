@@ -5,19 +5,19 @@ from pathlib import Path
 import pytest
 
 import hil
-from hil.campaign.rows import why_failed
-from hil.commands.review import review as command
-from hil.comparison.runs import Job, perform
-from hil.errors import BadInputError
+from hil.batch.campaign.rows import why_failed
+from hil.batch.comparison.runs import Job, perform
+from hil.cli.review import review as command
+from hil.core.errors import BadInputError
 from hil.faults.rows import FaultRow
 from hil.review import review
 from hil.review.figures import figures, read_for_figures
 from hil.review.page import page
-from hil.sampling import Timing
+from hil.runtime.sampling import Timing
+from hil.runtime.undriven import Undriven
 from hil.scenario import load, set_texts
 from hil.scenario.allow import most
 from hil.testing.verdict import run_as_test
-from hil.undriven import Undriven
 
 MS = 1_000_000
 TIMING = Timing(5 * MS, 3 * MS, 2 * MS, 25 * MS)

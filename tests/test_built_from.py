@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 import firmware_protocol.build
 import hil.plant.build
 from firmware_protocol import host
-from hil.cli import app
-from hil.errors import BadInputError
+from hil.cli.main import app
+from hil.core.errors import BadInputError
 from hil.plant import archive, shim
 from hil.review import read
 from native_build.built_from import Built, NotCurrentError, digest_in_library

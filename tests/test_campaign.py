@@ -19,18 +19,18 @@ import pytest
 from typer.testing import CliRunner
 
 import hil as bridge
-from hil.assembly import run_scenario
-from hil.campaign import cluster as cluster_of_dask
-from hil.campaign.campaign import Campaign
-from hil.campaign.cluster import Place
-from hil.campaign.dataset import RECORDINGS, ROWS, read_rows
-from hil.campaign.jobs import WORK
-from hil.campaign.judged import duel_words, judge
-from hil.campaign.rows import figures_of
-from hil.cli import app
-from hil.devices.virtual import KeptRobot
-from hil.errors import BadInputError, LinkError
+from hil.batch.campaign import cluster as cluster_of_dask
+from hil.batch.campaign.campaign import Campaign
+from hil.batch.campaign.cluster import Place
+from hil.batch.campaign.dataset import RECORDINGS, ROWS, read_rows
+from hil.batch.campaign.jobs import WORK
+from hil.batch.campaign.judged import duel_words, judge
+from hil.batch.campaign.rows import figures_of
+from hil.cli.main import app
+from hil.core.errors import BadInputError, LinkError
 from hil.review import read
+from hil.robot.virtual import KeptRobot
+from hil.runtime.assembly import run_scenario
 from hil.scenario import load
 from tests.campaigns import LIMIT_S, do, of_the_runs, rows_of, write_plan
 from tests.flawed_fmu import build_flawed
@@ -43,7 +43,7 @@ import os
 import pathlib
 import time
 
-from hil.types import WheelCommand, Wheels
+from hil.core.types import WheelCommand, Wheels
 
 REST = Wheels(0.0, 0.0, 0.0, 0.0)
 IS_ILL = pathlib.Path(__file__).with_name("ill")
@@ -331,8 +331,8 @@ ON_A_SMALL_DISK = """
 import sys
 from pathlib import Path
 
-from hil.devices.virtual import KeptRobot
-from hil.errors import BadInputError
+from hil.robot.virtual import KeptRobot
+from hil.core.errors import BadInputError
 from tests.campaigns import do
 
 plan, disk = map(Path, sys.argv[1:])

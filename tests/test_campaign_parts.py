@@ -13,18 +13,26 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from hil.assembly import run_scenario
-from hil.campaign.campaign import Campaign
-from hil.campaign.dataset import KEY, ROWS, Dataset, read_rows
-from hil.campaign.jobs import NEVER
-from hil.campaign.keys import key_of
-from hil.campaign.load import load_plan
-from hil.campaign.points import count, points
-from hil.campaign.rows import MACHINE, figures_of
-from hil.campaign.statistics import binned, paired_difference, ranked, share_explained, share_of, unit_means, wilson
-from hil.campaign.work import perform
-from hil.devices.virtual import KeptRobot
-from hil.errors import BadInputError
+from hil.batch.campaign.campaign import Campaign
+from hil.batch.campaign.dataset import KEY, ROWS, Dataset, read_rows
+from hil.batch.campaign.jobs import NEVER
+from hil.batch.campaign.keys import key_of
+from hil.batch.campaign.load import load_plan
+from hil.batch.campaign.points import count, points
+from hil.batch.campaign.rows import MACHINE, figures_of
+from hil.batch.campaign.statistics import (
+    binned,
+    paired_difference,
+    ranked,
+    share_explained,
+    share_of,
+    unit_means,
+    wilson,
+)
+from hil.batch.campaign.work import perform
+from hil.core.errors import BadInputError
+from hil.robot.virtual import KeptRobot
+from hil.runtime.assembly import run_scenario
 from hil.scenario import from_plain, load, shipped, to_plain
 from tests.campaigns import write_plan
 
@@ -115,7 +123,7 @@ def test_a_key_follows_from_what_a_run_is_made_of_and_not_from_where_that_is(tmp
 
 
 LAW = """
-from hil.types import WheelCommand, Wheels
+from hil.core.types import WheelCommand, Wheels
 
 
 class Law:

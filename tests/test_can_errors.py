@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m
-from hil.devices import handshake
-from hil.errors import BadInputError, DeviceError, LinkError
-from hil.links.can_bus import CanLink
-from hil.links.can_errors import BUS_OFF, CAUSES, causes_of
-from hil.links.opening import open_host
-from hil.links.url import CanUrl, parse_link
+from hil.core.errors import BadInputError, DeviceError, LinkError
+from hil.robot import handshake
+from hil.wire.can_bus import CanLink
+from hil.wire.can_errors import BUS_OFF, CAUSES, causes_of
+from hil.wire.opening import open_host
+from hil.wire.url import CanUrl, parse_link
 from tests.heard import the_next
 
 TICK = Frame(m.Tick.ID, bytes(8))

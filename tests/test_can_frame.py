@@ -3,7 +3,7 @@
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from hil.links.can_frame import classic_bits, fd_bits
+from hil.wire.can_frame import classic_bits, fd_bits
 
 FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 ENDING = "1" + "01" + "1111111" + "111"  # CRC delimiter, acknowledgement, end of frame, intermission

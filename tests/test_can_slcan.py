@@ -12,10 +12,10 @@ import serial
 
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m
-from hil.errors import LinkError
-from hil.links.can_bus import CanLink
-from hil.links.opening import open_host
-from hil.links.url import parse_link
+from hil.core.errors import LinkError
+from hil.wire.can_bus import CanLink
+from hil.wire.opening import open_host
+from hil.wire.url import parse_link
 from tests.heard import the_next
 from tests.processes import device, run_json
 
@@ -48,7 +48,7 @@ def two_links(filler: bytes = b"", bitrate: int = 1_000_000, bus=None) -> Iterat
 
 
 def test_an_adapter_that_takes_no_bytes_is_lost_and_holds_nobody_for_ever(monkeypatch):
-    monkeypatch.setattr("hil.links.can_ports._WRITE_TIMEOUT_S", 0.05)
+    monkeypatch.setattr("hil.wire.can_ports._WRITE_TIMEOUT_S", 0.05)
     master, slave = os.openpty()
     host = CanLink(parse_link(f"can:slcan/{os.ttyname(slave)}"), "ROBOT")
     with pytest.raises(LinkError, match="takes no bytes any more"):

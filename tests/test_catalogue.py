@@ -9,13 +9,13 @@ from typing import Any
 import pytest
 
 from firmware_protocol.build import HERE, SOURCES
-from hil.catalogue.plan import Asked, alone, pairs
-from hil.catalogue.runs import WORK, perform
+from hil.batch.catalogue.plan import Asked, alone, pairs
+from hil.batch.catalogue.runs import WORK, perform
+from hil.batch.pool import counted, perform_all
+from hil.core.progress import runs_progress
 from hil.faults.cases import CASES, DURATION_S, Outcome
 from hil.faults.kinds import KINDS
 from hil.faults.rows import find
-from hil.pool import counted, perform_all
-from hil.progress import runs_progress
 from hil.scenario.rows import FaultTable
 from native_build.compiler import compile_shared
 from tests.processes import HIL, environment, hil
@@ -201,7 +201,7 @@ def test_a_run_that_hangs_is_ended_and_one_that_crashes_is_told(tmp_path) -> Non
 def test_a_worker_that_is_none_is_a_verdict_on_each_job_and_a_line_of_progress(
     words, tmp_path, monkeypatch, capsys
 ) -> None:
-    monkeypatch.setattr("hil.pool.module_command", lambda _module: words)
+    monkeypatch.setattr("hil.batch.pool.module_command", lambda _module: words)
     jobs = alone(Asked("circle_speed", [], ["memory"], ["push", "mute"], tmp_path))
     tell = counted(runs_progress(lambda verdict: verdict.fault), len(jobs))
     verdicts = perform_all(WORK, jobs, 2, 60.0, tell)

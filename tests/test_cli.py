@@ -142,8 +142,8 @@ def test_recording_where_nobody_may_write():
 
 @pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals need a POSIX system")
 def test_device_on_a_busy_port():
-    from hil.links.pty import PtyStream
-    from hil.links.serial_port import SerialStream
+    from hil.wire.pty import PtyStream
+    from hil.wire.serial_port import SerialStream
 
     master = PtyStream()
     holder = SerialStream(master.port, 921_600)
@@ -270,8 +270,8 @@ def test_progress_bar_is_for_a_person_only(tmp_path: Path):
 
 def test_can_down_is_said_with_the_remedy():
     """The kernel's words for an interface that is down, which needs a kernel with CAN to be had for real."""
-    from hil.links.can_failures import failure
-    from hil.links.url import CanUrl
+    from hil.wire.can_failures import failure
+    from hil.wire.url import CanUrl
 
     error = failure(CanUrl("socketcan", "can0"), can.CanOperationError("Network is down", 100))
     assert "is down; bring it up: ip link set can0 up type can bitrate 1000000" in str(error)
@@ -280,7 +280,7 @@ def test_can_down_is_said_with_the_remedy():
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full, as Linux has it")
 def test_a_full_disk_under_the_output_is_one_sentence():
     with Path("/dev/full").open("wb") as full:
-        command = [sys.executable, "-m", "hil.cli", "list", "signals"]
+        command = [sys.executable, "-m", "hil.cli.main", "list", "signals"]
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False, env=environment())
     assert done.returncode == 2
     assert done.stderr == "hil: there is no space left where the output goes; free some, or write it elsewhere\n"
@@ -288,7 +288,7 @@ def test_a_full_disk_under_the_output_is_one_sentence():
 
 def test_a_reader_that_has_left_before_anything_was_printed_is_no_error():
     buffered = environment() | {"PYTHONUNBUFFERED": ""}
-    command = [sys.executable, "-m", "hil.cli", "list", "links"]  # less than a buffer holds
+    command = [sys.executable, "-m", "hil.cli.main", "list", "links"]  # less than a buffer holds
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=buffered) as process:
         assert process.stdout is not None
         process.stdout.close()

@@ -12,15 +12,15 @@ import pytest
 from typer.testing import CliRunner
 
 import hil
-from hil.cli import app
-from hil.comparison import Asked, compare
-from hil.comparison.conditions import FRICTIONS, MASS_FACTORS, Condition, Variation, conditions, variations
-from hil.comparison.entries import Entry, entries
-from hil.comparison.result import Comparison, Row, Run
-from hil.comparison.runs import FIGURES, Outcome
-from hil.comparison.tables import terminal, write_markdown
-from hil.errors import BadInputError
-from hil.types import CommandMode
+from hil.batch.comparison import Asked, compare
+from hil.batch.comparison.conditions import FRICTIONS, MASS_FACTORS, Condition, Variation, conditions, variations
+from hil.batch.comparison.entries import Entry, entries
+from hil.batch.comparison.result import Comparison, Row, Run
+from hil.batch.comparison.runs import FIGURES, Outcome
+from hil.batch.comparison.tables import terminal, write_markdown
+from hil.cli.main import app
+from hil.core.errors import BadInputError
+from hil.core.types import CommandMode
 from tests.processes import HIL, environment
 from tests.processes import hil as command
 
@@ -29,8 +29,8 @@ LAWS = """
 import os
 import socket
 
-from hil.errors import BadInputError
-from hil.types import CommandMode, WheelCommand, Wheels
+from hil.core.errors import BadInputError
+from hil.core.types import CommandMode, WheelCommand, Wheels
 
 REST = Wheels(0.0, 0.0, 0.0, 0.0)
 

@@ -7,12 +7,12 @@ from textwrap import dedent
 
 import pytest
 
-from hil.controllers import registry
-from hil.controllers.afdsc import Afdsc
-from hil.controllers.dsc import Dsc
-from hil.controllers.registry import SHIPPED, laws, load_law, make_controller
-from hil.errors import BadInputError
-from hil.types import NO_GAINS, CommandMode, Pose, State, Twist
+from hil.core.errors import BadInputError
+from hil.core.types import NO_GAINS, CommandMode, Pose, State, Twist
+from hil.laws import registry
+from hil.laws.afdsc import Afdsc
+from hil.laws.dsc import Dsc
+from hil.laws.registry import SHIPPED, laws, load_law, make_controller
 from tests.closed_loop import AT_REST, PAPER_CIRCLE, PAPER_ROBOT
 
 HERE = Path()
@@ -23,7 +23,7 @@ PROPORTIONAL = """
     from dataclasses import dataclass
     from typing import Literal
 
-    from hil.types import ZERO_WHEELS, Twist, WheelCommand
+    from hil.core.types import ZERO_WHEELS, Twist, WheelCommand
 
     class Proportional:
         @dataclass(frozen=True)
@@ -119,7 +119,7 @@ def test_a_law_from_a_file(write):
 def test_a_law_from_a_module(write, monkeypatch):
     monkeypatch.syspath_prepend(write(PROPORTIONAL, "law_in_a_module.py"))
     assert load_law("law_in_a_module:Proportional", HERE).__name__ == "Proportional"
-    assert make("hil.controllers.dsc:Dsc", options={"k1_1_s": 7.0}).gains.k1_x_1_s == 7.0
+    assert make("hil.laws.dsc:Dsc", options={"k1_1_s": 7.0}).gains.k1_x_1_s == 7.0
 
 
 def test_a_file_named_as_a_module_does_not_replace_it(write):
@@ -149,16 +149,16 @@ def test_a_law_without_options_takes_none(write, constructor):
             "file as in './my_law.py:MyLaw'",
         ),
         (
-            "hil.controllers.dsc:Dcs",
-            "controller.law = 'hil.controllers.dsc:Dcs': no class 'Dcs' in hil.controllers.dsc",
+            "hil.laws.dsc:Dcs",
+            "controller.law = 'hil.laws.dsc:Dcs': no class 'Dcs' in hil.laws.dsc",
         ),
         (
-            "hil.types:WHEEL_NAMES",
-            "controller.law = 'hil.types:WHEEL_NAMES': no class 'WHEEL_NAMES' in hil.types",
+            "hil.core.types:WHEEL_NAMES",
+            "controller.law = 'hil.core.types:WHEEL_NAMES': no class 'WHEEL_NAMES' in hil.core.types",
         ),
         (
-            "hil.types:Pose",
-            "controller.law = 'hil.types:Pose': the class has no reset; expected reset(self, state, ref",
+            "hil.core.types:Pose",
+            "controller.law = 'hil.core.types:Pose': the class has no reset; expected reset(self, state, ref",
         ),
         (":Law", "controller.law = ':Law': importing it failed"),
     ],

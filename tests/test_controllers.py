@@ -13,11 +13,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.controllers.afdsc import Afdsc
-from hil.controllers.afdsc_corrected import AfdscCorrected
-from hil.controllers.dsc import Dsc
-from hil.guard import Guard
-from hil.types import ZERO_WHEELS, Acceleration, CommandMode, Pose, Reference, State, Twist
+from hil.core.guard import Guard
+from hil.core.types import ZERO_WHEELS, Acceleration, CommandMode, Pose, Reference, State, Twist
+from hil.laws.afdsc import Afdsc
+from hil.laws.afdsc_corrected import AfdscCorrected
+from hil.laws.dsc import Dsc
 from tests.closed_loop import (
     AT_REST,
     PAPER_CIRCLE,

@@ -17,8 +17,8 @@ from typer.testing import CliRunner
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection
 
-from hil.commands.ctl import app
-from hil.errors import BadInputError, LinkError
+from hil.cli.ctl import app
+from hil.core.errors import BadInputError, LinkError
 from hil.service.client import Client, find
 from hil.service.discovery import announce, running
 from hil.service.messages import Action, Answer, Phase

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 import hil
-from hil.campaign.rows import figures_of
-from hil.results import RunResult
+from hil.batch.campaign.rows import figures_of
+from hil.judge.results import RunResult
 from hil.review import RecordedRun, differences, read
 from hil.review.figures import figures
 from hil.review.page import page

@@ -12,12 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.framing import Frame
-from hil.dialects.dbc import DIALECT
-from hil.dialects.dbc.settings import Settings
-from hil.dialects.port import RobotFacts
-from hil.errors import BadInputError
-from hil.options import build
-from hil.types import CommandMode
+from hil.core.errors import BadInputError
+from hil.core.options import build
+from hil.core.types import CommandMode
+from hil.drivers.dbc.driver import DIALECT
+from hil.drivers.dbc.settings import Settings
+from hil.drivers.port import RobotFacts
 from tests.dbc_mappings import EXAMPLES, edited_dbc, motors
 
 ROBOT = RobotFacts(0.075, 0.6, (0, 1, 2, 3), (1, 1, 1, 1), 5.0, 60.0, 1.25, 0.1, 0.005, CommandMode.SPEED)

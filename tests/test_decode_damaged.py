@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.trace import decode
+from hil.wire.trace import decode
 from tests.examples import share_of_examples
 from tests.processes import hil
 

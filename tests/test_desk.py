@@ -10,15 +10,15 @@ from typing import Any
 import pytest
 
 from firmware_protocol.generated.messages import State as RobotState
-from hil.controllers.registry import law_sha256
+from hil.core.types import NO_GAINS
+from hil.laws.registry import law_sha256
 from hil.review import read
+from hil.runtime.provenance import ingredients
 from hil.scenario import load
 from hil.scenario.laws import Laws
 from hil.service.desk import Desk
 from hil.service.messages import MOVING, Action, Answer, Order, Phase, Task
 from hil.service.records import Records
-from hil.telemetry.provenance import ingredients
-from hil.types import NO_GAINS
 from tests.pilot_bench import PilotBench
 
 

@@ -7,10 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.framing import Frame
-from hil.dialects.registry import dialect
-from hil.errors import BadInputError
-from hil.options import build
-from hil.types import CommandMode, FourWheels
+from hil.core.errors import BadInputError
+from hil.core.options import build
+from hil.core.types import CommandMode, FourWheels
+from hil.drivers.registry import dialect
 from tests.dialect_testbed import STILL, Rig, assert_near, assert_position_follows, assert_told, ramp_to
 
 FORWARD = (8.0, 8.0, 8.0, 8.0)

@@ -12,11 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.framing import Frame
-from hil.dialects.dbc import DIALECT
-from hil.dialects.port import EXTENDED, Driver, Sample
-from hil.errors import BadInputError
-from hil.options import build
-from hil.types import CommandMode, FourWheels
+from hil.core.errors import BadInputError
+from hil.core.options import build
+from hil.core.types import CommandMode, FourWheels
+from hil.drivers.dbc.driver import DIALECT
+from hil.drivers.port import EXTENDED, Driver, Sample
 from tests.dbc_mappings import EXAMPLES, edited_dbc, motors
 from tests.dialect_testbed import STILL, Rig, assert_near, ramp_to
 

@@ -13,7 +13,7 @@ from moteus import Mode, Register
 from moteus.moteus_tool import Stream as ToolStream
 
 from firmware_protocol.framing import Frame
-from hil.dialects.port import EXTENDED
+from hil.drivers.port import EXTENDED
 from tests.dialect_testbed import Rig
 from tests.moteus_bus import EmulatedBus, controller
 

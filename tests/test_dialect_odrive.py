@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.framing import Frame
-from hil.devices.emulated.odrive import EmulatedODrive
-from hil.dialects.port import EXTENDED, REMOTE
-from hil.dialects.registry import dialect
-from hil.errors import BadInputError
-from hil.options import build
-from hil.types import CommandMode
+from hil.core.errors import BadInputError
+from hil.core.options import build
+from hil.core.types import CommandMode
+from hil.drivers.odrive.emulated import EmulatedODrive
+from hil.drivers.port import EXTENDED, REMOTE
+from hil.drivers.registry import dialect
 from tests.dialect_testbed import STILL, Rig, assert_near, assert_position_follows, assert_told, ramp_to
 
 FORWARD = (8.0, 8.0, 8.0, 8.0)

@@ -9,9 +9,9 @@ import cantools
 import pytest
 
 from firmware_protocol.framing import Frame
-from hil.dialects import odrive_tables as tables
-from hil.dialects.port import REMOTE
-from hil.types import CommandMode
+from hil.core.types import CommandMode
+from hil.drivers.odrive import tables
+from hil.drivers.port import REMOTE
 from tests.dialect_testbed import STILL, Rig, assert_near, ramp_to
 
 try:

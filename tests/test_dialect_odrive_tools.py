@@ -19,7 +19,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.framing import Frame
-from hil.dialects.port import REMOTE
+from hil.drivers.port import REMOTE
 from tests.dialect_testbed import Rig
 
 try:

@@ -8,13 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.framing import Frame
-from hil.dialects.port import RobotFacts
-from hil.dialects.registry import dialect
-from hil.dialects.rosmaster_line import PAUSE
-from hil.errors import BadInputError
-from hil.kinematics import BodyTwist, wheel_speeds
-from hil.options import build
-from hil.types import FourWheels
+from hil.core.errors import BadInputError
+from hil.core.kinematics import BodyTwist, wheel_speeds
+from hil.core.options import build
+from hil.core.types import FourWheels
+from hil.drivers.port import RobotFacts
+from hil.drivers.registry import dialect
+from hil.drivers.rosmaster.line import PAUSE
 from tests.dialect_testbed import STILL, Rig, assert_near, ramp_to
 from tests.examples import share_of_examples
 

@@ -10,13 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.framing import Frame
-from hil.dialects.port import EXTENDED, Wire
-from hil.dialects.registry import dialect
-from hil.dialects.vesc_channel import Channel
-from hil.dialects.vesc_frames import SerialFraming
-from hil.errors import BadInputError
-from hil.options import build
-from hil.types import CommandMode
+from hil.core.errors import BadInputError
+from hil.core.options import build
+from hil.core.types import CommandMode
+from hil.drivers.port import EXTENDED, Wire
+from hil.drivers.registry import dialect
+from hil.drivers.vesc.channel import Channel
+from hil.drivers.vesc.frames import SerialFraming
 from tests.dialect_testbed import STILL, Rig, assert_near, assert_position_follows, assert_told, ramp_to
 
 FORWARD = (8.0, 8.0, 8.0, 8.0)

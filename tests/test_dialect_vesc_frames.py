@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.framing import Frame
-from hil.devices.emulated.vesc_wire import can_parts, float32_auto
-from hil.dialects import vesc_frames
-from hil.dialects.port import EXTENDED
-from hil.dialects.vesc_frames import (
+from hil.drivers.port import EXTENDED
+from hil.drivers.vesc import frames as vesc_frames
+from hil.drivers.vesc.emulated_wire import can_parts, float32_auto
+from hil.drivers.vesc.frames import (
     SET_CURRENT,
     SET_CURRENT_BRAKE,
     SET_RPM,
@@ -21,7 +21,7 @@ from hil.dialects.vesc_frames import (
     Timeout,
     parse_timeout,
 )
-from hil.dialects.vesc_wires import Bus, Line
+from hil.drivers.vesc.wires import Bus, Line
 from tests.dialect_testbed import Rig
 
 NODE, LINE = Rig("vesc", wire="can").node, Rig("vesc", wire="serial")

@@ -8,12 +8,12 @@ import can
 import pytest
 
 from firmware_protocol.framing import Frame
-from hil.assembly import run_scenario
-from hil.dialects.port import EXTENDED, Wire
-from hil.dialects.registry import dialect
-from hil.dialects.vesc_frames import SET_RPM, SerialFraming
-from hil.dialects.vesc_wires import Line
-from hil.errors import BadInputError
+from hil.core.errors import BadInputError
+from hil.drivers.port import EXTENDED, Wire
+from hil.drivers.registry import dialect
+from hil.drivers.vesc.frames import SET_RPM, SerialFraming
+from hil.drivers.vesc.wires import Line
+from hil.runtime.assembly import run_scenario
 from hil.scenario import load
 from tests.dialect_testbed import STILL, Rig, ramp_to
 from tests.test_dialect_vesc import FORWARD, ODD, WIRES, ready, rig_of

@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.framing import Frame
-from hil.devices.emulated.vesc_wire import first_packet, packet
-from hil.dialects.port import EXTENDED
+from hil.drivers.port import EXTENDED
+from hil.drivers.vesc.emulated_wire import first_packet, packet
 from tests.dialect_testbed import Rig
 
 GET_VALUES = bytes.fromhex("02010440 8403")

@@ -9,12 +9,12 @@ from firmware_protocol.framing import Frame, pack
 from firmware_protocol.generated import messages as m
 from firmware_protocol.host import HostNode
 from firmware_protocol.host_line import HostLine
-from hil.assembly import run_scenario
-from hil.devices.direct import DirectLink
-from hil.errors import LinkError
-from hil.links.framed import StreamLink
-from hil.links.streams import DirectStream
+from hil.core.errors import LinkError
+from hil.robot.direct import DirectLink
+from hil.runtime.assembly import run_scenario
 from hil.scenario import load
+from hil.wire.framed import StreamLink
+from hil.wire.streams import DirectStream
 from tests.protocol_cases import frames
 from tests.wheel_rig import WheelRig
 

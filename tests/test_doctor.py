@@ -8,8 +8,8 @@ import pytest
 from packaging.requirements import Requirement
 
 from firmware_protocol.build import BUILT
-from hil.doctor import Finding, Verdict, can, compiler, disk, kernel, versions, viewer
-from hil.report import print_findings
+from hil.cli.checks import Finding, Verdict, can, compiler, disk, kernel, versions, viewer
+from hil.cli.report import print_findings
 from tests.processes import hil
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="the trees are Linux's")

@@ -4,13 +4,13 @@ from typing import Any
 
 import pytest
 
-from hil.dialects.registry import DIALECTS, driver_names
-from hil.errors import BadInputError
-from hil.report import listing
+from hil.cli.report import listing
+from hil.core.errors import BadInputError
+from hil.core.types import CommandMode
+from hil.drivers.registry import DIALECTS, driver_names
 from hil.scenario import load
 from hil.scenario.drivers import COLUMNS
 from hil.scenario.motors import make_driver
-from hil.types import CommandMode
 
 
 def test_every_driver_is_listed_with_what_it_states() -> None:

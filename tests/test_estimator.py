@@ -8,10 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import hil
-from hil.devices.angles import Angles
-from hil.dialects.port import Sample
-from hil.errors import BadInputError
-from hil.estimator import (
+from hil.core.errors import BadInputError
+from hil.core.kinematics import BodyTwist, to_world, wheel_speeds
+from hil.core.model import RobotModel
+from hil.core.types import NAN, NAN_POSE, ZERO_WHEELS, Pose, PoseFix, Twist, Wheels
+from hil.drivers.angles import Angles
+from hil.drivers.port import Sample
+from hil.estimation import (
     Estimator,
     EstimatorOptions,
     FusedEstimator,
@@ -20,10 +23,7 @@ from hil.estimator import (
     TruthEstimator,
     make_estimator,
 )
-from hil.kinematics import BodyTwist, to_world, wheel_speeds
-from hil.model import RobotModel
 from hil.scenario.tables import FilterTable
-from hil.types import NAN, NAN_POSE, ZERO_WHEELS, Pose, PoseFix, Twist, Wheels
 
 ROBOT = RobotModel(20.0, 0.56, 0.075, 0.3, 0.3, 0.005, 0.0, 5.0, 60.0)
 COUNTS = 4096

@@ -9,22 +9,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import hil
-from hil.assembly import run_scenario
-from hil.controllers.afdsc import Afdsc
-from hil.controllers.fuzzy_gains import FuzzyLaw
-from hil.controllers.registry import SHIPPED, make_controller
-from hil.errors import BadInputError
-from hil.fuzzy import FuzzyBlock
+from hil.core.errors import BadInputError
+from hil.core.signals import SIGNAL_NAMES
+from hil.core.types import CommandMode, State, Twist
+from hil.laws.afdsc import Afdsc
+from hil.laws.fuzzy import FuzzyBlock
+from hil.laws.fuzzy_gains import FuzzyLaw
+from hil.laws.registry import SHIPPED, make_controller
 from hil.review import read
+from hil.runtime.assembly import run_scenario
 from hil.scenario import load
-from hil.signals import SIGNAL_NAMES
-from hil.types import CommandMode, State, Twist
 from tests.closed_loop import AT_REST, PAPER_CIRCLE, PAPER_ROBOT, PAPER_START
 from tests.test_fuzzy import memberships
 
 SHORT = {"loop.duration_s": 0.5, "loop.rate_hz": 200, "expect": []}
 LAW = """
-from hil.types import CommandMode, WheelCommand, Wheels, ZERO_WHEELS
+from hil.core.types import CommandMode, WheelCommand, Wheels, ZERO_WHEELS
 
 class Counting:
     signals = {signals}

@@ -2,11 +2,11 @@
 
 import pytest
 
-from hil.errors import BadInputError
+from hil.cli.report import listing
+from hil.core.errors import BadInputError
 from hil.faults.kinds import KINDS
 from hil.faults.page import PAGE, page
 from hil.faults.rows import FaultRow, generators
-from hil.report import listing
 from hil.scenario import load
 from tests.fault_runs import write
 

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from hil.assembly import run
-from hil.clock import WallClock
-from hil.devices.truth import TruthClient
-from hil.errors import BadInputError
-from hil.faults.injection import RunFaults
+from hil.core.clock import WallClock
+from hil.core.errors import BadInputError
+from hil.core.signals import SIGNAL_NAMES
+from hil.robot.truth import TruthClient
+from hil.runtime.assembly import run
+from hil.runtime.fault_injection import RunFaults
 from hil.scenario import load
-from hil.signals import SIGNAL_NAMES
 from tests.fault_runs import applied, write
 from tests.processes import device, hil, run_json
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.assembly import RunResult
 from hil.faults.kinds import KINDS
 from hil.review import read
+from hil.runtime.assembly import RunResult
 from tests.fault_runs import LINKS, applied, run_with, write
 
 BYTES = ("bit_errors", "truncation", "babble")
@@ -122,7 +122,7 @@ def test_windows_of_links_are_exact_to_the_tick(tmp_path) -> None:
 
 
 def test_the_recording_tells_when_a_fault_began_and_what_it_did(tmp_path) -> None:
-    from hil.assembly import run
+    from hil.runtime.assembly import run
 
     path = write(tmp_path, [fault("drop"), {"kind": "gyro_bias", "value": 0.1}], duration_s=0.3)
     recorded = run(path, record=tmp_path / "faulty.rrd", set=["expect=[]"])

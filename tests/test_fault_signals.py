@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hil.core.signals import INDEX, SIGNAL_NAMES
+from hil.core.types import CommandMode, WheelCommand, Wheels
 from hil.faults.rows import NEVER_NS, FaultRow
-from hil.faults.signals import SignalFaults
-from hil.signals import INDEX, SIGNAL_NAMES
-from hil.types import CommandMode, WheelCommand, Wheels
+from hil.runtime.signal_faults import SignalFaults
 from tests.fault_runs import applied, run_with
 
 COMMAND = "wheel.fl.speed_command_rad_s"

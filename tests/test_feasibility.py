@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.model import RobotModel
+from hil.core.model import RobotModel
 from hil.references import Circle, Hold, Spin, feasibility
 from tests.examples import share_of_examples
 from tests.test_references import circles, eights, routes, spins, squares

@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import plant_fmu
-from hil.errors import BadInputError
+from hil.core.errors import BadInputError
 from hil.plant import archive
 from hil.plant.fmu import FmuPlant
 from hil.plant.info import info

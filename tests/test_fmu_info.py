@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.errors import BadInputError
+from hil.core.errors import BadInputError
 from hil.plant.archive import library_of
 from hil.plant.description import parameter_names
 from hil.plant.fmu import FmuPlant

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.errors import BadInputError, DeviceError
+from hil.core.errors import BadInputError, DeviceError
+from hil.core.types import WHEEL_NAMES, Wheels
 from hil.plant.build import PLANT_PORT
 from hil.plant.build import SOURCES as SHIM_SOURCES
 from hil.plant.fmu import FmuPlant
 from hil.plant.mapping import Row
-from hil.types import WHEEL_NAMES, Wheels
 from native_build.compiler import FLAGS, SUFFIX, compile_shared, compiler
 from tests.foreign_fmu import FAULTS, SOURCES, foreign_fmu, foreign_map, variables3
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import hil as bridge
-from hil.errors import BadInputError
-from hil.recovery import Recovery
+from hil.core.errors import BadInputError
 from hil.review import read
+from hil.runtime.recovery import Recovery
 from tests.flawed_fmu import build_flawed
 from tests.foreign_fmu import foreign_fmu
 from tests.processes import HIL, ROOT, device, environment, hil, run_json, wait_for

@@ -6,19 +6,19 @@ import pytest
 
 from firmware_protocol.generated import messages as m
 from firmware_protocol.host import parameter_hash
-from hil.devices.handshake import Expected
-from hil.devices.stm32 import Stm32
-from hil.devices.wheel_map import WheelMap
-from hil.errors import LinkError, RobotStoppedError
-from hil.freshness import Freshness
-from hil.links.delay import DelayedLink
-from hil.links.fault_rows import ScenarioTime
-from hil.links.faults import FaultLink
-from hil.links.framed import StreamLink
-from hil.links.streams import memory_pair
-from hil.links.wire import SerialWire
-from hil.sampling import Timing
-from hil.types import NAN_POSE, ZERO_WHEELS, CommandMode, Pose, PoseFix, Twist, WheelCommand
+from hil.core.errors import LinkError, RobotStoppedError
+from hil.core.types import NAN_POSE, ZERO_WHEELS, CommandMode, Pose, PoseFix, Twist, WheelCommand
+from hil.robot.handshake import Expected
+from hil.robot.stm32 import Stm32
+from hil.robot.wheel_map import WheelMap
+from hil.runtime.freshness import Freshness
+from hil.runtime.sampling import Timing
+from hil.wire.delay import DelayedLink
+from hil.wire.fault_rows import ScenarioTime
+from hil.wire.faults import FaultLink
+from hil.wire.framed import StreamLink
+from hil.wire.robot_end import SerialWire
+from hil.wire.streams import memory_pair
 from tests.wheel_rig import WheelRig
 
 TICK_NS = 1_000_000

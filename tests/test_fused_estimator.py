@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.estimator import FusedEstimator, FusedOptions
-from hil.estimator.motion import Motion
-from hil.estimator.slip import SlipDetector
-from hil.kinematics import BodyTwist, wheel_speeds
-from hil.model import RobotModel
+from hil.core.kinematics import BodyTwist, wheel_speeds
+from hil.core.model import RobotModel
+from hil.core.types import NAN, MeasuredPose, Pose, PoseCovariance, State, Wheels
+from hil.estimation import FusedEstimator, FusedOptions
+from hil.estimation.motion import Motion
+from hil.estimation.slip import SlipDetector
 from hil.scenario.tables import FilterTable
-from hil.types import NAN, MeasuredPose, Pose, PoseCovariance, State, Wheels
 
 ROBOT = RobotModel(20.0, 0.56, 0.075, 0.3, 0.3, 0.005, 0.0, 5.0, 60.0)
 COUNTS = 4096

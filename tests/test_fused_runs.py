@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import hil
-from hil.errors import BadInputError
+from hil.core.errors import BadInputError
 
 ROOT = Path(__file__).parent.parent
 CLIENT = ROOT / "tools" / "pose_fix_client.py"
@@ -133,7 +133,7 @@ def test_a_wrong_address_is_found_with_the_scenario():
 
 
 STILL = """
-from hil.types import NO_GAINS, ZERO_WHEELS, WheelCommand
+from hil.core.types import NO_GAINS, ZERO_WHEELS, WheelCommand
 
 class Law:
     gains = NO_GAINS

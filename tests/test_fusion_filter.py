@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
-from hil.estimator.belief import (
+from hil.core.types import MeasuredPose, Pose, PoseCovariance
+from hil.estimation.belief import (
     Acceptance,
     Belief,
     Covariance,
@@ -23,8 +24,7 @@ from hil.estimator.belief import (
     position_sigma_m,
     start,
 )
-from hil.estimator.history import History
-from hil.types import MeasuredPose, Pose, PoseCovariance
+from hil.estimation.history import History
 from tests.examples import share_of_examples
 
 Array = npt.NDArray[np.float64]

@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from hil.commands.fuzzy import fuzzy
-from hil.errors import BadInputError
-from hil.fuzzy import K1_1_S, K2_1_S, RULES, FuzzyBlock
-from hil.gain_picture import draw_gains
+from hil.cli.fuzzy import fuzzy
+from hil.cli.gain_picture import draw_gains
+from hil.core.errors import BadInputError
+from hil.laws.fuzzy import K1_1_S, K2_1_S, RULES, FuzzyBlock
 
 LEVELS = ["VS", "S", "M", "B", "VB"]
 PEAKS = [-1.0, -0.5, 0.0, 0.5, 1.0]  # NB, NS, Z, PS, PB, in units of the range
@@ -124,7 +124,10 @@ def test_a_picture_that_cannot_be_written_is_bad_input(tmp_path):
 
 def test_the_command_line_names_the_nearest_tables():
     said = subprocess.run(
-        [sys.executable, "-m", "hil.cli", "fuzzy", "--tables", "printd"], capture_output=True, text=True, check=False
+        [sys.executable, "-m", "hil.cli.main", "fuzzy", "--tables", "printd"],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert said.returncode == 2
     assert said.stderr == "hil: --tables printd: there are none of this name; did you mean 'printed'?\n"

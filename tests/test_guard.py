@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.errors import BadInputError
-from hil.guard import Guard
-from hil.types import ZERO_WHEELS, CommandMode, WheelCommand, Wheels
+from hil.core.errors import BadInputError
+from hil.core.guard import Guard
+from hil.core.types import ZERO_WHEELS, CommandMode, WheelCommand, Wheels
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
 usual = st.floats(-200.0, 200.0)

@@ -16,15 +16,15 @@ from typing import NamedTuple
 
 import pytest
 
-from hil.child import module_command
-from hil.devices.guardian import Guardian
-from hil.devices.host_watch import watch_over
-from hil.dialects.port import RobotFacts
-from hil.dialects.registry import dialect
-from hil.errors import DeviceError
-from hil.links.serial_port import SerialStream
-from hil.links.url import parse_link
-from hil.types import CommandMode
+from hil.core.child import module_command
+from hil.core.errors import DeviceError
+from hil.core.types import CommandMode
+from hil.drivers.guardian import Guardian
+from hil.drivers.host_watch import watch_over
+from hil.drivers.port import RobotFacts
+from hil.drivers.registry import dialect
+from hil.wire.serial_port import SerialStream
+from hil.wire.url import parse_link
 from tests.dialect_testbed import Rig
 from tests.guarded_host import STOP, encoded
 from tests.processes import environment, is_running, wait_for
@@ -32,7 +32,7 @@ from tests.processes import environment, is_running, wait_for
 if sys.platform == "win32":
     pytest.skip("pseudo-terminals need a POSIX system", allow_module_level=True)
 
-from hil.links.pty import PtyStream
+from hil.wire.pty import PtyStream
 
 PATIENCE_S = 60.0
 NEVER_S = 60.0  # for tests of something else than silence: a test may be kept waiting
@@ -202,7 +202,7 @@ def lose_and_kill(port: str, patience_s: float) -> "subprocess.Popen[str]":
     """A host that arms, loses its link, and dies: its guardian has to open the port anew."""
     program = (
         "import os, sys, signal, time\n"
-        "from hil.devices.guardian import Guardian\n"
+        "from hil.drivers.guardian import Guardian\n"
         "guardian = Guardian(sys.argv[1], 115200, b'stop', silence_s=60, patience_s=float(sys.argv[2]))\n"
         "while not guardian.begin(): time.sleep(0.01)\n"
         "guardian.hold()\n"
@@ -290,11 +290,11 @@ def test_one_that_hangs_is_replaced_whether_it_watches_or_is_asked_to() -> None:
 
 
 def test_one_that_starts_slowly_is_not_taken_for_one_that_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
-    slow = "import time; time.sleep(1.8); from hil.devices.guardian_process import _main; _main()"
+    slow = "import time; time.sleep(1.8); from hil.drivers.guardian_process import _main; _main()"
     with contextlib.closing(PtyStream()) as line, guarded(line.port) as guardian:
         first = guardian.pid
         assert first is not None
-        monkeypatch.setattr("hil.devices.guardian.module_command", lambda _: [sys.executable, "-c", slow])
+        monkeypatch.setattr("hil.drivers.guardian.module_command", lambda _: [sys.executable, "-c", slow])
         os.kill(first, signal.SIGKILL)
         wait_for(lambda: guardian.pid is None)
         seen = set()
@@ -361,7 +361,7 @@ def test_a_command_that_comes_after_the_stop_is_followed_by_another_stop() -> No
     """By the process's own lines: the host may have been about to send when it stood still."""
     with contextlib.closing(PtyStream()) as line:
         process = subprocess.Popen(
-            module_command("hil.devices.guardian_process"),
+            module_command("hil.drivers.guardian_process"),
             env=environment(),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -461,8 +461,8 @@ def test_one_that_does_not_start_is_an_error(monkeypatch: pytest.MonkeyPatch, py
 
 
 def test_one_that_hangs_at_its_start_is_not_waited_for_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hil.devices.guardian._START_LIMIT_S", 0.2)
-    monkeypatch.setattr("hil.devices.guardian.module_command", lambda _: [sys.executable, "-c", "input(); input()"])
+    monkeypatch.setattr("hil.drivers.guardian._START_LIMIT_S", 0.2)
+    monkeypatch.setattr("hil.drivers.guardian.module_command", lambda _: [sys.executable, "-c", "input(); input()"])
     with pytest.raises(DeviceError, match=r"did not start \(exit status -9\)"):
         Guardian("any", 115200, b"stop", silence_s=1.0)
 
@@ -498,7 +498,7 @@ def test_one_that_no_thread_is_to_be_had_for_is_started_later(monkeypatch: pytes
 
 def test_ctrl_c_at_its_start_is_ctrl_c_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     interrupts = "import os, signal, sys; os.kill(os.getppid(), signal.SIGINT); sys.stdin.read()"
-    monkeypatch.setattr("hil.devices.guardian.module_command", lambda _: [sys.executable, "-c", interrupts])
+    monkeypatch.setattr("hil.drivers.guardian.module_command", lambda _: [sys.executable, "-c", interrupts])
     threads = threading.active_count()
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import hil
-from hil.controllers.registry import SHIPPED
-from hil.devices.link_times import CommandLatency
-from hil.estimator.truth import TruthEstimator
-from hil.sampling import Sampling
-from hil.signals import make_loop_signals
-from hil.types import WHEEL_NAMES, Pose, PoseFix, State
+from hil.core.signals import make_loop_signals
+from hil.core.types import WHEEL_NAMES, Pose, PoseFix, State
+from hil.estimation.truth import TruthEstimator
+from hil.laws.registry import SHIPPED
+from hil.robot.link_times import CommandLatency
+from hil.runtime.sampling import Sampling
 
 PERIOD_S = 0.005
 PATIENCE_S = 0.1  # of the firmware: [firmware] watchdog_s
@@ -95,7 +95,7 @@ def test_after_a_reset_the_latency_is_measured_by_the_truth_as_before(monkeypatc
 
 
 COUNTING = """
-from hil.types import NO_GAINS, ZERO_WHEELS, WheelCommand
+from hil.core.types import NO_GAINS, ZERO_WHEELS, WheelCommand
 
 class Counting:
     gains = NO_GAINS
@@ -147,7 +147,7 @@ def test_after_a_stall_longer_than_the_firmwares_patience_the_law_begins_anew(co
         t_s, tick, *rest = values
         return make_loop_signals((t_s, tick if tick < 60 else tick + skipped, *rest))
 
-    monkeypatch.setattr("hil.loop.make_loop_signals", told)
+    monkeypatch.setattr("hil.runtime.loop.make_loop_signals", told)
     result = run(**counting)
     assert set(result.signals["counting.resets"]) == set(range(1, resets + 1))
     assert not result.signals["guard.held"].any()

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from hil.errors import DeviceError
+from hil.core.errors import DeviceError
+from hil.core.types import WHEEL_NAMES, Wheels
 from hil.plant.fmu import FmuPlant
 from hil.plant.mapping import Row, SignalMap
 from hil.plant.remote import RemotePlant
-from hil.types import WHEEL_NAMES, Wheels
 
 SLAVE = """
 from {package} import {base}, {causality}, {real}

@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import hil
-from hil.assembly import check_scenario
-from hil.commands.init import init
-from hil.errors import BadInputError
-from hil.init import QUESTIONS, ROBOT_FILE, SCENARIO_FILE, begin
+from hil.cli.init import init
+from hil.cli.new_robot import QUESTIONS, ROBOT_FILE, SCENARIO_FILE, begin
+from hil.core.errors import BadInputError
+from hil.runtime.assembly import check_scenario
 from hil.scenario import load
 from tests.examples import share_of_examples
 from tests.processes import HIL, environment

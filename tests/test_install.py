@@ -42,19 +42,19 @@ def test_a_machine_without_a_compiler_builds_installs_and_runs_the_wheel(tmp_pat
         [entry_points] = [archive.read(name).decode() for name in names if name.endswith("/entry_points.txt")]
     fmus = {f"plant_fmu/{plant_fmu.path(fmi).name}" for fmi in DESCRIPTIONS}
     assert {*fmus, f"firmware_protocol/libwheel_host{SUFFIX}", f"hil/plant/libcosim{SUFFIX}"} <= names
-    assert {"hil/pytest_plugin.py", "hil/py.typed", "firmware_protocol/py.typed", "plant_fmu/py.typed"} <= names
+    assert {"hil/cli/pytest_plugin.py", "hil/py.typed", "firmware_protocol/py.typed", "plant_fmu/py.typed"} <= names
     pages = {
-        "LIMITS.md",
-        "PYTEST.md",
-        "controllers/LAWS.md",
-        "controllers/SHADOWS.md",
-        "telemetry/STREAMS.md",
+        "runtime/LIMITS.md",
+        "testing/PYTEST.md",
+        "laws/LAWS.md",
+        "laws/SHADOWS.md",
+        "record/STREAMS.md",
         "faults/FAULTS.md",
-        "links/LINKS.md",
-        "links/STATISTICS.md",
+        "wire/LINKS.md",
+        "wire/STATISTICS.md",
     }
     assert {f"hil/{page}" for page in pages} <= names
-    assert "[pytest11]\nhil.pytest_plugin = hil.pytest_plugin" in entry_points
+    assert "[pytest11]\nhil.pytest_plugin = hil.cli.pytest_plugin" in entry_points
     assert not wheel.name.endswith("-any.whl")
 
     run(sys.executable, "-m", "venv", "--without-pip", tmp_path / "venv", cwd=tmp_path, environment=bare)

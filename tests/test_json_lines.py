@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from hil.json_lines import KEPT_BACK_BYTES, LinePoll, LineReader, LineWriter
+from hil.core.json_lines import KEPT_BACK_BYTES, LinePoll, LineReader, LineWriter
 from tests.processes import wait_for
 
 

@@ -7,17 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.kinematics import (
-    BodyTwist,
-    body_twist,
-    body_wrench,
-    to_body,
-    to_world,
-    wheel_speeds,
-    wrap_angle,
-)
-from hil.model import RobotModel
-from hil.types import FourWheels, Twist, Wheels
+from hil.core.kinematics import BodyTwist, body_twist, body_wrench, to_body, to_world, wheel_speeds, wrap_angle
+from hil.core.model import RobotModel
+from hil.core.types import FourWheels, Twist, Wheels
 
 number = st.floats(-50.0, 50.0)
 triple = st.tuples(number, number, number)

@@ -5,8 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import hil
-from hil.devices.link_times import CommandLatency
-from hil.devices.stm32 import Stm32
+from hil.robot.link_times import CommandLatency
+from hil.robot.stm32 import Stm32
 
 MS = 1_000_000
 CONFIGURED_S = 0.004

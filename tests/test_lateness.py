@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.lateness import EDGES_NS, Lateness
+from hil.runtime.lateness import EDGES_NS, Lateness
 
 LATE_NS = st.lists(st.integers(0, 5_000_000_000), min_size=1, max_size=300)
 

@@ -8,14 +8,14 @@ import pytest
 from typer.testing import CliRunner
 
 import hil
-from hil.cli import app
-from hil.controllers import code
-from hil.controllers.registry import SHIPPED, forget_law, law_sha256, load_law
+from hil.cli.main import app
+from hil.laws import code
+from hil.laws.registry import SHIPPED, forget_law, law_sha256, load_law
+from hil.record.names import HASHES
 from hil.review import Change, changes, read
-from hil.telemetry.names import HASHES
 
 LAW = """
-from hil.types import NO_GAINS, WheelCommand, ZERO_WHEELS, CommandMode
+from hil.core.types import NO_GAINS, WheelCommand, ZERO_WHEELS, CommandMode
 
 class Still:
     gains = NO_GAINS
@@ -38,7 +38,7 @@ def digest(file: Path) -> str | None:
 
 def test_a_file_alone_has_the_hash_of_its_bytes_and_is_not_executed(tmp_path: Path) -> None:
     law = tmp_path / "law.py"
-    law.write_text("import numpy\nimport hil.types\nraise SystemExit\n")
+    law.write_text("import numpy\nimport hil.core.types\nraise SystemExit\n")
     assert digest(law) == hashlib.sha256(law.read_bytes()).hexdigest()
     law.write_text("this is no Python")
     assert digest(law) == hashlib.sha256(law.read_bytes()).hexdigest()

@@ -12,10 +12,9 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from hil.controllers.registry import SHIPPED
-from hil.errors import BadInputError
-from hil.guard import Guard
-from hil.types import (
+from hil.core.errors import BadInputError
+from hil.core.guard import Guard
+from hil.core.types import (
     ZERO_WHEELS,
     Acceleration,
     Applied,
@@ -27,6 +26,7 @@ from hil.types import (
     WheelCommand,
     Wheels,
 )
+from hil.laws.registry import SHIPPED
 from tests.closed_loop import PAPER_ROBOT
 from tests.examples import share_of_examples
 

@@ -5,8 +5,8 @@ import itertools
 
 import pytest
 
-from hil.controllers.registry import SHIPPED
-from hil.types import CommandMode
+from hil.core.types import CommandMode
+from hil.laws.registry import SHIPPED
 from tests.law_traces import HEAD, TIMES_S, VECTORS, trace
 
 with VECTORS.open(encoding="utf-8", newline="") as file:

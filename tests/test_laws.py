@@ -11,13 +11,9 @@ import scipy.signal
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.controllers.dsc import Dsc
-from hil.controllers.registry import SHIPPED
-from hil.controllers.riccati import lqr_gain
-from hil.errors import BadInputError
-from hil.guard import Guard
-from hil.references import Hold
-from hil.types import (
+from hil.core.errors import BadInputError
+from hil.core.guard import Guard
+from hil.core.types import (
     ZERO_WHEELS,
     Acceleration,
     Applied,
@@ -29,6 +25,10 @@ from hil.types import (
     WheelCommand,
     Wheels,
 )
+from hil.laws.dsc import Dsc
+from hil.laws.registry import SHIPPED
+from hil.laws.riccati import lqr_gain
+from hil.references import Hold
 from tests.closed_loop import AT_REST, PAPER_CIRCLE, PAPER_ROBOT, after, derivative
 from tests.examples import share_of_examples
 

@@ -8,12 +8,12 @@ from hypothesis import strategies as st
 
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m
+from hil.core.ports import Received
 from hil.faults.rows import FaultRow
-from hil.links.bus_faults import FaultBus
-from hil.links.delay import DelayedLink
-from hil.links.fault_rows import ScenarioTime, link_faults
-from hil.links.faults import FaultLink
-from hil.ports import Received
+from hil.wire.bus_faults import FaultBus
+from hil.wire.delay import DelayedLink
+from hil.wire.fault_rows import ScenarioTime, link_faults
+from hil.wire.faults import FaultLink
 from tests.heard import everything
 
 

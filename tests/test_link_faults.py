@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 
 from firmware_protocol.framing import Deframer, Frame, Framer
 from firmware_protocol.generated import messages as m
-from hil.errors import LinkError
+from hil.core.errors import LinkError
+from hil.core.ports import Received
 from hil.faults.rows import NEVER_NS, FaultRow
-from hil.links.bus_faults import FaultBus
-from hil.links.fault_rows import ScenarioTime, link_faults
-from hil.links.faults import FaultLink
-from hil.links.line_faults import FaultLine
-from hil.ports import Received
+from hil.wire.bus_faults import FaultBus
+from hil.wire.fault_rows import ScenarioTime, link_faults
+from hil.wire.faults import FaultLink
+from hil.wire.line_faults import FaultLine
 from tests.examples import share_of_examples
 from tests.heard import everything
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.devices.link_times import SYNC_PERIOD_NS, ClockSync, RoundTrip
+from hil.robot.link_times import SYNC_PERIOD_NS, ClockSync, RoundTrip
 
 US = 1000
 MS = 1_000_000

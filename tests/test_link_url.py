@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.errors import BadInputError
-from hil.links.url import LINK_FORMS, CanUrl, LinkUrl, MemoryUrl, SerialUrl, format_link, parse_link
+from hil.core.errors import BadInputError
+from hil.wire.url import LINK_FORMS, CanUrl, LinkUrl, MemoryUrl, SerialUrl, format_link, parse_link
 
 # Reserved characters and percent signs far more often than chance would have them.
 addresses = st.text(st.one_of(st.sampled_from("%?&/=:# "), st.characters(exclude_categories=["Cc", "Cs"])), min_size=1)

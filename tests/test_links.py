@@ -17,20 +17,20 @@ from hypothesis import strategies as st
 from firmware_protocol import codec, host_line
 from firmware_protocol.framing import Frame, Framer
 from firmware_protocol.generated import messages as m
-from hil.errors import BadInputError, LinkError
-from hil.links.can_bus import CanLink
-from hil.links.framed import StreamLink
-from hil.links.opening import open_host, open_pair, open_robot
-from hil.links.serial_port import SerialStream
-from hil.links.streams import DirectStream, memory_pair
-from hil.links.url import CanUrl, parse_link
-from hil.links.wire import CanWire, ReopeningWire, SerialWire
+from hil.core.errors import BadInputError, LinkError
+from hil.wire.can_bus import CanLink
+from hil.wire.framed import StreamLink
+from hil.wire.opening import open_host, open_pair, open_robot
+from hil.wire.robot_end import CanWire, ReopeningWire, SerialWire
+from hil.wire.serial_port import SerialStream
+from hil.wire.streams import DirectStream, memory_pair
+from hil.wire.url import CanUrl, parse_link
 from native_build.built_from import NotCurrentError
 from tests.heard import the_next
 from tests.processes import environment, wait_for
 from tests.wheel_rig import WheelRig
 
-pty = pytest.importorskip("hil.links.pty", reason="pseudo-terminals need a POSIX system")
+pty = pytest.importorskip("hil.wire.pty", reason="pseudo-terminals need a POSIX system")
 
 WAIT_NS = 2_000_000_000
 FRAMES = [
@@ -220,7 +220,7 @@ def test_serial_port_that_is_forbidden():
         Path(master.port).chmod(0o600 if os.geteuid() == 0 else 0)
         # Root may open anything, so it first becomes a user who may not.
         program = (
-            "import os\nfrom hil.links.serial_port import SerialStream\n"
+            "import os\nfrom hil.wire.serial_port import SerialStream\n"
             f"os.geteuid() == 0 and os.seteuid(65534)\nSerialStream({master.port!r}, 9600)"
         )
         done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
@@ -273,8 +273,8 @@ def test_a_robots_firmware_gets_and_counts_every_standard_data_frame_of_others()
 ALONE = """
 import contextlib, sys
 from firmware_protocol.generated import messages as m
-from hil.links.opening import open_robot
-from hil.links.url import parse_link
+from hil.wire.opening import open_robot
+from hil.wire.url import parse_link
 from tests.wheel_rig import WheelRig
 rig = WheelRig()
 wire, _ = open_robot(parse_link("can:udp_multicast/239.74.163.2"), print, lockstep=False)

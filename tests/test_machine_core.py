@@ -7,8 +7,8 @@ import pytest
 
 pytest.importorskip("unicorn", reason="needs the extra 'targets': pip install 'mecanum-hil[targets]'")
 
-from hil.devices.targets.machine.registers import MachineError
-from hil.devices.targets.machine.stm32f405 import CORE_HZ, Stm32f405
+from hil.robot.targets.machine.registers import MachineError
+from hil.robot.targets.machine.stm32f405 import CORE_HZ, Stm32f405
 from tests.arm_programs import HAS_COMPILER, NEEDS_COMPILER, RESULT, compile_program
 
 pytestmark = pytest.mark.skipif(not HAS_COMPILER, reason=NEEDS_COMPILER)
@@ -205,7 +205,7 @@ def test_what_a_board_would_crash_at_is_told_with_its_place(tmp_path: Path, body
 
 
 def test_firmware_that_never_waits_is_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("hil.devices.targets.machine.core.RUNAWAY_S", 0.2)
+    monkeypatch.setattr("hil.robot.targets.machine.core.RUNAWAY_S", 0.2)
     machine = Stm32f405(compile_program(tmp_path, "int main(void) { for (;;) {} }"))
     with machine, pytest.raises(MachineError, match=r"without waiting; it is at 0x0800\w+ \(main"):
         machine.run()

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.devices.targets.machine import can, core_clock, flash, gpio, nvic, rcc, timer, usart, watchdog
-from hil.devices.targets.machine.registers import MachineError
+from hil.robot.targets.machine import can, core_clock, flash, gpio, nvic, rcc, timer, usart, watchdog
+from hil.robot.targets.machine.registers import MachineError
 
 CORE_HZ = 168_000_000
 IDS = st.integers(0, 0x7FF)

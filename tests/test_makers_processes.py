@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from hil.devices.truth import TruthClient
+from hil.robot.truth import TruthClient
 from hil.scenario import load
 from tests.processes import HIL, Device, device, environment, is_running, run_json, wait_for
 

@@ -8,14 +8,14 @@ import can
 import pytest
 
 import hil
-import hil.bench
-import hil.robots
+import hil.runtime.bench
+import hil.runtime.robots
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated.messages import State
-from hil.assembly import run_scenario
-from hil.devices.emulated.c620 import EmulatedC620
-from hil.errors import BadInputError, DeviceError, LinkError
-from hil.kinematics import BodyTwist
+from hil.core.errors import BadInputError, DeviceError, LinkError
+from hil.core.kinematics import BodyTwist
+from hil.drivers.c620.emulated import EmulatedC620
+from hil.runtime.assembly import run_scenario
 from hil.scenario import Scenario, load
 from hil.service.messages import Phase
 from tests.pilot_bench import PilotBench
@@ -32,7 +32,7 @@ def scenario(driver: str = "c620", link: str = BUS, **changes: Any) -> Scenario:
 @pytest.fixture
 def built(monkeypatch: pytest.MonkeyPatch) -> Callable[[type[EmulatedC620]], None]:
     """Have the robots of the test made from another class."""
-    return lambda kind: monkeypatch.setattr(hil.robots, "emulated", lambda _name: kind)
+    return lambda kind: monkeypatch.setattr(hil.runtime.robots, "emulated", lambda _name: kind)
 
 
 @pytest.fixture
@@ -62,7 +62,7 @@ class MotorTwoGetsHot(EmulatedC620):
             self.temperature_degc = (20.0, 120.0, 20.0, 20.0)
 
 
-DBC = str(Path(hil.__file__).parent / "dialects" / "examples" / "wheel_drives.toml")
+DBC = str(Path(hil.__file__).parent / "drivers" / "dbc" / "examples" / "wheel_drives.toml")
 DRIVERS = [
     ("c620", {}, {}),
     ("c620", SPEED, {}),
@@ -100,7 +100,7 @@ def test_in_lockstep_the_frames_are_the_same_however_a_line_hands_over_its_bytes
     driver: str, battery_v: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A system gives what was written in parts of its own choice, here of 7 bytes at most."""
-    pytest.importorskip("hil.links.pty", reason="pseudo-terminals need a POSIX system")
+    pytest.importorskip("hil.wire.pty", reason="pseudo-terminals need a POSIX system")
     changes = SPEED | {"loop.duration_s": 0.3, "plant.start.battery_voltage_v": battery_v}
 
     def over(link: str) -> Any:
@@ -108,8 +108,8 @@ def test_in_lockstep_the_frames_are_the_same_however_a_line_hands_over_its_bytes
 
     in_memory = over("memory:")
     assert over("serial:pty") == in_memory
-    monkeypatch.setattr("hil.links.pty._CHUNK", 7)
-    monkeypatch.setattr("hil.links.serial_port._CHUNK", 7)
+    monkeypatch.setattr("hil.wire.pty._CHUNK", 7)
+    monkeypatch.setattr("hil.wire.serial_port._CHUNK", 7)
     assert over("serial:pty") == in_memory
 
 
@@ -148,7 +148,7 @@ def test_an_error_of_the_makers_is_told_and_stops_all(built: Any, bystander: Any
 def test_a_law_that_crashes_leaves_no_motor_on(bystander: Any, tmp_path: Any) -> None:
     law = tmp_path / "bad.py"
     law.write_text(
-        "from hil.controllers.profile import Profile\n\n\n"
+        "from hil.laws.profile import Profile\n\n\n"
         "class Bad(Profile):\n"
         "    def update(self, reference, state, applied, dt_s):\n"
         "        command = super().update(reference, state, applied, dt_s)\n"
@@ -162,7 +162,7 @@ def test_a_law_that_crashes_leaves_no_motor_on(bystander: Any, tmp_path: Any) ->
 def test_without_leave_to_move_nothing_is_asked_of_real_motors() -> None:
     changes = {"device.driver": "c620", "estimator.source": "odometry"}
     loaded = load("paper_circle", mode="realtime", link="can:udp_multicast/239.74.163.77", set=changes)
-    with hil.bench.Bench(loaded, None, allow_motion=False) as bench:
+    with hil.runtime.bench.Bench(loaded, None, allow_motion=False) as bench:
         with pytest.raises(BadInputError, match="real motors would move; add --allow-motion"):
             bench.connect()
         assert bench.device.sent == 0

@@ -10,26 +10,26 @@ from typing import Any
 
 import pytest
 
-import hil.robots
+import hil.runtime.robots
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated.messages import State
-from hil.assembly import run_scenario
-from hil.bench import Bench
-from hil.devices.emulated.c620 import EmulatedC620
-from hil.devices.guardian import Guardian
-from hil.devices.makers import MakersRobot
-from hil.dialects.port import Wire
-from hil.dialects.rosmaster import MOTION
-from hil.dialects.rosmaster_line import RosmasterFraming
-from hil.errors import DeviceError, LinkError
-from hil.kinematics import BodyTwist
-from hil.links.streams import ByteStream
-from hil.parts import PartsOf
+from hil.core.errors import DeviceError, LinkError
+from hil.core.kinematics import BodyTwist
+from hil.core.types import ZERO_WHEELS, CommandMode, WheelCommand, Wheels
+from hil.drivers.c620.emulated import EmulatedC620
+from hil.drivers.guardian import Guardian
+from hil.drivers.makers import MakersRobot
+from hil.drivers.port import Wire
+from hil.drivers.rosmaster.driver import MOTION
+from hil.drivers.rosmaster.line import RosmasterFraming
+from hil.runtime.assembly import run_scenario
+from hil.runtime.bench import Bench
+from hil.runtime.parts import PartsOf
 from hil.scenario import load
 from hil.service.messages import Phase
 from hil.service.records import Records
 from hil.service.serve import Options, _Service
-from hil.types import ZERO_WHEELS, CommandMode, WheelCommand, Wheels
+from hil.wire.streams import ByteStream
 from tests.dbc_mappings import motors
 from tests.dialect_testbed import Rig, ramp_to
 from tests.pilot_bench import PilotBench
@@ -171,7 +171,7 @@ def test_one_stop_that_is_lost_at_the_end_of_a_run_leaves_no_motor_on(monkeypatc
         made.append(LosesTheFirstStop(*arguments, **more))
         return made[-1]
 
-    monkeypatch.setattr(hil.robots, "emulated", lambda _name: kind)
+    monkeypatch.setattr(hil.runtime.robots, "emulated", lambda _name: kind)
     changes = {"loop.rate_hz": 100, "loop.duration_s": 2, "expect": [], "device.driver": "c620"}
     result = run_scenario(load("circle_speed", mode="lockstep", set=changes))
     assert "120 °C" in str(result.failure)
@@ -367,7 +367,7 @@ def test_a_base_that_drives_on_is_told_of_and_an_emergency_stop_stops_it() -> No
 
 @contextlib.contextmanager
 def guarded_bench(silence_s: float) -> Iterator[tuple[Bench, Guardian, ByteStream]]:
-    pty = pytest.importorskip("hil.links.pty", reason="pseudo-terminals need a POSIX system")
+    pty = pytest.importorskip("hil.wire.pty", reason="pseudo-terminals need a POSIX system")
     with contextlib.ExitStack() as resources:
         line = resources.enter_context(contextlib.closing(pty.PtyStream()))
         guardian = Guardian(line.port, 115200, b"stop", silence_s=silence_s)
@@ -492,7 +492,7 @@ def test_an_arming_that_ends_before_the_guardian_answers_leaves_nothing_to_be_st
 
 
 def test_a_service_that_was_silent_is_disarmed_until_somebody_arms_it() -> None:
-    pty = pytest.importorskip("hil.links.pty", reason="pseudo-terminals need a POSIX system")
+    pty = pytest.importorskip("hil.wire.pty", reason="pseudo-terminals need a POSIX system")
     with contextlib.closing(pty.PtyStream()) as line, PilotBench(**ROSMASTER) as bench:
         guardian = Guardian(line.port, 115200, b"stop", silence_s=0.5)
         try:

@@ -5,8 +5,8 @@ from contextlib import AbstractContextManager
 
 import pytest
 
-from hil.assembly import run_scenario
-from hil.devices.virtual import MakeNode, VirtualRobot, VirtualStm32
+from hil.robot.virtual import MakeNode, VirtualRobot, VirtualStm32
+from hil.runtime.assembly import run_scenario
 from hil.scenario import load
 from hil.service.messages import Phase
 from tests.pilot_bench import PilotBench

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.errors import BadInputError
+from hil.core.errors import BadInputError
+from hil.core.types import WHEEL_NAMES, Wheels
 from hil.plant.fmu import FmuPlant
 from hil.plant.mapping import Row, SignalMap
 from hil.plant.start import Value
-from hil.types import WHEEL_NAMES, Wheels
 from tests.examples import share_of_examples
 from tests.foreign_fmu import Var, foreign_fmu, foreign_map, variables2
 from tests.plant_testbed import FMU

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.demand import Demand, DemandSoFar
-from hil.metrics import CommandLimits, EstimationSoFar, signal_figures
-from hil.samples import MOST_SAMPLES, Samples, percentiles
-from hil.tracking import Tracking, TrackingSoFar
-from hil.types import WHEEL_NAMES
+from hil.core.samples import MOST_SAMPLES, Samples, percentiles
+from hil.core.types import WHEEL_NAMES
+from hil.judge.demand import Demand, DemandSoFar
+from hil.judge.metrics import CommandLimits, EstimationSoFar, signal_figures
+from hil.judge.tracking import Tracking, TrackingSoFar
 
 NAN = float("nan")
 

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.errors import BadInputError
-from hil.model import RobotModel
-from hil.types import Acceleration, Twist
+from hil.core.errors import BadInputError
+from hil.core.model import RobotModel
+from hil.core.types import Acceleration, Twist
 
 ROBOT = RobotModel(
     mass_kg=20.0,

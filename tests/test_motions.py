@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.kinematics import BodyTwist
+from hil.core.kinematics import BodyTwist
+from hil.core.types import Acceleration, Pose, Reference, Twist
 from hil.references import make_reference
 from hil.service.motions import Drive, Follow, Speeds, frame_at, way_to
-from hil.types import Acceleration, Pose, Reference, Twist
 
 SPEEDS = Speeds(0.5, 1.0, 5.0, 1.0, 3.0, 15.0)
 DT_S = 0.01

@@ -5,12 +5,12 @@ from typing import Any
 
 import pytest
 
-import hil.robots
-from hil.catalogue.plan import Asked, alone
-from hil.catalogue.runs import Verdict, perform
-from hil.devices.emulated.moteus import EmulatedMoteus
-from hil.errors import BadInputError
-from hil.types import FourWheels
+import hil.runtime.robots
+from hil.batch.catalogue.plan import Asked, alone
+from hil.batch.catalogue.runs import Verdict, perform
+from hil.core.errors import BadInputError
+from hil.core.types import FourWheels
+from hil.drivers.moteus.emulated import EmulatedMoteus
 
 
 def asked(driver: str, folder: Path, *kinds: str) -> Asked:
@@ -59,7 +59,7 @@ class Never(EmulatedMoteus):
     [(Pushes, "fl is driven away from what was asked"), (Never, "the drives were given a torque that is no number")],
 )
 def test_unsafe_motors_do_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: type[Any], sentence: str) -> None:
-    monkeypatch.setattr(hil.robots, "emulated", lambda _name: kind)
+    monkeypatch.setattr(hil.runtime.robots, "emulated", lambda _name: kind)
     assert "unsafe: " in (told := verdict(tmp_path, "push force_y_n").verdict)
     assert sentence in told
 
@@ -71,7 +71,7 @@ def test_a_watchdog_that_does_nothing_is_noticed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: type[EmulatedMoteus], sentence: str
 ) -> None:
     """No command gets there from 0.2 s on, for longer than the host's own patience and a ramp."""
-    monkeypatch.setattr(hil.robots, "emulated", lambda _name: kind)
+    monkeypatch.setattr(hil.runtime.robots, "emulated", lambda _name: kind)
     [job] = [job for job in alone(asked("moteus", tmp_path)) if job.fault == "no command"]
     gone = {"kind": "drop", "target": "command", "start_s": 0.2, "end_s": 1.25, "value": 1.0}
     assert sentence in perform(job._replace(rows=[gone])).verdict

@@ -12,11 +12,11 @@ import pytest
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 
-from hil.errors import DeviceError
+from hil.core.errors import DeviceError
+from hil.core.types import Wheels
 from hil.plant.archive import sha256
 from hil.plant.fmu import FmuPlant
 from hil.plant.tools import check
-from hil.types import Wheels
 from tests.mujoco_testbed import FIRST_WHEEL, FMU, WHEEL_JOINTS, WHEELS, Robot, build, model, mujoco, robot
 
 AXLES = [FIRST_WHEEL + WHEEL_JOINTS * wheel for wheel in range(4)]

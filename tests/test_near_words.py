@@ -4,12 +4,12 @@ from collections.abc import Iterator
 
 import pytest
 
-from hil.controllers.registry import SHIPPED
-from hil.errors import near, nearest
+from hil.core.errors import near, nearest
+from hil.core.signals import SIGNAL_NAMES
 from hil.faults.kinds import MESSAGES
 from hil.faults.rows import names
+from hil.laws.registry import SHIPPED
 from hil.scenario.run import Scenario
-from hil.signals import SIGNAL_NAMES
 
 LINKS = ("can", "memory", "serial")
 KEYS = tuple(key for table in Scenario.model_fields.values() for key in getattr(table.annotation, "model_fields", ()))

@@ -8,7 +8,7 @@ from firmware_protocol import codec
 from firmware_protocol.framing import Frame, Framer, pack
 from firmware_protocol.generated import messages as m
 from firmware_protocol.host import HostNode, library, parameter_hash, parameters
-from hil.devices.snapshot import SnapshotReader
+from hil.robot.snapshot import SnapshotReader
 from tests.examples import share_of_examples
 from tests.wheel_rig import PARAMETERS, REST_TICKS, WheelRig
 

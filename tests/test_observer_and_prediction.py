@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.controllers.ahead import TorquePrediction
-from hil.controllers.observer import ExtendedStateObserver, observer_gains
-from hil.controllers.prediction import CommandsOnTheirWay, acceleration_of
+from hil.core.types import Acceleration, Pose, State, Twist, Wheels
+from hil.laws.ahead import TorquePrediction
+from hil.laws.observer import ExtendedStateObserver, observer_gains
+from hil.laws.prediction import CommandsOnTheirWay, acceleration_of
 from hil.references import Hold
-from hil.types import Acceleration, Pose, State, Twist, Wheels
 from tests.closed_loop import AT_REST, PAPER_ROBOT
 
 DT_S = 0.005

@@ -11,18 +11,18 @@ import pytest
 from typer.testing import CliRunner
 
 import hil
-import hil.runs_folder
-from hil.catalogue.recording import RecordingHere
-from hil.cli import app
-from hil.commands.ctl import app as ctl
-from hil.errors import BadInputError
-from hil.outputs import claim, free_name
+import hil.record.runs_folder
+from hil.batch.catalogue.recording import RecordingHere
+from hil.cli.ctl import app as ctl
+from hil.cli.main import app
+from hil.core.errors import BadInputError
+from hil.core.outputs import claim, free_name
+from hil.core.whole_file import write_whole
+from hil.record import Recording
+from hil.record.files import check_output_path, part_path
+from hil.record.runs_folder import new_in_runs
 from hil.review import read
-from hil.runs_folder import new_in_runs
-from hil.telemetry import Recording
-from hil.telemetry.files import check_output_path, part_path
-from hil.trace import Trace
-from hil.whole_file import write_whole
+from hil.wire.trace import Trace
 from tests.recorded_circle import circle_rows
 
 OLD = Path(__file__).parent / "recordings" / "circle_speed_ca92b7a.rrd"
@@ -165,7 +165,7 @@ def test_a_default_name_is_free_whatever_the_clock_says(tmp_path, monkeypatch) -
         def now(cls, tz: tzinfo | None = None) -> datetime:  # type: ignore[override]
             return datetime(2026, 1, 2, tzinfo=tz)
 
-    monkeypatch.setattr(hil.runs_folder, "datetime", Stopped)
+    monkeypatch.setattr(hil.record.runs_folder, "datetime", Stopped)
     names = []
     for _ in range(3):
         names.append(new_in_runs("circle", ".rrd", ""))

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.controllers.dsc import Dsc
-from hil.kinematics import BodyTwist, body_twist, body_wrench, wheel_speeds
-from hil.types import Acceleration, CommandMode, Pose, Reference, State, Twist, Wheels
+from hil.core.kinematics import BodyTwist, body_twist, body_wrench, wheel_speeds
+from hil.core.types import Acceleration, CommandMode, Pose, Reference, State, Twist, Wheels
+from hil.laws.dsc import Dsc
 from tests.closed_loop import AT_REST, PAPER_ROBOT
 
 M, I, R, IB = 20.0, 0.56, PAPER_ROBOT.wheel_radius_m, PAPER_ROBOT.wheel_inertia_kg_m2  # noqa: E741  the paper's names

@@ -9,10 +9,10 @@ from firmware_protocol import codec
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m
 from firmware_protocol.host import parameter_hash
-from hil.devices.parameters import ParameterClient
-from hil.errors import DeviceError
-from hil.ports import Received
-from hil.robots import firmware_values
+from hil.core.errors import DeviceError
+from hil.core.ports import Received
+from hil.robot.parameters import ParameterClient
+from hil.runtime.robots import firmware_values
 from hil.scenario import load
 from tests.processes import device, hil
 from tests.wheel_rig import PARAMETERS, WheelRig

@@ -9,14 +9,14 @@ from pathlib import Path
 import pytest
 
 from firmware_protocol.generated.messages import State as RobotState
-from hil.errors import BadInputError, DeviceError, HilError, LinkError, RobotStoppedError
-from hil.kinematics import BodyTwist
-from hil.parts import PartsOf
+from hil.core.errors import BadInputError, DeviceError, HilError, LinkError, RobotStoppedError
+from hil.core.kinematics import BodyTwist
+from hil.core.types import Pose
 from hil.references import make_reference
+from hil.runtime.parts import PartsOf
 from hil.scenario import load
 from hil.service.conduct import Rules
 from hil.service.messages import Phase, Task
-from hil.types import Pose
 from tests.pilot_bench import SPEEDS, PilotBench, armed_pilot
 
 
@@ -309,7 +309,7 @@ def test_other_gains_take_over_in_motion() -> None:
 
 
 _FAILS_TO_TELL = """
-from hil.types import CommandMode, WheelCommand, Wheels
+from hil.core.types import CommandMode, WheelCommand, Wheels
 
 class FailsToTell:
     signals = ("own.number",)

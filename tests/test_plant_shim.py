@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
-from hil.errors import BadInputError, DeviceError
+from hil.core.errors import BadInputError, DeviceError
+from hil.core.types import Wheels
 from hil.plant.fmu import FmuPlant
 from hil.plant.start import Value
-from hil.types import Wheels
 from tests.plant_testbed import DESCRIPTION, FMU, REFERENCE, TORQUES, WHEELS, last_successful_time_s, slave
 
 START = {"friction_coefficient": 0.05, "viscous_n_m_s_rad": 0.01, "start_heading_rad": 0.3}

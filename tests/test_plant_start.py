@@ -4,11 +4,11 @@ import hypothesis.strategies as st
 import pytest
 from hypothesis import given
 
+from hil.core.types import Pose
 from hil.plant.description import parameter_names
 from hil.plant.mapping import Row
-from hil.robots import plant_start, signal_map, start_pose
+from hil.runtime.robots import plant_start, signal_map, start_pose
 from hil.scenario import load
-from hil.types import Pose
 from tests.plant_testbed import FMU
 
 SHIPPED = parameter_names(FMU)

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.errors import BadInputError
-from hil.plots import Bar, Curve, draw_bars, draw_error, draw_path, draw_wheels, drawing
-from hil.types import WHEEL_NAMES
+from hil.core.errors import BadInputError
+from hil.core.types import WHEEL_NAMES
+from hil.review.plots import Bar, Curve, draw_bars, draw_error, draw_path, draw_wheels, drawing
 
 NAN = float("nan")
 

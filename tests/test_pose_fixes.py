@@ -14,15 +14,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import chi2, kstest
 
-from hil.assembly import run_scenario
-from hil.errors import BadInputError
-from hil.localisation import SimulatedFixes, SimulatedOptions, UdpFixes
-from hil.localisation.address import parse_address
-from hil.localisation.message import Refused, parse
-from hil.loop import Loop
+from hil.core.errors import BadInputError
+from hil.core.types import NAN, MeasuredPose, Pose, PoseFix, Twist
+from hil.estimation.localisation import SimulatedFixes, SimulatedOptions, UdpFixes
+from hil.estimation.localisation.address import parse_address
+from hil.estimation.localisation.message import Refused, parse
+from hil.runtime.assembly import run_scenario
+from hil.runtime.loop import Loop
 from hil.scenario import load
 from hil.scenario.tables import SimulatedFixTable
-from hil.types import NAN, MeasuredPose, Pose, PoseFix, Twist
 from tools.pose_fix_client import datagram
 
 GOOD: dict[str, Any] = {

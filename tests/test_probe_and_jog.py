@@ -14,12 +14,12 @@ import can
 import pytest
 
 from firmware_protocol.generated.messages import SENDERS
-from hil.dialects.port import Found
-from hil.errors import BadInputError
-from hil.jog import Jogged, jog
-from hil.probe import Answer, probe
+from hil.cli.jog import Jogged, jog
+from hil.cli.probe import Answer, probe
+from hil.core.errors import BadInputError
+from hil.core.types import Wheels
+from hil.drivers.port import Found
 from hil.scenario import load
-from hil.types import Wheels
 from tests.processes import HIL, device, environment, hil
 
 tty = pytest.importorskip("tty", reason="pseudo-terminals need a POSIX system")

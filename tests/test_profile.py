@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 import hil
-from hil.controllers.diagonals import allocate, directions
-from hil.controllers.profile import Profile, profile
-from hil.kinematics import body_wrench, to_body
-from hil.types import Acceleration, Applied, CommandMode, Pose, Reference, State, Twist, WheelCommand, Wheels
+from hil.core.kinematics import body_wrench, to_body
+from hil.core.types import Acceleration, Applied, CommandMode, Pose, Reference, State, Twist, WheelCommand, Wheels
+from hil.laws.diagonals import allocate, directions
+from hil.laws.profile import Profile, profile
 from tests.closed_loop import AT_REST, PAPER_ROBOT, after
 from tests.examples import share_of_examples
 

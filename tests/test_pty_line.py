@@ -11,14 +11,14 @@ import pytest
 from firmware_protocol import codec
 from firmware_protocol.framing import Deframer, Frame, Framer
 from firmware_protocol.generated import messages as m
-from hil.links.opening import open_host
-from hil.links.url import parse_link
-from hil.links.wire import LossySerialWire
+from hil.wire.opening import open_host
+from hil.wire.robot_end import LossySerialWire
+from hil.wire.url import parse_link
 from tests.heard import the_next
 from tests.processes import device
 from tests.wheel_rig import WheelRig
 
-pty = pytest.importorskip("hil.links.pty", reason="pseudo-terminals need a POSIX system")
+pty = pytest.importorskip("hil.wire.pty", reason="pseudo-terminals need a POSIX system")
 
 WAIT_NS = 2_000_000_000
 FRAME = Frame(m.WheelCommand.ID, bytes(range(8)))

@@ -70,7 +70,7 @@ def test_a_run_that_does_not_pass_fails_the_test_unless_it_judges_itself(suite: 
     suite.makepyfile(
         """
         import pytest
-        from hil.errors import LinkError
+        from hil.core.errors import LinkError
 
         def test_checked(hil_run):
             hil_run("strict.hil.toml")
@@ -144,7 +144,7 @@ def test_an_open_link_carries_frames_made_by_hand(suite: pytest.Pytester):
         import pytest
         from firmware_protocol.framing import Frame
         from firmware_protocol.generated import messages as m
-        from hil.errors import DeviceError
+        from hil.core.errors import DeviceError
 
         def test_hello(hil_link, virtual_robot):
             link = hil_link(virtual_robot("paper_circle", mode="lockstep"))
@@ -173,7 +173,7 @@ def test_a_robot_that_is_killed_in_mid_test_is_a_sentence(suite: pytest.Pytester
     suite.makepyfile(
         """
         import threading
-        from hil.devices.truth import TruthClient
+        from hil.robot.truth import TruthClient
         from firmware_protocol.generated.messages import State
 
         def kill_when_active(robot):
@@ -222,7 +222,7 @@ def test_a_robot_that_cannot_start_says_why(suite: pytest.Pytester):
     suite.makepyfile(
         """
         import pytest
-        from hil.errors import BadInputError
+        from hil.core.errors import BadInputError
 
         def test_no_robot(virtual_robot):
             with pytest.raises(BadInputError, match="mas_kg.*mass_kg"):

@@ -51,7 +51,7 @@ def installed(suite: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> pytest
 @pytest.mark.parametrize("options", [(), PLUGIN], ids=["by its entry point", "named as well"])
 def test_the_plugin_is_loaded_once(installed: pytest.Pytester, options: tuple[str, ...]):
     write(installed, good=HOLDING)
-    installed.makeconftest("pytest_plugins = ['hil.pytest_plugin']" if options else "")
+    installed.makeconftest("pytest_plugins = ['hil.cli.pytest_plugin']" if options else "")
     done = installed.runpytest_subprocess(*options, "--strict-markers", "-v", timeout=120)
     done.assert_outcomes(passed=1)
     assert installed.runpytest_subprocess(*options, "--help").stdout.str().count("--hil-record=") == 1
@@ -59,7 +59,7 @@ def test_the_plugin_is_loaded_once(installed: pytest.Pytester, options: tuple[st
 
 def test_the_plugin_can_be_left_out(installed: pytest.Pytester):
     write(installed, good=HOLDING)
-    done = installed.runpytest_subprocess("-p", "no:hil.pytest_plugin")
+    done = installed.runpytest_subprocess("-p", "no:hil.cli.pytest_plugin")
     assert done.ret == pytest.ExitCode.NO_TESTS_COLLECTED
 
 
@@ -70,9 +70,10 @@ def test_pytest_starts_without_what_only_scenarios_need(installed: pytest.Pytest
         import sys
 
         def test_lean():
-            assert "hil.pytest_plugin" in sys.modules
+            assert "hil.cli.pytest_plugin" in sys.modules
             assert not {heavy} & set(sys.modules)
-            assert {{"hil.pytest_plugin", "hil.suffix"}} == {{name for name in sys.modules if name.startswith("hil.")}}
+            ours = {{name for name in sys.modules if name.startswith("hil.")}}
+            assert ours == {{"hil.cli", "hil.cli.pytest_plugin", "hil.core", "hil.core.suffix"}}
         """
     )
     installed.runpytest_subprocess("-p", "no:hypothesispytest").assert_outcomes(passed=1)
@@ -82,8 +83,8 @@ def test_pytest_is_needed_by_the_tests_alone():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert not [requirement for requirement in project["dependencies"] if requirement.startswith("pytest")]
     program = (
-        "import sys; sys.modules['pytest'] = None; import hil, hil.cli, pkgutil, importlib; hil.run('paper_circle', "
-        "set={'loop.duration_s': 0.1, 'expect': []}); print('ran')"
+        "import sys; sys.modules['pytest'] = None; import hil, hil.cli.main, pkgutil, importlib; "
+        "hil.run('paper_circle', set={'loop.duration_s': 0.1, 'expect': []}); print('ran')"
     )
     done = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=True, env=environment()
@@ -117,7 +118,7 @@ def test_a_users_test_is_typed(tmp_path: Path):
 
 def test_the_page_is_true(suite: pytest.Pytester):
     """Its files run as they stand there, and its failure is what a failure looks like."""
-    page = (ROOT / "hil" / "PYTEST.md").read_text()
+    page = (ROOT / "hil" / "testing" / "PYTEST.md").read_text()
     files = re.findall(r"```\w+\n# (tests/\S+)\n(.*?)```", page, re.DOTALL)
     assert len(files) == 2
     (suite.path / "tests").mkdir()

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.pytest_plugin import _places
+from hil.cli.pytest_plugin import _places
 from hil.review import review
 from tests.plugin_suites import (
     BAD_KEY,

@@ -14,11 +14,11 @@ import pytest
 
 from firmware_protocol.framing import Deframer
 from firmware_protocol.generated import messages as m
-from hil.devices.targets import qemu_board
-from hil.devices.targets.qemu_board import QemuBoard
-from hil.devices.targets.qemu_process import QEMU
-from hil.errors import BadInputError, DeviceError
+from hil.core.errors import BadInputError, DeviceError
 from hil.plant.process import ChildProcess
+from hil.robot.targets import qemu_board
+from hil.robot.targets.qemu_board import QemuBoard
+from hil.robot.targets.qemu_process import QEMU
 from tests.arm_programs import compile_program
 from tests.emulated_boards import Host, converse, firmware, needs_compiler, needs_qemu, plant_of, stored
 from tests.processes import environment, wait_for
@@ -146,7 +146,7 @@ def test_what_the_program_on_a_leash_has_started_ends_with_it(tmp_path: Path):
         "p = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(600)'], stdout=quiet, stderr=quiet)\n"
         "pathlib.Path(sys.argv[1]).write_text(str(p.pid))\n"
     )
-    child = ChildProcess("hil.devices.targets.leash", tmp_path / "scratch")
+    child = ChildProcess("hil.robot.targets.leash", tmp_path / "scratch")
     child.tell({"command": [sys.executable, "-c", program, str(note)], "inherited": []})
     assert child.hear() is None, "the leash has ended"
     grandchild = int(note.read_text())

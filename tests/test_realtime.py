@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 
 import hil
-from hil.assembly import run_scenario
-from hil.figure_words import figure_rows
-from hil.realtime import GC_THRESHOLD, Wanted, parse_cpus, real_time
+from hil.core.figure_words import figure_rows
+from hil.runtime.assembly import run_scenario
+from hil.runtime.realtime import GC_THRESHOLD, Wanted, parse_cpus, real_time
 from hil.scenario import load
 from tests.processes import device, environment
 
@@ -23,7 +23,7 @@ linux = pytest.mark.skipif(sys.platform != "linux", reason="the scheduler asked 
 
 _AS_NOBODY = """
 import json, os, resource, sys
-from hil.realtime import Wanted, real_time
+from hil.runtime.realtime import Wanted, real_time
 resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
 resource.setrlimit(resource.RLIMIT_MEMLOCK, (65536, 65536))
 if os.geteuid() == 0:

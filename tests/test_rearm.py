@@ -9,10 +9,10 @@ import pytest
 
 from firmware_protocol import codec
 from firmware_protocol.generated import messages as m
-from hil.assembly import RunResult, run
-from hil.bench import Bench
-from hil.errors import BadInputError, LinkError
-from hil.trace import decode
+from hil.core.errors import BadInputError, LinkError
+from hil.runtime.assembly import RunResult, run
+from hil.runtime.bench import Bench
+from hil.wire.trace import decode
 from tests.fault_runs import LINKS
 
 SHORT = ("loop.duration_s=3", "expect=[]", "loop.rate_hz=200")

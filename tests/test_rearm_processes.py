@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from hil.assembly import run_scenario
-from hil.errors import LinkError
-from hil.loop import Loop
+from hil.core.errors import LinkError
+from hil.runtime.assembly import run_scenario
+from hil.runtime.loop import Loop
 from hil.scenario import load
 from tests.processes import HIL, ROOT, device, environment, wait_for
 
@@ -94,7 +94,7 @@ def test_a_link_that_falls_silent_and_is_then_unplugged_holds_no_tick_up(tmp_pat
 WAIT_UNTIL_DRIVEN = """
 import sys, time
 from firmware_protocol.generated.messages import State
-from hil.devices.truth import TruthClient
+from hil.robot.truth import TruthClient
 from hil.scenario import load
 watcher = TruthClient(sys.argv[1], load("paper_circle", set=["loop.rate_hz=100"]).hash, reset=False)
 seen = []
@@ -119,7 +119,7 @@ ip = lambda *words: subprocess.run(["ip", *words], check=True)
 with device(*REAL_TIME, *BUS) as robot:
     driver = start_run(*REAL_TIME, *BUS, "--truth", robot.truth, "--set", "loop.duration_s=8", *sys.argv[1:])
     from firmware_protocol.generated.messages import State
-    from hil.devices.truth import TruthClient
+    from hil.robot.truth import TruthClient
     from hil.scenario import load
     watcher = TruthClient(robot.truth, load("paper_circle", set=["loop.rate_hz=100"]).hash, reset=False)
     seen = []

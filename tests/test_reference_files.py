@@ -9,8 +9,8 @@ import pytest
 from typer.testing import CliRunner
 
 import hil
-from hil.cli import app
-from hil.errors import BadInputError
+from hil.cli.main import app
+from hil.core.errors import BadInputError
 from hil.references import Circle, make_reference
 from hil.references.table import LARGEST_BYTES
 from hil.review import RecordedRun, read, write_trajectory

@@ -10,14 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from hil.errors import BadInputError
+from hil.cli.report import listing
+from hil.core.errors import BadInputError
 from hil.references import KINDS, Circle, FigureEight, Hold, RoundedSquare, Spin, make_reference
 from hil.references.curves import Bend
 from hil.references.double_s import Limits
 from hil.references.route import Waypoint, plan
 from hil.references.smoothing import SmoothingSpline
 from hil.references.trajectory import Played
-from hil.report import listing
 from tests.examples import share_of_examples
 
 PAGE = (Path(__file__).parents[1] / "hil" / "references" / "REFERENCES.md").read_text("utf-8")

@@ -7,15 +7,15 @@ from textwrap import dedent
 import pytest
 
 import hil
-from hil.controllers.dsc import Dsc
-from hil.controllers.registry import laws, load_law, make_controller
-from hil.errors import BadInputError
-from hil.report import listing
-from hil.types import CommandMode, Pose, State, Twist
+from hil.cli.report import listing
+from hil.core.errors import BadInputError
+from hil.core.types import CommandMode, Pose, State, Twist
+from hil.laws.dsc import Dsc
+from hil.laws.registry import laws, load_law, make_controller
 from tests.closed_loop import AT_REST, PAPER_CIRCLE, PAPER_ROBOT
 
 STAND_STILL = """
-    from hil.types import ZERO_WHEELS, WheelCommand
+    from hil.core.types import ZERO_WHEELS, WheelCommand
 
     class StandStill:
         def __init__(self, model, mode):

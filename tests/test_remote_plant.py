@@ -13,14 +13,14 @@ from typing import Any
 
 import pytest
 
-from hil.errors import BadInputError, DeviceError
+from hil.core.errors import BadInputError, DeviceError
+from hil.core.types import Wheels
 from hil.plant import shim
 from hil.plant.build import PLANT_PORT
 from hil.plant.fmu import FmuPlant
 from hil.plant.mapping import Row, SignalMap
 from hil.plant.memory import IS_TOLD
 from hil.plant.remote import RemotePlant
-from hil.types import Wheels
 from native_build.compiler import FLAGS, compiler
 from tests.flawed_fmu import build_flawed
 from tests.foreign_fmu import foreign_fmu, foreign_map
@@ -214,7 +214,8 @@ def test_a_slow_fmu_is_no_hung_one(flawed: Path, monkeypatch: pytest.MonkeyPatch
 def test_a_killed_parent_leaves_no_child_and_no_files(flawed: Path, tmp_path: Path, flaw: str) -> None:
     """Idle, the child sees the end of its pipe; in a hang, that nobody reads what it prints."""
     code = (
-        "import sys; from pathlib import Path; from hil.plant.remote import RemotePlant; from hil.types import Wheels\n"
+        "import sys; from pathlib import Path; from hil.core.types import Wheels\n"
+        "from hil.plant.remote import RemotePlant\n"
         f"plant = RemotePlant(Path({str(flawed)!r}), {{}}, timeout_s=1000)\n"
         "print(plant.pid, flush=True)\n"
         + ("plant.step(Wheels(1, 1, 1, 1))" if flaw != "none 0" else "sys.stdin.read()")

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 import hil
-from hil.controllers.registry import SHIPPED
-from hil.errors import BadInputError, OverdueError
-from hil.replay import replay, write_replay
+from hil.core.errors import BadInputError, OverdueError
+from hil.core.types import WHEEL_NAMES, CommandMode
+from hil.laws.registry import SHIPPED
 from hil.review import read
-from hil.types import WHEEL_NAMES, CommandMode
+from hil.review.replay import replay, write_replay
 from tests.test_tick_watch import LOOP, law
 
 SHORT = {"loop.duration_s": 0.5, "loop.rate_hz": 200, "expect": []}
@@ -145,7 +145,7 @@ def test_a_bad_law_is_refused_in_one_sentence(recorded, law, message):
 def test_a_law_that_refuses_the_mode_of_the_recording_is_refused(by_speed, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "only.py").write_text(
-        "from hil.errors import BadInputError\nfrom hil.types import CommandMode\n"
+        "from hil.core.errors import BadInputError\nfrom hil.core.types import CommandMode\n"
         "class Torque:\n    def __init__(self, model, mode):\n"
         "        if mode is not CommandMode.TORQUE: raise BadInputError('it has no speed mode')\n"
         "    def reset(self, state, reference): pass\n"
@@ -180,7 +180,7 @@ def test_a_recording_is_not_written_over_itself(recorded):
 
 
 def test_the_command_prints_a_table_and_json_and_says_open_loop(recorded):
-    command = [sys.executable, "-m", "hil.cli", "replay", str(recorded.path), "--law", "dsc,k1_1_s=9"]
+    command = [sys.executable, "-m", "hil.cli.main", "replay", str(recorded.path), "--law", "dsc,k1_1_s=9"]
     shown = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     assert shown.count("open loop") == 2
     figures = json.loads(subprocess.run([*command, "--json"], capture_output=True, text=True, check=True).stdout)

@@ -18,14 +18,14 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from hil import review
-from hil.cli import app
-from hil.commands.reproduce import print_reproduction
-from hil.errors import BadInputError
-from hil.reproduction import page, published, reproduce, tables, verdicts
-from hil.reproduction.margin import delay_margin
-from hil.reproduction.oscillation import oscillation
-from hil.reproduction.plan import EXPERIMENT, EXPERIMENT_PERIOD_S, Case, cases
-from hil.reproduction.runs import Outcome
+from hil.batch.reproduction import page, published, reproduce, tables, verdicts
+from hil.batch.reproduction.margin import delay_margin
+from hil.batch.reproduction.oscillation import oscillation
+from hil.batch.reproduction.plan import EXPERIMENT, EXPERIMENT_PERIOD_S, Case, cases
+from hil.batch.reproduction.runs import Outcome
+from hil.cli.main import app
+from hil.cli.reproduce import print_reproduction
+from hil.core.errors import BadInputError
 from hil.scenario import load
 from tests.examples import share_of_examples
 
@@ -232,7 +232,7 @@ def test_the_command_fails_when_a_run_did(tmp_path: Path, monkeypatch: pytest.Mo
     """A real worker is given one run that cannot begin."""
     row = {"law": "dsc", "filter": "common", "limit": "together"}
     planned = [Case("dsc common together", "circle", row, "no_such_scenario", {})]
-    monkeypatch.setattr("hil.reproduction.cases", lambda *, quick: planned)
+    monkeypatch.setattr("hil.batch.reproduction.cases", lambda *, quick: planned)
     result = CliRunner().invoke(app, ["reproduce", "--json", "--out", str(tmp_path)])
     assert result.exit_code == 1, result.output
     assert "no_such_scenario" in json.loads(result.stdout)["circle"][0]["failure"]

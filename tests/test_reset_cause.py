@@ -11,9 +11,9 @@ from unicorn import arm_const as arm
 
 from firmware_protocol import codec
 from firmware_protocol.generated import messages as m
-from hil.devices.targets.machine import rcc
-from hil.devices.targets.machine.stm32f405 import CORE_HZ
-from hil.devices.targets.unicorn_board import UnicornBoard
+from hil.robot.targets.machine import rcc
+from hil.robot.targets.machine.stm32f405 import CORE_HZ
+from hil.robot.targets.unicorn_board import UnicornBoard
 from tests.emulated_boards import Host, needs_compiler
 from tests.test_unicorn import open_board
 from tests.wheel_rig import WheelRig

@@ -8,12 +8,12 @@ import pytest
 
 from firmware_protocol.generated import messages as m
 from firmware_protocol.host import HostNode
-from hil.assembly import run_scenario
-from hil.devices import parameters
-from hil.devices.reset_words import ProcessorFault, reset_warning, reset_words
-from hil.links.framed import StreamLink
+from hil.robot import parameters
+from hil.robot.reset_words import ProcessorFault, reset_warning, reset_words
+from hil.runtime.assembly import run_scenario
 from hil.scenario import load
 from hil.service.messages import Phase
+from hil.wire.framed import StreamLink
 from tests.pilot_bench import PilotBench
 from tests.test_stm32 import Line, driver
 from tests.wheel_rig import WheelRig
@@ -34,7 +34,7 @@ def test_a_run_warns_once_of_a_reset_that_came_of_trouble(cause: m.ResetCause) -
 
 def test_a_service_tells_once_of_a_watchdog(monkeypatch: pytest.MonkeyPatch) -> None:
     make_node = functools.partial(HostNode, reset_cause=m.ResetCause.WATCHDOG)
-    monkeypatch.setattr("hil.bench.node_maker", lambda _scenario: make_node)
+    monkeypatch.setattr("hil.runtime.bench.node_maker", lambda _scenario: make_node)
     with PilotBench() as bench:
         bench.run_until(Phase.DISARMED)
         bench.pilot.arm()

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 import hil
-from hil.controllers.lqi import Lqi
-from hil.errors import BadInputError
-from hil.expectations import check_expectation
-from hil.metrics import CommandLimits, SignalFigures, signal_figures
-from hil.results import MemorySink
+from hil.core.errors import BadInputError
+from hil.core.signals import SIGNAL_NAMES
+from hil.core.types import ZERO_WHEELS, Applied, CommandMode, Reference, State, WheelCommand
+from hil.judge.expectations import check_expectation
+from hil.judge.metrics import CommandLimits, SignalFigures, signal_figures
+from hil.judge.results import MemorySink
+from hil.laws.lqi import Lqi
 from hil.scenario import ExpectTable
-from hil.signals import SIGNAL_NAMES
-from hil.types import ZERO_WHEELS, Applied, CommandMode, Reference, State, WheelCommand
 from tests.recorded_circle import circle_rows
 
 LIMITS = CommandLimits(20.0, 5.0)

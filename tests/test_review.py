@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 from mcap.opcode import Opcode
 
-from hil.commands.review import review as command
-from hil.errors import BadInputError
-from hil.metrics import FIGURE_SIGNALS, signal_figures
+from hil.cli.review import review as command
+from hil.core.errors import BadInputError
+from hil.core.signals import SIGNAL_NAMES
+from hil.judge.metrics import FIGURE_SIGNALS, signal_figures
+from hil.record import Recording
+from hil.record.names import SIGNALS_PATH
 from hil.review import Event, RecordedRun, figures, read, review, to_frame
 from hil.review.contents import DamagedError
 from hil.review.decode import decode
 from hil.review.plausibility import check_plausible
-from hil.signals import SIGNAL_NAMES
-from hil.telemetry import Recording
-from hil.telemetry.names import SIGNALS_PATH
 from tests.recorded_circle import circle_table, column
 
 ROWS = 6000

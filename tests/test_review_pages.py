@@ -16,16 +16,16 @@ import scipy.signal
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.assembly import run_scenario
-from hil.errors import BadInputError
-from hil.plots import Curve, thinned
+from hil.core.errors import BadInputError
+from hil.core.signals import SIGNAL_NAMES, unit_of
 from hil.review import changes, differences, figures, read, review
 from hil.review.export import write_export
 from hil.review.overlay import write_overlay
 from hil.review.page import page, page_signals, write_page
+from hil.review.plots import Curve, thinned
 from hil.review.spectrum import LEAST_SAMPLES, spectrum
+from hil.runtime.assembly import run_scenario
 from hil.scenario import load
-from hil.signals import SIGNAL_NAMES, unit_of
 from tests.examples import share_of_examples
 from tests.processes import hil
 

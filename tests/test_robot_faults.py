@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.devices.faults import Body, RobotFaults
-from hil.errors import BadInputError
+from hil.core.errors import BadInputError
 from hil.faults.rows import NEVER_NS, FaultRow
 from hil.plant import archive
 from hil.plant.fmu import FmuPlant
 from hil.plant.remote import RemotePlant
 from hil.plant.shim import load
+from hil.robot.faults import Body, RobotFaults
 from tests.examples import share_of_examples
 
 MS = 1_000_000
@@ -216,8 +216,8 @@ def test_no_fault_moves_a_robot_that_was_not_armed(rows, garbage) -> None:
 
 
 def robot_at_rest():
-    from hil.devices.virtual import VirtualStm32
-    from hil.robots import virtual_robot
+    from hil.robot.virtual import VirtualStm32
+    from hil.runtime.robots import virtual_robot
     from hil.scenario import load
 
     start = {f"plant.start.start_{name}": 0.0 for name in ("x_m", "y_m", "heading_rad")}

@@ -5,11 +5,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.assembly import RunResult, run_scenario
-from hil.jog import jog
+from hil.cli.jog import jog
+from hil.core.types import WHEEL_NAMES
+from hil.runtime.assembly import RunResult, run_scenario
 from hil.scenario import load
 from hil.service.messages import Phase
-from hil.types import WHEEL_NAMES
 from tests.pilot_bench import PilotBench
 
 # The circle asks for up to 10 rad/s at its beginning; 5.5 are a fault here, and 0.8 of that is what is taken.

@@ -5,8 +5,8 @@ import pandas as pd
 import pytest
 
 import hil
-from hil.errors import BadInputError, DeviceError
-from hil.signals import SIGNAL_NAMES
+from hil.core.errors import BadInputError, DeviceError
+from hil.core.signals import SIGNAL_NAMES
 
 SHORT = {"loop.duration_s": 1.0, "expect": []}
 LINKS = ["memory:", "serial:pty", "can:virtual/test_run", "can:virtual/test_run_fd?fd=1"]
@@ -208,7 +208,7 @@ def test_a_law_of_the_users_own(tmp_path):
     (tmp_path / "my_law.py").write_text(
         """
 from dataclasses import dataclass
-from hil.types import CommandMode, Wheels, WheelCommand, NO_GAINS
+from hil.core.types import CommandMode, Wheels, WheelCommand, NO_GAINS
 
 class MyLaw:
     \"\"\"Drives straight ahead.\"\"\"
@@ -255,7 +255,7 @@ below = 4.5
 def test_a_law_that_gives_no_number_stops_the_robot(tmp_path):
     (tmp_path / "bad.py").write_text(
         """
-from hil.types import CommandMode, Wheels, WheelCommand
+from hil.core.types import CommandMode, Wheels, WheelCommand
 
 class Bad:
     def reset(self, state, reference):
@@ -284,7 +284,7 @@ class Bad:
 def test_a_law_that_fails_ends_the_run_with_the_robot_stopped(tmp_path, result, words):
     (tmp_path / "bad.py").write_text(
         f"""
-from hil.types import CommandMode, Wheels, WheelCommand
+from hil.core.types import CommandMode, Wheels, WheelCommand
 
 class Bad:
     def reset(self, state, reference):
@@ -319,7 +319,7 @@ def test_truth_that_nobody_publishes():
 
 SLOW_AT_LAST = """
 import time
-from hil.types import ZERO_WHEELS, CommandMode, WheelCommand
+from hil.core.types import ZERO_WHEELS, CommandMode, WheelCommand
 
 class Law:
     def reset(self, state, reference):

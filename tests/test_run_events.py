@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from hil.assembly import run_scenario
-from hil.catalogue.recording import RecordingHere
-from hil.results import RunResult
+from hil.batch.catalogue.recording import RecordingHere
+from hil.judge.results import RunResult
 from hil.review import read
+from hil.runtime.assembly import run_scenario
 from hil.scenario import load
 
 TICKS_A_S = 200

@@ -16,7 +16,7 @@ from firmware_protocol.generated.messages import (
     TorqueCommand,
     WheelCommand,
 )
-from hil.catalogue.judge import Limits, SafetyJudge, Tick
+from hil.batch.catalogue.judge import Limits, SafetyJudge, Tick
 
 WATCHDOG, RAMP = 100, 200
 LIMITS = Limits(WATCHDOG, RAMP, torque_n_m=2.0)

@@ -5,9 +5,9 @@ from typing import cast
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.clock import WallClock
-from hil.devices.stm32 import Stm32
-from hil.sampling import Sampling, Timing
+from hil.core.clock import WallClock
+from hil.robot.stm32 import Stm32
+from hil.runtime.sampling import Sampling, Timing
 
 
 class HandSetClock:

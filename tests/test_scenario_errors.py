@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.errors import BadInputError
+from hil.core.errors import BadInputError
 from hil.scenario import load, shipped
 
 BASE = 'extends = "paper_circle"\n'

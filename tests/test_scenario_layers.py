@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.errors import BadInputError
+from hil.core.errors import BadInputError
 from hil.scenario.layers import Tree, assign, dotted, leaves, make_layer, merge, plain, stack
 from hil.scenario.toml_text import format_value, key_lines, parse_value
 

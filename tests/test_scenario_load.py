@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from pydantic import BaseModel, ValidationError
 
 from firmware_protocol.host import Parameter, parameters
-from hil.controllers.registry import make_controller
-from hil.model import RobotModel
+from hil.core.model import RobotModel
+from hil.core.types import CommandMode
+from hil.laws.registry import make_controller
 from hil.references import make_reference
 from hil.scenario import Scenario, load, resolved, shipped
 from hil.scenario.load import SHIPPED_DIRECTORY
 from hil.scenario.tables import RATES_HZ, FirmwareTable, RobotTable, Tables
-from hil.types import CommandMode
 
 BASE = 'extends = "paper_circle"\n'
 

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from hil.errors import BadInputError
+from hil.core.errors import BadInputError
+from hil.runtime.provenance import properties
 from hil.scenario import Scenario, load, resolved
 from hil.scenario.layers import assign, make_layer, plain, stack
-from hil.telemetry.provenance import properties
 
 FOREIGN = """
 extends = "paper_circle"

@@ -15,18 +15,18 @@ import serial
 
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m
-from hil.devices import handshake
-from hil.errors import DeviceError, LinkError
-from hil.links.framed import StreamLink
-from hil.links.opening import open_host
-from hil.links.opening_beside import OpeningBeside
-from hil.links.reader import Reader
-from hil.links.serial_port import SerialStream
-from hil.links.url import parse_link
+from hil.core.errors import DeviceError, LinkError
+from hil.robot import handshake
+from hil.wire.framed import StreamLink
+from hil.wire.opening import open_host
+from hil.wire.opening_beside import OpeningBeside
+from hil.wire.reader import Reader
+from hil.wire.serial_port import SerialStream
+from hil.wire.url import parse_link
 from tests.heard import the_next
 from tests.serial_server import SerialServer, ThreeWirePort
 
-pty = pytest.importorskip("hil.links.pty", reason="pseudo-terminals need a POSIX system")
+pty = pytest.importorskip("hil.wire.pty", reason="pseudo-terminals need a POSIX system")
 
 WAIT_NS = 5_000_000_000
 FRAMES = [Frame(m.WheelCommand.ID, bytes([i, 0, 0xFF, 0x0D, 0x0A, 0x11, 0x13, i])) for i in range(50)]

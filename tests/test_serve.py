@@ -17,9 +17,9 @@ from typing import Any
 
 import pytest
 
-from hil.devices.truth import TruthClient
-from hil.errors import DeviceError, LinkError
+from hil.core.errors import DeviceError, LinkError
 from hil.review import RecordedRun, read
+from hil.robot.truth import TruthClient
 from hil.scenario import load
 from hil.service.client import Client
 from hil.service.messages import Action

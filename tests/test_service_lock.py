@@ -10,17 +10,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.errors import BadInputError, LinkError
-from hil.links.url import SerialUrl, parse_link
-from hil.service.claims import Claim, TakenError, held
+from hil.core.claims import Claim, TakenError, held
+from hil.core.errors import BadInputError, LinkError
 from hil.service.discovery import Service, announce, running
-from hil.service.lock import _file_name, _folder, device_held, device_name
+from hil.wire.device_lock import _file_name, _folder, device_held, device_name
+from hil.wire.url import SerialUrl, parse_link
 from tests.examples import share_of_examples
 from tests.processes import environment
 from tests.service_testbed import own_state
 
 HOLDER = (
-    "import sys, time\nfrom hil.links.url import parse_link\nfrom hil.service.lock import device_held\n"
+    "import sys, time\nfrom hil.wire.url import parse_link\nfrom hil.wire.device_lock import device_held\n"
     "with device_held(parse_link(sys.argv[1]), sys.argv[2]):\n    print('held', flush=True)\n    time.sleep(600)\n"
 )
 
@@ -156,7 +156,7 @@ def test_a_link_in_place_of_the_folder_for_locks_is_refused_and_not_followed(
     private, link = tmp_path / "private", tmp_path / "locks"
     private.mkdir(mode=0o700)
     link.symlink_to(private)
-    monkeypatch.setattr("hil.service.lock._folder", lambda: link)
+    monkeypatch.setattr("hil.wire.device_lock._folder", lambda: link)
     with pytest.raises(LinkError, match=f"see to it that {link} may be written to"):
         device_held(SerialUrl(str(port)), "hil run").__enter__()
     assert stat.S_IMODE(private.stat().st_mode) == 0o700

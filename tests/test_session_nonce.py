@@ -6,7 +6,7 @@ from itertools import islice
 import pytest
 
 from firmware_protocol.generated import messages as m
-from hil import bench
+from hil.runtime import bench
 from tests.bare_node import BareNode
 
 

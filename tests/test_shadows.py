@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 import hil
-from hil.controllers.registry import SHIPPED
-from hil.errors import BadInputError
+from hil.core.errors import BadInputError
+from hil.core.types import WHEEL_NAMES
+from hil.laws.registry import SHIPPED
 from hil.review import read
 from hil.scenario import load
-from hil.types import WHEEL_NAMES
 
 SHORT = {"loop.duration_s": 0.5, "loop.rate_hz": 200, "expect": []}
 BROKEN = """
-from hil.types import WheelCommand, ZERO_WHEELS
+from hil.core.types import WheelCommand, ZERO_WHEELS
 
 class Broken:
     def __init__(self, model, mode):

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from firmware_protocol import codec
 from firmware_protocol.framing import Frame, pack
 from firmware_protocol.generated import messages as m
-from hil.devices.snapshot import Feedback, SnapshotReader
-from hil.devices.wheel_map import WheelMap
-from hil.types import WHEEL_NAMES, Wheels
+from hil.core.types import WHEEL_NAMES, Wheels
+from hil.robot.snapshot import Feedback, SnapshotReader
+from hil.robot.wheel_map import WheelMap
 
 ALL = 31
 

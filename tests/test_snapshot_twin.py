@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from firmware_protocol import codec
 from firmware_protocol.framing import Frame, pack
 from firmware_protocol.generated import messages as m
-from hil.devices.snapshot import SnapshotReader
+from hil.robot.snapshot import SnapshotReader
 from tests.examples import share_of_examples
 from tests.protocol_cases import frames as any_frames
 from tests.snapshot_twin import SnapshotAssembler

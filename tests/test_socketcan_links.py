@@ -10,11 +10,11 @@ import pytest
 
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated.messages import LENGTHS, SENDERS
-from hil.errors import LinkError
-from hil.links.can_ports import SocketCan
-from hil.links.opening import open_host
-from hil.links.url import CanUrl, parse_link
-from hil.ports import Link
+from hil.core.errors import LinkError
+from hil.core.ports import Link
+from hil.wire.can_ports import SocketCan
+from hil.wire.opening import open_host
+from hil.wire.url import CanUrl, parse_link
 from tests.heard import the_next
 from tests.socketcan_bus import CLASSIC, ERROR, EXTENDED, FD, REMOTE, classic_frame, ip, raw_socket, set_up, vcan
 

@@ -9,7 +9,7 @@ import pytest
 
 from firmware_protocol.codec import Message
 from firmware_protocol.generated import messages as m
-from hil.trace import decode
+from hil.wire.trace import decode
 from tests.processes import Device, device, run_json
 from tests.socketcan_bus import DBC, FIRST_HELLO_ID, Onlooker, foreign_traffic, wire_sha256
 

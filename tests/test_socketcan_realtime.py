@@ -17,20 +17,20 @@ import pytest
 
 from firmware_protocol.generated.messages import State
 from firmware_protocol.host import parameter_hash
-from hil.clock import WallClock
-from hil.devices.handshake import Expected
-from hil.devices.stm32 import Stm32
-from hil.devices.truth import TruthClient
-from hil.devices.truth_wire import TruthRecord
-from hil.errors import DeviceError
-from hil.links.delay import DelayedLink
-from hil.links.fault_rows import ScenarioTime
-from hil.links.faults import FaultLink
-from hil.links.opening import open_host
-from hil.links.url import parse_link
-from hil.robots import firmware_values, wheel_map
+from hil.core.clock import WallClock
+from hil.core.errors import DeviceError
+from hil.core.types import CommandMode
+from hil.robot.handshake import Expected
+from hil.robot.stm32 import Stm32
+from hil.robot.truth import TruthClient
+from hil.robot.truth_wire import TruthRecord
+from hil.runtime.robots import firmware_values, wheel_map
 from hil.scenario import load
-from hil.types import CommandMode
+from hil.wire.delay import DelayedLink
+from hil.wire.fault_rows import ScenarioTime
+from hil.wire.faults import FaultLink
+from hil.wire.opening import open_host
+from hil.wire.url import parse_link
 from tests.processes import HIL, Device, device, environment, hil, wait_for
 from tests.socketcan_bus import DBC, Onlooker, cable, set_up
 

@@ -7,7 +7,7 @@ import pytest
 
 from tests.processes import environment
 
-_HELP = "from hil.cli import app\ntry: app(['--help'])\nexcept SystemExit: pass"
+_HELP = "from hil.cli.main import app\ntry: app(['--help'])\nexcept SystemExit: pass"
 _HEAVY = {"can", "cffi", "fmpy", "matplotlib", "pandas", "pyarrow", "rerun", "rich", "scipy"}
 
 
@@ -22,7 +22,7 @@ def _imported(program: str) -> set[str]:
     [
         (_HELP, _HEAVY | {"numpy", "pydantic"}),
         ("import hil", _HEAVY | {"numpy", "pydantic", "typer"}),
-        ("import hil.telemetry", _HEAVY | {"numpy", "pydantic", "typer"}),
+        ("import hil.record", _HEAVY | {"numpy", "pydantic", "typer"}),
     ],
     ids=["hil --help", "import hil", "what starts a recorder"],
 )
@@ -31,4 +31,4 @@ def test_nothing_heavy_is_imported_before_it_is_needed(program: str, heavy: set[
 
 
 def test_a_run_imports_no_viewer_no_plots_and_no_tables() -> None:
-    assert not _imported("import hil.assembly") & {"fmpy", "matplotlib", "pandas", "pyarrow", "rerun", "scipy"}
+    assert not _imported("import hil.runtime.assembly") & {"fmpy", "matplotlib", "pandas", "pyarrow", "rerun", "scipy"}

@@ -11,15 +11,15 @@ from hypothesis import strategies as st
 from firmware_protocol import codec
 from firmware_protocol.framing import Frame, Framer, pack
 from firmware_protocol.generated import messages as m
-from hil.assembly import run
-from hil.devices.snapshot import SnapshotReader
-from hil.links.can_bus import CanLink
-from hil.links.can_frame import classic_bits, fd_bits
-from hil.links.framed import StreamLink
-from hil.links.statistics import WINDOW_NS, LoadWindow, measured
-from hil.links.streams import memory_pair
-from hil.links.url import SerialUrl, parse_link
-from hil.signals import SIGNAL_NAMES
+from hil.core.signals import SIGNAL_NAMES
+from hil.robot.snapshot import SnapshotReader
+from hil.runtime.assembly import run
+from hil.wire.can_bus import CanLink
+from hil.wire.can_frame import classic_bits, fd_bits
+from hil.wire.framed import StreamLink
+from hil.wire.statistics import WINDOW_NS, LoadWindow, measured
+from hil.wire.streams import memory_pair
+from hil.wire.url import SerialUrl, parse_link
 from tests.heard import everything
 
 MS = 1_000_000
@@ -233,7 +233,7 @@ def test_a_frame_of_another_length_is_not_counted_as_ours():
 
 @pytest.mark.alone
 def test_stamps_in_real_time_are_those_of_the_transport_on_the_clock_of_the_run():
-    from hil.clock import WallClock
+    from hil.core.clock import WallClock
 
     here, there = memory_pair()
     clock = WallClock()

@@ -10,18 +10,18 @@ from firmware_protocol import codec
 from firmware_protocol.framing import Framer
 from firmware_protocol.generated import messages as m
 from firmware_protocol.host import parameter_hash
-from hil.clock import LockstepClock
-from hil.devices.handshake import Expected
-from hil.devices.stm32 import Stm32
-from hil.devices.truth import TruthClient
-from hil.devices.wheel_map import WheelMap
-from hil.errors import BadInputError, DeviceError
-from hil.links.delay import DelayedLink
-from hil.links.fault_rows import ScenarioTime
-from hil.links.faults import FaultLink
-from hil.links.framed import StreamLink
-from hil.links.streams import DirectStream, memory_pair
-from hil.types import ZERO_WHEELS, CommandMode, WheelCommand
+from hil.core.clock import LockstepClock
+from hil.core.errors import BadInputError, DeviceError
+from hil.core.types import ZERO_WHEELS, CommandMode, WheelCommand
+from hil.robot.handshake import Expected
+from hil.robot.stm32 import Stm32
+from hil.robot.truth import TruthClient
+from hil.robot.wheel_map import WheelMap
+from hil.wire.delay import DelayedLink
+from hil.wire.fault_rows import ScenarioTime
+from hil.wire.faults import FaultLink
+from hil.wire.framed import StreamLink
+from hil.wire.streams import DirectStream, memory_pair
 from tests.wheel_rig import PARAMETERS, WheelRig
 
 PERIOD_NS = 5_000_000

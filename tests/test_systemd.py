@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.errors import BadInputError
+from hil.core.errors import BadInputError
 from hil.service.systemd import Notifier, unit
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="systemd is Linux's")

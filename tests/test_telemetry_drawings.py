@@ -9,12 +9,12 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from hil.record import Recording
+from hil.record.blueprint import blueprint
+from hil.record.layout import layout
+from hil.record.limits import limits
+from hil.runtime.provenance import properties
 from hil.scenario import load
-from hil.telemetry import Recording
-from hil.telemetry.blueprint import blueprint
-from hil.telemetry.layout import layout
-from hil.telemetry.limits import limits
-from hil.telemetry.provenance import properties
 from tests.recorded_circle import PERIOD_S, circle_rows, circle_table, column
 
 ROWS = 1600
@@ -126,7 +126,7 @@ def test_faults_have_lanes_of_their_own(recording: Path) -> None:
 
 
 def test_the_link_is_lossy_for_a_while_after_a_loss_and_silent_without_feedback(tmp_path: Path) -> None:
-    from hil.signals import INDEX
+    from hil.core.signals import INDEX
 
     path, table = tmp_path / "run.rrd", circle_table(1000)
     table[200:, INDEX["link.lost"]] = 1.0

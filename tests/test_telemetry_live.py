@@ -14,19 +14,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.errors import BadInputError
+from hil.core.errors import BadInputError
+from hil.record import Recording
+from hil.record.view import free_port, has_display, live_address, live_hint, show_live, view, viewer_executable
 from hil.review.contents import DamagedError
 from hil.review.decode import decode
-from hil.telemetry import Recording
-from hil.telemetry.view import (
-    free_port,
-    has_display,
-    live_address,
-    live_hint,
-    show_live,
-    view,
-    viewer_executable,
-)
 from tests.processes import wait_for
 from tests.recorded_circle import circle_rows
 
@@ -166,7 +158,7 @@ def test_what_is_no_recording_is_not_opened(tmp_path: Path) -> None:
 _VIEW_IN_A_BROWSER = """
 import sys
 from pathlib import Path
-from hil.telemetry.view import view
+from hil.record.view import view
 view(Path(sys.argv[1]), web=True, say=lambda text: print(text, flush=True))
 """
 

@@ -13,19 +13,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.errors import BadInputError
-from hil.figure_words import outcome_rows
+from hil.core.errors import BadInputError
+from hil.core.figure_words import outcome_rows
+from hil.core.signals import SIGNAL_NAMES
+from hil.record import Recording, Rotation, check_output_path, ring_process
+from hil.record.files import has_end, part_path
+from hil.record.memory import SharedBlock
+from hil.record.parts import Parts
+from hil.record.patience import Patience
+from hil.record.ring import RingReader, RingWriter, ring_bytes
+from hil.record.ring_child import RefusedError
+from hil.record.view import viewer_executable
 from hil.review import RecordedRun, figures, read
 from hil.review.decode import decode
-from hil.signals import SIGNAL_NAMES
-from hil.telemetry import Recording, Rotation, check_output_path, ring_process
-from hil.telemetry.files import has_end, part_path
-from hil.telemetry.memory import SharedBlock
-from hil.telemetry.parts import Parts
-from hil.telemetry.patience import Patience
-from hil.telemetry.ring import RingReader, RingWriter, ring_bytes
-from hil.telemetry.ring_child import RefusedError
-from hil.telemetry.view import viewer_executable
 from tests.processes import wait_for
 from tests.recorded_circle import circle_rows
 

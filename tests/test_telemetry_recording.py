@@ -12,14 +12,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.errors import BadInputError, DeviceError
+from hil.core.errors import BadInputError, DeviceError
+from hil.core.signals import SIGNAL_NAMES
+from hil.record import Recording, RecordingReport, check_output_path, early_recorder, ring_process, rotation
+from hil.record.environment import rerun_environment
+from hil.record.files import part_path
+from hil.record.ring_start import Started
 from hil.review import Event, figures, read
 from hil.review.decode import decode
-from hil.signals import SIGNAL_NAMES
-from hil.telemetry import Recording, RecordingReport, check_output_path, early_recorder, ring_process, rotation
-from hil.telemetry.environment import rerun_environment
-from hil.telemetry.files import part_path
-from hil.telemetry.ring_start import Started
 from tests.processes import wait_for
 from tests.recorded_circle import circle_rows, circle_table
 
@@ -85,10 +85,10 @@ def test_a_recorder_that_was_started_early_records_and_needs_no_tables(tmp_path:
 
 
 def test_a_recorder_started_for_nothing_is_ended_and_one_that_died_meanwhile_is_told(tmp_path: Path) -> None:
-    with Started("hil.telemetry.recorder", rerun_environment()) as unused:
+    with Started("hil.record.recorder", rerun_environment()) as unused:
         assert unused.process.poll() is None
     assert unused.process.returncode is not None
-    with Started("hil.telemetry.recorder", rerun_environment()) as started:
+    with Started("hil.record.recorder", rerun_environment()) as started:
         started.process.kill()
         with pytest.raises(DeviceError, match=r"^the recorder did not start: exit status .*; run without a recording"):
             Recording(tmp_path / "run.mcap", properties={}, blocking=True, started=started)
@@ -222,7 +222,7 @@ def test_a_folder_that_is_removed_costs_its_rows_and_no_more(tmp_path: Path) -> 
 _FAST_RUN = """
 import os, sys, time
 from pathlib import Path
-from hil.telemetry import Recording
+from hil.record import Recording
 from tests.recorded_circle import circle_rows
 
 recording = Recording(Path(sys.argv[1]), properties={}, blocking=False)
@@ -285,7 +285,7 @@ def test_mcap_needs_no_rerun(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 _KILLED_RUN = """
 import os, signal, sys
 from pathlib import Path
-from hil.telemetry import Recording
+from hil.record import Recording
 from tests.recorded_circle import circle_rows
 
 recording = Recording(Path(sys.argv[1]), properties={}, blocking=True)

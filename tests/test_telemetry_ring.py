@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.telemetry.memory import SharedBlock
-from hil.telemetry.ring import RingReader, RingWriter, ring_bytes
+from hil.record.memory import SharedBlock
+from hil.record.ring import RingReader, RingWriter, ring_bytes
 
 
 @contextmanager

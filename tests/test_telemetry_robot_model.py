@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.kinematics import body_wrench
-from hil.telemetry.robot_model import SIDEWAYS, RobotShape, drive_directions
-from hil.types import WHEEL_NAMES, Wheels
+from hil.core.kinematics import body_wrench
+from hil.core.types import WHEEL_NAMES, Wheels
+from hil.record.robot_model import SIDEWAYS, RobotShape, drive_directions
 from tests.examples import share_of_examples
 
 SHAPE = RobotShape(mass_kg=20.0, wheel_radius_m=0.075, half_length_m=0.3, half_width_m=0.25)

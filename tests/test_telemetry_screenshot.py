@@ -17,21 +17,13 @@ import pytest
 import rerun
 from PIL import Image
 
+from hil.core.signals import SIGNAL_NAMES
+from hil.record import Recording
+from hil.record.follow import Window, follow
+from hil.record.layout import HEADING_COLOUR, REFERENCE_COLOUR, TRUTH_COLOUR, WHEEL_COLOURS, X_COLOUR, Y_COLOUR, Colour
+from hil.record.view import free_port
+from hil.runtime.provenance import properties
 from hil.scenario import load
-from hil.signals import SIGNAL_NAMES
-from hil.telemetry import Recording
-from hil.telemetry.follow import Window, follow
-from hil.telemetry.layout import (
-    HEADING_COLOUR,
-    REFERENCE_COLOUR,
-    TRUTH_COLOUR,
-    WHEEL_COLOURS,
-    X_COLOUR,
-    Y_COLOUR,
-    Colour,
-)
-from hil.telemetry.provenance import properties
-from hil.telemetry.view import free_port
 from tests.recorded_circle import circle_rows
 from tools.browser import chromium
 
@@ -149,7 +141,7 @@ def test_a_page_of_a_real_browser_shows_the_run_and_is_told_of_the_next_one() ->
     from tools.browser import browser
 
     port = free_port()
-    command = [sys.executable, "-m", "hil.cli", "live", "--web", "--port", str(port)]
+    command = [sys.executable, "-m", "hil.cli.main", "live", "--web", "--port", str(port)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as live:
         try:
             assert live.stdout is not None

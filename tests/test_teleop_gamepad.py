@@ -6,8 +6,8 @@ import pytest
 
 sdl2 = pytest.importorskip("sdl2", reason="needs the extra 'teleop': pip install 'mecanum-hil[teleop]'")
 
-from hil.teleop.gamepad import Gamepads, Pad  # noqa: E402
-from hil.teleop.mapping import Sticks  # noqa: E402
+from hil.service.teleop.gamepad import Gamepads, Pad  # noqa: E402
+from hil.service.teleop.mapping import Sticks  # noqa: E402
 from tests.virtual_pad import VirtualPad  # noqa: E402
 
 

@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.teleop.gamepad import Pad
-from hil.teleop.held import DeadManButton, Heartbeat, RepeatedKeys, ToldKeys
-from hil.teleop.keys import Attributes, Change, Event, Flags, Focus, Key, KeyDecoder
-from hil.teleop.mapping import KEYS, Speeds, Sticks, of_keys, of_sticks, twist_of
-from hil.teleop.operator import Operator, Wish
+from hil.service.teleop.gamepad import Pad
+from hil.service.teleop.held import DeadManButton, Heartbeat, RepeatedKeys, ToldKeys
+from hil.service.teleop.keys import Attributes, Change, Event, Flags, Focus, Key, KeyDecoder
+from hil.service.teleop.mapping import KEYS, Speeds, Sticks, of_keys, of_sticks, twist_of
+from hil.service.teleop.operator import Operator, Wish
 
 SPEEDS = Speeds(0.5, 1.0)
 KEY = st.sampled_from(sorted(KEYS))

@@ -9,19 +9,19 @@ from pathlib import Path
 import pytest
 
 import hil
-from hil.child import module_command
-from hil.errors import BadInputError, OverdueError
+from hil.core.child import module_command
+from hil.core.errors import BadInputError, OverdueError
+from hil.core.tick_watch import TickOverdue, TickWatch
 from hil.review import read
 from hil.review.figures import figures
 from hil.scenario import load
 from hil.service.messages import Phase
-from hil.tick_watch import TickOverdue, TickWatch
 from tests.pilot_bench import PilotBench, armed_pilot
 
 LIMIT = {"loop.tick_limit_s": 0.2, "loop.duration_s": 1.0, "expect": [], "controller.gains": {}}
 _LAW = """
 import time
-from hil.types import CommandMode, WheelCommand, Wheels
+from hil.core.types import CommandMode, WheelCommand, Wheels
 
 STILL = WheelCommand(CommandMode.SPEED, Wheels(0.0, 0.0, 0.0, 0.0), Wheels(0.0, 0.0, 0.0, 0.0))
 
@@ -69,7 +69,9 @@ def test_a_law_that_never_returns_ends_the_run_with_a_sentence(tmp_path: Path, s
 
 def test_a_law_that_no_exception_gets_to_ends_the_process_and_its_recording_is_kept(tmp_path: Path) -> None:
     sets = [f"--set={key}={json.dumps(value)}" for key, value in LIMIT.items() if key != "controller.gains"]
-    command = module_command("hil.cli", "run", "circle_speed", "--record", str(tmp_path / "run.rrd"), "--json", *sets)
+    command = module_command(
+        "hil.cli.main", "run", "circle_speed", "--record", str(tmp_path / "run.rrd"), "--json", *sets
+    )
     ran = subprocess.run(
         [*command, "--set", "controller.gains={}", "--set", f"controller.law={law(tmp_path, SLEEP)}"],
         capture_output=True,
@@ -91,7 +93,7 @@ def test_a_law_that_no_exception_gets_to_ends_the_process_and_its_recording_is_k
 
 STUCK_IN_STDERR = """
 import sys
-from hil.tick_watch import TickWatch
+from hil.core.tick_watch import TickWatch
 
 with TickWatch(0.1, lambda: 0.0, lambda _: print("last words", flush=True)) as watch:
     watch.turn += 1

@@ -14,14 +14,14 @@ from hypothesis import strategies as st
 
 from firmware_protocol import codec
 from firmware_protocol.generated import messages as m
-from hil.assembly import run
-from hil.errors import BadInputError
-from hil.links.can_bus import CanLink
-from hil.links.framed import StreamLink
-from hil.links.statistics import measured
-from hil.links.streams import memory_pair
-from hil.links.url import parse_link
-from hil.trace import Trace, decode, rows
+from hil.core.errors import BadInputError
+from hil.runtime.assembly import run
+from hil.wire.can_bus import CanLink
+from hil.wire.framed import StreamLink
+from hil.wire.statistics import measured
+from hil.wire.streams import memory_pair
+from hil.wire.trace import Trace, decode, rows
+from hil.wire.url import parse_link
 from tests.processes import HIL, ROOT, device, environment, hil, run_json
 from tests.traced_runs import SHORT, one_second_of_frames, traced
 
@@ -205,7 +205,7 @@ def test_what_the_framing_rejects_and_what_others_say_is_in_the_trace(tmp_path):
 def test_the_page_s_worked_output_is_what_decode_prints(tmp_path):
     path = tmp_path / "bus.blf"
     traced(path, **{"loop.rate_hz": 200, "loop.duration_s": 2})
-    page = (ROOT / "hil" / "links" / "STATISTICS.md").read_text(encoding="utf-8")
+    page = (ROOT / "hil" / "wire" / "STATISTICS.md").read_text(encoding="utf-8")
     shown = page.partition("```text decoded\n")[2].partition("```")[0].splitlines()
     printed = [entry.text() for entry in decode.read(path, decode.Selection.of([], 1.0, 1.0051))]
     assert len(shown) == 5

@@ -9,7 +9,7 @@ from pathlib import Path
 import can
 import pytest
 
-from hil.trace import decode
+from hil.wire.trace import decode
 from tests.processes import HIL, environment, hil
 from tests.traced_runs import one_second_of_frames, traced
 

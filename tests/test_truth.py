@@ -6,10 +6,10 @@ from types import SimpleNamespace
 import pytest
 
 from firmware_protocol.generated.messages import State
-from hil.devices.truth import TruthClient
-from hil.devices.truth_server import TruthServer
-from hil.errors import DeviceError
-from hil.types import ZERO_WHEELS, Pose, PoseFix, Twist
+from hil.core.errors import DeviceError
+from hil.core.types import ZERO_WHEELS, Pose, PoseFix, Twist
+from hil.robot.truth import TruthClient
+from hil.robot.truth_server import TruthServer
 from tests.processes import wait_for
 
 MS = 1_000_000

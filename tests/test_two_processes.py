@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from firmware_protocol.generated.messages import State
-from hil.devices.truth import TruthClient
-from hil.devices.truth_wire import TruthRecord
-from hil.errors import BadInputError, DeviceError
+from hil.core.errors import BadInputError, DeviceError
 from hil.review import read, review
+from hil.robot.truth import TruthClient
+from hil.robot.truth_wire import TruthRecord
 from hil.scenario import load
 from tests.processes import HIL, Device, device, environment, hil, run_json, wait_for
 

@@ -13,8 +13,8 @@ from firmware_protocol import codec
 from firmware_protocol.framing import Framer
 from firmware_protocol.generated import messages as m
 from firmware_protocol.stm32_flash import PARAMETER_ADDRESS
-from hil.devices.targets.machine.timer import CR1
-from hil.errors import DeviceError
+from hil.core.errors import DeviceError
+from hil.robot.targets.machine.timer import CR1
 from tests.arm_programs import compile_program
 from tests.emulated_boards import Host, converse, firmware, needs_compiler, needs_unicorn, plant_of, stored
 from tests.examples import share_of_examples
@@ -32,7 +32,7 @@ LINKS = pytest.mark.parametrize("link", ["serial", "can"])
 @contextlib.contextmanager
 def open_board(link: str, rig: WheelRig | None = None):
     """A board in front of a rig, which lives as long."""
-    from hil.devices.targets.unicorn_board import UnicornBoard
+    from hil.robot.targets.unicorn_board import UnicornBoard
 
     rig = WheelRig(lockstep=True) if rig is None else rig
     with UnicornBoard(firmware(link), *plant_of(rig), stored()) as board:
@@ -195,7 +195,7 @@ def test_what_arrives_while_the_chip_is_in_reset_is_counted_as_missed(link: str)
 
 
 def test_a_board_that_is_interrupted_while_it_boots_is_closed(monkeypatch: pytest.MonkeyPatch):
-    from hil.devices.targets.plant_line import PlantLine
+    from hil.robot.targets.plant_line import PlantLine
 
     def interrupted(_line: PlantLine, _data: bytes) -> bytes:
         raise KeyboardInterrupt
@@ -221,7 +221,7 @@ def test_a_plant_that_fails_is_told_and_time_stands_still():
 
 
 def test_what_the_chip_cannot_do_ends_the_board_with_a_sentence(tmp_path: Path):
-    from hil.devices.targets.unicorn_board import UnicornBoard
+    from hil.robot.targets.unicorn_board import UnicornBoard
 
     wild = compile_program(tmp_path, "int main(void) { REGISTER(0x40012000) = 1; for (;;) WAIT(); }")
     rig = WheelRig(lockstep=True)

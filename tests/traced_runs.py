@@ -4,7 +4,7 @@ import can
 
 from firmware_protocol import codec
 from firmware_protocol.generated import messages as m
-from hil.assembly import run
+from hil.runtime.assembly import run
 
 SHORT = {"loop.duration_s": 0.15, "expect": []}
 

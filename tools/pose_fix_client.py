@@ -1,7 +1,7 @@
 """A client example: sends pose fixes to a run that has ``estimator.fix = "udp://127.0.0.1:PORT"``.
 
 Reads one pose a line from standard input, ``unix_time_s x_m y_m heading_rad``, and sends each at once as a message of
-version 1 (hil/estimator/ESTIMATORS.md). A time of ``now`` stands for the present. A line that is no pose is skipped;
+version 1 (hil/estimation/ESTIMATORS.md). A time of ``now`` stands for the present. A line that is no pose is skipped;
 how many were is said at the end. It needs Python's own library alone; put in its place whatever your localisation
 gives::
 

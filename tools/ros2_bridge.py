@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from hil.errors import BadInputError, HilError
+from hil.core.errors import BadInputError, HilError
 from hil.service.client import Live, find
 from hil.service.messages import Action
 from tools.ros2_messages import Deviations, Names, Values, joint_states, odometry, transform, twist_arguments

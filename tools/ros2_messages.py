@@ -8,9 +8,9 @@ import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from hil.errors import BadInputError
-from hil.kinematics import to_body
-from hil.types import Twist
+from hil.core.errors import BadInputError
+from hil.core.kinematics import to_body
+from hil.core.types import Twist
 
 Values = dict[str, Any]
 _NOT_MEASURED = 1e6

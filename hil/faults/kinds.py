@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from hil.links.language import WHEEL_DBC
-from hil.signals import SIGNAL_NAMES
-from hil.types import WHEEL_NAMES
+from hil.core.language import WHEEL_DBC
+from hil.core.signals import SIGNAL_NAMES
+from hil.core.types import WHEEL_NAMES
 
 DIRECTIONS = ("command", "feedback")
 MESSAGES = tuple(name for number, name in WHEEL_DBC.names.items() if number < WHEEL_DBC.exempt_from)

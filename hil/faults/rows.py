@@ -10,9 +10,9 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from firmware_protocol.generated.messages import State
-from hil.errors import nearest
+from hil.core.errors import nearest
+from hil.core.signals import SIGNAL_NAMES
 from hil.faults.kinds import KINDS, Kind
-from hil.signals import SIGNAL_NAMES
 
 NS_PER_S = 1_000_000_000
 NEVER_NS = 2**62

@@ -12,7 +12,7 @@ from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 from xml.parsers import expat
 
-from hil.errors import BadInputError, nearest
+from hil.core.errors import BadInputError, nearest
 from hil.plant.unpacking import extract as extract
 from hil.plant.unpacking import opened, pieces, refuse_folder
 from native_build.built_from import NotCurrentError

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from hil.errors import BadInputError
+from hil.core.errors import BadInputError
 from hil.plant import archive
 from hil.plant.start import Value, start_values
 from hil.plant.words import one_line

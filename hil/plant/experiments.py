@@ -9,8 +9,8 @@ import math
 from collections.abc import Callable, Mapping
 from typing import NamedTuple, Protocol
 
-from hil.kinematics import BodyTwist, body_twist, to_body
-from hil.types import PoseFix, Wheels
+from hil.core.kinematics import BodyTwist, body_twist, to_body
+from hil.core.types import PoseFix, Wheels
 
 DIRECTIONS = {
     "forward": Wheels(1.0, 1.0, 1.0, 1.0),

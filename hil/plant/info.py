@@ -6,7 +6,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
-from hil.errors import BadInputError, nearest
+from hil.core.errors import BadInputError, nearest
 from hil.plant import archive
 from hil.plant.description import read_description
 from plant_fmu import SHIPPED

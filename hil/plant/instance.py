@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from hil.errors import BadInputError, DeviceError, HilError
+from hil.core.errors import BadInputError, DeviceError, HilError
 from hil.plant import archive
 from hil.plant.archive import Library
 from hil.plant.description import read_description, variables_of

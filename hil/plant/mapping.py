@@ -30,8 +30,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hil.errors import BadInputError, nearest
-from hil.plant_signals import (
+from hil.core.errors import BadInputError, nearest
+from hil.core.plant_signals import (
     ACCELEROMETER,
     ANGLES,
     BATTERY,

@@ -7,7 +7,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from hil.errors import BadInputError, DeviceError
+from hil.core.errors import BadInputError, DeviceError
+from hil.core.types import Pose, PoseFix, Twist, Wheels
 from hil.plant import shim
 from hil.plant.mapping import SignalMap
 from hil.plant.memory import DEFAULT_LIMIT_MB, IS_TOLD
@@ -16,7 +17,6 @@ from hil.plant.said import Said
 from hil.plant.settable import Settable
 from hil.plant.start import Value
 from hil.plant.words import one_line
-from hil.types import Pose, PoseFix, Twist, Wheels
 
 _OPENING_STEPS = 10.0  # time limits of a step that loading, initialising and resetting may take
 _NO_ROWS = SignalMap()

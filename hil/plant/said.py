@@ -4,8 +4,8 @@ import threading
 from collections import deque
 from collections.abc import Iterable
 
+from hil.core.ports import Note
 from hil.plant.words import one_line
-from hil.ports import Note
 
 _LOGGED_TROUBLE = tuple(f"log ({status})" for status in ("warning", "discard", "error", "fatal"))  # as cosim.c has it
 _FIRST_LINES = 100

@@ -9,7 +9,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from hil.errors import BadInputError, HilError
+from hil.core.errors import BadInputError, HilError
 from hil.plant import shim
 from hil.plant.fmu import FmuPlant
 from hil.plant.mapping import Row, SignalMap

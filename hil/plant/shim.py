@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 
 import cffi
 
-from hil.errors import BadInputError
+from hil.core.errors import BadInputError
+from hil.core.plant_signals import OUTPUTS
 from hil.plant.build import BUILT, HEADERS
 from hil.plant.mapping import Connection, Wiring
-from hil.plant_signals import OUTPUTS
 from native_build.built_from import NotCurrentError, digest_in_library
 
 _SECTION = re.compile(r"/\* cffi: begin \*/(.*?)/\* cffi: end \*/", re.DOTALL)

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from hil.errors import BadInputError
+from hil.core.errors import BadInputError
 
 _RELATIVE_TOLERANCE = 1e-10
 _MOST_EVENTS = 1000  # within one tick

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hil.errors import BadInputError, nearest
+from hil.core.errors import BadInputError, nearest
 from hil.plant.mapping import FLOATS, INTEGERS, Variables
 
 Value = float | int | bool | str

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from hil.errors import BadInputError
+from hil.core.errors import BadInputError
 from hil.plant import archive, shim
 from hil.plant.conformance.findings import Finding, Kind, advice, violation
 from hil.plant.description import read_description

@@ -16,7 +16,7 @@ import zlib
 from collections.abc import Container, Iterator
 from pathlib import Path, PurePosixPath
 
-from hil.errors import BadInputError
+from hil.core.errors import BadInputError
 
 _MOST_BYTES = 512 * 1024 * 1024  # unpacked; large FMUs with resources stay below
 _MOST_ENTRIES = 20_000

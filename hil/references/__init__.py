@@ -1,6 +1,7 @@
-"""Where the robot should be: references as pure functions of the scenario's time (see REFERENCES.md).
+"""Where the robot should be, as pure functions of the scenario's time (REFERENCES.md).
 
-One file a kind; ``registry`` makes them from a scenario's table, ``feasibility`` holds them against a robot's limits.
+May import: `core`.
+To add a kind of reference: one file here and a row in `registry.py`.
 """
 
 from hil.references.circle import Circle

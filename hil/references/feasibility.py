@@ -3,9 +3,9 @@
 import math
 from typing import Any, NamedTuple
 
-from hil.model import RobotModel
+from hil.core.model import RobotModel
+from hil.core.types import WHEEL_NAMES
 from hil.references.motion import ReferenceSource
-from hil.types import WHEEL_NAMES
 
 FINEST_S = 0.01
 MOST_SAMPLES = 20_000

@@ -14,9 +14,9 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-from hil.options import require_not_negative, require_positive
+from hil.core.options import require_not_negative, require_positive
+from hil.core.types import Reference
 from hil.references.motion import Point, moving, ramped
-from hil.types import Reference
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from hil.types import Acceleration, Pose, Reference, Twist
+from hil.core.types import Acceleration, Pose, Reference, Twist
 
 
 @dataclass(frozen=True, slots=True)

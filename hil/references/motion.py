@@ -2,7 +2,7 @@
 
 from typing import NamedTuple, Protocol
 
-from hil.types import Reference, make_acceleration, make_pose, make_reference, make_twist
+from hil.core.types import Reference, make_acceleration, make_pose, make_reference, make_twist
 
 
 class ReferenceSource(Protocol):

@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from hil.errors import BadInputError, nearest
-from hil.options import build
+from hil.core.errors import BadInputError, nearest
+from hil.core.options import build
 from hil.references.circle import Circle
 from hil.references.figure_eight import FigureEight
 from hil.references.hold import Hold

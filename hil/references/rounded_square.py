@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 from itertools import accumulate
 from typing import ClassVar, Literal
 
-from hil.options import require_not_negative, require_positive
+from hil.core.options import require_not_negative, require_positive
+from hil.core.types import Reference
 from hil.references.curves import Bend, Line, Linear, Section
 from hil.references.motion import moving, ramped
-from hil.types import Reference
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,11 +16,11 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import ClassVar, NamedTuple
 
-from hil.kinematics import wrap_angle
+from hil.core.kinematics import wrap_angle
+from hil.core.types import Acceleration, Pose, Reference, Twist
 from hil.references.curves import EASED_PEAKS, Bend, Eased, HeadingLaw, Line, Linear, Section
 from hil.references.double_s import Limits, Phase, after, profile, reachable_speed
 from hil.references.motion import moving
-from hil.types import Acceleration, Pose, Reference, Twist
 
 SHARPEST_RAD = math.radians(150.0)
 """A corner that turns by more is no bend: the robot stops there."""

@@ -4,9 +4,9 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-from hil.options import require_not_negative, require_positive
+from hil.core.options import require_not_negative, require_positive
+from hil.core.types import Acceleration, Pose, Reference, Twist
 from hil.references.motion import ramped
-from hil.types import Acceleration, Pose, Reference, Twist
 
 
 @dataclass(frozen=True, slots=True)

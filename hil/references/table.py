@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from hil.errors import BadInputError, nearest
+from hil.core.errors import BadInputError, nearest
 
 LARGEST_BYTES = 50_000_000
 LARGEST_NUMBER = 1e6

@@ -7,12 +7,12 @@ from itertools import pairwise
 from pathlib import Path
 from typing import ClassVar
 
-from hil.errors import BadInputError
-from hil.options import require_not_negative
+from hil.core.errors import BadInputError
+from hil.core.options import require_not_negative
+from hil.core.types import Acceleration, Reference, Twist
 from hil.references.motion import Phase, Point, ReferenceSource, moving, ramped
 from hil.references.smoothing import SmoothingSpline
 from hil.references.table import Format, read_table
-from hil.types import Acceleration, Reference, Twist
 
 FORMAT = Format(
     columns=("t_s", "x_m", "y_m", "heading_rad"),

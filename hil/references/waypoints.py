@@ -6,8 +6,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Literal
 
-from hil.errors import BadInputError
-from hil.options import require_positive
+from hil.core.errors import BadInputError
+from hil.core.options import require_positive
 from hil.references.double_s import Limits
 from hil.references.motion import ReferenceSource
 from hil.references.route import Waypoint, plan

@@ -1,4 +1,7 @@
-"""Review of recordings: the figures of a run from its recording alone, two runs side by side, pages and exports.
+"""Recordings read back: figures, comparison of two runs, pages, plots, exports, replay (REVIEW.md).
+
+May import: `judge`, `scenario`, `record`, `laws`, `core`.
+To add a plot: `pictures.py`; an export: `export.py`.
 
 run = read(Path("run.rrd"))                # every signal; see RecordedRun
 figures = review(Path("run.rrd"))          # as hil run --json has them

@@ -1,4 +1,4 @@
-"""Decoding of a recording in MCAP, as ``hil.telemetry.mcap_file`` writes it, also without its end."""
+"""Decoding of a recording in MCAP, as ``hil.record.mcap_file`` writes it, also without its end."""
 
 import json
 import os
@@ -13,9 +13,9 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Header, Message, Metadata
 from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk, get_chunk_data_stream
 
+from hil.record.mcap_file import CDR_HEADER, EVENTS_TOPIC, LEVELS, SIGNALS_TOPIC, ZERO_KEY
+from hil.record.names import SIGNALS_PROPERTY
 from hil.review.contents import Contents, DamagedError, Series, Wanted, json_property, why_nothing
-from hil.telemetry.mcap_file import CDR_HEADER, EVENTS_TOPIC, LEVELS, SIGNALS_TOPIC, ZERO_KEY
-from hil.telemetry.names import SIGNALS_PROPERTY
 
 _LEVEL_NAMES = {number: {"warning": "WARN"}.get(name, name.upper()) for name, number in LEVELS.items()}
 _LONGEST_RECORD_BYTES = 256 << 20

@@ -1,4 +1,4 @@
-"""Decoding of an .rrd recording, as ``hil.telemetry.stream`` writes it, and rerun's own tools, also without its end."""
+"""Decoding of an .rrd recording, as ``hil.record.stream`` writes it, and rerun's own tools, also without its end."""
 
 import functools
 import operator
@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from hil.record.files import has_end
+from hil.record.names import OVERLAY_PROPERTY, SIGNALS_PATH, SIGNALS_PROPERTY
 from hil.review.contents import Contents, DamagedError, Series, Wanted, json_property, why_nothing
-from hil.telemetry.files import has_end
-from hil.telemetry.names import OVERLAY_PROPERTY, SIGNALS_PATH, SIGNALS_PROPERTY
 
 if TYPE_CHECKING:
     import pyarrow as pa

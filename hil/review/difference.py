@@ -5,10 +5,10 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
-from hil.figure_words import FIGURES
+from hil.core.figure_words import FIGURES
+from hil.record.names import HASHES, PROPERTY_WORDS, hash_text
 from hil.review.figures import scenario_of
 from hil.review.reader import RecordedRun
-from hil.telemetry.names import HASHES, PROPERTY_WORDS, hash_text
 
 _SAME = 1e-9
 # Neither less nor more of these is better.

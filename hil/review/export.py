@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from hil.errors import BadInputError
-from hil.outputs import Existing
+from hil.core.errors import BadInputError
+from hil.core.outputs import Existing
+from hil.core.signals import SIGNALS, unit_of
+from hil.core.whole_file import whole_file
+from hil.record.files import check_output_path
 from hil.review.reader import RecordedRun
-from hil.signals import SIGNALS, unit_of
-from hil.telemetry.files import check_output_path
-from hil.whole_file import whole_file
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -65,7 +65,7 @@ def _write_parquet(run: RecordedRun, file: Path) -> None:
 
 
 def _write_mcap(run: RecordedRun, file: Path) -> None:
-    from hil.telemetry.mcap_file import McapFile
+    from hil.record.mcap_file import McapFile
 
     writer = McapFile(
         file,

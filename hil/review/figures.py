@@ -8,12 +8,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hil.errors import BadInputError
-from hil.expectations import outcomes_of
-from hil.metrics import FIGURE_SIGNALS, CommandLimits, cut_words, signal_figures
+from hil.core.errors import BadInputError
+from hil.core.signals import SIGNAL_NAMES
+from hil.judge.expectations import outcomes_of
+from hil.judge.metrics import FIGURE_SIGNALS, CommandLimits, cut_words, signal_figures
+from hil.record.known import table_rows
 from hil.review.reader import RecordedRun, read
-from hil.signals import SIGNAL_NAMES
-from hil.telemetry.known import table_rows
 
 _NO_SUMMARY = "the recording has no summary: the run did not come to its end"
 _NO_END = "the recording has no summary, for it has no end: what became of the run is not known"
@@ -41,7 +41,7 @@ _LATE_S = 1.0  # a run in real time may have missed its first ticks
 
 
 class _Expect(NamedTuple):
-    """A row of ``[[expect]]`` as a recording has it; see ``hil.expectations.Expect``."""
+    """A row of ``[[expect]]`` as a recording has it; see ``hil.judge.expectations.Expect``."""
 
     signal: str
     from_s: float = 0.0

@@ -16,19 +16,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from hil.child import module_command
-from hil.errors import BadInputError
-from hil.outputs import Existing
-from hil.plots import Curve, colour_of, thinned
+from hil.core.child import module_command
+from hil.core.errors import BadInputError
+from hil.core.outputs import Existing
+from hil.core.signals import unit_of
+from hil.core.types import WHEEL_NAMES
+from hil.core.whole_file import whole_file
+from hil.record.environment import rerun_environment
+from hil.record.files import check_output_path
+from hil.record.layout import REFERENCE_COLOUR
+from hil.record.names import OVERLAY_PROPERTY
 from hil.review.difference import changes
+from hil.review.plots import Curve, colour_of, thinned
 from hil.review.reader import RecordedRun, read
-from hil.signals import unit_of
-from hil.telemetry.environment import rerun_environment
-from hil.telemetry.files import check_output_path
-from hil.telemetry.layout import REFERENCE_COLOUR
-from hil.telemetry.names import OVERLAY_PROPERTY
-from hil.types import WHEEL_NAMES
-from hil.whole_file import whole_file
 
 if TYPE_CHECKING:
     import rerun as rr

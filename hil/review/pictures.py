@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hil.html_page import Picture, picture
-from hil.plots import Curve, colour_of, draw_curves, draw_error, draw_path, rgb, thinned
+from hil.core.types import WHEEL_NAMES
+from hil.record.layout import ALARM_COLOUR
 from hil.review.figures import scenario_of, torque_constant_n_m_a
+from hil.review.html_page import Picture, picture
+from hil.review.plots import Curve, colour_of, draw_curves, draw_error, draw_path, rgb, thinned
 from hil.review.reader import RecordedRun
 from hil.review.spectrum import spectrum
-from hil.telemetry.layout import ALARM_COLOUR
-from hil.types import WHEEL_NAMES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

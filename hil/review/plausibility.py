@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from hil.core.signals import SIGNAL_NAMES
 from hil.review.contents import DamagedError, Series
-from hil.signals import SIGNAL_NAMES
 
 CLOCK = frozenset({"loop.t_s", "loop.tick"})
 """The signals that every row is checked by."""

@@ -14,10 +14,10 @@ from typing import IO, TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hil.child import module_command
-from hil.errors import BadInputError
-from hil.telemetry.environment import rerun_environment
-from hil.telemetry.files import EXPECTED_FILE, check_is_recording
+from hil.core.child import module_command
+from hil.core.errors import BadInputError
+from hil.record.environment import rerun_environment
+from hil.record.files import EXPECTED_FILE, check_is_recording
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.errors import BadInputError
-from hil.outputs import Existing
+from hil.core.errors import BadInputError
+from hil.core.outputs import Existing
+from hil.core.whole_file import whole_file
+from hil.record.files import check_output_path
 from hil.review.reader import RecordedRun
-from hil.telemetry.files import check_output_path
-from hil.whole_file import whole_file
 
 _POSE = ("x_m", "y_m", "heading_rad")
 

@@ -1,4 +1,7 @@
-"""A run as data: a scenario in TOML, its layers stacked, validated and frozen.
+"""A run as data: a scenario in TOML, its layers stacked, validated and frozen. The shipped ones are in `shipped/`.
+
+May import: `drivers`, `wire`, `faults`, `estimation`, `references`, `laws`, `core`.
+To add a key: `tables.py`.
 
 load("paper_circle", set=["robot.mass_kg=24"])    -> Scenario
 resolved(scenario)                                -> every value and where it came from

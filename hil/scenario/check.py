@@ -6,7 +6,8 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from hil.errors import BadInputError, nearest
+from hil.core.errors import BadInputError, nearest
+from hil.core.signals import INDEX
 from hil.references import make_reference
 from hil.scenario import layers, motors
 from hil.scenario.allow import REALTIME_ALLOW
@@ -14,7 +15,6 @@ from hil.scenario.laws import make_laws
 from hil.scenario.layers import Given, Tree
 from hil.scenario.problems import complaint, describe, place
 from hil.scenario.tables import RATES_HZ, Tables
-from hil.signals import INDEX
 
 WATCHDOG_PERIODS = 5
 _WATCHDOG_RULE = f"default: {WATCHDOG_PERIODS} command periods, within 0.02 to 0.1 s"

@@ -3,12 +3,12 @@
 from collections.abc import Sequence
 from dataclasses import MISSING, fields
 
-from hil.dialects.port import Capabilities, Dialect, RobotFacts
-from hil.dialects.registry import DIALECTS, OUR_DRIVER, dialect
-from hil.options import build
+from hil.core.options import build
+from hil.core.types import CommandMode
+from hil.drivers.port import Capabilities, Dialect, RobotFacts
+from hil.drivers.registry import DIALECTS, OUR_DRIVER, dialect
 from hil.scenario.load import load
 from hil.scenario.motors import robot_facts
-from hil.types import CommandMode
 
 COLUMNS = ("driver", "wires", "commands", "feedback", "sensors", "watchdog", "e-stop", "what")
 

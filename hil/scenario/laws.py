@@ -3,14 +3,14 @@
 from pathlib import Path
 from typing import NamedTuple
 
-from hil.controllers.own_signals import own_signals
-from hil.controllers.registry import make_controller
-from hil.controllers.user import UserLaw
-from hil.model import RobotModel
-from hil.ports import Controller, OwnSignals
+from hil.core.model import RobotModel
+from hil.core.ports import Controller, OwnSignals
+from hil.core.signals import SIGNAL_NAMES
+from hil.laws.own_signals import own_signals
+from hil.laws.registry import make_controller
+from hil.laws.shadows import Shadows
+from hil.laws.user import UserLaw
 from hil.scenario.tables import Tables
-from hil.shadows import Shadows
-from hil.signals import SIGNAL_NAMES
 
 
 class Laws(NamedTuple):

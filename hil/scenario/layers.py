@@ -10,8 +10,8 @@ replaces the row before.
 from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
-from hil.dialects.registry import OUR_DRIVER
-from hil.errors import BadInputError
+from hil.core.errors import BadInputError
+from hil.drivers.registry import OUR_DRIVER
 from hil.scenario.tables import PLANT_SIGNALS, SHIPPED_FMUS, MapRow, PlantTable
 from plant_fmu.shipped import variable_names
 

@@ -10,17 +10,17 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from hil.controllers.registry import give_law
-from hil.errors import BadInputError, nearest
+from hil.core.errors import BadInputError, nearest
+from hil.core.suffix import TEST_SUFFIX
+from hil.laws.registry import give_law
 from hil.scenario import layers
 from hil.scenario.check import check, derived
 from hil.scenario.fields import is_path
 from hil.scenario.layers import Given, Tree
 from hil.scenario.run import Scenario, values
 from hil.scenario.toml_text import format_value, key_lines, parse, parse_value
-from hil.suffix import TEST_SUFFIX
 
-SHIPPED_DIRECTORY = Path(__file__).parent.parent / "scenarios"
+SHIPPED_DIRECTORY = Path(__file__).parent / "shipped"
 ROBOT_TABLES = ("robot", "firmware", "device", "link", "realtime")
 """What a robot's own file may hold, so that any scenario runs on it."""
 

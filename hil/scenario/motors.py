@@ -2,12 +2,12 @@
 
 from collections.abc import Collection, Iterator, Mapping
 
-from hil.dialects.port import Driver, RobotFacts, Sensor, Wire
-from hil.dialects.registry import dialect
+from hil.core.types import WHEEL_NAMES
+from hil.drivers.port import Driver, RobotFacts, Sensor, Wire
+from hil.drivers.registry import dialect
 from hil.faults.kinds import MESSAGES
-from hil.links.url import CanUrl, LinkUrl, MemoryUrl, SerialUrl, parse_link
 from hil.scenario.tables import Tables
-from hil.types import WHEEL_NAMES
+from hil.wire.url import CanUrl, LinkUrl, MemoryUrl, SerialUrl, parse_link
 
 _WIRES = {
     "can": "a CAN bus: can:INTERFACE/CHANNEL, or memory: within one process",

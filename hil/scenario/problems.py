@@ -6,7 +6,7 @@ from typing import Any, Literal, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
-from hil.errors import near, nearest
+from hil.core.errors import near, nearest
 from hil.faults.rows import find, names
 from hil.scenario.fields import Table
 from hil.scenario.layers import Given, Node, Path, Tree, dotted, leaves

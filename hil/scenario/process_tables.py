@@ -2,8 +2,10 @@
 
 from pydantic import Field, field_validator
 
-from hil.realtime import PRIORITY
 from hil.scenario.fields import Table
+
+PRIORITY = 40
+"""Asked for by default. A real-time kernel's threads for interrupts, the serial port's among them, have 50."""
 
 
 class RealtimeTable(Table):

@@ -12,18 +12,18 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, ConfigDict, Field, PrivateAttr, ValidationInfo, field_validator
 
-from hil.controllers.own_signals import short_name
-from hil.dialects.registry import OUR_DRIVER, dialect, driver_names
-from hil.errors import BadInputError, nearest
-from hil.links.url import parse_link
-from hil.localisation.address import parse_address
-from hil.options import build
-from hil.plant_signals import INPUTS, OUTPUTS
+from hil.core.errors import BadInputError, nearest
+from hil.core.options import build
+from hil.core.plant_signals import INPUTS, OUTPUTS
+from hil.core.types import WHEEL_NAMES, CommandMode
+from hil.drivers.registry import OUR_DRIVER, dialect, driver_names
+from hil.estimation.localisation.address import parse_address
+from hil.laws.own_signals import short_name
 from hil.scenario.allow import AllowTable
 from hil.scenario.fields import Milliseconds, Option, OptionValue, Setting, Start, Table, Text, is_path
 from hil.scenario.process_tables import RealtimeTable, ServiceTable
 from hil.scenario.rows import ExpectTable, FaultTable
-from hil.types import WHEEL_NAMES, CommandMode
+from hil.wire.url import parse_link
 from plant_fmu import SHIPPED
 
 TICKS_PER_SECOND = 1000  # the firmware loop

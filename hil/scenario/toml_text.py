@@ -6,7 +6,7 @@ import tomllib
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from hil.errors import BadInputError
+from hil.core.errors import BadInputError
 from hil.scenario.layers import Path
 
 

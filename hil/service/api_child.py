@@ -13,12 +13,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from hil.child import away_from_terminal, child_environment, module_command, start_children_as_ordinary
-from hil.errors import BadInputError, DeviceError
-from hil.json_lines import LinePoll, LineWriter
+from hil.core.child import away_from_terminal, child_environment, module_command, start_children_as_ordinary
+from hil.core.claims import Claim
+from hil.core.errors import BadInputError, DeviceError
+from hil.core.json_lines import LinePoll, LineWriter
 from hil.service import logs
 from hil.service.api_config import ApiConfig
-from hil.service.claims import Claim
 from hil.service.discovery import Service, announce
 from hil.service.messages import SILENT_S, Action, Answer, Order, Status, from_line, to_line
 

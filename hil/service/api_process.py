@@ -12,8 +12,8 @@ import sys
 from pathlib import Path
 from typing import Any, cast
 
-from hil.errors import BadInputError
-from hil.json_lines import LineReader, LineWriter
+from hil.core.errors import BadInputError
+from hil.core.json_lines import LineReader, LineWriter
 from hil.service import logs
 from hil.service.api_config import ApiConfig
 from hil.service.discovery import make_token, own_token_file, read_token

@@ -12,7 +12,7 @@ import httpx
 from websockets.exceptions import ConnectionClosed, InvalidStatus, WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
-from hil.errors import BadInputError, DeviceError, LinkError, RunInterruptedError
+from hil.core.errors import BadInputError, DeviceError, LinkError, RunInterruptedError
 from hil.service.api_config import HOST
 from hil.service.discovery import Service, read_token, running
 from hil.service.messages import LONG, Action

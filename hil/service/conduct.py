@@ -4,12 +4,12 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
-from hil.errors import BadInputError
-from hil.kinematics import BodyTwist
+from hil.core.errors import BadInputError
+from hil.core.kinematics import BodyTwist
+from hil.core.types import NAN_POSE, Acceleration, Pose, Reference, State, Twist
 from hil.references import ReferenceSource
 from hil.service.messages import Task
 from hil.service.motions import Drive, Follow, Motion, Speeds, frame_at, way_to
-from hil.types import NAN_POSE, Acceleration, Pose, Reference, State, Twist
 
 _REST = Twist(0.0, 0.0, 0.0), Acceleration(0.0, 0.0, 0.0)
 NOWHERE = Reference(NAN_POSE, *_REST)

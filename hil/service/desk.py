@@ -7,20 +7,20 @@ from concurrent.futures import Executor, Future
 from pathlib import Path
 from typing import Any
 
-from hil.errors import BadInputError, HilError
-from hil.kinematics import BodyTwist
-from hil.outputs import existing_files
+from hil.core.errors import BadInputError, HilError
+from hil.core.kinematics import BodyTwist
+from hil.core.outputs import existing_files
+from hil.core.types import Pose
+from hil.record import Recording
+from hil.record.runs_folder import new_in_runs
 from hil.references import ReferenceSource, make_reference
-from hil.runs_folder import new_in_runs
+from hil.runtime.provenance import law_ingredients
 from hil.scenario import Scenario
 from hil.scenario.laws import make_laws
 from hil.service import logs
 from hil.service.messages import MOVING, Action, Answer, Order
 from hil.service.pilot import Pilot
 from hil.service.records import Records, finished, recording_of
-from hil.telemetry import Recording
-from hil.telemetry.provenance import law_ingredients
-from hil.types import Pose
 
 Result = Mapping[str, Any]
 Then = Callable[[Any], Result]

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from platformdirs import user_state_path
 
-from hil.errors import BadInputError
-from hil.service.claims import Claim, TakenError, held, write_private
+from hil.core.claims import Claim, TakenError, held, write_private
+from hil.core.errors import BadInputError
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

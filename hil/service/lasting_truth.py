@@ -2,9 +2,9 @@
 
 from collections.abc import Callable
 
-from hil.errors import DeviceError
-from hil.ports import PoseSource
-from hil.types import PoseFix
+from hil.core.errors import DeviceError
+from hil.core.ports import PoseSource
+from hil.core.types import PoseFix
 
 
 class LastingTruth:

@@ -6,11 +6,11 @@ Time is the service's own, in seconds; it only grows.
 import math
 from typing import NamedTuple, Protocol
 
-from hil.kinematics import BodyTwist, to_body, to_world, wrap_angle
+from hil.core.kinematics import BodyTwist, to_body, to_world, wrap_angle
+from hil.core.types import Acceleration, Pose, Reference, Twist
 from hil.references import ReferenceSource
 from hil.references.double_s import Limits
 from hil.references.route import Route, Waypoint, plan
-from hil.types import Acceleration, Pose, Reference, Twist
 
 _NO_TWIST = BodyTwist(0.0, 0.0, 0.0)
 _STILL = Acceleration(0.0, 0.0, 0.0)

@@ -1,7 +1,7 @@
 """What stands in a tick where a law has failed: it is asked for nothing more, not even for its gains."""
 
-from hil.tick import Parts
-from hil.types import NAN, NO_GAINS, Applied, Reference, State, WheelCommand
+from hil.core.types import NAN, NO_GAINS, Applied, Reference, State, WheelCommand
+from hil.runtime.tick import Parts
 
 
 class _NoLaw:

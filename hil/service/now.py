@@ -6,15 +6,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from hil.bench import Bench
-from hil.devices.port import Identity
-from hil.lateness import Lateness
-from hil.realtime import RealTime
+from hil.core.types import Gains, Wheels
+from hil.robot.port import Identity
+from hil.runtime.bench import Bench
+from hil.runtime.lateness import Lateness
+from hil.runtime.realtime import RealTime
 from hil.scenario import Scenario
 from hil.service.messages import Phase, Status
 from hil.service.pilot import Pilot
 from hil.service.records import Records
-from hil.types import Gains, Wheels
 
 _HEALTH = ("good", "degraded", "lost")
 

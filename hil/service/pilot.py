@@ -9,20 +9,20 @@ import math
 from collections.abc import Callable
 
 from firmware_protocol.generated.messages import State as RobotState
-from hil.errors import BadInputError, DeviceError, HilError, LinkError, OverdueError, RobotStoppedError
-from hil.kinematics import BodyTwist
-from hil.recovery import Recovery, Warned
+from hil.core.errors import BadInputError, DeviceError, HilError, LinkError, OverdueError, RobotStoppedError
+from hil.core.kinematics import BodyTwist
+from hil.core.signals import LoopSignals
+from hil.core.tick_watch import TickOverdue
+from hil.core.types import CommandMode, Pose, PoseFix, Reference, State
 from hil.references import ReferenceSource
-from hil.sampling import Timing
+from hil.runtime.recovery import Recovery, Warned
+from hil.runtime.sampling import Timing
+from hil.runtime.tick import Parts, Tick
 from hil.scenario.laws import Laws
 from hil.service.conduct import NOWHERE, Conduct, Rules
 from hil.service.emergency import EmergencyStop
 from hil.service.messages import Phase, Task
 from hil.service.muted import muted
-from hil.signals import LoopSignals
-from hil.tick import Parts, Tick
-from hil.tick_watch import TickOverdue
-from hil.types import CommandMode, Pose, PoseFix, Reference, State
 
 _ARMING_LIMIT_S = 4.0
 _STOPPING_LIMIT_S = 5.0

@@ -4,11 +4,11 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hil.outputs import Existing
+from hil.core.outputs import Existing
+from hil.record import Recording, RecordingReport
+from hil.runtime.provenance import properties
 from hil.scenario import Scenario
 from hil.service import logs
-from hil.telemetry import Recording, RecordingReport
-from hil.telemetry.provenance import properties
 
 
 class Records:

@@ -8,15 +8,18 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from hil.bench import Bench
-from hil.errors import BadInputError, HilError, LinkError
-from hil.links.back_off import BackOff
-from hil.links.opening_beside import OpeningBeside
-from hil.links.url import parse_link
-from hil.parts import PartsOf
+from hil.core.errors import BadInputError, HilError, LinkError
+from hil.core.signals import LoopSignals
+from hil.core.tick_watch import TickWatch
+from hil.core.types import NAN
 from hil.plant.said import tell
-from hil.realtime import RealTime, Wanted, real_time
-from hil.sampling import Sampling
+from hil.record import Recording
+from hil.record.view import live_hint
+from hil.runtime.bench import Bench
+from hil.runtime.parts import PartsOf
+from hil.runtime.provenance import ingredients
+from hil.runtime.realtime import RealTime, Wanted, real_time
+from hil.runtime.sampling import Sampling
 from hil.scenario import Scenario
 from hil.service import logs
 from hil.service.api_child import ApiChild
@@ -24,19 +27,16 @@ from hil.service.api_config import ApiConfig, Limits, LogStyle
 from hil.service.conduct import Rules
 from hil.service.desk import Desk
 from hil.service.lasting_truth import LastingTruth
-from hil.service.lock import device_held
 from hil.service.messages import Action, Answer, Phase
 from hil.service.motions import Speeds
 from hil.service.now import Counts, Now
 from hil.service.pilot import Pilot
 from hil.service.records import Records, finished, recording_of
 from hil.service.systemd import Notifier
-from hil.signals import LoopSignals
-from hil.telemetry import Recording
-from hil.telemetry.provenance import ingredients
-from hil.telemetry.view import live_hint
-from hil.tick_watch import TickWatch
-from hil.types import NAN
+from hil.wire.back_off import BackOff
+from hil.wire.device_lock import device_held
+from hil.wire.opening_beside import OpeningBeside
+from hil.wire.url import parse_link
 
 _STATUS_HZ = 20
 _FARTHEST_M = 1000.0  # of a pose to go to; beyond it a float32 on the way would lose millimetres

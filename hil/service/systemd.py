@@ -12,7 +12,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from hil.errors import BadInputError
+from hil.core.errors import BadInputError
 
 _UNIT = Path(__file__).with_name("hil-serve.service")
 
@@ -91,7 +91,7 @@ def unit(config: str, options: Sequence[str] = ()) -> str:
         if any(character in word for character in "\n\r\0"):
             raise BadInputError(f"{word!r}: a line break has no place in a unit; leave it out, or rename the file")
     hil = shutil.which("hil", path=str(Path(sys.executable).parent))
-    command = [hil] if hil else [sys.executable, "-P", "-m", "hil.cli"]
+    command = [hil] if hil else [sys.executable, "-P", "-m", "hil.cli.main"]
     filled = {
         "@CONFIG@": _quoted(what),
         "@HIL@": " ".join(_quoted(word) for word in command),

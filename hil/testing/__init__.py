@@ -1,6 +1,6 @@
 """Hardware in the loop in a test suite: what the pytest plugin gives to tests, with its types.
 
-The plugin, ``hil.pytest_plugin``, is installed with the package. It collects ``*.hil.toml`` files and has three
+The plugin, ``hil.cli.pytest_plugin``, is installed with the package. It collects ``*.hil.toml`` files and has three
 fixtures, of these types:
 
     def test_a_heavy_robot_still_tracks(hil_run: RunScenario) -> None:
@@ -10,7 +10,7 @@ fixtures, of these types:
         link = hil_link(virtual_robot("paper_circle"))
         assert link.ask(HelloRequest(PROTOCOL_VERSION), HelloIdentity).schema_hash == SCHEMA_HASH
 
-hil/PYTEST.md has the whole story. Nothing heavy is imported before a fixture is used.
+hil/testing/PYTEST.md has the whole story. Nothing heavy is imported before a fixture is used.
 """
 
 from hil.testing.fixtures import OpenLink, RunScenario, StartRobot

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from hil.errors import HilError
+from hil.core.errors import HilError
 from hil.testing.overrides import Overrides
 
 if TYPE_CHECKING:
-    from hil.assembly import RunResult
+    from hil.runtime.assembly import RunResult
     from hil.testing.robot_link import RobotLink
     from hil.testing.robot_process import RobotProcess
 

@@ -7,10 +7,10 @@ from typing import TypeVar
 from firmware_protocol import codec
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated.messages import Message
-from hil.errors import DeviceError
-from hil.links.opening import open_host
-from hil.links.url import parse_link
+from hil.core.errors import DeviceError
 from hil.testing.robot_process import RobotProcess
+from hil.wire.opening import open_host
+from hil.wire.url import parse_link
 
 Answer = TypeVar("Answer", bound=Message)
 

@@ -8,8 +8,8 @@ import threading
 from collections.abc import Iterator
 from typing import IO, TYPE_CHECKING
 
-from hil.child import away_from_terminal, child_environment, module_command
-from hil.errors import BadInputError, DeviceError
+from hil.core.child import away_from_terminal, child_environment, module_command
+from hil.core.errors import BadInputError, DeviceError
 from hil.testing.overrides import Overrides
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ class RobotProcess:
         with contextlib.ExitStack() as resources:
             self._words: IO[bytes] = resources.enter_context(tempfile.TemporaryFile())
             self._process = subprocess.Popen(
-                module_command("hil.cli", "device", name, "--until-eof", *overrides.arguments()),
+                module_command("hil.cli.main", "device", name, "--until-eof", *overrides.arguments()),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=self._words,

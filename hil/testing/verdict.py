@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from hil.errors import DeviceError, HilError, LinkError
-from hil.figure_words import in_order, why_incomplete
+from hil.core.errors import DeviceError, HilError, LinkError
+from hil.core.figure_words import in_order, why_incomplete
 from hil.testing.overrides import shown
 
 if TYPE_CHECKING:
-    from hil.results import RunResult
+    from hil.judge.results import RunResult
     from hil.scenario import FaultTable, Scenario
 
 _FACTS = ("law", "mode", "link", "seed", "wire_sha256")
@@ -103,7 +103,7 @@ def run_as_test(
 
     A law that is stuck where no exception gets to ends the session; what is said of it then is not captured.
     """
-    from hil.assembly import run_scenario
+    from hil.runtime.assembly import run_scenario
 
     def uncapture(_sentence: str) -> None:
         if (capturing := config.pluginmanager.getplugin("capturemanager")) is not None:
@@ -124,7 +124,7 @@ def _faults(scenario: "Scenario", metrics: Mapping[str, Any]) -> Iterator[tuple[
 
 
 def _link_figures(metrics: Mapping[str, Any]) -> Iterator[tuple[str, float | None]]:
-    """Yield the main figures of the link (hil/links/STATISTICS.md); None for one that this link cannot have."""
+    """Yield the main figures of the link (hil/wire/STATISTICS.md); None for one that this link cannot have."""
     link = metrics["link_statistics"]
     for way in ("sent", "received"):
         yield f"{way}_frames", link[way]["frames"]

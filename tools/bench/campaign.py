@@ -21,10 +21,10 @@ from rich.console import Console
 from rich.table import Table
 
 import hil
-from hil.campaign.campaign import Campaign
-from hil.campaign.cluster import Place
-from hil.campaign.jobs import NEVER, WORK
-from hil.pool import Performer
+from hil.batch.campaign.campaign import Campaign
+from hil.batch.campaign.cluster import Place
+from hil.batch.campaign.jobs import NEVER, WORK
+from hil.batch.pool import Performer
 
 PLAN = """
 scenario = "{scenario}"

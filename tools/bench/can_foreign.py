@@ -18,9 +18,9 @@ from rich.console import Console
 from rich.table import Table
 
 from firmware_protocol.generated.messages import SENDERS, Tick
-from hil.links.can_bus import CanLink
-from hil.links.can_filters import Filter, filters_for
-from hil.links.url import CanUrl
+from hil.wire.can_bus import CanLink
+from hil.wire.can_filters import Filter, filters_for
+from hil.wire.url import CanUrl
 
 CHANNEL = "can_foreign"
 FOREIGN = 0x555

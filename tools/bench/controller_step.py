@@ -22,13 +22,13 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from hil.controllers.afdsc import Afdsc
-from hil.controllers.registry import SHIPPED
-from hil.errors import BadInputError
-from hil.fuzzy import K1_1_S, K2_1_S, RULES
-from hil.model import FRICTION_SPEED_RAD_S, RobotModel
+from hil.core.errors import BadInputError
+from hil.core.model import FRICTION_SPEED_RAD_S, RobotModel
+from hil.core.types import ZERO_WHEELS, Applied, CommandMode, Pose, Reference, State, Twist, WheelCommand
+from hil.laws.afdsc import Afdsc
+from hil.laws.fuzzy import K1_1_S, K2_1_S, RULES
+from hil.laws.registry import SHIPPED
 from hil.references import make_reference
-from hil.types import ZERO_WHEELS, Applied, CommandMode, Pose, Reference, State, Twist, WheelCommand
 
 Array = NDArray[np.float64]
 

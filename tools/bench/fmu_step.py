@@ -22,13 +22,13 @@ from rich.console import Console
 from rich.table import Table
 
 import plant_fmu
-from hil.errors import HilError
+from hil.core.errors import HilError
+from hil.core.plant_signals import COUNTS, DUTIES, ENABLED, INPUTS, OUTPUTS, POSE, SPEEDS, TORQUES
+from hil.core.types import Wheels
 from hil.plant import shim
 from hil.plant.fmu import FmuPlant
 from hil.plant.mapping import SignalMap, Wiring, resolve
 from hil.plant.start import Value
-from hil.plant_signals import COUNTS, DUTIES, ENABLED, INPUTS, OUTPUTS, POSE, SPEEDS, TORQUES
-from hil.types import Wheels
 from native_build.compiler import SUFFIX, BuildError, compile_shared
 
 HERE = Path(__file__).parent

@@ -3,7 +3,8 @@
 Controller and virtual robot are two processes, with what ``[realtime]`` is granted, recorded. In turns with them runs
 cyclictest (Debian: apt install rt-tests), whose thread only sleeps: what it is late by is the machine's. The reaction
 is from the stamp of the newest feedback to the command that goes out next, as a trace has them. With ``--vcan`` all of
-it runs inside ``tools.socketcan``. ``--page hil/LIMITS.md`` writes the row of this machine into the page's table.
+it runs inside ``tools.socketcan``. ``--page hil/runtime/LIMITS.md`` writes the row of this machine into the page's
+table.
 """
 
 import argparse
@@ -27,9 +28,9 @@ from rich.console import Console
 from rich.table import Table
 
 from firmware_protocol.generated.messages import Tick, TorqueCommand, WheelCommand
-from hil.doctor import kernel
-from hil.lateness import Lateness
-from hil.realtime import PRIORITY
+from hil.cli.checks import kernel
+from hil.runtime.lateness import Lateness
+from hil.scenario.process_tables import PRIORITY
 from tools import socketcan
 
 ROOT = Path(__file__).parents[2]
@@ -38,7 +39,7 @@ RATE_HZ, VCAN_RATE_HZ = 1000, 200
 ON_STDOUT = "-"
 BEGIN, END = "<!-- rates: begin -->", "<!-- rates: end -->"
 SCENARIO = "paper_circle"
-_HIL = (sys.executable, "-m", "hil.cli")
+_HIL = (sys.executable, "-m", "hil.cli.main")
 _COMMANDS = (WheelCommand.ID, TorqueCommand.ID)
 
 

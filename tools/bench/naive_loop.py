@@ -21,9 +21,9 @@ from fmpy import extract, read_model_description
 from fmpy.fmi2 import FMU2Slave
 
 import plant_fmu
-from hil.controllers.afdsc import Afdsc
-from hil.model import RobotModel
-from hil.types import WHEEL_NAMES, Acceleration, Pose, Reference, State, Twist
+from hil.core.model import RobotModel
+from hil.core.types import WHEEL_NAMES, Acceleration, Pose, Reference, State, Twist
+from hil.laws.afdsc import Afdsc
 from tools.bench.controller_step import NumpyAfdsc
 
 DT_S = 0.001

@@ -22,7 +22,7 @@ from rich.table import Table
 ROOT = Path(__file__).parents[2]
 NOTHING = "python -c pass"
 NUMPY = "import numpy"
-_HIL = ("-m", "hil.cli")
+_HIL = ("-m", "hil.cli.main")
 _WAYS = {
     NOTHING: ("-c", "pass"),
     NUMPY: ("-c", "import numpy"),

@@ -27,16 +27,17 @@ from typing import NamedTuple
 import numpy as np
 
 import hil
-from hil.errors import BadInputError
-from hil.realtime import PRIORITY, RealTime, Wanted, real_time
+from hil.core.errors import BadInputError
+from hil.core.signals import SIGNAL_NAMES
+from hil.core.types import WHEEL_NAMES
+from hil.record import Recording
+from hil.record.view import free_port, live_address, viewer_executable
 from hil.review.contents import DamagedError
 from hil.review.decode import decode
+from hil.runtime.provenance import properties
+from hil.runtime.realtime import RealTime, Wanted, real_time
 from hil.scenario import load
-from hil.signals import SIGNAL_NAMES
-from hil.telemetry import Recording
-from hil.telemetry.provenance import properties
-from hil.telemetry.view import free_port, live_address, viewer_executable
-from hil.types import WHEEL_NAMES
+from hil.scenario.process_tables import PRIORITY
 
 PERIOD_NS = 1_000_000
 SCENARIO = "paper_circle"

@@ -20,14 +20,14 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from hil.assembly import run_scenario
-from hil.devices.virtual import MakeNode, VirtualRobot, VirtualStm32, new_robot
-from hil.model import RobotModel
+from hil.core.model import RobotModel
+from hil.core.types import PoseFix
 from hil.plant import archive
 from hil.plant.description import parameter_names
-from hil.robots import plant_start
+from hil.robot.virtual import MakeNode, VirtualRobot, VirtualStm32, new_robot
+from hil.runtime.assembly import run_scenario
+from hil.runtime.robots import plant_start
 from hil.scenario import Scenario, load
-from hil.types import PoseFix
 from tools.bench.naive_loop import NaiveLoop
 
 SCENARIO = "paper_circle"

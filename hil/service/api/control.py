@@ -8,7 +8,7 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from hil.json_lines import LineReader, LineWriter
+from hil.core.json_lines import LineReader, LineWriter
 from hil.service.messages import LONG, MOVING, SILENT_S, Action, Answer, Order, Status, from_line, to_line
 
 ANSWER_S = 1.0

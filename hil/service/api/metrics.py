@@ -14,9 +14,9 @@ from prometheus_client.core import (
 from prometheus_client.exposition import choose_encoder
 from prometheus_client.registry import Collector
 
+from hil.core.types import WHEEL_NAMES
 from hil.service.api.control import Control
 from hil.service.messages import Phase, Status, Task
-from hil.types import WHEEL_NAMES
 
 _QUANTILES = {"p50": "0.5", "p99": "0.99", "p99.9": "0.999"}
 

@@ -5,7 +5,7 @@ import socket
 
 import uvicorn
 
-from hil.json_lines import LineReader, LineWriter
+from hil.core.json_lines import LineReader, LineWriter
 from hil.service import logs
 from hil.service.api.access import Gate
 from hil.service.api.control import Control

@@ -1,0 +1,287 @@
+"""What a campaign came to: pass rates, laws against each other, the effect of each axis, and the worst runs."""
+
+import itertools
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hil.batch.campaign.dataset import KEY, RECORDINGS, read_about, read_plan, read_rows
+from hil.batch.campaign.rows import MACHINE, PASSED, as_judged
+from hil.batch.campaign.statistics import Interval, binned, paired_difference, share_explained, share_of
+
+Series = npt.NDArray[np.float64]
+Row = Mapping[str, Any]
+
+COMPARED = ("steady_rms_m", "steady_max_m", "t10_s", "overshoot_m", "effort_n_m_s")
+"""Figures of which a report shows more than a line."""
+_WORST = 20
+
+
+class Rate(NamedTuple):
+    """How many of the runs of one value of an axis passed; ``units`` independent draws stand behind them."""
+
+    axis: str
+    value: str
+    runs: int
+    passed: int
+    units: int
+    share: Interval
+
+
+class Spread(NamedTuple):
+    """A figure over the runs of a law; ``runs`` of them have it."""
+
+    law: str
+    figure: str
+    runs: int
+    median: float
+    p95: float
+    worst: float
+
+
+class Duel(NamedTuple):
+    """Two laws in the same runs: the mean of first minus second, and in what share of them the first was less.
+
+    ``units`` is how many independent draws stand behind ``pairs``; ``left_out`` is how many more pairs there are, in
+    which one has no such figure.
+    """
+
+    first: str
+    second: str
+    figure: str
+    pairs: int
+    left_out: int
+    units: int
+    difference: Interval
+    first_less: float
+
+
+class Effect(NamedTuple):
+    """How much of a figure's ranks one axis explains, from 0 to 1; None where there is nothing to explain."""
+
+    axis: str
+    figure: str
+    share: float | None
+
+
+class Judged:
+    """A campaign's results; ``rows`` are those of its plan that are done, each a mapping of columns."""
+
+    def __init__(self, folder: Path, about: Mapping[str, Any], plan: Sequence[Row], rows: Sequence[Row]) -> None:
+        self.folder = folder
+        self.about = about
+        self.plan = plan
+        self.rows = rows
+
+    @cached_property
+    def axes(self) -> dict[str, str]:
+        """What differs between the runs: each axis with its kind, then law, fault and seed."""
+        axes = {name: str(axis["kind"]) for name, axis in self.about["axes"].items()}
+        own = {"law": self.about["laws"], "fault": self.about["faults"]}
+        axes |= {name: "choice" for name, values in own.items() if len(values) > 1}
+        return axes | ({"seed": "choice"} if self.about["seeds"] > 1 else {})
+
+    @cached_property
+    def outcomes(self) -> dict[str, int]:
+        """How many runs had each outcome."""
+        return dict(Counter(str(row["outcome"]) for row in self.rows).most_common())
+
+    @cached_property
+    def reasons(self) -> list[tuple[str, str, int]]:
+        """Why runs did not pass: outcome, sentence, and how many times, the most frequent first."""
+        counts = Counter((str(row["outcome"]), str(row["reason"])) for row in self.rows if row["outcome"] != PASSED)
+        return [(outcome, reason, count) for (outcome, reason), count in counts.most_common()]
+
+    @cached_property
+    def rates(self) -> list[Rate]:
+        """Pass rates: of all, and of each value of what has few."""
+        rates = [self._rate("all", "", self.rows)] if self.rows else []
+        for axis, kind in self.axes.items():
+            if kind in ("uniform", "log_uniform") or axis == "seed":
+                continue
+            values = list(dict.fromkeys(row[axis] for row in self.plan))
+            groups = ((value, [row for row in self.rows if row[axis] == value]) for value in values)
+            rates += [self._rate(axis, word(value), some) for value, some in groups if some]
+        return rates
+
+    def _rate(self, axis: str, value: str, rows: Sequence[Row]) -> Rate:
+        units = [row[self._unit] for row in rows]
+        passed = [row["outcome"] == PASSED for row in rows]
+        return Rate(axis, value, len(rows), sum(passed), len(set(units)), share_of(units, passed))
+
+    @property
+    def _unit(self) -> str:
+        """What is drawn: samples come with all seeds; without random axes it is the seeds."""
+        return "sample" if self.about["samples"] > 1 else "seed"
+
+    @cached_property
+    def spreads(self) -> list[Spread]:
+        """The figures of each law."""
+        return list(self._spreads())
+
+    def _spreads(self) -> Iterator[Spread]:
+        for figure, law in itertools.product(COMPARED, self.about["laws"]):
+            values = self.values(figure, law)
+            if len(values):
+                median, p95 = np.percentile(values, [50.0, 95.0])
+                yield Spread(law, figure, len(values), float(median), float(p95), float(values.max()))
+
+    def values(self, figure: str, law: str | None = None) -> Series:
+        """Return a figure of all runs that have it, or of those of a law."""
+        chosen = (row[figure] for row in self.rows if law is None or row["law"] == law)
+        return np.array([value for value in chosen if value is not None])
+
+    @cached_property
+    def duels(self) -> list[Duel]:
+        """Each law against each, in runs that differ in the law alone."""
+        return list(self._duels())
+
+    def _duels(self) -> Iterator[Duel]:
+        same = [
+            name for name in ("fault", "seed", "sample", *self.about["axes"]) if not name.startswith("controller.law")
+        ]
+        by_law: dict[str, dict[tuple[Any, ...], Row]] = {law: {} for law in self.about["laws"]}
+        for row in self.rows:
+            by_law[row["law"]][tuple(row[name] for name in same)] = row
+        for figure, (first, second) in itertools.product(COMPARED, itertools.combinations(by_law, 2)):
+            both = [
+                (row[self._unit], row[figure], by_law[second][place][figure])
+                for place, row in by_law[first].items()
+                if place in by_law[second]
+            ]
+            left_out = len(both)
+            both = [pair for pair in both if pair[1] is not None and pair[2] is not None]
+            left_out -= len(both)
+            if both:
+                units = [pair[0] for pair in both]
+                differences = np.array([one - other for _, one, other in both])
+                interval = paired_difference(units, differences)
+                less = float(np.mean(differences < 0.0))
+                yield Duel(first, second, figure, len(both), left_out, len(set(units)), interval, less)
+
+    @cached_property
+    def effects(self) -> list[Effect]:
+        """What each axis does to each figure, by what it explains."""
+        return [Effect(axis, figure, self._effect(axis, figure)) for figure in COMPARED for axis in self.axes]
+
+    def _effect(self, axis: str, figure: str) -> float | None:
+        rows = [row for row in self.rows if row[figure] is not None]
+        if not rows:
+            return None
+        groups: Sequence[object] = [row[axis] for row in rows]
+        values = np.array([row[figure] for row in rows])
+        if self.axes[axis] not in ("uniform", "log_uniform"):
+            return share_explained(groups, values)
+        return share_explained(binned(np.array(groups, dtype=np.float64)), values, [row["sample"] for row in rows])
+
+    @property
+    def by(self) -> str:
+        """The figure by which runs are worst."""
+        return str(self.about["by"])
+
+    @cached_property
+    def worst(self) -> list[Row]:
+        """The runs that did not pass, without a figure first, then the others from the greatest figure on."""
+
+        def badness(row: Row) -> tuple[bool, bool, float]:
+            value = row[self.by]
+            return row["outcome"] != PASSED, value is None, -1.0 if value is None else value
+
+        return sorted(self.rows, key=badness, reverse=True)[:_WORST]
+
+    def repeat(self, key: str) -> str:
+        """Return the command that does a run once more."""
+        return self._repeats[key]
+
+    @cached_property
+    def _repeats(self) -> dict[str, str]:
+        return {row[KEY]: row["repeat"] for row in self.plan}
+
+    def recording(self, key: str) -> Path | None:
+        """Return the recording of a run that was kept, from the campaign's folder."""
+        found = next((self.folder / RECORDINGS).glob(f"{key}.*"), None)
+        return None if found is None else found.relative_to(self.folder)
+
+    @cached_property
+    def commits(self) -> list[str]:
+        """The commits of the code that did the runs, where it was a checkout's."""
+        return sorted({row[MACHINE + "commit"] for row in self.rows if row.get(MACHINE + "commit")})
+
+    def sentences(self) -> Iterator[str]:
+        """Yield what there is to say first."""
+        total = self.about["runs"]
+        missing = f" ({total - len(self.rows)} of {total} are not done yet)" if len(self.rows) < total else ""
+        told = ", ".join(f"{count} {outcome}" for outcome, count in self.outcomes.items()) or "none"
+        yield f"{len(self.rows)} runs: {told}{missing}"
+        if self.rows:
+            yield f"pass rate {percent(self.rates[0])}"
+        for duel in self.duels:
+            if duel.figure == self.by:
+                yield f"{duel.figure}: {duel_words(duel)}"
+
+    def plain(self) -> dict[str, Any]:
+        """Return all of it as plain values, for JSON."""
+        return {
+            "campaign": dict(self.about),
+            "runs": len(self.rows),
+            "passed": bool(self.rows) and self.outcomes.get(PASSED, 0) == self.about["runs"],
+            "outcomes": self.outcomes,
+            "reasons": [dict(zip(("outcome", "reason", "runs"), one, strict=True)) for one in self.reasons],
+            "rates": [rate._asdict() | {"share": rate.share._asdict()} for rate in self.rates],
+            "figures": [spread._asdict() for spread in self.spreads],
+            "duels": [duel._asdict() | {"difference": duel.difference._asdict()} for duel in self.duels],
+            "effects": [effect._asdict() for effect in self.effects],
+            "worst": [
+                {
+                    name: row[name]
+                    for name in (KEY, "law", "fault", "seed", *self.about["axes"], "outcome", "reason", self.by)
+                }
+                | {"repeat": self.repeat(row[KEY]), "recording": _text(self.recording(row[KEY]))}
+                for row in self.worst
+            ],
+        }
+
+
+def judge(folder: Path) -> Judged:
+    """Return what a campaign came to, from its folder alone. Raises BadInputError when there is no campaign."""
+    rows = read_rows(folder)
+    about, plan = read_about(folder), read_plan(folder)
+    planned = {row[KEY]: row for row in plan}
+    # What a run is called is as the plan has it now: a row may be from before a law had this name, or before this axis.
+    done = {row[KEY]: as_judged(row) | planned[row[KEY]] for row in rows.to_pylist() if row[KEY] in planned}
+    return Judged(folder, about, plan, list(done.values()))
+
+
+def percent(rate: Rate) -> str:
+    """Return a share with its interval in words."""
+    value, low, high = rate.share
+    if low is None or high is None:
+        return f"{100.0 * value:.4g} % (from {_draws(rate.units)}: too few for an interval)"
+    return f"{100.0 * value:.4g} % (95 %: {100.0 * low:.3g} to {100.0 * high:.3g} %)"
+
+
+def duel_words(duel: Duel) -> str:
+    """Return what two laws are to each other in words."""
+    value, low, high = duel.difference
+    if low is None or high is None:
+        return f"{duel.first} - {duel.second} = {value:+.3g}, from {_draws(duel.units)}: too few for an interval"
+    verdict = "no difference shown" if low <= 0.0 <= high else f"{duel.first if high < 0.0 else duel.second} is less"
+    return f"{duel.first} - {duel.second} = {value:+.3g} (95 %: {low:+.3g} to {high:+.3g}): {verdict}"
+
+
+def _draws(count: int) -> str:
+    return "1 draw" if count == 1 else f"{count} draws"
+
+
+def word(value: object) -> str:
+    """Return a value of an axis as it is read."""
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _text(path: Path | None) -> str | None:
+    return None if path is None else path.as_posix()

@@ -1,0 +1,189 @@
+"""The page of a campaign: one HTML file with its verdicts, plots and worst runs, that needs nothing else."""
+
+import os
+from collections.abc import Iterator, Mapping
+from functools import partial
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from hil.batch.campaign.dataset import KEY
+from hil.batch.campaign.judged import COMPARED, Judged, duel_words, percent, word
+from hil.batch.campaign.pictures import TITLES, draw_distributions, draw_duels, draw_effects, title_of
+from hil.batch.campaign.rows import PASSED
+from hil.batch.campaign.statistics import Interval
+from hil.core.outputs import Existing
+from hil.review.html_page import document, figure, mark, picture, table, write_document
+
+_MEANINGS = (
+    "Steady: the planar error over the last 5 s, its root mean square and its greatest value; to 10 mm: the first time "
+    "from which the planar error stays below that; overshoot: how far past the reference, along the line of the "
+    "initial error; effort: the torques of the four wheels over time. Of each less is better."
+)
+_REASONS = 12
+
+
+def write_page(path: Path, judged: Judged, existing: Existing = "refuse") -> None:
+    """Write the page; ``existing`` says what is done where the file is there already.
+
+    Raises BadInputError when its name does not end in .html, and where it cannot be written.
+    """
+    write_document(path, page(judged, path.parent), existing)
+
+
+def page(judged: Judged, folder: Path) -> str:
+    """Return the page as HTML; ``folder`` is where it is to be, from which its links to recordings start."""
+    parts = [
+        *_head(judged),
+        *_reasons(judged),
+        *_rates(judged),
+        *_figures(judged),
+        *_duels(judged),
+        *_effects(judged),
+        *_pictures(judged),
+        *_worst(judged, folder),
+    ]
+    return document(f"{judged.about['name']}: {judged.about['runs']} runs of {judged.about['scenario']}", parts)
+
+
+def _head(judged: Judged) -> Iterator[str]:
+    done = len(judged.rows)
+    passed = judged.outcomes.get(PASSED, 0)
+    verdict = f"{passed} of {done} runs passed" if done else "no run is done yet"
+    yield f'<p class="verdict {"passed" if done and passed == done else "failed"}">{verdict}</p>'
+    yield from (f'<p class="about">{escape(sentence)}</p>' for sentence in judged.sentences())
+    axes = [f"{name}: {axis['kind']} {axis['values']}" for name, axis in judged.about["axes"].items()]
+    if axes:
+        yield f'<p class="about">{escape("; ".join(axes))}</p>'
+    if len(judged.commits) > 1:
+        yield f'<p class="note">the runs were done by several commits: {escape(", ".join(judged.commits))}</p>'
+
+
+def _reasons(judged: Judged) -> Iterator[str]:
+    if judged.reasons:
+        yield "<h2>Why runs did not pass</h2>"
+        rows = [(mark(outcome, False), str(count), escape(why)) for outcome, why, count in judged.reasons[:_REASONS]]
+        yield from table(("outcome", "runs", "reason"), rows, numbers=(1,))
+        if more := len(judged.reasons) - _REASONS:
+            yield f'<p class="about">and {more} more reasons</p>' if more > 0 else ""
+
+
+def _rates(judged: Judged) -> Iterator[str]:
+    yield "<h2>Pass rates</h2>"
+    yield (
+        '<p class="about">Of all runs that are done, and of those with one value of an axis. Runs that share a draw '
+        "of the random axes, or without these a seed, repeat each other: the interval is that of as many independent "
+        "runs as would scatter so. Intervals on this page are of 95 %: were the campaign done again with other draws, "
+        "19 of 20 such intervals would hold the true value.</p>"
+    )
+    rows = [
+        (
+            *map(escape, (rate.axis, rate.value)),
+            *map(str, (rate.runs, rate.passed, rate.units)),
+            escape(percent(rate)),
+        )
+        for rate in judged.rates
+    ]
+    heads = ("axis", "value", "runs", "passed", "draws", "share, with its interval")
+    yield from table(heads, rows, numbers=(2, 3, 4))
+
+
+def _figures(judged: Judged) -> Iterator[str]:
+    yield "<h2>Figures of each law</h2>"
+    yield (
+        '<p class="about">Over the runs that have the figure: a run that never came within 10 mm has no steady error, '
+        "and one that did not come to its end has none of them. "
+        f"{escape(_MEANINGS)}</p>"
+    )
+    rows = []
+    for spread in judged.spreads:
+        name, unit, scale = TITLES[spread.figure]
+        numbers = (f"{scale * value:.4g}" for value in (spread.median, spread.p95, spread.worst))
+        rows.append((escape(f"{name} [{unit}]"), escape(spread.law), str(spread.runs), *numbers))
+    yield from table(("figure", "law", "runs", "median", "95th percentile", "worst"), rows, numbers=(2, 3, 4, 5))
+
+
+def _duels(judged: Judged) -> Iterator[str]:
+    if not judged.duels:
+        return
+    yield "<h2>Law against law</h2>"
+    yield (
+        '<p class="about">Runs that differ in the law alone, in pairs; the mean difference with the percentile '
+        "interval of a bootstrap over independent draws, of which it needs six. Pairs of which one run has no such "
+        "figure, or did not come to its end, are left out: where they are many, the rest are the easy ones. Where "
+        "the interval holds 0, no difference is shown; nothing is corrected for how many comparisons there are.</p>"
+    )
+    rows = []
+    for duel in judged.duels:
+        name, unit, scale = TITLES[duel.figure]
+        value, *ends = duel.difference
+        low, high = (None if end is None else scale * end for end in ends)
+        scaled = duel._replace(difference=Interval(scale * value, low, high))
+        told = (escape(f"{name} [{unit}]"), escape(duel_words(scaled)))
+        rows.append((*told, f"{100 * duel.first_less:.3g} %", str(duel.pairs), str(duel.left_out), str(duel.units)))
+    yield from table(
+        ("figure", "difference", "first less in", "pairs", "left out", "draws"), rows, numbers=(2, 3, 4, 5)
+    )
+    there = list(dict.fromkeys(duel.figure for duel in judged.duels))
+    pairs = len({(duel.first, duel.second) for duel in judged.duels})
+    draw = partial(draw_duels, judged=judged, names=there)
+    caption = "Mean differences of paired runs with their 95 % intervals; left of 0 the first law is less."
+    rows_of_panels = -(-len(there) // 2)
+    height_in = (0.9 + 0.22 * pairs) * rows_of_panels
+    yield from figure(picture("Differences", caption, draw, height_in=height_in, rows=rows_of_panels, columns=2))
+
+
+def _effects(judged: Judged) -> Iterator[str]:
+    if not judged.axes:
+        return
+    yield "<h2>What matters</h2>"
+    yield (
+        '<p class="about">The share of a figure\'s ranks that one axis explains by itself (epsilon squared): 1 is all, '
+        "0 none. What only several together explain is in none of them.</p>"
+    )
+    shares = {(effect.axis, effect.figure): effect.share for effect in judged.effects}
+    rows = [
+        (escape(axis), *("-" if (share := shares[axis, name]) is None else f"{share:.2f}" for name in COMPARED))
+        for axis in sorted(
+            judged.axes, key=lambda axis: -(shares[axis, judged.by] or 0.0) if (axis, judged.by) in shares else 0.0
+        )
+    ]
+    yield from table(("axis", *(TITLES[name][0] for name in COMPARED)), rows, numbers=range(1, len(COMPARED) + 1))
+
+
+def _pictures(judged: Judged) -> Iterator[str]:
+    there = [name for name in COMPARED if len(judged.values(name))]
+    if not there:
+        return
+    height_in = 2.2 * -(-len(there) // 2)
+    draw = partial(draw_distributions, judged=judged, names=there)
+    caption = "The share of a law's runs in which a figure is at most this: further left is better."
+    yield from figure(picture("Distributions", caption, draw, height_in=height_in, rows=-(-len(there) // 2), columns=2))
+    shown = judged.by if judged.by in there else there[0]
+    axes = [axis for axis in judged.axes if axis not in ("law", "seed")]
+    if axes:
+        rows = -(-len(axes) // 2)
+        draw = partial(draw_effects, judged=judged, names=axes, shown=shown)
+        title, unit, _ = title_of(shown)
+        caption = f"{title} [{unit}] over each axis; dots are runs, the line joins medians."
+        yield from figure(picture("Effects", caption, draw, height_in=2.4 * rows, rows=rows, columns=2))
+
+
+def _worst(judged: Judged, folder: Path) -> Iterator[str]:
+    title, unit, scale = title_of(judged.by)
+    yield "<h2>The worst runs</h2>"
+    for row in judged.worst:
+        value = "-" if row[judged.by] is None else f"{scale * row[judged.by]:.4g} {unit}"
+        told = mark(row["outcome"], row["outcome"] == PASSED)
+        yield f"<p>{told} {escape(f'{title} {value}; {_point(judged, row)}')}</p>"
+        if row["reason"] is not None:
+            yield f'<p class="failed">{escape(row["reason"])}</p>'
+        yield f'<p class="about"><code>{escape(judged.repeat(row[KEY]))}</code></p>'
+        if (recording := judged.recording(row[KEY])) is not None:
+            link = Path(os.path.relpath(judged.folder / recording, folder)).as_posix()
+            yield f'<p class="about">recorded: <a href="{escape(link)}">{escape(recording.as_posix())}</a></p>'
+
+
+def _point(judged: Judged, row: Mapping[str, Any]) -> str:
+    axes = (f"{name} = {word(row[name])}" for name in judged.about["axes"])
+    return ", ".join((row["law"], *axes, f"fault {row['fault']}", f"seed {row['seed']}"))

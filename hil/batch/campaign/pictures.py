@@ -1,0 +1,101 @@
+"""The plots of a campaign's page: distributions, effects of the axes, and differences between laws."""
+
+import itertools
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hil.batch.campaign.judged import Judged
+from hil.review.plots import colour_of, rgb
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+TITLES = {
+    "steady_rms_m": ("steady rms", "mm", 1e3),
+    "steady_max_m": ("steady max", "mm", 1e3),
+    "t10_s": ("to 10 mm", "s", 1.0),
+    "overshoot_m": ("overshoot", "mm", 1e3),
+    "effort_n_m_s": ("effort", "N·m·s", 1.0),
+}
+"""Of figures of which a page shows more than a line: what they are called, the unit they are shown in, its scale."""
+_SCATTERED = 2000
+_MOST_VALUES = 12
+
+
+def title_of(name: str) -> tuple[str, str, float]:
+    """Return what a figure is called, its unit, and its scale."""
+    return TITLES.get(name, (name, "", 1.0))
+
+
+def draw_distributions(axes: "list[Axes]", *, judged: Judged, names: list[str]) -> None:
+    """Draw the share of each law's runs in which a figure is at most so much."""
+    for panel in axes[len(names) :]:
+        panel.set_visible(False)
+    for panel, name in zip(axes, names, strict=False):
+        title, unit, scale = title_of(name)
+        for number, law in enumerate(judged.about["laws"]):
+            values = np.sort(scale * judged.values(name, law))
+            if len(values):
+                shares = np.arange(1, len(values) + 1) / len(values)
+                panel.step(values, shares, where="post", label=law, color=rgb(colour_of(number)))
+        panel.set(title=title, xlabel=f"{title} [{unit}]", ylabel="share of runs", ylim=(0.0, 1.02))
+    axes[0].legend()
+
+
+def draw_effects(axes: "list[Axes]", *, judged: Judged, names: list[str], shown: str) -> None:
+    """Draw the figure ``shown`` over the axes of the campaign with these names."""
+    title, unit, scale = title_of(shown)
+    for panel in axes[len(names) :]:
+        panel.set_visible(False)
+    for panel, name in zip(axes, names, strict=False):
+        numeric = all(isinstance(row[name], float | int) for row in judged.rows)
+        words = list(dict.fromkeys(str(row[name]) for row in judged.plan))
+        for number, law in enumerate(judged.about["laws"]):
+            rows = [row for row in judged.rows if row["law"] == law and row[shown] is not None]
+            x = np.array([float(row[name]) if numeric else words.index(str(row[name])) for row in rows])
+            y = scale * np.array([row[shown] for row in rows])
+            if not len(x):
+                continue
+            every = -(-len(x) // _SCATTERED)
+            colour = rgb(colour_of(number))
+            panel.plot(x[::every], y[::every], ".", color=colour, markersize=2.5, alpha=0.4)
+            is_random = judged.axes[name] in ("uniform", "log_uniform")
+            panel.plot(*_medians(x, y, is_random=is_random), "-", color=colour, label=law)
+        if not numeric:
+            panel.set_xticks(range(len(words)), words)
+        if judged.axes[name] == "log_uniform":
+            panel.set_xscale("log")
+            panel.xaxis.set_minor_formatter("")
+        panel.set(xlabel=name, ylabel=f"{title} [{unit}]")
+    axes[0].legend()
+
+
+def _medians(x: Any, y: Any, *, is_random: bool) -> tuple[list[float], list[float]]:
+    """Return the medians over the values of an axis, or over parts of it where there are many."""
+    places = np.unique(x)
+    if is_random or len(places) > _MOST_VALUES:
+        edges = np.quantile(x, np.linspace(0.0, 1.0, 1 + min(8, max(1, len(places) // 3))))
+        parts = [(x >= low) & (x <= high) for low, high in itertools.pairwise(edges)]
+    else:
+        parts = [x == place for place in places]
+    parts = [part for part in parts if part.any()]
+    return [float(np.median(x[part])) for part in parts], [float(np.median(y[part])) for part in parts]
+
+
+def draw_duels(axes: "list[Axes]", *, judged: Judged, names: list[str]) -> None:
+    """Draw the mean differences between laws in figures, each with its interval."""
+    for panel in axes[len(names) :]:
+        panel.set_visible(False)
+    for panel, name in zip(axes, names, strict=False):
+        title, unit, scale = title_of(name)
+        duels = [duel for duel in judged.duels if duel.figure == name]
+        for place, duel in enumerate(duels):
+            value, low, high = duel.difference
+            colour = rgb(colour_of(place))
+            panel.plot([scale * value], [place], "o", color=colour, markersize=4)
+            if low is not None and high is not None:
+                panel.plot([scale * low, scale * high], [place, place], "-", color=colour, linewidth=2)
+        panel.axvline(0.0, color="#888888", linewidth=0.8)
+        panel.set_yticks(range(len(duels)), [f"{duel.first} - {duel.second}" for duel in duels])
+        panel.set(title=title, xlabel=f"difference [{unit}]", ylim=(len(duels) - 0.5, -0.5))

@@ -1,0 +1,139 @@
+"""The runs of a campaign: each with each of samples, seeds, grids, lists, faults and laws, always in the same order.
+
+Laws vary fastest and samples slowest, so that the runs of a campaign that was stopped are those of a smaller one.
+"""
+
+import itertools
+import math
+import random
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+from hil.batch.campaign.load import Plan
+from hil.batch.campaign.tables import AlternativeTable, AxisTable, LawTable
+from hil.core.errors import BadInputError
+from hil.laws.own_signals import short_name
+from hil.scenario import Scenario, format_value
+
+NO_FAULT = "none"
+Sets = Mapping[str, object]
+
+
+class Point(NamedTuple):
+    """A run to be done.
+
+    Attributes:
+        number: its place in the campaign, from 0 on.
+        axes: the value of each axis.
+        law, fault: what they are called. seed: ``loop.seed``.
+        sample: which draw of the random axes, 0 without any.
+        sets: the keys of the scenario that make it, in the order in which ``load`` takes them.
+    """
+
+    number: int
+    axes: Mapping[str, Any]
+    law: str
+    fault: str
+    seed: int
+    sample: int
+    sets: Sets
+
+    @property
+    def words(self) -> str:
+        """The run in a few words, for messages."""
+        axes = (f"{key} = {format_value(value)}" for key, value in self.axes.items())
+        fault = () if self.fault == NO_FAULT else (f"fault {self.fault}",)
+        return ", ".join((self.law, *axes, *fault, f"seed {self.seed}"))
+
+
+def count(plan: Plan) -> int:
+    """Return how many runs there are."""
+    tables = plan.tables
+    grids = math.prod(len(axis.values) for axis in tables.axes.values() if axis.kind == "grid")
+    lists = max((len(axis.values) for axis in tables.axes.values() if axis.kind == "list"), default=1)
+    kinds = (tables.samples, len(tables.seeds), len(tables.fault), len(tables.laws))
+    return grids * lists * math.prod(number or 1 for number in kinds)
+
+
+def points(plan: Plan) -> Iterator[Point]:
+    """Yield the runs. Raises BadInputError where the base scenario itself cannot be, or two laws have one name."""
+    tables = plan.tables
+    base = plan.scenario(tables.set)
+    laws = [_law(law, base) for law in tables.laws] or [(short_name(base.controller.law), {})]
+    called = [label for label, _ in laws]
+    if twice := next((label for number, label in enumerate(called) if label in called[:number]), None):
+        raise BadInputError(
+            f"campaign {plan.place('laws')}: two laws are both called {twice!r}, and a report could not tell them "
+            'apart; name one, as in { law = "./my_law.py:Law", name = "mine" }'
+        )
+    faults = [(row.name, _faults(row, base)) for row in tables.fault] or [(NO_FAULT, {})]
+    expect = {"expect": [*map(_row, base.expect), *tables.expect]} if tables.expect else {}
+    seeds = tables.seeds or (base.loop.seed,)
+    grids, lists = _grids(tables.axes), _lists(tables.axes)
+    draws = _draws(tables.axes, tables.samples or 1, tables.seed, latin=tables.latin)
+    product = itertools.product(enumerate(draws), seeds, grids, lists, faults, laws)
+    for number, ((sample, drawn), seed, grid, listed, (fault, rows), (law, choice)) in enumerate(product):
+        axes = {key: (grid | listed | drawn)[key] for key in tables.axes}
+        sets = {**tables.set, **rows, **expect, **choice, **axes, "loop.seed": seed}
+        yield Point(number, axes, law, fault, seed, sample, sets)
+
+
+def _law(table: LawTable, base: Scenario) -> tuple[str, dict[str, object]]:
+    """Return what a law is called, and the keys of the scenario that choose it."""
+    told = [f"{name}={format_value(value)}" for name, value in table.gains.items()]
+    told += [table.command] if table.command is not None else []
+    label = table.name or ",".join((short_name(table.law), *told))
+    command = {} if table.command is None else {"controller.command": table.command}
+    gains = {f"controller.gains.{name}": value for name, value in table.gains.items()}
+    return label, {"controller.law": table.law, **command, **gains}
+
+
+def _faults(table: AlternativeTable, base: Scenario) -> dict[str, object]:
+    return {"fault": [*map(_row, base.fault), *table.rows]} if table.rows else {}
+
+
+def _row(row: Any) -> dict[str, object]:
+    """Return a row of the scenario's own as it may be written again: without what was not given."""
+    return {key: value for key, value in row if value is not None and value != math.inf}
+
+
+def _grids(axes: Mapping[str, AxisTable]) -> list[dict[str, Any]]:
+    grids = {key: axis.values for key, axis in axes.items() if axis.kind == "grid"}
+    return [dict(zip(grids, values, strict=True)) for values in itertools.product(*grids.values())]
+
+
+def _lists(axes: Mapping[str, AxisTable]) -> list[dict[str, Any]]:
+    lists = {key: axis.values for key, axis in axes.items() if axis.kind == "list"}
+    return [dict(zip(lists, values, strict=True)) for values in zip(*lists.values(), strict=True)] or [{}]
+
+
+def _draws(axes: Mapping[str, AxisTable], samples: int, seed: int, *, latin: bool) -> list[dict[str, float]]:
+    """Return the samples of the random axes.
+
+    Each axis has a generator of its own, by its name: another axis, or more samples without ``latin``, leave the
+    numbers that there were. Of Python's random numbers only ``random()`` is promised to stay the same, so nothing else
+    of it is used.
+    """
+    columns = {
+        key: [_within(axis, share) for share in _shares(random.Random(f"{seed} {key}"), samples, latin=latin)]
+        for key, axis in axes.items()
+        if axis.is_random
+    }
+    return [{key: column[sample] for key, column in columns.items()} for sample in range(samples)]
+
+
+def _shares(generator: random.Random, samples: int, *, latin: bool) -> Sequence[float]:
+    """Return numbers in [0, 1); of a Latin hypercube (McKay, Beckman, Conover 1979) one in each n-th of it."""
+    drawn = [generator.random() for _ in range(samples)]
+    if not latin:
+        return drawn
+    ranks = [generator.random() for _ in range(samples)]
+    order = sorted(range(samples), key=ranks.__getitem__)
+    return [(stratum + share) / samples for stratum, share in zip(order, drawn, strict=True)]
+
+
+def _within(axis: AxisTable, share: float) -> float:
+    low, high = axis.values
+    if axis.kind == "log_uniform":
+        return math.exp(math.log(low) + share * (math.log(high) - math.log(low)))
+    return float(low + share * (high - low))

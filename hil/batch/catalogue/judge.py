@@ -1,0 +1,305 @@
+"""The safety judge: laws that a robot's drives must keep, whatever its link and its firmware do.
+
+It stands at the robot's end of the link, sees every frame that the firmware is given, decodes it by itself, and sees
+what crosses the plant port in every tick of 1 ms: what the drives are given, the encoders' counts and the motors'
+currents. It keeps its own account of what was asked and allowed. Of the firmware's own state it is told one thing, the
+set points of the speed loops, which laws 1 and 2 bound to the last digit; laws 3 to 6 need nothing of it. Times are
+the robot's own ticks.
+
+1. Drives are on, or a set point is not zero, only on a command that was valid (CRC, length, range), fresh (its
+   sequence 1 to 20 ahead of the last valid one's) and of the session in force. No wheel's set point is beyond what the
+   newest such command asks, nor against it. In torque mode this is said of the torques.
+2. Without such a command for the time of the watchdog, or once told to stop, the set points go to zero at least as fast
+   as the line that ends after the time of the ramp, and stay there; at ESTOP they are zero at once. Drives that are
+   still on then hold the wheels for at most 1 s.
+3. While the drives are on, no wheel is driven away from what is allowed: a wheel that turns faster than the newest such
+   command asks, or in a stop than the line down from it, or against it, gets no torque that drives it further. A speed
+   loop may overshoot, so this is said of wheels that are beyond by more than 1 rad/s and a tenth, driven by more than a
+   twentieth of the torque limit, for longer than 20 ms. It is said of the torques that are asked and of those that
+   the measured currents make, for duties do not tell; in torque mode, of the stop only. What the wheels do is what the
+   encoders tell, for no firmware can know better.
+4. Drives that are off get no torque and no duty.
+5. What has stopped begins again only after an ARM with a nonce that an IDLE announced and that is not the last
+   session's, and a first command of zero. Drives that went off do not come on again without it. A firmware that was
+   reset has no session.
+6. Every number that the drives get is finite, and no duty is beyond -1 to 1.
+"""
+
+import math
+from typing import NamedTuple
+
+from firmware_protocol.codec import decode
+from firmware_protocol.framing import Frame
+from firmware_protocol.generated.messages import (
+    SCHEMA_HASH,
+    Estop,
+    HostHeartbeat,
+    Mode,
+    Request,
+    TorqueCommand,
+    WheelCommand,
+)
+from hil.core.types import WHEEL_NAMES
+
+# PROTOCOL.md, "States" and "Freshness".
+_WINDOW = 20
+_ARM_TIMEOUT_TICKS = 1000
+_HOLD_TICKS = 1000
+# Scaling four torques to a limit rounds in single precision.
+_ROUNDING = 1e-6
+_REMEMBERED = 10
+# Law 3: what a sound speed loop may overshoot by.
+_BEYOND_RAD_S = 1.0
+_BEYOND_PART = 0.1
+_DRIVEN_PART = 0.05
+_DRIVEN_TICKS = 20
+
+Four = tuple[float, ...]
+
+
+class Tick(NamedTuple):
+    """What the firmware tells its drives for one tick, and how the wheels turn and are driven when that begins.
+
+    ``set_point_rad_s`` is that of its speed loop, ``speed_rad_s`` what the encoders tell and ``motor_n_m`` the torque
+    that the measured currents make.
+    """
+
+    enabled: bool
+    set_point_rad_s: Four
+    torque_n_m: Four
+    duty: Four
+    speed_rad_s: Four
+    motor_n_m: Four
+
+
+class Limits(NamedTuple):
+    """What the judge has to know of a firmware's parameters."""
+
+    watchdog_ticks: int
+    ramp_ticks: int
+    torque_n_m: float
+
+
+class _Session:
+    """One session as the judge counts it, from its first command on."""
+
+    def __init__(self, nonce: int, mode: int, sequence: int, limits: Limits) -> None:
+        self.nonce = nonce
+        self._mode = mode
+        self._sequence = sequence
+        self._watchdog = limits.watchdog_ticks
+        self._ramp = limits.ramp_ticks
+        self._driven_n_m = _DRIVEN_PART * limits.torque_n_m
+        self._target: Four = (0.0,) * 4
+        self._from: Four = (0.0,) * 4  # the set points when it was told to stop
+        self._age = 0  # ticks since the newest valid command
+        self._stopped: int | None = None  # ticks since it has to stop
+        self._turning: Four = (0.0,) * 4  # what the wheels were asked for then; in torque mode, what they did
+        self._driven_away: tuple[int, ...] = (0,) * 4  # ticks in a row
+        self._hold = limits.ramp_ticks + _HOLD_TICKS
+        self._was_on = False
+        self._went_off = False
+
+    @property
+    def is_live(self) -> bool:
+        return self._stopped is None
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether all set points must be zero by now."""
+        return self._stopped is not None and self._stopped >= self._ramp
+
+    def take(self, mode: int, command: WheelCommand | TorqueCommand) -> None:
+        fresh = 1 <= (command.sequence - self._sequence) & 0xFF <= _WINDOW
+        if mode == self._mode and command.session == self.nonce & 0xF and fresh:
+            self._sequence = command.sequence
+            self._target = command[:4]
+            self._age = 0
+
+    def stop(self, *, at_once: bool) -> None:
+        if self._stopped is None:
+            self._stopped = 0
+        if at_once:
+            self._ramp = 0
+            self._hold = self._stopped + _HOLD_TICKS
+
+    def complaint(self, tick: Tick) -> str | None:
+        """Return what is wrong with a tick, if this session is what it is to be explained by."""
+        if tick.enabled and self._went_off:
+            return "the drives, which had gone off, are on again without a new ARM"
+        for name, ticks, speed in zip(WHEEL_NAMES, self._away(tick), tick.speed_rad_s, strict=True):
+            if ticks > _DRIVEN_TICKS:
+                return f"{name} is driven away from what is allowed, for {ticks} ms, and turns with {speed:.3g} rad/s"
+        if self._stopped is None:
+            torque_mode = self._mode == Mode.TORQUE
+            what, unit = ("torque", "N·m") if torque_mode else ("set point", "rad/s")
+            given = tick.torque_n_m if torque_mode else tick.set_point_rad_s
+            return _beyond(given, self._target, what, unit, "the newest valid command asks for")
+        if tick.enabled and self._stopped >= self._hold:
+            return f"the drives are still on {self._stopped} ms after the stop began"
+        bounds = tuple(self._left * value for value in self._from)
+        since = f"{self._age} ms after the last valid command, {self._stopped} ms after the stop, the ramp leaves"
+        return _beyond(tick.set_point_rad_s, bounds, "set point", "rad/s", since)
+
+    @property
+    def _left(self) -> float:
+        """What the ramp leaves of what was."""
+        if self._stopped is None:
+            return 1.0
+        return max(0, self._ramp - self._stopped) / self._ramp if self._ramp else 0.0
+
+    def _away(self, tick: Tick) -> tuple[int, ...]:
+        """Return for how long each wheel has been driven away from what is allowed, with this tick."""
+        if not tick.enabled or (self._stopped is None and self._mode == Mode.TORQUE):
+            return (0,) * 4
+        allowed = self._target if self._stopped is None else tuple(self._left * value for value in self._turning)
+        each = zip(self._driven_away, tick.speed_rad_s, allowed, tick.torque_n_m, tick.motor_n_m, strict=True)
+        return tuple(
+            ticks + 1
+            if self._is_away(speed, bound, max(torques)) or self._is_away(-speed, -bound, -min(torques))
+            else 0
+            for ticks, speed, bound, *torques in each
+        )
+
+    def _is_away(self, speed_rad_s: float, bound_rad_s: float, torque_n_m: float) -> bool:
+        """Tell whether a wheel is too fast in the positive sense, and driven further."""
+        most_rad_s = max(0.0, bound_rad_s) + _BEYOND_RAD_S + _BEYOND_PART * abs(bound_rad_s)
+        return speed_rad_s > most_rad_s and torque_n_m > self._driven_n_m
+
+    def pass_tick(self, tick: Tick) -> None:
+        """Let a tick pass."""
+        self._driven_away = self._away(tick)
+        self._went_off = self._went_off or (self._was_on and not tick.enabled)
+        self._was_on = tick.enabled
+        self._age += 1
+        if self._stopped is not None:
+            self._stopped += 1
+            return
+        self._from = tick.set_point_rad_s
+        self._turning = tick.speed_rad_s if self._mode == Mode.TORQUE else self._target
+        if self._age >= self._watchdog:
+            self._stopped = 0
+
+
+class SafetyJudge:
+    """Judges one run. A new life of the firmware begins with ``power_on``; ``violations`` has the first ten.
+
+    ``silent_ticks`` counts ticks, after the first session, in which every set point had to be zero, and
+    ``silent_rad_s`` is the greatest that was seen in them; ``driven_ticks`` those with a set point.
+    """
+
+    def __init__(self) -> None:
+        self.violations: list[str] = []
+        self.violation_ticks = 0
+        self.ticks = 0
+        self.driven_ticks = 0
+        self.silent_ticks = 0
+        self.silent_rad_s = 0.0
+        self._has_driven = False
+        self.power_on(Limits(0, 0, 0.0))
+
+    def power_on(self, limits: Limits) -> None:
+        """Say that a firmware begins, with these parameters: it has no session."""
+        self._limits = limits
+        self._life_ticks = 0
+        self._announced: int | None = None
+        self._armed: tuple[int, int] | None = None  # nonce and mode, while no command has come
+        self._armed_ticks = 0
+        self._last_nonce = 0
+        self._session: _Session | None = None
+        self._ending: _Session | None = None  # the one before, whose stop may still go on
+
+    def hear(self, frame: Frame) -> None:
+        """Take note of a frame that the firmware is given now, between two ticks."""
+        match decode(frame):
+            case HostHeartbeat() as heartbeat:
+                self._wish(heartbeat)
+            case Estop():
+                self._end(at_once=True)
+            case WheelCommand() as command:
+                self._command(Mode.SPEED, command)
+            case TorqueCommand() as command:
+                self._command(Mode.TORQUE, command)
+
+    def hold(self, tick: Tick) -> None:
+        """Judge what the drives are told for the tick that passes now."""
+        self._judge(tick)
+        self._count(tick)
+        self.ticks += 1
+        self._life_ticks += 1
+        self._armed_ticks += 1
+        if self._armed_ticks >= _ARM_TIMEOUT_TICKS:
+            self._armed = None
+        for session in (self._session, self._ending):
+            if session is not None:
+                session.pass_tick(tick)
+        if not tick.enabled:
+            self._ending = None
+
+    def _wish(self, heartbeat: HostHeartbeat) -> None:
+        if heartbeat.request == Request.IDLE:
+            self._end(at_once=False)
+            self._announced = heartbeat.nonce
+        elif heartbeat.request == Request.ARM:
+            announced, self._announced = self._announced, None
+            is_new = heartbeat.nonce == announced and heartbeat.nonce != self._last_nonce
+            if is_new and heartbeat.schema_hash == SCHEMA_HASH:
+                self._armed = (heartbeat.nonce, heartbeat.mode)
+                self._armed_ticks = 0
+
+    def _end(self, *, at_once: bool) -> None:
+        self._armed = None
+        for session in (self._session, self._ending):
+            if session is not None:
+                session.stop(at_once=at_once)
+
+    def _command(self, mode: int, command: WheelCommand | TorqueCommand) -> None:
+        if self._session is not None and self._session.is_live:
+            self._session.take(mode, command)
+        elif self._armed is not None:
+            nonce, armed_mode = self._armed
+            if mode == armed_mode and command.session == nonce & 0xF and not any(command[:4]):
+                self._ending = self._session
+                self._session = _Session(nonce, mode, command.sequence, self._limits)
+                self._armed, self._last_nonce, self._has_driven = None, nonce, True
+
+    def _judge(self, tick: Tick) -> None:
+        numbers = (*tick.set_point_rad_s, *tick.torque_n_m, *tick.duty)
+        if not all(map(math.isfinite, numbers)):
+            self._violate(f"the drives are given a number that is none: {tick}")
+        if max(map(abs, tick.duty)) > 1.0:
+            self._violate(f"the drives are given a duty beyond 1: {tick.duty}")
+        if not tick.enabled and any((*tick.torque_n_m, *tick.duty)):
+            self._violate(f"the drives are off, but are given torque {tick.torque_n_m} and duty {tick.duty}")
+        accounts = [session for session in (self._session, self._ending) if session is not None]
+        complaints = [session.complaint(tick) for session in accounts] or [_unasked(tick)]
+        if all(complaints):
+            self._violate(str(complaints[0]))
+
+    def _count(self, tick: Tick) -> None:
+        largest = max(map(abs, tick.set_point_rad_s))
+        self.driven_ticks += largest > 0.0
+        accounts = [session for session in (self._session, self._ending) if session is not None]
+        if self._has_driven and all(session.is_silent for session in accounts):
+            self.silent_ticks += 1
+            self.silent_rad_s = max(self.silent_rad_s, largest)
+
+    def _violate(self, what: str) -> None:
+        self.violation_ticks += 1
+        if len(self.violations) < _REMEMBERED:
+            self.violations.append(f"at {self._life_ticks} ms of the robot's time: {what}")
+
+
+def _beyond(given: Four, allowed: Four, what: str, unit: str, by: str) -> str | None:
+    """Tell of the first wheel whose value is not between zero and what is allowed."""
+    for name, value, bound in zip(WHEEL_NAMES, given, allowed, strict=True):
+        if value * bound < 0.0 or abs(value) > abs(bound) * (1.0 + _ROUNDING):
+            return f"the {what} of {name} is {value:.6g} {unit}; {by} {bound:.6g}"
+    return None
+
+
+def _unasked(tick: Tick) -> str | None:
+    """Judge a tick before any session."""
+    if tick.enabled or any(tick.set_point_rad_s):
+        return f"nothing was asked, but the drives are {'on' if tick.enabled else 'given set points'}"
+    return None

@@ -1,0 +1,120 @@
+"""The safety judge of robots with motors of other makers: at their plant port, and by what the host asked for.
+
+Their protocols have neither sessions nor sequences, so that what may happen follows from the commands of the run alone:
+
+1. No wheel is driven away from what was asked of late: one that turns faster than any command of the last
+   ``watchdog + ramp``, or against all of them, gets no torque that drives it further. A speed loop may overshoot, so
+   this is said of wheels that are beyond by more than 1 rad/s and a tenth, driven by more than a twentieth of the
+   torque limit, for longer than 50 ms. Before the first command and once the host is gone, zero is all that was asked.
+2. A second after that the drives give no torque but what holds a wheel at rest: a twentieth of the limit.
+3. Every torque is finite, and within the limit.
+
+In torque mode 1 is said of the time after the host has gone.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from hil.core.types import WHEEL_NAMES, CommandMode, FourWheels
+from hil.drivers.emulated_motors import EmulatedMotors
+from hil.scenario import Scenario
+
+_BEYOND_RAD_S = 1.0
+_BEYOND_PART = 0.1
+_DRIVEN_PART = 0.05
+_DRIVEN_TICKS = 50  # some controllers make up for the angle that they lag behind, which overshoots for so long
+_HOLD_S = 1.0
+_ROUNDING = 1e-5
+
+Signals = Mapping[str, np.ndarray]
+
+
+class _Tick(NamedTuple):
+    """What the drives give in a tick of 1 ms, and how the wheels turn when that begins."""
+
+    torque_n_m: FourWheels
+    speed_rad_s: FourWheels
+
+
+class MotorsJudge:
+    """Notes what the emulated controllers do, and judges it when the run's rows are there."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._scenario = scenario
+        self._ticks: list[_Tick] = []
+
+    @property
+    def left_alone_ticks(self) -> int:
+        """How long a robot has to be left alone for law 2 to be seen."""
+        return round((self._patience_s + 2 * _HOLD_S) * 1000)
+
+    @property
+    def _patience_s(self) -> float:
+        return self._scenario.firmware.watchdog_s + self._scenario.firmware.ramp_s
+
+    def hold(self, node: EmulatedMotors) -> None:
+        """Take note of a tick; to be called as it passes."""
+        fl, fr, rr, rl = (shaft.speed_rad_s for shaft in node.shafts)
+        self._ticks.append(_Tick(node.torque_n_m, (fl, fr, rr, rl)))
+
+    def complaints(self, signals: Signals) -> Sequence[str]:
+        """Return what was unsafe: for each law the first tick, and in how many; empty for nothing."""
+        torque = np.array([tick.torque_n_m for tick in self._ticks])
+        speed = np.array([tick.speed_rad_s for tick in self._ticks])
+        if not np.isfinite(torque).all():
+            return ["the drives were given a torque that is no number"]
+        begin, end, low, high = self._asked(signals, len(torque))
+        found = []
+        limit = self._scenario.firmware.torque_limit_n_m
+        found += _first(np.abs(torque).max(axis=1) > limit * (1.0 + _ROUNDING), f"the torque is beyond {limit:g} N·m")
+        driven = _DRIVEN_PART * limit
+        too_fast = (speed > high + _BEYOND_RAD_S + _BEYOND_PART * np.abs(high)) & (torque > driven)
+        too_slow = (speed < low - _BEYOND_RAD_S - _BEYOND_PART * np.abs(low)) & (torque < -driven)
+        if self._scenario.controller.mode is CommandMode.TORQUE:
+            too_fast[:end] = too_slow[:end] = False
+        for place, wheel in enumerate(WHEEL_NAMES):
+            for away in (too_fast[:, place], too_slow[:, place]):
+                found += _first(_lasting(away), f"{wheel} is driven away from what was asked")
+        gone = min(len(torque), end + round(_HOLD_S * 1000))
+        after = np.zeros(len(torque), dtype=bool)
+        after[gone:] = np.abs(torque[gone:]).max(axis=1) > driven
+        found += _first(after, "the drives still give torque though the host has been gone for more than a second")
+        if not (np.abs(torque[begin:end]) > 0.0).any() or gone >= len(torque):
+            found.append("the robot was never driven or never left alone, so nothing is shown")
+        return found
+
+    def _asked(self, signals: Signals, ticks: int) -> tuple[int, int, np.ndarray, np.ndarray]:
+        """Return the first tick of the run, the one by which its last command has lost its force, and for each tick and
+        wheel the range of what was asked of late."""
+        origin_s = float(np.nanmedian(signals["robot.time_s"] - signals["loop.t_s"])) if len(signals["loop.t_s"]) else 0
+        at = np.rint((signals["loop.t_s"] + origin_s) * 1000).astype(int)
+        patience = round(self._patience_s * 1000)
+        low, high = np.zeros((ticks, 4)), np.zeros((ticks, 4))
+        for place, wheel in enumerate(WHEEL_NAMES):
+            asked = np.nan_to_num(signals[f"wheel.{wheel}.speed_command_rad_s"])
+            for tick, value in zip(at, asked, strict=True):
+                window = slice(max(tick, 0), tick + patience + _period(at))
+                np.maximum(high[window, place], value, out=high[window, place])
+                np.minimum(low[window, place], value, out=low[window, place])
+        first = int(at[0]) if len(at) else 0
+        return first, min(ticks, (int(at[-1]) if len(at) else 0) + patience), low, high
+
+
+def _period(at: np.ndarray) -> int:
+    return int(np.median(np.diff(at))) if len(at) > 1 else 1
+
+
+def _lasting(away: np.ndarray) -> np.ndarray:
+    """Return where something has been so for more ticks in a row than it may."""
+    count, marks = 0, np.zeros(len(away), dtype=bool)
+    for place, is_away in enumerate(away):
+        count = count + 1 if is_away else 0
+        marks[place] = count > _DRIVEN_TICKS
+    return marks
+
+
+def _first(marks: np.ndarray, what: str) -> list[str]:
+    places = np.flatnonzero(marks)
+    return [f"at {places[0]} ms of the robot's time, in {len(places)} ticks: {what}"] if len(places) else []

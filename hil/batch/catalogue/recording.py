@@ -1,0 +1,82 @@
+"""Recordings of runs of which one process makes hundreds: by the recorder's own writer, without its process."""
+
+import array
+import uuid
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+import rerun as rr
+
+from hil.core.outputs import Existing, claim
+from hil.core.signals import SIGNAL_NAMES
+from hil.record import RecordingReport
+from hil.record.stream import Stream
+
+
+class RecordingHere:
+    """A ``RunRecording`` that is written in this process, when the run is over; for lockstep, which waits for nobody.
+
+    A process of its own takes half a second and more to begin, most of it for importing rerun. The file is the same.
+    """
+
+    def __init__(
+        self,
+        path: Path | None,
+        *,
+        properties: Mapping[str, str],
+        blocking: bool,
+        live_port: int | None = None,
+        signals: Sequence[str] = SIGNAL_NAMES,
+        existing: Existing = "refuse",
+    ) -> None:
+        assert path is not None, "there is no live view here"
+        assert blocking, "in real time nothing waits for it"
+        assert live_port is None, "there is no live view here"
+        self.path: Path | None = claim("recording", path, existing)
+        self._rows = array.array("d")
+        self._width = len(signals)
+        self._stream = Stream(
+            rr.FileSink(self.path),
+            recording_id=str(uuid.uuid4()),
+            signals=signals,
+            properties=properties,
+            live=False,
+        )
+
+    def put(self, row: tuple[float, ...]) -> None:
+        """Take one row in the order of the signals."""
+        self._rows.extend(row)
+
+    def event(self, t_s: float, level: str, text: str) -> None:
+        """Add a line to the event log."""
+        self._stream.event(t_s, level, text)
+
+    def finish(self, summary: Mapping[str, object], *, keep_live: bool = False) -> RecordingReport:
+        """Write the rows and the summary."""
+        assert self.path is not None
+        rows = np.frombuffer(self._rows, dtype=np.float64).reshape(-1, self._width)
+        if len(rows):
+            self._stream.rows(rows)
+        self._stream.finish(summary, {"rows_written": len(rows), "rows_dropped": 0})
+        self._stream.close()
+        return RecordingReport(
+            path=self.path,
+            rows_put=len(rows),
+            rows_written=len(rows),
+            rows_dropped=0,
+            rows_lost=0,
+            events_lost=0,
+            error=None,
+            parts=(self.path,),
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Nothing to release: what was not finished is no recording."""

@@ -1,0 +1,166 @@
+"""A comparison in words: cells for the terminal, a page in Markdown, and every run as CSV."""
+
+import csv
+import os
+import re
+from collections.abc import Iterator, Sequence
+from io import StringIO
+from pathlib import Path
+
+from hil.batch.comparison.columns import COLUMNS, Column
+from hil.batch.comparison.conditions import DRIVES, FRICTIONS, MASS_FACTORS, Condition
+from hil.batch.comparison.result import Comparison, Row
+from hil.batch.comparison.runs import FIGURES
+from hil.core.errors import BadInputError
+from hil.core.outputs import Existing
+from hil.core.whole_file import write_whole
+
+OVERVIEW = "figures"
+"""The name of the picture of all figures."""
+_LAST_S = 1.0
+
+
+def names(condition: Condition) -> tuple[str, str]:
+    """Return the names of the pictures of a condition: path and error, and torques."""
+    return f"error-{condition.slug}", f"torque-{condition.slug}"
+
+
+def older(folder: Path) -> list[Path]:
+    """Return the files that an earlier comparison wrote into a folder, whatever its conditions."""
+    drives = "|".join(DRIVES)
+    own = re.compile(rf"comparison\.csv|{OVERVIEW}\.png|(error|torque)-[0-9.e+-]+nm-({drives})(-[a-z-]+)?\.png")
+    return sorted(file for file in folder.iterdir() if own.fullmatch(file.name) and file.is_file())
+
+
+def remove_older(folder: Path) -> None:
+    """Remove the files that an earlier comparison wrote into a folder; nothing else. Raises BadInputError."""
+    for file in older(folder):
+        try:
+            file.unlink()
+        except OSError as error:
+            raise BadInputError(
+                f"file {file}: this older result cannot be removed ({error.strerror}); name another folder"
+            ) from error
+
+
+def terminal(comparison: Comparison) -> Iterator[tuple[str, list[tuple[str, ...]], list[str]]]:
+    """Yield for each condition its title, its table with a head (nominal and worst in a cell), and its notes."""
+    for condition in comparison.conditions():
+        rows = comparison.under(condition)
+        head = ("law", *(f"{column.head} {column.unit}" for column in COLUMNS))
+        cells = [(row.entry.title(condition.mode), *(_pair(column, row) for column in COLUMNS)) for row in rows]
+        yield condition.words, [head, *cells], list(_notes(comparison, rows))
+
+
+def _pair(column: Column, row: Row) -> str:
+    nominal = column.text(row.value(column.name))
+    return nominal if len(row.runs) == 1 else f"{nominal} / {column.text(row.worst(column.name))}"
+
+
+def write_markdown(
+    comparison: Comparison,
+    file: Path,
+    command: str,
+    pictures: Sequence[Path] = (),
+    existing: Existing = "refuse",
+) -> None:
+    """Write the page; ``command`` is what made it, ``existing`` says what is done where the file is there already.
+
+    Raises BadInputError when it cannot be written.
+    """
+    lines = [*_preface(comparison, command)]
+    for condition in comparison.conditions():
+        rows = comparison.under(condition)
+        late = _late(comparison, rows)
+        lines += ["", f"## {condition.words}", ""]
+        lines += ["| law | " + " | ".join(f"{column.head} [{column.unit}]" for column in COLUMNS) + " |"]
+        lines += ["|---" * (1 + len(COLUMNS)) + "|"]
+        for row in rows:
+            cells = (_triple(column, row, rows, is_late=column in late) for column in COLUMNS)
+            label = row.entry.title(condition.mode).replace("|", "\\|")
+            lines.append(f"| {label} | " + " | ".join(cells) + " |")
+        if notes := list(_notes(comparison, rows)):
+            lines += ["", *(f"- {note}" for note in notes)]
+        lines += _shown(pictures, names(condition), file)
+    lines += _shown(pictures, (OVERVIEW,), file)
+    write_whole(file, ("\n".join(lines) + "\n").encode("utf-8"), "page", existing)
+
+
+def _preface(comparison: Comparison, command: str) -> Iterator[str]:
+    varied = len(comparison.rows[0].runs) > 1
+    masses, frictions = (" and ".join(f"{value:g}" for value in values) for values in (MASS_FACTORS, FRICTIONS))
+    yield "# Laws compared"
+    yield ""
+    yield f"Made by `{command}`; do not edit. Scenario `{comparison.scenario}`, seed {comparison.seed}, every run in"
+    yield "lockstep through the wire in memory. Less is better in every column. In brackets behind a law are gains of"
+    yield "the scenario that are not its defaults."
+    yield ""
+    if varied:
+        yield "A cell has three figures: nominal / worst over the plant's mass / worst over its mass and friction. The"
+        yield f"mass is {masses} times the nominal one, the friction {frictions}, each with each; what the law believes"
+        yield "does not change. The lowest of the last is bold. A dash says that a run has no such figure; why is below"
+        yield "the table."
+    else:
+        yield "Nominal runs alone. The lowest figure is bold. A dash says that a run has no such figure; the reason is"
+        yield "below the table."
+    yield ""
+    for column in COLUMNS:
+        yield f"- {column.head} [{column.unit}]: {column.meaning}."
+
+
+def _late(comparison: Comparison, rows: Sequence[Row]) -> list[Column]:
+    """Return the times of which even the least lies in a run's last second: how the run ends decides on them."""
+    late = []
+    for column in COLUMNS:
+        least = _least(column, rows)
+        if column.is_instant and least is not None and least > comparison.duration_s - _LAST_S:
+            late.append(column)
+    return late
+
+
+def _least(column: Column, rows: Sequence[Row]) -> float | None:
+    return min((value for row in rows if (value := row.worst(column.name)) is not None), default=None)
+
+
+def _triple(column: Column, row: Row, rows: Sequence[Row], *, is_late: bool) -> str:
+    worst = row.worst(column.name)
+    text = column.text(worst)
+    if worst is not None and text == column.text(_least(column, rows)) and not is_late:
+        text = f"**{text}**"
+    if len(row.runs) == 1:
+        return text
+    return " / ".join([column.text(row.value(column.name)), column.text(row.worst_over_mass(column.name)), text])
+
+
+def _notes(comparison: Comparison, rows: Sequence[Row]) -> Iterator[str]:
+    if late := _late(comparison, rows):
+        yield (
+            f"{' and '.join(column.head for column in late)}: the least is in the last second of a run of "
+            f"{comparison.duration_s:g} s, so that the error was not seen to stay where it is, and nobody is first"
+        )
+    for row in rows:
+        for note in row.notes():
+            yield f"{row.entry.label}: {note}"
+
+
+def _shown(pictures: Sequence[Path], wanted: Sequence[str], file: Path) -> Iterator[str]:
+    """Yield the lines that show those of the pictures that have these names, by their paths from the page."""
+    for picture in pictures:
+        if picture.stem in wanted:
+            yield ""
+            yield f"![{picture.stem}]({Path(os.path.relpath(picture, file.parent)).as_posix()})"
+
+
+def write_csv(comparison: Comparison, file: Path) -> None:
+    """Write a row for each run. Raises BadInputError when it cannot be written."""
+    stream = StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    first = comparison.rows[0]
+    head = (*first.condition._fields, *first.runs[0].variation._fields)
+    writer.writerow(["law", *head, *FIGURES, "refused", "failed"])
+    for row in comparison.rows:
+        for variation, outcome in row.runs:
+            figures = [None if outcome.figures is None else outcome.figures[name] for name in FIGURES]
+            places = (*row.condition, *variation)
+            writer.writerow([row.entry.label, *places, *figures, outcome.refused, outcome.failed])
+    write_whole(file, stream.getvalue().encode("utf-8"))

@@ -1,0 +1,159 @@
+"""Which runs reproduce section IV: shipped scenarios, with settings as data."""
+
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+from hil.batch.reproduction import published
+
+CIRCLE = "paper_circle"
+CIRCLE_DSC = "paper_circle_dsc"
+EXPERIMENT = "paper_experiment"
+EXPERIMENT_PERIOD_S = 0.005
+"""A command period of it."""
+
+Settings = Mapping[str, object]
+
+
+class Case(NamedTuple):
+    """A run to do: a shipped scenario and what is set in it.
+
+    ``group`` is the table it belongs to, ``row`` its place in it: by what the table's rows differ. ``records`` asks for
+    a recording.
+    """
+
+    name: str
+    group: str
+    row: Mapping[str, str | float]
+    scenario: str
+    sets: Settings
+    records: bool = False
+
+
+class Choice(NamedTuple):
+    """One of several ways to run the circle: words for the tables, and what it sets."""
+
+    words: str
+    sets: Settings
+
+
+LAWS: dict[str, tuple[str, Choice]] = {
+    "dsc": (CIRCLE_DSC, Choice("DSC, K1 = 15, K2 = 40", {})),
+    "afdsc": (CIRCLE, Choice("AFDSC, tables as printed", {})),
+    "corrected": (CIRCLE, Choice("AFDSC, tables corrected", {"controller.law": "afdsc_corrected"})),
+    "constant": (
+        CIRCLE_DSC,
+        Choice("constant K1 = 10, K2 = 20", {"controller.gains.k1_1_s": 10.0, "controller.gains.k2_1_s": 20.0}),
+    ),
+}
+"""By name: the scenario, and what is set in it. ``constant`` has the gains that the tables give at zero error."""
+
+FILTERS: dict[str, Choice] = {
+    "common": Choice(f"{published.COMMON_FILTER_S:g} s", {"controller.gains.filter_s": published.COMMON_FILTER_S}),
+    "short": Choice(f"{published.SHORT_FILTER_S:g} s", {"controller.gains.filter_s": published.SHORT_FILTER_S}),
+}
+
+# More than any law asks for in these runs, so that the motors' own limit is the only one.
+_NO_COMMON_LIMIT = {"robot.torque_limit_n_m": 15.99, "firmware.torque_limit_n_m": 15.99}
+LIMITS: dict[str, Choice] = {
+    "together": Choice("5 N·m, four wheels scaled together", {}),
+    "each": Choice(
+        "5 N·m, each motor by itself",
+        {
+            **_NO_COMMON_LIMIT,
+            "plant.start.drive": "current",
+            "plant.start.current_limit_a": 4.0,  # of 1.25 N·m each
+            "plant.start.battery_voltage_v": 200.0,  # no limit of its own, as the paper has none
+        },
+    ),
+    "grip": Choice(
+        "1.8 N·m, four wheels scaled together", {"robot.torque_limit_n_m": 1.8, "firmware.torque_limit_n_m": 1.8}
+    ),
+}
+"""``grip`` is what a wheel carries without slip on a floor of 0.7: grip m g / 4 r / √2."""
+
+DRIVEN: dict[str, Choice] = {
+    "afdsc torque": Choice("AFDSC, torque", {}),
+    "dsc torque": Choice("DSC, torque", {"controller.law": "dsc"}),
+    "afdsc speed": Choice("AFDSC, speed", {"controller.command": "speed"}),
+}
+LATENCIES_MS: dict[str, tuple[int, ...]] = {
+    "afdsc torque": (0, 10, 20, 30, 40, 50, 60, 70),
+    "dsc torque": (0, 20, 30, 40, 60),
+    "afdsc speed": (0, 20, 40, 60),
+}
+STARTS_X_M = (0.0, 1.0, 2.0)
+"""The reference is at the far left of the circle when the host comes, so that these are 1, 2 and 3 m away."""
+TOP_SPEEDS_RAD_S = (20.0, 12.0, 9.0)
+"""The circle itself needs 7.9 rad/s, at 45 degrees to the wheels."""
+
+VARIANT_S, QUICK_S = 10.0, 7.0
+"""Of the circle: long enough to be on the path, and for 5 s of steady error after that."""
+QUICK_DELAY_S = 18.0
+"""Of the experiment when the host is there from the first: a lap after AFDSC has come to the path; DSC takes longer."""
+TRANSITION_S = 17.0
+"""Of the runs that only show how long the robot takes to the path: 10 s from when it is commanded."""
+_UNJUDGED: Settings = {"expect": []}
+"""What a scenario expects of itself is not expected of its variants."""
+_RECORDED = ("dsc common together", "afdsc common together", "afdsc short together")
+
+
+def cases(*, quick: bool = False) -> list[Case]:
+    """Return the runs in the order of the tables; with ``quick`` the few that still have something in each."""
+    found = [*circle(quick=quick), *experiment(quick=quick)]
+    assert len({case.name for case in found}) == len(found)
+    return found
+
+
+def circle(*, quick: bool = False) -> Iterator[Case]:
+    """Section IV.A: each law with each filter at each limit."""
+    for limit_name, limit in LIMITS.items():
+        for filter_name, filter_s in FILTERS.items():
+            for law_name, (scenario, law) in LAWS.items():
+                name = f"{law_name} {filter_name} {limit_name}"
+                if quick and name not in _RECORDED:
+                    continue
+                records = name in (_RECORDED[1:2] if quick else _RECORDED)
+                sets = {**limit.sets, **filter_s.sets, **law.sets}
+                if quick or name not in _RECORDED:
+                    sets |= {"loop.duration_s": QUICK_S if quick else VARIANT_S, **_UNJUDGED}
+                row = {"law": law_name, "filter": filter_name, "limit": limit_name}
+                yield Case(name, "circle", row, scenario, sets, records)
+
+
+def experiment(*, quick: bool = False) -> Iterator[Case]:
+    """Section IV.B: the experiment over latency, and from where and how fast the robot comes to the path."""
+    shorter = {"loop.duration_s": TRANSITION_S, **_UNJUDGED} if quick else {}
+    yield Case("experiment", "experiment", {}, EXPERIMENT, shorter, records=True)
+    for driven_name, latencies_ms in LATENCIES_MS.items():
+        for latency_ms in latencies_ms:
+            if quick and (driven_name != "afdsc torque" or latency_ms not in (latencies_ms[0], latencies_ms[-1])):
+                continue
+            sets = {**DRIVEN[driven_name].sets, **_latency(latency_ms), **_UNJUDGED}
+            if quick:
+                sets |= {"loop.duration_s": QUICK_DELAY_S, "fault": []}
+            row: dict[str, str | float] = {"driven": driven_name, "latency_ms": float(latency_ms)}
+            yield Case(f"{driven_name} {latency_ms} ms", "delay", row, EXPERIMENT, sets)
+    if quick:
+        return
+    for start_x_m in STARTS_X_M:
+        sets = {"plant.start.start_x_m": start_x_m, "loop.duration_s": TRANSITION_S, **_UNJUDGED}
+        row = {"driven": "afdsc torque", "start_x_m": start_x_m}
+        yield Case(f"from x = {start_x_m:g} m", "transition", row, EXPERIMENT, sets)
+    for top_rad_s in TOP_SPEEDS_RAD_S:
+        sets = {
+            **DRIVEN["afdsc speed"].sets,
+            "robot.speed_limit_rad_s": top_rad_s,
+            "loop.duration_s": TRANSITION_S,
+            **_UNJUDGED,
+        }
+        row = {"driven": "afdsc speed", "start_x_m": STARTS_X_M[0], "top_speed_rad_s": top_rad_s}
+        yield Case(f"at most {top_rad_s:g} rad/s", "transition", row, EXPERIMENT, sets)
+
+
+def _latency(latency_ms: int) -> Settings:
+    """Divide a latency between the two ways, in whole ticks of the robot."""
+    back_ms = latency_ms // 2
+    return {
+        "link.command_latency_s": (latency_ms - back_ms) / 1000.0,
+        "link.feedback_latency_s": back_ms / 1000.0,
+    }

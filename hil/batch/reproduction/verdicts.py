@@ -1,0 +1,334 @@
+"""Which of the paper's results come out, which do not, and why: worked out from the figures of the runs at hand.
+
+Pure: outcomes in, verdicts out. No sentence holds a number that was not computed here or printed in the paper.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+from hil.batch.reproduction import published
+from hil.batch.reproduction.margin import delay_margin
+from hil.batch.reproduction.plan import DRIVEN, EXPERIMENT_PERIOD_S, FILTERS, LIMITS, Case
+from hil.batch.reproduction.published import Printed
+from hil.batch.reproduction.runs import Outcome
+
+COMES_OUT = "comes out"
+FITTED = "fitted"
+DOES_NOT = "does not come out"
+NO_NUMBER = "cannot be compared"
+NOT_RUN = "not run"
+
+_GROWTH = 3.0
+"""How many times as large an oscillation has to be as without latency to be due to it."""
+_ON_PATH_M = 0.010
+_HEADING_RAD = 0.01
+_LAW_WORDS = {"dsc": "DSC", "afdsc": "AFDSC", "constant": "constant gains", "corrected": "AFDSC with corrected tables"}
+
+
+class Verdict(NamedTuple):
+    """What became of a result of the paper.
+
+    ``verdict`` is one of ``COMES_OUT``, ``FITTED`` (something that the paper leaves out was chosen so that it does),
+    ``DOES_NOT``, ``NO_NUMBER`` and ``NOT_RUN`` (by ``--quick``). ``paper`` and ``ours`` are in ``unit``, None where
+    there is no number; ``tolerance`` is how far apart they may be.
+    """
+
+    place: str
+    claim: str
+    unit: str
+    paper: float | None
+    ours: float | None
+    tolerance: float | None
+    verdict: str
+    why: str
+
+
+class Results:
+    """The outcomes of the runs by what they are runs of; a figure that is not there is None.
+
+    A run that ended early has none: what it got to by then says nothing of the paper.
+    """
+
+    def __init__(self, cases: list[Case], outcomes: list[Outcome]) -> None:
+        ended = (outcome if outcome.failure is None else outcome._replace(figures={}) for outcome in outcomes)
+        self._pairs = list(zip(cases, ended, strict=True))
+
+    def rows(self, group: str) -> Iterator[tuple[Case, Outcome]]:
+        """Yield the cases of a table with their outcomes."""
+        return ((case, outcome) for case, outcome in self._pairs if case.group == group)
+
+    def failure(self, name: str) -> str | None:
+        """Return what ended a run early, or that it was not made."""
+        return next((outcome.failure for case, outcome in self._pairs if case.name == name), "it was not run")
+
+    def is_planned(self, name: str) -> bool:
+        """Whether a run of this name was asked for: a quick reproduction leaves most of them out."""
+        return any(case.name == name for case, _ in self._pairs)
+
+    def circle(self, law: str, filter_name: str, limit: str, figure: str) -> float | None:
+        """Return a figure of section IV.A."""
+        row = {"law": law, "filter": filter_name, "limit": limit}
+        return next((o.figures.get(figure) for c, o in self.rows("circle") if c.row == row), None)
+
+    def experiment(self, figure: str) -> float | None:
+        """Return a figure of the experiment as its scenario is shipped."""
+        return next((o.figures.get(figure) for _, o in self.rows("experiment")), None)
+
+    def delay(self, driven: str) -> dict[float, Mapping[str, float | None]]:
+        """Return the figures of the experiment by latency [ms]; none where a run ended early."""
+        return {
+            float(case.row["latency_ms"]): outcome.figures
+            for case, outcome in self.rows("delay")
+            if case.row["driven"] == driven
+        }
+
+
+def judge(results: Results) -> list[Verdict]:
+    """Return the verdict on each result of section IV, in the order of the paper."""
+    both = ("dsc common together", "afdsc common together", "afdsc short together")
+    circle = [
+        *(_printed(results, printed) for printed in published.FIGURES),
+        _own_filter(results),
+        _sooner(results),
+        _closer(results),
+        _by_the_tuner(results),
+        _heading(results),
+    ]
+    experiment = [_silence(results), _transition(results), _converged(results), _delay(results)]
+    return [
+        *_as_far_as_run(results, circle, both),
+        *_as_far_as_run(results, experiment, ("experiment",)),
+    ]
+
+
+def _as_far_as_run(results: Results, found: list[Verdict], needed: tuple[str, ...]) -> list[Verdict]:
+    """Take back verdicts on runs that did not come to their end: that says nothing of the paper."""
+    failed = [f"{name}: {failure}" for name in needed if (failure := results.failure(name)) is not None]
+    if not failed:
+        return found
+    return [verdict._replace(verdict=NO_NUMBER, why=f"a run is missing, {'; '.join(failed)}") for verdict in found]
+
+
+def _printed(results: Results, printed: Printed) -> Verdict:
+    """Hold one of the four figures to what both laws give with one filter constant."""
+    ours = results.circle(printed.law, "common", "together", printed.figure)
+    is_near = ours is not None and _is_near(ours, printed)
+    fitted = is_near and printed is not published.AFDSC_STEADY
+    if printed is published.AFDSC_STEADY:
+        why = _why_not_closer(results)
+    elif printed is published.DSC_STEADY and fitted:
+        why = (
+            f"the filter constant of {FILTERS['common'].words}, which the paper leaves out, was chosen for it: this "
+            "shows nothing"
+        )
+    else:
+        each = results.circle(printed.law, "common", "each", printed.figure)
+        start = "the initial pose and the torque limit, which the paper leaves out, are ours"
+        if fitted:
+            start += ", chosen so that both times come near: this shows nothing"
+        why = start if each is None else f"{start}; with each motor limited by itself {each:.2f} s"
+    name = {"tracked_s": "tracks after", "steady_rms_m": "steady error"}[printed.figure]
+    return _judged("IV.A, Fig. 8", f"{_LAW_WORDS[printed.law]} {name}", printed, ours, FITTED if fitted else None, why)
+
+
+def _own_filter(results: Results) -> Verdict:
+    """Give AFDSC alone the filter that its steady error asks for."""
+    printed = published.AFDSC_STEADY
+    ours = results.circle("afdsc", "short", "together", printed.figure)
+    ratio = published.COMMON_FILTER_S / published.SHORT_FILTER_S
+    tracked = results.circle("afdsc", "short", "together", "tracked_s")
+    dsc = results.circle("dsc", "short", "together", printed.figure)
+    why = f"the filter was chosen for it, {ratio:.1f} times as fast as DSC's"
+    if tracked is not None:
+        why += f"; AFDSC then tracks after {tracked:.2f} s"
+    if dsc is not None:
+        why += f"; DSC with that filter too leaves {_millimetres(dsc)}"
+    is_near = ours is not None and _is_near(ours, printed)
+    claim = "AFDSC steady error, with a filter of its own"
+    return _judged("IV.A, Fig. 8", claim, printed, ours, FITTED if is_near else None, why)
+
+
+def _sooner(results: Results) -> Verdict:
+    """AFDSC tracks before DSC."""
+    first, second = published.DSC_TRACKED, published.AFDSC_TRACKED
+    lead = _lead(results, "common", "together")
+    leads = {
+        f"{FILTERS[f].words} and {LIMITS[limit].words}": value
+        for limit in LIMITS
+        for f in FILTERS
+        if (value := _lead(results, f, limit)) is not None
+    }
+    is_so = lead is not None and lead > 0.0
+    others = [f"{words} {value:+.2f} s" for words, value in leads.items() if (value > 0.0) != is_so]
+    sign = f"the same sign in all {len(leads)} conditions run" if len(leads) > 1 else "run in one condition only"
+    if others:
+        sign = f"not in every condition run: with {', with '.join(others)}"
+    why = f"the initial pose was chosen for both times, so the size shows nothing; {sign}" if is_so else sign
+    claim = "AFDSC tracks sooner than DSC, by"
+    paper = round(first.value - second.value, 6)
+    return Verdict("IV.A", claim, "s", paper, lead, None, FITTED if is_so else DOES_NOT, why)
+
+
+def _closer(results: Results) -> Verdict:
+    """AFDSC's steady error is smaller than DSC's."""
+    dsc, afdsc = (results.circle(law, "common", "together", "steady_rms_m") for law in ("dsc", "afdsc"))
+    less = dsc - afdsc if dsc is not None and afdsc is not None else None
+    stiffest, dsc_stiffness = published.stiffest_rule_1_s2(), math.prod(published.DSC_GAINS)
+    why = (
+        f"of a filter's lag the error goes with 1 / K1, and K1 is {published.FUZZY_CENTRE[0]:g} 1/s at zero error "
+        f"against {published.DSC_GAINS[0]:g}; of a disturbance it goes with 1 / (K1 K2), at most {stiffest:g} 1/s² by "
+        f"any rule against {dsc_stiffness:g}: no cause that both laws share makes AFDSC the more exact"
+    )
+    paper = round(published.DSC_STEADY.value - published.AFDSC_STEADY.value, 8)
+    is_so = less is not None and less > 0.0
+    claim = "AFDSC's steady error is smaller than DSC's, by"
+    return Verdict("IV.A", claim, "m", paper, less, None, COMES_OUT if is_so else DOES_NOT, why)
+
+
+def _by_the_tuner(results: Results) -> Verdict:
+    """Adapting is what makes AFDSC sooner: held against the constant gains that the tables have in the middle."""
+    gains = {limit: _lead(results, "common", limit, "constant") for limit in LIMITS}
+    gain, tolerance = gains["together"], published.AFDSC_TRACKED.digit
+    is_so = gain is not None and gain > tolerance
+    tracked = (
+        f"{_LAW_WORDS[law]} {value:.2f} s"
+        for law in ("constant", "afdsc", "corrected")
+        if (value := results.circle(law, "common", "together", "tracked_s")) is not None
+    )
+    others = [
+        f"{LIMITS[limit].words} {value:+.2f} s"
+        for limit, value in gains.items()
+        if limit != "together" and value is not None
+    ]
+    why = f"tracked: {', '.join(tracked)}"
+    if others:
+        why += f"; the same figure with {', with '.join(others)}"
+    claim = "the fuzzy tuner makes it sooner than its middle gains held constant, by"
+    if not results.is_planned(run := "constant common together"):
+        why = "--quick leaves out the run with its middle gains held constant"
+        return Verdict("IV.A", claim, "s", None, None, tolerance, NOT_RUN, why)
+    if gain is None:
+        failure = results.failure(run)
+        why = f"one of the two did not track; {why}" if failure is None else f"a run is missing, {run}: {failure}"
+        return Verdict("IV.A", claim, "s", None, None, tolerance, NO_NUMBER, why)
+    return Verdict("IV.A", claim, "s", None, gain, tolerance, COMES_OUT if is_so else DOES_NOT, why)
+
+
+def _heading(results: Results) -> Verdict:
+    """Fig. 8 (d): the heading converges with both laws."""
+    found = [results.circle(law, "common", "together", "heading_rad") for law in ("dsc", "afdsc")]
+    there = [value for value in found if value is not None]
+    ours = max(there) if len(there) == len(found) else None
+    is_so = ours is not None and ours < _HEADING_RAD
+    why = "the largest heading error of the last 5 s of either law; the paper gives no number"
+    claim = "the heading converges with both laws"
+    if ours is None:
+        return Verdict(
+            "IV.A, Fig. 8 (d)", claim, "rad", None, None, _HEADING_RAD, NO_NUMBER, "a run has no such figure"
+        )
+    return Verdict("IV.A, Fig. 8 (d)", claim, "rad", None, ours, _HEADING_RAD, COMES_OUT if is_so else DOES_NOT, why)
+
+
+def _silence(results: Results) -> Verdict:
+    """Fig. 11: there is no control signal before the host comes."""
+    paper = published.SILENT_TO_S - published.SILENT_FROM_S
+    ours = results.experiment("driven_s")
+    if ours is None:
+        why = "the robot was not commanded at the end of the run"
+        return Verdict("IV.B, Fig. 11", "no control signal for", "s", paper, None, 1.0, NO_NUMBER, why)
+    is_near = abs(ours - paper) <= 1.0
+    why = "imposed: nobody is on the line until then, and the host that comes connects and arms before it commands"
+    claim = "no control signal for"
+    return Verdict("IV.B, Fig. 11", claim, "s", paper, ours, 1.0, FITTED if is_near else DOES_NOT, why)
+
+
+def _transition(results: Results) -> Verdict:
+    """Section IV.B: about 4 s until the robot is on the reference."""
+    paper, tolerance = published.TRANSITION_S, published.TRANSITION_DIGIT_S
+    ours = results.experiment("transition_s")
+    is_near = ours is not None and abs(ours - paper) <= tolerance
+    others = [
+        f"{case.name}, {DRIVEN[str(case.row['driven'])].words}: {value:.1f} s"
+        for case, outcome in results.rows("transition")
+        if (value := outcome.figures.get("transition_s")) is not None
+    ]
+    from_m = results.experiment("from_m")
+    distance = "" if from_m is None else f" from {from_m:.2f} m"
+    why = f"ours is{distance}, until within 2 % of that; the paper gives neither pose nor top speed"
+    if others:
+        why += f"; {'; '.join(others)}"
+    claim = "the transition takes about"
+    return Verdict("IV.B, Fig. 10", claim, "s", paper, ours, tolerance, COMES_OUT if is_near else DOES_NOT, why)
+
+
+def _converged(results: Results) -> Verdict:
+    """Section IV.B: after the transition the robot moves on the reference."""
+    ours = results.experiment("steady_max_m")
+    is_so = ours is not None and ours < _ON_PATH_M
+    why = "the largest error of the last 5 s, with slip, motors and friction; the paper gives no number"
+    claim = "then it stays on the reference"
+    return Verdict("IV.B, Fig. 10", claim, "m", None, ours, _ON_PATH_M, COMES_OUT if is_so else DOES_NOT, why)
+
+
+def _delay(results: Results) -> Verdict:
+    """Section IV.B: a slight oscillation about the path, due to the controller's delay.
+
+    That there is none can come out. That there is one says nothing for the paper: it has no number, and the sweep goes
+    beyond the latency at which the loop is no longer stable, where every loop swings.
+    """
+    sweep = {ms: figures.get("amplitude_m") for ms, figures in results.delay("afdsc torque").items()}
+    known = {ms: value for ms, value in sweep.items() if value is not None}
+    calm = known.get(0.0)
+    claim = "a slight oscillation from the delay"
+    if calm is None or len(known) < 2:
+        why = "the runs with and without latency did not both come to their end"
+        return Verdict("IV.B", claim, "m", None, None, None, NO_NUMBER, why)
+    swinging = [ms for ms, value in sorted(known.items()) if value > _GROWTH * calm]
+    first = swinging[0] if swinging else max(known)
+    frequency = results.delay("afdsc torque")[first].get("frequency_hz")
+    at = f"{_millimetres(known[first])} at {first:g} ms" + ("" if frequency is None else f" and {frequency:.1f} Hz")
+    lost = [f"{ms:g} ms" for ms, value in sorted(sweep.items()) if value is None]
+    why = f"{_millimetres(calm)} without latency, {at}"
+    if not swinging:
+        why += f": less than {_GROWTH:g} times as much, so none of it is due to latency"
+    if lost:
+        why += f"; the run did not end at {', '.join(lost)}"
+    margin = delay_margin(*published.FUZZY_CENTRE, published.COMMON_FILTER_S, EXPERIMENT_PERIOD_S)
+    why += (
+        f"; by the equations AFDSC's gains at zero error swing from {margin.latency_s * 1e3:.0f} ms on, at "
+        f"{margin.frequency_hz:.1f} Hz; every loop swings once it is late enough, and the paper gives neither "
+        "amplitude nor delay"
+    )
+    return Verdict("IV.B", claim, "m", None, known[first], None, NO_NUMBER if swinging else DOES_NOT, why)
+
+
+def _why_not_closer(results: Results) -> str:
+    """Say what AFDSC's steady error would need."""
+    needed = published.gain_for(published.AFDSC_STEADY.value, published.COMMON_FILTER_S)
+    lag_m = published.steady_error_m(published.COMMON_FILTER_S, published.FUZZY_CENTRE[0])
+    return (
+        f"with this filter it needs K1 = {needed:.0f} 1/s, and Table II ends at {published.DSC_GAINS[0]:g}; at the "
+        f"{published.FUZZY_CENTRE[0]:g} of Table III for zero error the equations leave {_millimetres(lag_m)}"
+    )
+
+
+def _judged(place: str, claim: str, printed: Printed, ours: float | None, verdict: str | None, why: str) -> Verdict:
+    is_near = ours is not None and _is_near(ours, printed)
+    unit = "s" if printed.figure == "tracked_s" else "m"
+    found = verdict or (COMES_OUT if is_near else DOES_NOT)
+    return Verdict(place, claim, unit, printed.value, ours, printed.digit, found, why)
+
+
+def _is_near(ours: float, printed: Printed) -> bool:
+    return abs(ours - printed.value) <= printed.digit
+
+
+def _lead(results: Results, filter_name: str, limit: str, law: str = "dsc") -> float | None:
+    """Return by how much AFDSC tracks before another law [s]."""
+    other, afdsc = (results.circle(name, filter_name, limit, "tracked_s") for name in (law, "afdsc"))
+    return other - afdsc if other is not None and afdsc is not None else None
+
+
+def _millimetres(value_m: float) -> str:
+    return f"{value_m * 1e3:.2g} mm"

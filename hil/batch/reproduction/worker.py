@@ -1,0 +1,9 @@
+"""A worker of the reproduction: it takes jobs as lines of JSON and answers with outcomes."""
+
+import sys
+
+from hil.batch.reproduction.runs import Job, lost, perform
+from hil.batch.worker import serve
+
+if __name__ == "__main__":
+    sys.exit(serve(Job, perform, lost))

@@ -1,0 +1,213 @@
+"""``hil campaign``."""
+
+import os
+import signal
+import sys
+from collections import Counter
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hil.cli.group import Commands
+from hil.cli.options import AllowMotion, Force, Json, end_in_order, print_json
+from hil.core.errors import BadInputError, RunInterruptedError, nearest
+
+if TYPE_CHECKING:
+    from hil.batch.campaign.campaign import Campaign
+
+
+class FileFirst(Commands):
+    """Commands of which the first is meant where a file stands in place of a command's name."""
+
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]
+        """Put the name of the first command in front where none is given."""
+        if args and args[0] not in self.commands and args[0] not in ctx.help_option_names:
+            args = [next(iter(self.commands)), *args]
+        return super().parse_args(ctx, args)
+
+
+app = typer.Typer(
+    cls=FileFirst,
+    no_args_is_help=True,
+    subcommand_metavar="PLAN.toml [OPTIONS] | report DIR [OPTIONS]",
+    help="Run a scenario thousands of times, over axes, laws, faults and seeds, and judge it on one page.",
+)
+
+
+@app.command("run")
+def run(
+    plan: Annotated[Path, typer.Argument(metavar="PLAN.toml", help="what is run, see CAMPAIGNS.md")],
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="the results; by default runs/PLAN. What is there is not run again"),
+    ] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="say how many runs and about how long")] = False,
+    workers: Annotated[
+        int | None, typer.Option(metavar="N", help="processes; by default one a processor", min=1)
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="URL", help="of Dask: tls://HOST:PORT, or tcp://127.0.0.1:PORT on this machine"),
+    ] = None,
+    limit_s: Annotated[
+        float | None,
+        typer.Option("--limit", metavar="S", help="a run that takes longer is ended as hung", min=1.0),
+    ] = None,
+    redo: Annotated[
+        str | None,
+        typer.Option(metavar="OUTCOMES", help="do again what came to one of these, as in lost,refused"),
+    ] = None,
+    allow_motion: AllowMotion = False,
+    as_json: Json = False,
+) -> None:
+    """Do the runs of a campaign that are not done yet; exit 1 when one did not pass."""
+    end_in_order()
+    if scheduler is not None and workers is not None:
+        raise BadInputError(f"--workers {workers}: an existing cluster has its own; leave it out with --scheduler")
+    try:
+        from hil.batch.campaign.campaign import Campaign
+
+        outcomes = _outcomes(redo)
+        if scheduler is not None:
+            from hil.batch.campaign.cluster import check_address
+
+            check_address(scheduler)
+        campaign = Campaign(plan, allow_motion=allow_motion)
+        folder = out if out is not None else Path("runs") / campaign.plan.name
+        # Of an existing cluster nobody knows here how many there are: an estimate is for one of its workers.
+        is_one = scheduler is not None or campaign.in_real_time or campaign.on_bench
+        count = workers or (1 if is_one else os.cpu_count() or 1)
+        if campaign.on_bench and count > 1:
+            raise BadInputError(
+                f"--workers {count}: there is one bench behind its link or its pose fixes, and one run at a time on it"
+            )
+        if dry_run:
+            _print_estimate(campaign, folder, count, outcomes, as_json=as_json)
+            return
+    except KeyboardInterrupt:
+        raise RunInterruptedError("interrupted; no run has begun") from None
+    _perform(campaign, folder, (scheduler, count, limit_s), outcomes, as_json=as_json)
+
+
+@app.command("report")
+def report(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="the results of a campaign")],
+    html: Annotated[Path | None, typer.Option(metavar="FILE", help="the page; by default DIR/report.html")] = None,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Write one page about a campaign: distributions, effects, pass rates, law against law, the worst runs."""
+    from hil.batch.campaign.judged import judge
+    from hil.batch.campaign.page import write_page
+    from hil.core.outputs import check_free, existing_files
+
+    existing = existing_files(force=force)
+    path = html if html is not None else folder / "report.html"
+    check_free("page", path, existing)
+    judged = judge(folder)
+    write_page(path, judged, existing)
+    if as_json:
+        print_json({"html": str(path), **judged.plain()})
+    else:
+        for line in judged.sentences():
+            print(line)
+        print(path)
+
+
+def _outcomes(redo: str | None) -> frozenset[str]:
+    from hil.batch.campaign.rows import OUTCOMES
+
+    names = [] if redo is None else [name.strip() for name in redo.split(",")]
+    for name in names:
+        if name not in OUTCOMES:
+            raise BadInputError(
+                f"--redo {redo}: {name!r} is no outcome{nearest(name, OUTCOMES)}; give some of "
+                f"{', '.join(OUTCOMES)}, with commas between them"
+            )
+    return frozenset(names)
+
+
+def _perform(
+    campaign: "Campaign",
+    folder: Path,
+    how: tuple[str | None, int, float | None],
+    redo: frozenset[str],
+    *,
+    as_json: bool,
+) -> None:
+    from hil.batch.campaign.cluster import Place
+    from hil.core.progress import RateProgress
+
+    scheduler, workers, limit_s = how
+    place = Place(scheduler, workers, limit_s or 120.0 + 2.0 * campaign.longest_s)
+    stop = _Stop()
+    outcomes: Counter[str] = Counter()
+    progress: RateProgress | None = None
+    shown = sys.stderr.isatty() and not as_json
+    troubles: dict[str, None] = {}
+
+    def tell(told: Any) -> None:
+        if progress is not None and shown:
+            progress.say(told.trouble)
+        elif told.trouble is not None and told.trouble not in troubles:
+            troubles[told.trouble] = None
+            print(f"hil: {told.trouble}", file=sys.stderr, flush=True)
+
+    for rows in campaign.perform(folder, place, tell, stop.is_wanted, redo):
+        new = Counter(row["outcome"] for row in rows)
+        outcomes += new
+        if progress is None:
+            progress = RateProgress(len(campaign.runs), len(rows))
+        elif shown:
+            progress.count(len(rows), len(rows) - new["passed"])
+    if shown and progress is not None:
+        progress.end()
+    done = outcomes.total()
+    if stop.is_wanted() and (done < len(campaign.runs) or campaign.records_worst):
+        raise RunInterruptedError(
+            f"interrupted; {done} of {len(campaign.runs)} runs are done and safe in {folder}; the same command goes on"
+        )
+    passed = outcomes["passed"] == len(campaign.runs)
+    if as_json:
+        print_json({"passed": passed, "folder": str(folder), "runs": len(campaign.runs), "outcomes": dict(outcomes)})
+    else:
+        told = ", ".join(f"{count} {outcome}" for outcome, count in outcomes.most_common())
+        print(f"{len(campaign.runs)} runs: {told}\nhil campaign report {folder}")
+    raise typer.Exit(0 if passed else 1)
+
+
+class _Stop:
+    """Ctrl-C, SIGTERM and the end of the terminal: the first one ends the campaign in order, the second one at once."""
+
+    def __init__(self) -> None:
+        self._count = 0
+        for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+            number = getattr(signal, name, None)  # Windows has no SIGHUP
+            if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, self._take)
+
+    def _take(self, _number: int, _frame: FrameType | None) -> None:
+        self._count += 1
+        if self._count > 1:
+            raise RunInterruptedError("interrupted twice; what is written is safe, and the same command goes on")
+
+    def is_wanted(self) -> bool:
+        """Whether the campaign is to end."""
+        return self._count > 0
+
+
+def _print_estimate(campaign: "Campaign", folder: Path, workers: int, redo: frozenset[str], *, as_json: bool) -> None:
+    from hil.batch.campaign.estimate import estimate
+    from hil.core.progress import duration_words
+
+    left = campaign.left(folder, redo)
+    about = estimate(campaign, left, workers)
+    runs = len(campaign.runs)
+    if as_json:
+        print_json({"runs": runs, "left": left, "workers": workers, **about._asdict()})
+        return
+    done = f", {runs - left} of them done" if left < runs else ""
+    by = "1 worker" if workers == 1 else f"{workers} workers"
+    print(f"{runs} runs{done}; about {duration_words(about.total_s)} with {by}, {about.run_s:.2g} s a run")

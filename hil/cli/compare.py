@@ -1,0 +1,147 @@
+"""``hil compare``."""
+
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hil.cli.options import Force, Json, Seed, Sets, end_in_order, print_json
+from hil.core.errors import BadInputError, RunInterruptedError
+
+if TYPE_CHECKING:
+    from hil.batch.comparison import Comparison
+    from hil.core.outputs import Existing
+
+
+def compare(
+    laws_and_scenario: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="LAW SCENARIO",
+            help="laws as LAW or LAW,KEY=VALUE,..., by default all that are shipped; last the scenario",
+        ),
+    ],
+    torque: Annotated[
+        list[float] | None, typer.Option(metavar="N·M", help="limit of a wheel; by default 5 and 1.8; may be repeated")
+    ] = None,
+    drive: Annotated[
+        list[str] | None, typer.Option(metavar="ideal|motors", help="by default both; may be repeated")
+    ] = None,
+    estimator: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="by default the scenario's; may be repeated")
+    ] = None,
+    contact: Annotated[
+        list[str] | None, typer.Option(metavar="rigid|slip", help="by default the scenario's; may be repeated")
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="nominal runs alone")] = False,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="pictures and every run as CSV")] = None,
+    markdown: Annotated[Path | None, typer.Option(metavar="FILE", help="a page with all tables")] = None,
+    jobs: Annotated[int | None, typer.Option(metavar="N", help="processes; by default one a processor", min=1)] = None,
+    limit_s: Annotated[
+        float, typer.Option("--limit", metavar="S", help="a run that takes longer is ended as hung", min=1.0)
+    ] = 120.0,
+    seed: Seed = None,
+    sets: Sets = None,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Run laws under the same conditions and print one table for each; exit 1 when a run failed."""
+    from hil.batch.comparison import Asked
+    from hil.batch.comparison import compare as run_comparison
+    from hil.batch.comparison.conditions import DRIVES, TORQUES_N_M
+    from hil.core.outputs import check_free, existing_files
+    from hil.core.progress import runs_progress
+
+    end_in_order()
+    *laws, scenario = laws_and_scenario
+    asked = Asked(
+        laws,
+        scenario,
+        sets or [],
+        seed,
+        torque or TORQUES_N_M,
+        drive or list(DRIVES),
+        estimator or [],
+        contact or [],
+        quick=quick,
+        curves=out is not None,
+    )
+    existing = existing_files(force=force)
+    if out is not None:
+        _make_folder(out, existing)
+    if markdown is not None:
+        check_free("page", markdown, existing)
+    tell = None if as_json or not sys.stderr.isatty() else runs_progress(lambda _: None)
+    try:
+        comparison = run_comparison(asked, jobs=jobs, limit_s=limit_s, tell=tell)
+    except KeyboardInterrupt:
+        raise RunInterruptedError("interrupted; the runs were ended") from None
+    # First what was found, for it took long: a disk may be full.
+    if as_json:
+        print_json(comparison.plain())
+    else:
+        _print_comparison(comparison)
+    sys.stdout.flush()
+    _write(comparison, out, markdown, existing)
+    raise typer.Exit(1 if comparison.has_failed else 0)
+
+
+def _make_folder(folder: Path, existing: "Existing") -> None:
+    """Make the folder. Raises BadInputError when it cannot be made, and when it has results that must stay."""
+    from hil.batch.comparison.tables import older
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        results = older(folder)
+    except OSError as error:
+        raise BadInputError(f"--out {folder}: it cannot be made ({error.strerror}); name a folder") from error
+    if results and existing == "refuse":
+        raise BadInputError(
+            f"--out {folder}: it has {results[0].name} of an earlier comparison; name another folder, or replace its "
+            "results with --force"
+        )
+
+
+def _write(comparison: "Comparison", out: Path | None, markdown: Path | None, existing: "Existing") -> None:
+    """Write the files; one that cannot be written keeps none of the others back. Raises BadInputError for the first."""
+    pictures: list[Path] = []
+    troubles: list[BadInputError] = []
+    if out is not None:
+        from hil.batch.comparison.pictures import draw
+        from hil.batch.comparison.tables import remove_older, write_csv
+
+        try:
+            if existing == "replace":
+                remove_older(out)
+            write_csv(comparison, out / "comparison.csv")
+        except BadInputError as error:
+            troubles.append(error)
+        try:
+            draw(comparison, out, pictures)
+        except BadInputError as error:
+            troubles.append(error)
+    if markdown is not None:
+        from hil.batch.comparison.tables import write_markdown
+
+        try:
+            write_markdown(comparison, markdown, f"hil {shlex.join(sys.argv[1:])}", pictures, existing)
+        except BadInputError as error:
+            troubles.append(error)
+    if troubles:
+        raise troubles[0]
+
+
+def _print_comparison(comparison: "Comparison") -> None:
+    """Print a table for each condition, and below it why figures are missing."""
+    from hil.batch.comparison.tables import terminal
+    from hil.cli import report
+
+    for number, (title, rows, notes) in enumerate(terminal(comparison)):
+        print(title if number == 0 else f"\n{title}")
+        report.print_table(rows)
+        for note in notes:
+            print(f"  {note}")
+    if len(comparison.rows[0].runs) > 1:
+        print("\nnominal / worst over mass and friction of the plant; less is better in every column")

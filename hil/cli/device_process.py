@@ -1,0 +1,125 @@
+"""``hil device``: the virtual robot as a process of its own, behind a link, with its truth on a socket."""
+
+import contextlib
+import signal
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from hil.core.child import wait_for_end
+from hil.core.clock import TICK_NS, WallClock
+from hil.core.errors import BadInputError
+from hil.core.language import Language
+from hil.core.outputs import Existing
+from hil.record import check_output_path
+from hil.robot.targets.robot import open_server, open_target
+from hil.robot.truth_server import TruthServer
+from hil.robot.virtual import VirtualStm32
+from hil.runtime.realtime import Wanted, real_time
+from hil.runtime.robots import language_of, link_of, no_lockstep, node_maker, open_trace, virtual_robot
+from hil.scenario import Scenario
+from hil.wire.opening import open_robot
+from hil.wire.robot_end import Wire
+from hil.wire.trace import Trace
+from hil.wire.trace.tap import TracedWire
+from hil.wire.url import LinkUrl
+
+
+def serve(
+    scenario: Scenario,
+    truth_port: int,
+    say: Callable[[str], None],
+    target: str = "host",
+    trace: Path | None = None,
+    lifeline: int | None = None,
+    *,
+    existing: Existing = "refuse",
+) -> None:
+    """Serve the scenario's virtual robot until SIGTERM or SIGINT; ``target`` says what its firmware runs on.
+
+    ``trace`` is a file for what is on the wire, ``existing`` what is done where it is there already. With a
+    ``lifeline``, the descriptor of a pipe, it ends with that too: when whoever held the other end is gone.
+
+    ``say`` gets one line when the robot is ready: how to reach it; one for each part of ``[realtime]`` that was not
+    granted; and at the end what a foreign FMU has said, one if this machine's stalls cost robot time, and one if the
+    trace is incomplete. Raises BadInputError when a part cannot be made, LinkError when the link is lost, DeviceError
+    when the plant fails.
+    """
+    if trace is not None:
+        check_output_path("trace", trace, existing)
+    with contextlib.ExitStack() as resources:
+        url = link_of(scenario)
+        lockstep = scenario.loop.mode == "lockstep"
+        robot = _robot(scenario, target, url)
+        resources.callback(robot.close)
+        tracing = resources.enter_context(open_trace(scenario, trace, existing)) if trace is not None else None
+        wire, reach = open_robot(url, say, lockstep=lockstep, language=language_of(scenario))
+        resources.callback(wire.close)
+        if tracing is not None:
+            wire = _traced(wire, tracing, robot, language_of(scenario), lockstep=lockstep)
+        truth = TruthServer(scenario.hash, truth_port)
+        resources.callback(truth.close)
+        # Before robot time begins: to lock memory takes a tenth of a second.
+        wanted = Wanted(**dict(scenario.realtime))
+        granted = None if lockstep else resources.enter_context(real_time(wanted))
+        server = open_server(robot, wire, truth, lockstep=lockstep)
+        truth.request_reset = server.request_reset
+        truth.ask_faults = server.ask
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda *_: server.stop())
+        if lifeline is not None:
+            threading.Thread(
+                target=_stop_at_the_end, args=(lifeline, server.stop), name="lifeline", daemon=True
+            ).start()
+        say(f"ready link={reach} truth={truth.url} mode={scenario.loop.mode} scenario={scenario.name}")
+        for sentence in granted.figures()["refused"].values() if granted is not None else ():
+            say(f"not granted: {sentence}")
+        try:
+            server.serve()
+        finally:
+            for line in robot.said.end() if robot.said is not None else ():
+                say(f"the plant says: {line}")
+            if server.slipped_ticks:
+                say(f"this machine stalled: the robot lost {server.slipped_ticks} ms of its time")
+            if tracing is not None and (trouble := tracing.finish().trouble()) is not None:
+                say(trouble)
+
+
+def _robot(scenario: Scenario, target: str, url: LinkUrl) -> VirtualStm32:
+    """Make the scenario's robot. Raises BadInputError for what cannot be a process of its own."""
+    made_of, driver = virtual_robot(scenario), scenario.device.driver
+    if not scenario.device.is_makers:
+        return open_target(target, made_of, url)
+    if target != "host":
+        raise BadInputError(f"--target {target} runs our own firmware, and the scenario has {driver!r}; leave it out")
+    if made_of.lockstep:
+        raise no_lockstep(scenario)
+    return VirtualStm32(made_of, node_maker(scenario))
+
+
+class _RobotTime:
+    """Robot time of a robot in lockstep; where a power cycle began it anew, it goes on from there."""
+
+    def __init__(self, robot: VirtualStm32) -> None:
+        self._robot = robot
+        self._base = 0
+        self._last = 0
+
+    def now_ns(self) -> int:
+        tick = self._robot.node.look().tick
+        if tick < self._last:
+            self._base += self._last
+        self._last = tick
+        return (self._base + tick) * TICK_NS
+
+
+def _traced(wire: Wire, trace: Trace, robot: VirtualStm32, language: Language, *, lockstep: bool) -> TracedWire:
+    clock = _RobotTime(robot) if lockstep else WallClock()
+    trace.begin(time.time_ns() - clock.now_ns())
+    return TracedWire(wire, trace, clock.now_ns, language)
+
+
+def _stop_at_the_end(lifeline: int, stop: Callable[[], None]) -> None:
+    wait_for_end(lifeline)
+    stop()

@@ -1,0 +1,92 @@
+"""``hil init``: the first two files of a user's own robot, by asking or by flags."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hil.cli.options import Force
+
+if TYPE_CHECKING:
+    from hil.cli.new_robot import Question, Value
+
+_Number = float | None
+_Metre = Annotated[_Number, typer.Option(metavar="METRE")]
+_Inertia = Annotated[_Number, typer.Option(metavar="KG·M²")]
+
+
+def init(
+    directory: Annotated[Path, typer.Argument(metavar="[DIRECTORY]")] = Path(),
+    mass_kg: Annotated[_Number, typer.Option(metavar="KG")] = None,
+    wheel_radius_m: _Metre = None,
+    half_length_m: _Metre = None,
+    half_width_m: _Metre = None,
+    inertia_kg_m2: _Inertia = None,
+    wheel_inertia_kg_m2: _Inertia = None,
+    torque_limit_n_m: Annotated[_Number, typer.Option(metavar="N·M")] = None,
+    speed_limit_rad_s: Annotated[_Number, typer.Option(metavar="RAD/S")] = None,
+    counts_per_revolution: Annotated[int | None, typer.Option(metavar="COUNTS")] = None,
+    torque_constant_n_m_a: Annotated[_Number, typer.Option(metavar="N·M/A")] = None,
+    link: Annotated[str | None, typer.Option(metavar="LINK")] = None,
+    defaults: Annotated[bool, typer.Option("--defaults", help="take what is proposed where no flag says more")] = False,
+    force: Force = False,
+) -> None:
+    """Write a robot file and a first scenario: asks for what no flag gives.
+
+    What each value means is said where it is asked for, and in the file that is written.
+    """
+    given: dict[str, Value | None] = {
+        "robot.mass_kg": mass_kg,
+        "robot.wheel_radius_m": wheel_radius_m,
+        "robot.half_length_m": half_length_m,
+        "robot.half_width_m": half_width_m,
+        "robot.inertia_kg_m2": inertia_kg_m2,
+        "robot.wheel_inertia_kg_m2": wheel_inertia_kg_m2,
+        "robot.torque_limit_n_m": torque_limit_n_m,
+        "robot.speed_limit_rad_s": speed_limit_rad_s,
+        "firmware.counts_per_revolution": counts_per_revolution,
+        "firmware.torque_constant_n_m_a": torque_constant_n_m_a,
+        "link.url": link,
+    }
+    from hil.cli.new_robot import QUESTIONS, begin, problem_with
+    from hil.core.errors import BadInputError
+    from hil.core.outputs import existing_files
+
+    asks = not defaults and sys.stdin.isatty()
+    missing = [question.flag for question in QUESTIONS if given[question.key] is None]
+    if missing and not defaults and not asks:
+        raise BadInputError(
+            f"nobody can be asked, for stdin is no terminal; give {', '.join(missing)}, or --defaults for what is "
+            "proposed"
+        )
+    answers: dict[str, Value] = {}
+    for question in QUESTIONS:
+        value = given[question.key]
+        if value is None:
+            proposed = question.proposed(answers)
+            value = _ask(question, proposed) if asks else proposed
+        elif (problem := problem_with(question, value)) is not None:
+            raise BadInputError(f"{question.flag}: {problem}")
+        answers[question.key] = value
+    robot, scenario = begin(directory, answers, existing_files(force=force))
+    print(f"wrote {robot} and {scenario}")
+    elsewhere = " --link memory:" if answers["link.url"] != "memory:" else ""
+    print(f"Next: hil run {scenario}{elsewhere}    # on the virtual robot")
+
+
+def _ask(question: "Question", proposed: "Value") -> "Value":
+    """Ask until the answer is one that the scenario's table takes."""
+    from hil.cli.new_robot import problem_with
+
+    while True:
+        text = typer.prompt(f"{question.key}: {question.description}", default=str(proposed))
+        try:
+            value = question.read(text)
+        except ValueError:
+            print(f"{text!r} is no number")
+            continue
+        problem = problem_with(question, value)
+        if problem is None:
+            return value
+        print(problem)

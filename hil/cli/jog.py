@@ -1,0 +1,129 @@
+"""``hil jog``: turns one wheel slowly, to see that it is the right one and turns the right way."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from hil.core.errors import BadInputError, DeviceError
+from hil.core.guard import Guard
+from hil.core.types import WHEEL_NAMES, ZERO_WHEELS, CommandMode, WheelCommand, Wheels
+from hil.runtime.bench import Bench
+from hil.runtime.freshness import Freshness
+from hil.runtime.sampling import Timing
+from hil.scenario import Scenario
+from hil.scenario.motors import make_driver
+
+MOST_RAD_S = 3.0
+MOST_S = 10.0
+_RAMP_S = 0.5
+_STOP_LIMIT_NS = 5_000_000_000
+_LEAST_SHARE = 0.1  # of the angle that was asked for
+_LEAST_RAD = 0.1  # is enough; on the ground, against three that are held, a wheel may stall after twice as much
+_FREE_SHARE = 0.5  # of the angle that was asked for, by a wheel that nothing brakes
+_MOST_SHARE = 0.5
+
+
+class Verdict(NamedTuple):
+    """Whether the sensor of the right wheel alone saw it turn the right way; in words, and what to change if not."""
+
+    is_as_told: bool
+    sentence: str
+
+
+class Jogged(NamedTuple):
+    """How far each wheel turned by its own sensor [rad], and how far the chosen one was asked to."""
+
+    asked_rad: float
+    turned_rad: Wheels
+
+    def verdict(self, wheel: str) -> Verdict:
+        """Judge by the sensors; whether the wheel that turned is the one that was named only a person can see."""
+        turned = dict(zip(WHEEL_NAMES, self.turned_rad, strict=True))
+        enough = min(_LEAST_SHARE * abs(self.asked_rad), _LEAST_RAD)
+        least = max(enough, _MOST_SHARE * max(map(abs, self.turned_rad)))
+        moved = [name for name, angle in turned.items() if abs(angle) > least]
+        if moved == [wheel]:
+            if turned[wheel] * self.asked_rad > 0.0:
+                short = self._short(turned[wheel])
+                seen = f"the sensor of {wheel} followed{short}; if you saw it turn the right way, its wiring is as told"
+                return Verdict(True, seen)
+            what = f"the sensor of {wheel} counted the other way; put {wheel!r} into device.reversed, or take it out"
+        elif not moved:
+            what = f"no sensor saw a wheel turn; check the motor's power, and its encoder's cable, of {wheel}"
+        else:
+            what = f"{wheel} was asked to turn, and the sensors of {', '.join(moved)} saw it; correct device.wheels"
+        return Verdict(False, what)
+
+    def _short(self, turned_rad: float) -> str:
+        if abs(turned_rad) >= _FREE_SHARE * abs(self.asked_rad):
+            return ""
+        return ", but not far: the wheels stand on the ground, as a virtual robot's always do, or something brakes it"
+
+
+def jog(
+    scenario: Scenario, wheel: str, speed_rad_s: float, seconds: float, warn: Callable[[str], None] = lambda _: None
+) -> Jogged:
+    """Turn a wheel at most so fast for so long, ramps of 0.5 s at both ends, and stop.
+
+    ``warn`` gets what the driver warns of, before anything moves.
+    Raises BadInputError for a wheel or a number that is out of range and for a base that turns all of its wheels,
+    DeviceError and LinkError when the robot refuses, stops or is lost; it is told to stop in any case.
+    """
+    check(scenario, wheel, speed_rad_s, seconds)
+    period_ns = scenario.loop.period_ns
+    stale_ns = round(scenario.firmware.watchdog_s * 1e9)
+    with Bench(scenario, None, allow_motion=True) as bench:
+        device = bench.device
+        bench.connect()
+        for sentence in device.warnings:
+            warn(sentence)
+        speed_rad_s = _limited(scenario, device.speed_limit_rad_s, speed_rad_s, warn)
+        begin_ns = device.start(bench.clock, period_ns)
+        freshness = Freshness(bench.clock, device, None, Timing(period_ns, 0, 0, stale_ns))
+        turned = [0.0] * 4
+        try:
+            for n in range(1, 1 + round(seconds * 1e9) // period_ns):
+                device.wait_until(begin_ns + n * period_ns)
+                t_s = n * period_ns * 1e-9
+                feedback = freshness.poll(t_s)
+                share = max(0.0, min(t_s / _RAMP_S, 1.0, (seconds - t_s) / _RAMP_S))
+                if freshness.is_silent():
+                    raise DeviceError(
+                        f"the feedback is {freshness.silent_ns * 1e-6:.0f} ms old; the wheel was told to stop, and "
+                        "nothing says that it did: see to it, and cut the motors' power if it turns"
+                    )
+                speed = Wheels(*(share * speed_rad_s if name == wheel else 0.0 for name in WHEEL_NAMES))
+                device.send(WheelCommand(CommandMode.SPEED, speed, ZERO_WHEELS))
+                turned = [a + s * period_ns * 1e-9 for a, s in zip(turned, feedback.speed_rad_s, strict=True)]
+        finally:
+            is_still = device.stop(period_ns, _STOP_LIMIT_NS)
+    if not is_still:
+        raise DeviceError("the robot did not come to rest within 5 s; cut the motors' power")
+    return Jogged(speed_rad_s * (seconds - _RAMP_S), Wheels(*turned))
+
+
+def _limited(scenario: Scenario, robot_rad_s: float, speed_rad_s: float, warn: Callable[[str], None]) -> float:
+    """Return the speed as the guard lets it through."""
+    guard = Guard(scenario.robot.speed_limit_rad_s, scenario.robot.torque_limit_n_m)
+    guard.heed(robot_rad_s)
+    asked = WheelCommand(CommandMode.SPEED, ZERO_WHEELS._replace(fl=speed_rad_s), ZERO_WHEELS)
+    limited, is_scaled = guard.apply(asked)
+    if is_scaled:
+        warn(f"the wheel is turned with {limited.speed_rad_s.fl:.4g} rad/s, the limit, and not with {speed_rad_s:g}")
+    return limited.speed_rad_s.fl
+
+
+def check(scenario: Scenario, wheel: str, speed_rad_s: float, seconds: float) -> None:
+    """Raise BadInputError for what ``jog`` would refuse before it opens anything."""
+    if wheel not in WHEEL_NAMES:
+        raise BadInputError(f"wheel {wheel!r}: expected one of {', '.join(WHEEL_NAMES)}")
+    if not 0.0 < abs(speed_rad_s) <= MOST_RAD_S:
+        raise BadInputError(f"speed {speed_rad_s:g} rad/s: expected one of at most {MOST_RAD_S:g} either way, not zero")
+    if not 2 * _RAMP_S < seconds <= MOST_S:
+        raise BadInputError(f"{seconds:g} s: expected more than {2 * _RAMP_S:g}, at most {MOST_S:g}")
+    if scenario.controller.mode is not CommandMode.SPEED:
+        raise BadInputError("a wheel is turned by its speed: add --set controller.command=speed")
+    if scenario.device.is_makers and make_driver(scenario).capabilities.is_twist:
+        raise BadInputError(
+            f"{scenario.device.driver!r} takes velocities of the body and turns all wheels itself; put the wheels off "
+            "the ground and drive it with hil serve and hil teleop"
+        )

@@ -1,0 +1,133 @@
+"""The two files as text: every value with what it means beside it."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+
+from hil.cli.new_robot.questions import Answers, Value, field_of
+from hil.drivers.port import Found
+from hil.scenario import format_value
+
+_RADIUS_M = 1.0
+_SPEED_SHARE = 0.3
+_TORQUE_SHARE = 0.3
+_SHORTEST_S = 5.0
+_OFF_M = 0.1
+_LOOP_RAD_S = 33.0
+"""Bandwidth of the firmware's speed loop on the paper's robot, with which its gains were chosen."""
+_INTEGRAL_1_S = 23.0
+_OVERSPEED = 2.0
+_COMMENT_COLUMN = 40
+
+
+def robot_text(answers: Answers, driver: str | None = None, found: Found | None = None) -> str:
+    """Return the robot's file; ``answers`` has every question's key.
+
+    ``driver`` and ``found`` are those of motor controllers that were found: then nobody was asked, and the file says
+    what in it was told by nobody.
+    """
+    speed_kp = min(100.0, _three_digits(_LOOP_RAD_S * _inertia_at_a_wheel(answers)))
+    more: dict[str, Value | list[str]] = {
+        "firmware.torque_limit_n_m": answers["robot.torque_limit_n_m"],
+        "firmware.speed_kp_n_m_s_rad": speed_kp,
+        "firmware.speed_ki_n_m_rad": _three_digits(_INTEGRAL_1_S * speed_kp),
+        "firmware.overspeed_rad_s": max(1.0, _OVERSPEED * float(answers["robot.speed_limit_rad_s"])),
+        **({} if driver is None else {"device.driver": driver}),
+        "device.wheels": ["fl", "fr", "rr", "rl"],
+        "device.reversed": [],
+    }
+    values = {**answers, **more}
+    head = "# A robot. Runs any scenario on it: hil run SCENARIO --robot FILE\n"
+    notes = {} if found is None else {name: _not_told(name, found) for name in ("robot", "firmware", "device.motors")}
+    tables = [_table(name, values, notes.get(name, ())) for name in ("robot", "firmware", "device", "link")]
+    if found is not None and (found.motors or notes["device.motors"]):
+        tables.insert(-1, "\n" + _head("device.motors", notes["device.motors"]))
+        tables[-1:-1] = [f"{name} = {format_value(value)}\n" for name, value in (found.motors or {}).items()]
+    return head + "".join(tables)
+
+
+def scenario_text(answers: Answers, slowness: float) -> str:
+    """Return a first circle for the robot, so many times as slow as one that should well be within its limits."""
+    period_s = math.ceil(_period_s(answers) * slowness * 2) / 2
+    return f"""\
+# A first circle: from {_OFF_M:g} m beside it, by the wheels and the gyro alone, as a real robot begins
+
+extends = "robot.toml"
+
+[plant.start]                           # where the virtual robot stands; one of its own is put there by hand
+start_x_m = {_RADIUS_M - _OFF_M:g}
+start_y_m = 0.0
+start_heading_rad = 0.0
+
+[controller]
+law = "pid"                             # `hil list laws` prints them all
+command = "speed"
+
+[reference]
+kind = "circle"                         # `hil list references` prints them all
+radius_m = {_RADIUS_M:g}
+period_s = {period_s:g}
+heading_rad = 0.0
+
+[estimator]
+source = "odometry"                     # "truth" where something tells it; "fused" with pose fixes
+
+[loop]
+rate_hz = 200
+duration_s = {period_s:g}
+
+[[expect]]                              # needs the truth, which the virtual robot tells
+signal = "error.planar_m"
+from_s = {period_s / 2:g}
+below = 0.02
+"""
+
+
+def _not_told(table: str, found: Found) -> Sequence[str]:
+    """Return sentences on what nobody told of a table, for the lines above it."""
+    known, unknown = (
+        ", ".join(key.removeprefix(f"{table}.") for key in keys if key.rpartition(".")[0] == table)
+        for keys in (found.known, found.unknown)
+    )
+    sentences = [f"cannot be asked for: {unknown}"] if unknown else []
+    if table == "device.motors":
+        return [f"{sentence}; write them here, or the defaults hold" for sentence in sentences]
+    told = f", but for {known}" if known else ""
+    return [f"not measured{told}: the paper's robot; replace before anything moves", *sentences]
+
+
+def _head(name: str, notes: Sequence[str]) -> str:
+    return "".join([*(f"# {note}\n" for note in notes), f"[{name}]\n"])
+
+
+def _table(name: str, values: Mapping[str, Value | list[str]], notes: Sequence[str]) -> str:
+    rows = [(key.partition(".")[2], value) for key, value in values.items() if key.startswith(f"{name}.")]
+    return "".join(["\n", _head(name, notes), *_lines(name, rows)])
+
+
+def _lines(table: str, rows: list[tuple[str, Value | list[str]]]) -> Iterator[str]:
+    for name, value in rows:
+        line = f"{name} = {format_value(value)}"
+        yield f"{line:<{_COMMENT_COLUMN - 1}} # {field_of(f'{table}.{name}').description}\n"
+
+
+def _inertia_at_a_wheel(answers: Answers) -> float:
+    """Return what a wheel has to accelerate in straight motion [kg·m²]: a quarter of the robot, and itself."""
+    mass_kg, radius_m, wheel_kg_m2 = (
+        float(answers[f"robot.{name}"]) for name in ("mass_kg", "wheel_radius_m", "wheel_inertia_kg_m2")
+    )
+    return mass_kg * radius_m**2 / 4 + wheel_kg_m2
+
+
+def _period_s(answers: Answers) -> float:
+    """Return a period of the circle with which the wheels need a share of their limits in speed and in torque."""
+    radius_m, speed_rad_s, torque_n_m = (
+        float(answers[f"robot.{name}"]) for name in ("wheel_radius_m", "speed_limit_rad_s", "torque_limit_n_m")
+    )
+    by_speed = _SPEED_SHARE * speed_rad_s * radius_m / math.sqrt(2) / _RADIUS_M
+    acceleration_m_s2 = _TORQUE_SHARE * torque_n_m * radius_m / math.sqrt(2) / _inertia_at_a_wheel(answers)
+    by_torque = math.sqrt(acceleration_m_s2 / _RADIUS_M)
+    return max(_SHORTEST_S, math.tau / min(by_speed, by_torque))
+
+
+def _three_digits(value: float) -> float:
+    return float(f"{value:.3g}")

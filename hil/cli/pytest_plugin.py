@@ -1,0 +1,204 @@
+"""Scenarios as tests: the plugin that pytest loads wherever this package is installed.
+
+It collects every ``*.hil.toml`` file as a test and has the fixtures ``virtual_robot``, ``hil_link`` and ``hil_run``.
+hil/testing/PYTEST.md has the whole story. pytest imports this module at every start, so it imports nothing heavy before
+a scenario is collected or a fixture is used.
+"""
+
+import contextlib
+import dataclasses
+import hashlib
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+from urllib.parse import quote
+
+import pytest
+
+from hil.core.suffix import TEST_SUFFIX
+
+if TYPE_CHECKING:
+    from hil.scenario import Scenario
+    from hil.testing import OpenLink, RunScenario, StartRobot
+    from hil.testing.overrides import Overrides
+
+_FIXTURES = frozenset({"virtual_robot", "hil_link", "hil_run"})
+_LONGEST_NAME = 100
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    group = parser.getgroup(
+        "hil", "hardware in the loop (*.hil.toml, and the fixtures virtual_robot, hil_link, hil_run)"
+    )
+    group.addoption(
+        "--hil-record",
+        metavar="DIR|none",
+        help="keep the recordings of all runs in this folder, or make none; by default failed runs are kept in "
+        "pytest's temporary folder",
+    )
+    group.addoption("--hil-link", metavar="LINK", help="as hil run --link, for every run that a test gives no other")
+    group.addoption("--hil-truth", metavar="URL", help="as hil run --truth, for --hil-link to a robot elsewhere")
+    group.addoption("--hil-mode", metavar="lockstep|realtime", help="as hil run --mode")
+    group.addoption("--hil-seed", metavar="N", type=int, help="as hil run --seed")
+    group.addoption(
+        "--hil-set", metavar="KEY=VALUE", action="append", default=[], help="as hil run --set; may be given often"
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("markers", "hil: a scenario, or a test with a fixture that drives a virtual robot")
+
+
+def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> "ScenarioFile | None":
+    if file_path.name.endswith(TEST_SUFFIX):
+        return ScenarioFile.from_parent(parent, path=file_path)
+    return None
+
+
+def pytest_itemcollected(item: pytest.Item) -> None:
+    if isinstance(item, ScenarioTest) or not _FIXTURES.isdisjoint(getattr(item, "fixturenames", ())):
+        item.add_marker(pytest.mark.hil)
+
+
+class ScenarioFile(pytest.File):
+    """A ``*.hil.toml`` file: one test. A scenario that is wrong is an error of the collection, in one sentence."""
+
+    def collect(self) -> Iterable["ScenarioTest"]:
+        from hil.core.errors import BadInputError
+        from hil.testing.overrides import shown
+
+        overrides = _overrides(self.config)
+        try:
+            scenario = overrides.load(shown(self.path))
+        except BadInputError as error:
+            raise self.CollectError(str(error)) from None
+        yield ScenarioTest.from_parent(self, name=scenario.name, scenario=scenario, overrides=overrides)
+
+
+class ScenarioTest(pytest.Item):
+    """A scenario that passes when ``hil run`` would."""
+
+    def __init__(self, *, scenario: "Scenario", overrides: "Overrides", **options: object) -> None:
+        super().__init__(**options)  # type: ignore[arg-type]
+        self._scenario = scenario
+        self._overrides = overrides
+
+    def runtest(self) -> None:
+        from hil.core.outputs import free_name
+        from hil.testing.verdict import run_as_test
+
+        folder = _folder(self, None)
+        record = None if folder is None else free_name(folder / f"{self.name}.rrd")
+        repeat = self._overrides.command(self._scenario)
+        verdict = run_as_test(self._scenario, self._overrides.truth, record, repeat, self.config)
+        if verdict.passed and verdict.recording is not None and not self.config.getoption("hil_record"):
+            verdict.recording.unlink()
+            verdict = dataclasses.replace(verdict, recording=None)
+        self.user_properties += [(f"hil.{name}", value) for name, value in verdict.properties()]
+        if not verdict.passed:
+            pytest.fail(verdict.text(), pytrace=False)
+
+    def reportinfo(self) -> tuple[Path, None, str]:
+        return self.path, None, f"scenario {self.name}"
+
+
+@pytest.fixture
+def virtual_robot(request: pytest.FixtureRequest) -> "Iterator[StartRobot]":
+    """Start virtual robots in processes of their own, each behind a real pseudo-terminal or on a given link.
+
+    ``robot = virtual_robot("paper_circle")`` has ``robot.link`` and ``robot.truth``, the URLs to reach it. All end
+    with the test. One that had ended by itself is an error of the test's teardown.
+    """
+    from hil.testing import StartRobot
+
+    with _ended_in_order() as resources:
+        yield StartRobot(request.path.parent, _overrides(request.config), resources)
+
+
+@pytest.fixture
+def hil_link(virtual_robot: "StartRobot") -> "Iterator[OpenLink]":
+    """Open links to virtual robots, for tests of the protocol: frames in and out, without a controller.
+
+    ``link = hil_link("paper_circle")`` starts a robot and has ``send``, ``receive`` and ``ask``.
+    """
+    from hil.testing import OpenLink
+
+    with _ended_in_order() as resources:
+        yield OpenLink(virtual_robot, resources)
+
+
+@pytest.fixture
+def hil_run(request: pytest.FixtureRequest) -> "RunScenario":
+    """Run scenarios with overrides, each recorded into the test's folder and its figures put into the report.
+
+    ``hil_run("paper_circle", set={"robot.mass_kg": 24.0})`` returns a ``hil.RunResult``; a run that does not pass fails
+    the test, except with ``check=False``.
+    """
+    from hil.core.outputs import free_name
+    from hil.testing import RunScenario
+
+    def recording(name: str) -> Path | None:
+        folder = _folder(request.node, request)
+        return None if folder is None else free_name(folder / f"{name}.rrd")
+
+    return RunScenario(request.node, _overrides(request.config), recording)
+
+
+@contextlib.contextmanager
+def _ended_in_order() -> Iterator[contextlib.ExitStack]:
+    """Give a stack that is unwound at teardown; an error there is a sentence of the report."""
+    from hil.core.errors import HilError
+
+    resources = contextlib.ExitStack()
+    try:
+        yield resources
+    finally:
+        try:
+            resources.close()
+        except HilError as error:
+            pytest.fail(str(error), pytrace=False)
+
+
+def _overrides(config: pytest.Config) -> "Overrides":
+    from hil.testing.overrides import Overrides
+
+    option = config.getoption
+    return Overrides(
+        tuple(option("hil_set")), option("hil_mode"), option("hil_link"), option("hil_seed"), option("hil_truth")
+    )
+
+
+def _folder(item: pytest.Item, request: pytest.FixtureRequest | None) -> Path | None:
+    """Return the folder for a test's recordings, which is made; None with ``--hil-record none``.
+
+    ``request`` is that of a test with fixtures: its folder is ``tmp_path``.
+    """
+    asked = item.config.getoption("hil_record")
+    if asked == "none":
+        return None
+    if asked is not None:
+        folder = item.config.invocation_params.dir.joinpath(asked, *_places(item.nodeid))
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            pytest.fail(f"--hil-record {asked}: {folder} cannot be made ({error.strerror})", pytrace=False)
+        return folder
+    if request is not None:
+        return Path(request.getfixturevalue("tmp_path"))
+    # pytest gives tmp_path to functions alone; what makes it has no public name (pytest 7 to 9).
+    factory: pytest.TempPathFactory | None = getattr(item.config, "_tmp_path_factory", None)
+    if factory is None:
+        pytest.fail("recordings need a folder: give --hil-record DIR, or leave -p no:tmpdir out", pytrace=False)
+    return factory.mktemp(item.name)
+
+
+def _places(nodeid: str) -> list[str]:
+    """Return the folders that stand for a test, below that of ``--hil-record``: no two tests have the same."""
+    file, *names = nodeid.split("::")
+    folders = file.split("/")
+    places = folders[:-1] if file.endswith(TEST_SUFFIX) else [*folders, *names]  # a scenario's recording has its name
+    parts = [quote(part, safe=" []()+,=@").replace("..", "%2E%2E") for part in places]
+    return [
+        part if len(part) <= _LONGEST_NAME else part[:_LONGEST_NAME] + hashlib.sha256(part.encode()).hexdigest()[:8]
+        for part in parts
+    ]

@@ -1,0 +1,85 @@
+"""``hil reproduce``."""
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hil.cli.options import Force, Json, end_in_order, print_json
+from hil.core.errors import RunInterruptedError
+
+if TYPE_CHECKING:
+    from hil.batch.reproduction.runs import Outcome
+
+
+def reproduce(
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="folder for pictures, recordings and summary.json; by default runs/reproduction, "
+            "with --quick runs/reproduction-quick",
+        ),
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="a few short runs instead of all")] = False,
+    jobs: Annotated[int | None, typer.Option(metavar="N", help="processes; by default one a processor", min=1)] = None,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Run section IV of the paper and say which of its figures come out, which do not, and why."""
+    from hil.batch.reproduction import NotWrittenError
+    from hil.batch.reproduction import reproduce as run_reproduction
+    from hil.batch.reproduction.summary import failures
+    from hil.core.outputs import existing_files
+    from hil.core.progress import runs_progress
+
+    end_in_order()
+    if out is None:
+        out = Path("runs/reproduction-quick" if quick else "runs/reproduction")
+    not_written: NotWrittenError | None = None
+    tell = None if as_json or not sys.stderr.isatty() else runs_progress(_trouble)
+    try:
+        summary = run_reproduction(out, quick=quick, jobs=jobs, tell=tell, existing=existing_files(force=force))
+    except KeyboardInterrupt:
+        raise RunInterruptedError("interrupted; the runs were ended") from None
+    except NotWrittenError as error:
+        not_written, summary = error, error.summary
+    if as_json:
+        print_json(summary)
+    else:
+        print_reproduction(summary)
+    if not_written is not None:
+        sys.stdout.flush()
+        raise not_written
+    raise typer.Exit(1 if failures(summary) else 0)
+
+
+def _trouble(outcome: "Outcome") -> str | None:
+    return None if outcome.failure is None else f"{outcome.name}: {outcome.failure}"
+
+
+def print_reproduction(summary: Mapping[str, Any]) -> None:
+    """Print the tables of a reproduction, then what comes out of the paper and what does not."""
+    from hil.batch.reproduction import tables
+    from hil.cli import report
+
+    print("Assumed, for the paper does not say\n")
+    for place, what, ours, why in tables.assumptions(summary)[1:]:
+        print(f"  {place}, {what}: {ours}\n    {why}")
+    for title, table in (
+        ("Section IV.A, the circle", tables.circle(summary)),
+        ("Section IV.B, the experiment: oscillation over latency", tables.delay(summary)),
+        ("Section IV.B, the experiment: the transition", tables.transition(summary)),
+    ):
+        if len(table) > 1:
+            print(f"\n{title}\n")
+            report.print_table(table)
+    print("\nWhat comes out\n")
+    for place, claim, paper, ours, tolerance, verdict, why in tables.verdicts(summary)[1:]:
+        within = "" if tolerance == "-" else f", within {tolerance}"
+        print(f"  {verdict}: {claim} ({place}): the paper {paper}, ours {ours}{within}")
+        print(f"    {why}")
+    files = ", ".join([*summary["pictures"], *summary["recordings"]])
+    print(f"\n{summary['wall_s']:.0f} s; in {summary['folder']}: {files}")

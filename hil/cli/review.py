@@ -1,0 +1,182 @@
+"""``hil review``."""
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hil.cli.options import Force, Json, print_json
+from hil.core.errors import BadInputError
+
+if TYPE_CHECKING:
+    from hil.core.outputs import Existing
+    from hil.review import Change, Difference
+
+_EVENTS_SHOWN = 8
+_CHANGES_SHOWN = 20
+_LONGEST_VALUE = 44
+
+
+def review(
+    recordings: Annotated[
+        list[Path], typer.Argument(metavar="RUN [OTHER]", help="a recording of hil run; with two, they are compared")
+    ],
+    html: Annotated[Path | None, typer.Option(metavar="FILE.html", help="a page with plots, in one file")] = None,
+    overlay: Annotated[
+        Path | None, typer.Option(metavar="FILE.rrd", help="both runs over one time axis, for hil view")
+    ] = None,
+    export: Annotated[
+        Path | None, typer.Option(metavar="FILE.csv|.parquet|.mcap", help="every signal, for other programs")
+    ] = None,
+    trajectory: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.csv", help="write the robot's poses, for reference.kind = 'trajectory'"),
+    ] = None,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Say from its recording alone how a run went and why; with two runs, what became better and what worse.
+
+    The exit code is 0 whenever the recordings could be read, also where a run failed: it judges the review and not the
+    run. What the run came to is "passed" in the output of --json.
+    """
+    from hil.core.outputs import existing_files
+    from hil.review import changes, differences, read, write_trajectory
+    from hil.review.figures import figures, read_for_figures
+
+    existing = existing_files(force=force)
+    _check(recordings, existing, {"page": html, "overlay": overlay, "export": export, "trajectory": trajectory})
+    needed: Collection[str] = ()
+    if html is not None:
+        from hil.review.page import page_signals, write_page
+
+        needed = page_signals()
+    runs = [read(path) if export else read_for_figures(path, needed) for path in recordings]
+    found = [figures(run) for run in runs]
+    if html is not None:
+        write_page(html, runs, found, existing)
+    if trajectory is not None:
+        write_trajectory(runs[0], trajectory, existing)
+    if overlay is not None:
+        from hil.review.overlay import write_overlay
+
+        write_overlay(runs[0].path, runs[1].path, overlay, existing)
+    if export is not None:
+        from hil.review.export import write_export
+
+        write_export(runs[0], export, existing)
+    if len(runs) == 1:
+        print_json(found[0]) if as_json else _print_run(found[0])
+        return
+    rows, changed = differences(*found), changes(*runs)
+    if as_json:
+        table = [row._asdict() for row in rows]
+        print_json({"runs": found, "differences": table, "changes": [change._asdict() for change in changed]})
+    else:
+        _print_two(found, rows, changed)
+
+
+def _check(recordings: Sequence[Path], existing: "Existing", files: Mapping[str, Path | None]) -> None:
+    """Refuse what does not go together and what cannot be written, before anything long is done.
+
+    ``files`` are those to write, by what they are; None for those that nobody asked for.
+    """
+    from hil.record.files import check_output_path
+
+    if len(recordings) > 2:
+        raise BadInputError(f"{len(recordings)} recordings were given; hil review takes one, or two to compare")
+    if (overlay := files["overlay"]) is not None and len(recordings) == 1:
+        raise BadInputError(f"--overlay {overlay}: an overlay is of two runs; name the other recording too")
+    for what in ("export", "trajectory"):
+        if files[what] is not None and len(recordings) == 2:
+            raise BadInputError(f"--{what} {files[what]}: it is of one run; name one recording")
+    for what, file in files.items():
+        if file is None:
+            continue
+        if any(file.exists() and recording.exists() and file.samefile(recording) for recording in recordings):
+            raise BadInputError(f"{what} {file}: it is a recording that is reviewed; choose another name")
+        check_output_path(what, file, existing)
+
+
+def _print_run(found: Mapping[str, Any]) -> None:
+    """Print on one screen what the run was, why it failed, what happened to it, and its figures."""
+    from hil.cli import report
+    from hil.core.figure_words import belief_rows, figure_rows, link_rows, outcome_rows
+
+    report.print_rows(_about(found))
+    report.print_rows([("note", sentence) for sentence in found["notes"]])
+    passed = found["passed"]
+    report.print_rows([("passed", "not known" if passed is None else "yes" if passed else "no")])
+    if found["failure"] is not None:
+        report.print_rows([("failure", found["failure"])])
+    report.print_rows(outcome_rows(found))
+    report.print_rows(_event_rows(found))
+    print()
+    report.print_rows(figure_rows(found))
+    report.print_rows(belief_rows(found))
+    report.print_rows(link_rows(found))
+
+
+def _about(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    made = found["made"]
+    if found["scenario"] is None:
+        return
+    mode = f" in {made['command']} mode" if "command" in made else ""
+    yield (
+        "run",
+        f"{found['scenario']}, {found['law']}{mode}, {found['mode']} over {found['link']}, seed {found['seed']}",
+    )
+    by = " ".join(
+        f"{name} {made[key]}" for name, key in (("version", "mecanum_hil"), ("commit", "commit")) if key in made
+    )
+    if "started" in made:
+        yield "made", f"{made['started']}, {by}"
+
+
+def _event_rows(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield the newest warnings and errors that nothing above says."""
+    said = [found["failure"] or "", *(row["text"] for row in found["expect"] or ())]
+    warned = [event for event in found["events"] if event["level"] in ("WARN", "ERROR")]
+    # An expectation tells of its first violation at once: the end of its time has the same words and more.
+    events = [event for event in warned if not any(text.startswith(event["text"]) for text in said)]
+    if len(events) > _EVENTS_SHOWN:
+        yield "events", f"the last {_EVENTS_SHOWN} of {len(events)}; --json and --html have them all"
+    for event in events[-_EVENTS_SHOWN:]:
+        yield "event", f"{event['t_s']:.3f} s {event['level']}: {event['text']}"
+
+
+def _print_two(found: Sequence[Mapping[str, Any]], rows: "Sequence[Difference]", changed: "Sequence[Change]") -> None:
+    """Print both runs, every figure of both, and what was different from the beginning."""
+    from hil.cli import report
+
+    for which, figures in zip(("first", "second"), found, strict=True):
+        report.print_rows([(which, figures["recording"])])
+        report.print_rows(_about(figures))
+        report.print_rows([("note", sentence) for sentence in figures["notes"]])
+        if figures["failure"] is not None:
+            report.print_rows([("failure", figures["failure"])])
+    print()
+    report.print_table([("figure", "first", "second", "difference", "", "the second is"), *map(_difference_row, rows)])
+    for note in dict.fromkeys(f"{row.label}: {note}" for row in rows for note in row.notes):
+        print(f"  {note}")
+    if changed:
+        print()
+        rows_of = [one.words() for one in changed[:_CHANGES_SHOWN]]
+        shown = [(key, _short(one), _short(other)) for key, one, other in rows_of]
+        report.print_table([("what is different", "first", "second"), *shown])
+    if len(changed) > _CHANGES_SHOWN:
+        print(f"{len(changed) - _CHANGES_SHOWN} more; --json and --html have them all")
+
+
+def _difference_row(row: "Difference") -> tuple[str, ...]:
+    def text(value: float | None, form: str) -> str:
+        return "-" if value is None else f"{value * row.scale:{form}} {row.unit}".rstrip()
+
+    ratio = "" if not row.first or not row.difference else f"{100 * row.difference / abs(row.first):+.3g} %"
+    difference = text(row.difference, "+.4g") if row.difference else "0" if row.difference == 0 else "-"
+    return row.label, text(row.first, ".5g"), text(row.second, ".5g"), difference, ratio, row.verdict or ""
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= _LONGEST_VALUE else f"{text[: _LONGEST_VALUE - 1]}…"

@@ -1,0 +1,113 @@
+"""``hil device`` and ``hil params``: the robot's end of a link, and what its firmware holds."""
+
+import contextlib
+import sys
+from typing import Annotated
+
+import typer
+
+from hil.cli.options import Force, Json, LinkUrl, Mode, RobotFile, ScenarioName, Seed, Sets, TraceFile, print_json
+
+
+def device(
+    scenario: ScenarioName,
+    link: LinkUrl = None,
+    mode: Mode = None,
+    robot: RobotFile = None,
+    truth_port: Annotated[
+        int, typer.Option(metavar="PORT", help="for the truth; 0 takes a free one", min=0, max=65535)
+    ] = 0,
+    target: Annotated[
+        str,
+        typer.Option(metavar="host|qemu|unicorn", help="what the firmware runs on: this machine, or an emulated STM32"),
+    ] = "host",
+    dialect: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="what its motor controllers speak; as --set device.driver=NAME"),
+    ] = None,
+    seed: Seed = None,
+    sets: Sets = None,
+    trace: TraceFile = None,
+    force: Force = False,
+    until_eof: Annotated[
+        bool, typer.Option("--until-eof", help="end when stdin does, as when the program that started this one is gone")
+    ] = False,
+) -> None:
+    """Be the scenario's virtual robot in a process of its own; print one line when ready."""
+    from hil.cli.device_process import serve
+    from hil.core.outputs import existing_files
+    from hil.scenario import load
+
+    changes = [*(sets or []), *([] if dialect is None else [f"device.driver={dialect}"])]
+    resolved = load(scenario, set=changes, robot=robot, mode=mode, link=link, seed=seed)
+    lifeline = sys.stdin.fileno() if until_eof else None
+    serve(
+        resolved,
+        truth_port,
+        lambda line: print(line, flush=True),
+        target,
+        trace,
+        lifeline,
+        existing=existing_files(force=force),
+    )
+
+
+def params(
+    link: Annotated[str, typer.Argument(metavar="LINK", help="serial:PATH or can:INTERFACE/CHANNEL")],
+    changes: Annotated[list[str] | None, typer.Argument(metavar="[NAME=VALUE]...", help="change these first")] = None,
+    store: Annotated[bool, typer.Option("--store", help="keep them across a reset")] = False,
+    restore: Annotated[bool, typer.Option("--restore", help="first take the values of the build")] = False,
+    as_json: Json = False,
+) -> None:
+    """Show and change the parameters of a robot's firmware; it must be in IDLE to change. All are checked first."""
+    from hil.cli import report
+    from hil.core.errors import BadInputError
+    from hil.robot.parameters import ParameterClient, assignments
+    from hil.wire.device_lock import device_held
+    from hil.wire.opening import is_within_process, open_host
+    from hil.wire.url import parse_link
+
+    url = parse_link(link)
+    if is_within_process(url):
+        raise BadInputError(
+            f"link {link!r} reaches no robot outside this process, and one made for it would hold the values of "
+            "the build; name the robot's port, such as serial:/dev/ttyACM0, or the link that 'hil device' prints"
+        )
+    wanted = assignments(changes or [])
+    with device_held(url, f"hil params {link}"), contextlib.closing(open_host(url)) as opened:
+        client = ParameterClient(opened)
+        checked = client.check(wanted)  # all of them before anything is changed
+        if restore:
+            client.restore()
+        client.write(checked)
+        if store:
+            client.store()
+        held = client.read()
+        info = client.greet()
+    if as_json:
+        print_json({row.name: row.value for row in held})
+    else:
+        rows = [
+            (
+                row.name,
+                row.type.name.lower(),
+                f"{row.value:.7g}",
+                f"{row.minimum:.7g} to {row.maximum:.7g}",
+                _default_of(row.name),
+            )
+            for row in held
+        ]
+        report.print_table([("parameter", "type", "value", "range", "default of a scenario"), *rows])
+        print(info.describe())
+
+
+def _default_of(parameter: str) -> str:
+    """Return what a scenario takes for a parameter that it does not give; "-" where it has to give it."""
+    from hil.scenario import FirmwareTable
+    from hil.scenario.check import WATCHDOG_PERIODS
+
+    follows = {"watchdog_s": f"{WATCHDOG_PERIODS} command periods", "feedback_period_s": "1 command period"}
+    if parameter in follows:
+        return follows[parameter]
+    field = FirmwareTable.model_fields.get(parameter)
+    return "-" if field is None or field.is_required() else f"{field.default:.7g}"

@@ -1,0 +1,37 @@
+"""``hil teleop``: a served robot driven by hand."""
+
+import sys
+from typing import Annotated
+
+import typer
+
+from hil.cli.options import ServicePort, ServiceUrl, TokenFile
+from hil.core.errors import BadInputError
+
+
+def teleop(
+    url: ServiceUrl = None,
+    port: ServicePort = None,
+    token_file: TokenFile = None,
+    speed_m_s: Annotated[
+        float, typer.Option("--speed", metavar="M_S", help="in the plane, at full deflection", min=0.001, max=20)
+    ] = 0.25,
+    yaw_rate_rad_s: Annotated[
+        float, typer.Option("--yaw-rate", metavar="RAD_S", help="in yaw, at full deflection", min=0.001, max=50)
+    ] = 0.8,
+    gamepad: Annotated[
+        bool, typer.Option("--gamepad", help="drive with a gamepad too: hold its left shoulder")
+    ] = False,
+    dead_zone: Annotated[float, typer.Option(help="share of a stick's way that is rest", min=0, max=0.9)] = 0.1,
+    expo: Annotated[float, typer.Option(help="0: a stick is linear; 1: cubic, finest at rest", min=0, max=1)] = 0.5,
+) -> None:
+    """Drive the robot that hil serve runs, by hand: it moves while a key or the gamepad's button is held."""
+    if sys.platform == "win32":
+        raise BadInputError("teleop needs a terminal as Linux and macOS have it; on Windows, run it in WSL")
+    from hil.service.client import find
+    from hil.service.teleop.drive import teleop as drive
+    from hil.service.teleop.mapping import Speeds
+
+    client = find(url, port, token_file)
+    speeds = Speeds(speed_m_s, yaw_rate_rad_s)
+    print(drive(client, speeds, gamepad=gamepad, dead_zone=dead_zone, expo=expo))

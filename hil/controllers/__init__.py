@@ -1,1 +1,0 @@
-"""Control laws: pure functions of reference, state and time step; no clock, no link, no plant."""

@@ -1,0 +1,190 @@
+"""The figures of a run in words: what is printed of it, and what its page says.
+
+Pure: the figures of ``hil run --json`` in, pairs of a label and a text out.
+"""
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, NamedTuple
+
+Row = tuple[str, str]
+
+
+class Figure(NamedTuple):
+    """A figure that is one number: its label, its name in the figures, the unit shown, and units shown in one of it."""
+
+    label: str
+    name: str
+    unit: str
+    scale: float
+
+
+FIGURES = (
+    Figure("tracked after", "tracked_s", "s", 1.0),
+    Figure("within 10 mm after", "t10_s", "s", 1.0),
+    Figure("steady error rms", "steady_rms_m", "mm", 1e3),
+    Figure("steady error max", "steady_max_m", "mm", 1e3),
+    Figure("overshoot", "overshoot_m", "mm", 1e3),
+    Figure("effort", "effort_n_m_s", "N·m·s", 1.0),
+    Figure("torque variation", "torque_variation_n_m_per_s", "N·m/s a wheel", 1.0),
+    Figure("saturated for", "saturation_s", "s", 1.0),
+    Figure("ticks", "ticks", "", 1),
+    Figure("deadline misses", "deadline_misses", "", 1),
+    Figure("times real time", "realtime_factor", "", 1.0),
+)
+
+
+def figure_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
+    """Yield the figures that are numbers, with the reason where there is none, and the frames."""
+    reasons = metrics.get("reasons", {})
+    for label, name, unit, scale in FIGURES:
+        value = metrics.get(name)
+        if value is not None:
+            yield label, f"{value * scale:.5g} {unit}".rstrip()
+        elif name in reasons:
+            yield label, f"-      {reasons[name]}"
+    tick = metrics.get("tick_us")
+    if tick is not None:
+        yield "tick p50, p99", f"{tick['p50']:.1f}, {tick['p99']:.1f} µs"
+    late = metrics.get("lateness_us")
+    if late is not None and late["max"] > 0.0:  # in lockstep no tick can be late
+        shown = ", ".join(f"{late[name]:.0f}" for name in ("p50", "p99", "p99.9", "max"))
+        yield "late p50, 99, 99.9, max", f"{shown} µs"
+    if (realtime := metrics.get("realtime")) is not None:
+        yield "granted", "; ".join(realtime["granted"].values()) or "nothing"
+        for sentence in realtime["refused"].values():
+            yield "not granted", sentence
+    frames = metrics.get("frames")
+    if frames is not None:
+        rejected = _by_cause(frames["rejected"]) or "none"
+        counted = f"{frames['sent']} sent, {frames['received']} received since connecting, but for HELLO"
+        yield "frames", f"{counted}; rejected: {rejected}"
+
+
+def link_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
+    """Yield what became of the link (hil/wire/STATISTICS.md), as far as there is something to say."""
+    link = metrics.get("link_statistics")
+    if link is None:
+        return
+    ways = [way for way in ("sent", "received", "foreign") if (link.get(way) or {}).get("frames")]
+    traffic = ", ".join(_traffic(link, way) for way in ways) or "nothing"
+    yield "on the wire", f"{traffic}, since the first ACTIVE tick"
+    for way, load in (link.get("load") or {}).items():
+        if load["mean_percent"] is not None:
+            worst = load["worst_100_ms_percent"]
+            yield f"load, {way}", f"{load['mean_percent']:.1f} %, in the worst 100 ms {worst:.1f} %"
+    lost = {name.replace("_", " "): count for name, count in (link.get("lost") or {}).items() if count}
+    if lost:
+        yield "lost", ", ".join(f"{name} {count}" for name, count in lost.items())
+    for label, name in (("feedback age p50, p99", "feedback_age_ms"), ("round trip p50, p99", "round_trip_ms")):
+        if (figure := link.get(name)) is not None:
+            yield label, f"{figure['p50']:.3g}, {figure['p99']:.3g} ms"
+    if (clock := link.get("clock")) is not None:
+        drift_ppm = clock["drift_ppm"]  # NaN, or null in a recording, while the run is too short for it
+        drift = "" if drift_ppm is None or math.isnan(drift_ppm) else f", drift {drift_ppm:+.1f} ppm"
+        yield "robot's clock", f"{clock['offset_us'] * 1e-3:+.3f} ms{drift}"
+        way = clock["round_trip_us"]
+        yield "TIME_SYNC p50, p99", f"{way['p50']:.0f}, {way['p99']:.0f} µs"
+
+
+def belief_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
+    """Yield what the robot knew of itself: the estimate's error, the pose fixes, and the ticks that it was held for."""
+    error = metrics.get("estimation_error")
+    if error is not None and error["rms_m"] > 0.0:
+        yield "estimate's error", f"{error['rms_m'] * 1e3:.3g} mm rms, {error['max_m'] * 1e3:.3g} mm max"
+    if (fixes := metrics.get("pose_fixes")) is not None:
+        told = [
+            f"{name}: {_by_cause(count)}" if isinstance(count, Mapping) else f"{count} {name.replace('_', ' ')}"
+            for name, count in fixes.items()
+            if count
+        ]
+        yield "pose fixes", ", ".join(told) or "none came"
+    if refused := metrics.get("commands_refused"):
+        yield "law", f"it gave no number {refused} times, and the robot was held still"
+    if stale := metrics.get("stale_ticks"):
+        yield "stale", f"{stale} ticks, in which nothing fresh said where the robot is: it was not driven"
+    if held := metrics.get("held_ticks"):
+        yield "held", f"{held} ticks, in which the state was unknown, the estimator lost, or the robot away"
+    if slipped := metrics.get("robot_slipped_ticks"):
+        yield "virtual robot", f"lost {slipped} ms of its time to stalls of this machine"
+
+
+def outcome_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
+    """Yield faults, recoveries, expectations as ``in_order``, and what is missing in the recording."""
+    for row in metrics.get("fault") or ():
+        yield "fault", applied_words(row)
+    for row in metrics.get("recoveries") or ():
+        yield "recovery", f"lost at {row['lost_s']:.3f} s, ACTIVE again at {row['armed_s']:.3f} s: {row['why']}"
+    for row in in_order(metrics.get("expect") or ()):
+        yield "expect", row["text"]
+    for row in metrics.get("allow") or ():
+        if not row["passed"]:
+            yield "allow", row["text"]
+    for row in metrics.get("shadows") or ():
+        if row["dropped"] is not None:
+            yield "shadow", row["dropped"]
+    recorded = metrics.get("recorded")
+    if recorded is not None and (text := _what_became_of(recorded, metrics["recording"])):
+        yield "recording", text
+
+
+def why_not_passed(metrics: Mapping[str, Any]) -> Iterator[str]:
+    """Yield a sentence for each reason why a run did not pass, the cause before what follows from it."""
+    if metrics["failure"] is not None:
+        yield metrics["failure"]
+    yield from (row["text"] for row in in_order(metrics["expect"]) if row["passed"] is False)
+    yield from (f"{fault['text']} was never applied" for fault in metrics["fault"] if not fault["applied"])
+    yield from (row["text"] for row in metrics["allow"] if not row["passed"])
+    if metrics["commands_refused"]:
+        yield f"the law gave no number {metrics['commands_refused']} times, and the robot was held still"
+
+
+def in_order(expect: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Return the rows of expectations: those that failed in the order of time, those not judged, those that held."""
+
+    def place(row: Mapping[str, Any]) -> tuple[int, float]:
+        passed, at_s = row["passed"], row["violation_s"]
+        return 1 if passed is None else 2 * passed, math.inf if at_s is None else at_s
+
+    return sorted(expect, key=place)
+
+
+def applied_words(fault: Mapping[str, Any]) -> str:
+    """Return in words what a fault of a run did, from its entry in the figures."""
+    if fault["applied"] is None:
+        return f"{fault['text']}: the robot that knew how often it was applied has gone"
+    return f"{fault['text']}: applied {fault['applied']} times ({fault['counts']})"
+
+
+def _what_became_of(recorded: Mapping[str, Any], path: str | None) -> str:
+    """Return what a recording lacks, why, and where the rest is; empty when all of it is in one file."""
+    parts = f" in {len(recorded['parts'])} parts" if len(recorded["parts"]) > 1 else ""
+    if (why := why_incomplete(recorded)) is not None:
+        path = recorded_at(recorded, path)
+        events = f", {recorded['events_lost']} events lost" if recorded["events_lost"] else ""
+        rest = "" if path is None else f", {recorded['rows']} are safe in {path}{parts}"
+        counts = f"{recorded['dropped']} rows were dropped and {recorded['lost']} lost{events}"
+        return f"incomplete: {why}; {counts}{rest}"
+    if recorded["troubles"]:
+        return f"complete{parts}, though {'; '.join(recorded['troubles'])}"
+    return f"complete{parts}" if parts else ""
+
+
+def why_incomplete(recorded: Mapping[str, Any]) -> str | None:
+    """Return why something is missing in a recording, or None where nothing is."""
+    if recorded["error"] or recorded["dropped"] or recorded["lost"] or recorded["events_lost"]:
+        return recorded["error"] or "the recorder was too slow"
+    return None
+
+
+def recorded_at(recorded: Mapping[str, Any], path: str | None) -> str | None:
+    """Return the first file of a recording that is still there; ``path`` is the one that was begun with."""
+    return path if path in recorded["parts"] else next(iter(recorded["parts"]), None)
+
+
+def _by_cause(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{cause} {count}" for cause, count in counts.items())
+
+
+def _traffic(link: Mapping[str, Any], way: str) -> str:
+    return f"{way} {link[way]['frames']} frames, {link[way]['bytes'] * 1e-3:.1f} kB"

@@ -1,0 +1,74 @@
+"""The last thing before the wire: no command leaves beyond the limits, and none that is not a number."""
+
+import math
+
+from hil.core.errors import BadInputError
+from hil.core.types import ZERO_WHEELS, CommandMode, WheelCommand, Wheels, make_command
+
+_TORQUE = CommandMode.TORQUE  # a member of an enumeration takes longer to look up than a global name
+
+
+class Guard:
+    """Limits the commands of a law; the only place on the host that does.
+
+    All four wheels are scaled by one factor: the direction of motion, or of force, is kept. Speeds are kept within the
+    smaller of ``speed_limit_rad_s`` and what the robot says that it takes (``heed``). ``refused`` counts commands that
+    were not finite and were replaced by a stop. Raises BadInputError for a limit that is not a finite number above
+    zero.
+    """
+
+    def __init__(self, speed_limit_rad_s: float, torque_limit_n_m: float) -> None:
+        limits = {"speed_limit_rad_s": speed_limit_rad_s, "torque_limit_n_m": torque_limit_n_m}
+        for name, value in limits.items():
+            if not (math.isfinite(value) and value > 0.0):
+                raise BadInputError(f"robot.{name} = {value!r}: expected a finite number, more than zero")
+        self._own_speed_limit_rad_s = speed_limit_rad_s
+        self.speed_limit_rad_s = speed_limit_rad_s
+        self.torque_limit_n_m = torque_limit_n_m
+        self.refused = 0
+
+    def heed(self, robot_speed_limit_rad_s: float) -> None:
+        """Keep speeds within what the robot says that it takes as well; infinite where it says nothing.
+
+        The robot's limit has the margin for the overshoot of its speed loop in it: our firmware's is 0.8 times the
+        speed that is a fault (PROTOCOL.md, "Limits").
+        """
+        self.speed_limit_rad_s = min(self._own_speed_limit_rad_s, max(0.0, robot_speed_limit_rad_s))
+
+    def apply(self, command: WheelCommand) -> tuple[WheelCommand, bool]:
+        """Return the command within the limits, and whether it had to be scaled.
+
+        In SPEED mode set points and torque feedforward are scaled each by a factor of their own. In TORQUE
+        mode the speeds, which mean nothing there, are returned as zeros. A command with a NaN or an infinity
+        gives a stop (all zero) of the same mode.
+        """
+        mode, speed, torque = command
+        if mode is _TORQUE and speed is not ZERO_WHEELS:
+            speed = ZERO_WHEELS
+            command = make_command((mode, speed, torque))
+        if _is_within(torque, self.torque_limit_n_m) and (
+            speed is ZERO_WHEELS or _is_within(speed, self.speed_limit_rad_s)
+        ):
+            return command, False
+        if not all(map(math.isfinite, speed + torque)):
+            self.refused += 1
+            return WheelCommand(mode, ZERO_WHEELS, ZERO_WHEELS), False
+        limited_speed = _scaled(speed, self.speed_limit_rad_s)
+        limited_torque = _scaled(torque, self.torque_limit_n_m)
+        return WheelCommand(mode, limited_speed, limited_torque), True
+
+
+def _is_within(value: Wheels, limit: float) -> bool:
+    """Whether every wheel is within the limit, which no NaN is."""
+    fl, fr, rr, rl = value
+    return -limit <= fl <= limit and -limit <= fr <= limit and -limit <= rr <= limit and -limit <= rl <= limit
+
+
+def _scaled(value: Wheels, limit: float) -> Wheels:
+    """Return finite wheels within the limit; the same object when none is beyond it."""
+    fl, fr, rr, rl = value
+    largest = max(abs(fl), abs(fr), abs(rr), abs(rl))
+    if largest <= limit:
+        return value
+    # First the ratio, which is at most 1: the product then cannot round beyond the limit.
+    return Wheels(limit * (fl / largest), limit * (fr / largest), limit * (rr / largest), limit * (rl / largest))

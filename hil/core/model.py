@@ -1,0 +1,117 @@
+"""What a controller believes of the robot: inverse dynamics of a rigid platform on four Mecanum wheels.
+
+    M q̈ + C + B ξ = B τ,    M = diag(m + k, m + k, I + k L²),    C = k θ̇ (ẏ, -ẋ, 0),    k = 4 Ib / r²
+
+in the world frame, q = (x, y, θ). Nguyen Minh et al. 2023, AFDSC, equation 15, prints m + k in place of k in
+C (and equation 14 ẋ in place of ẏ). That comes from Lagrange's equation on four wheel angles that are not
+independent. The rotating wheels alone give C: their momentum is fixed in the body frame, that of the mass m
+in the world frame. See I. Zeidis and K. Zimmermann, "Dynamics of a four-wheeled mobile robot with Mecanum
+wheels", ZAMM 99 (2019).
+"""
+
+from dataclasses import dataclass, field
+from math import cos, isfinite, sin, tanh
+
+from hil.core.errors import BadInputError
+from hil.core.kinematics import body_twist, to_world, wheel_speeds
+from hil.core.types import Axes, FourWheels, Twist, Wheels, make_wheels
+
+GRAVITY_M_S2 = 9.81
+FRICTION_SPEED_RAD_S = 0.3
+"""Wheel speed over which sign(ω) is smoothed to tanh, so that compensated friction does not chatter."""
+
+_MAY_BE_ZERO = ("wheel_inertia_kg_m2", "friction_coefficient")
+
+
+@dataclass(frozen=True, slots=True)
+class RobotModel:
+    """The robot in numbers (scenario table ``[robot]``), and what follows from them.
+
+    ``half_length_m`` and ``half_width_m`` are the paper's l1 and l2, from the centre to a wheel's centre;
+    ``wheel_inertia_kg_m2`` is Ib, of one wheel with its drive; ``friction_coefficient`` is μ. Raises
+    BadInputError for a number that is not finite, negative, or zero where that makes no robot.
+    """
+
+    mass_kg: float
+    inertia_kg_m2: float
+    wheel_radius_m: float
+    half_length_m: float
+    half_width_m: float
+    wheel_inertia_kg_m2: float
+    friction_coefficient: float
+    torque_limit_n_m: float
+    speed_limit_rad_s: float
+    lever_m: float = field(init=False, repr=False, compare=False)
+    """L = l1 + l2 [m]."""
+    wheels_mass_kg: float = field(init=False, repr=False, compare=False)
+    """k = 4 Ib / r² [kg]: what the wheels' rotation adds to the mass."""
+    effective_mass_kg: float = field(init=False, repr=False, compare=False)
+    """m + k [kg]."""
+    effective_inertia_kg_m2: float = field(init=False, repr=False, compare=False)
+    """I + k L² [kg·m²]."""
+    wheel_friction_n_m: float = field(init=False, repr=False, compare=False)
+    """μ m g r / 4 [N·m]: friction torque of one wheel."""
+
+    def __post_init__(self) -> None:
+        for name in (f.name for f in self.__dataclass_fields__.values() if f.init):
+            value = getattr(self, name)
+            allowed = isfinite(value) and (value >= 0.0 if name in _MAY_BE_ZERO else value > 0.0)
+            if not allowed:
+                bound = "zero or more" if name in _MAY_BE_ZERO else "more than zero"
+                raise BadInputError(f"robot.{name} = {value!r}: expected a finite number, {bound}")
+        lever = self.half_length_m + self.half_width_m
+        k = 4.0 * self.wheel_inertia_kg_m2 / self.wheel_radius_m**2
+        friction = self.friction_coefficient * self.mass_kg * GRAVITY_M_S2 * self.wheel_radius_m / 4.0
+        object.__setattr__(self, "lever_m", lever)
+        object.__setattr__(self, "wheels_mass_kg", k)
+        object.__setattr__(self, "effective_mass_kg", self.mass_kg + k)
+        object.__setattr__(self, "effective_inertia_kg_m2", self.inertia_kg_m2 + k * lever**2)
+        object.__setattr__(self, "wheel_friction_n_m", friction)
+
+    def wheel_speeds(self, twist: Axes, heading_rad: float) -> Wheels:
+        """Return the wheel speeds [rad/s] of a world twist at this heading: ω = H Rᵀ q̇ / r."""
+        vx, vy, yaw_rate = twist
+        c, s = cos(heading_rad), sin(heading_rad)
+        body = c * vx + s * vy, c * vy - s * vx, yaw_rate
+        return make_wheels(wheel_speeds(body, self.wheel_radius_m, self.lever_m))
+
+    def twist(self, wheel_speed_rad_s: Wheels, heading_rad: float) -> Twist:
+        """Return the world twist of wheel speeds [rad/s] at this heading."""
+        return to_world(body_twist(wheel_speed_rad_s, self.wheel_radius_m, self.lever_m), heading_rad)
+
+    def wheel_torques(self, acceleration: Axes, twist: Axes, heading_rad: float, moving: Axes) -> Wheels:
+        """Return the wheel torques [N·m] for a world acceleration, not limited: τ = B⁺ (M q̈ + C) + ξ.
+
+        ``twist`` is the world twist in C. Friction ξ (``friction_torques``) is that of wheels that turn as the world
+        twist ``moving`` has them: the intended one, because a measured one would feed its noise back.
+        """
+        ax, ay, yaw_acceleration = acceleration
+        vx, vy, yaw_rate = twist
+        mass, coupling = self.effective_mass_kg, self.wheels_mass_kg * yaw_rate
+        fx = mass * ax + coupling * vy
+        fy = mass * ay - coupling * vx
+        # B⁺, the torques of least norm: into the body frame, there to the wheels by (r / 4) H diag(1, 1, 1 / L²).
+        c, s = cos(heading_rad), sin(heading_rad)
+        quarter = self.wheel_radius_m / 4.0
+        forward, left = quarter * (c * fx + s * fy), quarter * (c * fy - s * fx)
+        turn = quarter * (self.effective_inertia_kg_m2 * yaw_acceleration) / self.lever_m
+        minus, plus = forward - left, forward + left
+        torque = minus - turn, plus + turn, minus + turn, plus - turn
+        if self.wheel_friction_n_m == 0.0:
+            return make_wheels(torque)
+        to_fl, to_fr, to_rr, to_rl = torque
+        vx, vy, yaw_rate = moving
+        speeds = wheel_speeds((c * vx + s * vy, c * vy - s * vx, yaw_rate), self.wheel_radius_m, self.lever_m)
+        fl, fr, rr, rl = self.friction_torques(speeds)
+        return make_wheels((to_fl + fl, to_fr + fr, to_rr + rr, to_rl + rl))
+
+    def friction_torques(self, speed_rad_s: FourWheels) -> FourWheels:
+        """Return the friction torque [N·m] of each wheel at these speeds: ξ = (μ m g r / 4) tanh(ω / 0.3 rad/s)."""
+        fl, fr, rr, rl = speed_rad_s
+        friction = self.wheel_friction_n_m
+        return (
+            friction * tanh(fl / FRICTION_SPEED_RAD_S),
+            friction * tanh(fr / FRICTION_SPEED_RAD_S),
+            friction * tanh(rr / FRICTION_SPEED_RAD_S),
+            friction * tanh(rl / FRICTION_SPEED_RAD_S),
+        )

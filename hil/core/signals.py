@@ -1,0 +1,227 @@
+"""The one vocabulary of signals: expectations, recordings and exports all use these names.
+
+A sample is one row of floats in the order of ``SIGNALS``. The names and their order come from the fields of the
+groups below, so that a signal is defined once; the unit is the end of its name. A run may have extra ones behind them
+(``hil.core.ports.OwnSignals``), with the unit at the end of the name too.
+"""
+
+from collections.abc import Callable
+from types import MethodType
+from typing import NamedTuple
+
+from hil.core.types import WHEEL_NAMES, Gains, Pose, Twist, Wheels
+
+
+class LoopSignals(NamedTuple):
+    t_s: float
+    tick: int
+    lateness_us: float
+    tick_us: float
+    deadline_misses: float
+
+
+make_loop_signals: Callable[[tuple[float, int, float, float, float]], LoopSignals] = MethodType(
+    tuple.__new__, LoopSignals
+)
+
+
+class ReferenceSignals(NamedTuple):
+    x_m: float
+    y_m: float
+    heading_rad: float
+    vx_m_s: float
+    vy_m_s: float
+    yaw_rate_rad_s: float
+    ax_m_s2: float
+    ay_m_s2: float
+    yaw_acceleration_rad_s2: float
+
+
+class ErrorSignals(NamedTuple):
+    x_m: float
+    y_m: float
+    heading_rad: float
+    planar_m: float
+
+
+class RobotSignals(NamedTuple):
+    time_s: float
+    state: float
+    command_age_ms: float
+    yaw_rate_rad_s: float
+    acceleration_x_m_s2: float
+    acceleration_y_m_s2: float
+    acceleration_z_m_s2: float
+
+
+class BatterySignals(NamedTuple):
+    voltage_v: float
+    current_a: float
+
+
+class EstimatorSignals(NamedTuple):
+    sigma_position_m: float
+    sigma_heading_rad: float
+    gyro_bias_rad_s: float
+    fixes_accepted: float
+    fixes_rejected: float
+    fix_age_ms: float
+    slip: float
+    health: float
+
+
+class GuardSignals(NamedTuple):
+    saturated: float
+    held: float
+
+
+class LinkSignals(NamedTuple):
+    sent: float
+    received: float
+    rejected: float
+    feedback_age_ms: float
+    lost: float
+    sent_bytes: float
+    received_bytes: float
+    load_percent: float
+    rtt_ms: float
+    latency_ms: float
+    clock_offset_us: float
+    clock_drift_ppm: float
+
+
+class Sample(NamedTuple):
+    """The groups of a row in their order; ``hil.runtime.rows`` writes it. NaN stands for what was not there."""
+
+    loop: LoopSignals
+    reference: ReferenceSignals
+    pose: Pose
+    twist: Twist
+    truth: Pose
+    error: ErrorSignals
+    gain: Gains
+    wheel_speed: Wheels
+    wheel_speed_command: Wheels
+    wheel_torque_command: Wheels
+    wheel_current: Wheels
+    wheel_temperature: Wheels
+    robot: RobotSignals
+    battery: BatterySignals
+    estimator: EstimatorSignals
+    guard: GuardSignals
+    link: LinkSignals
+
+
+class Signal(NamedTuple):
+    """A name of the vocabulary: dotted, with its unit at the end."""
+
+    name: str
+    unit: str
+    meaning: str
+
+
+_MEANING = {
+    "loop.t_s": "time since the first ACTIVE tick, the scenario's time",
+    "loop.tick": "number of the tick",
+    "loop.lateness_us": "how late the tick began; 0 in lockstep",
+    "loop.tick_us": "wall-clock time that the previous tick's work took",
+    "loop.deadline_misses": "ticks skipped so far because the one before ran over",
+    "reference.*": "pose, twist and acceleration that the robot should have, world frame",
+    "pose.*": "pose that the controller acts on, world frame",
+    "twist.*": "twist that the controller acts on, world frame",
+    "truth.*": "true pose, by a path of its own; no value without one",
+    "error.*": "truth minus reference; no value without truth",
+    "error.planar_m": "distance between truth and reference; no value without truth",
+    "gain.*": "gain in force; no value where the law has none",
+    "wheel.*.speed_rad_s": "wheel speed as the firmware estimates it",
+    "wheel.*.speed_command_rad_s": "speed set point after the guard; no value in torque mode",
+    "wheel.*.torque_command_n_m": "torque set point or feedforward after the guard",
+    "wheel.*.current_a": "motor current; of our own firmware the mean over the feedback period",
+    "robot.time_s": "sampling instant of the newest feedback, on the robot's own clock",
+    "robot.state": "state of the firmware (DBC TICK.state)",
+    "robot.command_age_ms": "age of the command in force when the feedback was sampled",
+    "robot.yaw_rate_rad_s": "gyro",
+    "robot.acceleration_x_m_s2": "accelerometer, forward; no value where the robot has none",
+    "robot.acceleration_y_m_s2": "accelerometer, left; no value where the robot has none",
+    "robot.acceleration_z_m_s2": "accelerometer, up, 9.81 at rest; no value where the robot has none",
+    "battery.*": "as the robot measures it, our own firmware over a feedback period; no value where it does not",
+    "wheel.*.temperature_degc": "of the motor's winding; no value where the robot measures none",
+    "estimator.sigma_position_m": "standard deviation of the estimated position, its worst direction; only fused",
+    "estimator.sigma_heading_rad": "standard deviation of the estimated heading; only fused",
+    "estimator.gyro_bias_rad_s": "bias of the gyro as estimated; only fused",
+    "estimator.fixes_accepted": "pose fixes that the filter took so far; only fused",
+    "estimator.fixes_rejected": "pose fixes that were too far from the estimate so far; only fused",
+    "estimator.fix_age_ms": "age of the newest accepted pose fix; only fused",
+    "estimator.slip": "1 when wheels, gyro and accelerometer contradict one another; no value with true poses",
+    "estimator.health": "0 good, 1 degraded: no fix for too long, 2 lost: the robot is held at rest; only fused",
+    "guard.saturated": "1 when the guard scaled the four wheels at a limit",
+    "guard.held": "1 when the law was not asked: nothing to rely on, the robot held at rest, or the robot away",
+    "link.sent": "frames sent so far, but for HELLO",
+    "link.received": "valid frames received so far, but for HELLO",
+    "link.rejected": "frames dropped so far, all causes; looked up every 100 ticks",
+    "link.feedback_age_ms": "age of the newest feedback at the tick: time since it arrived, and the link's latency",
+    "link.lost": "feedback snapshots so far that are missing in the robot's count, or came in part",
+    "link.sent_bytes": "bytes sent since t = 0; on CAN those of the data fields",
+    "link.received_bytes": "bytes received since t = 0; on CAN those of the data fields",
+    "link.load_percent": "how busy the wire was in the last 100 ms; no value on memory:",
+    "link.rtt_ms": "from sending a command to the first feedback that says it is in force; no value before the first",
+    "link.latency_ms": "from a sampling instant to the tick of the firmware that uses the command, as the law is told",
+    "link.clock_offset_us": "the robot's clock ahead of the run's, by TIME_SYNC; no value before the first answer",
+    "link.clock_drift_ppm": "how much faster the robot's clock goes than the run's; no value in the first second",
+}
+
+_WHEEL_GROUPS = {
+    "wheel_speed": "speed_rad_s",
+    "wheel_speed_command": "speed_command_rad_s",
+    "wheel_torque_command": "torque_command_n_m",
+    "wheel_current": "current_a",
+    "wheel_temperature": "temperature_degc",
+}
+
+# Longest ending first: "rad_s" must win over "s".
+_UNITS = (
+    ("_rad_s2", "rad/s²"),
+    ("_m_s2", "m/s²"),
+    ("_rad_s", "rad/s"),
+    ("_m_s", "m/s"),
+    ("_n_m", "N·m"),
+    ("_1_s", "1/s"),
+    ("_rad", "rad"),
+    ("_us", "µs"),
+    ("_ms", "ms"),
+    ("_m", "m"),
+    ("_s", "s"),
+    ("_a", "A"),
+    ("_v", "V"),
+    ("_degc", "°C"),
+    ("_bytes", "B"),
+    ("_percent", "%"),
+    ("_ppm", "ppm"),
+)
+
+
+def unit_of(name: str) -> str:
+    """Return the unit that ends a name, or ``""`` for a count or a state."""
+    return next((unit for ending, unit in _UNITS if name.endswith(ending)), "")
+
+
+def _meaning_of(name: str) -> str:
+    parts = name.split(".")
+    patterns = (name, ".".join([parts[0], *["*"] * (len(parts) - 2), parts[-1]]), f"{parts[0]}.*")
+    return next(_MEANING[p] for p in patterns if p in _MEANING)
+
+
+def _names() -> list[str]:
+    names: list[str] = []
+    for group, kind in Sample.__annotations__.items():
+        if group in _WHEEL_GROUPS:
+            names += [f"wheel.{wheel}.{_WHEEL_GROUPS[group]}" for wheel in WHEEL_NAMES]
+        else:
+            names += [f"{group}.{field}" for field in kind._fields]
+    return names
+
+
+SIGNALS: tuple[Signal, ...] = tuple(Signal(n, unit_of(n), _meaning_of(n)) for n in _names())
+SIGNAL_NAMES: tuple[str, ...] = tuple(s.name for s in SIGNALS)
+INDEX: dict[str, int] = {name: i for i, name in enumerate(SIGNAL_NAMES)}
+GROUPS: frozenset[str] = frozenset(name.partition(".")[0] for name in SIGNAL_NAMES)

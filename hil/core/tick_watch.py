@@ -1,0 +1,121 @@
+"""A limit of wall-clock time for a tick: a law that never returns is found out, said, and ended."""
+
+import ctypes
+import os
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from types import FrameType
+from typing import Self
+
+from hil.core.errors import OverdueError
+
+_LOOKS = 8  # in the time of the limit
+_LONGEST_LOOK_S = 1.0
+_GRACE_S = 1.0  # from the exception in the tick to the end of the process
+_LAST_WORDS_S = 15.0  # for what is to be done before that end
+_PRINT_S = 2.0
+_DEBUGGERS = ("bdb", "pdb", "pydevd", "debugpy")
+
+
+class TickOverdue(BaseException):
+    """Raised in the middle of a tick that took too long. No law that catches all its errors catches it."""
+
+    sentence = ""
+
+    def __str__(self) -> str:
+        return self.sentence
+
+
+class TickWatch:
+    """Ends a tick that takes longer than ``limit_s`` of wall-clock time; 0 or infinity for none. A context manager.
+
+    Whoever does the ticks adds 1 to ``turn`` when one begins, and 1 when it ends: that is all that a tick pays. A
+    thread looks now and then. A tick that is overdue has TickOverdue raised in it, which the thread that entered the
+    context has to catch. One that is stuck where no exception gets to, in a sleep or in C, ends the process: after
+    ``last_words``, which is given the sentence, the thread's stack and the sentence are printed, and the exit code is
+    that of OverdueError.
+
+    Between ticks robot and plant are waited for, and have limits of their own. Time in which this process did not run,
+    because it was stopped or the machine suspended, does not count, nor does a tick that a debugger holds. A call into
+    C that keeps Python's own lock all the while stops this watch too; most release it.
+    """
+
+    def __init__(self, limit_s: float, t_s: Callable[[], float], last_words: Callable[[str], None]) -> None:
+        self._limit_s = limit_s
+        self._t_s = t_s
+        self._last_words = last_words
+        self._look_s = min(limit_s / _LOOKS, _LONGEST_LOOK_S)
+        self._ended = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._ident = 0
+        self.turn = 0
+
+    def __enter__(self) -> Self:
+        self._ident = threading.get_ident()
+        if 0.0 < self._limit_s < float("inf"):
+            self._thread = threading.Thread(target=self._watch, name="tick watch", daemon=True)
+            self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        if self._thread is not None:
+            self._thread.join()
+
+    def _watch(self) -> None:
+        turn, stood_s, looked_s, sentence = self.turn, 0.0, time.monotonic(), ""
+        while not self._ended.wait(self._look_s):
+            now_s = time.monotonic()
+            passed_s, looked_s = min(now_s - looked_s, 2.0 * self._look_s), now_s
+            if self.turn != turn or turn % 2 == 0:
+                turn, stood_s, sentence = self.turn, 0.0, ""
+                continue
+            stood_s += passed_s
+            if stood_s <= self._limit_s:
+                continue
+            frame = sys._current_frames().get(self._ident)
+            if _is_debugged(frame):
+                stood_s = 0.0
+            elif not sentence:
+                sentence = self._sentence(frame)
+                self._raise(sentence)
+            elif stood_s > self._limit_s + _GRACE_S:
+                self._end(sentence)
+
+    def _sentence(self, frame: FrameType | None) -> str:
+        where = "" if frame is None else f" at {frame.f_code.co_filename}:{frame.f_lineno}, in {frame.f_code.co_name}"
+        return (
+            f"the tick at t = {self._t_s():.3f} s did not end within {self._limit_s:g} s of wall-clock time{where}: a "
+            "law that does not return? loop.tick_limit_s is the limit, 0 for none"
+        )
+
+    def _raise(self, sentence: str) -> None:
+        overdue = type("TickOverdue", (TickOverdue,), {"sentence": sentence})
+        ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(self._ident), ctypes.py_object(overdue))
+
+    def _end(self, sentence: str) -> None:
+        """End the process: the control thread does not run Python any more."""
+        stack = "".join(traceback.format_stack(sys._current_frames().get(self._ident)))
+        # The sentence last: of a worker that ends, its last line is told.
+        _say(lambda: self._last_words(sentence), _LAST_WORDS_S)
+        _say(lambda: print(f"{stack}hil: {sentence}", file=sys.stderr, flush=True), _PRINT_S)
+        os._exit(OverdueError.exit_code)
+
+
+def _say(words: Callable[[], None], limit_s: float) -> None:
+    """Do it for so long at most: the thread that is stuck may hold what it needs."""
+    thread = threading.Thread(target=words, name="last words", daemon=True)
+    thread.start()
+    thread.join(limit_s)
+
+
+def _is_debugged(frame: FrameType | None) -> bool:
+    """Tell whether a debugger's own code is on the stack: it holds the thread, and waits for its user."""
+    while frame is not None:
+        if str(frame.f_globals.get("__name__")).partition(".")[0].startswith(_DEBUGGERS):
+            return True
+        frame = frame.f_back
+    return False

@@ -1,0 +1,5 @@
+"""Motor controllers of other makers: a folder each, with driver, emulated device, settings and page (DRIVERS.md).
+
+May import: `robot`, `wire`, `plant`, `core`.
+To add a maker: a folder with `driver.py` and `emulated.py`, and a row in `registry.py`.
+"""

@@ -1,0 +1,1 @@
+"""RoboMaster C620 and C610: driver, probe, frames, and the emulated device."""

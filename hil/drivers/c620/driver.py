@@ -1,0 +1,304 @@
+"""RoboMaster C620 with M3508, and C610 with M2006: currents to the motors, their speed loop closed here.
+
+CAN 1 Mbit/s, standard identifiers, big-endian: 0x200 carries the currents of motors 1 to 4, 0x1FF those of 5 to 8, and
+each motor answers at 1 kHz with 0x200 + its id: rotor angle (8192 a turn), rotor speed [rpm], current, temperature.
+Source: RoboMaster C620 user guide; RoboRTS-Firmware, components/devices/motor.c.
+
+Its controllers know no arming, no version and no error: one that is there says so by its feedback.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from struct import Struct
+from typing import Literal, NamedTuple
+
+from firmware_protocol.framing import Frame
+from hil.core.options import require_not_negative, require_positive
+from hil.core.types import WHEEL_NAMES, CommandMode, FourWheels
+from hil.drivers.channels import check_ids, chosen, oldest
+from hil.drivers.port import Capabilities, Dialect, Found, RobotFacts, Sample
+
+_CURRENTS = Struct(">4h")
+_FEEDBACK = Struct(">HhhB")
+_FEEDBACK_BASE = 0x200
+_LOW, _HIGH = 0x200, 0x1FF
+_ANGLES = 8192
+_RPM = math.tau / 60.0
+_FEEDBACK_NS = 1_000_000
+
+
+class Motor(NamedTuple):
+    """A controller and its motor: current [A] of one count, the largest count, rotor turns in one of the wheel."""
+
+    amperes: float
+    most: int
+    gear_ratio: float
+
+
+MOTORS = {
+    "c620": Motor(20.0 / 16384, 16384, 3591 / 187),
+    "c610": Motor(10.0 / 10000, 10000, 36.0),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """``[device.motors]``: ``ids`` of the channels in order, as set with the button of each controller.
+
+    ``gear_ratio`` 0 takes that of the motor's own gearbox. The gains are those of the speed loop, at the wheel;
+    ``temperature_limit_degc`` is of a motor, beyond which the robot is stopped.
+    """
+
+    controller: Literal["c620", "c610"] = "c620"
+    ids: tuple[int, ...] = (1, 2, 3, 4)
+    gear_ratio: float = 0.0
+    kp_n_m_s_rad: float = 0.6
+    ki_n_m_rad: float = 8.0
+    temperature_limit_degc: float = 100.0
+
+    def __post_init__(self) -> None:
+        check_ids("ids", self.ids, 1, 8)
+        require_not_negative(self, "gear_ratio", "kp_n_m_s_rad", "ki_n_m_rad")
+        require_positive(self, "temperature_limit_degc")
+
+
+class _Channel:
+    """What one motor said, and its speed loop."""
+
+    def __init__(self) -> None:
+        self.stamp_ns: int | None = None
+        self.rpm = 0
+        self.current = 0
+        self.temperature_degc = 0
+        self.integral_n_m = 0.0
+        self._angle = 0
+        self._turned = 0  # angle steps since the first frame
+        self._batch: list[tuple[int, int]] = []  # angles and speeds of the frames with the newest stamp
+        self._before_ns: int | None = None  # the stamp before that
+
+    def feed(self, payload: bytes, stamp_ns: int) -> None:
+        angle, rpm, self.current, self.temperature_degc = _FEEDBACK.unpack_from(payload)
+        if stamp_ns != self.stamp_ns:
+            self._unwrap()
+            self._before_ns, self.stamp_ns = self.stamp_ns, stamp_ns
+        self._batch.append((angle, rpm))
+        self.rpm = rpm
+
+    def turned(self) -> int:
+        """Return the angle steps since the first frame; to be asked when all that has come was fed."""
+        self._unwrap()
+        return self._turned
+
+    def _unwrap(self) -> None:
+        """Frames that were read at once came a millisecond apart, the first of them after what is left of the time.
+
+        Where frames were lost the rotor may have turned more than half round in it: its speed tells how often.
+        """
+        batch, self._batch = self._batch, []
+        for place, (angle, rpm) in enumerate(batch):
+            if self._before_ns is None or self.stamp_ns is None:
+                step = 0
+            else:
+                apart_ns = _FEEDBACK_NS
+                if place == 0:
+                    apart_ns = max(self.stamp_ns - self._before_ns - (len(batch) - 1) * _FEEDBACK_NS, _FEEDBACK_NS)
+                expected = rpm / 60.0 * _ANGLES * apart_ns * 1e-9
+                step = angle - self._angle
+                step += _ANGLES * round((expected - step) / _ANGLES)
+            self._angle = angle
+            self._turned += step
+        self._before_ns = self.stamp_ns
+
+
+class C620:
+    """Four of them on one bus."""
+
+    def __init__(self, settings: Settings, robot: RobotFacts) -> None:
+        motor = MOTORS[settings.controller]
+        self._settings = settings
+        self._robot = robot
+        self._amperes = motor.amperes
+        self._most = motor.most
+        self._gear_ratio = settings.gear_ratio or motor.gear_ratio
+        self._channels = tuple(_Channel() for _ in settings.ids)
+        self._by_id = {_FEEDBACK_BASE + number: self._channels[i] for i, number in enumerate(settings.ids)}
+        self._is_armed = False
+        self._commanded_ns: int | None = None
+        self.capabilities = Capabilities(
+            modes=frozenset(CommandMode),
+            is_twist=False,
+            feedback_hz=1000.0,
+            sensors=frozenset({"position", "current", "temperature"}),
+            adds_torque=True,
+            watchdog="none",
+            latches_estop=False,
+        )
+        self.warnings = (
+            f"what a {settings.controller.upper()} does when commands end is not known to us: keep an e-stop that cuts "
+            "the motors' power within reach",
+            f"a {settings.controller.upper()} that is stopped lets its wheel coast: it does not brake it",
+        )
+
+    def ask(self) -> Sequence[Frame]:
+        return ()
+
+    @property
+    def identity(self) -> str | None:
+        if self.missing:
+            return None
+        ids = ", ".join(map(str, self._settings.ids))
+        return f"four {self._settings.controller.upper()} with the ids {ids}"
+
+    @property
+    def missing(self) -> str:
+        silent = chosen(self._settings.ids, (channel.stamp_ns is None for channel in self._channels))
+        if not silent:
+            return ""
+        return (
+            f"no feedback of the motors {silent}; check their power, the bus, and the ids that their lamps "
+            "blink (device.motors.ids)"
+        )
+
+    def arm(self, now_ns: int) -> Sequence[Frame]:
+        for channel in self._channels:
+            channel.integral_n_m = 0.0
+        self._commanded_ns = None
+        self._is_armed = not self.missing
+        return self._currents(_NONE)
+
+    @property
+    def is_armed(self) -> bool:
+        return self._is_armed
+
+    def command(self, speed_rad_s: FourWheels, torque_n_m: FourWheels, now_ns: int) -> Sequence[Frame]:
+        if self._robot.mode is CommandMode.SPEED:
+            torque_n_m = self._speed_loops(speed_rad_s, torque_n_m, now_ns)
+        self._commanded_ns = now_ns
+        scale = 1.0 / (self._robot.torque_constant_n_m_a * self._amperes)
+        fl, fr, rr, rl = (min(max(round(torque * scale), -self._most), self._most) for torque in torque_n_m)
+        return self._currents((fl, fr, rr, rl))
+
+    def _is_heard(self, channel: _Channel, now_ns: int) -> bool:
+        return channel.stamp_ns is not None and now_ns - channel.stamp_ns < self._robot.watchdog_s * 1e9
+
+    def _speed_loops(self, speed_rad_s: FourWheels, torque_n_m: FourWheels, now_ns: int) -> FourWheels:
+        settings, limit = self._settings, self._robot.torque_limit_n_m
+        dt_s = self._robot.period_s if self._commanded_ns is None else (now_ns - self._commanded_ns) * 1e-9
+        dt_s = min(dt_s, 2.0 * self._robot.period_s)  # a stall is no time in which the loop was closed
+        wanted = []
+        for channel, target, feedforward in zip(self._channels, speed_rad_s, torque_n_m, strict=True):
+            if not self._is_heard(channel, now_ns):
+                channel.integral_n_m = 0.0
+                wanted.append(0.0)  # no loop is closed on a speed of long ago
+                continue
+            error = target - channel.rpm * _RPM / self._gear_ratio
+            torque = feedforward + settings.kp_n_m_s_rad * error + channel.integral_n_m
+            limited = min(max(torque, -limit), limit)
+            if torque == limited or error * torque < 0.0:  # no windup at the limit
+                integral = channel.integral_n_m + settings.ki_n_m_rad * error * dt_s
+                channel.integral_n_m = min(max(integral, -limit), limit)
+            wanted.append(limited)
+        fl, fr, rr, rl = wanted
+        return fl, fr, rr, rl
+
+    def _currents(self, counts: tuple[int, int, int, int]) -> Sequence[Frame]:
+        """Return the frame or two that carry the currents; the other motors of those frames get none."""
+        slots = {_LOW: [0, 0, 0, 0], _HIGH: [0, 0, 0, 0]}
+        used = set()
+        for number, count in zip(self._settings.ids, counts, strict=True):
+            frame = _LOW if number <= 4 else _HIGH
+            slots[frame][(number - 1) % 4] = count
+            used.add(frame)
+        return [Frame(number, _CURRENTS.pack(*slots[number])) for number in sorted(used, reverse=True)]
+
+    def disarm(self) -> Sequence[Frame]:
+        self._is_armed = False
+        return self._currents(_NONE)
+
+    def estop(self) -> Sequence[Frame]:
+        return self.disarm()
+
+    def clear(self) -> Sequence[Frame]:
+        return ()
+
+    def feed(self, frame: Frame, stamp_ns: int) -> None:
+        channel = self._by_id.get(frame.id)
+        if channel is not None and len(frame.payload) == 8:
+            channel.feed(frame.payload, stamp_ns)
+
+    @property
+    def sample(self) -> Sample | None:
+        channels = self._channels
+        stamp_ns = oldest(channel.stamp_ns for channel in channels)
+        if stamp_ns is None:
+            return None
+        a, b, c, d = channels
+        to_speed = _RPM / self._gear_ratio
+        to_angle = math.tau / _ANGLES / self._gear_ratio
+        return Sample(
+            stamp_ns,
+            (a.rpm * to_speed, b.rpm * to_speed, c.rpm * to_speed, d.rpm * to_speed),
+            (a.turned() * to_angle, b.turned() * to_angle, c.turned() * to_angle, d.turned() * to_angle),
+            (
+                a.current * self._amperes,
+                b.current * self._amperes,
+                c.current * self._amperes,
+                d.current * self._amperes,
+            ),
+            (a.temperature_degc, b.temperature_degc, c.temperature_degc, d.temperature_degc),
+        )
+
+    @property
+    def errors(self) -> Sequence[str]:
+        limit = self._settings.temperature_limit_degc
+        return [
+            f"motor {number} of wheel {WHEEL_NAMES[wheel]} has {channel.temperature_degc} °C, more than the {limit:g} "
+            "of device.motors.temperature_limit_degc"
+            for number, channel, wheel in zip(
+                self._settings.ids, self._channels, self._robot.wheel_of_channel, strict=True
+            )
+            if channel.temperature_degc > limit
+        ]
+
+    def restart(self) -> None:
+        self._is_armed = False
+        for channel in self._channels:
+            channel.stamp_ns = None
+
+
+class _Probe:
+    """Listens: each motor speaks by itself."""
+
+    def __init__(self) -> None:
+        self._ids: set[int] = set()
+
+    patience_s = 0.0
+
+    def ask(self) -> Sequence[Frame]:
+        return ()
+
+    def feed(self, frame: Frame) -> bool:
+        number = frame.id - _FEEDBACK_BASE
+        if not 1 <= number <= 8 or len(frame.payload) != 8 or _FEEDBACK.unpack_from(frame.payload)[0] >= _ANGLES:
+            return False
+        self._ids.add(number)
+        return True
+
+    def found(self) -> Found | None:
+        if not self._ids:
+            return None
+        ids = sorted(self._ids)
+        sentences = [f"a C620 or C610 with the id {number}" for number in ids]
+        unknown = ("device.motors.controller", "device.motors.gear_ratio", "firmware.torque_constant_n_m_a")
+        return Found(sentences, {"ids": ids} if len(ids) == 4 else None, unknown=unknown)
+
+
+_NONE = (0, 0, 0, 0)
+DIALECT = Dialect(
+    title="RoboMaster C620 and C610",
+    wires=frozenset({"can"}),
+    settings=Settings,
+    make=C620,
+    probe=_Probe,
+)

@@ -1,0 +1,64 @@
+"""Four RoboMaster C620 or C610 as their guide describes them: current loops, and a feedback frame each a millisecond.
+
+On command loss this one goes on with the newest currents for ever, the worst that a real one might do.
+"""
+
+import math
+import struct
+
+from firmware_protocol.framing import Frame
+from hil.core.types import FourWheels
+from hil.drivers.c620.driver import Settings
+from hil.drivers.emulated_motors import EmulatedMotors
+
+_FULL_SCALE = {"c620": (16384, 20.0), "c610": (10000, 10.0)}
+_GEARS = {"c620": 3591 / 187, "c610": 36.0}
+
+
+class EmulatedC620(EmulatedMotors):
+    """See ``EmulatedMotors``. The rotor turns ``gear_ratio`` times as fast as the wheel."""
+
+    def __init__(self, settings: Settings, *node: object, **keywords: object) -> None:
+        self._ids = settings.ids
+        self._gear = settings.gear_ratio or _GEARS[settings.controller]
+        self._counts, self._amperes = _FULL_SCALE[settings.controller]
+        self._wanted_a = [0.0] * 4
+        self._was_told = False
+        super().__init__(*node, **keywords)  # type: ignore[arg-type]
+
+    @property
+    def is_driving(self) -> bool:
+        return any(self._wanted_a)
+
+    def take(self, frame: Frame) -> None:
+        first = {0x200: 1, 0x1FF: 5}.get(frame.id)
+        if first is None or len(frame.payload) != 8:
+            return
+        self._was_told = True
+        for slot in range(4):
+            if first + slot in self._ids:
+                (raw,) = struct.unpack_from(">h", frame.payload, 2 * slot)
+                limited = min(max(raw, -self._counts), self._counts)
+                self._wanted_a[self._ids.index(first + slot)] = limited * self._amperes / self._counts
+
+    def tick(self) -> FourWheels | None:
+        for channel, number in enumerate(self._ids):
+            shaft = self.shafts[channel]
+            angle = round(shaft.position_rad / math.tau * self._gear * 8192) % 8192
+            rpm = round(shaft.speed_rad_s * self._gear * 60.0 / math.tau)
+            raw_current = round(self.current_a[channel] * self._counts / self._amperes)
+            temperature = min(max(round(self.temperature_degc[channel]), 0), 255)
+            payload = struct.pack(">HhhBB", angle, _int16(rpm), _int16(raw_current), temperature, 0)
+            self.say(Frame(0x200 + number, payload))
+        if not self._was_told:
+            return None
+        constant = self.values["torque_constant_n_m_a"]
+        a, b, c, d = (constant * current for current in self._wanted_a)
+        return a, b, c, d
+
+
+def _int16(value: int) -> int:
+    return min(max(value, -32768), 32767)
+
+
+EMULATED = EmulatedC620

@@ -1,0 +1,269 @@
+"""Drives motor controllers by their DBC and a mapping: no maker's rule is in here, all of it is in the scenario."""
+
+from collections.abc import Mapping, Sequence
+from itertools import chain
+
+from firmware_protocol.framing import Frame
+from hil.core.errors import BadInputError
+from hil.core.kinematics import body_twist, wheel_speeds
+from hil.core.types import NAN, CommandMode, FourWheels
+from hil.drivers.dbc.coding import Moving, Packer, RollingCounter
+from hil.drivers.dbc.file import Message
+from hil.drivers.dbc.heard import Heard
+from hil.drivers.dbc.mapping import Bound, Step
+from hil.drivers.dbc.robot import check_limits, check_wheels, gains, warnings, watchdog_raw
+from hil.drivers.dbc.settings import PHASES, Settings
+from hil.drivers.port import EXTENDED, NO_CHANNELS, Capabilities, Dialect, RobotFacts, Sample, Sensor
+
+_NONE: Mapping[str, float] = {}
+_NO_STEP: Mapping[str, Packer] = {}
+_AGAIN_NS = 250_000_000
+"""After so long the steps of arming are sent once more: one of their frames may have been lost."""
+_SENSORS: Mapping[str, Sensor] = {
+    "position": "position",
+    "current": "current",
+    "temperature": "temperature",
+    "battery_voltage": "battery_voltage",
+    "battery_current": "battery_current",
+    "yaw_rate": "gyro",
+    "acceleration": "accelerometer",
+}
+
+
+class DbcDriver:
+    """See ``hil.drivers.port.Driver``. Raises BadInputError where mapping and robot do not go together."""
+
+    def __init__(self, settings: Settings, robot: RobotFacts) -> None:
+        plan = self._plan = settings.plan
+        self._robot = robot
+        self._gain = gains(settings, robot)
+        check_wheels(plan, robot)
+        check_limits(plan, robot, self._gain)
+        self._heard = Heard(plan, self._gain)
+        self._is_twist = plan.motion == "twist"
+        self._measures_twist = plan.measured == "twist"
+        self._adds_torque = "feedforward" in plan.commands
+        self._counters = [RollingCounter(signal) for signal in plan.counters]
+        bounds = [bound for quantity in plan.commands.values() for bound in quantity.bounds]
+        self._moving = [self._moving_signal(index, bound) for index, bound in enumerate(bounds)]
+        self._still = [0.0] * len(bounds)
+        self._watchdog_raw = watchdog_raw(plan, robot, self._gain)
+        self._commands = {name: self._packer(name) for name in plan.sent() if self._moves(name)}
+        self._phases = {phase: [self._packers(phase, step) for step in plan.phases[phase]] for phase in PHASES}
+        bound = plan.watchdog.set
+        self._watchdog = None if bound is None else self._packers("watchdog", {bound.signal.message: {}})
+        self._restart_arming()
+        self.capabilities = Capabilities(
+            modes=frozenset({CommandMode.TORQUE if plan.motion == "torque" else CommandMode.SPEED}),
+            is_twist=self._is_twist,
+            feedback_hz=plan.feedback_hz,
+            sensors=frozenset(sensor for name, sensor in _SENSORS.items() if name in plan.feedback),
+            adds_torque=self._adds_torque,
+            watchdog="set" if plan.watchdog.set else "fixed" if plan.watchdog.timeout_s else "none",
+            latches_estop=settings.estop_latches,
+        )
+        self.warnings = tuple(warnings(plan, robot))
+
+    # Made once
+
+    def _moving_signal(self, index: int, bound: Bound) -> Moving:
+        signal = bound.signal
+        return Moving(signal, index, 1.0 / (self._gain(bound) * signal.factor), -signal.offset / signal.factor)
+
+    def _moves(self, message: str) -> bool:
+        return any(one.signal.message == message for one in self._moving)
+
+    def _packers(self, phase: str, step: Step) -> Mapping[str, Packer]:
+        """Return what packs the messages of a step. All but arming is sent with the fields of ``disable``."""
+        disabled = {} if phase == "enable" else (self._plan.phases["disable"] or ({},))[-1]
+        return {name: self._packer(name, {**disabled.get(name, {}), **fields}) for name, fields in step.items()}
+
+    def _packer(self, message: str, fields: Mapping[str, float] = _NONE) -> Packer:
+        """Return what packs a message with the constants and the watchdog's time, and over them these fields."""
+        fixed = {**self._plan.constants.get(message, {}), **fields}
+        watchdog = self._plan.watchdog.set
+        if watchdog is not None and watchdog.signal.message == message:
+            fixed[watchdog.signal.name] = self._watchdog_raw
+        moving = [one for one in self._moving if one.signal.message == message]
+        counters = [one for one in self._counters if one.signal.message == message]
+        return Packer(self._plan.dbc.message(message), fixed, moving, counters)
+
+    def _restart_arming(self) -> None:
+        self._step = 0
+        self._stepped_ns = 0
+        self._watchdog_ns: int | None = None  # when its time was sent first
+        self._is_armed = False
+        self._passed: list[str] = []  # errors that ended closed loop, though they may be over
+
+    # A session
+
+    def ask(self) -> Sequence[Frame]:
+        return self._all_of("ask") if self.missing else ()
+
+    @property
+    def identity(self) -> str | None:
+        if self._heard.missing():
+            return None
+        name = self._plan.dbc.name
+        said = []
+        for condition, raw in self._heard.identity():
+            signal = condition.signal
+            if raw not in condition.raws:
+                known = ", ".join(sorted(signal.word(one) for one in condition.raws))
+                raise BadInputError(
+                    f"{signal} of the device is {signal.word(raw)}, and this mapping is for {known} "
+                    f"(device.motors.identity); take the DBC of the device's firmware, or the firmware of the DBC"
+                )
+            said.append(f"{signal} {signal.word(raw)}")
+        return f"controllers of {name}" + (f" with {', '.join(said)}" if said else "")
+
+    @property
+    def missing(self) -> str:
+        missing = self._heard.missing()
+        if not missing:
+            return ""
+        names = ", ".join(map(_named, missing))
+        return (
+            f"nothing heard of {names}; check power, wiring and bit rate, and the identifiers in {self._plan.dbc.name}"
+        )
+
+    def arm(self, now_ns: int) -> Sequence[Frame]:
+        if self._watchdog is not None and not self._watchdog_is_set():
+            self._step, self._is_armed = 0, False
+            if self._watchdog_ns is None:
+                self._watchdog_ns = now_ns
+            return self._frames([self._watchdog])
+        steps = self._phases["enable"]
+        if self._step < len(steps):
+            frames = self._standstill(steps[self._step])
+            self._step += 1
+            self._stepped_ns = now_ns
+            return frames
+        self._is_armed = not self.missing and self._heard.follows()
+        if not self._is_armed and now_ns - self._stepped_ns >= _AGAIN_NS:
+            self._step = 0
+        return self._standstill()
+
+    def _watchdog_is_set(self) -> bool:
+        """Tell whether it was sent in this arming, and then read back where it can be."""
+        if self._watchdog_ns is None:
+            return False
+        written, read = self._plan.watchdog.set, self._plan.watchdog.read
+        if written is None or read is None:
+            return True
+        expected_s = self._gain(written) * written.signal.physical(self._watchdog_raw)
+        half_a_step_s = abs(self._gain(read) * read.signal.factor) / 2
+        return abs(self._heard.watchdog_s(self._watchdog_ns) - expected_s) <= half_a_step_s + 1e-9
+
+    @property
+    def is_armed(self) -> bool:
+        return self._is_armed and self._heard.follows()
+
+    def command(self, speed_rad_s: FourWheels, torque_n_m: FourWheels, now_ns: int) -> Sequence[Frame]:
+        values: Sequence[float] = torque_n_m
+        if self._is_twist:
+            robot = self._robot
+            values = body_twist(speed_rad_s, robot.wheel_radius_m, robot.lever_m)
+        elif self._plan.motion == "speed":
+            values = speed_rad_s + torque_n_m if self._adds_torque else speed_rad_s
+        return [packer.frame(values) for packer in self._commands.values()]
+
+    def disarm(self) -> Sequence[Frame]:
+        self._restart_arming()
+        steps = self._phases["disable"]
+        if not steps:
+            return self._standstill()
+        return [*self._standstill(steps[0]), *self._frames(steps[1:])]
+
+    def estop(self) -> Sequence[Frame]:
+        steps = self._phases["estop"]
+        if not steps:
+            return self.disarm()
+        self._restart_arming()
+        return self._frames(steps)
+
+    def clear(self) -> Sequence[Frame]:
+        return self._all_of("clear")
+
+    def _all_of(self, phase: str) -> Sequence[Frame]:
+        return self._frames(self._phases[phase])
+
+    def _frames(self, steps: Sequence[Mapping[str, Packer]]) -> list[Frame]:
+        return [packer.frame(self._still) for packer in chain.from_iterable(step.values() for step in steps)]
+
+    def _standstill(self, step: Mapping[str, Packer] = _NO_STEP) -> list[Frame]:
+        """Return the commands of standstill and the messages of a step, in place of commands of the same name."""
+        return [packer.frame(self._still) for packer in {**self._commands, **step}.values()]
+
+    # What arrives
+
+    def feed(self, frame: Frame, stamp_ns: int) -> None:
+        is_well = self._heard.feed(frame.id, frame.payload, stamp_ns)
+        if self._is_armed and not is_well:  # the next may be: of several that came together the last alone would count
+            self._passed = self._reported()
+            self._is_armed = False
+
+    @property
+    def sample(self) -> Sample | None:
+        stamp_ns = self._heard.stamp_ns()
+        if stamp_ns is None:
+            return None
+        if self._measures_twist:
+            forward, left, yaw_rate = self._heard.quantity("twist") or ()
+            speeds = wheel_speeds((forward, left, yaw_rate), self._robot.wheel_radius_m, self._robot.lever_m)
+        else:
+            speeds = self._four("speed")
+        x, y, z = self._heard.quantity("acceleration") or (NAN, NAN, NAN)
+        return Sample(
+            stamp_ns,
+            speeds,
+            self._four("position"),
+            self._four("current"),
+            self._four("temperature"),
+            self._one("battery_voltage"),
+            self._one("battery_current"),
+            (x, y, z),
+            self._one("yaw_rate"),
+        )
+
+    def _four(self, name: str) -> FourWheels:
+        fl, fr, rr, rl = self._heard.quantity(name) or NO_CHANNELS
+        return fl, fr, rr, rl
+
+    def _one(self, name: str) -> float:
+        (value,) = self._heard.quantity(name) or (NAN,)
+        return value
+
+    @property
+    def errors(self) -> Sequence[str]:
+        told = self._reported()
+        told += [error for error in self._passed if error not in told]
+        silent = [
+            f"nothing heard of {_named(message)}, which tells errors or states, for more than {late_s:g} s (how often "
+            "it comes is device.motors.cycle_time_s)"
+            for message, late_s in self._heard.silent()
+        ]
+        return told + silent
+
+    def _reported(self) -> list[str]:
+        return [
+            f"{'the robot' if error.where == 'robot' else f'wheel {error.where}'}: {error.signal} is "
+            f"{error.signal.word(raw)}"
+            for error, raw in self._heard.errors()
+        ]
+
+    def restart(self) -> None:
+        self._restart_arming()
+        self._heard = Heard(self._plan, self._gain)
+
+
+def _named(message: Message) -> str:
+    return f"{message.name} ({message.id & ~EXTENDED:#x})"
+
+
+DIALECT = Dialect(
+    title="a device of your own, by its DBC and a mapping",
+    wires=frozenset({"can"}),
+    settings=Settings,
+    make=DbcDriver,
+)

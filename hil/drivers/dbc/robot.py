@@ -1,0 +1,124 @@
+"""Whether a mapping and the robot go together, and what the units of the one are for the other."""
+
+from collections.abc import Callable
+
+from hil.core.errors import BadInputError
+from hil.core.types import WHEEL_NAMES
+from hil.drivers.dbc.file import Signal
+from hil.drivers.dbc.mapping import Bound
+from hil.drivers.dbc.settings import Plan, Settings
+from hil.drivers.dbc.units import SI, at_wheel
+from hil.drivers.port import RobotFacts, torques_dropped
+
+_KEY = "device.motors"
+_WHOLE = 1e-9
+
+Gain = Callable[[Bound], float]
+"""Returns what 1 of a signal is in the SI unit of its dimension, with its sign."""
+
+
+def gains(settings: Settings, robot: RobotFacts) -> Gain:
+    """Return the gains of a mapping on a robot."""
+
+    def gain(bound: Bound) -> float:
+        return bound.sign * at_wheel(
+            bound.unit,
+            bound.dimension,
+            gear_ratio=settings.gear_ratio,
+            wheel_radius_m=robot.wheel_radius_m,
+            torque_constant_n_m_a=robot.torque_constant_n_m_a,
+        )
+
+    return gain
+
+
+def check_wheels(plan: Plan, robot: RobotFacts) -> None:
+    """Raise BadInputError where [device] says again, and otherwise, what the mapping says of the wheels."""
+    names = [WHEEL_NAMES[wheel] for wheel in robot.wheel_of_channel]
+    if names != list(WHEEL_NAMES):
+        raise BadInputError(
+            f"device.wheels = {names}: {_KEY} names the signals of each wheel itself; leave device.wheels away, and "
+            "put the signals of a wheel beside its name"
+        )
+    if "twist" in (plan.motion, plan.measured) and -1 in robot.sign_of_channel:
+        raise BadInputError(
+            "device.reversed is not empty: controllers that take or tell a body twist know themselves which way their "
+            "wheels turn; leave it away"
+        )
+
+
+def check_limits(plan: Plan, robot: RobotFacts, gain: Gain) -> None:
+    """Raise BadInputError where a commanded signal cannot carry a limit of the robot, or standstill."""
+    ground_m_s = robot.speed_limit_rad_s * robot.wheel_radius_m
+    limits = {
+        "speed": ("robot.speed_limit_rad_s", robot.speed_limit_rad_s),
+        "torque": ("firmware.torque_limit_n_m", robot.torque_limit_n_m),
+        "velocity": ("robot.speed_limit_rad_s", ground_m_s),
+        "yaw rate": ("robot.speed_limit_rad_s", ground_m_s / robot.lever_m),
+    }
+    for quantity in plan.commands.values():
+        for bound in quantity.bounds:
+            name, limit = limits[bound.dimension]
+            signal = bound.signal
+            _check_zero(signal)
+            low, high = sorted(gain(bound) * signal.physical(raw) for raw in (signal.low, signal.high))
+            if -limit < low or limit > high:
+                raise BadInputError(
+                    f"{_KEY}.command: {signal} goes from {low:.4g} to {high:.4g} {SI[bound.dimension]}, and {name} "
+                    f"asks for {limit:.4g} both ways; lower that, or correct unit, scale or gear_ratio"
+                )
+
+
+def _check_zero(signal: Signal) -> None:
+    """Raise BadInputError where a signal has no number for zero: its nearest would be a motion."""
+    zero = -signal.offset / signal.factor
+    if signal.is_float or abs(zero - round(zero)) <= _WHOLE * max(1.0, abs(zero)):
+        return
+    raise BadInputError(
+        f"{_KEY}.command: {signal} goes in steps of {signal.factor:g} from an offset of {signal.offset:g}, and so has "
+        f"no zero: the nearest is {signal.physical(round(zero)):.4g}, by which a robot at rest would creep; take a "
+        "signal that has one, or correct factor and offset in the DBC"
+    )
+
+
+def watchdog_raw(plan: Plan, robot: RobotFacts, gain: Gain) -> float:
+    """Return what the signal that sets the watchdog has for the robot's, 0 where there is none.
+
+    Raises BadInputError where that is beyond the signal.
+    """
+    bound = plan.watchdog.set
+    if bound is None:
+        return 0.0
+    signal = bound.signal
+    raw = (robot.watchdog_s / gain(bound) - signal.offset) / signal.factor
+    if not signal.is_float:
+        raw = round(raw)
+    if not signal.low <= raw <= signal.high:
+        raise BadInputError(
+            f"{_KEY}.watchdog: {signal} takes {signal.limits()}, and firmware.watchdog_s = {robot.watchdog_s:g} is "
+            "outside; change that, or correct unit or scale"
+        )
+    return raw
+
+
+def warnings(plan: Plan, robot: RobotFacts) -> list[str]:
+    """Return what has to be said before anything moves."""
+    said = []
+    timeout_s = plan.watchdog.timeout_s
+    if timeout_s is None and plan.watchdog.set is None:
+        said.append(
+            f"{_KEY}.watchdog is empty: nothing that is known stops the wheels when commands end; keep an e-stop that "
+            "cuts the motors' power within reach"
+        )
+    elif timeout_s is not None and timeout_s > robot.watchdog_s:
+        said.append(
+            f"when commands end the wheels go on for {timeout_s:g} s ({_KEY}.watchdog.timeout_s), longer than the "
+            f"{robot.watchdog_s:g} s of firmware.watchdog_s"
+        )
+    if not plan.armed_when:
+        said.append(f"{_KEY}.armed_when is empty: whether the controllers follow commands is not known")
+    if plan.motion == "twist":
+        said.append(torques_dropped(f"a base of {plan.dbc.name}"))
+    elif plan.motion == "speed" and "feedforward" not in plan.commands:
+        said.append(torques_dropped(f"{_KEY}.command without feedforward"))
+    return said

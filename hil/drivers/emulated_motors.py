@@ -1,0 +1,232 @@
+"""What the emulated controllers have in common: the plant behind them, their shafts, and their speed loops."""
+
+import math
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from firmware_protocol.framing import Frame
+from firmware_protocol.generated.messages import Fault, FaultWheel, Mode, State, StopReason
+from firmware_protocol.host import View
+from hil.core.clock import TICK_NS
+from hil.core.types import FourWheels
+from hil.plant import shim
+
+_TICK_S = TICK_NS * 1e-9
+_STILL: FourWheels = (0.0, 0.0, 0.0, 0.0)
+
+
+def limited(value: float, most: float) -> float:
+    """Return a value cut to -most ... most."""
+    return min(max(value, -most), most)
+
+
+class Shaft:
+    """One wheel's encoder as a controller sees it: position without wraps, and the speed of a tracking observer.
+
+    The observer is the usual one of two poles at ``bandwidth_rad_s``, discretised at 1 kHz.
+    """
+
+    def __init__(self, counts_per_revolution: int, bandwidth_rad_s: float) -> None:
+        self._rad_per_count = math.tau / counts_per_revolution
+        self._kp = 2.0 * bandwidth_rad_s
+        self._ki = bandwidth_rad_s * bandwidth_rad_s
+        self._count: int | None = None
+        self._tracked_rad = 0.0
+        self.position_rad = 0.0
+        self.speed_rad_s = 0.0
+
+    def sample(self, count: int) -> None:
+        """Take the counter of 16 bits, once a tick; the first sample is position 0."""
+        turned = 0 if self._count is None else (count - self._count + 0x8000 & 0xFFFF) - 0x8000
+        self._count = count
+        self.position_rad += turned * self._rad_per_count
+        self._tracked_rad += self.speed_rad_s * _TICK_S
+        error = self.position_rad - self._tracked_rad
+        self._tracked_rad += self._kp * error * _TICK_S
+        self.speed_rad_s += self._ki * error * _TICK_S
+
+
+class SpeedLoop:
+    """A proportional-integral speed loop with a limit of its torque, and no windup beyond that."""
+
+    def __init__(self, kp_n_m_s_rad: float, ki_n_m_rad: float, limit_n_m: float) -> None:
+        self._kp = kp_n_m_s_rad
+        self._ki = ki_n_m_rad
+        self._limit_n_m = limit_n_m
+        self._integral_n_m = 0.0
+
+    def set_gains(self, kp_n_m_s_rad: float, ki_n_m_rad: float) -> None:
+        """Take other gains."""
+        self._kp, self._ki = kp_n_m_s_rad, ki_n_m_rad
+
+    def reset(self) -> None:
+        """Forget what was integrated."""
+        self._integral_n_m = 0.0
+
+    def torque(self, target_rad_s: float, speed_rad_s: float, feedforward_n_m: float = 0.0) -> float:
+        """Return the torque of this tick [N·m]."""
+        error = target_rad_s - speed_rad_s
+        wanted = feedforward_n_m + self._kp * error + self._integral_n_m
+        limited = min(max(wanted, -self._limit_n_m), self._limit_n_m)
+        if wanted == limited or error * wanted < 0.0:
+            self._integral_n_m += self._ki * error * _TICK_S
+        return limited
+
+
+def _unwatched(_node: "EmulatedMotors") -> None:
+    """Take no note of a tick."""
+
+
+class EmulatedMotors:
+    """Four channels in front of a plant: a ``RobotNode`` like the host library's, of another maker's protocol.
+
+    A maker's own class says what a frame does (``take``), what happens in a tick of 1 ms (``tick``), and sends by
+    ``say``. On a serial line it overrides ``feed`` and ``take_bytes`` with the framing of its own. ``values`` are the
+    parameters of [firmware], of which the emulated controllers take what such a controller has: torque constant,
+    limits, encoder, loop gains.
+
+    Attributes:
+        ticks: of 1 ms since the power came on.
+        shafts: of the four channels. current_a: of each motor, as measured.
+        battery_v: as measured.
+        on_tick: called after each tick.
+    """
+
+    def __init__(
+        self,
+        values: Mapping[str, float],
+        exchange_address: int,
+        context_address: int,
+        **_robots: Any,  # what only a robot of our own protocol has: lockstep, sensors, stored parameters
+    ) -> None:
+        self.values = values
+        self._ffi, _ = shim.load()
+        self._exchange = self._ffi.cast("wheel_plant_exchange", exchange_address)
+        self._context = self._ffi.cast("void *", context_address)
+        self._drive = self._ffi.new("wheel_drive *")
+        self._sense = self._ffi.new("wheel_sense *")
+        counts, bandwidth = int(values["counts_per_revolution"]), values["tracking_bandwidth_rad_s"]
+        self.shafts = tuple(Shaft(counts, bandwidth) for _ in range(4))
+        self.ticks = 0
+        self.current_a: FourWheels = _STILL
+        self.temperature_degc: FourWheels = _STILL
+        self.gyro_rad_s = (0.0, 0.0, 0.0)
+        self.acceleration_m_s2 = (0.0, 0.0, 0.0)
+        self.battery_v = 0.0
+        self.battery_a = 0.0
+        self.torque_n_m: FourWheels = _STILL
+        self.on_tick: Callable[[EmulatedMotors], None] = _unwatched
+        self._plant_failed = False
+        self._unsent = 0
+        self._outgoing: deque[Frame] = deque()
+        self._sample(None)
+
+    # What a maker's class says
+
+    def take(self, frame: Frame) -> None:
+        """Do what a frame asks; one that is not for this maker's devices is none of theirs."""
+        raise NotImplementedError
+
+    def tick(self) -> FourWheels | None:
+        """Return the torques of this tick [N·m], None for drives that are off; called before the plant goes on."""
+        raise NotImplementedError
+
+    @property
+    def is_driving(self) -> bool:
+        """Whether any motor is held or driven."""
+        raise NotImplementedError
+
+    def speed_loops(self) -> tuple[SpeedLoop, ...]:
+        """Return four loops with the gains and the limit of [firmware]."""
+        gains = self.values["speed_kp_n_m_s_rad"], self.values["speed_ki_n_m_rad"]
+        return tuple(SpeedLoop(*gains, self.values["torque_limit_n_m"]) for _ in range(4))
+
+    def say(self, frame: Frame) -> None:
+        """Send a frame."""
+        self._outgoing.append(frame)
+
+    # The node
+
+    def receive(self, frame: Frame) -> None:
+        """Take one CAN frame."""
+        self.take(frame)
+
+    def feed(self, data: bytes) -> None:
+        """Take bytes of a serial line: this maker's devices have none."""
+
+    def take_bytes(self) -> bytes:
+        """Return bytes for a serial line: this maker's devices have none."""
+        return b""
+
+    def take_frames(self) -> list[Frame]:
+        """Return what there is to send."""
+        frames = list(self._outgoing)
+        self._outgoing.clear()
+        return frames
+
+    def count_unsent(self, frames: int) -> None:
+        """Take note of frames that nobody took; such a controller does not learn of it."""
+        self._unsent += frames
+
+    def set_clock(self, now_us: int) -> None:
+        """Such controllers stamp nothing."""
+
+    def run(self, ticks: int) -> None:
+        """Let so many 1 ms ticks pass."""
+        for _ in range(ticks):
+            torque = self.tick()
+            self.torque_n_m = torque or _STILL
+            drive = self._drive
+            drive.tick = self.ticks
+            drive.enabled = torque is not None
+            drive.torque_n_m = self.torque_n_m
+            drive.duty = self._duty()
+            self.ticks += 1
+            self._sample(drive)
+            self.on_tick(self)
+
+    def stored(self) -> bytes | None:
+        """Nothing is kept across a reset but what the maker's tool has set, which is the scenario's."""
+        return None
+
+    def look(self) -> View:
+        """Return what is known of the inside, in the terms of our own firmware."""
+        return View(
+            tick=self.ticks,
+            state=State.ACTIVE if self.is_driving else State.IDLE,
+            mode=Mode.SPEED,
+            fault=Fault.NONE,
+            fault_wheel=FaultWheel.NONE,
+            stop_reason=StopReason.NONE,
+            plant_failed=self._plant_failed,
+            command_age_ticks=0,
+            set_point_rad_s=_STILL,
+            torque_n_m=self.torque_n_m,
+            duty=_STILL,
+            rejected={"transmit_overruns": self._unsent},
+        )
+
+    def _duty(self) -> FourWheels:
+        """Return the voltages that make the torques, as parts of the battery's; for a plant whose motors want them."""
+        if self.battery_v <= 0.0:
+            return _STILL
+        constant, resistance = self.values["torque_constant_n_m_a"], self.values["motor_resistance_ohm"]
+        fl, fr, rr, rl = (
+            min(max((torque / constant * resistance + constant * shaft.speed_rad_s) / self.battery_v, -1.0), 1.0)
+            for torque, shaft in zip(self.torque_n_m, self.shafts, strict=True)
+        )
+        return (fl, fr, rr, rl)
+
+    def _sample(self, drive: Any) -> None:
+        sense = self._sense
+        failed = self._exchange(self._context, self._ffi.NULL if drive is None else drive, sense) != 0
+        self._plant_failed = self._plant_failed or failed
+        for shaft, count in zip(self.shafts, sense.count, strict=True):
+            shaft.sample(count)
+        unpack = self._ffi.unpack
+        self.current_a = tuple(unpack(sense.current_a, 4))
+        self.temperature_degc = tuple(unpack(sense.temperature_degc, 4))
+        self.gyro_rad_s = tuple(unpack(sense.gyro_rad_s, 3))
+        self.acceleration_m_s2 = tuple(unpack(sense.acceleration_m_s2, 3))
+        self.battery_v, self.battery_a = sense.battery_v, sense.battery_a

@@ -1,0 +1,1 @@
+"""mjbots moteus over CAN FD: driver, probe, frames, and the emulated device (MOTEUS.md)."""

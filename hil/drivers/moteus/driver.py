@@ -1,0 +1,324 @@
+"""mjbots moteus: a speed, a torque and a time within which the next command has to come, in every frame.
+
+CAN FD, 1 Mbit/s and 5 Mbit/s in the data; identifier prefix << 16 | source << 8 | destination, where bit 15 asks for a
+reply. A command's position of NaN stands for where the wheel is: velocity mode. When no command comes in time a
+controller brakes and stays in mode 11 until a stop.
+Source: mjbots moteus, docs/protocol/can.md, docs/protocol/registers.md, docs/guides/control-modes.md.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from firmware_protocol.framing import Frame
+from hil.core.errors import BadInputError
+from hil.core.options import require_positive
+from hil.core.types import NAN, WHEEL_NAMES, CommandMode, FourWheels
+from hil.drivers.channels import check_ids, chosen, oldest
+from hil.drivers.moteus import frames
+from hil.drivers.port import ANSWER_S, EXTENDED, Capabilities, Dialect, Found, RobotFacts, Sample
+from hil.drivers.silence import lowest
+
+_STOPPED, _FAULT, _POSITION, _TIMEOUT = 0, 1, 10, 11
+_REGISTER_MAPS = (4, 5)  # velocities have been in these units since 4; 5 changed only what homing says
+_REPLY_WANTED = 0x8000
+_ESTOP_S = 0.001
+_ALL_IDS = range(1, 127)  # 127 is all of them at once
+
+_STATE = (
+    frames.read(frames.INT8, frames.MODE)
+    + frames.read(frames.FLOAT, frames.POSITION, 2)
+    + frames.read(frames.FLOAT, frames.Q_CURRENT)
+    + frames.read(frames.INT16, frames.VOLTAGE, 3)
+)
+_TIMEOUT_BACK = frames.read(frames.FLOAT, frames.COMMAND_TIMEOUT)
+_IDENTITY = frames.read(frames.INT32, frames.MODEL, 3)
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """``[device.motors]``: ``ids`` of the channels in order (``id.id``), and ``can_prefix`` (``can.prefix``) of all.
+
+    ``gear_ratio``: turns of what a moteus calls its output for one of the wheel, where its own
+    ``motor_position.rotor_to_output_ratio`` does not have the whole gear.
+    """
+
+    ids: tuple[int, ...] = (1, 2, 3, 4)
+    can_prefix: int = 0
+    gear_ratio: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_ids("ids", self.ids, _ALL_IDS[0], _ALL_IDS[-1])
+        if not 0 <= self.can_prefix <= 0x1FFF:
+            raise ValueError(f"can_prefix = {self.can_prefix}: expected 0 to 8191")
+        require_positive(self, "gear_ratio")
+
+
+class _Channel:
+    """What one controller said; quantities at its output."""
+
+    def __init__(self) -> None:
+        self.forget()
+
+    def forget(self) -> None:
+        self.stamp_ns: int | None = None
+        self.mode: int | None = None
+        self.fault = 0
+        self.position_rev = self.velocity_rev_s = 0.0
+        self.current_a = self.voltage_v = self.temperature_degc = NAN
+        self.timeout_s = NAN
+        self.version: tuple[int, int, int] | None = None  # model, firmware, register map
+
+    def feed(self, values: Mapping[int, float], stamp_ns: int) -> None:
+        get = values.get
+        if frames.REGISTER_MAP in values:
+            self.version = int(get(frames.MODEL, 0)), int(get(frames.FIRMWARE, 0)), int(values[frames.REGISTER_MAP])
+        if not math.isnan(mode := get(frames.MODE, NAN)):
+            self.mode, self.fault = int(mode), int(get(frames.FAULT, 0))
+        self.timeout_s = get(frames.COMMAND_TIMEOUT, self.timeout_s)
+        position, velocity = get(frames.POSITION, NAN), get(frames.VELOCITY, NAN)
+        if math.isfinite(position) and math.isfinite(velocity):  # else the speed grows old, which stops the robot
+            self.position_rev, self.velocity_rev_s, self.stamp_ns = position, velocity, stamp_ns
+        self.current_a = get(frames.Q_CURRENT, self.current_a)
+        self.voltage_v = get(frames.VOLTAGE, self.voltage_v)
+        self.temperature_degc = get(frames.TEMPERATURE, self.temperature_degc)
+
+
+class Moteus:
+    """Four of them on one bus."""
+
+    warnings: Sequence[str] = ()
+
+    def __init__(self, settings: Settings, robot: RobotFacts) -> None:
+        self._settings = settings
+        self._robot = robot
+        self._ids = [EXTENDED | settings.can_prefix << 16 | _REPLY_WANTED | number for number in settings.ids]
+        self._channels = tuple(_Channel() for _ in settings.ids)
+        self._by_id = {
+            settings.can_prefix << 16 | number << 8: channel
+            for number, channel in zip(settings.ids, self._channels, strict=True)
+        }
+        self._to_output = settings.gear_ratio / math.tau
+        self._is_armed = False
+        self._has_armed = False  # where a controller is in mode 11, our silence may have led there
+        self._is_ending = False
+        self._was_lost = False
+        self.capabilities = Capabilities(
+            modes=frozenset(CommandMode),
+            is_twist=False,
+            feedback_hz=1.0 / robot.period_s,
+            sensors=frozenset({"position", "current", "temperature", "battery_voltage"}),
+            adds_torque=True,
+            watchdog="set",
+            latches_estop=True,
+        )
+
+    def ask(self) -> Sequence[Frame]:
+        return [
+            Frame(number, frames.padded(_STATE if channel.version else _STATE + _IDENTITY))
+            for number, channel in zip(self._ids, self._channels, strict=True)
+        ]
+
+    @property
+    def identity(self) -> str | None:
+        versions = [channel.version for channel in self._channels]
+        known = [
+            (number, version)
+            for number, version in zip(self._settings.ids, versions, strict=True)
+            if version is not None
+        ]
+        for number, (_, firmware, register_map) in known:
+            if register_map not in _REGISTER_MAPS:
+                raise BadInputError(
+                    f"moteus {number} (firmware {firmware:#x}) has the register map {register_map}, and this driver "
+                    f"knows {' and '.join(map(str, _REGISTER_MAPS))}; flash a firmware that has one of these "
+                    "(moteus_tool --flash)"
+                )
+        if len(known) < len(versions):
+            return None
+        words = [f"{number} (model {model:#x}, firmware {firmware:#x})" for number, (model, firmware, _) in known]
+        return f"four moteus with the ids {', '.join(words)}"
+
+    @property
+    def missing(self) -> str:
+        silent = chosen(self._settings.ids, (channel.version is None for channel in self._channels))
+        if not silent:
+            return ""
+        return (
+            f"no answer of the moteus {silent}; check their power, the bus's termination and its 1 and 5 "
+            "Mbit/s, and their id.id (device.motors.ids) and can.prefix with moteus_tool --info"
+        )
+
+    def arm(self, now_ns: int) -> Sequence[Frame]:
+        """See ``Driver``. The watchdog is a part of each command: it goes with the one that closes the loop."""
+        watchdog = self._robot.watchdog_s
+        modes = [channel.mode for channel in self._channels]
+        if any(mode in (None, _FAULT, _TIMEOUT) for mode in modes):
+            return self.ask()
+        self._has_armed, self._is_ending, self._was_lost = True, False, False
+        self._is_armed = all(
+            channel.mode == _POSITION and math.isclose(channel.timeout_s, watchdog, rel_tol=1e-6)
+            for channel in self._channels
+        )
+        still = self._position(0.0, 0.0, watchdog)
+        return [Frame(number, frames.padded(still + _STATE + _TIMEOUT_BACK)) for number in self._ids]
+
+    @property
+    def is_armed(self) -> bool:
+        return self._is_armed
+
+    def command(self, speed_rad_s: FourWheels, torque_n_m: FourWheels, now_ns: int) -> Sequence[Frame]:
+        watchdog, is_speed = self._robot.watchdog_s, self._robot.mode is CommandMode.SPEED
+        make = self._position if is_speed else self._torque
+        return [
+            Frame(number, frames.padded(make(speed, torque, watchdog) + _STATE))
+            for number, speed, torque in zip(self._ids, speed_rad_s, torque_n_m, strict=True)
+        ]
+
+    def _position(self, speed_rad_s: float, torque_n_m: float, timeout_s: float) -> bytes:
+        gear_ratio, limit = self._settings.gear_ratio, self._robot.torque_limit_n_m
+        return (
+            frames.write_mode(_POSITION)
+            + frames.write_floats(frames.COMMAND_POSITION, NAN, speed_rad_s * self._to_output, torque_n_m / gear_ratio)
+            + frames.write_floats(frames.COMMAND_MAX_TORQUE, limit / gear_ratio)
+            + frames.write_floats(frames.COMMAND_TIMEOUT, timeout_s)
+        )
+
+    def _torque(self, _speed_rad_s: float, torque_n_m: float, timeout_s: float) -> bytes:
+        """Return a command of torque alone: the gains of the position loop are scaled to nothing."""
+        gear_ratio, limit = self._settings.gear_ratio, self._robot.torque_limit_n_m
+        torque, most = torque_n_m / gear_ratio, limit / gear_ratio
+        return (
+            frames.write_mode(_POSITION)
+            + frames.write_floats(frames.COMMAND_POSITION, NAN, 0.0, torque, 0.0, 0.0, most)
+            + frames.write_floats(frames.COMMAND_TIMEOUT, timeout_s)
+            + frames.write_floats(frames.COMMAND_ILIMIT_SCALE, 0.0)
+        )
+
+    def disarm(self) -> Sequence[Frame]:
+        """See ``Driver``. A stop would clear a fault, and a mode 11 that others want: such a one is only asked.
+
+        So is one of which nothing is known since the link was lost: it brakes by its watchdog until it is.
+        """
+        self._end()
+        stop = frames.write_mode(_STOPPED) + _STATE
+        return [
+            Frame(number, frames.padded(stop if self._may_be_stopped(channel) else _STATE))
+            for number, channel in zip(self._ids, self._channels, strict=True)
+        ]
+
+    def _may_be_stopped(self, channel: _Channel) -> bool:
+        if channel.mode == _TIMEOUT:
+            return self._has_armed
+        return channel.mode not in (None, _FAULT)
+
+    def estop(self) -> Sequence[Frame]:
+        """See ``Driver``. A watchdog that ends at once: braking, in mode 11, that no command ends but a stop."""
+        self._end()
+        self._has_armed = self._was_lost = False
+        payload = frames.padded(self._position(0.0, 0.0, _ESTOP_S) + _STATE)
+        return [Frame(number, payload) for number in self._ids]
+
+    def clear(self) -> Sequence[Frame]:
+        """See ``Driver``. The state is asked for by frames of their own: an answer to the stop has that of before."""
+        self._end()
+        stop = frames.write_mode(_STOPPED)
+        return [Frame(number, payload) for payload in (stop, frames.padded(_STATE)) for number in self._ids]
+
+    def _end(self) -> None:
+        self._is_armed, self._is_ending = False, True
+        for channel in self._channels:
+            channel.timeout_s = NAN
+
+    def feed(self, frame: Frame, stamp_ns: int) -> None:
+        channel = self._by_id.get(frame.id & ~EXTENDED)
+        if channel is None or (values := frames.parse_reply(frame.payload)) is None:
+            return
+        channel.feed(values, stamp_ns)
+        self._is_armed = self._is_armed and channel.mode == _POSITION
+        if self._is_ending and all(channel.mode == _STOPPED for channel in self._channels):
+            self._has_armed = self._is_ending = self._was_lost = False
+
+    @property
+    def sample(self) -> Sample | None:
+        channels = self._channels
+        stamp_ns = oldest(channel.stamp_ns for channel in channels)
+        if stamp_ns is None:
+            return None
+        a, b, c, d = channels
+        scale = 1.0 / self._to_output
+        return Sample(
+            stamp_ns,
+            (a.velocity_rev_s * scale, b.velocity_rev_s * scale, c.velocity_rev_s * scale, d.velocity_rev_s * scale),
+            (a.position_rev * scale, b.position_rev * scale, c.position_rev * scale, d.position_rev * scale),
+            (a.current_a, b.current_a, c.current_a, d.current_a),
+            (a.temperature_degc, b.temperature_degc, c.temperature_degc, d.temperature_degc),
+            lowest(a.voltage_v, b.voltage_v, c.voltage_v, d.voltage_v),
+        )
+
+    @property
+    def errors(self) -> Sequence[str]:
+        found = []
+        for number, channel, wheel in zip(
+            self._settings.ids, self._channels, self._robot.wheel_of_channel, strict=True
+        ):
+            if channel.mode == _FAULT:
+                words = frames.FAULTS.get(
+                    channel.fault, "see the fault codes of register 0x00f in the maker's reference"
+                )
+                found.append(f"moteus {number} of wheel {WHEEL_NAMES[wheel]} has the fault {channel.fault}: {words}")
+            elif channel.mode == _TIMEOUT and not self._was_lost:
+                found.append(
+                    f"moteus {number} of wheel {WHEEL_NAMES[wheel]} is in mode 11, position timeout: no command came "
+                    "in time, or an e-stop was asked for; it stays there until it is cleared"
+                )
+        return found
+
+    def restart(self) -> None:
+        self._is_armed = False
+        self._was_lost = self._has_armed
+        for channel in self._channels:
+            channel.forget()
+
+
+class _Probe:
+    """Asks every id for model, firmware and register map."""
+
+    def __init__(self) -> None:
+        self._versions: dict[int, Mapping[int, float]] = {}
+
+    patience_s = ANSWER_S
+
+    def ask(self) -> Sequence[Frame]:
+        return [Frame(EXTENDED | _REPLY_WANTED | number, _IDENTITY) for number in _ALL_IDS]
+
+    def feed(self, frame: Frame) -> bool:
+        number = (frame.id & ~EXTENDED) >> 8
+        if frame.id & 0xFF or number not in _ALL_IDS:
+            return False
+        values = frames.parse_reply(frame.payload)
+        if values is not None and all(register in values for register in (frames.MODEL, frames.FIRMWARE)):
+            self._versions[number] = values
+        return number in self._versions
+
+    def found(self) -> Found | None:
+        if not self._versions:
+            return None
+        ids = sorted(self._versions)
+        sentences = [
+            f"a moteus with the id {number}, model {int(values[frames.MODEL]):#x}, firmware "
+            f"{int(values[frames.FIRMWARE]):#x}"
+            for number, values in sorted(self._versions.items())
+        ]
+        motors: dict[str, Any] | None = {"ids": ids} if len(ids) == 4 else None
+        return Found(sentences, motors, unknown=("device.motors.gear_ratio",))
+
+
+DIALECT = Dialect(
+    title="mjbots moteus",
+    wires=frozenset({"can_fd"}),
+    settings=Settings,
+    make=Moteus,
+    probe=_Probe,
+)

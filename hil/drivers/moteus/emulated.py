@@ -1,0 +1,121 @@
+"""Four moteus on one CAN FD bus: the frames of their registers, and of their diagnostic stream.
+
+Source: mjbots moteus, docs/protocol/can.md. Not there is the stream with acknowledgements, in which moteus_tool asks
+first.
+"""
+
+import math
+
+from firmware_protocol.framing import Frame
+from hil.core.types import FourWheels
+from hil.drivers.emulated_motors import EmulatedMotors, Shaft
+from hil.drivers.moteus import emulated_registers as registers
+from hil.drivers.moteus.driver import Settings
+from hil.drivers.moteus.emulated_console import Console
+from hil.drivers.moteus.emulated_servo import FAULT, STOPPED, Servo
+
+_UNDER_VOLTAGE, _OVER_TEMPERATURE = 40, 38
+_BROADCAST, _STREAM, _MOST_STREAM_BYTES = 0x7F, 1, 61
+
+
+class EmulatedMoteus(EmulatedMotors):
+    """See ``EmulatedMotors``. Their output turns ``gear_ratio`` times as fast as the wheel.
+
+    Attributes:
+        servos: the four, for what a test has to do to one of them.
+    """
+
+    def __init__(self, settings: Settings, *node: object, **keywords: object) -> None:
+        self._settings = settings
+        super().__init__(*node, **keywords)  # type: ignore[arg-type]
+        values, ratio = self.values, settings.gear_ratio
+        per_rev = math.tau / ratio / ratio  # from a gain at the wheel in radians to one at the output in turns
+        kp, kd = values["speed_ki_n_m_rad"] * per_rev, values["speed_kp_n_m_s_rad"] * per_rev
+        self._constant = values["torque_constant_n_m_a"] / ratio
+        resistance, limit = values["motor_resistance_ohm"], values["torque_limit_n_m"] / ratio
+        self.servos = tuple(Servo(number, kp, kd, self._constant, resistance, limit) for number in settings.ids)
+        self._consoles = tuple(Console(servo) for servo in self.servos)
+        self._measure()
+
+    @property
+    def is_driving(self) -> bool:
+        return any(servo.is_controlled for servo in self.servos)
+
+    def take(self, frame: Frame) -> None:
+        number = frame.id & 0x1FFF_FFFF
+        if number >> 16 != self._settings.can_prefix:
+            return
+        source, destination = number >> 8 & 0xFF, number & 0xFF
+        for servo_id, servo, console in zip(self._settings.ids, self.servos, self._consoles, strict=True):
+            if destination in (servo_id, _BROADCAST):
+                answer = _converse(servo, console, frame.payload)
+                servo.obey()
+                if source & 0x80 and answer is not None:
+                    reply_id = self._settings.can_prefix << 16 | servo_id << 8 | source & 0x7F
+                    extended = 0x8000_0000 if reply_id > 0x7FF else 0
+                    self.say(Frame(extended | reply_id, answer))
+
+    def tick(self) -> FourWheels | None:
+        self._measure()
+        hot, limit = self.temperature_degc, self.values["temperature_limit_degc"]
+        for channel, servo in enumerate(self.servos):
+            if servo.mode not in (STOPPED, FAULT):
+                if self.battery_v < 4.0:
+                    servo.fail(_UNDER_VOLTAGE)
+                elif hot[channel] > limit:
+                    servo.fail(_OVER_TEMPERATURE)
+        torques = [servo.torque() for servo in self.servos]
+        if all(torque is None for torque in torques):
+            return None
+        a, b, c, d = ((torque or 0.0) * self._settings.gear_ratio for torque in torques)
+        return a, b, c, d
+
+    def _measure(self) -> None:
+        for channel, (servo, shaft) in enumerate(zip(self.servos, self.shafts, strict=True)):
+            servo.measure(self._quantities(channel, shaft))
+
+    def _quantities(self, channel: int, shaft: Shaft) -> dict[int, float]:
+        turns = self._settings.gear_ratio / math.tau
+        current = self.current_a[channel]
+        copper_w = current * current * self.values["motor_resistance_ohm"]
+        return {
+            0x01: shaft.position_rad * turns,
+            0x02: shaft.speed_rad_s * turns,
+            0x03: current * self._constant,
+            0x04: current,
+            0x07: copper_w + current * self.values["torque_constant_n_m_a"] * shaft.speed_rad_s,
+            0x0A: self.temperature_degc[channel],
+            0x0D: self.battery_v,
+            0x0E: self.temperature_degc[channel],
+        }
+
+
+def _converse(servo: Servo, console: Console, payload: bytes) -> bytes | None:
+    """Do what a frame asks, and return the answer, None where another one by its UUID is asked."""
+    answer = registers.Answer()
+    parts, is_whole = registers.subframes(payload)
+    for part in parts:
+        if part.code == 0x00 and servo.is_masked_out(part.register, part.raw):
+            return None
+        if part.code in (0x40, 0x42) and part.register != _STREAM:
+            continue
+        if part.code == 0x40:
+            console.feed(part.data)
+        elif part.code == 0x42:
+            data = console.take(min(int(part.raw), _MOST_STREAM_BYTES))
+            answer.add(bytes((0x41, _STREAM, len(data))) + data)
+        elif part.code == 0x00:
+            if registers.UUID_MASK <= part.register < registers.UUID_MASK + 4:
+                continue
+            if error := servo.write(part.register, part.kind, part.raw):
+                answer.error(registers.WRITE_ERROR, part.register, error)
+        elif (value := servo.read(part.register, part.kind)) is None:
+            answer.error(registers.READ_ERROR, part.register, registers.NO_REGISTER)
+        else:
+            answer.value(part.register, part.kind, value)
+    if not is_whole:
+        servo.refuse()
+    return answer.payload()
+
+
+EMULATED = EmulatedMoteus

@@ -1,0 +1,166 @@
+"""The diagnostic stream of an emulated moteus: the lines of text that moteus_tool, tview and a user's console send.
+
+Known are of ``tel``: stop, list, and schema, fmt and get of the binary channels; the ``conf`` commands; and of ``d``:
+stop, pos, tmt, zero, within, brake, dq, vdq, pwm, nearest, rezero, exact and recapture. A line that is not known, or
+has too few numbers, is answered with ERR and changes nothing. Motion that a line begins has no watchdog unless its
+option t gives one, as in the firmware.
+Source: mjbots moteus, docs/protocol/diagnostic.md.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+
+from hil.drivers.moteus import emulated_servo as servos
+from hil.drivers.moteus import emulated_telemetry as telemetry
+
+_LONGEST_LINE, _MOST_UNREAD = 256, 8192
+_OK, _UNKNOWN = "OK", "ERR unknown command"
+_OPTIONS: Mapping[str, int] = {"p": 0x23, "d": 0x24, "i": 0x2B, "s": 0x26, "f": 0x22, "t": 0x27, "v": 0x28, "a": 0x29}
+_OPTIONS_WITHIN = "pditf"
+_MOTIONS: Mapping[str, tuple[int, tuple[int, ...]]] = {  # mode, and the registers of the numbers that follow
+    "pos": (servos.POSITION, (0x20, 0x21, 0x25)),
+    "tmt": (servos.TIMEOUT, (0x20, 0x21, 0x25)),
+    "zero": (servos.ZERO_VELOCITY, (0x20, 0x21, 0x25)),
+    "within": (servos.STAY_WITHIN, (0x40, 0x41, 0x25)),
+    "dq": (servos.CURRENT, (0x1D, 0x1C)),
+    "vdq": (servos.VOLTAGE_DQ, (0x1A, 0x1B)),
+    "pwm": (servos.VOLTAGE_FOC, (0x18, 0x19)),
+    "brake": (servos.BRAKE, ()),
+    "stop": (servos.STOPPED, ()),
+}
+
+
+class Console:
+    """The stream of one controller: bytes in, and what is to be read."""
+
+    def __init__(self, servo: servos.Servo) -> None:
+        self._servo = servo
+        self._line = b""
+        self._unread = b""
+        self._delivered = dict(servo.config)
+        self._stored = dict(servo.config)
+
+    def feed(self, data: bytes) -> None:
+        """Take bytes, and do each line that they complete."""
+        self._line += data
+        *lines, self._line = self._line.replace(b"\r", b"\n").split(b"\n")
+        if len(self._line) > _LONGEST_LINE:
+            self._line = b""
+        for line in lines:
+            words = line.decode("latin1").split()
+            if words:
+                self._unread = (self._unread + self._answer(words))[:_MOST_UNREAD]
+
+    def take(self, most: int) -> bytes:
+        """Return at most so many bytes of what there is to read."""
+        taken, self._unread = self._unread[:most], self._unread[most:]
+        return taken
+
+    def _answer(self, words: Sequence[str]) -> bytes:
+        if words[0] == "tel" and len(words) == 3 and words[1] in ("schema", "get"):
+            fields = telemetry.channels(self._servo).get(words[2])
+            if fields is None:
+                return b"ERR unknown channel\r\n"
+            blob = telemetry.schema(fields) if words[1] == "schema" else telemetry.data(fields)
+            said = "schema" if words[1] == "schema" else "emit"
+            return f"{said} {words[2]}\r\n".encode("latin1") + len(blob).to_bytes(4, "little") + blob
+        return "".join(f"{told}\r\n" for told in self._do(words)).encode("latin1")
+
+    def _do(self, words: Sequence[str]) -> Sequence[str]:
+        names = telemetry.channels(self._servo)
+        if words == ["tel", "list"]:
+            return [*names, _OK]
+        if words[:2] == ["tel", "fmt"] and len(words) == 4 and words[2] in names and words[3] == "0":
+            return [_OK]
+        if words[0] == "conf":
+            return self._configure(words[1:])
+        if words[0] == "d":
+            return [self._drive(words[1:])]
+        return [_OK if words == ["tel", "stop"] else _UNKNOWN]
+
+    # conf
+
+    def _configure(self, words: Sequence[str]) -> Sequence[str]:
+        config = self._servo.config
+        if words[:1] == ["enumerate"] and len(words) <= 2:
+            group = f"{words[1]}." if len(words) == 2 else ""
+            lines = [f"{name} {_text(value)}" for name, value in config.items() if name.startswith(group)]
+            return [*lines, _OK] if lines else ["ERR unknown group"]
+        if words[:1] == ["get"] and len(words) == 2:
+            return [_text(config[words[1]]) if words[1] in config else "ERR error reading"]
+        if words[:1] == ["set"] and len(words) == 3:
+            return [self._set(words[1], words[2])]
+        if words == ["write"]:
+            self._stored = dict(config)
+        elif words == ["load"]:
+            config.update(self._stored)
+        elif words == ["default"]:
+            config.update(self._delivered)
+        else:
+            return ["ERR unknown subcommand"]
+        return [_OK]
+
+    def _set(self, name: str, text: str) -> str:
+        value = _number(text)
+        if name not in servos.SETTABLE or value is None:
+            return "ERR error setting"
+        least, most = servos.SETTABLE[name]
+        if name == "servo.max_current_A":
+            most = self._delivered[name]  # what the motor bears
+        if math.isnan(value):
+            if name not in servos.OPTIONAL:
+                return "ERR error setting"
+        elif not least <= value <= most or (name == "servo.timeout_mode" and value not in servos.TIMEOUT_MODES):
+            return "ERR error setting"
+        self._servo.config[name] = value
+        return _OK
+
+    # d
+
+    def _drive(self, words: Sequence[str]) -> str:
+        servo = self._servo
+        if len(words) == 2 and words[0] in ("exact", "nearest", "rezero"):
+            position = _number(words[1])
+            if position is None or not math.isfinite(position):
+                return "ERR missing index value"
+            servo.set_output(position, nearest=words[0] != "exact")
+            return _OK
+        if words == ["recapture"]:
+            servo.recapture()
+            return _OK
+        if not words or words[0] not in _MOTIONS:
+            return _UNKNOWN
+        mode, places = _MOTIONS[words[0]]
+        numbers = [_number(text) for text in words[1 : 1 + len(places)]]
+        known = [number for number in numbers if number is not None]
+        if len(known) < len(places):
+            return "ERR missing numbers"
+        values = dict(zip(places, known, strict=True))
+        allowed: Callable[[str], bool] = {
+            "within": lambda letter: letter in _OPTIONS_WITHIN,
+            **dict.fromkeys(("pos", "tmt", "zero"), lambda letter: letter in _OPTIONS),
+        }.get(words[0], lambda _letter: False)
+        if words[0] == "pwm":
+            values[0x18] /= math.pi  # the register counts in half turns
+        rest = words[1 + len(places) :]
+        for text in rest:
+            value = _number(text[1:])
+            if not allowed(text[0]) or value is None:
+                return "ERR unknown option"
+            values[_OPTIONS[text[0]]] = value
+        servo.begin(mode)
+        servo.command.update({0x27: math.nan} | values)
+        servo.obey()
+        return _OK
+
+
+def _number(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+def _text(value: float) -> str:
+    """Return a value as the stream tells it: whole numbers without a point, as those that are whole by their kind."""
+    return str(value) if isinstance(value, int) else f"{value:.9g}" if math.isfinite(value) else str(value)

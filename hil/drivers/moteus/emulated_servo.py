@@ -1,0 +1,309 @@
+"""One moteus of the emulated ones: its modes, the watchdog of its commands, and its loops.
+
+``servo.max_position_slip`` is set, as hil/drivers/moteus/MOTEUS.md asks for; the rest of the configuration is as
+delivered: after a timeout the wheel is braked by the loop's derivative term (``servo.timeout_mode`` 12), and there are
+no bounds.
+
+As in the firmware, the watchdog ends position mode and "stay within" alone. A voltage, a current, "zero velocity" and
+the brake go on until another command comes. Raw phase voltages and overrides of the control are not there: a command
+that asks for one is not obeyed.
+"""
+
+import math
+from collections.abc import Mapping
+
+from hil.drivers.emulated_motors import limited
+from hil.drivers.emulated_trajectory import Trajectory
+from hil.drivers.moteus import emulated_registers as registers
+from hil.drivers.moteus.emulated_registers import COMMAND, MEASURED, SHADOWS
+
+_TICK_S = 0.001
+STOPPED, FAULT, TIMEOUT = 0, 1, 11
+_ENABLING, _CALIBRATING, _READY = 2, 3, 4
+VOLTAGE_FOC, VOLTAGE_DQ, CURRENT, POSITION, ZERO_VELOCITY, STAY_WITHIN, BRAKE = 7, 8, 9, 10, 12, 13, 15
+_CONTROLLED = (VOLTAGE_FOC, VOLTAGE_DQ, CURRENT, POSITION, TIMEOUT, ZERO_VELOCITY, STAY_WITHIN, BRAKE)
+_PREPARING_TICKS = {_ENABLING: 2, _CALIBRATING: 9, _READY: 1}
+_STOP_POSITION_WITH_LIMITS = 45
+_MODEL, _FIRMWARE = 0x0500, 0x010D
+_OUTPUT_IS_REFERENCED = 2
+
+SETTABLE: Mapping[str, tuple[float, float]] = {  # least and most of what ``conf set`` takes
+    "servo.default_accel_limit": (0.0, math.inf),
+    "servo.default_timeout_s": (0.0, math.inf),
+    "servo.default_velocity_limit": (0.0, math.inf),
+    "servo.max_current_A": (0.0, math.inf),
+    "servo.max_position_slip": (0.0, math.inf),
+    "servo.pid_position.kd": (0.0, math.inf),
+    "servo.pid_position.kp": (0.0, math.inf),
+    "servo.timeout_max_torque_Nm": (0.0, math.inf),
+    "servo.timeout_mode": (0, 15),
+}
+OPTIONAL = ("servo.default_accel_limit", "servo.default_velocity_limit", "servo.max_position_slip")
+"""Of these NaN is: none."""
+TIMEOUT_MODES = (STOPPED, ZERO_VELOCITY, BRAKE)
+
+
+class Servo:
+    """One controller; quantities in revolutions and newton metres at its output.
+
+    Args:
+        number: ``id.id``.
+        kp, kd: gains of the position loop [N·m/rev, N·m·s/rev].
+        constant: torque of 1 A [N·m/A]; by the same number the speed makes a voltage [V·s/rad].
+        resistance_ohm: of the motor.
+        limit_n_m: the torque of ``servo.max_current_A``.
+
+    Attributes:
+        mode, fault: as the registers tell them.
+        measured: the registers that are measured.
+        config: the configuration, by the firmware's names.
+    """
+
+    def __init__(
+        self, number: int, kp: float, kd: float, constant: float, resistance_ohm: float, limit_n_m: float
+    ) -> None:
+        self._constant, self._resistance_ohm = constant, resistance_ohm
+        self.mode, self.fault = STOPPED, 0
+        self.register_map = 5
+        self.uuid = bytes((number, *range(0xA1, 0xB0)))
+        self.config: dict[str, float] = {
+            "id.id": number,
+            "motor.poles": 14,
+            "motor.resistance_ohm": resistance_ohm,
+            "motor_position.rotor_to_output_ratio": 1.0,
+            "servo.default_accel_limit": math.nan,
+            "servo.default_timeout_s": 0.1,
+            "servo.default_velocity_limit": math.nan,
+            "servo.max_current_A": limit_n_m / constant,
+            "servo.max_position_slip": 0.05,
+            "servo.pid_position.ilimit": 0.0,
+            "servo.pid_position.kd": kd,
+            "servo.pid_position.ki": 0.0,
+            "servo.pid_position.kp": kp,
+            "servo.timeout_max_torque_Nm": 5.0,
+            "servo.timeout_mode": ZERO_VELOCITY,
+            "servopos.position_max": math.nan,
+            "servopos.position_min": math.nan,
+        } | {f"uuid.uuid.{place}": byte for place, byte in enumerate(self.uuid)}
+        self.command = {register: start for register, (_, start) in COMMAND.items()}
+        self.measured = dict.fromkeys(MEASURED, 0.0)
+        self._wanted: int | None = None  # the mode that the frame at hand asks for
+        self._target_mode = STOPPED  # what follows when it is ready
+        self.timeout_s = math.nan
+        self._left = 0
+        self.ticks = 0
+        self._offset_rev = 0.0
+        self._trajectory = Trajectory()
+
+    @property
+    def is_controlled(self) -> bool:
+        """Whether the driver is on and the windings have a voltage, or are shorted."""
+        return self.mode in _CONTROLLED and not (self.mode == TIMEOUT and self.config["servo.timeout_mode"] == STOPPED)
+
+    # Registers
+
+    def write(self, register: int, kind: int, raw: float) -> int:
+        """Take a value, and return what is wrong, 0 for nothing."""
+        if register == registers.MODE:
+            if raw not in (STOPPED, *_CONTROLLED):
+                return registers.NO_MODE
+            self.begin(int(raw))
+            return 0
+        register = SHADOWS.get(register, register)
+        if register in registers.NOT_EMULATED:
+            self.refuse()
+            return 0  # as the firmware, which knows it; the maker's package hears no answer that begins with an error
+        if register in COMMAND:
+            self.command[register] = registers.physical(kind, raw, COMMAND[register][0])
+            return 0
+        if register in (registers.SET_NEAREST, registers.SET_EXACT):
+            position = registers.physical(kind, raw, "position")
+            if math.isfinite(position):
+                self.set_output(position, nearest=register == registers.SET_NEAREST)
+            return 0
+        if register == registers.RECAPTURE:
+            self.recapture()
+            return 0
+        return registers.READ_ONLY if self.read(register, registers.INT32) is not None else registers.NO_REGISTER
+
+    def read(self, register: int, kind: int) -> float | None:
+        """Return what a register has as this type, None for one that it cannot be read as."""
+        register = SHADOWS.get(register, register)
+        if register in MEASURED:
+            return registers.raw_of(kind, self.measured[register], MEASURED[register])
+        if register in COMMAND:
+            return registers.raw_of(kind, self.command[register], COMMAND[register][0])
+        if register in (registers.MODE, registers.FAULT):
+            return self.mode if register == registers.MODE else self.fault
+        if register == registers.MILLISECONDS:
+            bits = 23 if kind == registers.FLOAT else (8 << kind) - 1
+            return self.ticks % (1 << bits)
+        if register in (registers.ID, registers.UUID_CAPABLE):
+            return self.config["id.id"] if register == registers.ID else 1
+        if kind != registers.INT32:
+            return None
+        if registers.UUID <= register < registers.UUID + 4:
+            return int.from_bytes(self._uuid_word(register - registers.UUID), "little", signed=True)
+        numbers = {registers.SERIAL_NUMBER + place: 0x1000 + place for place in range(3)}
+        versions = {registers.MODEL: _MODEL, registers.FIRMWARE: _FIRMWARE, registers.REGISTER_MAP: self.register_map}
+        return (versions | numbers).get(register)
+
+    def _uuid_word(self, place: int) -> bytes:
+        return self.uuid[4 * place : 4 * place + 4]
+
+    def is_masked_out(self, register: int, raw: float) -> bool:
+        """Tell whether a write is one to the mask of the UUID, and this one has another: then the frame ends here."""
+        place = register - registers.UUID_MASK
+        return 0 <= place < 4 and raw != int.from_bytes(self._uuid_word(place), "little", signed=True)
+
+    # Commands
+
+    def begin(self, mode: int) -> None:
+        """Begin a command of this mode, which the registers written behind it complete."""
+        self.command = {register: start for register, (_, start) in COMMAND.items()}
+        self._wanted = mode
+
+    def refuse(self) -> None:
+        """Forget the command of a frame that is cut off; a stop is one all the same."""
+        if self._wanted != STOPPED:
+            self._wanted = None
+
+    def obey(self) -> None:
+        """Do what the frame that ends here has commanded."""
+        wanted, self._wanted = self._wanted, None
+        if wanted is None:
+            return
+        self.timeout_s = self.command[0x27] or self.config["servo.default_timeout_s"]
+        if wanted == STOPPED:
+            self.mode, self.fault = STOPPED, 0
+            self.recapture()
+        elif self.mode == STOPPED:
+            self.mode, self._left = _ENABLING, _PREPARING_TICKS[_ENABLING]
+            self._target_mode = wanted
+        elif self.mode in _CONTROLLED and self.mode != TIMEOUT:
+            if wanted != self.mode:
+                self.recapture()
+            self.mode = wanted
+        elif self.mode in _PREPARING_TICKS:
+            self._target_mode = wanted
+
+    def recapture(self) -> None:
+        """Let the position loop begin anew where the output is."""
+        self._trajectory.forget()
+
+    def set_output(self, position_rev: float, *, nearest: bool) -> None:
+        """Call the output's place by this position, or by the nearest one that is a whole number of turns away."""
+        change = position_rev - self.measured[0x01]
+        self._offset_rev += round(change) if nearest else change
+        self.measured[0x01] += round(change) if nearest else change
+        self.recapture()
+
+    def fail(self, code: int) -> None:
+        """Go to fault, as by a reason of the hardware's."""
+        self.mode, self.fault = FAULT, code
+        self.recapture()
+
+    # Control
+
+    def measure(self, quantities: Mapping[int, float]) -> None:
+        """Take what was measured, by register; positions without what ``set_output`` has added."""
+        self.measured.update(quantities)
+        self.measured[0x01] += self._offset_rev
+        self.measured[0x0B] = self._trajectory.is_complete
+        self.measured[0x0C] = _OUTPUT_IS_REFERENCED if self._offset_rev else 1
+        self.measured[0x38], self.measured[0x39] = self._trajectory.position_rev, self._trajectory.velocity
+        self.measured[0x50], self.measured[0x51] = quantities[0x01] % 1.0, quantities[0x02]
+
+    def torque(self) -> float | None:
+        """Let a millisecond pass, and return the torque at the output, None where the driver is off."""
+        self.ticks += 1
+        if self.timeout_s > 0.0:
+            self.timeout_s = max(self.timeout_s - _TICK_S, 0.0)
+        if self.mode in _PREPARING_TICKS:
+            self._left -= 1
+            if self._left <= 0:
+                following = {_ENABLING: _CALIBRATING, _CALIBRATING: _READY, _READY: self._target_mode}
+                self.mode = following[self.mode]
+                self._left = _PREPARING_TICKS.get(self.mode, 0)
+        if self.mode in (POSITION, STAY_WITHIN) and self.timeout_s <= 0.0:
+            self.mode = TIMEOUT
+            self.recapture()
+        torque = self._controlled()
+        self.measured[0x3A] = torque or 0.0
+        return torque
+
+    def _controlled(self) -> float | None:
+        command, config = self.command, self.config
+        mode = self.mode if self.mode != TIMEOUT else int(config["servo.timeout_mode"])
+        limit = config["servo.max_current_A"] * self._constant
+        if mode == POSITION:
+            return self._position_loop(limit)
+        if mode == STAY_WITHIN:
+            return self._within(limit)
+        if mode == ZERO_VELOCITY:
+            most = min(config["servo.timeout_max_torque_Nm"], limit)
+            return limited(-command[0x24] * config["servo.pid_position.kd"] * self.measured[0x02], most)
+        if mode == CURRENT:
+            return limited(_finite(command[0x1C]) * self._constant, limit)
+        if mode == VOLTAGE_DQ:
+            return limited(self._torque_of(_finite(command[0x1B])), limit)
+        if mode == BRAKE:
+            return limited(self._torque_of(0.0), limit)
+        if mode == VOLTAGE_FOC:
+            command[0x18] = math.remainder(_finite(command[0x18]) + _finite(command[0x1E]) * _TICK_S, 2.0)
+            electrical = math.tau * (self.measured[0x01] - self._offset_rev) * config["motor.poles"] / 2.0
+            return limited(self._torque_of(_finite(command[0x19]), math.pi * command[0x18] - electrical), limit)
+        return None
+
+    def _torque_of(self, volts: float, lead_rad: float = math.pi / 2.0) -> float:
+        """Return the torque of a voltage that leads the rotor by this electrical angle, less that of its own one."""
+        most = self.measured[0x0D] / math.sqrt(3.0)
+        turning = self._constant * math.tau * self.measured[0x02]
+        return self._constant * (limited(volts, most) * math.sin(lead_rad) - turning) / self._resistance_ohm
+
+    def _position_loop(self, limit: float) -> float:
+        at, command, config = self.measured[0x01], self.command, self.config
+        target = _finite(command[0x21])
+        velocity_most = _limit_of(command[0x28], config["servo.default_velocity_limit"])
+        accel_most = _limit_of(command[0x29], config["servo.default_accel_limit"])
+        trajectory, stop = self._trajectory, command[0x26]
+        if math.isfinite(stop) and (math.isfinite(velocity_most) or math.isfinite(accel_most)):
+            self.fail(_STOP_POSITION_WITH_LIMITS)
+            return 0.0
+        if math.isfinite(command[0x20]):
+            trajectory.aim(command[0x20])
+            command[0x20] = math.nan
+        target = trajectory.stop_at(stop, at, target)
+        trajectory.step(at, self.measured[0x02], target, velocity_most, accel_most)
+        trajectory.slip(at, config["servo.max_position_slip"])
+        return self._loop(trajectory.position_rev, trajectory.velocity, limit)
+
+    def _within(self, limit: float) -> float:
+        at, (lower, upper) = self.measured[0x01], (self.command[0x40], self.command[0x41])
+        if at < lower:
+            return self._loop(lower, 0.0, limit)
+        if at > upper:
+            return self._loop(upper, 0.0, limit)
+        return limited(_finite(self.command[0x22]), self._most(limit))
+
+    def _loop(self, control_rev: float, control_velocity: float, limit: float) -> float:
+        command, config = self.command, self.config
+        position_error = control_rev - self.measured[0x01]
+        velocity_error = control_velocity - self.measured[0x02]
+        wanted = command[0x23] * config["servo.pid_position.kp"] * position_error + _finite(command[0x22])
+        wanted += command[0x24] * config["servo.pid_position.kd"] * velocity_error
+        return limited(_finite(wanted), self._most(limit))
+
+    def _most(self, limit: float) -> float:
+        most = self.command[0x25]
+        return limit if math.isnan(most) else max(min(most, limit), 0.0)
+
+
+def _finite(value: float) -> float:
+    return value if math.isfinite(value) else 0.0
+
+
+def _limit_of(commanded: float, default: float) -> float:
+    """Return a limit: NaN is the default's, a negative one is none."""
+    chosen = default if math.isnan(commanded) else commanded
+    return chosen if chosen >= 0.0 else math.inf

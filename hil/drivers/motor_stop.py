@@ -1,0 +1,182 @@
+"""Stopping motors that know no session of ours: the ramp down, and the stop that is owed until the wheels rest."""
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, Protocol
+
+from firmware_protocol.framing import Frame
+from hil.core.brake import Brake
+from hil.core.errors import HilError, LinkError
+from hil.core.types import CommandMode, FourWheels, Wheels
+from hil.drivers.port import Driver
+
+REST: FourWheels = (0.0, 0.0, 0.0, 0.0)
+REPEAT_NS = 50_000_000
+_TIMES_AT_REST = 2  # one of them may be lost, and wheels may rest though something still holds them
+_AT_REST_RAD_S = 0.2  # PROTOCOL.md, "States"
+_ROLLS_OUT_NS = 1_000_000_000
+_LOST_NS = 1_000_000_000
+
+
+class StopTerms(NamedTuple):
+    """``brake`` holds against the wheels' speeds in mode TORQUE, while feedback is younger than ``stale_s``."""
+
+    mode: CommandMode
+    ramp_s: float
+    stale_s: float
+    brake: Brake
+
+
+class Line(Protocol):
+    """The part of a line that a stop needs."""
+
+    def send(self, frames: Sequence[Frame]) -> None: ...
+
+    def flush(self) -> None: ...
+
+
+class MotorStop:
+    """Sends what stops the motors; times are those of the run's clock.
+
+    Attributes:
+        is_told: whether the newest stop went out whole, or nothing was ever armed.
+        problem: why the newest stop did not go out whole; None where it did.
+    """
+
+    def __init__(self, driver: Driver, terms: StopTerms, line: Line) -> None:
+        self._driver = driver
+        self._terms = terms
+        self._line = line
+        self._ramp: tuple[int, FourWheels] | None = None  # when it began, and from which speeds
+        self._owed_since_ns: int | None = None
+        self._told_at_rest = 0
+        self._wait_ns = _ROLLS_OUT_NS
+        self._is_latched = False
+        self._tell_again_ns = 0
+        self.is_told = True
+        self.problem: str | None = None
+        self._failing_since_ns: int | None = None
+
+    @property
+    def is_ramping(self) -> bool:
+        """Whether ``go_on`` still commands."""
+        return self._ramp is not None
+
+    @property
+    def is_owed(self) -> bool:
+        """Whether a stop has begun that still has to be repeated."""
+        return self._owed_since_ns is not None
+
+    @property
+    def is_needed(self) -> bool:
+        """Whether the motors were armed from here, and have not been seen at rest, and told to stop, since."""
+        return self.is_owed or not self.is_told
+
+    def raise_lost(self, now_ns: int) -> None:
+        """Raise LinkError where no stop has gone out for a second: a link that takes none is to be opened anew."""
+        if self._failing_since_ns is not None and now_ns > self._failing_since_ns + _LOST_NS:
+            self._failing_since_ns = None
+            raise LinkError(f"no stop went out for a second ({self.problem}), and the link was opened anew")
+
+    def armed(self) -> None:
+        """Nothing is owed any more: somebody arms the motors anew."""
+        self._ramp = self._owed_since_ns = self.problem = None
+        self._is_latched = False
+        self.is_told = False
+
+    def ramp_down(self, now_ns: int, speed_rad_s: FourWheels) -> None:
+        """Begin to go from these speeds to rest; ``go_on`` does it."""
+        self._ramp = (now_ns, speed_rad_s)
+
+    def go_on(self, now_ns: int) -> bool:
+        """Go on with the ramp, in mode TORQUE brake; then leave closed loop. True when the wheels rest, or rolled 1 s.
+
+        Never true of a stop that did not go out whole. Raises LinkError when the link is lost.
+        """
+        if self._ramp is None:
+            return self.is_told and (self._owed_since_ns is None or now_ns > self._owed_since_ns + self._wait_ns)
+        begin_ns, speed = self._ramp
+        left = 1.0 - (now_ns - begin_ns) * 1e-9 / self._terms.ramp_s
+        if self._terms.mode is CommandMode.SPEED and left > 0.0:
+            fl, fr, rr, rl = (left * one for one in speed)
+            self._line.send(self._driver.command((fl, fr, rr, rl), REST, now_ns))
+        elif self._terms.mode is CommandMode.TORQUE and not self._is_over(now_ns, begin_ns):
+            self._line.send(self._driver.command(REST, self._brake(now_ns), now_ns))
+        else:
+            self.leave_loop(now_ns)
+        return False
+
+    def leave_loop(self, now_ns: int, *, latched: bool = False) -> None:
+        """Stop at once, by the e-stop where that is to be ``latched``, at best effort; it is owed from now on."""
+        self._ramp = None
+        self._owed_since_ns = now_ns
+        self._wait_ns = _ROLLS_OUT_NS
+        self._told_at_rest = 0
+        self._is_latched = latched or self._is_latched
+        self._tell(now_ns)
+
+    def wait_no_longer_than(self, wait_ns: int) -> None:
+        """Let ``go_on`` wait for so long at most until the wheels rest, for the stop that has begun; it stays owed."""
+        self._wait_ns = wait_ns
+
+    def clear(self) -> None:
+        """What is latched may be left."""
+        self._is_latched = False
+
+    def repeat(self, now_ns: int) -> None:
+        """Send again a stop that is owed; it is no more once it went out whole, twice to wheels that were seen at rest.
+
+        What a controller needs may depend on what it says: what is sent after it was heard is what counts.
+        """
+        if self._owed_since_ns is None or now_ns < self._tell_again_ns:
+            return
+        rests = self._rests_since(self._owed_since_ns)
+        self._tell(now_ns)
+        self._told_at_rest += rests and self.is_told
+        if self._told_at_rest >= _TIMES_AT_REST:
+            self._owed_since_ns = None
+
+    def _is_over(self, now_ns: int, begin_ns: int) -> bool:
+        return self._rests_since(begin_ns) or now_ns > begin_ns + _ROLLS_OUT_NS
+
+    def _brake(self, now_ns: int) -> FourWheels:
+        """Return torques against the wheels' speeds; none by a speed that is too old."""
+        sample, terms = self._driver.sample, self._terms
+        if sample is None or now_ns - sample.stamp_ns > terms.stale_s * 1e9:
+            return REST
+        command, _ = terms.brake.command(Wheels(*sample.speed_rad_s))
+        return command.torque_n_m
+
+    def _rests_since(self, t_ns: int) -> bool:
+        """Tell whether all wheels were seen at rest after an instant."""
+        sample = self._driver.sample
+        if sample is None or sample.stamp_ns <= t_ns:
+            return False
+        return all(abs(speed) < _AT_REST_RAD_S for speed in sample.speed_rad_s)
+
+    def _tell(self, now_ns: int) -> None:
+        """Send the stop, each frame of it whatever became of the one before."""
+        frames = self._driver.estop() if self._is_latched else self._driver.disarm()
+        self._tell_again_ns = now_ns + REPEAT_NS
+        self.is_told, self.problem = False, None
+        interrupt: KeyboardInterrupt | None = None
+        steps: list[Callable[[], None]] = [
+            *(functools.partial(self._line.send, [frame]) for frame in frames),
+            self._line.flush,
+        ]
+        while steps:
+            try:
+                steps[0]()
+            except HilError as error:
+                self.problem = str(error)
+            except KeyboardInterrupt as pressed:  # Ctrl-C by one who wants all to stop: not before this is out
+                interrupt = pressed
+                continue
+            steps.pop(0)
+        self.is_told = self.problem is None
+        if self.is_told:
+            self._failing_since_ns = None
+        elif self._failing_since_ns is None:
+            self._failing_since_ns = now_ns
+        if interrupt is not None:
+            raise interrupt

@@ -1,0 +1,1 @@
+"""ODrive over CANSimple: driver, probe, frames, and the emulated device (ODRIVE.md)."""

@@ -1,0 +1,266 @@
+"""ODrive over CANSimple, firmware 0.5 and 0.6, told apart by what they answer: one axis for each wheel.
+
+The axes close the speed loops, or take torques. Only what is asked for by a remote frame, or set up with the makers'
+tool to be sent by itself, comes back. See ODRIVE.md for wiring, set-up, and what was never tried.
+"""
+
+import math
+from collections.abc import Sequence
+
+from firmware_protocol.framing import Frame
+from hil.core.errors import BadInputError
+from hil.core.types import NAN, WHEEL_NAMES, CommandMode, FourWheels
+from hil.drivers.channels import oldest
+from hil.drivers.odrive import tables as can
+from hil.drivers.odrive.axis import Axis
+from hil.drivers.odrive.probe import OdriveProbe
+from hil.drivers.odrive.settings import Settings, setup
+from hil.drivers.odrive.tables import FIRMWARE_05, FIRMWARE_06
+from hil.drivers.port import EXTENDED, REMOTE, Capabilities, Dialect, RobotFacts, Sample, Sensor
+from hil.drivers.silence import late_ns, lowest
+
+
+class ODrive:
+    """Four axes on one bus, in the order of the channels."""
+
+    def __init__(self, settings: Settings, robot: RobotFacts) -> None:
+        self._settings = settings
+        self._robot = robot
+        self._is_speed = robot.mode is CommandMode.SPEED
+        self._to_rad = math.tau / settings.gear_ratio
+        self._setup = setup(settings, robot.mode, robot.watchdog_s)
+        asked_ns = late_ns(4 * max(len(known.polled) for known in (FIRMWARE_05, FIRMWARE_06)) * robot.period_s)
+        self._axes = tuple(
+            Axis(node, WHEEL_NAMES[wheel], self._setup, asked_ns)
+            for node, wheel in zip(settings.node_ids, robot.wheel_of_channel, strict=True)
+        )
+        self._by_node = {axis.node: axis for axis in self._axes}
+        self._turn = 0
+        self._is_armed = False
+
+    @property
+    def capabilities(self) -> Capabilities:
+        sensors: set[Sensor] = {"position", "current", "battery_voltage"}
+        if self._settings.firmware != "0.5" and not any(axis.firmware is FIRMWARE_05 for axis in self._axes):
+            sensors |= {"battery_current", "temperature"}
+        return Capabilities(
+            modes=frozenset(CommandMode),
+            is_twist=False,
+            feedback_hz=self._settings.feedback_hz or 1.0 / self._robot.period_s,
+            sensors=frozenset(sensors),
+            adds_torque=True,
+            watchdog="set" if self._settings.watchdog_endpoints else "none",
+            latches_estop=True,
+        )
+
+    # Who is there
+
+    def ask(self) -> Sequence[Frame]:
+        if self.missing:
+            frames = [frame for axis in self._axes for frame in axis.ask()]
+        else:  # heartbeats tell the rest
+            frames = [frame for axis in self._axes for frame in axis.ask_for_unread()]
+        if not self._settings.feedback_hz:
+            frames += [axis.remote(can.GET_ESTIMATES) for axis in self._axes]
+        return frames
+
+    @property
+    def identity(self) -> str | None:
+        for axis in self._axes:
+            self._refuse_what_cannot_be_driven(axis)
+        if self.missing:
+            return None
+        said: dict[str, list[Axis]] = {}
+        for axis in self._axes:
+            said.setdefault(_described(axis), []).append(axis)
+        return "ODrive axes: " + "; ".join(f"nodes {_nodes(axes)} {words}" for words, axes in said.items())
+
+    def _refuse_what_cannot_be_driven(self, axis: Axis) -> None:
+        settings = self._settings
+        if axis.version is not None and axis.firmware is None:
+            raise BadInputError(
+                f"ODrive node {axis.node} has firmware {_dotted(axis.version)}: expected 0.5 or 0.6; install one of "
+                "these with odrivetool"
+            )
+        if axis.firmware is None:
+            return
+        if settings.firmware not in ("any", axis.firmware.name):
+            raise BadInputError(
+                f"ODrive node {axis.node} has firmware {axis.firmware.name}: device.motors.firmware says "
+                f"{settings.firmware}; correct the one or the other"
+            )
+        if not settings.watchdog_endpoints:
+            return
+        if axis.version is None or axis.hardware is None:
+            raise BadInputError(
+                f"ODrive node {axis.node} has firmware 0.5, which has no endpoints on the bus; leave out "
+                "device.motors.watchdog_endpoints"
+            )
+        found = (_dotted(axis.version), _dotted(axis.hardware))
+        if found != (settings.endpoints_firmware, settings.endpoints_hardware):
+            raise BadInputError(
+                f"ODrive node {axis.node} has firmware {found[0]} on hardware {found[1]}: "
+                f"device.motors.watchdog_endpoints are those of {settings.endpoints_firmware} on "
+                f"{settings.endpoints_hardware}; take them from the flat_endpoints.json of what is there"
+            )
+
+    @property
+    def missing(self) -> str:
+        if silent := [axis for axis in self._axes if axis.heartbeat_ns is None]:
+            return (
+                f"no heartbeat of the nodes {_nodes(silent)}; check power, wiring and bit rate, and "
+                "device.motors.node_ids against axis.config.can.node_id"
+            )
+        if unknown := [axis for axis in self._axes if axis.firmware is None and axis.version is None]:
+            return (
+                f"the nodes {_nodes(unknown)} answer neither Get_Version nor Get_Controller_Error; their firmware is "
+                "older than 0.5.4 and is to be updated with odrivetool, or the CAN adapter sends no remote frames"
+            )
+        if quiet := [axis for axis in self._axes if axis.estimates_ns is None]:
+            option = quiet[0].firmware.estimates_option if quiet[0].firmware is not None else "their rate"
+            return (
+                f"no encoder estimates of the nodes {_nodes(quiet)}; set {option} with odrivetool, or "
+                "device.motors.feedback_hz = 0 to ask for them"
+            )
+        return ""
+
+    @property
+    def warnings(self) -> Sequence[str]:
+        said = ["an ODrive that is stopped in an emergency lets its wheels coast: it does not brake them"]
+        if not self._settings.watchdog_endpoints:
+            how = (
+                "firmware 0.5 lets nobody read it over CAN, set enable_watchdog and watchdog_timeout with odrivetool"
+                if any(axis.firmware is FIRMWARE_05 for axis in self._axes)
+                else "give device.motors.watchdog_endpoints, or set enable_watchdog with odrivetool"
+            )
+            said.append(
+                f"whether the ODrives have a watchdog is not known, and without one the wheels turn on when this "
+                f"computer dies: {how}"
+            )
+        return said
+
+    # Motion
+
+    def arm(self, now_ns: int) -> Sequence[Frame]:
+        frames = list(self._asked_in_turn())
+        for axis in self._axes:
+            axis.listen(now_ns)
+        if self.missing or any(axis.has_errors for axis in self._axes):
+            return frames
+        for axis in self._axes:
+            frames += axis.arm(now_ns)
+        self._is_armed = all(axis.is_closed_loop for axis in self._axes)
+        return frames
+
+    @property
+    def is_armed(self) -> bool:
+        return self._is_armed
+
+    def command(self, speed_rad_s: FourWheels, torque_n_m: FourWheels, now_ns: int) -> Sequence[Frame]:
+        gear_ratio, to_rad = self._settings.gear_ratio, self._to_rad
+        frames = []
+        for axis, speed, torque in zip(self._axes, speed_rad_s, torque_n_m, strict=True):
+            axis.listen(now_ns)
+            if self._is_speed:
+                payload = can.TWO_FLOATS.pack(speed / to_rad, torque / gear_ratio)
+                frames.append(axis.frame(can.SET_INPUT_VEL, payload))
+            else:
+                frames.append(axis.frame(can.SET_INPUT_TORQUE, can.TORQUE.pack(torque / gear_ratio)))
+            self._is_armed = self._is_armed and axis.is_closed_loop
+        frames += self._asked_in_turn()
+        return frames
+
+    def _asked_in_turn(self) -> Sequence[Frame]:
+        """Ask one axis for one thing; and all for their estimates, if these do not come by themselves."""
+        self._turn += 1
+        frames = list(self._axes[self._turn % 4].poll(self._turn // 4))
+        if not self._settings.feedback_hz:
+            frames += [axis.remote(can.GET_ESTIMATES) for axis in self._axes]
+        return frames
+
+    def _stand_down(self) -> None:
+        self._is_armed = False
+        for axis in self._axes:
+            axis.stand_down()
+
+    def disarm(self) -> Sequence[Frame]:
+        self._stand_down()
+        standstill, idle = self._setup.standstill, can.STATE.pack(can.IDLE)
+        frames = [axis.frame(*standstill) for axis in self._axes]
+        frames += [axis.frame(can.SET_AXIS_STATE, idle) for axis in self._axes]
+        # Where an error has led to this, its name may be what was not said yet.
+        return frames + [frame for axis in self._axes for frame in axis.ask_for_unread()]
+
+    def estop(self) -> Sequence[Frame]:
+        self._stand_down()
+        return [axis.frame(can.ESTOP) for axis in self._axes]
+
+    def clear(self) -> Sequence[Frame]:
+        self._is_armed = False
+        return [frame for axis in self._axes for frame in axis.clear()]
+
+    # What is heard
+
+    def feed(self, frame: Frame, stamp_ns: int) -> None:
+        if frame.id & (EXTENDED | REMOTE):
+            return
+        axis = self._by_node.get(frame.id >> can.NODE_SHIFT)
+        if axis is not None:
+            axis.feed(frame.id & can.COMMAND_MASK, frame.payload, stamp_ns)
+            self._is_armed = self._is_armed and axis.is_closed_loop
+
+    @property
+    def sample(self) -> Sample | None:
+        a, b, c, d = self._axes
+        stamp_ns = oldest(axis.estimates_ns for axis in self._axes)
+        if stamp_ns is None:
+            return None
+        to_rad = self._to_rad
+        return Sample(
+            stamp_ns,
+            (a.speed_rev_s * to_rad, b.speed_rev_s * to_rad, c.speed_rev_s * to_rad, d.speed_rev_s * to_rad),
+            (a.position_rev * to_rad, b.position_rev * to_rad, c.position_rev * to_rad, d.position_rev * to_rad),
+            (a.current_a, b.current_a, c.current_a, d.current_a),
+            (a.temperature_degc, b.temperature_degc, c.temperature_degc, d.temperature_degc),
+            lowest(a.bus_v, b.bus_v, c.bus_v, d.bus_v),
+            self._battery_a(),
+        )
+
+    def _battery_a(self) -> float:
+        """Sum up the boards of firmware 0.6, each with one axis; on 0.5 two axes tell the current of one board."""
+        if all(axis.firmware is FIRMWARE_06 for axis in self._axes):
+            return math.fsum(axis.bus_a for axis in self._axes)
+        return NAN
+
+    @property
+    def errors(self) -> Sequence[str]:
+        return [axis.errors for axis in self._axes if axis.has_errors]
+
+    def restart(self) -> None:
+        self._is_armed = False
+        for axis in self._axes:
+            axis.forget()
+
+
+def _dotted(version: tuple[int, int, int]) -> str:
+    return ".".join(map(str, version))
+
+
+def _described(axis: Axis) -> str:
+    if axis.version is None or axis.hardware is None:
+        return "with firmware 0.5.4 or newer of 0.5"
+    return f"with firmware {_dotted(axis.version)} on hardware {_dotted(axis.hardware)}"
+
+
+def _nodes(axes: Sequence[Axis]) -> str:
+    return ", ".join(str(axis.node) for axis in axes)
+
+
+DIALECT = Dialect(
+    title="ODrive",
+    wires=frozenset({"can"}),
+    settings=Settings,
+    make=ODrive,
+    probe=OdriveProbe,
+    watchdog_setting="device.motors.watchdog_endpoints",
+)

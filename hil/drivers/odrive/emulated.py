@@ -1,0 +1,240 @@
+"""Four ODrive axes of CANSimple as their firmware has it: 0.5.6 from its published source, 0.6.10 from its documents.
+
+What differs is done as each does it. 0.5: any frame to an axis feeds its watchdog, which also runs while the axis is
+idle; errors are of axis, motor, encoder and controller. 0.6: a version, endpoints, results of procedures, one word of
+active errors and the reason of the last disarming. That its watchdog is fed by inputs alone and runs in closed loop
+alone is assumed: the makers do not say, and nobody here has measured it.
+"""
+
+import math
+import struct
+from collections.abc import Mapping
+
+from firmware_protocol.framing import Frame
+from hil.core.types import FourWheels
+from hil.drivers.emulated_motors import EmulatedMotors
+from hil.drivers.odrive.emulated_axis import CLOSED_LOOP, ESTOP, IDLE, TRAP_TRAJ, UNADDRESSED, EmulatedAxis
+from hil.drivers.odrive.settings import Settings
+
+_REMOTE, _STANDARD = 0x4000_0000, 0x7FF
+_ADDRESS, _REBOOT = 0x06, 0x16
+_INPUTS = (0x0C, 0x0D, 0x0E)
+_TO_ALL = (0x02, _ADDRESS, _REBOOT, 0x18)  # Estop, Address, Reboot, Clear_Errors
+_LEAST_BYTES: Mapping[int, int] = {  # of a command that is not empty; a shorter one is not obeyed
+    0x07: 4, 0x0B: 8, 0x0C: 4, 0x0D: 4, 0x0E: 4, 0x0F: 8, 0x11: 4, 0x12: 8, 0x19: 4, 0x1A: 4, 0x1B: 8,
+}  # fmt: skip
+_REBOOT_ACTIONS = (_RESTART, _SAVE, _ERASE) = (0, 1, 2)
+_COUNTS_PER_TURN = 8192  # of the encoder that 0.5 is delivered for
+
+
+class EmulatedODrive(EmulatedMotors):
+    """See ``EmulatedMotors``. ``firmware`` and ``hardware`` may be set to others before the first tick."""
+
+    def __init__(self, settings: Settings, *node: object, **keywords: object) -> None:
+        self.firmware = (0, 5, 6) if settings.firmware == "0.5" else (0, 6, 10)
+        self.hardware = (4, 4, 58)
+        if settings.endpoints_firmware:
+            self.firmware = _version(settings.endpoints_firmware)
+            self.hardware = _version(settings.endpoints_hardware)
+        self._timeout_id, self._enable_id = settings.watchdog_endpoints or (419, 420)
+        gear = self._gear = settings.gear_ratio
+        self._estimates_ticks = round(1000.0 / settings.feedback_hz) if settings.feedback_hz else 0
+        super().__init__(*node, **keywords)  # type: ignore[arg-type]
+        limit, constant = self.values["torque_limit_n_m"], self.values["torque_constant_n_m_a"]
+        self.axes = [
+            EmulatedAxis(node, 0x3868_0000_1000 + node, self.firmware[1], loop, gear, limit, constant)
+            for node, loop in zip(settings.node_ids, self.speed_loops(), strict=True)
+        ]
+
+    @property
+    def is_driving(self) -> bool:
+        return any(axis.state == CLOSED_LOOP for axis in self.axes)
+
+    # Commands
+
+    def take(self, frame: Frame) -> None:
+        is_remote, number = bool(frame.id & _REMOTE), frame.id & ~_REMOTE
+        if number > _STANDARD:
+            return
+        node, command = number >> 5, number & 0x1F
+        is_to_all = node == UNADDRESSED and self.firmware[1] >= 6
+        for channel, axis in enumerate(self.axes):
+            is_meant = command in _TO_ALL if is_to_all else axis.node == node
+            if is_meant and axis.boot_left == 0:
+                self._take(channel, axis, command, frame.payload, is_remote)
+
+    def _take(self, channel: int, axis: EmulatedAxis, command: int, payload: bytes, is_remote: bool) -> None:
+        axis.firmware = self.firmware[1]
+        if self.firmware[1] == 5 or (command in _INPUTS and not is_remote):
+            axis.fed_tick = self.ticks
+        if is_remote or (not payload and self.firmware >= (0, 5, 5)):
+            self._answer(channel, axis, command)
+        if self.firmware[1] >= 6 and (is_remote or (not payload and command in _LEAST_BYTES)):
+            return  # 0.5 does not look, and takes a remote or an empty frame of a command for one that says zero
+        if payload and len(payload) < _LEAST_BYTES.get(command, 0):
+            return
+        if command == 0x04 and self.firmware[1] >= 6:
+            self._parameter(axis, payload.ljust(8, b"\0"))
+        elif command == _ADDRESS:
+            self._address(axis, payload)
+        elif command == _REBOOT:
+            self._reboot(axis, payload)
+        else:
+            self._command(channel, axis, command, payload.ljust(8, b"\0"))
+
+    def _command(self, channel: int, axis: EmulatedAxis, command: int, payload: bytes) -> None:
+        first, second = struct.unpack("<II", payload)
+        numbers = one, other = struct.unpack("<ff", payload)
+        if command in (0x0D, 0x0F, 0x12, 0x1B) and not all(map(math.isfinite, numbers)):
+            return
+        if command in (0x0C, 0x0E, 0x11, 0x1A) and not math.isfinite(one):
+            return
+        if command == 0x02:
+            axis.fail_by(ESTOP)
+        elif command == 0x07:
+            axis.request(first, self.ticks)
+        elif command == 0x0B:
+            axis.control_mode, axis.input_mode = first, second
+        elif command == 0x0C:
+            velocity_ff, torque_ff = struct.unpack_from("<hh", payload, 4)
+            axis.go_to(one, velocity_ff / 1000.0, torque_ff / 1000.0)
+        elif command == 0x0D:
+            axis.input_vel_rev_s, axis.input_torque_n_m = numbers
+        elif command == 0x0E:
+            axis.input_torque_n_m = one
+        elif command == 0x0F and min(numbers) >= 0.0:
+            axis.velocity_limit_rev_s, axis.current_limit_a = numbers
+        elif command == 0x11 and one >= 0.0:
+            axis.trajectory_limits = (one, *axis.trajectory_limits[1:])
+        elif command == 0x12 and min(numbers) >= 0.0:
+            axis.trajectory_limits = (axis.trajectory_limits[0], *numbers)
+        elif command == 0x18:
+            axis.clear()
+            axis.is_identified = self.firmware[1] >= 6 and payload[0] == 1
+        elif command == 0x19:
+            counts = struct.unpack_from("<i", payload)[0] / _COUNTS_PER_TURN
+            position = counts if self.firmware[1] == 5 else one
+            if math.isfinite(position):
+                axis.set_position(position, self.shafts[channel])
+        elif command == 0x1A and one >= 0.0:
+            axis.position_gain = one
+        elif command == 0x1B and min(numbers) >= 0.0:
+            per_rad = axis.wheel_gain
+            axis.loop.set_gains(one * per_rad, other * per_rad)
+
+    def _address(self, axis: EmulatedAxis, payload: bytes) -> None:
+        """Take a node id; who has one that another is given has none from then on."""
+        if self.firmware[1] == 5:
+            if len(payload) >= 4 and (node := int.from_bytes(payload[:4], "little")) < UNADDRESSED:
+                axis.node = node
+        elif len(payload) >= 7 and payload[0] <= UNADDRESSED:
+            if int.from_bytes(payload[1:7], "little") == axis.serial:
+                axis.node = payload[0]
+            elif axis.node == payload[0]:
+                axis.node = UNADDRESSED
+
+    def _reboot(self, axis: EmulatedAxis, payload: bytes) -> None:
+        action = payload[0] if payload and self.firmware[1] >= 6 else _RESTART
+        if action not in _REBOOT_ACTIONS or (action == _SAVE and axis.state != IDLE):
+            return
+        if action == _ERASE:
+            axis.set_defaults()
+            axis.node = UNADDRESSED
+        if action != _RESTART:
+            axis.save()
+        axis.boot()
+
+    def _parameter(self, axis: EmulatedAxis, payload: bytes) -> None:
+        operation, number = struct.unpack_from("<BH", payload)
+        if operation == 1 and number == self._timeout_id:
+            (axis.watchdog_timeout_s,) = struct.unpack_from("<f", payload, 4)
+        elif operation == 1 and number == self._enable_id:
+            axis.enable_watchdog = bool(payload[4])
+        if operation == 1 and self.firmware < (0, 6, 11):
+            return
+        values = {
+            self._timeout_id: struct.pack("<f", axis.watchdog_timeout_s),
+            self._enable_id: struct.pack("<?", axis.enable_watchdog),
+        }
+        if number in values:
+            self._say(axis, 0x05, struct.pack("<BHB", 0, number, 0) + values[number])
+
+    # Answers, and what is sent by itself
+
+    def _say(self, axis: EmulatedAxis, command: int, payload: bytes) -> None:
+        self.say(Frame(axis.node << 5 | command, payload))
+
+    def _answer(self, channel: int, axis: EmulatedAxis, command: int) -> None:
+        is_old = self.firmware[1] == 5
+        payload = None
+        if command == 0x00 and not is_old:
+            payload = bytes((2, *self.hardware, *self.firmware, 0))
+        elif command == 0x03:
+            old, new = struct.pack("<Q", axis.motor_error), struct.pack("<II", axis.axis_error, axis.disarm_reason)
+            payload = old if is_old else new
+        elif command == 0x01 and not is_old:
+            payload = self._heartbeat(axis)
+        elif command == 0x04 and is_old:
+            payload = struct.pack("<II", axis.encoder_error, 0)
+        elif command == _ADDRESS and not is_old:
+            payload = bytes((axis.node,)) + axis.serial.to_bytes(6, "little") + b"\0"
+        elif command == 0x09:
+            payload = self._estimates(channel)
+        elif command == 0x0A and is_old:
+            count = math.floor(axis.position_rev(self.shafts[channel]) * _COUNTS_PER_TURN)
+            payload = struct.pack("<ii", (count + 2**31) % 2**32 - 2**31, count % _COUNTS_PER_TURN)
+        elif command == 0x14:
+            current = self.current_a[channel]
+            payload = struct.pack("<ff", current, current)
+        elif command == 0x15 and not is_old:
+            payload = struct.pack("<ff", self.temperature_degc[channel], math.nan)
+        elif command == 0x15 or (command == 0x05 and is_old):
+            payload = bytes(8)  # there is no sensorless estimator, and so no error of one
+        elif command == 0x17:
+            payload = struct.pack("<ff", self.battery_v, self.battery_a / (2 if is_old else 4))
+        elif command == 0x1C and self.firmware >= (0, 6, 9):
+            estimate = self.current_a[channel] * self.values["torque_constant_n_m_a"] / self._gear
+            payload = struct.pack("<ff", axis.torque_n_m, estimate)
+        elif command == 0x1D and self.firmware >= (0, 5, 4):
+            mechanical = self.torque_n_m[channel] * self.shafts[channel].speed_rad_s
+            powers = struct.pack("<ff", self.battery_v * self.battery_a / 4.0, mechanical)
+            payload = struct.pack("<II", axis.controller_error, 0) if is_old else powers
+        if payload is not None:
+            self._say(axis, command, payload)
+
+    def _heartbeat(self, axis: EmulatedAxis) -> bytes:
+        is_done = axis.trajectory.is_complete or axis.input_mode != TRAP_TRAJ
+        if self.firmware[1] == 5:
+            flags = (bool(axis.motor_error), bool(axis.encoder_error), bool(axis.controller_error) | is_done << 7)
+            return struct.pack("<IBBBB", axis.axis_error, axis.state, *flags)
+        return struct.pack("<IBBBx", axis.axis_error | axis.disarm_reason, axis.state, axis.result, is_done)
+
+    def _estimates(self, channel: int) -> bytes:
+        axis, shaft = self.axes[channel], self.shafts[channel]
+        return struct.pack("<ff", axis.position_rev(shaft), axis.revolutions(shaft.speed_rad_s))
+
+    # Loops
+
+    def tick(self) -> FourWheels | None:
+        for channel, axis in enumerate(self.axes):
+            axis.firmware = self.firmware[1]
+            axis.boot_left = max(axis.boot_left - 1, 0)
+            axis.watch(self.ticks)
+            if axis.boot_left or axis.node == UNADDRESSED:
+                continue
+            if self.ticks % 100 == 0:
+                self._say(axis, 0x01, self._heartbeat(axis))
+            if self._estimates_ticks and self.ticks % self._estimates_ticks == 0:
+                self._say(axis, 0x09, self._estimates(channel))
+        if not self.is_driving:
+            return None
+        a, b, c, d = (axis.torque(shaft) for axis, shaft in zip(self.axes, self.shafts, strict=True))
+        return a, b, c, d
+
+
+def _version(dotted: str) -> tuple[int, int, int]:
+    major, minor, revision = map(int, dotted.split("."))
+    return major, minor, revision
+
+
+EMULATED = EmulatedODrive

@@ -1,0 +1,208 @@
+"""One axis of the emulated ODrives: its state, errors and watchdog, and the cascade of its controller.
+
+Input modes are PASSTHROUGH and TRAP_TRAJ. An axis that is to drive in another one, or in another control mode than
+torque, velocity and position, disarms itself with the error of a wrong configuration.
+"""
+
+import math
+from collections.abc import Mapping
+
+from hil.drivers.emulated_motors import Shaft, SpeedLoop, limited
+from hil.drivers.emulated_trajectory import Trajectory
+
+IDLE, CLOSED_LOOP = 1, 8
+TORQUE, VELOCITY, POSITION = 1, 2, 3
+PASSTHROUGH, TRAP_TRAJ = 1, 5
+SUCCESS, DISARMED, NOT_CALIBRATED = 0, 3, 14
+UNADDRESSED = 63
+WATCHDOG, ESTOP, INVALID_STATE, BAD_MODE, TOO_FAST = "watchdog", "estop", "invalid state", "bad mode", "too fast"
+BITS: Mapping[int, Mapping[str, int]] = {
+    5: {WATCHDOG: 0x800, ESTOP: 0x4000, INVALID_STATE: 0x1, BAD_MODE: 0x200, TOO_FAST: 0x200},
+    6: {WATCHDOG: 0x0100_0000, ESTOP: 0x0200_0000, BAD_MODE: 0x10, TOO_FAST: 0x8000},
+}
+CONTROLLER_BITS: Mapping[str, int] = {BAD_MODE: 0x2, TOO_FAST: 0x1}  # of 0.5, beside the axis error
+_POSITION_GAIN = 20.0  # of both firmwares, as they come [(rev/s)/rev]
+_TRAJECTORY = (2.0, 0.5, 0.5)  # velocity, acceleration, deceleration of TRAP_TRAJ, as they come [rev/s, rev/s²]
+_TOLERANCE = 1.2  # of the speed limit, as they come
+_BOOT_TICKS = 500
+_KEPT = (
+    "node",
+    "enable_watchdog",
+    "watchdog_timeout_s",
+    "velocity_limit_rev_s",
+    "current_limit_a",
+    "position_gain",
+    "trajectory_limits",
+    "control_mode",
+    "input_mode",
+)
+
+
+class EmulatedAxis:
+    """One axis. Errors are set by ``fail``, as a fault of motor or encoder would; ``is_calibrated`` as it was left.
+
+    ``enable_watchdog`` and ``watchdog_timeout_s`` are what odrivetool sets over USB; as they come there is none.
+    ``velocity_limit_rev_s`` is none until Set_Limits gives one, as hil/drivers/odrive/ODRIVE.md asks for a high one.
+
+    Args:
+        node: its node id.
+        serial: its serial number, of 48 bits.
+        firmware: 5 or 6.
+        loop: the velocity controller, at the wheel.
+        gear: turns of the motor in one of the wheel.
+        limit_n_m: the torque at the wheel of the motor's largest current.
+        constant: torque at the wheel of 1 A [N·m/A].
+    """
+
+    def __init__(
+        self, node: int, serial: int, firmware: int, loop: SpeedLoop, gear: float, limit_n_m: float, constant: float
+    ) -> None:
+        self.node, self.serial = node, serial
+        self.firmware = firmware
+        self.loop = loop
+        self._gear, self._limit_n_m, self._constant = gear, limit_n_m, constant
+        self.is_calibrated = True
+        self.fed_tick = 0
+        self.boot_left = 0
+        self.is_identified = False
+        self.set_defaults()
+        self._saved = self._configuration()
+        self.boot(0)
+
+    # What is kept, and what is not
+
+    def set_defaults(self) -> None:
+        """Set what is configured as it comes; the node id and the gains of the velocity loop stay."""
+        self.enable_watchdog = False
+        self.watchdog_timeout_s = 0.0
+        self.velocity_limit_rev_s, self.current_limit_a = math.inf, math.inf
+        self.position_gain = _POSITION_GAIN
+        self.trajectory_limits = _TRAJECTORY
+        self.control_mode, self.input_mode = POSITION, PASSTHROUGH
+
+    def _configuration(self) -> dict[str, object]:
+        return {name: getattr(self, name) for name in _KEPT}
+
+    def save(self) -> None:
+        """Keep the configuration over a start."""
+        self._saved = self._configuration()
+
+    def boot(self, ticks: int = _BOOT_TICKS) -> None:
+        """Start anew, from the configuration that is kept; for so long it says and hears nothing."""
+        for name, value in self._saved.items():
+            setattr(self, name, value)
+        self.boot_left = ticks
+        self.state, self.result = IDLE, SUCCESS
+        self.is_identified = False
+        self.axis_error = self.disarm_reason = 0  # of 0.6: the active errors
+        self.motor_error = self.encoder_error = self.controller_error = 0
+        self.input_vel_rev_s = self.input_torque_n_m = self.velocity_ff_rev_s = 0.0
+        self.torque_n_m = 0.0  # at the motor, as commanded
+        self.offset_rev = 0.0
+        self.trajectory = Trajectory()
+        self.loop.reset()
+
+    # Errors
+
+    def fail(self, axis: int = 0, *, motor: int = 0, encoder: int = 0, controller: int = 0) -> None:
+        """Set error bits; a motor that is driven is disarmed by them."""
+        self.axis_error |= axis
+        self.motor_error |= motor
+        self.encoder_error |= encoder
+        self.controller_error |= controller
+        if self.state == CLOSED_LOOP:
+            self.disarm_reason = axis
+            self.result = DISARMED
+            self.state = IDLE
+
+    def fail_by(self, reason: str) -> None:
+        """Set the error bits of a reason, as this firmware has them."""
+        is_old = self.firmware == 5
+        self.fail(BITS[self.firmware][reason], controller=CONTROLLER_BITS.get(reason, 0) if is_old else 0)
+
+    @property
+    def has_errors(self) -> bool:
+        return bool(self.axis_error or self.motor_error or self.encoder_error or self.controller_error)
+
+    def clear(self) -> None:
+        self.axis_error = self.motor_error = self.encoder_error = self.controller_error = self.disarm_reason = 0
+
+    # Commands
+
+    def request(self, state: int, tick: int) -> None:
+        """Go to a state: idle, or closed loop, which holds the motor where it is until it has an input."""
+        if self.firmware == 5:
+            self.axis_error &= ~BITS[5][INVALID_STATE]  # which a new request clears by itself
+        if state == IDLE:
+            self.state, self.result = IDLE, SUCCESS
+        elif state == CLOSED_LOOP and not self.is_calibrated:
+            self.result = NOT_CALIBRATED
+            if self.firmware == 5:
+                self.fail_by(INVALID_STATE)
+        elif state == CLOSED_LOOP and not self.has_errors:
+            self.state, self.result = CLOSED_LOOP, SUCCESS
+            self.velocity_ff_rev_s = 0.0
+            self.trajectory.forget()
+            self.fed_tick = tick
+            self.loop.reset()
+
+    def go_to(self, position_rev: float, velocity_ff_rev_s: float, torque_ff_n_m: float) -> None:
+        """Take a position as input."""
+        self.trajectory.aim(position_rev)
+        self.velocity_ff_rev_s, self.input_torque_n_m = velocity_ff_rev_s, torque_ff_n_m
+
+    def watch(self, tick: int) -> None:
+        """Let the watchdog run."""
+        runs = self.enable_watchdog and (self.firmware == 5 or self.state == CLOSED_LOOP)
+        if runs and tick - self.fed_tick > self.watchdog_timeout_s * 1000.0:
+            self.fail_by(WATCHDOG)
+
+    # Control
+
+    @property
+    def wheel_gain(self) -> float:
+        """What a gain in turns of the motor is at the wheel in radians."""
+        return self._gear * self._gear / math.tau
+
+    def revolutions(self, wheel_rad: float) -> float:
+        """Return turns of the motor."""
+        return wheel_rad / math.tau * self._gear
+
+    def position_rev(self, shaft: Shaft) -> float:
+        """Return where the motor is, as it is told."""
+        return self.revolutions(shaft.position_rad) + self.offset_rev
+
+    def set_position(self, position_rev: float, shaft: Shaft) -> None:
+        """Call the place where the motor is by this position."""
+        self.offset_rev = position_rev - self.revolutions(shaft.position_rad)
+        self.trajectory.forget()
+
+    def torque(self, shaft: Shaft) -> float:
+        """Return the torque at the wheel [N·m]: of a cascade of position, velocity and torque, cut at the limits."""
+        self.torque_n_m = self._torque(shaft) / self._gear if self.state == CLOSED_LOOP else 0.0
+        return self.torque_n_m * self._gear
+
+    def _torque(self, shaft: Shaft) -> float:
+        speed = self.revolutions(shaft.speed_rad_s)
+        most = self.velocity_limit_rev_s
+        if self.control_mode not in (TORQUE, VELOCITY, POSITION) or self.input_mode not in (PASSTHROUGH, TRAP_TRAJ):
+            self.fail_by(BAD_MODE)
+        elif abs(speed) > _TOLERANCE * most:
+            self.fail_by(TOO_FAST)
+        if self.state != CLOSED_LOOP:
+            return 0.0
+        limit = min(self._limit_n_m, self.current_limit_a * self._constant)
+        if self.control_mode == TORQUE:
+            torque = limited(self.input_torque_n_m * self._gear, limit)
+            return torque if abs(speed) < most or torque * speed <= 0.0 else 0.0
+        wanted = self.input_vel_rev_s
+        if self.control_mode == POSITION:
+            velocity, acceleration, deceleration = self.trajectory_limits
+            ramps = (velocity, min(acceleration, deceleration))
+            at, ways = self.position_rev(shaft), ramps if self.input_mode == TRAP_TRAJ else (math.inf, math.inf)
+            self.trajectory.step(at, speed, 0.0, *ways)
+            wanted = self.position_gain * (self.trajectory.position_rev - at) + self.trajectory.velocity
+            wanted += self.velocity_ff_rev_s
+        target_rad_s = limited(wanted, most) / self._gear * math.tau
+        torque = self.loop.torque(target_rad_s, shaft.speed_rad_s, self.input_torque_n_m * self._gear)
+        return limited(torque, limit)

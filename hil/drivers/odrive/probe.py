@@ -1,0 +1,71 @@
+"""Finds ODrive axes: listens for heartbeats, and asks only those nodes who they are."""
+
+from collections.abc import Sequence
+
+from firmware_protocol.framing import Frame
+from hil.drivers.odrive import tables as can
+from hil.drivers.odrive.axis import Axis
+from hil.drivers.odrive.settings import Setup
+from hil.drivers.odrive.tables import FIRMWARE_05
+from hil.drivers.port import ANSWER_S, EXTENDED, REMOTE, Found
+
+_NOTHING = Setup(0, (0, b""), ())
+_STATES = 15  # 0 to 14 are in use
+
+
+class OdriveProbe:
+    """A node is one of these once it has answered: the ids alone are also those of other makers' frames, and of ours.
+
+    So what came before anything was asked is no answer, and neither is a version that there cannot be. No other command
+    is asked for: 0.5 takes a remote frame of Set_Axis_Node_ID for a new id.
+    """
+
+    def __init__(self) -> None:
+        self._axes: dict[int, Axis] = {}
+        self._has_asked = False
+
+    patience_s = ANSWER_S
+
+    def ask(self) -> Sequence[Frame]:
+        self._has_asked = True
+        return [frame for _, axis in sorted(self._axes.items()) for frame in axis.ask()]
+
+    def feed(self, frame: Frame) -> bool:
+        if frame.id & (EXTENDED | REMOTE):
+            return False
+        node, command = frame.id >> can.NODE_SHIFT, frame.id & can.COMMAND_MASK
+        if command == can.HEARTBEAT and len(frame.payload) == 8 and node < can.BROADCAST and frame.payload[4] < _STATES:
+            self._axes.setdefault(node, Axis(node, "", _NOTHING, late_ns=0))
+        if node not in self._axes:
+            return False
+        if command == can.GET_VERSION and not _is_version(frame.payload):
+            return False
+        if self._has_asked or command == can.HEARTBEAT:
+            self._axes[node].feed(command, frame.payload, 0)
+        return True
+
+    def found(self) -> Found | None:
+        known = [
+            axis for _, axis in sorted(self._axes.items()) if axis.firmware is not None or axis.version is not None
+        ]
+        if not known:
+            return None
+        nodes = [axis.node for axis in known]
+        drivable = all(axis.firmware is not None for axis in known)
+        motors = {"node_ids": nodes} if drivable and len(nodes) == 4 else None
+        return Found([_sentence(axis) for axis in known], motors, unknown=("device.motors.gear_ratio",))
+
+
+def _is_version(payload: bytes) -> bool:
+    """Tell whether this can be Get_Version's answer, which firmware 0.6 was the first to have."""
+    if len(payload) != can.VERSION.size:
+        return False
+    line, _, _, major, minor, _, unreleased = can.VERSION.unpack(payload)
+    return line > 0 and major <= 1 and minor < 32 and (major, minor) >= (0, 6) and unreleased <= 1
+
+
+def _sentence(axis: Axis) -> str:
+    if axis.firmware is FIRMWARE_05:
+        return f"an ODrive axis, node {axis.node}, of firmware 0.5.4 or newer of 0.5"
+    firmware, hardware = (".".join(map(str, version or ())) for version in (axis.version, axis.hardware))
+    return f"an ODrive axis, node {axis.node}, of firmware {firmware} on hardware {hardware}"

@@ -1,0 +1,240 @@
+"""Yahboom Rosmaster expansion board (X3, X3 PLUS): a velocity of the body, the wheels' loops closed by the board.
+
+Serial, 115200 baud, little-endian: ``FF FC length function data sum`` to the board and ``FF FB …`` from it, where
+``length`` counts itself to the sum, and the sum leaves out the two first bytes. The board reports its twist, an IMU,
+an attitude and four encoder counts in turn, 10 ms apart, each at 25 Hz.
+Sources: Yahboom Rosmaster_Lib 3.3.9; Yahboom's STM32 firmware 3.3.9 and 3.5.1 (protocol.c, app.c, app_motion.c,
+app_mecanum.c, app_bat.c). ROSMASTER.md has what follows from them.
+
+It knows no arming, no error code, and no limit of time for a command: the newest one is obeyed for ever.
+"""
+
+import math
+from collections.abc import Sequence
+from struct import Struct
+from typing import NamedTuple
+
+from firmware_protocol.framing import Frame
+from hil.core.errors import BadInputError
+from hil.core.types import NAN, CommandMode, FourWheels
+from hil.drivers.port import Capabilities, Dialect, RobotFacts, Sample, torques_dropped
+from hil.drivers.rosmaster.board import BAUD, CARS, KNOWN_MAJOR, Identity, RosmasterProbe, Settings, car_name
+from hil.drivers.rosmaster.line import RosmasterFraming
+from hil.drivers.silence import holds_back
+from hil.drivers.twist_base import LATE_NS, TwistBase, is_still
+
+AUTO_REPORT, RESET_STATE, MOTION = 0x01, 0x0F, 0x12
+TWIST_REPORT, MPU_REPORT, ENCODER_REPORT, ICM_REPORT = 0x0A, 0x0B, 0x0D, 0x0E
+
+_MOTION = Struct("<B3h")
+_TWIST = Struct("<3hB")
+_COUNTS = Struct("<4i")
+_IMU = Struct("<9h")
+_CONFIRM = 0x5F
+_WHEEL_OF_MOTOR = (0, 3, 1, 2)  # M1 to M4 are FL, RL, FR, RR
+_WRAP = 1 << 32
+_BATTERY_NS = 1_500_000_000  # the firmware waits 2 s before it switches itself off: time for a stop in order
+
+
+class Imu(NamedTuple):
+    """Counts of 1 rad/s about the vertical, and of 1 m/s²; the maker's library turns the MPU9250's rates round."""
+
+    yaw_per_rad_s: float
+    per_m_s2: float
+
+
+IMUS = {MPU_REPORT: Imu(-3754.9, 1671.84), ICM_REPORT: Imu(1000.0, 1000.0)}
+
+
+class Rosmaster:
+    """One board with four Mecanum wheels."""
+
+    def __init__(self, settings: Settings, robot: RobotFacts) -> None:
+        self._settings = settings
+        self._car = settings.geometry
+        self._base = TwistBase(
+            "a Rosmaster", robot, self._car.wheel_radius_m, self._car.lever_m, self._car.rim_limit_m_s
+        )
+        self.capabilities = Capabilities(
+            modes=frozenset({CommandMode.SPEED}),
+            is_twist=True,
+            feedback_hz=25.0,
+            sensors=frozenset({"position", "battery_voltage", "gyro", "accelerometer"}),
+            adds_torque=False,
+            watchdog="none",
+            latches_estop=False,
+        )
+        self.warnings = (
+            "a Rosmaster drives on for ever with the newest command when commands end: if this computer loses its "
+            "power, hangs, or loses the cable, nothing stops the robot; keep its power switch within reach",
+            torques_dropped("a Rosmaster"),
+        )
+        self.restart()
+
+    def restart(self) -> None:
+        self._identity = Identity()
+        self._is_armed = False
+        self._arming = 0
+        self._twist: tuple[int, int, int] | None = None
+        self._twist_ns = 0
+        self._battery_v = NAN
+        self._battery_bad_ns: int | None = None
+        self._is_battery_bad = False
+        self._counts: tuple[int, ...] | None = None
+        self._turned = [0, 0, 0, 0]
+        self._counts_ns = 0
+        self._imu_ns = 0
+        self._yaw_rate_rad_s = NAN
+        self._acceleration_m_s2 = (NAN, NAN, NAN)
+
+    def ask(self) -> Sequence[Frame]:
+        return self._identity.ask() if self.missing else ()
+
+    @property
+    def identity(self) -> str | None:
+        who = self._identity
+        if who.version is None or who.car_number is None:
+            return None
+        major, minor = who.version
+        if major != KNOWN_MAJOR:
+            raise BadInputError(
+                f"the Rosmaster board has firmware {major}.{minor}, and this driver knows {KNOWN_MAJOR}.x; load that, "
+                "as Yahboom's page of the board says"
+            )
+        if who.car_number != self._car.number:
+            known = [name for name, car in CARS.items() if car.number == who.car_number]
+            remedy = (
+                f'write device.motors.car = "{known[0]}"'
+                if known
+                else "set the board to X3 or X3 PLUS with Yahboom's tool"
+            )
+            raise BadInputError(
+                f"the Rosmaster board is set to {car_name(who.car_number)}, and device.motors.car is "
+                f"{self._settings.car!r}; {remedy}"
+            )
+        return who.describe()
+
+    @property
+    def missing(self) -> str:
+        who = self._identity
+        silent = [name for name, is_known in (("version", who.version), ("car", who.car_number)) if is_known is None]
+        if not silent:
+            return ""
+        return (
+            f"the Rosmaster board has not told its {' and its '.join(silent)}; check its power, the cable, "
+            f"baud={BAUD} in the link, that the port is the board's, and that no other program reads from it"
+        )
+
+    def arm(self, now_ns: int) -> Sequence[Frame]:
+        """Stop what may still be driving, have reports sent, and wait for one that says that the wheels stand."""
+        sample = self.sample
+        is_fresh = sample is not None and now_ns - sample.stamp_ns < LATE_NS
+        self._is_armed = (
+            self._arming > 0  # a stop has gone out
+            and is_fresh
+            and sample is not None
+            and is_still(sample.speed_rad_s)
+            and not self._is_battery_bad
+        )
+        if not self._base.is_due(now_ns):
+            return ()
+        self._arming += 1
+        return (self._motion((0, 0, 0)) if is_fresh or self._arming % 2 else _REPORT_ON,)
+
+    @property
+    def is_armed(self) -> bool:
+        return self._is_armed
+
+    def command(self, speed_rad_s: FourWheels, torque_n_m: FourWheels, now_ns: int) -> Sequence[Frame]:
+        if not self._base.is_due(now_ns):
+            return ()
+        return (self._motion(self._base.counts(speed_rad_s) if self._is_armed else (0, 0, 0)),)
+
+    def disarm(self) -> Sequence[Frame]:
+        """Two frames, each of which brakes by itself: the board throws away what is damaged."""
+        self._is_armed = False
+        return self._motion((0, 0, 0)), Frame(RESET_STATE, bytes([_CONFIRM]))
+
+    def estop(self) -> Sequence[Frame]:
+        return self.disarm()
+
+    def clear(self) -> Sequence[Frame]:
+        return ()
+
+    def _motion(self, counts: tuple[int, int, int]) -> Frame:
+        return Frame(MOTION, _MOTION.pack(self._car.number, *counts))
+
+    def feed(self, frame: Frame, stamp_ns: int) -> None:
+        number, payload = frame
+        if number == TWIST_REPORT and len(payload) == _TWIST.size:
+            x, y, turn, battery = _TWIST.unpack(payload)
+            self._twist, self._twist_ns = (x, y, turn), stamp_ns
+            self._take_battery(battery / 10.0, stamp_ns)
+        elif number == ENCODER_REPORT and len(payload) == _COUNTS.size:
+            self._take_counts(_COUNTS.unpack(payload))
+            self._counts_ns = stamp_ns
+        elif number in IMUS and len(payload) == _IMU.size:
+            imu = IMUS[number]
+            self._imu_ns = stamp_ns
+            _, _, yaw, x, y, z, *_ = _IMU.unpack(payload)
+            self._yaw_rate_rad_s = yaw / imu.yaw_per_rad_s
+            self._acceleration_m_s2 = (x / imu.per_m_s2, y / imu.per_m_s2, z / imu.per_m_s2)
+        else:
+            self._identity.feed(frame)
+
+    def _take_battery(self, battery_v: float, stamp_ns: int) -> None:
+        self._battery_v = battery_v
+        if self._settings.battery_low_v < battery_v < self._settings.battery_high_v:
+            self._battery_bad_ns = None
+        elif self._battery_bad_ns is None:
+            self._battery_bad_ns = stamp_ns
+        self._is_battery_bad = self._battery_bad_ns is not None and stamp_ns - self._battery_bad_ns >= _BATTERY_NS
+        self._is_armed = self._is_armed and not self._is_battery_bad
+
+    def _take_counts(self, counts: tuple[int, ...]) -> None:
+        for motor, count in enumerate(counts):
+            step = 0 if self._counts is None else count - self._counts[motor]
+            self._turned[_WHEEL_OF_MOTOR[motor]] += (step + _WRAP // 2) % _WRAP - _WRAP // 2
+        self._counts = counts
+
+    @property
+    def sample(self) -> Sample | None:
+        """The newest twist with what else was reported last: positions of the wheels are at most 40 ms older.
+
+        None before both have come: odometry would leap from angles by speed to those of the encoders.
+        """
+        if self._twist is None or self._counts is None:
+            return None
+        to_rad = math.tau / self._car.counts_per_turn
+        fl, fr, rr, rl = self._turned
+        has_imu = self._twist_ns - self._imu_ns <= LATE_NS
+        return Sample(
+            holds_back(self._twist_ns, self._counts_ns, LATE_NS),
+            self._base.speeds(self._twist),
+            (fl * to_rad, fr * to_rad, rr * to_rad, rl * to_rad),
+            battery_v=self._battery_v,
+            acceleration_m_s2=self._acceleration_m_s2 if has_imu else (NAN, NAN, NAN),
+            yaw_rate_rad_s=self._yaw_rate_rad_s if has_imu else NAN,
+        )
+
+    @property
+    def errors(self) -> Sequence[str]:
+        if not self._is_battery_bad:
+            return ()
+        low, high = self._settings.battery_low_v, self._settings.battery_high_v
+        return (
+            f"the battery of the Rosmaster has {self._battery_v:g} V, and its firmware switches all motors off until a "
+            f"reset beyond {low:g} to {high:g} V (device.motors.battery_low_v and battery_high_v)",
+        )
+
+
+_REPORT_ON = Frame(AUTO_REPORT, bytes([1, 0]))  # 0: not for ever
+DIALECT = Dialect(
+    title="Yahboom Rosmaster",
+    wires=frozenset({"serial"}),
+    settings=Settings,
+    make=Rosmaster,
+    make_framing=RosmasterFraming,
+    probe=RosmasterProbe,
+    baud=BAUD,
+)

@@ -1,0 +1,302 @@
+"""A Yahboom Rosmaster board as its firmware 3.5 is: one receive buffer, loops of four wheels, four reports in turn.
+
+Bytes come in at 115200 baud into one buffer, which is looked at once a millisecond, so that frames without a pause
+between them destroy each other as on the board. Commands never grow old. The wheels' loops are those of the other
+emulated controllers, at 1 kHz, where the board's run at 100 Hz on the counts of 10 ms; what it reports are such counts.
+
+Of the functions there are those that drive, stop, report, configure and answer; what has lamps, a beeper or servos as
+its only effect is passed over.
+"""
+
+import math
+import struct
+from collections.abc import Sequence
+
+from firmware_protocol.framing import Frame
+from hil.core.types import FourWheels
+from hil.drivers.emulated_motors import EmulatedMotors, limited
+from hil.drivers.rosmaster.board import Settings
+
+_BYTES_PER_TICK = 115200 / 10 / 1000
+_BUFFER = 50
+_HOST_BUFFER = 4096  # what a serial driver takes before it makes a writer wait; beyond it bytes are lost here
+_CAR_NUMBERS = {"x3": 1, "x3_plus": 2}
+_WHEELS = {"x3": (204.203, 164.555, 1320, 1000), "x3_plus": (251.327, 214.1, 2464, 700)}  # mm, mm, counts, mm/s
+_REPORT_TICKS = 40
+_BATTERY_CHECKS = 20
+_TICK_S = 0.001
+_SAVE = 0x5F  # behind what is to be kept, or is not to be done by mistake
+_MOST_SHARE, _DEAD_PULSE, _MOST_PULSE = 100, 2000, 3600  # of the motors' voltage: the least pulse is the dead zone's
+_PID = (800, 60, 500)  # kp, ki, kd of the wheels, as delivered, in thousandths
+_SPIN = 5  # mrad/s of a turn for each mm/s
+_WAYS = {1: (1, 0, 0), 2: (-1, 0, 0), 3: (0, 1, 0), 4: (0, -1, 0), 5: (0, 0, _SPIN), 6: (0, 0, -_SPIN)}
+_STOP, _BRAKE = 0, 7  # the other states of FUNC_CAR_RUN
+
+
+class _Receiver:
+    """The board's interrupt: bytes into the one buffer, whatever is still in there."""
+
+    def __init__(self) -> None:
+        self._buffer = bytearray(_BUFFER)
+        self._step = 0
+        self._at = 0
+        self._length = 0
+        self._is_new = False
+
+    def take(self, byte: int) -> None:
+        if self._step == 0:
+            self._step = 1 if byte == 0xFF else 0
+        elif self._step == 1:
+            self._step = 2 if byte == 0xFC else 0
+        elif self._step == 2:
+            if byte + 2 >= _BUFFER:
+                self._step = 0
+                return
+            self._length = byte + 2
+            self._buffer[2] = byte
+            self._at = 3
+            self._step = 3
+        else:
+            self._buffer[self._at] = byte
+            self._at += 1
+            if self._at >= self._length:
+                self._is_new = True
+                self._step = 0
+
+    def look(self) -> tuple[int, bytes] | None:
+        """Return what a task finds in the buffer: function and data, if something is new and its sum is right."""
+        if not self._is_new:
+            return None
+        found = bytes(self._buffer[2 : self._length])
+        self._is_new = False
+        self._length = 0
+        if len(found) < 3 or sum(found[:-1]) % 256 != found[-1]:
+            return None
+        return found[1], found[2:-1]
+
+
+class EmulatedRosmaster(EmulatedMotors):
+    """See ``EmulatedMotors``. ``version`` and ``car_number`` are what the board says of itself."""
+
+    def __init__(self, settings: Settings, *node: object, **keywords: object) -> None:
+        self._settings = settings
+        self._battery_v_limits = settings.battery_low_v, settings.battery_high_v
+        self.version = (3, 5)
+        self._set_car(settings.car)
+        self._line = bytearray()
+        self._credit = 0.0
+        self._receiver = _Receiver()
+        self._targets_mm_s: tuple[float, ...] | None = None  # None: no loop, the motors brake, are off or have voltages
+        self._shares: list[int] | None = None  # of the motors' voltages, in percent
+        self._pid = _PID
+        self._yaw_rad = 0.0
+        self._is_braking = False
+        self._is_reporting = True
+        self._is_off = False
+        self._bad_checks = 0
+        self._counts = (0, 0, 0, 0)
+        self._speeds_mm_s = (0.0, 0.0, 0.0, 0.0)
+        super().__init__(*node, **keywords)  # type: ignore[arg-type]
+        self._loops = self.speed_loops()
+
+    @property
+    def is_driving(self) -> bool:
+        return self._targets_mm_s is not None or self._shares is not None
+
+    def _set_car(self, car: str) -> None:
+        circle_mm, lever_mm, counts, self._limit_mm_s = _WHEELS[car]
+        self.car_number = _CAR_NUMBERS[car]
+        self._radius_mm = self._settings.wheel_radius_m * 1e3 or circle_mm / math.tau
+        self._lever_mm = self._settings.lever_m * 1e3 or lever_mm
+        self._counts_per_turn = self._settings.counts_per_turn or counts
+        self._has_counts = False
+
+    def feed(self, data: bytes) -> None:
+        self._line += data[: _HOST_BUFFER - len(self._line)]
+
+    def take_bytes(self) -> bytes:
+        return b"".join(map(_framed, self.take_frames()))
+
+    def take(self, frame: Frame) -> None:
+        """Obey a function; the board has no CAN dialect of its own here."""
+        data = frame.payload
+        if frame.id == 0x50 and len(data) == 2:
+            self._answer(data[0], data[1])
+        elif frame.id == 0x0F and data == bytes((_SAVE,)):
+            self._stop(is_braking=True)
+        elif frame.id == 0xA0 and data == bytes((_SAVE,)):
+            self._start_anew()
+        elif self._is_off:
+            return  # a board that has switched itself off does nothing else any more
+        elif frame.id == 0x12 and len(data) == 7:
+            self._move(*struct.unpack("<3h", data[1:]))
+        elif frame.id == 0x01 and len(data) == 2:
+            self._is_reporting = data[0] != 0
+        elif frame.id == 0x10 and len(data) == 4:
+            self._set_voltages(struct.unpack("<4b", data))
+        elif frame.id == 0x11 and len(data) == 4:
+            self._run(*struct.unpack("<BH", data[1:]))
+        elif frame.id == 0x13 and len(data) == 7:
+            self._set_pid(*struct.unpack("<3H", data[:6]))
+        elif frame.id == 0x15 and len(data) == 2:
+            for car, number in _CAR_NUMBERS.items():
+                if data[0] == number:
+                    self._set_car(car)
+
+    def receive(self, frame: Frame) -> None:
+        """The board is on a serial line."""
+
+    def _answer(self, function: int, parameter: int) -> None:
+        answers = {0x51: bytes(self.version), 0x15: bytes([self.car_number, 0])}
+        if 1 <= parameter <= 4:  # a motor; all have the same
+            answers[0x13] = struct.pack("<B3H", parameter, *self._pid)
+        if function in answers:
+            self.say(Frame(function, answers[function]))
+
+    def _move(self, x_mm_s: int, y_mm_s: int, turn_mrad_s: int) -> None:
+        if x_mm_s == 0 and y_mm_s == 0 and turn_mrad_s == 0:
+            self._stop(is_braking=True)
+            return
+        self._go(x_mm_s, y_mm_s, turn_mrad_s)
+
+    def _go(self, x_mm_s: int, y_mm_s: int, turn_mrad_s: int) -> None:
+        self._shares = None
+        turn = turn_mrad_s / 1000.0 * self._lever_mm
+        limit = self._limit_mm_s
+        wanted = (x_mm_s - y_mm_s - turn, x_mm_s + y_mm_s + turn, x_mm_s - y_mm_s + turn, x_mm_s + y_mm_s - turn)
+        self._targets_mm_s = tuple(min(max(int(speed), -limit), limit) for speed in wanted)
+
+    def _run(self, state: int, speed_cm_s: int) -> None:
+        """Go one way, as FUNC_CAR_RUN has it; arithmetic of 16 bits lets a negative speed go the other way."""
+        speed = speed_cm_s * 10 % 65536
+        if self.car_number == _CAR_NUMBERS["x3_plus"]:
+            speed = min(speed, self._limit_mm_s)
+        if state in (_STOP, _BRAKE):
+            self._stop(is_braking=state == _BRAKE or speed != 0)
+        elif state in _WAYS:
+            x, y, turn = ((way * speed + 0x8000) % 65536 - 0x8000 for way in _WAYS[state])
+            self._go(x, y, turn)
+
+    def _set_voltages(self, shares: Sequence[int]) -> None:
+        """Drive without loops, M1 to M4. While there are targets the loops have the motors, and go on having them.
+
+        More than 100 leaves a motor as it was.
+        """
+        if self._targets_mm_s is not None:
+            return
+        before = self._shares or [0, 0, 0, 0]
+        self._shares = [share if abs(share) <= _MOST_SHARE else old for share, old in zip(shares, before, strict=True)]
+
+    def _set_pid(self, kp: int, ki: int, kd: int) -> None:
+        """Take other gains; those of the loops here change by the same factors, and there is no kd."""
+        self._pid = (kp, ki, kd)
+        for loop in self._loops:
+            loop.set_gains(
+                self.values["speed_kp_n_m_s_rad"] * kp / _PID[0], self.values["speed_ki_n_m_rad"] * ki / _PID[1]
+            )
+
+    def _start_anew(self) -> None:
+        self._stop(is_braking=False)
+        self._set_pid(*_PID)
+        self._is_reporting, self._is_off, self._bad_checks = True, False, 0
+
+    def _stop(self, *, is_braking: bool) -> None:
+        self._targets_mm_s = self._shares = None
+        self._is_braking = is_braking
+        for loop in self._loops:
+            loop.reset()
+
+    def tick(self) -> FourWheels | None:
+        self._receive_bytes()
+        self._yaw_rad = math.remainder(self._yaw_rad + self.gyro_rad_s[2] * _TICK_S, math.tau)
+        if self.ticks % 10 == 0:
+            self._measure()
+        if self.ticks % 100 == 0 and not self._is_off:
+            self._check_battery()
+        if self._is_reporting and not self._is_off:
+            self._report(self.ticks % _REPORT_TICKS)
+        speeds = [shaft.speed_rad_s for shaft in self.shafts]
+        if self._targets_mm_s is not None:
+            targets = [speed / self._radius_mm for speed in self._targets_mm_s]
+            a, b, c, d = (loop.torque(*pair) for loop, *pair in zip(self._loops, targets, speeds, strict=True))
+            return a, b, c, d
+        if self._shares is not None:
+            fl, rl, fr, rr = (
+                self._torque_of(share, speeds[at]) for share, at in zip(self._shares, (0, 3, 1, 2), strict=True)
+            )
+            return fl, fr, rr, rl
+        if self._is_braking:
+            # Windings that are shorted: the motor's own voltage drives the current that brakes it.
+            a, b, c, d = (self._torque_of(0, speed) for speed in speeds)
+            return a, b, c, d
+        return None
+
+    def _torque_of(self, share: int, speed_rad_s: float) -> float:
+        """Return the torque of a motor at a part of the battery's voltage, which begins beyond the dead zone."""
+        pulse = math.copysign(_DEAD_PULSE, share) + share * (_MOST_PULSE - _DEAD_PULSE) / _MOST_SHARE if share else 0.0
+        constant, resistance = self.values["torque_constant_n_m_a"], self.values["motor_resistance_ohm"]
+        volts = pulse / _MOST_PULSE * self.battery_v - constant * speed_rad_s
+        return limited(constant * volts / resistance, self.values["torque_limit_n_m"])
+
+    def _receive_bytes(self) -> None:
+        self._credit += _BYTES_PER_TICK
+        count = min(int(self._credit), len(self._line))
+        self._credit = min(self._credit - count, 1.0)
+        for byte in bytes(self._line[:count]):
+            self._receiver.take(byte)
+        del self._line[:count]
+        found = self._receiver.look()
+        if found is not None:
+            self.take(Frame(*found))
+
+    def _measure(self) -> None:
+        """Speeds from the counts of 10 ms: one count is 15 mm/s on an X3."""
+        counts = tuple(math.floor(shaft.position_rad / math.tau * self._counts_per_turn) for shaft in self.shafts)
+        per_count = 100.0 * math.tau * self._radius_mm / self._counts_per_turn
+        before = self._counts if self._has_counts else counts
+        self._has_counts = True
+        a, b, c, d = (per_count * (now - then) for now, then in zip(counts, before, strict=True))
+        self._speeds_mm_s = (a, b, c, d)
+        fl, fr, rr, rl = counts
+        self._counts = (fl, fr, rr, rl)
+
+    def _check_battery(self) -> None:
+        low, high = self._battery_v_limits
+        self._bad_checks = 0 if low < self.battery_v < high else self._bad_checks + 1
+        if self._bad_checks > _BATTERY_CHECKS:
+            self._is_off = True
+            self._stop(is_braking=False)
+
+    def _report(self, phase: int) -> None:
+        fl, fr, rr, rl = self._speeds_mm_s
+        if phase == 1:
+            x = (fl + rl + fr + rr) / 4
+            y = -(fl - rl - fr + rr) / 4
+            turn = -(fl + rl - fr - rr) / 4 / self._lever_mm * 1000
+            volts = min(max(int(self.battery_v * 10), 0), 255)
+            self.say(Frame(0x0A, struct.pack("<3hB", _int16(x), _int16(y), _int16(turn), volts)))
+        elif phase == 11:
+            rates = [_int16(rate * 1000) for rate in self.gyro_rad_s]
+            forces = [_int16(force * 1000) for force in self.acceleration_m_s2]
+            self.say(Frame(0x0E, struct.pack("<9h", *rates, *forces, 0, 0, 0)))
+        elif phase == 21:
+            x, y, z = self.acceleration_m_s2
+            roll, pitch = math.atan2(y, z), math.atan2(-x, math.hypot(y, z))
+            self.say(
+                Frame(0x0C, struct.pack("<3h", *(_int16(angle * 10000) for angle in (roll, pitch, self._yaw_rad))))
+            )
+        elif phase == 31:
+            front_left, front_right, rear_right, rear_left = (count & 0xFFFF_FFFF for count in self._counts)
+            self.say(Frame(0x0D, struct.pack("<4I", front_left, rear_left, front_right, rear_right)))
+
+
+def _int16(value: float) -> int:
+    return min(max(int(value), -32768), 32767)
+
+
+def _framed(frame: Frame) -> bytes:
+    body = bytes([len(frame.payload) + 3, frame.id]) + frame.payload
+    return b"\xff\xfb" + body + bytes([sum(body) % 256])
+
+
+EMULATED = EmulatedRosmaster

@@ -1,0 +1,1 @@
+"""VESC over CAN and UART: driver, probe, frames, and the emulated device (VESC.md)."""

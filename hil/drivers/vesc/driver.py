@@ -1,0 +1,354 @@
+"""VESC: electrical speed or current to each, over CAN, or over UART to one of them that passes on to the others.
+
+Over CAN the VESCs broadcast their state (STATUS 1, 4 and 5, switched on in VESC Tool), and are asked for their fault
+codes in turn. Over UART nothing comes unasked: the one on the line is asked in every tick, and one of the others.
+They know no arming: what is commanded is done, and when commands end a timeout of their own stops the motor. It is read
+at the start, and said to be missing, too long or too short.
+Source: see hil/drivers/vesc/frames.py.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from firmware_protocol.framing import Frame
+from hil.core.errors import BadInputError
+from hil.core.options import require_not_negative, require_positive
+from hil.core.types import WHEEL_NAMES, CommandMode, FourWheels
+from hil.drivers.channels import check_ids, chosen, oldest
+from hil.drivers.port import EXTENDED, Capabilities, Dialect, RobotFacts, Sample, torques_dropped
+from hil.drivers.silence import holds_back, late_ns, lowest
+from hil.drivers.vesc import frames
+from hil.drivers.vesc.channel import Channel
+from hil.drivers.vesc.probe import BusProbe, LineProbe
+from hil.drivers.vesc.timeout import has_timeout, timeout_warnings
+from hil.drivers.vesc.wires import Bus, Line, past_any_rest
+
+_OLDEST_MAJOR = 5
+_PATIENCE = 2  # calls of ask for an answer to one VESC's questions
+_UNANSWERED_NS = 1_000_000_000  # a fault cannot be known of one that is asked in vain for so long
+_STILL: FourWheels = (0.0, 0.0, 0.0, 0.0)
+_BAUD = 115_200
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """``[device.motors]``: ``ids`` of the channels in order; ``pole_pairs`` of the motor, half of its magnets.
+
+    ``gear_ratio`` is motor turns for one of the wheel. ``status_hz`` is the rate of the status messages, as set in VESC
+    Tool. ``serial_id`` is the VESC at the serial line. ``host_id`` is ours on the bus, that no VESC may have.
+    ``brake_current_a`` is of an e-stop, 0 for what makes the torque limit.
+    """
+
+    ids: tuple[int, ...] = (1, 2, 3, 4)
+    pole_pairs: int = 7
+    gear_ratio: float = 1.0
+    status_hz: float = 50.0
+    serial_id: int = 1
+    host_id: int = 253
+    brake_current_a: float = 0.0
+
+    def __post_init__(self) -> None:
+        most = frames.MOST_IDS
+        check_ids("ids", self.ids, 0, most)
+        if self.host_id in self.ids or not 0 <= self.host_id <= most:
+            raise ValueError(f"host_id = {self.host_id}: expected 0 to {most}, and none of device.motors.ids")
+        if not 0 <= self.serial_id <= most:
+            raise ValueError(f"serial_id = {self.serial_id}: expected 0 to {most}")
+        if self.pole_pairs < 1:
+            raise ValueError(f"pole_pairs = {self.pole_pairs}: expected 1 or more")
+        require_positive(self, "gear_ratio", "status_hz")
+        require_not_negative(self, "brake_current_a")
+        if 0.0 < self.brake_current_a < frames.LEAST_CURRENT_A:
+            raise ValueError(
+                f"brake_current_a = {self.brake_current_a:g}: expected 0, or {frames.LEAST_CURRENT_A:g} and more, as a "
+                "VESC does not brake with less"
+            )
+
+
+class Vesc:
+    """Four of them."""
+
+    def __init__(self, settings: Settings, robot: RobotFacts) -> None:
+        self._settings = settings
+        self._robot = robot
+        self._channels = tuple(Channel() for _ in settings.ids)
+        self._by_id = dict(zip(settings.ids, self._channels, strict=True))
+        self._is_bus = robot.wire == "can"
+        self._wire = Bus(settings.ids, settings.host_id) if self._is_bus else Line(settings.ids, settings.serial_id)
+        self._messages = frames.CanMessages(settings.host_id)
+        self._rounds = self._wire.rounds
+        self._round = 0
+        self._asked: int | None = None  # the VESC whose answers are awaited
+        self._may_wait = not self._is_bus  # the near one, for the rest of a packet that nobody sends
+        self._nameless: Sequence[frames.Version] = ()  # versions of a serial line, until values tell whose
+        self._turn = 0
+        self._waited = 0
+        self._is_armed = self._is_arming = False
+        self._has_commanded = False
+        self._to_erpm = settings.gear_ratio * settings.pole_pairs * 60.0 / math.tau
+        self._to_current = 1.0 / robot.torque_constant_n_m_a
+        self._brake_a = settings.brake_current_a or robot.torque_limit_n_m * self._to_current
+        rate_hz = settings.status_hz if self._is_bus else 1.0 / (robot.period_s * len(self._rounds))
+        self._late_ns = late_ns(1.0 / rate_hz)
+        self._now_ns = 0
+        self._capabilities = Capabilities(
+            modes=frozenset(CommandMode),
+            is_twist=False,
+            feedback_hz=rate_hz,
+            sensors=frozenset({"position", "current", "temperature", "battery_voltage", "battery_current"}),
+            adds_torque=False,
+            watchdog="none",
+            latches_estop=False,
+        )
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """See ``Driver``. There is a watchdog when all four have told a timeout that is one."""
+        if all(has_timeout(channel, self._robot) for channel in self._channels):
+            return self._capabilities._replace(watchdog="fixed")
+        return self._capabilities
+
+    def ask(self) -> Sequence[Frame]:
+        """See ``Driver``. One VESC is asked at a time, and the next when it has answered or had ``_PATIENCE`` calls.
+
+        Who has said who it is, and has not told its timeout, does not keep the others waiting. When the first question
+        over a line was in vain, the near VESC may wait for the rest of a packet, with commands of long ago in what it
+        holds: stops go with the next one, so many that they are the last of what is done when that wait ends.
+        """
+        before: Sequence[Frame] = ()
+        if self._asked is not None:
+            self._waited += 1
+            channel = self._by_id[self._asked]
+            if not channel.has_said_who and self._waited < _PATIENCE:
+                return ()
+            # Its values were lost, or its firmware has none: those of the next one are not to be taken for its.
+            if len(self._nameless) == 1 and channel.version is None:
+                channel.version = self._nameless[0]
+            self._nameless = ()
+            channel.miss_timeout()
+            if self._may_wait:
+                before = past_any_rest(self._all(frames.SET_CURRENT, _STILL))
+                self._may_wait = False
+                self._has_commanded = True
+        open_ids = [vesc for vesc, channel in self._by_id.items() if not channel.has_answered]
+        if not open_ids:
+            self._asked = None
+            return self._poll()
+        later = [vesc for vesc in open_ids if self._settings.ids.index(vesc) >= self._turn]
+        self._asked, self._waited = (later or open_ids)[0], 0
+        self._turn = self._settings.ids.index(self._asked) + 1
+        channel = self._by_id[self._asked]
+        questions = [] if channel.has_said_who else [*self._wire.questions]
+        if channel.is_asked_for_timeout:
+            questions.append(bytes((frames.GET_APPCONF,)))
+        return [*before, *(self._wire.message(self._asked, question) for question in questions)]
+
+    def _poll(self, now_ns: int | None = None) -> Sequence[Frame]:
+        """Ask the next; over the line the fault comes with the speed, and is as old as that."""
+        self._round = (self._round + 1) % len(self._rounds)
+        if self._is_bus and now_ns is not None:
+            self._now_ns = now_ns
+            channel = self._channels[self._round]
+            channel.asked_ns = now_ns if channel.asked_ns is None else channel.asked_ns
+        return self._rounds[self._round]
+
+    @property
+    def identity(self) -> str | None:
+        for vesc, channel in self._by_id.items():
+            version = channel.version
+            if version is not None and version.major < _OLDEST_MAJOR:
+                raise BadInputError(
+                    f"VESC {vesc} has the firmware {version.major}.{version.minor:02}, and this driver knows those "
+                    f"from {_OLDEST_MAJOR}.00 on; update it in VESC Tool"
+                )
+        if self.missing:
+            return None
+        words = [
+            f"{vesc} ({version.hardware or 'unnamed'}, firmware {version.major}.{version.minor:02})"
+            for vesc, channel in self._by_id.items()
+            if (version := channel.version) is not None
+        ]
+        return f"four VESCs with the ids {', '.join(words)}"
+
+    @property
+    def missing(self) -> str:
+        rate = "bit rate" if self._is_bus else f"baud= in the link, {_BAUD} as delivered"
+        silent = chosen(self._by_id, (not channel.has_said_who for channel in self._channels))
+        if silent:
+            return (
+                f"no answer of the VESC {silent}; check power, wiring and {rate}, and in VESC Tool App "
+                "Settings > General: VESC ID (device.motors.ids) and CAN Mode VESC"
+            )
+        awaited = chosen(self._by_id, (not channel.has_answered for channel in self._channels))
+        if awaited:
+            return (
+                f"no app configuration of the VESC {awaited} yet, which tells its timeout; a long message was lost: "
+                f"check wiring and {rate}, and start again"
+            )
+        mute = chosen(self._by_id, (not channel.has_measured for channel in self._channels))
+        if mute:
+            return (
+                f"no status messages 1, 4 and 5 of the VESC {mute}; switch them on in VESC Tool, App "
+                "Settings > General > CAN Status Messages, at the rate of device.motors.status_hz"
+            )
+        return ""
+
+    @property
+    def warnings(self) -> Sequence[str]:
+        said = [*timeout_warnings(self._by_id, self._robot)]
+        if self._robot.mode is CommandMode.SPEED:
+            said.append(torques_dropped("a VESC"))
+        return said
+
+    def arm(self, now_ns: int) -> Sequence[Frame]:
+        """See ``Driver``. There is nothing to arm: the first commands are of standstill, and who is fit follows.
+
+        Whether they are fit they have to say anew: what they said last may be of hours ago.
+        """
+        if not self._is_arming:
+            self._is_arming = True
+            self._forget_fitness()
+        self._is_armed = all(channel.is_fit for channel in self._channels)
+        return self.command(_STILL, _STILL, now_ns) if self._is_armed else self._poll(now_ns)
+
+    def _forget_fitness(self) -> None:
+        for channel in self._channels:
+            channel.fault = channel.status = channel.asked_ns = None
+
+    @property
+    def is_armed(self) -> bool:
+        return self._is_armed
+
+    def command(self, speed_rad_s: FourWheels, torque_n_m: FourWheels, now_ns: int) -> Sequence[Frame]:
+        """See ``Driver``. A VESC takes a speed or a current: in mode SPEED the torques are not carried."""
+        self._has_commanded = True
+        if self._robot.mode is CommandMode.SPEED:
+            settings = self._all(frames.SET_RPM, [speed * self._to_erpm for speed in speed_rad_s])
+        else:
+            settings = self._all(frames.SET_CURRENT, [torque * self._to_current for torque in torque_n_m])
+        return [*settings, *self._poll(now_ns)]
+
+    def _all(self, setting: frames.Setting, values: Sequence[float]) -> list[Frame]:
+        return [
+            self._wire.setting(setting, vesc, value) for vesc, value in zip(self._settings.ids, values, strict=True)
+        ]
+
+    def disarm(self) -> Sequence[Frame]:
+        self._stand_down()
+        return self._all(frames.SET_CURRENT, _STILL)
+
+    def _stand_down(self) -> None:
+        """Nobody is asked from now on, so that nobody owes an answer. A stop is a command too, for a timeout."""
+        self._is_armed = self._is_arming = False
+        self._has_commanded = True
+        for channel in self._channels:
+            channel.asked_ns = None
+
+    def estop(self) -> Sequence[Frame]:
+        self._stand_down()
+        return self._brakes()
+
+    def last_stop(self) -> Sequence[Frame]:
+        """Return what the guardian sends: the brake, as nobody comes after it, and past the rest of any packet."""
+        return past_any_rest(self._brakes())
+
+    def _brakes(self) -> list[Frame]:
+        return self._all(frames.SET_CURRENT_BRAKE, (self._brake_a,) * 4)
+
+    def clear(self) -> Sequence[Frame]:
+        """See ``Driver``. A fault ends by itself, half a second after its cause as delivered: it is asked for anew."""
+        self._forget_fitness()
+        return ()
+
+    def feed(self, frame: Frame, stamp_ns: int) -> None:
+        if not self._is_bus:
+            self._may_wait = False
+            self._feed_message(None, bytes((frame.id & 0xFF,)) + frame.payload, stamp_ns)
+        elif (heard := self._messages.feed(frame)) is not None:
+            self._feed_message(*heard, stamp_ns)
+        elif frame.id & EXTENDED and (channel := self._by_id.get(frame.id & 0xFF)) is not None:
+            channel.feed_status((frame.id & ~EXTENDED) >> 8, frame.payload, stamp_ns)
+            channel.forget_late(stamp_ns, self._late_ns)
+
+    def _feed_message(self, sender: int | None, message: bytes, stamp_ns: int) -> None:
+        """Take a message. On a serial line it does not say whose it is, but for the values, as those have the id.
+
+        A version there is of him whose values come next; two without values between them are nobody's. A timeout is
+        taken of who is asked, behind what it was asked before.
+        """
+        if (version := frames.parse_version(message)) is not None:
+            if sender is None:
+                self._nameless = (*self._nameless[-1:], version)
+            elif sender in self._by_id:
+                self._by_id[sender].version = version
+        elif (values := frames.parse_values(message)) is not None:
+            channel = self._by_id.get(int(values.get("id", -1)) if sender is None else sender)
+            if channel is not None:
+                if len(self._nameless) == 1:
+                    channel.version = self._nameless[0]
+                channel.feed_values(values, stamp_ns, self._has_commanded)
+                self._is_armed = self._is_armed and channel.is_fit
+            self._nameless = ()
+        elif (timeout := frames.parse_timeout(message)) is not None:
+            vesc = self._asked
+            if vesc is not None and sender in (None, vesc) and self._by_id[vesc].awaits_timeout:
+                self._by_id[vesc].feed_timeout(timeout, vesc)
+
+    @property
+    def sample(self) -> Sample | None:
+        channels = self._channels
+        stamp_ns = oldest(channel.stamp_ns for channel in channels)
+        if stamp_ns is None:
+            return None
+        a, b, c, d = channels
+        to_speed = 1.0 / self._to_erpm
+        to_angle = math.tau / (frames.STEPS * self._settings.pole_pairs * self._settings.gear_ratio)
+        steps_ns = min(channel.steps_ns for channel in channels)
+        return Sample(
+            holds_back(stamp_ns, steps_ns, self._late_ns),
+            (a.erpm * to_speed, b.erpm * to_speed, c.erpm * to_speed, d.erpm * to_speed),
+            (a.position * to_angle, b.position * to_angle, c.position * to_angle, d.position * to_angle),
+            (a.motor_a, b.motor_a, c.motor_a, d.motor_a),
+            (a.fet_degc, b.fet_degc, c.fet_degc, d.fet_degc),
+            lowest(a.input_v, b.input_v, c.input_v, d.input_v),
+            a.input_a + b.input_a + c.input_a + d.input_a,
+        )
+
+    @property
+    def errors(self) -> Sequence[str]:
+        found = []
+        for vesc, channel, wheel in zip(self._settings.ids, self._channels, self._robot.wheel_of_channel, strict=True):
+            name = f"VESC {vesc} of wheel {WHEEL_NAMES[wheel]}"
+            if code := channel.fault:
+                words = (
+                    frames.FAULTS[code] if code < len(frames.FAULTS) else "see mc_fault_code in the maker's datatypes.h"
+                )
+                found.append(f"{name} has the fault {code}: {words}")
+            if (channel.status or 0) & frames.KILL_SWITCH:
+                found.append(f"{name} is stopped by its kill switch")
+            if channel.asked_ns is not None and self._now_ns - channel.asked_ns > _UNANSWERED_NS:
+                found.append(f"{name} has not answered for a second which fault it has")
+        return found
+
+    def restart(self) -> None:
+        self._is_armed = self._is_arming = self._has_commanded = False
+        self._asked = None
+        self._may_wait = not self._is_bus
+        self._nameless = ()
+        for channel in self._channels:
+            channel.forget()
+
+
+DIALECT = Dialect(
+    title="VESC",
+    wires=frozenset({"can", "serial"}),
+    settings=Settings,
+    make=Vesc,
+    make_framing=frames.SerialFraming,
+    probe=BusProbe,
+    serial_probe=LineProbe,
+    baud=_BAUD,
+    watchdog_setting="a Timeout of at most firmware.watchdog_s, set in VESC Tool",
+    last_stop=Vesc.last_stop,
+)

@@ -1,0 +1,171 @@
+"""Four VESCs as their firmware is published: on one CAN bus, and one of them at a serial line that it passes on.
+
+Their timeout is 1 s with no brake current, and a fault holds a motor off for half a second, both as delivered. Of the
+app configuration the front is told, where firmware 5 and 6 have the timeout; the rest is as long as in 6.00 or 6.05.
+The minimum ERPM of the speed controller is 0, as hil/drivers/vesc/VESC.md asks for; status messages go at
+``status_hz``.
+"""
+
+import math
+import struct
+from collections.abc import Mapping
+
+from firmware_protocol.framing import Frame
+from hil.core.types import FourWheels
+from hil.drivers.emulated_motors import EmulatedMotors
+from hil.drivers.vesc import emulated_wire as wire
+from hil.drivers.vesc.driver import Settings
+from hil.drivers.vesc.emulated_controller import Reply, VescController
+
+_EXTENDED = 0x8000_0000
+_UNDER_VOLTAGE, _HOT_MOTOR = 2, 6
+_LEAST_V = 8.0
+_IDS, _PING_TICKS = 255, 10
+_SET_CURRENT, _SHORT_MESSAGE, _PING, _PONG = 1, 8, 17, 18
+_COMMANDS: Mapping[int, tuple[str, float]] = {  # CAN_PACKET_SET_...: mode, and counts of one unit
+    0: ("duty", 1e5),
+    _SET_CURRENT: ("current", 1e3),
+    2: ("brake", 1e3),
+    3: ("rpm", 1.0),
+}
+_SHARES: Mapping[int, str] = {10: "current", 11: "brake"}  # ..._REL, of the largest current
+_COUNTS_PER_SHARE = 1e5
+_WITH_DELAY_BYTES = 6
+
+
+class EmulatedVesc(EmulatedMotors):
+    """See ``EmulatedMotors``.
+
+    Attributes:
+        vescs: the four, for what a test has to do to one of them.
+    """
+
+    def __init__(self, settings: Settings, *node: object, **keywords: object) -> None:
+        self._settings = settings
+        self._open = b""
+        self._bytes = bytearray()
+        self._scan_left = 0
+        super().__init__(*node, **keywords)  # type: ignore[arg-type]
+        to_erpm = settings.gear_ratio * settings.pole_pairs * 60.0 / math.tau
+        self._steps_per_rad = 6 * settings.pole_pairs * settings.gear_ratio / math.tau
+        constant, resistance = self.values["torque_constant_n_m_a"], self.values["motor_resistance_ohm"]
+        limit = self.values["torque_limit_n_m"]
+        self.vescs = tuple(
+            VescController(number, to_erpm, constant, resistance, limit, loop)
+            for number, loop in zip(settings.ids, self.speed_loops(), strict=True)
+        )
+        self._by_id = {vesc.number: vesc for vesc in self.vescs}
+        self._measure()
+
+    @property
+    def is_driving(self) -> bool:
+        return any(vesc.is_driving for vesc in self.vescs)
+
+    def tick(self) -> FourWheels | None:
+        self._measure()
+        if self._scan_left:
+            self._scan_left -= 1
+            if not self._scan_left:
+                self._serial_reply(bytes((62, *self._behind())))
+        period = max(round(1000.0 / self._settings.status_hz), 1)
+        for place, vesc in enumerate(self.vescs):
+            if self.ticks % period == place * period // 4:
+                for command, data in vesc.statuses():
+                    self.say(Frame(_EXTENDED | command << 8 | vesc.number, data))
+            if vesc.is_driving and self.battery_v < _LEAST_V:
+                vesc.fail(_UNDER_VOLTAGE)
+            elif vesc.is_driving and self.temperature_degc[place] > self.values["temperature_limit_degc"]:
+                vesc.fail(_HOT_MOTOR)
+        torques = [vesc.torque() for vesc in self.vescs]
+        if all(torque is None for torque in torques):
+            return None
+        a, b, c, d = (torque or 0.0 for torque in torques)
+        return a, b, c, d
+
+    def _measure(self) -> None:
+        for place, vesc in enumerate(self.vescs):
+            vesc.measure(self.shafts[place], self._steps_per_rad)
+            vesc.current_a, vesc.degc = self.current_a[place], self.temperature_degc[place]
+            vesc.input_v, vesc.input_a = self.battery_v, self.battery_a / 4.0
+
+    # CAN
+
+    def take(self, frame: Frame) -> None:
+        command, number, data = (frame.id & 0x1FFF_FFFF) >> 8, frame.id & 0xFF, frame.payload
+        if not frame.id & _EXTENDED:
+            return
+        for vesc in self.vescs:
+            if number not in (vesc.number, 255):
+                continue
+            if command in _COMMANDS or command in _SHARES:
+                _obey(vesc, command, data)
+            elif command == _SHORT_MESSAGE and len(data) > 2 and data[1] in (0, 2):
+                vesc.process(data[2:], self._can_reply(vesc.number, data[0]) if data[1] == 0 else _unanswered)
+            elif command == _PING and data:
+                self.say(Frame(_EXTENDED | _PONG << 8 | data[0], bytes((vesc.number, 0))))
+
+    def _can_reply(self, sender: int, to: int) -> Reply:
+        def reply(message: bytes) -> None:
+            for command, data in wire.can_parts(sender, message):
+                self.say(Frame(_EXTENDED | command << 8 | to, data))
+
+        return reply
+
+    # The serial line
+
+    def feed(self, data: bytes) -> None:
+        self._open += data
+        while self._open:
+            size, message = wire.first_packet(self._open)
+            if size == 0:
+                return
+            self._open = self._open[size:]
+            if message:
+                self._process(message)
+
+    def _process(self, message: bytes) -> None:
+        near = self._settings.serial_id
+        if message[0] == 62:
+            # Each id in turn: whoever is there answers at once. Asked again meanwhile, it goes on with the first scan.
+            self._scan_left = self._scan_left or _PING_TICKS * (_IDS - len(self._behind()))
+        elif message[0] == 34:
+            if len(message) > 2 and message[1] != near and (behind := self._by_id.get(message[1])) is not None:
+                behind.process(message[2:], self._serial_reply)
+        elif (here := self._by_id.get(near)) is not None:
+            here.process(message, self._serial_reply)
+
+    def _behind(self) -> list[int]:
+        return sorted(number for number in self._by_id if number != self._settings.serial_id)
+
+    def _serial_reply(self, message: bytes) -> None:
+        self._bytes += wire.packet(message)
+
+    def take_bytes(self) -> bytes:
+        """Return what the near VESC says; what they broadcast on the bus between them reaches nobody here."""
+        self.take_frames()
+        said = bytes(self._bytes)
+        self._bytes.clear()
+        return said
+
+
+def _obey(vesc: VescController, command: int, data: bytes) -> None:
+    """Do a command of a motor, of 4 bytes.
+
+    A current with the delay after which it goes off has 6: the maker's page has the current first, the firmware reads
+    it last, and a current that is misread would drive. So it is obeyed in neither order.
+    """
+    if len(data) < 4 or (command == _SET_CURRENT and len(data) >= _WITH_DELAY_BYTES):
+        return
+    (raw,) = struct.unpack_from(">i", data)
+    if command in _SHARES:
+        vesc.command_share(_SHARES[command], raw / _COUNTS_PER_SHARE)
+    else:
+        control, per_unit = _COMMANDS[command]
+        vesc.command(control, raw / per_unit)
+
+
+def _unanswered(_message: bytes) -> None:
+    """Send no answer, as whoever asks does not want one."""
+
+
+EMULATED = EmulatedVesc

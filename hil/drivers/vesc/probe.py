@@ -1,0 +1,96 @@
+"""Finding VESCs: by a ping to every id on a bus, by the scan that one at a serial line makes of the bus behind it."""
+
+from collections.abc import Sequence
+
+from firmware_protocol.framing import Frame
+from hil.drivers.port import ANSWER_S, EXTENDED, Found
+from hil.drivers.vesc import frames
+
+_HOST = 253
+_IS_VESC = 0  # the hardware type; others are batteries' managers and modules
+_SCAN_S = 4.0  # it waits 10 ms for each of 255 ids
+_UNKNOWN = ("device.motors.pole_pairs", "device.motors.gear_ratio", "firmware.torque_constant_n_m_a")
+
+
+class BusProbe:
+    """Pings, and hears status messages."""
+
+    def __init__(self) -> None:
+        self._ids: set[int] = set()
+
+    patience_s = ANSWER_S
+
+    def ask(self) -> Sequence[Frame]:
+        return [
+            Frame(EXTENDED | frames.CAN_PING << 8 | number, bytes((_HOST,)))
+            for number in range(frames.MOST_IDS + 1)
+            if number != _HOST
+        ]
+
+    def feed(self, frame: Frame) -> bool:
+        command, number = (frame.id & ~EXTENDED) >> 8, frame.id & 0xFF
+        if not frame.id & EXTENDED:
+            return False
+        if command == frames.CAN_STATUS and len(frame.payload) == frames.STATUS.size:
+            self._ids.add(number)
+        elif command == frames.CAN_PONG and number == _HOST and frame.payload[1:2] in (b"", bytes((_IS_VESC,))):
+            self._ids.update(frame.payload[:1])
+        return number in self._ids
+
+    def found(self) -> Found | None:
+        if not self._ids:
+            return None
+        ids = sorted(self._ids)
+        sentences = [f"a VESC with the id {number}" for number in ids]
+        return Found(sentences, {"ids": ids} if len(ids) == 4 else None, unknown=_UNKNOWN)
+
+
+class LineProbe:
+    """Asks the one at the line for its firmware and id, then once to ping those behind it, which takes it 3 s."""
+
+    def __init__(self) -> None:
+        self._version: frames.Version | None = None
+        self._near: int | None = None
+        self._behind: set[int] | None = None
+        self._has_asked_for_scan = False
+
+    @property
+    def _is_known(self) -> bool:
+        return self._version is not None and self._near is not None
+
+    def ask(self) -> Sequence[Frame]:
+        if not self._is_known:
+            wanted = frames.values_wanted(frames.ID_BIT)
+            return [Frame(frames.FW_VERSION, b""), Frame(wanted[0], wanted[1:])]
+        if self._has_asked_for_scan:
+            return ()
+        self._has_asked_for_scan = True
+        return [Frame(frames.PING_CAN, b"")]
+
+    @property
+    def patience_s(self) -> float:
+        if not self._is_known:
+            return ANSWER_S
+        return _SCAN_S if self._has_asked_for_scan and self._behind is None else 0.0
+
+    def feed(self, frame: Frame) -> bool:
+        message = bytes((frame.id & 0xFF,)) + frame.payload
+        self._version = frames.parse_version(message) or self._version
+        if (values := frames.parse_values(message)) is not None and "id" in values:
+            self._near = int(values["id"])
+        if frame.id == frames.PING_CAN:
+            self._behind = set(frame.payload)
+        return True  # its packets have a checksum that others' do not
+
+    def found(self) -> Found | None:
+        if self._version is None or self._near is None:
+            return None
+        major, minor, hardware = self._version
+        sentences = [f"a VESC ({hardware}, firmware {major}.{minor:02}) with the id {self._near} at the line"]
+        if self._behind is None:
+            sentences.append(f"which others are on its CAN bus it has not told within {_SCAN_S:g} s")
+            return Found(sentences, None, unknown=_UNKNOWN)
+        sentences += [f"a VESC behind it with the id {number}" for number in sorted(self._behind)]
+        ids = sorted(self._behind | {self._near})
+        motors = {"ids": ids, "serial_id": self._near} if len(ids) == 4 else None
+        return Found(sentences, motors, unknown=_UNKNOWN)

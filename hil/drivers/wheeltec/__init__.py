@@ -1,0 +1,1 @@
+"""WHEELTEC bases with a C50X board: driver, probe, frames, and the emulated device (WHEELTEC.md)."""

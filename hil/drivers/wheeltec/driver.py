@@ -1,0 +1,249 @@
+"""WHEELTEC base with a C50X board: a velocity of the body, the wheels' loops closed by the board.
+
+Serial, 115200 baud, big-endian: 11 bytes ``7B 00 00 vx vy wz xor 7D`` to the board, and 24 from it at 20 Hz: ``7B``,
+stop flag, twist, acceleration, angular velocity, battery, xor, ``7D``. On CAN, 1 Mbit/s, the same numbers: 0x181 has
+the three of the command, and the 24 bytes come in 0x101, 0x102 and 0x103. Here a message is always those CAN frames;
+the serial line's framing makes them.
+Sources: WHEELTEC's STM32 firmware for the C50X (data_task.c, uartx_callback.c, can_callback.c, balance_task.c, sys.c,
+robot_init.h); its ROS driver turn_on_wheeltec_robot. WHEELTEC.md has what follows from them.
+
+It knows no arming and no version. Whether it stops when commands end is compiled in, and by default it does not.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from struct import Struct
+
+from firmware_protocol.framing import Frame
+from hil.core.options import require_not_negative, require_positive
+from hil.core.types import NAN, CommandMode, FourWheels
+from hil.drivers.port import Capabilities, Dialect, Found, RobotFacts, Sample, torques_dropped
+from hil.drivers.twist_base import LATE_NS, TwistBase, check_geometry, is_still
+from hil.drivers.wheeltec.line import COMMAND, COMMAND_NUMBERS, HEAD, REPORTS, TAIL, WheeltecFraming, checksum
+
+_REPORT = Struct(">BB3h3h3hHBB")
+_M_S2 = 1671.84  # counts; the range is ±2 g
+_RAD_S = math.radians(500.0) / 32768
+_STOPPED = 1
+_BAUD = 115_200
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """``[device.motors]``. ``wheel_radius_m`` and ``lever_m`` are the firmware's; 0 takes those of [robot].
+
+    ``speed_limit_m_s`` is the firmware's, for each rim and, in rad/s, for the yaw rate. ``stops_on_silence``: whether
+    this board's firmware was seen to stop the wheels 1 s after the last command (WHEELTEC.md says how to try).
+    """
+
+    wheel_radius_m: float = 0.0
+    lever_m: float = 0.0
+    speed_limit_m_s: float = 3.5
+    battery_low_v: float = 20.0
+    stops_on_silence: bool = False
+
+    def __post_init__(self) -> None:
+        check_geometry(self)
+        require_positive(self, "speed_limit_m_s")
+        require_not_negative(self, "battery_low_v")
+
+
+class Report:
+    """The 24 bytes as numbers: put together from frames, and checked again, for on CAN one of them may be lost."""
+
+    def __init__(self) -> None:
+        self._parts = b""
+        self.stamp_ns: int | None = None
+        self.is_stopped = False
+        self.twist = (0, 0, 0)
+        self.acceleration_m_s2 = (NAN, NAN, NAN)
+        self.yaw_rate_rad_s = NAN
+        self.battery_v = NAN
+
+    def feed(self, frame: Frame, stamp_ns: int) -> bool:
+        """Take a frame, and tell whether it has completed a report."""
+        if frame.id not in REPORTS or len(frame.payload) != 8:
+            return False
+        part = REPORTS.index(frame.id)
+        if len(self._parts) != 8 * part:
+            self._parts = b""
+            if part:
+                return False
+        self._parts += frame.payload
+        if part < 2:
+            return False
+        whole, self._parts = self._parts, b""
+        head, stopped, x, y, turn, ax, ay, az, _, _, yaw, battery, total, tail = _REPORT.unpack(whole)
+        if (head, tail) != (HEAD, TAIL) or checksum(whole[:-2]) != total:
+            return False
+        self.stamp_ns = stamp_ns
+        self.is_stopped = stopped == _STOPPED
+        self.twist = (x, y, turn)
+        self.acceleration_m_s2 = (ax / _M_S2, ay / _M_S2, az / _M_S2)
+        self.yaw_rate_rad_s = yaw * _RAD_S
+        self.battery_v = battery / 1000.0
+        return True
+
+
+class Wheeltec:
+    """One base with four Mecanum wheels."""
+
+    def __init__(self, settings: Settings, robot: RobotFacts) -> None:
+        self._settings = settings
+        limit = settings.speed_limit_m_s
+        self._base = TwistBase(
+            "a WHEELTEC base",
+            robot,
+            settings.wheel_radius_m or robot.wheel_radius_m,
+            settings.lever_m or robot.lever_m,
+            rim_limit_m_s=limit,
+            yaw_limit_rad_s=limit,
+        )
+        self.capabilities = Capabilities(
+            modes=frozenset({CommandMode.SPEED}),
+            is_twist=True,
+            feedback_hz=20.0,
+            sensors=frozenset({"battery_voltage", "gyro", "accelerometer"}),
+            adds_torque=False,
+            watchdog="fixed" if settings.stops_on_silence else "none",
+            latches_estop=False,
+        )
+        self.warnings = (
+            "for 12 s after it is switched on a WHEELTEC base obeys nothing, and drives 0.4 m forward to test itself",
+            "a WHEELTEC base may drive on for 1 s when commands end"
+            if settings.stops_on_silence
+            else "a WHEELTEC base drives on for ever with the newest command when commands end, unless its firmware "
+            "was built with SecurityLevel 0: if this computer loses its power, hangs, or loses the cable, nothing "
+            "stops the robot; keep its emergency stop within reach",
+            torques_dropped("a WHEELTEC base"),
+        )
+        self.restart()
+
+    def restart(self) -> None:
+        self._report = Report()
+        self._is_armed = False
+        self._has_stopped = False
+
+    def ask(self) -> Sequence[Frame]:
+        return ()
+
+    @property
+    def identity(self) -> str | None:
+        return None if self._report.stamp_ns is None else "a WHEELTEC base (it does not tell its version)"
+
+    @property
+    def missing(self) -> str:
+        if self._report.stamp_ns is not None:
+            return ""
+        return (
+            "no report of a WHEELTEC base; check its power, the cable, and that this is its port for a ROS computer, "
+            f"with baud={_BAUD} in the link, or its CAN, at 1 Mbit/s"
+        )
+
+    def arm(self, now_ns: int) -> Sequence[Frame]:
+        """Stop what may still be driving, and wait for a report that says that the wheels stand and may turn."""
+        report = self._report
+        self._is_armed = (
+            self._has_stopped
+            and report.stamp_ns is not None
+            and now_ns - report.stamp_ns < LATE_NS
+            and is_still(self._base.speeds(report.twist))
+            and not report.is_stopped
+        )
+        if not self._base.is_due(now_ns):
+            return ()
+        self._has_stopped = True
+        return (_STOP,)
+
+    @property
+    def is_armed(self) -> bool:
+        return self._is_armed
+
+    def command(self, speed_rad_s: FourWheels, torque_n_m: FourWheels, now_ns: int) -> Sequence[Frame]:
+        if not self._base.is_due(now_ns):
+            return ()
+        return (_command(self._base.counts(speed_rad_s)) if self._is_armed else _STOP,)
+
+    def disarm(self) -> Sequence[Frame]:
+        """Twice, for a frame that the line damages is one that was never sent."""
+        self._is_armed = False
+        return _STOP, _STOP
+
+    def estop(self) -> Sequence[Frame]:
+        return self.disarm()
+
+    def clear(self) -> Sequence[Frame]:
+        return ()
+
+    def feed(self, frame: Frame, stamp_ns: int) -> None:
+        if self._report.feed(frame, stamp_ns) and self._report.is_stopped:
+            self._is_armed = False
+
+    @property
+    def sample(self) -> Sample | None:
+        report = self._report
+        if report.stamp_ns is None:
+            return None
+        return Sample(
+            report.stamp_ns,
+            self._base.speeds(report.twist),
+            battery_v=report.battery_v,
+            acceleration_m_s2=report.acceleration_m_s2,
+            yaw_rate_rad_s=report.yaw_rate_rad_s,
+        )
+
+    @property
+    def errors(self) -> Sequence[str]:
+        report = self._report
+        if not report.is_stopped:
+            return ()
+        low = self._settings.battery_low_v
+        if report.battery_v < low:
+            return (
+                f"the WHEELTEC base has switched its motors off: its battery has {report.battery_v:g} V, less than the "
+                f"{low:g} of device.motors.battery_low_v",
+            )
+        return (
+            "the WHEELTEC base has switched its motors off: its emergency stop is pressed, its key turned off, or its "
+            "test at the start has failed",
+        )
+
+
+class _Probe:
+    """Listens: the base reports by itself."""
+
+    def __init__(self) -> None:
+        self._report = Report()
+
+    patience_s = 0.0
+
+    def ask(self) -> Sequence[Frame]:
+        return ()
+
+    def feed(self, frame: Frame) -> bool:
+        self._report.feed(frame, 0)
+        return frame.id in REPORTS and len(frame.payload) == 8
+
+    def found(self) -> Found | None:
+        if self._report.stamp_ns is None:
+            return None
+        unknown = ("device.motors.wheel_radius_m", "device.motors.lever_m", "device.motors.speed_limit_m_s")
+        return Found([f"a WHEELTEC base, battery {self._report.battery_v:g} V"], {}, unknown=unknown)
+
+
+def _command(counts: tuple[int, int, int]) -> Frame:
+    return Frame(COMMAND, COMMAND_NUMBERS.pack(*counts))
+
+
+_STOP = _command((0, 0, 0))
+DIALECT = Dialect(
+    title="WHEELTEC C50X",
+    wires=frozenset({"serial", "can"}),
+    settings=Settings,
+    make=Wheeltec,
+    make_framing=WheeltecFraming,
+    probe=_Probe,
+    baud=_BAUD,
+    watchdog_setting="device.motors.stops_on_silence",
+)

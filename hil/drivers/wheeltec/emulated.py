@@ -1,0 +1,121 @@
+"""A WHEELTEC base with a C50X board as its firmware is: 100 Hz control, targets that are ramped, reports at 20 Hz.
+
+It has been on for a while: the 12 s in which a real one obeys nothing and tests itself by driving are over. The wheels'
+loops are those of the other emulated controllers, at 1 kHz, where the board's run at 100 Hz. Charging, remote controls
+and the parking mode are not there.
+"""
+
+import struct
+
+from firmware_protocol.framing import Frame
+from hil.core.types import FourWheels
+from hil.drivers.emulated_motors import EmulatedMotors
+from hil.drivers.wheeltec.driver import Settings
+
+_CONTROL_TICKS, _REPORT_TICKS = 10, 50
+_STEP = 0.02  # m/s or rad/s in 10 ms
+_SILENT = 100  # times of control without a command
+
+
+class EmulatedWheeltec(EmulatedMotors):
+    """See ``EmulatedMotors``. ``is_switched_off`` is its emergency stop, for whoever tests to press and release."""
+
+    def __init__(self, settings: Settings, *node: object, **keywords: object) -> None:
+        self._settings = settings
+        self.is_switched_off = False
+        self._received = bytearray()
+        self._targets = [0.0, 0.0, 0.0]
+        self._ramped = [0.0, 0.0, 0.0]
+        self._silent = 0
+        self._is_off = False
+        super().__init__(*node, **keywords)  # type: ignore[arg-type]
+        self._radius_m = settings.wheel_radius_m or self.values["wheel_radius_m"]
+        self._lever_m = settings.lever_m or self.values["half_length_m"] + self.values["half_width_m"]
+        self._loops = self.speed_loops()
+
+    @property
+    def is_driving(self) -> bool:
+        return any(self._targets) or any(self._ramped)
+
+    def feed(self, data: bytes) -> None:
+        """As the board's interrupt: eleven bytes from the first 7B, which is not always the head."""
+        for byte in data:
+            if not self._received and byte != 0x7B:
+                continue
+            self._received.append(byte)
+            if len(self._received) == 11:
+                whole = bytes(self._received)
+                self._received.clear()
+                total = 0
+                for one in whole[:9]:
+                    total ^= one
+                if whole[10] == 0x7D and whole[9] == total and whole[1] == 0:
+                    self._obey(whole[3:9])
+
+    def take(self, frame: Frame) -> None:
+        if frame.id == 0x181 and len(frame.payload) == 8:
+            self._obey(frame.payload[:6])
+
+    def take_bytes(self) -> bytes:
+        return b"".join(frame.payload for frame in self.take_frames())
+
+    def _obey(self, numbers: bytes) -> None:
+        self._silent = 0
+        self._targets = [number / 1000 for number in struct.unpack(">hhh", numbers)]
+
+    def tick(self) -> FourWheels | None:
+        if self.ticks % _CONTROL_TICKS == 0:
+            self._control()
+        if self.ticks % _REPORT_TICKS == 0:
+            self._report()
+        if self._is_off:
+            return None
+        x, y, turn = self._ramped[0], self._ramped[1], self._ramped[2] * self._lever_m
+        limit = self._settings.speed_limit_m_s
+        rims = (x - y - turn, x + y + turn, x - y + turn, x + y - turn)
+        a, b, c, d = (
+            loop.torque(min(max(rim, -limit), limit) / self._radius_m, shaft.speed_rad_s)
+            for loop, rim, shaft in zip(self._loops, rims, self.shafts, strict=True)
+        )
+        return a, b, c, d
+
+    def _control(self) -> None:
+        if self._settings.stops_on_silence:
+            self._silent += 1
+            if self._silent > _SILENT:
+                self._targets = [0.0, 0.0, 0.0]
+        limit = self._settings.speed_limit_m_s
+        for axis in range(3):
+            target = min(max(self._targets[axis], -limit), limit)
+            step = min(max(target - self._ramped[axis], -_STEP), _STEP)
+            self._ramped[axis] += step
+        was_off, self._is_off = self._is_off, self.is_switched_off or self.battery_v < self._settings.battery_low_v
+        if self._is_off:
+            for loop in self._loops:
+                loop.reset()
+        elif was_off:
+            self._targets = [0.0, 0.0, 0.0]
+            self._ramped = [0.0, 0.0, 0.0]
+
+    def _report(self) -> None:
+        fl, fr, rr, rl = (shaft.speed_rad_s * self._radius_m for shaft in self.shafts)
+        twist = (
+            (fl + fr + rr + rl) / 4,
+            (rl - fl + fr - rr) / 4,
+            (fr + rr - fl - rl) / 4 / self._lever_m,
+        )
+        rates = self.gyro_rad_s if not self._is_off else (*self.gyro_rad_s[:2], 0.0)
+        numbers = [speed * 1000 for speed in twist]
+        numbers += [force / 19.6 * 32768 for force in self.acceleration_m_s2]
+        numbers += [rate * 57.30 * 65.5 for rate in rates]
+        body = struct.pack(">BB9h", 0x7B, self._is_off, *(min(max(int(n), -32768), 32767) for n in numbers))
+        body += struct.pack(">H", min(max(int(self.battery_v * 1000), 0), 65535))
+        total = 0
+        for byte in body:
+            total ^= byte
+        whole = body + bytes([total, 0x7D])
+        for part in range(3):
+            self.say(Frame(0x101 + part, whole[8 * part : 8 * part + 8]))
+
+
+EMULATED = EmulatedWheeltec

@@ -1,0 +1,324 @@
+"""The error-state Kalman filter: what is believed of pose and gyro bias, moved by wheels, corrected by pose fixes.
+
+Pure functions from one belief to the next, so that a past can be gone through again. The error is (x, y, heading,
+gyro bias), in the world frame. Written out in plain floats: with NumPy a step costs ten times as much.
+
+Sources: J. Solà, Quaternion kinematics for the error-state Kalman filter, 2017, section 5, here in the plane;
+Y. Bar-Shalom et al., Estimation with Applications to Tracking and Navigation, 2001, section 5.4 (gate).
+"""
+
+import math
+from typing import NamedTuple
+
+from hil.core.types import MeasuredPose, Pose, PoseCovariance
+
+_UNKNOWN_VARIANCE = 1e6
+_LEAST_SHARE = 1e-6
+_ROUNDING = 1e-13
+
+
+class Covariance(NamedTuple):
+    """Covariance of (x, y, heading, bias): the upper triangle, row by row; h is the heading, b the bias."""
+
+    xx: float
+    xy: float
+    xh: float
+    xb: float
+    yy: float
+    yh: float
+    yb: float
+    hh: float
+    hb: float
+    bb: float
+
+
+class Belief(NamedTuple):
+    """What is believed at one instant of robot time.
+
+    ``is_known`` is False before the first fix of a robot that was told no start. ``fixed_ns`` is the time of the
+    newest accepted fix, ``streak`` how many rejected ones in a row agree with one another; of the last of them and of
+    the belief that rejected it ``streak_fix`` and ``streak_belief`` are kept. ``restarts`` counts how often a streak
+    was believed.
+    """
+
+    time_ns: int
+    x_m: float
+    y_m: float
+    heading_rad: float
+    bias_rad_s: float
+    covariance: Covariance
+    is_known: bool
+    fixed_ns: int
+    accepted: int = 0
+    rejected: int = 0
+    restarts: int = 0
+    streak: int = 0
+    streak_fix: MeasuredPose | None = None
+    streak_belief: "Belief | None" = None
+
+
+class Step(NamedTuple):
+    """What leads from one measurement to the next: motion in the body frame, and variances of its errors.
+
+    ``biased_s`` is the time over which the gyro's bias turned the robot: the step's duration, or 0 when
+    ``turned_rad`` is the wheels'.
+    """
+
+    forward_m: float
+    left_m: float
+    turned_rad: float
+    biased_s: float
+    position_m2: float
+    heading_rad2: float
+    bias_rad2_s2: float
+
+
+class Acceptance(NamedTuple):
+    """When fixes are believed: the largest squared Mahalanobis distance, and after how many rejected ones in a row.
+
+    ``bias_rad2_s2`` is the variance that the gyro's bias has then at least: a gyro that leapt may be what was wrong.
+    """
+
+    gate: float
+    streak: int
+    bias_rad2_s2: float
+
+
+def start(time_ns: int, pose: Pose, sigma_m: float, sigma_rad: float, bias_sigma_rad_s: float) -> Belief:
+    """Return the belief in a start that is known so well."""
+    place, heading = sigma_m**2, sigma_rad**2
+    covariance = Covariance(place, 0.0, 0.0, 0.0, place, 0.0, 0.0, heading, 0.0, bias_sigma_rad_s**2)
+    return Belief(time_ns, *pose, 0.0, covariance, is_known=True, fixed_ns=time_ns)
+
+
+def start_unknown(time_ns: int, bias_sigma_rad_s: float) -> Belief:
+    """Return the belief in nothing: the first fix will be taken as it is."""
+    covariance = Covariance(
+        _UNKNOWN_VARIANCE, 0.0, 0.0, 0.0, _UNKNOWN_VARIANCE, 0.0, 0.0, _UNKNOWN_VARIANCE, 0.0, bias_sigma_rad_s**2
+    )
+    return Belief(time_ns, 0.0, 0.0, 0.0, 0.0, covariance, is_known=False, fixed_ns=time_ns)
+
+
+def moved(belief: Belief, step: Step, time_ns: int, share: float = 1.0) -> Belief:
+    """Return the belief at ``time_ns``, after this share of a step: x ← f(x, u), P ← F P Fᵀ + Q.
+
+    The displacement is taken at the heading half way. Its noise is the same in all directions, that of the heading
+    acts at the end.
+    """
+    forward, left, biased_s = share * step.forward_m, share * step.left_m, share * step.biased_s
+    turned = share * step.turned_rad - belief.bias_rad_s * biased_s
+    middle = belief.heading_rad + 0.5 * turned
+    cos, sin = math.cos(middle), math.sin(middle)
+    dx, dy = cos * forward - sin * left, sin * forward + cos * left
+    xx, xy, xh, xb, yy, yh, yb, hh, hb, bb = belief.covariance
+    # F = [[1, 0, a, e], [0, 1, c, g], [0, 0, 1, t], [0, 0, 0, 1]]; below are the rows of F P.
+    a, c, t = -dy, dx, -biased_s
+    e, g = 0.5 * a * t, 0.5 * c * t
+    x_h, x_b = xh + a * hh + e * hb, xb + a * hb + e * bb
+    y_h, y_b = yh + c * hh + g * hb, yb + c * hb + g * bb
+    h_b = hb + t * bb
+    noise_m2 = share * step.position_m2
+    covariance = Covariance(
+        xx + a * xh + e * xb + a * x_h + e * x_b + noise_m2,
+        xy + a * yh + e * yb + c * x_h + g * x_b,
+        x_h + t * x_b,
+        x_b,
+        yy + c * yh + g * yb + c * y_h + g * y_b + noise_m2,
+        y_h + t * y_b,
+        y_b,
+        hh + t * hb + t * h_b + share * step.heading_rad2,
+        h_b,
+        bb + share * step.bias_rad2_s2,
+    )
+    return Belief(
+        time_ns,
+        belief.x_m + dx,
+        belief.y_m + dy,
+        belief.heading_rad + turned,
+        belief.bias_rad_s,
+        covariance,
+        *belief[6:],
+    )
+
+
+def corrected(belief: Belief, fix: MeasuredPose, acceptance: Acceptance) -> Belief:
+    """Return the belief after a fix of its own instant.
+
+    A fix beyond the gate is rejected, and one whose covariance is none, or next to singular. When so many of the former
+    in a row agree with one another and with the motion between them, the last of them is taken as a new start: the
+    robot was elsewhere than believed.
+    """
+    if not _is_covariance(fix.covariance):
+        return belief._replace(rejected=belief.rejected + 1)
+    if not belief.is_known:
+        return _restarted(belief, fix, acceptance)._replace(restarts=belief.restarts)
+    p, r = belief.covariance, fix.covariance
+    vx, vy = fix.pose.x_m - belief.x_m, fix.pose.y_m - belief.y_m
+    vh = math.remainder(fix.pose.heading_rad - belief.heading_rad, math.tau)
+    # L Lᵀ = P + R, written out; W = L⁻¹ H P has one column each of x, y, heading, bias.
+    l11 = math.sqrt(p.xx + r.xx_m2)
+    l21, l31 = (p.xy + r.xy_m2) / l11, (p.xh + r.xh_m_rad) / l11
+    l22 = _root(p.yy + r.yy_m2, l21 * l21)
+    l32 = (p.yh + r.yh_m_rad - l31 * l21) / l22
+    l33 = _root(p.hh + r.hh_rad2, l31 * l31 + l32 * l32)
+
+    def solved(x: float, y: float, h: float) -> tuple[float, float, float]:
+        first = x / l11
+        second = (y - l21 * first) / l22
+        return first, second, (h - l31 * first - l32 * second) / l33
+
+    v = solved(vx, vy, vh)
+    if _dot(v, v) > acceptance.gate:
+        return _rejected(belief, fix, acceptance)
+    x, y, h, b = (
+        solved(p.xx, p.xy, p.xh),
+        solved(p.xy, p.yy, p.yh),
+        solved(p.xh, p.yh, p.hh),
+        solved(p.xb, p.yb, p.hb),
+    )
+    covariance = Covariance(
+        _less(p.xx, _dot(x, x)),
+        p.xy - _dot(x, y),
+        p.xh - _dot(x, h),
+        p.xb - _dot(x, b),
+        _less(p.yy, _dot(y, y)),
+        p.yh - _dot(y, h),
+        p.yb - _dot(y, b),
+        _less(p.hh, _dot(h, h)),
+        p.hb - _dot(h, b),
+        _less(p.bb, _dot(b, b)),
+    )
+    return Belief(
+        belief.time_ns,
+        belief.x_m + _dot(x, v),
+        belief.y_m + _dot(y, v),
+        belief.heading_rad + _dot(h, v),
+        belief.bias_rad_s + _dot(b, v),
+        covariance,
+        is_known=True,
+        fixed_ns=fix.time_ns,
+        accepted=belief.accepted + 1,
+        rejected=belief.rejected,
+        restarts=belief.restarts,
+    )
+
+
+def squared_distance(x: float, y: float, h: float, covariance: PoseCovariance) -> float:
+    """Return the squared Mahalanobis distance of (x, y, heading)."""
+    xx, xy, xh, yy, yh, hh = covariance
+    l11 = math.sqrt(xx)
+    l21, l31 = xy / l11, xh / l11
+    l22 = _root(yy, l21 * l21)
+    l32 = (yh - l31 * l21) / l22
+    l33 = _root(hh, l31 * l31 + l32 * l32)
+    first = x / l11
+    second = (y - l21 * first) / l22
+    third = (h - l31 * first - l32 * second) / l33
+    return first * first + second * second + third * third
+
+
+def position_sigma_m(covariance: Covariance) -> float:
+    """Return the standard deviation of the position in its worst direction [m]."""
+    half_difference = 0.5 * (covariance.xx - covariance.yy)
+    largest = 0.5 * (covariance.xx + covariance.yy) + math.hypot(half_difference, covariance.xy)
+    return math.sqrt(max(0.0, largest))
+
+
+def gate_of(probability: float) -> float:
+    """Return the squared Mahalanobis distance below which a right fix is with this probability: χ² with 3 degrees."""
+    low, high = 0.0, 1000.0
+    while high - low > 1e-9:
+        middle = 0.5 * (low + high)
+        # The distribution function of chi-square with three degrees of freedom in closed form.
+        below = math.erf(math.sqrt(0.5 * middle)) - math.sqrt(2.0 * middle / math.pi) * math.exp(-0.5 * middle)
+        low, high = (middle, high) if below < probability else (low, middle)
+    return high
+
+
+def _rejected(belief: Belief, fix: MeasuredPose, acceptance: Acceptance) -> Belief:
+    agrees = belief.streak_fix is not None and _agree(belief, fix, acceptance.gate)
+    count = belief.streak + 1 if agrees else 1
+    if count >= acceptance.streak:
+        return _restarted(belief, fix, acceptance)
+    return belief._replace(
+        rejected=belief.rejected + 1,
+        streak=count,
+        streak_fix=fix,
+        streak_belief=belief._replace(streak_fix=None, streak_belief=None),
+    )
+
+
+def _restarted(belief: Belief, fix: MeasuredPose, acceptance: Acceptance) -> Belief:
+    """Return the belief in a fix alone; of the gyro's bias there is doubt."""
+    r = fix.covariance
+    bias_rad2_s2 = max(belief.covariance.bb, acceptance.bias_rad2_s2)
+    turned = math.remainder(fix.pose.heading_rad - belief.heading_rad, math.tau)
+    return Belief(
+        belief.time_ns,
+        fix.pose.x_m,
+        fix.pose.y_m,
+        belief.heading_rad + turned,
+        belief.bias_rad_s,
+        Covariance(r.xx_m2, r.xy_m2, r.xh_m_rad, 0.0, r.yy_m2, r.yh_m_rad, 0.0, r.hh_rad2, 0.0, bias_rad2_s2),
+        is_known=True,
+        fixed_ns=fix.time_ns,
+        accepted=belief.accepted + 1,
+        rejected=belief.rejected,
+        restarts=belief.restarts + 1,
+    )
+
+
+def _agree(belief: Belief, fix: MeasuredPose, gate: float) -> bool:
+    """Return whether the last rejected fix, moved on as the robot moved since, and this one are of one pose."""
+    last, then = belief.streak_fix, belief.streak_belief
+    if last is None or then is None:
+        return False
+    # The way since, turned from the heading that was believed into the heading that the last fix says.
+    c = math.cos(last.pose.heading_rad - then.heading_rad)
+    s = math.sin(last.pose.heading_rad - then.heading_rad)
+    way_x, way_y = belief.x_m - then.x_m, belief.y_m - then.y_m
+    dx, dy = c * way_x - s * way_y, s * way_x + c * way_y
+    r, q, grown, before = fix.covariance, last.covariance, belief.covariance, then.covariance
+    a, b = -dy, dx
+    together = PoseCovariance(
+        r.xx_m2 + q.xx_m2 + a * (2.0 * q.xh_m_rad + a * q.hh_rad2) + max(0.0, grown.xx - before.xx),
+        r.xy_m2 + q.xy_m2 + b * q.xh_m_rad + a * q.yh_m_rad + a * b * q.hh_rad2,
+        r.xh_m_rad + q.xh_m_rad + a * q.hh_rad2,
+        r.yy_m2 + q.yy_m2 + b * (2.0 * q.yh_m_rad + b * q.hh_rad2) + max(0.0, grown.yy - before.yy),
+        r.yh_m_rad + q.yh_m_rad + b * q.hh_rad2,
+        r.hh_rad2 + q.hh_rad2 + max(0.0, grown.hh - before.hh),
+    )
+    turned = belief.heading_rad - then.heading_rad
+    return (
+        squared_distance(
+            fix.pose.x_m - last.pose.x_m - dx,
+            fix.pose.y_m - last.pose.y_m - dy,
+            math.remainder(fix.pose.heading_rad - last.pose.heading_rad - turned, math.tau),
+            together,
+        )
+        <= gate
+    )
+
+
+def _is_covariance(r: PoseCovariance) -> bool:
+    """Return whether Cholesky's pivots are positive, and none is next to nothing of its variance."""
+    if min(r.xx_m2, r.yy_m2, r.hh_rad2) <= 0.0:
+        return False
+    second = r.yy_m2 - r.xy_m2 * r.xy_m2 / r.xx_m2
+    if second < _LEAST_SHARE * r.yy_m2:
+        return False
+    mixed = r.yh_m_rad - r.xy_m2 * r.xh_m_rad / r.xx_m2
+    return r.hh_rad2 - r.xh_m_rad * r.xh_m_rad / r.xx_m2 - mixed * mixed / second >= _LEAST_SHARE * r.hh_rad2
+
+
+def _less(variance: float, known: float) -> float:
+    """Return what is left of a variance; at least what rounding may have made of it, so that it stays positive."""
+    return max(variance - known, _ROUNDING * variance)
+
+
+def _root(variance: float, known: float) -> float:
+    return math.sqrt(_less(variance, known))
+
+
+def _dot(a: tuple[float, float, float], b: tuple[float, float, float]) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

@@ -1,0 +1,207 @@
+"""Where the robot is by wheels, gyro and pose fixes that come late, out of order, wrong, or not at all."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from hil.core.kinematics import to_world
+from hil.core.model import RobotModel
+from hil.core.signals import EstimatorSignals
+from hil.core.types import MeasuredPose, Pose, PoseFix, State
+from hil.estimation.belief import (
+    Acceptance,
+    Belief,
+    Covariance,
+    Step,
+    corrected,
+    gate_of,
+    position_sigma_m,
+    start,
+    start_unknown,
+)
+from hil.estimation.history import History
+from hil.estimation.measurement import DEGRADED, GOOD, LOST, NO_STATUS, Measurement, measured_twist
+from hil.estimation.motion import Motion, MotionReader
+from hil.estimation.release import Release
+from hil.estimation.slip import SlipDetector
+
+_NS = 1e9
+_AHEAD_NS = 100_000_000
+_WAITING_AT_MOST = 32
+# What a robot may have rolled unseen before its reset: the shipped ramp of 0.2 s, from 1.5 m/s and 2 rad/s.
+_UNSEEN_M = 0.15
+_UNSEEN_RAD = 0.2
+# Slip of one direction lasts about so long: over it errors add up, beyond it as their squares.
+_SLIP_LASTS_S = 0.2
+
+
+class FusedOptions(NamedTuple):
+    """The filter's numbers: ``[estimator.filter]`` of a scenario, where each is explained and has its default."""
+
+    begin: str
+    start_sigma_m: float
+    start_sigma_rad: float
+    wheels_sigma_m: float
+    wheels_sigma_rad: float
+    gyro_noise_rad_s: float
+    gyro_bias_sigma_rad_s: float
+    gyro_bias_walk_rad_s: float
+    gate_probability: float
+    restart_after: int
+    fix_timeout_s: float
+    lost_sigma_m: float
+    history_s: float
+    release_s: float
+
+
+class FusedEstimator:
+    """An error-state Kalman filter on odometry (``belief``), with its recent past (``history``).
+
+    Between fixes the pose follows wheels and gyro, and the covariance grows with the way; while slip is detected it
+    grows with the slip's speed too. A fix of a time to come, which a robot's clock and the link's latency make
+    possible, waits for it up to 0.1 s. Without fixes for ``fix_timeout_s`` the health is DEGRADED; when the position's
+    standard deviation exceeds ``lost_sigma_m`` it is LOST, until fixes bring it back. What a fix changes in the pose is
+    told over ``release_s``.
+    """
+
+    uses_truth = False
+
+    def __init__(
+        self,
+        model: RobotModel,
+        start_pose: Pose,
+        counts_per_revolution: int,
+        slip_threshold_m_s: float,
+        options: FusedOptions,
+    ) -> None:
+        self._model = model
+        self._start_pose = start_pose
+        self._options = options
+        self._acceptance = Acceptance(
+            gate_of(options.gate_probability), options.restart_after, options.gyro_bias_sigma_rad_s**2
+        )
+        self._reader = MotionReader(model, counts_per_revolution)
+        self._slip = SlipDetector(model.lever_m, slip_threshold_m_s)
+        self._last: Measurement | None = None
+        self._history: History | None = None
+        self._before: Belief | None = None
+        self._waiting: list[MeasuredPose] = []
+        self._release = Release(options.release_s)
+        self._status = NO_STATUS
+        self._refused = {"too_late": 0, "double": 0, "ahead": 0}
+
+    @property
+    def status(self) -> EstimatorSignals:
+        """How sure the last update is."""
+        return self._status
+
+    def fix_figures(self) -> dict[str, int]:
+        """Return what became of the fixes; ``restarts`` are streaks of rejected ones that were believed."""
+        belief = self._history.newest if self._history is not None else self._before
+        accepted, rejected, restarts = (belief.accepted, belief.rejected, belief.restarts) if belief else (0, 0, 0)
+        return {"accepted": accepted, "rejected": rejected, **self._refused, "restarts": restarts}
+
+    def update(
+        self, measurement: Measurement, truth: PoseFix | None, fixes: Sequence[MeasuredPose] = ()
+    ) -> State | None:
+        """Return the pose by all that is known; None before the first fix where the start is not known."""
+        last = self._last
+        if last is None or self._history is None:
+            self._history = self._begun(measurement.robot_time_ns)
+            self._last = last = measurement
+        elif measurement.robot_time_ns > last.robot_time_ns:
+            motion = self._reader.between(last, measurement)
+            slip_m_s = self._slip.update(motion, self._history.newest.bias_rad_s)
+            self._history.append(self._step(motion, slip_m_s), measurement.robot_time_ns)
+            self._release.advance(motion.dt_s)
+            self._last = last = measurement
+        if fixes or self._waiting:
+            before = self._history.newest
+            self._take(self._history, last.robot_time_ns, fixes)
+            self._release.correct(before, self._history.newest)
+        belief = self._history.newest
+        self._status = self._told(belief)
+        if not belief.is_known:
+            return None
+        pose = self._release.pose(belief)
+        return State(pose, to_world(measured_twist(self._model, last, belief.bias_rad_s), pose.heading_rad))
+
+    def restart(self) -> None:
+        """Go on from the last belief, less sure by what the robot may have rolled unseen; its bias is the same."""
+        if self._history is not None:
+            self._before = self._history.newest
+        self._history = None
+        self._last = None
+        self._waiting.clear()
+        self._slip.restart()
+
+    def _begun(self, time_ns: int) -> History:
+        options, before = self._options, self._before
+        if before is not None:
+            first = _unsure(before)._replace(time_ns=time_ns, fixed_ns=time_ns - (before.time_ns - before.fixed_ns))
+        elif options.begin == "fix":
+            first = start_unknown(time_ns, options.gyro_bias_sigma_rad_s)
+        else:
+            sigmas = options.start_sigma_m, options.start_sigma_rad, options.gyro_bias_sigma_rad_s
+            first = start(time_ns, self._start_pose, *sigmas)
+        return History(first, round(options.history_s * _NS), self._corrected)
+
+    def _corrected(self, belief: Belief, fix: MeasuredPose) -> Belief:
+        return corrected(belief, fix, self._acceptance)
+
+    def _step(self, motion: Motion, slip_m_s: float) -> Step:
+        options = self._options
+        way_m = math.hypot(motion.forward_m, motion.left_m) + self._model.lever_m * abs(motion.turned_rad)
+        dt_s = motion.dt_s
+        position_m2 = options.wheels_sigma_m**2 * way_m + slip_m_s**2 * dt_s * _SLIP_LASTS_S
+        bias_rad2_s2 = options.gyro_bias_walk_rad_s**2 * dt_s
+        if math.isnan(motion.gyro_rad):
+            slip_rad_s = slip_m_s / self._model.lever_m
+            heading_rad2 = options.wheels_sigma_rad**2 * way_m + slip_rad_s**2 * dt_s * _SLIP_LASTS_S
+            return Step(
+                motion.forward_m, motion.left_m, motion.turned_rad, 0.0, position_m2, heading_rad2, bias_rad2_s2
+            )
+        heading_rad2 = (options.gyro_noise_rad_s * dt_s) ** 2
+        return Step(motion.forward_m, motion.left_m, motion.gyro_rad, dt_s, position_m2, heading_rad2, bias_rad2_s2)
+
+    def _take(self, history: History, now_ns: int, fixes: Sequence[MeasuredPose]) -> None:
+        """Sort fixes by when they are of: past, to come, or out of reach."""
+        due: list[MeasuredPose] = []
+        later: list[MeasuredPose] = []
+        for fix in (*self._waiting, *fixes):
+            if fix.time_ns <= history.begin_ns:
+                self._refused["too_late"] += 1
+            elif fix.time_ns <= now_ns:
+                due.append(fix)
+            elif fix.time_ns <= now_ns + _AHEAD_NS and len(later) < _WAITING_AT_MOST:
+                later.append(fix)
+            else:
+                self._refused["ahead"] += 1
+        self._waiting = later
+        if due:
+            self._refused["double"] += history.insert(due)
+
+    def _told(self, belief: Belief) -> EstimatorSignals:
+        sigma_m = position_sigma_m(belief.covariance)
+        age_ns = belief.time_ns - belief.fixed_ns
+        if not belief.is_known or sigma_m > self._options.lost_sigma_m:
+            health = LOST
+        else:
+            health = DEGRADED if age_ns > self._options.fix_timeout_s * _NS else GOOD
+        return EstimatorSignals(
+            sigma_m,
+            math.sqrt(max(0.0, belief.covariance.hh)),
+            belief.bias_rad_s,
+            belief.accepted,
+            belief.rejected,
+            age_ns * 1e-6,
+            float(self._slip.is_slipping),
+            health,
+        )
+
+
+def _unsure(belief: Belief) -> Belief:
+    """Return the belief after a reset of the robot: its pose moved by an unknown way, its streak of fixes is over."""
+    p: Covariance = belief.covariance
+    grown = p._replace(xx=p.xx + _UNSEEN_M**2, yy=p.yy + _UNSEEN_M**2, hh=p.hh + _UNSEEN_RAD**2)
+    return belief._replace(covariance=grown, streak=0, streak_fix=None, streak_belief=None)

@@ -1,0 +1,109 @@
+"""The message of a pose fix from outside: one JSON object in one datagram (hil/estimation/ESTIMATORS.md). Pure.
+
+{"version": 1, "age_s": 0.1, "x_m": 1.0, "y_m": 0.5, "heading_rad": 0.7,
+ "covariance": [4e-4, 0, 0, 4e-4, 0, 1e-4]}
+"""
+
+import json
+import math
+from typing import NamedTuple
+
+from hil.core.types import Pose, PoseCovariance
+
+VERSION = 1
+LONGEST_BYTES = 1024
+LEAST_VARIANCE = 1e-10
+LARGEST = 1e6
+_LEAST_SHARE = 0.0025
+_FIELDS = {"version", "x_m", "y_m", "heading_rad", "covariance"}
+_STAMPS = ("age_s", "unix_time_s")
+
+
+class Refused(Exception):  # noqa: N818 - no error of ours: a datagram is refused and counted
+    """A datagram is no fix; ``cause`` is what it is counted as."""
+
+    def __init__(self, cause: str) -> None:
+        super().__init__(cause)
+        self.cause = cause
+
+
+class Received(NamedTuple):
+    """A fix as it was sent; one of ``age_s`` and ``unix_time_s`` is None."""
+
+    age_s: float | None
+    unix_time_s: float | None
+    pose: Pose
+    covariance: PoseCovariance
+
+    def age_at(self, unix_time_s: float) -> float:
+        """Return how old its sample is, read at this Unix time [s]."""
+        if self.unix_time_s is not None:
+            return unix_time_s - self.unix_time_s
+        assert self.age_s is not None
+        return self.age_s
+
+
+def parse(datagram: bytes) -> Received:
+    """Read a datagram. Raises Refused with the cause: too_long, malformed, version, not_finite or covariance."""
+    if len(datagram) > LONGEST_BYTES:
+        raise Refused("too_long")
+    try:
+        message = json.loads(datagram.decode("utf-8"))
+    except (ValueError, RecursionError):
+        raise Refused("malformed") from None
+    if not isinstance(message, dict):
+        raise Refused("malformed")
+    version = message.get("version")
+    if type(version) is int and version != VERSION:
+        raise Refused("version")
+    stamps = [name for name in _STAMPS if name in message]
+    if len(stamps) != 1 or message.keys() != _FIELDS | set(stamps) or type(version) is not int:
+        raise Refused("malformed")
+    entries = message["covariance"]
+    if not isinstance(entries, list) or len(entries) != len(PoseCovariance._fields):
+        raise Refused("malformed")
+    stamp = _number(message[stamps[0]])
+    pose = Pose(*(_number(message[name]) for name in Pose._fields))
+    covariance = PoseCovariance(*map(_number, entries))
+    if max(map(abs, pose)) > LARGEST:
+        raise Refused("not_finite")
+    if not _is_covariance(covariance):
+        raise Refused("covariance")
+    age_s, unix_time_s = (stamp if name in stamps else None for name in _STAMPS)
+    return Received(age_s, unix_time_s, pose, covariance)
+
+
+def _number(value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise Refused("malformed")
+    try:
+        number = float(value)
+    except OverflowError:
+        raise Refused("not_finite") from None
+    if not math.isfinite(number):
+        raise Refused("not_finite")
+    return number
+
+
+def _is_covariance(covariance: PoseCovariance) -> bool:
+    """Return whether it is positive definite and far from singular, so that a filter can invert it.
+
+    No sigma is below 10 µm or 10 µrad; none is known to less than a twentieth of itself by the others, which two with a
+    correlation of 0.9987 are.
+    """
+    xx, xy, xh, yy, yh, hh = covariance
+    if max(xx, yy, hh) > LARGEST or min(xx, yy, hh) < LEAST_VARIANCE:
+        return False
+    # Cholesky's pivots, as shares of the diagonal: of three the order matters, so that the last is asked for each.
+    return all(
+        _is_regular(*ordered)
+        for ordered in ((xx, xy, xh, yy, yh, hh), (yy, yh, xy, hh, xh, xx), (hh, xh, yh, xx, xy, yy))
+    )
+
+
+def _is_regular(a: float, ab: float, ac: float, b: float, bc: float, c: float) -> bool:
+    second = b - ab * ab / a
+    if second < _LEAST_SHARE * b:
+        return False
+    mixed = bc - ab * ac / a
+    return c - ac * ac / a - mixed * mixed / second >= _LEAST_SHARE * c

@@ -1,0 +1,110 @@
+"""Pose fixes as a lidar's SLAM gives them, made of the truth: seldom, late, noisy, sometimes wrong or missing."""
+
+import math
+import random
+from collections import deque
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from hil.core.types import MeasuredPose, Pose, PoseCovariance, PoseFix
+
+_NS = 1e9
+
+
+class SimulatedOptions(NamedTuple):
+    """``[estimator.simulated_fix]`` of a scenario, where each is explained and has its default."""
+
+    rate_hz: float
+    latency_s: float
+    sigma_m: float
+    sigma_rad: float
+    outlier_probability: float
+    outlier_m: float
+    dropout_probability: float
+    gap_start_s: float
+    gap_end_s: float
+
+
+class SimulatedFixes:
+    """A FixSource on robot time: in lockstep one seed gives the same fixes in every run.
+
+    The first sample of the truth of each period of 1 / ``rate_hz`` becomes a fix, stamped with its own time, which
+    arrives ``latency_s`` later. An outlier is off by ``outlier_m`` in any direction and turned by up to that many
+    radians; the covariance, as a real one's, does not tell. The random numbers of a fix are drawn in the same order
+    whatever becomes of it, so that an option changes what it says and nothing else.
+
+    ``truth_age_ns`` is how old the truth is when it is told: the link's feedback latency. A reset of the robot leaves
+    the truth's clock, which is the plant's, as it is; what its clock says then follows from this age.
+    """
+
+    def __init__(self, options: SimulatedOptions, seed: int, truth_age_ns: int = 0) -> None:
+        self._options = options
+        self._truth_age_ns = truth_age_ns
+        self._ahead_ns: int | None = 0  # the robot's clock ahead of the truth's; None until the robot is heard again
+        self._random = random.Random(f"pose fixes {seed}")
+        self._period_ns = round(_NS / options.rate_hz)
+        self._latency_ns = round(options.latency_s * _NS)
+        position, heading = options.sigma_m**2, options.sigma_rad**2
+        self._covariance = PoseCovariance(position, 0.0, 0.0, position, 0.0, heading)
+        self._on_their_way: deque[MeasuredPose] = deque()
+        self._first_ns: int | None = None
+        self._period: int | None = None
+        self._counts = {"made": 0, "outliers": 0, "dropped": 0, "received": 0}
+
+    def poll(self, now_ns: int, truth: PoseFix | None) -> Sequence[MeasuredPose]:
+        """Take the newest truth and return the fixes that arrive by now."""
+        if truth is not None and math.isfinite(sum(truth.pose)):
+            if self._ahead_ns is None:
+                self._ahead_ns = now_ns - self._truth_age_ns - truth.time_ns
+            self._sample(truth, truth.time_ns + self._ahead_ns)
+        arrived: list[MeasuredPose] = []
+        while self._on_their_way and self._on_their_way[0].time_ns + self._latency_ns <= now_ns:
+            arrived.append(self._on_their_way.popleft())
+        self._counts["received"] += len(arrived)
+        return arrived
+
+    def skip(self) -> None:
+        """Nothing waits that would be taken for newer than it is: each fix has its stamp."""
+
+    def restart(self) -> None:
+        """Stamp by the new clock; what was on its way had the stamps of the old one and is lost."""
+        self._on_their_way.clear()
+        self._ahead_ns = None
+        self._period = None
+
+    def figures(self) -> dict[str, Any]:
+        """Return how many fixes were made, and what became of them."""
+        return dict(self._counts)
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+    def _sample(self, truth: PoseFix, time_ns: int) -> None:
+        if self._first_ns is None:
+            self._first_ns = truth.time_ns
+        period = time_ns // self._period_ns
+        if period == self._period:
+            return
+        self._period = period
+        fix = self._made(truth.pose, time_ns, (truth.time_ns - self._first_ns) / _NS)
+        if fix is not None:
+            self._on_their_way.append(fix)
+
+    def _made(self, truth: Pose, time_ns: int, t_s: float) -> MeasuredPose | None:
+        options, chance = self._options, self._random
+        x_m, y_m = (chance.gauss(0.0, options.sigma_m) for _ in "xy")
+        heading_rad = chance.gauss(0.0, options.sigma_rad)
+        is_outlier = chance.random() < options.outlier_probability
+        direction_rad, turned_rad = chance.uniform(-math.pi, math.pi), chance.uniform(-1.0, 1.0) * options.outlier_m
+        is_dropped = chance.random() < options.dropout_probability
+        self._counts["made"] += 1
+        if is_dropped or options.gap_start_s <= t_s < options.gap_end_s:
+            self._counts["dropped"] += 1
+            return None
+        if is_outlier:
+            self._counts["outliers"] += 1
+            x_m += options.outlier_m * math.cos(direction_rad)
+            y_m += options.outlier_m * math.sin(direction_rad)
+            heading_rad += turned_rad
+        x, y, heading = truth
+        return MeasuredPose(time_ns, Pose(x + x_m, y + y_m, heading + heading_rad), self._covariance)

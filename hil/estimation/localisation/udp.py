@@ -1,0 +1,93 @@
+"""Pose fixes from another program, by UDP."""
+
+import socket
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+from hil.core.errors import BadInputError
+from hil.core.types import MeasuredPose, PoseFix
+from hil.estimation.localisation.address import parse_address
+from hil.estimation.localisation.message import Refused, parse
+
+_AT_MOST = 16  # datagrams a poll; the rest waits for the next one
+_SKIPPED_AT_MOST = 1024  # more than a socket of the usual size holds; a flood does not hold up the tick for ever
+_BUFFER_BYTES = 65536
+_FUTURE_S = 0.010
+_NS = 1e9
+
+
+class UdpFixes:
+    """A FixSource that takes datagrams as they come, without waiting; what is no fix is counted by cause.
+
+    ``oldest_s`` is the age beyond which a fix is refused as ``stale``; one more than 10 ms from the future, which is
+    more than clocks of one machine differ, is refused as ``future``. ``unix_time_s`` is the clock that stamps of Unix
+    time are held against.
+
+    Raises BadInputError for an address that is none or is taken.
+    """
+
+    def __init__(self, address: str, oldest_s: float, unix_time_s: Callable[[], float] = time.time) -> None:
+        self._oldest_s = oldest_s
+        self._unix_time_s = unix_time_s
+        self._refused: Counter[str] = Counter()
+        self._received = 0
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.setblocking(False)
+            self._socket.bind(parse_address(address))
+        except BadInputError:
+            self._socket.close()
+            raise
+        except OSError as error:
+            self._socket.close()
+            raise BadInputError(f"estimator.fix = {address!r} cannot be opened ({error}); choose another") from error
+
+    def poll(self, now_ns: int, truth: PoseFix | None) -> Sequence[MeasuredPose]:
+        """Return the fixes that have come; ``truth`` has no part in it."""
+        fixes: list[MeasuredPose] = []
+        for datagram in self._datagrams(_AT_MOST):
+            try:
+                fixes.append(self._taken(datagram, now_ns))
+            except Refused as refused:
+                self._refused[refused.cause] += 1
+        return fixes
+
+    def skip(self) -> None:
+        """Refuse what has come as ``waited``: read later, an age would be counted from a time that is too late."""
+        for _ in self._datagrams(_SKIPPED_AT_MOST):
+            self._refused["waited"] += 1
+
+    def _datagrams(self, at_most: int) -> Iterator[bytes]:
+        for _ in range(at_most):
+            try:
+                datagram = self._socket.recv(_BUFFER_BYTES)
+            except BlockingIOError:
+                break
+            except OSError:
+                # Windows reports with a receiving socket what became of datagrams that were sent: none of ours.
+                self._refused["socket"] += 1
+                continue
+            self._received += 1
+            yield datagram
+
+    def restart(self) -> None:
+        """Nothing is held: what came without the robot was skipped."""
+
+    def figures(self) -> dict[str, Any]:
+        """Return how many datagrams were read and how many of them were refused, by cause."""
+        return {"received": self._received, "refused": dict(self._refused)}
+
+    def close(self) -> None:
+        """Release the port. Closing twice is allowed."""
+        self._socket.close()
+
+    def _taken(self, datagram: bytes, now_ns: int) -> MeasuredPose:
+        message = parse(datagram)
+        age_s = message.age_at(self._unix_time_s())
+        if age_s > self._oldest_s:
+            raise Refused("stale")
+        if age_s < -_FUTURE_S:
+            raise Refused("future")
+        return MeasuredPose(now_ns - round(age_s * _NS), message.pose, message.covariance)

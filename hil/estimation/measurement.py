@@ -1,0 +1,75 @@
+"""What an estimator is given and what it gives back. Time is robot time in nanoseconds; nobody here has a clock."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Protocol
+
+from hil.core.kinematics import BodyTwist, body_twist
+from hil.core.model import RobotModel
+from hil.core.signals import EstimatorSignals
+from hil.core.types import NAN, MeasuredPose, PoseFix, State, Wheels
+
+Counts = tuple[int, int, int, int]
+"""Encoder counts of FL, FR, RR, RL as on the wire: 16 bits, wrapping (DBC ENCODERS)."""
+
+GOOD, DEGRADED, LOST = 0.0, 1.0, 2.0
+"""``estimator.health``; a robot whose estimator is LOST is held at rest."""
+NO_STATUS = EstimatorSignals(*[NAN] * len(EstimatorSignals._fields))
+
+
+class Measurement(Protocol):
+    """What one feedback snapshot has for an estimator (``hil.robot.snapshot.Feedback`` has more)."""
+
+    @property
+    def robot_time_ns(self) -> int:
+        """Robot time of the sample; does not wrap."""
+
+    @property
+    def encoder_count(self) -> Counts | None:
+        """Encoder counts, or None where there are none."""
+
+    @property
+    def speed_rad_s(self) -> Wheels:
+        """Wheel speeds as the firmware estimates them."""
+
+    @property
+    def yaw_rate_rad_s(self) -> float:
+        """The gyro's yaw rate; NaN where there is none."""
+
+    @property
+    def acceleration_m_s2(self) -> tuple[float, float, float]:
+        """Acceleration in the body frame, without gravity's; NaN where there is no accelerometer."""
+
+
+class Estimator(Protocol):
+    """Turns measurements into the state that the controller acts on."""
+
+    @property
+    def uses_truth(self) -> bool:
+        """Whether the state rests on the truth, and is too old when the truth is."""
+
+    @property
+    def status(self) -> EstimatorSignals:
+        """How sure the last update is; NaN for what an estimator does not know."""
+
+    def update(
+        self, measurement: Measurement, truth: PoseFix | None, fixes: Sequence[MeasuredPose] = ()
+    ) -> State | None:
+        """Return the state at the newest measurement, or None while it is not known.
+
+        ``truth`` is the newest there is, ``fixes`` are those that have arrived since the last call. The same
+        measurement or truth may be given again.
+        """
+
+    def fix_figures(self) -> Mapping[str, int]:
+        """Return what became of the pose fixes so far; empty for an estimator that takes none."""
+
+    def restart(self) -> None:
+        """Go on with a robot that was reset: its clock and its counts began anew, the pose is the last one known."""
+
+
+def measured_twist(model: RobotModel, measurement: Measurement, gyro_bias_rad_s: float = 0.0) -> BodyTwist:
+    """Return the body twist of wheels and gyro; without a gyro the yaw rate too is the wheels'."""
+    body = body_twist(measurement.speed_rad_s, model.wheel_radius_m, model.lever_m)
+    yaw_rate = measurement.yaw_rate_rad_s
+    return body if math.isnan(yaw_rate) else BodyTwist(body.forward_m_s, body.left_m_s, yaw_rate - gyro_bias_rad_s)

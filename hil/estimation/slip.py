@@ -1,0 +1,81 @@
+"""Slip: what the wheels say of the motion contradicts itself, the gyro or the accelerometer."""
+
+import math
+
+from hil.estimation.motion import Motion
+
+# One count within 1 ms is 0.1 m/s: faster measurements are taken together up to 200 Hz, the rate of GYRO.
+_SHORTEST_S = 0.0049
+_WINDOW_S = 0.1
+_ACCELEROMETER_WINDOW_S = 0.2
+
+
+class SlipDetector:
+    """Compares, as speeds [m/s] over a short window, three pairs that agree while the wheels roll.
+
+    - Front and rear wheels: the one combination of four wheel speeds that no motion of a rigid robot has.
+    - Wheels and gyro: the difference of the yaw rates times the lever L.
+    - Wheels and accelerometer: the difference of the changes of velocity; the only one that tells when all four wheels
+      spin alike.
+
+    Each difference is summed up and forgotten over 0.1 s (0.2 s for the accelerometer), so that quantisation, which
+    does not sum up, has little part in it. Slip begins where one exceeds ``threshold_m_s`` and ends where all are
+    below half of it. A gyro's bias counts times L, an accelerometer's times 0.2 s.
+    """
+
+    def __init__(self, lever_m: float, threshold_m_s: float) -> None:
+        self._lever_m = lever_m
+        self._threshold_m_s = threshold_m_s
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget everything: the wheels roll."""
+        self.is_slipping = False
+        self._found_m_s = 0.0
+        self._together: Motion | None = None
+        self._disagreement_m = 0.0
+        self._yaw_m = 0.0
+        self._forward_m_s = 0.0
+        self._left_m_s = 0.0
+        self._last_m_s: tuple[float, float] | None = None
+
+    def update(self, motion: Motion, gyro_bias_rad_s: float = 0.0) -> float:
+        """Take the next motion; return the speed of the slip [m/s], 0 without slip."""
+        if self._together is not None:
+            motion = self._together.and_then(motion)
+        if motion.dt_s < _SHORTEST_S:
+            self._together = motion
+        else:
+            self._together = None
+            self._compare(motion, gyro_bias_rad_s)
+        return self._found_m_s if self.is_slipping else 0.0
+
+    def _compare(self, motion: Motion, gyro_bias_rad_s: float) -> None:
+        dt_s, gyro_rad, turned_rad = motion.dt_s, motion.gyro_rad, motion.turned_rad
+        kept = math.exp(-dt_s / _WINDOW_S)
+        self._disagreement_m = kept * (self._disagreement_m + motion.disagreement_m)
+        if not math.isnan(gyro_rad):
+            gyro_rad -= gyro_bias_rad_s * dt_s
+            self._yaw_m = kept * (self._yaw_m + self._lever_m * (gyro_rad - turned_rad))
+            turned_rad = gyro_rad
+        found_m_s = max(abs(self._disagreement_m), abs(self._yaw_m)) / _WINDOW_S
+        self._found_m_s = max(found_m_s, self._against_accelerometer(motion, turned_rad))
+        limit_m_s = 0.5 * self._threshold_m_s if self.is_slipping else self._threshold_m_s
+        self.is_slipping = self._found_m_s > limit_m_s
+
+    def _against_accelerometer(self, motion: Motion, turned_rad: float) -> float:
+        dt_s = motion.dt_s
+        forward_m_s, left_m_s = motion.forward_m / dt_s, motion.left_m / dt_s
+        if math.isnan(motion.gained_forward_m_s + motion.gained_left_m_s):
+            # How the velocity changed is not known: what was compared is over.
+            self._last_m_s, self._forward_m_s, self._left_m_s = None, 0.0, 0.0
+            return 0.0
+        last, self._last_m_s = self._last_m_s, (forward_m_s, left_m_s)
+        if last is None:
+            return 0.0
+        kept = math.exp(-dt_s / _ACCELEROMETER_WINDOW_S)
+        # In the turning body frame the velocity changes by the acceleration minus the yaw rate crossed with it.
+        forward = self._forward_m_s + motion.gained_forward_m_s + turned_rad * left_m_s - (forward_m_s - last[0])
+        left = self._left_m_s + motion.gained_left_m_s - turned_rad * forward_m_s - (left_m_s - last[1])
+        self._forward_m_s, self._left_m_s = kept * forward, kept * left
+        return math.hypot(self._forward_m_s, self._left_m_s)

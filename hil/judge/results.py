@@ -1,0 +1,182 @@
+"""What a run leaves behind: signals as arrays, figures, and what they mean for the exit code."""
+
+import struct
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hil.core.errors import HilError, UnknownSignalError
+from hil.core.figure_words import FIGURES, why_not_passed
+from hil.core.samples import Percentiles, Samples
+from hil.judge.metrics import BLOCK_ROWS, SignalFigures
+from hil.scenario import Scenario
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Series = npt.NDArray[np.float64]
+
+_PRINTED = ("tracked_s", "steady_rms_m", "steady_max_m", "ticks")
+
+
+class MemorySink:
+    """Makes the figures of a run from its rows, and keeps the rows only for who wants the signals.
+
+    A block of rows is worked on in small steps, one a tick, so that no tick pays for all of it. ``names`` are the
+    signals of the run; with ``keep`` every row stays in memory: 0.8 MB a second at 1 kHz.
+    """
+
+    def __init__(self, names: Sequence[str], figures: SignalFigures, *, keep: bool) -> None:
+        self._names = names
+        self._figures = figures
+        self._keep = keep
+        self._age_place = names.index("link.feedback_age_ms")
+        self._age_ms = Samples()
+        self._blocks: list[Series] = []
+        self._pack = struct.Struct(f"{len(names)}d").pack
+        self._row_bytes = 8 * len(names)
+        self._block_bytes = BLOCK_ROWS * self._row_bytes
+        self._steps: Iterator[None] = iter(())
+        self._new_block()
+
+    def _new_block(self) -> None:
+        # Its pages are touched one by one as rows come: no tick pays for all of them.
+        self._block: Series = np.empty((BLOCK_ROWS, len(self._names)))
+        self._bytes = self._block.data.cast("B")
+        self._filled = 0  # bytes
+
+    def put(self, row: tuple[float, ...]) -> None:
+        """Take one row in the order of the signals."""
+        begin = self._filled
+        end = begin + self._row_bytes
+        # With the row alone as its arguments a call takes it as it is; ``pack_into`` has it copied twice.
+        self._bytes[begin:end] = self._pack(*row)
+        self._filled = end
+        if end >= self._block_bytes:
+            self._begin_block()
+        else:
+            next(self._steps, None)
+
+    def figures(self, cut: str | None = None) -> tuple[dict[str, Any], dict[str, str]]:
+        """Return the figures and reasons of the run so far, as ``SignalFigures``."""
+        self._begin_block()
+        self._finish_block()
+        return self._figures.figures(cut)
+
+    def feedback_age_ms(self) -> Percentiles | None:
+        """Return the percentiles of ``link.feedback_age_ms`` over the rows that ``figures`` has taken."""
+        return self._age_ms.percentiles()
+
+    def signals(self) -> dict[str, Series]:
+        """Return every signal by name, each of shape (ticks,); none of them when no rows are kept."""
+        if not self._keep:
+            return {}
+        self._blocks = [np.concatenate([*self._blocks, self._rest()])]
+        self._filled = 0
+        return {name: self._blocks[0][:, i] for i, name in enumerate(self._names)}
+
+    def _rest(self) -> Series:
+        """Return the rows since the last block, without a copy."""
+        return self._block[: self._filled // self._row_bytes]
+
+    def _begin_block(self) -> None:
+        """Begin with the work on the rows since the last block."""
+        self._finish_block()
+        rows = self._rest()
+        self._new_block()
+        if self._keep:
+            self._blocks.append(rows)
+        self._steps = self._work(rows)
+
+    def _finish_block(self) -> None:
+        for _ in self._steps:
+            pass
+
+    def _work(self, rows: Series) -> Iterator[None]:
+        self._age_ms.take(rows[:, self._age_place])
+        yield
+        yield from self._figures.take({name: rows[:, i] for i, name in enumerate(self._names)})
+
+
+class Signals(Mapping[str, Series]):
+    """The signals of a run by name, each of shape (ticks,); a wrong name raises UnknownSignalError with near ones."""
+
+    def __init__(self, series: Mapping[str, Series]) -> None:
+        self._series = series
+
+    def __getitem__(self, name: str) -> Series:
+        try:
+            return self._series[name]
+        except KeyError:
+            raise UnknownSignalError(name, self._series) from None
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._series)
+
+    def __len__(self) -> int:
+        return len(self._series)
+
+    def __repr__(self) -> str:
+        ticks = len(next(iter(self._series.values()), ()))
+        return f"<{len(self)} signals of {ticks} ticks>"
+
+
+@dataclass(frozen=True, repr=False)
+class RunResult:
+    """A finished run; printed, it says in a few lines how it went.
+
+    Attributes:
+        scenario: what was run.
+        metrics: the figures, as ``hil run --json`` prints them; a figure without a meaning is None, with the reason
+            under ``reasons``.
+        signals: every signal of the run by name, each of shape (ticks,): those of ``hil list signals``, then the extra
+            ones. Empty when the run was told to keep none.
+        failure: what ended the run early, or None.
+    """
+
+    scenario: Scenario
+    metrics: Mapping[str, Any]
+    signals: Signals
+    failure: HilError | None
+
+    def __repr__(self) -> str:
+        metrics = self.metrics
+        name, law, mode, link, seed = (metrics[key] for key in ("scenario", "law", "mode", "link", "seed"))
+        lines = [
+            f"<RunResult {name}: {law}, {mode} over {link}, seed {seed}",
+            f"  passed: {'yes' if self.passed else 'no'}",
+        ]
+        lines += [f"  {why}" for why in why_not_passed(metrics)]
+        shown = [
+            f"{figure.label} {metrics[figure.name] * figure.scale:.5g} {figure.unit}".rstrip()
+            for figure in FIGURES
+            if figure.name in _PRINTED and metrics[figure.name] is not None
+        ]
+        lines.append(f"  {', '.join(shown)}")
+        return "\n".join(lines) + ">"
+
+    @property
+    def passed(self) -> bool:
+        """Whether the run ended as expected."""
+        return bool(self.metrics["passed"])
+
+    @property
+    def exit_code(self) -> int:
+        """0 as expected, 1 when an expectation failed, 2 when the law failed, 3 when the link or the device did."""
+        if self.failure is not None:
+            return self.failure.exit_code
+        return 0 if self.passed else 1
+
+    @cached_property
+    def _frame(self) -> "pd.DataFrame":
+        import pandas as pd
+
+        return pd.DataFrame(dict(self.signals)).set_index("loop.t_s", drop=False)
+
+    def frame(self) -> "pd.DataFrame":
+        """Return the signals as a pandas frame, one row a tick, indexed by ``loop.t_s``."""
+        return self._frame

@@ -1,0 +1,52 @@
+"""AFDSC: dynamic surface control with fuzzy gains (Nguyen Minh et al. 2023, section III.B)."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from hil.core.model import RobotModel
+from hil.core.options import require_positive
+from hil.core.types import Applied, CommandMode, Reference, State, WheelCommand
+from hil.laws.fuzzy import Tables
+from hil.laws.fuzzy_gains import FuzzyLaw, FuzzyRanges
+from hil.laws.surface import DynamicSurface, tracking_error
+
+
+class Afdsc(FuzzyLaw):
+    """Adaptive fuzzy dynamic surface control: DSC with fuzzy gains, by the paper's tables as printed.
+
+    A fuzzy block an axis sets the gains at every tick: K1 from 3 to 15 1/s and K2 from 10 to 40 1/s. In SPEED mode
+    only K1 is in force.
+    """
+
+    tables: ClassVar[Tables] = "printed"
+
+    @dataclass(frozen=True, slots=True)
+    class Options(FuzzyRanges):
+        """The ranges of the fuzzy inputs, and the filter's time constant ς [s].
+
+        None is in the paper's text. ς is DSC's. The defaults suit a start about 0.3 m and 0.8 rad away. With ς at its
+        default, the time to converge hardly depends on the ranges while the one of the rate is above about 2 1/s times
+        the one of the error. Below, K1 stays small for so long that the robot no longer overshoots, and the time jumps.
+        """
+
+        filter_s: float = 0.0675
+
+        def __post_init__(self) -> None:
+            FuzzyRanges.__post_init__(self)
+            require_positive(self, "filter_s")
+
+    def __init__(self, model: RobotModel, mode: CommandMode, options: Options) -> None:
+        super().__init__(mode, self.tables, options)
+        self._surface = DynamicSurface(model, mode, options.filter_s)
+
+    def reset(self, state: State, reference: Reference) -> None:
+        """Start the filter from this state and reference."""
+        error = tracking_error(reference, state)
+        self._last = self._tuner.of(error)
+        self._surface.reset(reference, error, self._last)
+
+    def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
+        """Return the command of this tick, not limited; ``applied`` has no part in the paper's law."""
+        error = tracking_error(reference, state)
+        self._last = gains = self._tuner.of(error)
+        return self._surface.command(reference, state, error, gains, dt_s)

@@ -1,0 +1,46 @@
+"""AFDSC with feedforward bypass and extended state observer."""
+
+from dataclasses import dataclass
+
+from hil.core.model import RobotModel
+from hil.core.options import require_positive
+from hil.core.types import Applied, CommandMode, Reference, State, WheelCommand
+from hil.laws.fuzzy import Tables
+from hil.laws.fuzzy_gains import FuzzyLaw, FuzzyRanges
+from hil.laws.observed_surface import ObservedSurface
+from hil.laws.surface import tracking_error
+
+
+class AfdscEso(FuzzyLaw):
+    """AFDSC with feedforward bypass, extended state observer and latency compensation.
+
+    The gains are AFDSC's, by the error when the command takes effect. In SPEED mode only K1 is in force.
+    """
+
+    @dataclass(frozen=True, slots=True)
+    class Options(FuzzyRanges):
+        """The ranges of the fuzzy inputs, which tables, the filter's time constant ς [s], and the observer's ωo."""
+
+        tables: Tables = "corrected"
+        filter_s: float = 0.01
+        observer_rad_s: float = 60.0
+
+        def __post_init__(self) -> None:
+            FuzzyRanges.__post_init__(self)
+            require_positive(self, "filter_s", "observer_rad_s")
+
+    def __init__(self, model: RobotModel, mode: CommandMode, options: Options) -> None:
+        super().__init__(mode, options.tables, options)
+        self._surface = ObservedSurface(model, mode, options.filter_s, options.observer_rad_s)
+
+    def reset(self, state: State, reference: Reference) -> None:
+        """Start filter and observer from this state and reference."""
+        error = tracking_error(reference, state)
+        self._last = self._tuner.of(error)
+        self._surface.reset(state, error, self._last)
+
+    def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
+        """Return the command of this tick, not limited."""
+        ahead = self._surface.ahead(reference, state, applied, dt_s)
+        self._last = gains = self._tuner.of(ahead.error)
+        return self._surface.command(reference, ahead, gains, dt_s)

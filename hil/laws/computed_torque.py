@@ -1,0 +1,53 @@
+"""Computed torque: the model cancels what it knows of the robot, and a linear law drives what is left."""
+
+from dataclasses import dataclass
+
+from hil.core.errors import BadInputError
+from hil.core.model import RobotModel
+from hil.core.options import require_positive
+from hil.core.types import NO_GAINS, Applied, CommandMode, Reference, State, WheelCommand
+from hil.laws.ahead import TorquePrediction
+
+
+class ComputedTorque:
+    """Computed torque with feedforward: u = q̈_d - 2 ζ ωn ė - ωn² e, worked out for when it takes effect.
+
+    The error of each axis then decays as a second-order system (B. Siciliano et al., Robotics, 2009, section
+    8.5.2). Nothing in it removes a steady error: friction beyond the model's leaves one. Torques are what it
+    computes, so that it refuses SPEED mode with BadInputError.
+    """
+
+    @dataclass(frozen=True, slots=True)
+    class Options:
+        """Natural frequency ωn [rad/s] and damping ratio ζ [1] of all three axes."""
+
+        frequency_rad_s: float = 14.0
+        damping: float = 1.0
+
+        def __post_init__(self) -> None:
+            require_positive(self, "frequency_rad_s", "damping")
+
+    gains = NO_GAINS
+
+    def __init__(self, model: RobotModel, mode: CommandMode, options: Options) -> None:
+        if mode is not CommandMode.TORQUE:
+            raise BadInputError(
+                "controller.law = 'computed_torque': it computes torques, which controller.command = 'speed' does not "
+                "carry; set controller.command = 'torque', or take a law that has speed commands, such as 'lqi'"
+            )
+        self._to_error = options.frequency_rad_s**2
+        self._to_rate = 2.0 * options.damping * options.frequency_rad_s
+        self._prediction = TorquePrediction(model)
+
+    def reset(self, state: State, reference: Reference) -> None:
+        """Forget the commands on their way."""
+        self._prediction.reset(state)
+
+    def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
+        """Return the command of this tick, not limited."""
+        ahead = self._prediction.ahead(reference, state, applied, dt_s)
+        x, y, heading, vx, vy, yaw_rate = ahead.error
+        ax, ay, ah = reference.acceleration
+        kp, kd = self._to_error, self._to_rate
+        asked = ax - kp * x - kd * vx, ay - kp * y - kd * vy, ah - kp * heading - kd * yaw_rate
+        return self._prediction.command(asked, ahead)

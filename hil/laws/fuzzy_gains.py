@@ -1,0 +1,80 @@
+"""Gains of all three axes by the fuzzy block: what AFDSC and its relatives have in common."""
+
+from dataclasses import dataclass
+
+from hil.core.options import require_positive
+from hil.core.types import NAN, NO_GAINS, CommandMode, Gains, Pairs, make_gains
+from hil.laws.fuzzy import FIRING, FuzzyBlock, Tables
+from hil.laws.surface import without_inner
+
+
+@dataclass(frozen=True, slots=True)
+class FuzzyRanges:
+    """The ranges of the fuzzy inputs: where the sets NB and PB peak. x and y share theirs, the heading has its own."""
+
+    error_range_m: float = 0.2
+    error_rate_range_m_s: float = 0.7
+    heading_error_range_rad: float = 0.8
+    heading_rate_range_rad_s: float = 4.0
+
+    def __post_init__(self) -> None:
+        require_positive(
+            self,
+            "error_range_m",
+            "error_rate_range_m_s",
+            "heading_error_range_rad",
+            "heading_rate_range_rad_s",
+        )
+
+
+class FuzzyGains:
+    """A fuzzy block an axis. It has ``OwnSignals``: what fires in each (``hil.laws.fuzzy.FuzzyBlock.firing``)."""
+
+    __slots__ = ("_error", "_heading", "_planar")
+
+    signals = tuple(f"fuzzy.{axis}.{name}" for axis in ("x", "y", "heading") for name in FIRING)
+
+    def __init__(self, tables: Tables, ranges: FuzzyRanges) -> None:
+        self._planar = FuzzyBlock.from_tables(tables, ranges.error_range_m, ranges.error_rate_range_m_s)
+        self._heading = FuzzyBlock.from_tables(tables, ranges.heading_error_range_rad, ranges.heading_rate_range_rad_s)
+        self._error: Pairs | None = None
+
+    @property
+    def telemetry(self) -> tuple[float, ...]:
+        """What fires at the error of the last gains."""
+        if self._error is None:
+            return (NAN,) * len(self.signals)
+        x, y, heading, vx, vy, yaw_rate = self._error
+        firing = self._planar.firing
+        return firing(x, vx) + firing(y, vy) + self._heading.firing(heading, yaw_rate)
+
+    def of(self, error: Pairs) -> Pairs:
+        """Return K1 and K2 [1/s] at this error and its rate."""
+        self._error = error
+        x, y, heading, vx, vy, yaw_rate = error
+        k1_x, k2_x = self._planar.gains(x, vx)
+        k1_y, k2_y = self._planar.gains(y, vy)
+        k1_heading, k2_heading = self._heading.gains(heading, yaw_rate)
+        return k1_x, k1_y, k1_heading, k2_x, k2_y, k2_heading
+
+
+class FuzzyLaw:
+    """A law whose gains a ``FuzzyGains`` sets at every tick, and what it tells of them."""
+
+    signals = FuzzyGains.signals
+
+    def __init__(self, mode: CommandMode, tables: Tables, ranges: FuzzyRanges) -> None:
+        self._torque = mode is CommandMode.TORQUE
+        self._tuner = FuzzyGains(tables, ranges)
+        self._last: Pairs = NO_GAINS
+
+    @property
+    def gains(self) -> Gains:
+        """Gains of the last update; in SPEED mode K2 is not in force."""
+        gains = make_gains(self._last)
+        return gains if self._torque else without_inner(gains)
+
+    @property
+    def telemetry(self) -> tuple[float, ...]:
+        """What fires in the fuzzy block of each axis."""
+        return self._tuner.telemetry

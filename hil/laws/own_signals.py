@@ -1,0 +1,47 @@
+"""Signals that a law brings besides its command and its gains (``hil.core.ports.OwnSignals``)."""
+
+import re
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, cast
+
+from hil.core.errors import BadInputError
+from hil.core.signals import GROUPS
+
+if TYPE_CHECKING:
+    from hil.core.ports import Controller, OwnSignals
+
+_NAME = re.compile(r"[a-z][a-z0-9_]*(\.[a-z0-9_]+)+")
+_TAKEN = GROUPS | {"shadow", "replay", "timestamp", "sequence"}
+
+
+def own_signals(law: "Controller") -> "tuple[OwnSignals, ...]":
+    """Return the law where it has signals of its own, else nothing."""
+    return (cast("OwnSignals", law),) if getattr(law, "signals", ()) else ()
+
+
+def short_name(spec: str) -> str:
+    """Return what the signals of a law go by: its name or, of ``./my_law.py:MyLaw``, the name of the class."""
+    return re.sub(r"\W", "_", spec.rpartition(":")[2])
+
+
+def check_names(named: str, names: Sequence[object]) -> tuple[str, ...]:
+    """Return the names of a law's own signals; messages begin with ``named``.
+
+    Raises BadInputError for a name that is none, is given twice, is part of another, or belongs to the vocabulary.
+    """
+    checked: list[str] = []
+    for name in names:
+        if not isinstance(name, str) or not _NAME.fullmatch(name):
+            raise BadInputError(
+                f"{named}: signals has {name!r}; expected dotted names in small letters, such as 'observer.x_m_s2'"
+            )
+        group = name.partition(".")[0]
+        if group in _TAKEN:
+            raise BadInputError(f"{named}: signals has {name!r}; {group!r} is taken, begin the name with another word")
+        for other in checked:
+            if name == other:
+                raise BadInputError(f"{named}: signals has {name!r} twice; name each once")
+            if name.startswith(f"{other}.") or other.startswith(f"{name}."):
+                raise BadInputError(f"{named}: signals has {name!r} and {other!r}; neither may be a group of the other")
+        checked.append(name)
+    return tuple(checked)

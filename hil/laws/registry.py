@@ -1,0 +1,178 @@
+"""From the name of a law in a scenario to a controller that is ready to run."""
+
+import inspect
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, make_dataclass
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+from hil.core.errors import BadInputError, nearest
+from hil.core.model import RobotModel
+from hil.core.options import build
+from hil.core.types import CommandMode
+from hil.laws.afdsc import Afdsc
+from hil.laws.afdsc_corrected import AfdscCorrected
+from hil.laws.afdsc_eso import AfdscEso
+from hil.laws.code import code_of_file, code_of_module, forget
+from hil.laws.computed_torque import ComputedTorque
+from hil.laws.dsc import Dsc
+from hil.laws.dsc_eso import DscEso
+from hil.laws.lqi import Lqi
+from hil.laws.pid import Pid
+from hil.laws.profile import Profile
+from hil.laws.user import UserLaw, check_class, find_class
+
+if TYPE_CHECKING:
+    from hil.core.ports import Controller
+
+SHIPPED: dict[str, type] = {
+    "afdsc": Afdsc,
+    "afdsc_corrected": AfdscCorrected,
+    "afdsc_eso": AfdscEso,
+    "computed_torque": ComputedTorque,
+    "dsc": Dsc,
+    "dsc_eso": DscEso,
+    "lqi": Lqi,
+    "pid": Pid,
+    "profile": Profile,
+}
+
+_GROUP = "hil.laws"
+_LAW_KEY = "controller.law"
+_PACKAGE = "mecanum-hil"
+
+_given: dict[str, type] = {}  # classes that were given as such, by the text that stands for them in this process
+_NO_OPTIONS = make_dataclass("Options", [])
+
+
+def laws() -> list[tuple[str, str, str]]:
+    """Return name, package and one line of each law: the shipped ones, then those of other packages, not loaded."""
+    shipped = [(name, _PACKAGE, (inspect.getdoc(law) or "").splitlines()[0]) for name, law in SHIPPED.items()]
+    registered = _registered()
+    others = [(point.name, _package_of(point), _told(point, registered)) for point in registered]
+    return shipped + others
+
+
+def give_law(law: type) -> str:
+    """Return the text by which scenarios of this process name a class, so that a class can be given where text is."""
+    shipped = [name for name, one in SHIPPED.items() if one is law]
+    spec = shipped[0] if shipped else f"{law.__module__}:{law.__qualname__}"
+    _given[spec] = law
+    return spec
+
+
+def load_law(spec: str, base: Path) -> type:
+    """Return the class that a scenario's ``controller.law`` names.
+
+    ``spec`` is a shipped name, one that an installed package has registered as an entry point of the group
+    ``hil.laws``, ``"./my_law.py:MyLaw"`` (a file, relative to ``base``) or ``"package.module:MyLaw"``. Raises
+    BadInputError for an unknown name (with the nearest) and one that two packages have registered, and as
+    ``find_class`` does for a law that is not ours.
+    """
+    return _found(spec, base, _LAW_KEY)[0]
+
+
+def forget_law(spec: str, base: Path) -> None:
+    """Have the modules that hold a law executed anew when it is loaded next, so that nothing is left there of a run.
+
+    That of a law in a file always is; those that it imports stay as they are. Raises as ``load_law``.
+    """
+    if spec in SHIPPED or spec in _given:
+        return
+    law = load_law(spec, base)
+    named = next((point.value for point in _registered() if point.name == spec), spec).rpartition(":")[0]
+    for name in (law.__module__, named):
+        if not f"{name}.".startswith("hil."):
+            sys.modules.pop(name, None)
+            forget(name)
+
+
+def law_sha256(spec: str, base: Path) -> str | None:
+    """Return the hash of a law's code (see ``hil.laws.code``), None where its source is not there.
+
+    ``spec`` and ``base`` are those of ``load_law``, whose errors it does not raise. Executes nothing of the law.
+    """
+    if spec in SHIPPED:
+        return code_of_module(SHIPPED[spec].__module__)
+    value = next((point.value for point in _registered() if point.name == spec), spec)
+    location = value.rpartition(":")[0]
+    return code_of_file(base / location) if location.endswith(".py") else code_of_module(location)
+
+
+def make_controller(
+    spec: str,
+    base: Path,
+    model: RobotModel,
+    mode: CommandMode,
+    options: Mapping[str, object],
+    *,
+    law_key: str = _LAW_KEY,
+    gains_key: str = "controller.gains",
+) -> "Controller":
+    """Return the controller of a scenario's ``[controller]`` table, ``options`` being ``[controller.gains]``.
+
+    ``law_key`` and ``gains_key`` are what messages call the two.
+
+    The law's dataclass ``Options`` defines them; the law is made as ``Law(model, mode, options)``. A law that is
+    not ours may have no ``Options``: it then takes none, and is made as ``Law(model, mode)``, or as ``Law()``
+    when it has no constructor. Raises BadInputError as ``load_law`` and ``UserLaw`` do, for an option that is
+    unknown (with the nearest), of the wrong type or out of range, and for a mode that the law refuses.
+    """
+    law, named = _found(spec, base, law_key)
+    kind: Any = getattr(law, "Options", None)
+    checked = build(kind or _NO_OPTIONS, options, gains_key)
+    if spec in SHIPPED:
+        return cast("Controller", law(model, mode, checked))
+    return UserLaw(named, law, mode, [(model, mode, checked)] if kind else [(model, mode), ()])
+
+
+def gains_in_force(spec: str, base: Path, options: Mapping[str, object]) -> dict[str, object]:
+    """Return every option of a law by name, given or left to its default. Raises as ``make_controller``."""
+    kind: Any = getattr(load_law(spec, base), "Options", None)
+    return asdict(build(kind or _NO_OPTIONS, options, "controller.gains"))
+
+
+def _found(spec: str, base: Path, key: str) -> tuple[type, str]:
+    """Return the law's class, and what messages call it."""
+    named = f"{key} = {spec!r}"
+    if spec in SHIPPED:
+        return SHIPPED[spec], named
+    if spec in _given:
+        return check_class(_given[spec], named), named
+    if ":" in spec:
+        return find_class(spec, base, named), named
+    if spec.endswith(".py"):
+        raise BadInputError(f"{named}: name the class too, as in '{spec}:MyLaw'")
+    registered = _registered()
+    same = [point for point in registered if point.name == spec]
+    if not same:
+        raise BadInputError(f"{named}: unknown{nearest(spec, [*SHIPPED, *(point.name for point in registered)])}")
+    if len(same) > 1:
+        packages = " and ".join(f"{_package_of(point)} ({point.value})" for point in same)
+        raise BadInputError(f"{named}: registered by {packages}; name one as 'package.module:Class'")
+    named = f"{named}, of the package {_package_of(same[0])}"
+    if ":" not in same[0].value:
+        raise BadInputError(f"{named}: registered as {same[0].value!r}, expected 'package.module:Class'")
+    return find_class(same[0].value, base, named), named
+
+
+def _registered() -> list[EntryPoint]:
+    """Return the laws of other packages; one that is found twice, as on a path that is listed twice, counts once."""
+    points = {(point.name, _package_of(point)): point for point in entry_points(group=_GROUP)}
+    return [points[key] for key in sorted(points)]
+
+
+def _package_of(point: EntryPoint) -> str:
+    """Return the name of the package that has registered a law."""
+    return point.dist.name if point.dist is not None else "unknown"
+
+
+def _told(point: EntryPoint, registered: Sequence[EntryPoint]) -> str:
+    """Return what the list says of a law that is not loaded for it."""
+    if point.name in SHIPPED:
+        return f"not taken: the shipped law has this name; use {point.value!r}"
+    if sum(other.name == point.name for other in registered) > 1:
+        return f"registered by more than one package; use {point.value!r}"
+    return point.value

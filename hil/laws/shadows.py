@@ -1,0 +1,95 @@
+"""Shadows: laws that are computed beside the one in command, from the same inputs, and drive nothing.
+
+Each is given the reference, the state and what was really applied. So a shadow's command is what it would say at this
+tick, not how it would drive: the robot moves as the law in command has it, and a shadow that integrates an error
+integrates one that it cannot remove.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from hil.core.errors import HilError
+from hil.core.guard import Guard
+from hil.core.model import RobotModel
+from hil.core.ports import Controller
+from hil.core.types import NAN_WHEELS, WHEEL_NAMES, Applied, CommandMode, Reference, State, Wheels
+
+QUANTITY = {CommandMode.SPEED: "speed_command_rad_s", CommandMode.TORQUE: "torque_command_n_m"}
+"""What the signals of set points are called."""
+
+
+def command_names(prefix: str, mode: CommandMode) -> tuple[str, ...]:
+    """Return the names of a law's four set points, such as ``shadow.dsc.wheel.fl.torque_command_n_m``."""
+    return tuple(f"{prefix}.wheel.{wheel}.{QUANTITY[mode]}" for wheel in WHEEL_NAMES)
+
+
+class Shadows:
+    """Laws by name, in the mode of the run. They have ``OwnSignals``: their set points after a guard of their own.
+
+    A shadow that raises is dropped and has no value from then on; ``dropped`` tells when and why.
+    """
+
+    def __init__(self, laws: Mapping[str, Controller], mode: CommandMode, model: RobotModel) -> None:
+        self._laws = dict(laws)
+        self._mode = mode
+        self._guards = {name: Guard(model.speed_limit_rad_s, model.torque_limit_n_m) for name in laws}
+        self._commands: dict[str, Wheels] = dict.fromkeys(laws, NAN_WHEELS)
+        self._asked = dict.fromkeys(laws, 0)
+        self.dropped: dict[str, tuple[float, str]] = {}
+        self.signals = tuple(one for name in laws for one in command_names(f"shadow.{name}", mode))
+
+    @property
+    def telemetry(self) -> tuple[float, ...]:
+        """Four set points a shadow; NaN where it was not asked, or was dropped."""
+        row: tuple[float, ...] = ()
+        for command in self._commands.values():
+            row += command
+        return row
+
+    def heed(self, robot_speed_limit_rad_s: float) -> None:
+        """Keep the set points within what the robot takes, as those of the law in command."""
+        for guard in self._guards.values():
+            guard.heed(robot_speed_limit_rad_s)
+
+    def hold(self) -> None:
+        """Do one tick in which no law is asked."""
+        self._commands = dict.fromkeys(self._commands, NAN_WHEELS)
+
+    def update(
+        self, t_s: float, reference: Reference, state: State, applied: Applied, dt_s: float, *, begins: bool
+    ) -> Sequence[str]:
+        """Ask each for its command of the tick at ``t_s``; where the run ``begins``, or begins anew, reset it first.
+
+        Return a sentence for each that was dropped for what it did.
+        """
+        dropped: Sequence[str] = ()
+        for name, law in list(self._laws.items()):
+            try:
+                if begins:
+                    law.reset(state, reference)
+                wanted = law.update(reference, state, applied, dt_s)
+            except Exception as error:  # noqa: BLE001 - whatever it is, the run goes on, and it is told
+                why = str(error) if isinstance(error, HilError) else f"{type(error).__name__}: {error}"
+                sentence = f"shadow {name} dropped at t = {t_s:.3f} s: {why}"
+                self.dropped[name] = (t_s, sentence)
+                dropped = (*dropped, sentence)
+                self._commands[name] = NAN_WHEELS
+                del self._laws[name]
+                continue
+            command, _ = self._guards[name].apply(wanted)
+            self._asked[name] += 1
+            self._commands[name] = command.speed_rad_s if self._mode is CommandMode.SPEED else command.torque_n_m
+        return dropped
+
+    def figures(self) -> list[dict[str, Any]]:
+        """Return for each shadow what became of it: ticks in which it was asked, commands that were no numbers."""
+        return [
+            {
+                "name": name,
+                "asked": self._asked[name],
+                "commands_refused": guard.refused,
+                "dropped_s": self.dropped[name][0] if name in self.dropped else None,
+                "dropped": self.dropped[name][1] if name in self.dropped else None,
+            }
+            for name, guard in self._guards.items()
+        ]

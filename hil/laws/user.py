@@ -1,0 +1,205 @@
+"""A law that is not ours: finds its class, and turns whatever its code raises into one readable sentence."""
+
+import importlib
+import importlib.util
+import inspect
+import sys
+import traceback
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from hil.core.errors import BadInputError, nearest
+from hil.core.types import NO_GAINS, Applied, CommandMode, Gains, Reference, State, WheelCommand, Wheels
+from hil.laws.own_signals import check_names
+
+_METHODS = {
+    "reset": ("self", "state", "reference"),
+    "update": ("self", "reference", "state", "applied", "dt_s"),
+}
+
+
+def find_class(spec: str, base: Path, named: str) -> type:
+    """Return the class named by ``"./my_law.py:MyLaw"`` (relative to ``base``) or ``"package.module:MyLaw"``.
+
+    Messages begin with ``named``. Raises BadInputError when there is no such file, module or class, when it fails
+    on import (with the place), and when the class lacks ``reset`` or ``update`` or they do not take what the tick
+    gives them.
+    """
+    location, _, name = spec.rpartition(":")
+    is_file = location.endswith(".py")
+    module = _import_file(named, base / location) if is_file else _import_module(named, location)
+    law = getattr(module, name, None)
+    if not isinstance(law, type):
+        own = [v for v in vars(module).values() if isinstance(v, type) and v.__module__ == module.__name__]
+        hint = nearest(name, [v.__name__ for v in own]) or "; it has none"
+        raise BadInputError(f"{named}: no class {name!r} in {location}{hint}")
+    return check_class(law, named)
+
+
+def check_class(law: type, named: str) -> type:
+    """Return a class that can be a law. Raises BadInputError, which begins with ``named``, as ``find_class``."""
+    for method, arguments in _METHODS.items():
+        expected = f"{method}({', '.join(arguments)})"
+        function = getattr(law, method, None)
+        if not callable(function):
+            raise BadInputError(f"{named}: the class has no {method}; expected {expected}")
+        if not _takes(function, arguments):
+            found = f"{method}{inspect.signature(function)}"
+            raise BadInputError(f"{named}: found {found}, expected {expected}")
+    return law
+
+
+class UserLaw:
+    """A controller around a law of the user's own.
+
+    The law is made with the first of the argument lists ``choices`` that its constructor takes; it may leave out
+    ``gains``, and ``signals`` with ``telemetry`` (``hil.core.ports.OwnSignals``). Messages begin with ``named``. Raises
+    BadInputError, with file and line, for whatever the law raises when it is made or run, and when its update returns
+    something else than a command in the mode of the run.
+    """
+
+    def __init__(self, named: str, law: type, mode: CommandMode, choices: list[tuple[object, ...]]) -> None:
+        self._named = named
+        self._mode = mode
+        arguments = _constructor_arguments(named, law, choices)
+        with _failures_of(named, "making it"):
+            self._law: Any = law(*arguments)
+        self._has_gains = inspect.getattr_static(self._law, "gains", None) is not None
+        self.signals = self._own_names()
+
+    @property
+    def gains(self) -> Gains:
+        """The law's gains, or NO_GAINS."""
+        if not self._has_gains:
+            return NO_GAINS
+        with _failures_of(self._named, "gains"):
+            return Gains(*map(float, self._law.gains))
+
+    @property
+    def telemetry(self) -> tuple[float, ...]:
+        """The values of the law's own signals."""
+        with _failures_of(self._named, "telemetry"):
+            values = tuple(map(float, self._law.telemetry))
+        if len(values) != len(self.signals):
+            raise BadInputError(f"{self._named}: telemetry has {len(values)} values for {len(self.signals)} signals")
+        return values
+
+    def reset(self, state: State, reference: Reference) -> None:
+        """Pass it on."""
+        with _failures_of(self._named, "reset"):
+            self._law.reset(state, reference)
+
+    def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
+        """Pass it on, and return the command if it is one."""
+        try:  # not _failures_of: a context manager costs as much as a law
+            command = self._law.update(reference, state, applied, dt_s)
+        except BadInputError:
+            raise
+        except (Exception, SystemExit) as error:
+            raise _failure(self._named, "update", error) from error
+        if not isinstance(command, WheelCommand):
+            raise BadInputError(f"{self._named}: update returned {command!r}, expected a WheelCommand")
+        if command.mode != self._mode:
+            raise BadInputError(
+                f"{self._named}: update returned a command of mode {_mode_name(command.mode)}, "
+                f"expected {self._mode.name}, the mode that it was made with"
+            )
+        try:
+            speed, torque = Wheels(*map(float, command.speed_rad_s)), Wheels(*map(float, command.torque_n_m))
+        except (TypeError, ValueError) as error:
+            raise BadInputError(
+                f"{self._named}: update returned {command!r}, expected four numbers in speed_rad_s and four in "
+                f"torque_n_m ({error})"
+            ) from error
+        return WheelCommand(command.mode, speed, torque)
+
+    def _own_names(self) -> tuple[str, ...]:
+        has = [name for name in ("signals", "telemetry") if inspect.getattr_static(self._law, name, None) is not None]
+        if not has:
+            return ()
+        if len(has) == 1:
+            raise BadInputError(f"{self._named}: it has {has[0]} alone; signals of its own take signals and telemetry")
+        with _failures_of(self._named, "signals"):
+            names = self._law.signals
+        if not isinstance(names, list | tuple):
+            raise BadInputError(f"{self._named}: signals is {names!r}, expected a tuple of names")
+        return check_names(self._named, names)
+
+
+def _import_file(named: str, path: Path) -> ModuleType:
+    if not path.is_file():
+        raise BadInputError(f"{named}: no file {path} (relative to the scenario's folder)")
+    # A name of its own: a user's file called random.py or dsc.py must not stand in for another module.
+    name = f"_law_{path.stem}_{zlib.crc32(str(path.resolve()).encode()):08x}"
+    description = importlib.util.spec_from_file_location(name, path)
+    if description is None or description.loader is None:
+        raise BadInputError(f"{named}: {path} is not a Python file")
+    module = importlib.util.module_from_spec(description)
+    # Dataclasses look their module up there while it is being imported.
+    sys.modules[name] = module
+    try:
+        with _failures_of(named, "importing it"):
+            description.loader.exec_module(module)
+    except BadInputError:
+        del sys.modules[name]
+        raise
+    return module
+
+
+def _import_module(named: str, name: str) -> ModuleType:
+    with _failures_of(named, "importing it"):
+        try:
+            return importlib.import_module(name)
+        except ModuleNotFoundError as error:
+            # Only when the module asked for, or a package around it, is what is missing.
+            if error.name and (name == error.name or name.startswith(f"{error.name}.")):
+                raise BadInputError(
+                    f"{named}: no module {error.name!r}; install it, or name a file as in './my_law.py:MyLaw'"
+                ) from error
+            raise
+
+
+def _constructor_arguments(named: str, law: type, choices: list[tuple[object, ...]]) -> tuple[object, ...]:
+    for arguments in choices:
+        if _takes(law, arguments):
+            return arguments
+    names = ", ".join(("self", "model", "mode", "options")[: 1 + len(choices[0])])
+    hint = "" if len(choices[0]) == 3 else "; for options, define a dataclass Options in the class"
+    raise BadInputError(f"{named}: found {law.__name__}{inspect.signature(law)}, expected __init__({names}){hint}")
+
+
+def _takes(function: Any, arguments: tuple[object, ...]) -> bool:
+    try:
+        inspect.signature(function).bind(*arguments)
+    except TypeError:
+        return False
+    return True
+
+
+@contextmanager
+def _failures_of(named: str, doing: str) -> Iterator[None]:
+    try:
+        yield
+    except BadInputError:
+        raise
+    except (Exception, SystemExit) as error:  # someone else's code may raise anything
+        raise _failure(named, doing, error) from error
+
+
+def _failure(named: str, doing: str, error: BaseException) -> BadInputError:
+    return BadInputError(f"{named}: {doing} failed at {_place(error)}: {type(error).__name__}: {error}")
+
+
+def _place(error: BaseException) -> str:
+    if isinstance(error, SyntaxError) and error.filename:
+        return f"{error.filename}:{error.lineno}"
+    frames = [f for f in traceback.extract_tb(error.__traceback__) if not f.filename.startswith("<frozen")]
+    return f"{frames[-1].filename}:{frames[-1].lineno}" if frames else "an unknown place"
+
+
+def _mode_name(mode: object) -> str:
+    return mode.name if isinstance(mode, CommandMode) else repr(mode)

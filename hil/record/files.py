@@ -1,0 +1,157 @@
+"""Files that a run writes: what their names must be, and whether they can be written, before anything is started."""
+
+import errno
+import os
+import re
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+from hil.core.errors import BadInputError
+from hil.core.outputs import Existing, check_free
+
+EXPECTED_FILE = "an .rrd or .mcap file made by 'hil run --record'"
+OUTPUTS = {
+    "recording": (".rrd", ".mcap"),
+    "trace": (".blf", ".asc", ".log"),
+    "page": (".html",),
+    "overlay": (".rrd",),
+    "export": (".csv", ".parquet", ".mcap"),
+    "trajectory": (".csv",),
+}
+"""What a run or its review writes, and how its name may end.
+
+A trace is in Vector's binary or text form, or in that of ``candump -L``.
+"""
+_MAGICS = {".rrd": b"RRF2", ".mcap": b"\x89MCAP0\r\n"}
+_ENDS = {".rrd": (b"RRF2FOOT", 4), ".mcap": (b"\x89MCAP0\r\n", 0)}  # and how many bytes follow
+_BEGINNING_BYTES = 1 << 18  # more than a recording begins with
+_PROBE_BYTES = 1 << 20
+_SMALLEST_BYTES = 1_000_000
+
+
+def check_output_path(what: str, path: Path, existing: Existing = "refuse") -> None:
+    """Raise BadInputError unless one of ``OUTPUTS`` can be written to ``path``; touches nothing.
+
+    ``existing`` says what is done where a file is there. A later part of another recording is never replaced.
+    """
+    folder = path.absolute().parent
+    *others, last = OUTPUTS[what]
+    if path.suffix not in OUTPUTS[what]:
+        problem = f"its name must end in {', '.join(others)}{' or ' * bool(others)}{last}, which tells its format"
+    elif path.is_dir():
+        problem = "it is a folder; name a file in it"
+    elif path.exists() and not path.is_file():
+        problem = "it is a device, a pipe or a socket; name a file"
+    elif existing != "number" and (first := _first_part(path)) is not None:
+        problem = f"by its name it is a later part of {first.name}; choose another name, or remove it before"
+    elif not folder.is_dir():
+        problem = f"there is no folder {folder}; make it, or choose another path"
+    elif existing == "replace" and path.exists() and not os.access(path, os.W_OK):
+        problem = f"it is not writable; choose another path, or no {what}"
+    elif not os.access(folder, os.W_OK) and not (existing == "replace" and path.exists()):
+        problem = f"{folder} is not writable; choose another path, or no {what}"
+    else:
+        check_free(what, path, existing)
+        return
+    raise BadInputError(f"{what} {path}: {problem}")
+
+
+def _first_part(path: Path) -> Path | None:
+    """Return the recording of which a file that is there is a later part by its name, and must not be written anew."""
+    name = re.fullmatch(r"(.+)-([1-9]\d*)", path.stem)
+    if name is None or int(name[2]) < 2 or path.suffix not in _MAGICS or not path.exists():
+        return None
+    first = path.with_name(name[1] + path.suffix)
+    return first if first.exists() else None
+
+
+def check_writable(folder: Path, size_bytes: int = _BEGINNING_BYTES) -> None:
+    """Raise OSError unless a file in the folder can have this size, by default a beginning; leaves none behind."""
+    with tempfile.TemporaryFile(dir=folder) as probe:
+        probe.write(bytes(size_bytes))
+
+
+def why_not_written(path: Path, error: Exception) -> str:
+    """Return why a file that was begun could not be written any more.
+
+    rerun tells of its own threads and not what the system said, so this writes to the same folder, and takes it back.
+    """
+    if not isinstance(error, OSError):
+        try:
+            check_writable(path.parent, _PROBE_BYTES)
+        except OSError as told:
+            error = told
+    if not isinstance(error, OSError):
+        return str(error)
+    what = "the disk is full" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "it could not be written any more"
+    return f"{what} ({error.strerror})"
+
+
+def check_is_recording(path: Path) -> str:
+    """Return the format of a recording, ``.rrd`` or ``.mcap``, by how it begins.
+
+    Raises BadInputError unless the path is a file that begins like one.
+    """
+    try:
+        with path.open("rb") as file:
+            start = file.read(max(map(len, _MAGICS.values())))
+    except OSError as error:
+        hint = f"; there is {parts[0]}, a later part of it" if (parts := later_parts(path)) else ""
+        raise BadInputError(f"{path}: {error.strerror}; expected {EXPECTED_FILE}{hint}") from error
+    if not start:
+        raise BadInputError(f"{path}: the file is empty; expected {EXPECTED_FILE}")
+    for kind, magic in _MAGICS.items():
+        if start.startswith(magic):
+            return kind
+    raise BadInputError(f"{path}: not a recording; expected {EXPECTED_FILE}")
+
+
+def part_path(path: Path, number: int) -> Path:
+    """Return the file of a recording's part: RUN.rrd is the first, RUN-2.rrd the second."""
+    return path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")
+
+
+def has_end(path: Path, kind: str) -> bool:
+    """Whether a recording, ``.rrd`` or ``.mcap``, has the index with which a file of its format ends."""
+    end, following = _ENDS[kind]
+    try:
+        with path.open("rb") as file:
+            file.seek(-len(end) - following, os.SEEK_END)
+            return file.read(len(end)) == end
+    except OSError:
+        return False
+
+
+def later_parts(path: Path) -> list[Path]:
+    """Return the files beside a recording that by their names are later parts of it, in order."""
+    name = re.compile(rf"{re.escape(path.stem)}-([1-9]\d*){re.escape(path.suffix)}")
+    others = path.parent.iterdir() if path.parent.is_dir() else ()
+    found = {int(match[1]): other for other in others if (match := name.fullmatch(other.name))}
+    return [found[number] for number in sorted(found) if number > 1]
+
+
+class Rotation(NamedTuple):
+    """When a recording goes on in another file: at a size, after a time of the run, or at whatever comes first."""
+
+    size_bytes: int | None = None
+    duration_s: float | None = None
+
+
+def rotation(text: str) -> Rotation:
+    """Read a rotation as a user writes it: ``1GB``, ``10min``, or both as ``1GB|10min``.
+
+    Raises BadInputError for anything else, and for parts of less than 1 MB or 1 s.
+    """
+    sizes, times = {"kb": 1e3, "mb": 1e6, "gb": 1e9}, {"s": 1.0, "min": 60.0, "h": 3600.0}
+    found: dict[str, float] = {}
+    for part in text.split("|"):
+        match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([a-z]+)\s*", part.lower())
+        unit = match[2] if match else ""
+        kind = "size" if unit in sizes else "time" if unit in times else ""
+        if match is None or not kind or kind in found:
+            raise BadInputError(f"rotate {text!r}: expected a size, a time or both, as in 1GB, 10min or 1GB|10min")
+        found[kind] = float(match[1]) * (sizes | times)[unit]
+    if found.get("size", _SMALLEST_BYTES) < _SMALLEST_BYTES or found.get("time", 1.0) < 1.0:
+        raise BadInputError(f"rotate {text!r}: a part must have 1MB or 1s at least")
+    return Rotation(round(found["size"]) if "size" in found else None, found.get("time"))

@@ -1,0 +1,118 @@
+"""The lanes of the state timeline: the robot, the link, the estimator, and each fault of the scenario."""
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hil.faults.rows import find
+from hil.record.known import table_rows
+from hil.record.names import state_names
+
+ROBOT_LANE = "/robot/state"
+FAULT_LANES = "/fault"
+
+Codes = npt.NDArray[np.float64]
+Columns = Mapping[str, int]
+
+_GREEN, _YELLOW, _ORANGE, _RED, _PURPLE, _BLUE, _GREY = (
+    0x3FB27FFF,
+    0xE0C341FF,
+    0xF4A23AFF,
+    0xEB5757FF,
+    0xB5179EFF,
+    0x6C8EBFFF,
+    0x8D99AEFF,
+)
+_ROBOT_COLOURS = {
+    "BOOT": _GREY,
+    "IDLE": _BLUE,
+    "ARMED": _ORANGE,
+    "ACTIVE": _GREEN,
+    "STOPPING": _YELLOW,
+    "FAULT": _RED,
+    "ESTOP": _PURPLE,
+}
+_GOOD, _LOSSY, _STALE, _SILENT = range(4)
+_LINK_STATES = {_GOOD: "GOOD", _LOSSY: "LOSSY", _STALE: "STALE", _SILENT: "SILENT"}
+_LOSSY_S = 0.1
+"""For so long after a frame was lost or rejected the link counts as lossy."""
+_STALE_MS = 100.0
+"""Feedback older than this is stale, where the scenario does not tell the firmware's watchdog."""
+
+
+class Lane(NamedTuple):
+    """A lane: its path, the names and colours of its states by code, and what finds the codes.
+
+    ``codes`` takes rows of shape (n, signals) and returns (n,); NaN stands for no state.
+    """
+
+    path: str
+    names: Mapping[int, str]
+    colours: Sequence[int]
+    codes: Callable[[npt.NDArray[np.float64]], Codes]
+
+
+def lanes(column: Columns, values: Mapping[str, Any]) -> list[Lane]:
+    """Return the lanes of a run; ``column`` tells where a row has a signal, ``values`` are the scenario's."""
+    robot = state_names()
+    found = [
+        Lane(
+            ROBOT_LANE, robot, [_ROBOT_COLOURS.get(name, _GREY) for name in robot.values()], _one(column, "robot.state")
+        )
+    ]
+    watchdog_s = values.get("firmware.watchdog_s")
+    stale_ms = _STALE_MS if watchdog_s is None else float(watchdog_s) * 1e3
+    link_colours = [_GREEN, _YELLOW, _ORANGE, _RED]
+    if {"link.rejected", "link.lost", "link.feedback_age_ms"} <= column.keys():
+        found.append(Lane("/link/state", _LINK_STATES, link_colours, _Link(column, stale_ms)))
+    if "estimator.health" in column:
+        health = {0: "GOOD", 1: "DEGRADED", 2: "LOST"}
+        found.append(Lane("/ctrl/estimator/health", health, [_GREEN, _ORANGE, _RED], _one(column, "estimator.health")))
+    for number, row in enumerate(table_rows(values, "fault")):
+        found.append(_fault_lane(number, row, column["loop.t_s"]))
+    return found
+
+
+def _one(column: Columns, signal: str) -> Callable[[npt.NDArray[np.float64]], Codes]:
+    place = column[signal]
+    return lambda rows: rows[:, place]
+
+
+class _Link:
+    """Finds the link's state, row by row: what was lost or rejected lately, or how old the feedback is."""
+
+    def __init__(self, column: Columns, stale_ms: float) -> None:
+        self._t = column["loop.t_s"]
+        self._counts = [column["link.rejected"], column["link.lost"]]
+        self._age = column["link.feedback_age_ms"]
+        self._stale_ms = stale_ms
+        self._count_before: float | None = None
+        self._lost_s = -math.inf
+
+    def __call__(self, rows: npt.NDArray[np.float64]) -> Codes:
+        count = np.nan_to_num(rows[:, self._counts]).sum(axis=1)
+        before = np.append(count[:1] if self._count_before is None else self._count_before, count[:-1])
+        times = np.where(count > before, rows[:, self._t], -np.inf)
+        lost_s = np.maximum(np.fmax.accumulate(times), self._lost_s)
+        self._count_before, self._lost_s = float(count[-1]), float(lost_s[-1])
+        age_ms = rows[:, self._age]
+        state = np.where(rows[:, self._t] - lost_s < _LOSSY_S, _LOSSY, _GOOD)
+        state = np.where(age_ms > self._stale_ms, _STALE, state)
+        return np.where(np.isnan(age_ms), _SILENT, state).astype(float)
+
+
+def _fault_lane(number: int, row: Mapping[str, Any], t_column: int) -> Lane:
+    kind, target = str(row["kind"]), str(row["target"])
+    begin_s, end_s = float(row.get("start_s", 0.0)), float(row.get("end_s", math.inf))
+    word = "HAPPENED" if find(kind, target).is_instant else "IN FORCE"
+
+    def codes(rows: npt.NDArray[np.float64]) -> Codes:
+        t_s = rows[:, t_column]
+        return ((t_s >= begin_s) & (t_s < end_s)).astype(float)
+
+    name = re.sub(r"[^\w.-]", "_", f"{number}_{kind}_{target}")
+    return Lane(f"{FAULT_LANES}/{name}", {0: "-", 1: word}, [0x303030FF, _RED], codes)

@@ -1,0 +1,247 @@
+"""Where each signal lies in a recording: few entities, each a vector of signals of one kind.
+
+The number of entities, not of signals, drives a recording's size and cost. Which signals an entity holds is
+stored in the file, so that a reader needs no table of its own and an old file stays readable when the
+vocabulary grows.
+"""
+
+import itertools
+import re
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+from hil.core.signals import unit_of
+from hil.core.types import WHEEL_NAMES
+
+Colour = tuple[int, int, int]
+
+REFERENCE_COLOUR: Colour = (244, 162, 58)
+TRUTH_COLOUR: Colour = (74, 163, 255)
+ESTIMATE_COLOUR: Colour = (97, 201, 122)
+X_COLOUR: Colour = (238, 102, 119)
+Y_COLOUR: Colour = (97, 201, 122)
+HEADING_COLOUR: Colour = (187, 134, 252)
+PLAIN_COLOUR: Colour = (160, 165, 170)  # shows on a dark and on a light ground
+ALARM_COLOUR: Colour = (235, 87, 87)
+WHEEL_COLOURS: tuple[Colour, ...] = ((86, 180, 233), (230, 159, 0), (0, 190, 140), (214, 117, 176))
+MORE_PATH = "/more"
+SHADOW_GROUP = "shadow"
+NO_UNIT = "number"
+_MORE_COLOURS = (*WHEEL_COLOURS, X_COLOUR, HEADING_COLOUR, PLAIN_COLOUR, TRUTH_COLOUR)
+# A unit as part of a path.
+_UNIT_PATHS = {"m/s²": "m_s2", "rad/s": "rad_s", "m/s": "m_s", "N·m": "n_m", "1/s": "1_s", "°C": "degc", "%": "percent"}
+_AXES = ("x", "y", "heading")
+_AXIS_COLOURS = (X_COLOUR, Y_COLOUR, HEADING_COLOUR)
+
+
+class Series(NamedTuple):
+    """One signal as it is drawn: its name in the vocabulary, in the legend, and its colour."""
+
+    signal: str
+    label: str
+    colour: Colour
+
+
+class Entity(NamedTuple):
+    """A path of the recording and the signals that it holds, in the order of its vector."""
+
+    path: str
+    series: tuple[Series, ...]
+    width_px: float = 1.5
+
+
+def _wheels(path: str, quantity: str) -> Entity:
+    series = (
+        Series(f"wheel.{wheel}.{quantity}", wheel.upper(), colour)
+        for wheel, colour in zip(WHEEL_NAMES, WHEEL_COLOURS, strict=True)
+    )
+    return Entity(path, tuple(series))
+
+
+def _wide_wheels(path: str, quantity: str) -> Entity:
+    """Wheels drawn wide and dim, so that the same wheels of another entity show on top of them."""
+    series = (one._replace(label=f"{one.label} cmd", colour=_dim(one.colour)) for one in _wheels(path, quantity).series)
+    return Entity(path, tuple(series), width_px=5.0)
+
+
+def _dim(colour: Colour) -> Colour:
+    red, green, blue = (channel // 2 for channel in colour)
+    return red, green, blue
+
+
+def _axes(path: str, *signals: str) -> Entity:
+    """Three signals of x, y and heading."""
+    return Entity(path, tuple(Series(*one) for one in zip(signals, _AXES, _AXIS_COLOURS, strict=True)))
+
+
+def _pose(path: str, group: str) -> Entity:
+    return _axes(path, f"{group}.x_m", f"{group}.y_m", f"{group}.heading_rad")
+
+
+def _twist(path: str, group: str) -> Entity:
+    return _axes(path, f"{group}.vx_m_s", f"{group}.vy_m_s", f"{group}.yaw_rate_rad_s")
+
+
+def _gains(path: str, gain: str) -> Entity:
+    return _axes(path, f"gain.{gain}_x_1_s", f"gain.{gain}_y_1_s", f"gain.{gain}_heading_1_s")
+
+
+_ENTITIES = (
+    Entity("/loop/clock", (Series("loop.t_s", "t", PLAIN_COLOUR), Series("loop.tick", "tick", PLAIN_COLOUR))),
+    Entity(
+        "/loop/timing",
+        (
+            Series("loop.tick_us", "work of a tick", TRUTH_COLOUR),
+            Series("loop.lateness_us", "lateness", REFERENCE_COLOUR),
+        ),
+    ),
+    Entity("/loop/deadline_misses", (Series("loop.deadline_misses", "deadline misses", ALARM_COLOUR),)),
+    _pose("/ctrl/pose/reference", "reference"),
+    _twist("/ctrl/twist/reference", "reference"),
+    _axes(
+        "/ctrl/acceleration/reference",
+        "reference.ax_m_s2",
+        "reference.ay_m_s2",
+        "reference.yaw_acceleration_rad_s2",
+    ),
+    _pose("/ctrl/pose/estimate", "pose"),
+    _twist("/ctrl/twist/estimate", "twist"),
+    _pose("/ctrl/pose/truth", "truth"),
+    Entity(
+        "/ctrl/error/position",
+        (
+            Series("error.x_m", "x", X_COLOUR),
+            Series("error.y_m", "y", Y_COLOUR),
+            Series("error.planar_m", "planar", PLAIN_COLOUR),
+        ),
+    ),
+    Entity("/ctrl/error/heading", (Series("error.heading_rad", "heading", HEADING_COLOUR),)),
+    _gains("/ctrl/gain/k1", "k1"),
+    _gains("/ctrl/gain/k2", "k2"),
+    # "command" sorts before "speed": the viewer draws in the order of the paths.
+    _wide_wheels("/ctrl/wheel/command/speed", "speed_command_rad_s"),
+    _wheels("/ctrl/wheel/speed", "speed_rad_s"),
+    _wheels("/ctrl/wheel/command/torque", "torque_command_n_m"),
+    _wheels("/ctrl/wheel/current", "current_a"),
+    _wheels("/ctrl/wheel/temperature", "temperature_degc"),
+    Entity(
+        "/ctrl/estimator/sigma",
+        (
+            Series("estimator.sigma_position_m", "position [m]", PLAIN_COLOUR),
+            Series("estimator.sigma_heading_rad", "heading [rad]", HEADING_COLOUR),
+        ),
+    ),
+    Entity("/ctrl/estimator/gyro_bias", (Series("estimator.gyro_bias_rad_s", "gyro bias", HEADING_COLOUR),)),
+    Entity(
+        "/ctrl/estimator/fixes",
+        (
+            Series("estimator.fixes_accepted", "accepted", ESTIMATE_COLOUR),
+            Series("estimator.fixes_rejected", "rejected", ALARM_COLOUR),
+        ),
+    ),
+    Entity("/ctrl/estimator/fix_age", (Series("estimator.fix_age_ms", "fix age", PLAIN_COLOUR),)),
+    Entity(
+        "/ctrl/estimator/state",
+        (
+            Series("estimator.slip", "slip", REFERENCE_COLOUR),
+            Series("estimator.health", "health", ALARM_COLOUR),
+        ),
+    ),
+    Entity(
+        "/ctrl/guard",
+        (Series("guard.saturated", "saturated", ALARM_COLOUR), Series("guard.held", "held", REFERENCE_COLOUR)),
+    ),
+    Entity("/robot/clock", (Series("robot.time_s", "robot time", PLAIN_COLOUR),)),
+    Entity("/robot/state_code", (Series("robot.state", "state", PLAIN_COLOUR),)),
+    Entity(
+        "/robot/acceleration",
+        (
+            Series("robot.acceleration_x_m_s2", "forward", X_COLOUR),
+            Series("robot.acceleration_y_m_s2", "left", Y_COLOUR),
+            Series("robot.acceleration_z_m_s2", "up", PLAIN_COLOUR),
+        ),
+    ),
+    Entity(
+        "/robot/battery",
+        (
+            Series("battery.voltage_v", "voltage", TRUTH_COLOUR),
+            Series("battery.current_a", "current", REFERENCE_COLOUR),
+        ),
+    ),
+    Entity("/robot/gyro", (Series("robot.yaw_rate_rad_s", "yaw rate", HEADING_COLOUR),)),
+    Entity(
+        "/link/age",
+        (
+            Series("robot.command_age_ms", "command", REFERENCE_COLOUR),
+            Series("link.feedback_age_ms", "feedback", TRUTH_COLOUR),
+        ),
+    ),
+    Entity(
+        "/link/frames",
+        (
+            Series("link.sent", "sent", REFERENCE_COLOUR),
+            Series("link.received", "received", TRUTH_COLOUR),
+            Series("link.rejected", "rejected", ALARM_COLOUR),
+            Series("link.lost", "snapshots lost", HEADING_COLOUR),
+        ),
+    ),
+    Entity(
+        "/link/bytes",
+        (
+            Series("link.sent_bytes", "sent", REFERENCE_COLOUR),
+            Series("link.received_bytes", "received", TRUTH_COLOUR),
+        ),
+    ),
+    Entity("/link/load", (Series("link.load_percent", "load", PLAIN_COLOUR),)),
+    Entity(
+        "/link/delay",
+        (Series("link.rtt_ms", "round trip", PLAIN_COLOUR), Series("link.latency_ms", "latency", REFERENCE_COLOUR)),
+    ),
+    Entity("/link/clock/offset", (Series("link.clock_offset_us", "offset", PLAIN_COLOUR),)),
+    Entity("/link/clock/drift", (Series("link.clock_drift_ppm", "drift", PLAIN_COLOUR),)),
+)
+
+
+def layout(signals: Sequence[str]) -> tuple[Entity, ...]:
+    """Return the entities that hold exactly these signals.
+
+    Signals that the table above does not place go to ``/more/GROUP/UNIT``, one entity for each first part of a name
+    and each unit: what one plot can show. The group of a shadow law is ``shadow/LAW``. A quantity that each axis has,
+    as ``fuzzy.x.rule``, is a group of its own, ``fuzzy/rule``: its numbers share no scale with those of another one.
+    """
+    missing = dict.fromkeys(signals)
+    placed = []
+    for entity in _ENTITIES:
+        series = tuple(one for one in entity.series if one.signal in missing)
+        if series:
+            placed.append(entity._replace(series=series))
+            for one in series:
+                del missing[one.signal]
+    return (*placed, *_remaining(missing))
+
+
+def _remaining(signals: Iterable[str]) -> list[Entity]:
+    groups: dict[str, list[Series]] = {}
+    for signal in signals:
+        group, label = _group(signal)
+        path = f"{MORE_PATH}/{group}/{_UNIT_PATHS.get(unit := unit_of(signal), unit) or NO_UNIT}"
+        groups.setdefault(path, []).append(Series(signal, label or signal, PLAIN_COLOUR))
+    return [Entity(path, _coloured(series)) for path, series in groups.items()]
+
+
+def _group(signal: str) -> tuple[str, str]:
+    """Split a name into its group and its label in there."""
+    parts = signal.split(".")
+    depth = 2 if parts[0] == SHADOW_GROUP and len(parts) > 2 else 1
+    if len(parts) > depth + 1 and parts[-2] in _AXES:
+        return "/".join((*parts[:-2], parts[-1])), parts[-2]
+    return "/".join(parts[:depth]), ".".join(parts[depth:])
+
+
+def _coloured(series: Sequence[Series]) -> tuple[Series, ...]:
+    """Give each series a colour: that of its wheel or axis, if it names one, else the next one."""
+    named = dict(zip((*WHEEL_NAMES, *_AXES), (*WHEEL_COLOURS, *_AXIS_COLOURS), strict=True))
+    return tuple(
+        one._replace(colour=next((named[word] for word in re.split(r"[._]", one.label) if word in named), other))
+        for one, other in zip(series, itertools.cycle(_MORE_COLOURS), strict=False)
+    )

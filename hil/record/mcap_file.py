@@ -1,0 +1,168 @@
+"""A recording as an MCAP file, which Foxglove and PlotJuggler open; needs no rerun.
+
+Each row is one message on ``/hil``, of a ROS 2 message definition that holds the signals by their names, as in
+``/hil.wheel.fl.speed_rad_s``, encoded as CDR: floats of 64 bits one after the other. Events are ``foxglove.Log`` on
+``/events``. What the run was and said is in metadata records of the names that an .rrd file's properties have. A chunk
+is closed whenever the recorder flushes, so that a file without its end has everything that was flushed.
+"""
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.writer import CompressionType, Writer
+
+from hil.record.names import (
+    APPLICATION,
+    PART_PROPERTY,
+    RECORDER_PROPERTY,
+    RUN_PROPERTY,
+    SIGNALS_PROPERTY,
+    SUMMARY_PROPERTY,
+)
+from hil.record.ring import Rows
+
+SIGNALS_TOPIC = "/hil"
+EVENTS_TOPIC = "/events"
+ZERO_KEY = "zero_unix_ns"
+CDR_HEADER = b"\0\1\0\0"  # little-endian
+LEVELS = {"debug": 1, "info": 2, "warning": 3, "error": 4}
+"""As ``foxglove.Log`` counts them."""
+_LOG_SCHEMA = {
+    "title": "foxglove.Log",
+    "type": "object",
+    "properties": {
+        "timestamp": {
+            "type": "object",
+            "title": "time",
+            "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}},
+        },
+        "level": {"type": "integer", "enum": [0, 1, 2, 3, 4, 5]},
+        "message": {"type": "string"},
+        "name": {"type": "string"},
+        "file": {"type": "string"},
+        "line": {"type": "integer"},
+    },
+}
+
+
+class McapFile:
+    """An MCAP file that grows by chunks. Raises OSError when it cannot be opened or written.
+
+    Args:
+        path: the file. zero_unix_ns: Unix time at the run's t = 0 [ns], for the stamps. signals: names of the columns
+        of every row. properties: what the run was, as texts by name. part: which file of the run it is, see
+        ``hil.record.names``.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        zero_unix_ns: int,
+        *,
+        signals: Sequence[str],
+        properties: Mapping[str, str],
+        part: Mapping[str, object],
+    ) -> None:
+        self._file = path.open("wb")
+        self._zero_unix_ns = zero_unix_ns
+        self._t_column, self._tick_column = signals.index("loop.t_s"), signals.index("loop.tick")
+        self._last_ns = zero_unix_ns
+        tree = _tree(signals)
+        self._order = _leaves(tree)
+        self._writer: Any = Writer(self._file, compression=CompressionType.ZSTD)
+        self._writer.start(library=APPLICATION)
+        self._writer.add_metadata(RUN_PROPERTY, dict(properties))
+        held = {SIGNALS_TOPIC: [signals[i] for i in self._order]}
+        self._writer.add_metadata(SIGNALS_PROPERTY, {"json": json.dumps(held), ZERO_KEY: str(zero_unix_ns)})
+        self._writer.add_metadata(PART_PROPERTY, {"json": json.dumps(part)})
+        definition = self._writer.register_schema("hil/Row", "ros2msg", _definition(tree).encode())
+        self._rows = self._writer.register_channel(SIGNALS_TOPIC, "cdr", definition)
+        log = self._writer.register_schema("foxglove.Log", "jsonschema", json.dumps(_LOG_SCHEMA).encode())
+        self._events = self._writer.register_channel(EVENTS_TOPIC, "json", log)
+        self.flush()
+
+    def rows(self, rows: Rows) -> None:
+        """Write rows of shape (n, signals) as they are."""
+        values = rows[:, self._order].astype("<f8")
+        data, width = values.tobytes(), 8 * values.shape[1]
+        for i, (t_s, tick) in enumerate(rows[:, [self._t_column, self._tick_column]].tolist()):
+            stamp_ns = self._last_ns = self._stamp_ns(t_s)
+            message = CDR_HEADER + data[i * width : (i + 1) * width]
+            sequence = int(tick) & 0xFFFFFFFF if np.isfinite(tick) else 0
+            self._writer.add_message(self._rows, stamp_ns, message, stamp_ns, sequence)
+
+    def event(self, t_s: float, level: str, text: str) -> None:
+        """Write a line of the event log at scenario time ``t_s``."""
+        # A chunk of its own: those with rows alone are read back at once.
+        self._writer.flush()
+        stamp_ns = self._stamp_ns(t_s)
+        sec, nsec = divmod(stamp_ns, 1_000_000_000)
+        log = {"timestamp": {"sec": sec, "nsec": nsec}, "level": LEVELS.get(level, LEVELS["info"]), "message": text}
+        log |= {"name": APPLICATION, "file": "", "line": 0}
+        self._writer.add_message(self._events, stamp_ns, json.dumps(log).encode(), stamp_ns)
+        self._writer.flush()
+
+    def finish(self, summary: Mapping[str, object] | None, recorder: Mapping[str, int]) -> None:
+        """Write the run's summary, when there is one, and last the recorder's counts: where they are, all is."""
+        self._writer.flush()
+        if summary is not None:
+            self._writer.add_metadata(SUMMARY_PROPERTY, {"json": json.dumps(summary)})
+        self._writer.add_metadata(RECORDER_PROPERTY, {"json": json.dumps(recorder)})
+
+    def flush(self) -> None:
+        """Close the chunk and hand everything to the operating system."""
+        self._writer.flush()
+
+    def close(self) -> None:
+        """Write the index, and close the file."""
+        self._writer.finish()
+        self._file.close()
+
+    def _stamp_ns(self, t_s: float) -> int:
+        """Unix time of a time of the run; a row that has none gets the last one's."""
+        return self._zero_unix_ns + round(t_s * 1e9) if np.isfinite(t_s) else self._last_ns
+
+
+def _tree(signals: Sequence[str]) -> dict[str, Any]:
+    """Return the signals' columns by the parts of their names, as nested fields that a message can have."""
+    tree: dict[str, Any] = {}
+    for column, signal in enumerate(signals):
+        *groups, leaf = (re.sub(r"\W", "_", part) for part in signal.split("."))
+        branch = tree
+        for group in groups:
+            branch = branch.setdefault(group, {})
+            assert isinstance(branch, dict), f"{signal}: {group} is a signal and a group"
+        assert leaf not in branch, f"{signal}: two signals of one name"
+        branch[leaf] = column
+    return tree
+
+
+def _leaves(tree: Mapping[str, Any]) -> list[int]:
+    columns: list[int] = []
+    for branch in tree.values():
+        columns += _leaves(branch) if isinstance(branch, dict) else [branch]
+    return columns
+
+
+def _definition(tree: Mapping[str, Any]) -> str:
+    """Return the message definition in the form that MCAP calls ``ros2msg``, with the types that it uses after it."""
+    texts: list[str] = []
+
+    def define(branch: Mapping[str, Any], kind: str) -> None:
+        place = len(texts)
+        texts.append("")
+        lines = []
+        for name, inner in branch.items():
+            if isinstance(inner, dict):
+                lines.append(f"hil/{kind}{name.title().replace('_', '')} {name}")
+                define(inner, kind + name.title().replace("_", ""))
+            else:
+                lines.append(f"float64 {name}")
+        texts[place] = (f"MSG: hil/{kind}\n" if place else "") + "\n".join(lines) + "\n"
+
+    define(tree, "Row")
+    return ("=" * 80 + "\n").join(texts)

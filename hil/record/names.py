@@ -1,0 +1,63 @@
+"""Names that the writer and the reader of a recording share."""
+
+import json
+
+APPLICATION = "mecanum-hil"
+RUN_PROPERTY = "run"
+SIGNALS_PROPERTY = "signals"
+SUMMARY_PROPERTY = "summary"
+RECORDER_PROPERTY = "recorder"
+OVERLAY_PROPERTY = "overlay"
+"""Of which two recordings a file is the overlay; such a file is for the viewer, and no recording of a run."""
+SIGNALS_PATH = "/signals"
+"""The entity of an .rrd file that holds every signal of every row."""
+PART_PROPERTY = "part"
+"""Which file of the run it is: the run's ``recording_id``, its ``number`` from 1, ``first_row`` and ``first_event``.
+
+The last two count the run's rows and events from 0: one that is in two parts, for a recorder was killed before it could
+say that it had written it, is taken from the later part.
+"""
+
+PROPERTY_WORDS = {
+    "scenario_name": "scenario",
+    "law": "law",
+    "command": "commands by",
+    "mode": "time",
+    "link": "link",
+    "seed": "seed",
+    "started": "started",
+    "mecanum_hil": "version",
+    "rerun_sdk": "version of rerun",
+    "python": "version of Python",
+    "gains": "options of the law",
+    "law_sha256": "code of the law",
+    "shadow_laws_sha256": "code of the shadow laws",
+    "fmu_sha256": "FMU",
+    "map_sha256": "map of the FMU",
+    "reference_file_sha256": "file of the reference",
+    "motors_file_sha256": "file of the motors",
+    "wheel_host_sources_sha256": "sources of the firmware (wheel_host)",
+    "cosim_sources_sha256": "sources of the FMU's shim (cosim)",
+    "wheel_host_sha256": "native library wheel_host",
+    "cosim_sha256": "native library cosim",
+    "scenario_sha256": "scenario with all values",
+}
+"""What the properties of a recording are called for a reader (see ``hil.runtime.provenance``)."""
+HASHES = tuple(name for name in PROPERTY_WORDS if name.endswith("_sha256") and name != "scenario_sha256")
+"""Of these, the hashes of what the run was made of, in the order in which a reader wants them."""
+HASH_LETTERS = 12
+"""As much of a hash as tells one from another."""
+
+
+def hash_text(text: str) -> str:
+    """Return as much of a recorded hash as a reader wants; of a JSON object of hashes by name, that of each."""
+    if not text.startswith("{"):
+        return text[:HASH_LETTERS]
+    return ", ".join(f"{name} {digest[:HASH_LETTERS]}" for name, digest in json.loads(text).items()) or "none"
+
+
+def state_names() -> dict[int, str]:
+    """Return the names of the robot's states by number (DBC TICK.state)."""
+    from firmware_protocol.generated.messages import State
+
+    return {int(state): state.name for state in State}

@@ -1,0 +1,289 @@
+"""The files of a recording: one after another, when one is long enough, cannot be written any more, or is gone.
+
+Rows stay in the ring until they are safe in a file, so that the next file begins where the last one ended. While none
+can be written, the newest half of the ring is kept for when there is room again; what is older is lost, and counted.
+"""
+
+import errno
+import os
+import shutil
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from hil.core.outputs import release
+from hil.record.files import Rotation, check_writable, has_end, part_path, why_not_written
+from hil.record.ring import MOST_PARTS, RingReader, Rows
+from hil.record.ring_child import Record, RefusedError
+
+BATCH_ROWS = 1000
+_FIRST_BACK_OFF_S = 0.5
+_LONGEST_BACK_OFF_S = 8.0
+_ROOM_BYTES = 16 << 20
+
+
+class RunFile(Protocol):
+    """A file of a recording. Its methods raise RuntimeError or OSError when it cannot be written."""
+
+    def rows(self, rows: Rows) -> None:
+        """Write rows of shape (n, signals)."""
+
+    def event(self, t_s: float, level: str, text: str) -> None:
+        """Write a line of the event log."""
+
+    def finish(self, summary: Mapping[str, object] | None, recorder: Mapping[str, int]) -> None:
+        """Write what the recorder says of this part and, when there is one, the run's summary."""
+
+    def flush(self) -> None:
+        """Hand everything to the operating system."""
+
+    def close(self) -> None:
+        """Write the file's end."""
+
+
+class Parts:
+    """Writes what is in the ring, and events, to the file in ``config`` and to those after it.
+
+    Raises RefusedError when the first of a run cannot be opened.
+
+    Attributes:
+        trouble: why a file could not be written, or None; the newest reason.
+        without_summary: why the run's summary is in none of the files, or None.
+    """
+
+    def __init__(self, config: Record, ring: RingReader) -> None:
+        self.trouble: str | None = None
+        self.without_summary: str | None = None
+        self._config = config
+        self._path = Path(config["path"])
+        self._rotation = Rotation(*config["rotate"])
+        self._ring = ring
+        self._t_column = config["signals"].index("loop.t_s")
+        self._events: list[tuple[float, str, str]] = []
+        self._file: RunFile | None = None
+        self._part_path = self._path
+        self._identity: tuple[int, int] | None = None
+        self._begun_s: float | None = None
+        # A file whose disk is full is better never closed: rerun may wait for it for ever. One that was half made is
+        # held by rerun's error.
+        self._abandoned: list[object] = []
+        self._next_try_s = self._back_off_s = 0.0
+        try:
+            self._open()
+        except (RuntimeError, OSError) as error:
+            if not config["restarts"]:
+                reason = getattr(error, "strerror", None) or error
+                raise RefusedError(f"recording {self._path}: {reason}; choose a path that can be written") from error
+            self._give_up(error)
+
+    def event(self, t_s: float, level: str, text: str) -> None:
+        """Take a line of the event log; it is written with the next rows, or when the file is looked after."""
+        self._events.append((t_s, level, text))
+
+    def look_after(self) -> None:
+        """Write what events there are, and see whether the file is still there."""
+        if self._events:
+            self._write(lambda _file: None)
+        if self._file is not None and _identity(self._part_path) != self._identity:
+            self._write(lambda _file: None)
+
+    def take(self, stop: int) -> None:
+        """Write the rows of the ring before ``stop``, and release those that are safe."""
+        while (start := self._ring.tail) < stop:
+            rows = self._of_one_part(self._ring.rows(start, min(stop, start + BATCH_ROWS)))
+            end = start + len(rows)
+            if self._write(lambda file, rows=rows: file.rows(rows)):  # type: ignore[misc]
+                self._ring.release(end)
+                self._end_by_size()
+            elif self._ring.head - start > self._ring.capacity // 2:
+                self._ring.give_up(end)
+            else:
+                return
+
+    def finish(self, summary: Record | None) -> None:
+        """Write all that is in the ring and close the file; what cannot be written now is lost."""
+        self._next_try_s = 0.0
+        self.take(self._ring.head)
+        if self._ring.tail < self._ring.head:  # the file went with the last rows: the ring may still reach another
+            self._next_try_s = 0.0
+            self.take(self._ring.head)
+        if summary is None:
+            # The run may go on: what came meanwhile is for whoever takes this process's place.
+            self._finish_file(None)
+            return
+        self._ring.give_up(self._ring.head)
+        # A file that goes now has another after it.
+        if not self._finish_file(summary) and not self._finish_file(summary):
+            self.without_summary = f"its summary could not be written: {self.trouble}"
+
+    def _finish_file(self, summary: Record | None, next_part: int | None = None) -> bool:
+        """Write the end of the file and close it; False when what belongs there could not be written."""
+        self._next_try_s = 0.0
+        if not self._write(lambda file: file.finish(summary, self._counts(next_part))):
+            return False
+        self._write(lambda file: file.close(), flush=False)
+        if not has_end(self._part_path, self._part_path.suffix):
+            told = f"the index at the end of {self._part_path.name} could not be written"
+            self.trouble = told if self.trouble is None else f"{self.trouble}; {told}"
+        return True
+
+    def _counts(self, next_part: int | None) -> dict[str, int]:
+        ring = self._ring
+        kept = ring.parts()
+        gone = [kept[number].rows for number in kept if not part_path(self._path, number).exists()]
+        written = ring.saved - sum(gone)
+        counts = {
+            "rows_written": written,
+            "rows_dropped": ring.dropped,
+            "rows_lost": ring.tail - written,
+            "rows_in_part": kept[max(kept)].rows,
+        }
+        return counts if next_part is None else {**counts, "next_part": next_part}
+
+    def _write(self, write: Callable[[RunFile], None], *, flush: bool = True) -> bool:
+        """Do something with the file, with the events that wait before it; False when that failed."""
+        if self._file is None and not self._opened():
+            return False
+        file = self._file
+        assert file is not None
+        try:
+            for event in self._events:
+                file.event(*event)
+            write(file)
+            if flush:
+                file.flush()
+                self._check_there()
+        except (RuntimeError, OSError) as error:
+            self._give_up(error)
+            return False
+        self._ring.add_lines_taken(len(self._events))
+        self._events.clear()
+        return True
+
+    def _opened(self) -> bool:
+        """Open the next file, unless the last try was a moment ago."""
+        if time.monotonic() < self._next_try_s:
+            return False
+        try:
+            self._open()
+        except (RuntimeError, OSError) as error:
+            self._give_up(error)
+            return False
+        return True
+
+    def _open(self) -> None:
+        number = self._next_number()
+        path = part_path(self._path, number)
+        if number > 1:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if shutil.disk_usage(path.parent).free < _ROOM_BYTES:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        # rerun may wait for ever for a file of which it cannot write the beginning.
+        if os.access(path.parent, os.W_OK):
+            check_writable(path.parent)
+        part = {
+            "recording_id": self._config["recording_id"],
+            "number": number,
+            "first_row": self._ring.tail,
+            "first_event": self._ring.lines_taken,
+        }
+        # The first is the run's own already; of a later one another process may think so at the same time.
+        if number > 1:
+            path.open("xb").close()
+        try:
+            self._file = _open_file(path, self._config, part)
+        except (RuntimeError, OSError):
+            release(path)
+            raise
+        self._ring.begin_part(number)
+        self._identity = _identity(path)
+        self._part_path = path
+
+    def _next_number(self) -> int:
+        """Return the number of the next part: one whose file is not there, for that would be another run's."""
+        number = self._ring.part + 1
+        while number > 1 and part_path(self._path, number).exists():
+            number += 1
+        return number
+
+    def _give_up(self, error: Exception) -> None:
+        """Leave the file as it is; the next try comes after a while, and then after twice as long."""
+        self.trouble = why_not_written(part_path(self._path, max(1, self._ring.part)), error)
+        if isinstance(error, RuntimeError):
+            self._abandoned.append(error)
+        if self._file is not None:
+            self._abandoned.append(self._file)
+            self._file = None
+            self._back_off_s = _FIRST_BACK_OFF_S
+        self._next_try_s = time.monotonic() + self._back_off_s
+        self._back_off_s = min(max(2 * self._back_off_s, _FIRST_BACK_OFF_S), _LONGEST_BACK_OFF_S)
+
+    def _check_there(self) -> None:
+        """Raise FileNotFoundError, and count its rows as lost, when the file has been removed."""
+        if _identity(self._part_path) != self._identity:
+            self._ring.lose_part()
+            raise FileNotFoundError(errno.ENOENT, f"{self._part_path.name} was removed")
+
+    def _of_one_part(self, rows: Rows) -> Rows:
+        """Return those of the rows that belong into one part, by their time; ends the part that is over before them."""
+        duration_s = self._rotation.duration_s
+        if duration_s is None:
+            return rows
+        t_s = rows[:, self._t_column]
+        if self._file is not None and self._begun_s is not None and t_s[0] - self._begun_s >= duration_s:
+            self._end()
+        if self._file is None or self._begun_s is None:
+            self._begun_s = float(t_s[0])
+        return rows[: max(1, int(np.searchsorted(t_s - self._begun_s, duration_s)))]
+
+    def _end_by_size(self) -> None:
+        size_bytes = self._rotation.size_bytes
+        if size_bytes is not None and _size_bytes(self._part_path) >= size_bytes:
+            self._end()
+
+    def _end(self) -> None:
+        """Close the file, unless there may be no other; the next rows open it."""
+        if self._ring.part < MOST_PARTS:
+            self._finish_file(None, self._next_number())
+            self._file = None
+            self._next_try_s = self._back_off_s = 0.0
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return status.st_dev, status.st_ino
+
+
+def _size_bytes(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except OSError:
+        return 0
+
+
+def _open_file(path: Path, config: Record, part: Mapping[str, object]) -> RunFile:
+    if path.suffix == ".mcap":
+        from hil.record.mcap_file import McapFile
+
+        zero_ns = int(config["zero_unix_ns"])
+        return McapFile(path, zero_ns, signals=config["signals"], properties=config["properties"], part=part)
+    # Only here, and for live viewers: a machine for which there is no rerun records to .mcap.
+    import rerun as rr
+
+    from hil.record.stream import Stream
+
+    rr.set_strict_mode(True)
+    return Stream(
+        rr.FileSink(path),
+        recording_id=config["recording_id"],
+        signals=config["signals"],
+        properties=config["properties"],
+        live=False,
+        part=part,
+    )

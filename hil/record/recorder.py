@@ -1,0 +1,146 @@
+"""The recorder process: ``python -m hil.record.recorder``, started by ``hil.record.session``.
+
+It reads rows from the ring and lines from its standard input, and writes them to a file at full rate and to
+live viewers at about 100 Hz.
+"""
+
+import contextlib
+import gc
+import sys
+import time
+from typing import TYPE_CHECKING
+
+from hil.record.environment import WITH_RERUN, refuse_pandas
+from hil.record.parts import BATCH_ROWS, Parts
+from hil.record.ring import RingReader
+from hil.record.ring_child import Record, RefusedError, run
+
+if TYPE_CHECKING:
+    from hil.record.live import LiveServer
+
+# With two polls and the write itself, a row is safe 150 ms after it was put.
+BATCH_AGE_S = 0.08
+
+
+class Recorder:
+    """Moves rows from the ring to the files and the live server, and events to both.
+
+    One that takes the place of another (``restarts`` above 0) refuses nothing: the run is under way.
+
+    Raises RefusedError when the file cannot be written or the port not be bound.
+    """
+
+    def __init__(self, config: Record, ring: RingReader) -> None:
+        self._ring = ring
+        self._parts = None if config["path"] is None else Parts(config, ring)
+        self._live: LiveServer | None = None
+        self._live_error: str | None = None
+        if config["live_port"] is not None:
+            try:
+                self._live = _open_live(config)
+            except RefusedError as refusal:
+                if not config["restarts"]:
+                    raise
+                self._live_error = str(refusal)
+        # A run that waits for room must not wait for a batch that its ring cannot hold.
+        self._batch_rows = min(BATCH_ROWS, (ring.capacity + 1) // 2)
+        self._passed_on = ring.tail
+        self._batch_since = time.monotonic()
+
+    def poll(self) -> None:
+        """Take the rows that have settled in the ring."""
+        settled = self._ring.settled()
+        self._pass_to_live(settled)
+        waiting = settled - self._ring.tail
+        now = time.monotonic()
+        if waiting <= 0:
+            self._batch_since = now
+        elif waiting >= self._batch_rows or now - self._batch_since >= BATCH_AGE_S:
+            self._take(settled)
+            self._batch_since = now
+        if self._parts is not None:
+            self._parts.look_after()
+
+    def line(self, record: Record) -> None:
+        """Pass a line of the event log on."""
+        t_s, level, text = record["event"]
+        if self._parts is not None:
+            self._parts.event(t_s, level, text)
+        else:
+            self._ring.add_lines_taken(1)
+        if self._live is not None:
+            self._live.event(t_s, level, text)
+
+    def finish(self, summary: Record | None) -> Record:
+        """Drain the ring, close the file, and return the report; live viewers stay served."""
+        end = self._ring.head
+        self._pass_to_live(end)
+        if self._parts is not None:
+            self._parts.finish(summary)
+        else:
+            self._take(end)
+        if self._live is not None:
+            self._live.finish(summary, {"rows_written": self._ring.saved, "rows_dropped": self._ring.dropped})
+            self._live_error = self._live.error
+        return {
+            "rows_written": self._ring.saved,
+            "trouble": None if self._parts is None else self._parts.trouble,
+            "error": None if self._parts is None else self._parts.without_summary,
+            "live_error": self._live_error,
+        }
+
+    def close(self) -> None:
+        """Stop serving live viewers."""
+        if self._live is not None:
+            self._live.close()
+
+    def _pass_to_live(self, stop: int) -> None:
+        if self._live is not None and stop > self._passed_on:
+            self._live.rows(self._ring.rows(self._passed_on, stop))
+            self._passed_on = stop
+
+    def _take(self, stop: int) -> None:
+        if self._parts is not None:
+            self._parts.take(stop)
+        else:
+            self._ring.give_up(stop)
+
+
+def main() -> int:
+    """Record until told to finish, or until the run has gone; returns only when nothing was to be recorded."""
+    return run(Recorder, _import_rerun if WITH_RERUN in sys.argv else None)
+
+
+def _import_rerun() -> None:
+    """Import what writes with rerun, while there is no config yet; one that is not there fails where it is needed."""
+    refuse_pandas()
+    # What is imported stays: the collector would go through it some hundred times.
+    gc.disable()
+    with contextlib.suppress(ImportError):
+        import hil.record.stream  # noqa: F401
+    gc.freeze()
+    gc.enable()
+
+
+def _open_live(config: Record) -> "LiveServer":
+    port = config["live_port"]
+    try:
+        from hil.record.live import LiveServer
+    except ImportError as error:
+        raise RefusedError(f"live port {port}: {error}; install rerun-sdk==0.41.*, or run without --live") from error
+    try:
+        return LiveServer(
+            port,
+            recording_id=config["recording_id"],
+            signals=config["signals"],
+            properties=config["properties"],
+        )
+    except (RuntimeError, OSError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise RefusedError(
+            f"live port {port}: {reason} on 127.0.0.1; end the program that uses it, or choose another port"
+        ) from error
+
+
+if __name__ == "__main__":
+    sys.exit(main())

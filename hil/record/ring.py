@@ -1,0 +1,228 @@
+"""Ring of float rows between one producer and one consumer, in memory that two processes share.
+
+``head`` and ``tail`` count rows from the start and never wrap; only the producer writes ``head``, only the
+consumer writes ``tail``. Each is stored as one aligned 64-bit word, so that the other side sees the old or
+the new value. What the consumer counts lies there too, so that another can take the place of one that died: a row is
+saved by moving the tail past it, one word, and not by a count of its own that a kill could leave behind.
+Python has no memory barrier: a consumer on a processor with weak ordering must not read a row the moment
+``head`` covers it. The recorder reads up to the ``head`` of its previous poll, milliseconds old.
+"""
+
+import struct
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+
+from hil.record.memory import SharedBlock
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+Row = tuple[float, ...]
+Rows: TypeAlias = "npt.NDArray[np.float64]"
+
+# Words of the header, 8 bytes each. What the two sides write lies in cache lines of its own.
+_CAPACITY, _WIDTH, _HEAD, _DROPPED, _TAIL, _LOST, _LINES, _LINES_LOST, _PART = 0, 1, 8, 9, 16, 17, 18, 19, 20
+_TABLE = 24  # after these, for each part, the rows and the lines that were kept when it was begun
+MOST_PARTS = 16384
+_SKIPPED = -1
+_HEADER_BYTES = 8 * (_TABLE + 2 * MOST_PARTS)
+
+
+class Kept(NamedTuple):
+    """How many rows and lines are in a file."""
+
+    rows: int
+    lines: int
+
+
+def ring_bytes(capacity: int, width: int) -> int:
+    """Return the size [byte] of a block that holds ``capacity`` rows of ``width`` floats."""
+    return _HEADER_BYTES + capacity * width * 8
+
+
+class _Counts:
+    """What both sides read of the header."""
+
+    _words: "memoryview[int]"
+
+    @property
+    def head(self) -> int:
+        """Rows put so far, without the dropped ones; those from ``tail`` to here are in the ring."""
+        return self._words[_HEAD]
+
+    @property
+    def tail(self) -> int:
+        """Rows that the consumer is done with."""
+        return self._words[_TAIL]
+
+    @property
+    def dropped(self) -> int:
+        """Rows that the producer dropped because the ring was full."""
+        return self._words[_DROPPED]
+
+    @property
+    def saved(self) -> int:
+        """Rows that the consumer said are safe."""
+        return self._words[_TAIL] - self._words[_LOST]
+
+    @property
+    def lines_taken(self) -> int:
+        """Lines beside the ring that the consumer has written, and needs no more."""
+        return self._words[_LINES]
+
+    @property
+    def lines_lost(self) -> int:
+        """Those of them that were in a file that is lost."""
+        return self._words[_LINES_LOST]
+
+    @property
+    def part(self) -> int:
+        """Number of the file that was opened last, by this consumer or the one before it; 0 before the first."""
+        return self._words[_PART]
+
+    def parts(self) -> dict[int, Kept]:
+        """Return what is in each file by its number; the last of ``MOST_PARTS`` has what came in others after it."""
+        begun = {number: self._begun(number) for number in range(1, min(self.part, MOST_PARTS) + 1)}
+        numbers = [number for number, kept in begun.items() if kept.rows != _SKIPPED]
+        ends = [*(begun[number] for number in numbers[1:]), Kept(self.saved, self.lines_taken - self.lines_lost)]
+        return {
+            number: Kept(end.rows - begun[number].rows, end.lines - begun[number].lines)
+            for number, end in zip(numbers, ends, strict=False)
+        }
+
+    def _begun(self, number: int) -> Kept:
+        """Return what was kept when a part was begun."""
+        at = _TABLE + 2 * (number - 1)
+        return Kept(self._words[at], self._words[at + 1])
+
+
+class RingWriter(_Counts):
+    """The producer's side.
+
+    Raises ValueError for a capacity or width below one.
+
+    Attributes:
+        try_put: stores one row; when the ring is full, it stores and counts nothing and returns what ``when_full``
+            makes of the row. Raises struct.error when the row has another width or holds what is no number.
+    """
+
+    def __init__(
+        self, block: SharedBlock, capacity: int, width: int, when_full: Callable[[Row], bool] = lambda _row: False
+    ) -> None:
+        if capacity < 1 or width < 1:
+            raise ValueError(f"ring of {capacity} rows of {width} floats: both must be at least 1")
+        self._words = block.buffer[:_HEADER_BYTES].cast("q")
+        self._rows = block.buffer[_HEADER_BYTES : ring_bytes(capacity, width)]
+        self._words[_CAPACITY] = capacity
+        self._words[_WIDTH] = width
+        self.try_put = _putter(self._words, self._rows, capacity, width, when_full)
+        self._capacity = capacity
+
+    @property
+    def full(self) -> bool:
+        """Whether there is no room for another row."""
+        return self.head - self.tail >= self._capacity
+
+    def count_dropped(self) -> None:
+        """Count one row that was given up."""
+        self._words[_DROPPED] += 1
+
+    def close(self) -> None:
+        """Release the views of the block, so that it can be closed."""
+        self._words.release()
+        self._rows.release()
+
+
+def _putter(
+    words: "memoryview[int]",
+    rows: "memoryview[int]",
+    capacity: int,
+    width: int,
+    when_full: Callable[[Row], bool],
+) -> Callable[[Row], bool]:
+    """Return ``RingWriter.try_put``. It is called in each tick: a closure looks nothing up in an object."""
+    pack = struct.Struct(f"{width}d").pack
+    row_bytes = width * 8
+    head = tail_seen = 0
+
+    def try_put(row: Row) -> bool:
+        nonlocal head, tail_seen
+        if head - tail_seen >= capacity:
+            tail_seen = words[_TAIL]
+            if head - tail_seen >= capacity:
+                return when_full(row)
+        begin = head % capacity * row_bytes
+        # With the row alone as its arguments a call takes it as it is; ``pack_into`` has it copied twice.
+        rows[begin : begin + row_bytes] = pack(*row)
+        head += 1
+        words[_HEAD] = head
+        return True
+
+    return try_put
+
+
+class RingReader(_Counts):
+    """The consumer's side. Raises ValueError when the block is smaller than its header says."""
+
+    def __init__(self, block: SharedBlock) -> None:
+        import numpy as np  # not above: a run starts its recorder first, and imports NumPy beside it
+
+        self._words = block.buffer[:_HEADER_BYTES].cast("q")
+        self.capacity = self._words[_CAPACITY]
+        self.width = self._words[_WIDTH]
+        if self.capacity < 1 or self.width < 1 or len(block.buffer) < ring_bytes(self.capacity, self.width):
+            self._words.release()
+            raise ValueError(f"ring of {self.capacity} rows of {self.width} floats does not fit its block")
+        self._rows = np.frombuffer(
+            block.buffer, dtype=np.float64, count=self.capacity * self.width, offset=_HEADER_BYTES
+        ).reshape(self.capacity, self.width)
+        self._order = np.arange(self.capacity)
+        self._head_seen = self.tail
+
+    def settled(self) -> int:
+        """Return how far rows may be read: to where the head was at the last call. Others may not have settled."""
+        settled, self._head_seen = self._head_seen, self.head
+        return settled
+
+    def rows(self, start: int, stop: int) -> Rows:
+        """Return a copy of the rows ``start`` to ``stop`` (exclusive), counted from the first ever put.
+
+        Raises IndexError for rows that are not in the ring.
+        """
+        if not self.tail <= start <= stop <= self.head:
+            raise IndexError(f"rows {start} to {stop} are not in the ring, which holds {self.tail} to {self.head}")
+        return self._rows[(self._order[: stop - start] + start) % self.capacity]
+
+    def release(self, stop: int) -> None:
+        """Tell the producer that the rows before ``stop`` are safe, and give their room back."""
+        self._words[_TAIL] = stop
+
+    def give_up(self, stop: int) -> None:
+        """Give the room of the rows before ``stop`` back, and count them as lost."""
+        self._words[_LOST] += stop - self._words[_TAIL]
+        self._words[_TAIL] = stop
+
+    def add_lines_taken(self, count: int) -> None:
+        """Tell the producer that so many more lines are safe."""
+        self._words[_LINES] += count
+
+    def begin_part(self, number: int) -> None:
+        """Note that this file was opened, and those between it and the last were left out."""
+        for skipped in range(self.part + 1, min(number, MOST_PARTS + 1)):
+            self._words[_TABLE + 2 * (skipped - 1)] = _SKIPPED
+        if number <= MOST_PARTS:
+            at = _TABLE + 2 * (number - 1)
+            self._words[at], self._words[at + 1] = self.saved, self.lines_taken - self.lines_lost
+        self._words[_PART] = number
+
+    def lose_part(self) -> None:
+        """Count what is in the file that was opened last as lost."""
+        kept = self.parts()[min(self.part, MOST_PARTS)]
+        self._words[_LOST] += kept.rows
+        self._words[_LINES_LOST] += kept.lines
+
+    def close(self) -> None:
+        """Release the views of the block, so that it can be closed."""
+        self._words.release()
+        del self._rows

@@ -1,0 +1,273 @@
+"""A process of its own that writes down what a run gives it: rows through a ring, lines through a pipe.
+
+Nothing that it does can delay a tick. When the run dies, it finishes its file by itself; when it dies, the run goes on,
+and where that is wanted another takes its place: rows that were not safe yet are still in the ring, and lines that were
+not are sent again. ``hil.record.ring_child`` is the other side.
+"""
+
+import os
+import queue
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Any, cast
+
+from hil.core.child import start_children_as_ordinary
+from hil.core.errors import BadInputError, DeviceError
+from hil.record.patience import Patience
+from hil.record.ring import Kept, RingWriter, Row, ring_bytes
+from hil.record.ring_start import Started
+
+_PATIENCE_WAITS = 60_000  # of 0.5 ms, without any progress of the other process: about 30 s
+_WAITS_A_TURN = 11  # of these in a turn that also waits 5 ms for a reply
+_FLUSH_PERIOD_S = 0.005
+_EXIT_TIMEOUT_S = 10.0
+_STARTS_IN_A_ROW = 6
+_FIRST_BACK_OFF_S = 0.1
+_LONG_LIFE_S = 60.0  # after which a death is not one of a row
+
+
+class RingProcess:
+    """Gives a process that was ``started`` rows and lines, and takes its report.
+
+    The constructor returns when the process is ready. ``config`` is its own, as JSON has it; ``name`` is how messages
+    call it, ``remedy`` what they advise. With ``blocking`` a put waits for room in the ring, as lockstep may; else it
+    drops the row and counts. With ``restart`` a process that ends before it should is started again, six times in a
+    row at most, after 0.1 s and then twice as long each time; its config then has ``restarts`` above 0.
+
+    Raises BadInputError when the process refuses the config, DeviceError when it does not start.
+
+    Attributes:
+        put: takes one row; raises struct.error when its width is another.
+        restarts: how often it was started again.
+        troubles: how each of those before it ended, in words.
+    """
+
+    def __init__(
+        self,
+        started: Started,
+        config: Mapping[str, object],
+        *,
+        width: int,
+        capacity: int,
+        blocking: bool,
+        name: str,
+        remedy: str,
+        restart: bool = False,
+    ) -> None:
+        self._name = name
+        self._waits = blocking
+        self._restart = restart
+        self._child = started
+        self._block = started.block
+        size = ring_bytes(capacity, width)
+        self._block.allocate(size)
+        self._ring = RingWriter(self._block, capacity, width, self._put_later)
+        self.put = cast(Callable[[Row], None], self._ring.try_put)
+        self._config = {**config, "block": self._block.token, "block_bytes": size, "parent_pid": os.getpid()}
+        self._swap = threading.Lock()  # held while the process is exchanged for the next
+        self._unsent: deque[Mapping[str, object]] = deque()
+        self._unsaved: deque[Mapping[str, object]] = deque()
+        self._lines_dropped = 0
+        self._lines_seen_saved = 0
+        self._reports: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
+        self._closing = threading.Event()
+        self._gone = threading.Event()
+        self.restarts = 0
+        self.troubles: list[str] = []
+        self._last_line: Mapping[str, object] | None = None
+        self._ready = False
+        self._tell_config()
+        self._keeper = threading.Thread(target=self._keep, name="keeper", daemon=True)
+        self._keeper.start()
+        try:
+            self._await_ready(remedy)
+        except BaseException:  # an interrupt too, or what follows it would find this memory in use
+            self.close()
+            raise
+
+    @property
+    def pid(self) -> int:
+        """Process id; after a restart, that of the newest."""
+        return self._child.process.pid
+
+    @property
+    def rows_taken(self) -> int:
+        """Rows that found room in the ring."""
+        return self._ring.head
+
+    @property
+    def rows_saved(self) -> int:
+        """Rows that are safe in the file by now."""
+        return self._ring.saved
+
+    @property
+    def rows_dropped(self) -> int:
+        """Rows that found the ring full and were given up."""
+        return self._ring.dropped
+
+    @property
+    def parts(self) -> dict[int, Kept]:
+        """What was put into each file by its number, from 1, without those that had to be given up."""
+        return self._ring.parts()
+
+    @property
+    def lines_lost(self) -> int:
+        """Lines that are not known to be safe; those on their way are among them."""
+        with self._swap:
+            self._send_unsent()
+            return self._lines_dropped + len(self._unsaved) + self._ring.lines_lost
+
+    def send(self, record: Mapping[str, object]) -> None:
+        """Pass a line on. Never waits: not for the process, and not for the start of another in its place."""
+        self._unsent.append(record)
+        self._send_waiting()
+
+    def finish(self, record: Mapping[str, object]) -> dict[str, Any]:
+        """Have the rest written, and return the report: ``rows_written`` and ``error`` among it.
+
+        Never raises for a process that died: the report then says so.
+        """
+        with self._swap:
+            self._send_unsent()
+            self._last_line = record
+            if self._ready:
+                self._child.lines.send(record, always=True)
+        return self._report() or {"error": f"{self._name} ended before the run: {self.troubles[-1]}"}
+
+    def close(self) -> None:
+        """End the process, if need be without a report, and free everything. Closing twice is allowed."""
+        self._closing.set()
+        with self._swap:
+            self._child.end_lines()
+        self._keeper.join(_EXIT_TIMEOUT_S)  # which waits for the end, and not by asking now and then as Popen does
+        if self._keeper.is_alive():
+            self._child.process.kill()
+            self._keeper.join()
+        self._child.close()
+        self._ring.close()
+        self._block.close()
+
+    def _await_ready(self, remedy: str) -> None:
+        reply = self._report()
+        self._ready = "ready" in reply
+        if "refused" in reply:
+            raise BadInputError(str(reply["refused"]))
+        if not self._ready:
+            raise DeviceError(f"{self._name} did not start: {self.troubles[-1]}; {remedy}")
+
+    def _tell_config(self) -> None:
+        self._child.lines.send({**self._config, "restarts": self.restarts}, always=True)
+
+    def _report(self) -> dict[str, Any]:
+        """Return the next reply; empty when the process ended without one for good, or makes no progress."""
+        patience = Patience(_PATIENCE_WAITS // _WAITS_A_TURN)
+        while True:
+            ended = self._gone.is_set()
+            try:
+                return self._reports.get(timeout=0.005)
+            except queue.Empty:
+                if ended:
+                    return {}
+            with self._swap:
+                flushed = self._child.lines.flush()
+            if not patience.wait((flushed, self._ring.tail, self.restarts)):
+                self._restart = False
+                self._child.process.kill()
+
+    def _keep(self) -> None:
+        """Take the replies, and see to it that there is a process; in a thread that else only waits."""
+        start_children_as_ordinary()
+        starts = 0
+        finished = False
+        while True:
+            reply = self._child.replies.read()
+            if reply is not None:
+                if self.restarts and "ready" in reply:
+                    self._say_again()
+                    self._hand_over()
+                else:
+                    self._reports.put(reply)
+                    finished = "ready" not in reply
+                continue
+            trouble = self._child.trouble()
+            if finished or self._closing.is_set():
+                break
+            self.troubles.append(trouble)
+            starts = 1 if time.monotonic() - self._child.started_s > _LONG_LIFE_S else starts + 1
+            if not (self._restart and (self._ready or self.restarts)) or starts > _STARTS_IN_A_ROW:
+                break
+            if self._closing.wait(_FIRST_BACK_OFF_S * 2 ** (starts - 1)) or not self._start_next():
+                break
+            self._hand_over()
+        self._gone.set()
+
+    def _start_next(self) -> bool:
+        """Start another process in the place of one that ended; False when there shall be none any more."""
+        with self._swap:
+            if self._closing.is_set():
+                return False
+            self._child.close()
+            self._ready = False
+            try:
+                self._child = self._child.again()
+            except OSError as error:
+                self.troubles.append(f"{self._name} could not be started again: {error}")
+                return False
+            self.restarts += 1
+            self._tell_config()
+        self._send_waiting()
+        return True
+
+    def _say_again(self) -> None:
+        """Send the lines that the process before had not saved to one that has just become ready."""
+        with self._swap:
+            self._ready = True
+            self._forget_saved_lines()
+            for record in self._unsaved if self._last_line is None else [*self._unsaved, self._last_line]:
+                self._child.lines.send(record, always=True)
+        self._send_waiting()
+
+    def _send_waiting(self) -> None:
+        """Send what waits unless another thread has the process in hand, which then does this when it lets go."""
+        while self._unsent and self._swap.acquire(blocking=False):
+            try:
+                self._send_unsent()
+            finally:
+                self._swap.release()
+
+    def _send_unsent(self) -> None:
+        self._forget_saved_lines()
+        while self._unsent:
+            record = self._unsent.popleft()
+            if not self._gone.is_set() and (not self._ready or self._child.lines.send(record)):
+                self._unsaved.append(record)
+            else:
+                self._lines_dropped += 1
+
+    def _hand_over(self) -> None:
+        """Write what a pipe did not take at once, a large config or many lines: who is to read it waits for it."""
+        while True:
+            with self._swap:
+                is_done = self._closing.is_set() or self._child.lines.flush()
+            self._send_waiting()
+            if is_done:
+                return
+            self._closing.wait(_FLUSH_PERIOD_S)
+
+    def _forget_saved_lines(self) -> None:
+        saved = self._ring.lines_taken
+        while self._unsaved and self._lines_seen_saved < saved:
+            self._unsaved.popleft()
+            self._lines_seen_saved += 1
+
+    def _put_later(self, row: Row) -> bool:
+        """Wait for room, in lockstep; else, and when there is no hope of any, drop the row and count."""
+        patience = Patience(_PATIENCE_WAITS)
+        while self._waits and not self._gone.is_set() and patience.wait((self._ring.tail, self.restarts)):
+            if not self._ring.full:
+                return self._ring.try_put(row)
+        self._waits = False
+        self._ring.count_dropped()
+        return False

@@ -1,0 +1,269 @@
+"""The run's side of a recording: starts the recorder process, gives it rows, and takes its report."""
+
+import time
+import uuid
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Protocol, Self
+
+from hil.core.outputs import Existing, claim, release
+from hil.core.signals import SIGNAL_NAMES
+from hil.record.environment import WITH_RERUN, rerun_environment
+from hil.record.files import Rotation, check_output_path, part_path
+from hil.record.ring import Kept
+from hil.record.ring_process import RingProcess
+from hil.record.ring_start import Started
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingReport:
+    """What became of the rows of a run.
+
+    Attributes:
+        path: the file, or None for a live view alone.
+        rows_put: rows that the run gave.
+        rows_written: rows that are safe in the files.
+        rows_dropped: rows that found the ring full and were given up.
+        rows_lost: rows that were taken, but are not known to be in a file: the recorder ended, or could
+            not write.
+        events_lost: events that are not known to be in a file.
+        error: why something is missing, a row, an event or the summary, or None.
+        parts: the files that are there, in order; several when it was rotated, or went on elsewhere after a trouble.
+        restarts: how often the recorder ended before its time and was started again.
+        troubles: what went wrong on the way, also where nothing is missing in the end.
+    """
+
+    path: Path | None
+    rows_put: int
+    rows_written: int
+    rows_dropped: int
+    rows_lost: int
+    events_lost: int
+    error: str | None
+    parts: tuple[Path, ...] = ()
+    restarts: int = 0
+    troubles: tuple[str, ...] = ()
+
+    @property
+    def complete(self) -> bool:
+        """Whether everything that the run gave was recorded."""
+        return self.error is None and not (self.rows_dropped or self.rows_lost or self.events_lost)
+
+
+class RunRecording(Protocol):
+    """What a run needs of its recording, a context manager: see ``Recording``."""
+
+    @property
+    def path(self) -> Path | None:
+        """The file, or None for a live view alone."""
+
+    def put(self, row: tuple[float, ...]) -> None:
+        """Take one row in the order of the signals."""
+
+    def event(self, t_s: float, level: str, text: str) -> None:
+        """Add a line to the event log."""
+
+    def finish(self, summary: Mapping[str, object], *, keep_live: bool = False) -> RecordingReport:
+        """Write the rest and the summary."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+
+def _start_recorder(suffix: str | None, *, live: bool) -> Started:
+    arguments = [WITH_RERUN] if live or suffix == ".rrd" else []
+    return Started("hil.record.recorder", rerun_environment(), *arguments)
+
+
+@contextmanager
+def early_recorder(suffix: str | None, *, live: bool = False) -> Iterator[Callable[..., "Recording"]]:
+    """Start a recorder now, so that it imports what it needs while a run gets ready; return what makes its Recording.
+
+    ``suffix`` is that of the file, None for none; with neither a file nor live viewers nothing is started. A recorder
+    of which no recording was made is ended with the context. Raises OSError when it cannot be started.
+    """
+    if suffix is None and not live:
+        yield Recording
+        return
+    with _start_recorder(suffix, live=live) as started:
+        yield partial(Recording, started=started)
+
+
+class Recording:
+    """A sink that records in a process of its own; a context manager.
+
+    The constructor returns when the recorder is ready, half a second later unless it was ``started`` before. When the
+    run dies, the recorder finishes the file by itself; when the recorder dies, the run goes on, and another takes its
+    place and writes the next part (``RUN-2.rrd``), with the rows that were not safe yet. See RECORDING.md.
+
+    Args:
+        path: the ``.rrd`` or ``.mcap`` file, or None for a live view alone. properties: what the run is, as texts by
+        name (see ``hil.runtime.provenance``). blocking: in lockstep, ``put`` waits for room in the ring; in real
+        time it drops the row and counts. live_port: serve live viewers on this port of 127.0.0.1. capacity:
+        rows that the ring holds. signals: the names of a row's values; ``loop.t_s``, ``loop.tick`` and what
+        is drawn must be among them. rotation: when the recording goes on in another file. existing: what is done
+        where the file is there already; ``path`` then has the name that was taken. started: a recorder
+        that was started for such a file (see ``early_recorder``); by default it is started now.
+
+    Raises:
+        BadInputError: the path cannot be written, or the port not be used.
+        DeviceError: the recorder process did not start.
+
+    Attributes:
+        put: takes one row in the order of the signals; raises struct.error when its length is another.
+    """
+
+    def __init__(
+        self,
+        path: Path | None,
+        *,
+        properties: Mapping[str, str],
+        blocking: bool,
+        live_port: int | None = None,
+        capacity: int = 16384,
+        signals: Sequence[str] = SIGNAL_NAMES,
+        rotation: Rotation = Rotation(),  # noqa: B008 -- immutable
+        existing: Existing = "refuse",
+        started: Started | None = None,
+    ) -> None:
+        if path is not None:
+            check_output_path("recording", path, existing)
+            path = claim("recording", path, existing)
+        self._path = path
+        self._live_port = live_port
+        self._report: RecordingReport | None = None
+        try:
+            self._process = self._begun(started, properties, signals, rotation, capacity, blocking=blocking)
+        except BaseException:
+            if path is not None:
+                release(path, existing)
+            raise
+        self.put = self._process.put
+
+    def _begun(
+        self,
+        started: Started | None,
+        properties: Mapping[str, str],
+        signals: Sequence[str],
+        rotation: Rotation,
+        capacity: int,
+        *,
+        blocking: bool,
+    ) -> RingProcess:
+        path, live_port = self._path, self._live_port
+        if started is None:
+            started = _start_recorder(None if path is None else path.suffix, live=live_port is not None)
+        return RingProcess(
+            started,
+            {
+                "path": None if path is None else str(path.absolute()),
+                "live_port": live_port,
+                "properties": dict(properties),
+                "signals": list(signals),
+                "recording_id": str(uuid.uuid4()),
+                "zero_unix_ns": time.time_ns(),
+                "rotate": list(rotation),
+            },
+            width=len(signals),
+            capacity=capacity,
+            blocking=blocking,
+            name="the recorder",
+            remedy="run without a recording to go on",
+            restart=True,
+        )
+
+    @property
+    def path(self) -> Path | None:
+        """The file, or None for a live view alone."""
+        return self._path
+
+    @property
+    def pid(self) -> int:
+        """Process id of the recorder; after a restart, that of the newest."""
+        return self._process.pid
+
+    @property
+    def rows_saved(self) -> int:
+        """Rows that are safe in a file by now."""
+        return self._process.rows_saved
+
+    @property
+    def rows_dropped(self) -> int:
+        """Rows that found the ring full and were given up by now."""
+        return self._process.rows_dropped
+
+    @property
+    def restarts(self) -> int:
+        """How often the recorder was started again by now."""
+        return self._process.restarts
+
+    def event(self, t_s: float, level: str, text: str) -> None:
+        """Add a line to the event log; ``level`` is debug, info, warning or error. Never waits."""
+        self._process.send({"event": [t_s, level, text]})
+
+    def finish(self, summary: Mapping[str, object], *, keep_live: bool = False) -> RecordingReport:
+        """Write the rest and the summary, and return the report; never raises for a recorder that died.
+
+        With ``keep_live`` the file is finished, but live viewers are served until ``close``.
+        """
+        if self._report is None:
+            keep_live = keep_live and self._live_port is not None
+            self._report = self._make_report(self._process.finish({"finish": dict(summary), "keep_live": keep_live}))
+            if not keep_live:
+                self.close()
+        return self._report
+
+    def close(self) -> None:
+        """End the recorder, if need be without a summary, and free everything. Closing twice is allowed."""
+        self._process.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _make_report(self, reply: Mapping[str, Any]) -> RecordingReport:
+        process = self._process
+        kept = {} if self._path is None else process.parts
+        paths = {} if self._path is None else {number: part_path(self._path, number) for number in kept}
+        gone = [number for number, path in paths.items() if not path.exists()]
+        rows_gone, events_gone = sum(kept[number].rows for number in gone), sum(kept[number].lines for number in gone)
+        written = process.rows_saved - rows_gone
+        lost = 0 if self._path is None else process.rows_taken - written
+        events_lost = process.lines_lost + events_gone
+        troubles = [f"the recorder ended: {trouble}" for trouble in process.troubles]
+        if reply.get("trouble"):
+            troubles.append(reply["trouble"])
+        if rows_gone or events_gone:
+            names = ", ".join(paths[number].name for number in gone)
+            troubles.append(f"{names}: removed or moved away, with {rows_gone} rows and {events_gone} events")
+        missing = lost or process.rows_dropped or events_lost
+        why = "; ".join(dict.fromkeys(troubles)) if missing else None
+        return RecordingReport(
+            path=self._path,
+            rows_put=process.rows_taken + process.rows_dropped,
+            rows_written=written,
+            rows_dropped=process.rows_dropped,
+            rows_lost=lost,
+            events_lost=events_lost,
+            error=reply.get("error") or reply.get("live_error") or why or None,
+            parts=tuple(path for number, path in paths.items() if number not in gone),
+            restarts=process.restarts,
+            troubles=(*troubles, *self._left_alone(kept)),
+        )
+
+    def _left_alone(self, kept: Mapping[int, Kept]) -> Iterator[str]:
+        """Say which files of other runs stand where one of this run would have been written."""
+        if self._path is not None and len(kept) < max(kept, default=0):
+            others = [part_path(self._path, number).name for number in range(1, max(kept)) if number not in kept]
+            yield f"it did not go on in {', '.join(others)}: there was such a file before, which was left alone"

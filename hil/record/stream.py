@@ -1,0 +1,219 @@
+"""One rerun stream: rows, events and properties become columns of a recording.
+
+A stream has one sink: a file, or a server that live viewers pull from. (A file and a pushing sink in one stream stall
+each other when no viewer listens.) What is drawn besides the signals themselves is in ``trails``, ``scene``, ``lanes``
+and ``limits``; those and this module alone write with rerun.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import rerun as rr
+
+from hil.record.blueprint import blueprint
+from hil.record.decimate import Decimator
+from hil.record.known import scenario_values
+from hil.record.lanes import Lane, lanes
+from hil.record.layout import ALARM_COLOUR, layout
+from hil.record.limits import LIMITS_PATH, limit_values, limits
+from hil.record.names import (
+    APPLICATION,
+    PART_PROPERTY,
+    RECORDER_PROPERTY,
+    RUN_PROPERTY,
+    SIGNALS_PATH,
+    SIGNALS_PROPERTY,
+    SUMMARY_PROPERTY,
+)
+from hil.record.page import page
+from hil.record.ring import Rows
+from hil.record.robot_model import RobotShape
+from hil.record.scene import Scene
+from hil.record.timeline import RowTimes, Times, indexes, seconds_index
+from hil.record.trails import Trails
+
+DRAWN_PERIOD_S = 0.005
+_DRAWN_AT_ONCE = 2000
+_LIMIT_PERIOD_S = 0.1
+_LIMIT_WIDTH_PX = 1.0
+_LEVELS = {"debug": "DEBUG", "info": "INFO", "warning": "WARN", "error": "ERROR"}
+_FLUSH_TIMEOUT_S = 10.0
+
+
+class Stream:
+    """A rerun stream into one sink. Raises RuntimeError (from rerun) when the sink cannot be opened.
+
+    Args:
+        sink: ``rr.FileSink`` or ``rr.GrpcServerSink``.
+        recording_id: the same for the file and the live stream of a run: viewers merge them.
+        signals: names of the columns of every row.
+        properties: what the run was, as texts by name. Its ``scenario`` tells how large the robot is, and the limits
+            and faults: what it does not tell is not drawn.
+        live: chooses the views' time window, and that only what is drawn is served.
+        part: which file of the run it is (see ``hil.record.names``); None for a run in one file.
+    """
+
+    def __init__(
+        self,
+        sink: rr.FileSink | rr.GrpcServerSink,
+        *,
+        recording_id: str,
+        signals: Sequence[str],
+        properties: Mapping[str, str],
+        live: bool,
+        part: Mapping[str, object] | None = None,
+    ) -> None:
+        self._column = {name: i for i, name in enumerate(signals)}
+        self._layout = layout(signals)
+        self._entities = [
+            (entity.path, [self._column[series.signal] for series in entity.series]) for entity in self._layout
+        ]
+        self._properties = dict(properties)
+        values = scenario_values(properties)
+        shape = RobotShape.of(values)
+        self._lanes = [(lane, _LaneEnd()) for lane in lanes(self._column, values)]
+        self._limits = limits(values, self._layout)
+        self._limit_decimator = Decimator(_LIMIT_PERIOD_S)
+        self._drawn_decimator = Decimator(DRAWN_PERIOD_S)
+        self._times = RowTimes(self._column)
+        self._drawn_times = RowTimes(self._column)
+        self._undrawn: list[Rows] = []
+        self._rerun = rr.RecordingStream(APPLICATION, recording_id=recording_id)
+        layout_of_views = blueprint(self._layout, limits=self._limits, shape=shape, live=live)
+        self._rerun.set_sinks(sink, default_blueprint=layout_of_views)
+        self._drawings: list[Trails | Scene] = [Trails(self._rerun, self._column)]
+        if shape is not None:
+            torque_constant = values.get("firmware.torque_constant_n_m_a")
+            self._drawings.append(Scene(self._rerun, self._column, shape, torque_constant))
+        if part is not None:
+            self._rerun.send_property(PART_PROPERTY, rr.AnyValues(json=json.dumps(part)))
+        self._describe(live=live)
+        self.flush()
+
+    def rows(self, rows: Rows) -> None:
+        """Write rows of shape (n, signals) as they are, all in one entity: this is what is read back.
+
+        What is drawn of them follows up to ``_DRAWN_AT_ONCE`` rows later: few large pieces take less of the disk, and
+        the index of a long file less memory of who reads it, 2.8 kB a piece.
+        """
+        index = indexes(self._times(rows))
+        self._rerun.send_columns(SIGNALS_PATH, indexes=index, columns=rr.Scalars.columns(scalars=rows))
+        self._undrawn.append(rows)
+        if sum(map(len, self._undrawn)) >= _DRAWN_AT_ONCE:
+            self._draw_rest()
+
+    def draw(self, rows: Rows) -> None:
+        """Write what is drawn of rows of shape (n, signals): signals at no more than one each ``DRAWN_PERIOD_S``."""
+        times = self._drawn_times(rows)
+        for lane, end in self._lanes:
+            self._state_changes(lane, end, rows, times)
+        drawn = self._drawn_decimator.keep(times[:, 0])
+        if len(drawn):
+            index, values = indexes(times[drawn]), rows[drawn]
+            for path, columns in self._entities:
+                self._rerun.send_columns(path, indexes=index, columns=rr.Scalars.columns(scalars=values[:, columns]))
+        self._draw_limits(times)
+        for drawing in self._drawings:
+            drawing.rows(rows, times)
+
+    def event(self, t_s: float, level: str, text: str) -> None:
+        """Write a line of the event log at scenario time ``t_s``."""
+        self._rerun.send_columns(
+            "/events",
+            indexes=[seconds_index(np.array([t_s]))],
+            columns=rr.TextLog.columns(text=[text], level=[_LEVELS.get(level, "INFO")]),
+        )
+
+    def finish(self, summary: Mapping[str, object] | None, recorder: Mapping[str, int]) -> None:
+        """Write the run's summary, when there is one, also into the page, and last the recorder's counts."""
+        self._draw_rest()
+        if summary is not None:
+            self._rerun.send_property(SUMMARY_PROPERTY, rr.AnyValues(json=json.dumps(summary)))
+            self._page(summary)
+        # Where these are, all is: so a reader tells a file that was cut.
+        self._rerun.send_property(RECORDER_PROPERTY, rr.AnyValues(json=json.dumps(recorder)))
+
+    def flush(self) -> None:
+        """Hand everything to the operating system. Raises RuntimeError when that fails (a full disk)."""
+        # Without a limit, rerun 0.41 now and then waits for ever for a file whose writer has failed.
+        self._rerun.flush(timeout_sec=_FLUSH_TIMEOUT_S)
+
+    def close(self) -> None:
+        """Flush, and close the sink: a file gets its footer. Raises RuntimeError when the flush fails."""
+        self.flush()
+        self._rerun.disconnect()
+
+    def _describe(self, *, live: bool) -> None:
+        drawn = {entity.path: [series.signal for series in entity.series] for entity in self._layout}
+        # Where a reader finds every signal: viewers get no more than what is drawn.
+        held = drawn if live else {SIGNALS_PATH: list(self._column)}
+        self._rerun.send_property(SIGNALS_PROPERTY, rr.AnyValues(json=json.dumps(held)))
+        if self._properties:
+            texts = rr.AnyValues(drop_untyped_nones=True, **self._properties)
+            self._rerun.send_property(RUN_PROPERTY, texts)
+        if "scenario_name" in self._properties:
+            self._rerun.send_recording_name(self._properties["scenario_name"])
+        for entity in self._layout:
+            style = rr.SeriesLines(
+                names=[series.label for series in entity.series],
+                colors=[series.colour for series in entity.series],
+                widths=[entity.width_px] * len(entity.series),
+            )
+            self._rerun.log(entity.path, style, static=True)
+        for path, lines in self._limits.items():
+            style = rr.SeriesLines(
+                names=[line.label for line in lines],
+                colors=[ALARM_COLOUR] * len(lines),
+                widths=[_LIMIT_WIDTH_PX] * len(lines),
+            )
+            self._rerun.log(LIMITS_PATH + path, style, static=True)
+        for lane, _ in self._lanes:
+            # As an array: rerun would take three or four numbers for the parts of one colour.
+            colours = np.array(lane.colours, dtype=np.uint32)
+            style_of_states = rr.StateConfiguration(values=list(lane.names.values()), colors=colours)
+            self._rerun.log(lane.path, style_of_states, static=True)
+        for drawing in self._drawings:
+            drawing.describe()
+        self._page(None)
+
+    def _page(self, summary: Mapping[str, object] | None) -> None:
+        """Log the page that says what the run was and, in the end, what came of it."""
+        text = rr.TextDocument(page(self._properties, summary), media_type=rr.MediaType.MARKDOWN)
+        self._rerun.log("/run", text, static=True)
+
+    def _draw_rest(self) -> None:
+        """Draw the rows that were written and not drawn yet."""
+        if self._undrawn:
+            rows = np.concatenate(self._undrawn)
+            self._undrawn.clear()
+            self.draw(rows)
+
+    def _state_changes(self, lane: Lane, end: "_LaneEnd", rows: Rows, times: Times) -> None:
+        codes = lane.codes(rows)
+        for i in np.flatnonzero(np.append(True, codes[1:] != codes[:-1])):
+            if not np.isfinite(codes[i]):
+                continue
+            name = lane.names.get(int(codes[i]), f"UNKNOWN {codes[i]:g}")
+            if name != end.state:
+                end.state = name
+                state = rr.StateChange.columns(state=[name])
+                self._rerun.send_columns(lane.path, indexes=indexes(times[i : i + 1]), columns=state)
+
+    def _draw_limits(self, times: Times) -> None:
+        # At the pace of the run: a point ahead of it would take a live view with it.
+        t_s = times[self._limit_decimator.keep(times[:, 0]), 0]
+        if not len(t_s):
+            return
+        for path, lines in self._limits.items():
+            drawn = limit_values(lines, t_s)
+            if np.isfinite(drawn).any():
+                scalars = rr.Scalars.columns(scalars=drawn)
+                self._rerun.send_columns(LIMITS_PATH + path, indexes=[seconds_index(t_s)], columns=scalars)
+
+
+class _LaneEnd:
+    """The state that a lane shows last."""
+
+    def __init__(self) -> None:
+        self.state: str | None = None

@@ -1,9 +1,0 @@
-"""A worker of the reproduction: it takes jobs as lines of JSON and answers with outcomes."""
-
-import sys
-
-from hil.reproduction.runs import Job, lost, perform
-from hil.worker import serve
-
-if __name__ == "__main__":
-    sys.exit(serve(Job, perform, lost))

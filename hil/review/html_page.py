@@ -1,0 +1,122 @@
+"""Pages that need nothing else: one HTML file with its style and its plots as SVG, made to read and to print."""
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from html import escape
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from hil.core.outputs import Existing
+from hil.core.whole_file import write_whole
+from hil.record.files import check_output_path
+from hil.review.plots import drawing
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_STYLE = """
+:root { color-scheme: light; }
+body { font: 15px/1.45 system-ui, "Segoe UI", "DejaVu Sans", sans-serif; color: #222; margin: 2em auto; max-width: 62em;
+  padding: 0 1em; }
+h1 { font-size: 1.5em; margin: 0 0 .2em; }
+h2 { font-size: 1.15em; margin: 1.6em 0 .4em; border-bottom: 1px solid #ccc; }
+table { border-collapse: collapse; width: 100%; font-size: .87em; }
+th, td { text-align: left; vertical-align: top; padding: .2em .7em .2em 0; border-bottom: 1px solid #e6e6e6;
+  overflow-wrap: break-word; }
+td:last-child { overflow-wrap: anywhere; }
+th { font-weight: 600; } th.n { text-align: right; }
+td.n { text-align: right; white-space: nowrap; font-variant-numeric: tabular-nums; }
+figure { margin: 1em 0; } figure svg { width: 100%; height: auto; } figcaption { font-size: .87em; color: #555; }
+.passed, .better { color: #00704a; } .failed, .worse { color: #b3261e; } .verdict { font-weight: 700; }
+.note { color: #7a5200; } .about { color: #555; margin: .1em 0; }
+.columns { columns: 2; column-gap: 2em; }
+code { overflow-wrap: anywhere; }
+@media screen and (max-width: 45em) { table { display: block; overflow-x: auto; } td.t { min-width: 6em; }
+  .columns { columns: 1; } body { margin: 1em auto; } }
+@page { size: A4; margin: 15mm 14mm; }
+@media print {
+  body { font-size: 9.5pt; margin: 0; max-width: none; padding: 0; }
+  h2 { break-after: avoid; } figure, tr { break-inside: avoid; } thead { display: table-header-group; }
+  .passed, .failed, .better, .worse { print-color-adjust: exact; }
+}
+""".strip()
+# A browser that would load something for this page must not.
+_POLICY = "default-src 'none'; style-src 'unsafe-inline'"
+_WIDTH_IN = 7.2
+
+
+class Picture(NamedTuple):
+    """A plot: its title and caption, and the SVG as it stands in a page."""
+
+    title: str
+    caption: str
+    svg: str
+
+
+def picture(
+    title: str,
+    caption: str,
+    draw: "Callable[[list[Axes]], None]",
+    *,
+    height_in: float,
+    rows: int = 1,
+    columns: int = 1,
+) -> Picture:
+    """Return what ``draw`` draws on so many axes, as wide as a page."""
+    buffer = BytesIO()
+    with drawing(buffer, rows=rows, columns=columns, size_in=(_WIDTH_IN, height_in)) as axes:
+        draw(axes)
+    svg = buffer.getvalue().decode()
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+    # Names of groups: nothing refers to them, and those of two plots on a page would be the same.
+    svg = re.sub(r'<g id="[^"]*"', "<g", svg)
+    return Picture(title, caption, svg.replace("<svg ", f'<svg role="img" aria-label="{escape(title)}" ', 1))
+
+
+def document(title: str, parts: Iterable[str]) -> str:
+    """Return a page of parts that are HTML already."""
+    return "\n".join(
+        [
+            "<!doctype html>",
+            '<html lang="en"><head><meta charset="utf-8">',
+            f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">',
+            '<meta name="viewport" content="width=device-width">',
+            f"<title>{escape(title)}</title><style>{_STYLE}</style></head><body>",
+            f"<h1>{escape(title)}</h1>",
+            *parts,
+            "</body></html>\n",
+        ]
+    )
+
+
+def write_document(path: Path, text: str, existing: Existing = "refuse") -> None:
+    """Write a page; ``existing`` says what is done where the file is there already.
+
+    Raises BadInputError when its name does not end in .html, and where it cannot be written.
+    """
+    check_output_path("page", path, existing)
+    write_whole(path, text.encode("utf-8"), "page", existing)
+
+
+def figure(drawn: Picture) -> Iterator[str]:
+    """Yield a plot with its title and caption."""
+    yield f"<h2>{escape(drawn.title)}</h2>"
+    yield f"<figure>{drawn.svg}<figcaption>{escape(drawn.caption)}</figcaption></figure>"
+
+
+def mark(text: str, good: bool) -> str:
+    """Return a text in the colour of what passed or failed."""
+    return f'<span class="{"passed" if good else "failed"}">{escape(text)}</span>'
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]], numbers: Sequence[int] = ()) -> Iterator[str]:
+    """Yield a table; cells are HTML already."""
+    kinds = ["n" if place in numbers else "t" for place in range(len(head))]
+    heads = (f'<th class="{kind}">{cell}</th>' for kind, cell in zip(kinds, head, strict=True))
+    yield f"<table><thead><tr>{''.join(heads)}</tr></thead><tbody>"
+    for row in rows:
+        cells = (f'<td class="{kind}">{cell}</td>' for kind, cell in zip(kinds, row, strict=True))
+        yield f"<tr>{''.join(cells)}</tr>"
+    yield "</tbody></table>"

@@ -1,0 +1,274 @@
+"""Pictures of runs, in one style, with the colours that recordings have.
+
+    with drawing(Path("circle.png"), columns=2) as (left, right):
+        draw_path(left, reference, [Curve("afdsc", x_m, y_m)])
+        draw_error(right, [Curve("afdsc", t_s, planar_m)])
+
+matplotlib is imported when something is drawn, not before, and always without pyplot: no display and no window. Two
+drawings of the same data are the same bytes.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hil.core.outputs import Existing
+from hil.core.types import WHEEL_NAMES
+from hil.core.whole_file import write_whole
+from hil.record.layout import ALARM_COLOUR, REFERENCE_COLOUR, WHEEL_COLOURS, Colour
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Series = npt.NDArray[np.float64]
+
+# Those of Okabe and Ito, which colour-blind readers can tell apart, without the yellow that white paper swallows.
+_CYCLE: tuple[Colour, ...] = (
+    (0, 114, 178),
+    (213, 94, 0),
+    (0, 158, 115),
+    (204, 121, 167),
+    (86, 180, 233),
+    (230, 159, 0),
+    (90, 90, 90),
+    (120, 60, 160),
+    (120, 80, 40),
+)
+_DASHES = ("-", (0, (5, 2)))
+_INK = "#333333"
+_STYLE: Any = {
+    "font.size": 9.0,
+    "axes.titlesize": 10.0,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.edgecolor": _INK,
+    "axes.labelcolor": _INK,
+    "text.color": _INK,
+    "xtick.color": _INK,
+    "ytick.color": _INK,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#dddddd",
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.4,
+    "legend.frameon": False,
+    "legend.fontsize": 8.0,
+    "figure.dpi": 130.0,
+    "savefig.facecolor": "white",
+    "svg.fonttype": "none",  # text stays text: it can be searched, and is as small
+    "svg.hashsalt": "mecanum-hil",
+}
+_LEAST_ERROR_MM = 0.01  # below the encoders' resolution a logarithmic scale shows noise alone
+_BAR_SHARE = 0.8
+_MOST_INSIDE = 5
+"""Names that a legend has within the axes."""
+
+
+class Curve(NamedTuple):
+    """Points in the order in which they are joined; ``x`` and ``y`` of one shape (n,), NaN leaves a gap.
+
+    ``colour`` is the next of the house's cycle when None.
+    """
+
+    label: str
+    x: Series
+    y: Series
+    colour: Colour | None = None
+    dashed: bool = False
+
+
+class Bar(NamedTuple):
+    """The bars of one name, one for each group: what is nominal in full colour, up to the worst lighter.
+
+    None stands for what has no number, and leaves a mark in place of the bar.
+    """
+
+    label: str
+    nominal: Sequence[float | None]
+    worst: Sequence[float | None]
+
+
+@contextmanager
+def drawing(
+    file: Path | BytesIO,
+    *,
+    rows: int = 1,
+    columns: int = 1,
+    size_in: tuple[float, float] = (6.4, 4.0),
+    existing: Existing = "refuse",
+) -> Iterator[list["Axes"]]:
+    """Give the axes to draw on, row by row, and write them: as PNG to a path, as SVG to a buffer, for a page.
+
+    ``existing`` says what is done where the file is there already. ``size_in`` is the whole picture's. What matplotlib
+    makes inside has the house's style. Raises BadInputError when the file cannot be written; after an error of the
+    caller's nothing is written.
+    """
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context(_STYLE):
+        figure = Figure(figsize=size_in, layout="constrained")
+        FigureCanvasAgg(figure)
+        yield list(figure.subplots(rows, columns, squeeze=False).flat)
+        if isinstance(file, BytesIO):
+            figure.savefig(file, format="svg", metadata={"Date": None})
+            return
+        png = BytesIO()
+        figure.savefig(png, format="png")
+        write_whole(file, png.getvalue(), "picture", existing)
+
+
+def thinned(curve: Curve, points: int = 1200) -> Curve:
+    """Return a curve over time with about this many points that looks the same: least and greatest of each stretch.
+
+    Gaps (NaN) stay where whole stretches are empty. A curve that has no more points is returned as it is.
+    """
+    count = len(curve.x)
+    if count <= points:
+        return curve
+    size = -(-2 * count // points)
+    padding = (0, -count % size)
+    x = np.pad(curve.x, padding, mode="edge").reshape(-1, size)
+    y = np.pad(curve.y, padding, mode="edge").reshape(-1, size)
+    there = np.isfinite(y)
+    least = np.argmin(np.where(there, y, np.inf), axis=1)
+    greatest = np.argmax(np.where(there, y, -np.inf), axis=1)
+    places = np.sort(np.stack([least, greatest], axis=1), axis=1)
+    return curve._replace(
+        x=np.take_along_axis(x, places, axis=1).ravel(), y=np.take_along_axis(y, places, axis=1).ravel()
+    )
+
+
+def colour_of(number: int) -> Colour:
+    """Return the colour of the law, or whatever is compared, of this number."""
+    return _CYCLE[number % len(_CYCLE)]
+
+
+def is_dashed(number: int) -> bool:
+    """Return whether what has this number is drawn dashed, because its colour is another one's already."""
+    return number >= len(_CYCLE)
+
+
+def draw_curves(
+    axes: "Axes", curves: Sequence[Curve], *, title: str = "", x_label: str = "t [s]", y_label: str = ""
+) -> None:
+    """Draw curves with a legend; from the tenth on, where colours come again, they are dashed."""
+    for number, curve in enumerate(curves):
+        dashed = curve.dashed or (curve.colour is None and is_dashed(number))
+        axes.plot(
+            curve.x,
+            curve.y,
+            label=curve.label,
+            color=rgb(curve.colour or colour_of(number)),
+            linestyle=_DASHES[dashed],
+        )
+    axes.set(title=title, xlabel=x_label, ylabel=y_label)
+    if any(curve.label for curve in curves):
+        _legend(axes)
+
+
+def _legend(axes: "Axes", **inside: Any) -> None:
+    """Show the legend within the axes, or beside them when it is so long that it would hide what they show."""
+    _, labels = axes.get_legend_handles_labels()
+    if len(labels) > _MOST_INSIDE:
+        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    else:
+        axes.legend(**inside)
+
+
+def draw_path(axes: "Axes", reference: Curve, curves: Sequence[Curve], *, title: str = "Path") -> None:
+    """Draw where robots went, x and y in m on one scale, over the reference; a dot marks where each began."""
+    axes.plot(
+        reference.x,
+        reference.y,
+        label=reference.label,
+        color=rgb(reference.colour or REFERENCE_COLOUR),
+        linewidth=4.0,
+        alpha=0.5,
+    )
+    draw_curves(axes, curves, title=title, x_label="x [m]", y_label="y [m]")
+    for number, curve in enumerate(curves):
+        there = np.flatnonzero(np.isfinite(curve.x) & np.isfinite(curve.y))
+        if len(there):
+            colour = rgb(curve.colour or colour_of(number))
+            axes.plot(curve.x[there[0]], curve.y[there[0]], "o", color=colour, markersize=4.0)
+    axes.set_aspect("equal", adjustable="datalim")
+
+
+def draw_error(axes: "Axes", curves: Sequence[Curve], *, title: str = "Planar error", log: bool = True) -> None:
+    """Draw the planar error over time, given in s and m and shown in mm, on a logarithmic scale or not.
+
+    On the logarithmic scale a line marks 10 mm, the error of t10, and what is less than 0.01 mm is shown as that.
+    """
+    label = "planar error [mm]"
+    scaled = [curve._replace(y=curve.y * 1e3) for curve in curves]
+    if log:
+        if any(np.any(curve.y < _LEAST_ERROR_MM) for curve in scaled):
+            label += f", less than {_LEAST_ERROR_MM:g} shown as that"
+        scaled = [curve._replace(y=np.maximum(curve.y, _LEAST_ERROR_MM)) for curve in scaled]
+        axes.set_yscale("log")
+        axes.axhline(10.0, color=rgb(ALARM_COLOUR), linewidth=0.8, linestyle=":")
+    draw_curves(axes, scaled, title=title, y_label=label)
+
+
+def draw_wheels(axes: "Axes", t_s: Series, wheels: Mapping[str, Series], *, title: str, y_label: str) -> None:
+    """Draw a quantity of the four wheels over time; ``wheels`` has it by wheel, as in ``WHEEL_NAMES``."""
+    each = zip(WHEEL_NAMES, WHEEL_COLOURS, strict=True)
+    curves = [Curve(wheel.upper(), t_s, wheels[wheel], colour) for wheel, colour in each]
+    draw_curves(axes, curves, title=title, y_label=y_label)
+
+
+def draw_bars(
+    axes: "Axes", groups: Sequence[str], bars: Sequence[Bar], *, title: str, y_label: str, log: bool = False
+) -> None:
+    """Draw groups of bars, those of one name in one colour: nominal in full, the worst behind it lighter.
+
+    On a logarithmic scale, which has no foot for a bar to stand on, they are dots, joined by a line. Values that it
+    has no place for, of zero, make it a linear one.
+
+    Raises ValueError when a bar has not one value for each group.
+    """
+    there = [value for bar in bars for value in (*bar.nominal, *bar.worst) if value is not None]
+    log = log and bool(there) and min(there) > 0.0
+    width = _BAR_SHARE / max(1, len(bars))
+    for number, bar in enumerate(bars):
+        colour = rgb(colour_of(number))
+        for group, nominal, worst in zip(range(len(groups)), bar.nominal, bar.worst, strict=True):
+            place = group + (number - (len(bars) - 1) / 2) * width
+            label = bar.label if group == 0 else None
+            if log:
+                both = [np.nan if value is None else value for value in (nominal, worst)]
+                axes.plot([place, place], both, "-", color=colour, alpha=0.35)
+                axes.plot(place, both[1], "o", color=colour, alpha=0.35, markersize=5.0)
+                axes.plot(place, both[0], "o", color=colour, markersize=5.0, label=label)
+            else:
+                axes.bar(place, worst or 0.0, width * 0.9, color=colour, alpha=0.35)
+                axes.bar(place, nominal or 0.0, width * 0.9, color=colour, label=label)
+            if nominal is None:
+                foot = axes.get_xaxis_transform()
+                axes.plot(place, 0.0, "x", color=colour, markersize=5.0, clip_on=False, transform=foot)
+    if any(nominal is None for bar in bars for nominal in bar.nominal):
+        axes.plot([], [], "x", color=_INK, markersize=5.0, label="refused, or no figure")
+    axes.set_xticks(range(len(groups)), groups)
+    axes.grid(visible=False, axis="x")
+    axes.set(title=title, ylabel=y_label)
+    if log:
+        axes.set_yscale("log")
+    else:
+        axes.margins(y=0.3)  # for the legend above the bars
+        axes.set_ylim(bottom=0.0)
+    _legend(axes, ncols=3, loc="upper center")
+
+
+def rgb(colour: Colour) -> tuple[float, float, float]:
+    """Return a colour as matplotlib takes it."""
+    red, green, blue = colour
+    return red / 255, green / 255, blue / 255

@@ -1,0 +1,247 @@
+"""Replay: another law computed afterwards from what a run recorded. Open loop: none of it ever drove the robot.
+
+The law hears what the law in command heard, tick by tick: the reference, the state, what was applied at the tick before
+and how late that took effect. It is asked and reset where that one was. What it says is limited by the guard and set
+against the commands that were recorded. The law that made the run says again what it said then.
+"""
+
+import array
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hil.core.errors import BadInputError, DeviceError, OverdueError
+from hil.core.guard import Guard
+from hil.core.outputs import Existing
+from hil.core.ports import Controller
+from hil.core.tick_watch import TickOverdue, TickWatch
+from hil.core.types import NAN, WHEEL_NAMES, ZERO_WHEELS, Applied, CommandMode, WheelCommand
+from hil.laws.own_signals import short_name
+from hil.laws.registry import make_controller
+from hil.laws.shadows import QUANTITY
+from hil.record import Recording, check_output_path
+from hil.review import RecordedRun
+from hil.review.replay.recorded import check_signals, model_of, recorded_gains, rows, scenario_of, tuples
+from hil.scenario.toml_text import parse_value
+
+__all__ = ["Difference", "Replay", "replay", "write_replay"]
+
+Series = npt.NDArray[np.float64]
+
+_LABEL = "open loop: computed afterwards from the recorded states; it never drove the robot"
+
+
+class Difference(NamedTuple):
+    """Replayed minus recorded set points of a wheel, over the ticks in which the law was asked.
+
+    ``max`` is the largest absolute one, at ``max_s`` of the run; ``recorded_rms`` tells how large the commands are.
+    """
+
+    rms: float
+    max: float
+    max_s: float
+    recorded_rms: float
+
+
+@dataclass(frozen=True, slots=True)
+class Replay:
+    """What a law would have said at each tick of a run.
+
+    Attributes:
+        path: the recording.
+        law: as it was given, without its gains.
+        recorded_law: the one that was in command.
+        mode: of the recording; the law has no other choice.
+        gains: with which the law was made, where they are not its defaults.
+        ticks: of the recording.
+        asked: of these, those in which a law was asked.
+        commands_refused: replayed commands that were no numbers.
+        commands: by the name of the recorded signal, NaN where the law was not asked, each of shape (ticks,).
+        differences: by the name of the recorded signal.
+        notes: sentences on why the law did not hear all that the one in command heard.
+    """
+
+    path: Path
+    law: str
+    recorded_law: str
+    mode: CommandMode
+    gains: Mapping[str, object]
+    ticks: int
+    asked: int
+    commands_refused: int
+    commands: Mapping[str, Series]
+    differences: Mapping[str, Difference]
+    notes: tuple[str, ...]
+
+    def figures(self) -> dict[str, Any]:
+        """Return the figures, as ``hil replay --json`` prints them."""
+        return {
+            "open_loop": True,
+            "label": _LABEL,
+            "recording": str(self.path),
+            "law": self.law,
+            "gains": dict(self.gains),
+            "recorded_law": self.recorded_law,
+            "command": self.mode.name.lower(),
+            "ticks": self.ticks,
+            "asked": self.asked,
+            "commands_refused": self.commands_refused,
+            "difference": {name: difference._asdict() for name, difference in self.differences.items()},
+            "notes": list(self.notes),
+        }
+
+
+def replay(run: RecordedRun, text: str) -> Replay:
+    """Feed a recording to the law of ``text``: LAW or LAW,KEY=VALUE,..., as in ``dsc,k1_1_s=8``.
+
+    The robot's model is the recording's. So are the gains where the law is the one in command, or one of its shadows;
+    over these come those of the text. Raises BadInputError for a recording that does not hold what a law hears, for a
+    law or gains as ``make_controller`` does, and with what a law that is not ours raises; OverdueError for one that
+    does not return within the recording's ``loop.tick_limit_s``. One that is stuck ends the process, as in ``hil.run``.
+    """
+    check_signals(run)
+    scenario = scenario_of(run)
+    spec, *assignments = text.split(",")
+    mode = CommandMode[str(scenario["controller.command"]).upper()]
+    gains = recorded_gains(scenario, spec) | _given(text, assignments)
+    model = model_of(run, scenario)
+    law = make_controller(spec, Path.cwd(), model, mode, gains, law_key="--law", gains_key=f"--law {spec}")
+    guard = Guard(model.speed_limit_rad_s, model.torque_limit_n_m)
+    names = _compared(mode)
+    said = array.array("d")
+    t_s = run.signals["loop.t_s"]
+    watch = TickWatch(
+        float(scenario.get("loop.tick_limit_s", 0.0)), lambda: float(t_s[len(said) // len(names)]), lambda _: None
+    )
+    try:
+        with watch:
+            for command in _commands(run, law, guard, mode, scenario, watch):
+                said.extend(_flat(command, mode))
+    except TickOverdue as overdue:
+        raise OverdueError(str(overdue)) from None
+    table = np.frombuffer(said, dtype=np.float64).reshape(-1, len(names))
+    asked = np.isfinite(table[:, 0])
+    if not asked.any():
+        raise BadInputError(f"{run.path}: there is no tick in which the law was asked; nothing can be replayed")
+    commands = dict(zip(names, table.T, strict=True))
+    return Replay(
+        path=run.path,
+        law=spec,
+        recorded_law=str(scenario["controller.law"]),
+        mode=mode,
+        gains=gains,
+        ticks=len(table),
+        asked=int(asked.sum()),
+        commands_refused=guard.refused,
+        commands=commands,
+        differences={name: _difference(t_s[asked], run.signals[name][asked], commands[name][asked]) for name in names},
+        notes=tuple(_notes(run, scenario)),
+    )
+
+
+def write_replay(run: RecordedRun, replayed: Replay, path: Path, existing: Existing = "refuse") -> None:
+    """Record the run again with the replayed commands and their differences beside the recorded ones.
+
+    They are signals ``replay.LAW.wheel.fl.torque_command_n_m`` and ``..._difference_n_m``. ``existing`` says what
+    is done where the file is there already. Raises BadInputError for a path that cannot be written, or is the
+    recording's own, DeviceError when not all could be recorded.
+    """
+    if path.resolve() == run.path.resolve():
+        raise BadInputError(f"--record {path}: this is the recording that is replayed; choose another name")
+    check_output_path("recording", path, existing)
+    prefix = f"replay.{short_name(replayed.law)}"
+    signals = {name: series for name, series in run.signals.items() if not name.startswith(f"{prefix}.")}
+    for name, series in replayed.commands.items():
+        signals[f"{prefix}.{name}"] = series
+        signals[f"{prefix}.{name.replace('_command_', '_difference_')}"] = series - run.signals[name]
+    told = f"{replayed.law}, {_LABEL}; it replays {run.path.name}"
+    properties = dict(run.properties) | {"replay": told}
+    with Recording(path, properties=properties, blocking=True, signals=tuple(signals), existing=existing) as recording:
+        for event in run.events:
+            recording.event(event.t_s, event.severity, event.text)
+        for sentence in (told, *replayed.notes):
+            recording.event(float(run.signals["loop.t_s"][0]), "warning", sentence)
+        for row in tuples(list(signals.values())):
+            recording.put(row)
+        report = recording.finish(run.summary or {})
+    if not report.complete:
+        why = report.error or "not all rows or events could be passed on"
+        raise DeviceError(f"recording {path} is incomplete: {why}; {report.rows_written} rows are safe in it")
+
+
+def _given(text: str, assignments: Sequence[str]) -> dict[str, object]:
+    gains: dict[str, object] = {}
+    for assignment in assignments:
+        key, equals, value = assignment.partition("=")
+        if not (key.strip() and equals):
+            raise BadInputError(f"--law {text}: {assignment!r} is no gain; expected key=value, as in dsc,k1_1_s=8")
+        gains[key.strip()] = parse_value(value.strip())
+    return gains
+
+
+def _commands(
+    run: RecordedRun, law: Controller, guard: Guard, mode: CommandMode, scenario: Mapping[str, Any], watch: TickWatch
+) -> Iterator[WheelCommand | None]:
+    """Yield what the law says at each tick, after the guard; None where the law in command was not asked."""
+    period_ns = 1_000_000_000 // int(scenario["loop.rate_hz"])
+    stale_ns = round(1e9 * float(scenario["firmware.watchdog_s"]))
+    rest = WheelCommand(mode, ZERO_WHEELS, ZERO_WHEELS)
+    latency_s = sum(float(scenario.get(f"link.{way}_latency_s", 0.0)) for way in ("command", "feedback"))
+    applied = Applied(rest, False, latency_s)
+    before: int | None = None  # the tick before, as hil.runtime.loop counts it
+    for row in rows(run, mode):
+        if row.is_away:
+            yield None
+            before = None
+            applied = Applied(rest, False, row.applied.latency_s)
+            continue
+        if row.is_held:
+            before = None  # after a hold the law begins anew
+            yield None
+        else:
+            watch.turn += 1
+            if before is None or (row.tick - before) * period_ns > stale_ns:
+                law.reset(row.state, row.reference)  # as hil.runtime.tick does after so many skipped ticks
+                before = row.tick - 1
+            dt_s = (row.tick - before) * period_ns * 1e-9
+            command, _ = guard.apply(law.update(row.reference, row.state, applied, dt_s))
+            watch.turn += 1
+            yield command
+            before = row.tick
+        applied = row.applied
+
+
+def _compared(mode: CommandMode) -> list[str]:
+    """Return the signals of a command: in speed mode the torque feedforward is part of it."""
+    quantities = [QUANTITY[CommandMode.SPEED]] * (mode is CommandMode.SPEED) + [QUANTITY[CommandMode.TORQUE]]
+    return [f"wheel.{wheel}.{quantity}" for quantity in quantities for wheel in WHEEL_NAMES]
+
+
+def _flat(command: WheelCommand | None, mode: CommandMode) -> tuple[float, ...]:
+    if command is None:
+        return (NAN,) * len(_compared(mode))
+    speed: tuple[float, ...] = command.speed_rad_s if mode is CommandMode.SPEED else ()
+    return speed + command.torque_n_m
+
+
+def _difference(t_s: Series, recorded: Series, replayed: Series) -> Difference:
+    apart = np.abs(replayed - recorded)
+    most = int(np.argmax(apart))
+    rms, recorded_rms = (float(np.sqrt(np.mean(series**2))) for series in (apart, recorded))
+    return Difference(rms, float(apart[most]), float(t_s[most]), recorded_rms)
+
+
+def _notes(run: RecordedRun, scenario: Mapping[str, Any]) -> Iterator[str]:
+    ticks, misses = run.signals["loop.tick"], run.signals["loop.deadline_misses"]
+    if ticks[0] > 0.0:
+        yield f"the recording begins at tick {ticks[0]:.0f}: the law was reset there, and not where the run began"
+    missing = int(ticks[-1] - ticks[0] - (len(ticks) - 1) - (misses[-1] - misses[0]))
+    if missing > 0:
+        yield f"{missing} ticks were not recorded: the law in command heard more than this one"
+    for key, target in scenario.items():
+        if key.startswith("fault.") and key.endswith(".target") and "_command_" in str(target):
+            yield f"the run had a fault of {target}, which changed what was commanded, not what the law said"

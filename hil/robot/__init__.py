@@ -1,0 +1,5 @@
+"""A robot with our firmware: the host's session with it, the virtual robot, its targets, its ground truth.
+
+May import: `wire`, `plant`, `faults`, `core`, `firmware_protocol`.
+To add a target that runs the firmware: one file in `targets/`.
+"""

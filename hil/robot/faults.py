@@ -1,0 +1,168 @@
+"""Faults of a virtual robot and its plant: rows for the C shim between the firmware and the plant."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+from hil.core.clock import TICK_NS
+from hil.core.errors import BadInputError, nearest
+from hil.core.types import WHEEL_NAMES
+from hil.faults.kinds import BATTERY_VARIABLE, GRIP_VARIABLES, PUSHES
+from hil.faults.rows import FaultRow
+from hil.plant import shim
+from hil.plant.fmu import FmuPlant
+from hil.plant.remote import RemotePlant
+from hil.plant.settable import Settable
+
+
+class Body(NamedTuple):
+    """What faults have to know of the robot: which wheel each channel drives, where the wheels are, how it stands."""
+
+    wheel_of_channel: Sequence[int]
+    half_length_m: float
+    half_width_m: float
+    has_rigid_contact: bool
+
+    def wheel_centres_m(self) -> tuple[tuple[float, float], ...]:
+        """Return forward and left of FL, FR, RR and RL."""
+        l1, l2 = self.half_length_m, self.half_width_m
+        return (l1, l2), (l1, -l2), (-l1, -l2), (-l1, l2)
+
+
+class RobotFaults:
+    """The faults of one virtual robot. ``exchange_address`` and ``context_address`` stand for the plant's own.
+
+    Nothing happens before ``begin``. Not safe between threads: whoever runs the robot calls.
+
+    Attributes:
+        can_reset: whether there is a row that may switch the firmware off.
+    """
+
+    def __init__(self, plant: FmuPlant | RemotePlant, body: Body) -> None:
+        self._plant = plant
+        self._body = body
+        self._ffi, self._lib = shim.load()
+        self._faults = self._ffi.new("robot_faults *")
+        self._memory: tuple[Any, ...] = ()
+        self._accounts = 0
+        self.clear()
+
+    @property
+    def exchange_address(self) -> int:
+        """Address of the C function of the type ``wheel_plant_exchange``."""
+        return int(self._ffi.cast("uintptr_t", self._ffi.addressof(self._lib, "robot_faults_exchange")))
+
+    @property
+    def context_address(self) -> int:
+        """Address of the context that belongs to ``exchange_address``."""
+        return int(self._ffi.cast("uintptr_t", self._faults))
+
+    def clear(self) -> None:
+        """Forget all rows; the robot stands at its start."""
+        plant, cast = self._plant, self._ffi.cast
+        self._memory = ()
+        self._accounts = 0
+        self.can_reset = False
+        self._faults[0] = self._ffi.new("robot_faults *")[0]
+        self._faults.exchange = cast("wheel_plant_exchange", plant.exchange_address)
+        self._faults.context = cast("void *", plant.context_address)
+        self._faults.set = cast("int (*)(void *, size_t, double)", plant.set_address)
+        self._faults.pose = cast("const double *", plant.pose_address)
+
+    def arm(self, rows: Sequence[FaultRow]) -> None:
+        """Take rows that act on the device and on the plant, of a robot that stands at its start.
+
+        Raises BadInputError with a sentence for each row that this robot or its plant has no part for.
+        """
+        found: list[dict[str, object]] = []
+        problems = []
+        for account, row in enumerate(rows):
+            times = {"first": row.start_ns // TICK_NS, "end": -(-row.end_ns // TICK_NS), "account": account}
+            try:
+                found += [dict(part) | times for part in self._parts(row)]
+            except BadInputError as error:
+                problems.append(f"fault {row.kind} {row.target}: {error}")
+        if problems:
+            raise BadInputError("\n".join(problems))
+        row_memory = self._ffi.new("robot_fault[]", found)
+        accounts = self._ffi.new("robot_fault_account[]", len(rows))
+        self.can_reset = any(row.kind == "reset" for row in rows)
+        self._memory, self._accounts = (row_memory, accounts), len(rows)
+        self._faults.account, self._faults.row, self._faults.rows = accounts, row_memory, len(found)
+
+    def begin(self, tick: int) -> None:
+        """Say at which tick of the firmware's the scenario's time began."""
+        self._lib.robot_faults_begin(self._faults, tick)
+
+    def power_on(self) -> None:
+        """Say that the firmware is powered on, and its ticks begin at 0."""
+        self._lib.robot_faults_power_on(self._faults)
+
+    @property
+    def is_off(self) -> bool:
+        """Whether a reset has switched the firmware off."""
+        return bool(self._faults.is_off)
+
+    @property
+    def extra_ticks(self) -> int:
+        """Ticks that the plant went on and the firmware, with its slow clock, did not count."""
+        return int(self._faults.extra_ticks)
+
+    def applied(self) -> list[int]:
+        """Return how often each row was applied so far."""
+        return [int(self._memory[1][i].applied) for i in range(self._accounts)]
+
+    def _parts(self, row: FaultRow) -> Iterator[Mapping[str, object]]:
+        """Yield the rows of the shim for one fault, without their times."""
+        lib = self._lib
+        match row.kind:
+            case "reset":
+                yield {"kind": lib.ROBOT_FAULT_RESET}
+            case "gyro_bias":
+                yield {"kind": lib.ROBOT_FAULT_GYRO_BIAS, "value": row.value}
+            case "slow_clock":
+                yield {"kind": lib.ROBOT_FAULT_SLOW_CLOCK, "value": row.value}
+            case "stuck_encoder" | "dead_motor":
+                kind = lib.ROBOT_FAULT_STUCK_ENCODER if row.kind == "stuck_encoder" else lib.ROBOT_FAULT_DEAD_MOTOR
+                channel = list(self._body.wheel_of_channel).index(WHEEL_NAMES.index(row.target))
+                yield {"kind": kind, "place": channel}
+            case "low_battery":
+                yield self._setting(BATTERY_VARIABLE, row.value)
+            case "push":
+                yield self._setting(f"push.{row.target}", row.value)
+            case "parameter":
+                yield self._setting(row.target, row.value)
+            case "slip_patch":
+                yield from self._patch(row)
+            case _:
+                raise BadInputError("a virtual robot has no part for it")
+
+    def _patch(self, row: FaultRow) -> Iterator[Mapping[str, object]]:
+        if self._body.has_rigid_contact:
+            raise BadInputError('wheels that roll rigidly never slip; add plant.start.contact = "slip"')
+        circle = {"radius_m": row.radius_m, "x_m": row.x_m, "y_m": row.y_m}
+        for name, (forward_m, left_m) in zip(GRIP_VARIABLES, self._body.wheel_centres_m(), strict=True):
+            start = self._find(name).start
+            yield self._setting(name, start * row.value) | circle | {"forward_m": forward_m, "left_m": left_m}
+
+    def _setting(self, name: str, value: float) -> dict[str, object]:
+        variable = self._find(name)
+        if not variable.low <= value <= variable.high:
+            raise BadInputError(
+                f"{name} = {value:g} is out of the FMU's range; expected {variable.low:g} to {variable.high:g}"
+            )
+        return {
+            "kind": self._lib.ROBOT_FAULT_SET,
+            "place": variable.place,
+            "value": value,
+            "base": variable.start,
+        }
+
+    def _find(self, name: str) -> Settable:
+        settable = self._plant.settable
+        if name in settable:
+            return settable[name]
+        if not settable:
+            raise BadInputError("the FMU has no variable that may change in a run; use another FMU, or remove the row")
+        inputs = {f"push.{push}" for push in PUSHES}
+        hint = nearest(name, settable.keys() - inputs) if name not in inputs else "; the FMU has no such input"
+        raise BadInputError(f"the FMU has no tunable parameter or free input {name!r}{hint}")

@@ -1,0 +1,199 @@
+"""The handshake: HELLO and its pages, and what a host holds a robot to before anything moves."""
+
+import time
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+from firmware_protocol import codec
+from firmware_protocol.capabilities import Capability
+from firmware_protocol.generated import messages as m
+from hil.core.errors import BadInputError, DeviceError
+from hil.core.ports import Link
+from hil.robot.reset_words import NO_FAULT, ProcessorFault, reset_words
+
+SILENCE_NS = 2_000_000_000
+RETRY_NS = 200_000_000
+_PAGES = (
+    m.HelloIdentity,
+    m.HelloFirmware,
+    m.HelloParameters,
+    m.HelloGeometry,
+    m.HelloLimits,
+    m.HelloFaultStatus,
+    m.HelloFaultPlace,
+    m.HelloFaultAddress,
+)
+
+
+class RobotInfo(NamedTuple):
+    """What the robot said of itself in HELLO."""
+
+    capabilities: int
+    firmware: str
+    build: int
+    parameter_hash: int
+    watchdog_ms: int
+    geometry: m.HelloGeometry
+    limits: m.HelloLimits
+    processor_fault: ProcessorFault = NO_FAULT
+    reset_cause: m.ResetCause | None = None  # where a STATUS came with HELLO
+
+    def is_same_robot(self, other: "RobotInfo") -> bool:
+        """Whether the other one may be this robot, perhaps after a reset."""
+        return self == other._replace(processor_fault=self.processor_fault, reset_cause=self.reset_cause)
+
+    @property
+    def has_power_stage(self) -> bool:
+        """Whether it drives real motors."""
+        return bool(self.capabilities & Capability.POWER_STAGE)
+
+    def describe(self) -> str:
+        """Return the same in words."""
+        return (
+            f"firmware {self.firmware} (build {self.build:08x}), capabilities {self.capabilities:#06x}, parameters "
+            f"{self.parameter_hash:08x}, watchdog {self.watchdog_ms} ms, wheels of "
+            f"{self.geometry.wheel_radius_m:.3f} m at ±{self.geometry.half_length_m:.3f}, "
+            f"±{self.geometry.half_width_m:.3f} m, speeds up to {self.limits.speed_limit_rad_s:.4g} rad/s"
+            f"{self._last_reset()}"
+        )
+
+    def _last_reset(self) -> str:
+        if self.processor_fault == NO_FAULT and self.reset_cause is None:
+            return ""
+        cause = m.ResetCause.PROCESSOR_FAULT if self.reset_cause is None else self.reset_cause
+        return f"; last reset {cause.name}: {reset_words(cause, self.processor_fault)}"
+
+
+class Expected(NamedTuple):
+    """What the host holds the robot to, before anything moves."""
+
+    parameter_hash: int
+    lockstep: bool
+    allow_motion: bool
+    speed_limit_rad_s: float  # of the scenario; the robot's may be smaller
+
+
+class Greeting:
+    """Collects the HELLO pages; without I/O, so that it serves a host that waits and one whose tick goes on."""
+
+    def __init__(self) -> None:
+        self._pages: dict[type, codec.Message] = {}
+        self._status: m.Status | None = None
+
+    def feed(self, message: codec.Message | None) -> RobotInfo | None:
+        """Take a message; return what the robot is once all pages are there, and again with the STATUS after them.
+
+        Raises BadInputError when it speaks another version.
+        """
+        if isinstance(message, m.HelloIdentity):
+            # Page 0 is frozen for ever; the others may differ in a robot of another version.
+            _check_version(message)
+        if isinstance(message, m.Status):
+            self._status = message
+        elif isinstance(message, _PAGES):
+            self._pages[type(message)] = message
+        else:
+            return None
+        return self._info() if len(self._pages) == len(_PAGES) else None
+
+    def _info(self) -> RobotInfo:
+        identity, firmware, held, geometry, limits, status, place, address = (self._pages[kind] for kind in _PAGES)
+        assert isinstance(identity, m.HelloIdentity)
+        assert isinstance(firmware, m.HelloFirmware)
+        assert isinstance(held, m.HelloParameters)
+        assert isinstance(geometry, m.HelloGeometry)
+        assert isinstance(limits, m.HelloLimits)
+        assert isinstance(status, m.HelloFaultStatus)
+        assert isinstance(place, m.HelloFaultPlace)
+        assert isinstance(address, m.HelloFaultAddress)
+        version = f"{firmware.major}.{firmware.minor}.{firmware.patch}"
+        return RobotInfo(
+            identity.capabilities,
+            version,
+            firmware.build,
+            held.parameter_hash,
+            held.watchdog_ms,
+            geometry,
+            limits,
+            ProcessorFault(*status, *place, *address),
+            None if self._status is None else m.ResetCause(self._status.reset_cause),
+        )
+
+
+def greet(link: Link, send: Callable[[codec.Message], None], *, status: bool = False) -> RobotInfo:
+    """Ask for the HELLO pages until all have come; with ``status`` wait for a STATUS too, which comes at 10 Hz, or not.
+
+    Raises DeviceError when the robot does not answer within 2 s, BadInputError when it speaks another version.
+    """
+    greeting = Greeting()
+    before = link.rejected()
+    heard = 0
+    deadline_ns = time.monotonic_ns() + SILENCE_NS
+    retry_ns = 0
+    found: RobotInfo | None = None
+    while (now_ns := time.monotonic_ns()) <= deadline_ns:
+        if found is not None and (found.reset_cause is not None or not status or now_ns >= retry_ns):
+            return found
+        if now_ns >= retry_ns:
+            send(m.HelloRequest(m.PROTOCOL_VERSION))
+            retry_ns = now_ns + RETRY_NS
+        received = link.receive(RETRY_NS)
+        for frame in received.frames if received is not None else ():
+            heard += 1
+            found = greeting.feed(codec.decode(frame)) or found
+    rejected = {cause: count - before.get(cause, 0) for cause, count in link.rejected().items()}
+    raise DeviceError(f"the robot did not answer HELLO within 2 s ({link.describe()}); {_why_silent(heard, rejected)}")
+
+
+def _why_silent(heard: int, rejected: Mapping[str, int]) -> str:
+    """Return what the traffic of a handshake in vain says of its cause, and what to do."""
+    bus_errors = sum(count for cause, count in rejected.items() if cause.startswith("error_"))
+    noise = rejected.get("cobs", 0) + rejected.get("crc", 0) + rejected.get("overrun", 0)
+    strangers = rejected.get("foreign", 0) + rejected.get("unknown_id", 0)
+    if heard:
+        return f"{heard} frames of a robot came but not its HELLO; reset the robot and try again"
+    if rejected.get("error_acknowledgement") and bus_errors == rejected["error_acknowledgement"]:
+        return "nobody on the bus acknowledges our frames; check that the robot is powered, the cable, and its bit rate"
+    if bus_errors and not strangers:
+        return (
+            f"{bus_errors} error frames came and no valid one: the bit rate is wrong, or a terminator is missing; "
+            "set bitrate= in the link to the robot's"
+        )
+    if noise:
+        return (
+            f"bytes came, but {noise} frames of them were not whole: set baud= in the link to the robot's rate, and "
+            "close any other program that reads the port"
+        )
+    if strangers:
+        return f"{strangers} frames of others came, so the bus works; check that the robot is powered and on this bus"
+    return (
+        "check that it is powered, that the link is the right one, that no other program reads it, and its baud or "
+        "bit rate"
+    )
+
+
+def _check_version(identity: m.HelloIdentity) -> None:
+    if identity.protocol_version != m.PROTOCOL_VERSION or identity.schema_hash != m.SCHEMA_HASH:
+        raise BadInputError(
+            f"the robot speaks protocol {identity.protocol_version} with schema {identity.schema_hash:08x}, this host "
+            f"{m.PROTOCOL_VERSION} with {m.SCHEMA_HASH:08x}; flash the firmware of this version, or install this "
+            "package in the firmware's version"
+        )
+
+
+def check(info: RobotInfo, expected: Expected) -> None:
+    """Raise BadInputError unless the robot is the one that the scenario describes, and may move."""
+    if info.has_power_stage and not expected.allow_motion:
+        raise BadInputError(
+            "the robot reports a power stage: real motors would move; add --allow-motion when it may move"
+        )
+    if bool(info.capabilities & Capability.LOCKSTEP) != expected.lockstep:
+        ours, theirs = ("lockstep", "realtime") if expected.lockstep else ("realtime", "lockstep")
+        raise BadInputError(
+            f"this run is in mode {ours} and the robot in mode {theirs}; start both with the same --mode"
+        )
+    if info.parameter_hash != expected.parameter_hash:
+        raise BadInputError(
+            f"the robot's firmware parameters (hash {info.parameter_hash:08x}) are not the scenario's [firmware] "
+            f"(hash {expected.parameter_hash:08x}); start both from the same scenario and overrides"
+        )

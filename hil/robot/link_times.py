@@ -1,0 +1,207 @@
+"""Times over a link, from messages and stamps alone: round trip, latency, the robot's clock against the host's. Pure.
+
+Stamps are on the clock of the run [ns], taken where the host's side meets the link: latency and faults that a scenario
+puts on the link are part of what is measured, as those of a real one would be.
+"""
+
+import statistics
+from collections import deque
+from typing import Any, NamedTuple
+
+from hil.core.samples import Samples
+from hil.core.types import NAN
+
+SYNC_PERIOD_NS = 250_000_000  # PROTOCOL.md, "Time": 4 Hz
+_STAGES = 8
+_FITTED = 64
+_STEP_NS = 128_000_000
+_SHORTEST_FIT_NS = 1_000_000_000
+_COMMANDS = 33
+_FEWEST_COMMANDS = 9
+_AGE_AT_MOST_MS = 255  # TICK.command_age_ms stands for this and more
+_WRAP_US = 1 << 32
+_HELD_AT_MOST_US = 0xFFFF  # TIME_SYNC_RESPONSE.held_us stands for this and more
+
+
+class RoundTrip:
+    """From sending a command to the first TICK that says that it is in force (TICK.sequence).
+
+    ``ms`` is the newest round trip, NaN before the first. A command that another one overtakes before a TICK has none.
+    """
+
+    def __init__(self) -> None:
+        self._sent_ns: list[int | None] = [None] * 256
+        self._echoed: int | None = None
+        self._all_ms = Samples()
+        self.ms = NAN
+
+    def sent(self, sequence: int, now_ns: int) -> None:
+        """Note that a command was sent."""
+        self._sent_ns[sequence] = now_ns
+
+    def echoed(self, sequence: int, stamp_ns: int) -> None:
+        """Note that a TICK was received."""
+        if sequence == self._echoed:
+            return
+        self._echoed = sequence
+        sent_ns = self._sent_ns[sequence]
+        if sent_ns is not None:
+            self._sent_ns[sequence] = None
+            self.ms = (stamp_ns - sent_ns) * 1e-6
+            self._all_ms.append(self.ms)
+
+    def restart(self) -> None:
+        """Begin with a new session: an echo of the last one's commands is no round trip."""
+        self._sent_ns = [None] * 256
+
+    def figures(self) -> dict[str, Any] | None:
+        """Return median and 99th percentile [ms], and how many there were; None when there were none."""
+        if not len(self._all_ms):
+            return None
+        return {**_percentiles(self._all_ms), "count": len(self._all_ms)}
+
+
+class CommandLatency:
+    """From the instant that a command was worked out from to the first firmware tick that used it (``Applied``).
+
+    The robot tells it: a TICK says which command is in force and how old it is (TICK.sequence, TICK.command_age_ms),
+    and the host knows the sample that each command rests on. Both instants are on the robot's clock, so that no clock
+    has to be compared with another; the result has the firmware's grain of 1 ms. ``s`` is the median of the last 33
+    commands, so that a command that was held up changes nothing, and ``configured_s`` until 9 were seen. What is
+    negative or longer than ``longest_ns``, the robot's own patience, is left out: no such command drives it.
+    """
+
+    def __init__(self, configured_s: float, longest_ns: int) -> None:
+        self._longest_ns = longest_ns
+        self._sampled_ns: list[int | None] = [None] * 256
+        self._recent_ns: deque[int] = deque(maxlen=_COMMANDS)
+        self.s = configured_s
+
+    def sent(self, sequence: int, sampled_ns: int | None) -> None:
+        """Note on which sample, by the robot's clock, a command rests; None for one that rests on none."""
+        self._sampled_ns[sequence] = sampled_ns
+
+    def acted(self, sequence: int, at_ns: int, age_ms: int) -> None:
+        """Note that this command was in force, ``age_ms`` old, at an instant of the robot's clock."""
+        sampled_ns = self._sampled_ns[sequence]
+        if sampled_ns is None or age_ms >= _AGE_AT_MOST_MS:
+            return
+        self._sampled_ns[sequence] = None
+        latency_ns = at_ns - age_ms * 1_000_000 - sampled_ns
+        if not 0 <= latency_ns <= self._longest_ns:
+            return
+        self._recent_ns.append(latency_ns)
+        if len(self._recent_ns) >= _FEWEST_COMMANDS:
+            self.s = statistics.median_low(self._recent_ns) * 1e-9
+
+    def restart(self) -> None:
+        """Begin with a new session, whose robot's clock may have begun anew; what was measured still holds."""
+        self._sampled_ns = [None] * 256
+
+
+class Exchange(NamedTuple):
+    """One exchange of TIME_SYNC: when, how far the robot's clock was ahead, and how long both ways took."""
+
+    at_ns: int
+    offset_ns: float
+    delay_ns: int
+
+
+class ClockSync:
+    """The robot's clock against the clock of the run, from TIME_SYNC's four instants.
+
+    Of the last 8 exchanges the one with the shortest way is believed, once, and never one older than the last believed
+    (the clock filter of RFC 5905, section 10); ``offset_us`` is its offset. ``drift_ppm`` is the slope of a straight
+    line through the last 64 believed; positive when the robot's clock is fast. An offset that leaps by more than
+    128 ms (RFC 5905, STEPT) is another clock, as after a reset: all begins anew, and ``steps`` counts it.
+
+    TIME_SYNC carries 32 bits of microseconds: an offset is known but for whole multiples of 71.6 minutes, and the one
+    nearest to the last is taken, at first the one nearest to zero.
+    """
+
+    def __init__(self) -> None:
+        self._sequence = 0
+        self._sent_ns = 0
+        self._stages: deque[Exchange] = deque(maxlen=_STAGES)
+        self._believed: deque[Exchange] = deque(maxlen=_FITTED)
+        self._delays_us = Samples()
+        self.awaiting = False
+        self.offset_us = NAN
+        self.drift_ppm = NAN
+        self.requests = 0
+        self.steps = 0
+
+    def request(self, now_ns: int) -> int:
+        """Return the sequence of the request that is sent now. An exchange that is still open is given up."""
+        self._sequence = (self._sequence + 1) & 0xFF
+        self._sent_ns = now_ns
+        self.requests += 1
+        self.awaiting = True
+        return self._sequence
+
+    def give_up(self) -> None:
+        """Expect no answer any more to what is open."""
+        self.awaiting = False
+
+    def answered(self, sequence: int, received_us: int, held_us: int, stamp_ns: int) -> None:
+        """Take an answer; one to another request, one held too long to say, and one from the future, is ignored."""
+        if not self.awaiting or sequence != self._sequence:
+            return
+        self.awaiting = False
+        held_ns = held_us * 1000
+        delay_ns = stamp_ns - self._sent_ns - held_ns
+        if held_us >= _HELD_AT_MOST_US or delay_ns < 0:
+            return
+        # ((t2 - t1) + (t3 - t4)) / 2 with t3 = t2 + held
+        at_ns = (self._sent_ns + stamp_ns) // 2
+        offset_ns = self._unwrapped(received_us * 1000 + (held_ns - self._sent_ns - stamp_ns) / 2)
+        self._delays_us.append(delay_ns * 1e-3)
+        self._filter(Exchange(at_ns, offset_ns, delay_ns))
+
+    def _unwrapped(self, offset_ns: float) -> float:
+        near_ns = self._stages[-1].offset_ns if self._stages else 0.0
+        wrap_ns = _WRAP_US * 1000
+        return offset_ns - wrap_ns * round((offset_ns - near_ns) / wrap_ns)
+
+    def _filter(self, exchange: Exchange) -> None:
+        if self._stages and abs(exchange.offset_ns - self._stages[-1].offset_ns) > _STEP_NS:
+            self._stages.clear()
+            self._believed.clear()
+            self.drift_ppm = NAN
+            self.steps += 1
+        self._stages.append(exchange)
+        # The newest of those that are equal: in lockstep all are.
+        best = min(reversed(self._stages), key=lambda stage: stage.delay_ns)
+        if self._believed and best.at_ns <= self._believed[-1].at_ns:
+            return
+        self._believed.append(best)
+        self.offset_us = best.offset_ns * 1e-3
+        self._fit()
+
+    def _fit(self) -> None:
+        first = self._believed[0]
+        if self._believed[-1].at_ns - first.at_ns < _SHORTEST_FIT_NS:
+            return
+        # From the first one on, so that a float does not lose the nanoseconds of a long run.
+        times = [(e.at_ns - first.at_ns) * 1e-9 for e in self._believed]
+        offsets_us = [(e.offset_ns - first.offset_ns) * 1e-3 for e in self._believed]
+        self.drift_ppm, _ = statistics.linear_regression(times, offsets_us)
+
+    def figures(self) -> dict[str, Any] | None:
+        """Return the figures of the exchanges, None when none was answered."""
+        if not len(self._delays_us):
+            return None
+        return {
+            "requests": self.requests,
+            "answered": len(self._delays_us),
+            "round_trip_us": _percentiles(self._delays_us),
+            "offset_us": self.offset_us,
+            "drift_ppm": self.drift_ppm,
+            "steps": self.steps,
+        }
+
+
+def _percentiles(values: Samples) -> dict[str, float]:
+    found = values.percentiles()
+    assert found is not None
+    return found._asdict()

@@ -1,0 +1,188 @@
+"""What the tick, the loop and the service need of a robot behind a link, whatever its motors speak."""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from firmware_protocol.generated.messages import State
+from hil.core.ports import Clock
+from hil.core.types import WheelCommand
+from hil.robot.link_times import ClockSync, RoundTrip
+from hil.robot.robot_report import Health
+from hil.robot.snapshot import Feedback
+
+
+class Identity(Protocol):
+    """What a robot said of itself."""
+
+    @property
+    def has_power_stage(self) -> bool:
+        """Whether it drives real motors."""
+
+    def describe(self) -> str:
+        """Return what it is, in words."""
+
+
+class Told(Protocol):
+    """What a robot tells beside its feedback."""
+
+    @property
+    def health(self) -> Health:
+        """What it says of its battery and its motors."""
+
+    def stop_reason(self) -> str:
+        """Return why the robot last stopped, in the terms of its protocol."""
+
+    def explains(self, state: State) -> bool:
+        """Tell whether it has told why it is in this state; feedback may be there before."""
+
+    @property
+    def knows_no_reason(self) -> bool:
+        """Whether it says that nothing has stopped it."""
+
+    @property
+    def last_reset(self) -> str:
+        """Why it began anew the last time, in words; empty where it does not tell."""
+
+    @property
+    def trouble(self) -> str | None:
+        """What a person has to know now, such as that a stop could not be sent; None while there is nothing."""
+
+
+class Device(Protocol):
+    """A robot at the other end of a link; states are those of our own protocol (PROTOCOL.md, "States").
+
+    Every call may raise LinkError when the link is lost.
+    """
+
+    round_trip: RoundTrip
+    clock_sync: ClockSync
+
+    @property
+    def tick(self) -> int:
+        """In lockstep: the firmware tick that the robot has reached."""
+
+    @property
+    def report(self) -> Told:
+        """What the robot tells beside its feedback."""
+
+    # Connecting
+
+    @property
+    def is_lockstep(self) -> bool:
+        """Whether robot time passes by ``step`` only, so that it stands still without the robot."""
+
+    def connect(self) -> Identity:
+        """Find out what is there, and check it against what the scenario expects.
+
+        Raises DeviceError when nothing answers, BadInputError when it is not what was expected.
+        """
+
+    @property
+    def info(self) -> Identity | None:
+        """What the robot said of itself, None before it has."""
+
+    @property
+    def speed_limit_rad_s(self) -> float:
+        """The largest wheel speed that the robot says it takes as a command; infinite where it says none."""
+
+    @property
+    def warnings(self) -> Sequence[str]:
+        """Sentences to be said before anything moves, such as that nothing stops the wheels when the host dies.
+
+        Some are known only once the robot has said what it is, and what comes back may be another one.
+        """
+
+    def describe_link(self) -> str:
+        """Return what the link is, in words for a person."""
+
+    # Coming back after a loss, in steps that do not wait
+
+    @property
+    def keeps_counts(self) -> bool:
+        """Whether encoder counts have gone on while the robot was away, unless its clock began anew."""
+
+    def leave(self) -> None:
+        """Command nothing any more, and forget what is held: the link or the robot was lost."""
+
+    def reopen(self) -> None:
+        """Close and open the link anew. Raises LinkError while that is not possible."""
+
+    def begin_again(self) -> None:
+        """Begin with a robot that may have been reset meanwhile, or exchanged."""
+
+    def greeted(self) -> bool:
+        """Return whether it has said again what it is. Raises BadInputError when that is another robot."""
+
+    # The way to ACTIVE and back
+
+    def attend(self, clock: Clock) -> None:
+        """Be there on this clock; nothing is asked of the robot yet."""
+
+    def start(self, clock: Clock, period_ns: int) -> int:
+        """Arm and begin with zero commands; return the clock's time of the first ACTIVE tick [ns].
+
+        Raises DeviceError when the robot refuses, has latched an error, or is not ACTIVE within 4 s.
+        """
+
+    def armed(self) -> bool:
+        """Take one step of the way to ACTIVE; tell whether the robot is there, in our session. Raises as ``start``."""
+
+    def why_not_active(self) -> str:
+        """Return what keeps the robot from being driven, and what to do."""
+
+    def disarm(self) -> None:
+        """Begin to ramp down to IDLE, if it is not there; at best effort, never raises."""
+
+    def estop(self) -> None:
+        """Stop the robot at once and latch that; to be repeated until its feedback says ESTOP."""
+
+    def clear(self) -> None:
+        """Ask for the way out of a latched FAULT or ESTOP, until ``disarm``; arms nothing."""
+
+    def stop(self, period_ns: int, limit_ns: int) -> bool:
+        """Go to IDLE and wait for it, at most ``limit_ns`` on the clock; return whether the robot got there."""
+
+    # One tick
+
+    def wait_until(self, t_ns: int) -> int:
+        """Let time pass on the clock. Returns the lateness [ns]."""
+
+    def poll(self) -> Feedback | None:
+        """Take what has arrived; return the newest feedback so far. Once a tick: it keeps the session alive."""
+
+    @property
+    def unread_ns(self) -> int:
+        """How long what the newest poll took may have lain on the link; 0 in lockstep."""
+
+    @property
+    def feedback(self) -> Feedback | None:
+        """The newest feedback that was taken; None after a loss, until the next one."""
+
+    def send(self, command: WheelCommand) -> int:
+        """Send a command that the guard has passed; return its sequence. Raises ValueError for what cannot be sent."""
+
+    def step(self, ticks: int) -> None:
+        """Lockstep: let so many ticks of 1 ms pass, and take what the robot sends meanwhile."""
+
+    # Accounts
+
+    @property
+    def sent(self) -> int:
+        """Frames that were sent so far."""
+
+    @property
+    def received(self) -> int:
+        """Frames that were received so far."""
+
+    def wire_sha256(self) -> str:
+        """Return the hash of every frame of the session, both directions, in order."""
+
+    @property
+    def snapshots_lost(self) -> int:
+        """Feedback that the robot counted and that did not come whole; 0 where nothing is counted."""
+
+    def rejected(self) -> dict[str, int]:
+        """Return the frames that were dropped, by cause; those that the robot reported as ``robot_...``."""
+
+    def close(self) -> None:
+        """Stop what may still be driven, at once and at best effort. Closing twice is allowed."""

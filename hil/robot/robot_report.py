@@ -1,0 +1,105 @@
+"""What the robot says of itself beside its feedback: why it stopped, its battery and motors, frames that it refused."""
+
+from typing import NamedTuple
+
+from firmware_protocol.codec import Message
+from firmware_protocol.generated import messages as m
+from hil.core.types import NAN, NAN_WHEELS, WHEEL_NAMES, Wheels
+from hil.robot.reset_words import reset_words
+from hil.robot.wheel_map import WheelMap
+
+
+class Health(NamedTuple):
+    """What the robot says at 10 Hz of its battery and its motors; NaN where it says nothing, or nothing yet."""
+
+    battery_v: float = NAN
+    battery_a: float = NAN
+    temperature_degc: Wheels = NAN_WHEELS
+
+
+class RobotReport:
+    """Keeps the newest of each. Pure.
+
+    ``status`` is the last STATUS, None before the first. ``rejected`` counts by cause the frames that the robot
+    dropped between the first and the last LINK_COUNTERS and PORT_COUNTERS of each session.
+    """
+
+    def __init__(self, wheel_map: WheelMap) -> None:
+        self._map = wheel_map
+        self._last_counters: dict[type, m.LinkCounters | m.PortCounters] = {}
+        self.status: m.Status | None = None
+        self.health = Health()
+        self.rejected: dict[str, int] = {}
+
+    def restart(self) -> None:
+        """Begin with a robot that may have been reset: its counters may begin at 0."""
+        self._last_counters.clear()
+
+    def feed(self, message: Message) -> None:
+        """Take a message; one of another kind changes nothing."""
+        if isinstance(message, m.Status):
+            self.status = message
+        elif isinstance(message, m.LinkCounters | m.PortCounters):
+            self._count(message)
+        elif isinstance(message, m.Power):
+            self.health = self.health._replace(battery_v=message.battery_v, battery_a=message.battery_a)
+        elif isinstance(message, m.Temperatures):
+            self.health = self.health._replace(temperature_degc=self._map.temperatures_from_wire(Wheels(*message)))
+
+    def _count(self, counters: m.LinkCounters | m.PortCounters) -> None:
+        last = self._last_counters.get(type(counters))
+        if last is not None:
+            for cause, new, old in zip(counters._fields, counters, last, strict=True):
+                self.rejected[cause] = self.rejected.get(cause, 0) + ((new - old) & 0xFF)
+        self._last_counters[type(counters)] = counters
+
+    def stop_reason(self) -> str:
+        """Return why the robot last stopped, in words of the DBC (STATUS.stop_reason, STATUS.fault)."""
+        if self.status is None:
+            return "a reason that it has not told yet"
+        reason = m.StopReason(self.status.stop_reason).name
+        fault = self._fault()
+        return f"{reason} ({fault})" if fault else reason
+
+    def _fault(self) -> str:
+        """Return the fault that STATUS tells, with the wheel where it is one wheel's; empty without any."""
+        if self.status is None or not self.status.fault:
+            return ""
+        fault = m.Fault(self.status.fault).name
+        if not self.status.fault_wheel:
+            return fault
+        wheel = self._map.wheel_of_channel[self.status.fault_wheel - m.FaultWheel.FL]
+        return f"{fault} of wheel {WHEEL_NAMES[wheel]}"
+
+    def explains(self, state: m.State) -> bool:
+        """Tell whether STATUS has told of a robot in this state; feedback may be there before."""
+        return self.status is not None and self.status.state == state
+
+    @property
+    def knows_no_reason(self) -> bool:
+        """Whether the robot says that nothing has stopped it since it was armed, or since its power came on."""
+        return self.status is not None and self.status.stop_reason == m.StopReason.NONE
+
+    @property
+    def last_reset(self) -> str:
+        """Why the robot began anew the last time (STATUS.reset_cause), in words; empty before it has told."""
+        return "" if self.status is None else reset_words(m.ResetCause(self.status.reset_cause))
+
+    @property
+    def trouble(self) -> str | None:
+        """Nothing: a robot that has a session of its own stops by itself where it cannot be told to."""
+        return None
+
+    def why_not_active(self, state: m.State | None) -> str:
+        """Return what keeps a robot in this state, None without feedback, from being driven, and what to do."""
+        if state is None:
+            return "the robot answered HELLO but sends no feedback; reset it and try again"
+        clear = 'restart the robot, or have its own host send CLEAR (PROTOCOL.md, "States")'
+        advice = {
+            m.State.ACTIVE: "another controller drives it; stop that one first",
+            m.State.ESTOP: f"it is latched; release the e-stop, then {clear}",
+            m.State.FAULT: f"it is latched; find the cause, then {clear}",
+        }.get(state, "restart the robot and look at its link counters")
+        fault = self._fault()
+        because = f" because of {fault}" if fault else ""
+        return f"the robot did not become ACTIVE: it is {state.name}{because}; {advice}"

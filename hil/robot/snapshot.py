@@ -1,0 +1,129 @@
+"""Feedback as one snapshot a tick: TICK opens it, the parts that it announces follow in the order of their ids.
+
+A part out of its turn means that something was lost: the snapshot is dropped whole. Parts of two sampling instants are
+not mixed where the snapshot has inertial parts, which name their instant. In one without them, a loss of all from one
+part up to that same part of a later snapshot cannot be told; the later one counts as lost.
+"""
+
+import struct
+from collections.abc import Callable, Sequence
+from types import MethodType
+from typing import Any, NamedTuple
+
+from firmware_protocol.generated.messages import State
+from firmware_protocol.host import library
+from hil.core.errors import BadInputError
+from hil.core.types import NAN, NAN_WHEELS, Wheels, make_wheels
+from native_build.built_from import NotCurrentError
+
+_STATES = {int(state): state for state in State}
+_unpack = struct.Struct("=2Q7I4f4H4B").unpack  # wheel_snapshot
+_unpack_slow = struct.Struct("=8f").unpack
+
+
+class Feedback(NamedTuple):
+    """What the robot measured at one sampling instant.
+
+    ``robot_time_ns`` is the robot's own clock (TICK.time_us) and does not wrap from the first snapshot on.
+    ``current_a``, ``acceleration_m_s2`` (body frame, without gravity's) and ``yaw_rate_rad_s`` come at a lower rate and
+    hold their last value; NaN before the first. The first two are means over the feedback period that ends then.
+    """
+
+    robot_time_ns: int
+    state: State
+    command_sequence: int
+    command_age_ms: int
+    encoder_count: tuple[int, int, int, int]
+    speed_rad_s: Wheels
+    current_a: Wheels
+    acceleration_m_s2: tuple[float, float, float]
+    yaw_rate_rad_s: float
+
+
+_make_feedback: Callable[[tuple[Any, ...]], Feedback] = MethodType(tuple.__new__, Feedback)
+
+
+class SnapshotReader:
+    """Puts snapshots together and hears what ends a step, by the host library; pure.
+
+    Attributes:
+        feedback: the newest snapshot, None before the first.
+        frames: how many were taken.
+        incomplete: snapshots of which a part was lost.
+        lost: gaps in the snapshots' numbers; 128 and more in a row go unseen.
+        sequences: TICK.sequence of each TICK that the newest ``take`` took.
+        step_done: the tick of the STEP_DONE that the newest ``take`` ended with, None where it did not.
+
+    Raises BadInputError when the host library cannot be loaded.
+    """
+
+    def __init__(self) -> None:
+        try:
+            ffi, lib = library()
+        except NotCurrentError as error:
+            raise BadInputError(str(error)) from error
+        self._memory = ffi.new("uint64_t[]", lib.wheel_reader_size() // 8 + 1)
+        self._reader = ffi.cast("wheel_reader *", self._memory)
+        lib.wheel_reader_init(self._reader)
+        address = ffi.cast("char *", lib.wheel_reader_snapshot(self._reader))
+        slow = ffi.offsetof("wheel_snapshot", "current_a")
+        sequences = ffi.offsetof("wheel_snapshot", "sequences")
+        self._fast_bytes = ffi.buffer(address, slow)
+        self._slow_bytes = ffi.buffer(address + slow, sequences - slow)
+        self._ring = memoryview(ffi.buffer(address + sequences, ffi.sizeof("wheel_snapshot") - sequences))
+        self._take, self._restart = lib.wheel_reader_take, lib.wheel_reader_restart
+        self._completed = self._slow = self._ticks = self._steps_done = 0
+        self.sequences: Sequence[int] = ()
+        self._held: tuple[Wheels, tuple[float, ...], float] = (NAN_WHEELS, (NAN, NAN, NAN), NAN)
+        self.step_done: int | None = None
+        self.feedback: Feedback | None = None
+        self.frames = self.incomplete = self.lost = 0
+
+    def restart(self) -> None:
+        """Begin anew with a robot that was lost or reset: its numbers and its clock may have begun anew too."""
+        self._restart(self._reader)
+
+    def take(self, packed: bytes, begin: int) -> int:
+        """Take packed frames from a place on; return the place of the first that is none of its own.
+
+        Its own are valid messages of snapshots, and a STEP_DONE behind them, after which it ends.
+        """
+        end: int = self._take(self._reader, packed, begin, len(packed))
+        values = _unpack(self._fast_bytes)
+        time_us, self.frames, completed, slow, ticks, self.incomplete, self.lost, steps_done, step_done = values[:9]
+        if ticks == self._ticks + 1:  # as nearly always
+            self._ticks, self.sequences = ticks, values[20:]
+        else:
+            self.sequences = self._sequences(ticks)
+        if completed != self._completed:
+            self._completed = completed
+            if slow != self._slow:
+                self._slow = slow
+                at_a_lower_rate = _unpack_slow(self._slow_bytes)
+                self._held = make_wheels(at_a_lower_rate[:4]), at_a_lower_rate[4:7], at_a_lower_rate[7]
+            state, sequence, age_ms = values[17:20]
+            current_a, acceleration_m_s2, yaw_rate_rad_s = self._held
+            self.feedback = _make_feedback(
+                (
+                    time_us * 1000,
+                    _STATES[state],
+                    sequence,
+                    age_ms,
+                    values[13:17],
+                    make_wheels(values[9:13]),
+                    current_a,
+                    acceleration_m_s2,
+                    yaw_rate_rad_s,
+                )
+            )
+        if steps_done != self._steps_done:
+            self._steps_done = steps_done
+            self.step_done = step_done
+        else:
+            self.step_done = None
+        return end
+
+    def _sequences(self, ticks: int) -> Sequence[int]:
+        """Return the sequences of the TICKs up to this one that were not given yet; numbers wrap at 32 bits."""
+        new, self._ticks = (ticks - self._ticks) & 0xFFFF_FFFF, ticks
+        return [self._ring[(ticks - before) % len(self._ring)] for before in range(new, 0, -1)]

@@ -1,0 +1,70 @@
+"""Runs a program that must not outlive us: ``ChildProcess`` starts this module, which starts the program.
+
+The first line on stdin is ``{"command": [...], "inherited": [...]}``; the program gets these descriptors of ours. When
+stdin ends, because its owner closed it or died, or when we are told to end, the program is killed; on Linux also when
+we are killed. Its stderr is ours, and so is its exit code. The folder of its files, the argument, is removed then.
+"""
+
+import ctypes
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+
+from hil.core.child import wait_for_end
+
+_PR_SET_PDEATHSIG = 1  # linux/prctl.h
+
+
+def main() -> int:
+    """Start the program, wait for its end, and return its exit code."""
+    told = json.loads(sys.stdin.buffer.readline())
+    command, inherited = told["command"], told["inherited"]
+    try:
+        process = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            pass_fds=inherited,
+            preexec_fn=_dying_with_us(),
+        )
+    except OSError as error:
+        print(f"{command[0]} cannot be started: {error}", file=sys.stderr)
+        return 1
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: process.kill())
+    for descriptor in inherited:
+        os.close(descriptor)  # so that its other side notices when the program ends
+    threading.Thread(target=_kill_at_end_of_stdin, args=(process,), daemon=True).start()
+    status = process.wait()
+    shutil.rmtree(sys.argv[1], ignore_errors=True)
+    if status < 0:
+        print(f"{command[0]} was ended by signal {-status}", file=sys.stderr)
+    return status if status >= 0 else 1
+
+
+def _dying_with_us() -> Callable[[], None] | None:
+    """Return what the program's process does first: ask for SIGKILL when the thread that started it, our main, ends."""
+    if sys.platform != "linux":
+        return None
+    prctl = ctypes.CDLL(None, use_errno=True).prctl  # looked up here: between fork and exec as little as possible
+    ours = os.getpid()
+
+    def ask() -> None:
+        if prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) != 0 or os.getppid() != ours:
+            os._exit(1)  # we have ended meanwhile
+
+    return ask
+
+
+def _kill_at_end_of_stdin(process: "subprocess.Popen[bytes]") -> None:
+    wait_for_end(sys.stdin.fileno())
+    process.kill()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,130 @@
+"""The board in Unicorn: an STM32F405 of the package ``machine``, with its plant behind USART2."""
+
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from firmware_protocol.framing import Deframer, Frame
+from firmware_protocol.host import View, stored_size
+from firmware_protocol.stm32_flash import PARAMETER_ADDRESS, SECTOR_BYTES, flash_image, newest_stored
+from hil.core.errors import DeviceError
+from hil.robot.targets.machine.can import CanFrame
+from hil.robot.targets.machine.registers import MachineError
+from hil.robot.targets.machine.stm32f405 import CORE_HZ, Stm32f405
+from hil.robot.targets.onlooker import Onlooker
+from hil.robot.targets.plant_line import PlantLine, only_lockstep
+
+HOST_USART, PLANT_USART = 1, 2
+_TICK_CYCLES = CORE_HZ // 1000
+_BURST = 64  # bytes of the host's line at a time: less than what the firmware's buffer holds
+
+
+class UnicornBoard:
+    """A ``hil-emulated`` firmware, powered on, in this thread; the same calls as ``HostNode`` has.
+
+    Each call returns when the firmware waits for more. Robot time passes by STEP only; with each tick the chip's own
+    clocks move on by a millisecond. ``stored`` is what the core stored in an earlier life (``HostNode.stored``).
+
+    Raises DeviceError, here and in every call, when the firmware crashes or touches what the machine has not.
+    """
+
+    def __init__(self, elf: Path, exchange_address: int, context_address: int, stored: bytes | None) -> None:
+        kept = ((PARAMETER_ADDRESS, flash_image(stored)),) if stored is not None else ()
+        self._elf = elf
+        self._plant = PlantLine(exchange_address, context_address)
+        self._ticks = 0  # that the chip's own clocks have seen
+        self._onlooker = Onlooker()
+        self._deframer = Deframer()
+        self._bytes = bytearray()
+        self._frames: list[Frame] = []
+        self.machine = Stm32f405(elf, kept)
+        try:
+            self._settle()
+        except BaseException:
+            self.machine.close()
+            raise
+
+    def feed(self, data: bytes) -> None:
+        """Take bytes of the host's serial line."""
+        line = self.machine.usart[HOST_USART]
+        for start in range(0, len(data), _BURST):
+            line.receive(data[start : start + _BURST])
+            self._settle()
+
+    def receive(self, frame: Frame) -> None:
+        """Take one CAN frame."""
+        self.machine.can.receive(CanFrame(frame.id, frame.payload))
+        self._settle()
+
+    def take_bytes(self) -> bytes:
+        """Return what the board has sent on its serial line."""
+        data = bytes(self._bytes)
+        self._bytes.clear()
+        return data
+
+    def take_frames(self) -> list[Frame]:
+        """Return what the board has sent on its CAN bus."""
+        frames, self._frames = self._frames, []
+        return frames
+
+    def count_unsent(self, frames: int) -> None:
+        """Take note of frames that nobody took; the firmware, like a board's, does not learn of it."""
+        self._onlooker.unsent += frames
+
+    def run(self, ticks: int) -> None:
+        """Raise DeviceError: robot time comes from STEP."""
+        raise only_lockstep()
+
+    def stored(self) -> bytes | None:
+        """Return what the board keeps across a reset: the newest record in its flash, or None."""
+        return newest_stored(self.machine.flash.read(PARAMETER_ADDRESS, 2 * SECTOR_BYTES), stored_size())
+
+    def look(self) -> View:
+        """Return what is known of the firmware's state; ``missed`` among ``rejected`` is what the chip did not take.
+
+        These are bytes and CAN frames that came while its receiver was off, as after a reset, or found its FIFO full.
+        """
+        view = self._onlooker.view(self._plant.drive, plant_failed=self._plant.has_failed)
+        lines = (self.machine.can, self.machine.usart[HOST_USART], self.machine.usart[PLANT_USART])
+        return view._replace(rejected=view.rejected | {"missed": sum(line.missed for line in lines)})
+
+    def close(self) -> None:
+        """Release the machine. Closing twice is allowed."""
+        self.machine.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _settle(self) -> None:
+        """Let the firmware run until neither host nor plant has anything for it."""
+        machine, line = self.machine, self.machine.usart[PLANT_USART]
+        try:
+            machine.run()
+            while line.sent:
+                asked = bytes(line.sent)
+                line.sent.clear()
+                answer = self._plant.feed(asked)
+                machine.advance((self._plant.ticks - self._ticks) * _TICK_CYCLES)
+                self._ticks = self._plant.ticks
+                line.receive(answer)
+                machine.run()
+        except MachineError as error:
+            raise DeviceError(f"the emulated board stopped: {error} (firmware {self._elf.name})") from error
+        self._hear()
+
+    def _hear(self) -> None:
+        """Take what the board has sent to its host."""
+        machine = self.machine
+        data = bytes(machine.usart[HOST_USART].sent)
+        machine.usart[HOST_USART].sent.clear()
+        frames = [Frame(frame.id, frame.data) for frame in machine.can.sent]
+        machine.can.sent.clear()
+        self._bytes += data
+        self._frames += frames
+        for frame in (*self._deframer.feed(data), *frames):
+            self._onlooker.hear(frame)

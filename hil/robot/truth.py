@@ -1,0 +1,152 @@
+"""The host's side of the truth: reads what ``truth_server`` publishes, and asks for faults of the robot."""
+
+import json
+import socket
+import time
+from collections.abc import Callable, Mapping, Sequence
+from urllib.parse import urlsplit
+
+from hil.core.errors import BadInputError, DeviceError
+from hil.core.types import PoseFix
+from hil.faults.rows import FaultRow
+from hil.robot.truth_wire import ANSWER_S, LONGEST_ANSWER, RECORD, TruthRecord, unpack
+
+_CHUNK = 65536
+
+
+class TruthClient:
+    """Reads the truth of a robot in another process: a PoseSource.
+
+    ``not_before`` gives, in lockstep, the robot time that the next fix must have; ``poll`` then waits for it.
+
+    Raises BadInputError for a URL that is none, DeviceError when nobody listens or the scenarios differ.
+    """
+
+    def __init__(
+        self, url: str, scenario_hash: str, *, reset: bool, not_before: Callable[[], int] | None = None
+    ) -> None:
+        self._url = url
+        self._scenario_hash = scenario_hash
+        self._not_before = not_before
+        self._whole = bytearray()
+        self.newest: TruthRecord | None = None
+        self._connection, answer, self._data = _greet(url, {"scenario": scenario_hash, "reset": reset})
+        if "error" in answer:
+            raise DeviceError(f"truth {url!r}: {answer['error']}")
+
+    def arm(self, rows: Sequence[FaultRow]) -> None:
+        """Give the robot the faults of the run. Raises BadInputError when it has no part for one of them."""
+        answer = self._ask_faults({"arm": rows})
+        if "error" in answer:
+            raise BadInputError(str(answer["error"]))
+
+    def begin(self, tick: int) -> None:
+        """Say at which tick of the firmware's the scenario's time began. Raises DeviceError when that is refused."""
+        answer = self._ask_faults({"begin": tick})
+        if "error" in answer:
+            raise DeviceError(f"truth {self._url!r}: {answer['error']}")
+
+    def applied(self) -> list[int]:
+        """Return how often each fault was applied so far. Raises DeviceError when the robot's process has gone."""
+        applied = self._ask_faults({"applied": True}).get("applied")
+        if not isinstance(applied, list):
+            raise DeviceError(f"truth {self._url!r}: the robot does not say how often a fault was applied")
+        return [int(count) for count in applied]
+
+    def _ask_faults(self, wish: Mapping[str, object]) -> Mapping[str, object]:
+        connection, answer, _ = _greet(self._url, {"scenario": self._scenario_hash, "reset": False, "faults": wish})
+        connection.close()
+        return answer
+
+    def poll(self) -> PoseFix | None:
+        """Return the newest fix. Raises DeviceError when the robot's process has gone."""
+        self._whole.clear()
+        self._read(blocking=False)
+        if self._not_before is not None:
+            wanted_ns = self._not_before()
+            deadline = time.monotonic() + ANSWER_S
+            while self.newest is None or self.newest.fix.time_ns < wanted_ns:
+                if time.monotonic() > deadline:
+                    raise DeviceError(f"truth {self._url!r} is silent; the robot's process was lost")
+                self._read(blocking=True)
+        return self.newest.fix if self.newest is not None else None
+
+    @property
+    def taken(self) -> list[TruthRecord]:
+        """Every record that the last poll took, the newest last."""
+        return [unpack(self._whole[at : at + RECORD.size]) for at in range(0, len(self._whole), RECORD.size)]
+
+    def _read(self, *, blocking: bool) -> None:
+        """Take all that has arrived; with ``blocking``, wait for something first."""
+        timeout_s = ANSWER_S if blocking else 0.0
+        try:
+            # One system call where it can be: a tick has no time for those that change nothing and find nothing.
+            if self._connection.gettimeout() != timeout_s:
+                self._connection.settimeout(timeout_s)
+            while chunk := self._connection.recv(_CHUNK):
+                self._data += chunk
+                if len(chunk) < _CHUNK:
+                    break
+                self._connection.settimeout(0)
+        except (BlockingIOError, TimeoutError):
+            pass
+        except OSError as error:
+            raise DeviceError(f"truth {self._url!r} was lost: {error}") from error
+        else:
+            if not chunk:
+                raise DeviceError(f"truth {self._url!r} was closed: the robot's process has ended")
+        whole = len(self._data) // RECORD.size * RECORD.size
+        if whole:
+            self._whole += self._data[:whole]
+            self.newest = unpack(self._whole[-RECORD.size :])
+            del self._data[:whole]
+
+    def close(self) -> None:
+        """Leave."""
+        self._connection.close()
+
+
+def _greet(url: str, wish: Mapping[str, object]) -> tuple[socket.socket, dict[str, object], bytearray]:
+    """Connect and send the first line; return the connection, the answer and what came after it.
+
+    Raises BadInputError for a URL that is none, DeviceError when nobody of ours listens.
+    """
+    connection = None
+    try:
+        connection = socket.create_connection(_address(url), timeout=2 * ANSWER_S)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        connection.sendall(json.dumps(wish).encode() + b"\n")
+        return connection, *_read_answer(connection)
+    except (OSError, ValueError) as error:
+        if connection is not None:
+            connection.close()
+        if isinstance(error, OSError):
+            raise DeviceError(f"truth {url!r}: nobody answers ({error}); start hil device first") from error
+        raise DeviceError(f"truth {url!r}: something else listens there; use the URL of hil device") from error
+
+
+def _address(url: str) -> tuple[str, int]:
+    try:
+        parts = urlsplit(url)
+        port = parts.port
+    except ValueError:
+        parts, port = urlsplit(""), None
+    if parts.scheme != "tcp" or not parts.hostname or port is None:
+        raise BadInputError(f"truth {url!r} is no address; expected tcp://127.0.0.1:PORT as hil device prints it")
+    return parts.hostname, port
+
+
+def _read_answer(connection: socket.socket) -> tuple[dict[str, object], bytearray]:
+    data = bytearray()
+    while b"\n" not in data:
+        if len(data) > LONGEST_ANSWER:
+            raise ValueError("no line")
+        chunk = connection.recv(4096)
+        if not chunk:
+            raise ConnectionError("the connection was closed")
+        data += chunk
+    line, _, rest = data.partition(b"\n")
+    answer = json.loads(line)
+    if not isinstance(answer, dict):
+        raise ValueError("no object")
+    return answer, rest

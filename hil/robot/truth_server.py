@@ -1,0 +1,188 @@
+"""The robot's side of the truth: what ``truth_wire`` describes, served on loopback."""
+
+import json
+import queue
+import socket
+import threading
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple, TypeVar
+
+from firmware_protocol.host import View
+from hil.core.errors import BadInputError, DeviceError, HilError
+from hil.core.types import PoseFix
+from hil.faults.rows import FaultRow
+from hil.robot.faults import RobotFaults
+from hil.robot.truth_wire import ANSWER_S, LONGEST_ANSWER, RECORD
+
+_HOST = "127.0.0.1"
+
+
+class _Client:
+    """A connected reader. Records are whole or missing: what does not fit into its buffer is dropped."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        self._connection = connection
+        self._connection.setblocking(False)
+        self._rest = b""
+
+    def send(self, record: bytes) -> bool:
+        """Send a record if there is room; return False when the reader has gone."""
+        data = self._rest or record
+        try:
+            self._rest = data[self._connection.send(data) :]
+        except BlockingIOError:
+            pass
+        except OSError:
+            self._connection.close()
+            return False
+        return True
+
+    def close(self) -> None:
+        self._connection.close()
+
+
+class _Wish(NamedTuple):
+    """The line that a client begins with."""
+
+    scenario: str
+    reset: bool
+    faults: Mapping[str, Any] | None
+
+    @classmethod
+    def parse(cls, line: bytes) -> "_Wish":
+        """Read a line. Raises DeviceError when it is none of ours."""
+        try:
+            wish = json.loads(line)
+            faults = wish.get("faults")
+            if faults is None or isinstance(faults, dict):
+                return cls(str(wish["scenario"]), bool(wish["reset"]), faults)
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+            pass
+        raise DeviceError("the request was not understood")
+
+
+Answer = TypeVar("Answer")
+
+
+def _await(ask: Callable[[Callable[[Answer], None]], None]) -> Answer:
+    """Ask the robot's own thread and wait for its answer. Raises DeviceError when there is none."""
+    answers: queue.Queue[Answer] = queue.Queue()
+    ask(answers.put)
+    try:
+        return answers.get(timeout=ANSWER_S)
+    except queue.Empty:
+        raise DeviceError("the robot did not answer") from None
+
+
+class TruthServer:
+    """Publishes the truth of a virtual robot on loopback. ``request_reset`` is told when a client wants the start.
+
+    ``ask_faults`` has something done with the robot's faults, in the robot's own thread.
+
+    ``port`` 0 takes any free port. Raises BadInputError when the port is taken.
+    """
+
+    wants_view = True
+
+    def __init__(self, scenario_hash: str, port: int = 0) -> None:
+        self._hash = scenario_hash
+        try:
+            self._listener = socket.create_server((_HOST, port))
+        except (OSError, OverflowError) as error:
+            raise BadInputError(f"truth port {port} cannot be opened ({error}); choose another") from error
+        self.url = f"tcp://{_HOST}:{self._listener.getsockname()[1]}"
+        self._clients: list[_Client] = []
+        self._newest: bytes | None = None
+        self._lock = threading.Lock()
+        self.request_reset: Callable[[Callable[[bool], None]], None] | None = None
+        self.ask_faults: Callable[[Callable[[RobotFaults], None]], None] | None = None
+        threading.Thread(target=self._accept, name="truth", daemon=True).start()
+
+    def publish(self, fix: PoseFix, view: View | None) -> None:
+        """Send a record to every reader; never blocks."""
+        if view is None:
+            return
+        record = RECORD.pack(
+            fix.time_ns, *fix.pose, *fix.twist, *view.set_point_rad_s, view.command_age_ticks, view.state
+        )
+        self._newest = record
+        if self._clients:
+            with self._lock:
+                self._clients = [client for client in self._clients if client.send(record)]
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                connection, _ = self._listener.accept()
+            except OSError:
+                return  # closed
+            # Each in a thread of its own: one that says nothing keeps no other waiting.
+            threading.Thread(target=self._greet, args=(connection,), name="truth client", daemon=True).start()
+
+    def _greet(self, connection: socket.socket) -> None:
+        try:
+            self._answer(connection)
+        except OSError:
+            connection.close()  # it left while greeting
+
+    def _answer(self, connection: socket.socket) -> None:
+        connection.settimeout(ANSWER_S)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        answer: dict[str, object]
+        try:
+            wish = _Wish.parse(connection.makefile("rb").readline(LONGEST_ANSWER))
+            self._grant(wish)
+            answer = {"ok": True} if wish.faults is None else self._answer_faults(wish.faults)
+        except HilError as refusal:
+            answer = {"error": str(refusal)}
+        connection.sendall(json.dumps(answer).encode() + b"\n")
+        if "error" in answer or wish.faults is not None:
+            connection.close()
+            return
+        client = _Client(connection)
+        with self._lock:
+            if self._newest is not None:
+                client.send(self._newest)
+            self._clients = [*self._clients, client]
+
+    def _grant(self, wish: _Wish) -> None:
+        """Do what is asked for before anything else. Raises DeviceError with the reason when it is refused."""
+        if wish.scenario != self._hash:
+            raise DeviceError(
+                f"the robot runs another scenario (hash {self._hash[:12]}, asked for {wish.scenario[:12]}); start both "
+                "from the same scenario and overrides"
+            )
+        if wish.reset and self.request_reset is not None and not _await(self.request_reset):
+            raise DeviceError(
+                "the robot is armed or moves, and was not put back to its start; stop its controller first"
+            )
+
+    def _answer_faults(self, wish: Mapping[str, Any]) -> dict[str, object]:
+        ask = self.ask_faults
+        if ask is None:
+            raise DeviceError("this robot takes no faults")
+
+        def work(faults: RobotFaults) -> dict[str, object]:
+            if "arm" in wish:
+                faults.arm([FaultRow(*row) for row in wish["arm"]])
+            elif "begin" in wish:
+                faults.begin(int(wish["begin"]))
+            return {"applied": faults.applied()}
+
+        def guarded(faults: RobotFaults, answer: Callable[[dict[str, object]], None]) -> None:
+            try:
+                answer(work(faults))
+            except BadInputError as error:
+                answer({"error": str(error)})
+            except (TypeError, ValueError) as error:
+                answer({"error": f"the request was not understood ({error})"})
+
+        return _await(lambda answer: ask(lambda faults: guarded(faults, answer)))
+
+    def close(self) -> None:
+        """Stop listening and let the readers go."""
+        self._listener.close()
+        with self._lock:
+            for client in self._clients:
+                client.close()
+            self._clients = []

@@ -1,0 +1,46 @@
+"""How the wheels are wired: which wheel each channel of the robot drives, and in which sense."""
+
+from collections.abc import Sequence
+
+from hil.core.types import WHEEL_NAMES, Wheels
+from hil.robot.snapshot import Feedback
+
+
+class WheelMap:
+    """A permutation with signs between our wheels (FL, FR, RR, RL) and the robot's four channels.
+
+    ``wheels`` names the wheel on each channel; ``reversed_wheels`` the wheels whose channel turns the other way.
+    """
+
+    def __init__(self, wheels: Sequence[str] = WHEEL_NAMES, reversed_wheels: Sequence[str] = ()) -> None:
+        self.wheel_of_channel = tuple(WHEEL_NAMES.index(wheel) for wheel in wheels)
+        self.sign_of_channel = tuple(-1 if wheel in reversed_wheels else 1 for wheel in wheels)
+        self._channel_of_wheel = tuple(self.wheel_of_channel.index(i) for i in range(4))
+        self.is_identity = self.wheel_of_channel == (0, 1, 2, 3) and not reversed_wheels
+
+    def to_wire(self, value: Wheels) -> Wheels:
+        """Return a quantity of our wheels as the robot's channels want it."""
+        if self.is_identity:
+            return value
+        channels = zip(self.wheel_of_channel, self.sign_of_channel, strict=True)
+        return Wheels(*(sign * value[wheel] for wheel, sign in channels))
+
+    def from_wire(self, value: Sequence[float]) -> Wheels:
+        """Return a quantity of the robot's channels as our wheels."""
+        return Wheels(*(self.sign_of_channel[c] * value[c] for c in self._channel_of_wheel))
+
+    def feedback_from_wire(self, feedback: Feedback) -> Feedback:
+        """Return feedback with the channels sorted into wheels."""
+        if self.is_identity:
+            return feedback
+        count = tuple(self.sign_of_channel[c] * feedback.encoder_count[c] & 0xFFFF for c in self._channel_of_wheel)
+        fl, fr, rr, rl = count
+        return feedback._replace(
+            encoder_count=(fl, fr, rr, rl),
+            speed_rad_s=self.from_wire(feedback.speed_rad_s),
+            current_a=self.from_wire(feedback.current_a),
+        )
+
+    def temperatures_from_wire(self, value: Wheels) -> Wheels:
+        """Return the temperatures of the channels sorted into wheels."""
+        return Wheels(*(value[c] for c in self._channel_of_wheel))

@@ -1,0 +1,105 @@
+"""What happens in a run, told when it happens: faults that begin and end, and expectations when they are decided."""
+
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+from hil.core.ports import Note
+from hil.faults.rows import find
+from hil.judge.expectations import Watch, outcome_figures
+from hil.plant.said import Said, tell
+from hil.scenario import Scenario
+
+_LEVELS = {True: "info", None: "warning", False: "error"}
+
+
+class RunEvents:
+    """A sink that passes nothing on: it watches each row, and has something to say only when something happens.
+
+    A tick pays two comparisons, and one more for each expectation that is open then. ``names`` are the signals of the
+    run, ``loop.t_s`` among them; ``said`` has what the plant says, where it is one of those that do.
+    """
+
+    def __init__(self, scenario: Scenario, names: Sequence[str], note: Note, said: Said | None = None) -> None:
+        self._note = note
+        self._said = Said() if said is None else said
+        self._t_place = names.index("loop.t_s")
+        self._watches = [(names.index(row.signal), Watch(row)) for row in scenario.expect]
+        self._open: tuple[tuple[int, Watch], ...] = ()
+        self._undecided = [watch for _, watch in self._watches]
+        self._told: dict[int, str] = {}  # what was said of a watch when it failed
+        self._in_force: list[str] = []
+        edges: list[tuple[float, Callable[[], None]]] = []
+        for fault in scenario.fault:
+            edges.append((fault.start_s, partial(self._begin, fault.start_s, fault.words)))
+            if not find(fault.kind, fault.target).is_instant:
+                edges.append((fault.end_s, partial(self._end, fault.end_s, fault.words)))
+        for place, watch in self._watches:
+            expect = watch.expect
+            edges.append((expect.from_s, partial(self._watch, place, watch)))
+            # A sample at to_s counts still.
+            edges.append((math.nextafter(expect.to_s, math.inf), partial(self._close, watch)))
+        self._edges = sorted(edges, key=lambda edge: edge[0], reverse=True)
+        self._next_s = self._edges[-1][0] if edges else math.inf
+
+    def put(self, row: tuple[float, ...]) -> None:
+        """Look at the row of a tick."""
+        t_s = row[self._t_place]
+        if t_s >= self._next_s:
+            self._cross(t_s)
+        if self._said:
+            tell(self._said.take(), t_s, self._note)
+        for place, watch in self._open:
+            if watch.take(t_s, row[place]):
+                self._tell_of_failure(watch)
+
+    def finish(self, t_s: float, *, is_cut: bool) -> list[dict[str, Any]]:
+        """Say that the run has ended, with its last tick at ``t_s``; return the figures of all expectations.
+
+        ``is_cut`` says that it ended before it should have.
+        """
+        tell(self._said.end(), t_s, self._note)
+        for words in self._in_force:
+            self._note(t_s, "info", f"fault ends with the run: {words}")
+        cut_s = t_s if is_cut else None
+        for watch in tuple(self._undecided):
+            self._decide(watch, t_s, cut_s)
+        return [outcome_figures(watch.expect, watch.outcome(cut_s)) for _, watch in self._watches]
+
+    def _cross(self, t_s: float) -> None:
+        """Do what is due at a tick: edges at infinity never are."""
+        while self._edges and self._edges[-1][0] <= t_s:
+            self._edges.pop()[1]()
+        self._next_s = self._edges[-1][0] if self._edges else math.inf
+
+    def _begin(self, at_s: float, words: str) -> None:
+        self._in_force.append(words)
+        self._note(at_s, "info", f"fault begins: {words}")
+
+    def _end(self, at_s: float, words: str) -> None:
+        self._in_force.remove(words)
+        self._note(at_s, "info", f"fault ends: {words}")
+
+    def _watch(self, place: int, watch: Watch) -> None:
+        self._open += ((place, watch),)
+
+    def _close(self, watch: Watch) -> None:
+        self._decide(watch, watch.expect.to_s, None)
+
+    def _tell_of_failure(self, watch: Watch) -> None:
+        """Say at once that a claim has failed; how bad it became is said when its time is over."""
+        outcome = watch.outcome()
+        assert outcome.at_s is not None, "it was violated"
+        self._told[id(watch)] = outcome.sentence
+        self._note(outcome.at_s, "error", outcome.sentence)
+
+    def _decide(self, watch: Watch, t_s: float, cut_s: float | None) -> None:
+        self._open = tuple(one for one in self._open if one[1] is not watch)
+        self._undecided.remove(watch)
+        outcome = watch.outcome(cut_s)
+        told = self._told.get(id(watch))
+        if outcome.sentence == told:
+            return
+        at_s = t_s if outcome.at_s is None or told is not None else outcome.at_s
+        self._note(at_s, _LEVELS[outcome.passed], outcome.sentence)

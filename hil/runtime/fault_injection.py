@@ -1,0 +1,133 @@
+"""The faults of one run: each row given to the part that applies it, and what they all did."""
+
+import contextlib
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from hil.core.errors import BadInputError, HilError
+from hil.core.language import WHEEL_DBC, Language
+from hil.core.ports import Link
+from hil.faults.rows import FaultRow
+from hil.robot.faults import RobotFaults
+from hil.runtime.signal_faults import SignalFaults
+from hil.wire.bus_faults import FaultBus
+from hil.wire.delay import NowNs
+from hil.wire.fault_rows import LinkFault, ScenarioTime, link_faults
+from hil.wire.line_faults import BYTE_KINDS, FaultLine
+from hil.wire.opening import open_host
+from hil.wire.streams import HostStream
+from hil.wire.url import CanUrl, LinkUrl
+
+
+class RobotWithFaults(Protocol):
+    """A virtual robot, in this process or behind its truth socket."""
+
+    def arm(self, rows: Sequence[FaultRow]) -> None:
+        """Take the rows. Raises BadInputError when the robot has no part for one of them."""
+
+    def begin(self, tick: int) -> None:
+        """Say at which tick of the firmware's the scenario's time began."""
+
+    def applied(self) -> list[int]:
+        """Return how often each row was applied so far. Raises DeviceError when the robot has gone."""
+
+
+class LocalFaults:
+    """The faults of a robot in this process; ``do`` has something done between two exchanges, and waits for it."""
+
+    def __init__(self, faults: RobotFaults, do: Callable[[Callable[[RobotFaults], None]], None]) -> None:
+        self._faults = faults
+        self._do = do
+
+    def arm(self, rows: Sequence[FaultRow]) -> None:
+        self._faults.arm(rows)
+
+    def begin(self, tick: int) -> None:
+        self._do(lambda faults: faults.begin(tick))
+
+    def applied(self) -> list[int]:
+        return self._faults.applied()
+
+
+class RunFaults:
+    """Gives every row to its part: link, signals of the tick, or the robot with its plant.
+
+    ``names`` are the signals of the run.
+    """
+
+    def __init__(
+        self, rows: Sequence[FaultRow], seed: int, clock: NowNs, names: Sequence[str], language: Language = WHEEL_DBC
+    ) -> None:
+        self._rows = rows
+        self._robot: RobotWithFaults | None = None
+        self._of_robot = [row for row in rows if row.acts_on in ("device", "plant")]
+        self._of_link = link_faults([row for row in rows if row.acts_on == "link"], seed, language)
+        self._language = language
+        of_signals = [row for row in rows if row.acts_on == "signal"]
+        self.time = ScenarioTime(clock)
+        self.signals = SignalFaults(of_signals, names) if of_signals else None
+
+    @property
+    def of_frames(self) -> list[LinkFault]:
+        """What acts on whole frames."""
+        return [fault for fault in self._of_link if fault.kind not in BYTE_KINDS]
+
+    @property
+    def _of_bytes(self) -> list[LinkFault]:
+        return [fault for fault in self._of_link if fault.kind in BYTE_KINDS]
+
+    def line(self, stream: HostStream) -> HostStream:
+        """Return the host's end of a serial line with what acts on its bytes; as it is where nothing does."""
+        return FaultLine(stream, self.time, self._of_bytes, self._language) if self._of_bytes else stream
+
+    def around(self, link: Link, url: LinkUrl, resources: contextlib.ExitStack) -> Link:
+        """Return a CAN link with what acts on its bus; any other, and one on whose bus nothing acts, as it is."""
+        if not self._of_bytes or not (isinstance(url, CanUrl) or self._language.make_framing is None):
+            return link
+        if not isinstance(url, CanUrl):
+            row = self._of_bytes[0].row
+            raise BadInputError(f"fault {row.kind}: a bus in memory has no bits; use --link can:virtual/NAME for it")
+        babbler = None
+        if any(fault.kind == "babble" for fault in self._of_bytes):
+            babbler = open_host(url, language=self._language)
+            resources.callback(babbler.close)
+        return FaultBus(link, self.time, self._of_bytes, babbler, self._language)
+
+    def arm(self, robot: RobotWithFaults | None) -> None:
+        """Give the robot what acts on it and its plant.
+
+        Raises BadInputError when it has no part for a row, or when nothing could tell how often it was applied.
+        """
+        if not self._of_robot:
+            return
+        if robot is None:
+            row = self._of_robot[0]
+            raise BadInputError(
+                f"fault {row.kind} {row.target}: it acts inside a virtual robot, and nothing reaches into this one; "
+                "add --truth URL as hil device prints it, or leave the fault out on a real board"
+            )
+        robot.arm(self._of_robot)
+        self._robot = robot
+
+    def begin(self, origin_ns: int, tick: int) -> None:
+        """Let the scenario's time begin: on the clock, and in ticks of the firmware."""
+        self.time.begin(origin_ns)
+        if self._robot is not None:
+            self._robot.begin(tick)
+
+    def applied(self) -> list[int | None]:
+        """Return how often each row of the run was applied; None where the robot that knew has gone.
+
+        Also where it has other rows now: its process was started anew, or somebody else gave it faults.
+        """
+        of_robot: Sequence[int | None] = [None] * len(self._of_robot)
+        with contextlib.suppress(HilError):
+            told = self._robot.applied() if self._robot is not None else []
+            if len(told) == len(self._of_robot):
+                of_robot = told
+        counts = {
+            "link": iter([fault.applied for fault in self._of_link]),
+            "robot": iter(of_robot),
+            "signal": iter(self.signals.applied() if self.signals is not None else ()),
+        }
+        return [next(counts[row.acts_on if row.acts_on in counts else "robot"]) for row in self._rows]

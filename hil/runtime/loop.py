@@ -1,0 +1,252 @@
+"""The schedule of a run: when a tick is due, the same in lockstep and in real time, and a lost robot brought back."""
+
+import contextlib
+from collections.abc import Callable, Sequence
+from time import perf_counter
+from typing import Any, NamedTuple
+
+from hil.core.errors import DeviceError, HilError, LinkError, OverdueError, RobotStoppedError
+from hil.core.signals import make_loop_signals
+from hil.core.tick_watch import TickOverdue, TickWatch
+from hil.core.types import NAN, CommandMode
+from hil.faults.rows import FaultRow
+from hil.judge.allowed import Counted
+from hil.runtime.lateness import Lateness
+from hil.runtime.recovery import Recovered, Recovery, Warned
+from hil.runtime.sampling import Sampling, Timing
+from hil.runtime.tick import Parts, Tick
+from hil.runtime.undriven import Undriven
+
+_STOP_LIMIT_NS = 5_000_000_000
+
+
+class Report(NamedTuple):
+    """How the loop went. ``failure`` is what ended it, ``recoveries`` are the losses that were recovered from.
+
+    ``counted`` has by the names of ``[allow]`` how many ticks were not driven.
+    """
+
+    ticks: int
+    deadline_misses: int
+    counted: dict[str, Counted]
+    robot_s: float
+    wall_s: float
+    stopped: bool
+    failure: HilError | None
+    recoveries: tuple[Recovered, ...]
+
+
+class Loop:
+    """Runs the tick at a fixed period for a given time.
+
+    ``t`` = 0 is the first ACTIVE tick, and a tick's ``t`` is its sampling instant: with a feedback latency it is
+    worked out so much later, when what was sampled then has arrived. A tick that would begin after the next one is
+    due is skipped and counted, never made up in a burst.
+
+    With ``rearm`` a lost link or a stopped robot does not end the run: it is brought back while the ticks go on, with
+    nothing commanded, and the law begins anew at the reference of the present ``t``. ``warn`` is called with what its
+    device warns of then and did not before. ``faults`` are the scenario's, which explain ticks that are not driven.
+    A tick that takes longer than ``tick_limit_s`` of wall-clock time ends the run (``TickWatch``; 0 for no limit).
+    """
+
+    def __init__(
+        self,
+        parts: Parts,
+        mode: CommandMode,
+        timing: Timing,
+        *,
+        faults: Sequence[FaultRow] = (),
+        rearm: bool = False,
+        warn: Callable[[str], None] | None = None,
+        tick_limit_s: float = 0.0,
+        last_words: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self._parts = parts
+        self._faults = parts.faults
+        self._reference_at = parts.reference.at
+        self._timing = timing
+        self._period_ns = timing.period_ns
+        self._rearm = rearm
+        self._doing = Tick(parts, mode, timing)
+        self._sampling = Sampling(parts.clock, parts.device, parts.truth, timing)
+        self._warn = warn
+        self._warned = Warned(parts.device, self._tell_warning, said=tuple(parts.device.warnings))
+        self._undriven = Undriven(faults, timing)
+        self._recovery: Recovery | None = None
+        self._recoveries: list[Recovered] = []
+        self._misses = 0
+        self._tick_us = NAN
+        self.lateness = Lateness()
+        self.t_s = 0.0
+        self._watch = TickWatch(tick_limit_s, lambda: self.t_s, last_words)
+
+    def run(self, origin_ns: int, duration_ns: int) -> Report:
+        """Run from the first ACTIVE tick at ``origin_ns`` on the clock, then stop the robot.
+
+        What ends the run early is reported: a lost link or device, or a law that fails or does not return. Whatever it
+        is, the robot is told to stop while it can be reached.
+        """
+        begin = perf_counter()
+        failure: HilError | None = None
+        self._warned()  # since it was armed the robot has told more
+        try:
+            with self._watch:
+                self._run(origin_ns, duration_ns)
+        except HilError as error:
+            failure = error
+        except TickOverdue as overdue:
+            failure = OverdueError(str(overdue))
+        except BaseException:
+            self._parts.device.disarm()
+            with contextlib.suppress(HilError):
+                self._stop()
+            self._parts.device.close()
+            raise
+        wall_s = perf_counter() - begin
+        stopped = False
+        try:
+            # One that has not come back is not waited for, and may be somebody else's.
+            if isinstance(failure, DeviceError | LinkError) or self._recovery is not None:
+                failure = self._give_up(failure)
+            else:
+                stopped = self._stop()
+                failure = failure or (None if stopped else DeviceError("the robot did not come to rest within 5 s"))
+        except HilError as error:
+            failure = self._give_up(failure or error)
+        ticks = self._doing.count
+        robot_s = self.t_s + self._timing.period_ns * 1e-9 if ticks else 0.0
+        recoveries = tuple(self._recoveries)
+        counted = self._undriven.counted(ticks)
+        return Report(ticks, self._misses, counted, robot_s, wall_s, stopped, failure, recoveries)
+
+    @property
+    def commands_refused(self) -> int:
+        """Commands of the law that were no numbers, each replaced by a stop."""
+        return self._parts.guard.refused
+
+    def pose_fixes(self) -> dict[str, Any] | None:
+        """Return where pose fixes were lost, from the source to the filter; None where none are taken."""
+        return self._doing.pose_fixes()
+
+    def _stop(self) -> bool:
+        return self._parts.device.stop(self._timing.period_ns, _STOP_LIMIT_NS)
+
+    def _give_up(self, failure: HilError | None) -> HilError | None:
+        """Stop what may still be driven; return the failure, with what a person has to know where that did not work."""
+        device = self._parts.device
+        device.close()
+        trouble = device.report.trouble
+        if failure is None or trouble is None or trouble in str(failure):
+            return failure
+        return type(failure)(f"{failure}; {trouble}")
+
+    def _run(self, origin_ns: int, duration_ns: int) -> None:
+        timing = self._timing
+        ticks = -(-duration_ns // timing.period_ns)
+        number = self._sampling.begin(origin_ns)
+        is_lockstep = self._parts.device.is_lockstep
+        self._doing.skip_fixes()
+        in_vain: set[bool] = set()  # since time has passed: waits that ended with a lost link, and a stopped robot
+        while number < ticks:
+            try:
+                late_ns = self._sampling.wait(number)
+            except (LinkError, RobotStoppedError) as error:
+                self._wait_again(error, in_vain)
+                continue
+            in_vain.clear()
+            if number < 0:
+                self._keep_armed()
+            else:
+                self._tick(number, late_ns)
+            if is_lockstep:  # where no tick is late
+                number += 1
+                continue
+            following = self._sampling.following(number)
+            if following != number + 1:
+                # Those of the run alone, also where none comes after them to be recorded.
+                self._misses += max(0, min(following, ticks) - max(number, -1) - 1)
+            number = following
+        if self._recovery is not None:
+            raise LinkError(f"{self._recovery.why}; it did not come back until the end: {self._recovery.problem}")
+
+    def _wait_again(self, error: HilError, in_vain: set[bool]) -> None:
+        """Make another wait for the same tick possible after one that failed."""
+        recovery = self._lose(error)
+        is_stopped = isinstance(error, RobotStoppedError)
+        if self._parts.device.is_lockstep:
+            if is_stopped in in_vain:
+                # No held command can be the cause any more, so it is STEP: time stands still without the robot.
+                recovery.revive()
+            elif is_stopped:
+                # A robot that was reset counts its ticks from 0, and is asked for them first.
+                recovery.begin_now()
+        in_vain.add(is_stopped)
+
+    def _keep_armed(self) -> None:
+        """Command zeros until the first feedback is here; no tick of the run."""
+        self._doing.skip_fixes()
+        if self._recovery is not None:
+            self._come_back(self._recovery)
+            return
+        try:
+            self._doing.keep_armed()
+        except (LinkError, RobotStoppedError) as error:
+            self._lose(error)
+
+    def _tick(self, number: int, late_ns: int) -> None:
+        """Do one tick of the run: drive, or come back, and tell."""
+        begin_s = perf_counter()
+        self._watch.turn += 1
+        doing, faults, t_ns = self._doing, self._faults, number * self._period_ns
+        self.t_s = t_s = t_ns * 1e-9
+        now = make_loop_signals((t_s, number, late_ns * 1e-3, self._tick_us, self._misses))
+        self.lateness.add(late_ns)
+        fix = self._sampling.fix_of(number)
+        if faults is not None:
+            faults.at(t_ns)
+            fix = faults.truth(fix)
+        if self._recovery is None:
+            count = doing.count
+            try:
+                doing.drive(now, fix, doing.sense(t_s, fix), self._reference_at(t_s))
+            except (LinkError, RobotStoppedError) as error:
+                self._lose(error)
+                if doing.count == count:
+                    doing.tell_away(now, fix, self._reference_at(t_s))
+        else:
+            doing.skip_fixes()
+            self._come_back(self._recovery)
+            doing.tell_away(now, fix, self._reference_at(t_s))
+        if doing.is_held:
+            self._undriven.hold(t_ns, is_stale=doing.is_stale)
+        else:
+            self._undriven.drive()
+        self._watch.turn += 1
+        self._tick_us = (perf_counter() - begin_s) * 1e6
+
+    def _lose(self, error: HilError) -> Recovery:
+        """Begin to bring the robot back, or begin that again; without ``rearm`` the run ends."""
+        self._doing.raise_robot_failure()
+        if not self._rearm:
+            raise type(error)(f"{error}; to reconnect and arm anew in such a case, set loop.rearm = true") from error
+        if self._recovery is None:
+            self._recovery = Recovery(self._parts.device, self._parts.clock, error, self.t_s, self._warned)
+            self._parts.note(self.t_s, "warning", f"{error}; it is being brought back")
+        else:
+            self._recovery.fail(error)
+        return self._recovery
+
+    def _tell_warning(self, sentence: str) -> None:
+        self._parts.note(self.t_s, "warning", sentence)
+        if self._warn is not None:
+            self._warn(sentence)
+
+    def _come_back(self, recovery: Recovery) -> None:
+        self._doing.raise_robot_failure()
+        if not recovery.advance():
+            return
+        self._recoveries.append(Recovered(recovery.lost_s, self.t_s, recovery.why))
+        away_s = self.t_s - recovery.lost_s
+        self._parts.note(self.t_s, "info", f"ACTIVE again after {away_s:.3f} s: {recovery.why}")
+        self._recovery = None
+        self._doing.restart()

@@ -1,0 +1,82 @@
+"""From a scenario to what its ticks are made of; what stands at the ends of the link is the bench's."""
+
+from collections.abc import Sequence
+
+from hil.core.brake import Brake
+from hil.core.guard import Guard
+from hil.core.model import RobotModel
+from hil.core.ports import Note, Sink
+from hil.estimation import EstimatorOptions, FusedOptions, make_estimator
+from hil.references import Feasibility, feasibility, make_reference
+from hil.runtime.bench import NS, Bench
+from hil.runtime.sampling import Timing
+from hil.runtime.signal_faults import SignalFaults
+from hil.runtime.tick import Parts
+from hil.scenario import Scenario
+from hil.scenario.laws import make_laws
+
+
+class PartsOf:
+    """The parts of a scenario: what it says alone is made here, so that bad input is found before anything is opened.
+
+    Raises BadInputError for what the law or the reference refuse.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._scenario = scenario
+        self.model = RobotModel(**dict(scenario.robot))
+        self.reference = make_reference(scenario.reference.kind, scenario.reference.options, scenario.directory)
+        self.laws = make_laws(scenario, scenario.directory)
+        self.timing = Timing(
+            scenario.loop.period_ns,
+            scenario.link.command_latency_ns,
+            scenario.link.feedback_latency_ns,
+            round(scenario.firmware.watchdog_s * NS),
+        )
+        believed = scenario.estimator
+        self._estimator = EstimatorOptions(
+            believed.source, believed.twist, believed.slip_threshold_m_s, FusedOptions(**dict(believed.filter))
+        )
+        self._guard = Guard(self.model.speed_limit_rad_s, self.model.torque_limit_n_m)
+        self._brake = Brake(scenario.controller.mode, self._guard, scenario.firmware.speed_kp_n_m_s_rad)
+
+    def demands(self) -> Feasibility:
+        """Return what the reference asks of the wheels."""
+        loop = self._scenario.loop
+        return feasibility(self.reference, self.model, loop.duration_s, loop.period_ns / NS)
+
+    def make(self, bench: Bench, sinks: Sequence[Sink], note: Note) -> Parts:
+        """Return the parts of the ticks on a bench, once its robot can be asked where it starts."""
+        counts = self._scenario.firmware.counts_per_revolution
+        faults = bench.faults.signals
+        return Parts(
+            bench.clock,
+            bench.device,
+            bench.wire,
+            bench.truth,
+            bench.fixes,
+            make_estimator(self._estimator, self.model, bench.start_pose(), counts),
+            self.reference,
+            self.laws.controller,
+            self._guard,
+            self._brake,
+            sinks if faults is None else [_Faulted(sinks, faults)],
+            note,
+            bench.robot_failure,
+            faults,
+            self.laws.shadows,
+            self.laws.extra,
+        )
+
+
+class _Faulted:
+    """A sink that tells others what faults make of the signals that nothing else reads."""
+
+    def __init__(self, sinks: Sequence[Sink], faults: SignalFaults) -> None:
+        self._sinks = sinks
+        self._faults = faults
+
+    def put(self, row: tuple[float, ...]) -> None:
+        recorded = self._faults.recorded(row)
+        for sink in self._sinks:
+            sink.put(recorded)

@@ -1,0 +1,148 @@
+"""What a run was: the texts that its recording carries, so that a file explains itself."""
+
+import hashlib
+import json
+import platform
+import subprocess
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hil.core.errors import BadInputError
+
+if TYPE_CHECKING:
+    from hil.scenario import Scenario
+
+
+def ingredients(scenario: "Scenario") -> dict[str, str]:
+    """Return what decides a run beside its scenario's text, as it is now: options of the law, and SHA-256 hashes.
+
+    To be asked when the parts of the run are made, for files may change before a recording begins. Beside what
+    ``law_ingredients`` returns: ``map_sha256`` is of ``[plant.map]``, ``reference_file_sha256`` and
+    ``motors_file_sha256`` of files that the scenario names, ``fmu_sha256`` of the FMU where it is on this machine.
+    ``wheel_host_sha256`` and ``cosim_sha256`` are of the native libraries that this process runs with, as they were
+    loaded; ``wheel_host_sources_sha256`` and ``cosim_sources_sha256`` of the sources that these were built from, which
+    are the same on every machine. What is not here is left out.
+
+    Raises BadInputError as ``law_ingredients``, and for an FMU or a native library that cannot be used.
+    """
+    directory = scenario.directory
+    mapped = {signal: row.model_dump() for signal, row in scenario.plant.map.items()}
+    files = {"reference_file": scenario.reference.options, "motors_file": scenario.device.motors}
+    found = {
+        "map_sha256": hashlib.sha256(json.dumps(mapped, sort_keys=True).encode()).hexdigest(),
+        **{f"{name}_sha256": _sha256_of(table.get("file"), directory) for name, table in files.items()},
+        **_plant_and_libraries(scenario),
+    }
+    return law_ingredients(scenario) | {name: text for name, text in found.items() if text is not None}
+
+
+def law_ingredients(scenario: "Scenario") -> dict[str, str]:
+    """Return what ``ingredients`` says of the laws.
+
+    ``gains`` is a JSON object of all options of the law, given or left to their defaults; ``law_sha256`` is of the
+    law's code (``hil.laws.code``), ``shadow_laws_sha256`` a JSON object of the shadows'. Raises BadInputError
+    as ``gains_in_force``.
+    """
+    from hil.laws.registry import gains_in_force, law_sha256
+
+    law, directory = scenario.controller, scenario.directory
+    found = {"gains": json.dumps(gains_in_force(law.law, directory, law.gains))}
+    if (code := law_sha256(law.law, directory)) is not None:
+        found["law_sha256"] = code
+    if law.shadow:
+        shadows = {name: law_sha256(spec, directory) for name, spec in zip(law.shadow_names, law.shadow, strict=True)}
+        found["shadow_laws_sha256"] = json.dumps(shadows)
+    return found
+
+
+def properties(scenario: "Scenario", made_of: Mapping[str, str] | None = None) -> dict[str, str]:
+    """Return a recording's properties; ``made_of`` are the ``ingredients`` of its parts, by default those of now.
+
+    ``scenario`` is a JSON object of every resolved value by its dotted key, ``scenario_sources`` one of where each was
+    given; ``scenario_sha256`` is the hash that a controller and a device compare. ``commit`` is there only when the
+    code runs from a checkout.
+    """
+    from hil.scenario import resolved
+
+    values = resolved(scenario)
+    law = scenario.controller
+    return {
+        "scenario_name": scenario.name,
+        "law": law.law,
+        "command": law.command,
+        "mode": scenario.loop.mode,
+        "link": scenario.link.url,
+        "seed": str(scenario.loop.seed),
+        "started": datetime.now(UTC).isoformat(timespec="seconds"),
+        **versions(),
+        **(ingredients(scenario) if made_of is None else made_of),
+        "scenario_sha256": scenario.hash,
+        "scenario": json.dumps({key: value for key, value, _ in values}, default=str),
+        "scenario_sources": json.dumps({key: where for key, _, where in values}),
+    }
+
+
+def _plant_and_libraries(scenario: "Scenario") -> dict[str, str | None]:
+    """Return the hashes of the FMU, and of the native libraries that a run has in this process."""
+    from firmware_protocol import host
+    from hil.plant import archive, shim
+    from hil.wire.opening import is_within_process
+    from hil.wire.url import parse_link
+    from native_build.built_from import NotCurrentError
+
+    has_robot = is_within_process(parse_link(scenario.link.url))
+    found: dict[str, str | None] = {}
+    if has_robot or not scenario.device.is_makers:
+        try:
+            found["wheel_host_sha256"] = host.loaded().sha256
+        except NotCurrentError as error:
+            raise BadInputError(str(error)) from error
+        found["wheel_host_sources_sha256"] = host.loaded().sources_sha256
+    if has_robot:
+        found["fmu_sha256"] = archive.sha256(archive.locate(scenario.plant.fmu, scenario.directory))
+        found |= {"cosim_sha256": shim.loaded().sha256, "cosim_sources_sha256": shim.loaded().sources_sha256}
+    elif (fmu := archive.place(scenario.plant.fmu, scenario.directory)).is_file():
+        found["fmu_sha256"] = archive.sha256(fmu)  # the robot is elsewhere, and needs it there alone
+    return found
+
+
+def _sha256_of(file: object, directory: Path) -> str | None:
+    """Return the hash of a file that an option names, None where it names none, or one that is not there."""
+    try:
+        return hashlib.sha256((directory / file).read_bytes()).hexdigest() if isinstance(file, str) else None
+    except OSError:
+        return None
+
+
+def versions() -> dict[str, str]:
+    """Return the versions that a result depends on."""
+    found = {
+        "mecanum_hil": _version("mecanum-hil"),
+        "rerun_sdk": _version("rerun-sdk"),
+        "python": platform.python_version(),
+        "machine": f"{platform.system()} {platform.machine()}",
+    }
+    commit = _commit()
+    return found if commit is None else {**found, "commit": commit}
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def _commit() -> str | None:
+    root = Path(__file__).resolve().parents[2]
+    if not (root / ".git").exists():
+        return None
+    command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"]
+    try:
+        described = subprocess.run(command, capture_output=True, text=True, timeout=5.0, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return described.stdout.strip()

@@ -1,0 +1,292 @@
+"""Real time, as far as the operating system grants it: asked for by name, and each answer a sentence.
+
+A process takes the settings for the time of a run and is afterwards what it was. What is not granted ends nothing: the
+run is only later now and then, and its summary says why. LIMITS.md shows how to set a machine up.
+"""
+
+import contextlib
+import ctypes
+import gc
+import os
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+SWITCH_INTERVAL_S = 1e-4
+GC_THRESHOLD = 100_000
+ISOLATED = Path("/sys/devices/system/cpu/isolated")
+DMA_LATENCY = Path("/dev/cpu_dma_latency")
+CAP_IPC_LOCK = 14
+CAP_SYS_NICE = 23
+LIMITS_REMEDY = "give the user {item} in /etc/security/limits.d (hil doctor prints the line), or run with {capability}"
+_PR_SET_TIMERSLACK = 29
+_PR_GET_TIMERSLACK = 30
+_TIMER_SLACK_NS = 1
+_MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
+
+
+class Wanted(NamedTuple):
+    """What a process asks for, as ``[realtime]`` has it.
+
+    Attributes:
+        priority: of SCHED_FIFO, 0 for none.
+        cpus: the processors to run on; empty for those that the kernel keeps free, where there are any.
+        lock_memory: whether memory must not leave RAM.
+    """
+
+    priority: int
+    cpus: tuple[int, ...]
+    lock_memory: bool
+
+
+class Setting(NamedTuple):
+    """What became of something that was asked for, with a sentence that names it."""
+
+    name: str
+    granted: bool
+    sentence: str
+
+
+class RealTime:
+    """The settings of a process while it runs in real time. ``settings`` has one for each thing that was asked for."""
+
+    def __init__(self, settings: Sequence[Setting]) -> None:
+        self.settings = tuple(settings)
+
+    def figures(self) -> dict[str, dict[str, str]]:
+        """Return the sentences by name, under ``granted`` and ``refused``."""
+        return {
+            kind: {name: sentence for name, granted, sentence in self.settings if granted is wanted}
+            for kind, wanted in (("granted", True), ("refused", False))
+        }
+
+
+@contextlib.contextmanager
+def real_time(wanted: Wanted, threads: Sequence[int] = ()) -> Iterator[RealTime]:
+    """Take what is wanted and granted, for the calling thread and others of this process; give it back at the end.
+
+    ``threads`` are native ids. Processes and threads that these start meanwhile begin with ordinary priority.
+    """
+    every = (threading.get_native_id(), *threads)
+    with contextlib.ExitStack() as undo:
+        asked: dict[str, _Ask] = {
+            "garbage collector": _quieten_collector,
+            "switch interval": _shorten_switch_interval,
+        }
+        if sys.platform == "linux":
+            asked |= {
+                "timer slack": _tighten_timers,
+                "idle states": _stay_awake,
+                "processors": lambda undo: _pin(wanted.cpus, every, undo),
+                "memory": lambda undo: _lock_memory(undo) if wanted.lock_memory else None,
+                # Last, so that nothing of the above is done while others have to wait.
+                "priority": lambda undo: _raise_priority(wanted.priority, every, undo) if wanted.priority else None,
+            }
+        else:
+            asked["priority"] = _refuse
+        yield RealTime([setting for name, ask in asked.items() if (setting := _answer(name, ask, undo)) is not None])
+
+
+class _RefusedError(Exception):
+    """It was not granted; the text is the sentence that says why, and what to do."""
+
+
+_Ask = Callable[[contextlib.ExitStack], str | None]
+
+
+def _answer(name: str, ask: _Ask, undo: contextlib.ExitStack) -> Setting | None:
+    """Ask for one thing; None where it was not wanted. What is refused halfway is taken back at once."""
+    with contextlib.ExitStack() as attempt:
+        try:
+            sentence = ask(attempt)
+        except _RefusedError as refused:
+            return Setting(name, False, str(refused))
+        undo.enter_context(attempt.pop_all())
+    return None if sentence is None else Setting(name, True, sentence)
+
+
+def _refuse(_: contextlib.ExitStack) -> str:
+    raise _RefusedError("priority, processors and locked memory: only Linux is asked for these")
+
+
+def _quieten_collector(undo: contextlib.ExitStack) -> str:
+    """Have the garbage collector never look at what there is by now, and rarely at what comes.
+
+    It is not switched off: a law that makes cycles would take all memory in the end.
+    """
+    thresholds = gc.get_threshold()
+    had_frozen = gc.get_freeze_count() > 0
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(GC_THRESHOLD, *thresholds[1:])
+
+    def restore() -> None:
+        gc.set_threshold(*thresholds)
+        if not had_frozen:
+            gc.unfreeze()
+
+    undo.callback(restore)
+    return f"garbage collector: frozen, waits for {GC_THRESHOLD} new objects"
+
+
+def _shorten_switch_interval(undo: contextlib.ExitStack) -> str:
+    """Have another thread that holds the interpreter give it up sooner."""
+    undo.callback(sys.setswitchinterval, sys.getswitchinterval())
+    sys.setswitchinterval(min(SWITCH_INTERVAL_S, sys.getswitchinterval()))
+    return f"switch interval: {sys.getswitchinterval() * 1e3:g} ms"
+
+
+def _tighten_timers(undo: contextlib.ExitStack) -> str:
+    """Have the kernel wake this thread when it asked for it; it may else wait up to 50 µs, to save power."""
+    prctl = _libc().prctl
+    before_ns = prctl(_PR_GET_TIMERSLACK, 0, 0, 0, 0)
+    if before_ns < 0 or prctl(_PR_SET_TIMERSLACK, _TIMER_SLACK_NS, 0, 0, 0):
+        raise _RefusedError(f"timer slack: refused ({_errno_words()}); timers may be up to 50 µs late")
+    # 0 would mean the value that the thread began with.
+    undo.callback(prctl, _PR_SET_TIMERSLACK, before_ns or 1, 0, 0, 0)
+    return f"timer slack: {_TIMER_SLACK_NS} ns"
+
+
+def _stay_awake(undo: contextlib.ExitStack) -> str:
+    """Keep the processors out of sleep from which they wake too slowly; the kernel does it while the file is open."""
+    if not DMA_LATENCY.exists():
+        raise _RefusedError(f"idle states: this machine has no {DMA_LATENCY}, by which to forbid deep ones")
+    try:
+        file = undo.enter_context(DMA_LATENCY.open("wb", buffering=0))
+        file.write((0).to_bytes(4, sys.byteorder))
+    except OSError as error:
+        raise _RefusedError(
+            f"idle states: {DMA_LATENCY} may not be written ({error.strerror}); give the user's group that right in a "
+            "udev rule, or wakes from idle are late"
+        ) from error
+    return "idle states: deep ones are forbidden"
+
+
+def isolated_cpus() -> tuple[int, ...]:
+    """Return the processors on which the kernel schedules nothing by itself (isolcpus=)."""
+    try:
+        return parse_cpus(ISOLATED.read_text("ascii"))
+    except OSError:
+        return ()
+
+
+def parse_cpus(text: str) -> tuple[int, ...]:
+    """Return the processors of a list as the kernel writes it.
+
+    >>> parse_cpus("1,4-6")
+    (1, 4, 5, 6)
+    """
+    found: list[int] = []
+    for part in filter(None, text.strip().split(",")):
+        first, _, last = part.partition("-")
+        found += range(int(first), int(last or first) + 1)
+    return tuple(found)
+
+
+def _pin(cpus: tuple[int, ...], threads: Sequence[int], undo: contextlib.ExitStack) -> str | None:
+    chosen = cpus or isolated_cpus()
+    if not chosen:
+        return None
+    named = ", ".join(map(str, chosen))
+    for thread in threads:
+        before = os.sched_getaffinity(thread)
+        try:
+            os.sched_setaffinity(thread, chosen)
+        except OSError as error:
+            there = ", ".join(map(str, sorted(before)))
+            raise _RefusedError(
+                f"processors {named}: refused ({error.strerror}); this process has {there}: set realtime.cpus to some "
+                "of these"
+            ) from error
+        undo.callback(_restore_cpus, thread, before)
+    return f"processors: {named}{'' if cpus else ', isolated'}"
+
+
+def _lock_memory(undo: contextlib.ExitStack) -> str:
+    if int((_status("VmLck") or "0").split()[0]):
+        return "memory: locked before already"
+    limit = memory_limit_bytes()
+    # With a limit the lock might be granted now and the next allocation refused, in the middle of the run.
+    if limit is not None and not has_capability(CAP_IPC_LOCK):
+        remedy = LIMITS_REMEDY.format(item="memlock unlimited", capability="CAP_IPC_LOCK")
+        raise _RefusedError(f"memory: not locked, for only {limit >> 10} KiB may be; {remedy}")
+    libc = _libc()
+    # On fault: a process of much address space and little memory would else be given all of it now.
+    if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT):
+        raise _RefusedError(f"memory: not locked ({_errno_words()}); a page that was swapped out makes a tick late")
+    undo.callback(libc.munlockall)
+    return "memory: locked"
+
+
+def _raise_priority(priority: int, threads: Sequence[int], undo: contextlib.ExitStack) -> str:
+    if os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK in (os.SCHED_FIFO, os.SCHED_RR):
+        return f"priority: {os.sched_getparam(0).sched_priority} in real time before already"
+    for thread in threads:
+        before = os.sched_getscheduler(thread), os.sched_getparam(thread)
+        try:
+            os.sched_setscheduler(thread, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+        except OSError as error:
+            remedy = LIMITS_REMEDY.format(item=f"rtprio {priority}", capability="CAP_SYS_NICE")
+            limit = f"the user's rtprio is {priority_limit()}"
+            raise _RefusedError(f"SCHED_FIFO {priority}: refused ({error.strerror}), {limit}; {remedy}") from error
+        undo.callback(_restore_priority, thread, *before)
+    return f"SCHED_FIFO {priority}"
+
+
+def _restore_cpus(thread: int, cpus: set[int]) -> None:
+    if _is_ours(thread):
+        os.sched_setaffinity(thread, cpus)
+
+
+def _restore_priority(thread: int, policy: int, param: "os.sched_param") -> None:
+    if _is_ours(thread):
+        try:
+            os.sched_setscheduler(thread, policy, param)
+        except PermissionError:
+            # Only root may take back that children begin as ordinary; for a thread that is ordinary it changes nothing.
+            os.sched_setscheduler(thread, policy | os.SCHED_RESET_ON_FORK, param)
+
+
+def _is_ours(thread: int) -> bool:
+    """Tell whether a thread of this process still runs; its number may by now be another process's."""
+    return Path(f"/proc/self/task/{thread}").exists()
+
+
+def priority_limit() -> int:
+    """Return the highest priority that this user's limits permit on Linux, 0 for none."""
+    import resource
+
+    limit, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
+    return 99 if limit == resource.RLIM_INFINITY else limit
+
+
+def memory_limit_bytes() -> int | None:
+    """Return how much memory this user's limits permit to lock on Linux; None for any amount."""
+    import resource
+
+    limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
+    return None if limit == resource.RLIM_INFINITY else limit
+
+
+def has_capability(bit: int) -> bool:
+    """Tell whether this process has a capability of Linux in force."""
+    return bool(int(_status("CapEff") or "0", 16) >> bit & 1)
+
+
+def _status(key: str) -> str | None:
+    """Return a value of /proc/self/status, None where there is none."""
+    try:
+        text = Path("/proc/self/status").read_text("utf-8")
+    except OSError:
+        return None
+    return next((line.partition(":")[2].strip() for line in text.splitlines() if line.startswith(f"{key}:")), None)
+
+
+def _libc() -> Any:
+    return ctypes.CDLL(None, use_errno=True)
+
+
+def _errno_words() -> str:
+    return os.strerror(ctypes.get_errno())

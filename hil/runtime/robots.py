@@ -1,0 +1,164 @@
+"""What the robot of a scenario is made of: its firmware or motor controllers, its plant, its wiring, its language."""
+
+import functools
+from collections.abc import Collection, Mapping
+from pathlib import Path
+
+from firmware_protocol.host import HostNode, parameters
+from hil.core.errors import BadInputError
+from hil.core.language import WHEEL_DBC, Language
+from hil.core.outputs import Existing
+from hil.core.types import Pose
+from hil.drivers.emulated_registry import emulated
+from hil.drivers.registry import dialect
+from hil.plant import archive
+from hil.plant.description import check_start, parameter_names
+from hil.plant.mapping import Row, SignalMap
+from hil.robot.faults import Body
+from hil.robot.virtual import MakeNode, VirtualPlant, VirtualRobot
+from hil.robot.wheel_map import WheelMap
+from hil.scenario import SHIPPED_FMUS, Scenario, StartValue
+from hil.wire.trace import Trace
+from hil.wire.url import DEFAULT_BAUD, CanUrl, LinkUrl, parse_link
+from native_build.built_from import NotCurrentError
+
+_NS = 1_000_000_000
+
+
+def firmware_values(scenario: Scenario) -> dict[str, float]:
+    """Return the firmware's parameters by the names of its own table.
+
+    Raises BadInputError when the host library is not that of the sources beside it, and cannot be built anew.
+    """
+    robot = scenario.robot
+    size = {name: getattr(robot, name) for name in ("wheel_radius_m", "half_length_m", "half_width_m")}
+    given = dict(scenario.firmware) | size | {"feedback_period_s": scenario.loop.period_ns / _NS}
+    try:
+        return {p.name: float(given[p.name]) for p in parameters()}
+    except NotCurrentError as error:
+        raise BadInputError(str(error)) from error
+
+
+def plant_start(scenario: Scenario, known: Collection[str]) -> dict[str, StartValue]:
+    """Return the FMU's start values: what [robot] and [firmware] say, and over them what [plant.start] says.
+
+    Of the former only what is ``known``, the names of the FMU's parameters: a foreign FMU may have none of them.
+    """
+    robot, firmware, start = scenario.robot, scenario.firmware, scenario.plant.start
+    gear_ratio = start.get("gear_ratio")
+    # The firmware's torque constant is at the wheel, the FMU's at the motor's shaft.
+    turns = gear_ratio if isinstance(gear_ratio, float) and gear_ratio > 0.0 else 1.0
+    believed = {
+        "mass_kg": robot.mass_kg,
+        "inertia_kg_m2": robot.inertia_kg_m2,
+        "wheel_radius_m": robot.wheel_radius_m,
+        "half_length_m": robot.half_length_m,
+        "half_width_m": robot.half_width_m,
+        "wheel_inertia_kg_m2": robot.wheel_inertia_kg_m2,
+        "friction_coefficient": robot.friction_coefficient,
+        "counts_per_revolution": float(firmware.counts_per_revolution),
+        "motor_constant_n_m_a": firmware.torque_constant_n_m_a / turns,
+        "motor_resistance_ohm": firmware.motor_resistance_ohm,
+        "motor_inductance_h": firmware.motor_inductance_h,
+    }
+    return {name: value for name, value in believed.items() if name in known} | dict(start)
+
+
+def check_plant_start(scenario: Scenario) -> None:
+    """Raise BadInputError for start values that the scenario's FMU refuses, without opening it."""
+    fmu = archive.locate(scenario.plant.fmu, scenario.directory)
+    check_start(fmu, plant_start(scenario, parameter_names(fmu)))
+
+
+def signal_map(scenario: Scenario) -> SignalMap:
+    """Return [plant.map], with what the signals that the FMU lacks follow from."""
+    firmware = scenario.firmware
+    return SignalMap(
+        {signal: Row(row.name, row.scale, row.offset, row.sign) for signal, row in scenario.plant.map.items()},
+        float(firmware.counts_per_revolution),
+        firmware.torque_constant_n_m_a,
+    )
+
+
+def start_pose(scenario: Scenario) -> Pose | None:
+    """Return where the scenario says that the robot starts.
+
+    None when it does not say: where a foreign FMU starts only that knows.
+    """
+    given = [scenario.plant.start.get(f"start_{name}") for name in Pose._fields]
+    if scenario.plant.fmu in SHIPPED_FMUS:
+        given = [0.0 if value is None else value for value in given]
+    numbers = [value for value in given if isinstance(value, float)]
+    return Pose(*numbers) if len(numbers) == len(given) else None
+
+
+def virtual_robot(scenario: Scenario) -> VirtualRobot:
+    """Return what the scenario's virtual robot is made of. Raises BadInputError when its FMU is missing or none."""
+    fmu = archive.locate(scenario.plant.fmu, scenario.directory)
+    known = parameter_names(fmu)
+    start = plant_start(scenario, known)
+    return VirtualRobot(
+        VirtualPlant(fmu, start, signal_map(scenario), scenario.plant.timeout_s, scenario.plant.memory_limit_mb),
+        firmware_values(scenario),
+        scenario.loop.mode == "lockstep",
+        wheel_map(scenario),
+        _body(scenario, start, known),
+    )
+
+
+def _body(scenario: Scenario, start: Mapping[str, StartValue], known: Collection[str]) -> Body:
+    """Return what faults have to know of the robot as it is in the plant."""
+    robot = scenario.robot
+    given = (start.get("half_length_m", robot.half_length_m), start.get("half_width_m", robot.half_width_m))
+    half_length_m, half_width_m = (float(length) for length in given)
+    is_rigid = "contact" in known and start.get("contact", "rigid") in ("rigid", 1.0)
+    return Body(wheel_map(scenario).wheel_of_channel, half_length_m, half_width_m, is_rigid)
+
+
+def wheel_map(scenario: Scenario) -> WheelMap:
+    """Return how the scenario's robot is wired."""
+    return WheelMap(scenario.device.wheels, scenario.device.reversed)
+
+
+def language_of(scenario: Scenario) -> Language:
+    """Return what is spoken on the scenario's link."""
+    if not scenario.device.is_makers:
+        return WHEEL_DBC
+    return Language(dialect(scenario.device.driver).make_framing)
+
+
+def node_maker(scenario: Scenario) -> MakeNode:
+    """Return what makes the firmware of the scenario's virtual robot, or its motor controllers."""
+    if not scenario.device.is_makers:
+        return HostNode
+    return functools.partial(emulated(scenario.device.driver), scenario.device.settings)
+
+
+def link_of(scenario: Scenario) -> LinkUrl:
+    """Return the scenario's link, a serial one of which it says no rate at that of the robot's motors."""
+    baud = dialect(scenario.device.driver).baud if scenario.device.is_makers else None
+    return parse_link(scenario.link.url, baud=baud or DEFAULT_BAUD)
+
+
+def needed_truth(scenario: Scenario) -> str | None:
+    """Return the setting of a scenario that needs the true pose; None where it is not needed."""
+    estimator = scenario.estimator
+    if estimator.source == "fused" and estimator.fix == "simulated":
+        return 'estimator.fix = "simulated"'
+    return 'estimator.source = "truth"' if estimator.source == "truth" else None
+
+
+def no_lockstep(scenario: Scenario) -> BadInputError:
+    """Return the refusal of lockstep with makers' motors in another process."""
+    return BadInputError(
+        f"the protocol of {scenario.device.driver!r} has no STEP, so that nobody can let its time pass from outside; "
+        "add --mode realtime, or run it within one process with --link memory:"
+    )
+
+
+def open_trace(scenario: Scenario, path: Path, existing: Existing = "refuse") -> Trace:
+    """Start writing a trace of the scenario's link; ``existing`` and what is raised are those of ``Trace``."""
+    url = link_of(scenario)
+    fd = isinstance(url, CanUrl) and url.fd
+    switched = isinstance(url, CanUrl) and url.data_bitrate is not None
+    return Trace(path, blocking=scenario.loop.mode == "lockstep", fd=fd, switched=switched, existing=existing)

@@ -1,0 +1,117 @@
+"""What a run tells of each tick: one row of all signals, for the recording and for the judge."""
+
+from collections.abc import Sequence
+from math import hypot, remainder, tau
+
+from hil.core.ports import Controller, OwnSignals, Sink
+from hil.core.signals import EstimatorSignals, LoopSignals
+from hil.core.types import NAN, NAN_POSE, NAN_WHEELS, Applied, CommandMode, PoseFix, Reference, State, Twist
+from hil.robot.port import Device
+from hil.robot.snapshot import Feedback
+from hil.wire.statistics import Statistics
+
+_SPEED = CommandMode.SPEED  # a member of an enumeration takes longer to look up than a global name
+_NO_STATE = State(NAN_POSE, Twist(NAN, NAN, NAN))
+_NO_FEEDBACK = (NAN, NAN, NAN, NAN, NAN_WHEELS, NAN_WHEELS, NAN_WHEELS, (NAN, NAN, NAN), NAN)
+_REJECTED_EVERY = 100  # ticks; the sum over all causes is too dear for each of them
+
+
+class Rows:
+    """Puts one row a tick into sinks: ``SIGNALS``, then what each of ``extra`` has."""
+
+    def __init__(
+        self,
+        device: Device,
+        wire: Statistics,
+        controller: Controller,
+        extra: Sequence[OwnSignals],
+        sinks: Sequence[Sink],
+        feedback_latency_ns: int,
+    ) -> None:
+        self._device = device
+        self._wire = wire
+        self._controller = controller
+        self._extra = extra
+        self._puts = tuple(sink.put for sink in sinks)
+        self._feedback_latency_ns = feedback_latency_ns
+        self._rejected = 0
+
+    def tell(
+        self,
+        tick: LoopSignals,
+        feedback: Feedback | None,
+        silent_ns: int,
+        fix: PoseFix | None,
+        state: State | None,
+        reference: Reference,
+        applied: Applied,
+        estimator: EstimatorSignals,
+        is_held: bool,
+    ) -> None:
+        """Tell of a tick: what it rests on, and what came of it.
+
+        ``silent_ns`` is how long ``feedback`` has been the newest, which is None after a loss; ``fix`` and ``state``
+        are None where nothing is known. ``is_held`` says that the law was not asked.
+        """
+        device, wire = self._device, self._wire
+        if tick.tick % _REJECTED_EVERY == 0:
+            self._rejected = sum(device.rejected().values())
+        command, saturated, latency_s = applied
+        pose, twist = state if state is not None else _NO_STATE
+        truth = fix.pose if fix is not None else NAN_POSE
+        (x_m, y_m, heading_rad), (wanted_x_m, wanted_y_m, wanted_heading_rad) = truth, reference.pose
+        error_x_m, error_y_m = x_m - wanted_x_m, y_m - wanted_y_m
+        try:
+            error_heading_rad = remainder(heading_rad - wanted_heading_rad, tau)
+        except ValueError:  # an infinite heading
+            error_heading_rad = NAN
+        robot_time_ns, robot_state, _, command_age_ms, _, speed, current, acceleration, yaw_rate_rad_s = (
+            feedback if feedback is not None else _NO_FEEDBACK
+        )
+        battery_v, battery_a, temperature_degc = device.report.health
+        # One display: a named tuple for each group would cost more than all of the rest.
+        row = [
+            *tick,
+            *reference.pose,
+            *reference.twist,
+            *reference.acceleration,
+            *pose,
+            *twist,
+            *truth,
+            error_x_m,
+            error_y_m,
+            error_heading_rad,
+            hypot(error_x_m, error_y_m),
+            *self._controller.gains,
+            *speed,
+            *(command.speed_rad_s if command.mode is _SPEED else NAN_WHEELS),
+            *command.torque_n_m,
+            *current,
+            *temperature_degc,
+            robot_time_ns * 1e-9,
+            robot_state,
+            command_age_ms,
+            yaw_rate_rad_s,
+            *acceleration,
+            battery_v,
+            battery_a,
+            *estimator,
+            saturated,
+            is_held,
+            device.sent,
+            device.received,
+            self._rejected,
+            (silent_ns + self._feedback_latency_ns) * 1e-6 if feedback is not None else NAN,
+            device.snapshots_lost,
+            *wire.byte_counts(),
+            wire.load_percent(),
+            device.round_trip.ms,
+            latency_s * 1e3,
+            device.clock_sync.offset_us,
+            device.clock_sync.drift_ppm,
+        ]
+        for own in self._extra:
+            row += own.telemetry
+        told = tuple(row)
+        for put in self._puts:
+            put(told)

@@ -1,0 +1,164 @@
+"""Faults of the signals of a tick: bias, override and reset, each where its signal enters.
+
+Sensors act before the estimator, the reference before the law, commands before the guard, so that everything behind
+sees them and nothing gets round the guard. A signal that nothing reads changes what is recorded and judged.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+from firmware_protocol.generated.messages import State as RobotState
+from hil.core.signals import SIGNAL_NAMES, ReferenceSignals
+from hil.core.types import WHEEL_NAMES, Acceleration, Pose, PoseFix, Reference, State, Twist, WheelCommand, Wheels
+from hil.faults.rows import FaultRow, find
+from hil.robot.snapshot import Feedback
+
+_PER_WHEEL = {
+    "speed_rad_s": "speed",
+    "current_a": "current",
+    "speed_command_rad_s": "speed_command",
+    "torque_command_n_m": "torque_command",
+}
+_FEEDBACK = ("speed", "current", "robot")
+_MAKES_THE_STATE = ("speed", "robot", "truth")
+_ROBOT = ("time_s", "state", "command_age_ms", "yaw_rate_rad_s")
+_AXES = tuple(f"acceleration_{axis}_m_s2" for axis in "xyz")
+_NS = 1e9
+
+
+class _Fault:
+    """A row with its account."""
+
+    def __init__(self, row: FaultRow) -> None:
+        self.row = row
+        self.applied = 0
+        self.is_over = False  # a reset has ended it
+
+    def changed(self, value: float) -> float:
+        """Return what becomes of a value while the row is in force."""
+        new = value + self.row.value if self.row.kind == "bias" else self.row.value
+        self.applied += new != value and not (new != new and value != value)
+        return new
+
+
+def _place(signal: str, names: Sequence[str]) -> tuple[str, int]:
+    """Return where a signal of the run is: the group that passes through at once, and the place in it."""
+    group, *wheel, name = signal.split(".")
+    if wheel and name in _PER_WHEEL:
+        return _PER_WHEEL[name], WHEEL_NAMES.index(wheel[0])
+    if group == "robot":
+        return group, (*_ROBOT, *_AXES).index(name)
+    if group == "reference":
+        return group, ReferenceSignals._fields.index(name)
+    if group in ("truth", "pose"):
+        return group, Pose._fields.index(name)
+    if group == "twist":
+        return "pose", len(Pose._fields) + Twist._fields.index(name)
+    return "recorded", names.index(signal)
+
+
+def can_hold(row: FaultRow) -> bool:
+    """Tell whether a fault of any kind can keep a tick from being driven: it takes feedback, state or robot away."""
+    kind = find(row.kind, row.target)
+    return kind.explains and (kind.acts_on != "signal" or _place(row.target, (row.target,))[0] in _MAKES_THE_STATE)
+
+
+Made = TypeVar("Made")
+
+
+class SignalFaults:
+    """The faults of a run that act on signals. ``at`` begins a tick; then each group is passed through once.
+
+    Rows act in the order of the scenario, each on what the one before it made of the value. ``names`` are the signals
+    of the run.
+    """
+
+    def __init__(self, rows: Sequence[FaultRow], names: Sequence[str] = SIGNAL_NAMES) -> None:
+        self._faults = [_Fault(row) for row in rows]
+        self._groups: dict[str, list[tuple[int, _Fault]]] = {}
+        for fault in self._faults:
+            if fault.row.kind != "reset":
+                group, index = _place(fault.row.target, names)
+                self._groups.setdefault(group, []).append((index, fault))
+        self._resets = sorted((f for f in self._faults if f.row.kind == "reset"), key=lambda f: f.row.start_ns)
+        self._t_ns = 0
+
+    def applied(self) -> list[int]:
+        """Return how often each row was applied so far."""
+        return [fault.applied for fault in self._faults]
+
+    def at(self, t_ns: int) -> None:
+        """Begin the tick of this time."""
+        self._t_ns = t_ns
+        while self._resets and self._resets[0].row.start_ns <= t_ns:
+            reset = self._resets.pop(0)
+            for fault in self._faults:
+                row = fault.row
+                if row.kind == "reset" or row.target != reset.row.target or row.start_ns >= reset.row.start_ns:
+                    continue
+                reset.applied += not fault.is_over and row.is_in_force(reset.row.start_ns)
+                fault.is_over = True
+
+    def feedback(self, feedback: Feedback) -> Feedback:
+        """Return the feedback with what acts on it: before anything is made of it."""
+        if not any(group in self._groups for group in _FEEDBACK):
+            return feedback
+        numbers = (
+            feedback.robot_time_ns / _NS,
+            float(feedback.state),
+            float(feedback.command_age_ms),
+            feedback.yaw_rate_rad_s,
+            *feedback.acceleration_m_s2,
+        )
+        time_s, state, age_ms, yaw_rate_rad_s, *acceleration = self._passed("robot", numbers, list)
+        forward, left, up = acceleration
+        return feedback._replace(
+            # Untouched it stays exact: a double has no room for its nanoseconds.
+            robot_time_ns=feedback.robot_time_ns if time_s == numbers[0] else round(time_s * _NS),
+            state=RobotState(int(state)),
+            command_age_ms=round(age_ms),
+            yaw_rate_rad_s=yaw_rate_rad_s,
+            acceleration_m_s2=(forward, left, up),
+            speed_rad_s=self._passed("speed", feedback.speed_rad_s, Wheels._make),
+            current_a=self._passed("current", feedback.current_a, Wheels._make),
+        )
+
+    def truth(self, fix: PoseFix | None) -> PoseFix | None:
+        """Return the true pose as it is told."""
+        if fix is None or "truth" not in self._groups:
+            return fix
+        return fix._replace(pose=self._passed("truth", fix.pose, Pose._make))
+
+    def state(self, state: State | None) -> State | None:
+        """Return what the estimator says, as the law hears it."""
+        if state is None or "pose" not in self._groups:
+            return state
+        numbers = self._passed("pose", (*state.pose, *state.twist), list)
+        return State(Pose._make(numbers[:3]), Twist._make(numbers[3:]))
+
+    def reference(self, reference: Reference) -> Reference:
+        """Return the reference as the law hears it."""
+        if "reference" not in self._groups:
+            return reference
+        numbers = self._passed("reference", (*reference.pose, *reference.twist, *reference.acceleration), list)
+        return Reference(Pose._make(numbers[:3]), Twist._make(numbers[3:6]), Acceleration._make(numbers[6:]))
+
+    def command(self, command: WheelCommand) -> WheelCommand:
+        """Return what the law says, as the guard hears it."""
+        if "speed_command" not in self._groups and "torque_command" not in self._groups:
+            return command
+        return command._replace(
+            speed_rad_s=self._passed("speed_command", command.speed_rad_s, Wheels._make),
+            torque_n_m=self._passed("torque_command", command.torque_n_m, Wheels._make),
+        )
+
+    def recorded(self, row: tuple[float, ...]) -> tuple[float, ...]:
+        """Return the row of the tick, with what acts on signals that nothing reads."""
+        return self._passed("recorded", row, tuple) if "recorded" in self._groups else row
+
+    def _passed(self, group: str, numbers: Sequence[float], make: Callable[[list[float]], Made]) -> Made:
+        values = list(numbers)
+        for index, fault in self._groups.get(group, ()):
+            if fault.row.is_in_force(self._t_ns) and not fault.is_over:
+                values[index] = fault.changed(values[index])
+        return make(values)

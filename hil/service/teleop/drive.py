@@ -1,0 +1,234 @@
+"""Teleop: reads keys and the gamepad, sends twists 30 times a second while a dead-man switch is held, and stops else.
+
+The robot stops for any of two reasons: an order to stop is sent, when a key or the button is let go and at each end of
+this program; and twists cease, when it hangs, is stopped or killed, which ends the drive in the service.
+"""
+
+import os
+import signal
+import time
+from typing import Any
+
+from hil.core.errors import LinkError, RunInterruptedError
+from hil.core.kinematics import BodyTwist
+from hil.service.client import STOP_UNANSWERED, Client, Live
+from hil.service.messages import Action
+from hil.service.teleop.gamepad import Gamepads
+from hil.service.teleop.held import Heartbeat, RepeatedKeys, ToldKeys
+from hil.service.teleop.keys import Flags, Focus, Key
+from hil.service.teleop.mapping import Speeds
+from hil.service.teleop.operator import Operator, Wish
+from hil.service.teleop.screen import View, lines
+from hil.service.teleop.terminal import LostTerminalError, Signals, Terminal
+
+PERIOD_S = 1.0 / 30.0
+_STANDSTILL_S = 0.25
+"""After so long without a look at the keys, what was typed meanwhile is too old to drive by; it may still stop."""
+_STOPPED_S = 2.0
+_ORDERS = {
+    Wish.STOP: Action.STOP,
+    Wish.ESTOP: Action.ESTOP,
+    Wish.ARM: Action.ARM,
+    Wish.DISARM: Action.DISARM,
+    Wish.CLEAR: Action.CLEAR,
+}
+
+
+def teleop(client: Client, speeds: Speeds, *, gamepad: bool, dead_zone: float, expo: float) -> str:
+    """Drive a served robot until the operator quits; return how that was left, as a sentence.
+
+    Raises LostTerminalError, LinkError when the service is lost, RunInterruptedError for SIGINT and SIGTERM, and
+    BadInputError. Whatever it raises: the robot was told to stop if it could be, and the terminal is as it was.
+    """
+    terminal = Terminal()
+    gamepads = Gamepads() if gamepad else None
+    try:
+        with client.live() as live, Signals() as signals:
+            try:
+                terminal.enter()
+                keys = ToldKeys() if terminal.tells_releases else RepeatedKeys()
+                operator = Operator(keys, speeds, dead_zone, expo)
+                return _Session(live, terminal, signals, gamepads, operator).run()
+            finally:
+                terminal.leave()
+    except LostTerminalError:
+        terminal.forget()
+        raise
+    finally:
+        if gamepads is not None:
+            gamepads.close()
+
+
+class _Session:
+    def __init__(
+        self, live: Live, terminal: Terminal, signals: Signals, gamepads: Gamepads | None, operator: Operator
+    ) -> None:
+        self._live = live
+        self._terminal = terminal
+        self._signals = signals
+        self._gamepads = gamepads
+        self._operator = operator
+        self._heartbeat = Heartbeat()
+        self._asked: BodyTwist | None = None
+        self._status: dict[str, Any] | None = None
+        self._heard_s = self._seen_s = self._due_s = time.monotonic()
+        self._orders: dict[int, Action] = {}
+        self._gamepad: str | None = None
+        self._message = ""
+        self._quits = False
+
+    def run(self) -> str:
+        try:
+            while not self._quits:
+                self._step()
+        finally:
+            self._stop()
+        phase = "of unknown phase" if self._status is None else self._status["phase"]
+        return f"the robot was told to stop; it is {phase}" + ("; 'hil ctl disarm' disarms it" * (phase == "active"))
+
+    def _step(self) -> None:
+        if self._terminal.wait(self._due_s, self._signals.fd):
+            self._take_signals()
+        now_s = time.monotonic()
+        late = now_s - self._seen_s > _STANDSTILL_S
+        if late:
+            self._let_go("teleop stood still for a while; press again")
+        self._seen_s = now_s
+        self._take_keys(now_s, late=late)
+        if now_s >= self._due_s:
+            self._take_gamepad()
+        self._check_terminal(now_s)
+        self._hear(now_s)
+        self._drive(now_s)
+        if now_s >= self._due_s:
+            self._due_s = now_s + PERIOD_S
+            self._show(now_s)
+
+    def _take_signals(self) -> None:
+        came = self._signals.take()
+        _end_for(came)
+        if signal.SIGTSTP in came:
+            self._stop()
+            self._terminal.leave()
+            self._signals.suspend()
+            _end_for(self._signals.take())
+            self._come_back()
+        elif signal.SIGCONT in came:  # after a SIGSTOP, which nobody could be prepared for
+            self._terminal.leave()
+            self._come_back()
+
+    def _come_back(self) -> None:
+        self._terminal.enter()
+        self._heartbeat = Heartbeat()
+        self._let_go("continued; press again")
+        self._seen_s = time.monotonic()
+
+    def _take_keys(self, now_s: float, *, late: bool) -> None:
+        for event in self._terminal.read():
+            if isinstance(event, Flags):
+                self._heartbeat.answered()
+            elif isinstance(event, Focus) and not event.gained:
+                self._let_go("the window has no focus, and would not hear of a release")
+            elif isinstance(event, Key):
+                self._do(self._operator.take_late(event) if late else self._operator.take(event, now_s))
+        if self._operator.may_arm:
+            self._message = "Enter arms the robot; any other key leaves it as it is"
+
+    def _take_gamepad(self) -> None:
+        if self._gamepads is None:
+            return
+        pad = self._gamepads.poll()
+        self._do(self._operator.take_pad(pad))
+        if pad is None:
+            self._gamepad = "none; plug one in, or press a button on it"
+        else:
+            self._gamepad = f"{self._gamepads.name}: hold the left shoulder to run; B, east, is the emergency stop"
+
+    def _do(self, wish: Wish | None) -> None:
+        if wish is None:
+            return
+        self._message = ""
+        if wish is Wish.QUIT:
+            self._quits = True
+        elif wish is Wish.SUSPEND:
+            os.kill(0, signal.SIGTSTP)  # as the terminal does it, for all that runs in front of it
+        else:
+            self._order(_ORDERS[wish])
+            self._message = f"{wish.value} was asked for"
+            if wish in (Wish.STOP, Wish.ESTOP):
+                self._asked = None
+
+    def _check_terminal(self, now_s: float) -> None:
+        """Ask whether a terminal that tells of releases is still there, while it counts."""
+        if not self._terminal.tells_releases or self._asked is None:
+            return
+        if self._heartbeat.due(now_s):
+            self._terminal.ask()
+        if self._heartbeat.is_lost(now_s):
+            self._let_go("the terminal does not answer, and could not tell of a release; press again")
+
+    def _let_go(self, why: str) -> None:
+        self._operator.release()
+        self._message = why
+
+    def _drive(self, now_s: float) -> None:
+        wanted = self._operator.twist(now_s)
+        if wanted is None:
+            if self._asked is not None:
+                self._order(Action.STOP)
+                self._heartbeat = Heartbeat()
+        elif wanted != self._asked or now_s >= self._due_s:
+            forward_m_s, left_m_s, yaw_rate_rad_s = wanted
+            self._order(Action.TWIST, {"vx_m_s": forward_m_s, "vy_m_s": left_m_s, "yaw_rate_rad_s": yaw_rate_rad_s})
+        self._asked = wanted
+
+    def _order(self, action: Action, arguments: dict[str, float] | None = None) -> int:
+        number = self._live.order(action, arguments)
+        self._orders[number] = action
+        return number
+
+    def _hear(self, now_s: float) -> None:
+        while (told := self._live.hear(0.0)) is not None:
+            self._take(told, now_s)
+
+    def _take(self, told: dict[str, Any], now_s: float) -> None:
+        if "status" in told:
+            self._status, self._heard_s = told["status"], now_s
+            return
+        answer = told["answer"]
+        action = self._orders.pop(answer["number"], None)
+        if answer["refused"] is not None:
+            # Not that the robot starts by itself when it is armed meanwhile.
+            if action is Action.TWIST:
+                self._operator.release()
+            self._message = f"refused: {answer['refused']}"
+
+    def _stop(self) -> None:
+        """Have the robot stop, and wait until that is accepted; a robot that is not active refuses it."""
+        number = self._order(Action.STOP)
+        self._asked = None
+        end_s = time.monotonic() + _STOPPED_S
+        while number in self._orders:
+            told = self._live.hear(max(end_s - time.monotonic(), 0.0))
+            if told is None:
+                raise LinkError(STOP_UNANSWERED)
+            self._take(told, time.monotonic())
+
+    def _show(self, now_s: float) -> None:
+        view = View(
+            self._status,
+            now_s - self._heard_s,
+            self._asked,
+            self._operator.speeds,
+            self._terminal.tells_releases,
+            self._gamepad,
+            self._message,
+        )
+        self._terminal.show(lines(view))
+
+
+def _end_for(came: set[int]) -> None:
+    if signal.SIGHUP in came:
+        raise LostTerminalError("the terminal has gone; the robot was told to stop")
+    if signal.SIGINT in came or signal.SIGTERM in came:
+        raise RunInterruptedError("interrupted; the robot was told to stop")

@@ -1,0 +1,78 @@
+"""What teleop shows, as lines of text. Pure."""
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from hil.core.kinematics import BodyTwist, to_body
+from hil.core.types import Twist
+from hil.service.teleop.held import RepeatedKeys
+from hil.service.teleop.mapping import Speeds
+
+_TELLS = "this terminal tells when a key is released: the robot is told to stop at once"
+_REPEATS = (
+    f"this terminal does not tell when a key is released. A press drives for {RepeatedKeys.FIRST_S:g} s at "
+    f"{RepeatedKeys.FIRST_SHARE:.0%} of the speed,",
+    f"and on as long as the key repeats; the robot is told to stop {RepeatedKeys.REPEAT_S:g} s after the last repeat. "
+    "One key at a time.",
+)
+_HELP = (
+    "  u  i  o       or arrows        s f  turn left, right        Space Esc k  stop",
+    "  j  k  l                        + -  faster, slower          e            emergency stop",
+    "  m  ,  .                        a, then Enter  arm           d disarm     c clear     q quit",
+)
+
+
+class View(NamedTuple):
+    """What is known now: ``asked`` is None when no dead-man switch is held, ``gamepad`` None when none was wanted."""
+
+    status: Mapping[str, Any] | None
+    status_age_s: float
+    asked: BodyTwist | None
+    speeds: Speeds
+    tells_releases: bool
+    gamepad: str | None
+    message: str
+
+
+def lines(view: View) -> list[str]:
+    """Return the screen, from its top."""
+    status = view.status
+    shown = [
+        "hil teleop: hold a key to run, let go to stop",
+        "",
+        *(_status(status, view.status_age_s) if status is not None else ["phase     not known yet"]),
+        f"asked     {_twist(view.asked) if view.asked is not None else 'nothing: nobody holds a key or the button'}",
+        f"got       {_got(status)}",
+        f"speed     {view.speeds.speed_m_s:.2f} m/s, {view.speeds.yaw_rate_rad_s:.2f} rad/s",
+    ]
+    if view.gamepad is not None:
+        shown.append(f"gamepad   {view.gamepad}")
+    return [*shown, "", *_HELP, "", *((_TELLS,) if view.tells_releases else _REPEATS), "", view.message]
+
+
+def _status(status: Mapping[str, Any], age_s: float) -> list[str]:
+    task = "" if status["task"] is None else f", {status['task']}"
+    why = f" ({status['why']})" if status["why"] else ""
+    ages = (("twist", _ms(status["twist_age_s"])), ("feedback", status["feedback_age_ms"]), ("status", age_s * 1000.0))
+    return [
+        f"phase     {status['phase']}{task}{why}",
+        f"age       {', '.join(f'{name} {age:.0f} ms' for name, age in ages if age is not None)}",
+    ]
+
+
+def _ms(time_s: float | None) -> float | None:
+    return None if time_s is None else time_s * 1000.0
+
+
+def _got(status: Mapping[str, Any] | None) -> str:
+    """Return how the robot moves, in its own frame, as the twist that was asked for is."""
+    if status is None or status["twist"] is None or status["pose"] is None:
+        return "not known"
+    return _twist(to_body(Twist(*status["twist"]), status["pose"][2]))
+
+
+def _twist(twist: BodyTwist) -> str:
+    # Not -0.000.
+    forward, left, yaw_rate = (value if abs(value) >= 0.0005 else math.fabs(value) for value in twist)
+    return f"{forward:6.3f} m/s forward, {left:6.3f} m/s to the left, {yaw_rate:6.3f} rad/s"

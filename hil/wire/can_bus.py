@@ -1,0 +1,196 @@
+"""CAN by python-can: any of its interfaces, classic and FD."""
+
+import errno
+import logging
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from firmware_protocol.framing import Frame
+from hil.core.errors import BadInputError, LinkError, nearest
+from hil.core.language import WHEEL_DBC, Language, Side
+from hil.core.ports import Received
+from hil.wire.can_errors import BUS_OFF, CAUSES, causes_of
+from hil.wire.can_failures import failure
+from hil.wire.can_filters import filters_for
+from hil.wire.can_ports import CanPort, PythonCan, SocketCan
+from hil.wire.url import CanUrl, format_link
+
+_QUEUE_FULL_S = 0.05  # at 1 Mbit/s and full load a queue of 100 frames is empty after 13 ms
+_QUEUE_RETRY_S = 0.0005
+_MOST_FILTERS = 8
+# Where the filters are in the kernel or the driver, and error frames come past them. Others would filter in Python, and
+# drop error frames too; there ``_refusal`` does it at no further cost.
+_FILTERING_INTERFACES = ("socketcan", "ixxat")
+
+
+class CanLink:
+    """Frames over a CAN bus; ``hears`` names whose are received, the other side being this one.
+
+    What is not of the ``language`` is dropped and counted: ``foreign`` (in ours, extended or remote), ``garbled`` (an
+    slcan line that is none), error frames by their class (``error_bus_off``, ``error_passive``, ...) and, for a host
+    that hears the robot, ``unknown_id`` and ``length``. A robot that hears the host gets all standard data frames that
+    pass the filters: its firmware counts those by itself. Dropped and not counted are this side's own messages, which
+    some buses give back (python-can's ``udp_multicast``, without a mark). A bus-off is a lost link, to be reopened.
+    ``on_foreign``, where set, is shown each frame that was counted, as a ``can.Message``.
+
+    Raises BadInputError for what python-can or its interface does not know, LinkError when it cannot be opened.
+    """
+
+    def __init__(self, url: CanUrl, hears: Side, language: Language = WHEEL_DBC) -> None:
+        import can
+
+        self._can = can
+        # python-can warns of packages that it would like to have; whoever sets up logging still gets that.
+        logging.getLogger("can").addHandler(logging.NullHandler())
+        self._url = url
+        self._hears = hears
+        self._language = language
+        self._failures = (can.CanError, OSError, ValueError)
+        self._rejected = dict.fromkeys(("foreign", "garbled", "unknown_id", "length", *CAUSES), 0)
+        self._bus: Any = None
+        self._port: CanPort | None = None
+        self.on_foreign: Callable[[Any], None] | None = None
+        if url.interface not in can.VALID_INTERFACES:
+            raise BadInputError(
+                f"link {format_link(url)!r}: unknown CAN interface {url.interface!r}"
+                f"{nearest(url.interface, can.VALID_INTERFACES)}"
+            )
+        self.reopen()
+
+    def reopen(self) -> None:
+        """Close the bus and open it anew. Raises LinkError when that fails."""
+        self.close()
+        options = dict(self._options())
+        try:
+            self._bus = self._can.Bus(interface=self._url.interface, **options)
+        # NameError, AttributeError: python-can's own, where a vendor's library is missing.
+        except (*self._failures, TypeError, ImportError, NotImplementedError, NameError, AttributeError) as error:
+            raise failure(self._url, error) from error
+        if self._url.fd and self._bus.protocol is self._can.CanProtocol.CAN_20:
+            self.close()
+            raise BadInputError(
+                f"link {format_link(self._url)!r}: the interface {self._url.interface!r} has no CAN FD in python-can; "
+                "remove fd=1, or use another interface"
+            )
+        if self._url.interface == "socketcan":
+            self._port = SocketCan(self._can, self._bus, self._url)
+        else:
+            self._port = PythonCan(self._can, self._bus, self._url, self._count_garbled)
+
+    def _options(self) -> Iterator[tuple[str, Any]]:
+        url = self._url
+        yield "bitrate", url.bitrate
+        yield "fd", url.fd
+        if url.data_bitrate is not None:
+            yield "data_bitrate", url.data_bitrate
+        if url.interface == "virtual" and url.fd:
+            yield "protocol", self._can.CanProtocol.CAN_FD
+        if url.interface in _FILTERING_INTERFACES and (senders := self._language.senders) is not None:
+            heard = [number for number, sender in senders.items() if sender == self._hears]
+            yield (
+                "can_filters",
+                [
+                    {"can_id": f.identifier, "can_mask": f.mask, "extended": False}
+                    for f in filters_for(heard, _MOST_FILTERS)
+                ],
+            )
+        if url.interface == "socketcand":
+            yield from _socketcand(url)
+        else:
+            yield "channel", url.channel
+
+    def send(self, frame: Frame) -> None:
+        port, deadline = self._open_port(), 0.0
+        while True:
+            try:
+                port.send(frame)
+            except self._failures as error:
+                if not _is_queue_full(error) or (deadline and time.monotonic() > deadline):
+                    raise failure(self._url, error) from error
+                deadline = deadline or time.monotonic() + _QUEUE_FULL_S
+                time.sleep(_QUEUE_RETRY_S)
+            else:
+                return
+
+    def receive(self, timeout_ns: int) -> Received | None:
+        deadline_ns = time.monotonic_ns() + timeout_ns if timeout_ns > 0 else 0
+        port = self._open_port()
+        while True:
+            try:
+                raw = port.receive(timeout_ns)
+            except self._failures as error:
+                raise failure(self._url, error) from error
+            if raw is None:
+                if self._bus.state is self._can.BusState.ERROR:
+                    raise self._bus_off()
+                return None
+            frame = port.frame_of(raw)
+            cause = "foreign" if frame is None else self._refusal(*frame)
+            if frame is not None and cause is None:
+                return Received((frame,), time.monotonic_ns())
+            if cause in self._rejected:
+                self._count(cause, port.message_of(raw))
+            timeout_ns = max(0, deadline_ns - time.monotonic_ns())
+
+    def _open_port(self) -> CanPort:
+        if self._port is None:
+            raise LinkError(f"{self.describe()}, is closed; reopen it")
+        return self._port
+
+    def _count_garbled(self) -> None:
+        self._rejected["garbled"] += 1
+
+    def _count(self, cause: str, message: Any) -> None:
+        """Count what is refused, an error frame by what it tells."""
+        causes = causes_of(message.arbitration_id, bytes(message.data)) if message.is_error_frame else (cause,)
+        if self.on_foreign is not None:
+            self.on_foreign(message)
+        for one in causes:
+            self._rejected[one] += 1
+        if BUS_OFF in causes:
+            raise self._bus_off()
+
+    def _bus_off(self) -> LinkError:
+        return LinkError(
+            f"CAN interface {self._url.interface!r}, channel {self._url.channel!r} is bus-off after too many errors; "
+            "check the bit rate, the cable and its two terminators; Linux restarts it by itself with: "
+            f"ip link set {self._url.channel} type can restart-ms 100"
+        )
+
+    def _refusal(self, number: int, payload: bytes) -> str | None:
+        return self._language.refusal(number, len(payload), self._hears)
+
+    def rejected(self) -> dict[str, int]:
+        return dict(self._rejected)
+
+    def describe(self) -> str:
+        url = self._url
+        rate = f"{url.bitrate} bit/s" + (f", data {url.data_bitrate} bit/s" if url.data_bitrate else "")
+        return f"CAN{' FD' if url.fd else ''} interface {url.interface}, channel {url.channel}, {rate}"
+
+    def close(self) -> None:
+        bus, self._bus, self._port = self._bus, None, None
+        if bus is not None:
+            try:
+                bus.shutdown()
+            except self._failures as error:
+                # An adapter that was unplugged cannot be told to close; its channel is gone all the same.
+                logging.getLogger(__name__).info("%s: closing failed: %s", self.describe(), error)
+
+
+def _is_queue_full(error: Exception) -> bool:
+    number = getattr(error, "error_code", None) or getattr(error, "errno", None)
+    return number == errno.ENOBUFS or "buffer full" in str(error).lower() or "No buffer space" in str(error)
+
+
+def _socketcand(url: CanUrl) -> Iterator[tuple[str, Any]]:
+    """Yield what socketcand needs of a channel HOST:PORT/CHANNEL."""
+    server, _, channel = url.channel.rpartition("/")
+    host, _, port = server.rpartition(":")
+    if not (host and channel and port.isdecimal()):
+        raise BadInputError(
+            f"link {format_link(url)!r}: expected can:socketcand/HOST:PORT/CHANNEL, such as "
+            "can:socketcand/192.168.1.10:29536/can0"
+        )
+    yield from (("host", host), ("port", int(port)), ("channel", channel))

@@ -1,0 +1,99 @@
+"""A link over a byte stream: the framing of what is spoken, in both directions."""
+
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+
+from firmware_protocol.framing import Frame
+from hil.core.language import WHEEL_DBC, Language
+from hil.core.ports import Received, make_received
+from hil.wire.streams import HostStream
+
+_MOST_AT_ONCE = 50
+"""Frames that are given together: what some ticks have to say. A host that has a backlog decides how much it takes."""
+
+_MOST_NOISE = 65536  # bytes without a frame in one call: more than any buffer of a line holds
+
+
+class StreamLink:
+    """Frames over a byte stream. Wrong bytes are dropped and counted by cause, never raised.
+
+    Attributes:
+        now_ns: the clock that stamps what is received.
+        sent_frames, sent_bytes, received_frames, received_bytes: so far; received are frames that were given, and
+            all bytes.
+    """
+
+    def __init__(self, stream: HostStream, language: Language = WHEEL_DBC) -> None:
+        self._stream = stream
+        assert language.make_framing is not None, "a language of buses only"
+        self._make_framing = language.make_framing
+        self._framing = language.make_framing()  # of what is received
+        self._encode = language.make_framing().encode  # the count of what is sent goes on over a loss
+        self._earlier: Counter[str] = Counter()  # what was rejected before the link was reopened
+        self._waiting: tuple[Sequence[Frame], int] | None = None
+        self.now_ns: Callable[[], int] = time.monotonic_ns
+        self.sent_frames = 0
+        self.sent_bytes = 0
+        self.received_frames = 0
+        self.received_bytes = 0
+
+    def send(self, frame: Frame) -> None:
+        data = self._encode(frame)
+        self._stream.write(data)
+        self.sent_frames += 1
+        self.sent_bytes += len(data)
+
+    def receive(self, timeout_ns: int) -> Received | None:
+        if self._waiting is not None:
+            return self._part_of(*self._waiting)
+        deadline_ns = time.monotonic_ns() + timeout_ns if timeout_ns > 0 else 0
+        of_no_frame = 0
+        while True:
+            if data := self._stream.read(timeout_ns):
+                stamp_ns = self.now_ns()
+                self.received_bytes += len(data)
+                frames = self._framing.feed(data)
+                if count := len(frames):
+                    if count > _MOST_AT_ONCE:
+                        return self._part_of(frames, stamp_ns)
+                    self.received_frames += count
+                    return make_received((frames, stamp_ns))
+                # Bytes came that completed no frame: the rest of one may be there too, or come in what is left of the
+                # time. A line full of noise must not keep a tick.
+                of_no_frame += len(data)
+                if of_no_frame > _MOST_NOISE:
+                    return None
+            elif timeout_ns <= 0:
+                return None
+            if timeout_ns > 0:
+                timeout_ns = deadline_ns - time.monotonic_ns()
+
+    @property
+    def counts_frames(self) -> bool:
+        """Whether the frames carry a count by which lost ones are noticed."""
+        return "lost" in self._framing.rejected
+
+    def _part_of(self, frames: Sequence[Frame], stamp_ns: int) -> Received:
+        """Give the first of many frames; the others wait for the next calls."""
+        part, rest = frames[:_MOST_AT_ONCE], frames[_MOST_AT_ONCE:]
+        self._waiting = (rest, stamp_ns) if rest else None
+        self.received_frames += len(part)
+        return Received(part, stamp_ns)
+
+    def rejected(self) -> dict[str, int]:
+        counts = {cause: count + self._earlier[cause] for cause, count in self._framing.rejected.items()}
+        return counts | {"unread_bytes": self._stream.unread_bytes()}
+
+    def reopen(self) -> None:
+        self._stream.reopen()
+        # A new framing: the half of a frame, and the gap in the numbers, belong to the line that was lost.
+        self._earlier = Counter(self.rejected())
+        self._framing = self._make_framing()
+        self._waiting = None
+
+    def describe(self) -> str:
+        return self._stream.describe()
+
+    def close(self) -> None:
+        self._stream.close()

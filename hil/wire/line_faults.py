@@ -1,0 +1,142 @@
+"""Faults of a serial line: the framed bytes themselves are spoilt, and the framing at the other end does its work."""
+
+import math
+from collections.abc import Iterator, Sequence
+
+from cobs import cobs
+
+from firmware_protocol.framing import crc16
+from hil.core.language import STANDARD_IDS, WHEEL_DBC, Language
+from hil.wire.fault_rows import LinkFault, ScenarioTime
+from hil.wire.streams import HostStream
+
+BYTE_KINDS = ("bit_errors", "truncation", "babble")
+"""The kinds that act on bytes here, and on the bus in ``bus_faults``."""
+
+_LONGEST_GARBAGE = 16
+# Of diagnosis (ISO 15765-4): no motor controller that we know listens there.
+_STRANGERS = range(0x7DF, 0x7F0)
+
+
+class FaultLine:
+    """A byte stream whose frames are spoilt, both ways; around the host's end of the line.
+
+    Nothing happens before the scenario's time has begun. Frames that carry lockstep are spared: a zero before each of
+    them keeps what was cut before from taking them along.
+    """
+
+    def __init__(
+        self,
+        stream: HostStream,
+        time: ScenarioTime,
+        faults: Sequence[LinkFault],
+        language: Language = WHEEL_DBC,
+    ) -> None:
+        self._stream = stream
+        self._time = time
+        self._faults = faults
+        self._language = language
+        self._rest = b""  # the begin of a frame of which not all has arrived
+
+    def write(self, data: bytes) -> None:
+        t_ns = self._time.now_ns()
+        self._stream.write(data if t_ns is None else self._spoil(data, "command", t_ns))
+
+    def read(self, timeout_ns: int) -> bytes:
+        data = self._rest + self._stream.read(timeout_ns)
+        t_ns = self._time.now_ns()
+        if t_ns is None:
+            self._rest = b""
+            return data
+        whole = self._language.whole(data)
+        self._rest = data[whole:]
+        return self._spoil(data[:whole], "feedback", t_ns)
+
+    def reopen(self) -> None:
+        self._rest = b""
+        self._stream.reopen()
+
+    def unread_bytes(self) -> int:
+        return self._stream.unread_bytes()
+
+    def describe(self) -> str:
+        return self._stream.describe()
+
+    def close(self) -> None:
+        self._stream.close()
+
+    def _spoil(self, data: bytes, direction: str, t_ns: int) -> bytes:
+        """Return what becomes of whole frames."""
+        said = [
+            self._say(fault, t_ns) for fault in self._faults if fault.kind == "babble" and _babbles(fault, direction)
+        ]
+        frames = (self._spoil_frame(piece, direction, t_ns) for piece in self._language.pieces(data))
+        return b"".join((*said, *frames))
+
+    def _spoil_frame(self, frame: bytes, direction: str, t_ns: int) -> bytes:
+        number = _id_of(frame) if self._language is WHEEL_DBC else None
+        if number is not None and number >= self._language.exempt_from:
+            return b"\0" + frame
+        for fault in self._faults:
+            if fault.kind == "babble" or not (fault.row.is_in_force(t_ns) and fault.concerns(direction, number)):
+                continue
+            frame = _flip(frame, fault) if fault.kind == "bit_errors" else _cut(frame, fault)
+        return frame
+
+    def _say(self, fault: LinkFault, t_ns: int) -> bytes:
+        language = self._language
+        return b"".join(_foreign(fault, fault.applied - n, language) for n in reversed(range(fault.due(t_ns))))
+
+
+def _babbles(fault: LinkFault, direction: str) -> bool:
+    return fault.concerns(direction, None)
+
+
+def _id_of(frame: bytes) -> int | None:
+    """Return the id of a framed frame, or None when it is none."""
+    try:
+        body = cobs.decode(frame[:-1])
+    except cobs.DecodeError:
+        return None
+    return int.from_bytes(body[:2], "little") if len(body) >= 2 else None
+
+
+def _wrong_bits(fault: LinkFault, bits: int) -> Iterator[int]:
+    """Yield the places of wrong bits: each by itself, so that the gaps between them are geometric."""
+    scale = 1.0 / math.log1p(-fault.row.value)
+    place = -1
+    while True:
+        place += 1 + int(math.log1p(-fault.chance.random()) * scale)
+        if place >= bits:
+            return
+        yield place
+
+
+def _flip(frame: bytes, fault: LinkFault) -> bytes:
+    spoilt = bytearray(frame)
+    for place in _wrong_bits(fault, 8 * len(frame)):
+        spoilt[place // 8] ^= 1 << place % 8
+    fault.applied += spoilt != frame
+    return bytes(spoilt)
+
+
+def _cut(frame: bytes, fault: LinkFault) -> bytes:
+    return frame[: fault.chance.randrange(1, len(frame))] if len(frame) > 1 and fault.strikes() else frame
+
+
+def _foreign(fault: LinkFault, number: int, language: Language) -> bytes:
+    """Return garbage, or in our own protocol every other time a whole frame with a foreign id."""
+    if number % 2 or language is not WHEEL_DBC:
+        return fault.chance.randbytes(fault.chance.randint(1, _LONGEST_GARBAGE))
+    body = foreign_id(fault, language).to_bytes(2, "little") + fault.chance.randbytes(fault.chance.randint(1, 9))
+    encoded: bytes = cobs.encode(body + crc16(body).to_bytes(2, "little"))
+    return encoded + b"\0"
+
+
+def foreign_id(fault: LinkFault, language: Language) -> int:
+    """Return an id of 11 bits that is none of the language's."""
+    if language.senders is None:
+        return fault.chance.choice(_STRANGERS)
+    while (number := fault.chance.randrange(STANDARD_IDS + 1)) in language.senders:
+        pass
+    return number

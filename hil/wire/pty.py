@@ -1,0 +1,137 @@
+"""The robot's end of a pseudo-terminal: a serial port that needs no hardware. POSIX only."""
+
+import os
+import select
+import time
+import tty
+from pathlib import Path
+
+from hil.core.errors import BadInputError, LinkError
+from hil.core.language import WHEEL_DBC, Language
+
+_CHUNK = 65536
+_PATIENCE_S = 2.0
+_AHEAD_S = 0.05  # what the line carries in this time may come at once: as much as a robot that stalled makes up for
+_BITS_PER_BYTE = 10  # start, eight data bits, stop
+
+
+class _Pace:
+    """How much a line of a bit rate can have brought by now."""
+
+    def __init__(self, baud: int) -> None:
+        self._per_s = baud / _BITS_PER_BYTE
+        self._left = self._most = max(1.0, _AHEAD_S * self._per_s)
+        self._at_s = time.monotonic()
+
+    def left(self) -> int:
+        """Return how many bytes may be taken now."""
+        now_s = time.monotonic()
+        self._left = min(self._most, self._left + (now_s - self._at_s) * self._per_s)
+        self._at_s = now_s
+        return int(self._left)
+
+    def take(self, count: int) -> None:
+        """Take note that so many were taken."""
+        self._left -= count
+
+
+class PtyStream:
+    """The master side of a new pseudo-terminal; ``port`` names the other side for any serial program.
+
+    What nobody reads is lost once the line's buffer is full, as on a UART, but in whole frames (up to the language's
+    delimiter; without one, what is written at once), so that the next one can be read; ``lost_frames`` counts them.
+    With ``waits``, for lockstep, where time stands still until the host has read, nothing is lost unless no byte is
+    taken for 2 s.
+    With ``baud`` no more is read than a line of that bit rate carries; the rest waits, and so does who writes it.
+    With ``symlink`` the port has a fixed name as well; a link that is left from an earlier process is replaced.
+
+    Raises BadInputError when the symlink cannot be made.
+    """
+
+    def __init__(
+        self,
+        symlink: Path | None = None,
+        *,
+        waits: bool = False,
+        baud: int | None = None,
+        language: Language = WHEEL_DBC,
+    ) -> None:
+        self._master, slave = os.openpty()
+        # Held open, so that a client that leaves does not hang up the line.
+        self._slave = slave
+        tty.setraw(slave)
+        os.set_blocking(self._master, False)
+        self.port = os.ttyname(slave)
+        self.lost_frames = 0
+        self._waits = waits
+        self._pace = _Pace(baud) if baud is not None else None
+        self._delimiter = language.delimiter
+        self._begun = b""  # the rest of a frame whose beginning is on the line
+        self._symlink: Path | None = None
+        if symlink is not None:
+            self._make_symlink(symlink)
+
+    def _make_symlink(self, symlink: Path) -> None:
+        if symlink.exists() and not symlink.is_symlink():
+            self.close()
+            raise BadInputError(f"symlink {str(symlink)!r} exists and is no symbolic link; choose another path")
+        try:
+            symlink.unlink(missing_ok=True)
+            symlink.symlink_to(self.port)
+        except OSError as error:
+            self.close()
+            raise BadInputError(
+                f"symlink {str(symlink)!r} cannot be made ({error.strerror}); choose a folder that you may write to"
+            ) from error
+        self._symlink = symlink
+
+    def write(self, data: bytes) -> None:
+        begun, data = len(self._begun), self._begun + data
+        at = 0
+        while at < len(data) and (taken := self._put(data[at:])):
+            at += taken
+        # What has begun must end, or the next frame would be glued to it.
+        if self._delimiter is None:
+            end = begun if at <= begun else len(data)
+            self.lost_frames += end < len(data)
+        else:
+            end = begun if at == 0 else data.find(self._delimiter, at - 1) + 1 or len(data)
+            self.lost_frames += data.count(self._delimiter, end)
+        self._begun = data[at:end]
+
+    def _put(self, data: bytes) -> int:
+        """Return how many bytes were taken, 0 when the line is full; wait for a reader where there is time for it."""
+        while True:
+            try:
+                return os.write(self._master, data)
+            except BlockingIOError:
+                if not (self._waits and select.select([], [self._master], [], _PATIENCE_S)[1]):
+                    return 0
+            except OSError as error:
+                raise LinkError(f"pseudo-terminal {self.port!r} was lost: {error.strerror}") from error
+
+    def read(self, timeout_ns: int) -> bytes:
+        most = _CHUNK if self._pace is None else min(_CHUNK, self._pace.left())
+        if most == 0:  # what waits is still on its way
+            time.sleep(max(0, timeout_ns) * 1e-9)
+            return b""
+        if timeout_ns > 0:
+            select.select([self._master], [], [], timeout_ns * 1e-9)
+        try:
+            data = os.read(self._master, most)
+        except BlockingIOError:
+            return b""
+        except OSError as error:
+            raise LinkError(f"pseudo-terminal {self.port!r} was lost: {error.strerror}") from error
+        if self._pace is not None:
+            self._pace.take(len(data))
+        return data
+
+    def close(self) -> None:
+        if self._master < 0:
+            return
+        if self._symlink is not None and self._symlink.is_symlink() and str(self._symlink.readlink()) == self.port:
+            self._symlink.unlink()
+        os.close(self._master)
+        os.close(self._slave)
+        self._master = -1

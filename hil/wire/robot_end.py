@@ -1,0 +1,189 @@
+"""The robot's end of a link: bytes or CAN frames to and from its firmware."""
+
+import time
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Protocol
+
+from firmware_protocol.framing import Frame
+from hil.core.errors import LinkError
+from hil.core.ports import Link
+from hil.wire.back_off import BackOff
+from hil.wire.streams import ByteStream
+
+
+class Node(Protocol):
+    """A firmware's end of the wire, wherever it runs: bytes of a serial line, or CAN frames."""
+
+    def feed(self, data: bytes) -> None:
+        """Take bytes of a serial line."""
+
+    def receive(self, frame: Frame) -> None:
+        """Take one CAN frame."""
+
+    def take_bytes(self) -> bytes:
+        """Return all that there is to send, as bytes of a serial line."""
+
+    def take_frames(self) -> list[Frame]:
+        """Return all that there is to send, as frames."""
+
+    def count_unsent(self, frames: int) -> None:
+        """Take note that so many frames that were to be sent could not be."""
+
+
+class Wire(Protocol):
+    """Connects a firmware to a transport."""
+
+    def receive_into(self, node: Node, timeout_ns: int) -> bool:
+        """Hand over what has arrived, waiting at most ``timeout_ns``; return whether there was anything."""
+
+    def send_from(self, node: Node) -> None:
+        """Send what the robot has to send."""
+
+    def drop_from(self, node: Node) -> None:
+        """Take what the robot has to send, and lose it: the transport is not there."""
+
+    def close(self) -> None:
+        """Release the transport."""
+
+
+class SerialWire:
+    """A byte stream; framing and its counters are the firmware's own."""
+
+    def __init__(self, stream: ByteStream) -> None:
+        self._stream = stream
+
+    def receive_into(self, node: Node, timeout_ns: int) -> bool:
+        data = self._stream.read(timeout_ns)
+        if data:
+            node.feed(data)
+        return bool(data)
+
+    def send_from(self, node: Node) -> None:
+        if data := node.take_bytes():
+            self._stream.write(data)
+
+    def drop_from(self, node: Node) -> None:
+        node.take_bytes()
+
+    def close(self) -> None:
+        self._stream.close()
+
+
+class LossyStream(ByteStream, Protocol):
+    """A line that loses frames which nobody reads, and counts them."""
+
+    lost_frames: int
+
+
+class LossySerialWire(SerialWire):
+    """A byte stream that may lose what is sent; the firmware learns how many frames that were."""
+
+    def __init__(self, stream: LossyStream) -> None:
+        super().__init__(stream)
+        self._lossy = stream
+        self._told = 0
+
+    def send_from(self, node: Node) -> None:
+        super().send_from(node)
+        if (lost := self._lossy.lost_frames) > self._told:
+            node.count_unsent(lost - self._told)
+            self._told = lost
+
+
+class CanWire:
+    """A CAN bus."""
+
+    def __init__(self, link: Link) -> None:
+        self._link = link
+
+    def receive_into(self, node: Node, timeout_ns: int) -> bool:
+        received = self._link.receive(timeout_ns)
+        if received is None:
+            return False
+        while received is not None:
+            for frame in received.frames:
+                node.receive(frame)
+            received = self._link.receive(0)
+        return True
+
+    def send_from(self, node: Node) -> None:
+        for frame in node.take_frames():
+            self._link.send(frame)
+
+    def drop_from(self, node: Node) -> None:
+        node.take_frames()
+
+    def close(self) -> None:
+        self._link.close()
+
+
+class ReopeningWire:
+    """A wire of a robot that outlives its link, as a board does: while it is lost the firmware goes on.
+
+    Its watchdog stops the wheels meanwhile. ``reopen`` is tried after 0.1 s first and twice as long each time, up to
+    2 s, in a thread of its own: an slcan adapter alone takes 2 s. ``say`` gets a sentence when the link is lost and
+    when it is back.
+    """
+
+    def __init__(self, wire: Wire, reopen: Callable[[], None], say: Callable[[str], None]) -> None:
+        self._wire = wire
+        self._reopen = reopen
+        self._say = say
+        self._lost = False
+        self._waits = BackOff()
+        self._due_ns = 0
+        self._opener = ThreadPoolExecutor(1, "reopening")
+        self._attempt: Future[None] | None = None  # while there is one, the wire is left to it
+
+    def receive_into(self, node: Node, timeout_ns: int) -> bool:
+        if not self._is_there():
+            # The server gives its time here, and must not spin while there is nothing to wait for.
+            time.sleep(max(0, timeout_ns) * 1e-9)
+            return False
+        try:
+            return self._wire.receive_into(node, timeout_ns)
+        except LinkError as error:
+            self._lose(error)
+            return False
+
+    def send_from(self, node: Node) -> None:
+        if self._lost:
+            self._wire.drop_from(node)
+            return
+        try:
+            self._wire.send_from(node)
+        except LinkError as error:
+            self._lose(error)
+
+    def drop_from(self, node: Node) -> None:
+        self._wire.drop_from(node)
+
+    def _lose(self, error: LinkError) -> None:
+        self._lost = True
+        self._waits = BackOff()
+        self._due_ns = time.monotonic_ns() + self._waits.take_ns()
+        self._say(f"link lost, reopening: {error}")
+
+    def _is_there(self) -> bool:
+        if not self._lost:
+            return True
+        if self._attempt is None:
+            if time.monotonic_ns() >= self._due_ns:
+                self._attempt = self._opener.submit(self._reopen)
+            return False
+        if not self._attempt.done():
+            return False
+        attempt, self._attempt = self._attempt, None
+        try:
+            attempt.result()
+        except LinkError:
+            self._due_ns = time.monotonic_ns() + self._waits.take_ns()
+            return False
+        self._lost = False
+        self._say("link reopened")
+        return True
+
+    def close(self) -> None:
+        self._opener.shutdown()  # after an attempt that is under way: what it opens is to be closed too
+        self._wire.close()

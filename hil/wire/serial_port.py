@@ -1,0 +1,215 @@
+"""Serial ports by pyserial: device files, COM ports and pyserial's own URLs (``socket://``, ``rfc2217://``)."""
+
+import array
+import contextlib
+import re
+import select
+import sys
+from typing import Any
+
+import serial
+
+from hil.core.errors import LinkError, nearest
+from hil.wire.opening_beside import OpeningBeside
+from hil.wire.reader import Reader
+from hil.wire.serial_failures import LIST_PORTS, PORT_ERRORS, SHARED, is_gone, is_shared, opening_problem, words_of
+
+_CHUNK = 65536
+_WRITE_TIMEOUT_S = 1.0  # a line that takes no byte for so long is lost
+_OUTPUT_SPEED = 10  # c_ospeed of Linux' struct termios2, in ints
+# re.error: hwgrep:// takes a pattern.
+_OPENING_FAILURES: tuple[type[Exception], ...] = (
+    serial.SerialException,
+    ValueError,
+    NotImplementedError,
+    re.error,
+    *PORT_ERRORS,
+)
+_LOSSES: tuple[type[Exception], ...] = (serial.SerialException, TypeError, *PORT_ERRORS)
+_SERVERS = ("socket:", "rfc2217:")
+_CONNECTING_S = 0.1  # a server that is there has answered; no tick of a service waits longer
+_URL_HANDLERS = ("socket", "rfc2217", "loop", "spy", "hwgrep", "alt")
+
+
+def _open_failure(port: str, baud: int, error: Exception) -> LinkError:
+    """Say what is the matter with a port and what to do about it."""
+    text = str(error)
+    scheme, is_url, _ = port.partition("://")
+    if is_url and "protocol" in text and "not known" in text:
+        return LinkError(f"serial URL {port!r}: pyserial knows no {scheme!r}{nearest(scheme, _URL_HANDLERS)}")
+    if "baudrate" in text or "baud rate" in text:
+        return _baud_refused(port, baud)
+    if is_url and scheme in ("socket", "rfc2217"):
+        reason = "its port number is missing" if "NoneType" in text else words_of(error)
+        return LinkError(
+            f"serial URL {port!r} could not be opened ({reason}); expected {scheme}://HOST:PORT, with the "
+            "serial server running there and nobody else connected to it"
+        )
+    if (problem := opening_problem(error)) is not None:
+        return LinkError(f"serial port {port!r} {problem}")
+    return LinkError(f"serial port {port!r} could not be opened: {words_of(error)}; {LIST_PORTS}")
+
+
+def _baud_refused(port: str, baud: int, alternative: int | None = None) -> LinkError:
+    hint = f"it offers {alternative}" if alternative else "common rates are 115200, 921600, 1000000 and 2000000"
+    return LinkError(
+        f"serial port {port!r} refuses {baud} baud; {hint}: set baud= in the link, and the same rate in the robot"
+    )
+
+
+def _rate_of(port: Any) -> int | None:
+    """Return the rate that the driver set, or None where it cannot be asked: only Linux tells any rate."""
+    if sys.platform != "linux":
+        return None
+    import fcntl
+
+    from serial.serialposix import TCGETS2
+
+    termios2 = array.array("i", [0] * 64)
+    try:
+        fcntl.ioctl(port.fileno(), TCGETS2, termios2)
+    except (AttributeError, OSError, ValueError):
+        return None  # a URL: no terminal is behind it
+    return termios2[_OUTPUT_SPEED] or None
+
+
+class SerialStream:
+    """A serial port as a byte stream, opened exclusively.
+
+    Reads wait in ``select`` where the port has a descriptor; elsewhere a thread waits by pyserial's timeout. Where the
+    driver has a low-latency mode it is set. A write that is not taken within 1 s means that the line is lost.
+
+    Raises LinkError when the port does not exist, is busy, is forbidden, is no serial port or refuses the baud rate.
+    """
+
+    def __init__(self, port: str, baud: int) -> None:
+        self._name = port
+        self._baud = baud
+        self._port: Any = None
+        self._reader: Reader | None = None
+        self._low_latency = False
+        self._unread_bytes = 0  # of the readers before this one
+        self._opening: OpeningBeside[Any] | None = None
+        self._use(self._opened())
+
+    def reopen(self) -> None:
+        """Close the port and open it anew. Raises LinkError as the class does.
+
+        Connecting to a server may take seconds, and goes on beside: until it is done LinkError says so, and the next
+        call asks again.
+        """
+        self._release()
+        if not self._name.startswith(_SERVERS):
+            self._use(self._opened())
+            return
+        opening, self._opening = self._opening or OpeningBeside(self._opened), None
+        port = opening.take(_CONNECTING_S)
+        if port is None:
+            self._opening = opening
+            raise LinkError(f"serial URL {self._name!r} is being connected to; its server has not answered yet")
+        self._use(port)
+
+    def _opened(self) -> Any:
+        """Return the port, open. Raises LinkError."""
+        port: Any = None
+        try:
+            port = serial.serial_for_url(self._name, baudrate=self._baud, timeout=0, do_not_open=True)
+            if not self._name.startswith("rfc2217:"):  # its writes end by a limit of 5 s of its own
+                port.write_timeout = _WRITE_TIMEOUT_S
+            if "://" not in self._name:
+                port.exclusive = True
+            port.open()
+        except _OPENING_FAILURES as error:
+            _close(port)
+            raise _open_failure(self._name, self._baud, error) from error
+        return port
+
+    def _use(self, port: Any) -> None:
+        self._port = port
+        try:
+            # What was sent before we listened is not meant for us.
+            port.reset_input_buffer()
+        except _OPENING_FAILURES as error:
+            self._release()
+            raise _open_failure(self._name, self._baud, error) from error
+        self._check_baud()
+        self._reader = None if self._has_descriptor() else Reader(self._port)
+        self._low_latency = self._set_low_latency()
+
+    def _check_baud(self) -> None:
+        """A driver that cannot have a rate may take another one in silence: ask what it took."""
+        taken = _rate_of(self._port)
+        if taken is not None and abs(taken - self._baud) > 0.03 * self._baud:
+            self._release()
+            raise _baud_refused(self._name, self._baud, taken)
+
+    def _has_descriptor(self) -> bool:
+        try:
+            select.select([self._port.fileno()], [], [], 0)
+        except (AttributeError, OSError, ValueError):
+            return False  # Windows, and URLs that are no file
+        return True
+
+    def _set_low_latency(self) -> bool:
+        """Linux: deliver bytes at once (ASYNC_LOW_LATENCY), where USB adapters else collect them for up to 16 ms."""
+        try:
+            self._port.set_low_latency_mode(True)
+        except (AttributeError, NotImplementedError, ValueError):
+            return False  # pyserial's answers where the platform or the driver has no such mode
+        return True
+
+    def write(self, data: bytes) -> None:
+        try:
+            self._port.write(data)
+        except serial.SerialTimeoutException as error:
+            raise LinkError(
+                f"serial port {self._name!r} took no byte for {_WRITE_TIMEOUT_S:g} s; check that the robot reads, and "
+                "the line's flow control"
+            ) from error
+        except _LOSSES as error:
+            raise self._lost(error) from error
+
+    def read(self, timeout_ns: int) -> bytes:
+        try:
+            if self._reader is not None:
+                return self._reader.read(timeout_ns)
+            if timeout_ns > 0:
+                select.select([self._port.fileno()], [], [], timeout_ns * 1e-9)
+            return bytes(self._port.read(_CHUNK))
+        except _LOSSES as error:
+            raise self._lost(error) from error
+
+    def _lost(self, error: Exception) -> LinkError:
+        if is_shared(self._name, error):
+            return LinkError(f"serial port {self._name!r} {SHARED} (fuser -v {self._name} names it)")
+        why = "it is gone" if is_gone(error) else words_of(error)
+        return LinkError(f"serial port {self._name!r} was lost ({why}); check the cable and the robot's power")
+
+    def describe(self) -> str:
+        latency = "set" if self._low_latency else "not offered by its driver"
+        return f"serial port {self._name} at {self._baud} baud, low latency {latency}"
+
+    def unread_bytes(self) -> int:
+        return self._unread_bytes + (self._reader.unread_bytes if self._reader is not None else 0)
+
+    def close(self) -> None:
+        if self._opening is not None:
+            self._opening.abandon()
+            self._opening = None
+        self._release()
+
+    def _release(self) -> None:
+        if self._reader is not None:
+            self._reader.stop()
+        _close(self._port)
+        if self._reader is not None:
+            self._reader.join()
+            self._unread_bytes = self.unread_bytes()
+            self._reader = None
+
+
+def _close(port: Any) -> None:
+    if port is not None:
+        # A device that was unplugged may refuse even that; its descriptor is gone all the same.
+        with contextlib.suppress(*_LOSSES):
+            port.close()

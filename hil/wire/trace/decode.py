@@ -1,0 +1,259 @@
+"""A trace in the terms of the wheel-command protocol, whichever tool wrote it."""
+
+import logging
+import math
+import struct
+import zlib
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple, Self
+
+from firmware_protocol import codec
+from firmware_protocol.framing import Frame
+from firmware_protocol.generated.messages import NAMED_VALUES, NAMES, SENDERS, UNITS
+from hil.core.errors import BadInputError, nearest
+from hil.wire.trace import damage
+
+READABLE = (".blf", ".asc", ".log", ".trc")
+"""Endings of the files that are read: Vector's two, that of ``candump -L``, and PEAK's."""
+
+FOREIGN, ERROR = "foreign", "error"
+_KINDS = (*NAMES.values(), FOREIGN, ERROR)
+_SIGNS = {"us": "µs", "N.m": "N·m", "m/s2": "m/s²", "degC": "°C"}
+# What python-can's readers raise on a file that is cut, damaged, or not of its ending.
+_BROKEN = (ValueError, LookupError, struct.error, zlib.error, EOFError, ArithmeticError, AssertionError)
+
+
+class Selection(NamedTuple):
+    """Which frames are wanted: by kind (none: all), and by seconds after the first frame, both ends included.
+
+    ``raw``: none of them is taken for ours. An identifier does not tell whose a frame is, and motor controllers of
+    other makers use those of our messages for theirs.
+    """
+
+    kinds: frozenset[str]
+    from_s: float
+    to_s: float
+    raw: bool = False
+
+    @classmethod
+    def of(cls, names: Collection[str], from_s: float, to_s: float, *, raw: bool = False) -> Self:
+        """Return the selection. Raises BadInputError for a name that no message has, and for an empty time."""
+        if raw and names:
+            raise BadInputError(f"--message {next(iter(names))!r} with --raw: raw frames have no names; leave one out")
+        by_name = {kind.casefold(): kind for kind in _KINDS}
+        for name in names:
+            if name.casefold() not in by_name:
+                raise BadInputError(f"--message {name!r}: there is no such message{nearest(name.upper(), _KINDS)}")
+        if not from_s <= to_s:
+            raise BadInputError(f"--from {from_s:g} --to {to_s:g}: expected the first not to be later than the second")
+        return cls(frozenset(by_name[name.casefold()] for name in names), from_s, to_s, raw)
+
+
+class Entry(NamedTuple):
+    """One frame of a trace.
+
+    Attributes:
+        t_s: seconds after the first frame of the file.
+        unix_s: the file's own stamp.
+        direction: ``Tx`` or ``Rx``, of whoever wrote the trace; ``Rx`` in a file that does not say.
+        kind: the name of one of our messages, ``foreign`` or ``error``.
+        number: the identifier.
+        extended: whether it is one of 29 bits.
+        payload: the data.
+        message: our message, or None where there is none or it is not valid.
+        refusal: why it is not valid, in words, or None.
+    """
+
+    t_s: float
+    unix_s: float
+    direction: str
+    kind: str
+    number: int
+    extended: bool
+    payload: bytes
+    message: codec.Message | None
+    refusal: str | None
+
+    def text(self) -> str:
+        """Return one line for a person."""
+        return f"{self.t_s:11.6f}  {self.direction}  {self.kind:<18}  {self._content()}".rstrip()
+
+    def _content(self) -> str:
+        if self.message is not None:
+            return "  ".join(_signals(self.message))
+        if self.kind == ERROR:
+            return "error frame, or bytes that are no frame"
+        identifier = f"{self.number:08X}" if self.extended else f"{self.number:03X}"
+        text = f"{identifier} {self.refusal or ''}"
+        return f"{text.strip()} [{len(self.payload)}] {self.payload.hex(' ')}"
+
+    def record(self) -> dict[str, Any]:
+        """Return the same for ``--json``."""
+        record: dict[str, Any] = {
+            "t_s": round(self.t_s, 9),
+            "unix_s": self.unix_s,
+            "direction": self.direction,
+            "message": self.kind,
+            "sender": SENDERS.get(self.number) if self.kind in NAMES.values() else None,
+            "id": self.number,
+            "extended": self.extended,
+            "payload": self.payload.hex(),
+        }
+        if self.message is not None:
+            signals = self.message._asdict()
+            names = {field: kind(signals[field]).name for field, kind in NAMED_VALUES.get(self.number, {}).items()}
+            record |= {"signals": signals, "names": names}
+        if self.refusal is not None:
+            record["refusal"] = self.refusal
+        return record
+
+
+def _signals(message: codec.Message) -> Iterator[str]:
+    units, names = UNITS.get(message.ID, {}), NAMED_VALUES.get(message.ID, {})
+    for field, value in message._asdict().items():
+        unit = units.get(field)
+        if field in names:
+            yield f"{field} {names[field](value).name}"
+        else:
+            yield f"{field} {value}" if unit is None else f"{field} {value} {_SIGNS.get(unit, unit)}"
+
+
+class Reading:
+    """The frames of a file that were asked for, one by one; ``trouble`` then says in a sentence where it broke off."""
+
+    def __init__(self, path: Path, selection: Selection) -> None:
+        self._path = path
+        self._selection = selection
+        self._first_s: float | None = None
+        self.frames = 0
+        self.trouble: str | None = None
+
+    def __iter__(self) -> Iterator[Entry]:
+        wanted = self._selection
+        for message in self._messages():
+            entry = self._entry(message)
+            if wanted.from_s <= entry.t_s <= wanted.to_s and (not wanted.kinds or entry.kind in wanted.kinds):
+                yield entry
+
+    def _messages(self) -> Iterator[Any]:
+        from can.io.blf import BLFParseError
+
+        # What it has to say of a bad file goes into ``trouble``.
+        logging.getLogger("can").addHandler(logging.NullHandler())
+        try:
+            yield from self._binary() if self._path.suffix.lower() == ".blf" else self._text()
+        except damage.DamagedError as broken:
+            self._break_off(str(broken))
+        except (*_BROKEN, BLFParseError):
+            self._break_off("what follows makes no sense, it is cut or damaged")
+        else:
+            if not self.frames:
+                self._break_off(f"it is no {self._path.suffix} file, or an empty one")
+
+    def _text(self) -> Iterator[Any]:
+        import can
+
+        ending = self._path.suffix.lower()
+        with self._path.open("rb") as file:
+            # Vector's text form has seconds since its start, which its head tells.
+            readers: dict[str, Any] = {
+                ".asc": partial(can.ASCReader, relative_timestamp=False),
+                ".log": can.CanutilsLogReader,
+                ".trc": can.TRCReader,
+            }
+            for message in readers[ending](damage.sound_lines(file, ending)):
+                damage.check_length(message)
+                self.frames += 1
+                yield message
+
+    def _binary(self) -> Iterator[Any]:
+        import can
+        from can.io.blf import BLFParseError
+
+        with can.BLFReader(self._path) as reader:
+            try:
+                for message in reader:
+                    self.frames += 1
+                    yield message
+            except (*_BROKEN, BLFParseError):
+                damage.check_blocks(self._path)
+                raise
+            damage.check_blocks(self._path)
+            if reader.file_size != self._path.stat().st_size:  # what it was when it was finished
+                raise damage.DamagedError("it was not finished, or is cut")
+
+    def _break_off(self, why: str) -> None:
+        self.trouble = f"{self._path}: {self.frames or 'no'} frames could be read; {why}"
+
+    def _entry(self, message: Any) -> Entry:
+        if self._first_s is None:
+            self._first_s = message.timestamp
+        frame = Frame(message.arbitration_id, bytes(message.data))
+        kind, decoded, refusal = FOREIGN, None, None
+        if message.is_error_frame:
+            kind = ERROR
+        elif message.is_remote_frame:
+            refusal = "remote"
+        elif not self._selection.raw and not message.is_extended_id and frame.id in NAMES:
+            kind = NAMES[frame.id]
+            decoded = codec.decode(frame)
+            refusal = None if decoded is not None else f"not valid: {codec.refusal(frame)}"
+        return Entry(
+            message.timestamp - self._first_s,
+            message.timestamp,
+            "Rx" if message.is_rx else "Tx",
+            kind,
+            frame.id,
+            message.is_extended_id,
+            frame.payload,
+            decoded,
+            refusal,
+        )
+
+
+def read(path: Path, selection: Selection) -> Reading:
+    """Return the frames of a trace.
+
+    Raises BadInputError when there is no such file, or its ending tells of no format that is read.
+    """
+    if path.suffix.lower() not in READABLE:
+        raise BadInputError(f"{path}: its ending tells the format{nearest(path.suffix.lower(), READABLE)}")
+    try:
+        with path.open("rb"):
+            pass
+    except OSError as error:
+        raise BadInputError(f"{path}: {error.strerror}; expected a trace, one of {', '.join(READABLE)}") from error
+    return Reading(path, selection)
+
+
+class Tally(NamedTuple):
+    """How often a kind of frame occurs; ``per_s`` from the first frame counted to the last, None for an instant."""
+
+    message: str
+    id: int | None
+    frames: int
+    per_s: float | None
+
+    def texts(self) -> tuple[str, str, str, str]:
+        """Return the row of a table."""
+        identifier = "" if self.id is None else f"{self.id:03X}"
+        return self.message, identifier, str(self.frames), "" if self.per_s is None else f"{self.per_s:.4g}"
+
+
+def count(entries: Iterable[Entry]) -> list[Tally]:
+    """Return how often each kind occurs: our messages by id, then foreign frames and errors."""
+    found: Counter[str] = Counter()
+    first_s, last_s = math.inf, -math.inf
+    for entry in entries:
+        found[entry.kind] += 1
+        first_s, last_s = min(first_s, entry.t_s), max(last_s, entry.t_s)
+    lasted_s = last_s - first_s
+    ids = {name: number for number, name in NAMES.items()}
+    return [
+        Tally(kind, ids.get(kind), found[kind], found[kind] / lasted_s if lasted_s > 0 else None)
+        for kind in _KINDS
+        if found[kind]
+    ]

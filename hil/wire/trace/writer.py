@@ -1,0 +1,81 @@
+"""The process that writes a trace: ``python -m hil.wire.trace.writer``, started by ``hil.wire.trace.session``."""
+
+import struct
+import sys
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import can
+
+from hil.record.files import why_not_written
+from hil.record.ring import RingReader
+from hil.record.ring_child import Record, RefusedError, run
+from hil.wire.trace import rows
+
+_BATCH = 1000
+
+
+class TraceWriter:
+    """Moves frames from the ring to python-can's writer for the file's ending.
+
+    Raises RefusedError when the file cannot be opened.
+    """
+
+    def __init__(self, config: Record, ring: RingReader) -> None:
+        self._ring = ring
+        self._error: str | None = None
+        self._path = Path(config["path"])
+        try:
+            self._file: Any = can.Logger(self._path)
+        except OSError as error:
+            raise RefusedError(f"trace {self._path}: {error.strerror}; choose a path that can be written") from error
+
+    def poll(self) -> None:
+        """Write the frames that have settled in the ring."""
+        self._take(self._ring.settled())
+
+    def line(self, _record: Record) -> None:
+        """There are no lines but the last."""
+
+    def finish(self, _record: Record | None) -> Record:
+        """Write the rest and close the file."""
+        self._take(self._ring.head)
+        self._attempt(self._file.stop)
+        return {"rows_written": self._ring.saved, "error": self._error}
+
+    def close(self) -> None:
+        """Nothing is left to release."""
+
+    def _take(self, stop: int) -> None:
+        while self._ring.tail < stop:
+            end = min(stop, self._ring.tail + _BATCH)
+            table = self._ring.rows(self._ring.tail, end)
+            # After the first failure frames are only taken, so that the run never waits.
+            if self._error is None and self._attempt(partial(self._write, table)):
+                self._ring.release(end)
+            else:
+                self._ring.give_up(end)
+
+    def _write(self, table: Any) -> None:
+        for row in table:
+            self._file.on_message_received(can.Message(**rows.unpack(row)))
+        # So that the file is good up to here if the machine or this process dies. A BLF file is written by the block.
+        self._file.file.flush()
+
+    def _attempt(self, write: Callable[[], None]) -> bool:
+        """Do something with the file; keep in words what went wrong first."""
+        try:
+            write()
+        except OSError as error:
+            self._error = self._error or why_not_written(self._path, error)
+        except (ValueError, struct.error) as error:  # a number that the file's format has no room for
+            self._error = self._error or f"python-can's writer takes no more: {error}"
+        else:
+            return True
+        return False
+
+
+if __name__ == "__main__":
+    sys.exit(run(TraceWriter))
