@@ -314,6 +314,17 @@ def chunks(path: Path) -> list[tuple[int, int]]:
     return found
 
 
+@pytest.mark.parametrize("from_end", [20, 40, 200, 1000])
+def test_a_recording_with_a_damaged_index_is_read_without_it(recording: Path, tmp_path: Path, from_end: int) -> None:
+    damaged = tmp_path / "run.rrd"
+    content = bytearray(recording.read_bytes())
+    content[-from_end] ^= 1
+    damaged.write_bytes(content)
+    whole, run = read(recording), read(damaged)
+    assert run.notes == ("run.rrd is damaged: its index cannot be read; every row was read without it",)
+    assert all(np.array_equal(run.signals[name], whole.signals[name], equal_nan=True) for name in whole.signals)
+
+
 @pytest.mark.parametrize("which", [0, 1, -1])
 def test_one_damaged_chunk_is_left_out_and_what_is_lost_with_it_is_said(mcap: Path, tmp_path: Path, which: int) -> None:
     damaged = tmp_path / "run.mcap"

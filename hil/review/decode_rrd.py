@@ -84,11 +84,27 @@ class _Entities:
 
 
 def decode_rrd(path: Path, wanted: Wanted) -> Contents:
-    """Return what an .rrd file holds; without its end, up to where it was cut. Raises DamagedError."""
+    """Return what an .rrd file holds; without its end, up to where it was cut. Raises DamagedError.
+
+    A file whose index is damaged is read without it: every row is in the messages before.
+    """
+    try:
+        return _decoded(path, wanted, has_index=has_end(path, ".rrd"))
+    except DamagedError as damage:
+        if not has_end(path, ".rrd"):
+            raise
+        try:
+            contents = _decoded(path, wanted, has_index=False)
+        except DamagedError:
+            raise damage from None
+        return contents._replace(cut_bytes=None, damage=("its index cannot be read; every row was read without it",))
+
+
+def _decoded(path: Path, wanted: Wanted, *, has_index: bool) -> Contents:
     import rerun.chunk as rrc
 
     entities = _Entities(wanted)
-    with _whole_messages(path) as (readable, cut_bytes), warnings.catch_warnings():
+    with _whole_messages(path, has_index=has_index) as (readable, cut_bytes), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # "has no footer": so it is, after a kill
         try:
             stream = _indexed(rrc.RrdReader(readable))
@@ -209,16 +225,16 @@ def _nothing(width: int) -> _Part:
 
 
 @contextmanager
-def _whole_messages(path: Path) -> Iterator[tuple[Path, int | None]]:
+def _whole_messages(path: Path, *, has_index: bool) -> Iterator[tuple[Path, int | None]]:
     """Yield the file, or, if its last message was cut short, a temporary copy without that message.
 
-    With it comes how many bytes were left out, as of ``Contents``.
+    With it comes how many bytes were left out, as of ``Contents``. Without ``has_index`` what follows the messages is
+    left out too.
 
     ``hil.review.reader`` says where temporary files go, and takes the copy away when rerun aborts this process.
     """
     with path.open("rb") as file:
         size = file.seek(0, os.SEEK_END)
-        has_index = has_end(path, ".rrd")
         end = _end_of_messages(file, size, has_index=has_index)
         if end == size:
             yield path, None if has_index else 0
