@@ -240,7 +240,7 @@ def test_a_constructor_that_takes_something_else(write):
         ({"update": "pass"}, "update returned None, expected a WheelCommand"),
         (
             {"update": "return applied.command"},
-            "update returned a command of mode <CommandMode.TORQUE: 1>, expected SPEED, the mode that it was made with",
+            "update returned a command of mode TORQUE, expected SPEED, the mode that it was made with",
         ),
     ],
 )

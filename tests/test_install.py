@@ -54,7 +54,7 @@ def test_a_machine_without_a_compiler_builds_installs_and_runs_the_wheel(tmp_pat
         "wire/STATISTICS.md",
     }
     assert {f"hil/{page}" for page in pages} <= names
-    assert "[pytest11]\nhil.pytest_plugin = hil.cli.pytest_plugin" in entry_points
+    assert "[pytest11]\nhil.cli.pytest_plugin = hil.cli.pytest_plugin" in entry_points
     assert not wheel.name.endswith("-any.whl")
 
     run(sys.executable, "-m", "venv", "--without-pip", tmp_path / "venv", cwd=tmp_path, environment=bare)

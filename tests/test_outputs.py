@@ -196,5 +196,5 @@ def test_a_file_that_cannot_be_replaced_stays(tmp_path: Path) -> None:
 def test_what_is_no_file_is_refused_with_force_too(tmp_path: Path) -> None:
     pipe = tmp_path / "run.rrd"
     os.mkfifo(pipe)
-    with pytest.raises(BadInputError, match="a device, a pipe or a socket; name a file"):
+    with pytest.raises(BadInputError, match="a pipe or a socket; name a file"):
         check_output_path("recording", pipe, "replace")

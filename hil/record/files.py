@@ -41,8 +41,8 @@ def check_output_path(what: str, path: Path, existing: Existing = "refuse") -> N
         problem = f"its name must end in {', '.join(others)}{' or ' * bool(others)}{last}, which tells its format"
     elif path.is_dir():
         problem = "it is a folder; name a file in it"
-    elif path.exists() and not path.is_file():
-        problem = "it is a device, a pipe or a socket; name a file"
+    elif path.is_fifo() or path.is_socket():
+        problem = "it is a pipe or a socket; name a file"
     elif existing != "number" and (first := _first_part(path)) is not None:
         problem = f"by its name it is a later part of {first.name}; choose another name, or remove it before"
     elif not folder.is_dir():
