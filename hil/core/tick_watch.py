@@ -17,6 +17,7 @@ _LONGEST_LOOK_S = 1.0
 _GRACE_S = 1.0  # from the exception in the tick to the end of the process
 _LAST_WORDS_S = 15.0  # for what is to be done before that end
 _PRINT_S = 2.0
+_FRAMES = 8  # of the stack, the newest: the law's own, and who asked it
 _DEBUGGERS = ("bdb", "pdb", "pydevd", "debugpy")
 
 
@@ -35,8 +36,8 @@ class TickWatch:
     Whoever does the ticks adds 1 to ``turn`` when one begins, and 1 when it ends: that is all that a tick pays. A
     thread looks now and then. A tick that is overdue has TickOverdue raised in it, which the thread that entered the
     context has to catch. One that is stuck where no exception gets to, in a sleep or in C, ends the process: after
-    ``last_words``, which is given the sentence, the thread's stack and the sentence are printed, and the exit code is
-    that of OverdueError.
+    ``last_words``, which is given the sentence, the end of the thread's stack and the sentence are printed, and the
+    exit code is that of OverdueError.
 
     Between ticks robot and plant are waited for, and have limits of their own. Time in which this process did not run,
     because it was stopped or the machine suspended, does not count, nor does a tick that a debugger holds. A call into
@@ -98,7 +99,7 @@ class TickWatch:
 
     def _end(self, sentence: str) -> None:
         """End the process: the control thread does not run Python any more."""
-        stack = "".join(traceback.format_stack(sys._current_frames().get(self._ident)))
+        stack = "".join(traceback.format_stack(sys._current_frames().get(self._ident), _FRAMES))
         # The sentence last: of a worker that ends, its last line is told.
         _say(lambda: self._last_words(sentence), _LAST_WORDS_S)
         _say(lambda: print(f"{stack}hil: {sentence}", file=sys.stderr, flush=True), _PRINT_S)
