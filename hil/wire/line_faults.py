@@ -14,8 +14,9 @@ BYTE_KINDS = ("bit_errors", "truncation", "babble")
 """The kinds that act on bytes here, and on the bus in ``bus_faults``."""
 
 _LONGEST_GARBAGE = 16
-# Of diagnosis (ISO 15765-4): no motor controller that we know listens there.
-_STRANGERS = range(0x7DF, 0x7F0)
+# Answers of diagnosis (ISO 15765-4): no motor controller that we know listens there. To its requests, from 7E0 to 7E7,
+# some do: 7E2 stops every ODrive on the bus.
+_STRANGERS = range(0x7E8, 0x7F0)
 
 
 class FaultLine:
