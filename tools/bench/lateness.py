@@ -143,7 +143,7 @@ def _turn(folder: Path, wanted: Wanted) -> Turn:
     values = (f"rate_hz={wanted.rate_hz}", f"duration_s={wanted.seconds / wanted.turns}", "rearm=true")
     settings = ["--set", "expect=[]", *(word for value in values for word in ("--set", f"loop.{value}"))]
     trace = folder / "bus.log"
-    files = ["--record", str(folder / "run.rrd") if wanted.is_recorded else "none", "--trace", str(trace)]
+    files = ["--record", str(folder / "run.rrd") if wanted.is_recorded else "none", "--trace", str(trace), "--force"]
     with _device(wanted.link, settings) as (link, truth):
         done = subprocess.run(
             [

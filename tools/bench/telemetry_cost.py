@@ -161,7 +161,7 @@ class _Bench:
     def review(self, ticks: int) -> list[Figure]:
         """Record so many ticks of every signal and review them; return the figures."""
         path, names = self._folder / "long.rrd", tuple(self._signals)
-        with Recording(path, properties=self._told, blocking=True, signals=names) as recording:
+        with Recording(path, properties=self._told, blocking=True, signals=names, existing="replace") as recording:
             for row in self._rows(names, ticks):
                 recording.put(row)
             report = recording.finish({})
@@ -185,7 +185,9 @@ class _Bench:
     def _recorded(self, rows: Sequence[Row], viewer: str | None) -> Turn:
         path = self._folder / "turn.rrd"
         port = None if viewer is None else free_port()
-        with Recording(path, properties=self._told, blocking=False, signals=FORTY, live_port=port) as recording:
+        with Recording(
+            path, properties=self._told, blocking=False, signals=FORTY, live_port=port, existing="replace"
+        ) as recording:
             if port is None:
                 turn = _turn(rows, recording.put)
             else:

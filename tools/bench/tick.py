@@ -94,7 +94,9 @@ def ours(seconds: float, record: Path | None) -> Turn:
             robot.plant.truth = stamped_truth  # type: ignore[method-assign]
             yield robot
 
-    result = run_scenario(_scenario(seconds), record=record, make_robot=stamped_robot, keep_signals=False)
+    result = run_scenario(
+        _scenario(seconds), record=record, existing="replace", make_robot=stamped_robot, keep_signals=False
+    )
     if not result.passed:
         raise SystemExit(f"the run failed: {result.failure or result.metrics['expect'][0]['text']}")
     # What follows is the stop, in which no law is asked.
