@@ -148,3 +148,8 @@ def test_shadow_laws_are_told_apart_each_by_its_name_and_hash() -> None:
     words = Change("shadow_laws_sha256", one, two).words()
     same = "afdsc_corrected 000000000000, Law "
     assert words == ("code of the shadow laws", same + "a" * 12, same + "b" * 12)
+
+
+def test_a_shadow_law_without_its_source_is_told_as_not_known() -> None:
+    words = Change("shadow_laws_sha256", json.dumps({"Law": None}), None).words()
+    assert words == ("code of the shadow laws", "Law not known", "not recorded")

@@ -50,10 +50,14 @@ HASH_LETTERS = 12
 
 
 def hash_text(text: str) -> str:
-    """Return as much of a recorded hash as a reader wants; of a JSON object of hashes by name, that of each."""
+    """Return as much of a recorded hash as a reader wants; of a JSON object of hashes by name, that of each.
+
+    A law whose source is not there has none.
+    """
     if not text.startswith("{"):
         return text[:HASH_LETTERS]
-    return ", ".join(f"{name} {digest[:HASH_LETTERS]}" for name, digest in json.loads(text).items()) or "none"
+    hashes = {name: (digest or "not known")[:HASH_LETTERS] for name, digest in json.loads(text).items()}
+    return ", ".join(f"{name} {digest}" for name, digest in hashes.items())
 
 
 def state_names() -> dict[int, str]:
