@@ -9,7 +9,7 @@ import hashlib
 import re
 import struct
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -38,7 +38,7 @@ _CAN_DO = ~(Capability.POWER_STAGE | Capability.LOCKSTEP)
 
 
 class Loaded(NamedTuple):
-    """The library as it was loaded.
+    """A native library as it was loaded.
 
     Attributes:
         ffi: of cffi. library: of cffi. sha256: of the file, in hex. sources_sha256: of the sources that it was built
@@ -68,12 +68,18 @@ def loaded() -> Loaded:
     path = BUILT.path if OTHER is None else Path(OTHER)
     if not path.is_file():
         raise NotCurrentError(f"{path} is not there; build it, or leave WHEEL_HOST_LIBRARY out")
-    ffi = cffi.FFI()
     here = Path(__file__).parent
-    for header in _HEADERS:
-        for section in _SECTION.findall((here / header).read_text(encoding="utf-8")):
+    table = "extern const wheel_parameter_info wheel_parameter_table[];"
+    return load_library(path, [here / header for header in _HEADERS], table)
+
+
+def load_library(path: Path, headers: Iterable[Path], declarations: str = "") -> Loaded:
+    """Load a library, with what C headers declare between their marks for cffi, and with further declarations."""
+    ffi = cffi.FFI()
+    for header in headers:
+        for section in _SECTION.findall(header.read_text(encoding="utf-8")):
             ffi.cdef(section)
-    ffi.cdef("extern const wheel_parameter_info wheel_parameter_table[];")
+    ffi.cdef(declarations)
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     return Loaded(ffi, ffi.dlopen(str(path)), digest, digest_in_library(path))
 

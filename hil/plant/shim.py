@@ -1,36 +1,18 @@
 """The C shim cosim.[ch] as cffi sees it, and how a wiring is laid out for it: one group of variables a type."""
 
 import functools
-import hashlib
-import re
 from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple
+from typing import Any
 
-import cffi
-
+from firmware_protocol.host import Loaded, load_library
 from hil.core.errors import BadInputError
 from hil.core.plant_signals import OUTPUTS
 from hil.plant.build import BUILT, HEADERS
 from hil.plant.mapping import Connection, Wiring
-from native_build.built_from import NotCurrentError, digest_in_library
+from native_build.built_from import NotCurrentError
 
-_SECTION = re.compile(r"/\* cffi: begin \*/(.*?)/\* cffi: end \*/", re.DOTALL)
 _FMI2_TYPES = {"Real": "Float64", "Integer": "Int32"}
 _C_TYPES = {"Float64": "double", "Float32": "float"}
-
-
-class Loaded(NamedTuple):
-    """The shim as it was loaded.
-
-    Attributes:
-        ffi: of cffi. library: of cffi. sha256: of the file, in hex. sources_sha256: of the sources that it was built
-        from, None where it does not say.
-    """
-
-    ffi: Any
-    library: Any
-    sha256: str
-    sources_sha256: str | None
 
 
 def load() -> tuple[Any, Any]:
@@ -48,12 +30,7 @@ def loaded() -> Loaded:
         BUILT.make_current()
     except NotCurrentError as error:
         raise BadInputError(str(error)) from error
-    ffi = cffi.FFI()
-    for header in HEADERS:
-        for section in _SECTION.findall(header.read_text(encoding="utf-8")):
-            ffi.cdef(section)
-    digest = hashlib.sha256(BUILT.path.read_bytes()).hexdigest()
-    return Loaded(ffi, ffi.dlopen(str(BUILT.path)), digest, digest_in_library(BUILT.path))
+    return load_library(BUILT.path, HEADERS)
 
 
 def connect(context: Any, wiring: Wiring, access: Callable[[str, str], Any]) -> list[object]:
