@@ -36,10 +36,11 @@ def free_name(path: Path) -> Path:
 
 
 def claim(what: str, path: Path, existing: Existing = "refuse") -> Path:
-    """Make sure that a file is this process's own to write, and return its path.
+    """Reserve a file for this process to write, and return its path.
 
-    An empty file is created unless the file may be replaced, so that of two processes which want one name at the same
-    time only one gets it. Raises BadInputError when the name is taken, and when the file cannot be created.
+    The file is created empty now, so that of two processes that ask for the same name at once only one gets it. With
+    ``replace`` nothing is created or reserved: the path is returned as it is. Raises BadInputError when the name is
+    taken, and when the file cannot be created.
     """
     if existing == "replace":
         return path

@@ -31,17 +31,19 @@ class TickOverdue(BaseException):
 
 
 class TickWatch:
-    """Ends a tick that takes longer than ``limit_s`` of wall-clock time; 0 or infinity for none. A context manager.
+    """Ends a tick that takes longer than ``limit_s`` of wall-clock time; 0 or infinity means none. A context manager.
 
-    Whoever does the ticks adds 1 to ``turn`` when one begins, and 1 when it ends: that is all that a tick pays. A
-    thread looks now and then. A tick that is overdue has TickOverdue raised in it, which the thread that entered the
-    context has to catch. One that is stuck where no exception gets to, in a sleep or in C, ends the process: after
-    ``last_words``, which is given the sentence, the end of the thread's stack and the sentence are printed, and the
-    exit code is that of OverdueError.
+    The thread that enters the context does the ticks. It adds 1 to ``turn`` when a tick begins and 1 when it ends, so
+    ``turn`` is odd during a tick; this is the only cost of a tick. A background thread looks at ``turn`` at intervals.
+    When a tick is overdue, it raises TickOverdue in the thread that entered the context, which has to catch it. When
+    the tick is stuck where no exception can reach it (in a sleep or in C code), the watch ends the process. It first
+    calls ``last_words`` with a sentence that says what was overdue. Then it prints the innermost frames of the stuck
+    thread's stack and the sentence, and exits with the exit code of OverdueError.
 
-    Between ticks robot and plant are waited for, and have limits of their own. Time in which this process did not run,
-    because it was stopped or the machine suspended, does not count, nor does a tick that a debugger holds. A call into
-    C that keeps Python's own lock all the while stops this watch too; most release it.
+    The time between two ticks is not watched: waiting for robot and plant has limits of its own. Time in which this
+    process did not run, because it was stopped or the machine suspended, is not counted. A tick that is paused in a
+    debugger is not ended. While a call into C holds Python's lock (the GIL) the watch cannot run either; most long
+    calls release it.
     """
 
     def __init__(self, limit_s: float, t_s: Callable[[], float], last_words: Callable[[str], None]) -> None:

@@ -11,17 +11,19 @@ _LATE_KINDS = ("delay", "jitter")  # their value is a time for which frames are 
 
 
 class Undriven:
-    """Counts the ticks in which the robot was not driven, as stale or as held.
+    """Counts the ticks in which the robot was not driven, and those of them that no fault of the scenario explains.
 
-    A stale tick is one in which the feedback was too old, or a truth on which the state rests. In a held one the robot
-    was held at rest, or not commanded, for any other reason: its state was unknown, or it was away.
+    There are two kinds. A tick is stale when the feedback was too old, or the ground truth that the state is made of.
+    Any other undriven tick is held: the robot's state was unknown, the estimator was lost, or the robot was not
+    connected.
 
-    A fault that can take feedback, state or robot away explains the ticks of a streak from the first one on at which
-    it may have shown: so what it takes to come back, however long, belongs to it. It may show in a tick that samples
-    so much before the fault as feedback takes to arrive, and for as long after it as commands and feedback are on
-    their way and old ones are still fresh enough.
+    A streak is an unbroken row of undriven ticks. A fault that can cut off feedback, state or robot explains every tick
+    of a streak from the first one that it can have affected. So the time that the robot needs to recover counts as the
+    fault's, however long it is. A fault can affect ticks from one feedback latency before its start, for what was
+    sampled then was still on its way. It can affect ticks after its end for both latencies, plus the age at which feedback is
+    too old, plus two periods; a fault that delays frames, for its delay in addition.
 
-    Nothing explains a run of which no tick was driven: it shows nothing of the law.
+    When no tick of the whole run was driven, no fault explains any: such a run does not test the law.
     """
 
     def __init__(self, faults: Sequence[FaultRow], timing: Timing) -> None:
@@ -36,11 +38,11 @@ class Undriven:
         self._held = self._held_explained = 0
 
     def drive(self) -> None:
-        """Take a tick that was driven: it ends a streak."""
+        """Record a tick that was driven. It ends the streak."""
         self._is_explained = False
 
     def hold(self, t_ns: int, *, is_stale: bool) -> None:
-        """Take a tick of the scenario's time that was not driven."""
+        """Record a tick that was not driven; ``t_ns`` is its time in the scenario."""
         if not self._is_explained:
             self._is_explained = any(start <= t_ns <= end for start, end in self._windows)
         if is_stale:
@@ -51,7 +53,7 @@ class Undriven:
             self._held_explained += self._is_explained
 
     def counted(self, ticks: int) -> dict[str, Counted]:
-        """Return the counts by the names that ``[allow]`` has for them, for a run of so many ticks."""
+        """Return all and the unexplained ticks of each kind, by its key in ``[allow]``; ``ticks`` is all of the run."""
         if self._stale + self._held == ticks:
             return {"stale_ticks": Counted(self._stale, self._stale), "held_ticks": Counted(self._held, self._held)}
         return {
