@@ -20,8 +20,8 @@ class Undriven:
     A streak is an unbroken row of undriven ticks. A fault that can cut off feedback, state or robot explains every tick
     of a streak from the first one that it can have affected. So the time that the robot needs to recover counts as the
     fault's, however long it is. A fault can affect ticks from one feedback latency before its start, for what was
-    sampled then was still on its way. It can affect ticks after its end for both latencies, plus the age at which feedback is
-    too old, plus two periods; a fault that delays frames, for its delay in addition.
+    sampled then was still on its way. It can affect ticks after its end for both latencies, plus the age at which
+    feedback is too old, plus two periods; a fault that delays frames, for its delay in addition.
 
     When no tick of the whole run was driven, no fault explains any: such a run does not test the law.
     """
