@@ -2,13 +2,13 @@
 
 import inspect
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, make_dataclass
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from hil.core.errors import BadInputError, nearest
+from hil.core.errors import BadInputError
+from hil.core.extensions import OUR_PACKAGE, Extensions, package_of
 from hil.core.model import RobotModel
 from hil.core.options import build
 from hil.core.types import CommandMode
@@ -39,9 +39,8 @@ SHIPPED: dict[str, type] = {
     "profile": Profile,
 }
 
-_GROUP = "hil.laws"
+_EXTENSIONS = Extensions("hil.laws", SHIPPED)
 _LAW_KEY = "controller.law"
-_PACKAGE = "mecanum-hil"
 
 _given: dict[str, type] = {}  # classes that were given as such, by the text that stands for them in this process
 _NO_OPTIONS = make_dataclass("Options", [])
@@ -49,10 +48,8 @@ _NO_OPTIONS = make_dataclass("Options", [])
 
 def laws() -> list[tuple[str, str, str]]:
     """Return name, package and one line of each law: the shipped ones, then those of other packages, not loaded."""
-    shipped = [(name, _PACKAGE, (inspect.getdoc(law) or "").splitlines()[0]) for name, law in SHIPPED.items()]
-    registered = _registered()
-    others = [(point.name, _package_of(point), _told(point, registered)) for point in registered]
-    return shipped + others
+    shipped = [(name, OUR_PACKAGE, (inspect.getdoc(law) or "").splitlines()[0]) for name, law in SHIPPED.items()]
+    return shipped + _EXTENSIONS.lines()
 
 
 def give_law(law: type) -> str:
@@ -82,7 +79,7 @@ def forget_law(spec: str, base: Path) -> None:
     if spec in SHIPPED or spec in _given:
         return
     law = load_law(spec, base)
-    named = next((point.value for point in _registered() if point.name == spec), spec).rpartition(":")[0]
+    named = (_EXTENSIONS.value(spec) or spec).rpartition(":")[0]
     for name in (law.__module__, named):
         if not f"{name}.".startswith("hil."):
             sys.modules.pop(name, None)
@@ -96,8 +93,7 @@ def law_sha256(spec: str, base: Path) -> str | None:
     """
     if spec in SHIPPED:
         return code_of_module(SHIPPED[spec].__module__)
-    value = next((point.value for point in _registered() if point.name == spec), spec)
-    location = value.rpartition(":")[0]
+    location = (_EXTENSIONS.value(spec) or spec).rpartition(":")[0]
     return code_of_file(base / location) if location.endswith(".py") else code_of_module(location)
 
 
@@ -145,34 +141,6 @@ def _found(spec: str, base: Path, key: str) -> tuple[type, str]:
         return find_class(spec, base, named), named
     if spec.endswith(".py"):
         raise BadInputError(f"{named}: name the class too, as in '{spec}:MyLaw'")
-    registered = _registered()
-    same = [point for point in registered if point.name == spec]
-    if not same:
-        raise BadInputError(f"{named}: unknown{nearest(spec, [*SHIPPED, *(point.name for point in registered)])}")
-    if len(same) > 1:
-        packages = " and ".join(f"{_package_of(point)} ({point.value})" for point in same)
-        raise BadInputError(f"{named}: registered by {packages}; name one as 'package.module:Class'")
-    named = f"{named}, of the package {_package_of(same[0])}"
-    if ":" not in same[0].value:
-        raise BadInputError(f"{named}: registered as {same[0].value!r}, expected 'package.module:Class'")
-    return find_class(same[0].value, base, named), named
-
-
-def _registered() -> list[EntryPoint]:
-    """Return the laws of other packages; one that is found twice, as on a path that is listed twice, counts once."""
-    points = {(point.name, _package_of(point)): point for point in entry_points(group=_GROUP)}
-    return [points[key] for key in sorted(points)]
-
-
-def _package_of(point: EntryPoint) -> str:
-    """Return the name of the package that has registered a law."""
-    return point.dist.name if point.dist is not None else "unknown"
-
-
-def _told(point: EntryPoint, registered: Sequence[EntryPoint]) -> str:
-    """Return what the list says of a law that is not loaded for it."""
-    if point.name in SHIPPED:
-        return f"not taken: the shipped law has this name; use {point.value!r}"
-    if sum(other.name == point.name for other in registered) > 1:
-        return f"registered by more than one package; use {point.value!r}"
-    return point.value
+    point = _EXTENSIONS.find(spec, named)
+    named = f"{named}, of the package {package_of(point)}"
+    return find_class(point.value, base, named), named

@@ -1,0 +1,84 @@
+"""What other packages add by entry points: laws, references, drivers, links, faults, commands and figures.
+
+Each kind has a group, such as ``hil.laws``. A package registers a name in it:
+
+    [project.entry-points."hil.laws"]
+    my_law = "my_package.my_law:MyLaw"
+
+A shipped thing keeps its name: another package cannot take it. Nothing is imported before it is asked for.
+"""
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+from hil.core.errors import BadInputError, nearest
+
+OUR_PACKAGE = "mecanum-hil"
+
+
+@dataclass(frozen=True)
+class Extensions:
+    """The names of one kind: the ``shipped`` ones, and those registered in the entry point ``group``."""
+
+    group: str
+    shipped: Collection[str]
+
+    def registered(self) -> list[EntryPoint]:
+        """Return the entry points of other packages by name. One that is found twice on the path counts once."""
+        points = {(point.name, package_of(point)): point for point in entry_points(group=self.group)}
+        return [points[key] for key in sorted(points)]
+
+    def names(self) -> list[str]:
+        """Return every name that can be asked for: the shipped ones first."""
+        return [*self.shipped, *dict.fromkeys(p.name for p in self.registered() if p.name not in self.shipped)]
+
+    def lines(self) -> list[tuple[str, str, str]]:
+        """Return name, package and one line about each registered thing, for a list. Imports none of them."""
+        points = self.registered()
+        names = [point.name for point in points]
+        return [(point.name, package_of(point), self._line(point, names)) for point in points]
+
+    def value(self, name: str) -> str | None:
+        """Return the ``package.module:Name`` that is registered under a name that is not shipped, or None."""
+        return next((p.value for p in self.registered() if p.name == name and name not in self.shipped), None)
+
+    def find(self, name: str, said: str) -> EntryPoint:
+        """Return the entry point of a name that is not shipped; ``said`` begins the messages, as ``key = 'name'``.
+
+        Raises BadInputError for a name that nobody has registered (with the nearest), one that two packages have
+        registered, and one that is not registered as ``package.module:Name``.
+        """
+        same = [point for point in self.registered() if point.name == name]
+        if not same:
+            raise BadInputError(f"{said}: unknown{nearest(name, self.names())}")
+        if len(same) > 1:
+            packages = " and ".join(f"{package_of(point)} ({point.value})" for point in same)
+            raise BadInputError(f"{said}: registered by {packages}; name one as 'package.module:Class'")
+        if ":" not in same[0].value:
+            told = f"{said}, of the package {package_of(same[0])}: registered as {same[0].value!r}"
+            raise BadInputError(f"{told}, expected 'package.module:Class'")
+        return same[0]
+
+    def load(self, name: str, said: str) -> Any:
+        """Return the object that is registered under a name that is not shipped. Raises BadInputError as ``find``
+        does, and where the package cannot be imported or has no such object."""
+        point = self.find(name, said)
+        try:
+            return point.load()
+        except Exception as error:
+            told = f"{said}, of the package {package_of(point)}: {point.value!r} cannot be loaded"
+            raise BadInputError(f"{told}: {type(error).__name__}: {error}") from error
+
+    def _line(self, point: EntryPoint, names: list[str]) -> str:
+        if point.name in self.shipped:
+            return f"not taken: the shipped one has this name; use {point.value!r}"
+        if names.count(point.name) > 1:
+            return f"registered by more than one package; use {point.value!r}"
+        return point.value
+
+
+def package_of(point: EntryPoint) -> str:
+    """Return the name of the package that has registered an entry point."""
+    return point.dist.name if point.dist is not None else "unknown"
