@@ -2,7 +2,6 @@
 
 import sys
 from pathlib import Path
-from textwrap import dedent
 
 import pytest
 
@@ -13,6 +12,7 @@ from hil.core.types import CommandMode, Pose, State, Twist
 from hil.laws.dsc import Dsc
 from hil.laws.registry import laws, load_law, make_controller
 from tests.closed_loop import AT_REST, PAPER_CIRCLE, PAPER_ROBOT
+from tests.outside import outside_package
 
 STAND_STILL = """
     from hil.core.types import ZERO_WHEELS, WheelCommand
@@ -31,19 +31,10 @@ STAND_STILL = """
 
 @pytest.fixture
 def install(tmp_path, monkeypatch):
-    """Return a function that installs a distribution with entry points of the group ``hil.laws`` and one module."""
+    """Return a function that installs a package with entry points of the group ``hil.laws`` and one module."""
 
     def installed(package: str, module: str, text: str, **points: str) -> Path:
-        folder = tmp_path / package
-        metadata = folder / f"{package.replace('-', '_')}-1.0.dist-info"
-        metadata.mkdir(parents=True)
-        (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
-        lines = [f"{name} = {value}\n" for name, value in points.items()]
-        (metadata / "entry_points.txt").write_text("[hil.laws]\n" + "".join(lines))
-        (folder / f"{module}.py").write_text(dedent(text))
-        monkeypatch.syspath_prepend(folder)
-        monkeypatch.delitem(sys.modules, module, raising=False)
-        return folder
+        return outside_package(tmp_path, monkeypatch, text, {"hil.laws": points}, package, module)
 
     return installed
 
@@ -78,7 +69,7 @@ def test_the_list_names_the_package_and_loads_nothing(install):
 def test_a_shipped_name_wins_and_the_list_says_so(install):
     install("lazy-laws", "lazy_laws", STAND_STILL, dsc="lazy_laws:StandStill")
     assert load_law("dsc", Path()) is Dsc
-    assert row_of("dsc", "lazy-laws") == "not taken: the shipped law has this name; use 'lazy_laws:StandStill'"
+    assert row_of("dsc", "lazy-laws") == "not taken: the shipped one has this name; use 'lazy_laws:StandStill'"
     assert load_law("lazy_laws:StandStill", Path()).__name__ == "StandStill"
 
 
