@@ -8,6 +8,7 @@ import hil
 from hil.batch.campaign.rows import why_failed
 from hil.batch.comparison.runs import Job, perform
 from hil.cli.review import review as command
+from hil.cli.testing.verdict import run_as_test
 from hil.core.errors import BadInputError
 from hil.faults.rows import FaultRow
 from hil.review import review
@@ -17,7 +18,6 @@ from hil.runtime.sampling import Timing
 from hil.runtime.undriven import Undriven
 from hil.scenario import load, set_texts
 from hil.scenario.allow import most
-from hil.testing.verdict import run_as_test
 
 MS = 1_000_000
 TIMING = Timing(5 * MS, 3 * MS, 2 * MS, 25 * MS)

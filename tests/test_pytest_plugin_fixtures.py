@@ -108,7 +108,7 @@ def test_a_run_that_does_not_pass_fails_the_test_unless_it_judges_itself(suite: 
             "E*Failed: scenario paper_cirle: no shipped scenario has this name; did you mean 'paper_circle'?*",
         ]
     )
-    for ours in ("hil/testing", "hil/scenario", "During handling"):
+    for ours in ("hil/cli/testing", "hil/scenario", "During handling"):
         assert ours not in done.stdout.str(), "the traceback shows the user's lines alone"
 
 

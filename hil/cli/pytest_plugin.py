@@ -1,8 +1,8 @@
 """Scenarios as tests: the plugin that pytest loads wherever this package is installed.
 
 It collects every ``*.hil.toml`` file as a test and has the fixtures ``virtual_robot``, ``hil_link`` and ``hil_run``.
-hil/testing/PYTEST.md has the whole story. pytest imports this module at every start, so it imports nothing heavy before
-a scenario is collected or a fixture is used.
+hil/cli/testing/PYTEST.md documents it. pytest imports this module at every start: heavy imports wait until a
+scenario is collected or a fixture is used.
 """
 
 import contextlib
@@ -18,9 +18,9 @@ import pytest
 from hil.core.suffix import TEST_SUFFIX
 
 if TYPE_CHECKING:
+    from hil.cli.testing import OpenLink, RunScenario, StartRobot
+    from hil.cli.testing.overrides import Overrides
     from hil.scenario import Scenario
-    from hil.testing import OpenLink, RunScenario, StartRobot
-    from hil.testing.overrides import Overrides
 
 _FIXTURES = frozenset({"virtual_robot", "hil_link", "hil_run"})
 _LONGEST_NAME = 100
@@ -61,11 +61,11 @@ def pytest_itemcollected(item: pytest.Item) -> None:
 
 
 class ScenarioFile(pytest.File):
-    """A ``*.hil.toml`` file: one test. A scenario that is wrong is an error of the collection, in one sentence."""
+    """A ``*.hil.toml`` file: one test. A wrong scenario is a collection error of one sentence."""
 
     def collect(self) -> Iterable["ScenarioTest"]:
+        from hil.cli.testing.overrides import shown
         from hil.core.errors import BadInputError
-        from hil.testing.overrides import shown
 
         overrides = _overrides(self.config)
         try:
@@ -84,8 +84,8 @@ class ScenarioTest(pytest.Item):
         self._overrides = overrides
 
     def runtest(self) -> None:
+        from hil.cli.testing.verdict import run_as_test
         from hil.core.outputs import free_name
-        from hil.testing.verdict import run_as_test
 
         folder = _folder(self, None)
         record = None if folder is None else free_name(folder / f"{self.name}.rrd")
@@ -109,7 +109,7 @@ def virtual_robot(request: pytest.FixtureRequest) -> "Iterator[StartRobot]":
     ``robot = virtual_robot("paper_circle")`` has ``robot.link`` and ``robot.truth``, the URLs to reach it. All end
     with the test. One that had ended by itself is an error of the test's teardown.
     """
-    from hil.testing import StartRobot
+    from hil.cli.testing import StartRobot
 
     with _ended_in_order() as resources:
         yield StartRobot(request.path.parent, _overrides(request.config), resources)
@@ -121,7 +121,7 @@ def hil_link(virtual_robot: "StartRobot") -> "Iterator[OpenLink]":
 
     ``link = hil_link("paper_circle")`` starts a robot and has ``send``, ``receive`` and ``ask``.
     """
-    from hil.testing import OpenLink
+    from hil.cli.testing import OpenLink
 
     with _ended_in_order() as resources:
         yield OpenLink(virtual_robot, resources)
@@ -134,8 +134,8 @@ def hil_run(request: pytest.FixtureRequest) -> "RunScenario":
     ``hil_run("paper_circle", set={"robot.mass_kg": 24.0})`` returns a ``hil.RunResult``; a run that does not pass fails
     the test, except with ``check=False``.
     """
+    from hil.cli.testing import RunScenario
     from hil.core.outputs import free_name
-    from hil.testing import RunScenario
 
     def recording(name: str) -> Path | None:
         folder = _folder(request.node, request)
@@ -146,7 +146,7 @@ def hil_run(request: pytest.FixtureRequest) -> "RunScenario":
 
 @contextlib.contextmanager
 def _ended_in_order() -> Iterator[contextlib.ExitStack]:
-    """Give a stack that is unwound at teardown; an error there is a sentence of the report."""
+    """Yield a stack that is unwound at teardown; an error there becomes a sentence of the report."""
     from hil.core.errors import HilError
 
     resources = contextlib.ExitStack()
@@ -160,7 +160,7 @@ def _ended_in_order() -> Iterator[contextlib.ExitStack]:
 
 
 def _overrides(config: pytest.Config) -> "Overrides":
-    from hil.testing.overrides import Overrides
+    from hil.cli.testing.overrides import Overrides
 
     option = config.getoption
     return Overrides(
@@ -169,9 +169,9 @@ def _overrides(config: pytest.Config) -> "Overrides":
 
 
 def _folder(item: pytest.Item, request: pytest.FixtureRequest | None) -> Path | None:
-    """Return the folder for a test's recordings, which is made; None with ``--hil-record none``.
+    """Make and return the folder for a test's recordings; None with ``--hil-record none``.
 
-    ``request`` is that of a test with fixtures: its folder is ``tmp_path``.
+    ``request`` is given for a test with fixtures: its folder is ``tmp_path``.
     """
     asked = item.config.getoption("hil_record")
     if asked == "none":
@@ -193,7 +193,7 @@ def _folder(item: pytest.Item, request: pytest.FixtureRequest | None) -> Path | 
 
 
 def _places(nodeid: str) -> list[str]:
-    """Return the folders that stand for a test, below that of ``--hil-record``: no two tests have the same."""
+    """Return the folders of a test's recordings below ``--hil-record``; no two tests share one."""
     file, *names = nodeid.split("::")
     folders = file.split("/")
     places = folders[:-1] if file.endswith(TEST_SUFFIX) else [*folders, *names]  # a scenario's recording has its name

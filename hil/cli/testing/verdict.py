@@ -1,21 +1,19 @@
-"""A scenario that was run as a test: whether it passed, what to say when it did not, what a report keeps of it."""
+"""The outcome of a scenario that was run as a test: whether it passed, its text, and its entries in a report."""
 
 import math
 import shlex
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
+from hil.cli.testing.overrides import shown
 from hil.core.errors import DeviceError, HilError, LinkError
 from hil.core.figure_words import in_order, why_incomplete
-from hil.testing.overrides import shown
-
-if TYPE_CHECKING:
-    from hil.judge.results import RunResult
-    from hil.scenario import FaultTable, Scenario
+from hil.judge.results import RunResult
+from hil.scenario import FaultTable, Scenario
 
 _FACTS = ("law", "mode", "link", "seed", "wire_sha256")
 _FIGURES = ("tracked_s", "t10_s", "steady_rms_m", "steady_max_m", "ticks", "realtime_factor", "deadline_misses")
@@ -24,18 +22,18 @@ _BROKEN = {LinkError: "the link failed, not an expectation", DeviceError: "the r
 
 @dataclass(frozen=True)
 class Verdict:
-    """What became of a scenario.
+    """The outcome of a scenario.
 
     Attributes:
         scenario: what was to be run.
         result: the finished run, or None when it could not begin.
-        error: what ended the run early, or kept it from beginning; or None.
+        error: what ended the run early or kept it from beginning, or None.
         recording: the recording, or None where there is none.
         repeat: the command that runs the same again.
     """
 
-    scenario: "Scenario"
-    result: "RunResult | None"
+    scenario: Scenario
+    result: RunResult | None
     error: HilError | None
     recording: Path | None
     repeat: str
@@ -46,7 +44,7 @@ class Verdict:
         return self.result is not None and self.result.passed
 
     def text(self) -> str:
-        """Return the whole story: first what is wrong, then how every expectation and fault went, then what to do."""
+        """Return the report: first every problem, then the outcome of each expectation and fault, then what to do."""
         scenario = self.scenario
         name = shown(scenario.path or scenario.name)
         rows = [("scenario", f"{name}, {scenario.loop.mode}, {scenario.link.url}, seed {scenario.loop.seed}")]
@@ -59,7 +57,7 @@ class Verdict:
         return "\n".join([*self._problems(), "", *(f"  {label:<12} {line}" for label, line in rows)])
 
     def properties(self) -> list[tuple[str, str]]:
-        """Return what a report keeps of the run, by name; a figure without a meaning is left out."""
+        """Return the entries of the run in a test report, by name; figures that do not apply are left out."""
         metrics: Mapping[str, Any] = {"seed": self.scenario.loop.seed} if self.result is None else self.result.metrics
         kept = [("scenario", self.scenario.name), *((name, metrics.get(name)) for name in (*_FACTS, *_FIGURES))]
         if self.result is not None:
@@ -97,11 +95,11 @@ class Verdict:
 
 
 def run_as_test(
-    scenario: "Scenario", truth: str | None, record: Path | None, repeat: str, config: pytest.Config
+    scenario: Scenario, truth: str | None, record: Path | None, repeat: str, config: pytest.Config
 ) -> Verdict:
-    """Run a scenario; whatever a user is meant to read is in the verdict. ``repeat`` is the command that does it.
+    """Run a scenario and return its outcome. ``repeat`` is the command that repeats it.
 
-    A law that is stuck where no exception gets to ends the session; what is said of it then is not captured.
+    A law that is stuck where no exception reaches ends the session; its last sentence is not captured.
     """
     from hil.runtime.assembly import run_scenario
 
@@ -119,7 +117,7 @@ def run_as_test(
     return Verdict(scenario, result, error, recording, repeat)
 
 
-def _faults(scenario: "Scenario", metrics: Mapping[str, Any]) -> Iterator[tuple["FaultTable", Mapping[str, Any]]]:
+def _faults(scenario: Scenario, metrics: Mapping[str, Any]) -> Iterator[tuple[FaultTable, Mapping[str, Any]]]:
     return zip(scenario.fault, metrics["fault"], strict=True)
 
 
@@ -141,8 +139,8 @@ def _link_figures(metrics: Mapping[str, Any]) -> Iterator[tuple[str, float | Non
     yield "recoveries", len(metrics["recoveries"])
 
 
-def _fault(row: "FaultTable", counted: Mapping[str, Any]) -> str:
+def _fault(row: FaultTable, counted: Mapping[str, Any]) -> str:
     end = "the end" if math.isinf(row.end_s) else f"{row.end_s:g} s"
     count = counted["applied"]
-    said = f"applied {count} times" if count else "never applied, so the run shows nothing about it"
-    return f"{row.kind} {row.target} from {row.start_s:g} s to {end}: {said}"
+    outcome = f"applied {count} times" if count else "never applied, so the run shows nothing about it"
+    return f"{row.kind} {row.target} from {row.start_s:g} s to {end}: {outcome}"

@@ -1,20 +1,18 @@
-"""What the fixtures of the pytest plugin give to a test: three callables that clean up after themselves."""
+"""The fixtures of the pytest plugin: three callables. The plugin cleans up after them."""
 
 import contextlib
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 
+from hil.cli.testing.overrides import Overrides
+from hil.cli.testing.robot import RobotLink, RobotProcess
+from hil.cli.testing.verdict import run_as_test
 from hil.core.errors import HilError
-from hil.testing.overrides import Overrides
-
-if TYPE_CHECKING:
-    from hil.runtime.assembly import RunResult
-    from hil.testing.robot_link import RobotLink
-    from hil.testing.robot_process import RobotProcess
+from hil.judge.results import RunResult
+from hil.scenario.fields import is_path
 
 Set = Mapping[str, object] | Sequence[str]
 
@@ -38,20 +36,18 @@ class StartRobot:
         mode: str | None = None,
         link: str = "serial:pty",
         seed: int | None = None,
-    ) -> "RobotProcess":
+    ) -> RobotProcess:
         """Start the scenario's robot at its end of ``link``, by default a new pseudo-terminal, and return it ready.
 
         ``set``, ``mode`` and ``seed`` are those of ``hil device`` and win over --hil-set, --hil-mode and --hil-seed.
         Raises BadInputError for a wrong scenario or option, DeviceError when the robot does not get ready.
         """
         __tracebackhide__ = True
-        from hil.testing.robot_process import RobotProcess
-
         overrides = self._overrides.changed(set, mode, link, seed)
         try:
             robot = RobotProcess(overrides.load(located(scenario, self._folder)), overrides)
         except HilError as error:
-            raise error.with_traceback(None) from None  # how it came about here is none of the test's
+            raise error.with_traceback(None) from None  # without frames of this package
         self._resources.callback(_end, robot)
         return robot
 
@@ -65,19 +61,17 @@ class OpenLink:
 
     def __call__(
         self,
-        robot: "RobotProcess | str | Path" = "paper_circle",
+        robot: RobotProcess | str | Path = "paper_circle",
         *,
         set: Set = (),  # noqa: A002 - the name of the option
         mode: str | None = None,
-    ) -> "RobotLink":
+    ) -> RobotLink:
         """Return an open link to a robot: one that was started before, or a new one of a scenario.
 
         ``set`` and ``mode`` are for a new one. Raises LinkError when the link cannot be opened, and as
         ``virtual_robot``.
         """
         __tracebackhide__ = True
-        from hil.testing.robot_link import RobotLink
-
         try:
             link = RobotLink(self._start_robot(robot, set=set, mode=mode) if isinstance(robot, str | Path) else robot)
         except HilError as error:
@@ -87,17 +81,12 @@ class OpenLink:
 
 
 class RunScenario:
-    """Fixture ``hil_run``: runs scenarios, as ``hil.run`` does, and puts what became of them into the test's report.
+    """Fixture ``hil_run``: runs scenarios as ``hil.run`` does, and adds their figures to the test's report.
 
     A scenario is a shipped name or a path; a relative one starts from the test's folder.
     """
 
-    def __init__(
-        self,
-        item: pytest.Item,
-        overrides: Overrides,
-        recording: Callable[[str], Path | None],
-    ) -> None:
+    def __init__(self, item: pytest.Item, overrides: Overrides, recording: Callable[[str], Path | None]) -> None:
         self._item = item
         self._overrides = overrides
         self._recording = recording
@@ -112,29 +101,27 @@ class RunScenario:
         link: str | None = None,
         seed: int | None = None,
         truth: str | None = None,
-        on: "RobotProcess | None" = None,
+        on: RobotProcess | None = None,
         record: bool = True,
         check: bool = True,
-    ) -> "RunResult":
+    ) -> RunResult:
         """Run a scenario, and return its result.
 
         Args:
             scenario: what to run.
-            set: changes to any of its keys; these and the next four win over the options --hil-set and so on.
+            set: changes to any of its keys. This argument and the next four win over the options --hil-set and so on.
             mode: ``lockstep`` or ``realtime``.
             link: URL of the link.
             seed: of everything random in the run.
             truth: URL of the truth socket of a robot in another process.
             on: the robot to run on, with its link, truth and mode; it must have been started with the same ``set``.
             record: whether to record into the test's folder.
-            check: whether a run that does not pass fails the test. Without it the test judges, by ``result.passed``.
+            check: whether a run that does not pass fails the test. If False, the test judges ``result.passed`` itself.
 
         Raises, without ``check``, BadInputError for a wrong scenario or option, and LinkError or DeviceError when the
         robot cannot be reached or does not arm. What fails later is in the result.
         """
         __tracebackhide__ = True
-        from hil.testing.verdict import run_as_test
-
         if on is not None:
             mode, link, truth = mode or on.mode, link or on.link, truth or on.truth
         overrides = self._overrides.changed(set, mode, link, seed, truth)
@@ -145,7 +132,7 @@ class RunScenario:
         self._runs += 1
         number = "" if self._runs == 1 else f"-{self._runs}"
         recording = self._recording(f"{loaded.name}{number}") if record else None
-        # A robot of the test is gone with it.
+        # A robot that the test started ends with it.
         repeat = overrides.command(loaded) if on is None else shlex.join(["pytest", self._item.nodeid])
         verdict = run_as_test(loaded, overrides.truth, recording, repeat, self._item.config)
         self._item.user_properties += [(f"hil{number}.{name}", value) for name, value in verdict.properties()]
@@ -161,11 +148,9 @@ class RunScenario:
 
 def located(scenario: str | Path, folder: Path) -> str | Path:
     """Return a scenario with its path absolute, where it is one."""
-    from hil.scenario.fields import is_path
-
     return folder / scenario if isinstance(scenario, Path) or is_path(scenario) else scenario
 
 
-def _end(robot: "RobotProcess") -> None:
-    if (words := robot.close()) is not None:
-        print(words)
+def _end(robot: RobotProcess) -> None:
+    if (sentence := robot.close()) is not None:
+        print(sentence)

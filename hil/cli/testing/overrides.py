@@ -1,14 +1,13 @@
-"""What the command line of a test run changes in every scenario, and what a test changes on top of that."""
+"""Changes to scenarios, by the options of a pytest run and by the arguments of a test."""
 
 import os
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
-if TYPE_CHECKING:
-    from hil.scenario import Scenario
+from hil.scenario import Scenario, load, set_texts
 
 
 @dataclass(frozen=True)
@@ -37,9 +36,7 @@ class Overrides:
         seed: int | None = None,
         truth: str | None = None,
     ) -> Self:
-        """Return these overrides with others on top. A truth belongs to its link: another link does without it."""
-        from hil.scenario import set_texts
-
+        """Return these overrides with others on top. A truth belongs to its link: with another link it is dropped."""
         return replace(
             self,
             set=(*self.set, *set_texts(set)),
@@ -49,19 +46,17 @@ class Overrides:
             truth=self.truth if truth is None and link is None else truth,
         )
 
-    def load(self, scenario: str | Path) -> "Scenario":
+    def load(self, scenario: str | Path) -> Scenario:
         """Return the scenario with these changes. Raises BadInputError as ``hil.scenario.load`` does."""
-        from hil.scenario import load
-
         return load(scenario, set=self.set, mode=self.mode, link=self.link, seed=self.seed)
 
     def arguments(self) -> list[str]:
-        """Return the same as arguments of ``hil device``, and with ``--truth`` of ``hil run``."""
+        """Return the arguments of ``hil device``. Those of ``hil run`` have ``--truth`` besides."""
         given = (("--mode", self.mode), ("--link", self.link), ("--seed", self.seed))
         options = [word for name, value in given if value is not None for word in (name, str(value))]
         return [*options, *(word for text in self.set for word in ("--set", text))]
 
-    def command(self, scenario: "Scenario") -> str:
+    def command(self, scenario: Scenario) -> str:
         """Return the command that repeats a run of the scenario, for a shell in the current folder."""
         seeded = replace(self, seed=scenario.loop.seed)
         truth = [] if self.truth is None else ["--truth", self.truth]
@@ -69,6 +64,6 @@ class Overrides:
 
 
 def shown(path: str | Path) -> str:
-    """Return a path as a person in the current folder writes it: relative below it, else as it is."""
+    """Return a path relative to the current folder when it is below it, else unchanged."""
     text = str(path)
     return os.path.relpath(text) if Path(text).is_relative_to(Path.cwd()) else text
