@@ -1,18 +1,25 @@
-"""The commands as real processes."""
+"""The commands as a user types them, in this process where their words and files matter, or as processes."""
 
 import contextlib
+import gc
 import json
 import os
 import select
+import signal
 import subprocess
 import sys
+import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import pytest
+
 HIL = [sys.executable, "-m", "hil.cli.main"]
 ROOT = Path(__file__).parents[1]
+HIL_FILE = str(ROOT / "hil" / "cli" / "main.py")
+_HANDLED = [number for name in ("SIGTERM", "SIGHUP", "SIGINT") if (number := getattr(signal, name, None)) is not None]
 READY_S = 60.0
 
 
@@ -24,8 +31,63 @@ class Device(NamedTuple):
     truth: str
 
 
-def hil(*arguments: str | Path, cwd: Path | None = None, timeout: float = 120.0) -> subprocess.CompletedProcess[str]:
-    """Run a command to its end."""
+def hil(*arguments: str | Path, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """Run a command to its end in this process, which saves the start of an interpreter and all imports.
+
+    Exit code and output are what the command's own process would give: standard output and standard error are files,
+    standard input is empty. A test of the process itself calls ``hil_process``.
+    """
+    from hil.cli.main import main
+
+    words = [HIL_FILE, *map(str, arguments)]
+    threshold, handlers = gc.get_threshold(), {number: signal.getsignal(number) for number in _HANDLED}
+    with pytest.MonkeyPatch.context() as patch, contextlib.ExitStack() as stack:
+        patch.setattr(sys, "argv", words)
+        for name, value in environment().items():
+            patch.setenv(name, value)
+        if cwd is not None:
+            patch.chdir(cwd)
+        patch.setattr(sys, "stdin", stack.enter_context(Path(os.devnull).open(encoding="utf-8")))
+        output, errors = (stack.enter_context(_captured(name, patch)) for name in ("stdout", "stderr"))
+        try:
+            main()
+            code: object = 0
+        except SystemExit as end:
+            code = end.code
+        finally:
+            gc.unfreeze()
+            gc.set_threshold(*threshold)
+            for number, handler in handlers.items():
+                signal.signal(number, handler)
+    assert code is None or isinstance(code, int), code
+    return subprocess.CompletedProcess(words, code or 0, "".join(output), "".join(errors))
+
+
+@contextlib.contextmanager
+def _captured(name: str, patch: pytest.MonkeyPatch) -> Iterator[list[str]]:
+    """Put a file in the place of an output stream and of its descriptor, and give what was written, at the end."""
+    number = {"stdout": 1, "stderr": 2}[name]
+    text: list[str] = []
+    kept = os.dup(number)
+    with tempfile.TemporaryFile("w+", encoding="utf-8") as file:
+        os.dup2(file.fileno(), number)
+        stream = os.fdopen(number, "w", encoding="utf-8", closefd=False)
+        try:
+            with patch.context() as streams:
+                streams.setattr(sys, name, stream)
+                yield text
+        finally:
+            stream.flush()
+            os.dup2(kept, number)
+            os.close(kept)
+            file.seek(0)
+            text.append(file.read())
+
+
+def hil_process(
+    *arguments: str | Path, cwd: Path | None = None, timeout: float = 120.0
+) -> subprocess.CompletedProcess[str]:
+    """Run a command to its end in a process of its own."""
     return subprocess.run(
         [*HIL, *map(str, arguments)],
         capture_output=True,
@@ -42,9 +104,11 @@ def environment() -> dict[str, str]:
     return os.environ | {"PYTHONPATH": str(ROOT), "COLUMNS": "120", "NO_COLOR": "1"}
 
 
-def run_json(*arguments: str | Path, cwd: Path | None = None) -> dict[str, Any]:
+def run_json(
+    *arguments: str | Path, cwd: Path | None = None, by: Callable[..., subprocess.CompletedProcess[str]] = hil
+) -> dict[str, Any]:
     """Run ``hil run ... --json`` and return its one object; stdout must hold nothing else."""
-    done = hil("run", *arguments, "--json", cwd=cwd)
+    done = by("run", *arguments, "--json", cwd=cwd)
     assert done.returncode in (0, 1), done.stderr
     assert done.stdout.count("\n") == 1
     answer = json.loads(done.stdout)

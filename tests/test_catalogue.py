@@ -1,7 +1,6 @@
 """The fault catalogue: every kind has a case, a sound robot passes, an unsafe one, a hung and a crashed run do not."""
 
 import json
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from hil.faults.kinds import KINDS
 from hil.faults.rows import find
 from hil.scenario.rows import FaultTable
 from native_build.compiler import compile_shared
-from tests.processes import HIL, environment, hil
+from tests.processes import hil
 
 # What is changed in the firmware's sources, and the faults that show it.
 UNSAFE = {
@@ -100,15 +99,7 @@ class Crashes(Hangs):
 
 def catalogue(*arguments: str, cwd: Path, code: int) -> list[dict[str, Any]]:
     """Run ``hil catalogue --json`` and return its runs."""
-    done = subprocess.run(
-        [*HIL, "catalogue", *arguments, "--json"],
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=cwd,
-        env=environment(),
-        timeout=300,
-    )
+    done = hil("catalogue", *arguments, "--json", cwd=cwd)
     assert done.returncode == code, done.stderr + done.stdout
     answer = json.loads(done.stdout)
     assert answer["passed"] == (code == 0)

@@ -11,7 +11,7 @@ import can
 import pytest
 
 from hil.review import read
-from tests.processes import HIL, ROOT, environment, hil, run_json
+from tests.processes import HIL, ROOT, environment, hil, hil_process, run_json
 
 FIGURES = {
     "passed",
@@ -39,7 +39,7 @@ def test_the_same_run_in_two_processes_gives_equal_figures_and_bytes(tmp_path: P
     short = ("--set", "loop.duration_s=6", "--set", "loop.rate_hz=200", "--set", "expect.0.from_s=5")
     lockstep = ("paper_circle", "--mode", "lockstep", *short)
     one = run_json(*lockstep, cwd=tmp_path)
-    two = run_json(*lockstep, cwd=tmp_path)
+    two = run_json(*lockstep, cwd=tmp_path, by=hil_process)
     other = run_json(*lockstep, "--seed", "2", "--record", "none", cwd=tmp_path)
     wall_clock = {"tick_us", "realtime_factor", "recording", "recorded", "reasons"}
     assert {k: v for k, v in one.items() if k not in wall_clock} == {

@@ -1,7 +1,6 @@
 """Faults of a robot in another process: they go through its truth socket, act as in one process, and are counted."""
 
 import contextlib
-import json
 import sys
 from pathlib import Path
 
@@ -15,7 +14,7 @@ from hil.runtime.assembly import run
 from hil.runtime.fault_injection import RunFaults
 from hil.scenario import load
 from tests.fault_runs import applied, write
-from tests.processes import device, hil, run_json
+from tests.processes import device, hil, hil_process, run_json
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals need a POSIX system")
 
@@ -75,5 +74,5 @@ def test_in_real_time_faults_begin_when_the_scenario_does(tmp_path: Path, kind: 
     path = write(tmp_path, [{"kind": kind, "start_s": 0.1, "end_s": 0.3, "value": value}], duration_s=0.5)
     with device(str(path), "--mode", "realtime", "--link", "serial:pty") as robot:
         there = ("--link", robot.link, "--truth", robot.truth, "--mode", "realtime", "--set", "expect=[]")
-        figures = json.loads(hil("run", str(path), *there, "--record", "none", "--json").stdout)
+        figures = run_json(path, *there, "--record", "none", by=hil_process)
     assert figures["fault"][0]["applied"] == (10 if kind == "slow_clock" else 200)

@@ -1,8 +1,6 @@
 """The fuzzy block, against the inference that it stands for, and the paper's tables against their pattern."""
 
 import itertools
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -14,6 +12,7 @@ from hil.cli.fuzzy import fuzzy
 from hil.cli.gain_picture import draw_gains
 from hil.core.errors import BadInputError
 from hil.laws.fuzzy import K1_1_S, K2_1_S, RULES, FuzzyBlock
+from tests.processes import hil
 
 LEVELS = ["VS", "S", "M", "B", "VB"]
 PEAKS = [-1.0, -0.5, 0.0, 0.5, 1.0]  # NB, NS, Z, PS, PB, in units of the range
@@ -123,12 +122,7 @@ def test_a_picture_that_cannot_be_written_is_bad_input(tmp_path):
 
 
 def test_the_command_line_names_the_nearest_tables():
-    said = subprocess.run(
-        [sys.executable, "-m", "hil.cli.main", "fuzzy", "--tables", "printd"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    said = hil("fuzzy", "--tables", "printd")
     assert said.returncode == 2
     assert said.stderr == "hil: --tables printd: there are none of this name; did you mean 'printed'?\n"
 

@@ -13,7 +13,7 @@ import pytest
 
 from hil.robot.truth import TruthClient
 from hil.scenario import load
-from tests.processes import HIL, Device, device, environment, is_running, run_json, wait_for
+from tests.processes import HIL, Device, device, environment, hil_process, is_running, run_json, wait_for
 
 pytestmark = pytest.mark.alone
 
@@ -49,20 +49,20 @@ def test_a_base_that_takes_twists_is_driven_over_a_pseudo_terminal() -> None:
     """A fault of its plant begins by the plant's clock, and not by ours."""
     push = 'fault=[{kind="push",target="force_x_n",start_s=0.2,end_s=0.3,value=1.0}]'
     with device(*ROSMASTER, "--dialect", "rosmaster", "--link", "serial:pty") as robot:
-        figures = run_json(*ROSMASTER, *short("rosmaster", robot, push))
+        figures = run_json(*ROSMASTER, *short("rosmaster", robot, push), by=hil_process)
     assert_drove(figures)
     assert figures["fault"][0]["applied"] == 100
 
 
 def test_four_vescs_behind_one_line_are_driven_over_a_pseudo_terminal() -> None:
     with device(*REAL, "--dialect", "vesc", "--link", "serial:pty") as robot:
-        assert_drove(run_json(*REAL, *short("vesc", robot)))
+        assert_drove(run_json(*REAL, *short("vesc", robot), by=hil_process))
 
 
 def test_odrives_are_driven_over_slcan(slcan: list[str]) -> None:
     with device(*REAL, "--dialect", "odrive", "--link", f"can:slcan/{slcan[0]}") as robot:
         there = robot._replace(link=f"can:slcan/{slcan[1]}")
-        assert_drove(run_json(*REAL, *short("odrive", there)))
+        assert_drove(run_json(*REAL, *short("odrive", there), by=hil_process))
 
 
 def children_of(pid: int) -> set[int]:

@@ -1,8 +1,6 @@
 """Replay: the law that made a run says the same again; another one says what it would have, and is labelled so."""
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +12,7 @@ from hil.core.types import WHEEL_NAMES, CommandMode
 from hil.laws.registry import SHIPPED
 from hil.review import read
 from hil.review.replay import replay, write_replay
+from tests import processes
 from tests.test_tick_watch import LOOP, law
 
 SHORT = {"loop.duration_s": 0.5, "loop.rate_hz": 200, "expect": []}
@@ -180,13 +179,12 @@ def test_a_recording_is_not_written_over_itself(recorded):
 
 
 def test_the_command_prints_a_table_and_json_and_says_open_loop(recorded):
-    command = [sys.executable, "-m", "hil.cli.main", "replay", str(recorded.path), "--law", "dsc,k1_1_s=9"]
-    shown = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    assert shown.count("open loop") == 2
-    figures = json.loads(subprocess.run([*command, "--json"], capture_output=True, text=True, check=True).stdout)
+    command = ("replay", recorded.path, "--law", "dsc,k1_1_s=9")
+    assert processes.hil(*command).stdout.count("open loop") == 2
+    figures = json.loads(processes.hil(*command, "--json").stdout)
     assert figures["open_loop"] is True
     assert figures["gains"] == {"k1_1_s": 9}
     assert set(figures["difference"]) == {f"wheel.{wheel}.torque_command_n_m" for wheel in WHEEL_NAMES}
-    bad = subprocess.run([*command[:3], "replay", str(recorded.path.parent), "--law", "dsc"], capture_output=True)
+    bad = processes.hil("replay", recorded.path.parent, "--law", "dsc")
     assert bad.returncode == 2
-    assert bad.stderr.count(b"\n") == 1
+    assert bad.stderr.count("\n") == 1

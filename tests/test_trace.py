@@ -22,7 +22,7 @@ from hil.wire.statistics import measured
 from hil.wire.streams import memory_pair
 from hil.wire.trace import Trace, decode, rows
 from hil.wire.url import parse_link
-from tests.processes import HIL, ROOT, device, environment, hil, run_json
+from tests.processes import HIL, ROOT, device, environment, hil, hil_process, run_json
 from tests.traced_runs import SHORT, one_second_of_frames, traced
 
 DATABASE = cantools.database.load_file(ROOT / "firmware_protocol" / "wheel.dbc")
@@ -220,6 +220,7 @@ def test_a_run_in_real_time_is_traced_as_it_goes(tmp_path):
             "paper_circle", "--mode", "realtime", "--link", robot.link, "--truth", robot.truth, "--record", "none",
             "--set", "loop.rate_hz=100", "--set", "loop.duration_s=2", "--set", "expect=[]", "--trace", path,
             "--set", "loop.rearm=true",  # a busy machine may stop the robot
+            by=hil_process,
         )  # fmt: skip
     read = frames(path)
     assert result["trace"]["frames"] == len(read)

@@ -14,7 +14,7 @@ from hil.review import read, review
 from hil.robot.truth import TruthClient
 from hil.robot.truth_wire import TruthRecord
 from hil.scenario import load
-from tests.processes import HIL, Device, device, environment, hil, run_json, wait_for
+from tests.processes import HIL, Device, device, environment, hil, hil_process, run_json, wait_for
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals need a POSIX system")
 
@@ -48,7 +48,7 @@ def test_real_time_in_two_processes_tracks_the_circle():
         there = ("--link", robot.link, "--truth", robot.truth, "--record", "none")
         # On a machine that stalls the watchdog may stop the robot, rightly.
         short = ("--set", "loop.duration_s=6", "--set", "expect=[]", "--set", "loop.rearm=true")
-        figures = run_json("paper_circle", "--mode", "realtime", *there, *short)
+        figures = run_json("paper_circle", "--mode", "realtime", *there, *short, by=hil_process)
     assert figures["failure"] is None
     assert figures["steady_rms_m"] < 0.003
     assert figures["realtime_factor"] == pytest.approx(1.0, abs=0.02)
