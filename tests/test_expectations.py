@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.core.errors import BadInputError
-from hil.core.figure_words import in_order
 from hil.judge.expectations import check_expectation, outcomes_of
+from hil.judge.words import in_order
 from hil.scenario import load
 from hil.scenario.rows import ExpectTable
 

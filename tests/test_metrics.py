@@ -2,6 +2,8 @@
 
 import itertools
 import math
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,9 +12,10 @@ from hypothesis import strategies as st
 
 from hil.core.samples import MOST_SAMPLES, Samples, percentiles
 from hil.core.types import WHEEL_NAMES
-from hil.judge.demand import Demand, DemandSoFar
-from hil.judge.metrics import CommandLimits, EstimationSoFar, signal_figures
-from hil.judge.tracking import Tracking, TrackingSoFar
+from hil.judge.effort import Effort, Overshoot, Saturation
+from hil.judge.figures import signal_figures
+from hil.judge.measure import CommandLimits, Measure, NoFigureError, RunSetup
+from hil.judge.tracking import EstimationError, Tracking
 
 NAN = float("nan")
 
@@ -23,26 +26,37 @@ def blocks(count: int) -> list[slice]:
     return [slice(*pair) for pair in itertools.pairwise(edges)]
 
 
-def tracking_metrics(t_s: np.ndarray, planar_m: np.ndarray) -> Tracking:
-    so_far = TrackingSoFar()
-    for block in blocks(len(t_s)):
-        so_far.take(t_s[block], planar_m[block])
-    return so_far.tracking()
+def measured(measure: Measure, signals: dict[str, np.ndarray]) -> dict[str, Any]:
+    """The figures of a measure by name; None for one without a meaning, with its reason under ``reasons``."""
+    for block in blocks(len(signals["loop.t_s"])):
+        measure.add({name: series[block] for name, series in signals.items()})
+    found: dict[str, Any] = {"reasons": {}}
+    for name in (figure.name for figure in measure.figures):
+        try:
+            found[name] = measure.value(name)
+        except NoFigureError as no_figure:
+            found[name] = None
+            found["reasons"][name] = str(no_figure)
+    return found
 
 
-def demand_metrics(t_s, error_m, torque_n_m, saturated) -> Demand:
-    so_far = DemandSoFar()
-    for block in blocks(len(t_s)):
-        torque = None if torque_n_m is None else torque_n_m[block]
-        so_far.take(t_s[block], error_m[block], torque, saturated[block])
-    return so_far.demand()
+def tracking_metrics(t_s: np.ndarray, planar_m: np.ndarray) -> SimpleNamespace:
+    return SimpleNamespace(**measured(Tracking(), {"loop.t_s": t_s, "error.planar_m": planar_m}))
+
+
+def demand_metrics(t_s, error_m, torque_n_m, saturated) -> SimpleNamespace:
+    """Overshoot, effort and saturation, of a motor that makes 1 N·m of 1 A."""
+    signals = {"loop.t_s": t_s, "error.x_m": error_m[:, 0], "error.y_m": error_m[:, 1], "guard.saturated": saturated}
+    known = torque_n_m is not None
+    for wheel, torque in zip(WHEEL_NAMES, torque_n_m.T if known else [saturated] * 4, strict=True):
+        signals[f"wheel.{wheel}.current_a"] = torque
+    parts = [measured(kind(RunSetup(1.0 if known else None)), signals) for kind in (Overshoot, Effort, Saturation)]
+    reasons = {name: reason for part in parts for name, reason in part["reasons"].items()}
+    return SimpleNamespace(**{name: value for part in parts for name, value in part.items()} | {"reasons": reasons})
 
 
 def estimation_metrics(signals: dict[str, np.ndarray]) -> dict[str, float] | None:
-    so_far = EstimationSoFar()
-    for block in blocks(len(signals["loop.t_s"])):
-        so_far.take({name: series[block] for name, series in signals.items()})
-    return so_far.figures()
+    return measured(EstimationError(), signals)["estimation_error.rms_m"]
 
 
 def seconds(count: int, period_s: float = 0.01) -> np.ndarray:
@@ -215,7 +229,7 @@ def test_a_law_that_keeps_the_limits_itself_is_saturated_too(speed_rad_s, torque
         signals[f"wheel.{wheel}.current_a"] = np.zeros(11)
         signals[f"wheel.{wheel}.speed_command_rad_s"] = np.full(11, speed)
         signals[f"wheel.{wheel}.torque_command_n_m"] = np.full(11, torque)
-    figures, _ = signal_figures(signals, None, CommandLimits(20.0, 5.0))
+    figures, _ = signal_figures(signals, RunSetup(limits=CommandLimits(20.0, 5.0)))
     assert figures["saturation_s"] == pytest.approx(t_s[-1] if is_at_limit else 0.0)
     assert signal_figures(signals)[0]["saturation_s"] == 0.0
 
@@ -223,7 +237,7 @@ def test_a_law_that_keeps_the_limits_itself_is_saturated_too(speed_rad_s, torque
 def test_demand_without_a_meaning_has_a_reason() -> None:
     def reasons(count: int = 100, error_m: float = 0.5, torque_n_m: np.ndarray | None = None) -> dict[str, str]:
         demand = demand_metrics(seconds(count), np.full((count, 2), error_m), torque_n_m, np.zeros(count))
-        assert {name for name, value in demand.figures().items() if value is None} == set(demand.reasons)
+        assert {name for name, value in vars(demand).items() if value is None} == set(demand.reasons)
         return demand.reasons
 
     gap = np.zeros((100, 4))

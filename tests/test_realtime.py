@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 import hil
-from hil.core.figure_words import figure_rows
+from hil.judge.words import figure_rows
 from hil.runtime.assembly import run_scenario
 from hil.runtime.realtime import GC_THRESHOLD, Wanted, parse_cpus, real_time
 from hil.scenario import load

@@ -12,31 +12,32 @@ from hil.core.errors import BadInputError
 from hil.core.signals import SIGNAL_NAMES
 from hil.core.types import ZERO_WHEELS, Applied, CommandMode, Reference, State, WheelCommand
 from hil.judge.expectations import check_expectation
-from hil.judge.metrics import CommandLimits, SignalFigures, signal_figures
+from hil.judge.figures import RunFigures, signal_figures
+from hil.judge.measure import CommandLimits, RunSetup
 from hil.judge.results import MemorySink
 from hil.laws.lqi import Lqi
 from hil.scenario import ExpectTable
 from tests.recorded_circle import circle_rows
 
-LIMITS = CommandLimits(20.0, 5.0)
+SETUP = RunSetup(0.3, CommandLimits(20.0, 5.0))
 ROWS = 4700  # four blocks and a part of one
 
 
 def test_the_figures_made_as_the_run_goes_are_those_of_all_its_rows_to_the_last_bit() -> None:
     rows = list(circle_rows(ROWS))
-    sink = MemorySink(SIGNAL_NAMES, SignalFigures(0.3, LIMITS), keep=True)
+    sink = MemorySink(SIGNAL_NAMES, RunFigures(SETUP, SIGNAL_NAMES), keep=True)
     for row in rows:
         sink.put(row)
     figures, reasons = sink.figures()
     signals = sink.signals()
-    assert (figures, reasons) == signal_figures(signals, 0.3, LIMITS)
+    assert (figures, reasons) == signal_figures(signals, SETUP)
     assert figures["ticks"] == ROWS
     assert figures["effort_n_m_s"] is not None
     np.testing.assert_array_equal(np.column_stack(list(signals.values())), rows)
 
 
 def test_without_its_rows_a_run_needs_no_more_memory_when_it_goes_on() -> None:
-    sink = MemorySink(SIGNAL_NAMES, SignalFigures(0.3, LIMITS), keep=False)
+    sink = MemorySink(SIGNAL_NAMES, RunFigures(SETUP, SIGNAL_NAMES), keep=False)
     rows = list(circle_rows(2000))
     tracemalloc.start()
     try:

@@ -14,7 +14,7 @@ from mcap.opcode import Opcode
 from hil.cli.review import review as command
 from hil.core.errors import BadInputError
 from hil.core.signals import SIGNAL_NAMES
-from hil.judge.metrics import FIGURE_SIGNALS, signal_figures
+from hil.judge.figures import SHIPPED, signal_figures
 from hil.record import Recording
 from hil.record.names import SIGNALS_PATH
 from hil.review import Event, RecordedRun, figures, read, review, to_frame
@@ -182,7 +182,7 @@ def test_a_recording_without_a_row_has_a_reason_for_each_figure_that_it_lacks(tm
         pass  # the run ended before it began, and without a summary
     found = review(path)
     assert found["ticks"] == 0
-    judged = (*FIGURE_SIGNALS, *SUMMARY)
+    judged = (*dict.fromkeys(one.name.partition(".")[0] for kind in SHIPPED for one in kind.figures), *SUMMARY)
     without = {name for name in judged if found.get(name) is None} - {"reasons", "stale_ticks", "robot_slipped_ticks"}
     assert without == set(found["reasons"])
     assert found["failure"] == "the recording has no summary: the run did not come to its end"

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 import hil
 from hil.core.signals import SIGNAL_NAMES, unit_of
+from hil.judge.words import with_page
 from hil.laws.fuzzy import FIRING
 from hil.record.decimate import Decimator
 from hil.record.layout import layout
@@ -66,14 +67,14 @@ def test_thinning_keeps_the_first_row_of_each_period_however_it_is_cut(periods: 
 
 def test_the_run_s_side_imports_nothing_heavy() -> None:
     heavy = "{'rerun', 'pyarrow', 'pandas', 'fmpy'} & set(sys.modules)"
-    code = f"import hil.record, hil.record.view, hil.review, hil.judge.metrics, sys; sys.exit(str({heavy} or 0))"
+    code = f"import hil.record, hil.record.view, hil.review, hil.judge.figures, sys; sys.exit(str({heavy} or 0))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.stderr.strip() == "0"
 
 
 def test_the_page_of_a_run_has_words_and_units() -> None:
     result = hil.run("circle_speed", set={"loop.duration_s": 0.1, "expect": []})
-    told = page(properties(result.scenario), json.loads(json.dumps(result.metrics)))
+    told = page(properties(result.scenario), json.loads(json.dumps(with_page(result.metrics))))
     raw = {*result.metrics, *properties(result.scenario)} - {"law", "link", "seed", "mode", "started", "python"}
     raw -= {"passed", "ticks", "effort", "overshoot", "frames", "machine", "commit", "failure", "scenario"}
     labels = {line.split("|")[1].strip() for line in told.splitlines() if line.startswith("|")}

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from hil.core.errors import BadInputError
-from hil.core.figure_words import outcome_rows
 from hil.core.signals import SIGNAL_NAMES
+from hil.judge.words import outcome_rows
 from hil.record import Recording, Rotation, check_output_path, ring_process
 from hil.record.files import has_end, part_path
 from hil.record.memory import SharedBlock

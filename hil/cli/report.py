@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.core.errors import BadInputError, nearest
-from hil.core.figure_words import belief_rows, figure_rows, link_rows, outcome_rows, recorded_at
 from hil.judge.results import RunResult
+from hil.judge.words import belief_rows, figure_rows, link_rows, outcome_rows, recorded_at
 from hil.plant.words import one_line
 from hil.record.runs_folder import new_in_runs
 

@@ -102,7 +102,7 @@ def _check(recordings: Sequence[Path], existing: "Existing", files: Mapping[str,
 def _print_run(found: Mapping[str, Any]) -> None:
     """Print on one screen what the run was, why it failed, what happened to it, and its figures."""
     from hil.cli import report
-    from hil.core.figure_words import belief_rows, figure_rows, link_rows, outcome_rows
+    from hil.judge.words import belief_rows, figure_rows, link_rows, outcome_rows
 
     report.print_rows(_about(found))
     report.print_rows([("note", sentence) for sentence in found["notes"]])

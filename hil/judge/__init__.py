@@ -1,5 +1,5 @@
 """What a run is worth: expectations, figures, results, and the words for them. Pure, but for the results' arrays.
 
 May import: `scenario`, `core`.
-To add a figure: `metrics.py`, and its words in `hil/core/figure_words.py`.
+To add a figure: a class as `measure.py` describes it, and its row in `SHIPPED` of `figures.py`.
 """

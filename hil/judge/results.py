@@ -7,18 +7,16 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from hil.core.errors import HilError, UnknownSignalError
-from hil.core.figure_words import FIGURES, why_not_passed
 from hil.core.samples import Percentiles, Samples
-from hil.judge.metrics import BLOCK_ROWS, SignalFigures
+from hil.judge.figures import BLOCK_ROWS, RunFigures, figures, number
+from hil.judge.measure import Series
+from hil.judge.words import why_not_passed
 from hil.scenario import Scenario
 
 if TYPE_CHECKING:
     import pandas as pd
-
-Series = npt.NDArray[np.float64]
 
 _PRINTED = ("tracked_s", "steady_rms_m", "steady_max_m", "ticks")
 
@@ -30,7 +28,7 @@ class MemorySink:
     signals of the run; with ``keep`` every row stays in memory: 0.8 MB a second at 1 kHz.
     """
 
-    def __init__(self, names: Sequence[str], figures: SignalFigures, *, keep: bool) -> None:
+    def __init__(self, names: Sequence[str], figures: RunFigures, *, keep: bool) -> None:
         self._names = names
         self._figures = figures
         self._keep = keep
@@ -62,7 +60,7 @@ class MemorySink:
             next(self._steps, None)
 
     def figures(self, cut: str | None = None) -> tuple[dict[str, Any], dict[str, str]]:
-        """Return the figures and reasons of the run so far, as ``SignalFigures``."""
+        """Return the figures and reasons of the run so far, as ``RunFigures``."""
         self._begin_block()
         self._finish_block()
         return self._figures.figures(cut)
@@ -99,7 +97,7 @@ class MemorySink:
     def _work(self, rows: Series) -> Iterator[None]:
         self._age_ms.take(rows[:, self._age_place])
         yield
-        yield from self._figures.take({name: rows[:, i] for i, name in enumerate(self._names)})
+        yield from self._figures.add({name: rows[:, i] for i, name in enumerate(self._names)})
 
 
 class Signals(Mapping[str, Series]):
@@ -152,9 +150,9 @@ class RunResult:
         ]
         lines += [f"  {why}" for why in why_not_passed(metrics)]
         shown = [
-            f"{figure.label} {metrics[figure.name] * figure.scale:.5g} {figure.unit}".rstrip()
-            for figure in FIGURES
-            if figure.name in _PRINTED and metrics[figure.name] is not None
+            f"{figure.label} {value * figure.scale:.5g} {figure.unit}".rstrip()
+            for figure in figures()
+            if figure.name in _PRINTED and (value := number(metrics, figure.name)) is not None
         ]
         lines.append(f"  {', '.join(shown)}")
         return "\n".join(lines) + ">"

@@ -4,7 +4,6 @@ import json
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
-from hil.core.figure_words import belief_rows, figure_rows, link_rows, outcome_rows
 from hil.record.names import PROPERTY_WORDS, hash_text
 
 _LEFT_OUT = frozenset({"scenario", "scenario_sources"})
@@ -12,19 +11,9 @@ _LEFT_OUT = frozenset({"scenario", "scenario_sources"})
 
 
 def page(properties: Mapping[str, str], summary: Mapping[str, Any] | None) -> str:
-    """Return the page as Markdown: the figures, when there are any, and what the run was."""
+    """Return the page as Markdown: the rows that the summary has as ``page``, and what the run was."""
     text = _table("run", _about(properties))
-    return text if not summary else _table("figure", _figures(summary)) + "\n" + text
-
-
-def _figures(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield what ``hil run`` prints, the verdict first."""
-    if (passed := summary.get("passed")) is not None:
-        yield "passed", "yes" if passed else "no"
-    if summary.get("failure") is not None:
-        yield "failure", str(summary["failure"])
-    for rows in (outcome_rows, figure_rows, belief_rows, link_rows):
-        yield from rows(summary)
+    return text if not summary else _table("figure", summary.get("page", ())) + "\n" + text
 
 
 def _about(properties: Mapping[str, str]) -> Iterator[tuple[str, str]]:

@@ -5,14 +5,12 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
-from hil.core.figure_words import FIGURES
+from hil.judge.figures import figures, number
 from hil.record.names import HASHES, PROPERTY_WORDS, hash_text
 from hil.review.figures import scenario_of
 from hil.review.reader import RecordedRun
 
 _SAME = 1e-9
-# Neither less nor more of these is better.
-_NEUTRAL = frozenset({"ticks", "realtime_factor", "frames.sent", "frames.received"})
 
 
 class Difference(NamedTuple):
@@ -57,28 +55,6 @@ def _text(value: object, nothing: str) -> str:
     return nothing if value is None else str(value)
 
 
-_NESTED = (
-    ("estimation error rms", "estimation_error.rms_m", "mm", 1e3),
-    ("estimation error max", "estimation_error.max_m", "mm", 1e3),
-    ("heading error rms", "estimation_error.heading_rms_rad", "mrad", 1e3),
-    ("tick p50", "tick_us.p50", "µs", 1.0),
-    ("tick p99", "tick_us.p99", "µs", 1.0),
-    ("frames sent", "frames.sent", "", 1),
-    ("frames received", "frames.received", "", 1),
-    ("frames rejected", "frames.rejected", "", 1),
-    ("snapshots lost", "link_statistics.lost.snapshots", "", 1),
-    ("feedback age p50", "link_statistics.feedback_age_ms.p50", "ms", 1.0),
-    ("feedback age p99", "link_statistics.feedback_age_ms.p99", "ms", 1.0),
-    ("round trip p50", "link_statistics.round_trip_ms.p50", "ms", 1.0),
-    ("round trip p99", "link_statistics.round_trip_ms.p99", "ms", 1.0),
-    ("commands refused", "commands_refused", "", 1),
-    ("stale ticks", "stale_ticks", "", 1),
-    ("held ticks", "held_ticks", "", 1),
-    ("recoveries", "recoveries", "", 1),
-    ("expectations failed", "expect", "", 1),
-)
-
-
 def differences(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[Difference]:
     """Return every figure that one of two runs has, from their figures as ``hil.review.review`` returns them."""
     return list(_differences(first, second))
@@ -113,8 +89,9 @@ def _place(change: Change) -> int:
 
 def _differences(first: Mapping[str, Any], second: Mapping[str, Any]) -> Iterator[Difference]:
     both_ended = all(run.get("failure") is None for run in (first, second))
-    for label, name, unit, scale in (*FIGURES, *_NESTED):
-        one, other = _value(first, name), _value(second, name)
+    for figure in figures():
+        name, label, unit, scale = figure[:4]
+        one, other = number(first, name), number(second, name)
         if one is None and other is None:
             continue
         notes = tuple(
@@ -125,28 +102,16 @@ def _differences(first: Mapping[str, Any], second: Mapping[str, Any]) -> Iterato
         if one is None or other is None:
             yield Difference(label, name, unit, scale, one, other, None, None, notes)
             continue
-        verdict = _verdict(name, one, other) if both_ended else None
+        verdict = _verdict(figure.better, one, other) if both_ended else None
         yield Difference(label, name, unit, scale, one, other, other - one, verdict, notes)
 
 
-def _verdict(name: str, first: float, second: float) -> str | None:
-    if name in _NEUTRAL:
+def _verdict(better: str | None, first: float, second: float) -> str | None:
+    if better is None:
         return None
     if math.isclose(first, second, rel_tol=_SAME):
         return "same"
-    return "better" if second < first else "worse"
-
-
-def _value(figures: Mapping[str, Any], name: str) -> float | None:
-    """Return a figure by its dotted name: a number as it is, of a table of counts the sum, of rows how many."""
-    value: Any = figures
-    for part in name.split("."):
-        value = value.get(part) if isinstance(value, Mapping) else None
-    if isinstance(value, Mapping):
-        return sum(value.values())
-    if isinstance(value, list):
-        return sum(row.get("passed", False) is False for row in value)
-    return value if isinstance(value, int | float) and math.isfinite(value) else None
+    return "better" if (second < first) == (better == "less") else "worse"
 
 
 def _unequal(first: Mapping[str, Any], second: Mapping[str, Any]) -> Iterator[Change]:

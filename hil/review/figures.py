@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Collection, Mapping
-from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,7 +10,8 @@ import numpy as np
 from hil.core.errors import BadInputError
 from hil.core.signals import SIGNAL_NAMES
 from hil.judge.expectations import outcomes_of
-from hil.judge.metrics import FIGURE_SIGNALS, CommandLimits, cut_words, signal_figures
+from hil.judge.figures import cut_words, figure_signals, signal_figures
+from hil.judge.measure import CommandLimits, RunSetup
 from hil.record.known import table_rows
 from hil.review.reader import RecordedRun, read
 
@@ -54,12 +54,6 @@ class _Expect(NamedTuple):
     tolerance: float | None = None
 
 
-@cache
-def figure_signals() -> frozenset[str]:
-    """Return the names of all signals that the figures need."""
-    return frozenset(name for names in FIGURE_SIGNALS.values() for name in names)
-
-
 def review(path: Path) -> dict[str, Any]:
     """Return the figures that ``hil run --json`` gives, with ``reasons`` for those that are None.
 
@@ -84,21 +78,15 @@ def figures(run: RecordedRun) -> dict[str, Any]:
     ``made`` says when and by what it was made, ``notes`` what was wrong with the file, and ``events`` what happened.
     Expectations of a run that did not come to its end are checked over what there is of it.
     """
-    missing = figure_signals() - run.signals.keys()
-    if "loop.t_s" in missing:
+    if "loop.t_s" not in run.signals:
         raise BadInputError(f"{run.path}: it has no signal 'loop.t_s'; no recording of a run")
-    blank = np.zeros(len(run.signals["loop.t_s"]))
     cut_s = _cut_s(run)
     found, reasons = signal_figures(
-        {**dict.fromkeys(missing, blank), **run.signals},
-        torque_constant_n_m_a(run),
-        _limits(run),
+        run.signals,
+        RunSetup(torque_constant_n_m_a(run), _limits(run)),
         None if cut_s is None else cut_words(cut_s, _number(run, "loop.duration_s")),
+        lacks=lambda name: f"the recording has no signal {name}: another version of the program made it",
     )
-    for name, needed in FIGURE_SIGNALS.items():
-        if lacking := [signal for signal in needed if signal in missing]:
-            found[name] = None
-            reasons[name] = f"the recording has no signal {lacking[0]}: another version of the program made it"
     found["ticks"] += (run.rows_dropped or 0) + run.rows_missing
     summary = run.summary or {}
     no_summary = _NOT_HERE if run.goes_on else _NO_END if run.rows_dropped is None else _NO_SUMMARY

@@ -5,10 +5,11 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from hil.core.figure_words import applied_words, belief_rows, figure_rows, in_order, link_rows, outcome_rows
 from hil.core.outputs import Existing
+from hil.judge.figures import figure_signals
+from hil.judge.words import applied_words, belief_rows, figure_rows, in_order, link_rows, outcome_rows
 from hil.review.difference import Difference, changes, differences
-from hil.review.figures import figure_signals, scenario_of, sources_of
+from hil.review.figures import scenario_of, sources_of
 from hil.review.html_page import document, figure, mark, table, write_document
 from hil.review.pictures import SIGNALS, Shown, pictures
 from hil.review.reader import RecordedRun

@@ -8,14 +8,15 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from hil.core.errors import DeviceError, HilError, LinkError
-from hil.core.figure_words import applied_words
 from hil.core.outputs import Existing, existing_files
 from hil.core.ports import Sink
 from hil.core.samples import Percentiles
 from hil.core.signals import SIGNAL_NAMES
 from hil.judge.allowed import allow_figures
-from hil.judge.metrics import CommandLimits, SignalFigures, cut_words
+from hil.judge.figures import RunFigures, cut_words, figure_signals
+from hil.judge.measure import CommandLimits, RunSetup
 from hil.judge.results import MemorySink, RunResult, Signals
+from hil.judge.words import applied_words, with_page
 from hil.record import Recording, Rotation, RunRecording, check_output_path, early_recorder, rotation
 from hil.record.udp import UdpStream, parse_destination
 from hil.references import Feasibility
@@ -160,7 +161,7 @@ def run_scenario(
                 warn(sentence)
         all_are_read = keep_signals or record is not None or live_port is not None or destination is not None
         names = laws.signals if all_are_read else _read_by_the_run(scenario, laws)
-        memory = MemorySink(names, _signal_figures(scenario), keep=keep_signals)
+        memory = MemorySink(names, RunFigures(_setup(scenario), names), keep=keep_signals)
         recording: RunRecording | None = None
         if record is not None or live_port is not None:
             options: dict[str, Any] = {"rotation": rotate} if any(rotate) else {}
@@ -199,7 +200,8 @@ def run_scenario(
                 tracing.finish()
             if recording is not None:
                 recording.event(loop.t_s, "error", sentence)
-                recording.finish({"passed": False, "failure": sentence, "expect": events.finish(loop.t_s, is_cut=True)})
+                outcomes = events.finish(loop.t_s, is_cut=True)
+                recording.finish(with_page({"passed": False, "failure": sentence, "expect": outcomes}))
             if on_stuck is not None:
                 on_stuck(sentence)
 
@@ -243,7 +245,7 @@ def _read_by_the_run(scenario: Scenario, laws: Laws) -> Sequence[str]:
 
     Extra ones are among them where the scenario names one, or where only who asks learns that they fail.
     """
-    named = {row.signal for row in scenario.expect} | {table.row.target for table in scenario.fault}
+    named = {row.signal for row in scenario.expect} | {table.row.target for table in scenario.fault} | figure_signals()
     is_asked = laws.extra_may_fail or any(name in named for own in laws.extra for name in own.signals)
     return laws.signals if is_asked else SIGNAL_NAMES
 
@@ -280,9 +282,9 @@ def _unheard(_t_s: float, _level: str, _text: str) -> None:
     """Take a line of the event log of a run that keeps none."""
 
 
-def _signal_figures(scenario: Scenario) -> SignalFigures:
+def _setup(scenario: Scenario) -> RunSetup:
     limits = CommandLimits(scenario.robot.speed_limit_rad_s, scenario.robot.torque_limit_n_m)
-    return SignalFigures(scenario.firmware.torque_constant_n_m_a, limits)
+    return RunSetup(scenario.firmware.torque_constant_n_m_a, limits)
 
 
 def _figures(
@@ -404,7 +406,7 @@ def _close_recording(recording: RunRecording, metrics: dict[str, Any], *, keep_l
     if recording.path is not None:
         metrics["recording"] = str(recording.path)
         del metrics["reasons"]["recording"]
-    report = recording.finish(metrics, keep_live=keep_live)
+    report = recording.finish(with_page(metrics), keep_live=keep_live)
     metrics["recorded"] = {
         "rows": report.rows_written,
         "dropped": report.rows_dropped,

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 from hil.core.errors import BadInputError, nearest
-from hil.core.figure_words import in_order, why_not_passed
+from hil.judge.words import in_order, why_not_passed
 
 MACHINE = "machine."
 """What begins the names of columns that depend on the machine, and not on the run."""

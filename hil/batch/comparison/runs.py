@@ -21,7 +21,7 @@ FIGURES = (
     "torque_variation_n_m_per_s",
     "saturation_s",
 )
-"""What is compared, of ``hil.judge.metrics``; of each less is better."""
+"""What is compared, of ``hil.judge.figures``; of each less is better."""
 
 MODE = "lockstep"
 LINK = "memory:"

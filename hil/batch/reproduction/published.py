@@ -13,7 +13,7 @@ from hil.laws.fuzzy import K1_1_S, K2_1_S, RULES
 class Printed(NamedTuple):
     """A figure of the paper.
 
-    ``law`` is the law's registered name, ``figure`` the name of ours beside it (``hil.judge.metrics``), ``digit`` a
+    ``law`` is the law's registered name, ``figure`` the name of ours beside it (``hil.judge.figures``), ``digit`` a
     unit of the last digit printed, in the figure's own unit.
     """
 

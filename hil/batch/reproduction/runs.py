@@ -12,7 +12,7 @@ from hil.batch.pool import Work
 from hil.batch.reproduction.oscillation import oscillation
 from hil.core.errors import HilError
 from hil.core.types import WHEEL_NAMES
-from hil.judge.so_far import Series
+from hil.judge.measure import Series
 from hil.judge.tracking import STEADY_WINDOW_S, TRACKED_RATIO
 from hil.record import Recording
 from hil.runtime.assembly import RunResult, run_scenario
@@ -84,7 +84,7 @@ def perform(job: Job) -> Outcome:
 def figures(result: RunResult) -> dict[str, float | None]:
     """Return the figures of a run by name, with the unit in the name; None where one has no meaning.
 
-    Beside those of ``hil.judge.metrics``: ``heading_rad`` is the largest heading error of the last 5 s, ``driven_s``
+    Beside those of ``hil.judge.figures``: ``heading_rad`` is the largest heading error of the last 5 s, ``driven_s``
     the first time from which the robot is commanded to the end, ``from_m`` how far it then is, ``transition_s`` how
     long it takes until it stays within 2 % of that; ``amplitude_m`` and ``frequency_hz`` are those of ``oscillation``
     over the last lap.

@@ -11,8 +11,8 @@ import pytest
 
 from hil.cli.testing.overrides import shown
 from hil.core.errors import DeviceError, HilError, LinkError
-from hil.core.figure_words import in_order, why_incomplete
 from hil.judge.results import RunResult
+from hil.judge.words import in_order, why_incomplete
 from hil.scenario import FaultTable, Scenario
 
 _FACTS = ("law", "mode", "link", "seed", "wire_sha256")

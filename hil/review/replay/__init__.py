@@ -20,6 +20,7 @@ from hil.core.outputs import Existing
 from hil.core.ports import Controller
 from hil.core.tick_watch import TickOverdue, TickWatch
 from hil.core.types import NAN, WHEEL_NAMES, ZERO_WHEELS, Applied, CommandMode, WheelCommand
+from hil.judge.words import with_page
 from hil.laws.own_signals import short_name
 from hil.laws.registry import make_controller
 from hil.laws.shadows import QUANTITY
@@ -167,7 +168,7 @@ def write_replay(run: RecordedRun, replayed: Replay, path: Path, existing: Exist
             recording.event(float(run.signals["loop.t_s"][0]), "warning", sentence)
         for row in tuples(list(signals.values())):
             recording.put(row)
-        report = recording.finish(run.summary or {})
+        report = recording.finish(with_page(run.summary) if run.summary else {})
     if not report.complete:
         why = report.error or "not all rows or events could be passed on"
         raise DeviceError(f"recording {path} is incomplete: {why}; {report.rows_written} rows are safe in it")

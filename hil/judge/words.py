@@ -1,48 +1,39 @@
 """The figures of a run in words: what is printed of it, and what its page says.
 
-Pure: the figures of ``hil run --json`` in, pairs of a label and a text out.
+Pure: the JSON of a run in, pairs of a label and a text out.
 """
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import Any
+
+from hil.judge.figures import figures, number
 
 Row = tuple[str, str]
 
 
-class Figure(NamedTuple):
-    """A figure that is one number: its label, its name in the figures, the unit shown, and units shown in one of it."""
-
-    label: str
-    name: str
-    unit: str
-    scale: float
-
-
-FIGURES = (
-    Figure("tracked after", "tracked_s", "s", 1.0),
-    Figure("within 10 mm after", "t10_s", "s", 1.0),
-    Figure("steady error rms", "steady_rms_m", "mm", 1e3),
-    Figure("steady error max", "steady_max_m", "mm", 1e3),
-    Figure("overshoot", "overshoot_m", "mm", 1e3),
-    Figure("effort", "effort_n_m_s", "N·m·s", 1.0),
-    Figure("torque variation", "torque_variation_n_m_per_s", "N·m/s a wheel", 1.0),
-    Figure("saturated for", "saturation_s", "s", 1.0),
-    Figure("ticks", "ticks", "", 1),
-    Figure("deadline misses", "deadline_misses", "", 1),
-    Figure("times real time", "realtime_factor", "", 1.0),
-)
+def with_page(metrics: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the JSON of a run with its rows as ``page``, for the page that a recording shows."""
+    page: list[Row] = []
+    if (passed := metrics.get("passed")) is not None:
+        page.append(("passed", "yes" if passed else "no"))
+    if metrics.get("failure") is not None:
+        page.append(("failure", str(metrics["failure"])))
+    for rows in (outcome_rows, figure_rows, belief_rows, link_rows):
+        page += rows(metrics)
+    return {**metrics, "page": page}
 
 
 def figure_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
     """Yield the figures that are numbers, with the reason where there is none, and the frames."""
     reasons = metrics.get("reasons", {})
-    for label, name, unit, scale in FIGURES:
-        value = metrics.get(name)
-        if value is not None:
-            yield label, f"{value * scale:.5g} {unit}".rstrip()
-        elif name in reasons:
-            yield label, f"-      {reasons[name]}"
+    for figure in figures():
+        if not figure.printed:
+            continue
+        if (value := number(metrics, figure.name)) is not None:
+            yield figure.label, f"{value * figure.scale:.5g} {figure.unit}".rstrip()
+        elif (name := figure.name.partition(".")[0]) in reasons:
+            yield figure.label, f"-      {reasons[name]}"
     tick = metrics.get("tick_us")
     if tick is not None:
         yield "tick p50, p99", f"{tick['p50']:.1f}, {tick['p99']:.1f} µs"

@@ -1,0 +1,279 @@
+"""Every figure of a run in one place: what it is called, how it is computed, and how it is shown.
+
+``SHIPPED`` holds the measures that compute figures from the recorded rows, so that a run and a review of its recording
+have the same figures. Other packages add theirs by entry points of the group ``hil.figures``. ``_COUNTED`` holds the
+figures that only the run itself knows.
+"""
+
+import math
+import sys
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import cache
+from typing import Any
+
+from hil.core.errors import BadInputError, nearest
+from hil.core.extensions import Extensions, package_of
+from hil.core.samples import Samples
+from hil.judge.effort import Effort, Overshoot, Saturation
+from hil.judge.measure import Figure, Measure, NoFigureError, RunSetup, Series
+from hil.judge.tracking import EstimationError, Tracking
+
+BLOCK_ROWS = 1024
+"""Rows that a measure is given at once: sums are equal to the last bit only with equal blocks."""
+
+
+class Ticks(Measure):
+    """How many rows there are."""
+
+    figures = (Figure("ticks", "ticks", "", 1, "control periods that were done", better=None),)
+    signals = ("loop.t_s",)
+
+    def __init__(self, _setup: RunSetup) -> None:
+        self._ticks = 0
+
+    def add(self, signals: Mapping[str, Series]) -> None:
+        """Count rows."""
+        self._ticks += len(signals["loop.t_s"])
+
+    def value(self, _name: str) -> int:
+        """Return how many there are."""
+        return self._ticks
+
+
+class TickTime(Measure):
+    """How long the work of a tick took."""
+
+    figures = (
+        Figure("tick_us.p50", "tick p50", "µs", 1.0, "work of a tick, median", printed=False),
+        Figure("tick_us.p99", "tick p99", "µs", 1.0, "work of a tick, 99th percentile", printed=False),
+    )  # fmt: skip
+    signals = ("loop.tick_us",)
+
+    def __init__(self, _setup: RunSetup) -> None:
+        self._tick_us = Samples()
+
+    def add(self, signals: Mapping[str, Series]) -> None:
+        """Add rows."""
+        self._tick_us.take(signals["loop.tick_us"])
+
+    def value(self, _name: str) -> dict[str, float]:
+        """Return the percentiles. Raises NoFigureError for a run of fewer than two ticks."""
+        percentiles = self._tick_us.percentiles()
+        if percentiles is None:
+            raise NoFigureError("the run has fewer than two ticks")
+        return percentiles._asdict()
+
+
+class DeadlineMisses(Measure):
+    """How many ticks came too late by then: the newest row's count."""
+
+    figures = (Figure("deadline_misses", "deadline misses", "", 1, "ticks that could not begin in time"),)
+    signals = ("loop.deadline_misses",)
+
+    def __init__(self, _setup: RunSetup) -> None:
+        self._misses = 0
+
+    def add(self, signals: Mapping[str, Series]) -> None:
+        """Take the newest count."""
+        misses = signals["loop.deadline_misses"]
+        self._misses = int(misses[-1]) if len(misses) else self._misses
+
+    def value(self, _name: str) -> int:
+        """Return the count."""
+        return self._misses
+
+
+SHIPPED: tuple[type[Measure], ...] = (
+    Tracking,
+    Overshoot,
+    Effort,
+    Saturation,
+    EstimationError,
+    Ticks,
+    TickTime,
+    DeadlineMisses,
+)
+_AGE, _ROUND_TRIP = "age of the feedback that a tick used", "from a command to the feedback that it was in force"
+_COUNTED = (
+    Figure("realtime_factor", "times real time", "", 1.0, "robot time over wall time", None),
+    Figure("frames.sent", "frames sent", "", 1, "frames to the robot", None, printed=False),
+    Figure("frames.received", "frames received", "", 1, "frames from the robot", None, printed=False),
+    Figure(
+        "frames.rejected", "frames rejected", "", 1, "frames that were not accepted, whatever the cause", printed=False
+    ),
+    Figure("link_statistics.lost.snapshots", "snapshots lost", "", 1, "feedback that never came", printed=False),
+    Figure("link_statistics.feedback_age_ms.p50", "feedback age p50", "ms", 1.0, f"{_AGE}, median", printed=False),
+    Figure(
+        "link_statistics.feedback_age_ms.p99", "feedback age p99", "ms", 1.0, f"{_AGE}, 99th percentile",
+        column="feedback_age_p99_ms", printed=False
+    ),
+    Figure("link_statistics.round_trip_ms.p50", "round trip p50", "ms", 1.0, f"{_ROUND_TRIP}, median", printed=False),
+    Figure(
+        "link_statistics.round_trip_ms.p99", "round trip p99", "ms", 1.0, f"{_ROUND_TRIP}, 99th percentile",
+        column="round_trip_p99_ms", printed=False
+    ),
+    Figure("commands_refused", "commands refused", "", 1, "ticks in which the law gave no number", printed=False),
+    Figure("stale_ticks", "stale ticks", "", 1, "ticks in which no feedback was fresh enough to drive", printed=False),
+    Figure("held_ticks", "held ticks", "", 1, "ticks in which the state was unknown or the robot away", printed=False),
+    Figure("recoveries", "recoveries", "", 1, "times that the robot was lost and came back", printed=False),
+    Figure("expect", "expectations failed", "", 1, "expectations that did not hold", printed=False),
+)  # fmt: skip
+"""Figures that do not follow from the rows."""
+
+_EXTENSIONS = Extensions("hil.figures", [figure.name for measure in SHIPPED for figure in measure.figures])
+
+
+def measures() -> Sequence[type[Measure]]:
+    """Return the classes that compute figures: the shipped ones, then those of other packages.
+
+    Raises BadInputError for one of another package that cannot be loaded, is no measure, or has a figure of a name that
+    is taken.
+    """
+    return _measures(tuple(sys.path))
+
+
+@cache
+def _measures(_path: tuple[str, ...]) -> Sequence[type[Measure]]:
+    """See ``measures``. Packages are looked for once for each module search path, which takes milliseconds."""
+    found = list(SHIPPED)
+    taken = {_key(figure.name) for figure in (*_COUNTED, *(one for measure in SHIPPED for one in measure.figures))}
+    for point in _EXTENSIONS.registered():
+        named = f"figure {point.name!r}, of the package {package_of(point)}"
+        measure = _EXTENSIONS.load(point.name, f"figure {point.name!r}")
+        if lacking := [name for name in ("figures", "signals", "add", "value") if not hasattr(measure, name)]:
+            expected = "expected a class as hil.judge.measure.Measure describes it"
+            raise BadInputError(f"{named}: {point.value!r} has no {lacking[0]}; {expected}")
+        for name in (_key(figure.name) for figure in measure.figures):
+            if name in taken:
+                raise BadInputError(f"{named}: the name {name!r} is taken; choose another")
+        taken |= {_key(figure.name) for figure in measure.figures}
+        found.append(measure)
+    return found
+
+
+def figures() -> list[Figure]:
+    """Return every figure, those that reports print on a line of their own first. Raises as ``measures``."""
+    found = [*(figure for measure in measures() for figure in measure.figures), *_COUNTED]
+    return sorted(found, key=lambda figure: not figure.printed)
+
+
+def table_figures() -> dict[str, Figure]:
+    """Return the figures that tables of many runs hold, by the names of their columns. Raises as ``measures``."""
+    return {figure.column: figure for figure in figures() if figure.column is not None}
+
+
+def check_figure(name: str, where: str, known: Collection[str]) -> None:
+    """Raise BadInputError, which begins with ``where``, for a name that is not known, with the nearest one."""
+    if name not in known:
+        raise BadInputError(f"{where}: unknown figure {name!r}{nearest(name, known)}")
+
+
+def number(metrics: Mapping[str, Any], name: str) -> float | None:
+    """Return a figure of a run from its JSON by its name, None where the run has none.
+
+    Of a table of counts that is their sum, of expectations how many failed, of other rows how many there are.
+    """
+    value: Any = metrics
+    for part in name.split("."):
+        value = value.get(part) if isinstance(value, Mapping) else None
+    if isinstance(value, Mapping):
+        return sum(value.values())
+    if isinstance(value, list):
+        return sum(row.get("passed", False) is False for row in value)
+    return value if isinstance(value, int | float) and math.isfinite(value) else None
+
+
+class RunFigures:
+    """Computes the figures of a run that follow from its rows, block by block, in bounded memory.
+
+    ``names`` are the run's signals. ``lacks`` is the reason why a figure is None that needs another one, given its
+    name. Raises BadInputError as ``measures``.
+    """
+
+    def __init__(
+        self,
+        setup: RunSetup,
+        names: Collection[str],
+        lacks: Callable[[str], str] = lambda name: f"the run has no signal {name}",
+    ) -> None:
+        self._made: list[tuple[type[Measure], Measure | None]] = []
+        self._reasons: dict[type[Measure], str] = {}  # why one has no figures
+        for kind in measures():
+            measure = None
+            if missing := [name for name in kind.signals if name not in names]:
+                self._reasons[kind] = lacks(missing[0])
+            else:
+                with self._contained(kind):
+                    measure = kind(setup)
+            self._made.append((kind, measure))
+
+    def add(self, signals: Mapping[str, Series]) -> Iterator[None]:
+        """Add the next rows, each signal by name of shape (n,), in a few steps of about equal length."""
+        for kind, measure in self._made:
+            if measure is not None and kind not in self._reasons:
+                with self._contained(kind):
+                    measure.add(signals)
+                yield
+
+    def figures(self, cut: str | None = None) -> tuple[dict[str, Any], dict[str, str]]:
+        """Return the figures by their keys in a run's JSON, and the reason for each that is None.
+
+        ``cut`` is the reason why a run that was cut short has no figures of its end.
+        """
+        found: dict[str, Any] = {}
+        reasons: dict[str, str] = {}
+        for kind, measure in self._made:
+            for name, of_end in {_key(figure.name): figure.of_end for figure in kind.figures}.items():
+                found[name] = None
+                try:
+                    if cut is not None and of_end:
+                        raise NoFigureError(cut)
+                    if measure is not None and kind not in self._reasons:
+                        with self._contained(kind):
+                            found[name] = measure.value(name)
+                    if kind in self._reasons:
+                        raise NoFigureError(self._reasons[kind])
+                except NoFigureError as no_figure:
+                    reasons[name] = str(no_figure)
+        return found, reasons
+
+    @contextmanager
+    def _contained(self, kind: type[Measure]) -> Iterator[None]:
+        """Let an error in a measure be the reason why it has no figures: it must not end a run that drives a robot."""
+        try:
+            yield
+        except NoFigureError:
+            raise
+        except Exception as error:  # noqa: BLE001 - whatever code of another package raises
+            self._reasons[kind] = f"{kind.__module__}:{kind.__qualname__} failed: {type(error).__name__}: {error}"
+
+
+def signal_figures(
+    signals: Mapping[str, Series],
+    setup: RunSetup = RunSetup(),  # noqa: B008 -- immutable
+    cut: str | None = None,
+    **lacks: Callable[[str], str],
+) -> tuple[dict[str, Any], dict[str, str]]:
+    """Return the figures of a whole run at once, as ``RunFigures`` does."""
+    run = RunFigures(setup, signals, **lacks)
+    needed = figure_signals() & signals.keys()
+    for start in range(0, len(signals["loop.t_s"]), BLOCK_ROWS):
+        for _ in run.add({name: signals[name][start : start + BLOCK_ROWS] for name in needed}):
+            pass
+    return run.figures(cut)
+
+
+def figure_signals() -> frozenset[str]:
+    """Return the names of all signals from which figures are computed. Raises BadInputError as ``measures``."""
+    return frozenset(name for measure in measures() for name in measure.signals)
+
+
+def cut_words(t_s: float, duration_s: float | None) -> str:
+    """Return the reason why a run that ended before its time, where that is known, has no figures of its end."""
+    whole = "" if duration_s is None else f" of {duration_s:g} s"
+    return f"there is nothing after t = {t_s:.6g} s{whole}, and this is a figure of the run's end"
+
+
+def _key(name: str) -> str:
+    return name.partition(".")[0]

@@ -1,0 +1,109 @@
+"""What a figure of a run is, and what computes it: a measure, which is given the run's rows block by block."""
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+Series = npt.NDArray[np.float64]
+
+RESOLUTION_M = 0.001
+
+
+class Figure(NamedTuple):
+    """A number by which a run is judged, and how it is shown.
+
+    Attributes:
+        name: its key in the JSON of a run; ``table.key`` for a number in a table, as ``tick_us.p99``.
+        label: what reports call it.
+        unit: the unit in which it is shown; ``scale`` of them are one of the unit in which it is stored.
+        meaning: one line that defines it.
+        better: "less" or "more"; None where neither is better.
+        column: its column in tables of many runs (campaigns, comparisons); None for a figure that has none.
+        of_end: it describes the run's end, so a run that was cut short has no such figure.
+        printed: reports print it on a line of its own.
+    """
+
+    name: str
+    label: str
+    unit: str
+    scale: float
+    meaning: str
+    better: str | None = "less"
+    column: str | None = None
+    of_end: bool = False
+    printed: bool = True
+
+
+class CommandLimits(NamedTuple):
+    """The largest command of one wheel that the scenario's ``[robot]`` allows: [rad/s] in SPEED mode, [N·m] in TORQUE
+    mode."""
+
+    speed_rad_s: float
+    torque_n_m: float
+
+
+class RunSetup(NamedTuple):
+    """What a measure may know of the run.
+
+    Attributes:
+        torque_constant_n_m_a: torque at the wheel per motor current [N·m/A]; None where it is not known.
+        limits: the limits of a wheel's command; None where they are not known.
+    """
+
+    torque_constant_n_m_a: float | None = None
+    limits: CommandLimits | None = None
+
+
+class Measure(Protocol):
+    """Computes one figure, or several that share their work, from a run's rows in bounded memory.
+
+    The class is made as ``Class(setup)``, once for each run. Where the run lacks one of its ``signals``, or it raises
+    an exception, its figures are None with the reason.
+    """
+
+    figures: ClassVar[tuple[Figure, ...]]
+    signals: ClassVar[tuple[str, ...]]
+    """The signals that it reads."""
+
+    def __init__(self, setup: RunSetup, /) -> None: ...
+
+    def add(self, signals: Mapping[str, Series], /) -> None:
+        """Add the next rows: each signal by name, shape (n,), NaN for a gap. Rows before t = 0 come too."""
+
+    def value(self, name: str, /) -> Any:
+        """Return the figure of this key: a number, or for names ``table.key`` the table of numbers.
+
+        Raises NoFigureError where the figure has no meaning for this run.
+        """
+
+
+class NoFigureError(Exception):
+    """A figure has no meaning for this run; the text says why."""
+
+
+class TruthGaps:
+    """Checks that the ground truth was there in every row."""
+
+    def __init__(self) -> None:
+        self._rows = 0
+        self._missing = 0
+        self._first_s = 0.0
+
+    def add(self, t_s: Series, value: Series) -> None:
+        """Add the times of rows and a value of the truth, NaN where there was none, both of shape (n,)."""
+        gaps = np.flatnonzero(~np.isfinite(value))
+        if len(gaps) and not self._missing:
+            self._first_s = float(t_s[gaps[0]])
+        self._rows += len(t_s)
+        self._missing += len(gaps)
+
+    def require_truth(self) -> None:
+        """Raise NoFigureError unless there were rows, and the value in all of them."""
+        if not self._rows:
+            raise NoFigureError("the run has no samples")
+        if self._missing == self._rows:
+            raise NoFigureError("the run has no ground truth")
+        if self._missing:
+            raise NoFigureError(f"the ground truth is missing at t = {self._first_s:.6g} s")
