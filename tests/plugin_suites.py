@@ -1,11 +1,13 @@
 """Test suites of a user, run by pytest in a process of its own."""
 
+import functools
 import os
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 
+import hil
 from tests.processes import ROOT
 
 PLUGIN = ("-p", "hil.cli.pytest_plugin")  # changes nothing where the package is installed
@@ -44,6 +46,20 @@ def write(suite: pytest.Pytester, **scenarios: str) -> None:
 
 
 def run(suite: pytest.Pytester, *arguments: str | Path) -> pytest.RunResult:
+    """Run the suite to its end, by a pytest within this process."""
+    _import_all()
+    return suite.runpytest_inprocess(*PLUGIN, *arguments)
+
+
+@functools.cache
+def _import_all() -> None:
+    """Import what a run imports: pytester forgets what is first imported within it, and NumPy is not imported twice."""
+    import hil.cli.testing
+
+    hil.run("paper_circle", set=["loop.duration_s=0.1", "expect=[]"])
+
+
+def run_process(suite: pytest.Pytester, *arguments: str | Path) -> pytest.RunResult:
     """Run the suite to its end, in a process of its own."""
     return suite.runpytest_subprocess(*PLUGIN, *arguments, timeout=120)
 

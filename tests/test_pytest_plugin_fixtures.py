@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from hil.review import review
-from tests.plugin_suites import PASSING, PLUGIN, TOO_STRICT, cases, environment, properties, run, write
+from tests.plugin_suites import PASSING, PLUGIN, TOO_STRICT, cases, environment, properties, run, run_process, write
 from tests.processes import is_running, wait_for
 from tests.test_tick_watch import SLEEP, law
 
@@ -60,7 +60,7 @@ def test_a_law_that_no_exception_gets_to_ends_the_session_with_its_sentence(suit
     else:
         head = 'extends = "circle_speed"\nexpect = []\n[loop]\ntick_limit_s = 0.2\n[controller]\ngains = {}\n'
         write(suite, stuck=f'{head}law = "{stuck}"\n')
-    ended = run(suite, "--hil-record", "none")
+    ended = run_process(suite, "--hil-record", "none")
     assert ended.ret == 3
     assert "did not end within 0.2 s of wall-clock time" in ended.errlines[-1]
 
@@ -297,7 +297,7 @@ def test_xdist_runs_scenarios_and_robots_side_by_side(suite: pytest.Pytester):
         """
     )
     options = ("-n", "2", "--hil-record", "kept", "--junit-xml", "report.xml")
-    done = run(suite, *options)
+    done = run_process(suite, *options)
     done.assert_outcomes(passed=5, failed=1)
     done.stdout.fnmatch_lines(["expectation: error.planar_m below 0.001*"])
     recordings = {properties(case)["hil.recording"] for case in cases(suite.path / "report.xml").values()}

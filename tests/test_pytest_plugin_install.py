@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.plugin_suites import HOLDING, PLUGIN, environment, write
+from tests.plugin_suites import HOLDING, PLUGIN, environment, run, write
 from tests.processes import ROOT
 
 EVERYDAY_TEST = """\
@@ -124,10 +124,10 @@ def test_the_page_is_true(suite: pytest.Pytester):
     (suite.path / "tests").mkdir()
     for name, text in files:
         (suite.path / name).write_text(text)
-    suite.runpytest_subprocess(*PLUGIN, "-m", "hil").assert_outcomes(passed=6)
+    run(suite, "-m", "hil").assert_outcomes(passed=6)
 
     [shown] = re.findall(r"```text\n(.*?)```", page, re.DOTALL)
-    done = suite.runpytest_subprocess(*PLUGIN, "-k", "heavy", "--hil-set", "plant.start.mass_kg=32")
+    done = run(suite, "-k", "heavy", "--hil-set", "plant.start.mass_kg=32")
     done.assert_outcomes(failed=1, deselected=5)
     output = timeless(done.stdout.str())
     for line in timeless(shown).splitlines()[1:]:
