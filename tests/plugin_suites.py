@@ -7,7 +7,6 @@ from xml.etree import ElementTree
 
 import pytest
 
-import hil
 from tests.processes import ROOT
 
 PLUGIN = ("-p", "hil.cli.pytest_plugin")  # changes nothing where the package is installed
@@ -54,6 +53,7 @@ def run(suite: pytest.Pytester, *arguments: str | Path) -> pytest.RunResult:
 @functools.cache
 def _import_all() -> None:
     """Import what a run imports: pytester forgets what is first imported within it, and NumPy is not imported twice."""
+    import hil
     import hil.cli.testing
 
     hil.run("paper_circle", set=["loop.duration_s=0.1", "expect=[]"])

@@ -109,14 +109,14 @@ def test_many_steps_equal_one_where_internal_steps_coincide(contact: int, drives
 @share_of_examples(0.15)
 @given(robots(friction_coefficient=0.02), st.lists(st.floats(1e-5, 3e-2), min_size=3, max_size=20))
 def test_steps_of_any_length_lead_to_the_same_place(parameters: dict[str, float], steps_s: list[float]) -> None:
-    """Irregular communication steps against a single one: the integrator's own error, and exact standstills."""
+    """Irregular communication steps and a single one differ by the integrator's error, a micrometre with slip."""
     with robot(parameters) as one, robot(parameters) as many:
         for plant in (one, many):
             plant.torque([0.5, -0.4, 0.8, 0.3])
         for step_s in steps_s:
             many.step(step_s)
         one.step(many.time_s)
-        np.testing.assert_allclose(many.read((*POSE, *TWIST)), one.read((*POSE, *TWIST)), rtol=1e-6, atol=1e-8)
+        np.testing.assert_allclose(many.read((*POSE, *TWIST)), one.read((*POSE, *TWIST)), rtol=1e-6, atol=1e-6)
 
 
 @pytest.mark.parametrize("name", TUNABLE)
