@@ -2,10 +2,10 @@
 # and make. Without a C compiler they are set up with zig. The tests want more than a user needs: .venv/tools.
 PYTHON ?= python3
 BIN := .venv/bin
-NATIVE_SOURCES := $(wildcard native_build/*.py firmware_protocol/build.py firmware_protocol/firmware/*.[ch] \
+NATIVE_SOURCES := $(wildcard tools/build/*.py firmware_protocol/built.py firmware_protocol/firmware/*.[ch] \
 	firmware_protocol/port/host/*.[ch] firmware_protocol/generated/*.[ch] plant_fmu/*.[ch] plant_fmu/*.py \
 	plant_fmu/*.toml plant_fmu/generated/*.* plant_fmu/generated/*/* plant_fmu/documentation/*.* \
-	plant_fmu/documentation/licenses/* plant_fmu/reference/* hil/plant/*.[ch] hil/plant/build.py)
+	plant_fmu/documentation/licenses/* plant_fmu/reference/* hil/plant/*.[ch] hil/plant/built.py)
 
 .PHONY: demo test test-socketcan catalogue check proof bench picture format native fmu clean setup
 
@@ -81,14 +81,14 @@ setup: .venv/installed native
 native: .venv/native
 
 .venv/native: .venv/installed $(NATIVE_SOURCES)
-	$(BIN)/python -m firmware_protocol.build
-	$(BIN)/python -m plant_fmu.build
-	$(BIN)/python -m hil.plant.build
+	$(BIN)/python -m tools.build.wheel_host
+	$(BIN)/python -m tools.build.fmu
+	$(BIN)/python -m tools.build.cosim
 	@touch $@
 
 # The FMUs to give away, with binaries for all platforms.
 fmu: .venv/tools
-	$(BIN)/python -m plant_fmu.build --all-platforms --out dist
+	$(BIN)/python -m tools.build.fmu --all-platforms --out dist
 
 clean:
 	rm -rf .venv build dist runs

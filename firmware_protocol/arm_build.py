@@ -18,8 +18,7 @@ from typing import NamedTuple
 
 from firmware_protocol.arm_image import Image, read_elf, write_bin, write_hex
 from firmware_protocol.arm_stack import StackUse, worst_stack
-from firmware_protocol.build import HERE
-from native_build.compiler import BuildError
+from firmware_protocol.built import HERE, BuildError
 
 PORT = HERE / "port" / "stm32f4"
 OUTPUT = Path("build") / "stm32f4"

@@ -15,11 +15,10 @@ from typing import Any, NamedTuple
 
 import cffi
 
-from firmware_protocol.build import BUILT, OTHER
+from firmware_protocol.built import OTHER, WHEEL_HOST, BuildError, digest_in_library
 from firmware_protocol.capabilities import Capability
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated.messages import Fault, FaultWheel, Mode, ResetCause, State, StopReason, Type
-from native_build.built_from import NotCurrentError, digest_in_library
 
 _HEADERS = (
     "firmware/plant_port.h",
@@ -54,7 +53,7 @@ class Loaded(NamedTuple):
 def library() -> tuple[Any, Any]:
     """Return cffi's (ffi, library), with the declarations taken from the C headers themselves.
 
-    A library that was not built from the sources beside it is built anew in a checkout. Raises NotCurrentError where
+    A library that was not built from the sources beside it is built anew in a checkout. Raises BuildError where
     that cannot be done.
     """
     return loaded()[:2]
@@ -64,10 +63,10 @@ def library() -> tuple[Any, Any]:
 def loaded() -> Loaded:
     """Return what ``library`` does, and what was loaded. Raises as ``library``."""
     if OTHER is None:
-        BUILT.make_current()
-    path = BUILT.path if OTHER is None else Path(OTHER)
+        WHEEL_HOST.make_current()
+    path = WHEEL_HOST.path if OTHER is None else Path(OTHER)
     if not path.is_file():
-        raise NotCurrentError(f"{path} is not there; build it, or leave WHEEL_HOST_LIBRARY out")
+        raise BuildError(f"{path} is not there; build it, or leave WHEEL_HOST_LIBRARY out")
     here = Path(__file__).parent
     table = "extern const wheel_parameter_info wheel_parameter_table[];"
     return load_library(path, [here / header for header in _HEADERS], table)

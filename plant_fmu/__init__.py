@@ -1,7 +1,7 @@
 """The plant: a four-wheel Mecanum robot as co-simulation FMUs, one for FMI 2.0 and one for FMI 3.0.
 
 variables.toml defines its variables, mecanum.c its equations, instance.c, fmi2.c and fmi3.c the slave around them;
-build.py makes the FMUs. Imports nothing of the other packages but how C is compiled (native_build).
+tools/build makes the FMUs. Imports nothing of the other packages.
 """
 
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ _FILES = {2: "mecanum.fmu", 3: "mecanum_fmi3.fmu"}
 
 
 def path(fmi: int = 2) -> Path:
-    """Return where the FMU of one FMI version (2 or 3) is once built (``python -m plant_fmu.build``)."""
+    """Return where the FMU of one FMI version (2 or 3) is once built (``python -m tools.build.fmu``)."""
     return Path(__file__).parent / _FILES[fmi]
 
 

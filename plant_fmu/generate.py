@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 from plant_fmu import c_header, description2, description3, manifest, tables
-from plant_fmu.built import GENERATED, SOURCE_FILES
+from plant_fmu.sources import GENERATED, SOURCE_FILES
 from plant_fmu.variables import HERE, Definition, DefinitionError, read
 
 

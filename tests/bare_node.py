@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from firmware_protocol import codec
-from firmware_protocol.build import HERE
+from firmware_protocol.built import HERE
 from firmware_protocol.capabilities import Capability
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m

@@ -7,7 +7,7 @@ from pathlib import Path
 import fmpy
 
 from hil.plant import archive
-from native_build.compiler import compile_shared
+from tools.build.compiler import compile_shared
 
 HERE = Path(__file__).with_name("fmus_broken")
 HEADERS = Path(fmpy.__file__).with_name("c-code")  # the standard's own

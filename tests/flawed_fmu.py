@@ -6,7 +6,7 @@ from pathlib import Path
 
 import fmpy
 
-import plant_fmu.build
+import tools.build.fmu
 
 FLAWED = Path(__file__).parent / "fmus" / "misbehaving.c"
 _WRAPPED = ("fmi2Instantiate", "fmi2Reset", "fmi2DoStep", "fmi2GetReal", "fmi2SetReal")
@@ -14,12 +14,12 @@ _WRAPPED = ("fmi2Instantiate", "fmi2Reset", "fmi2DoStep", "fmi2GetReal", "fmi2Se
 
 def build_flawed(folder: Path) -> Path:
     """Build the FMU that misbehaves as ``FLAW`` in the environment says, and is sound without it."""
-    shipped = plant_fmu.build.build()
+    shipped = tools.build.fmu.build()
     with zipfile.ZipFile(shipped) as archive:
         archive.extractall(folder / "shipped")
     (binaries,) = (folder / "shipped" / "binaries").glob(f"{fmpy.platform}/*")
     sources = folder / "shipped" / "sources"
-    plant_fmu.build.compile_shared(
+    tools.build.fmu.compile_shared(
         [FLAWED, *sorted(sources.glob("*.c"))],
         binaries,
         include=[sources],

@@ -13,10 +13,10 @@ from fmpy.fmi2 import FMU2Slave
 from fmpy.fmi3 import FMU3Slave
 from fmpy.model_description import ModelDescription, ScalarVariable
 
-import plant_fmu.build
+import tools.build.fmu
 
 VERSIONS = (2, 3)
-FMUS = {fmi: plant_fmu.build.build(fmi=fmi) for fmi in VERSIONS}
+FMUS = {fmi: tools.build.fmu.build(fmi=fmi) for fmi in VERSIONS}
 DESCRIPTIONS: dict[int, ModelDescription] = {fmi: read_model_description(str(FMUS[fmi])) for fmi in VERSIONS}
 VARIABLES: dict[int, dict[str, ScalarVariable]] = {
     fmi: {variable.name: variable for variable in DESCRIPTIONS[fmi].modelVariables} for fmi in VERSIONS

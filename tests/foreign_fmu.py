@@ -10,9 +10,10 @@ from typing import NamedTuple
 
 import fmpy
 
+from firmware_protocol.built import SUFFIX
 from hil.core.types import WHEEL_NAMES
 from hil.plant.mapping import Row, SignalMap
-from native_build.compiler import SUFFIX, compile_shared
+from tools.build.compiler import compile_shared
 
 SOURCES = Path(__file__).with_name("fmus")
 DEGREE = 0.017453292519943295

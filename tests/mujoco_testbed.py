@@ -11,14 +11,15 @@ import pytest
 from fmpy import extract, read_model_description
 from fmpy.fmi2 import FMU2Slave
 
-import plant_fmu.build
+import tools.build.fmu
 
 mujoco = pytest.importorskip("mujoco", reason='MuJoCo is not installed; run: pip install "mecanum-hil[mujoco]"')
 
-from plant_fmu.mujoco import build, model  # noqa: E402  # its tests need MuJoCo
+from plant_fmu.mujoco import model  # noqa: E402
+from tools.build import mujoco_fmu as build  # noqa: E402  # its tests need MuJoCo
 
 FMU = build.build()
-RIGID = plant_fmu.build.build()
+RIGID = tools.build.fmu.build()
 WHEELS = ("fl", "fr", "rr", "rl")
 FORWARD, LEFT, TURN = np.array([[1, 1, 1, 1], [-1, 1, -1, 1], [-1, 1, 1, -1]], dtype=float)
 DIRECTIONS = {"forward": FORWARD, "left": LEFT, "turn": TURN}

@@ -24,12 +24,14 @@ from fmpy.fmi2 import (
 )
 from fmpy.logging import addLoggerProxy
 
-import hil.plant.build
-import plant_fmu.build
+import plant_fmu
+import tools.build.cosim
+import tools.build.fmu
+from hil.plant.built import COSIM
 
-FMU = plant_fmu.build.build()
-if not hil.plant.build.BUILT.is_current():
-    hil.plant.build.build()
+FMU = tools.build.fmu.build()
+if not COSIM.is_current():
+    tools.build.cosim.build()
 
 DESCRIPTION = read_model_description(str(FMU))
 VARIABLES = {variable.name: variable for variable in DESCRIPTION.modelVariables}
@@ -198,5 +200,5 @@ def patched_fmu(folder: Path, *patches: tuple[str, str, str]) -> Path:
         text = (copy / name).read_text(encoding="utf-8")
         assert text.count(old) == 1, f"{name}: {old!r} is there {text.count(old)} times"
         (copy / name).write_text(text.replace(old, new), encoding="utf-8")
-    subprocess.run([sys.executable, "-m", "plant_fmu.build"], cwd=folder, check=True, capture_output=True)
+    subprocess.run([sys.executable, "-m", "tools.build.fmu"], cwd=folder, check=True, capture_output=True)
     return copy / "mecanum.fmu"

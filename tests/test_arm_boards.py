@@ -9,7 +9,7 @@ import cffi
 import pytest
 
 from firmware_protocol.arm_build import PORT, TARGETS
-from firmware_protocol.build import FLAGS, HERE
+from firmware_protocol.built import FIRMWARE_FLAGS, HERE
 from firmware_protocol.host import parameters
 
 BOARDS = sorted({target.board for target in TARGETS})
@@ -56,7 +56,7 @@ def boards(tmp_path_factory):
     made = {}
     for name in BOARDS:
         library = folder / f"{name}.so"
-        command = [cc, *FLAGS, "-shared", "-fPIC", "-o", library, PORT / "boards" / f"{name}.c"]
+        command = [cc, *FIRMWARE_FLAGS, "-shared", "-fPIC", "-o", library, PORT / "boards" / f"{name}.c"]
         subprocess.run(list(map(str, command)), check=True)
         ffi = cffi.FFI()
         headers = (

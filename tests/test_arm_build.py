@@ -18,7 +18,7 @@ from firmware_protocol import arm_build
 from firmware_protocol.arm_build import PORT, TARGETS, Built, Target, build
 from firmware_protocol.arm_image import read_elf
 from firmware_protocol.arm_stack import worst_stack
-from firmware_protocol.build import FLAGS, BuildError
+from firmware_protocol.built import FIRMWARE_FLAGS, BuildError
 from tests.arm_firmwares import firmware, need_gcc
 
 FLASH_LIMIT = 32 * 1024
@@ -251,7 +251,7 @@ def memory(tmp_path_factory):
     names = ("memcpy", "memmove", "memset", "memcmp")
     flags = ["-ffreestanding", "-fno-builtin", f"-I{PORT / 'include'}", *(f"-D{name}=own_{name}" for name in names)]
     made = folder / "memory.so"
-    subprocess.run([cc, *FLAGS, *flags, "-shared", "-fPIC", "-o", made, PORT / "memory.c"], check=True)
+    subprocess.run([cc, *FIRMWARE_FLAGS, *flags, "-shared", "-fPIC", "-o", made, PORT / "memory.c"], check=True)
     ffi = cffi.FFI()
     ffi.cdef(
         "void *own_memcpy(void *, const void *, size_t); void *own_memmove(void *, const void *, size_t);"

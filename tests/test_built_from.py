@@ -11,39 +11,41 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-import firmware_protocol.build
-import hil.plant.build
+import hil
+from firmware_protocol import built as native
 from firmware_protocol import host
+from firmware_protocol.built import WHEEL_HOST, BuildError, Built, digest_in_library
 from hil.cli.main import app
 from hil.core.errors import BadInputError
 from hil.plant import archive, shim
+from hil.plant.built import COSIM, FMUS, MUJOCO, PLANT_PORT
 from hil.review import read
-from native_build.built_from import Built, NotCurrentError, digest_in_library
-from plant_fmu.built import BUILT as PLANTS
 from tests.processes import ROOT
 
 EDITED = """
 import ctypes
-from hil.plant.build import BUILT
-from native_build.built_from import NotCurrentError
+from firmware_protocol.built import BuildError
+from hil.plant.built import COSIM
 try:
-    BUILT.make_current()
-except NotCurrentError as error:
+    COSIM.make_current()
+except BuildError as error:
     print(error)
 else:
-    print(hasattr(ctypes.CDLL(str(BUILT.path)), "edited"))
+    print(hasattr(ctypes.CDLL(str(COSIM.path)), "edited"))
 """
-ALL = [firmware_protocol.build.BUILT, hil.plant.build.BUILT, *PLANTS.values()]
+PLANTS = {path: built for path, built in FMUS.items() if path != MUJOCO}
+ALL = [WHEEL_HOST, COSIM, *PLANTS.values()]
 
 
 @pytest.fixture
 def checkout(tmp_path: Path) -> Path:
     """A checkout of the FMU's shim alone, with its library."""
-    port = hil.plant.build.PLANT_PORT.relative_to(ROOT)
-    for path in (Path("hil/__init__.py"), Path("pyproject.toml"), port):
+    port = PLANT_PORT.relative_to(ROOT)
+    of_the_wire = (Path("firmware_protocol/__init__.py"), Path("firmware_protocol/built.py"))
+    for path in (Path("hil/__init__.py"), Path("pyproject.toml"), port, *of_the_wire):
         (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / path, tmp_path / path)
-    for package in ("native_build", "hil/plant"):
+    for package in ("tools/build", "plant_fmu", "hil/plant"):
         shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
     return tmp_path
 
@@ -77,13 +79,13 @@ def test_edited_sources_are_what_runs(checkout: Path) -> None:
     told = [said(process) for process in (started(checkout), started(checkout))]  # both build it at the same time
     assert [output for output, _ in told] == ["True", "True"]
     for _, errors in told:
-        what = f"{hil.plant.build.BUILT.path.name} was not built from the sources beside it"
-        assert errors in ("", f"{what}: running python -m hil.plant.build")
+        what = f"{COSIM.path.name} was not built from the sources beside it"
+        assert errors in ("", f"{what}: running python -m tools.build.cosim")
     assert list((checkout / "hil/plant").glob(".*")) == [], "nothing half built is left"
 
     source.write_text("this is no C\n", encoding="utf-8")
     output, _ = said(started(checkout))
-    assert "was not built from the sources beside it, and python -m hil.plant.build could not build it:" in output
+    assert "was not built from the sources beside it, and python -m tools.build.cosim could not build it:" in output
     assert "derive.c" in output
     (checkout / "pyproject.toml").unlink()  # as in site-packages
     output, errors = said(started(checkout))
@@ -110,18 +112,18 @@ def test_what_is_there_is_current_until_a_source_changes(built: Built, tmp_path)
         assert copied.is_current()
     copies[0].unlink()
     assert not copied.is_current()
-    assert not copied._replace(recipe=(*built.recipe, "-ffast-math")).is_current()
+    assert not copied._replace(flags=(*built.flags, "-ffast-math")).is_current()
     assert copied._replace(sources=(tmp_path / "none.c",)).is_current(), "without sources there is nothing to compare"
 
 
 @pytest.fixture
 def installed_with_other_sources(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Have every native part be one that was not built from the sources beside it, outside a checkout."""
-    monkeypatch.setattr(Built, "is_checkout", lambda _: False)
-    others = [built._replace(recipe=("another",)) for built in ALL]
-    monkeypatch.setattr(host, "BUILT", others[0])
-    monkeypatch.setattr(shim, "BUILT", others[1])
-    monkeypatch.setattr(archive, "BUILT", dict(zip(PLANTS, others[2:], strict=True)))
+    monkeypatch.setattr(native, "is_checkout", lambda _: False)
+    others = [built._replace(flags=("another",)) for built in ALL]
+    monkeypatch.setattr(host, "WHEEL_HOST", others[0])
+    monkeypatch.setattr(shim, "COSIM", others[1])
+    monkeypatch.setattr(archive, "FMUS", dict(zip(PLANTS, others[2:], strict=True)))
     caches = (host.loaded, host.parameters, shim.loaded, archive._make_current)
     for cache in caches:
         cache.cache_clear()
@@ -137,27 +139,33 @@ def test_what_cannot_be_built_anew_is_refused_in_a_sentence() -> None:
     for load in (shim.load, lambda: archive.locate("mecanum", Path()), lambda: archive.locate("mecanum_fmi3", Path())):
         with pytest.raises(BadInputError, match="was not built from the sources beside it, and this is no checkout"):
             load()
-    with pytest.raises(NotCurrentError, match=r"libwheel_host\.\w+ was not built from the sources beside it"):
+    with pytest.raises(BuildError, match=r"libwheel_host\.\w+ was not built from the sources beside it"):
         host.library()
+
+
+def test_an_installed_package_builds_no_fmu(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(native, "is_checkout", lambda: False)
+    with pytest.raises(BadInputError, match="run hil fmu build in a checkout"):
+        CliRunner().invoke(app, ["fmu", "build"], catch_exceptions=False, standalone_mode=False)
 
 
 def test_a_library_built_in_another_way_is_taken_as_it_is(tmp_path, monkeypatch) -> None:
     path = tmp_path / "libother.so"
-    path.write_bytes(firmware_protocol.build.BUILT.path.read_bytes() + b"\0")
+    path.write_bytes(WHEEL_HOST.path.read_bytes() + b"\0")
     monkeypatch.setattr(host, "OTHER", str(path))
     host.loaded.cache_clear()
     try:
         assert host.loaded().sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
         path.unlink()
         host.loaded.cache_clear()
-        with pytest.raises(NotCurrentError, match="leave WHEEL_HOST_LIBRARY out"):
+        with pytest.raises(BuildError, match="leave WHEEL_HOST_LIBRARY out"):
             host.library()
     finally:
         host.loaded.cache_clear()
 
 
 def test_a_library_without_a_mark_says_nothing_of_its_sources(tmp_path: Path) -> None:
-    (tmp_path / "lib.so").write_bytes(b"native_build sources of old")
+    (tmp_path / "lib.so").write_bytes(b"mecanum-hil sources of old")
     assert digest_in_library(tmp_path / "lib.so") is None
 
 
@@ -165,7 +173,7 @@ def test_a_recording_names_each_native_library(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     hil.run("circle_speed", set={"loop.duration_s": 0.1, "expect": []}, record=path)
     properties = read(path).properties
-    for name, built in (("wheel_host", firmware_protocol.build.BUILT), ("cosim", hil.plant.build.BUILT)):
+    for name, built in (("wheel_host", WHEEL_HOST), ("cosim", COSIM)):
         assert properties[f"{name}_sha256"] == hashlib.sha256(built.path.read_bytes()).hexdigest()
         assert properties[f"{name}_sources_sha256"] == built.digest()
-    assert properties["fmu_sha256"] == archive.sha256(PLANTS[2].path)
+    assert properties["fmu_sha256"] == archive.sha256(archive.place("mecanum", Path()))

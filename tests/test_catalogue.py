@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from firmware_protocol.build import HERE, SOURCES
+from firmware_protocol.built import HERE, SOURCES
 from hil.batch.catalogue.plan import Asked, alone, pairs
 from hil.batch.catalogue.runs import WORK, perform
 from hil.batch.pool import counted, perform_all
@@ -16,8 +16,8 @@ from hil.faults.cases import CASES, DURATION_S, Outcome
 from hil.faults.kinds import KINDS
 from hil.faults.rows import find
 from hil.scenario.rows import FaultTable
-from native_build.compiler import compile_shared
 from tests.processes import hil
+from tools.build.compiler import compile_shared
 
 # What is changed in the firmware's sources, and the faults that show it.
 UNSAFE = {

@@ -8,7 +8,8 @@ import cffi
 import pytest
 
 from firmware_protocol import codec
-from firmware_protocol.build import FLAGS, HERE
+from firmware_protocol.built import FIRMWARE_FLAGS as FLAGS
+from firmware_protocol.built import HERE
 from firmware_protocol.framing import Deframer, Framer
 from firmware_protocol.generated import messages as m
 from tests.protocol_cases import PROTOCOL

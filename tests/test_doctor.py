@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
-from firmware_protocol.build import BUILT
+from firmware_protocol.built import WHEEL_HOST
 from hil.cli.checks import Finding, Verdict, can, compiler, disk, kernel, versions, viewer
 from hil.cli.report import print_findings
 from tests.processes import hil
@@ -110,10 +110,14 @@ def test_a_package_of_another_version_is_a_problem() -> None:
 def test_a_library_not_built_from_its_sources_is_a_problem(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     there = tmp_path / "libold.so"
     there.touch()
-    native = (BUILT._replace(path=there), BUILT._replace(path=tmp_path / "libgone.so", module="b.build"), BUILT)
+    native = (
+        WHEEL_HOST._replace(path=there),
+        WHEEL_HOST._replace(path=tmp_path / "libgone.so", module="b.build"),
+        WHEEL_HOST,
+    )
     monkeypatch.setattr(compiler, "_NATIVE", native)
     old, gone, own = (one for one in compiler.check() if one.subject == "native library")
-    assert (old.verdict, old.remedy) == (Verdict.PROBLEM, "python -m firmware_protocol.build")
+    assert (old.verdict, old.remedy) == (Verdict.PROBLEM, "python -m tools.build.wheel_host")
     assert old.sentence == "libold.so was not built from the sources beside it"
     assert (gone.sentence, gone.remedy) == ("libgone.so is not built", "python -m b.build")
     assert own.verdict is Verdict.OK

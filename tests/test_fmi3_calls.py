@@ -20,8 +20,8 @@ from fmpy.validation import validate_fmu
 from lxml import etree
 
 import plant_fmu
-from plant_fmu import build, generate
-from plant_fmu.built import SOURCE_FILES
+from plant_fmu import generate
+from plant_fmu.sources import SOURCE_FILES
 from tests.fmu_slave import (
     DESCRIPTIONS,
     FMUS,
@@ -34,6 +34,7 @@ from tests.fmu_slave import (
     refused,
     slave,
 )
+from tools.build import fmu as build
 
 HEADERS = Path(fmpy.__file__).parent / "c-code"
 SCHEMAS = Path(fmpy.__file__).parent / "schema"

@@ -18,12 +18,13 @@ import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
 
-import hil.plant.build
+import hil.plant.built
 import plant_fmu
-from native_build import compiler
-from plant_fmu import build, generate, platforms, variables
-from plant_fmu.built import DESCRIPTIONS, SOURCE_FILES
+from plant_fmu import generate, platforms, variables
+from plant_fmu.sources import DESCRIPTIONS, SOURCE_FILES
 from tests.plant_testbed import FMU
+from tools.build import compiler
+from tools.build import fmu as build
 
 STRICT = ["-std=c11", "-O1", "-g", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Werror"]
 SANITIZE = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
@@ -172,8 +173,8 @@ def test_the_packed_sources_and_the_shim_pass_the_sanitizers(tmp_path: Path) -> 
     """What is in sources/ is complete, compiles without a warning, and does nothing undefined."""
     with zipfile.ZipFile(FMU) as archive:
         archive.extractall(tmp_path)
-    sources = [*(tmp_path / "sources").glob("*.c"), *hil.plant.build.SOURCES]
-    include = [tmp_path / "sources", *(header.parent for header in hil.plant.build.HEADERS)]
+    sources = [*(tmp_path / "sources").glob("*.c"), *hil.plant.built.SOURCES]
+    include = [tmp_path / "sources", *(header.parent for header in hil.plant.built.HEADERS)]
     program = tmp_path / "driver"
     command = [*build.compiler(), *STRICT, *SANITIZE, *(f"-I{folder}" for folder in include)]
     driver = Path(__file__).with_name("plant_driver.c")
@@ -269,10 +270,10 @@ def test_a_compiler_that_fails_is_quoted(tmp_path: Path) -> None:
 
 
 def test_as_a_program(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "plant_fmu.build", "--out", str(tmp_path)]
+    command = [sys.executable, "-m", "tools.build.fmu", "--out", str(tmp_path)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
     assert done.stdout.splitlines() == [str(tmp_path / plant_fmu.path(fmi).name) for fmi in VERSIONS]
-    nowhere = [sys.executable, "-m", "plant_fmu.build", "--all-platforms"]
+    nowhere = [sys.executable, "-m", "tools.build.fmu", "--all-platforms"]
     refused = subprocess.run(nowhere, cwd=ROOT, capture_output=True, text=True, check=False)
     assert (refused.returncode, "--out FOLDER" in refused.stderr) == (2, True)
     check = [sys.executable, "-m", "plant_fmu.generate", "--check"]

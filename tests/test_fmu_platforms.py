@@ -17,9 +17,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import plant_fmu
-from native_build import compiler
-from plant_fmu import build, platforms
-from plant_fmu.built import DESCRIPTIONS
+from plant_fmu import platforms
+from plant_fmu.sources import DESCRIPTIONS
+from tools.build import compiler
+from tools.build import fmu as build
 
 VERSIONS = sorted(DESCRIPTIONS)
 FOLDERS = {
@@ -168,7 +169,7 @@ def test_an_arm_machines_own_fmi_2_fmu_has_the_name_that_importers_look_for() ->
 def test_the_archive_is_the_same_wherever_it_is_built(release: dict[int, Path], fmi: int, tmp_path: Path) -> None:
     """Another folder of sources, and none of what zig made of the first ones is used again."""
     shutil.copytree(plant_fmu.path().parent, tmp_path / "plant_fmu", ignore=shutil.ignore_patterns("*.fmu"))
-    command = [sys.executable, "-m", "plant_fmu.build", "--all-platforms", "--out", str(tmp_path)]
+    command = [sys.executable, "-m", "tools.build.fmu", "--all-platforms", "--out", str(tmp_path)]
     subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
     assert (tmp_path / release[fmi].name).read_bytes() == release[fmi].read_bytes()
 
@@ -176,7 +177,7 @@ def test_the_archive_is_the_same_wherever_it_is_built(release: dict[int, Path], 
 def test_fmpy_runs_the_archive_for_all_platforms_as_it_runs_our_own(release: dict[int, Path]) -> None:
     start = {"wheel.fl.torque_n_m": 1.0, "start_vx_m_s": 0.5}
     for fmi, fmu in release.items():
-        ours = plant_fmu.build.build(fmi=fmi)
+        ours = build.build(fmi=fmi)
         one, two = (fmpy.simulate_fmu(str(path), stop_time=0.1, start_values=start) for path in (fmu, ours))
         assert one.dtype == two.dtype
         for name in one.dtype.names:

@@ -8,14 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from firmware_protocol.built import FLAGS, SUFFIX
 from hil.core.errors import BadInputError, DeviceError
 from hil.core.types import WHEEL_NAMES, Wheels
-from hil.plant.build import PLANT_PORT
-from hil.plant.build import SOURCES as SHIM_SOURCES
+from hil.plant.built import PLANT_PORT
+from hil.plant.built import SOURCES as SHIM_SOURCES
 from hil.plant.fmu import FmuPlant
 from hil.plant.mapping import Row
-from native_build.compiler import FLAGS, SUFFIX, compile_shared, compiler
 from tests.foreign_fmu import FAULTS, SOURCES, foreign_fmu, foreign_map, variables3
+from tools.build.compiler import compile_shared, compiler
 
 TICK_S = 1e-3
 RADIUS_M, LEVER_M = 0.1, 0.5

@@ -9,11 +9,11 @@ import zipfile
 from pathlib import Path
 
 import plant_fmu
-from native_build.compiler import SUFFIX
-from plant_fmu.built import DESCRIPTIONS
+from firmware_protocol.built import SUFFIX
+from plant_fmu.sources import DESCRIPTIONS
 
 ROOT = Path(__file__).parents[1]
-NOT_SOURCES = shutil.ignore_patterns(".*", "__pycache__", "*.so", "*.dylib", "*.dll", "*.fmu", "runs", "dist", "build")
+NOT_SOURCES = shutil.ignore_patterns(".*", "__pycache__", "*.so", "*.dylib", "*.dll", "*.fmu", "runs", "dist")
 
 
 def run(*command: str | Path, cwd: Path, environment: dict[str, str]) -> str:
@@ -41,6 +41,11 @@ def test_a_machine_without_a_compiler_builds_installs_and_runs_the_wheel(tmp_pat
         names = set(archive.namelist())
         [entry_points] = [archive.read(name).decode() for name in names if name.endswith("/entry_points.txt")]
     fmus = {f"plant_fmu/{plant_fmu.path(fmi).name}" for fmi in DESCRIPTIONS}
+    assert {name.split("/")[0] for name in names if ".dist-info" not in name} == {
+        "hil",
+        "plant_fmu",
+        "firmware_protocol",
+    }
     assert {*fmus, f"firmware_protocol/libwheel_host{SUFFIX}", f"hil/plant/libcosim{SUFFIX}"} <= names
     assert {"hil/cli/pytest_plugin.py", "hil/py.typed", "firmware_protocol/py.typed", "plant_fmu/py.typed"} <= names
     pages = {

@@ -15,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol import codec, host_line
+from firmware_protocol.built import BuildError
 from firmware_protocol.framing import Frame, Framer
 from firmware_protocol.generated import messages as m
 from hil.core.errors import BadInputError, LinkError
@@ -25,7 +26,6 @@ from hil.wire.robot_end import CanWire, ReopeningWire, SerialWire
 from hil.wire.serial_port import SerialStream
 from hil.wire.streams import DirectStream, memory_pair
 from hil.wire.url import CanUrl, parse_link
-from native_build.built_from import NotCurrentError
 from tests.heard import the_next
 from tests.processes import environment, wait_for
 from tests.wheel_rig import WheelRig
@@ -127,10 +127,10 @@ def test_a_direct_stream_is_answered_when_it_is_read(chunks):
 
 def test_a_library_that_is_not_built_is_told_as_what_to_do(monkeypatch):
     def missing():
-        raise NotCurrentError("libwheel_host.so is not built; run: python -m firmware_protocol.build")
+        raise BuildError("libwheel_host.so is not built; run: python -m tools.build.wheel_host")
 
     monkeypatch.setattr(host_line, "library", missing)
-    with pytest.raises(BadInputError, match=r"is not built; run: python -m firmware_protocol\.build"):
+    with pytest.raises(BadInputError, match=r"is not built; run: python -m tools\.build\.wheel_host"):
         StreamLink(memory_pair()[0])
 
 

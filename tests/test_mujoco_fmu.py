@@ -195,16 +195,16 @@ def run(*arguments: str) -> "subprocess.CompletedProcess[str]":
 
 
 def test_the_command_builds_the_fmu_and_writes_the_model(tmp_path: Path) -> None:
-    done = run("-m", "plant_fmu.mujoco", "--model", str(tmp_path / "robot.xml"), "--set", "wheel_radius_m=0.05")
+    done = run("-m", "tools.build.mujoco_fmu", "--model", str(tmp_path / "robot.xml"), "--set", "wheel_radius_m=0.05")
     assert (done.returncode, done.stderr) == (0, "")
     assert 'pos="0 0 0.05"' in (tmp_path / "robot.xml").read_text()
-    done = run("-m", "plant_fmu.mujoco", "--model", str(tmp_path / "no" / "robot.xml"))
+    done = run("-m", "tools.build.mujoco_fmu", "--model", str(tmp_path / "no" / "robot.xml"))
     assert done.returncode == 1
     assert "cannot be written (No such file or directory); choose another file" in done.stderr
 
 
 def test_without_mujoco_the_build_says_what_to_install() -> None:
-    code = "import sys; sys.modules['mujoco'] = None; from plant_fmu.mujoco.__main__ import main; main()"
+    code = "import sys; sys.modules['mujoco'] = None; from tools.build.mujoco_fmu import main; main()"
     done = run("-c", code)
     assert done.returncode == 1
-    assert done.stderr == 'plant_fmu.mujoco: MuJoCo is not installed; run: pip install "mecanum-hil[mujoco]"\n'
+    assert done.stderr == 'tools.build.mujoco_fmu: MuJoCo is not installed; run: pip install "mecanum-hil[mujoco]"\n'

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.arm_build import PORT
-from firmware_protocol.build import FLAGS, HERE
+from firmware_protocol.built import FIRMWARE_FLAGS, HERE
 from firmware_protocol.stm32_flash import flash_image
 from tests.examples import share_of_examples
 from tests.protocol_cases import PROTOCOL
@@ -31,7 +31,7 @@ def flash(tmp_path_factory):
     library = tmp_path_factory.mktemp("flash") / "flash.so"
     trap = ("-fsanitize=undefined", "-fsanitize-undefined-trap-on-error")
     core = (HERE / "firmware" / "crc.c", PORT / "parameter_log.c")
-    command = [cc, *FLAGS, *trap, "-shared", "-fPIC", f"-I{PORT}", "-o", library, model, *core]
+    command = [cc, *FIRMWARE_FLAGS, *trap, "-shared", "-fPIC", f"-I{PORT}", "-o", library, model, *core]
     subprocess.run(list(map(str, command)), check=True)
     ffi = cffi.FFI()
     ffi.cdef(re.findall(r"/\* cffi: begin \*/(.*?)/\* cffi: end \*/", model.read_text(), re.DOTALL)[0])

@@ -12,7 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.arm_build import PORT
-from firmware_protocol.build import FLAGS, HERE
+from firmware_protocol.built import FIRMWARE_FLAGS as FLAGS
+from firmware_protocol.built import HERE
 from firmware_protocol.framing import crc16
 from firmware_protocol.generated.messages import LENGTHS
 from firmware_protocol.plant_port import (

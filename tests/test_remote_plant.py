@@ -13,19 +13,20 @@ from typing import Any
 
 import pytest
 
+from firmware_protocol.built import FLAGS
 from hil.core.errors import BadInputError, DeviceError
 from hil.core.types import Wheels
 from hil.plant import shim
-from hil.plant.build import PLANT_PORT
+from hil.plant.built import PLANT_PORT
 from hil.plant.fmu import FmuPlant
 from hil.plant.mapping import Row, SignalMap
 from hil.plant.memory import IS_TOLD
 from hil.plant.remote import RemotePlant
-from native_build.compiler import FLAGS, compiler
 from tests.flawed_fmu import build_flawed
 from tests.foreign_fmu import foreign_fmu, foreign_map
 from tests.plant_testbed import FMU
 from tests.processes import ROOT, environment, is_running, wait_for
+from tools.build.compiler import compiler
 
 START = {"start_heading_rad": 0.3, "start_vx_m_s": 0.5, "counts_per_revolution": 4096.0}
 TORQUE = Wheels(1.0, 0.5, 1.0, 0.25)

@@ -15,8 +15,8 @@ import tempfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from firmware_protocol.build import FLAGS, HERE, SOURCES
-from native_build.compiler import compiler
+from firmware_protocol.built import FIRMWARE_FLAGS, HERE, SOURCES
+from tools.build.compiler import compiler
 
 ROOT = Path(__file__).parent.parent
 CORE = (*sorted((HERE / "firmware").glob("*.c")), *(HERE / "port" / "host" / name for name in ("line.c", "direct.c")))
@@ -53,7 +53,7 @@ def build_instrumented(folder: Path) -> Path:
     for source in SOURCES:
         target = folder / f"{source.stem}.o"
         # Without optimisation, so that each line keeps its own counter.
-        command = [*compiler(), *FLAGS, "-O0", "--coverage", "-fPIC", "-c", str(source), "-o", str(target)]
+        command = [*compiler(), *FIRMWARE_FLAGS, "-O0", "--coverage", "-fPIC", "-c", str(source), "-o", str(target)]
         subprocess.run(command, check=True)
         objects.append(str(target))
     library = folder / "libwheel_coverage.so"

@@ -15,7 +15,7 @@ import time
 from pathlib import Path
 from typing import NamedTuple
 
-from firmware_protocol.build import FLAGS, SOURCES
+from firmware_protocol.built import FIRMWARE_FLAGS, SOURCES
 
 ROOT = Path(__file__).parent.parent
 HARNESSES = ROOT / "tests" / "fuzz"
@@ -61,7 +61,7 @@ def build(target: str, folder: Path) -> Path:
         raise UnavailableError("clang has no libFuzzer here; on Debian: apt install libclang-rt-dev")
     program = folder / target
     sources = [HARNESSES / f"{target}_fuzzer.c", HARNESSES / "wire_mutator.c", *CORE]
-    command = [compiler, *FLAGS, *FUZZ, "-o", str(program), *map(str, sources)]
+    command = [compiler, *FIRMWARE_FLAGS, *FUZZ, "-o", str(program), *map(str, sources)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise SystemExit(f"{' '.join(command)} failed:\n{done.stderr}")

@@ -13,7 +13,7 @@ class CustomBuildHook(BuildHookInterface[Any]):
         """Ask for zig on a machine that has to build with it, and only there: it is a large download."""
         sys.path.insert(0, self.root)
         try:
-            from native_build.compiler import ZIG_REQUIREMENT, wants_zig
+            from tools.build.compiler import ZIG_REQUIREMENT, wants_zig
         finally:
             sys.path.remove(self.root)
         return [ZIG_REQUIREMENT] if wants_zig() else []
@@ -22,13 +22,11 @@ class CustomBuildHook(BuildHookInterface[Any]):
         """Build, and mark the wheel as one for this platform; the libraries do not depend on the Python version."""
         sys.path.insert(0, self.root)
         try:
-            import firmware_protocol.build
-            import hil.plant.build
-            import plant_fmu.build
+            from tools.build import cosim, fmu, wheel_host
         finally:
             sys.path.remove(self.root)
-        firmware_protocol.build.build()
-        plant_fmu.build.build_all()
-        hil.plant.build.build()
+        wheel_host.build()
+        fmu.build_all()
+        cosim.build()
         build_data["pure_python"] = False
         build_data["infer_tag"] = True

@@ -20,8 +20,8 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
-from firmware_protocol.build import FLAGS, HERE, SOURCES
-from native_build.compiler import compiler
+from firmware_protocol.built import FIRMWARE_FLAGS, HERE, SOURCES
+from tools.build.compiler import compiler
 
 ROOT = Path(__file__).parent.parent
 FILES = ("states.c", "receive.c", "supervise.c", "node.c")
@@ -39,7 +39,7 @@ TESTS = (
 EQUIVALENT = Path(__file__).parent / "equivalent_mutants.toml"
 # An index beyond an array ends the tests as well.
 _TRAP = ["-fsanitize=undefined,float-cast-overflow", "-fsanitize-undefined-trap-on-error"]
-_FLAGS = [*(flag for flag in FLAGS if not flag.startswith("-W")), "-w", *_TRAP]
+_FLAGS = [*(flag for flag in FIRMWARE_FLAGS if not flag.startswith("-W")), "-w", *_TRAP]
 
 _SWAPS = {
     "<": "<=",

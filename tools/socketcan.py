@@ -23,7 +23,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Self
 
-from native_build.compiler import BuildError, compile_shared, compiler
+from firmware_protocol.built import BuildError
+from tools.build.compiler import compile_shared, compiler
 from tools.socketcan_inside import EXIT_CODE, JOB
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -21,25 +21,27 @@ def build(
     ] = False,
     mujoco: Annotated[bool, typer.Option("--mujoco", help="the MuJoCo plant instead, for this machine")] = False,
 ) -> None:
-    """Compile the Mecanum plant and package it as FMUs, one for FMI 2.0 and one for FMI 3.0."""
-    from native_build.compiler import BuildError
-    from plant_fmu.build import build_all
-    from plant_fmu.mujoco import build as mujoco_plant
-    from plant_fmu.mujoco import path as mujoco_path
+    """Compile the Mecanum plant and package it as FMUs, one for FMI 2.0 and one for FMI 3.0. Needs a checkout."""
+    from firmware_protocol.built import is_checkout, run_script
+    from hil.plant.built import FMUS, MUJOCO
+    from plant_fmu import path as shipped_path
 
     if all_platforms and mujoco:
         raise BadInputError("--mujoco is built for this machine only; leave out --all-platforms")
     if all_platforms and out is None:
         raise BadInputError("--all-platforms makes FMUs to give away; say where to with --out FOLDER")
-    try:
-        if mujoco:
-            paths = [mujoco_plant.build(None if out is None else out / mujoco_path().name)]
-        else:
-            paths = build_all(out, all_platforms=all_platforms)
-        for path in paths:
-            print(path)
-    except (BuildError, OSError) as error:
-        raise BadInputError(f"the FMU was not built: {error}") from error
+    if not is_checkout():
+        raise BadInputError(
+            "an installed package has no scripts that build FMUs; run hil fmu build in a checkout of the sources"
+        )
+    script = FMUS[MUJOCO if mujoco else shipped_path()].module
+    arguments = ["--all-platforms"] if all_platforms else []
+    if out is not None:
+        arguments += ["--out", str(out.absolute() / MUJOCO.name if mujoco else out.absolute())]
+    done = run_script(script, *arguments)
+    if done.returncode != 0:
+        raise BadInputError(f"the FMU was not built: {done.stderr.strip()}")
+    print(done.stdout, end="")
 
 
 FmuName = Annotated[str, typer.Argument(metavar="FMU", help="a path, or the shipped name")]

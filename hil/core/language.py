@@ -4,11 +4,11 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Literal, NamedTuple
 
+from firmware_protocol.built import BuildError
 from firmware_protocol.generated.messages import LENGTHS, NAMES, SENDERS
 from firmware_protocol.host_line import HostLine
 from hil.core.errors import BadInputError
 from hil.core.ports import Framing
-from native_build.built_from import NotCurrentError
 
 STANDARD_IDS = 0x7FF
 _NOTHING: Mapping[int, str] = MappingProxyType({})
@@ -68,7 +68,7 @@ def _wheel_framing() -> Framing:
     """Return the framing of our own protocol. Raises BadInputError where the library that it is in was not built."""
     try:
         return HostLine()
-    except NotCurrentError as error:
+    except BuildError as error:
         raise BadInputError(str(error)) from error
 
 

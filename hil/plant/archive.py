@@ -12,13 +12,13 @@ from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 from xml.parsers import expat
 
+from firmware_protocol.built import BuildError
 from hil.core.errors import BadInputError, nearest
+from hil.plant.built import FMUS
 from hil.plant.unpacking import extract as extract
 from hil.plant.unpacking import opened, pieces, refuse_folder
-from native_build.built_from import NotCurrentError
 from plant_fmu import SHIPPED
 from plant_fmu import path as plant_path
-from plant_fmu.built import BUILT
 from plant_fmu.platforms import suffix, this_platform, word_size_name
 
 DESCRIPTIONS = ("modelDescription.xml", "sources/buildDescription.xml")  # all the XML that FMPy reads
@@ -81,13 +81,9 @@ def locate(name: str, directory: Path) -> Path:
 @functools.cache
 def _make_current(fmu: Path) -> None:
     """Have an FMU of ours built anew where its sources have changed; once a process. Raises BadInputError."""
-    if fmu == SHIPPED["mecanum_mujoco"]:
-        from plant_fmu.mujoco.build import built
-    else:
-        built = next(one for one in BUILT.values() if one.path == fmu)
     try:
-        built.make_current()
-    except NotCurrentError as error:
+        FMUS[fmu].make_current()
+    except BuildError as error:
         raise BadInputError(str(error)) from error
 
 

@@ -4,12 +4,12 @@ import functools
 from collections.abc import Callable, Iterable
 from typing import Any
 
+from firmware_protocol.built import BuildError
 from firmware_protocol.host import Loaded, load_library
 from hil.core.errors import BadInputError
 from hil.core.plant_signals import OUTPUTS
-from hil.plant.build import BUILT, HEADERS
+from hil.plant.built import COSIM, HEADERS
 from hil.plant.mapping import Connection, Wiring
-from native_build.built_from import NotCurrentError
 
 _FMI2_TYPES = {"Real": "Float64", "Integer": "Int32"}
 _C_TYPES = {"Float64": "double", "Float32": "float"}
@@ -27,10 +27,10 @@ def load() -> tuple[Any, Any]:
 def loaded() -> Loaded:
     """Return what ``load`` does, and what was loaded. Raises as ``load``."""
     try:
-        BUILT.make_current()
-    except NotCurrentError as error:
+        COSIM.make_current()
+    except BuildError as error:
         raise BadInputError(str(error)) from error
-    return load_library(BUILT.path, HEADERS)
+    return load_library(COSIM.path, HEADERS)
 
 
 def connect(context: Any, wiring: Wiring, access: Callable[[str, str], Any]) -> list[object]:

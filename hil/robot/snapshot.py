@@ -10,11 +10,11 @@ from collections.abc import Callable, Sequence
 from types import MethodType
 from typing import Any, NamedTuple
 
+from firmware_protocol.built import BuildError
 from firmware_protocol.generated.messages import State
 from firmware_protocol.host import library
 from hil.core.errors import BadInputError
 from hil.core.types import NAN, NAN_WHEELS, Wheels, make_wheels
-from native_build.built_from import NotCurrentError
 
 _STATES = {int(state): state for state in State}
 _unpack = struct.Struct("=2Q7I4f4H4B").unpack  # wheel_snapshot
@@ -60,7 +60,7 @@ class SnapshotReader:
     def __init__(self) -> None:
         try:
             ffi, lib = library()
-        except NotCurrentError as error:
+        except BuildError as error:
             raise BadInputError(str(error)) from error
         self._memory = ffi.new("uint64_t[]", lib.wheel_reader_size() // 8 + 1)
         self._reader = ffi.cast("wheel_reader *", self._memory)

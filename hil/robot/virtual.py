@@ -11,6 +11,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import NamedTuple, Protocol, cast
 
+from firmware_protocol.built import BuildError
 from firmware_protocol.capabilities import Capability
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated.messages import State
@@ -27,7 +28,6 @@ from hil.robot.faults import Body, RobotFaults
 from hil.robot.robot_node import RobotNode
 from hil.robot.wheel_map import WheelMap
 from hil.wire.robot_end import Wire
-from native_build.built_from import NotCurrentError
 
 # A stall of this machine is made up for in one burst up to here, as a robot would have moved on meanwhile. Beyond it
 # robot time slips, which is counted: a frozen machine is no robot any more.
@@ -105,7 +105,7 @@ class VirtualStm32:
                 lacks=functools.reduce(operator.or_, (_SENSORS[name] for name in plant.lacks), Capability(0)),
                 stored=self._stored,
             )
-        except (ValueError, NotCurrentError) as error:
+        except (ValueError, BuildError) as error:
             raise BadInputError(f"the virtual robot cannot start: {error}") from error
 
     def power_cycle(self) -> None:

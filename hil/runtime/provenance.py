@@ -88,17 +88,17 @@ def properties(scenario: "Scenario", made_of: Mapping[str, str] | None = None) -
 def _plant_and_libraries(scenario: "Scenario") -> dict[str, str | None]:
     """Return the hashes of the FMU, and of the native libraries that a run has in this process."""
     from firmware_protocol import host
+    from firmware_protocol.built import BuildError
     from hil.plant import archive, shim
     from hil.wire.opening import is_within_process
     from hil.wire.url import parse_link
-    from native_build.built_from import NotCurrentError
 
     has_robot = is_within_process(parse_link(scenario.link.url))
     found: dict[str, str | None] = {}
     if has_robot or not scenario.device.is_makers:
         try:
             found["wheel_host_sha256"] = host.loaded().sha256
-        except NotCurrentError as error:
+        except BuildError as error:
             raise BadInputError(str(error)) from error
         found["wheel_host_sources_sha256"] = host.loaded().sources_sha256
     if has_robot:

@@ -4,6 +4,7 @@ import functools
 from collections.abc import Collection, Mapping
 from pathlib import Path
 
+from firmware_protocol.built import BuildError
 from firmware_protocol.host import HostNode, parameters
 from hil.core.errors import BadInputError
 from hil.core.language import WHEEL_DBC, Language
@@ -20,7 +21,6 @@ from hil.robot.wheel_map import WheelMap
 from hil.scenario import SHIPPED_FMUS, Scenario, StartValue
 from hil.wire.trace import Trace
 from hil.wire.url import DEFAULT_BAUD, CanUrl, LinkUrl, parse_link
-from native_build.built_from import NotCurrentError
 
 _NS = 1_000_000_000
 
@@ -35,7 +35,7 @@ def firmware_values(scenario: Scenario) -> dict[str, float]:
     given = dict(scenario.firmware) | size | {"feedback_period_s": scenario.loop.period_ns / _NS}
     try:
         return {p.name: float(given[p.name]) for p in parameters()}
-    except NotCurrentError as error:
+    except BuildError as error:
         raise BadInputError(str(error)) from error
 
 

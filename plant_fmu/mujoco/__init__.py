@@ -8,5 +8,5 @@ from pathlib import Path
 
 
 def path() -> Path:
-    """Return where the FMU is once built (``python -m plant_fmu.mujoco``)."""
+    """Return where the FMU is once built (``python -m tools.build.mujoco_fmu``)."""
     return Path(__file__).parents[1] / "mecanum_mujoco.fmu"

@@ -18,7 +18,7 @@ def main() -> None:
     check = parser.parse_args().check
     versions = (2, 3) if check else (2,)
     if missing := [path for path in map(plant_fmu.path, versions) if not path.exists()]:
-        sys.exit(f"{missing[0]} does not exist; run python -m plant_fmu.build")
+        sys.exit(f"{missing[0]} does not exist; run python -m tools.build.fmu")
     cases = reference.read_cases().values()
     if not check:
         for case in cases:

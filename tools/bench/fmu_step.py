@@ -22,6 +22,7 @@ from rich.console import Console
 from rich.table import Table
 
 import plant_fmu
+from firmware_protocol.built import SUFFIX, BuildError
 from hil.core.errors import HilError
 from hil.core.plant_signals import COUNTS, DUTIES, ENABLED, INPUTS, OUTPUTS, POSE, SPEEDS, TORQUES
 from hil.core.types import Wheels
@@ -29,7 +30,7 @@ from hil.plant import shim
 from hil.plant.fmu import FmuPlant
 from hil.plant.mapping import SignalMap, Wiring, resolve
 from hil.plant.start import Value
-from native_build.compiler import SUFFIX, BuildError, compile_shared
+from tools.build.compiler import compile_shared
 
 HERE = Path(__file__).parent
 TORQUE = Wheels(0.1, -0.1, 0.05, 0.02)

@@ -11,7 +11,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from firmware_protocol.build import BUILT as FIRMWARE
+from firmware_protocol.built import WHEEL_HOST
 from firmware_protocol.generated.messages import SCHEMA_HASH
 from hil.core.errors import BadInputError
 from hil.laws.registry import law_sha256
@@ -48,7 +48,7 @@ def versions() -> dict[str, str]:
         package = version("mecanum-hil")
     except PackageNotFoundError:
         package = "not installed"
-    return {"mecanum_hil": package, "schema": f"{SCHEMA_HASH:08x}", "firmware": str(FIRMWARE.digest())}
+    return {"mecanum_hil": package, "schema": f"{SCHEMA_HASH:08x}", "firmware": str(WHEEL_HOST.digest())}
 
 
 def _files(scenario: Scenario) -> Iterator[tuple[str, str]]:

@@ -3,24 +3,22 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-import firmware_protocol.build
-import hil.plant.build
-import plant_fmu.built
+from firmware_protocol.built import WHEEL_HOST, is_checkout, run_script
 from hil.cli.checks.finding import Finding, ok, problem
 from hil.cli.checks.finding import note as note_of
 from hil.core.errors import BadInputError
 from hil.plant import archive
-from native_build.compiler import BuildError, compiler, version
+from hil.plant.built import COSIM, FMUS, MUJOCO
 
-_NATIVE = (firmware_protocol.build.BUILT, hil.plant.build.BUILT, *plant_fmu.built.BUILT.values())
+_NATIVE = (WHEEL_HOST, COSIM, *(built for path, built in FMUS.items() if path != MUJOCO))
 
 
 def check() -> Iterator[Finding]:
-    """Yield the libraries, the plant FMUs, and the compiler, which only who builds anew needs."""
+    """Yield the libraries, the plant FMUs and, in a checkout, the compiler: only building needs it."""
     for built in _NATIVE:
         path = built.path
         subject = "plant" if path.suffix == ".fmu" else "native library"
-        build = f"python -m {built.module}" if built.is_checkout() else "install the package anew"
+        build = f"python -m {built.module}" if is_checkout(built.root) else "install the package anew"
         if not path.is_file():
             yield problem(subject, f"{path.name} is not built", build)
         elif not built.is_current():
@@ -29,11 +27,14 @@ def check() -> Iterator[Finding]:
             yield from _platforms(path)
         else:
             yield ok(subject, path.name)
-    try:
-        command = compiler()
-        yield ok("C compiler", version(command))
-    except BuildError as error:
-        yield note_of("C compiler", str(error), "sudo apt install gcc, or pip install ziglang; only builds need it")
+    if not is_checkout():
+        return
+    done = run_script("tools.build.compiler")
+    if done.returncode == 0:
+        yield ok("C compiler", done.stdout.strip())
+    else:
+        remedy = "sudo apt install gcc, or pip install ziglang; only builds need it"
+        yield note_of("C compiler", done.stderr.strip(), remedy)
 
 
 def _platforms(fmu: Path) -> Iterator[Finding]:

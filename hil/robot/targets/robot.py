@@ -9,6 +9,7 @@ from typing import Protocol
 
 from firmware_protocol.arm_build import TARGETS as FIRMWARES
 from firmware_protocol.arm_build import build
+from firmware_protocol.built import BuildError
 from firmware_protocol.host import stored_parameters
 from firmware_protocol.stm32_flash import HIL_BOARD
 from hil.core.errors import BadInputError, nearest
@@ -17,8 +18,6 @@ from hil.robot.targets.qemu_board import QemuBoard
 from hil.robot.virtual import TruthSink, VirtualRobot, VirtualServer, VirtualStm32
 from hil.wire.robot_end import Wire
 from hil.wire.url import CanUrl, LinkUrl
-from native_build.built_from import NotCurrentError
-from native_build.compiler import BuildError
 
 TARGETS: Mapping[str, str] = {
     "host": "the firmware as a library of this machine",
@@ -54,7 +53,7 @@ class EmulatedStm32(VirtualStm32):
     def _power_on(self) -> Board:
         try:
             stored = self._stored or stored_parameters(self._made_of.firmware, HIL_BOARD)
-        except (ValueError, NotCurrentError) as error:
+        except (ValueError, BuildError) as error:
             raise BadInputError(f"the virtual robot cannot start: {error}") from error
         faults = self.faults
         # A file only for as long as the board takes it in: a process that is killed later leaves none behind.

@@ -1,33 +1,32 @@
 """Compiles the MuJoCo plant for this machine and packs it as an FMU that carries MuJoCo's library.
 
-Needs the standard library, a C compiler and the PyPI package ``mujoco``, whose headers and library it takes.
+``python -m tools.build.mujoco_fmu`` builds; with ``--model`` it also writes the robot as a file of MuJoCo's. Needs a C
+compiler and the PyPI package ``mujoco``, whose headers and library it takes.
 """
 
+import argparse
 import hashlib
 import importlib.metadata
 import importlib.util
+import math
 import platform
 import sys
 import tempfile
 from pathlib import Path
 
-from native_build.built_from import Built
-from native_build.compiler import FLAGS, BuildError, compile_shared, compiler, version
-from plant_fmu import c_header, description2, generate, mujoco, pack, platforms, tables
-from plant_fmu.built import comment_of, sources_of
+from firmware_protocol.built import FLAGS, BuildError
+from hil.plant.built import FMUS, MUJOCO
+from plant_fmu import c_header, description2, generate, platforms, tables
 from plant_fmu.mujoco import definition
+from plant_fmu.mujoco.model import ModelError, save
+from plant_fmu.sources import HERE as SHARED
+from plant_fmu.sources import MUJOCO as HERE
+from plant_fmu.sources import MUJOCO_HEADERS as HEADERS
+from plant_fmu.sources import MUJOCO_SOURCES as SOURCES
+from plant_fmu.sources import comment_of
+from tools.build import pack
+from tools.build.compiler import compile_shared, compiler, version
 
-HERE = Path(__file__).parent
-SHARED = HERE.parent
-SOURCES = (
-    *(SHARED / name for name in ("fmi2.c", "instance.c", "saved_state.c", "counter.c")),
-    HERE / "physics.c",
-    HERE / "robot.c",
-)
-HEADERS = (*sorted(SHARED.glob("*.h")), HERE / "robot.h", HERE / "state.h")
-built = Built(
-    mujoco.path(), SHARED.parent, "plant_fmu.mujoco", (*SOURCES, *HEADERS, *definition.PARTS), FLAGS, sources_of
-)
 LICENSE = SHARED / "documentation" / "licenses" / "license.txt"
 PAGE, TABLE = HERE / "documentation.html", "<!-- variables -->"
 
@@ -38,7 +37,7 @@ def build(out: Path | None = None, cc: str | None = None) -> Path:
     Raises BuildError when MuJoCo or a C compiler is missing, when compiling fails, and when ``out`` cannot be
     written.
     """
-    out = mujoco.path() if out is None else out
+    out = MUJOCO if out is None else out
     package = _package()
     library = _library(package)
     variables = definition.read()
@@ -48,7 +47,7 @@ def build(out: Path | None = None, cc: str | None = None) -> Path:
         "mecanum_variables.h": c_header.c_header(variables, guid),
         "documentation/index.html": PAGE.read_text(encoding="utf-8").replace(TABLE, tables.html_tables(variables)),
     }
-    inputs = f"{_digest(compiler(cc), library, texts)} {built.digest()}"
+    inputs = f"{_digest(compiler(cc), library, texts)} {FMUS[MUJOCO].digest()}"
     if comment_of(out) == inputs:
         return out
     with tempfile.TemporaryDirectory(prefix="plant_fmu_mujoco_") as folder:
@@ -116,3 +115,44 @@ def _digest(command: list[str], library: Path, texts: dict[str, str]) -> str:
     for name, content in sorted(_licenses().items()):
         digest.update(name.encode() + b"\0" + content + b"\0")
     return digest.hexdigest()
+
+
+def setting(text: str) -> tuple[str, float]:
+    """Return name and value of ``name=value``. Raises ValueError, which argparse reports."""
+    name, _, value = text.partition("=")
+    if not math.isfinite(float(value)):
+        raise ValueError
+    return name, float(value)
+
+
+def main() -> None:
+    """Build the FMU and print its path, and the model's."""
+    parser = argparse.ArgumentParser(
+        prog="tools.build.mujoco_fmu", description="Build the MuJoCo plant for this machine."
+    )
+    parser.add_argument("--out", type=Path, help="the FMU to write; the package's own by default")
+    parser.add_argument("--model", type=Path, help="also write the robot for MuJoCo's viewer: a file .xml or .mjb")
+    parser.add_argument(
+        "--set",
+        type=setting,
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        dest="parameters",
+        help="a parameter of that robot, such as wheel_radius_m=0.05",
+    )
+    arguments = parser.parse_args()
+    if arguments.parameters and arguments.model is None:
+        parser.error("--set is for --model; the FMU takes its parameters when it runs")
+    try:
+        fmu = build(arguments.out)
+        print(fmu)
+        if arguments.model is not None:
+            save(fmu, arguments.model, dict(arguments.parameters))
+            print(arguments.model)
+    except (BuildError, ModelError) as error:
+        sys.exit(f"tools.build.mujoco_fmu: {error}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,15 +1,15 @@
-"""What an FMU of ours is made of that decides how it runs, and whether the one that is there was built from that.
+"""The sources of each FMU of ours, as far as they decide how it runs, and the hash of them that an FMU holds.
 
-Every process with a plant asks this, so that it imports nothing that only building needs. Documents and reference
-results are in the FMU too, and change no run.
+Every process with a plant imports this, so it imports nothing that only building needs. Documents and reference results
+are in the FMU too, and change no run.
 """
 
 import zipfile
 from pathlib import Path
 
 import plant_fmu
-from native_build.built_from import Built
-from native_build.compiler import FLAGS
+from plant_fmu import mujoco
+from plant_fmu.mujoco.definition import PARTS
 
 HERE = Path(__file__).parent
 GENERATED = HERE / "generated"
@@ -58,15 +58,15 @@ def sources_of(archive: Path) -> str | None:
     return words[1] if len(words) == 2 else None
 
 
-BUILT = {
-    fmi: Built(
-        plant_fmu.path(fmi),
-        HERE.parent,
-        "plant_fmu.build",
-        (*SOURCES, *HEADERS, DEFINITION, *descriptions.values()),
-        FLAGS,
-        sources_of,
-    )
-    for fmi, descriptions in DESCRIPTIONS.items()
+MUJOCO = HERE / "mujoco"
+MUJOCO_SOURCES = (
+    *(HERE / name for name in ("fmi2.c", "instance.c", "saved_state.c", "counter.c")),
+    MUJOCO / "physics.c",
+    MUJOCO / "robot.c",
+)
+MUJOCO_HEADERS = (*sorted(HERE.glob("*.h")), MUJOCO / "robot.h", MUJOCO / "state.h")
+INPUTS = {
+    **{plant_fmu.path(fmi): (*SOURCES, *HEADERS, DEFINITION, *files.values()) for fmi, files in DESCRIPTIONS.items()},
+    mujoco.path(): (*MUJOCO_SOURCES, *MUJOCO_HEADERS, *PARTS),
 }
-"""By the FMI version."""
+"""What each FMU is made of, by where the FMU is."""

@@ -9,8 +9,8 @@ import zipfile
 from pathlib import Path
 
 from plant_fmu import manifest
-from plant_fmu.built import DESCRIPTIONS, GENERATED, HEADERS, HERE, SOURCES
 from plant_fmu.platforms import ZIG_TARGETS
+from plant_fmu.sources import DESCRIPTIONS, GENERATED, HEADERS, HERE, SOURCES
 
 DOCUMENTS = (HERE / "documentation" / "index.html", HERE / "documentation" / "licenses" / "license.txt")
 _DATE = (1980, 1, 1, 0, 0, 0)

@@ -1,6 +1,6 @@
 """Compiles the plant and packs it as FMUs, one for each FMI version.
 
-``python -m plant_fmu.build`` compiles for this machine with any C compiler; ``--all-platforms`` with zig for all that
+``python -m tools.build.fmu`` compiles for this machine with any C compiler; ``--all-platforms`` with zig for all that
 ``plant_fmu.platforms`` names. Both do nothing when the FMUs are up to date. An FMU depends on nothing but its inputs,
 so that its SHA-256 is the same on every run of one compiler; with zig, also on every machine.
 """
@@ -12,9 +12,12 @@ import tempfile
 from pathlib import Path
 
 import plant_fmu
-from native_build.compiler import FLAGS, BuildError, compile_shared, compiler, version, zig
-from plant_fmu import generate, pack, platforms
-from plant_fmu.built import BUILT, DEFINITION, DESCRIPTIONS, GENERATED, HERE, SOURCES, comment_of
+from firmware_protocol.built import FLAGS, BuildError
+from hil.plant.built import FMUS
+from plant_fmu import generate, platforms
+from plant_fmu.sources import DEFINITION, DESCRIPTIONS, GENERATED, HERE, SOURCES, comment_of
+from tools.build import pack
+from tools.build.compiler import compile_shared, compiler, version, zig
 
 _INCLUDE = (HERE, GENERATED)
 
@@ -40,7 +43,9 @@ def build_all(folder: Path | None = None, *, cc: str | None = None, all_platform
 
 def _build(outs: dict[int, Path], cc: str | None, all_platforms: bool) -> list[Path]:
     command = zig() if all_platforms else compiler(cc)
-    inputs = {fmi: f"{_inputs_digest(fmi, command, all_platforms)} {BUILT[fmi].digest()}" for fmi in outs}
+    inputs = {
+        fmi: f"{_inputs_digest(fmi, command, all_platforms)} {FMUS[plant_fmu.path(fmi)].digest()}" for fmi in outs
+    }
     wanted = {fmi: out for fmi, out in outs.items() if comment_of(out) != inputs[fmi]}
     if wanted and (stale := [path for path in generate.stale() if GENERATED in path.parents]):
         raise BuildError(f"{stale[0].name} is stale; run python -m plant_fmu.generate")
@@ -79,7 +84,7 @@ def _inputs_digest(fmi: int, command: list[str], all_platforms: bool) -> str:
 
 def main() -> None:
     """Build the FMUs and print their paths."""
-    parser = argparse.ArgumentParser(prog="plant_fmu.build", description="Build the plant's FMUs.")
+    parser = argparse.ArgumentParser(prog="tools.build.fmu", description="Build the plant's FMUs.")
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="where to write them; the package's own by default")
     parser.add_argument("--all-platforms", action="store_true", help="compile with zig for all platforms")
     arguments = parser.parse_args()
@@ -89,7 +94,7 @@ def main() -> None:
         for path in build_all(arguments.out, all_platforms=arguments.all_platforms):
             print(path)
     except BuildError as error:
-        sys.exit(f"plant_fmu.build: {error}")
+        sys.exit(f"tools.build.fmu: {error}")
 
 
 if __name__ == "__main__":

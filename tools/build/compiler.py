@@ -4,6 +4,8 @@ The order is ``$CC``; cc, gcc, clang; zig. Zig comes as a Python package (``zigl
 target, and is what a machine without a compiler builds with. On Windows zig comes before the others: a gcc or clang
 that happens to be on the PATH there may miss its headers, or make code for another word size. Zig keeps what it
 made in a cache of its own, in the user's cache folder or where ``ZIG_GLOBAL_CACHE_DIR`` says.
+
+``python -m tools.build.compiler`` prints the version of the compiler that a build would use.
 """
 
 import importlib.util
@@ -16,25 +18,10 @@ import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from native_build.built_from import Built, mark
+from firmware_protocol.built import FLAGS, BuildError, Built, mark
 
-SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
-# Without fused multiply-add the same sources give the same numbers on every machine that rounds by IEEE 754.
-FLAGS = (
-    "-std=c11",
-    "-O3",
-    "-ffp-contract=off",
-    "-Wall",
-    "-Wextra",
-    "-Wconversion",
-    "-Werror",
-)
 ZIG_REQUIREMENT = "ziglang==0.17.1"  # one version, so that everyone's cross-compiled binaries are the same
 _ON_THE_PATH = ("cc", "gcc", "clang")
-
-
-class BuildError(Exception):
-    """Something could not be built; the message says what to do."""
 
 
 def compiler(cc: str | None = None) -> list[str]:
@@ -58,7 +45,7 @@ def compiler(cc: str | None = None) -> list[str]:
 
 
 def wants_zig() -> bool:
-    """Tell whether this machine is to compile with zig, so that whoever builds here has to install it first."""
+    """Return whether this machine compiles with zig, so that whoever builds here has to install it first."""
     return not os.environ.get("CC") and (sys.platform == "win32" or not _on_the_path())
 
 
@@ -87,13 +74,13 @@ def compile_shared(
 ) -> None:
     """Compile C sources into a shared library, whole or not at all.
 
-    ``built`` is what is made, where the hash of its sources is to be in it.
+    With ``built`` its own flags count, and the hash of its sources goes into the library.
     With ``zig_target``, such as ``aarch64-linux-gnu.2.17``, zig compiles for that machine, and the result depends on
     nothing but the sources, the flags, the library's name and zig's version. Raises BuildError with what the
     compiler said.
     """
     command = [*zig(), "-target", zig_target] if zig_target else compiler(cc)
-    command += [*FLAGS, *flags, "-shared"]
+    command += [*(FLAGS if built is None else built.flags), *flags, "-shared"]
     command += [f"-I{folder.absolute()}" for folder in include] + [str(source.absolute()) for source in sources]
     # Before compiling: sources that change meanwhile make the library one that is not current.
     digest = None if built is None else built.digest()
@@ -136,3 +123,10 @@ def _run(command: Sequence[str], folder: Path | None = None) -> str:
     if done.returncode != 0:
         raise BuildError(f"{shlex.join(command)} failed:\n{done.stderr}")
     return done.stdout
+
+
+if __name__ == "__main__":
+    try:
+        print(version(compiler()))
+    except BuildError as problem:
+        sys.exit(str(problem))

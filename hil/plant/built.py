@@ -1,0 +1,19 @@
+"""What of the plant is built: the C shim between the firmware's plant port and an FMU, and the FMUs of this package."""
+
+from pathlib import Path
+
+import plant_fmu.mujoco
+from firmware_protocol.built import ROOT, SUFFIX, Built, digest_in_library
+from plant_fmu.sources import HERE as PLANTS
+from plant_fmu.sources import INPUTS, sources_of
+
+HERE = Path(__file__).parent
+PLANT_PORT = ROOT / "firmware_protocol" / "firmware" / "plant_port.h"
+HEADERS = (PLANT_PORT, HERE / "cosim.h", HERE / "derive.h", HERE / "remote.h", HERE / "robot_faults.h")
+SOURCES = (HERE / "cosim.c", HERE / "derive.c", HERE / "remote.c", HERE / "robot_faults.c")
+INCLUDE = (HERE, PLANT_PORT.parent)
+COSIM = Built(HERE / f"libcosim{SUFFIX}", "tools.build.cosim", (*SOURCES, *HEADERS), digest_in_library)
+MUJOCO = plant_fmu.mujoco.path()
+_SCRIPTS = dict.fromkeys(INPUTS, "tools.build.fmu") | {MUJOCO: "tools.build.mujoco_fmu"}
+FMUS = {path: Built(path, _SCRIPTS[path], inputs, sources_of, PLANTS.parent) for path, inputs in INPUTS.items()}
+"""The FMUs of this package by where they are."""
