@@ -10,7 +10,7 @@ from hil.batch.comparison.runs import Job, perform
 from hil.cli.review import review as command
 from hil.cli.testing.verdict import run_as_test
 from hil.core.errors import BadInputError
-from hil.faults.rows import FaultRow
+from hil.faults.kind import FaultRow
 from hil.review import review
 from hil.review.figures import figures, read_for_figures
 from hil.review.page import page

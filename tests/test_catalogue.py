@@ -13,8 +13,7 @@ from hil.batch.catalogue.runs import WORK, perform
 from hil.batch.pool import counted, perform_all
 from hil.core.progress import runs_progress
 from hil.faults.cases import CASES, DURATION_S, Outcome
-from hil.faults.kinds import KINDS
-from hil.faults.rows import find
+from hil.faults.kinds import KINDS, find
 from hil.scenario.rows import FaultTable
 from tests.processes import hil
 from tools.build.compiler import compile_shared

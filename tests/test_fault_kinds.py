@@ -4,9 +4,9 @@ import pytest
 
 from hil.cli.report import listing
 from hil.core.errors import BadInputError
+from hil.faults.kind import FaultRow, generators
 from hil.faults.kinds import KINDS
 from hil.faults.page import PAGE, page
-from hil.faults.rows import FaultRow, generators
 from hil.scenario import load
 from tests.fault_runs import write
 

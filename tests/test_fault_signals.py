@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from hil.core.signals import INDEX, SIGNAL_NAMES
 from hil.core.types import CommandMode, WheelCommand, Wheels
-from hil.faults.rows import NEVER_NS, FaultRow
+from hil.faults.kind import NEVER_NS, FaultRow
 from hil.runtime.signal_faults import SignalFaults
 from tests.fault_runs import applied, run_with
 

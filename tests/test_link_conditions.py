@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m
 from hil.core.ports import Received
-from hil.faults.rows import FaultRow
+from hil.faults.kind import FaultRow
 from hil.wire.bus_faults import FaultBus
 from hil.wire.delay import DelayedLink
 from hil.wire.fault_rows import ScenarioTime, link_faults

@@ -11,7 +11,7 @@ from firmware_protocol.framing import Deframer, Frame, Framer
 from firmware_protocol.generated import messages as m
 from hil.core.errors import LinkError
 from hil.core.ports import Received
-from hil.faults.rows import NEVER_NS, FaultRow
+from hil.faults.kind import NEVER_NS, FaultRow
 from hil.wire.bus_faults import FaultBus
 from hil.wire.fault_rows import ScenarioTime, link_faults
 from hil.wire.faults import FaultLink

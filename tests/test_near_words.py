@@ -6,8 +6,7 @@ import pytest
 
 from hil.core.errors import near, nearest
 from hil.core.signals import SIGNAL_NAMES
-from hil.faults.kinds import MESSAGES
-from hil.faults.rows import names
+from hil.faults.kinds import MESSAGES, names
 from hil.laws.registry import SHIPPED
 from hil.scenario.run import Scenario
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.core.errors import BadInputError
-from hil.faults.rows import NEVER_NS, FaultRow
+from hil.faults.kind import NEVER_NS, FaultRow
 from hil.plant import archive
 from hil.plant.fmu import FmuPlant
 from hil.plant.remote import RemotePlant

@@ -177,9 +177,9 @@ def listing(what: str) -> tuple[tuple[str, ...], Sequence[tuple[str, ...]]]:
 
         return ("link", "meaning"), list(LINK_FORMS.items())
     if what == "faults":
-        from hil.faults.kinds import KINDS
+        from hil.faults.kinds import kinds as fault_kinds
 
-        rows = [(k.name, k.acts_on, k.target_words.replace("`", ""), k.unit, k.meaning) for k in KINDS]
+        rows = [(k.name, k.acts_on, k.target_words.replace("`", ""), k.unit, k.meaning) for k in fault_kinds()]
         return ("kind", "acts on", "target", "value", "meaning"), rows
     if what == "drivers":
         from hil.scenario.drivers import COLUMNS, driver_rows

@@ -1,11 +1,18 @@
-"""Every kind of fault once: where it acts, on what, its unit and range. Scenarios, page and ``hil list`` use this."""
+"""Every kind of fault once, as data: where it acts, on what, its unit and range.
 
-from collections.abc import Mapping
-from typing import NamedTuple
+Scenarios, the page and ``hil list`` use this table. Other packages add kinds that act on signals or frames: each is a
+``Kind``, registered as an entry point of the group ``hil.faults``.
+"""
 
+import sys
+from functools import cache
+
+from hil.core.errors import BadInputError, nearest
+from hil.core.extensions import Extensions, package_of
 from hil.core.language import WHEEL_DBC
 from hil.core.signals import SIGNAL_NAMES
 from hil.core.types import WHEEL_NAMES
+from hil.faults.kind import Kind, Quantity
 
 DIRECTIONS = ("command", "feedback")
 MESSAGES = tuple(name for number, name in WHEEL_DBC.names.items() if number < WHEEL_DBC.exempt_from)
@@ -14,60 +21,6 @@ PUSHES = ("force_x_n", "force_y_n", "moment_n_m")
 FAULTY_SIGNALS = tuple(name for name in SIGNAL_NAMES if name != "loop.t_s")
 BATTERY_VARIABLE = "battery_voltage_v"
 GRIP_VARIABLES = tuple(f"wheel.{wheel}.grip_factor" for wheel in WHEEL_NAMES)
-
-
-class Quantity(NamedTuple):
-    """A number of a row: its name, unit, range and default; None for one that has to be given."""
-
-    name: str
-    unit: str
-    meaning: str
-    low: float
-    high: float
-    default: float | None = None
-    excludes_low: bool = False
-
-    @property
-    def range(self) -> str:
-        """The range in words."""
-        if self.low == -self.high:
-            return f"-{self.high:g} to {self.high:g}"
-        return (
-            f"more than {self.low:g}, at most {self.high:g}" if self.excludes_low else f"{self.low:g} to {self.high:g}"
-        )
-
-    def holds(self, value: float) -> bool:
-        """Tell whether a value is in range."""
-        return self.low <= value <= self.high and not (self.excludes_low and value == self.low)
-
-
-class Kind(NamedTuple):
-    """A kind of fault.
-
-    ``targets`` are the names that a row may give, empty where only the FMU knows them; ``target_words`` says the same
-    for a person. ``value`` is the row's number, ``further`` the other ones, of which all or none are given.
-    ``is_instant``: it happens at start_s and has no end. ``counts`` is what ``applied`` counts. ``explains``: it can
-    take feedback, state or robot away, so that a tick is not driven (``can_hold``).
-    """
-
-    name: str
-    acts_on: str  # link, device, plant, signal
-    targets: tuple[str, ...]
-    target_words: str
-    meaning: str
-    counts: str
-    example: Mapping[str, str | float]
-    value: Quantity | None = None
-    further: tuple[Quantity, ...] = ()
-    is_instant: bool = False
-    explains: bool = False
-
-    @property
-    def unit(self) -> str:
-        """What ``value`` is, for a list."""
-        if self.value is None:
-            return "-"
-        return self.value.unit or self.value.meaning
 
 
 _FRAMES = (*DIRECTIONS, *MESSAGES)
@@ -266,6 +219,7 @@ KINDS: tuple[Kind, ...] = (
         {"target": "truth.x_m", "start_s": 2.0, "end_s": 3.0, "value": 0.05},
         Quantity("value", "the signal's", "what is added", -_ANY, _ANY),
         explains=True,
+        on_signal=lambda row, _chance: lambda value, _t_ns: value + row.value,
     ),
     Kind(
         "override", "signal", FAULTY_SIGNALS, _SIGNAL_WORDS,
@@ -274,6 +228,7 @@ KINDS: tuple[Kind, ...] = (
         {"target": "wheel.fl.speed_command_rad_s", "start_s": 2.0, "end_s": 2.1, "value": 3.0},
         Quantity("value", "the signal's", "value", -_ANY, _ANY),
         explains=True,
+        on_signal=lambda row, _chance: lambda _value, _t_ns: row.value,
     ),
     Kind(
         "reset", "signal", FAULTY_SIGNALS, _SIGNAL_WORDS,
@@ -284,3 +239,48 @@ KINDS: tuple[Kind, ...] = (
         explains=True,
     ),
 )  # fmt: skip
+
+_EXTENSIONS = Extensions("hil.faults", [kind.name for kind in KINDS])
+
+
+def kinds() -> tuple[Kind, ...]:
+    """Return every kind: the shipped ones, then those of other packages.
+
+    Raises BadInputError for one of another package that cannot be loaded, or is no kind that acts on signals or frames.
+    """
+    return _kinds(tuple(sys.path))
+
+
+@cache
+def _kinds(_path: tuple[str, ...]) -> tuple[Kind, ...]:
+    """See ``kinds``. Packages are looked for once for each module search path, which takes milliseconds."""
+    found = list(KINDS)
+    for point in _EXTENSIONS.registered():
+        named = f"fault {point.name!r}, of the package {package_of(point)}"
+        kind = _EXTENSIONS.load(point.name, f"fault {point.name!r}")
+        if not isinstance(kind, Kind) or kind.name != point.name:
+            raise BadInputError(f"{named}: {point.value!r} is {kind!r}; expected a hil.faults.kind.Kind of this name")
+        if kind.name in names(KINDS):
+            raise BadInputError(f"{named}: the name is taken; choose another")
+        effects = {"signal": kind.on_signal, "link": kind.on_frames}
+        if effects.get(kind.acts_on) is None or kind.is_instant:
+            expected = "expected 'signal' with on_signal, or 'link' with on_frames, and a window"
+            raise BadInputError(f"{named}: acts_on = {kind.acts_on!r}; {expected}")
+        found.append(kind)
+    return tuple(found)
+
+
+def names(some: tuple[Kind, ...] | None = None) -> tuple[str, ...]:
+    """Return the names of the kinds, by default of all, each once."""
+    return tuple(dict.fromkeys(kind.name for kind in (kinds() if some is None else some)))
+
+
+def find(name: str, target: str | None) -> Kind:
+    """Return the kind of a row: of two with one name, the one that acts on the target.
+
+    Raises ValueError, with part of a sentence, when there is none of this name.
+    """
+    same = [kind for kind in kinds() if kind.name == name]
+    if not same:
+        raise ValueError(f"kind = {name!r} is no kind of fault{nearest(name, names())}")
+    return next((kind for kind in same if target in kind.targets), same[-1])

@@ -8,7 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from hil.faults.cases import CASES, DURATION_S, PAIRS, Row
-from hil.faults.kinds import KINDS, Kind, Quantity
+from hil.faults.kind import Kind, Quantity
+from hil.faults.kinds import KINDS
 
 PAGE = Path(__file__).with_name("FAULTS.md")
 
@@ -47,6 +48,9 @@ A row of `[[fault]]` in a scenario makes something go wrong while a run goes on:
 - Faults of the device and of the plant act inside the virtual robot. One in another process (`hil device`) gets them
   through its truth socket, so `hil run` needs `--truth`; on a real board they are refused.
 - No fault of a signal gets round the guard, and none arms the robot.
+
+Another package adds kinds that act on signals or frames: each is a `hil.faults.kind.Kind` with its effect, registered
+as an entry point of the group `hil.faults`.
 
 `hil list faults` prints the kinds in short, and `hil catalogue` tries them all (see the end of this page).
 """

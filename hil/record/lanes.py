@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hil.faults.rows import find
+from hil.faults.kinds import KINDS
 from hil.record.known import table_rows
 from hil.record.names import state_names
 
@@ -108,7 +108,8 @@ class _Link:
 def _fault_lane(number: int, row: Mapping[str, Any], t_column: int) -> Lane:
     kind, target = str(row["kind"]), str(row["target"])
     begin_s, end_s = float(row.get("start_s", 0.0)), float(row.get("end_s", math.inf))
-    word = "HAPPENED" if find(kind, target).is_instant else "IN FORCE"
+    is_instant = any(known.is_instant and known.name == kind and target in known.targets for known in KINDS)
+    word = "HAPPENED" if is_instant else "IN FORCE"
 
     def codes(rows: npt.NDArray[np.float64]) -> Codes:
         t_s = rows[:, t_column]

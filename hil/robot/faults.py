@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 from hil.core.clock import TICK_NS
 from hil.core.errors import BadInputError, nearest
 from hil.core.types import WHEEL_NAMES
+from hil.faults.kind import FaultRow
 from hil.faults.kinds import BATTERY_VARIABLE, GRIP_VARIABLES, PUSHES
-from hil.faults.rows import FaultRow
 from hil.plant import shim
 from hil.plant.fmu import FmuPlant
 from hil.plant.remote import RemotePlant

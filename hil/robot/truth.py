@@ -8,7 +8,7 @@ from urllib.parse import urlsplit
 
 from hil.core.errors import BadInputError, DeviceError
 from hil.core.types import PoseFix
-from hil.faults.rows import FaultRow
+from hil.faults.kind import FaultRow
 from hil.robot.truth_wire import ANSWER_S, LONGEST_ANSWER, RECORD, TruthRecord, unpack
 
 _CHUNK = 65536

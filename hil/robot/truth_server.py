@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, TypeVar
 from firmware_protocol.host import View
 from hil.core.errors import BadInputError, DeviceError, HilError
 from hil.core.types import PoseFix
-from hil.faults.rows import FaultRow
+from hil.faults.kind import FaultRow
 from hil.robot.faults import RobotFaults
 from hil.robot.truth_wire import ANSWER_S, LONGEST_ANSWER, RECORD
 

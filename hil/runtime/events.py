@@ -6,7 +6,7 @@ from functools import partial
 from typing import Any
 
 from hil.core.ports import Note
-from hil.faults.rows import find
+from hil.faults.kinds import find
 from hil.judge.expectations import Watch, outcome_figures
 from hil.plant.said import Said, tell
 from hil.scenario import Scenario

@@ -7,7 +7,7 @@ from typing import Protocol
 from hil.core.errors import BadInputError, HilError
 from hil.core.language import WHEEL_DBC, Language
 from hil.core.ports import Link
-from hil.faults.rows import FaultRow
+from hil.faults.kind import FaultRow
 from hil.robot.faults import RobotFaults
 from hil.runtime.signal_faults import SignalFaults
 from hil.wire.bus_faults import FaultBus
@@ -65,7 +65,7 @@ class RunFaults:
         self._language = language
         of_signals = [row for row in rows if row.acts_on == "signal"]
         self.time = ScenarioTime(clock)
-        self.signals = SignalFaults(of_signals, names) if of_signals else None
+        self.signals = SignalFaults(of_signals, names, seed) if of_signals else None
 
     @property
     def of_frames(self) -> list[LinkFault]:

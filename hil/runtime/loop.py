@@ -9,7 +9,7 @@ from hil.core.errors import DeviceError, HilError, LinkError, OverdueError, Robo
 from hil.core.signals import make_loop_signals
 from hil.core.tick_watch import TickOverdue, TickWatch
 from hil.core.types import NAN, CommandMode
-from hil.faults.rows import FaultRow
+from hil.faults.kind import FaultRow
 from hil.judge.allowed import Counted
 from hil.runtime.lateness import Lateness
 from hil.runtime.recovery import Recovered, Recovery, Warned

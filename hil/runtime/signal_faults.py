@@ -4,13 +4,15 @@ Sensors act before the estimator, the reference before the law, commands before 
 sees them and nothing gets round the guard. A signal that nothing reads changes what is recorded and judged.
 """
 
+import random
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
 from firmware_protocol.generated.messages import State as RobotState
 from hil.core.signals import SIGNAL_NAMES, ReferenceSignals
 from hil.core.types import WHEEL_NAMES, Acceleration, Pose, PoseFix, Reference, State, Twist, WheelCommand, Wheels
-from hil.faults.rows import FaultRow, find
+from hil.faults.kind import FaultRow, generators
+from hil.faults.kinds import find
 from hil.robot.snapshot import Feedback
 
 _PER_WHEEL = {
@@ -29,14 +31,17 @@ _NS = 1e9
 class _Fault:
     """A row with its account."""
 
-    def __init__(self, row: FaultRow) -> None:
+    def __init__(self, row: FaultRow, chance: random.Random) -> None:
         self.row = row
+        make = find(row.kind, row.target).on_signal
+        self._effect = None if make is None else make(row, chance)
         self.applied = 0
         self.is_over = False  # a reset has ended it
 
-    def changed(self, value: float) -> float:
+    def changed(self, value: float, t_ns: int) -> float:
         """Return what becomes of a value while the row is in force."""
-        new = value + self.row.value if self.row.kind == "bias" else self.row.value
+        assert self._effect is not None, "a kind of signal that happens in a window"
+        new = self._effect(value, t_ns)
         self.applied += new != value and not (new != new and value != value)
         return new
 
@@ -70,11 +75,11 @@ class SignalFaults:
     """The faults of a run that act on signals. ``at`` begins a tick; then each group is passed through once.
 
     Rows act in the order of the scenario, each on what the one before it made of the value. ``names`` are the signals
-    of the run.
+    of the run, ``seed`` that of its chance.
     """
 
-    def __init__(self, rows: Sequence[FaultRow], names: Sequence[str] = SIGNAL_NAMES) -> None:
-        self._faults = [_Fault(row) for row in rows]
+    def __init__(self, rows: Sequence[FaultRow], names: Sequence[str] = SIGNAL_NAMES, seed: int = 1) -> None:
+        self._faults = [_Fault(*one) for one in zip(rows, generators(rows, seed), strict=True)]
         self._groups: dict[str, list[tuple[int, _Fault]]] = {}
         for fault in self._faults:
             if fault.row.kind != "reset":
@@ -160,5 +165,5 @@ class SignalFaults:
         values = list(numbers)
         for index, fault in self._groups.get(group, ()):
             if fault.row.is_in_force(self._t_ns) and not fault.is_over:
-                values[index] = fault.changed(values[index])
+                values[index] = fault.changed(values[index], self._t_ns)
         return make(values)

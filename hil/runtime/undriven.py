@@ -2,7 +2,8 @@
 
 from collections.abc import Sequence
 
-from hil.faults.rows import FaultRow, find
+from hil.faults.kind import FaultRow
+from hil.faults.kinds import find
 from hil.judge.allowed import Counted
 from hil.runtime.sampling import Timing
 from hil.runtime.signal_faults import can_hold

@@ -7,7 +7,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from hil.core.errors import near, nearest
-from hil.faults.rows import find, names
+from hil.faults.kinds import find, names
 from hil.scenario.fields import Table
 from hil.scenario.layers import Given, Node, Path, Tree, dotted, leaves
 from hil.scenario.tables import Tables

@@ -5,7 +5,8 @@ from typing import Any
 
 from pydantic import Field, model_validator
 
-from hil.faults.rows import NEVER_NS, NS_PER_S, FaultRow, check_numbers, check_target, find
+from hil.faults.kind import NEVER_NS, NS_PER_S, FaultRow
+from hil.faults.kinds import find
 from hil.scenario.fields import Table, Text
 
 _NUMBERS = ("value", "burst_frames", "x_m", "y_m", "radius_m")
@@ -49,8 +50,8 @@ class FaultTable(Table):
     @model_validator(mode="after")
     def _consistent(self) -> "FaultTable":
         kind = find(self.kind, self.target)
-        check_target(kind, self.target, self.value)
-        check_numbers(kind, {name: getattr(self, name) for name in _NUMBERS})
+        kind.check_target(self.target, self.value)
+        kind.check_numbers({name: getattr(self, name) for name in _NUMBERS})
         if kind.is_instant and self.end_s != math.inf:
             raise ValueError(f"end_s = {self.end_s}: {kind.name} happens at start_s and has no end; remove end_s")
         if math.isnan(self.end_s) or self.end_s <= self.start_s:

@@ -4,8 +4,8 @@ import random
 from collections.abc import Sequence
 
 from hil.core.language import WHEEL_DBC, Language
+from hil.faults.kind import FaultRow, generators
 from hil.faults.kinds import DIRECTIONS
-from hil.faults.rows import FaultRow, generators
 from hil.wire.delay import NowNs
 
 

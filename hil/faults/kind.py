@@ -1,0 +1,162 @@
+"""What a kind of fault is, and what a row of ``[[fault]]`` is for the part that applies it."""
+
+import random
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple, TypeAlias
+
+from firmware_protocol.framing import Frame
+from firmware_protocol.generated.messages import State
+from hil.core.errors import nearest
+from hil.core.signals import SIGNAL_NAMES
+
+NS_PER_S = 1_000_000_000
+NEVER_NS = 2**62
+
+
+class FaultRow(NamedTuple):
+    """A row of ``[[fault]]`` in numbers: times in ns of the scenario's time; a number that its kind lacks is 0.
+
+    Its window is start_ns <= t < end_ns.
+    """
+
+    kind: str
+    acts_on: str
+    target: str
+    start_ns: int
+    end_ns: int
+    value: float = 0.0
+    burst_frames: float = 0.0
+    x_m: float = 0.0
+    y_m: float = 0.0
+    radius_m: float = 0.0
+
+    def is_in_force(self, t_ns: int) -> bool:
+        """Tell whether a time is in the window."""
+        return self.start_ns <= t_ns < self.end_ns
+
+
+def generators(rows: Sequence[FaultRow], seed: int) -> list[random.Random]:
+    """Return a random generator for each row, seeded by ``seed`` and by what the row says.
+
+    So removing a row changes no other. Equal rows get different generators.
+    """
+    seen: dict[FaultRow, int] = {}
+    sources = []
+    for row in rows:
+        seen[row] = seen.get(row, -1) + 1
+        sources.append(random.Random(f"{seed} {tuple(row)} {seen[row]}"))
+    return sources
+
+
+SignalEffect: TypeAlias = Callable[[float, int], float]
+"""Takes a signal's value and the scenario's time [ns] inside the window; returns the value that is seen instead."""
+FrameEffect: TypeAlias = Callable[[str, list[Frame]], list[Frame]]
+"""Takes a direction, "command" or "feedback", and a frame with its copies; returns the frames that go on instead."""
+
+
+class Quantity(NamedTuple):
+    """A number of a row: its name, unit, range and default; None for one that has to be given."""
+
+    name: str
+    unit: str
+    meaning: str
+    low: float
+    high: float
+    default: float | None = None
+    excludes_low: bool = False
+
+    @property
+    def range(self) -> str:
+        """The range in words."""
+        if self.low == -self.high:
+            return f"-{self.high:g} to {self.high:g}"
+        return (
+            f"more than {self.low:g}, at most {self.high:g}" if self.excludes_low else f"{self.low:g} to {self.high:g}"
+        )
+
+    def holds(self, value: float) -> bool:
+        """Tell whether a value is in range."""
+        return self.low <= value <= self.high and not (self.excludes_low and value == self.low)
+
+
+class Kind(NamedTuple):
+    """A kind of fault.
+
+    Attributes:
+        acts_on: "link", "device", "plant" or "signal".
+        targets: the targets that a row may name; empty where only the FMU knows them.
+        target_words: the same for a reader.
+        meaning: what happens.
+        counts: what ``applied`` counts.
+        example: the rest of a row, for the page.
+        value: the row's ``value``, None for a kind without one.
+        further: its other numbers, of which a row gives all or none.
+        is_instant: it happens at start_s and has no end.
+        explains: it can take feedback, state or robot away, so it explains ticks that are not driven.
+        on_signal: for a kind that changes a value: called as ``on_signal(row, chance)`` once for each row, returns its
+            effect. ``applied`` then counts the values that came out different.
+        on_frames: the same for a kind that loses, doubles or replaces frames.
+    """
+
+    name: str
+    acts_on: str
+    targets: tuple[str, ...]
+    target_words: str
+    meaning: str
+    counts: str
+    example: Mapping[str, str | float]
+    value: Quantity | None = None
+    further: tuple[Quantity, ...] = ()
+    is_instant: bool = False
+    explains: bool = False
+    on_signal: Callable[[FaultRow, random.Random], SignalEffect] | None = None
+    on_frames: Callable[[FaultRow, random.Random], FrameEffect] | None = None
+
+    @property
+    def unit(self) -> str:
+        """The unit of ``value``, for a list."""
+        if self.value is None:
+            return "-"
+        return self.value.unit or self.value.meaning
+
+    def check_target(self, target: str, value: float | None) -> None:
+        """Raise ValueError, with part of a sentence, unless the kind acts on the target.
+
+        Whether the run has a signal of this name is checked with the scenario.
+        """
+        if self.acts_on == "signal":
+            if target in SIGNAL_NAMES and target not in self.targets:
+                raise ValueError(f"target = {target!r} is nothing that {self.name} acts on; it is the time of the run")
+        elif self.targets and target not in self.targets:
+            hint = nearest(target, self.targets)
+            if "did you mean" not in hint and len(self.targets) > 12:
+                hint = f"; expected {self.target_words.replace('`', '')}"
+            raise ValueError(f"target = {target!r} is nothing that {self.name} acts on{hint}")
+        if target == "robot.state" and self.name == "bias":
+            raise ValueError("target = 'robot.state' is no quantity; use override with the number of a state")
+        if target == "robot.state" and self.name == "override" and value not in list(State):
+            known = ", ".join(f"{state.value} {state.name}" for state in State)
+            raise ValueError(f"value = {value} is no state of the firmware; expected one of {known}")
+
+    def check_numbers(self, given: Mapping[str, float | None]) -> None:
+        """Raise ValueError, with part of a sentence, unless a row's numbers fit the kind; None for one not given."""
+        known = {q.name: q for q in (self.value, *self.further) if q is not None}
+        for name, value in given.items():
+            quantity = known.get(name)
+            if quantity is None:
+                if value is not None:
+                    raise ValueError(f"{name} = {value:g}: {self.name} takes no {name}; remove it")
+            elif value is not None and not quantity.holds(value):
+                unit = f" {quantity.unit}" if quantity.unit else ""
+                raise ValueError(f"{name} = {value:g}: expected {quantity.range}{unit}, the {quantity.meaning}")
+        if self.value is not None and given["value"] is None:
+            raise ValueError(f"value is missing: {self.value.meaning}, {self.value.range} {self.value.unit}".rstrip())
+        further = [quantity.name for quantity in self.further]
+        if len({given[name] is None for name in further}) > 1:
+            raise ValueError(f"{', '.join(further)} belong together; give all or none")
+        share, burst = given["value"], given["burst_frames"]
+        if self.name == "burst_loss" and share is not None and burst is not None and share > burst / (burst + 1.0):
+            raise ValueError(
+                f"value = {share:g}: bursts of {burst:g} frames with one whole frame between them lose "
+                f"{burst / (burst + 1.0):.3g}; lower value, or raise burst_frames"
+            )
