@@ -8,8 +8,9 @@ import pytest
 from packaging.requirements import Requirement
 
 from firmware_protocol.built import WHEEL_HOST
-from hil.cli.checks import Finding, Verdict, can, compiler, disk, kernel, versions, viewer
-from hil.cli.report import print_findings
+from hil.cli.checks import install, ports, realtime, recording
+from hil.cli.checks.finding import Finding, Verdict
+from hil.cli.doctor import print_findings
 from tests.processes import hil
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="the trees are Linux's")
@@ -41,7 +42,7 @@ def test_findings_are_printed_with_what_to_do_below(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("CC", "no-such-compiler")
-    print_findings(list(compiler.check()))
+    print_findings(list(install.check_native()))
     lines = capsys.readouterr().out.splitlines()
     (place,) = [number for number, line in enumerate(lines) if "no-such-compiler" in line]
     assert lines[place].startswith("note     C compiler")
@@ -56,7 +57,7 @@ def test_a_machine_that_was_set_up_for_real_time_is_ok(tmp_path: Path) -> None:
         f"{cpus}/cpu0/cpufreq/scaling_governor": "performance\n",
         f"{cpus}/isolated": "2-3\n",
     }
-    found = list(kernel.check(_tree(tmp_path, files)))
+    found = list(realtime.check_kernel(_tree(tmp_path, files)))
     assert set(_verdicts(found).values()) == {Verdict.OK}
     assert "isolated: 2, 3" in found[-1].sentence
 
@@ -68,7 +69,7 @@ def test_a_machine_that_was_not_gets_the_commands(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr("platform.release", lambda: "6.1.0")
     governors = {f"sys/devices/system/cpu/cpu{n}/cpufreq/scaling_governor": "powersave\n" for n in range(8)}
     config = {"boot/config-6.1.0": "CONFIG_HZ=250\nCONFIG_NO_HZ_IDLE=y\n# CONFIG_HIGH_RES_TIMERS is not set\n"}
-    found = list(kernel.check(_tree(tmp_path, governors | config)))
+    found = list(realtime.check_kernel(_tree(tmp_path, governors | config)))
     assert set(_verdicts(found)) == {"kernel", "timers", "frequency", "processors"}
     assert set(_verdicts(found).values()) == {Verdict.NOTE}
     remedies = " ".join(one.remedy for one in found)
@@ -85,7 +86,7 @@ def test_can_interfaces_are_those_of_the_kernels_type(tmp_path: Path) -> None:
         "no-such-can1/type": "280\n",
         "no-such-can1/flags": "0x400c1\n",
     }
-    down, up = (one for one in can.check(_tree(tmp_path, files)) if one.subject == "CAN interface")
+    down, up = (one for one in ports.check_can(_tree(tmp_path, files)) if one.subject == "CAN interface")
     assert (down.verdict, up.verdict) == (Verdict.NOTE, Verdict.OK)
     assert down.remedy == "sudo ip link set no-such-can0 up type can bitrate 1000000"
     assert "can:socketcan/no-such-can1" in up.sentence
@@ -93,14 +94,14 @@ def test_can_interfaces_are_those_of_the_kernels_type(tmp_path: Path) -> None:
 
 @linux
 def test_a_folder_that_takes_no_recording_is_a_problem() -> None:
-    (found,) = disk.check(Path("/proc/self"))
+    (found,) = recording.check_disk(Path("/proc/self"))
     assert found.verdict is Verdict.PROBLEM
     assert found.sentence.startswith("/proc/self: a recording cannot be written")
 
 
 def test_a_package_of_another_version_is_a_problem() -> None:
-    assert versions._unmet(Requirement("numpy>=1")) is None
-    wrong, missing = versions._unmet(Requirement("numpy<1")), versions._unmet(Requirement("no-such-package"))
+    assert install._unmet(Requirement("numpy>=1")) is None
+    wrong, missing = install._unmet(Requirement("numpy<1")), install._unmet(Requirement("no-such-package"))
     assert wrong is not None
     assert missing is not None
     assert wrong.remedy == "pip install 'numpy<1'"
@@ -115,8 +116,8 @@ def test_a_library_not_built_from_its_sources_is_a_problem(tmp_path: Path, monke
         WHEEL_HOST._replace(path=tmp_path / "libgone.so", module="b.build"),
         WHEEL_HOST,
     )
-    monkeypatch.setattr(compiler, "_NATIVE", native)
-    old, gone, own = (one for one in compiler.check() if one.subject == "native library")
+    monkeypatch.setattr(install, "_NATIVE", native)
+    old, gone, own = (one for one in install.check_native() if one.subject == "native library")
     assert (old.verdict, old.remedy) == (Verdict.PROBLEM, "python -m tools.build.wheel_host")
     assert old.sentence == "libold.so was not built from the sources beside it"
     assert (gone.sentence, gone.remedy) == ("libgone.so is not built", "python -m b.build")
@@ -126,5 +127,5 @@ def test_a_library_not_built_from_its_sources_is_a_problem(tmp_path: Path, monke
 @linux
 def test_a_graphics_processor_is_found_by_its_node(tmp_path: Path) -> None:
     (tmp_path / "renderD128").touch()
-    assert _verdicts(list(viewer.check(tmp_path)))["graphics"] is Verdict.OK
-    assert _verdicts(list(viewer.check(tmp_path / "none")))["graphics"] is Verdict.NOTE
+    assert _verdicts(list(recording.check_viewer(tmp_path)))["graphics"] is Verdict.OK
+    assert _verdicts(list(recording.check_viewer(tmp_path / "none")))["graphics"] is Verdict.NOTE

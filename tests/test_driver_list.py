@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from hil.cli.report import listing
+from hil.cli.list import listing
 from hil.core.errors import BadInputError
 from hil.core.types import CommandMode
 from hil.drivers.registry import DIALECTS, driver_names

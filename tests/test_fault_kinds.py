@@ -2,7 +2,7 @@
 
 import pytest
 
-from hil.cli.report import listing
+from hil.cli.list import listing
 from hil.core.errors import BadInputError
 from hil.faults.kind import FaultRow, generators
 from hil.faults.kinds import KINDS

@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from hil.cli.fuzzy import fuzzy
-from hil.cli.gain_picture import draw_gains
+from hil.cli.fuzzy import draw_gains, fuzzy
 from hil.core.errors import BadInputError
 from hil.laws.fuzzy import K1_1_S, K2_1_S, RULES, FuzzyBlock
 from tests.processes import hil

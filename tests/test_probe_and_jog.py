@@ -14,8 +14,8 @@ import can
 import pytest
 
 from firmware_protocol.generated.messages import SENDERS
-from hil.cli.jog import Jogged, jog
-from hil.cli.probe import Answer, probe
+from hil.cli.jog import Jogged, turn_wheel
+from hil.cli.probe import Answer, find_motors
 from hil.core.errors import BadInputError
 from hil.core.types import Wheels
 from hil.drivers.port import Found
@@ -97,7 +97,7 @@ def test_where_strangers_speak_nobody_is_asked(bus: Bus) -> None:
 @pytest.mark.parametrize(("driver", "link"), [("moteus", "can:socketcan/can0"), ("odrive", "can:socketcan/can0?fd=1")])
 def test_who_is_on_the_other_kind_of_bus_is_not_looked_for(driver: str, link: str) -> None:
     with pytest.raises(BadInputError, match=r"not looked for on this link: .* look for them in a link with(out)? fd=1"):
-        probe(link, driver)
+        find_motors(link, driver)
 
 
 def test_who_knows_its_wiring_is_not_sent_to_jog() -> None:
@@ -111,7 +111,7 @@ def test_too_few_motors_are_no_robot_file() -> None:
 
 def test_our_own_firmware_is_found_on_a_line() -> None:
     with device("circle_speed", "--mode", "realtime", "--link", "serial:pty") as robot:
-        [answer] = probe(robot.link).answers
+        [answer] = find_motors(robot.link).answers
     assert answer.driver == "stm32"
     assert "our own firmware: firmware " in answer.found.sentences[0]
 
@@ -138,7 +138,7 @@ def test_vescs_behind_a_line_are_waited_for(tmp_path: Path) -> None:
     with device(
         "circle_speed", "--mode", "realtime", "--dialect", "vesc", "--link", "serial:pty", "--set", motors
     ) as v:
-        [answer] = probe(v.link, "vesc").answers
+        [answer] = find_motors(v.link, "vesc").answers
     assert answer.found.motors == {"ids": [2, 5, 7, 9], "serial_id": 7}
     assert answer.robot_file is not None
     robot = tmp_path / "robot.toml"
@@ -155,7 +155,7 @@ def test_vescs_behind_a_line_are_waited_for(tmp_path: Path) -> None:
 def test_a_board_that_speaks_is_the_only_one_asked_and_its_geometry_is_in_the_file(tmp_path: Path) -> None:
     sentences: list[str] = []
     with device("circle_speed", "--mode", "realtime", "--dialect", "rosmaster", "--link", "serial:pty") as board:
-        [answer] = probe(board.link, say=sentences.append).answers
+        [answer] = find_motors(board.link, say=sentences.append).answers
     assert [sentence for sentence in sentences if sentence.startswith("asking")] == ["asking for Yahboom Rosmaster"]
     assert answer.link == board.link
     robot = tmp_path / "robot.toml"
@@ -176,7 +176,7 @@ def test_where_bytes_come_that_nobody_understands_nothing_is_sent() -> None:
     speaker = threading.Thread(target=speak)
     speaker.start()
     try:
-        result = probe(f"serial:{os.ttyname(slave)}")
+        result = find_motors(f"serial:{os.ttyname(slave)}")
     finally:
         is_over.set()
         speaker.join()
@@ -246,4 +246,4 @@ def test_a_wheel_that_does_not_turn_is_told_by_the_exit_code() -> None:
 )
 def test_a_jog_beyond_its_limits_is_refused(wheel: str, speed: float, seconds: float, sentence: str) -> None:
     with pytest.raises(BadInputError, match=sentence):
-        jog(load("circle_speed"), wheel, speed, seconds)
+        turn_wheel(load("circle_speed"), wheel, speed, seconds)

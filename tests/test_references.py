@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from hil.cli.report import listing
+from hil.cli.list import listing
 from hil.core.errors import BadInputError
 from hil.references import KINDS, Circle, FigureEight, Hold, RoundedSquare, Spin, make_reference
 from hil.references.curves import Bend

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 import hil
-from hil.cli.report import listing
+from hil.cli.list import listing
 from hil.core.errors import BadInputError
 from hil.core.types import CommandMode, Pose, State, Twist
 from hil.laws.dsc import Dsc

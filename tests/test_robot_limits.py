@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.cli.jog import jog
+from hil.cli.jog import turn_wheel
 from hil.core.types import WHEEL_NAMES
 from hil.runtime.assembly import RunResult, run_scenario
 from hil.scenario import load
@@ -59,6 +59,6 @@ def test_a_service_keeps_within_what_the_robot_takes_and_says_so_once():
 def test_a_jog_keeps_within_what_the_robot_takes():
     scenario = load("circle_speed", set={"robot.speed_limit_rad_s": 2.0, "firmware.overspeed_rad_s": 2.1})
     said: list[str] = []
-    jogged = jog(scenario, "fl", 3.0, 1.2, said.append)
+    jogged = turn_wheel(scenario, "fl", 3.0, 1.2, said.append)
     assert jogged.asked_rad == pytest.approx(1.671875 * 0.7)
     assert said[-1] == "the wheel is turned with 1.672 rad/s, the limit, and not with 3"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hil.cli.group import Commands
+from hil.cli.commands import Group
 from hil.cli.options import AllowMotion, Force, Json, end_in_order, print_json
 from hil.core.errors import BadInputError, RunInterruptedError, nearest
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from hil.batch.campaign.campaign import Campaign
 
 
-class FileFirst(Commands):
+class FileFirst(Group):
     """Commands of which the first is meant where a file stands in place of a command's name."""
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
+from hil.cli.commands import Group
 from hil.cli.options import Force, Json, ServicePort, ServiceUrl, TokenFile, end_in_order, print_json
 from hil.core.errors import BadInputError, RunInterruptedError
 
@@ -17,7 +18,9 @@ if TYPE_CHECKING:
 
     from hil.service.client import Client
 
-app = typer.Typer(no_args_is_help=True, help="Drive the robot that hil serve runs; an order returns when accepted.")
+app = typer.Typer(
+    cls=Group, no_args_is_help=True, help="Drive the robot that hil serve runs; an order returns when accepted."
+)
 
 # So that -0.5 is a number and no option.
 _NUMBERS = {"ignore_unknown_options": True}

@@ -1,10 +1,13 @@
 """``hil doctor``: whether this machine is ready."""
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from hil.cli.checks import install, ports, realtime, recording
+from hil.cli.checks.finding import Finding, Verdict
 from hil.cli.options import Json, print_json
 
 
@@ -16,12 +19,30 @@ def doctor(
 
     Kernel, permissions, clock, ports, CAN, disk, viewer, compiler and versions are looked at; nothing is changed.
     """
-    from hil.cli import report
-    from hil.cli.checks import Verdict, examine
-
     findings = list(examine(folder))
     if as_json:
         print_json([finding._asdict() for finding in findings])
     else:
-        report.print_findings(findings)
+        print_findings(findings)
     raise typer.Exit(any(finding.verdict is Verdict.PROBLEM for finding in findings))
+
+
+def examine(folder: Path) -> Iterator[Finding]:
+    """Yield the findings of every check; ``folder`` is where recordings are to be written."""
+    yield from install.check_versions()
+    yield from install.check_native()
+    yield from realtime.check_kernel()
+    yield from realtime.check_permissions()
+    yield from realtime.check_clock()
+    yield from ports.check_serial()
+    yield from ports.check_can()
+    yield from recording.check_disk(folder)
+    yield from recording.check_viewer()
+
+
+def print_findings(findings: Sequence[Finding]) -> None:
+    """Print what was found of this machine, the verdict first, and below it what to do."""
+    for verdict, subject, sentence, remedy in findings:
+        print(f"{verdict:<8} {subject:<15} {sentence}")
+        if remedy:
+            print(f"{'':<24} -> {remedy}")

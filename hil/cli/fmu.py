@@ -1,16 +1,23 @@
 """``hil fmu``: the plant's FMUs."""
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.cli.group import Commands
+from hil.cli.commands import Group
 from hil.cli.options import Json, print_json
+from hil.cli.report import print_table
 from hil.core.errors import BadInputError
+from hil.plant.words import one_line
 
-app = typer.Typer(cls=Commands, no_args_is_help=True, help="The plant: build, look at and check FMUs.")
+if TYPE_CHECKING:
+    from hil.plant.info import FmuInfo, VariableInfo
+    from hil.plant.tools import CheckResult
+
+app = typer.Typer(cls=Group, no_args_is_help=True, help="The plant: build, look at and check FMUs.")
 
 
 @app.command("build")
@@ -56,7 +63,6 @@ def show_info(
     as_json: Json = False,
 ) -> None:
     """Show what an FMU says of itself, and its variables with units. Runs nothing of it."""
-    from hil.cli import report
     from hil.plant import archive
     from hil.plant.info import info
 
@@ -64,13 +70,12 @@ def show_info(
     if as_json:
         print_json(asdict(about))
     else:
-        report.print_fmu(about)
+        _print_fmu(about)
 
 
 @app.command("check")
 def check_fmu(fmu: FmuName = "mecanum", as_json: Json = False) -> None:
     """Validate an FMU and run it through the FMI calling sequence; exit 1 when it violates the standard."""
-    from hil.cli import report
     from hil.plant import archive
     from hil.plant.tools import check
 
@@ -79,5 +84,84 @@ def check_fmu(fmu: FmuName = "mecanum", as_json: Json = False) -> None:
     if as_json:
         print_json({"fmu": str(path), "passed": not result.violations, **asdict(result)})
     else:
-        report.print_check(path, result)
+        _print_check(path, result)
     raise typer.Exit(1 if result.violations else 0)
+
+
+def _print_fmu(info: "FmuInfo") -> None:
+    """Print an FMU's description, and its variables as a table."""
+    print(f"{info.path}{f' (shipped as {info.shipped})' if info.shipped else ''}")
+    facts = [("model", info.model_name), *info.about.items(), ("FMI version", info.fmi_version)]
+    for interface, identifier in info.interfaces.items():
+        claims = ", ".join(info.capabilities[interface]) or "no optional capabilities"
+        facts.append((interface, f"{identifier}: {claims}"))
+    experiment = ", ".join(f"{name} {value}" for name, value in info.experiment.items())
+    facts += [("platforms", ", ".join(info.platforms) or "none"), ("default experiment", experiment or "none")]
+    facts.append(("sha256", info.sha256))
+    print_table([(f"  {name}", one_line(value)) for name, value in facts])
+    print()
+    header = ("name", "causality", "variability", "type", "unit", "start", "range", "description")
+    rows = [
+        (v.name, v.causality, v.variability, _type(v), v.unit or "", v.start or "", _range(v), v.description or "")
+        for v in info.variables
+    ]
+    _print_rich_table(header, rows)
+
+
+def _print_check(fmu: Path, result: "CheckResult") -> None:
+    """Print the parts of a check as a table, then what was found, violations of the standard first."""
+    from hil.plant.conformance.findings import Kind
+
+    rows = []
+    for part in result.parts:
+        kinds = {finding.kind for finding in part.findings}
+        found = next((kind for kind in Kind if kind in kinds), None)
+        outcome = "fail" if found == Kind.VIOLATION else found or ("skip" if part.skipped else "pass")
+        rows.append((part.name, outcome, part.skipped or ""))
+    _print_rich_table(("part", "outcome", "reason"), rows)
+    for kind in Kind:
+        for finding in result.told(kind):
+            print(one_line(f"{kind}: {finding}"))
+    counts = {kind: len(result.told(kind)) for kind in Kind}
+    violations = counts[Kind.VIOLATION]
+    words = [f"{violations or 'no'} violation{'' if violations == 1 else 's'} of the standard"]
+    if count := counts[Kind.ADVICE]:
+        words.append(f"{count} piece{'' if count == 1 else 's'} of advice")
+    if count := counts[Kind.NEED]:
+        words.append(f"{count} thing{'' if count == 1 else 's'} that this importer needs otherwise")
+    print(f"{fmu}: {', '.join(words)}")
+
+
+def _print_rich_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a table; names are never cut, and where no terminal is, nothing is folded, so that it can be searched."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for place, name in enumerate(header):
+        table.add_column(name, no_wrap=place == 0, overflow="fold")
+    for row in rows:
+        table.add_row(*(Text(one_line(cell)) for cell in row))
+    console = Console()
+    if not console.is_terminal:
+        console = Console(
+            width=max(80, 4 * len(header) + sum(max(map(len, column)) for column in zip(header, *rows, strict=True)))
+        )
+    console.print(table)
+
+
+def _type(variable: "VariableInfo") -> str:
+    size = ", ".join(map(str, variable.dimensions))
+    return f"{variable.type}[{size}]" if size else variable.type
+
+
+def _range(variable: "VariableInfo") -> str:
+    if variable.items:
+        return " | ".join(f"{value} {name}" for name, value in variable.items)
+    low, high = variable.min, variable.max
+    if low is None and high is None:
+        return ""
+    if high is None:
+        return f"from {low}"
+    return f"up to {high}" if low is None else f"{low} to {high}"

@@ -1,12 +1,25 @@
-"""``hil fuzzy``."""
+"""``hil fuzzy``: a picture of the fuzzy tuner's two gain surfaces."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import typer
 
 from hil.cli.options import Force
 from hil.core.errors import BadInputError, nearest
+from hil.core.outputs import Existing, check_free, existing_files
+from hil.laws.fuzzy import K1_1_S, K2_1_S, RULES, FuzzyBlock, Rules, Tables
+from hil.review.plots import Series, drawing
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_SETS = ("NB", "NS", "Z", "PS", "PB")
+_PEAKS = np.linspace(-1.0, 1.0, len(_SETS))
+_POINTS = 201
+_BEYOND = 1.25  # of the range, to show that the inputs saturate
 
 
 def fuzzy(
@@ -15,10 +28,6 @@ def fuzzy(
     force: Force = False,
 ) -> None:
     """Draw both gain surfaces of AFDSC's fuzzy block."""
-    from hil.cli.gain_picture import draw_gains
-    from hil.core.outputs import check_free, existing_files
-    from hil.laws.fuzzy import RULES
-
     if tables not in RULES:
         raise BadInputError(f"--tables {tables}: there are none of this name{nearest(tables, RULES)}")
     if out.suffix.lower() != ".png":
@@ -27,3 +36,44 @@ def fuzzy(
     check_free("picture", out, existing)
     draw_gains(tables, out, existing)
     print(out)
+
+
+def draw_gains(tables: Tables, path: Path, existing: Existing = "refuse") -> None:
+    """Write a PNG of K1 and K2 [1/s] over error and rate, both in units of their ranges, with the rules at the peaks.
+
+    ``existing`` says what is done where the file is there already. Raises BadInputError when it cannot be written.
+    """
+    across = np.linspace(-_BEYOND, _BEYOND, _POINTS)
+    error, rate = np.meshgrid(across, across)
+    surfaces = FuzzyBlock.from_tables(tables, 1.0, 1.0).gains_batch(error, rate)
+    with drawing(path, columns=2, size_in=(10.0, 4.6), existing=existing) as both:
+        for axes, name, levels, surface, rules in zip(
+            both, ("K1", "K2"), (K1_1_S, K2_1_S), surfaces, RULES[tables], strict=True
+        ):
+            _draw(axes, f"{name}, tables {tables}", across, surface, rules, levels)
+
+
+def _draw(axes: "Axes", title: str, across: Series, surface: Series, rules: Rules, levels: Mapping[str, float]) -> None:
+    from matplotlib.patheffects import withStroke
+
+    outline = [withStroke(linewidth=2.0, foreground="#333333")]
+    # From the least level to the largest, which not every table reaches: two pictures have one scale.
+    least, most = min(levels.values()), max(levels.values())
+    shades = axes.pcolormesh(
+        across, across, surface, cmap="viridis", shading="nearest", rasterized=True, vmin=least, vmax=most
+    )
+    axes.contour(across, across, surface, levels=8, colors="white", linewidths=0.5, alpha=0.6)
+    for row, place in zip(rules, _PEAKS, strict=True):
+        for level, peak in zip(row, _PEAKS, strict=True):
+            axes.text(peak, place, level, ha="center", va="center", color="white", path_effects=outline)
+    marks = [f"{name}\n{peak:g}" for name, peak in zip(_SETS, _PEAKS, strict=True)]
+    axes.set_xticks(_PEAKS, marks)
+    axes.set_yticks(_PEAKS, marks)
+    axes.grid(visible=False)
+    axes.set(
+        title=title,
+        xlabel="error, in units of its range",
+        ylabel="rate of the error, in units of its range",
+        aspect="equal",
+    )
+    axes.figure.colorbar(shades, ax=axes, label="gain [1/s]")

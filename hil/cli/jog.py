@@ -1,16 +1,24 @@
 """``hil jog``: turns one wheel slowly, to see that it is the right one and turns the right way."""
 
+import sys
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
-from hil.core.errors import BadInputError, DeviceError
+import typer
+
+from hil.cli.options import Json, LinkUrl, RobotFile, ScenarioName, Sets, end_in_order, print_json
+from hil.cli.report import warn
+from hil.core.errors import BadInputError, DeviceError, RunInterruptedError
 from hil.core.guard import Guard
 from hil.core.types import WHEEL_NAMES, ZERO_WHEELS, CommandMode, WheelCommand, Wheels
 from hil.runtime.bench import Bench
 from hil.runtime.freshness import Freshness
 from hil.runtime.sampling import Timing
-from hil.scenario import Scenario
+from hil.scenario import Scenario, load
 from hil.scenario.motors import make_driver
+from hil.wire.device_lock import device_held
+from hil.wire.opening import is_within_process
+from hil.wire.url import parse_link
 
 MOST_RAD_S = 3.0
 MOST_S = 10.0
@@ -20,6 +28,54 @@ _LEAST_SHARE = 0.1  # of the angle that was asked for
 _LEAST_RAD = 0.1  # is enough; on the ground, against three that are held, a wheel may stall after twice as much
 _FREE_SHARE = 0.5  # of the angle that was asked for, by a wheel that nothing brakes
 _MOST_SHARE = 0.5
+
+
+def jog(
+    scenario: ScenarioName,
+    wheel: Annotated[str, typer.Argument(metavar="fl|fr|rr|rl")],
+    link: LinkUrl = None,
+    robot: RobotFile = None,
+    speed_rad_s: Annotated[float, typer.Option("--speed", metavar="RAD/S", help="at most 3, either way")] = 1.0,
+    seconds: Annotated[float, typer.Option(metavar="S", help="at most 10")] = 3.0,
+    sets: Sets = None,
+    as_json: Json = False,
+) -> None:
+    """Turn one wheel slowly, with its name typed first, to check order and direction of the motors.
+
+    Put the robot on blocks, so that no wheel touches the ground. The exit code is 1 where the wheels' sensors saw
+    something else than this wheel turning this way.
+    """
+    end_in_order()
+    changes = [*(sets or []), "controller.command=speed", "controller.law=pid", "fault=[]", "expect=[]"]
+    # Where the robot is nobody has to know.
+    changes.append("estimator.source=odometry")
+    resolved = load(scenario, set=changes, robot=robot, link=link)
+    if not is_within_process(parse_link(resolved.link.url)):
+        resolved = load(scenario, set=changes, robot=robot, link=link, mode="realtime")
+    check(resolved, wheel, speed_rad_s, seconds)
+    way = "forward" if speed_rad_s > 0 else "backward"
+    print(
+        f"The wheel {wheel} will turn {way} at {abs(speed_rad_s):g} rad/s for {seconds:g} s.\n"
+        f"All wheels must be off the ground. Type {wheel} and Enter to turn it: ",
+        end="",
+        file=sys.stderr,
+        flush=True,
+    )
+    if sys.stdin.readline().strip() != wheel:
+        raise BadInputError(f"{wheel!r} was not typed; nothing was sent")
+    try:
+        with device_held(parse_link(resolved.link.url), f"hil jog {resolved.name} {wheel}"):
+            done = turn_wheel(resolved, wheel, speed_rad_s, seconds, warn)
+    except KeyboardInterrupt:
+        raise RunInterruptedError("interrupted; the wheel was told to stop") from None
+    is_as_told, sentence = done.verdict(wheel)
+    if as_json:
+        print_json({"asked_rad": done.asked_rad, "turned_rad": done.turned_rad._asdict(), "verdict": sentence})
+    else:
+        angles = ", ".join(f"{name} {angle:+.2f}" for name, angle in done.turned_rad._asdict().items())
+        print(f"asked {wheel} {done.asked_rad:+.2f} rad; the sensors saw {angles} rad")
+        print(sentence)
+    raise typer.Exit(0 if is_as_told else 1)
 
 
 class Verdict(NamedTuple):
@@ -59,7 +115,7 @@ class Jogged(NamedTuple):
         return ", but not far: the wheels stand on the ground, as a virtual robot's always do, or something brakes it"
 
 
-def jog(
+def turn_wheel(
     scenario: Scenario, wheel: str, speed_rad_s: float, seconds: float, warn: Callable[[str], None] = lambda _: None
 ) -> Jogged:
     """Turn a wheel at most so fast for so long, ramps of 0.5 s at both ends, and stop.
@@ -113,7 +169,7 @@ def _limited(scenario: Scenario, robot_rad_s: float, speed_rad_s: float, warn: C
 
 
 def check(scenario: Scenario, wheel: str, speed_rad_s: float, seconds: float) -> None:
-    """Raise BadInputError for what ``jog`` would refuse before it opens anything."""
+    """Raise BadInputError for what ``turn_wheel`` would refuse before it opens anything."""
     if wheel not in WHEEL_NAMES:
         raise BadInputError(f"wheel {wheel!r}: expected one of {', '.join(WHEEL_NAMES)}")
     if not 0.0 < abs(speed_rad_s) <= MOST_RAD_S:

@@ -30,6 +30,7 @@ Force = Annotated[bool, typer.Option("--force", help="replace files that are the
 TruthUrl = Annotated[
     str | None, typer.Option("--truth", metavar="URL", help="truth socket of hil device, tcp://127.0.0.1:PORT")
 ]
+LIVE_PORT = 9876
 LivePort = Annotated[int, typer.Option(metavar="PORT", help="for --live", min=1, max=65535)]
 AllowMotion = Annotated[bool, typer.Option("--allow-motion", help="real motors may move")]
 ServiceUrl = Annotated[str | None, typer.Option("--url", metavar="URL", help="http://127.0.0.1:PORT")]
@@ -53,6 +54,14 @@ def drop_output() -> None:
     Without this the interpreter would complain at its end.
     """
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def flush_output() -> None:
+    """Write what is still in the buffer of stdout. Its reader may have left, as head does."""
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        drop_output()
 
 
 def end_in_order() -> None:

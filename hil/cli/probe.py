@@ -10,12 +10,16 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from typing import Annotated
+
+import typer
 
 from firmware_protocol import codec
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m
 from hil.cli.new_robot.questions import QUESTIONS, Value
 from hil.cli.new_robot.texts import robot_text
+from hil.cli.options import Json, print_json
 from hil.core.errors import BadInputError
 from hil.core.language import WHEEL_DBC, Language
 from hil.core.ports import Framing, Link
@@ -25,6 +29,7 @@ from hil.robot import handshake
 from hil.robot.handshake import Greeting, RobotInfo
 from hil.scenario import load
 from hil.scenario.motors import make_driver, wire_of
+from hil.wire.device_lock import device_held
 from hil.wire.framed import StreamLink
 from hil.wire.opening import is_within_process, open_host
 from hil.wire.url import DEFAULT_BAUD, CanUrl, LinkUrl, format_link, parse_link
@@ -32,6 +37,60 @@ from hil.wire.url import DEFAULT_BAUD, CanUrl, LinkUrl, format_link, parse_link
 _LISTEN_S = 0.6  # longer than the slowest status that a controller sends by itself
 _ROUNDS = 5
 _GREETINGS = 2
+
+
+def probe(
+    link: Annotated[str, typer.Argument(metavar="LINK", help="serial:PATH or can:INTERFACE/CHANNEL")],
+    driver: Annotated[str | None, typer.Option(metavar="NAME", help="look for this one only")] = None,
+    as_json: Json = False,
+) -> None:
+    """Find out what motor controllers are on a bus or a port, and print a robot file for them.
+
+    Nothing moves and nothing is written: it listens, and asks for versions. Exit 1 when nobody was found.
+    """
+    tell = (lambda _sentence: None) if as_json else (lambda sentence: print(f"# {sentence}", flush=True))
+    with device_held(parse_link(link), f"hil probe {link}"):
+        result = find_motors(link, driver, tell)
+    if as_json:
+        print_json(
+            {
+                "found": [
+                    {
+                        "driver": answer.driver,
+                        "link": answer.link,
+                        "what": answer.found.sentences,
+                        "motors": answer.found.motors,
+                        "known": dict(answer.found.known),
+                        "unknown": answer.found.unknown,
+                    }
+                    for answer in result.answers
+                ],
+                "strangers": {f"{number:#x}": count for number, count in result.strangers.items()},
+                "not_asked": result.not_asked,
+                "elsewhere": result.elsewhere,
+            }
+        )
+        raise typer.Exit(0 if result.answers else 1)
+    if result.not_asked is not None:
+        print(f"# {result.not_asked}")
+    for answer in result.answers:
+        for sentence in answer.found.sentences:
+            print(f"# {sentence}")
+        if answer.robot_file is None:
+            print(
+                f"# that is no whole robot with four motors; see DIALECTS.md for [device.motors] of {answer.driver!r}"
+            )
+        else:
+            print(f"# {answer.wiring}")
+            print(answer.robot_file)
+    if result.strangers:
+        ids = ", ".join(f"{number:#x}" for number in sorted(result.strangers))
+        print(f"# {sum(result.strangers.values())} frames came of others, with the ids {ids}")
+    if not result.answers:
+        print("# nobody was found; check power, cable, and the link's bit rate or baud")
+        if result.elsewhere is not None:
+            print(f"# {result.elsewhere}")
+    raise typer.Exit(0 if result.answers else 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +187,7 @@ class _OurProbe:
         return Found([f"our own firmware: {self._info.describe()}"], {}, known)
 
 
-def probe(link: str, driver: str | None = None, say: Callable[[str], None] = lambda _sentence: None) -> Result:
+def find_motors(link: str, driver: str | None = None, say: Callable[[str], None] = lambda _sentence: None) -> Result:
     """Return who is on a link; ``driver`` is the only one to look for. ``say`` is told what is being done.
 
     Raises BadInputError for a link within the process, LinkError when it cannot be opened.

@@ -6,8 +6,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from hil.cli.live import LIVE_PORT
-from hil.cli.options import AllowMotion, LinkUrl, LivePort, RobotFile, ScenarioName, Sets, TruthUrl
+from hil.cli.options import LIVE_PORT, AllowMotion, LinkUrl, LivePort, RobotFile, ScenarioName, Sets, TruthUrl
 
 
 def serve(

@@ -45,11 +45,14 @@ class Extensions:
         return next((p.value for p in self.registered() if p.name == name and name not in self.shipped), None)
 
     def find(self, name: str, said: str) -> EntryPoint:
-        """Return the entry point of a name that is not shipped; ``said`` begins the messages, as ``key = 'name'``.
+        """Return the entry point of a name that is not shipped, or of a ``package.module:Name`` that nobody registered.
 
+        ``said`` begins the messages, as ``key = 'name'``.
         Raises BadInputError for a name that nobody has registered (with the nearest), one that two packages have
         registered, and one that is not registered as ``package.module:Name``.
         """
+        if ":" in name:
+            return EntryPoint(name, name, self.group)
         same = [point for point in self.registered() if point.name == name]
         if not same:
             raise BadInputError(f"{said}: unknown{nearest(name, self.names())}")

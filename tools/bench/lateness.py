@@ -28,7 +28,7 @@ from rich.console import Console
 from rich.table import Table
 
 from firmware_protocol.generated.messages import Tick, TorqueCommand, WheelCommand
-from hil.cli.checks import kernel
+from hil.cli.checks import realtime
 from hil.runtime.lateness import Lateness
 from hil.scenario.process_tables import PRIORITY
 from tools import socketcan
@@ -229,7 +229,7 @@ def _figures(wanted: Wanted, turns: list[Turn], ours: Lateness, sleeper: Latenes
 
 def _kernel() -> str:
     """Return the kernel's name and version, also of one that is itself a process: there the processor says so."""
-    said = [finding.sentence.partition(":")[0] for finding in kernel.check() if finding.subject == "kernel"]
+    said = [finding.sentence.partition(":")[0] for finding in realtime.check_kernel() if finding.subject == "kernel"]
     if not said:
         return platform.platform()
     is_process = "User Mode Linux" in Path("/proc/cpuinfo").read_text("utf-8")

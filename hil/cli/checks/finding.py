@@ -1,4 +1,4 @@
-"""What a check has found."""
+"""The result of a check."""
 
 from enum import StrEnum
 from pathlib import Path
@@ -6,17 +6,17 @@ from typing import NamedTuple
 
 
 class Verdict(StrEnum):
-    """How it is."""
+    """How good it is."""
 
     OK = "ok"
     NOTE = "note"
-    """It works, and could be better; or it is something that not everyone needs."""
+    """It works and could be better, or not everyone needs it."""
     PROBLEM = "problem"
     """Something that runs need does not work."""
 
 
 class Finding(NamedTuple):
-    """One sentence on one thing, and unless it is ``ok``, what to do."""
+    """One sentence on one subject, and the remedy unless it is ``ok``."""
 
     verdict: Verdict
     subject: str
@@ -25,22 +25,22 @@ class Finding(NamedTuple):
 
 
 def ok(subject: str, sentence: str) -> Finding:
-    """Return that something is as it should be."""
+    """Return a finding that something is as it should be."""
     return Finding(Verdict.OK, subject, sentence)
 
 
 def note(subject: str, sentence: str, remedy: str) -> Finding:
-    """Return that something could be better."""
+    """Return a finding that something could be better."""
     return Finding(Verdict.NOTE, subject, sentence, remedy)
 
 
 def problem(subject: str, sentence: str, remedy: str) -> Finding:
-    """Return that something does not work."""
+    """Return a finding that something does not work."""
     return Finding(Verdict.PROBLEM, subject, sentence, remedy)
 
 
 def text_of(path: Path) -> str | None:
-    """Return what a file of the kernel's says, None where it cannot be read."""
+    """Return the stripped text of a file such as those in /sys, None where it cannot be read."""
     try:
         return path.read_text("utf-8").strip()
     except OSError:

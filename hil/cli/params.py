@@ -1,55 +1,19 @@
-"""``hil device`` and ``hil params``: the robot's end of a link, and what its firmware holds."""
+"""``hil params``: the parameters that a robot's firmware holds."""
 
 import contextlib
-import sys
 from typing import Annotated
 
 import typer
 
-from hil.cli.options import Force, Json, LinkUrl, Mode, RobotFile, ScenarioName, Seed, Sets, TraceFile, print_json
-
-
-def device(
-    scenario: ScenarioName,
-    link: LinkUrl = None,
-    mode: Mode = None,
-    robot: RobotFile = None,
-    truth_port: Annotated[
-        int, typer.Option(metavar="PORT", help="for the truth; 0 takes a free one", min=0, max=65535)
-    ] = 0,
-    target: Annotated[
-        str,
-        typer.Option(metavar="host|qemu|unicorn", help="what the firmware runs on: this machine, or an emulated STM32"),
-    ] = "host",
-    dialect: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="what its motor controllers speak; as --set device.driver=NAME"),
-    ] = None,
-    seed: Seed = None,
-    sets: Sets = None,
-    trace: TraceFile = None,
-    force: Force = False,
-    until_eof: Annotated[
-        bool, typer.Option("--until-eof", help="end when stdin does, as when the program that started this one is gone")
-    ] = False,
-) -> None:
-    """Be the scenario's virtual robot in a process of its own; print one line when ready."""
-    from hil.cli.device_process import serve
-    from hil.core.outputs import existing_files
-    from hil.scenario import load
-
-    changes = [*(sets or []), *([] if dialect is None else [f"device.driver={dialect}"])]
-    resolved = load(scenario, set=changes, robot=robot, mode=mode, link=link, seed=seed)
-    lifeline = sys.stdin.fileno() if until_eof else None
-    serve(
-        resolved,
-        truth_port,
-        lambda line: print(line, flush=True),
-        target,
-        trace,
-        lifeline,
-        existing=existing_files(force=force),
-    )
+from hil.cli.options import Json, print_json
+from hil.cli.report import print_table
+from hil.core.errors import BadInputError
+from hil.robot.parameters import ParameterClient, assignments
+from hil.scenario import FirmwareTable
+from hil.scenario.check import WATCHDOG_PERIODS
+from hil.wire.device_lock import device_held
+from hil.wire.opening import is_within_process, open_host
+from hil.wire.url import parse_link
 
 
 def params(
@@ -60,13 +24,6 @@ def params(
     as_json: Json = False,
 ) -> None:
     """Show and change the parameters of a robot's firmware; it must be in IDLE to change. All are checked first."""
-    from hil.cli import report
-    from hil.core.errors import BadInputError
-    from hil.robot.parameters import ParameterClient, assignments
-    from hil.wire.device_lock import device_held
-    from hil.wire.opening import is_within_process, open_host
-    from hil.wire.url import parse_link
-
     url = parse_link(link)
     if is_within_process(url):
         raise BadInputError(
@@ -97,15 +54,12 @@ def params(
             )
             for row in held
         ]
-        report.print_table([("parameter", "type", "value", "range", "default of a scenario"), *rows])
+        print_table([("parameter", "type", "value", "range", "default of a scenario"), *rows])
         print(info.describe())
 
 
 def _default_of(parameter: str) -> str:
     """Return what a scenario takes for a parameter that it does not give; "-" where it has to give it."""
-    from hil.scenario import FirmwareTable
-    from hil.scenario.check import WATCHDOG_PERIODS
-
     follows = {"watchdog_s": f"{WATCHDOG_PERIODS} command periods", "feedback_period_s": "1 command period"}
     if parameter in follows:
         return follows[parameter]

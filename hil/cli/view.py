@@ -1,12 +1,21 @@
-"""``hil live``: the viewer for a run under way."""
+"""``hil view`` and ``hil live``: the rerun viewer, on a recording and on a run under way."""
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from hil.cli.options import end_in_order
+from hil.cli.options import LIVE_PORT, end_in_order
 
-LIVE_PORT = 9876
+
+def view(
+    recording: Annotated[Path, typer.Argument(metavar="RUN.rrd")],
+    web: Annotated[bool, typer.Option("--web", help="in the browser, served on 127.0.0.1")] = False,
+) -> None:
+    """Open a recording in the rerun viewer."""
+    from hil.record.view import view as open_viewer
+
+    open_viewer(recording, web=web)
 
 
 def live(

@@ -2,28 +2,71 @@
 
 import contextlib
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Annotated
 
+import typer
+
+from hil.cli.options import Force, LinkUrl, Mode, RobotFile, ScenarioName, Seed, Sets, TraceFile
 from hil.core.child import wait_for_end
 from hil.core.clock import TICK_NS, WallClock
 from hil.core.errors import BadInputError
 from hil.core.language import Language
-from hil.core.outputs import Existing
+from hil.core.outputs import Existing, existing_files
 from hil.record import check_output_path
 from hil.robot.targets.robot import open_server, open_target
 from hil.robot.truth_server import TruthServer
 from hil.robot.virtual import VirtualStm32
 from hil.runtime.realtime import Wanted, real_time
 from hil.runtime.robots import language_of, link_of, no_lockstep, node_maker, open_trace, virtual_robot
-from hil.scenario import Scenario
+from hil.scenario import Scenario, load
 from hil.wire.opening import open_robot
 from hil.wire.robot_end import Wire
 from hil.wire.trace import Trace
 from hil.wire.trace.tap import TracedWire
-from hil.wire.url import LinkUrl
+
+
+def device(
+    scenario: ScenarioName,
+    link: LinkUrl = None,
+    mode: Mode = None,
+    robot: RobotFile = None,
+    truth_port: Annotated[
+        int, typer.Option(metavar="PORT", help="for the truth; 0 takes a free one", min=0, max=65535)
+    ] = 0,
+    target: Annotated[
+        str,
+        typer.Option(metavar="host|qemu|unicorn", help="what the firmware runs on: this machine, or an emulated STM32"),
+    ] = "host",
+    dialect: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="what its motor controllers speak; as --set device.driver=NAME"),
+    ] = None,
+    seed: Seed = None,
+    sets: Sets = None,
+    trace: TraceFile = None,
+    force: Force = False,
+    until_eof: Annotated[
+        bool, typer.Option("--until-eof", help="end when stdin does, as when the program that started this one is gone")
+    ] = False,
+) -> None:
+    """Be the scenario's virtual robot in a process of its own; print one line when ready."""
+    changes = [*(sets or []), *([] if dialect is None else [f"device.driver={dialect}"])]
+    resolved = load(scenario, set=changes, robot=robot, mode=mode, link=link, seed=seed)
+    lifeline = sys.stdin.fileno() if until_eof else None
+    serve(
+        resolved,
+        truth_port,
+        lambda line: print(line, flush=True),
+        target,
+        trace,
+        lifeline,
+        existing=existing_files(force=force),
+    )
 
 
 def serve(
@@ -51,7 +94,7 @@ def serve(
     with contextlib.ExitStack() as resources:
         url = link_of(scenario)
         lockstep = scenario.loop.mode == "lockstep"
-        robot = _robot(scenario, target, url)
+        robot = _robot(scenario, target)
         resources.callback(robot.close)
         tracing = resources.enter_context(open_trace(scenario, trace, existing)) if trace is not None else None
         wire, reach = open_robot(url, say, lockstep=lockstep, language=language_of(scenario))
@@ -86,11 +129,11 @@ def serve(
                 say(trouble)
 
 
-def _robot(scenario: Scenario, target: str, url: LinkUrl) -> VirtualStm32:
+def _robot(scenario: Scenario, target: str) -> VirtualStm32:
     """Make the scenario's robot. Raises BadInputError for what cannot be a process of its own."""
     made_of, driver = virtual_robot(scenario), scenario.device.driver
     if not scenario.device.is_makers:
-        return open_target(target, made_of, url)
+        return open_target(target, made_of, link_of(scenario))
     if target != "host":
         raise BadInputError(f"--target {target} runs our own firmware, and the scenario has {driver!r}; leave it out")
     if made_of.lockstep:

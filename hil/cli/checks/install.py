@@ -1,0 +1,78 @@
+"""What is installed: Python, the packages, the native libraries and the plant's FMUs, and a compiler."""
+
+import importlib.metadata
+import platform
+from collections.abc import Iterator
+
+from packaging.requirements import Requirement
+
+from firmware_protocol.built import WHEEL_HOST, is_checkout, run_script
+from hil.cli.checks.finding import Finding, note, ok, problem
+from hil.core.errors import BadInputError
+from hil.core.extensions import OUR_PACKAGE
+from hil.plant import archive
+from hil.plant.built import COSIM, FMUS, MUJOCO
+
+_NATIVE = (WHEEL_HOST, COSIM, *(built for path, built in FMUS.items() if path != MUJOCO))
+
+
+def check_versions() -> Iterator[Finding]:
+    """Yield the version of Python, and the packages that are missing or of another version than is needed."""
+    try:
+        about = importlib.metadata.metadata(OUR_PACKAGE)
+    except importlib.metadata.PackageNotFoundError:
+        sentence = f"{OUR_PACKAGE} is not installed, so that nothing tells what it needs"
+        yield problem("versions", sentence, "pip install -e .")
+        return
+    python = platform.python_version()
+    needed = about["Requires-Python"]
+    if not needed or Requirement(f"python{needed}").specifier.contains(python, prereleases=True):
+        yield ok("Python", python)
+    else:
+        remedy = "install a newer Python, and this package into it"
+        yield problem("Python", f"{python}, where {needed} is needed", remedy)
+    requirements = [Requirement(text) for text in importlib.metadata.requires(OUR_PACKAGE) or ()]
+    packages = [one for one in requirements if one.marker is None or one.marker.evaluate({"extra": ""})]
+    unmet = [finding for one in packages if (finding := _unmet(one)) is not None]
+    if not unmet:
+        yield ok("packages", f"all {len(packages)} are there, in versions that fit")
+    yield from unmet
+
+
+def _unmet(requirement: Requirement) -> Finding | None:
+    name, needed = requirement.name, str(requirement.specifier) or "any version"
+    remedy = f"pip install '{name}{requirement.specifier}'"
+    try:
+        installed = importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return problem("package", f"{name} is not installed, {needed} is needed", remedy)
+    if requirement.specifier.contains(installed, prereleases=True):
+        return None
+    return problem("package", f"{name} is {installed}, {needed} is needed", remedy)
+
+
+def check_native() -> Iterator[Finding]:
+    """Yield the native libraries, the plant FMUs and, in a checkout, the compiler: only building needs it."""
+    for built in _NATIVE:
+        path = built.path
+        subject = "plant" if path.suffix == ".fmu" else "native library"
+        remedy = f"python -m {built.module}" if is_checkout(built.root) else "install the package anew"
+        if not path.is_file():
+            yield problem(subject, f"{path.name} is not built", remedy)
+        elif not built.is_current():
+            yield problem(subject, f"{path.name} was not built from the sources beside it", remedy)
+        elif subject == "plant":
+            try:
+                yield ok("plant", f"{path.name}, for {', '.join(archive.platforms(path))}")
+            except BadInputError as error:
+                yield problem("plant", str(error), "hil fmu build")
+        else:
+            yield ok(subject, path.name)
+    if not is_checkout():
+        return
+    done = run_script("tools.build.compiler")
+    if done.returncode == 0:
+        yield ok("C compiler", done.stdout.strip())
+    else:
+        remedy = "sudo apt install gcc, or pip install ziglang; only builds need it"
+        yield note("C compiler", done.stderr.strip(), remedy)

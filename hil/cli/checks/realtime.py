@@ -1,0 +1,168 @@
+"""Real time: the kernel, its clock, and what this user may ask of the operating system."""
+
+import getpass
+import gzip
+import os
+import platform
+import re
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from hil.cli.checks.finding import Finding, note, ok, text_of
+from hil.core.clock import TICK_NS, WallClock
+from hil.runtime.lateness import Lateness
+from hil.runtime.realtime import (
+    CAP_IPC_LOCK,
+    CAP_SYS_NICE,
+    DMA_LATENCY,
+    Wanted,
+    has_capability,
+    memory_limit_bytes,
+    parse_cpus,
+    priority_limit,
+    real_time,
+)
+from hil.scenario.process_tables import PRIORITY
+
+_FEW_PROCESSORS = 2
+_SLEEPS = 200
+_LATE_US = 500.0
+_SLOW_SOURCES = ("hpet", "acpi_pm", "jiffies")
+_SOURCE = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
+_LIMITS = "/etc/security/limits.d/90-mecanum-hil.conf"
+
+
+def check_kernel(root: Path = Path("/")) -> Iterator[Finding]:
+    """Yield the findings on a Linux kernel; ``root`` is where /sys, /proc and /boot are."""
+    if sys.platform == "linux":
+        yield _preemption(root)
+        yield from _timers(root)
+        yield from _governor(root)
+        yield from _isolation(root)
+
+
+def _preemption(root: Path) -> Finding:
+    version = platform.release()
+    if text_of(root / "sys/kernel/realtime") == "1" or "PREEMPT_RT" in platform.version():
+        return ok("kernel", f"Linux {version} with PREEMPT_RT")
+    return note(
+        "kernel",
+        f"Linux {version} without PREEMPT_RT: one of its longer sections can make a tick late",
+        "for less lateness install a real-time kernel: sudo apt install linux-image-rt-amd64 (Debian), sudo pro enable "
+        "realtime-kernel (Ubuntu)",
+    )
+
+
+def _timers(root: Path) -> Iterator[Finding]:
+    try:
+        config: str | None = gzip.decompress((root / "proc/config.gz").read_bytes()).decode()
+    except OSError:
+        config = text_of(root / f"boot/config-{platform.release()}")
+    if config is None:
+        return
+    options = dict(re.findall(r"^CONFIG_(\w+)=(\S+)$", config, re.MULTILINE))
+    tickless = "full" if "NO_HZ_FULL" in options else "idle" if "NO_HZ_IDLE" in options else "no"
+    facts = f"{options.get('HZ', '?')} Hz, without ticks: {tickless}"
+    if options.get("HIGH_RES_TIMERS") == "y":
+        yield ok("timers", f"high resolution ({facts})")
+    else:
+        sentence = f"no high resolution ({facts}): a tick is late by up to a jiffy"
+        yield note("timers", sentence, "boot a kernel with CONFIG_HIGH_RES_TIMERS=y")
+
+
+def _governor(root: Path) -> Iterator[Finding]:
+    """Yield how the processors' frequency is chosen. A virtual machine often does not choose it."""
+    folder = root / "sys/devices/system/cpu"
+    governors = sorted(set(filter(None, map(text_of, folder.glob("cpu[0-9]*/cpufreq/scaling_governor")))))
+    if governors == ["performance"]:
+        yield ok("frequency", "governor performance")
+    elif governors:
+        sentence = f"governor {', '.join(governors)}: a processor that slowed down begins a tick slowly"
+        yield note("frequency", sentence, "sudo cpupower frequency-set -g performance")
+
+
+def _isolation(root: Path) -> Iterator[Finding]:
+    isolated = parse_cpus(text_of(root / "sys/devices/system/cpu/isolated") or "")
+    if isolated:
+        yield ok("processors", f"isolated: {', '.join(map(str, isolated))}; runs in real time use these")
+    elif (count := os.cpu_count() or 1) > _FEW_PROCESSORS:
+        last = count - 1
+        yield note(
+            "processors",
+            f"none of {count} is isolated: other programs share the controller's",
+            f"to keep one free, boot with isolcpus={last} nohz_full={last} on the kernel's command line",
+        )
+
+
+def check_permissions() -> Iterator[Finding]:
+    """Yield whether this user may have real-time priority, locked memory, and no deep idle states."""
+    if sys.platform != "linux":
+        return
+    if has_capability(CAP_SYS_NICE):
+        yield ok("rtprio", "any real-time priority, by CAP_SYS_NICE")
+    elif (limit := priority_limit()) >= PRIORITY:
+        yield ok("rtprio", f"real-time priority up to {limit}")
+    else:
+        sentence = f"real-time priority up to {limit}, where a run asks for {PRIORITY}: other programs make ticks late"
+        yield note("rtprio", sentence, _raise_limit("rtprio", PRIORITY))
+    memory_bytes = memory_limit_bytes()
+    if memory_bytes is None or has_capability(CAP_IPC_LOCK):
+        yield ok("memlock", "all memory may be locked")
+    else:
+        sentence = f"only {memory_bytes >> 10} KiB may be locked: a page swapped out makes a tick late"
+        yield note("memlock", sentence, _raise_limit("memlock", "unlimited"))
+    if DMA_LATENCY.exists():
+        if os.access(DMA_LATENCY, os.W_OK):
+            yield ok("idle states", "a run can forbid deep ones")
+        else:
+            yield note(
+                "idle states",
+                f"{DMA_LATENCY} may not be written: a processor may sleep so deep that it wakes late",
+                'echo \'KERNEL=="cpu_dma_latency", GROUP="plugdev", MODE="0660"\' | sudo tee '
+                "/etc/udev/rules.d/90-mecanum-hil.rules, then sudo udevadm control --reload && sudo udevadm trigger",
+            )
+
+
+def _raise_limit(item: str, value: object) -> str:
+    return f"echo '{getpass.getuser()} - {item} {value}' | sudo tee -a {_LIMITS}, and log in again"
+
+
+def check_clock(source: Path = _SOURCE, sleeps: int = _SLEEPS) -> Iterator[Finding]:
+    """Yield resolution and source of the clock, and the measured lateness of ``sleeps`` sleeps of 1 ms."""
+    yield _clock_source(source)
+    with real_time(Wanted(PRIORITY, (), lock_memory=False)) as granted:
+        late_us = _lateness(sleeps).percentiles_us()
+    has_priority = "priority" in granted.figures()["granted"]
+    sentence = (
+        f"{sleeps} sleeps of 1 ms, {'with' if has_priority else 'without'} real-time priority: late by "
+        f"{late_us['p50']:.0f} µs p50, {late_us['p99']:.0f} µs p99"
+    )
+    if late_us["p99"] < _LATE_US:
+        yield ok("lateness", sentence)
+    else:
+        remedy = "end other programs, or isolate a processor" if has_priority else "see rtprio"
+        yield note("lateness", sentence, f"{remedy}; until then choose loop.rate_hz below 1000 (hil/runtime/LIMITS.md)")
+
+
+def _clock_source(source: Path) -> Finding:
+    resolution_ns = time.get_clock_info("monotonic").resolution * 1e9
+    name = text_of(source) if sys.platform == "linux" else None
+    facts = f"resolution {resolution_ns:.0f} ns" + (f", source {name}" if name else "")
+    if name not in _SLOW_SOURCES:
+        return ok("clock", facts)
+    return note(
+        "clock",
+        f"{facts}, which takes a microsecond or more to read",
+        "see why the kernel gave up tsc: sudo dmesg | grep -i clocksource",
+    )
+
+
+def _lateness(sleeps: int) -> Lateness:
+    clock, late = WallClock(), Lateness()
+    due_ns = clock.now_ns() + TICK_NS
+    for _ in range(sleeps):
+        late.add(clock.wait_until(due_ns))
+        due_ns = max(due_ns, clock.now_ns()) + TICK_NS
+    return late

@@ -1,0 +1,144 @@
+"""The commands of ``hil`` by name: ours, and those that other packages add. A command is imported when it is called.
+
+To add one of ours, write one file with a function or a ``typer.Typer``, and a row of ``SHIPPED``. Another package
+registers either under the entry point group ``hil.commands``.
+"""
+
+from importlib import import_module
+from typing import Any
+
+import typer
+from typer.core import TyperGroup
+from typer.main import get_group
+
+from hil.core.errors import BadInputError
+from hil.core.extensions import Extensions
+
+SHIPPED = {
+    "run": ("hil.cli.run:run", "Run a scenario and judge it."),
+    "check": (
+        "hil.cli.check:check",
+        "Check a scenario without running it: its values, its law, and whether the robot can follow its reference.",
+    ),
+    "show": ("hil.cli.check:show", "Print every value of a scenario and where it came from."),
+    "list": (
+        "hil.cli.list:list_",
+        "Print the vocabulary of signals, the laws, references, scenarios, forms of links, kinds of faults or drivers.",
+    ),
+    "review": (
+        "hil.cli.review:review",
+        "Say from its recording alone how a run went and why; with two runs, what became better and what worse.",
+    ),
+    "view": ("hil.cli.view:view", "Open a recording in the rerun viewer."),
+    "live": (
+        "hil.cli.view:live",
+        "Open the rerun viewer on a run or service under way, and on each one after it; start it before or after "
+        "those.",
+    ),
+    "replay": (
+        "hil.cli.replay:replay",
+        "Open loop: feed a recording's states and references to another law, and show how its commands differ.",
+    ),
+    "decode": ("hil.cli.decode:decode", "Print a trace of the bus in the terms of the wheel-command protocol."),
+    "campaign": (
+        "hil.cli.campaign:app",
+        "Run a scenario thousands of times, over axes, laws, faults and seeds, and judge it on one page.",
+    ),
+    "compare": (
+        "hil.cli.compare:compare",
+        "Run laws under the same conditions and print one table for each; exit 1 when a run failed.",
+    ),
+    "catalogue": (
+        "hil.cli.catalogue:catalogue",
+        "Run the fault catalogue and judge every run for safety; exit 1 when one is not as it should be.",
+    ),
+    "reproduce": (
+        "hil.cli.reproduce:reproduce",
+        "Run section IV of the paper and say which of its figures come out, which do not, and why.",
+    ),
+    "init": ("hil.cli.init:init", "Write a robot file and a first scenario: asks for what no flag gives."),
+    "doctor": (
+        "hil.cli.doctor:doctor",
+        "Check this machine and say what to do: exit 1 when there is a problem.",
+    ),
+    "probe": (
+        "hil.cli.probe:probe",
+        "Find out what motor controllers are on a bus or a port, and print a robot file for them.",
+    ),
+    "jog": (
+        "hil.cli.jog:jog",
+        "Turn one wheel slowly, with its name typed first, to check order and direction of the motors.",
+    ),
+    "params": (
+        "hil.cli.params:params",
+        "Show and change the parameters of a robot's firmware; it must be in IDLE to change. All are checked first.",
+    ),
+    "device": (
+        "hil.cli.device:device",
+        "Be the scenario's virtual robot in a process of its own; print one line when ready.",
+    ),
+    "serve": (
+        "hil.cli.serve:serve",
+        "Serve a robot: armed, driven and recorded by `hil ctl` or over HTTP, until SIGTERM.",
+    ),
+    "ctl": ("hil.cli.ctl:app", "Drive the robot that hil serve runs; an order returns when accepted."),
+    "teleop": (
+        "hil.cli.teleop:teleop",
+        "Drive the robot that hil serve runs, by hand: it moves while a key or the gamepad's button is held.",
+    ),
+    "fmu": ("hil.cli.fmu:app", "The plant: build, look at and check FMUs."),
+    "fuzzy": ("hil.cli.fuzzy:fuzzy", "Draw both gain surfaces of AFDSC's fuzzy block."),
+}
+"""By name: where the command is, and the first paragraph of its help."""
+
+_EXTENSIONS = Extensions("hil.commands", SHIPPED)
+
+
+class Group(TyperGroup):
+    """A group of commands whose help has the first paragraph of each in full, where typer cuts it to a line."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write a row for each command, wrapped to the width of the terminal."""
+        helps = {name: command.help or "" for name, command in self.commands.items() if not command.hidden}
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, " ".join(text.partition("\n\n")[0].split())) for name, text in helps.items()])
+
+
+class Commands(TyperGroup):
+    """The group ``hil``. Its help imports no command: it prints the rows of ``SHIPPED``, then what is registered."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the names of all commands, ours first."""
+        return _EXTENSIONS.names()
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Import a command. Raises BadInputError for an unknown one, and for one of another package that is broken."""
+        if cmd_name in SHIPPED:
+            module, _, name = SHIPPED[cmd_name][0].partition(":")
+            return _command(cmd_name, getattr(import_module(module), name))
+        found = _EXTENSIONS.load(cmd_name, f"command {cmd_name!r}")
+        try:
+            return _command(cmd_name, found)
+        except Exception as error:
+            raise BadInputError(
+                f"command {cmd_name!r}: {found!r} is none ({type(error).__name__}: {error}); expected a function or a "
+                "typer.Typer, see https://typer.tiangolo.com"
+            ) from error
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write a row for each command, wrapped to the width of the terminal."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, text) for name, (_, text) in SHIPPED.items()])
+        if others := _EXTENSIONS.lines():
+            with formatter.section("Commands of other packages"):
+                formatter.write_dl([(name, f"{package}: {text}") for name, package, text in others])
+
+
+def _command(name: str, found: Any) -> Any:
+    holder = typer.Typer(rich_markup_mode=None, add_completion=False)
+    holder.callback()(lambda: None)
+    if isinstance(found, typer.Typer):
+        holder.add_typer(found, name=name)
+    else:
+        holder.command(name)(found)
+    return get_group(holder).commands[name]
