@@ -11,7 +11,7 @@ from firmware_protocol.built import HERE, SOURCES
 from hil.batch.catalogue.plan import Asked, alone, pairs
 from hil.batch.catalogue.runs import WORK, perform
 from hil.batch.pool import counted, perform_all
-from hil.core.progress import runs_progress
+from hil.cli.progress import runs_progress
 from hil.faults.cases import CASES, DURATION_S, Outcome
 from hil.faults.kinds import KINDS, find
 from hil.scenario.rows import FaultTable

@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 import pytest
 
-from hil.core.child import module_command
 from hil.core.errors import DeviceError
+from hil.core.subprocesses import module_command
 from hil.core.types import CommandMode
 from hil.drivers.guardian import Guardian
 from hil.drivers.host_watch import watch_over

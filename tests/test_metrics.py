@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.core.samples import MOST_SAMPLES, Samples, percentiles
+from hil.core.percentiles import CAPACITY, Reservoir, percentiles
 from hil.core.types import WHEEL_NAMES
 from hil.judge.effort import Effort, Overshoot, Saturation
 from hil.judge.figures import signal_figures
@@ -155,16 +155,16 @@ def test_percentiles_leave_gaps_out() -> None:
 
 
 def test_percentiles_are_exact_to_a_million_values_then_close_in_bounded_memory() -> None:
-    values = np.random.default_rng(3).lognormal(size=4 * MOST_SAMPLES)
+    values = np.random.default_rng(3).lognormal(size=4 * CAPACITY)
     values[::200] = 1e6  # taken by a stride of 2, 4 or 8 these would be more than one of a hundred
-    samples = Samples()
+    samples = Reservoir()
     for value in values[:2000]:
         samples.append(value)
-    for block in np.split(values[2000:MOST_SAMPLES], [5, 5, 70_000]):
-        samples.take(block)
-    assert samples.percentiles() == percentiles(values[:MOST_SAMPLES])
-    for start in range(MOST_SAMPLES, len(values), 5000):
-        samples.take(values[start : start + 5000])
+    for block in np.split(values[2000:CAPACITY], [5, 5, 70_000]):
+        samples.extend(block)
+    assert samples.percentiles() == percentiles(values[:CAPACITY])
+    for start in range(CAPACITY, len(values), 5000):
+        samples.extend(values[start : start + 5000])
     assert len(samples) == len(values)
     assert tuple(samples.percentiles()) == pytest.approx(tuple(percentiles(values)), rel=0.02)
 

@@ -16,8 +16,7 @@ from hil.batch.catalogue.recording import RecordingHere
 from hil.cli.ctl import app as ctl
 from hil.cli.main import app
 from hil.core.errors import BadInputError
-from hil.core.outputs import claim, free_name
-from hil.core.whole_file import write_whole
+from hil.core.outputs import claim, free_name, write_whole
 from hil.record import Recording
 from hil.record.files import check_output_path, part_path
 from hil.record.runs_folder import new_in_runs

@@ -15,8 +15,8 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection
 
-from hil.core.child import module_command
 from hil.core.errors import BadInputError
+from hil.core.subprocesses import module_command
 from hil.service.api_child import ApiChild
 from hil.service.api_config import ApiConfig
 from hil.service.messages import Action, Answer, Phase

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.core.claims import Claim, TakenError, held
 from hil.core.errors import BadInputError, LinkError
+from hil.core.process_lock import LockHeldError, ProcessLock, held
 from hil.service.discovery import Service, announce, running
 from hil.wire.device_lock import _file_name, _folder, device_held, device_name
 from hil.wire.url import SerialUrl, parse_link
@@ -139,14 +139,14 @@ def test_a_service_is_found_while_its_process_lives(tmp_path: Path) -> None:
 
 
 def test_a_claim_whose_record_is_unreadable_is_held_all_the_same(tmp_path: Path) -> None:
-    claim = Claim(tmp_path, "one", {"pid": 1})
+    claim = ProcessLock(tmp_path, "one", {"pid": 1})
     (tmp_path / "one.json").write_text("{")
-    with pytest.raises(TakenError) as taken:
-        Claim(tmp_path, "one", {"pid": 2})
+    with pytest.raises(LockHeldError) as taken:
+        ProcessLock(tmp_path, "one", {"pid": 2})
     assert taken.value.holder == {}
     assert list(held(tmp_path)) == []
     claim.release()
-    Claim(tmp_path, "one", {"pid": 2}).release()
+    ProcessLock(tmp_path, "one", {"pid": 2}).release()
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no modes of files")

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 import hil
-from hil.core.child import module_command
 from hil.core.errors import BadInputError, OverdueError
+from hil.core.subprocesses import module_command
 from hil.core.tick_watch import TickOverdue, TickWatch
 from hil.review import read
 from hil.review.figures import figures

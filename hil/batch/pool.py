@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import IO, Any, Generic, Protocol, TypeVar
 
-from hil.core.child import away_from_terminal, module_command
+from hil.core.subprocesses import away_from_terminal, module_command
 from hil.record.environment import rerun_environment
 
 READY = "ready\n"

@@ -138,7 +138,7 @@ def _perform(
     as_json: bool,
 ) -> None:
     from hil.batch.campaign.cluster import Place
-    from hil.core.progress import RateProgress
+    from hil.cli.progress import RateProgress
 
     scheduler, workers, limit_s = how
     place = Place(scheduler, workers, limit_s or 120.0 + 2.0 * campaign.longest_s)
@@ -200,7 +200,7 @@ class _Stop:
 
 def _print_estimate(campaign: "Campaign", folder: Path, workers: int, redo: frozenset[str], *, as_json: bool) -> None:
     from hil.batch.campaign.estimate import estimate
-    from hil.core.progress import duration_words
+    from hil.cli.progress import duration_words
 
     left = campaign.left(folder, redo)
     about = estimate(campaign, left, workers)

@@ -43,7 +43,7 @@ def catalogue(
     from hil.batch.catalogue import catalogue as run_catalogue
     from hil.batch.catalogue.plan import Asked
     from hil.cli import report
-    from hil.core.progress import runs_progress
+    from hil.cli.progress import runs_progress
 
     end_in_order()
     laws = [] if law is None else [f"controller.law={law}"]

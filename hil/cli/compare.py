@@ -51,8 +51,8 @@ def compare(
     from hil.batch.comparison import Asked
     from hil.batch.comparison import compare as run_comparison
     from hil.batch.comparison.conditions import DRIVES, TORQUES_N_M
+    from hil.cli.progress import runs_progress
     from hil.core.outputs import check_free, existing_files
-    from hil.core.progress import runs_progress
 
     end_in_order()
     *laws, scenario = laws_and_scenario

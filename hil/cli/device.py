@@ -12,11 +12,11 @@ from typing import Annotated
 import typer
 
 from hil.cli.options import Force, LinkUrl, Mode, RobotFile, ScenarioName, Seed, Sets, TraceFile
-from hil.core.child import wait_for_end
 from hil.core.clock import TICK_NS, WallClock
 from hil.core.errors import BadInputError
 from hil.core.language import Language
 from hil.core.outputs import Existing, existing_files
+from hil.core.subprocesses import wait_for_end
 from hil.record import check_output_path
 from hil.robot.targets.robot import open_server, open_target
 from hil.robot.truth_server import TruthServer

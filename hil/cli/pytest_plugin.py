@@ -15,7 +15,7 @@ from urllib.parse import quote
 
 import pytest
 
-from hil.core.suffix import TEST_SUFFIX
+from hil.core import TEST_SUFFIX
 
 if TYPE_CHECKING:
     from hil.cli.testing import OpenLink, RunScenario, StartRobot

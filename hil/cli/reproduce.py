@@ -32,8 +32,8 @@ def reproduce(
     from hil.batch.reproduction import NotWrittenError
     from hil.batch.reproduction import reproduce as run_reproduction
     from hil.batch.reproduction.summary import failures
+    from hil.cli.progress import runs_progress
     from hil.core.outputs import existing_files
-    from hil.core.progress import runs_progress
 
     end_in_order()
     if out is None:

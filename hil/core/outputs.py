@@ -1,6 +1,7 @@
-"""Names of the files that commands write: a file that is there is never replaced unless the user said so."""
+"""Files that commands write: whole or not at all, and none that is there is replaced unless the user said so."""
 
 import contextlib
+import os
 from collections.abc import Iterator
 from itertools import count
 from pathlib import Path
@@ -62,6 +63,40 @@ def release(path: Path, existing: Existing = "refuse") -> None:
     if existing != "replace":
         with contextlib.suppress(OSError):  # on Windows it may still be open
             path.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def whole_file(path: Path, what: str = "file", existing: Existing = "refuse") -> Iterator[Path]:
+    """Give the path of an unfinished file, with the same suffix, that becomes ``path`` when the block ends.
+
+    After an error of the block, on a full disk for one, nothing of it stays; a file that was to be replaced is then as
+    it was. ``what`` it is to be is named by BadInputError, which is raised when a file is there that must stay, and
+    when none can be created. OSError is raised when the finished file cannot take its place.
+    """
+    path = claim(what, path, existing)
+    if existing == "replace":
+        path = path.resolve()  # what a link leads to, and not the link
+    unfinished = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
+    try:
+        yield unfinished
+        unfinished.replace(path)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            unfinished.unlink(missing_ok=True)
+        release(path, existing)
+        raise
+
+
+def write_whole(path: Path, data: bytes, what: str = "file", existing: Existing = "refuse") -> None:
+    """Write a file. Raises BadInputError as ``whole_file``, and when it cannot be written."""
+    try:
+        with whole_file(path, what, existing) as unfinished:
+            unfinished.write_bytes(data)
+    except OSError as error:
+        raise BadInputError(
+            f"{what} {path}: it cannot be written ({error.strerror}); name a folder that exists, has room and may be "
+            "written to"
+        ) from error
 
 
 def _names(path: Path) -> Iterator[Path]:

@@ -15,8 +15,8 @@ import sys
 import threading
 import time
 
-from hil.core.child import away_from_terminal, child_environment, module_command
 from hil.core.errors import DeviceError
+from hil.core.subprocesses import away_from_terminal, child_environment, module_command
 
 BEAT = b"beat"
 HOLD = b"hold"

@@ -5,8 +5,8 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple, Protocol
 
 from firmware_protocol.framing import Frame
-from hil.core.brake import Brake
 from hil.core.errors import HilError, LinkError
+from hil.core.guard import Brake
 from hil.core.types import CommandMode, FourWheels, Wheels
 from hil.drivers.port import Driver
 

@@ -14,7 +14,7 @@ from typing import Any
 
 from hil.core.errors import BadInputError, nearest
 from hil.core.extensions import Extensions, package_of
-from hil.core.samples import Samples
+from hil.core.percentiles import Reservoir
 from hil.judge.effort import Effort, Overshoot, Saturation
 from hil.judge.measure import Figure, Measure, NoFigureError, RunSetup, Series
 from hil.judge.tracking import EstimationError, Tracking
@@ -51,11 +51,11 @@ class TickTime(Measure):
     signals = ("loop.tick_us",)
 
     def __init__(self, _setup: RunSetup) -> None:
-        self._tick_us = Samples()
+        self._tick_us = Reservoir()
 
     def add(self, signals: Mapping[str, Series]) -> None:
         """Add rows."""
-        self._tick_us.take(signals["loop.tick_us"])
+        self._tick_us.extend(signals["loop.tick_us"])
 
     def value(self, _name: str) -> dict[str, float]:
         """Return the percentiles. Raises NoFigureError for a run of fewer than two ticks."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hil.core.errors import HilError, UnknownSignalError
-from hil.core.samples import Percentiles, Samples
+from hil.core.percentiles import Percentiles, Reservoir
 from hil.judge.figures import BLOCK_ROWS, RunFigures, figures, number
 from hil.judge.measure import Series
 from hil.judge.words import why_not_passed
@@ -33,7 +33,7 @@ class MemorySink:
         self._figures = figures
         self._keep = keep
         self._age_place = names.index("link.feedback_age_ms")
-        self._age_ms = Samples()
+        self._age_ms = Reservoir()
         self._blocks: list[Series] = []
         self._pack = struct.Struct(f"{len(names)}d").pack
         self._row_bytes = 8 * len(names)
@@ -95,7 +95,7 @@ class MemorySink:
             pass
 
     def _work(self, rows: Series) -> Iterator[None]:
-        self._age_ms.take(rows[:, self._age_place])
+        self._age_ms.extend(rows[:, self._age_place])
         yield
         yield from self._figures.add({name: rows[:, i] for i, name in enumerate(self._names)})
 

@@ -14,12 +14,12 @@ from types import TracebackType
 from typing import Any, Self
 
 from hil.core.errors import BadInputError, DeviceError
-from hil.core.plant_signals import OUTPUTS, SENSORS
 from hil.core.types import PoseFix, Wheels, make_fix, make_pose, make_twist
 from hil.plant import archive, shim
 from hil.plant.instance import Instance
 from hil.plant.mapping import SignalMap, resolve
 from hil.plant.settable import Settable, bounds, settable_variables
+from hil.plant.signals import OUTPUTS, SENSORS
 from hil.plant.start import Value, resize, start_values
 
 

@@ -31,7 +31,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hil.core.errors import BadInputError, nearest
-from hil.core.plant_signals import (
+from hil.plant.signals import (
     ACCELEROMETER,
     ANGLES,
     BATTERY,

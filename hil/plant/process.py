@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any, cast
 
-from hil.core.child import away_from_terminal, child_environment, module_command
 from hil.core.errors import DeviceError
+from hil.core.subprocesses import away_from_terminal, child_environment, module_command
 from hil.plant.memory import excess
 from hil.plant.said import Said
 

@@ -7,9 +7,9 @@ from typing import Any
 from firmware_protocol.built import BuildError
 from firmware_protocol.host import Loaded, load_library
 from hil.core.errors import BadInputError
-from hil.core.plant_signals import OUTPUTS
 from hil.plant.built import COSIM, HEADERS
 from hil.plant.mapping import Connection, Wiring
+from hil.plant.signals import OUTPUTS
 
 _FMI2_TYPES = {"Real": "Float64", "Integer": "Int32"}
 _C_TYPES = {"Float64": "double", "Float32": "float"}

@@ -2,7 +2,7 @@
 
 import sys
 
-from hil.core.child import child_environment
+from hil.core.subprocesses import child_environment
 
 WITH_RERUN = "rerun"
 """The recorder's argument with which it imports rerun before it has its config, which will need it."""

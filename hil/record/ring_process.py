@@ -13,8 +13,8 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any, cast
 
-from hil.core.child import start_children_as_ordinary
 from hil.core.errors import BadInputError, DeviceError
+from hil.core.subprocesses import start_children_as_ordinary
 from hil.record.patience import Patience
 from hil.record.ring import Kept, RingWriter, Row, ring_bytes
 from hil.record.ring_start import Started

@@ -11,8 +11,8 @@ import time
 from collections.abc import Mapping
 from typing import Any, Self
 
-from hil.core.child import away_from_terminal, module_command
 from hil.core.json_lines import LineReader, LineWriter
+from hil.core.subprocesses import away_from_terminal, module_command
 from hil.record.memory import SharedBlock
 
 

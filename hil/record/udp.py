@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import Any, NamedTuple, Self
 
-from hil.core.child import child_environment
+from hil.core.subprocesses import child_environment
 from hil.estimation.localisation.address import parse_address
 from hil.record.ring_process import RingProcess
 from hil.record.ring_start import Started

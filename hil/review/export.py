@@ -15,9 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.core.errors import BadInputError
-from hil.core.outputs import Existing
+from hil.core.outputs import Existing, whole_file
 from hil.core.signals import SIGNALS, unit_of
-from hil.core.whole_file import whole_file
 from hil.record.files import check_output_path
 from hil.review.reader import RecordedRun
 

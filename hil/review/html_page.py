@@ -7,8 +7,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from hil.core.outputs import Existing
-from hil.core.whole_file import write_whole
+from hil.core.outputs import Existing, write_whole
 from hil.record.files import check_output_path
 from hil.review.plots import drawing
 

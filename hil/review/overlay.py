@@ -16,12 +16,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from hil.core.child import module_command
 from hil.core.errors import BadInputError
-from hil.core.outputs import Existing
+from hil.core.outputs import Existing, whole_file
 from hil.core.signals import unit_of
+from hil.core.subprocesses import module_command
 from hil.core.types import WHEEL_NAMES
-from hil.core.whole_file import whole_file
 from hil.record.environment import rerun_environment
 from hil.record.files import check_output_path
 from hil.record.layout import REFERENCE_COLOUR

@@ -17,9 +17,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hil.core.outputs import Existing
+from hil.core.outputs import Existing, write_whole
 from hil.core.types import WHEEL_NAMES
-from hil.core.whole_file import write_whole
 from hil.record.layout import ALARM_COLOUR, REFERENCE_COLOUR, WHEEL_COLOURS, Colour
 
 if TYPE_CHECKING:

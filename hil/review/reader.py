@@ -14,8 +14,8 @@ from typing import IO, TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hil.core.child import module_command
 from hil.core.errors import BadInputError
+from hil.core.subprocesses import module_command
 from hil.record.environment import rerun_environment
 from hil.record.files import EXPECTED_FILE, check_is_recording
 

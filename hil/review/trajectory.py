@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from hil.core.errors import BadInputError
-from hil.core.outputs import Existing
-from hil.core.whole_file import whole_file
+from hil.core.outputs import Existing, whole_file
 from hil.record.files import check_output_path
 from hil.review.reader import RecordedRun
 

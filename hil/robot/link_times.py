@@ -8,7 +8,7 @@ import statistics
 from collections import deque
 from typing import Any, NamedTuple
 
-from hil.core.samples import Samples
+from hil.core.percentiles import Reservoir
 from hil.core.types import NAN
 
 SYNC_PERIOD_NS = 250_000_000  # PROTOCOL.md, "Time": 4 Hz
@@ -32,7 +32,7 @@ class RoundTrip:
     def __init__(self) -> None:
         self._sent_ns: list[int | None] = [None] * 256
         self._echoed: int | None = None
-        self._all_ms = Samples()
+        self._all_ms = Reservoir()
         self.ms = NAN
 
     def sent(self, sequence: int, now_ns: int) -> None:
@@ -124,7 +124,7 @@ class ClockSync:
         self._sent_ns = 0
         self._stages: deque[Exchange] = deque(maxlen=_STAGES)
         self._believed: deque[Exchange] = deque(maxlen=_FITTED)
-        self._delays_us = Samples()
+        self._delays_us = Reservoir()
         self.awaiting = False
         self.offset_us = NAN
         self.drift_ppm = NAN
@@ -201,7 +201,7 @@ class ClockSync:
         }
 
 
-def _percentiles(values: Samples) -> dict[str, float]:
+def _percentiles(values: Reservoir) -> dict[str, float]:
     found = values.percentiles()
     assert found is not None
     return found._asdict()

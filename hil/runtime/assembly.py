@@ -9,8 +9,8 @@ from typing import Any, TypeVar
 
 from hil.core.errors import DeviceError, HilError, LinkError
 from hil.core.outputs import Existing, existing_files
+from hil.core.percentiles import Percentiles
 from hil.core.ports import Sink
-from hil.core.samples import Percentiles
 from hil.core.signals import SIGNAL_NAMES
 from hil.judge.allowed import allow_figures
 from hil.judge.figures import RunFigures, cut_words, figure_signals

@@ -10,10 +10,9 @@ from types import TracebackType
 from typing import Self
 
 from firmware_protocol.host import parameter_hash
-from hil.core.brake import Brake
 from hil.core.clock import TICK_NS, LockstepClock, WallClock
 from hil.core.errors import BadInputError, HilError
-from hil.core.guard import Guard
+from hil.core.guard import Brake, Guard
 from hil.core.ports import Clock, FixSource, Link, PoseSource
 from hil.core.signals import SIGNAL_NAMES
 from hil.core.types import Pose

@@ -2,8 +2,7 @@
 
 from collections.abc import Sequence
 
-from hil.core.brake import Brake
-from hil.core.guard import Guard
+from hil.core.guard import Brake, Guard
 from hil.core.model import RobotModel
 from hil.core.ports import Note, Sink
 from hil.estimation import EstimatorOptions, FusedOptions, make_estimator

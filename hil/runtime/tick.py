@@ -4,9 +4,8 @@ from collections.abc import Callable, Sequence
 from math import dist, isfinite
 from typing import Any, NamedTuple
 
-from hil.core.brake import Brake
 from hil.core.errors import HilError
-from hil.core.guard import Guard
+from hil.core.guard import Brake, Guard
 from hil.core.ports import Clock, Controller, FixSource, Note, OwnSignals, PoseSource, Sink
 from hil.core.signals import LoopSignals
 from hil.core.types import (

@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from hil.core import TEST_SUFFIX
 from hil.core.errors import BadInputError, nearest
-from hil.core.suffix import TEST_SUFFIX
 from hil.laws.registry import give_law
 from hil.scenario import layers
 from hil.scenario.check import check, derived

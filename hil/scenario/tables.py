@@ -14,11 +14,11 @@ from pydantic import AfterValidator, ConfigDict, Field, PrivateAttr, ValidationI
 
 from hil.core.errors import BadInputError, nearest
 from hil.core.options import build
-from hil.core.plant_signals import INPUTS, OUTPUTS
 from hil.core.types import WHEEL_NAMES, CommandMode
 from hil.drivers.registry import OUR_DRIVER, dialect, driver_names
 from hil.estimation.localisation.address import parse_address
 from hil.laws.own_signals import short_name
+from hil.plant.signals import INPUTS, OUTPUTS
 from hil.scenario.allow import AllowTable
 from hil.scenario.fields import Milliseconds, Option, OptionValue, Setting, Start, Table, Text, is_path
 from hil.scenario.process_tables import RealtimeTable, ServiceTable

@@ -13,10 +13,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from hil.core.child import away_from_terminal, child_environment, module_command, start_children_as_ordinary
-from hil.core.claims import Claim
 from hil.core.errors import BadInputError, DeviceError
 from hil.core.json_lines import LinePoll, LineWriter
+from hil.core.process_lock import ProcessLock
+from hil.core.subprocesses import away_from_terminal, child_environment, module_command, start_children_as_ordinary
 from hil.service import logs
 from hil.service.api_config import ApiConfig
 from hil.service.discovery import Service, announce
@@ -54,7 +54,7 @@ class ApiChild:
         self._lines: LinePoll | None = None
         self._ready = False
         self._back_off_s = _FIRST_BACK_OFF_S
-        self._claim: Claim | None = None
+        self._claim: ProcessLock | None = None
         self._writer: LineWriter
         self._started_s = self._lived_s = self._looked_s = 0.0
         self.url = ""

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from platformdirs import user_state_path
 
-from hil.core.claims import Claim, TakenError, held, write_private
 from hil.core.errors import BadInputError
+from hil.core.process_lock import LockHeldError, ProcessLock, held, write_private
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -38,11 +38,11 @@ def state_folder() -> Path:
     return folder
 
 
-def announce(service: Service) -> Claim:
+def announce(service: Service) -> ProcessLock:
     """Say that a service runs, until the claim is released or this process ends. Raises BadInputError."""
     try:
-        return Claim(state_folder(), str(service.port), dataclasses.asdict(service))
-    except TakenError as taken:
+        return ProcessLock(state_folder(), str(service.port), dataclasses.asdict(service))
+    except LockHeldError as taken:
         raise BadInputError(
             f"port {service.port}: process {taken.holder.get('pid', '?')} serves there; choose another port"
         ) from None

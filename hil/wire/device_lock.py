@@ -14,8 +14,8 @@ from pathlib import Path
 
 from platformdirs import site_data_path
 
-from hil.core.claims import Claim, TakenError
 from hil.core.errors import LinkError
+from hil.core.process_lock import LockHeldError, ProcessLock
 from hil.wire.url import CanUrl, LinkUrl, MemoryUrl, SerialUrl, format_link
 
 
@@ -52,8 +52,8 @@ def device_held(url: LinkUrl, command: str) -> Iterator[None]:
     try:
         _make_for_all(folder)
         # Anybody may lock: in the temporary folder itself a file may be opened for writing by its owner only.
-        claim = Claim(folder, _file_name(name), record, mode=0o666)
-    except TakenError as taken:
+        claim = ProcessLock(folder, _file_name(name), record, mode=0o666)
+    except LockHeldError as taken:
         raise LinkError(_refusal(format_link(url), taken)) from None
     except OSError as error:
         raise LinkError(
@@ -66,7 +66,7 @@ def device_held(url: LinkUrl, command: str) -> Iterator[None]:
         claim.release()
 
 
-def _refusal(link: str, taken: TakenError) -> str:
+def _refusal(link: str, taken: LockHeldError) -> str:
     holder = taken.holder
     if not holder:
         return f"link {link!r}: another process is about to use the device, or to leave it; try again"

@@ -24,11 +24,11 @@ from rich.table import Table
 import plant_fmu
 from firmware_protocol.built import SUFFIX, BuildError
 from hil.core.errors import HilError
-from hil.core.plant_signals import COUNTS, DUTIES, ENABLED, INPUTS, OUTPUTS, POSE, SPEEDS, TORQUES
 from hil.core.types import Wheels
 from hil.plant import shim
 from hil.plant.fmu import FmuPlant
 from hil.plant.mapping import SignalMap, Wiring, resolve
+from hil.plant.signals import COUNTS, DUTIES, ENABLED, INPUTS, OUTPUTS, POSE, SPEEDS, TORQUES
 from hil.plant.start import Value
 from tools.build.compiler import compile_shared
 

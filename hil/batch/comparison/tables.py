@@ -12,8 +12,7 @@ from hil.batch.comparison.conditions import DRIVES, FRICTIONS, MASS_FACTORS, Con
 from hil.batch.comparison.result import Comparison, Row
 from hil.batch.comparison.runs import FIGURES
 from hil.core.errors import BadInputError
-from hil.core.outputs import Existing
-from hil.core.whole_file import write_whole
+from hil.core.outputs import Existing, write_whole
 
 OVERVIEW = "figures"
 """The name of the picture of all figures."""

@@ -19,8 +19,7 @@ from hil.batch.reproduction.runs import WORK, Job, Outcome
 from hil.batch.reproduction.summary import summarise
 from hil.batch.reproduction.verdicts import Results, judge
 from hil.core.errors import BadInputError
-from hil.core.outputs import Existing, claim
-from hil.core.whole_file import write_whole
+from hil.core.outputs import Existing, claim, write_whole
 
 __all__ = ["NotWrittenError", "reproduce"]
 

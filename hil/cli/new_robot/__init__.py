@@ -11,8 +11,7 @@ from pathlib import Path
 from hil.cli.new_robot.questions import QUESTIONS, Question, Value, problem_with
 from hil.cli.new_robot.texts import robot_text, scenario_text
 from hil.core.errors import BadInputError
-from hil.core.outputs import Existing, check_free
-from hil.core.whole_file import write_whole
+from hil.core.outputs import Existing, check_free, write_whole
 from hil.runtime.assembly import check_scenario
 from hil.scenario import load
 

@@ -13,8 +13,8 @@ from firmware_protocol import codec
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated.messages import Message
 from hil.cli.testing.overrides import Overrides
-from hil.core.child import away_from_terminal, child_environment, module_command
 from hil.core.errors import BadInputError, DeviceError
+from hil.core.subprocesses import away_from_terminal, child_environment, module_command
 from hil.scenario import Scenario
 from hil.wire.opening import open_host
 from hil.wire.url import parse_link

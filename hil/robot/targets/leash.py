@@ -15,7 +15,7 @@ import sys
 import threading
 from collections.abc import Callable
 
-from hil.core.child import wait_for_end
+from hil.core.subprocesses import wait_for_end
 
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 

@@ -6,9 +6,9 @@ from types import TracebackType
 from typing import Any, Self
 
 from firmware_protocol.framing import Frame
-from hil.core.child import child_environment
 from hil.core.outputs import Existing, claim, release
 from hil.core.ports import EXTENDED, REMOTE
+from hil.core.subprocesses import child_environment
 from hil.record.files import check_output_path
 from hil.record.ring_process import RingProcess
 from hil.record.ring_start import Started

@@ -8,9 +8,9 @@ import numpy.typing as npt
 
 Series = npt.NDArray[np.float64]
 
-MOST_SAMPLES = 1 << 20
-"""Values of which percentiles are exact; of more, they are those of so many that chance picked."""
-_AT_ONCE = 1024
+CAPACITY = 1 << 20
+"""Up to so many values percentiles are exact; beyond that they are those of a random sample of this size."""
+_BLOCK = 1024
 
 
 class Percentiles(NamedTuple):
@@ -20,8 +20,8 @@ class Percentiles(NamedTuple):
     p99: float
 
 
-class Samples:
-    """Values for percentiles: all of them up to ``MOST_SAMPLES``, then each with the same chance to be among these."""
+class Reservoir:
+    """A reservoir sample of a series: all values up to ``CAPACITY``, then a uniform random choice of that many."""
 
     def __init__(self) -> None:
         self._pending = array("d")
@@ -30,13 +30,13 @@ class Samples:
         self._chance = np.random.default_rng(1)
 
     def append(self, value: float) -> None:
-        """Take a value."""
+        """Add a value."""
         self._pending.append(value)
-        if len(self._pending) >= _AT_ONCE:
+        if len(self._pending) >= _BLOCK:
             self._fold()
 
-    def take(self, values: Series) -> None:
-        """Take those of the values that are there, of shape (n,)."""
+    def extend(self, values: Series) -> None:
+        """Add the finite values of an array of shape (n,)."""
         self._pending.frombytes(values[np.isfinite(values)].tobytes())
         self._fold()
 
@@ -46,23 +46,23 @@ class Samples:
         return percentiles(np.frombuffer(self._kept))
 
     def __len__(self) -> int:
-        """Return how many values were taken."""
+        """Return the number of values that were added."""
         return self._seen + len(self._pending)
 
     def _fold(self) -> None:
-        room = MOST_SAMPLES - len(self._kept)
+        room = CAPACITY - len(self._kept)
         self._kept += self._pending[:room]
         self._seen += min(room, len(self._pending))
         if len(more := self._pending[room:]):
             places = self._chance.integers(0, self._seen + 1 + np.arange(len(more)))
-            lucky = places < MOST_SAMPLES
+            lucky = places < CAPACITY
             np.frombuffer(self._kept)[places[lucky]] = np.frombuffer(more)[lucky]
             self._seen += len(more)
         self._pending = array("d")
 
 
 def percentiles(series: Series) -> Percentiles | None:
-    """Return median and 99th percentile of the values that are there, or None when there are none."""
+    """Return median and 99th percentile of the finite values, or None when there are none."""
     there = series[np.isfinite(series)]
     if not len(there):
         return None

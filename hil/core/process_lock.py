@@ -1,8 +1,7 @@
-"""A claim: a small record that is true while the process that wrote it lives, because the operating system says so.
+"""A lock that one process holds until it ends, with a record that says who holds it.
 
-A lock file is held (``flock``, on Windows ``LockFileEx``), and beside it is a JSON file with what the holder says of
-itself. A process that dies loses the lock whatever way it died, so nothing is left to be cleaned up, and no process id
-has to be asked after, which may be another's by then.
+The lock is a file that the operating system locks (``flock``, on Windows ``LockFileEx``); the record is a JSON file
+beside it. A process loses its lock however it dies, so nothing has to be cleaned up and no process id is checked.
 """
 
 import contextlib
@@ -14,32 +13,32 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-# A reader who looks whether a claim is held holds it for that moment.
-_A_MOMENT_S = 0.3
+# ``held`` takes each lock for a moment to find out whether it is free.
+_TIMEOUT_S = 0.3
 
 
-class TakenError(Exception):
-    """Somebody else holds the claim; ``holder`` is what he says of himself, empty where he has not said it yet."""
+class LockHeldError(Exception):
+    """Another process holds the lock; ``holder`` is its record, empty where it has not written it yet."""
 
     def __init__(self, holder: Mapping[str, Any]) -> None:
-        super().__init__("the claim is held")
+        super().__init__("another process holds the lock")
         self.holder = holder
 
 
-class Claim:
+class ProcessLock:
     """Holds ``folder/name.lock`` until ``release`` or the process's end, with ``record`` in ``folder/name.json``.
 
-    ``mode`` is that of both files. Raises TakenError when another one holds it, and OSError when the folder cannot be
-    written to.
+    ``mode`` is that of both files. Raises LockHeldError when another process holds it, and OSError when the folder
+    cannot be written to.
     """
 
     def __init__(self, folder: Path, name: str, record: Mapping[str, Any], mode: int = 0o600) -> None:
         self._lock = _lock(folder, name, mode)
         self._record = folder / f"{name}.json"
         try:
-            self._lock.acquire(timeout=_A_MOMENT_S, poll_interval=0.02)
+            self._lock.acquire(timeout=_TIMEOUT_S, poll_interval=0.02)
         except Timeout:
-            raise TakenError(_read(self._record)) from None
+            raise LockHeldError(_read(self._record)) from None
         try:
             write_private(self._record, json.dumps(record), mode)
         except OSError:
@@ -47,14 +46,14 @@ class Claim:
             raise
 
     def release(self) -> None:
-        """Give it up. Twice is allowed. The lock file stays: to remove one that another waits for would make two."""
+        """Release the lock. Calling twice is allowed. The lock file stays: another process may be waiting for it."""
         if self._lock.is_locked:
             self._record.unlink(missing_ok=True)
             self._lock.release()
 
 
 def held(folder: Path) -> Iterator[dict[str, Any]]:
-    """Yield the records of the claims in a folder that are held, by name; one whose holder has died is removed."""
+    """Yield the records of the locks in a folder that are held, by name; remove the record of a dead holder."""
     for record in sorted(folder.glob("*.json")):
         lock = _lock(folder, record.stem, 0o600)
         try:
