@@ -14,7 +14,7 @@ import typer
 from hil.cli.options import Force, LinkUrl, Mode, RobotFile, ScenarioName, Seed, Sets, TraceFile
 from hil.core.clock import TICK_NS, WallClock
 from hil.core.errors import BadInputError
-from hil.core.language import Language
+from hil.core.link_protocol import LinkProtocol
 from hil.core.outputs import Existing, existing_files
 from hil.core.subprocesses import wait_for_end
 from hil.record import check_output_path
@@ -22,7 +22,7 @@ from hil.robot.targets.robot import open_server, open_target
 from hil.robot.truth_server import TruthServer
 from hil.robot.virtual import VirtualStm32
 from hil.runtime.realtime import Wanted, real_time
-from hil.runtime.robots import language_of, link_of, no_lockstep, node_maker, open_trace, virtual_robot
+from hil.runtime.robots import link_of, no_lockstep, node_maker, open_trace, protocol_of, virtual_robot
 from hil.scenario import Scenario, load
 from hil.wire.opening import open_robot
 from hil.wire.robot_end import Wire
@@ -97,10 +97,10 @@ def serve(
         robot = _robot(scenario, target)
         resources.callback(robot.close)
         tracing = resources.enter_context(open_trace(scenario, trace, existing)) if trace is not None else None
-        wire, reach = open_robot(url, say, lockstep=lockstep, language=language_of(scenario))
+        wire, reach = open_robot(url, say, lockstep=lockstep, protocol=protocol_of(scenario))
         resources.callback(wire.close)
         if tracing is not None:
-            wire = _traced(wire, tracing, robot, language_of(scenario), lockstep=lockstep)
+            wire = _traced(wire, tracing, robot, protocol_of(scenario), lockstep=lockstep)
         truth = TruthServer(scenario.hash, truth_port)
         resources.callback(truth.close)
         # Before robot time begins: to lock memory takes a tenth of a second.
@@ -157,10 +157,10 @@ class _RobotTime:
         return (self._base + tick) * TICK_NS
 
 
-def _traced(wire: Wire, trace: Trace, robot: VirtualStm32, language: Language, *, lockstep: bool) -> TracedWire:
+def _traced(wire: Wire, trace: Trace, robot: VirtualStm32, protocol: LinkProtocol, *, lockstep: bool) -> TracedWire:
     clock = _RobotTime(robot) if lockstep else WallClock()
     trace.begin(time.time_ns() - clock.now_ns())
-    return TracedWire(wire, trace, clock.now_ns, language)
+    return TracedWire(wire, trace, clock.now_ns, protocol)
 
 
 def _stop_at_the_end(lifeline: int, stop: Callable[[], None]) -> None:

@@ -21,7 +21,7 @@ from hil.cli.new_robot.questions import QUESTIONS, Value
 from hil.cli.new_robot.texts import robot_text
 from hil.cli.options import Json, print_json
 from hil.core.errors import BadInputError
-from hil.core.language import WHEEL_DBC, Language
+from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
 from hil.core.ports import Framing, Link
 from hil.drivers.port import Found, Probe
 from hil.drivers.registry import DIALECTS, OUR_DRIVER, dialect
@@ -232,7 +232,7 @@ def _elsewhere(url: LinkUrl, names: Iterable[str]) -> str | None:
 
 
 def _probe_bus(candidates: Sequence[_Candidate], is_chosen: bool, result: Result, say: Callable[[str], None]) -> None:
-    with contextlib.closing(open_host(candidates[0].url, language=Language())) as link:
+    with contextlib.closing(open_host(candidates[0].url, protocol=LinkProtocol())) as link:
         say(f"listening for {_LISTEN_S:g} s")
         heard = _listen(link, candidates, lambda: _LISTEN_S)
         for one in _whom_to_ask(candidates, is_silent=is_chosen or not heard):
@@ -269,7 +269,7 @@ def _probe_port(candidates: Sequence[_Candidate], is_chosen: bool, result: Resul
 
 
 def _line(one: _Candidate) -> contextlib.closing[StreamLink]:
-    link = open_host(one.url, language=Language(one.make_framing))
+    link = open_host(one.url, protocol=LinkProtocol(one.make_framing))
     assert isinstance(link, StreamLink)
     return contextlib.closing(link)
 

@@ -9,7 +9,7 @@ from functools import cache
 
 from hil.core.errors import BadInputError, nearest
 from hil.core.extensions import Extensions, package_of
-from hil.core.language import WHEEL_DBC
+from hil.core.link_protocol import WHEEL_DBC
 from hil.core.signals import SIGNAL_NAMES
 from hil.core.types import WHEEL_NAMES
 from hil.faults.kind import Kind, Quantity

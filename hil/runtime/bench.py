@@ -33,11 +33,11 @@ from hil.robot.virtual import LocalTruth, MakeNode, MakeRobot, ServerThread, Vir
 from hil.runtime.fault_injection import LocalFaults, RunFaults
 from hil.runtime.robots import (
     firmware_values,
-    language_of,
     link_of,
     needed_truth,
     no_lockstep,
     node_maker,
+    protocol_of,
     start_pose,
     virtual_robot,
     wheel_map,
@@ -86,10 +86,10 @@ class Bench:
         self._watch: HostWatch = Unwatched()
         lockstep = scenario.loop.mode == "lockstep"
         url = link_of(scenario)
-        language = language_of(scenario)
+        protocol = protocol_of(scenario)
         self.clock: Clock = LockstepClock(lambda ticks: self.device.step(ticks)) if lockstep else WallClock()
         self.faults = RunFaults(
-            [table.row for table in scenario.fault], scenario.loop.seed, self.clock, signals, language
+            [table.row for table in scenario.fault], scenario.loop.seed, self.clock, signals, protocol
         )
         with contextlib.ExitStack() as resources:
             self.truth: PoseSource | None = None
@@ -117,16 +117,16 @@ class Bench:
                     resources.callback(self.truth.close)
                 self.faults.arm(self.truth)
                 guarding = resources.enter_context(contextlib.ExitStack())  # which ends after the link was closed
-                link = open_host(url, self.faults.line, language)
+                link = open_host(url, self.faults.line, protocol)
                 resources.callback(link.close)
             self.wire = measured(link, url, self.clock, lockstep=lockstep)
             if trace is not None:
                 trace.begin(time.time_ns() - self.clock.now_ns())
                 self.wire.trace_to(trace)
             disturbed = self.faults.around(self.wire, url, resources)
-            faulty = FaultLink(disturbed, self.faults.time, self.faults.of_frames, language)
+            faulty = FaultLink(disturbed, self.faults.time, self.faults.of_frames, protocol)
             latencies = (scenario.link.command_latency_ns, scenario.link.feedback_latency_ns)
-            delayed = DelayedLink(faulty, self.clock, *latencies, language)
+            delayed = DelayedLink(faulty, self.clock, *latencies, protocol)
             driver = make_driver(scenario) if scenario.device.is_makers else None
             if driver is not None and self._robot is None:
                 made, priority = dialect(scenario.device.driver), scenario.realtime.priority
@@ -170,7 +170,7 @@ class Bench:
             resources.callback(link.close)
             return link
         self.truth = truth = LocalTruth()
-        pair = open_pair(url, self.faults.line, lockstep=lockstep, language=language_of(self._scenario))
+        pair = open_pair(url, self.faults.line, lockstep=lockstep, protocol=protocol_of(self._scenario))
         resources.callback(pair.wire.close)
         resources.callback(pair.link.close)
         self._server = server = VirtualServer(robot, pair.wire, truth, lockstep=lockstep)

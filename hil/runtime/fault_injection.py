@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from hil.core.errors import BadInputError, HilError
-from hil.core.language import WHEEL_DBC, Language
+from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
 from hil.core.ports import Link
 from hil.faults.kind import FaultRow
 from hil.robot.faults import RobotFaults
@@ -56,13 +56,18 @@ class RunFaults:
     """
 
     def __init__(
-        self, rows: Sequence[FaultRow], seed: int, clock: NowNs, names: Sequence[str], language: Language = WHEEL_DBC
+        self,
+        rows: Sequence[FaultRow],
+        seed: int,
+        clock: NowNs,
+        names: Sequence[str],
+        protocol: LinkProtocol = WHEEL_DBC,
     ) -> None:
         self._rows = rows
         self._robot: RobotWithFaults | None = None
         self._of_robot = [row for row in rows if row.acts_on in ("device", "plant")]
-        self._of_link = link_faults([row for row in rows if row.acts_on == "link"], seed, language)
-        self._language = language
+        self._of_link = link_faults([row for row in rows if row.acts_on == "link"], seed, protocol)
+        self._protocol = protocol
         of_signals = [row for row in rows if row.acts_on == "signal"]
         self.time = ScenarioTime(clock)
         self.signals = SignalFaults(of_signals, names, seed) if of_signals else None
@@ -78,20 +83,20 @@ class RunFaults:
 
     def line(self, stream: HostStream) -> HostStream:
         """Return the host's end of a serial line with what acts on its bytes; as it is where nothing does."""
-        return FaultLine(stream, self.time, self._of_bytes, self._language) if self._of_bytes else stream
+        return FaultLine(stream, self.time, self._of_bytes, self._protocol) if self._of_bytes else stream
 
     def around(self, link: Link, url: LinkUrl, resources: contextlib.ExitStack) -> Link:
         """Return a CAN link with what acts on its bus; any other, and one on whose bus nothing acts, as it is."""
-        if not self._of_bytes or not (isinstance(url, CanUrl) or self._language.make_framing is None):
+        if not self._of_bytes or not (isinstance(url, CanUrl) or self._protocol.make_framing is None):
             return link
         if not isinstance(url, CanUrl):
             row = self._of_bytes[0].row
             raise BadInputError(f"fault {row.kind}: a bus in memory has no bits; use --link can:virtual/NAME for it")
         babbler = None
         if any(fault.kind == "babble" for fault in self._of_bytes):
-            babbler = open_host(url, language=self._language)
+            babbler = open_host(url, protocol=self._protocol)
             resources.callback(babbler.close)
-        return FaultBus(link, self.time, self._of_bytes, babbler, self._language)
+        return FaultBus(link, self.time, self._of_bytes, babbler, self._protocol)
 
     def arm(self, robot: RobotWithFaults | None) -> None:
         """Give the robot what acts on it and its plant.

@@ -1,4 +1,4 @@
-"""What the robot of a scenario is made of: its firmware or motor controllers, its plant, its wiring, its language."""
+"""What the robot of a scenario is made of: its firmware or motor controllers, its plant, its wiring, its protocol."""
 
 import functools
 from collections.abc import Collection, Mapping
@@ -7,7 +7,7 @@ from pathlib import Path
 from firmware_protocol.built import BuildError
 from firmware_protocol.host import HostNode, parameters
 from hil.core.errors import BadInputError
-from hil.core.language import WHEEL_DBC, Language
+from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
 from hil.core.outputs import Existing
 from hil.core.types import Pose
 from hil.drivers.emulated_registry import emulated
@@ -120,11 +120,11 @@ def wheel_map(scenario: Scenario) -> WheelMap:
     return WheelMap(scenario.device.wheels, scenario.device.reversed)
 
 
-def language_of(scenario: Scenario) -> Language:
+def protocol_of(scenario: Scenario) -> LinkProtocol:
     """Return what is spoken on the scenario's link."""
     if not scenario.device.is_makers:
         return WHEEL_DBC
-    return Language(dialect(scenario.device.driver).make_framing)
+    return LinkProtocol(dialect(scenario.device.driver).make_framing)
 
 
 def node_maker(scenario: Scenario) -> MakeNode:

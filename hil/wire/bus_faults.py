@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from firmware_protocol.framing import Frame
 from hil.core.errors import LinkError
-from hil.core.language import WHEEL_DBC, Language
+from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
 from hil.core.ports import Link, Received
 from hil.wire.fault_rows import LinkFault, ScenarioTime
 from hil.wire.line_faults import foreign_id
@@ -30,11 +30,11 @@ class FaultBus:
         time: ScenarioTime,
         faults: Sequence[LinkFault],
         babbler: Link | None,
-        language: Language = WHEEL_DBC,
+        protocol: LinkProtocol = WHEEL_DBC,
     ) -> None:
         self._link = link
         self._time = time
-        self._language = language
+        self._protocol = protocol
         self._faults = [fault for fault in faults if fault.kind != "babble"]
         self._babbles = [fault for fault in faults if fault.kind == "babble"]
         self._babbler = babbler
@@ -44,7 +44,7 @@ class FaultBus:
     def send(self, frame: Frame) -> None:
         t_ns = self._time.now_ns()
         self._babble(t_ns)
-        if t_ns is None or frame.id >= self._language.exempt_from:
+        if t_ns is None or frame.id >= self._protocol.exempt_from:
             self._link.send(frame)
             return
         sent = self._passed(frame, "command", t_ns)
@@ -66,7 +66,7 @@ class FaultBus:
 
     def _arrives(self, frame: Frame, t_ns: int | None) -> bool:
         """Tell whether a frame of the robot's comes through whole."""
-        if t_ns is None or frame.id >= self._language.exempt_from:
+        if t_ns is None or frame.id >= self._protocol.exempt_from:
             return True
         passed = self._passed(frame, "feedback", t_ns)
         is_short = passed is not None and len(passed.payload) < len(frame.payload)
@@ -121,6 +121,6 @@ class FaultBus:
         for fault in self._babbles:
             for _ in range(fault.due(t_ns)):
                 data = fault.chance.randbytes(fault.chance.randint(0, _MOST_DATA))
-                self._babbler.send(Frame(foreign_id(fault, self._language), data))
+                self._babbler.send(Frame(foreign_id(fault, self._protocol), data))
         while self._babbler.receive(0) is not None:
             pass  # it hears everybody, and has no ear for them

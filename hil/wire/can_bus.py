@@ -8,7 +8,7 @@ from typing import Any
 
 from firmware_protocol.framing import Frame
 from hil.core.errors import BadInputError, LinkError, nearest
-from hil.core.language import WHEEL_DBC, Language, Side
+from hil.core.link_protocol import WHEEL_DBC, LinkProtocol, Side
 from hil.core.ports import Received
 from hil.wire.can_errors import BUS_OFF, CAUSES, causes_of
 from hil.wire.can_failures import failure
@@ -27,7 +27,7 @@ _FILTERING_INTERFACES = ("socketcan", "ixxat")
 class CanLink:
     """Frames over a CAN bus; ``hears`` names whose are received, the other side being this one.
 
-    What is not of the ``language`` is dropped and counted: ``foreign`` (in ours, extended or remote), ``garbled`` (an
+    What is not of the ``protocol`` is dropped and counted: ``foreign`` (in ours, extended or remote), ``garbled`` (an
     slcan line that is none), error frames by their class (``error_bus_off``, ``error_passive``, ...) and, for a host
     that hears the robot, ``unknown_id`` and ``length``. A robot that hears the host gets all standard data frames that
     pass the filters: its firmware counts those by itself. Dropped and not counted are this side's own messages, which
@@ -37,7 +37,7 @@ class CanLink:
     Raises BadInputError for what python-can or its interface does not know, LinkError when it cannot be opened.
     """
 
-    def __init__(self, url: CanUrl, hears: Side, language: Language = WHEEL_DBC) -> None:
+    def __init__(self, url: CanUrl, hears: Side, protocol: LinkProtocol = WHEEL_DBC) -> None:
         import can
 
         self._can = can
@@ -45,7 +45,7 @@ class CanLink:
         logging.getLogger("can").addHandler(logging.NullHandler())
         self._url = url
         self._hears = hears
-        self._language = language
+        self._protocol = protocol
         self._failures = (can.CanError, OSError, ValueError)
         self._rejected = dict.fromkeys(("foreign", "garbled", "unknown_id", "length", *CAUSES), 0)
         self._bus: Any = None
@@ -86,7 +86,7 @@ class CanLink:
             yield "data_bitrate", url.data_bitrate
         if url.interface == "virtual" and url.fd:
             yield "protocol", self._can.CanProtocol.CAN_FD
-        if url.interface in _FILTERING_INTERFACES and (senders := self._language.senders) is not None:
+        if url.interface in _FILTERING_INTERFACES and (senders := self._protocol.senders) is not None:
             heard = [number for number, sender in senders.items() if sender == self._hears]
             yield (
                 "can_filters",
@@ -159,7 +159,7 @@ class CanLink:
         )
 
     def _refusal(self, number: int, payload: bytes) -> str | None:
-        return self._language.refusal(number, len(payload), self._hears)
+        return self._protocol.refusal(number, len(payload), self._hears)
 
     def rejected(self) -> dict[str, int]:
         return dict(self._rejected)

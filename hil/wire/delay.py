@@ -5,7 +5,7 @@ from collections import deque
 from typing import Protocol
 
 from firmware_protocol.framing import Frame
-from hil.core.language import WHEEL_DBC, Language
+from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
 from hil.core.ports import Clock, Link, Received
 
 
@@ -48,10 +48,10 @@ class DelayedLink:
         clock: NowNs,
         command_latency_ns: int,
         feedback_latency_ns: int,
-        language: Language = WHEEL_DBC,
+        protocol: LinkProtocol = WHEEL_DBC,
     ) -> None:
         self._link = link
-        self._exempt_from = language.exempt_from
+        self._exempt_from = protocol.exempt_from
         self._clock = clock
         self._command_latency_ns = command_latency_ns
         self._feedback_latency_ns = feedback_latency_ns

@@ -3,7 +3,7 @@
 import random
 from collections.abc import Sequence
 
-from hil.core.language import WHEEL_DBC, Language
+from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
 from hil.faults.kind import FaultRow, generators
 from hil.faults.kinds import DIRECTIONS
 from hil.wire.delay import NowNs
@@ -32,8 +32,8 @@ class ScenarioTime:
 class LinkFault:
     """A row that acts on a link, with its own chance; ``applied`` counts how often it did something."""
 
-    def __init__(self, row: FaultRow, chance: random.Random, language: Language) -> None:
-        self._names = language.names
+    def __init__(self, row: FaultRow, chance: random.Random, protocol: LinkProtocol) -> None:
+        self._names = protocol.names
         self.kind = row.kind
         self.row = row
         self.chance = chance
@@ -67,6 +67,6 @@ class LinkFault:
         return new
 
 
-def link_faults(rows: Sequence[FaultRow], seed: int, language: Language = WHEEL_DBC) -> list[LinkFault]:
+def link_faults(rows: Sequence[FaultRow], seed: int, protocol: LinkProtocol = WHEEL_DBC) -> list[LinkFault]:
     """Give every row its chance and its account."""
-    return [LinkFault(row, chance, language) for row, chance in zip(rows, generators(rows, seed), strict=True)]
+    return [LinkFault(row, chance, protocol) for row, chance in zip(rows, generators(rows, seed), strict=True)]

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from firmware_protocol.framing import Frame
 from hil.core.errors import LinkError
-from hil.core.language import WHEEL_DBC, Language
+from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
 from hil.core.ports import Link, Received
 from hil.wire.fault_rows import LinkFault, ScenarioTime
 
@@ -139,11 +139,11 @@ class FaultLink:
     """
 
     def __init__(
-        self, link: Link, time: ScenarioTime, faults: Sequence[LinkFault], language: Language = WHEEL_DBC
+        self, link: Link, time: ScenarioTime, faults: Sequence[LinkFault], protocol: LinkProtocol = WHEEL_DBC
     ) -> None:
         self._link = link
         self._time = time
-        self._exempt_from = language.exempt_from
+        self._exempt_from = protocol.exempt_from
         self.may_hold = bool(faults)
         self._disconnects = [fault for fault in faults if fault.kind == "disconnect"]
         self._out = _Way("command", faults)

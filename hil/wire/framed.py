@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 
 from firmware_protocol.framing import Frame
-from hil.core.language import WHEEL_DBC, Language
+from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
 from hil.core.ports import Received, make_received
 from hil.wire.streams import HostStream
 
@@ -24,12 +24,12 @@ class StreamLink:
             all bytes.
     """
 
-    def __init__(self, stream: HostStream, language: Language = WHEEL_DBC) -> None:
+    def __init__(self, stream: HostStream, protocol: LinkProtocol = WHEEL_DBC) -> None:
         self._stream = stream
-        assert language.make_framing is not None, "a language of buses only"
-        self._make_framing = language.make_framing
-        self._framing = language.make_framing()  # of what is received
-        self._encode = language.make_framing().encode  # the count of what is sent goes on over a loss
+        assert protocol.make_framing is not None, "a protocol of buses only"
+        self._make_framing = protocol.make_framing
+        self._framing = protocol.make_framing()  # of what is received
+        self._encode = protocol.make_framing().encode  # the count of what is sent goes on over a loss
         self._earlier: Counter[str] = Counter()  # what was rejected before the link was reopened
         self._waiting: tuple[Sequence[Frame], int] | None = None
         self.now_ns: Callable[[], int] = time.monotonic_ns

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from cobs import cobs
 
 from firmware_protocol.framing import crc16
-from hil.core.language import STANDARD_IDS, WHEEL_DBC, Language
+from hil.core.link_protocol import STANDARD_IDS, WHEEL_DBC, LinkProtocol
 from hil.wire.fault_rows import LinkFault, ScenarioTime
 from hil.wire.streams import HostStream
 
@@ -31,12 +31,12 @@ class FaultLine:
         stream: HostStream,
         time: ScenarioTime,
         faults: Sequence[LinkFault],
-        language: Language = WHEEL_DBC,
+        protocol: LinkProtocol = WHEEL_DBC,
     ) -> None:
         self._stream = stream
         self._time = time
         self._faults = faults
-        self._language = language
+        self._protocol = protocol
         self._rest = b""  # the begin of a frame of which not all has arrived
 
     def write(self, data: bytes) -> None:
@@ -49,7 +49,7 @@ class FaultLine:
         if t_ns is None:
             self._rest = b""
             return data
-        whole = self._language.whole(data)
+        whole = self._protocol.whole(data)
         self._rest = data[whole:]
         return self._spoil(data[:whole], "feedback", t_ns)
 
@@ -71,12 +71,12 @@ class FaultLine:
         said = [
             self._say(fault, t_ns) for fault in self._faults if fault.kind == "babble" and _babbles(fault, direction)
         ]
-        frames = (self._spoil_frame(piece, direction, t_ns) for piece in self._language.pieces(data))
+        frames = (self._spoil_frame(piece, direction, t_ns) for piece in self._protocol.pieces(data))
         return b"".join((*said, *frames))
 
     def _spoil_frame(self, frame: bytes, direction: str, t_ns: int) -> bytes:
-        number = _id_of(frame) if self._language is WHEEL_DBC else None
-        if number is not None and number >= self._language.exempt_from:
+        number = _id_of(frame) if self._protocol is WHEEL_DBC else None
+        if number is not None and number >= self._protocol.exempt_from:
             return b"\0" + frame
         for fault in self._faults:
             if fault.kind == "babble" or not (fault.row.is_in_force(t_ns) and fault.concerns(direction, number)):
@@ -85,8 +85,8 @@ class FaultLine:
         return frame
 
     def _say(self, fault: LinkFault, t_ns: int) -> bytes:
-        language = self._language
-        return b"".join(_foreign(fault, fault.applied - n, language) for n in reversed(range(fault.due(t_ns))))
+        protocol = self._protocol
+        return b"".join(_foreign(fault, fault.applied - n, protocol) for n in reversed(range(fault.due(t_ns))))
 
 
 def _babbles(fault: LinkFault, direction: str) -> bool:
@@ -125,19 +125,19 @@ def _cut(frame: bytes, fault: LinkFault) -> bytes:
     return frame[: fault.chance.randrange(1, len(frame))] if len(frame) > 1 and fault.strikes() else frame
 
 
-def _foreign(fault: LinkFault, number: int, language: Language) -> bytes:
+def _foreign(fault: LinkFault, number: int, protocol: LinkProtocol) -> bytes:
     """Return garbage, or in our own protocol every other time a whole frame with a foreign id."""
-    if number % 2 or language is not WHEEL_DBC:
+    if number % 2 or protocol is not WHEEL_DBC:
         return fault.chance.randbytes(fault.chance.randint(1, _LONGEST_GARBAGE))
-    body = foreign_id(fault, language).to_bytes(2, "little") + fault.chance.randbytes(fault.chance.randint(1, 9))
+    body = foreign_id(fault, protocol).to_bytes(2, "little") + fault.chance.randbytes(fault.chance.randint(1, 9))
     encoded: bytes = cobs.encode(body + crc16(body).to_bytes(2, "little"))
     return encoded + b"\0"
 
 
-def foreign_id(fault: LinkFault, language: Language) -> int:
-    """Return an id of 11 bits that is none of the language's."""
-    if language.senders is None:
+def foreign_id(fault: LinkFault, protocol: LinkProtocol) -> int:
+    """Return an id of 11 bits that is none of the protocol's."""
+    if protocol.senders is None:
         return fault.chance.choice(_STRANGERS)
-    while (number := fault.chance.randrange(STANDARD_IDS + 1)) in language.senders:
+    while (number := fault.chance.randrange(STANDARD_IDS + 1)) in protocol.senders:
         pass
     return number

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from hil.core.errors import BadInputError
-from hil.core.language import WHEEL_DBC, Language, Side
+from hil.core.link_protocol import WHEEL_DBC, LinkProtocol, Side
 from hil.core.ports import Link
 from hil.wire.framed import StreamLink
 from hil.wire.memory_bus import memory_bus
@@ -46,23 +46,23 @@ def is_within_process(url: LinkUrl) -> bool:
             return url.interface == "virtual"
 
 
-def open_pair(url: LinkUrl, line: Line = _as_it_is, *, lockstep: bool, language: Language = WHEEL_DBC) -> Pair:
+def open_pair(url: LinkUrl, line: Line = _as_it_is, *, lockstep: bool, protocol: LinkProtocol = WHEEL_DBC) -> Pair:
     """Open both ends of a link that stays within this process. Raises LinkError when that fails."""
     match url:
         case MemoryUrl():
-            if language.make_framing is None:
+            if protocol.make_framing is None:
                 link, other = memory_bus()
                 return Pair(link, CanWire(other))
             host, robot = memory_pair()
-            return Pair(StreamLink(line(host), language), SerialWire(robot))
+            return Pair(StreamLink(line(host), protocol), SerialWire(robot))
         case SerialUrl():
-            pty = _pty_stream(url, language, lockstep=lockstep)
+            pty = _pty_stream(url, protocol, lockstep=lockstep)
             with _closed_on_failure(pty):
-                return Pair(StreamLink(line(_serial_stream(pty.port, url.baud)), language), LossySerialWire(pty))
+                return Pair(StreamLink(line(_serial_stream(pty.port, url.baud)), protocol), LossySerialWire(pty))
         case CanUrl():
-            host_end = _can_link(url, "ROBOT", language)
+            host_end = _can_link(url, "ROBOT", protocol)
             with _closed_on_failure(host_end):
-                return Pair(host_end, CanWire(_can_link(url, "HOST", language)))
+                return Pair(host_end, CanWire(_can_link(url, "HOST", protocol)))
 
 
 @contextlib.contextmanager
@@ -74,19 +74,19 @@ def _closed_on_failure(end: "CanLink | PtyStream") -> Iterator[None]:
         resources.pop_all()
 
 
-def open_host(url: LinkUrl, line: Line = _as_it_is, language: Language = WHEEL_DBC) -> Link:
+def open_host(url: LinkUrl, line: Line = _as_it_is, protocol: LinkProtocol = WHEEL_DBC) -> Link:
     """Open the host's end of a link to a robot elsewhere. Raises LinkError or BadInputError when that fails."""
     match url:
         case SerialUrl():
-            return StreamLink(line(_serial_stream(url.port, url.baud)), language)
+            return StreamLink(line(_serial_stream(url.port, url.baud)), protocol)
         case CanUrl():
-            return _can_link(url, "ROBOT", language)
+            return _can_link(url, "ROBOT", protocol)
         case MemoryUrl():
             raise BadInputError("memory: has no other end outside this process; use serial:... or can:...")
 
 
 def open_robot(
-    url: LinkUrl, say: Callable[[str], None], *, lockstep: bool, language: Language = WHEEL_DBC
+    url: LinkUrl, say: Callable[[str], None], *, lockstep: bool, protocol: LinkProtocol = WHEEL_DBC
 ) -> tuple[Wire, str]:
     """Open the robot's end of a link, and return it with the URL that a host uses to reach it.
 
@@ -94,13 +94,13 @@ def open_robot(
     """
     match url:
         case SerialUrl() if url.is_pty:
-            pty = _pty_stream(url, language, lockstep=lockstep)
+            pty = _pty_stream(url, protocol, lockstep=lockstep)
             return LossySerialWire(pty), format_link(SerialUrl(url.symlink or pty.port, url.baud))
         case SerialUrl():
             stream = _serial_stream(url.port, url.baud)
             return ReopeningWire(SerialWire(stream), stream.reopen, say), format_link(url)
         case CanUrl() if url.interface != "virtual":
-            bus = _can_link(url, "HOST", language)
+            bus = _can_link(url, "HOST", protocol)
             return ReopeningWire(CanWire(bus), bus.reopen, say), format_link(url)
         case _:
             raise BadInputError(
@@ -119,7 +119,7 @@ def _serial_stream(port: str, baud: int) -> "SerialStream":
     return SerialStream(port, baud)
 
 
-def _pty_stream(url: SerialUrl, language: Language, *, lockstep: bool) -> "PtyStream":
+def _pty_stream(url: SerialUrl, protocol: LinkProtocol, *, lockstep: bool) -> "PtyStream":
     try:
         from hil.wire.pty import PtyStream
     except ImportError as error:
@@ -128,10 +128,10 @@ def _pty_stream(url: SerialUrl, language: Language, *, lockstep: bool) -> "PtySt
         ) from error
     # In lockstep time stands still while bytes are on their way.
     baud = None if lockstep else url.baud
-    return PtyStream(Path(url.symlink) if url.symlink else None, waits=lockstep, baud=baud, language=language)
+    return PtyStream(Path(url.symlink) if url.symlink else None, waits=lockstep, baud=baud, protocol=protocol)
 
 
-def _can_link(url: CanUrl, hears: Side, language: Language) -> "CanLink":
+def _can_link(url: CanUrl, hears: Side, protocol: LinkProtocol) -> "CanLink":
     from hil.wire.can_bus import CanLink
 
-    return CanLink(url, hears, language)
+    return CanLink(url, hears, protocol)

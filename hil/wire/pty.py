@@ -7,7 +7,7 @@ import tty
 from pathlib import Path
 
 from hil.core.errors import BadInputError, LinkError
-from hil.core.language import WHEEL_DBC, Language
+from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
 
 _CHUNK = 65536
 _PATIENCE_S = 2.0
@@ -38,7 +38,7 @@ class _Pace:
 class PtyStream:
     """The master side of a new pseudo-terminal; ``port`` names the other side for any serial program.
 
-    What nobody reads is lost once the line's buffer is full, as on a UART, but in whole frames (up to the language's
+    What nobody reads is lost once the line's buffer is full, as on a UART, but in whole frames (up to the protocol's
     delimiter; without one, what is written at once), so that the next one can be read; ``lost_frames`` counts them.
     With ``waits``, for lockstep, where time stands still until the host has read, nothing is lost unless no byte is
     taken for 2 s.
@@ -54,7 +54,7 @@ class PtyStream:
         *,
         waits: bool = False,
         baud: int | None = None,
-        language: Language = WHEEL_DBC,
+        protocol: LinkProtocol = WHEEL_DBC,
     ) -> None:
         self._master, slave = os.openpty()
         # Held open, so that a client that leaves does not hang up the line.
@@ -65,7 +65,7 @@ class PtyStream:
         self.lost_frames = 0
         self._waits = waits
         self._pace = _Pace(baud) if baud is not None else None
-        self._delimiter = language.delimiter
+        self._delimiter = protocol.delimiter
         self._begun = b""  # the rest of a frame whose beginning is on the line
         self._symlink: Path | None = None
         if symlink is not None:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 from firmware_protocol.framing import Frame
 from firmware_protocol.host_line import HostLine
-from hil.core.language import WHEEL_DBC, Language
+from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
 from hil.core.ports import Framing
 from hil.wire.robot_end import Node, Wire
 from hil.wire.trace.session import Trace
@@ -13,9 +13,9 @@ from hil.wire.trace.session import Trace
 class TracedWire:
     """Shows a trace every frame between a transport and a firmware. ``now_ns`` is the robot's clock."""
 
-    def __init__(self, wire: Wire, trace: Trace, now_ns: Callable[[], int], language: Language = WHEEL_DBC) -> None:
+    def __init__(self, wire: Wire, trace: Trace, now_ns: Callable[[], int], protocol: LinkProtocol = WHEEL_DBC) -> None:
         self._wire = wire
-        self._ear = _Ear(trace, now_ns, language)
+        self._ear = _Ear(trace, now_ns, protocol)
 
     def receive_into(self, node: Node, timeout_ns: int) -> bool:
         return self._wire.receive_into(_Tapped(node, self._ear), timeout_ns)
@@ -33,10 +33,10 @@ class TracedWire:
 class _Ear:
     """Listens in: bytes of a serial line are read with a framing of its own, one for each direction."""
 
-    def __init__(self, trace: Trace, now_ns: Callable[[], int], language: Language) -> None:
+    def __init__(self, trace: Trace, now_ns: Callable[[], int], protocol: LinkProtocol) -> None:
         self._trace = trace
         self._now_ns = now_ns
-        make_framing = language.make_framing or HostLine
+        make_framing = protocol.make_framing or HostLine
         self._received = make_framing()
         self._sent = make_framing()
 

@@ -1,4 +1,4 @@
-"""What is spoken on a link, as far as a link has to know: framing, names, who sends what, and what is left alone."""
+"""What a link knows of the protocol on it: framing, names and lengths of messages, and which side sends each."""
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
@@ -18,14 +18,16 @@ _BEYOND_ALL_IDS = 1 << 32
 Side = Literal["HOST", "ROBOT"]
 
 
-class Language(NamedTuple):
-    """What the two sides of a link speak.
+class LinkProtocol(NamedTuple):
+    """The protocol of both sides of a link.
 
-    Frames whose id is in ``senders`` come from that side only, and have the ``lengths`` of their ids; where ``senders``
-    is None, frames with any identifier may come from either side. Frames from the id ``exempt_from`` on carry no
-    control, such as STEP: conditions of the link leave them alone. Without ``make_framing`` it is for buses only. On a
-    line of bytes frames end with ``delimiter``;
-    where that is None, what is written at once is taken for one.
+    Attributes:
+        make_framing: makes the framing for a line of bytes; None for a protocol of buses only.
+        names: of messages, by id.
+        senders: the side that sends each id; None where either side may send any id.
+        lengths: of the payload, by id [bytes].
+        exempt_from: frames from this id on carry no control, such as STEP. Faults and latency leave them alone.
+        delimiter: the last byte of each frame on a line of bytes; None where each write is one frame.
     """
 
     make_framing: Callable[[], Framing] | None = None
@@ -36,9 +38,9 @@ class Language(NamedTuple):
     delimiter: bytes | None = None
 
     def refusal(self, number: int, length: int, hears: Side) -> str | None:
-        """Return why a frame on a bus is not for the side that ``hears`` the other; None where it is.
+        """Return why the side that ``hears`` drops a frame of a bus; None where it takes the frame.
 
-        ``own`` is what this side has sent itself. What the host sends is for the robot's firmware to count.
+        ``own`` stands for a frame that this side has sent itself. Frames of the host are checked by the firmware.
         """
         if self.senders is None:
             return None
@@ -54,23 +56,23 @@ class Language(NamedTuple):
         return None if length == expected else "length"
 
     def whole(self, data: bytes) -> int:
-        """Return how many bytes from the start are whole frames."""
+        """Return the number of bytes from the start that are whole frames."""
         return len(data) if self.delimiter is None else data.rfind(self.delimiter) + len(self.delimiter)
 
     def pieces(self, data: bytes) -> list[bytes]:
-        """Return whole frames one by one."""
+        """Split whole frames into single ones."""
         if self.delimiter is None:
             return [data] if data else []
         return [piece + self.delimiter for piece in data.split(self.delimiter)[:-1]]
 
 
 def _wheel_framing() -> Framing:
-    """Return the framing of our own protocol. Raises BadInputError where the library that it is in was not built."""
+    """Return the framing of our own protocol. Raises BadInputError where the host library cannot be loaded."""
     try:
         return HostLine()
     except BuildError as error:
         raise BadInputError(str(error)) from error
 
 
-WHEEL_DBC = Language(_wheel_framing, NAMES, SENDERS, LENGTHS, 0x300, b"\0")
+WHEEL_DBC = LinkProtocol(_wheel_framing, NAMES, SENDERS, LENGTHS, 0x300, b"\0")
 """Our own protocol. STEP, STEP_DONE and the HELLO pages carry no control."""
