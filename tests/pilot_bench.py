@@ -9,20 +9,17 @@ from hil.core.signals import SIGNAL_NAMES, LoopSignals
 from hil.runtime.bench import Bench
 from hil.runtime.parts import PartsOf
 from hil.runtime.sampling import Sampling
-from hil.scenario import load
-from hil.service.conduct import Rules
+from hil.scenario import ServiceTable, load
 from hil.service.messages import Phase
-from hil.service.motions import Speeds
 from hil.service.pilot import Pilot
 
-SPEEDS = Speeds(0.5, 1.0, 5.0, 1.0, 3.0, 15.0)
-RULES = Rules(SPEEDS, twist_timeout_s=0.2, error_limit_m=0.5)
+OPTIONS = ServiceTable()
 
 
 class PilotBench:
     """A pilot on a bench. ``rows`` are those of the ticks so far, ``phases`` what it has been through."""
 
-    def __init__(self, scenario: str = "circle_speed", rules: Rules = RULES, **overrides: Any) -> None:
+    def __init__(self, scenario: str = "circle_speed", options: ServiceTable = OPTIONS, **overrides: Any) -> None:
         loaded = load(scenario, set={"loop.mode": "lockstep", "loop.rate_hz": 100, **overrides})
         self.made = PartsOf(loaded)
         self.rows: list[tuple[float, ...]] = []
@@ -32,7 +29,7 @@ class PilotBench:
             Bench(loaded, None, allow_motion=False, signals=self.made.laws.signals)
         )
         parts = self.made.make(self.bench, [self], lambda _t_s, _level, text: self.notes.append(text))
-        self.pilot = Pilot(parts, loaded.controller.mode, self.made.timing, rules)
+        self.pilot = Pilot(parts, loaded.controller.mode, self.made.timing, options)
         self._sampling = Sampling(parts.clock, parts.device, parts.truth, self.made.timing)
         origin_ns = parts.clock.now_ns()
         self._number = self._sampling.begin(origin_ns)

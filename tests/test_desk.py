@@ -90,7 +90,7 @@ def test_a_path_is_followed_when_it_has_been_read() -> None:
         assert number not in served.answers
         served.finish()
         assert served.answers[number].result == {"kind": "circle"}
-        assert served.pilot.task is Task.TRACK
+        assert served.pilot.conduct.task is Task.TRACK
 
 
 @pytest.mark.parametrize("meanwhile", [Action.STOP, Action.DISARM, Action.ESTOP])
@@ -108,7 +108,7 @@ def test_a_path_that_was_read_too_late_is_not_followed(meanwhile: Action) -> Non
         served.finish()
         assert "came before the path was read" in served.refusal(number)
         served.run(0.5)
-        assert served.pilot.task is Task.HOLD
+        assert served.pilot.conduct.task is Task.HOLD
 
 
 @pytest.mark.parametrize("action", sorted(MOVING))
@@ -127,7 +127,7 @@ def test_a_path_that_was_being_read_when_the_service_stood_still_is_not_followed
         served.desk.take([], 0.0, stalled=True)
         assert "stood still while this order waited" in served.refusal(number)
         served.finish()
-        assert served.pilot.task is Task.HOLD
+        assert served.pilot.conduct.task is Task.HOLD
 
 
 def test_a_second_recording_is_refused_whenever_it_is_asked_for(tmp_path: Path) -> None:
@@ -254,5 +254,5 @@ def test_a_law_that_fails_keeps_neither_the_robot_away_nor_an_emergency_stop_fro
         served.order(Action.ESTOP)
         served.run(0.5)
         assert served.phases[-2:] == [Phase.ACTIVE, Phase.ESTOP]
-        assert not served.pilot.estop_owed
+        assert not served.pilot.emergency.owed
         assert served.last("robot.state") == RobotState.ESTOP

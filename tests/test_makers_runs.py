@@ -213,7 +213,7 @@ def test_of_an_unknown_driver_the_name_alone_is_refused() -> None:
 def test_a_pilot_arms_drives_stops_and_clears_an_estop() -> None:
     changes = {"device.driver": "c620", "link.url": BUS}
     with PilotBench(**changes).armed() as bench:
-        bench.pilot.twist(BodyTwist(0.3, 0.0, 0.0))
+        bench.pilot.active().twist(BodyTwist(0.3, 0.0, 0.0))
         bench.run(0.15)
         assert bench.last("wheel.fl.speed_rad_s") > 0.5
         bench.pilot.estop()

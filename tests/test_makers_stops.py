@@ -92,7 +92,7 @@ def come_back(bench: Bench) -> None:
 
 def driven(**changes: Any) -> PilotBench:
     bench = PilotBench(**{"device.driver": "c620"} | changes).armed()
-    bench.pilot.twist(BodyTwist(0.3, 0.0, 0.0))
+    bench.pilot.active().twist(BodyTwist(0.3, 0.0, 0.0))
     bench.run(0.15)
     return bench
 
@@ -102,7 +102,7 @@ def test_an_emergency_stop_that_did_not_go_out_is_told_and_not_confirmed_or_clea
         with nothing_goes_out(bench.bench):
             bench.pilot.estop()
             bench.run(0.3)
-            assert bench.pilot.estop_owed
+            assert bench.pilot.emergency.owed
             assert "the stop could not be sent: the transmit queue stays full" in str(bench.pilot.why)
             assert "the stop could not be sent: the transmit queue stays full" in bench.notes
             bench.pilot.clear()
@@ -110,12 +110,12 @@ def test_an_emergency_stop_that_did_not_go_out_is_told_and_not_confirmed_or_clea
             assert bench.pilot.phase is Phase.ESTOP
             assert bench.last("robot.state") != State.ESTOP
             bench.run(3.0)
-            assert bench.pilot.estop_owed
+            assert bench.pilot.emergency.owed
             assert "the stop could not be sent" in str(bench.pilot.why)
             bench.pilot.estop()  # takes the clear back
         bench.run_until(Phase.ESTOP)
         bench.run(0.5)
-        assert not bench.pilot.estop_owed
+        assert not bench.pilot.emergency.owed
         assert "could not be sent" not in str(bench.pilot.why)
         assert bench.last("robot.state") == State.ESTOP
 
@@ -243,7 +243,7 @@ def test_a_robot_that_is_not_driven_stays_with_the_service(changes: dict[str, An
         bench.run(0.1)
         bench.pilot.estop()
         bench.run(1.0)
-        assert not bench.pilot.estop_owed
+        assert not bench.pilot.emergency.owed
         assert not robot_of(bench.bench)._stop.is_owed
         bench.pilot.clear()
         bench.run_until(Phase.DISARMED)

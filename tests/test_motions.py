@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 from hil.core.kinematics import BodyTwist
 from hil.core.types import Acceleration, Pose, Reference, Twist
 from hil.references import make_reference
-from hil.service.motions import Drive, Follow, Speeds, frame_at, way_to
+from hil.scenario import ServiceTable
+from hil.service.motions import Drive, Follow, frame_at, way_to
 
-SPEEDS = Speeds(0.5, 1.0, 5.0, 1.0, 3.0, 15.0)
+OPTIONS = ServiceTable()
 DT_S = 0.01
 lengths = st.floats(-3.0, 3.0)
 angles = st.floats(-10.0, 10.0)
@@ -29,14 +30,14 @@ def close(one: tuple[float, ...], other: tuple[float, ...], tolerance: float) ->
 
 @given(poses, st.lists(twists, min_size=1, max_size=5))
 def test_a_drive_keeps_its_limits_and_its_derivatives_are_its_own(pose: Pose, wanted: list[BodyTwist]) -> None:
-    drive = Drive(at_rest(pose), 0.0, SPEEDS)
+    drive = Drive(at_rest(pose), 0.0, OPTIONS)
     before = at_rest(pose)
     for number in range(1, 60 * len(wanted)):
         drive.want(wanted[number // 60])
         now = drive.at(number * DT_S, None)
         speed = math.hypot(now.twist.vx_m_s, now.twist.vy_m_s)
-        assert speed <= SPEEDS.speed_m_s + 1e-9
-        assert abs(now.twist.yaw_rate_rad_s) <= SPEEDS.yaw_rate_rad_s + 1e-9
+        assert speed <= OPTIONS.speed_m_s + 1e-9
+        assert abs(now.twist.yaw_rate_rad_s) <= OPTIONS.yaw_rate_rad_s + 1e-9
         # The trapezoid of the twist is the way, to the third order of the step.
         for place, first, last in zip(zip(before.pose, now.pose, strict=True), before.twist, now.twist, strict=True):
             assert place[1] - place[0] == pytest.approx(0.5 * (first + last) * DT_S, abs=2e-5)
@@ -45,7 +46,7 @@ def test_a_drive_keeps_its_limits_and_its_derivatives_are_its_own(pose: Pose, wa
 
 @given(poses, twists)
 def test_a_drive_without_a_wish_comes_to_rest_and_stays(pose: Pose, wanted: BodyTwist) -> None:
-    drive = Drive(at_rest(pose), 0.0, SPEEDS)
+    drive = Drive(at_rest(pose), 0.0, OPTIONS)
     drive.want(wanted)
     for number in range(1, 100):
         drive.at(number * DT_S, None)
@@ -59,14 +60,14 @@ def test_a_drive_without_a_wish_comes_to_rest_and_stays(pose: Pose, wanted: Body
 
 @given(poses, poses)
 def test_a_held_robot_is_never_pulled_from_far(place: Pose, pose: Pose) -> None:
-    reference = Drive(at_rest(place), 0.0, SPEEDS).at(DT_S, pose)
+    reference = Drive(at_rest(place), 0.0, OPTIONS).at(DT_S, pose)
     assert math.dist(reference.pose[:2], pose[:2]) <= Drive.LEASH_M + 1e-9
     assert abs(math.remainder(reference.pose.heading_rad - pose.heading_rad, math.tau)) <= Drive.LEASH_RAD + 1e-9
 
 
 @given(poses, poses)
 def test_a_way_leads_from_rest_to_rest_by_the_shorter_turn(start: Pose, end: Pose) -> None:
-    way = way_to(start, end, SPEEDS)
+    way = way_to(start, end, OPTIONS)
     if way is None:
         assert math.dist(start[:2], end[:2]) < 0.001
         return

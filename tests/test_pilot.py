@@ -15,9 +15,8 @@ from hil.core.types import Pose
 from hil.references import make_reference
 from hil.runtime.parts import PartsOf
 from hil.scenario import load
-from hil.service.conduct import Rules
 from hil.service.messages import Phase, Task
-from tests.pilot_bench import SPEEDS, PilotBench, armed_pilot
+from tests.pilot_bench import OPTIONS, PilotBench, armed_pilot
 
 
 def is_still(bench: PilotBench) -> bool:
@@ -38,10 +37,10 @@ def test_nothing_moves_before_it_was_armed(order: str) -> None:
     with PilotBench() as bench:
         bench.run_until(Phase.DISARMED)
         do = {
-            "stop": bench.pilot.stop,
-            "go": lambda: bench.pilot.go(Pose(1.0, 0.0, 0.0)),
-            "twist": lambda: bench.pilot.twist(BodyTwist(0.1, 0.0, 0.0)),
-            "track": lambda: bench.pilot.track(bench.made.reference, here=True),
+            "stop": lambda: bench.pilot.active().stop(),
+            "go": lambda: bench.pilot.active().go(Pose(1.0, 0.0, 0.0)),
+            "twist": lambda: bench.pilot.active().twist(BodyTwist(0.1, 0.0, 0.0)),
+            "track": lambda: bench.pilot.active().track(bench.made.reference, here=True),
         }[order]
         with pytest.raises(BadInputError, match="the robot is disarmed; arm it first"):
             do()
@@ -53,7 +52,7 @@ def test_an_armed_robot_is_held_where_it_stands() -> None:
     with armed_pilot() as bench:
         before = bench.pilot.state
         bench.run(1.0)
-        assert bench.pilot.task is Task.HOLD
+        assert bench.pilot.conduct.task is Task.HOLD
         assert before is not None
         assert bench.last("truth.x_m") == pytest.approx(before.pose.x_m, abs=1e-4)
         assert is_still(bench)
@@ -62,25 +61,25 @@ def test_an_armed_robot_is_held_where_it_stands() -> None:
 def test_it_goes_to_a_pose_by_the_shorter_turn_and_within_the_limits() -> None:
     with armed_pilot() as bench:
         begin = bench.last("truth.heading_rad")
-        bench.pilot.go(Pose(0.9, 0.3, begin + math.tau - 0.5))
+        bench.pilot.active().go(Pose(0.9, 0.3, begin + math.tau - 0.5))
         bench.run(4.0)
         end = [bench.last(f"truth.{name}") for name in ("x_m", "y_m", "heading_rad")]
         assert end == pytest.approx([0.9, 0.3, begin - 0.5], abs=2e-3)
         speeds = [math.hypot(*v) for v in bench.pairs("reference.vx_m_s", "reference.vy_m_s")]
-        assert max(speed for speed in speeds if speed == speed) <= SPEEDS.speed_m_s + 1e-9
+        assert max(speed for speed in speeds if speed == speed) <= OPTIONS.speed_m_s + 1e-9
         assert is_still(bench)
 
 
 def test_a_twist_drives_in_the_body_frame_as_long_as_it_is_repeated() -> None:
     with armed_pilot() as bench:
         for _ in range(20):
-            bench.pilot.twist(BodyTwist(0.2, 0.0, 0.0))
+            bench.pilot.active().twist(BodyTwist(0.2, 0.0, 0.0))
             bench.run(0.1)
         heading = bench.last("truth.heading_rad")
         vx, vy = bench.pilot.state.twist[:2]  # type: ignore[union-attr]
         assert (vx, vy) == pytest.approx((0.2 * math.cos(heading), 0.2 * math.sin(heading)), abs=0.01)
         bench.run(0.25)  # nobody asks any more
-        assert bench.pilot.task is Task.HOLD
+        assert bench.pilot.conduct.task is Task.HOLD
         bench.run(0.75)
         assert is_still(bench)
         assert bench.pilot.phase is Phase.ACTIVE
@@ -89,16 +88,18 @@ def test_a_twist_drives_in_the_body_frame_as_long_as_it_is_repeated() -> None:
 def test_a_twist_beyond_the_limits_is_scaled_and_keeps_its_direction() -> None:
     with armed_pilot() as bench:
         wanted = BodyTwist(3.0, 4.0, 0.5)
-        got = bench.pilot.twist(wanted)
-        assert math.hypot(got.forward_m_s, got.left_m_s) == pytest.approx(SPEEDS.speed_m_s)
+        got = bench.pilot.active().twist(wanted)
+        assert math.hypot(got.forward_m_s, got.left_m_s) == pytest.approx(OPTIONS.speed_m_s)
         assert [a / b for a, b in zip(got, wanted, strict=True)] == pytest.approx([0.1, 0.1, 0.1])
 
 
 def test_a_path_begins_where_the_robot_stands() -> None:
     with armed_pilot() as bench:
-        bench.pilot.go(Pose(3.0, 2.0, 1.0))
+        bench.pilot.active().go(Pose(3.0, 2.0, 1.0))
         bench.run(9.0)
-        bench.pilot.track(make_reference("circle", {"radius_m": 0.5, "period_s": 8.0, "ramp_s": 1.0}, None), here=True)
+        bench.pilot.active().track(
+            make_reference("circle", {"radius_m": 0.5, "period_s": 8.0, "ramp_s": 1.0}, None), here=True
+        )
         bench.run(9.0)
         distance = [math.dist(place, (3.0, 2.0)) for place in bench.pairs("truth.x_m", "truth.y_m")]
         assert max(distance[-900:]) == pytest.approx(1.0, abs=0.02)  # the circle's other side
@@ -108,35 +109,35 @@ def test_a_path_begins_where_the_robot_stands() -> None:
 def test_a_path_in_the_world_begins_at_its_own_begin_after_a_way_there() -> None:
     path = make_reference("circle", {"radius_m": 0.5, "period_s": 8.0, "ramp_s": 1.0}, None)
     with armed_pilot() as bench:
-        bench.pilot.go(Pose(1.5, 1.0, 0.0))
+        bench.pilot.active().go(Pose(1.5, 1.0, 0.0))
         bench.run(5.0)
-        bench.pilot.track(path, here=False)
+        bench.pilot.active().track(path, here=False)
         bench.run(12.0)
         radius = [math.hypot(*place) for place in bench.pairs("truth.x_m", "truth.y_m")]
         assert radius[-800:] == pytest.approx([0.5] * 800, abs=0.02)
-        assert bench.pilot.task is Task.TRACK
+        assert bench.pilot.conduct.task is Task.TRACK
 
 
 def test_stop_ramps_down_and_holds_and_a_moving_task_rests_before_the_next() -> None:
     with armed_pilot() as bench:
-        bench.pilot.track(bench.made.reference, here=True)
+        bench.pilot.active().track(bench.made.reference, here=True)
         bench.run(3.0)
-        bench.pilot.stop()
+        bench.pilot.active().stop()
         bench.run(1.5)
         assert is_still(bench)
-        assert bench.pilot.task is Task.HOLD
-        bench.pilot.track(bench.made.reference, here=True)
+        assert bench.pilot.conduct.task is Task.HOLD
+        bench.pilot.active().track(bench.made.reference, here=True)
         bench.run(2.0)
-        bench.pilot.go(Pose(0.0, 0.0, 0.0))
+        bench.pilot.active().go(Pose(0.0, 0.0, 0.0))
         bench.run(8.0)
         assert [bench.last(f"truth.{name}") for name in ("x_m", "y_m")] == pytest.approx([0.0, 0.0], abs=2e-3)
         acceleration = [abs(a) for a in bench.series("reference.ax_m_s2") if a == a]
-        assert max(acceleration) <= SPEEDS.acceleration_m_s2 + 1e-6
+        assert max(acceleration) <= OPTIONS.acceleration_m_s2 + 1e-6
 
 
 def test_disarming_in_motion_ramps_down_and_ends_in_idle() -> None:
     with armed_pilot() as bench:
-        bench.pilot.track(bench.made.reference, here=True)
+        bench.pilot.active().track(bench.made.reference, here=True)
         bench.run(3.0)
         bench.pilot.disarm()
         bench.run_until(Phase.DISARMED)
@@ -149,7 +150,7 @@ def test_disarming_in_motion_ramps_down_and_ends_in_idle() -> None:
 
 def test_an_emergency_stop_latches_until_it_is_cleared_and_clearing_arms_nothing() -> None:
     with armed_pilot() as bench:
-        bench.pilot.track(bench.made.reference, here=True)
+        bench.pilot.active().track(bench.made.reference, here=True)
         bench.run(3.0)
         bench.pilot.estop()
         bench.run(1.5)
@@ -180,7 +181,7 @@ def test_clearing_waits_for_the_emergency_stop_confirmed_and_another_one_ends_th
 
 def test_a_robot_that_left_active_by_itself_is_disarmed_and_says_why() -> None:
     with armed_pilot() as bench:
-        bench.pilot.track(bench.made.reference, here=True)
+        bench.pilot.active().track(bench.made.reference, here=True)
         bench.run(1.0)
         bench.stand_still(0.3)  # nobody commands
         bench.run_until(Phase.DISARMED)
@@ -198,7 +199,7 @@ def fault(kind: str, start_s: float, **more: object) -> dict[str, object]:
 def test_a_lost_link_is_reopened_and_only_who_asks_arms_again() -> None:
     with PilotBench(fault=[fault("disconnect", 2.0, end_s=3.0)]) as bench:
         bench.armed()
-        bench.pilot.track(bench.made.reference, here=True)
+        bench.pilot.active().track(bench.made.reference, here=True)
         bench.run_until(Phase.AWAY)
         assert bench.pilot.state is None
         bench.run_until(Phase.DISARMED)
@@ -207,7 +208,7 @@ def test_a_lost_link_is_reopened_and_only_who_asks_arms_again() -> None:
         bench.run(1.0)
         assert is_still(bench)
         bench.armed()
-        assert bench.pilot.task is Task.HOLD
+        assert bench.pilot.conduct.task is Task.HOLD
 
 
 def test_an_emergency_stop_reaches_a_robot_that_was_away() -> None:
@@ -248,7 +249,7 @@ def test_a_robot_that_was_reset_is_greeted_again_and_stays_disarmed(armed: bool)
         bench.run_until(Phase.DISARMED)
         if armed:
             bench.armed()
-            bench.pilot.go(Pose(1.0, 0.0, 0.0))
+            bench.pilot.active().go(Pose(1.0, 0.0, 0.0))
         bench.run(1.9)
         bench.run_until(Phase.AWAY)
         bench.run_until(Phase.DISARMED)
@@ -261,12 +262,12 @@ def test_a_fault_of_the_robot_is_told_and_cleared() -> None:
     rows = [fault("stuck_encoder", 2.0, target="fl", end_s=3.0)]
     with PilotBench(fault=rows) as bench:
         bench.armed()
-        bench.pilot.track(bench.made.reference, here=True)
+        bench.pilot.active().track(bench.made.reference, here=True)
         bench.run_until(Phase.FAULT)
         bench.run(0.2)
         assert "of wheel fl" in str(bench.pilot.why)
         with pytest.raises(BadInputError, match="the robot is fault"):
-            bench.pilot.stop()
+            bench.pilot.active().stop()
         bench.run(1.5)
         bench.pilot.clear()
         bench.run_until(Phase.DISARMED)
@@ -285,26 +286,26 @@ def test_a_pose_that_leaps_does_not_make_a_held_robot_move() -> None:
 
 
 def test_a_robot_that_cannot_follow_is_held_instead_of_pushing_on() -> None:
-    rules = Rules(SPEEDS, twist_timeout_s=0.2, error_limit_m=0.05)
+    options = OPTIONS.model_copy(update={"error_limit_m": 0.05})
     push = fault("push", 2.0, end_s=2.25, target="force_x_n", value=-150.0)  # more than all four wheels together
-    with PilotBench(rules=rules, fault=[push]) as bench:
+    with PilotBench(options=options, fault=[push]) as bench:
         bench.armed()
         bench.run(1.0)
-        bench.pilot.go(Pose(2.5, 0.0, 0.0))
+        bench.pilot.active().go(Pose(2.5, 0.0, 0.0))
         bench.run(3.0)
-        assert bench.pilot.task is Task.HOLD
+        assert bench.pilot.conduct.task is Task.HOLD
         assert bench.pilot.why == "the robot is more than 0.05 m from where it should be"
 
 
 def test_other_gains_take_over_in_motion() -> None:
     with armed_pilot() as bench:
-        bench.pilot.track(bench.made.reference, here=True)
+        bench.pilot.active().track(bench.made.reference, here=True)
         bench.run(3.0)
         softer = PartsOf(load("circle_speed", set={"controller.gains.k1_1_s": 4.0})).laws
         bench.pilot.use(softer)
         bench.run(2.0)
         assert bench.last("gain.k1_x_1_s") == 4.0
-        assert bench.pilot.task is Task.TRACK
+        assert bench.pilot.conduct.task is Task.TRACK
         assert max(v for v in bench.series("error.planar_m")[-100:]) < 0.1
 
 

@@ -1,28 +1,22 @@
-"""What an ACTIVE robot is to do: one task at a time, each begun and ended at rest. Pure."""
+"""The tasks of an ACTIVE robot, one at a time; each begins and ends at rest. Pure."""
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
 
 from hil.core.errors import BadInputError
 from hil.core.kinematics import BodyTwist
 from hil.core.types import NAN_POSE, Acceleration, Pose, Reference, State, Twist
 from hil.references import ReferenceSource
+from hil.scenario import ServiceTable
 from hil.service.messages import Task
-from hil.service.motions import Drive, Follow, Motion, Speeds, frame_at, way_to
+from hil.service.motions import Drive, Follow, frame_at, way_to
 
 _REST = Twist(0.0, 0.0, 0.0), Acceleration(0.0, 0.0, 0.0)
 NOWHERE = Reference(NAN_POSE, *_REST)
-"""The reference of a robot that is to do nothing."""
+"""The reference of a robot without a task."""
 
 
-class Rules(NamedTuple):
-    """``[service]`` as the pilot needs it; ``estop_repeat_s`` is for how long an e-stop is repeated at least."""
-
-    speeds: Speeds
-    twist_timeout_s: float
-    error_limit_m: float
-    estop_repeat_s: float = 0.3
+Motion = Drive | Follow
 
 
 class Conduct:
@@ -30,11 +24,11 @@ class Conduct:
 
     Attributes:
         task: None unless it has begun. reference: of the last tick, None before the first.
-        gave_up: why a task was ended and the robot is held, until somebody takes note.
+        gave_up: why a task was ended and the robot is held; the reader sets it to None again.
     """
 
-    def __init__(self, rules: Rules) -> None:
-        self._rules = rules
+    def __init__(self, options: ServiceTable) -> None:
+        self._options = options
         self._t_s = 0.0
         self._state: State | None = None
         self._motion: Motion | None = None
@@ -50,7 +44,7 @@ class Conduct:
         self.task = Task.HOLD
 
     def end(self) -> None:
-        """Do nothing more."""
+        """End the task and forget the motion."""
         self._motion = self._after_rest = self._state = None
         self.task = self.reference = self.gave_up = None
 
@@ -59,9 +53,9 @@ class Conduct:
         """Age of the twist in force; None where none is."""
         if self.task is not Task.TWIST:
             return None
-        return self._t_s - (self._twist_until_s - self._rules.twist_timeout_s)
+        return self._t_s - (self._twist_until_s - self._options.twist_timeout_s)
 
-    # Orders; each raises BadInputError while it is not known where the robot is
+    # Orders. Each raises BadInputError while the robot's pose is unknown.
 
     def stop(self) -> None:
         """Ramp down to rest and hold."""
@@ -72,17 +66,17 @@ class Conduct:
         """Drive by this for ``twist_timeout_s``; return what the limits leave of it."""
         drive = self._motion if self.task is Task.TWIST and isinstance(self._motion, Drive) else self._rest()
         self.task = Task.TWIST
-        self._twist_until_s = self._t_s + self._rules.twist_timeout_s
+        self._twist_until_s = self._t_s + self._options.twist_timeout_s
         return drive.want(twist)
 
     def track(self, path: ReferenceSource, *, here: bool) -> None:
-        """Follow a path once the robot rests; where it stands (``here``), or in the world, after going to its begin."""
+        """Follow a path once the robot rests: from where it stands (``here``), or in the world from its begin."""
         begin = path.at(0.0).pose
 
         def follow(at: Reference) -> Motion:
             if here:
                 return Follow(path, self._t_s, frame=frame_at(at.pose, begin))
-            return Follow(path, self._t_s, way_to(at.pose, begin, self._rules.speeds))
+            return Follow(path, self._t_s, way_to(at.pose, begin, self._options))
 
         self._rest()
         self.task, self._after_rest = Task.TRACK, follow
@@ -91,7 +85,7 @@ class Conduct:
         """Go to a pose in the world once the robot rests, and hold there."""
 
         def follow(at: Reference) -> Motion:
-            way = way_to(at.pose, pose, self._rules.speeds)
+            way = way_to(at.pose, pose, self._options)
             return Follow(way, self._t_s) if way is not None else self._hold(at)
 
         self._rest()
@@ -100,11 +94,11 @@ class Conduct:
     # The tick
 
     def at(self, t_s: float, state: State | None) -> Reference:
-        """Return the reference of this tick for a robot in this state; NOWHERE before its state was ever known."""
+        """Return the reference of this tick for a robot in this state; NOWHERE while no state was ever known."""
         self._t_s, self._state = t_s, state
         pose = state.pose if state is not None else None
         reference = self._where(pose)
-        limit_m = self._rules.error_limit_m
+        limit_m = self._options.error_limit_m
         if pose is not None and math.dist(reference.pose[:2], pose[:2]) > limit_m:
             self.give_up(f"the robot is more than {limit_m:g} m from where it should be")
             reference = self._where(pose)
@@ -112,7 +106,7 @@ class Conduct:
         return reference
 
     def held(self) -> None:
-        """Take note that the robot was held at rest instead."""
+        """Give up the task, because the tick held the robot at rest."""
         if self._motion is not None:
             self.give_up("the robot was held at rest: what is known of it is too old, or not sure enough")
 
@@ -135,10 +129,10 @@ class Conduct:
         return reference
 
     def _hold(self, at: Reference) -> Drive:
-        return Drive(at, self._t_s, self._rules.speeds)
+        return Drive(at, self._t_s, self._options)
 
     def _rest(self) -> Drive:
-        """Come to rest from the motion of now, whatever it is."""
+        """Begin to ramp down from the present motion, and return the drive that does."""
         at = self.reference or NOWHERE
         if not math.isfinite(sum(at.pose)):
             if self._state is None:

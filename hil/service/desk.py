@@ -64,7 +64,7 @@ class Desk:
             Action.DISARM: lambda _: self._now(pilot.disarm),
             Action.ESTOP: lambda _: self._now(pilot.estop),
             Action.CLEAR: lambda _: self._now(pilot.clear),
-            Action.STOP: lambda _: self._now(pilot.stop),
+            Action.STOP: lambda _: self._now(lambda: pilot.active().stop()),
             Action.TWIST: self._twist,
             Action.GO: self._go,
             Action.TRACK: self._track,
@@ -139,12 +139,12 @@ class Desk:
 
     def _twist(self, order: Order) -> Result:
         wanted = order.arguments
-        twist = self._pilot.twist(BodyTwist(wanted["vx_m_s"], wanted["vy_m_s"], wanted["yaw_rate_rad_s"]))
+        twist = self._pilot.active().twist(BodyTwist(wanted["vx_m_s"], wanted["vy_m_s"], wanted["yaw_rate_rad_s"]))
         return {"vx_m_s": twist.forward_m_s, "vy_m_s": twist.left_m_s, "yaw_rate_rad_s": twist.yaw_rate_rad_s}
 
     def _go(self, order: Order) -> Result:
         wanted = order.arguments
-        self._pilot.go(Pose(wanted["x_m"], wanted["y_m"], wanted["heading_rad"]))
+        self._pilot.active().go(Pose(wanted["x_m"], wanted["y_m"], wanted["heading_rad"]))
         return {}
 
     def _track(self, order: Order) -> None:
@@ -164,7 +164,7 @@ class Desk:
         def then(path: Any) -> Result:
             if self._pilot.motions_asked != asked:
                 raise BadInputError("another order, or what became of the robot, came before the path was read")
-            self._pilot.track(path, here=here)
+            self._pilot.active().track(path, here=here)
             return {"kind": kind}
 
         self._later(order, make, then)

@@ -1,70 +1,42 @@
-"""What a served robot is to do, as references: driven by twist or held, sent to a pose, or along a path. Pure.
+"""The motions of a served robot, as references: by twist, held, to a pose, or along a path. Pure.
 
 Time is the service's own, in seconds; it only grows.
 """
 
 import math
-from typing import NamedTuple, Protocol
 
 from hil.core.kinematics import BodyTwist, to_body, to_world, wrap_angle
 from hil.core.types import Acceleration, Pose, Reference, Twist
 from hil.references import ReferenceSource
 from hil.references.double_s import Limits
 from hil.references.route import Route, Waypoint, plan
+from hil.scenario import ServiceTable
 
 _NO_TWIST = BodyTwist(0.0, 0.0, 0.0)
 _STILL = Acceleration(0.0, 0.0, 0.0)
 _SAME_M, _SAME_RAD = 0.001, 0.001
-"""A way that is shorter is none."""
+"""A shorter way is not driven."""
 _LEAP_M, _LEAP_RAD = 0.02, 0.04
 
 
-class Speeds(NamedTuple):
-    """What the service itself asks of the robot at most, in the plane and in yaw (``[service]``)."""
-
-    speed_m_s: float
-    acceleration_m_s2: float
-    jerk_m_s3: float
-    yaw_rate_rad_s: float
-    yaw_acceleration_rad_s2: float
-    yaw_jerk_rad_s3: float
-
-    @property
-    def plane(self) -> Limits:
-        """Those of the robot's centre."""
-        return Limits(self.speed_m_s, self.acceleration_m_s2, self.jerk_m_s3)
-
-    @property
-    def yaw(self) -> Limits:
-        """Those of the heading."""
-        return Limits(self.yaw_rate_rad_s, self.yaw_acceleration_rad_s2, self.yaw_jerk_rad_s3)
-
-
-class Motion(Protocol):
-    """Where the robot should be at each tick."""
-
-    def at(self, t_s: float, pose: Pose | None) -> Reference:
-        """Return the reference of this tick; ``pose`` is where the robot is believed to be, None if that is unknown."""
-
-
 class Drive:
-    """By a twist in the body frame, which is approached with limited acceleration; without one, to rest, and held.
+    """Drives by a twist in the body frame, with limited acceleration; without a twist it comes to rest and holds.
 
-    The reference runs ahead of a robot that does not come after it by at most ``LEASH_M`` and ``LEASH_RAD``: one that
-    was blocked does not jump when it is free, and one that is carried away is not driven back far. Where the pose
-    leaps, as a localisation's may, it begins anew there, at rest.
+    The reference is ahead of the robot by at most ``LEASH_M`` and ``LEASH_RAD``: a robot that was blocked does not jump
+    when it is free, and one that is carried away is not driven back far. Where the pose jumps, as a localisation's may,
+    the motion begins anew there, at rest.
 
-    ``start`` is the reference, or the robot's state, at ``t_s``.
+    ``start`` is the reference, or the robot's state, at ``t_s``; ``options`` has the limits of speed and acceleration.
     """
 
     LEASH_M = 0.1
     LEASH_RAD = 0.2
 
-    def __init__(self, start: Reference, t_s: float, speeds: Speeds) -> None:
+    def __init__(self, start: Reference, t_s: float, options: ServiceTable) -> None:
         self._pose = start.pose
         self._twist = to_body(start.twist, start.pose.heading_rad)
         self._t_s = t_s
-        self._speeds = speeds
+        self._options = options
         self._robot: Pose | None = None
         self.wanted = _NO_TWIST
 
@@ -74,10 +46,10 @@ class Drive:
         return self._twist == _NO_TWIST
 
     def want(self, twist: BodyTwist) -> BodyTwist:
-        """Drive by this twist from now on, or by what the limits leave of it; return that."""
-        speeds = self._speeds
+        """Drive by this twist, scaled to the limits, from now on; return the scaled one."""
+        options = self._options
         forward, left, yaw_rate = twist
-        largest = max(math.hypot(forward, left) / speeds.speed_m_s, abs(yaw_rate) / speeds.yaw_rate_rad_s, 1.0)
+        largest = max(math.hypot(forward, left) / options.speed_m_s, abs(yaw_rate) / options.yaw_rate_rad_s, 1.0)
         self.wanted = BodyTwist(forward / largest, left / largest, yaw_rate / largest)
         return self.wanted
 
@@ -99,23 +71,23 @@ class Drive:
         return Reference(self._pose, twist, self._acceleration(before, dt_s, twist))
 
     def _leapt(self, pose: Pose, dt_s: float) -> bool:
-        """Whether the robot is believed elsewhere than it can have driven to: where it is to be is there now."""
+        """Whether the estimated pose is farther from the last one than the robot can have driven."""
         if self._robot is None:
             return False
-        speeds = self._speeds
+        options = self._options
         turn_rad = abs(wrap_angle(pose.heading_rad - self._robot.heading_rad))
         return (
-            math.dist(pose[:2], self._robot[:2]) > _LEAP_M + 2.0 * speeds.speed_m_s * dt_s
-            or turn_rad > _LEAP_RAD + 2.0 * speeds.yaw_rate_rad_s * dt_s
+            math.dist(pose[:2], self._robot[:2]) > _LEAP_M + 2.0 * options.speed_m_s * dt_s
+            or turn_rad > _LEAP_RAD + 2.0 * options.yaw_rate_rad_s * dt_s
         )
 
     def _towards(self, dt_s: float) -> BodyTwist:
-        """Return the twist after this time, on the way to the wanted one."""
-        speeds = self._speeds
+        """Return the twist after this time, on the way to the wanted twist."""
+        options = self._options
         forward, left, yaw_rate = (b - a for a, b in zip(self._twist, self.wanted, strict=True))
         plane, turn = math.hypot(forward, left), abs(yaw_rate)
-        share = min(1.0, speeds.acceleration_m_s2 * dt_s / plane) if plane else 1.0
-        turn_share = min(1.0, speeds.yaw_acceleration_rad_s2 * dt_s / turn) if turn else 1.0
+        share = min(1.0, options.acceleration_m_s2 * dt_s / plane) if plane else 1.0
+        turn_share = min(1.0, options.yaw_acceleration_rad_s2 * dt_s / turn) if turn else 1.0
         if share == turn_share == 1.0:
             return self.wanted
         now = self._twist
@@ -143,9 +115,9 @@ def _on_leash(reference: Pose, pose: Pose) -> Pose:
 
 
 class Follow:
-    """Along a path from ``start_s`` on, after the ``way`` to its begin if there is one.
+    """Follows a path from ``start_s`` on, after the ``way`` to its begin if there is one.
 
-    ``frame`` is where the path's own origin lies, None for that of the world.
+    ``frame`` is the pose of the path's own origin, None for that of the world.
     """
 
     def __init__(
@@ -165,26 +137,24 @@ class Follow:
         return reference if self._frame is None else _moved(reference, self._frame)
 
 
-def way_to(start: Pose, end: Pose, speeds: Speeds) -> Route | None:
-    """Return the straight way from rest to rest, by the shorter turn; None when there is next to none."""
+def way_to(start: Pose, end: Pose, options: ServiceTable) -> Route | None:
+    """Return the straight way from rest to rest, by the shorter turn; None when it is too short to drive."""
     turn_rad = wrap_angle(end.heading_rad - start.heading_rad)
     length_m = math.dist(start[:2], end[:2])
     if length_m < _SAME_M and abs(turn_rad) < _SAME_RAD:
         return None
     x_m, y_m = (start[:2]) if length_m < _SAME_M else end[:2]
+    plane = Limits(options.speed_m_s, options.acceleration_m_s2, options.jerk_m_s3)
+    yaw = Limits(options.yaw_rate_rad_s, options.yaw_acceleration_rad_s2, options.yaw_jerk_rad_s3)
     first = Waypoint(*start, math.inf, 0.0)
-    return plan([first, Waypoint(x_m, y_m, start.heading_rad + turn_rad, math.inf, 0.0)], speeds.plane, speeds.yaw, 0.0)
+    return plan([first, Waypoint(x_m, y_m, start.heading_rad + turn_rad, math.inf, 0.0)], plane, yaw, 0.0)
 
 
 def frame_at(pose: Pose, begin: Pose) -> Pose:
-    """Return where the origin of a path lies that begins at ``begin`` in its own frame and at ``pose`` in the world."""
+    """Return the pose of the origin of a path whose begin is ``begin`` in its own frame and ``pose`` in the world."""
     turn_rad = pose.heading_rad - begin.heading_rad
     c, s = math.cos(turn_rad), math.sin(turn_rad)
-    return Pose(
-        pose.x_m - c * begin.x_m + s * begin.y_m,
-        pose.y_m - s * begin.x_m - c * begin.y_m,
-        turn_rad,
-    )
+    return Pose(pose.x_m - c * begin.x_m + s * begin.y_m, pose.y_m - s * begin.x_m - c * begin.y_m, turn_rad)
 
 
 def _moved(reference: Reference, frame: Pose) -> Reference:

@@ -84,12 +84,12 @@ class Now:
             self._constant,
             **self._of_any(),
             phase=pilot.phase,
-            task=pilot.task,
+            task=pilot.conduct.task,
             why=pilot.why,
             link=device.describe_link(),
             pose=None if state is None else _three(state.pose),
             twist=None if state is None else _three(state.twist),
-            reference=None if pilot.reference is None else _three(pilot.reference.pose),
+            reference=None if pilot.conduct.reference is None else _three(pilot.conduct.reference.pose),
             speed_rad_s=None if feedback is None else _four(feedback.speed_rad_s),
             battery_v=_known(device.report.health.battery_v),
             gains=_gains(parts.controller.gains),
@@ -101,7 +101,7 @@ class Now:
             round_trip_ms=_known(device.round_trip.ms),
             frames={"sent": device.sent, "received": device.received, "rejected": device.rejected()},
             recoveries=pilot.recoveries,
-            twist_age_s=pilot.twist_age_s,
+            twist_age_s=pilot.conduct.twist_age_s,
         )
 
     def _of_any(self) -> dict[str, Any]:

@@ -24,14 +24,12 @@ from hil.scenario import Scenario
 from hil.service import logs
 from hil.service.api_child import ApiChild
 from hil.service.api_config import ApiConfig, Limits, LogStyle
-from hil.service.conduct import Rules
 from hil.service.desk import Desk
-from hil.service.lasting_truth import LastingTruth
 from hil.service.messages import Action, Answer, Phase
-from hil.service.motions import Speeds
 from hil.service.now import Counts, Now
 from hil.service.pilot import Pilot
 from hil.service.records import Records, finished, recording_of
+from hil.service.stand_ins import LastingTruth
 from hil.service.systemd import Notifier
 from hil.wire.back_off import BackOff
 from hil.wire.device_lock import device_held
@@ -231,16 +229,13 @@ class _Service:
         return not self._ending.asked
 
     def _pilot(self, bench: Bench) -> Pilot:
-        table = self._scenario.service
-        speeds = Speeds(**{name: getattr(table, name) for name in Speeds._fields})
-        rules = Rules(speeds, table.twist_timeout_s, table.error_limit_m)
         made = self._parts.make(bench, [self._records], self._records.note)
         if made.truth is not None:
             lost = "; a state that rests on it is unknown from now on: restart the service to have it again"
             made = made._replace(
                 truth=LastingTruth(made.truth, lambda why: self._records.note(self._t_s, "error", why + lost))
             )
-        return Pilot(made, self._scenario.controller.mode, self._parts.timing, rules)
+        return Pilot(made, self._scenario.controller.mode, self._parts.timing, self._scenario.service)
 
     def _tick(self, bench: Bench, pilot: Pilot, desk: Desk, granted: RealTime, watch: TickWatch) -> None:
         timing, counts, clock = self._parts.timing, self._counts, bench.clock
@@ -267,7 +262,7 @@ class _Service:
             t_s = max(number, 0) * timing.period_ns * 1e-9
             desk.take(orders, t_s, stalled=stalled)
             if not self._api.alive and pilot.phase in (Phase.ARMING, Phase.ACTIVE):
-                pilot.disarm_because("the API process ended or hangs, so that nobody could have stopped the robot")
+                pilot.disarm("the API process ended or hangs, so that nobody could have stopped the robot")
             if number >= 0:
                 counts.ticks += 1
                 counts.lateness.add(late_ns)
@@ -297,7 +292,7 @@ class _Service:
                 pilot.disarm()
                 limit_s = time.monotonic() + _ENDING_LIMIT_S
             if limit_s is not None:
-                owed = pilot.estop_owed and pilot.phase is not Phase.AWAY
+                owed = pilot.emergency.owed and pilot.phase is not Phase.AWAY
                 if pilot.phase not in (Phase.ARMING, Phase.ACTIVE, Phase.STOPPING) and not owed:
                     return
                 if self._ending.asked > 1:

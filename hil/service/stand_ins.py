@@ -1,0 +1,62 @@
+"""Stand-ins among the parts of a service's ticks: for a law that has failed, and for a truth that was lost."""
+
+from collections.abc import Callable
+
+from hil.core.errors import DeviceError
+from hil.core.ports import PoseSource
+from hil.core.types import NAN, NO_GAINS, Applied, PoseFix, Reference, State, WheelCommand
+from hil.runtime.tick import Parts
+
+
+class LastingTruth:
+    """A PoseSource that has no more fixes once it was lost, instead of raising. ``lost`` gets the cause, once.
+
+    It is not reconnected: a virtual robot that was started anew has its truth at another address.
+    """
+
+    def __init__(self, source: PoseSource, lost: Callable[[str], None]) -> None:
+        self._source: PoseSource | None = source
+        self._lost = lost
+
+    def poll(self) -> PoseFix | None:
+        """Return the newest fix, or None when there is none."""
+        if self._source is None:
+            return None
+        try:
+            return self._source.poll()
+        except DeviceError as error:
+            self.close()
+            self._lost(str(error))
+            return None
+
+    def close(self) -> None:
+        """Release the source."""
+        if self._source is not None:
+            self._source.close()
+            self._source = None
+
+
+class _NoLaw:
+    """Stands for a law that has failed; it is never asked for a command."""
+
+    gains = NO_GAINS
+
+    def reset(self, state: State, reference: Reference) -> None:
+        raise AssertionError("nothing is driven without a law")
+
+    def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
+        raise AssertionError("nothing is driven without a law")
+
+
+class _NoSignals:
+    """The own signals of a law that has failed: their names, and NaN for each."""
+
+    def __init__(self, signals: tuple[str, ...]) -> None:
+        self.signals = signals
+        self.telemetry = (NAN,) * len(signals)
+
+
+def without_law(parts: Parts) -> Parts:
+    """Return the parts without their law and its shadows, for a robot that is not driven until it is armed again."""
+    silent = tuple(_NoSignals(own.signals) for own in parts.extra)
+    return parts._replace(controller=_NoLaw(), shadows=None, extra=silent)
