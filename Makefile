@@ -7,31 +7,53 @@ NATIVE_SOURCES := $(wildcard tools/build/*.py firmware_protocol/built.py firmwar
 	plant_fmu/*.toml plant_fmu/generated/*.* plant_fmu/generated/*/* plant_fmu/documentation/*.* \
 	plant_fmu/documentation/licenses/* plant_fmu/reference/* hil/plant/*.[ch] hil/plant/built.py)
 
-.PHONY: demo test test-socketcan catalogue check proof bench picture format native fmu clean setup
+# Python keeps what it has compiled: else every process of the tests would compile all modules again.
+export PYTHONDONTWRITEBYTECODE :=
+PYTEST := $(BIN)/python -m pytest
+BESIDE := --numprocesses auto --maxprocesses 8 --dist worksteal
 
+.PHONY: help demo test test-rest test-all test-socketcan catalogue check proof bench nightly picture format native fmu clean setup
+
+## what make can do here
+help:
+	@awk '/^## / { text = substr($$0, 4); next } \
+		/^[a-z-]+:/ && text { printf "make %-16s %s\n", substr($$1, 1, length($$1) - 1), text } { text = "" }' $(firstword $(MAKEFILE_LIST))
+
+## run the paper's circle on the virtual robot and record it
 demo: setup
 	$(BIN)/hil run paper_circle
 
-# Real time comes last and alone. HIL_EXAMPLES=thorough tries each property with ten times the examples, new ones each time.
+## run the tests that prove most, in under three minutes
 test: setup .venv/tools
-	$(BIN)/python -m pytest --numprocesses auto --maxprocesses 8 --dist worksteal -m 'not alone'
-	$(BIN)/python -m pytest -m alone
+	$(PYTEST) $(BESIDE) -m 'not slow and not alone' $(ARGS)
 
-# Only the tests over real SocketCAN, which `make test` runs too; for example: make test-socketcan ARGS='-k lockstep -v'
-# Where there is none it says so and fails before any test is collected.
+# Real time comes last and alone.
+## run the tests that make test leaves out: the slow ones, and those of real time
+test-rest: setup .venv/tools
+	$(PYTEST) $(BESIDE) -m 'slow and not alone' $(ARGS)
+	$(PYTEST) -m alone $(ARGS)
+
+## run all tests, each once
+test-all: test test-rest
+
+# For example: make test-socketcan ARGS='-k lockstep -v'. Where there is no SocketCAN it says so and fails at once.
+## run only the tests over real SocketCAN, which test-rest runs too
 test-socketcan: setup .venv/tools
 	$(BIN)/python -m tools.socketcan true
 	$(BIN)/python -m pytest -m socketcan -rs tests/test_socketcan_*.py $(ARGS)
 
-# Every fault alone over each link, all pairs, and a part in real time, then over motors of two other makers; ARGS goes to
-# hil catalogue.
+# Every fault alone over each link, PAIRS of them together, and a part in real time, then over motors of two other makers;
+# ARGS goes to hil catalogue. make nightly takes all pairs.
+PAIRS ?= --pairs --sample 60
 ENDPOINTS = --set 'device.motors.watchdog_endpoints=[419, 420]' --set device.motors.endpoints_firmware=0.6.11 \
 	--set device.motors.endpoints_hardware=4.4.58
+## put every kind of fault into a run and judge the robot's safety
 catalogue: setup
-	$(BIN)/hil catalogue --pairs --realtime $(ARGS)
+	$(BIN)/hil catalogue $(PAIRS) --realtime $(ARGS)
 	$(BIN)/hil catalogue --set loop.rate_hz=200 --set device.driver=moteus $(ARGS)
 	$(BIN)/hil catalogue --set loop.rate_hz=200 --set device.driver=odrive $(ENDPOINTS) $(ARGS)
 
+## check style, types, imports, and that what is generated is fresh
 check: setup .venv/tools
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
@@ -44,26 +66,35 @@ check: setup .venv/tools
 	$(BIN)/python -m hil.faults.page --check
 	$(BIN)/python -m hil.batch.reproduction.page --check
 
-# What the tests of the firmware are worth: lines run, and wrong checks noticed. All of it: tools.mutate without
-# --sample, and tools.fuzz --runs 10000000.
+# Lines run, and wrong checks noticed, of which make nightly tries all.
+## show what the tests of the firmware are worth
 proof: setup .venv/tools
 	$(BIN)/python -m tools.coverage_firmware
 	$(BIN)/python -m tools.mutate --sample 20
 
-# What it costs, against named peers; ARGS goes to tools.bench, as in make bench ARGS=--short.
+# ARGS goes to tools.bench, as in make bench ARGS=--short.
+## measure what a run costs, against named peers
 bench: setup .venv/tools
 	$(BIN)/python -m tools.bench $(ARGS)
 
+# ARGS goes to tools.nightly, as in make nightly ARGS='--only soak'. Takes hours.
+## run what is too long for CI, and write its results into one folder
+nightly: setup .venv/tools
+	$(BIN)/python -m tools.nightly $(ARGS)
+
+## draw the pictures of the README anew
 picture: setup .venv/tools
 	$(BIN)/hil run paper_circle --record runs/picture.rrd --force
 	$(BIN)/python tools/screenshot.py runs/picture.rrd tools/pictures/paper_circle.png --at 0.5
 	$(BIN)/python tools/screenshot.py runs/picture.rrd tools/pictures/paper_circle_law.png --tab Law
 
+## mend what ruff and clang-format can mend
 format: .venv/tools
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
 	$(BIN)/clang-format -i $$(git ls-files '*.c' '*.h')
 
+## set up .venv and build what is native; the others do it by themselves
 setup: .venv/installed native
 
 .venv/installed: pyproject.toml tools/hatch_build.py
@@ -86,10 +117,11 @@ native: .venv/native
 	$(BIN)/python -m tools.build.cosim
 	@touch $@
 
-# The FMUs to give away, with binaries for all platforms.
+## build the FMUs to give away, with binaries for all platforms, into dist/
 fmu: .venv/tools
 	$(BIN)/python -m tools.build.fmu --all-platforms --out dist
 
+## remove all that was set up, built or run
 clean:
 	rm -rf .venv build dist runs
 	rm -f plant_fmu/*.fmu $(foreach s,so dylib dll,firmware_protocol/*.$(s) hil/plant/*.$(s))

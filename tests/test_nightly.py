@@ -1,0 +1,89 @@
+"""The targets of make, and what the nightly run leaves behind."""
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+from tests.processes import ROOT
+from tools import nightly, soak
+
+needs_make = pytest.mark.skipif(shutil.which("make") is None, reason="make is not there; install it")
+
+
+def make(*words: str) -> str:
+    return subprocess.run(["make", *words], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+
+
+@needs_make
+def test_make_help_has_a_line_for_every_target() -> None:
+    listed = re.findall(r"^make ([a-z-]+) +\S+", make("help"), re.MULTILINE)
+    [phony] = re.findall(r"^\.PHONY: (.*)$", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    assert sorted([*listed, "native"]) == sorted(phony.split())
+
+
+@needs_make
+def test_all_tests_are_chosen_once_by_test_and_test_rest() -> None:
+    shown = make("--dry-run", "test-all", "ARGS=")
+    chosen = [one or other for one, other in re.findall(r"pytest .*?-m (?:'(.+?)'|(\w+))", shown)]
+    assert chosen == ["not slow and not alone", "slow and not alone", "alone"]
+    for slow in (True, False):
+        for alone in (True, False):
+            assert sum(eval(words, {"slow": slow, "alone": alone}) for words in chosen) == 1
+
+
+def test_each_step_leaves_a_file_that_names_commit_date_and_command(tmp_path, capfd) -> None:
+    steps = {
+        "good": nightly.Step(
+            "what goes well", (sys.executable, "-c", "import os; print(os.environ['HOW'])"), {"HOW": "so"}
+        ),
+        "bad": nightly.Step("what does not", (sys.executable, "-c", "raise SystemExit('broken: {out}')")),
+    }
+    assert nightly.run(steps, tmp_path / "night", "0123abcd") == 1
+    good, bad = ((tmp_path / "night" / f"{name}.txt").read_text().splitlines() for name in steps)
+    assert good[:4] == ["what goes well", "", "commit   0123abcd", good[3]]
+    assert re.fullmatch(r"date     \d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ", good[3])
+    assert good[5] == f"command  HOW=so {sys.executable} -c import os; print(os.environ['HOW'])"
+    assert good[7] == "so"
+    assert re.fullmatch(r"exit code 0 after \d+ s", good[-1])
+    assert f"broken: {tmp_path}/night" in bad
+    summary = (tmp_path / "night" / "summary.txt").read_text()
+    assert re.fullmatch(r"good  good +exit code 0 .*\nBAD   bad +exit code 1 .*\n", summary)
+    assert capfd.readouterr().out.endswith(summary)
+
+
+def test_every_step_is_a_module_that_is_there() -> None:
+    """Its arguments are read by the module itself, which knows what it may be told."""
+    for step in nightly.STEPS.values():
+        python, option, module, *_ = step.command
+        assert (python, option) == (sys.executable, "-m")
+        assert (
+            module in ("pytest", "hil") or (ROOT / f"{module.replace('.', '/')}.py").exists() or module == "tools.bench"
+        )
+
+
+def test_what_grows_is_told_and_what_settles_is_not() -> None:
+    def sizes(memory: list[float], files: list[float]) -> list[dict[str, float]]:
+        return [{"memory_mib": one, "files": other} for one, other in zip(memory, files, strict=True)]
+
+    settled = [100.0, 120.0, 130.0, 131.0, 131.0, 132.0, 131.0, 132.0]
+    assert soak.grown(sizes(settled, [20.0] * 8)) == []
+    assert soak.grown(sizes([100.0 + 10.0 * n for n in range(8)], [20.0] * 8)) == [
+        "memory_mib grew from 125.0 to 165.0 in 8 cycles"
+    ]
+    assert soak.grown(sizes(settled, [20.0 + 3.0 * n for n in range(8)])) == [
+        "files grew from 27.5 to 39.5 in 8 cycles"
+    ]
+    assert soak.grown(sizes(settled[:3], [20.0] * 3)) == [], "too few to tell"
+
+
+@pytest.mark.alone
+def test_a_short_soak_drives_a_service_and_finds_nothing_wrong() -> None:
+    command = [sys.executable, "-m", "tools.soak", "--minutes", "0", "--track-s", "1"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    figures = json.loads(done.stdout)
+    assert (done.returncode, figures["trouble"], figures["cycles"]) == (0, [], 1)
+    assert figures["sizes"][0]["processes"] == 2

@@ -1,0 +1,105 @@
+"""Runs what is too long for CI, and writes one file of results for each: ``python -m tools.nightly``, or make nightly.
+
+The files go to ``build/nightly/DATE-COMMIT/``, or to ``--out``. Each begins with the commit, the date and the command,
+and ends with the exit code and the time taken; ``summary.txt`` has a line each. Exits with 1 when a step failed.
+"""
+
+import argparse
+import datetime
+import os
+import platform
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).parents[1]
+PYTHON = sys.executable
+
+
+class Step(NamedTuple):
+    """A command, the words for it, and what it has in its environment."""
+
+    words: str
+    command: Sequence[str]
+    environment: Mapping[str, str] = {}
+
+
+STEPS = {
+    "tests": Step(
+        "all tests side by side, each property with ten times the examples, new ones each time",
+        (PYTHON, "-m", "pytest", "-n", "auto", "--dist", "worksteal", "-m", "not alone"),
+        {"HIL_EXAMPLES": "thorough"},
+    ),
+    "alone": Step("the tests of real time", (PYTHON, "-m", "pytest", "-m", "alone")),
+    "mutation": Step("every mutant of the firmware's safety checks", (PYTHON, "-m", "tools.mutate")),
+    "fuzz": Step(
+        "fuzzing of the firmware, of the decoder and of the host's line",
+        (PYTHON, "-m", "tools.fuzz", "--runs", "10000000"),
+    ),
+    "catalogue": Step(
+        "every fault, and all pairs of faults", (PYTHON, "-m", "hil", "catalogue", "--pairs", "--realtime")
+    ),
+    "soak": Step("a service that is driven for two hours", (PYTHON, "-m", "tools.soak", "--minutes", "120")),
+    "bench": Step("all benchmarks", (PYTHON, "-m", "tools.bench", "--json", "{out}/bench.json")),
+}
+
+
+def main() -> int:
+    """Run the steps that were asked for."""
+    parser = argparse.ArgumentParser(prog="tools.nightly", description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--only", choices=STEPS, action="append", help="this step; may be repeated")
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help="where the results go")
+    options = parser.parse_args()
+    commit = commit_of(ROOT)
+    out = options.out or ROOT / "build" / "nightly" / f"{_now():%Y%m%dT%H%M%SZ}-{commit[:12]}"
+    return run({name: STEPS[name] for name in options.only or STEPS}, out, commit)
+
+
+def run(steps: Mapping[str, Step], out: Path, commit: str) -> int:
+    """Run each step, write its file and a line of the summary, and return the exit code."""
+    out.mkdir(parents=True, exist_ok=True)
+    worst = 0
+    for name, step in steps.items():
+        command = [word.format(out=out) for word in step.command]
+        shown = " ".join([*(f"{key}={value}" for key, value in step.environment.items()), *command])
+        head = (
+            f"commit   {commit}\ndate     {_now():%Y-%m-%dT%H:%M:%SZ}\n"
+            f"machine  {platform.platform()}, {os.cpu_count()} processors\n"
+        )
+        path = out / f"{name}.txt"
+        print(f"{name}: {step.words}; {path}", flush=True)
+        begin_s = time.monotonic()
+        with path.open("w", encoding="utf-8") as file:
+            file.write(f"{step.words}\n\n{head}command  {shown}\n\n")
+            file.flush()
+            code = subprocess.run(
+                command, cwd=ROOT, env=os.environ | step.environment, stdout=file, stderr=subprocess.STDOUT, check=False
+            ).returncode
+            ended = f"exit code {code} after {time.monotonic() - begin_s:.0f} s"
+            file.seek(0, os.SEEK_END)
+            file.write(f"\n{ended}\n")
+        with (out / "summary.txt").open("a", encoding="utf-8") as summary:
+            summary.write(f"{'good' if code == 0 else 'BAD '}  {name:10} {ended}\n")
+        worst = max(worst, int(code != 0))
+    print((out / "summary.txt").read_text(encoding="utf-8"), end="")
+    return worst
+
+
+def commit_of(folder: Path) -> str:
+    """Return the commit of a checkout, with a mark where files differ from it; "unknown" where there is no git."""
+    words = ("git", "describe", "--always", "--abbrev=40", "--dirty", "--exclude=*")
+    try:
+        return subprocess.run(words, cwd=folder, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+
+
+def _now() -> datetime.datetime:
+    return datetime.datetime.now(datetime.UTC)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
