@@ -4,10 +4,9 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hil.batch.campaign.campaign import Campaign
-from hil.batch.campaign.cluster import Place
-from hil.batch.campaign.dataset import KEY, read_rows
-from hil.batch.campaign.rows import MACHINE
+from hil.batch.campaign.campaign import Campaign, Place
+from hil.batch.figures import MACHINE
+from hil.batch.store import KEY, read_rows
 
 PLAN = """
 scenario = "circle_speed"

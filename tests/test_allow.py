@@ -5,12 +5,12 @@ from pathlib import Path
 import pytest
 
 import hil
-from hil.batch.campaign.rows import why_failed
 from hil.batch.comparison.runs import Job, perform
 from hil.cli.review import review as command
 from hil.cli.testing.verdict import run_as_test
 from hil.core.errors import BadInputError
 from hil.faults.kind import FaultRow
+from hil.judge.words import why_not_passed
 from hil.review import review
 from hil.review.figures import figures, read_for_figures
 from hil.review.page import page
@@ -81,7 +81,7 @@ def test_a_comparison_has_no_figures_of_a_run_beyond_it_and_a_campaign_says_why_
     outcome = perform(Job("circle_speed", set_texts(BLIND), None, "lqi", {}, curves=False))
     assert outcome.figures is None
     assert str(outcome.failed).startswith("held_ticks: 100 of 100")
-    assert why_failed(hil.run("circle_speed", set=BLIND).metrics) == outcome.failed
+    assert next(why_not_passed(hil.run("circle_speed", set=BLIND).metrics)) == outcome.failed
 
 
 def test_the_ticks_that_a_fault_explains_do_not_count() -> None:

@@ -14,18 +14,20 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import dask
+import distributed
 import psutil
 import pytest
 from typer.testing import CliRunner
 
 import hil as bridge
-from hil.batch.campaign import cluster as cluster_of_dask
-from hil.batch.campaign.campaign import Campaign
-from hil.batch.campaign.cluster import Place
-from hil.batch.campaign.dataset import RECORDINGS, ROWS, read_rows
-from hil.batch.campaign.jobs import WORK
+from hil.batch import dask_pool
+from hil.batch.campaign.campaign import Campaign, Place
 from hil.batch.campaign.judged import duel_words, judge
-from hil.batch.campaign.rows import figures_of
+from hil.batch.figures import run_columns
+from hil.batch.keys import make_job
+from hil.batch.plan import FixedPlan, run_plan
+from hil.batch.pool import MODULE
+from hil.batch.store import RECORDINGS, ROWS, read_rows
 from hil.cli.main import app
 from hil.core.errors import BadInputError, LinkError
 from hil.review import read
@@ -120,7 +122,7 @@ def test_a_campaign_that_was_stopped_or_killed_goes_on_with_no_run_twice_or_lost
     assert len({row["wire_sha256"] for row in rows}) == 12
     assert (rows[4]["robot.mass_kg"], rows[4]["law"]) == (24.0, "afdsc")
     for row, run in list(zip(rows, Campaign(plan).runs, strict=True))[::3]:
-        of_one = figures_of(bridge.run("circle_speed", set=run.point.sets).metrics)
+        of_one = run_columns(bridge.run("circle_speed", set=run.point.sets).metrics)
         assert of_the_runs([row | of_one]) == of_the_runs([row])
 
 
@@ -311,7 +313,7 @@ def test_a_cluster_that_others_could_listen_to_is_refused(tmp_path: Path, monkey
         assert sentence in str(done.exception)
     with pytest.raises(BadInputError, match="TLS needs certificates; name them in"):
         do(plan, tmp_path / "out", Place("tls://127.0.0.1:1", 0, LIMIT_S))
-    monkeypatch.setattr(cluster_of_dask, "_CONNECT_S", 0.2)
+    monkeypatch.setattr(dask_pool, "CONNECT_S", 0.2)
     with pytest.raises(LinkError, match=r"--scheduler tcp://127\.0\.0\.1:1: no scheduler of Dask answers there"):
         do(plan, tmp_path / "out", Place("tcp://127.0.0.1:1", 0, LIMIT_S))
 
@@ -448,29 +450,44 @@ def test_two_campaigns_share_a_cluster_and_leave_no_process_there(tmp_path: Path
         pass
     assert [row["outcome"] for row in rows_of(plan, tmp_path / "out")] == ["passed"] * 12
     workers = [psutil.Process(process.pid) for process in cluster.processes[1:]]
-    wait_for(lambda: not [one for worker in workers for one in worker.children() if WORK.worker in one.cmdline()])
+    wait_for(lambda: not [one for worker in workers for one in worker.children() if MODULE in one.cmdline()])
 
 
-def test_a_worker_without_room_for_temporary_files_ends_the_campaign_in_a_sentence(tmp_path: Path, monkeypatch) -> None:
-    campaign = Campaign(write_plan(tmp_path, 'keep = "none"\nseeds = 30'))
-
-    def tell(_told) -> None:
+def test_a_dask_worker_without_room_for_temporary_files_ends_the_campaign_in_a_sentence(
+    tmp_path: Path, monkeypatch
+) -> None:
+    here = distributed.LocalCluster(
+        n_workers=1, processes=False, protocol="tcp", host="127.0.0.1", dashboard_address=None, silence_logs=50
+    )
+    with here, contextlib.closing(dask_pool.DaskPool(here.scheduler_address)) as pool:
         monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "gone"))  # Dask itself has begun in another
+        job = make_job(load("circle_speed", set={"loop.duration_s": 0.1}))
+        with pytest.raises(LinkError, match=r"a worker of Dask cannot do runs: .*No such file"):
+            list(run_plan(FixedPlan([job]), pool))
 
-    with pytest.raises(LinkError, match=r"a worker of Dask cannot do runs: .*No such file"):
-        for _ in campaign.perform(tmp_path / "out", Place(None, 1, LIMIT_S), tell):
-            pass
 
-
-def test_what_a_campaign_of_this_machine_listens_on_is_loopback(tmp_path: Path) -> None:
+def test_a_campaign_on_this_machine_listens_on_nothing_and_needs_no_dask(tmp_path: Path) -> None:
+    plan = write_plan(tmp_path, 'keep = "none"')
+    without = "import sys; sys.modules['dask'] = sys.modules['distributed'] = None; sys.argv[0] = 'hil'; "
+    words = [sys.executable, "-c", f"{without}from hil.cli.main import main; main()", "campaign", plan]
+    more = ["--out", tmp_path / "out"]
+    alone = subprocess.Popen([*words, *more], stdout=subprocess.PIPE, text=True, env=environment())
     heard: set[str] = set()
+    process = psutil.Process(alone.pid)
 
-    def tell(_told) -> None:
-        heard.update(one.laddr.ip for one in psutil.Process().net_connections("inet") if one.status == "LISTEN")
+    def is_done() -> bool:
+        with contextlib.suppress(psutil.Error):
+            for one in (process, *process.children(recursive=True)):
+                heard.update(at.laddr.ip for at in one.net_connections("inet") if at.status == "LISTEN")
+        return alone.poll() is not None
 
-    for _ in Campaign(write_plan(tmp_path, 'keep = "none"')).perform(tmp_path / "out", Place(None, 1, LIMIT_S), tell):
-        pass
-    assert heard == {"127.0.0.1"}
+    wait_for(is_done)
+    assert alone.communicate()[0].startswith("1 runs: 1 passed")
+    assert not heard
+    asked = [*words, "--scheduler", "tcp://127.0.0.1:1"]
+    refused = subprocess.run(asked, capture_output=True, text=True, check=False, env=environment())
+    assert refused.returncode == 2
+    assert "--scheduler needs Dask, which is not installed; install it with: pip install" in refused.stderr
 
 
 def test_a_report_has_no_figures_of_runs_that_ended_early_and_the_plans_names(tmp_path: Path) -> None:
@@ -519,5 +536,5 @@ def test_a_killed_worker_and_a_scheduler_that_comes_back_lose_no_run(tmp_path: P
     rows = rows_of(plan, tmp_path / "out")
     assert [row["outcome"] for row in rows] == ["passed"] * 30
     assert len({row["machine.worker"] for row in rows}) >= 2
-    of_one = figures_of(bridge.run("circle_speed", set=Campaign(plan).runs[29].point.sets).metrics)
+    of_one = run_columns(bridge.run("circle_speed", set=Campaign(plan).runs[29].point.sets).metrics)
     assert of_the_runs([rows[29] | of_one]) == of_the_runs(rows[29:])

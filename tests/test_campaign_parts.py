@@ -14,12 +14,8 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from hil.batch.campaign.campaign import Campaign
-from hil.batch.campaign.dataset import KEY, ROWS, Dataset, read_rows
-from hil.batch.campaign.jobs import NEVER
-from hil.batch.campaign.keys import key_of
 from hil.batch.campaign.load import load_plan
 from hil.batch.campaign.points import count, points
-from hil.batch.campaign.rows import MACHINE, figures_of
 from hil.batch.campaign.statistics import (
     binned,
     paired_difference,
@@ -29,7 +25,10 @@ from hil.batch.campaign.statistics import (
     unit_means,
     wilson,
 )
-from hil.batch.campaign.work import perform
+from hil.batch.figures import MACHINE, run_columns
+from hil.batch.keys import key_of
+from hil.batch.run import run
+from hil.batch.store import KEY, ROWS, Store, read_rows
 from hil.core.errors import BadInputError
 from hil.robot.virtual import KeptRobot
 from hil.runtime.assembly import run_scenario
@@ -149,8 +148,8 @@ def test_what_a_law_left_in_its_module_is_gone_in_the_next_run(tmp_path: Path, m
     monkeypatch.syspath_prepend(str(tmp_path))
     for name in ("./package_of_laws/impl.py:Law", "package_of_laws.impl:Law", "package_of_laws:Law"):
         campaign = Campaign(write_plan(tmp_path, f'laws = ["{name}"]\nkeep = "none"'))
-        job = campaign.job(campaign.runs[0], NEVER)
-        first, second = (perform(job).figures for _ in range(2))
+        job = campaign.job(campaign.runs[0])
+        first, second = (run(job, from_plain(job.scenario)).figures for _ in range(2))
         assert first["wire_sha256"] == second["wire_sha256"]
         assert first["effort_n_m_s"] > 0.0
 
@@ -184,7 +183,7 @@ def test_a_robot_that_is_kept_is_in_each_run_as_if_it_were_new() -> None:
             scenario = load("circle_speed", set=short | other)
             assert from_plain(json.loads(json.dumps(to_plain(scenario)))) == scenario
             one, new = (run_scenario(scenario, keep_signals=False, **way) for way in ({"make_robot": kept.robot}, {}))
-            assert figures_of(one.metrics) | CLOCKED == figures_of(new.metrics) | CLOCKED
+            assert run_columns(one.metrics) | CLOCKED == run_columns(new.metrics) | CLOCKED
             assert one.metrics["fault"] == new.metrics["fault"]
             assert str(one.failure) == str(new.failure)
     finally:
@@ -194,22 +193,22 @@ def test_a_robot_that_is_kept_is_in_each_run_as_if_it_were_new() -> None:
 def test_rows_that_a_kill_left_twice_count_once_and_what_was_not_finished_counts_not(tmp_path: Path) -> None:
     schema = pa.schema([(KEY, pa.string()), ("figure", pa.float64())])
     written = [{KEY: f"k{number}", "figure": float(number)} for number in range(100)]
-    with Dataset(tmp_path, schema) as dataset:
+    with Store(tmp_path, schema) as store:
         for number, row in enumerate(written):
             if number == 31:
                 shutil.copytree(tmp_path / ROWS, tmp_path / "before")  # the next puts them into one
-            dataset.append([row])
+            store.append([row])
     files = list((tmp_path / ROWS).iterdir())
     assert len(files) < 40
     shutil.copytree(tmp_path / "before", tmp_path / ROWS, dirs_exist_ok=True)  # killed before they were removed
     (tmp_path / ROWS / "0-abc.parquet.unfinished").write_bytes(b"PAR1")
     assert sorted(read_rows(tmp_path).to_pylist(), key=lambda row: row["figure"]) == written
-    with Dataset(tmp_path, schema) as dataset, pytest.raises(BadInputError, match="another campaign writes to it"):
-        Dataset(tmp_path, schema)
+    with Store(tmp_path, schema) as store, pytest.raises(BadInputError, match="another campaign writes to it"):
+        Store(tmp_path, schema)
     assert len(list((tmp_path / ROWS).iterdir())) == len(files)
     assert pq.read_table(tmp_path / ROWS).num_rows == 100  # as any other program reads them
     with pytest.raises(BadInputError, match="have figure as double, and now it is string; name another"):
-        Dataset(tmp_path, pa.schema([(KEY, pa.string()), ("figure", pa.string())]))
+        Store(tmp_path, pa.schema([(KEY, pa.string()), ("figure", pa.string())]))
 
 
 @given(st.integers(1, 2000).flatmap(lambda trials: st.tuples(st.integers(0, trials), st.just(trials))))

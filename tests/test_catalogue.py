@@ -10,7 +10,7 @@ import pytest
 from firmware_protocol.built import HERE, SOURCES
 from hil.batch.catalogue.plan import Asked, alone, pairs
 from hil.batch.catalogue.runs import WORK, perform
-from hil.batch.pool import counted, perform_all
+from hil.batch.old_pool import counted, perform_all
 from hil.cli.progress import runs_progress
 from hil.faults.cases import CASES, DURATION_S, Outcome
 from hil.faults.kinds import KINDS, find
@@ -191,7 +191,7 @@ def test_a_run_that_hangs_is_ended_and_one_that_crashes_is_told(tmp_path) -> Non
 def test_a_worker_that_is_none_is_a_verdict_on_each_job_and_a_line_of_progress(
     words, tmp_path, monkeypatch, capsys
 ) -> None:
-    monkeypatch.setattr("hil.batch.pool.module_command", lambda _module: words)
+    monkeypatch.setattr("hil.batch.old_pool.module_command", lambda _module: words)
     jobs = alone(Asked("circle_speed", [], ["memory"], ["push", "mute"], tmp_path))
     tell = counted(runs_progress(lambda verdict: verdict.fault), len(jobs))
     verdicts = perform_all(WORK, jobs, 2, 60.0, tell)

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 import hil
-from hil.batch.campaign.rows import figures_of
+from hil.batch.figures import run_columns
 from hil.judge.results import RunResult
 from hil.review import RecordedRun, differences, read
 from hil.review.figures import figures
@@ -59,7 +59,7 @@ def test_what_its_expectations_did_not_come_to_is_not_judged(ran: tuple[RunResul
     texts = [row["text"] for row in result.metrics["expect"]]
     assert "not judged, the run ended at t = 5.99" in texts[1]
     assert texts[1].endswith("before there was a sample of it")
-    assert figures_of(result.metrics)["failed_expectation"] == texts[3]
+    assert run_columns(result.metrics)["failed_expectation"] == texts[3]
     assert "not judged</span>" in page([run], [figures(run)])
 
 

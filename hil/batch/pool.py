@@ -1,237 +1,270 @@
-"""Worker processes that do many jobs each, and a hang guard: a job that takes too long is ended with its worker."""
+"""Where jobs are done: by default in processes of our own on this machine.
 
-import itertools
+A worker process does many jobs, so that imports and an open FMU are paid once. A job that takes too long, or too much
+memory, is ended with its process; it is lost, and the next job gets a new process.
+"""
+
+import contextlib
 import json
+import os
 import queue
+import socket
 import subprocess
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import IO, Any, Generic, Protocol, TypeVar
+from typing import IO, NamedTuple, Protocol
 
+from hil.batch.job import LOST, Job, Outcome, plain
 from hil.core.subprocesses import away_from_terminal, module_command
+from hil.plant.memory import excess
 from hil.record.environment import rerun_environment
 
 READY = "ready\n"
-"""What a worker says first, when all is imported: a job's time begins later."""
+"""What a worker process writes once all is imported: the time of its first job begins then."""
+MODULE = "hil.batch.worker"
 _START_S = 120.0
 _END_S = 10.0
+_MEMORY_S = 0.2
+COLLECT_S = 0.5
+_AHEAD = 1
+"""Jobs queued per worker besides the running one, so that no worker waits for the next."""
 
 
-class Plain(Protocol):
-    """A NamedTuple of plain values: it goes to another process as JSON."""
+class PoolStatus(NamedTuple):
+    """How many workers there are, and what the pool waits for, or None."""
 
-    def _asdict(self) -> dict[str, Any]: ...
-
-
-J = TypeVar("J", bound=Plain)
-A = TypeVar("A", bound=Plain)
+    workers: int
+    trouble: str | None
 
 
-@dataclass(frozen=True)
-class Work(Generic[J, A]):
-    """A kind of job.
+class Pool(Protocol):
+    """Does jobs. Nothing is raised for a job: whatever goes wrong with one is its outcome."""
 
-    Attributes:
-        worker: the module whose process does the jobs, by ``hil.batch.worker.serve``.
-        answer: makes an answer of its fields by name.
-        lost: the answer for a job that told nothing, from what became of it and the wall-clock time [s] it took.
+    @property
+    def in_flight(self) -> int:
+        """How many jobs were submitted and not collected yet."""
+
+    def room(self) -> int:
+        """Return how many more jobs may be submitted now."""
+
+    def submit(self, job: Job) -> None:
+        """Have a job done."""
+
+    def collect(self) -> list[Outcome]:
+        """Wait up to half a second for outcomes, and return all that there are."""
+
+    def status(self) -> PoolStatus:
+        """Return the pool's status."""
+
+    def close(self) -> None:
+        """End the workers, and with them the jobs that are still under way."""
+
+
+def open_pool(scheduler: str | None, workers: int | None, *, on_bench: bool = False) -> Pool:
+    """Return the pool on the scheduler of Dask at an address, or without one so many processes on this machine.
+
+    Raises as ``DaskPool``, and BadInputError where Dask is asked for and not installed.
     """
+    if scheduler is None:
+        return LocalPool(workers)
+    from hil.batch.dask_pool import DaskPool  # which takes a second, and need not be installed
 
-    worker: str
-    answer: Callable[..., A]
-    lost: Callable[[J, str, float], A]
-
-
-def counted(tell: Callable[[int, int, A], None] | None, of: int) -> Callable[[A], None]:
-    """Return what tells of each answer with how many there are by then, and of how many; None to tell nobody."""
-    numbers = itertools.count(1)
-
-    def count(answer: A) -> None:
-        if tell is not None:
-            tell(next(numbers), of, answer)
-
-    return count
+    return DaskPool(scheduler, on_bench=on_bench)
 
 
-def perform_all(
-    work: Work[J, A], jobs: Sequence[J], workers: int, limit_s: float, tell: Callable[[A], None] = lambda _: None
-) -> list[A]:
-    """Do the jobs in so many processes and return the answers in the order of the jobs.
+class LocalPool:
+    """A pool of processes on this machine; ``workers`` is how many at most, by default one a processor."""
 
-    A job that takes more than ``limit_s`` of wall-clock time is ended: it is lost, with words that begin with "hung".
-    One whose process ends by itself, does not begin, or gives no answer is lost with words that begin with "crashed".
-    ``tell`` gets each answer as it comes.
-    """
-    waiting: queue.SimpleQueue[tuple[int, J]] = queue.SimpleQueue()
-    for numbered in enumerate(jobs):
-        waiting.put(numbered)
-    done: queue.SimpleQueue[tuple[int, A]] = queue.SimpleQueue()
-    hands = [_Hand(work, waiting, done, limit_s) for _ in range(min(workers, len(jobs)))]
-    answers: dict[int, A] = {}
-    try:
-        while len(answers) < len(jobs):
-            number, answer = done.get()
-            answers[number] = answer
-            tell(answer)
-    except BaseException:
-        for hand in hands:
-            hand.abort()
-        raise
-    finally:
-        for hand in hands:
-            hand.join()
-    return [answers[number] for number in range(len(jobs))]
+    def __init__(self, workers: int | None = None) -> None:
+        self._workers = workers or os.cpu_count() or 1
+        self._waiting: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
+        self._done: queue.SimpleQueue[Outcome] = queue.SimpleQueue()
+        self._runners: list[Runner] = []
+        self._threads: list[threading.Thread] = []
+        self.in_flight = 0
+
+    def room(self) -> int:
+        """Return how many more jobs may be submitted now."""
+        return (1 + _AHEAD) * self._workers - self.in_flight
+
+    def submit(self, job: Job) -> None:
+        """Have a job done. Processes are started only as far as there are jobs for them."""
+        self._waiting.put(job)
+        self.in_flight += 1
+        if len(self._threads) < min(self._workers, self.in_flight):
+            runner, name = Runner(), f"{socket.gethostname()} {len(self._threads)}"
+            self._runners.append(runner)
+            self._threads.append(threading.Thread(target=self._serve, args=(runner, name), name="pool", daemon=True))
+            self._threads[-1].start()
+
+    def _serve(self, runner: "Runner", name: str) -> None:
+        while (job := self._waiting.get()) is not None:
+            self._done.put(runner.run(job)._replace(worker=name))
+        runner.close()
+
+    def collect(self) -> list[Outcome]:
+        """Wait up to half a second for outcomes, and return all that there are."""
+        outcomes = []
+        with contextlib.suppress(queue.Empty):
+            outcomes.append(self._done.get(timeout=COLLECT_S))
+            while True:
+                outcomes.append(self._done.get_nowait())
+        self.in_flight -= len(outcomes)
+        return outcomes
+
+    def status(self) -> PoolStatus:
+        """Return how many processes there may be; this pool waits for nothing."""
+        return PoolStatus(self._workers, None)
+
+    def close(self) -> None:
+        """End the processes, and with them the jobs that are still under way."""
+        with contextlib.suppress(queue.Empty):
+            while True:
+                self._waiting.get_nowait()
+        for _ in self._threads:
+            self._waiting.put(None)
+        for runner in self._runners:
+            if self.in_flight:
+                runner.kill()
+        for thread in self._threads:
+            thread.join()
 
 
-class _Worker:
+class Runner:
+    """Does jobs one after the other in a worker process, which is started when needed and anew after its end."""
+
+    def __init__(self) -> None:
+        self._process: _Process | None = None
+        self.is_ending = False
+        """Whether ``kill`` was called."""
+
+    def run(self, job: Job) -> Outcome:
+        """Do a job. A job that is to be tried again after a crash is, unless ``kill`` was called."""
+        outcome = self._try(job)
+        is_crash = outcome.status == LOST and "crashed" in str(outcome.reason)
+        if not (is_crash and job.retries_crash) or self.is_ending:
+            return outcome
+        outcome = self._try(job)
+        if outcome.status == LOST:
+            return outcome._replace(reason=f"its process ended twice, at last: {outcome.reason}")
+        return outcome
+
+    def _try(self, job: Job) -> Outcome:
+        began = time.monotonic()
+        try:
+            if self._process is not None and self._process.made_for != _made_for(job):
+                self.close()
+            process = self._process = self._process or _Process(job)
+            if self.is_ending:
+                process.kill()
+            outcome = process.perform(job)
+            if outcome is not None:
+                return outcome
+            reason = process.ended_why or f"crashed: {process.last_words()}"
+        except Exception as error:  # noqa: BLE001 -- no process can be made, an answer cannot be read, ...
+            self._kill()
+            reason = f"crashed: {type(error).__name__}: {error}"
+        self.close()
+        return Outcome(job.key, LOST, reason, wall_s=time.monotonic() - began)
+
+    def kill(self) -> None:
+        """End the process at once and try nothing again; may be called from another thread."""
+        self.is_ending = True
+        self._kill()
+
+    def _kill(self) -> None:
+        if (process := self._process) is not None:
+            process.kill()
+
+    def close(self) -> None:
+        """End the process when it has done its job."""
+        if (process := self._process) is not None:
+            self._process = None
+            process.close()
+
+
+def _made_for(job: Job) -> tuple[str, str | None]:
+    """Return what a process is started for; a job of another kind or library needs another process."""
+    return job.kind, job.library
+
+
+class _Process:
     """One worker process."""
 
-    def __init__(self, module: str) -> None:
-        self._words: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 -- closed in close()
+    def __init__(self, job: Job) -> None:
+        self.made_for = _made_for(job)
+        self._stderr: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 -- closed in close()
+        library = {} if job.library is None else {"WHEEL_HOST_LIBRARY": job.library}
         self._process = subprocess.Popen(
-            module_command(module),
+            module_command(MODULE, job.kind),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=self._words,
-            env=rerun_environment(),
+            stderr=self._stderr,
+            env=rerun_environment() | library,
             **away_from_terminal(),
         )
         self._is_ready = False
-        self.ended_after_s: float | None = None
+        self.ended_why: str | None = None
 
-    def perform(self, job: Plain, limit_s: float) -> dict[str, Any] | None:
-        """Do a job and return its answer as fields; None when the process has ended, by itself or by the guard."""
+    def perform(self, job: Job) -> Outcome | None:
+        """Do a job and return its outcome; None when the process has ended, by itself or for a limit."""
         assert self._process.stdin is not None
         if not self._is_ready:
-            self._is_ready = self._line(_START_S).strip() == READY.strip().encode()
+            self._is_ready = self._line(_START_S, None).strip() == READY.strip().encode()
             if not self._is_ready:
                 return None
         try:
-            self._process.stdin.write(json.dumps(job._asdict()).encode() + b"\n")
+            self._process.stdin.write(json.dumps(plain(job)).encode() + b"\n")
             self._process.stdin.flush()
         except OSError:
             return None
-        line = self._line(limit_s)
-        if not line.endswith(b"\n"):
-            return None
-        fields: dict[str, Any] = json.loads(line)
-        return fields
+        line = self._line(job.limit_s, job.memory_mb)
+        return Outcome(**json.loads(line)) if line.endswith(b"\n") and self.ended_why is None else None
 
-    def _line(self, limit_s: float) -> bytes:
-        """Return its next line, and less when it ends; after so long it is ended, which ``ended_after_s`` tells."""
+    def _line(self, limit_s: float, memory_mb: float | None) -> bytes:
+        """Return the process's next line, or less when it ends; at a limit it is ended, and ``ended_why`` says so."""
         assert self._process.stdout is not None
+        is_done = threading.Event()
 
-        def end() -> None:
-            self.ended_after_s = limit_s
+        def guard() -> None:
+            end = time.monotonic() + limit_s
+            while self.ended_why is None:
+                left_s = max(0.0, end - time.monotonic())
+                if is_done.wait(left_s if memory_mb is None else min(left_s, _MEMORY_S)):
+                    return
+                if memory_mb is not None:
+                    self.ended_why = excess(self._process.pid, memory_mb)
+                if time.monotonic() >= end:
+                    self.ended_why = f"hung: it was ended after {limit_s:.1f} s"
             self._process.kill()
 
-        guard = threading.Timer(limit_s, end)
-        guard.start()
+        thread = threading.Thread(target=guard, name="job limits", daemon=True)
+        thread.start()
         try:
             return bytes(self._process.stdout.readline())
         except OSError:
             return b""
         finally:
-            guard.cancel()
+            is_done.set()
+            thread.join()
 
-    def trouble(self) -> str:
-        """Return how the process ended, with its last words."""
+    def last_words(self) -> str:
+        """Return how the process ended, with the last line it wrote to stderr."""
         code = self._process.wait()
-        self._words.seek(0)
-        words = self._words.read().decode("utf-8", "replace").strip().splitlines()
-        return f"exit code {code}{': ' + words[-1] if words else ''}"
+        self._stderr.seek(0)
+        lines = self._stderr.read().decode("utf-8", "replace").strip().splitlines()
+        return f"exit code {code}{': ' + lines[-1] if lines else ''}"
 
     def close(self) -> None:
-        """End the process; one that does not leave by itself is ended."""
-        assert self._process.stdin is not None
+        """Close the process's stdin, which ends it; if it does not end, kill it."""
         try:
             self._process.communicate(timeout=_END_S)
         except (subprocess.TimeoutExpired, OSError, ValueError):
             self._process.kill()
             self._process.wait()
-        self._words.close()
+        self._stderr.close()
 
     def kill(self) -> None:
         """End the process at once."""
         self._process.kill()
-
-
-class Performer(Generic[J, A]):
-    """Does jobs one after the other in a worker process, which is started when it is needed, and anew after its end."""
-
-    def __init__(self, work: Work[J, A], limit_s: float) -> None:
-        self._work = work
-        self._limit_s = limit_s
-        self._worker: _Worker | None = None
-
-    def perform(self, job: J) -> A:
-        """Do a job; whatever goes wrong is an answer, for without one nobody would stop waiting."""
-        began = time.monotonic()
-        try:
-            return self._perform_or_raise(job)
-        except Exception as error:  # noqa: BLE001 -- no process can be made, an answer that cannot be read, ...
-            self.kill()
-            self.close()
-            return self._work.lost(job, f"crashed: {type(error).__name__}: {error}", time.monotonic() - began)
-
-    def _perform_or_raise(self, job: J) -> A:
-        self._worker = self._worker or _Worker(self._work.worker)
-        began = time.monotonic()
-        fields = self._worker.perform(job, self._limit_s)
-        if fields is not None:
-            return self._work.answer(**fields)
-        wall_s, ended_after_s = time.monotonic() - began, self._worker.ended_after_s
-        trouble = self._worker.trouble()
-        self.close()
-        how = f"crashed: {trouble}" if ended_after_s is None else f"hung: it was ended after {ended_after_s:.1f} s"
-        return self._work.lost(job, how, wall_s)
-
-    def kill(self) -> None:
-        """End the process at once; may be called from another thread."""
-        if (worker := self._worker) is not None:
-            worker.kill()
-
-    def close(self) -> None:
-        """End the process when it has done its job."""
-        if (worker := self._worker) is not None:
-            self._worker = None
-            worker.close()
-
-
-class _Hand(Generic[J, A]):
-    """A thread that has jobs done, as long as there are any."""
-
-    def __init__(
-        self,
-        work: Work[J, A],
-        waiting: "queue.SimpleQueue[tuple[int, J]]",
-        done: "queue.SimpleQueue[tuple[int, A]]",
-        limit_s: float,
-    ) -> None:
-        self._performer = Performer(work, limit_s)
-        self._waiting = waiting
-        self._done = done
-        self._closing = False
-        self._thread = threading.Thread(target=self._run, name="pool", daemon=True)
-        self._thread.start()
-
-    def _run(self) -> None:
-        while not self._closing:
-            try:
-                number, job = self._waiting.get_nowait()
-            except queue.Empty:
-                break
-            self._done.put((number, self._performer.perform(job)))
-        self._performer.close()
-
-    def abort(self) -> None:
-        """Leave the other jobs, and the one in hand."""
-        self._closing = True
-        self._performer.kill()
-
-    def join(self) -> None:
-        """Wait until the worker has ended."""
-        self._thread.join()

@@ -1,54 +1,61 @@
-"""The other end of ``hil.batch.pool``: a process that takes jobs as lines of JSON and answers each.
+"""A process that does jobs of one kind: ``python -m hil.batch.worker MODULE:FUNCTION``.
 
-What raises in another thread, or where nothing can be raised, becomes the answer; what raises in the job itself ends
-the process, which is an answer too. When whoever gave the job is gone, the process ends at once.
+It reads jobs as lines of JSON from stdin and writes one outcome a line to stdout. An exception in another thread, or
+where none can be raised, makes the job lost; one in the job itself ends the process, which the pool notices. When the
+pool has gone, the process ends at once.
 """
 
 import json
 import os
+import pkgutil
 import queue
 import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
-from typing import TypeVar
 
-from hil.batch.pool import READY, Plain
+from hil.batch.job import FOREIGN, LOST, REFUSED, Job, Outcome, plain
+from hil.batch.keys import is_current
+from hil.batch.pool import READY
+from hil.core.errors import BadInputError
+from hil.scenario import from_plain
 
-J = TypeVar("J", bound=Plain)
-A = TypeVar("A", bound=Plain)
 
-
-def serve(job_type: type[J], perform: Callable[[J], A], lost: Callable[[J, str, float], A]) -> int:
-    """Serve until the jobs end; the arguments are as in ``hil.batch.pool.Work``, ``perform`` does a job."""
+def main(kind: str) -> int:
+    """Serve until there are no more jobs, and return the exit code."""
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)  # what a law prints must not get between the answers
+    os.dup2(2, 1)  # what a law prints must not get between the outcomes
+    work = pkgutil.resolve_name(kind)
     stray: list[str] = []
-    answers.write(READY)
-    answers.flush()
 
     def keep(kind: type[BaseException], error: BaseException | None, trace: TracebackType | None) -> None:
-        stray.append(_words(kind, error, trace))
+        stray.append(_error_line(kind, error, trace))
 
     threading.excepthook = lambda args: keep(args.exc_type, args.exc_value, args.exc_traceback)
     sys.unraisablehook = lambda args: keep(args.exc_type, args.exc_value, args.exc_traceback)
+    answers.write(READY)
+    answers.flush()
     for line in _lines():
-        job = job_type(**json.loads(line))
+        job = Job(**json.loads(line))
         began = time.monotonic()
-        answer = perform(job)
+        scenario = from_plain(job.scenario)
+        try:
+            outcome: Outcome = work(job, scenario) if is_current(job, scenario) else Outcome(job.key, FOREIGN)
+        except BadInputError as error:
+            outcome = Outcome(job.key, REFUSED, str(error))
         if stray:
-            answer = lost(job, f"traceback: {stray[0]}", time.monotonic() - began)
+            outcome = Outcome(job.key, LOST, f"traceback: {stray[0]}")
             stray.clear()
-        answers.write(json.dumps(answer._asdict()) + "\n")
+        answers.write(json.dumps(plain(outcome._replace(wall_s=time.monotonic() - began))) + "\n")
         answers.flush()
     return 0
 
 
 def _lines() -> Iterator[str]:
-    """Yield the lines of stdin until it ends; when it ends during a job, whoever wanted that is gone, and so are we."""
+    """Yield the lines of stdin until it ends. When it ends during a job the process ends: nobody wants the outcome."""
     lines: queue.SimpleQueue[str] = queue.SimpleQueue()
     is_idle = threading.Event()
 
@@ -67,8 +74,12 @@ def _lines() -> Iterator[str]:
         is_idle.set()
 
 
-def _words(kind: type[BaseException], error: BaseException | None, trace: TracebackType | None) -> str:
+def _error_line(kind: type[BaseException], error: BaseException | None, trace: TracebackType | None) -> str:
     """Return what was raised and where, in one line."""
     frames = traceback.extract_tb(trace)
     where = f" at {Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""
     return f"{kind.__name__}: {error}{where}"
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1]))

@@ -6,7 +6,7 @@ import sys
 from collections import Counter
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -15,7 +15,8 @@ from hil.cli.options import AllowMotion, Force, Json, end_in_order, print_json
 from hil.core.errors import BadInputError, RunInterruptedError, nearest
 
 if TYPE_CHECKING:
-    from hil.batch.campaign.campaign import Campaign
+    from hil.batch.campaign.campaign import Campaign, Place
+    from hil.batch.pool import PoolStatus
 
 
 class FileFirst(Group):
@@ -55,6 +56,10 @@ def run(
         float | None,
         typer.Option("--limit", metavar="S", help="a run that takes longer is ended as hung", min=1.0),
     ] = None,
+    memory_mb: Annotated[
+        float | None,
+        typer.Option("--memory", metavar="MB", help="a run whose process takes more is ended", min=100.0),
+    ] = None,
     redo: Annotated[
         str | None,
         typer.Option(metavar="OUTCOMES", help="do again what came to one of these, as in lost,refused"),
@@ -67,11 +72,11 @@ def run(
     if scheduler is not None and workers is not None:
         raise BadInputError(f"--workers {workers}: an existing cluster has its own; leave it out with --scheduler")
     try:
-        from hil.batch.campaign.campaign import Campaign
+        from hil.batch.campaign.campaign import Campaign, Place
 
         outcomes = _outcomes(redo)
         if scheduler is not None:
-            from hil.batch.campaign.cluster import check_address
+            from hil.batch.dask_pool import check_address
 
             check_address(scheduler)
         campaign = Campaign(plan, allow_motion=allow_motion)
@@ -88,7 +93,8 @@ def run(
             return
     except KeyboardInterrupt:
         raise RunInterruptedError("interrupted; no run has begun") from None
-    _perform(campaign, folder, (scheduler, count, limit_s), outcomes, as_json=as_json)
+    limit_s = limit_s or 120.0 + 2.0 * campaign.longest_s
+    _perform(campaign, folder, Place(scheduler, count, limit_s, memory_mb), outcomes, as_json=as_json)
 
 
 @app.command("report")
@@ -117,14 +123,14 @@ def report(
 
 
 def _outcomes(redo: str | None) -> frozenset[str]:
-    from hil.batch.campaign.rows import OUTCOMES
+    from hil.batch.job import STATUSES
 
     names = [] if redo is None else [name.strip() for name in redo.split(",")]
     for name in names:
-        if name not in OUTCOMES:
+        if name not in STATUSES:
             raise BadInputError(
-                f"--redo {redo}: {name!r} is no outcome{nearest(name, OUTCOMES)}; give some of "
-                f"{', '.join(OUTCOMES)}, with commas between them"
+                f"--redo {redo}: {name!r} is no outcome{nearest(name, STATUSES)}; give some of "
+                f"{', '.join(STATUSES)}, with commas between them"
             )
     return frozenset(names)
 
@@ -132,30 +138,27 @@ def _outcomes(redo: str | None) -> frozenset[str]:
 def _perform(
     campaign: "Campaign",
     folder: Path,
-    how: tuple[str | None, int, float | None],
+    place: "Place",
     redo: frozenset[str],
     *,
     as_json: bool,
 ) -> None:
-    from hil.batch.campaign.cluster import Place
     from hil.cli.progress import RateProgress
 
-    scheduler, workers, limit_s = how
-    place = Place(scheduler, workers, limit_s or 120.0 + 2.0 * campaign.longest_s)
     stop = _Stop()
     outcomes: Counter[str] = Counter()
     progress: RateProgress | None = None
     shown = sys.stderr.isatty() and not as_json
     troubles: dict[str, None] = {}
 
-    def tell(told: Any) -> None:
+    def show_status(status: "PoolStatus") -> None:
         if progress is not None and shown:
-            progress.say(told.trouble)
-        elif told.trouble is not None and told.trouble not in troubles:
-            troubles[told.trouble] = None
-            print(f"hil: {told.trouble}", file=sys.stderr, flush=True)
+            progress.say(status.trouble)
+        elif status.trouble is not None and status.trouble not in troubles:
+            troubles[status.trouble] = None
+            print(f"hil: {status.trouble}", file=sys.stderr, flush=True)
 
-    for rows in campaign.perform(folder, place, tell, stop.is_wanted, redo):
+    for rows in campaign.perform(folder, place, show_status, stop.is_wanted, redo):
         new = Counter(row["outcome"] for row in rows)
         outcomes += new
         if progress is None:
@@ -199,15 +202,14 @@ class _Stop:
 
 
 def _print_estimate(campaign: "Campaign", folder: Path, workers: int, redo: frozenset[str], *, as_json: bool) -> None:
-    from hil.batch.campaign.estimate import estimate
     from hil.cli.progress import duration_words
 
     left = campaign.left(folder, redo)
-    about = estimate(campaign, left, workers)
+    run_s, total_s = campaign.estimate_s(left, workers)
     runs = len(campaign.runs)
     if as_json:
-        print_json({"runs": runs, "left": left, "workers": workers, **about._asdict()})
+        print_json({"runs": runs, "left": left, "workers": workers, "run_s": run_s, "total_s": total_s})
         return
     done = f", {runs - left} of them done" if left < runs else ""
     by = "1 worker" if workers == 1 else f"{workers} workers"
-    print(f"{runs} runs{done}; about {duration_words(about.total_s)} with {by}, {about.run_s:.2g} s a run")
+    print(f"{runs} runs{done}; about {duration_words(total_s)} with {by}, {run_s:.2g} s a run")

@@ -21,10 +21,8 @@ from rich.console import Console
 from rich.table import Table
 
 import hil
-from hil.batch.campaign.campaign import Campaign
-from hil.batch.campaign.cluster import Place
-from hil.batch.campaign.jobs import NEVER, WORK
-from hil.batch.pool import Performer
+from hil.batch.campaign.campaign import Campaign, Place
+from hil.batch.pool import MODULE, Runner
 
 PLAN = """
 scenario = "{scenario}"
@@ -132,20 +130,20 @@ def _rate(done: Iterable[int]) -> float:
 def memory(folder: Path, runs: int) -> dict[str, float]:
     """Return the memory of a process after a tenth of so many runs, after a half, and after all."""
     campaign = _campaign(folder / "short", "circle_speed", runs, SHORT_S)
-    performer = Performer(WORK, LIMIT_S)
+    runner = Runner()
     try:
         parts = (slice(0, runs // 10), slice(runs // 10, runs // 2), slice(runs // 2, None))
-        tenth_mb, half_mb, all_mb = (_after(performer.perform, campaign, part) for part in parts)
+        tenth_mb, half_mb, all_mb = (_after(runner.run, campaign, part) for part in parts)
     finally:
-        performer.close()
+        runner.close()
     figures = {"runs": runs, "tenth_mb": tenth_mb, "half_mb": half_mb, "all_mb": all_mb}
     return figures | {"growth": all_mb / half_mb}
 
 
 def _after(perform: Callable[..., object], campaign: Campaign, part: slice) -> float:
     for run in campaign.runs[part]:
-        perform(campaign.job(run, NEVER))
-    (child,) = (one for one in psutil.Process().children() if WORK.worker in one.cmdline())
+        perform(campaign.job(run, limit_s=LIMIT_S))
+    (child,) = (one for one in psutil.Process().children() if MODULE in one.cmdline())
     return float(child.memory_info().rss) / 1e6
 
 

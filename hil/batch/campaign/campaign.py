@@ -1,4 +1,4 @@
-"""A campaign: its runs, what is left of them in a folder, and doing that.
+"""A campaign: its runs, what is left of them to do in a folder, and doing that.
 
 campaign = Campaign(Path("mass.toml"))
 for rows in campaign.perform(Path("runs/mass"), Place(None, 2, 120.0)):
@@ -6,22 +6,26 @@ for rows in campaign.perform(Path("runs/mass"), Place(None, 2, 120.0)):
 """
 
 import contextlib
+import math
 import shlex
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+import tempfile
+from collections.abc import Callable, Collection, Iterator, Sequence
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import pyarrow as pa
 
-from hil.batch.campaign.dataset import KEY, RECORDINGS, ROWS, Dataset, check_folder, read_rows
-from hil.batch.campaign.jobs import ALWAYS, IF_FAILED, NEVER, Job
-from hil.batch.campaign.keys import key_of
 from hil.batch.campaign.load import Plan, load_plan
 from hil.batch.campaign.points import Point, points
-from hil.batch.campaign.rows import COLUMNS, ENDED, FAILED, FOREIGN, MACHINE, PASSED, as_judged, check_figure
 from hil.batch.campaign.tables import KeepTable
-from hil.core.errors import BadInputError, LinkError
+from hil.batch.figures import MACHINE, as_judged, check_figure, row_columns
+from hil.batch.job import ALWAYS, ENDED, FAILED, IF_FAILED, NEVER, PASSED, Job, Outcome
+from hil.batch.keys import SCENARIO_RUN, key_of
+from hil.batch.plan import FixedPlan, run_plan
+from hil.batch.pool import PoolStatus, Runner, open_pool
+from hil.batch.store import KEY, ROWS, Row, Store, check_folder, read_rows, row_of
+from hil.core.errors import BadInputError
 from hil.runtime.parts import PartsOf
 from hil.runtime.provenance import versions
 from hil.runtime.robots import check_plant_start, needed_truth
@@ -30,32 +34,45 @@ from hil.scenario.fields import is_path
 from hil.wire.opening import is_within_process
 from hil.wire.url import parse_link
 
-if TYPE_CHECKING:
-    from hil.batch.campaign.cluster import Place
-    from hil.batch.campaign.schedule import Done, Told
-
-Row = Mapping[str, Any]
-_RECORDING_SUFFIX = ".rrd"
 _ARROW = {str: pa.string(), int: pa.int64(), float: pa.float64(), bool: pa.bool_()}
+_TIMED = 3
+_BETWEEN_S = 1.0
+"""What a run in real time takes besides its own time [s]."""
 
 
-class _Run(NamedTuple):
+class Run(NamedTuple):
+    """A run of a campaign: the key of its job, and its place among the axes."""
+
     key: str
     point: Point
 
 
-class _How(NamedTuple):
-    """How runs are done; see ``hil.batch.campaign.schedule.perform_jobs``."""
+class Place(NamedTuple):
+    """Where and how runs are done: on the scheduler of Dask at an address, or without one in so many processes here.
 
-    place: "Place"
-    tell: "Callable[[Told], None]"
+    ``limit_s`` is the wall-clock time [s], ``memory_mb`` the memory [MB] that a run may take.
+    """
+
+    scheduler: str | None
+    workers: int
+    limit_s: float
+    memory_mb: float | None = None
+
+
+class _How(NamedTuple):
+    """How runs are done; ``scratch`` is a folder for recordings until they are kept."""
+
+    place: Place
+    scratch: Path
+    on_status: Callable[[PoolStatus], None]
     is_stopping: Callable[[], bool]
 
 
 class Campaign:
-    """A campaign that was loaded, every run of it checked.
+    """A campaign that was loaded, with every run of it checked.
 
-    ``on_bench`` tells whether a run needs what there is one of: a robot behind a link, or a source of pose fixes.
+    ``on_bench`` says whether a run needs hardware of which there is one: a robot behind a link, or a source of pose
+    fixes.
 
     Raises BadInputError, before anything is run, for a file, a key or a value that is not as it should be, for two
     runs that are the same, and for a run that would only be refused.
@@ -84,7 +101,7 @@ class Campaign:
             self.on_bench = self.on_bench or _needs_bench(scenario)
             self.in_real_time = self.in_real_time or scenario.loop.mode == "realtime"
             self.longest_s = max(self.longest_s, scenario.loop.duration_s)
-        self.runs = [_Run(key, point) for key, point in runs.items()]
+        self.runs = [Run(key, point) for key, point in runs.items()]
         if isinstance(keep, KeepTable) and self.in_real_time:
             raise BadInputError(
                 f"campaign {plan.place('keep')}: keep.worst runs the worst once more to record them, and in real time "
@@ -109,149 +126,162 @@ class Campaign:
             self._choices.add(choice)
             PartsOf(scenario)
 
-    def job(self, run: _Run, recorded: str) -> Job:
-        """Return what a worker is told of a run."""
-        return Job(run.key, to_plain(self.plan.scenario(run.point.sets)), recorded, "", self._allow_motion)
+    def job(self, run: Run, **how: Any) -> Job:
+        """Return the job of a run, with these fields of Job."""
+        scenario = to_plain(self.plan.scenario(run.point.sets))
+        return Job(run.key, SCENARIO_RUN, scenario, {}, allow_motion=self._allow_motion, **how)
 
     @cached_property
     def _schema(self) -> pa.Schema:
         """The columns of a row."""
-        columns = {name: _ARROW[kind] for name, kind in COLUMNS.items()}
+        columns = {name: _ARROW[kind] for name, kind in row_columns().items()}
         return pa.schema(list((columns | self._axes).items()))
 
     @cached_property
     def _axes(self) -> dict[str, pa.DataType]:
         return {key: _type([run.point.axes[key] for run in self.runs]) for key in self.plan.tables.axes}
 
-    def row(self, run: _Run) -> dict[str, Any]:
-        """Return what a row says of a run before it is done."""
+    def row(self, run: Run) -> dict[str, Any]:
+        """Return the columns of a run that are known before it is done."""
         point = run.point
-        told = {KEY: run.key, "law": point.law, "fault": point.fault, "seed": point.seed, "sample": point.sample}
+        own = {KEY: run.key, "law": point.law, "fault": point.fault, "seed": point.seed, "sample": point.sample}
         texts = {
             key: value if isinstance(value, str) else format_value(value)
             for key, value in point.axes.items()
             if self._axes[key] == pa.string()
         }
-        return told | dict(point.axes) | texts
+        return own | dict(point.axes) | texts
 
     def perform(
         self,
         folder: Path,
-        place: "Place",
-        tell: "Callable[[Told], None]" = lambda _: None,
+        place: Place,
+        on_status: Callable[[PoolStatus], None] = lambda _: None,
         is_stopping: Callable[[], bool] = lambda: False,
         redo: Collection[str] = (),
     ) -> Iterator[Sequence[Row]]:
-        """Do what is left of it, and yield the rows as they come, each when it is on the disk.
+        """Do the runs that are left, and yield their rows as they come, each when it is on the disk.
 
-        First comes what was there already, but for runs with one of the outcomes ``redo``, which are done again.
-        ``tell`` and ``is_stopping`` are those of ``perform_jobs``. Raises BadInputError when the folder cannot be
-        written to or is that of another campaign, LinkError when there is no scheduler.
+        The rows that are there already come first, but for runs with one of the outcomes ``redo``, which are done
+        again. ``on_status`` and ``is_stopping`` are those of ``run_plan``. Raises BadInputError when the folder cannot
+        be written to or is that of another campaign, LinkError when there is no scheduler.
         """
-        how = _How(place, tell, is_stopping)
         check_folder(folder, self.about())
-        with Dataset(folder, self._schema) as dataset:
-            self._begin(dataset)
+        with contextlib.ExitStack() as resources:
+            store = resources.enter_context(Store(folder, self._schema))
+            try:
+                scratch = resources.enter_context(tempfile.TemporaryDirectory(prefix="hil_campaign_"))
+            except OSError as error:
+                raise BadInputError(f"no temporary folder can be made ({error}); make room for one") from error
+            how = _How(place, Path(scratch), on_status, is_stopping)
+            self._begin(store)
             there = self._there(folder)
-            dataset.drop({key for key, row in there.items() if row["outcome"] in redo})
+            store.drop({key for key, row in there.items() if row["outcome"] in redo})
             there = self._there(folder) if redo else there
             yield list(there.values())
-            yield from self._perform([run for run in self.runs if run.key not in there], dataset, how)
-            yield from self._record_worst(dataset, how)
+            record = {"failures": IF_FAILED, "all": ALWAYS}.get(str(self.plan.tables.keep), NEVER)
+            for outcomes in self._outcomes([run for run in self.runs if run.key not in there], record, how):
+                new = [self._kept(outcome, store) for outcome in outcomes]
+                store.append(new)
+                yield new
+            yield from self._record_worst(store, how)
 
     @property
     def records_worst(self) -> bool:
-        """Whether the worst are run once more at the end: with all rows there it may not be done."""
+        """Whether the worst are run once more at the end, so that with all rows there it may not be done."""
         return isinstance(self.plan.tables.keep, KeepTable)
 
     def left(self, folder: Path, redo: Collection[str] = ()) -> int:
-        """Return how many runs ``perform`` would do in a folder, which need not be there. Raises BadInputError as it
+        """Return how many runs ``perform`` would do in a folder, which need not exist. Raises BadInputError as it
         does."""
         check_folder(folder, self.about())
-        if not (folder / ROWS).is_dir():
-            return len(self.runs)
-        there = self._there(folder)
+        there = self._there(folder) if (folder / ROWS).is_dir() else {}
         return sum(run.key not in there or there[run.key]["outcome"] in redo for run in self.runs)
+
+    def estimate_s(self, left: int, workers: int) -> tuple[float, float]:
+        """Return what one run takes on one worker [s], and all of those that are left [s].
+
+        A few runs are timed in a process of their own; runs in real time are not, for nothing moves for an estimate.
+        """
+        if self.in_real_time or self.on_bench:
+            run_s = self.longest_s + _BETWEEN_S
+        else:
+            timed = [self.runs[place * (len(self.runs) - 1) // (_TIMED - 1)] for place in range(_TIMED)]
+            with contextlib.closing(Runner()) as runner:
+                runner.run(self.job(timed[0]))  # which also imports and opens the FMU
+                run_s = sum(runner.run(self.job(run)).wall_s for run in timed) / _TIMED
+        return run_s, run_s * math.ceil(left / workers)
 
     def _there(self, folder: Path) -> dict[str, Row]:
         """Return the rows of this campaign's runs that are in a folder, by their keys."""
         return {row[KEY]: row for row in read_rows(folder).to_pylist() if row[KEY] in self._by_key}
 
     @cached_property
-    def _by_key(self) -> dict[str, _Run]:
+    def _by_key(self) -> dict[str, Run]:
         return {run.key: run for run in self.runs}
 
-    def _perform(self, left: Sequence[_Run], dataset: Dataset, how: "_How") -> Iterator[Sequence[Row]]:
-        recorded = {"failures": IF_FAILED, "all": ALWAYS}.get(str(self.plan.tables.keep), NEVER)
-        for batch in self._done(left, recorded, how):
-            new = [self._finished(done, dataset) for done in batch]
-            dataset.append(new)
-            yield new
-
-    def _done(self, runs: Sequence[_Run], recorded: str, how: "_How") -> "Iterator[list[Done]]":
+    def _outcomes(self, runs: Sequence[Run], record: str, how: _How) -> Iterator[list[Outcome]]:
         if not runs:
             return
-        from hil.batch.campaign.schedule import perform_jobs  # Dask takes a second to import
-
-        jobs = (self.job(run, recorded) for run in runs)
-        with contextlib.closing(
-            perform_jobs(how.place, jobs, on_bench=self.on_bench, tell=how.tell, is_stopping=how.is_stopping)
-        ) as batches:
-            yield from batches
-
-    def _finished(self, done: "Done", dataset: Dataset) -> dict[str, Any]:
-        """Keep the recording of a run, and return its row."""
-        said, answer = done.answer.said, done.answer
-        if said.outcome == FOREIGN:
-            raise LinkError(
-                f"worker {answer.worker}: its version of this package, or its FMU, law or reference file, is not that "
-                "of the campaign; make them the same, and give the same command again"
+        place = how.place
+        jobs = (
+            self.job(
+                run,
+                limit_s=place.limit_s,
+                memory_mb=place.memory_mb,
+                retries_crash=True,
+                record=record,
+                recording=str(how.scratch / f"{run.key}.rrd"),
             )
-        if answer.recording is not None:
-            dataset.keep_recording(done.job.key + _RECORDING_SUFFIX, answer.recording)
-        machine = {"wall_s": said.wall_s, "worker": answer.worker, "commit": self._commit}
-        told = {"outcome": said.outcome, "reason": said.reason, **said.figures}
-        told |= {MACHINE + name: value for name, value in machine.items()}
-        return self.row(self._by_key[done.job.key]) | told
+            for run in runs
+        )
+        pool = open_pool(place.scheduler, place.workers, on_bench=self.on_bench)
+        yield from run_plan(FixedPlan(jobs), pool, on_status=how.on_status, is_stopping=how.is_stopping)
+
+    def _kept(self, outcome: Outcome, store: Store) -> dict[str, Any]:
+        """Keep the recording of a run, and return its row."""
+        if outcome.recording is not None:
+            store.keep_recording(outcome.key, Path(outcome.recording))
+        return row_of(outcome) | self.row(self._by_key[outcome.key]) | {f"{MACHINE}commit": self._commit}
 
     @cached_property
     def _commit(self) -> str | None:
         return versions().get("commit")
 
-    def _record_worst(self, dataset: Dataset, how: "_How") -> Iterator[Sequence[Row]]:
-        """Run the worst once more, to record them; what was recorded before stays only as long as it is of them."""
+    def _record_worst(self, store: Store, how: _How) -> Iterator[Sequence[Row]]:
+        """Run the worst once more to record them, and remove recordings of runs that are no longer among them."""
         keep = self.plan.tables.keep
         if not isinstance(keep, KeepTable) or how.is_stopping():
             return
-        began = [row for row in self._there(dataset.folder).values() if row["outcome"] in (PASSED, FAILED, ENDED)]
+        began = [row for row in self._there(store.folder).values() if row["outcome"] in (PASSED, FAILED, ENDED)]
         worst = [row[KEY] for row in sorted(began, key=partial(_badness, by=keep.by), reverse=True)[: keep.worst]]
-        there = {path.stem for path in (dataset.folder / RECORDINGS).glob(f"*{_RECORDING_SUFFIX}")}
-        for batch in self._done([self._by_key[key] for key in worst if key not in there], ALWAYS, how):
-            for done in batch:
-                self._finished(done, dataset)
+        there = store.recorded()
+        for outcomes in self._outcomes([self._by_key[key] for key in worst if key not in there], ALWAYS, how):
+            for outcome in outcomes:
+                self._kept(outcome, store)
             yield []
         for key in there - set(worst):
-            (dataset.folder / RECORDINGS / f"{key}{_RECORDING_SUFFIX}").unlink()
+            store.remove_recording(key)
 
-    def _begin(self, dataset: Dataset) -> None:
+    def _begin(self, store: Store) -> None:
         names = [KEY, "law", "fault", "seed", "sample", *self._axes]
         of_plan = pa.schema([*(self._schema.field(name) for name in names), ("repeat", pa.string())])
         runs = [self.row(run) | {"repeat": shlex.join(self.repeat(run.point))} for run in self.runs]
-        dataset.begin(pa.Table.from_pylist(runs, schema=of_plan), self.about())
+        store.begin(pa.Table.from_pylist(runs, schema=of_plan), self.about())
 
     def repeat(self, point: Point) -> list[str]:
-        """Return the words of the command that does a run once more, from any folder."""
+        """Return the command that repeats a run from any folder, as words."""
         sets = {key: _found_from_anywhere(key, value, self.plan) for key, value in point.sets.items()}
         return ["hil", "run", self._scenario, *(word for text in set_texts(sets) for word in ("--set", text))]
 
     @cached_property
     def _scenario(self) -> str:
-        """What ``hil run`` finds the base scenario by, from any folder."""
+        """The name or path by which ``hil run`` finds the base scenario from any folder."""
         base = self.plan.scenario({})
         return base.name if base.path is None else str(base.path)
 
     def about(self) -> dict[str, Any]:
-        """Return what its report has to know of it."""
+        """Return what the report needs to know of it."""
         tables = self.plan.tables
         keep = tables.keep.model_dump() if isinstance(tables.keep, KeepTable) else tables.keep
         return {

@@ -10,9 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hil.batch.campaign.dataset import KEY, RECORDINGS, read_about, read_plan, read_rows
-from hil.batch.campaign.rows import MACHINE, PASSED, as_judged
 from hil.batch.campaign.statistics import Interval, binned, paired_difference, share_explained, share_of
+from hil.batch.figures import MACHINE, as_judged
+from hil.batch.job import PASSED
+from hil.batch.store import KEY, RECORDINGS, read_about, read_plan, read_rows
 
 Series = npt.NDArray[np.float64]
 Row = Mapping[str, Any]
@@ -249,12 +250,11 @@ class Judged:
 
 def judge(folder: Path) -> Judged:
     """Return what a campaign came to, from its folder alone. Raises BadInputError when there is no campaign."""
-    rows = read_rows(folder)
+    done = {row[KEY]: row for row in read_rows(folder).to_pylist()}
     about, plan = read_about(folder), read_plan(folder)
-    planned = {row[KEY]: row for row in plan}
-    # What a run is called is as the plan has it now: a row may be from before a law had this name, or before this axis.
-    done = {row[KEY]: as_judged(row) | planned[row[KEY]] for row in rows.to_pylist() if row[KEY] in planned}
-    return Judged(folder, about, plan, list(done.values()))
+    # A row may be from before a law had this name, or before this axis, so the plan's columns go over it. In the plan's
+    # order, so that a report does not depend on which run was done first.
+    return Judged(folder, about, plan, [as_judged(done[row[KEY]]) | row for row in plan if row[KEY] in done])
 
 
 def percent(rate: Rate) -> str:

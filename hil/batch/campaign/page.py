@@ -7,11 +7,11 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from hil.batch.campaign.dataset import KEY
 from hil.batch.campaign.judged import COMPARED, Judged, duel_words, percent, word
 from hil.batch.campaign.pictures import TITLES, draw_distributions, draw_duels, draw_effects, title_of
-from hil.batch.campaign.rows import PASSED
 from hil.batch.campaign.statistics import Interval
+from hil.batch.job import PASSED
+from hil.batch.store import KEY
 from hil.core.outputs import Existing
 from hil.review.html_page import document, figure, mark, picture, table, write_document
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from hil.batch.catalogue import plan
 from hil.batch.catalogue.plan import Asked
 from hil.batch.catalogue.runs import WORK, Verdict, scenario
-from hil.batch.pool import counted, perform_all
+from hil.batch.old_pool import counted, perform_all
 
 __all__ = ["Asked", "Verdict", "catalogue"]
 

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple, Protocol
 
 from hil.batch.catalogue.judge import SafetyJudge
 from hil.batch.catalogue.motors import MotorsJudge
-from hil.batch.catalogue.recording import RecordingHere
 from hil.batch.catalogue.watched import WatchedNode
-from hil.batch.pool import Work
+from hil.batch.old_pool import Work
+from hil.batch.recording import RecordingHere
 from hil.core.errors import HilError
 from hil.core.types import CommandMode
 from hil.drivers.emulated_motors import EmulatedMotors

@@ -18,7 +18,7 @@ from hil.batch.comparison.conditions import (
 from hil.batch.comparison.entries import check_is_scenario, entries
 from hil.batch.comparison.result import Comparison, Row, Run
 from hil.batch.comparison.runs import LINK, MODE, WORK, Job, Outcome
-from hil.batch.pool import counted, perform_all
+from hil.batch.old_pool import counted, perform_all
 from hil.core.errors import BadInputError, nearest
 from hil.laws.registry import SHIPPED
 from hil.runtime.robots import plant_start

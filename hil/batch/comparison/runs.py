@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hil.batch.pool import Work
+from hil.batch.old_pool import Work
 from hil.core.errors import BadInputError, HilError
 from hil.core.types import WHEEL_NAMES
 from hil.runtime.assembly import RunResult, run_scenario

@@ -3,7 +3,7 @@
 import sys
 
 from hil.batch.comparison.runs import Job, lost, perform
-from hil.batch.worker import serve
+from hil.batch.old_worker import serve
 
 if __name__ == "__main__":
     sys.exit(serve(Job, perform, lost))

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hil.batch.pool import counted, perform_all
+from hil.batch.old_pool import counted, perform_all
 from hil.batch.reproduction import pictures
 from hil.batch.reproduction.plan import FILTERS, LAWS, Case, cases
 from hil.batch.reproduction.runs import WORK, Job, Outcome

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hil.batch.catalogue.recording import RecordingHere
-from hil.batch.pool import Work
+from hil.batch.old_pool import Work
+from hil.batch.recording import RecordingHere
 from hil.batch.reproduction.oscillation import oscillation
 from hil.core.errors import HilError
 from hil.core.types import WHEEL_NAMES

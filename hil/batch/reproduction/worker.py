@@ -2,8 +2,8 @@
 
 import sys
 
+from hil.batch.old_worker import serve
 from hil.batch.reproduction.runs import Job, lost, perform
-from hil.batch.worker import serve
 
 if __name__ == "__main__":
     sys.exit(serve(Job, perform, lost))

@@ -1,35 +1,70 @@
-"""What a run is known by: a hash of its scenario, of the versions that its figures depend on, and of its seed.
+"""The key of a job: a hash of its scenario with its seed, of the files it names, and of the versions it depends on.
 
-Two runs with one key have the same figures in lockstep, on whatever machine. A path counts by the bytes that are there.
+Two jobs with one key have the same figures in lockstep, on any machine. A file counts by its bytes, not by its path.
 """
 
 import functools
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 from firmware_protocol.built import WHEEL_HOST
 from firmware_protocol.generated.messages import SCHEMA_HASH
+from hil.batch.job import Job
 from hil.core.errors import BadInputError
 from hil.laws.registry import law_sha256
 from hil.plant import archive
-from hil.scenario import Scenario
+from hil.scenario import Scenario, to_plain
 from hil.scenario.tables import Tables
 
 KEY_FORMAT = 3
 """Counts changes of what the key covers."""
+SCENARIO_RUN = "hil.batch.run:run"
+"""The usual kind of job: run the scenario and return all its figures."""
 _NOT_OF_THE_RUN = ("service",)
 _OPTIONS = (("controller", "gains"), ("controller", "shadow_gains"), ("device", "motors"), ("plant", "start"))
-"""What the scenario's tables do not know the types of, beside the options of the reference."""
+"""Tables of the scenario whose values have no declared type, like the options of the reference."""
 
 
-def key_of(scenario: Scenario) -> str:
-    """Return the SHA-256, in hex, of a scenario with its seed and of what it is run with.
+def make_job(
+    scenario: Scenario,
+    kind: str = SCENARIO_RUN,
+    options: Mapping[str, Any] | None = None,
+    library: Path | None = None,
+    **how: Any,
+) -> Job:
+    """Return the job of a scenario, with its key; ``how`` are those fields of Job that the key does not cover.
 
-    Raises BadInputError when a file that it names cannot be read.
+    Raises BadInputError when a file that the scenario names, or the library, cannot be read.
+    """
+    options = options or {}
+    sha256 = None if library is None else _digest(library)
+    key = key_of(scenario, kind, options, sha256)
+    path = None if library is None else str(library)
+    return Job(key, kind, to_plain(scenario), options, path, sha256, **how)
+
+
+def is_current(job: Job, scenario: Scenario) -> bool:
+    """Return whether the files and versions here are those that the job's key was made of.
+
+    Raises BadInputError when one of them cannot be read.
+    """
+    library_sha256 = None if job.library is None else _digest(Path(job.library))
+    return key_of(scenario, job.kind, job.options, library_sha256) == job.key
+
+
+def key_of(
+    scenario: Scenario,
+    kind: str = SCENARIO_RUN,
+    options: Mapping[str, Any] | None = None,
+    library_sha256: str | None = None,
+) -> str:
+    """Return the SHA-256, in hex, of all that decides the outcome of a job.
+
+    Raises BadInputError when a file that the scenario names cannot be read.
     """
     tables = scenario.model_dump(include=set(Tables.model_fields) - set(_NOT_OF_THE_RUN))
     canonical = {"format": KEY_FORMAT, "versions": versions(), "files": dict(_files(scenario)), "scenario": tables}
@@ -37,13 +72,15 @@ def key_of(scenario: Scenario) -> str:
     tables["reference"] = _as_floats(tables["reference"])
     for table, name in _OPTIONS:
         tables[table][name] = _as_floats(tables[table][name])
+    if kind != SCENARIO_RUN or options or library_sha256:
+        canonical |= {"kind": kind, "options": options, "library": library_sha256}
     text = json.dumps(canonical, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode("ascii")).hexdigest()
 
 
 @functools.cache
 def versions() -> dict[str, str]:
-    """Return the version of this package and of what it says on the wire, and the hash of the firmware's sources."""
+    """Return the version of this package and of the wire protocol, and the hash of the firmware's sources."""
     try:
         package = version("mecanum-hil")
     except PackageNotFoundError:
@@ -52,9 +89,9 @@ def versions() -> dict[str, str]:
 
 
 def _files(scenario: Scenario) -> Iterator[tuple[str, str]]:
-    """Yield what names each file of a scenario, and its digest."""
+    """Yield a name for each file of a scenario, and the file's hash."""
     yield "plant.fmu", _digest(archive.locate(scenario.plant.fmu, scenario.directory))
-    # By place and not by name: two files may both have a class Law.
+    # Named by position: two files may both have a class Law.
     for place, law in enumerate((scenario.controller.law, *scenario.controller.shadow)):
         if (digest := _law(law, scenario.directory)) is not None:
             yield f"law {place}", digest
@@ -64,7 +101,7 @@ def _files(scenario: Scenario) -> Iterator[tuple[str, str]]:
 
 
 def _law(law: str, directory: Path) -> str | None:
-    """Return the hash of a law's code, None where its source is not there; what it imports is looked at once."""
+    """Return the hash of a law's code, or None without its source; modules that it imports are hashed only once."""
     file = directory / law.rpartition(":")[0]
     if file.suffix != ".py" or not file.is_file():
         return _law_at(law, directory, 0, 0)
@@ -78,7 +115,7 @@ def _law_at(law: str, directory: Path, _mtime_ns: int, _size: int) -> str | None
 
 
 def _without_paths(tables: dict[str, Any]) -> None:
-    """Leave of each path its last part: where a file is does not change a run."""
+    """Reduce each path to its last part: the folder of a file does not change a run."""
 
     def last(value: object) -> object:
         return value.replace("\\", "/").rpartition("/")[2] if isinstance(value, str) else value
@@ -93,7 +130,7 @@ def _without_paths(tables: dict[str, Any]) -> None:
 
 
 def _as_floats(value: Any) -> Any:
-    """Return whole numbers as the floats that equal them: where an option may be either, 9 and 9.0 are one value."""
+    """Return whole numbers as floats, so that 9 and 9.0 have one key where an option may be either."""
     if isinstance(value, dict):
         return {name: _as_floats(one) for name, one in value.items()}
     if isinstance(value, list | tuple):

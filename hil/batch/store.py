@@ -1,12 +1,12 @@
-"""The results of a campaign: a folder of small Parquet files, one row a run, that a kill at any time leaves whole.
+"""The outcomes of a batch in a folder: small Parquet files, one row a job, that a kill at any time leaves whole.
 
-    DIR/plan.parquet         the runs that the campaign has: key, axes, law, fault, seed
-    DIR/campaign.json        what the campaign is, for its report
-    DIR/rows/*.parquet       one row for each run that is done; together one dataset
+    DIR/plan.parquet         the jobs that the batch has
+    DIR/campaign.json        what the batch is, for its report
+    DIR/rows/*.parquet       one row for each job that is done; together one dataset
     DIR/recordings/KEY.rrd   recordings that are kept
 
-A file is written under another name, brought to the disk, and renamed. Whenever there are many small files of rows they
-are put into one, whose metadata names them: those that a kill left beside it are removed when the folder is opened.
+A file is written under another name, brought to the disk, and renamed. When there are many small files of rows they are
+merged into one, whose metadata names them: those that a kill left beside it are removed when the folder is opened.
 """
 
 import contextlib
@@ -23,24 +23,42 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from filelock import FileLock, Timeout
 
+from hil.batch.figures import MACHINE
+from hil.batch.job import Outcome
 from hil.core.errors import BadInputError
 
 KEY = "key"
 PLAN, ABOUT, ROWS, RECORDINGS = "plan.parquet", "campaign.json", "rows", "recordings"
+RECORDING_SUFFIX = ".rrd"
 _REPLACES = b"hil.replaces"
 _MOST_OF_A_SIZE = 32
 _NAME = re.compile(r"(\d+)-[0-9a-f]{32}\.parquet")
 _UNFINISHED = ".unfinished"
 _LOCK = "lock"
-_FOLDERS, _FILES = (ROWS, RECORDINGS), (_LOCK, PLAN, ABOUT, "report.html")
+_OURS = (ROWS, RECORDINGS, _LOCK, PLAN, ABOUT, "report.html")
 _ABOUT = {"name", "scenario", "laws", "faults", "seeds", "samples", "axes", "keep", "by", "runs"}
 _ANEW = "give hil campaign with its plan once more, which writes it anew"
 _ATTEMPTS = 10
 _NO_ROWS = pa.schema([(KEY, pa.string())]).empty_table()
+Row = Mapping[str, Any]
 
 
-class Dataset:
-    """The results in a folder, for the one campaign that adds to them; a context manager.
+def row_of(outcome: Outcome) -> dict[str, Any]:
+    """Return an outcome as a row. Its details and recording are not in it."""
+    machine = {f"{MACHINE}wall_s": outcome.wall_s, f"{MACHINE}worker": outcome.worker}
+    return {KEY: outcome.key, "outcome": outcome.status, "reason": outcome.reason, **outcome.figures, **machine}
+
+
+def outcome_of(row: Row) -> Outcome:
+    """Return the outcome that ``row_of`` made a row of, so that a plan can go on from it."""
+    known = (KEY, "outcome", "reason", f"{MACHINE}wall_s", f"{MACHINE}worker")
+    key, status, reason, wall_s, worker = (row[name] for name in known)
+    figures = {name: value for name, value in row.items() if name not in known}
+    return Outcome(key, status, reason, figures, wall_s=wall_s, worker=worker)
+
+
+class Store:
+    """The outcomes in a folder, for the one process that adds to them; a context manager.
 
     ``schema`` has the columns of a row; what a row does not have is null.
 
@@ -52,7 +70,7 @@ class Dataset:
         self._schema = schema
         self._rows = folder / ROWS
         with contextlib.ExitStack() as resources:
-            with writing(folder):
+            with _writing(folder):
                 (folder / RECORDINGS).mkdir(parents=True, exist_ok=True)
                 self._rows.mkdir(exist_ok=True)
                 lock = FileLock(folder / _LOCK)
@@ -67,10 +85,10 @@ class Dataset:
             self._check_columns()
             self._resources = resources.pop_all()
 
-    def append(self, rows: Sequence[Mapping[str, Any]]) -> None:
+    def append(self, rows: Sequence[Row]) -> None:
         """Add rows; when this returns they are on the disk. Raises BadInputError when they cannot be written."""
         if rows:
-            with writing(self.folder):
+            with _writing(self.folder):
                 self._write(pa.Table.from_pylist(list(rows), schema=self._schema), 0)
                 self._merge()
 
@@ -79,31 +97,36 @@ class Dataset:
 
         Raises BadInputError when that cannot be written.
         """
-        parts = self._parts()
-        if not keys or not parts:
+        files = _row_files(self._rows)
+        if not keys or not files:
             return
-        table = pa.concat_tables([_read(part) for part in parts], promote_options="default")
+        table = _concatenated(files)
         others = table.filter(pa.array([key not in keys for key in table.column(KEY).to_pylist()], pa.bool_()))
-        with writing(self.folder):
+        with _writing(self.folder):
             for key in keys:
                 for recording in (self.folder / RECORDINGS).glob(f"{key}.*"):
                     recording.unlink()
-            self._replace(parts, others, max(map(_size, parts)))
+            self._replace(files, others, max(map(_size, files)))
 
     def begin(self, plan: pa.Table, about: Mapping[str, Any]) -> None:
-        """Say what the campaign is now. Raises BadInputError when that cannot be written."""
-        with writing(self.folder):
+        """Write the plan and what the batch is. Raises BadInputError when that cannot be written."""
+        with _writing(self.folder):
             _write_parquet(plan, self.folder / PLAN)
             _write_bytes(json.dumps(about, indent=1).encode(), self.folder / ABOUT)
 
-    def keep_recording(self, name: str, data: bytes) -> None:
-        """Write a recording. Raises BadInputError when it cannot be written."""
-        with writing(self.folder):
-            _write_bytes(data, self.folder / RECORDINGS / name)
+    def keep_recording(self, key: str, recording: Path) -> None:
+        """Move a job's recording into the folder. Raises BadInputError when it cannot be written."""
+        with _writing(self.folder):
+            _write_bytes(recording.read_bytes(), self.folder / RECORDINGS / (key + RECORDING_SUFFIX))
+            recording.unlink()
 
-    def close(self) -> None:
-        """Let another campaign have the folder."""
-        self._resources.close()
+    def recorded(self) -> set[str]:
+        """Return the keys of the jobs whose recordings are in the folder."""
+        return {path.stem for path in (self.folder / RECORDINGS).glob(f"*{RECORDING_SUFFIX}")}
+
+    def remove_recording(self, key: str) -> None:
+        """Remove a job's recording."""
+        (self.folder / RECORDINGS / (key + RECORDING_SUFFIX)).unlink()
 
     def __enter__(self) -> Self:
         return self
@@ -111,21 +134,19 @@ class Dataset:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.close()
-
-    def _parts(self) -> list[Path]:
-        return sorted(path for path in self._rows.iterdir() if _NAME.fullmatch(path.name))
+        """Let another process have the folder."""
+        self._resources.close()
 
     def _tidy(self) -> None:
-        """Remove what a kill has left: files that were not finished, and those that were put into another."""
+        """Remove what a kill has left: unfinished files, and those that were merged into another."""
         for unfinished in [*self.folder.glob(f"*{_UNFINISHED}"), *self.folder.glob(f"*/*{_UNFINISHED}")]:
             unfinished.unlink()
-        for name in {name for part in self._parts() for name in replaced_by(part)}:
+        for name in {name for file in _row_files(self._rows) for name in _merged_into(file)}:
             (self._rows / name).unlink(missing_ok=True)
 
     def _check_columns(self) -> None:
-        for part in self._parts():
-            there = _schema(part)
+        for file in _row_files(self._rows):
+            there = _schema(file)
             for name in set(there.names) & set(self._schema.names):
                 if there.field(name).type != self._schema.field(name).type:
                     raise BadInputError(
@@ -137,25 +158,24 @@ class Dataset:
         _write_parquet(table, self._rows / f"{size}-{uuid.uuid4().hex}.parquet")
 
     def _merge(self) -> None:
-        """Put files of one size into one of the next, as soon as there are many."""
+        """Merge files of one size into one of the next, as soon as there are many."""
         sizes: dict[int, list[Path]] = {}
-        for part in self._parts():
-            sizes.setdefault(_size(part), []).append(part)
-        for size, parts in sorted(sizes.items()):
-            if len(parts) >= _MOST_OF_A_SIZE:
-                table = pa.concat_tables([_read(part) for part in parts], promote_options="default")
-                self._replace(parts, table, size + 1)
+        for file in _row_files(self._rows):
+            sizes.setdefault(_size(file), []).append(file)
+        for size, files in sorted(sizes.items()):
+            if len(files) >= _MOST_OF_A_SIZE:
+                self._replace(files, _concatenated(files), size + 1)
 
-    def _replace(self, parts: Sequence[Path], table: pa.Table, size: int) -> None:
-        """Write a table in place of files, which may go when it is there: its metadata says so."""
-        names = json.dumps([part.name for part in parts]).encode()
+    def _replace(self, files: Sequence[Path], table: pa.Table, size: int) -> None:
+        """Write a table in place of files. Its metadata names them, so that those that a kill leaves do not count."""
+        names = json.dumps([file.name for file in files]).encode()
         self._write(table.replace_schema_metadata({_REPLACES: names}), size)
-        for part in parts:
-            part.unlink()
+        for file in files:
+            file.unlink()
 
 
 def check_folder(folder: Path, about: Mapping[str, Any]) -> None:
-    """Raise BadInputError for a folder that is there and is not that of this campaign, or of none yet."""
+    """Raise BadInputError for a folder that exists, is not empty, and is not that of this batch."""
     if not folder.exists():
         return
     if not folder.is_dir():
@@ -169,9 +189,7 @@ def check_folder(folder: Path, about: Mapping[str, Any]) -> None:
                     f"{about[what]!r}; name another folder with --out"
                 )
         return
-    strange = sorted(
-        path.name for path in folder.iterdir() if path.name.removesuffix(_UNFINISHED) not in (*_FOLDERS, *_FILES)
-    )
+    strange = sorted(path.name for path in folder.iterdir() if path.name.removesuffix(_UNFINISHED) not in _OURS)
     if strange:
         raise BadInputError(
             f"campaign folder {folder}: it holds {strange[0]}, and no campaign; name an empty or a new one with --out"
@@ -179,7 +197,7 @@ def check_folder(folder: Path, about: Mapping[str, Any]) -> None:
 
 
 def read_about(folder: Path) -> dict[str, Any]:
-    """Return what a campaign's folder says of it. Raises BadInputError when it cannot be read."""
+    """Return what a folder says of its batch. Raises BadInputError when it cannot be read."""
     file = folder / ABOUT
     try:
         about = json.loads(file.read_text(encoding="utf-8"))
@@ -193,71 +211,80 @@ def read_about(folder: Path) -> dict[str, Any]:
 
 
 def read_plan(folder: Path) -> list[dict[str, Any]]:
-    """Return the runs that a campaign's folder says that there are. Raises BadInputError when it cannot be read."""
-    return list(_read(folder / PLAN, anew=True).to_pylist())
+    """Return the planned jobs of a folder, as rows. Raises BadInputError when they cannot be read."""
+    file = folder / PLAN
+    try:
+        return list(_read(file, _ANEW).to_pylist())
+    except FileNotFoundError:
+        raise BadInputError(f"campaign file {file}: there is no such file; {_ANEW}") from None
 
 
 def read_rows(folder: Path) -> pa.Table:
-    """Return all rows in a campaign's folder, one for each key.
+    """Return all rows in a folder, one for each key, also while a process adds to them.
 
-    Raises BadInputError when there is none, or a file of it is damaged.
+    Raises BadInputError when there is no batch, or a file of it is damaged.
     """
     rows = folder / ROWS
     if not rows.is_dir():
         raise BadInputError(f"campaign folder {folder}: it holds no campaign; give the folder of hil campaign --out")
     for _ in range(_ATTEMPTS):
-        parts = sorted(path for path in rows.iterdir() if _NAME.fullmatch(path.name))
+        files = _row_files(rows)
         try:
-            gone = {name for part in parts for name in replaced_by(part)}
-            tables = [_read(part).replace_schema_metadata() for part in parts if part.name not in gone]
+            merged = {name for file in files for name in _merged_into(file)}
+            return _concatenated([file for file in files if file.name not in merged])
         except FileNotFoundError:
-            continue  # a campaign under way has put them into another
-        return pa.concat_tables(tables, promote_options="default") if tables else _NO_ROWS
+            continue  # a campaign under way has just merged them into another
     raise BadInputError(f"campaign folder {folder}: its files change while they are read; try again")
 
 
-def replaced_by(part: Path) -> list[str]:
-    """Return the names of the files that were put into this one."""
-    metadata = _schema(part).metadata or {}
+def _row_files(rows: Path) -> list[Path]:
+    return sorted(path for path in rows.iterdir() if _NAME.fullmatch(path.name))
+
+
+def _concatenated(files: Sequence[Path]) -> pa.Table:
+    tables = [_read(file).replace_schema_metadata() for file in files]
+    return pa.concat_tables(tables, promote_options="default") if tables else _NO_ROWS
+
+
+def _merged_into(file: Path) -> list[str]:
+    """Return the names of the files that were merged into this one."""
+    metadata = _schema(file).metadata or {}
     return [str(name) for name in json.loads(metadata.get(_REPLACES, b"[]"))]
 
 
-def _schema(part: Path) -> pa.Schema:
-    with _sound(part):
-        return pq.read_schema(part)
+def _schema(file: Path) -> pa.Schema:
+    with _sound(file):
+        return pq.read_schema(file)
 
 
-def _read(part: Path, *, anew: bool = False) -> pa.Table:
-    with _sound(part, anew=anew):
-        return pq.read_table(part, page_checksum_verification=True)
+def _read(file: Path, remedy: str = "remove it, and the same command does its runs again") -> pa.Table:
+    with _sound(file, remedy):
+        return pq.read_table(file, page_checksum_verification=True)
 
 
 @contextlib.contextmanager
-def _sound(part: Path, *, anew: bool = False) -> Iterator[None]:
-    """Say of a file that is not what was written what to do. Raises BadInputError."""
+def _sound(file: Path, remedy: str = "remove it, and the same command does its runs again") -> Iterator[None]:
+    """Raise BadInputError, with the remedy, for a file that is not what was written."""
     try:
         yield
     except FileNotFoundError:
-        if anew:
-            raise BadInputError(f"campaign file {part}: there is no such file; {_ANEW}") from None
         raise
     except (pa.ArrowException, OSError, ValueError) as error:
-        remedy = _ANEW if anew else "remove it, and the same command does its runs again"
-        raise BadInputError(f"campaign file {part}: it is damaged ({_why(error)}); {remedy}") from error
+        raise BadInputError(f"campaign file {file}: it is damaged ({_why(error)}); {remedy}") from error
 
 
 def _why(error: Exception) -> str:
     return " ".join(str(getattr(error, "strerror", None) or error).split())[:200]
 
 
-def _size(part: Path) -> int:
-    """Return the size of a part: how many times it was put into one with others."""
-    return int(part.name.partition("-")[0])
+def _size(file: Path) -> int:
+    """Return the size class of a file: how many times its rows were merged."""
+    return int(file.name.partition("-")[0])
 
 
 @contextlib.contextmanager
-def writing(folder: Path) -> Iterator[None]:
-    """Say of what cannot be written what became of the campaign. Raises BadInputError."""
+def _writing(folder: Path) -> Iterator[None]:
+    """Raise BadInputError, which says that what was written is safe, when something cannot be written."""
     try:
         yield
     except OSError as error:
@@ -285,13 +312,8 @@ def _write_bytes(data: Any, path: Path) -> None:
     except OSError:
         unfinished.unlink(missing_ok=True)
         raise
-    _sync_folder(path.parent)
-
-
-def _sync_folder(folder: Path) -> None:
-    """Bring a new name to the disk; where folders cannot be opened, as on Windows, the system does it."""
-    if hasattr(os, "O_DIRECTORY"):
-        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    if hasattr(os, "O_DIRECTORY"):  # elsewhere the system brings the new name to the disk
+        descriptor = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
         try:
             os.fsync(descriptor)
         finally:

@@ -1,0 +1,77 @@
+"""What is to be done and what came of it: a job and its outcome, as plain values that any process can have."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+NEVER, IF_FAILED, ALWAYS = "never", "if failed", "always"
+"""When a job is recorded."""
+
+PASSED, FAILED, ENDED, REFUSED, LOST = "passed", "failed", "ended", "refused", "lost"
+"""How a job came out: as expected; it ran to its end and was not; a law, the link or the robot ended it early; it could
+not begin; its process crashed or hung."""
+STATUSES = (PASSED, FAILED, ENDED, REFUSED, LOST)
+FOREIGN = "foreign"
+"""The worker has other files or another version than the plan, so it did not do the job."""
+
+
+class Job(NamedTuple):
+    """One run to do, as plain values (JSON). ``hil.batch.keys.make_job`` makes it.
+
+    Attributes:
+        key: SHA-256 of what decides the outcome; a job is looked up by it, and done once.
+        kind: the function that does it, as ``module:function``; it takes the job and its scenario, and returns an
+            Outcome.
+        scenario: the resolved scenario, as ``hil.scenario.to_plain`` gives it.
+        options: what the kind needs besides; part of the key.
+        library: path of a firmware library to run in place of the built one; None for the built one.
+        library_sha256: its hash, which is part of the key.
+        limit_s: wall-clock time [s] after which it is ended as hung.
+        memory_mb: memory [MB] at which its process is ended, where the system tells; None for no limit.
+        retries_crash: whether it is done once more when its process ends by itself.
+        record: one of ``NEVER``, ``IF_FAILED``, ``ALWAYS``. recording: the file for it.
+        signals_file: file (.npz) for the signals that ``options["signals"]`` names, or "".
+        allow_motion: whether real motors may move.
+    """
+
+    key: str
+    kind: str
+    scenario: Mapping[str, Any]
+    options: Mapping[str, Any]
+    library: str | None = None
+    library_sha256: str | None = None
+    limit_s: float = 120.0
+    memory_mb: float | None = None
+    retries_crash: bool = False
+    record: str = NEVER
+    recording: str = ""
+    signals_file: str = ""
+    allow_motion: bool = False
+
+
+class Outcome(NamedTuple):
+    """What came of a job, as plain values (JSON).
+
+    Attributes:
+        key: that of the job.
+        status: one of ``STATUSES``, or ``FOREIGN``.
+        reason: one sentence on why it is not ``PASSED``.
+        figures: what was measured, by name; empty where the run has no figures.
+        details: what else the kind of job returns.
+        wall_s: wall-clock time that it took [s].
+        recording: the file it was recorded to, if it was.
+        worker: which worker did it.
+    """
+
+    key: str
+    status: str
+    reason: str | None = None
+    figures: Mapping[str, Any] = {}
+    details: Mapping[str, Any] = {}
+    wall_s: float = 0.0
+    recording: str | None = None
+    worker: str = "-"
+
+
+def plain(value: Job | Outcome) -> dict[str, Any]:
+    """Return a job or an outcome for JSON."""
+    return {name: dict(one) if isinstance(one, Mapping) else one for name, one in value._asdict().items()}

@@ -1,0 +1,97 @@
+"""Which jobs to do, and the loop that has them done: a fixed list, or a search that goes by what came back."""
+
+import contextlib
+import itertools
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Protocol
+
+from hil.batch.job import FOREIGN, Job, Outcome
+from hil.batch.pool import LocalPool, Pool, PoolStatus
+from hil.core.errors import LinkError
+
+OnOutcome = Callable[[int, int, Outcome], None]
+"""A progress callback: it is called with (done, total, newest outcome) after each outcome."""
+
+
+class Plan(Protocol):
+    """Gives out jobs."""
+
+    def next_jobs(self, outcomes: Sequence[Outcome], room: int) -> Sequence[Job]:
+        """Return jobs to do next, at most ``room`` of them.
+
+        ``outcomes`` came since the last call. No jobs while others are under way means that the plan waits for their
+        outcomes; no jobs while none is under way ends it.
+        """
+
+
+class FixedPlan:
+    """The plan of a list of jobs; they are taken as there is room, so that the list may be long and lazy."""
+
+    def __init__(self, jobs: Iterable[Job]) -> None:
+        self._jobs = iter(jobs)
+
+    def next_jobs(self, outcomes: Sequence[Outcome], room: int) -> Sequence[Job]:
+        """Return the next jobs of the list."""
+        return list(itertools.islice(self._jobs, room))
+
+
+def run_plan(
+    plan: Plan,
+    pool: Pool,
+    *,
+    known: Mapping[str, Outcome] | None = None,
+    on_status: Callable[[PoolStatus], None] = lambda _: None,
+    is_stopping: Callable[[], bool] = lambda: False,
+) -> Iterator[list[Outcome]]:
+    """Do a plan's jobs in a pool, and yield outcomes as they come, in any order. The pool is closed at the end.
+
+    A job whose key is in ``known`` is not done again: that outcome is its outcome, so that a plan that was stopped
+    goes on where it was. ``on_status`` is called with the pool's status twice a second or more often, and
+    ``is_stopping`` asked as often: once it says so, what is done is yielded and the rest is dropped.
+
+    Raises LinkError when a worker has other files or another version than the plan.
+    """
+    known = known or {}
+    new: list[Outcome] = []
+    with contextlib.closing(pool):
+        while not is_stopping():
+            room = pool.room()
+            jobs = plan.next_jobs(new, room)
+            for job in jobs:
+                if job.key not in known:
+                    pool.submit(job)
+            new = [known[job.key] for job in jobs if job.key in known]
+            if not new:
+                if room > 0 and not pool.in_flight:
+                    return
+                new = _collected(pool)
+            on_status(pool.status())
+            if new:
+                yield new
+        yield _collected(pool)
+
+
+def _collected(pool: Pool) -> list[Outcome]:
+    outcomes = pool.collect()
+    for outcome in outcomes:
+        if outcome.status == FOREIGN:
+            raise LinkError(
+                f"worker {outcome.worker}: its version of this package, or its FMU, law or reference file, is not that "
+                "of the job; make them the same, and give the same command again"
+            )
+    return outcomes
+
+
+def run_jobs(jobs: Sequence[Job], workers: int | None = None, on_outcome: OnOutcome | None = None) -> list[Outcome]:
+    """Do jobs in processes on this machine and return their outcomes in the order of the jobs.
+
+    Jobs with one key are done once. ``workers`` is how many processes, by default one a processor.
+    """
+    unique = {job.key: job for job in jobs}
+    outcomes: dict[str, Outcome] = {}
+    for new in run_plan(FixedPlan(unique.values()), LocalPool(workers)):
+        for outcome in new:
+            outcomes[outcome.key] = outcome
+            if on_outcome is not None:
+                on_outcome(len(outcomes), len(unique), outcome)
+    return [outcomes[job.key] for job in jobs]

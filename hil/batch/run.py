@@ -1,0 +1,84 @@
+"""Doing one job in a worker process: its scenario is run, recorded if that is wanted, and judged."""
+
+import functools
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hil.batch.figures import run_columns
+from hil.batch.job import ALWAYS, ENDED, FAILED, IF_FAILED, PASSED, REFUSED, Job, Outcome
+from hil.core.errors import BadInputError, HilError
+from hil.judge.results import RunResult
+from hil.judge.words import why_not_passed
+from hil.laws.registry import forget_law
+from hil.robot.virtual import KeptRobot
+from hil.runtime.assembly import run_scenario
+from hil.scenario import Scenario
+
+
+def run(job: Job, scenario: Scenario) -> Outcome:
+    """Run a scenario and return all figures of ``run_columns``; the usual kind of job.
+
+    Details are ``reasons``, for each figure that is None one sentence, and ``undriven``: that the robot was not driven
+    in more ticks than ``[allow]`` permits, or None. ``options["signals"]`` names signals that go to the job's
+    ``signals_file``.
+
+    A run that is to be recorded if it fails is recorded from the start in real time. In lockstep it repeats to the bit,
+    so it is run again with the recorder only if it failed.
+    """
+    at_once = job.record == ALWAYS or (job.record == IF_FAILED and scenario.loop.mode == "realtime")
+    outcome = _run(job, scenario, record=at_once)
+    if job.record == IF_FAILED and not at_once and outcome.status in (FAILED, ENDED):
+        again = _run(job, scenario, record=True)
+        reason = outcome.reason if again.recording else f"{outcome.reason}; it could not be recorded: {again.reason}"
+        return outcome._replace(reason=reason, recording=again.recording)
+    return outcome
+
+
+def _run(job: Job, scenario: Scenario, *, record: bool) -> Outcome:
+    path = Path(job.recording) if record else None
+
+    def judge(result: RunResult) -> Outcome:
+        if job.signals_file:
+            signals: dict[str, Any] = {name: result.signals[name] for name in job.options["signals"]}
+            np.savez(job.signals_file, **signals)
+        undriven = next((row["text"] for row in result.metrics["allow"] if not row["passed"]), None)
+        return verdict(job, result, run_columns(result.metrics), reasons=result.metrics["reasons"], undriven=undriven)
+
+    outcome = attempt(job, scenario, judge, record=path, keep_signals=bool(job.signals_file))
+    is_kept = path is not None and path.exists() and (job.record == ALWAYS or outcome.status not in (PASSED, REFUSED))
+    return outcome._replace(recording=job.recording) if is_kept else outcome
+
+
+def attempt(job: Job, scenario: Scenario, judge: Callable[[RunResult], Outcome], **options: Any) -> Outcome:
+    """Run a scenario with these options of ``run_scenario`` and return what ``judge`` says of it.
+
+    A run that is refused or ends with one of our errors is an outcome too. Any other exception is raised: it is a
+    defect of ours, or of a law that ends its process. Nothing that an earlier run left in a law's module is kept; the
+    shipped FMU stays open.
+    """
+    try:
+        for law in (scenario.controller.law, *scenario.controller.shadow):
+            forget_law(law, scenario.directory)
+        return judge(run_scenario(scenario, allow_motion=job.allow_motion, make_robot=_kept().robot, **options))
+    except BadInputError as error:
+        return Outcome(job.key, REFUSED, str(error))
+    except HilError as error:
+        return Outcome(job.key, ENDED, str(error))
+
+
+def verdict(job: Job, result: RunResult, figures: Mapping[str, Any], **details: Any) -> Outcome:
+    """Return the outcome of a run by its own verdict."""
+    if result.failure is not None:
+        return Outcome(job.key, ENDED, str(result.failure), figures, details)
+    if result.passed:
+        return Outcome(job.key, PASSED, None, figures, details)
+    return Outcome(job.key, FAILED, next(why_not_passed(result.metrics)), figures, details)
+
+
+@functools.cache
+def _kept() -> KeptRobot:
+    """Return the robot of this process, whose FMU stays open."""
+    return KeptRobot()
