@@ -16,7 +16,6 @@ from hil.core.errors import BadInputError, DeviceError, LinkError
 from hil.robot import handshake
 from hil.wire.can_bus import CanLink
 from hil.wire.can_errors import BUS_OFF, CAUSES, causes_of
-from hil.wire.opening import open_host
 from hil.wire.url import CanUrl, parse_link
 from tests.heard import the_next
 
@@ -162,18 +161,18 @@ def test_an_interface_that_cannot_be_opened_says_what_is_missing(url, says, monk
     hasty = SimpleNamespace(time=lambda: 200.0 * time.time())
     monkeypatch.setattr("can.interfaces.socketcand.socketcand.time", hasty)
     with pytest.raises(LinkError, match=says) as caught:
-        open_host(parse_link(url))
+        parse_link(url).open_host()
     assert "\n" not in str(caught.value)
 
 
 def test_socketcand_needs_its_server_in_the_channel():
     with pytest.raises(BadInputError, match=r"expected can:socketcand/HOST:PORT/CHANNEL"):
-        open_host(parse_link("can:socketcand/can0"))
+        parse_link("can:socketcand/can0").open_host()
 
 
 def test_an_interface_without_can_fd_is_refused():
     with pytest.raises(BadInputError, match=r"has no CAN FD in python-can; remove fd=1"):
-        open_host(parse_link("can:slcan/loop:%2F%2F?fd=1"))
+        parse_link("can:slcan/loop:%2F%2F?fd=1").open_host()
 
 
 def test_a_closed_bus_is_a_lost_link():

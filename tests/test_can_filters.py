@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.generated.messages import SENDERS
-from hil.wire.can_filters import Filter, filters_for
+from hil.wire.can_bus import Filter, filters_for
 
 IDENTIFIERS = range(2048)
 

@@ -14,7 +14,6 @@ from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m
 from hil.core.errors import LinkError
 from hil.wire.can_bus import CanLink
-from hil.wire.opening import open_host
 from hil.wire.url import parse_link
 from tests.heard import the_next
 from tests.processes import device, run_json
@@ -107,7 +106,7 @@ def test_a_bit_rate_that_the_adapter_has_not_is_one_sentence():
     bus = adapters.SlcanBus(1)
     try:
         with pytest.raises(LinkError, match=r"cannot run at 800001 bit/s .*500000.*set bitrate= to one of these"):
-            open_host(parse_link(f"can:slcan/{bus.ports[0]}?bitrate=800001"))
+            parse_link(f"can:slcan/{bus.ports[0]}?bitrate=800001").open_host()
     finally:
         bus.close()
 
@@ -116,7 +115,7 @@ def test_an_adapter_that_is_unplugged_is_lost_and_not_there_when_it_is_opened_ag
     bus = adapters.SlcanBus(1)
     port = tmp_path / "adapter"
     port.symlink_to(bus.ports[0])
-    with contextlib.closing(open_host(parse_link(f"can:slcan/{port}"))) as host:
+    with contextlib.closing(parse_link(f"can:slcan/{port}").open_host()) as host:
         bus.close()
         with pytest.raises(LinkError) as lost:
             host.receive(1_000_000_000)
@@ -131,7 +130,7 @@ def test_an_adapter_that_is_unplugged_is_lost_and_not_there_when_it_is_opened_ag
 def test_an_adapter_whose_port_another_program_reads_too_is_busy(monkeypatch):
     bus = adapters.SlcanBus(1)
     try:
-        with contextlib.closing(open_host(parse_link(f"can:slcan/{bus.ports[0]}"))) as host:
+        with contextlib.closing(parse_link(f"can:slcan/{bus.ports[0]}").open_host()) as host:
             bus.wait_until_open()  # from then on it reads nothing
             bus.say(0, b"t1230\r")
             monkeypatch.setattr(serial.serialposix.os, "read", lambda *_: b"")  # what the other one left
@@ -179,9 +178,9 @@ def test_a_port_that_cannot_be_opened_is_the_same_sentence_for_a_line_and_an_ada
         if what == "busy":
             fcntl.ioctl(held.enter_context(port.open("rb", buffering=0)), termios.TIOCEXCL)
         with pytest.raises(LinkError):
-            open_host(parse_link(f"{scheme}{tmp_path}"))  # and all that has to be imported is
+            parse_link(f"{scheme}{tmp_path}").open_host()  # and all that has to be imported is
         with pytest.raises(LinkError) as refused, as_nobody() if what in ("forbidden", "busy") else held:
-            open_host(parse_link(f"{scheme}{port}"))
+            parse_link(f"{scheme}{port}").open_host()
     assert f"{str(port)!r} {says}" in str(refused.value)
     assert "Errno" not in str(refused.value)
 

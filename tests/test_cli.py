@@ -270,7 +270,7 @@ def test_progress_bar_is_for_a_person_only(tmp_path: Path):
 
 def test_can_down_is_said_with_the_remedy():
     """The kernel's words for an interface that is down, which needs a kernel with CAN to be had for real."""
-    from hil.wire.can_failures import failure
+    from hil.wire.can_errors import failure
     from hil.wire.url import CanUrl
 
     error = failure(CanUrl("socketcan", "can0"), can.CanOperationError("Network is down", 100))

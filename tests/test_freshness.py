@@ -13,9 +13,7 @@ from hil.robot.stm32 import Stm32
 from hil.robot.wheel_map import WheelMap
 from hil.runtime.freshness import Freshness
 from hil.runtime.sampling import Timing
-from hil.wire.delay import DelayedLink
-from hil.wire.fault_rows import ScenarioTime
-from hil.wire.faults import FaultLink
+from hil.wire.conditions import ConditionedLink
 from hil.wire.framed import StreamLink
 from hil.wire.robot_end import SerialWire
 from hil.wire.streams import memory_pair
@@ -35,7 +33,7 @@ class Robot:
         self._wire = SerialWire(robot)
         self._now_ns = 0
         self.device = Stm32(
-            DelayedLink(FaultLink(StreamLink(host), ScenarioTime(self), ()), self, 0, 0),
+            ConditionedLink(StreamLink(host), self),
             CommandMode.SPEED,
             Expected(parameter_hash(self.rig.values), False, False, 20.0),
             itertools.count(0x2341),

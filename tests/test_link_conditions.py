@@ -10,10 +10,8 @@ from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m
 from hil.core.ports import Received
 from hil.faults.kind import FaultRow
-from hil.wire.bus_faults import FaultBus
-from hil.wire.delay import DelayedLink
-from hil.wire.fault_rows import ScenarioTime, link_faults
-from hil.wire.faults import FaultLink
+from hil.wire.conditions import ConditionedLink
+from hil.wire.faults import BusFaults, ScenarioTime, link_faults
 from tests.heard import everything
 
 
@@ -51,7 +49,7 @@ STEP = Frame(m.Step.ID, m.Step(0, 1).encode())
 @given(gaps=st.lists(st.integers(0, 10), min_size=1, max_size=30), latency=st.integers(0, 25))
 def test_commands_arrive_in_order_after_exactly_the_latency(gaps, latency):
     robot = Robot()
-    link = DelayedLink(FaultLink(robot, ScenarioTime(robot), ()), robot, latency, 0)
+    link = ConditionedLink(robot, robot, command_latency_ns=latency)
     sent_at = []
     for number, gap in enumerate(gaps):
         end = robot.now + gap
@@ -71,7 +69,7 @@ def test_commands_arrive_in_order_after_exactly_the_latency(gaps, latency):
 @given(latency=st.integers(1, 25), wait=st.integers(0, 40))
 def test_feedback_arrives_after_exactly_the_latency(latency, wait):
     robot = Robot()
-    link = DelayedLink(FaultLink(robot, ScenarioTime(robot), ()), robot, 0, latency)
+    link = ConditionedLink(robot, robot, feedback_latency_ns=latency)
     robot.to_give = [command(1), command(2)]
     assert link.receive(0) is None
     robot.now = wait
@@ -81,7 +79,7 @@ def test_feedback_arrives_after_exactly_the_latency(latency, wait):
 
 def test_step_is_not_delayed():
     robot = Robot()
-    link = DelayedLink(FaultLink(robot, ScenarioTime(robot), ()), robot, 10, 10)
+    link = ConditionedLink(robot, robot, command_latency_ns=10, feedback_latency_ns=10)
     link.send(command(1))
     link.send(STEP)
     assert robot.sent == [(0, STEP)]
@@ -97,17 +95,17 @@ FOR_EVER_NS = 1 << 62
 
 
 def delayed(robot, time):
-    return DelayedLink(FaultLink(robot, time, ()), robot, 0, 1_000)
+    return ConditionedLink(robot, robot, feedback_latency_ns=1_000)
 
 
 def dropping(robot, time):
-    return FaultLink(robot, time, link_faults([FaultRow("drop", "link", "feedback", 0, FOR_EVER_NS, 1.0)], 1))
+    faults = link_faults([FaultRow("drop", "link", "feedback", 0, FOR_EVER_NS, 1.0)], 1)
+    return ConditionedLink(robot, robot, faults=faults, scenario_time=time)
 
 
 def cutting(robot, time):
-    return FaultBus(
-        robot, time, link_faults([FaultRow("truncation", "link", "feedback", 0, FOR_EVER_NS, 1.0)], 1), None
-    )
+    bus = BusFaults(link_faults([FaultRow("truncation", "link", "feedback", 0, FOR_EVER_NS, 1.0)], 1), None)
+    return ConditionedLink(robot, robot, bus=bus, scenario_time=time)
 
 
 @pytest.mark.parametrize("make", [delayed, dropping, cutting])
@@ -132,7 +130,7 @@ def test_what_a_fault_holds_back_is_forgotten_with_the_session():
     time = ScenarioTime(robot)
     time.begin(0)
     rows = [FaultRow("delay", "link", way, 0, FOR_EVER_NS, 0.01) for way in ("command", "feedback")]
-    link = DelayedLink(FaultLink(robot, time, link_faults(rows, 1)), robot, 0, 0)
+    link = ConditionedLink(robot, robot, faults=link_faults(rows, 1), scenario_time=time)
     link.send(command(1))
     robot.to_give = [FEEDBACK]
     assert link.receive(0) is None
@@ -141,3 +139,69 @@ def test_what_a_fault_holds_back_is_forgotten_with_the_session():
     link.service()
     assert robot.sent == []
     assert link.receive(0) is None
+
+
+def test_latency_is_a_condition_as_any_other_and_faults_act_behind_it() -> None:
+    """A command meets the rows when it has had its latency; feedback has its latency when it has met the rows."""
+    robot = Robot()
+    time = ScenarioTime(robot)
+    time.begin(0)
+    rows = [FaultRow("drop", "link", way, 10, 20, 1.0) for way in ("command", "feedback")]
+    faults = link_faults(rows, 1)
+    link = ConditionedLink(
+        robot, robot, command_latency_ns=10, feedback_latency_ns=10, faults=faults, scenario_time=time
+    )
+    for robot.now in (0, 9, 10, 19):  # leave the latency at 10, 19, 20 and 29
+        link.send(command(robot.now))
+    for end in (10, 19, 20, 29):
+        link.hand_over_until(JumpingClock(robot), end + 1)
+    assert robot.sent == [(20, command(10)), (29, command(19))]
+    heard = []
+    for robot.now in (9, 10, 19, 20, 30):
+        robot.to_give = [command(robot.now)]
+        heard += [(robot.now, frame) for frame in everything(link)]
+    assert heard == [(19, command(9)), (30, command(20))]
+    assert [fault.applied for fault in faults] == [2, 2]
+
+
+def test_an_observer_sees_what_crosses_the_wire_and_not_what_waits_or_is_lost() -> None:
+    class Seen:
+        def __init__(self) -> None:
+            self.frames: list[Frame] = []
+
+        def sent(self, frame: Frame) -> None:
+            self.frames.append(frame)
+
+        def received(self, received: Received | None) -> None:
+            self.frames += received.frames if received is not None else ()
+
+    robot, seen = Robot(), Seen()
+    time = ScenarioTime(robot)
+    time.begin(0)
+    faults = link_faults([FaultRow("drop", "link", way, 0, 5, 1.0) for way in ("command", "feedback")], 1)
+    link = ConditionedLink(
+        robot, robot, command_latency_ns=3, feedback_latency_ns=3, faults=faults, scenario_time=time, observer=seen
+    )
+    for robot.now in (0, 4):
+        link.send(command(robot.now))
+    assert seen.frames == []
+    link.hand_over_until(JumpingClock(robot), 8)
+    assert seen.frames == [command(4)]  # the other one was dropped before it got there
+    robot.now = 2
+    robot.to_give = [FEEDBACK]
+    assert link.receive(0) is None  # dropped behind the observer
+    assert seen.frames == [command(4), FEEDBACK]
+
+
+class JumpingClock:
+    """A clock that jumps to the time it is asked to wait for."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+
+    def now_ns(self) -> int:
+        return self._robot.now
+
+    def wait_until(self, t_ns: int) -> int:
+        self._robot.now = t_ns
+        return 0

@@ -12,12 +12,12 @@ from firmware_protocol.generated import messages as m
 from hil.core.errors import LinkError
 from hil.core.ports import Received
 from hil.faults.kind import NEVER_NS, FaultRow
-from hil.wire.bus_faults import FaultBus
-from hil.wire.fault_rows import ScenarioTime, link_faults
-from hil.wire.faults import FaultLink
+from hil.wire.conditions import ConditionedLink
+from hil.wire.faults import BusFaults, ScenarioTime, link_faults
 from hil.wire.line_faults import FaultLine
 from tests.examples import share_of_examples
 from tests.heard import everything
+from tests.outside import outside_package
 
 MS = 1_000_000
 STEP = Frame(m.Step.ID, m.Step(0, 1).encode())
@@ -76,10 +76,10 @@ def fault_link(*rows: FaultRow, seed: int = 1, begun: bool = True):
     if begun:
         time.begin(0)
     faults = link_faults(rows, seed)
-    return wire, FaultLink(wire, time, faults), faults
+    return wire, ConditionedLink(wire, wire, faults=faults, scenario_time=time), faults
 
 
-def send_each_ms(wire: Wire, link: FaultLink, until_ms: int) -> list[tuple[int, int]]:
+def send_each_ms(wire: Wire, link: ConditionedLink, until_ms: int) -> list[tuple[int, int]]:
     """Send a command each millisecond; return when which sequence came out, in ms."""
     for n in range(until_ms):
         wire.now = n * MS
@@ -228,6 +228,30 @@ def test_bursts_have_the_share_and_the_length_that_they_are_given(seed, case) ->
     assert sum(bursts) / len(bursts) == pytest.approx(length, abs=6 * length / math.sqrt(len(bursts)))
 
 
+EVERY_OTHER = """
+    from hil.faults.kind import Kind
+
+    def every_other(row, chance):
+        count = 0
+        def effect(direction, frames):
+            nonlocal count
+            count += 1
+            return [] if count % 2 else frames
+        return effect
+
+    KIND = Kind("every_other", "link", ("command", "feedback"), "a direction", "Every other frame is lost.",
+                "frames lost", {"target": "command"}, on_frames=every_other)
+"""
+
+
+def test_another_package_s_kind_acts_on_frames(tmp_path, monkeypatch) -> None:
+    outside_package(tmp_path, monkeypatch, EVERY_OTHER, {"hil.faults": {"every_other": "outside_package:KIND"}})
+    wire, link, faults = fault_link(row("every_other"))
+    out = send_each_ms(wire, link, 250)
+    assert [number for _, number in out] == [*range(100), *range(101, 200, 2), *range(200, 250)]
+    assert faults[0].applied == 50
+
+
 @given(st.integers(0, 2**32 - 1))
 def test_chance_repeats_and_a_row_does_not_change_another(seed) -> None:
     def out(*rows: FaultRow) -> list[tuple[int, int]]:
@@ -318,7 +342,8 @@ def bus(*rows: FaultRow):
     time = ScenarioTime(wire)
     time.begin(0)
     faults = link_faults(rows, 1)
-    return wire, FaultBus(wire, time, faults, babbler), faults, babbler
+    link = ConditionedLink(wire, wire, bus=BusFaults(faults, babbler), scenario_time=time)
+    return wire, link, faults, babbler
 
 
 def test_on_can_a_destroyed_frame_is_sent_again_until_it_is_whole() -> None:

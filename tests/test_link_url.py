@@ -7,7 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.core.errors import BadInputError
-from hil.wire.url import LINK_FORMS, CanUrl, LinkUrl, MemoryUrl, SerialUrl, format_link, parse_link
+from hil.runtime.assembly import run
+from hil.wire.link import LinkUrl
+from hil.wire.url import CanUrl, MemoryUrl, SerialUrl, link_forms, parse_link
+from tests.outside import outside_package
 
 # Reserved characters and percent signs far more often than chance would have them.
 addresses = st.text(st.one_of(st.sampled_from("%?&/=:# "), st.characters(exclude_categories=["Cc", "Cs"])), min_size=1)
@@ -28,7 +31,7 @@ def can_urls(draw: st.DrawFn) -> CanUrl:
 
 @given(st.one_of(st.just(MemoryUrl()), serial_urls, can_urls()))
 def test_reading_what_was_written_gives_the_same_link(link: LinkUrl) -> None:
-    assert parse_link(format_link(link)) == link
+    assert parse_link(str(link)) == link
 
 
 @given(st.text(max_size=60))
@@ -38,7 +41,7 @@ def test_any_text_is_a_link_or_bad_input(text: str) -> None:
             link = parse_link(url)
         except BadInputError:
             continue
-        assert parse_link(format_link(link)) == link
+        assert parse_link(str(link)) == link
 
 
 @pytest.mark.parametrize(
@@ -73,21 +76,21 @@ def test_escapes_are_decoded_once() -> None:
 def test_bytes_that_are_not_utf_8_survive() -> None:
     link = parse_link("serial:/tmp/%FF")
     assert link == SerialUrl("/tmp/\udcff")
-    assert format_link(link) == "serial:/tmp/%FF"
+    assert str(link) == "serial:/tmp/%FF"
 
 
 def test_defaults_are_not_written() -> None:
-    assert format_link(parse_link("serial:pty?baud=921600")) == "serial:pty"
+    assert str(parse_link("serial:pty?baud=921600")) == "serial:pty"
 
 
 def test_a_rate_that_the_url_says_is_kept_whatever_is_usual() -> None:
     assert parse_link("serial:COM3", baud=115_200) == SerialUrl("COM3", 115_200)
     assert parse_link("serial:COM3?baud=921600", baud=115_200) == SerialUrl("COM3", 921_600)
-    assert format_link(parse_link("can:virtual/a?bitrate=1000000&fd=0")) == "can:virtual/a"
+    assert str(parse_link("can:virtual/a?bitrate=1000000&fd=0")) == "can:virtual/a"
 
 
 def test_every_listed_form_is_readable() -> None:
-    for form in LINK_FORMS:
+    for form in link_forms():
         parse_link(form)
 
 
@@ -124,3 +127,60 @@ def test_mistakes(url: str, sentence: str) -> None:
         parse_link(url)
     assert str(caught.value).startswith(f"link {url!r}: ")
     assert sentence in str(caught.value)
+
+
+PIPE = """
+    from dataclasses import dataclass
+
+    from hil.core.errors import BadInputError
+    from hil.core.link_protocol import WHEEL_DBC
+    from hil.wire.framed import StreamLink
+    from hil.wire.link import LinkUrl, Pair, unchanged
+    from hil.wire.robot_end import SerialWire
+    from hil.wire.streams import memory_pair
+
+    @dataclass(frozen=True)
+    class PipeUrl(LinkUrl):
+        settings = ("name",)
+        is_within_process = True
+        name: str
+
+        @classmethod
+        def read(cls, address, settings, baud):
+            if address:
+                raise BadInputError("pipe: takes no address")
+            return cls(settings.get("name", "nameless"))
+
+        def __str__(self):
+            return f"pipe:?name={self.name}"
+
+        def open_pair(self, line=unchanged, *, lockstep, protocol=WHEEL_DBC):
+            host, robot = memory_pair()
+            return Pair(StreamLink(line(host), protocol), SerialWire(robot))
+
+    NO_LINK = 3
+"""
+
+
+def test_another_package_s_link_is_one_class_and_a_run_goes_over_it(tmp_path, monkeypatch) -> None:
+    points = {"pipe": "outside_package:PipeUrl", "memory": "outside_package:PipeUrl", "no": "outside_package:NO_LINK"}
+    outside_package(tmp_path, monkeypatch, PIPE, {"hil.links": points})
+    assert str(parse_link("pipe:?name=x")) == "pipe:?name=x"
+    assert parse_link("memory:") == MemoryUrl(), "a shipped kind keeps its name"
+    assert "outside-package" in link_forms()["pipe:"]
+    for url, sentence in (
+        ("pipe:?nam=x", "unknown setting 'nam'; did you mean 'name'?"),
+        ("pipe:x", "takes no address"),
+        ("pip:", "did you mean 'pipe'?"),
+        ("pipe", "the colon is missing; write pipe:"),
+        ("no:", "expected a subclass of hil.wire.link.LinkUrl"),
+    ):
+        with pytest.raises(BadInputError) as caught:
+            parse_link(url)
+        assert sentence in str(caught.value)
+    error = {"kind": "bit_errors", "target": "command", "value": 0.0005}
+    options = {"loop.duration_s": 0.3, "expect": [], "fault": [error]}
+    over_memory, over_it = (run("circle_speed", set=options, link=link).metrics for link in ("memory:", "pipe:"))
+    assert over_it["wire_sha256"] == over_memory["wire_sha256"]
+    assert over_it["fault"][0]["applied"] > 0
+    assert over_it["link"] == "pipe:"

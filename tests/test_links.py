@@ -21,7 +21,6 @@ from firmware_protocol.generated import messages as m
 from hil.core.errors import BadInputError, LinkError
 from hil.wire.can_bus import CanLink
 from hil.wire.framed import StreamLink
-from hil.wire.opening import open_host, open_pair, open_robot
 from hil.wire.robot_end import CanWire, ReopeningWire, SerialWire
 from hil.wire.serial_port import SerialStream
 from hil.wire.streams import DirectStream, memory_pair
@@ -60,7 +59,7 @@ def test_a_pair_of_which_the_second_end_fails_leaves_the_first_closed(url, tmp_p
     monkeypatch.setattr(can, "Bus", open_once)
     monkeypatch.setattr(serial, "serial_for_url", fail)
     with pytest.raises(LinkError, match="no second one"):
-        open_pair(parse_link(url.format(name)), lockstep=True)
+        parse_link(url.format(name)).open_pair(lockstep=True)
     assert not name.is_symlink()
     assert shut == opened
 
@@ -194,7 +193,7 @@ def test_symlink_never_replaces_a_file(tmp_path: Path):
 
 def test_serial_port_that_does_not_exist():
     with pytest.raises(LinkError, match=r"'/dev/ttyNOPE' does not exist; list the ports"):
-        open_host(parse_link("serial:/dev/ttyNOPE"))
+        parse_link("serial:/dev/ttyNOPE").open_host()
 
 
 def test_serial_port_that_is_busy():
@@ -273,11 +272,10 @@ def test_a_robots_firmware_gets_and_counts_every_standard_data_frame_of_others()
 ALONE = """
 import contextlib, sys
 from firmware_protocol.generated import messages as m
-from hil.wire.opening import open_robot
 from hil.wire.url import parse_link
 from tests.wheel_rig import WheelRig
 rig = WheelRig()
-wire, _ = open_robot(parse_link("can:udp_multicast/239.74.163.2"), print, lockstep=False)
+wire, _ = parse_link("can:udp_multicast/239.74.163.2").open_robot(print, lockstep=False)
 with contextlib.closing(wire):
     rig.node.run(500)
     wire.send_from(rig.node)
@@ -298,31 +296,32 @@ def test_what_a_robot_sends_comes_back_over_multicast_and_is_not_counted():
 
 def test_unknown_can_interface_names_the_nearest():
     with pytest.raises(BadInputError, match="did you mean 'socketcan'"):
-        open_host(parse_link("can:socketcna/can0"))
+        parse_link("can:socketcna/can0").open_host()
 
 
 def test_can_interface_that_is_not_there():
     """Without CAN in the kernel, or with it and no such interface: one sentence either way."""
     with pytest.raises(LinkError, match=r"modprobe can_raw|does not exist") as caught:
-        open_host(parse_link("can:socketcan/nope0"))
+        parse_link("can:socketcan/nope0").open_host()
     assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("url", ["can:slcan/%2Fdev%2FttyNOPE", "can:slcan//dev/ttyNOPE", "can:pcan/PCAN_USBBUS1"])
 def test_can_adapter_that_is_not_there(url):
     with pytest.raises(LinkError, match="CAN interface"):
-        open_host(parse_link(url))
+        parse_link(url).open_host()
 
 
 def test_memory_has_no_end_in_another_process():
-    for opening in (open_host, lambda url: open_robot(url, print, lockstep=True)):
+    url = parse_link("memory:")
+    for opening in (url.open_host, lambda: url.open_robot(print, lockstep=True)):
         with pytest.raises(BadInputError, match="memory:"):
-            opening(parse_link("memory:"))
+            opening()
 
 
 @pytest.mark.parametrize("url", ["memory:", "serial:pty", "can:virtual/test_links_pair"])
 def test_a_pair_connects_host_and_robot(url):
-    pair = open_pair(parse_link(url), lockstep=True)
+    pair = parse_link(url).open_pair(lockstep=True)
     with contextlib.closing(pair.link), contextlib.closing(pair.wire):
         pair.link.send(FRAMES[0])
         assert pair.link.receive(0) is None

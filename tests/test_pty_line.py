@@ -11,7 +11,6 @@ import pytest
 from firmware_protocol import codec
 from firmware_protocol.framing import Deframer, Frame, Framer
 from firmware_protocol.generated import messages as m
-from hil.wire.opening import open_host
 from hil.wire.robot_end import LossySerialWire
 from hil.wire.url import parse_link
 from tests.heard import the_next
@@ -123,7 +122,7 @@ def test_the_firmware_tells_how_many_frames_nobody_took():
 
 def test_a_step_of_1000_ticks_ends_over_a_pseudo_terminal_between_two_processes():
     with device("paper_circle", "--mode", "lockstep", "--link", "serial:pty") as robot:
-        link = open_host(parse_link(robot.link))
+        link = parse_link(robot.link).open_host()
         with contextlib.closing(link):
             link.send(codec.encode(m.Step(0, 1000)))
             heard: list[Frame] = []

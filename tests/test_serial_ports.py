@@ -18,10 +18,8 @@ from firmware_protocol.generated import messages as m
 from hil.core.errors import DeviceError, LinkError
 from hil.robot import handshake
 from hil.wire.framed import StreamLink
-from hil.wire.opening import open_host
-from hil.wire.opening_beside import OpeningBeside
-from hil.wire.reader import Reader
-from hil.wire.serial_port import SerialStream
+from hil.wire.reopening import OpeningBeside
+from hil.wire.serial_port import Reader, SerialStream
 from hil.wire.url import parse_link
 from tests.heard import the_next
 from tests.serial_server import SerialServer, ThreeWirePort
@@ -65,7 +63,7 @@ def exchange(host: StreamLink, robot: StreamLink) -> None:
 
 @pytest.mark.parametrize("kind", ["rfc2217", "socket"])
 def test_frames_pass_a_serial_server_both_ways(kind):
-    with served(kind) as (robot, server), contextlib.closing(open_host(parse_link(f"serial:{server.url}"))) as host:
+    with served(kind) as (robot, server), contextlib.closing(parse_link(f"serial:{server.url}").open_host()) as host:
         exchange(host, robot)
         assert host.receive(0) is None
         assert server.url in host.describe()
@@ -92,7 +90,7 @@ def use_until_lost(host: StreamLink) -> None:
 @pytest.mark.parametrize("kind", ["rfc2217", "socket"])
 def test_a_serial_server_that_ends_is_a_lost_link_and_can_be_reopened(kind):
     with served(kind) as (_, server):
-        host = open_host(parse_link(f"serial:{server.url}"))
+        host = parse_link(f"serial:{server.url}").open_host()
         url, number = server.url, server.number
     with pytest.raises(LinkError, match=r"was lost|took no byte"):
         use_until_lost(host)
@@ -115,7 +113,7 @@ def test_a_serial_server_that_ends_is_a_lost_link_and_can_be_reopened(kind):
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a server is refused that takes nobody in")
 def test_nobody_waits_for_a_serial_server_that_does_not_answer() -> None:
     with served("socket") as (_, server):
-        host = open_host(parse_link(f"serial:{server.url}"))
+        host = parse_link(f"serial:{server.url}").open_host()
         number = server.number
     with contextlib.ExitStack() as resources:
         listener = resources.enter_context(socket.create_server(("127.0.0.1", number), backlog=0))
@@ -155,12 +153,12 @@ def test_a_refused_baud_rate_names_the_rate_and_others():
         served("rfc2217", PickyPort) as (_, server),
         pytest.raises(LinkError, match=r"refuses 2000000 baud; common rates are .*set baud= in the link") as caught,
     ):
-        open_host(parse_link(f"serial:{server.url}?baud=2000000"))
+        parse_link(f"serial:{server.url}?baud=2000000").open_host()
     assert "\n" not in str(caught.value)
 
 
 def test_loop_gives_back_what_was_sent():
-    with contextlib.closing(open_host(parse_link("serial:loop://"))) as link:
+    with contextlib.closing(parse_link("serial:loop://").open_host()) as link:
         for frame in FRAMES:
             link.send(frame)
         assert the_next(link, len(FRAMES), WAIT_NS) == FRAMES

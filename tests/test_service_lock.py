@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hil.core.errors import BadInputError, LinkError
 from hil.core.process_lock import LockHeldError, ProcessLock, held
 from hil.service.discovery import Service, announce, running
-from hil.wire.device_lock import _file_name, _folder, device_held, device_name
+from hil.wire.device_lock import _file_name, _folder, device_held
 from hil.wire.url import SerialUrl, parse_link
 from tests.examples import share_of_examples
 from tests.processes import environment
@@ -66,7 +66,7 @@ def test_a_device_that_was_given_back_is_free_and_one_that_is_held_is_not(port: 
 @pytest.mark.parametrize("link", ["memory:", "serial:pty", "serial:pty?symlink=/tmp/robot", "can:virtual/bus"])
 def test_a_link_that_makes_its_own_robot_is_nobodys(link: str) -> None:
     url = parse_link(link)
-    assert device_name(url) is None
+    assert url.device_name() is None
     with device_held(url, "hil run"), device_held(url, "hil run"):
         pass
 
@@ -80,8 +80,8 @@ def test_a_link_that_makes_its_own_robot_is_nobodys(link: str) -> None:
     ],
 )
 def test_options_make_no_other_device(one: str, other: str) -> None:
-    assert device_name(parse_link(one)) == device_name(parse_link(other))
-    assert device_name(parse_link(one)) != device_name(parse_link("can:socketcan/can1"))
+    assert parse_link(one).device_name() == parse_link(other).device_name()
+    assert parse_link(one).device_name() != parse_link("can:socketcan/can1").device_name()
 
 
 @share_of_examples(0.3)

@@ -13,7 +13,6 @@ from firmware_protocol.generated.messages import LENGTHS, SENDERS
 from hil.core.errors import LinkError
 from hil.core.ports import Link
 from hil.wire.can_ports import SocketCan
-from hil.wire.opening import open_host
 from hil.wire.url import CanUrl, parse_link
 from tests.heard import the_next
 from tests.socketcan_bus import CLASSIC, ERROR, EXTENDED, FD, REMOTE, classic_frame, ip, raw_socket, set_up, vcan
@@ -42,7 +41,7 @@ def other(bus: str) -> Iterator[socket.socket]:
 
 @pytest.fixture
 def link(bus: str) -> Iterator[Link]:
-    opened = open_host(parse_link(f"can:socketcan/{bus}"))
+    opened = parse_link(f"can:socketcan/{bus}").open_host()
     yield opened
     opened.close()
 
@@ -135,7 +134,7 @@ def test_a_queue_that_stays_full_is_a_lost_link(bus: str, link: Link):
 
 def test_an_interface_that_is_not_there_is_named_with_the_remedy():
     with pytest.raises(LinkError, match=r"'socketcan', channel 'can7' does not exist; .*ip -br link.*bitrate 500000$"):
-        open_host(parse_link("can:socketcan/can7?bitrate=500000"))
+        parse_link("can:socketcan/can7?bitrate=500000").open_host()
 
 
 def test_an_interface_that_goes_down_says_how_to_bring_it_up_and_can_be_opened_again(
@@ -148,7 +147,7 @@ def test_an_interface_that_goes_down_says_how_to_bring_it_up_and_can_be_opened_a
     with pytest.raises(LinkError, match=sentence):
         link.send(Frame(0x10, bytes(2)))
     set_up(bus, up=True)
-    again = open_host(parse_link(f"can:socketcan/{bus}"))
+    again = parse_link(f"can:socketcan/{bus}").open_host()
     with pytest.raises(OSError, match=rf"\[Errno {errno.ENETDOWN}\]"):
         other.recv(FD.size)  # the other socket was told too
     other.send(classic_frame(*END))
@@ -167,7 +166,7 @@ def test_an_interface_that_is_unplugged_is_named(bus: str, link: Link):
 
 
 def test_can_fd_on_a_classic_interface_is_a_link_error(bus: str):
-    link = open_host(parse_link(f"can:socketcan/{bus}?fd=1"))
+    link = parse_link(f"can:socketcan/{bus}?fd=1").open_host()
     with pytest.raises(LinkError, match=f"channel '{bus}'"):
         link.send(Frame(0x10, bytes(2)))
     link.close()

@@ -26,10 +26,7 @@ from hil.robot.truth import TruthClient
 from hil.robot.truth_wire import TruthRecord
 from hil.runtime.robots import firmware_values, wheel_map
 from hil.scenario import load
-from hil.wire.delay import DelayedLink
-from hil.wire.fault_rows import ScenarioTime
-from hil.wire.faults import FaultLink
-from hil.wire.opening import open_host
+from hil.wire.conditions import ConditionedLink
 from hil.wire.url import parse_link
 from tests.processes import HIL, Device, device, environment, hil, wait_for
 from tests.socketcan_bus import DBC, Onlooker, cable, set_up
@@ -247,10 +244,10 @@ def test_a_second_controller_is_turned_away_and_the_first_drives_on(robot: Devic
     def case() -> None:
         with (
             driving(robot) as drive,
-            contextlib.closing(open_host(AT_HOST_URL)) as bus,
+            contextlib.closing(AT_HOST_URL.open_host()) as bus,
         ):
             clock = WallClock()
-            link = DelayedLink(FaultLink(bus, ScenarioTime(clock), ()), clock, 0, 0)
+            link = ConditionedLink(bus, clock)
             expected = Expected(
                 parameter_hash(firmware_values(SCENARIO)), lockstep=False, allow_motion=False, speed_limit_rad_s=20.0
             )

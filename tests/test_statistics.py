@@ -16,8 +16,9 @@ from hil.robot.snapshot import SnapshotReader
 from hil.runtime.assembly import run
 from hil.wire.can_bus import CanLink
 from hil.wire.can_frame import classic_bits, fd_bits
+from hil.wire.conditions import ConditionedLink
 from hil.wire.framed import StreamLink
-from hil.wire.statistics import WINDOW_NS, LoadWindow, measured
+from hil.wire.statistics import WINDOW_NS, LoadWindow, observe
 from hil.wire.streams import memory_pair
 from hil.wire.url import SerialUrl, parse_link
 from tests.heard import everything
@@ -69,7 +70,8 @@ def test_a_serial_line_s_bytes_are_those_on_the_line(sent, received, noise):
     here, there = memory_pair()
     clock = Clock()
     link = StreamLink(here)
-    wire = measured(link, SerialUrl("/dev/ttyACM0", 115_200), clock, lockstep=True)
+    statistics = observe(link, SerialUrl("/dev/ttyACM0", 115_200), clock)
+    wire = ConditionedLink(link, clock, observer=statistics)
     for frame in sent:
         wire.send(frame)
     line_down = there.read(0)
@@ -78,7 +80,7 @@ def test_a_serial_line_s_bytes_are_those_on_the_line(sent, received, noise):
     there.write(line_up)
     taken = everything(wire)
     clock.now = 250 * MS
-    figures = wire.figures()
+    figures = statistics.figures()
     assert figures["sent"] == {"frames": len(sent), "bytes": len(line_down), "bits": 10 * len(line_down)}
     assert taken[len(taken) - len(received) :] == received
     if taken:
@@ -88,12 +90,13 @@ def test_a_serial_line_s_bytes_are_those_on_the_line(sent, received, noise):
 
 def test_of_many_frames_at_once_those_count_that_were_given():
     here, there = memory_pair()
-    wire = measured(StreamLink(here), parse_link("memory:"), Clock(), lockstep=True)
+    wire = StreamLink(here)
+    statistics = observe(wire, parse_link("memory:"), Clock())
     framer = Framer()
     there.write(b"".join(framer.encode(Frame(m.TimeSyncRequest.ID, b"\1")) for _ in range(120)))
     counted = []
     while wire.receive(0) is not None:
-        counted.append(wire.figures()["received"]["frames"])
+        counted.append(statistics.figures()["received"]["frames"])
     assert counted == [50, 100, 120]
 
 
@@ -103,7 +106,8 @@ def test_a_can_bus_carries_both_directions_and_what_others_say(settings):
     robot, other = CanLink(url, "HOST"), can.Bus(interface="virtual", channel="load")
     clock = Clock()
     host = CanLink(url, "ROBOT")
-    wire = measured(host, url, clock, lockstep=True)
+    statistics = observe(host, url, clock)
+    wire = ConditionedLink(host, clock, observer=statistics)
     try:
         command, tick = codec.encode(MESSAGES[2]), codec.encode(m.Tick(1, 2, 3, 3, 0, 9))
         wire.send(command)
@@ -114,7 +118,7 @@ def test_a_can_bus_carries_both_directions_and_what_others_say(settings):
         assert everything(wire) == [tick]
         assert wire.receive(0) is None
         clock.now = 100 * MS
-        figures = wire.figures()
+        figures = statistics.figures()
     finally:
         wire.close()
         robot.close()
@@ -133,7 +137,7 @@ def test_a_can_bus_carries_both_directions_and_what_others_say(settings):
 SHORT = {"loop.duration_s": 1.5, "expect": []}
 
 
-def statistics(link, **options):
+def lockstep(link, **options):
     result = run("paper_circle", set=SHORT | options, mode="lockstep", link=link)
     assert result.failure is None
     return result
@@ -141,7 +145,7 @@ def statistics(link, **options):
 
 def test_in_lockstep_a_links_figures_repeat_and_the_frames_are_those_of_every_link():
     links = ["memory:", "memory:", "serial:pty", "can:virtual/statistics"]
-    results = [statistics(link) for link in links]
+    results = [lockstep(link) for link in links]
     figures = [result.metrics["link_statistics"] for result in results]
     assert figures[0] == figures[1]
     assert len({result.metrics["wire_sha256"] for result in results}) == 1
@@ -160,7 +164,7 @@ def test_in_lockstep_a_links_figures_repeat_and_the_frames_are_those_of_every_li
 
 
 def test_lockstep_has_a_round_trip_of_one_period_and_a_clock_that_agrees():
-    figures = statistics("memory:", **{"loop.rate_hz": 200}).metrics["link_statistics"]
+    figures = lockstep("memory:", **{"loop.rate_hz": 200}).metrics["link_statistics"]
     assert figures["round_trip_ms"]["p50"] == figures["round_trip_ms"]["p99"] == pytest.approx(5.0)
     clock = figures["clock"]
     assert (clock["offset_us"], clock["drift_ppm"], clock["steps"]) == (0.0, 0.0, 0)
@@ -169,14 +173,14 @@ def test_lockstep_has_a_round_trip_of_one_period_and_a_clock_that_agrees():
 
 def test_latency_on_the_link_is_part_of_the_round_trip():
     options = {"link.command_latency_s": 0.002, "link.feedback_latency_s": 0.005}
-    figures = statistics("memory:", **options).metrics["link_statistics"]
-    plain = statistics("memory:").metrics["link_statistics"]
+    figures = lockstep("memory:", **options).metrics["link_statistics"]
+    plain = lockstep("memory:").metrics["link_statistics"]
     assert figures["round_trip_ms"]["p50"] == pytest.approx(plain["round_trip_ms"]["p50"] + 7.0, abs=1.01)
 
 
 def test_snapshots_that_a_fault_swallows_are_counted_as_lost():
     mute = {"kind": "mute", "target": "TICK", "start_s": 0.5, "end_s": 0.52}
-    result = statistics("memory:", fault=[mute])
+    result = lockstep("memory:", fault=[mute])
     (applied,) = result.metrics["fault"]
     assert result.metrics["link_statistics"]["lost"]["snapshots"] == applied["applied"] > 10
     assert result.signals["link.lost"][-1] == applied["applied"]
@@ -190,7 +194,7 @@ def test_a_tick_that_is_repeated_leaves_no_gap_in_the_count():
 
 
 def test_the_signals_say_how_the_link_is_at_each_tick():
-    result = statistics("serial:pty")
+    result = lockstep("serial:pty")
     signals, figures = result.signals, result.metrics["link_statistics"]
     assert {name for name in SIGNAL_NAMES if name.startswith("link.")} <= set(signals)
     for name in ("link.sent_bytes", "link.received_bytes"):
@@ -199,7 +203,7 @@ def test_the_signals_say_how_the_link_is_at_each_tick():
     assert signals["link.load_percent"].max() <= figures["load"]["received"]["worst_100_ms_percent"]
     assert signals["link.load_percent"].max() > 5
     assert signals["link.clock_offset_us"][-1] == figures["clock"]["offset_us"]
-    assert math.isnan(statistics("memory:").signals["link.load_percent"][-1])
+    assert math.isnan(lockstep("memory:").signals["link.load_percent"][-1])
 
 
 @pytest.mark.alone
@@ -219,12 +223,13 @@ def test_in_real_time_the_clock_is_read_over_a_link(link):
 def test_a_frame_of_another_length_is_not_counted_as_ours():
     url = parse_link("can:virtual/other")
     host = CanLink(url, "ROBOT")
-    wire = measured(host, url, Clock(), lockstep=True)
+    statistics = observe(host, url, Clock())
+    wire = ConditionedLink(host, Clock(), observer=statistics)
     bus = can.Bus(interface="virtual", channel="other")
     try:
         bus.send(can.Message(arbitration_id=m.Tick.ID, data=b"\1\2", is_extended_id=False))
         assert wire.receive(0) is None
-        figures = wire.figures()
+        figures = statistics.figures()
         assert (figures["received"]["frames"], figures["foreign"]["frames"]) == (0, 1)
     finally:
         wire.close()
@@ -238,8 +243,8 @@ def test_stamps_in_real_time_are_those_of_the_transport_on_the_clock_of_the_run(
     here, there = memory_pair()
     clock = WallClock()
     link = StreamLink(here)
-    wire = measured(link, parse_link("memory:"), clock, lockstep=False)
+    observe(link, parse_link("memory:"), clock)
     before_ns = clock.now_ns()
     there.write(Framer().encode(Frame(m.TimeSyncRequest.ID, b"\1")))
-    received = wire.receive(MS)
+    received = link.receive(MS)
     assert before_ns <= received.stamp_ns <= clock.now_ns()

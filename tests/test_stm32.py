@@ -17,9 +17,7 @@ from hil.robot.handshake import Expected
 from hil.robot.stm32 import Stm32
 from hil.robot.truth import TruthClient
 from hil.robot.wheel_map import WheelMap
-from hil.wire.delay import DelayedLink
-from hil.wire.fault_rows import ScenarioTime
-from hil.wire.faults import FaultLink
+from hil.wire.conditions import ConditionedLink
 from hil.wire.framed import StreamLink
 from hil.wire.streams import DirectStream, memory_pair
 from tests.wheel_rig import PARAMETERS, WheelRig
@@ -63,7 +61,7 @@ def driver(
     nonces = itertools.count(0x2341) if nonces is None else iter(nonces)
     clock = LockstepClock(lambda ticks: device.step(ticks))
     device = Stm32(
-        DelayedLink(FaultLink(link, ScenarioTime(clock), ()), clock, *latencies),
+        ConditionedLink(link, clock, command_latency_ns=latencies[0], feedback_latency_ns=latencies[1]),
         CommandMode.SPEED,
         expected,
         nonces,
@@ -176,7 +174,7 @@ def test_a_round_trip_ends_with_the_tick_that_says_so_even_without_its_snapshot(
     (here, there), framer, clock = memory_pair(), Framer(), Clock()
     link = StreamLink(here)
     link.now_ns = clock.now_ns
-    line = DelayedLink(FaultLink(link, ScenarioTime(clock), ()), clock, 0, 0)
+    line = ConditionedLink(link, clock)
     device = Stm32(line, CommandMode.SPEED, Expected(0, False, True, 20.0), itertools.count(1), WheelMap())
     device.attend(clock)
     sent = [device.send(WheelCommand(CommandMode.SPEED, ZERO_WHEELS, ZERO_WHEELS)) for clock.now in (0, 1_000_000)]
@@ -259,7 +257,7 @@ def test_a_stop_does_not_wait_for_the_links_latency():
     link = StreamLink(Line(rig))
     clock = LockstepClock(lambda ticks: device.step(ticks))
     expected = Expected(parameter_hash(PARAMETERS), lockstep=True, allow_motion=False, speed_limit_rad_s=20.0)
-    delayed = DelayedLink(FaultLink(link, ScenarioTime(clock), ()), clock, 20_000_000, 0)
+    delayed = ConditionedLink(link, clock, command_latency_ns=20_000_000)
     device = Stm32(delayed, CommandMode.SPEED, expected, itertools.count(0x2341), WheelMap())
     device.connect()
     device.start(clock, PERIOD_NS)

@@ -17,10 +17,11 @@ from firmware_protocol.generated import messages as m
 from hil.core.errors import BadInputError
 from hil.runtime.assembly import run
 from hil.wire.can_bus import CanLink
+from hil.wire.conditions import ConditionedLink
 from hil.wire.framed import StreamLink
-from hil.wire.statistics import measured
+from hil.wire.statistics import observe
 from hil.wire.streams import memory_pair
-from hil.wire.trace import Trace, decode, rows
+from hil.wire.trace import Trace, decode, packing
 from hil.wire.url import parse_link
 from tests.processes import HIL, ROOT, device, environment, hil, hil_process, run_json
 from tests.traced_runs import SHORT, one_second_of_frames, traced
@@ -172,8 +173,7 @@ def test_what_the_framing_rejects_and_what_others_say_is_in_the_trace(tmp_path):
     here, there = memory_pair()
     with Trace(tmp_path / "serial.log", blocking=True) as trace:
         link = StreamLink(here)
-        wire = measured(link, parse_link("memory:"), Clock(), lockstep=True)
-        wire.trace_to(trace)
+        wire = ConditionedLink(link, Clock(), observer=observe(link, parse_link("memory:"), Clock(), trace))
         there.write(b"\1\2\3\0" + b"\x99" * 40 + b"\0\2\7\0")
         assert wire.receive(0) is None
         trace.finish()
@@ -185,8 +185,7 @@ def test_what_the_framing_rejects_and_what_others_say_is_in_the_trace(tmp_path):
     bus = can.Bus(interface="virtual", channel="noise")
     with Trace(tmp_path / "bus.blf", blocking=True) as trace:
         host = CanLink(url, "ROBOT")
-        wire = measured(host, url, Clock(), lockstep=True)
-        wire.trace_to(trace)
+        wire = ConditionedLink(host, Clock(), observer=observe(host, url, Clock(), trace))
         for message in one_second_of_frames():
             bus.send(message)
         while wire.receive(0) is not None:
@@ -261,9 +260,9 @@ def test_a_device_traces_its_own_end(tmp_path, ending):
     sent=st.booleans(),
 )
 def test_a_frame_goes_through_the_ring_as_it_is(payload, number, unix_us, sent):
-    flags = rows.SENT * sent + rows.EXTENDED + rows.FD * (len(payload) > 8)
-    row = rows.pack(unix_us, flags, number, len(payload), payload)
-    assert len(row) == rows.WIDTH
-    back = rows.unpack([float(value) for value in row])
+    flags = packing.SENT * sent + packing.EXTENDED + packing.FD * (len(payload) > 8)
+    row = packing.pack(unix_us, flags, number, len(payload), payload)
+    assert len(row) == packing.WIDTH
+    back = packing.unpack([float(value) for value in row])
     assert (back["arbitration_id"], back["data"], back["is_rx"]) == (number, payload, not sent)
     assert back["timestamp"] == pytest.approx(unix_us * 1e-6, abs=1e-6)

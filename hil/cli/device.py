@@ -24,10 +24,8 @@ from hil.robot.virtual import VirtualStm32
 from hil.runtime.realtime import Wanted, real_time
 from hil.runtime.robots import link_of, no_lockstep, node_maker, open_trace, protocol_of, virtual_robot
 from hil.scenario import Scenario, load
-from hil.wire.opening import open_robot
 from hil.wire.robot_end import Wire
-from hil.wire.trace import Trace
-from hil.wire.trace.tap import TracedWire
+from hil.wire.trace import Trace, TracedWire
 
 
 def device(
@@ -97,7 +95,7 @@ def serve(
         robot = _robot(scenario, target)
         resources.callback(robot.close)
         tracing = resources.enter_context(open_trace(scenario, trace, existing)) if trace is not None else None
-        wire, reach = open_robot(url, say, lockstep=lockstep, protocol=protocol_of(scenario))
+        wire, reach = url.open_robot(say, lockstep=lockstep, protocol=protocol_of(scenario))
         resources.callback(wire.close)
         if tracing is not None:
             wire = _traced(wire, tracing, robot, protocol_of(scenario), lockstep=lockstep)

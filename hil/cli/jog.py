@@ -17,7 +17,6 @@ from hil.runtime.sampling import Timing
 from hil.scenario import Scenario, load
 from hil.scenario.motors import make_driver
 from hil.wire.device_lock import device_held
-from hil.wire.opening import is_within_process
 from hil.wire.url import parse_link
 
 MOST_RAD_S = 3.0
@@ -50,7 +49,7 @@ def jog(
     # Where the robot is nobody has to know.
     changes.append("estimator.source=odometry")
     resolved = load(scenario, set=changes, robot=robot, link=link)
-    if not is_within_process(parse_link(resolved.link.url)):
+    if not parse_link(resolved.link.url).is_within_process:
         resolved = load(scenario, set=changes, robot=robot, link=link, mode="realtime")
     check(resolved, wheel, speed_rad_s, seconds)
     way = "forward" if speed_rad_s > 0 else "backward"

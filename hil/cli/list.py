@@ -42,9 +42,9 @@ def listing(what: str) -> tuple[tuple[str, ...], Sequence[tuple[str, ...]]]:
 
         return ("scenario", "meaning"), list(shipped().items())
     if what == "links":
-        from hil.wire.url import LINK_FORMS
+        from hil.wire.url import link_forms
 
-        return ("link", "meaning"), list(LINK_FORMS.items())
+        return ("link", "meaning"), list(link_forms().items())
     if what == "faults":
         from hil.faults.kinds import kinds as fault_kinds
 

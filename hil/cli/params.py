@@ -12,7 +12,6 @@ from hil.robot.parameters import ParameterClient, assignments
 from hil.scenario import FirmwareTable
 from hil.scenario.check import WATCHDOG_PERIODS
 from hil.wire.device_lock import device_held
-from hil.wire.opening import is_within_process, open_host
 from hil.wire.url import parse_link
 
 
@@ -25,13 +24,13 @@ def params(
 ) -> None:
     """Show and change the parameters of a robot's firmware; it must be in IDLE to change. All are checked first."""
     url = parse_link(link)
-    if is_within_process(url):
+    if url.is_within_process:
         raise BadInputError(
             f"link {link!r} reaches no robot outside this process, and one made for it would hold the values of "
             "the build; name the robot's port, such as serial:/dev/ttyACM0, or the link that 'hil device' prints"
         )
     wanted = assignments(changes or [])
-    with device_held(url, f"hil params {link}"), contextlib.closing(open_host(url)) as opened:
+    with device_held(url, f"hil params {link}"), contextlib.closing(url.open_host()) as opened:
         client = ParameterClient(opened)
         checked = client.check(wanted)  # all of them before anything is changed
         if restore:

@@ -31,8 +31,8 @@ from hil.scenario import load
 from hil.scenario.motors import make_driver, wire_of
 from hil.wire.device_lock import device_held
 from hil.wire.framed import StreamLink
-from hil.wire.opening import is_within_process, open_host
-from hil.wire.url import DEFAULT_BAUD, CanUrl, LinkUrl, format_link, parse_link
+from hil.wire.link import LinkUrl
+from hil.wire.url import DEFAULT_BAUD, parse_link
 
 _LISTEN_S = 0.6  # longer than the slowest status that a controller sends by itself
 _ROUNDS = 5
@@ -193,7 +193,7 @@ def find_motors(link: str, driver: str | None = None, say: Callable[[str], None]
     Raises BadInputError for a link within the process, LinkError when it cannot be opened.
     """
     url = parse_link(link)
-    if is_within_process(url):
+    if url.is_within_process:
         raise BadInputError(f"link {link!r} reaches nobody outside this process; name a port or a bus")
     names = [driver] if driver is not None else [OUR_DRIVER, *DIALECTS]
     candidates = [one for name in names if (one := _candidate(name, link)) is not None]
@@ -201,7 +201,7 @@ def find_motors(link: str, driver: str | None = None, say: Callable[[str], None]
     if not candidates:
         raise BadInputError(elsewhere or f"a probe for {driver!r} over {link!r} does not exist; see DIALECTS.md")
     result = Result(elsewhere=elsewhere)
-    look = _probe_bus if isinstance(url, CanUrl) else _probe_port
+    look = _probe_bus if url.is_bus else _probe_port
     look(candidates, driver is not None, result, say)
     return result
 
@@ -221,9 +221,9 @@ def _candidate(name: str, link: str) -> _Candidate | None:
 
 def _elsewhere(url: LinkUrl, names: Iterable[str]) -> str | None:
     """Return a sentence on those who are on a bus, but not of the kind that this link opens; None without any."""
-    if not isinstance(url, CanUrl):
+    if not url.is_bus:
         return None
-    own, other, change = ("can_fd", "can", "without") if url.fd else ("can", "can_fd", "with")
+    own, other, change = ("can_fd", "can", "without") if url.wire == "can_fd" else ("can", "can_fd", "with")
     dialects = [dialect(name) for name in names if name != OUR_DRIVER]
     titles = [one.title for one in dialects if one.probe is not None and other in one.wires and own not in one.wires]
     if not titles:
@@ -232,7 +232,7 @@ def _elsewhere(url: LinkUrl, names: Iterable[str]) -> str | None:
 
 
 def _probe_bus(candidates: Sequence[_Candidate], is_chosen: bool, result: Result, say: Callable[[str], None]) -> None:
-    with contextlib.closing(open_host(candidates[0].url, protocol=LinkProtocol())) as link:
+    with contextlib.closing(candidates[0].url.open_host(protocol=LinkProtocol())) as link:
         say(f"listening for {_LISTEN_S:g} s")
         heard = _listen(link, candidates, lambda: _LISTEN_S)
         for one in _whom_to_ask(candidates, is_silent=is_chosen or not heard):
@@ -253,7 +253,7 @@ def _probe_port(candidates: Sequence[_Candidate], is_chosen: bool, result: Resul
     """Listen in each one's framing and at its rate until one is understood, and send nothing before that is done."""
     came = 0
     for one in candidates:
-        say(f"listening for {one.title} on {format_link(one.url)}")
+        say(f"listening for {one.title} on {one.url}")
         with _line(one) as link:
             _listen(link, [one], lambda: _LISTEN_S)
             came += link.received_bytes
@@ -269,7 +269,7 @@ def _probe_port(candidates: Sequence[_Candidate], is_chosen: bool, result: Resul
 
 
 def _line(one: _Candidate) -> contextlib.closing[StreamLink]:
-    link = open_host(one.url, protocol=LinkProtocol(one.make_framing))
+    link = one.url.open_host(protocol=LinkProtocol(one.make_framing))
     assert isinstance(link, StreamLink)
     return contextlib.closing(link)
 
@@ -321,5 +321,5 @@ def _listen(link: Link, candidates: Iterable[_Candidate], patience_s: Callable[[
 def _add(result: Result, one: _Candidate) -> bool:
     found = one.probe.found()
     if found is not None:
-        result.answers.append(Answer(one.driver, format_link(one.url), found))
+        result.answers.append(Answer(one.driver, str(one.url), found))
     return found is not None

@@ -3,7 +3,7 @@
 from typing import NamedTuple, Protocol
 
 from hil.drivers.port import Dialect, Driver
-from hil.wire.url import LinkUrl, SerialUrl
+from hil.wire.link import LinkUrl
 
 
 class HostWatch(Protocol):
@@ -68,7 +68,7 @@ def watch_over(made: Dialect, driver: Driver, url: LinkUrl, silence_s: float, pr
     """
     if driver.capabilities.watchdog != "none":
         return Unwatched()
-    if not isinstance(url, SerialUrl) or made.make_framing is None:
+    if url.serial_port is None or made.make_framing is None:
         return Unwatched(
             "nothing that is known to us stops the robot if this program dies or hangs: a guardian process watches "
             "over serial lines alone; keep a switch that cuts the motors' power within reach"
@@ -77,4 +77,4 @@ def watch_over(made: Dialect, driver: Driver, url: LinkUrl, silence_s: float, pr
 
     framing = made.make_framing()
     stop = b"".join(framing.encode(frame) for frame in made.last_stop(driver))
-    return Guardian(url.port, url.baud, stop, silence_s=silence_s, priority=priority)
+    return Guardian(*url.serial_port, stop, silence_s=silence_s, priority=priority)

@@ -25,7 +25,7 @@ from hil.robot.handshake import RETRY_NS, SILENCE_NS
 from hil.robot.link_times import ClockSync, RoundTrip
 from hil.robot.snapshot import Feedback
 from hil.robot.wheel_map import WheelMap
-from hil.wire.delay import DelayedLink
+from hil.wire.conditions import ConditionedLink
 
 _START_LIMIT_NS = 4_000_000_000
 _QUESTION_NS = 1_000_000
@@ -52,7 +52,7 @@ class Terms(NamedTuple):
 class MakersRobot:
     """See ``hil.robot.port.Device``. Raises nothing when it is made; ``connect`` is the first to speak."""
 
-    def __init__(self, link: DelayedLink, clock: Clock, driver: Driver, wheel_map: WheelMap, terms: Terms) -> None:
+    def __init__(self, link: ConditionedLink, clock: Clock, driver: Driver, wheel_map: WheelMap, terms: Terms) -> None:
         self._line = MotorLine(link, driver, is_lockstep=terms.advance is not None)
         self._clock = clock
         self._driver = driver

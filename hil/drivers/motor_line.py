@@ -7,7 +7,7 @@ from hil.core.ports import Clock
 from hil.drivers.port import Driver
 from hil.robot.unread import Unread
 from hil.robot.wire_hash import WireHash, pack_wide
-from hil.wire.delay import DelayedLink
+from hil.wire.conditions import ConditionedLink
 
 _MOST_A_POLL = 5000  # frames; four controllers at 1 kHz send forty in 10 ms
 
@@ -21,7 +21,7 @@ class MotorLine:
         sent, received: frames so far.
     """
 
-    def __init__(self, link: DelayedLink, driver: Driver, *, is_lockstep: bool) -> None:
+    def __init__(self, link: ConditionedLink, driver: Driver, *, is_lockstep: bool) -> None:
         self._link = link
         self._driver = driver
         self._is_lockstep = is_lockstep

@@ -9,7 +9,7 @@ from firmware_protocol.host_line import HostLine
 from hil.core.ports import Link, Received, make_received
 from hil.robot.virtual import VirtualStm32
 from hil.wire.framed import StreamLink
-from hil.wire.opening import Line
+from hil.wire.link import Line
 from hil.wire.streams import DirectStream, closed
 
 

@@ -25,7 +25,7 @@ from hil.robot.stepping import Stepping
 from hil.robot.unread import Unread
 from hil.robot.wheel_map import WheelMap
 from hil.robot.wire_hash import WireHash
-from hil.wire.delay import DelayedLink
+from hil.wire.conditions import ConditionedLink
 
 _MOST_A_POLL = 200  # frames; a robot sends at most some ten a tick
 _HEARTBEAT_NS = 100_000_000
@@ -60,7 +60,7 @@ class Stm32:
 
     def __init__(
         self,
-        link: DelayedLink,
+        link: ConditionedLink,
         mode: CommandMode,
         expected: Expected,
         nonces: Iterator[int],

@@ -44,12 +44,9 @@ from hil.runtime.robots import (
 )
 from hil.scenario import Scenario
 from hil.scenario.motors import make_driver
-from hil.wire.delay import DelayedLink
-from hil.wire.faults import FaultLink
-from hil.wire.opening import is_within_process, open_host, open_pair
-from hil.wire.statistics import measured
+from hil.wire.conditions import ConditionedLink
+from hil.wire.statistics import observe
 from hil.wire.trace import Trace
-from hil.wire.url import MemoryUrl
 
 NS = 1_000_000_000
 _ANSWER_S = 2.0
@@ -96,7 +93,7 @@ class Bench:
             self.fixes = self._fixes()
             if self.fixes is not None:
                 resources.callback(self.fixes.close)
-            if is_within_process(url):
+            if url.is_within_process:
                 if truth is not None:
                     raise BadInputError(
                         f"--truth {truth}: the link {scenario.link.url} makes its robot in this process, which knows "
@@ -117,26 +114,33 @@ class Bench:
                     resources.callback(self.truth.close)
                 self.faults.arm(self.truth)
                 guarding = resources.enter_context(contextlib.ExitStack())  # which ends after the link was closed
-                link = open_host(url, self.faults.line, protocol)
+                link = url.open_host(self.faults.line, protocol)
                 resources.callback(link.close)
-            self.wire = measured(link, url, self.clock, lockstep=lockstep)
             if trace is not None:
                 trace.begin(time.time_ns() - self.clock.now_ns())
-                self.wire.trace_to(trace)
-            disturbed = self.faults.around(self.wire, url, resources)
-            faulty = FaultLink(disturbed, self.faults.time, self.faults.of_frames, protocol)
-            latencies = (scenario.link.command_latency_ns, scenario.link.feedback_latency_ns)
-            delayed = DelayedLink(faulty, self.clock, *latencies, protocol)
+            self.wire = observe(link, url, self.clock, trace)
+            conditioned = ConditionedLink(
+                link,
+                self.clock,
+                command_latency_ns=scenario.link.command_latency_ns,
+                feedback_latency_ns=scenario.link.feedback_latency_ns,
+                faults=self.faults.of_frames,
+                scenario_time=self.faults.time,
+                bus=self.faults.bus(url),
+                observer=self.wire if self.wire.is_needed else None,
+                protocol=protocol,
+            )
+            resources.callback(conditioned.close)
             driver = make_driver(scenario) if scenario.device.is_makers else None
             if driver is not None and self._robot is None:
                 made, priority = dialect(scenario.device.driver), scenario.realtime.priority
                 self._watch = watch_over(made, driver, url, scenario.device.guardian_s, priority)
                 guarding.callback(self._watch.release)
-            self.device = self._device(delayed, driver, allow_motion=allow_motion or self._robot is not None)
+            self.device = self._device(conditioned, driver, allow_motion=allow_motion or self._robot is not None)
             resources.callback(self.device.close)
             self._resources = resources.pop_all()
 
-    def _device(self, link: DelayedLink, driver: Driver | None, *, allow_motion: bool) -> Device:
+    def _device(self, link: ConditionedLink, driver: Driver | None, *, allow_motion: bool) -> Device:
         scenario = self._scenario
         lockstep = scenario.loop.mode == "lockstep"
         if driver is not None:
@@ -164,13 +168,13 @@ class Bench:
         self._robot = robot = resources.enter_context(self._make_robot(virtual_robot(self._scenario), self._make_node))
         self.faults.arm(LocalFaults(robot.faults, self._do))
         url, is_makers = link_of(self._scenario), self._scenario.device.is_makers
-        if lockstep and not is_makers and isinstance(url, MemoryUrl):
+        if lockstep and not is_makers and url.is_direct:
             self.truth = DirectTruth(robot)
             link = open_direct(robot, self.faults.line)
             resources.callback(link.close)
             return link
         self.truth = truth = LocalTruth()
-        pair = open_pair(url, self.faults.line, lockstep=lockstep, protocol=protocol_of(self._scenario))
+        pair = url.open_pair(self.faults.line, lockstep=lockstep, protocol=protocol_of(self._scenario))
         resources.callback(pair.wire.close)
         resources.callback(pair.link.close)
         self._server = server = VirtualServer(robot, pair.wire, truth, lockstep=lockstep)

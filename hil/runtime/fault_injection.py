@@ -6,17 +6,14 @@ from typing import Protocol
 
 from hil.core.errors import BadInputError, HilError
 from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
-from hil.core.ports import Link
+from hil.core.ports import Clock
 from hil.faults.kind import FaultRow
 from hil.robot.faults import RobotFaults
 from hil.runtime.signal_faults import SignalFaults
-from hil.wire.bus_faults import FaultBus
-from hil.wire.delay import NowNs
-from hil.wire.fault_rows import LinkFault, ScenarioTime, link_faults
-from hil.wire.line_faults import BYTE_KINDS, FaultLine
-from hil.wire.opening import open_host
+from hil.wire.faults import BYTE_KINDS, BusFaults, LinkFault, ScenarioTime, link_faults
+from hil.wire.line_faults import FaultLine
+from hil.wire.link import LinkUrl
 from hil.wire.streams import HostStream
-from hil.wire.url import CanUrl, LinkUrl
 
 
 class RobotWithFaults(Protocol):
@@ -59,7 +56,7 @@ class RunFaults:
         self,
         rows: Sequence[FaultRow],
         seed: int,
-        clock: NowNs,
+        clock: Clock,
         names: Sequence[str],
         protocol: LinkProtocol = WHEEL_DBC,
     ) -> None:
@@ -85,18 +82,19 @@ class RunFaults:
         """Return the host's end of a serial line with what acts on its bytes; as it is where nothing does."""
         return FaultLine(stream, self.time, self._of_bytes, self._protocol) if self._of_bytes else stream
 
-    def around(self, link: Link, url: LinkUrl, resources: contextlib.ExitStack) -> Link:
-        """Return a CAN link with what acts on its bus; any other, and one on whose bus nothing acts, as it is."""
-        if not self._of_bytes or not (isinstance(url, CanUrl) or self._protocol.make_framing is None):
-            return link
-        if not isinstance(url, CanUrl):
+    def bus(self, url: LinkUrl) -> BusFaults | None:
+        """Return what acts on the bus of a link; None on any other link, and where no row does.
+
+        Raises BadInputError for frames in memory, which have no bits, LinkError when a babbling node cannot be opened.
+        """
+        if not self._of_bytes or not (url.is_bus or self._protocol.make_framing is None):
+            return None
+        if not url.is_bus:
             row = self._of_bytes[0].row
             raise BadInputError(f"fault {row.kind}: a bus in memory has no bits; use --link can:virtual/NAME for it")
-        babbler = None
-        if any(fault.kind == "babble" for fault in self._of_bytes):
-            babbler = open_host(url, protocol=self._protocol)
-            resources.callback(babbler.close)
-        return FaultBus(link, self.time, self._of_bytes, babbler, self._protocol)
+        babbles = any(fault.kind == "babble" for fault in self._of_bytes)
+        babbler = url.open_host(protocol=self._protocol) if babbles else None
+        return BusFaults(self._of_bytes, babbler, self._protocol)
 
     def arm(self, robot: RobotWithFaults | None) -> None:
         """Give the robot what acts on it and its plant.

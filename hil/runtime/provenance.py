@@ -90,10 +90,9 @@ def _plant_and_libraries(scenario: "Scenario") -> dict[str, str | None]:
     from firmware_protocol import host
     from firmware_protocol.built import BuildError
     from hil.plant import archive, shim
-    from hil.wire.opening import is_within_process
     from hil.wire.url import parse_link
 
-    has_robot = is_within_process(parse_link(scenario.link.url))
+    has_robot = parse_link(scenario.link.url).is_within_process
     found: dict[str, str | None] = {}
     if has_robot or not scenario.device.is_makers:
         try:

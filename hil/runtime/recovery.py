@@ -7,7 +7,7 @@ from typing import NamedTuple
 from hil.core.errors import HilError, LinkError, RobotStoppedError
 from hil.core.ports import Clock
 from hil.robot.port import Device
-from hil.wire.back_off import BackOff
+from hil.wire.reopening import BackOff
 
 _GREETING_LIMIT_NS = 2_000_000_000
 _ARMING_LIMIT_NS = 4_000_000_000

@@ -19,8 +19,9 @@ from hil.robot.faults import Body
 from hil.robot.virtual import MakeNode, VirtualPlant, VirtualRobot
 from hil.robot.wheel_map import WheelMap
 from hil.scenario import SHIPPED_FMUS, Scenario, StartValue
+from hil.wire.link import LinkUrl
 from hil.wire.trace import Trace
-from hil.wire.url import DEFAULT_BAUD, CanUrl, LinkUrl, parse_link
+from hil.wire.url import DEFAULT_BAUD, parse_link
 
 _NS = 1_000_000_000
 
@@ -159,6 +160,5 @@ def no_lockstep(scenario: Scenario) -> BadInputError:
 def open_trace(scenario: Scenario, path: Path, existing: Existing = "refuse") -> Trace:
     """Start writing a trace of the scenario's link; ``existing`` and what is raised are those of ``Trace``."""
     url = link_of(scenario)
-    fd = isinstance(url, CanUrl) and url.fd
-    switched = isinstance(url, CanUrl) and url.data_bitrate is not None
-    return Trace(path, blocking=scenario.loop.mode == "lockstep", fd=fd, switched=switched, existing=existing)
+    blocking, fd = scenario.loop.mode == "lockstep", url.wire == "can_fd"
+    return Trace(path, blocking=blocking, fd=fd, switched=url.is_switched, existing=existing)

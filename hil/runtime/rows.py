@@ -8,7 +8,7 @@ from hil.core.signals import EstimatorSignals, LoopSignals
 from hil.core.types import NAN, NAN_POSE, NAN_WHEELS, Applied, CommandMode, PoseFix, Reference, State, Twist
 from hil.robot.port import Device
 from hil.robot.snapshot import Feedback
-from hil.wire.statistics import Statistics
+from hil.wire.statistics import LinkStatistics
 
 _SPEED = CommandMode.SPEED  # a member of an enumeration takes longer to look up than a global name
 _NO_STATE = State(NAN_POSE, Twist(NAN, NAN, NAN))
@@ -22,7 +22,7 @@ class Rows:
     def __init__(
         self,
         device: Device,
-        wire: Statistics,
+        wire: LinkStatistics,
         controller: Controller,
         extra: Sequence[OwnSignals],
         sinks: Sequence[Sink],

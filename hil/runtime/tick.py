@@ -29,7 +29,7 @@ from hil.runtime.freshness import Freshness
 from hil.runtime.rows import Rows
 from hil.runtime.sampling import Timing
 from hil.runtime.signal_faults import SignalFaults
-from hil.wire.statistics import Statistics
+from hil.wire.statistics import LinkStatistics
 
 
 class Parts(NamedTuple):
@@ -41,7 +41,7 @@ class Parts(NamedTuple):
 
     clock: Clock
     device: Device
-    wire: Statistics
+    wire: LinkStatistics
     truth: PoseSource | None
     fixes: FixSource | None
     estimator: Estimator

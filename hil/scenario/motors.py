@@ -7,7 +7,8 @@ from hil.drivers.port import Driver, RobotFacts, Sensor, Wire
 from hil.drivers.registry import dialect
 from hil.faults.kinds import MESSAGES
 from hil.scenario.tables import Tables
-from hil.wire.url import CanUrl, LinkUrl, MemoryUrl, SerialUrl, parse_link
+from hil.wire.link import LinkUrl
+from hil.wire.url import parse_link
 
 _WIRES = {
     "can": "a CAN bus: can:INTERFACE/CHANNEL, or memory: within one process",
@@ -104,10 +105,4 @@ def contradictions(tables: Tables) -> Iterator[tuple[str, object, str]]:
 
 def wire_of(url: LinkUrl, wires: Collection[Wire]) -> Wire:
     """Return what a link is to a dialect that is spoken over these wires; memory is whatever is wanted."""
-    match url:
-        case CanUrl():
-            return "can_fd" if url.fd else "can"
-        case SerialUrl():
-            return "serial"
-        case MemoryUrl():
-            return "serial" if "serial" in wires else sorted(wires)[0]
+    return url.wire or ("serial" if "serial" in wires else sorted(wires)[0])

@@ -31,9 +31,8 @@ from hil.service.pilot import Pilot
 from hil.service.records import Records, finished, recording_of
 from hil.service.stand_ins import LastingTruth
 from hil.service.systemd import Notifier
-from hil.wire.back_off import BackOff
 from hil.wire.device_lock import device_held
-from hil.wire.opening_beside import OpeningBeside
+from hil.wire.reopening import BackOff, OpeningBeside
 from hil.wire.url import parse_link
 
 _STATUS_HZ = 20

@@ -3,22 +3,22 @@
 import errno
 import logging
 import time
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator
+from itertools import combinations
+from typing import Any, NamedTuple
 
 from firmware_protocol.framing import Frame
 from hil.core.errors import BadInputError, LinkError, nearest
 from hil.core.link_protocol import WHEEL_DBC, LinkProtocol, Side
 from hil.core.ports import Received
-from hil.wire.can_errors import BUS_OFF, CAUSES, causes_of
-from hil.wire.can_failures import failure
-from hil.wire.can_filters import filters_for
+from hil.wire.can_errors import BUS_OFF, CAUSES, causes_of, failure
 from hil.wire.can_ports import CanPort, PythonCan, SocketCan
-from hil.wire.url import CanUrl, format_link
+from hil.wire.url import CanUrl
 
 _QUEUE_FULL_S = 0.05  # at 1 Mbit/s and full load a queue of 100 frames is empty after 13 ms
 _QUEUE_RETRY_S = 0.0005
 _MOST_FILTERS = 8
+_IDENTIFIER_BITS = 11
 # Where the filters are in the kernel or the driver, and error frames come past them. Others would filter in Python, and
 # drop error frames too; there ``_refusal`` does it at no further cost.
 _FILTERING_INTERFACES = ("socketcan", "ixxat")
@@ -32,9 +32,11 @@ class CanLink:
     that hears the robot, ``unknown_id`` and ``length``. A robot that hears the host gets all standard data frames that
     pass the filters: its firmware counts those by itself. Dropped and not counted are this side's own messages, which
     some buses give back (python-can's ``udp_multicast``, without a mark). A bus-off is a lost link, to be reopened.
-    ``on_foreign``, where set, is shown each frame that was counted, as a ``can.Message``.
-
     Raises BadInputError for what python-can or its interface does not know, LinkError when it cannot be opened.
+
+    Attributes:
+        on_foreign: where set, is shown each frame that was counted, as a ``can.Message``.
+        now_ns: the clock that stamps what is received.
     """
 
     def __init__(self, url: CanUrl, hears: Side, protocol: LinkProtocol = WHEEL_DBC) -> None:
@@ -51,9 +53,10 @@ class CanLink:
         self._bus: Any = None
         self._port: CanPort | None = None
         self.on_foreign: Callable[[Any], None] | None = None
+        self.now_ns: Callable[[], int] = time.monotonic_ns
         if url.interface not in can.VALID_INTERFACES:
             raise BadInputError(
-                f"link {format_link(url)!r}: unknown CAN interface {url.interface!r}"
+                f"link {str(url)!r}: unknown CAN interface {url.interface!r}"
                 f"{nearest(url.interface, can.VALID_INTERFACES)}"
             )
         self.reopen()
@@ -70,7 +73,7 @@ class CanLink:
         if self._url.fd and self._bus.protocol is self._can.CanProtocol.CAN_20:
             self.close()
             raise BadInputError(
-                f"link {format_link(self._url)!r}: the interface {self._url.interface!r} has no CAN FD in python-can; "
+                f"link {str(self._url)!r}: the interface {self._url.interface!r} has no CAN FD in python-can; "
                 "remove fd=1, or use another interface"
             )
         if self._url.interface == "socketcan":
@@ -128,7 +131,7 @@ class CanLink:
             frame = port.frame_of(raw)
             cause = "foreign" if frame is None else self._refusal(*frame)
             if frame is not None and cause is None:
-                return Received((frame,), time.monotonic_ns())
+                return Received((frame,), self.now_ns())
             if cause in self._rejected:
                 self._count(cause, port.message_of(raw))
             timeout_ns = max(0, deadline_ns - time.monotonic_ns())
@@ -190,7 +193,49 @@ def _socketcand(url: CanUrl) -> Iterator[tuple[str, Any]]:
     host, _, port = server.rpartition(":")
     if not (host and channel and port.isdecimal()):
         raise BadInputError(
-            f"link {format_link(url)!r}: expected can:socketcand/HOST:PORT/CHANNEL, such as "
+            f"link {str(url)!r}: expected can:socketcand/HOST:PORT/CHANNEL, such as "
             "can:socketcand/192.168.1.10:29536/can0"
         )
     yield from (("host", host), ("port", int(port)), ("channel", channel))
+
+
+class Filter(NamedTuple):
+    """Passes an identifier when it equals ``identifier`` in the bits that are 1 in ``mask``."""
+
+    identifier: int
+    mask: int
+
+    def passes(self, identifier: int) -> bool:
+        """Return whether a frame with the identifier passes."""
+        return not (identifier ^ self.identifier) & self.mask
+
+    def joined(self, other: "Filter") -> "Filter":
+        """Return the narrowest filter that passes what either passes."""
+        mask = self.mask & other.mask & ~(self.identifier ^ other.identifier)
+        return Filter(self.identifier & mask, mask)
+
+    @property
+    def width(self) -> int:
+        """How many identifiers pass."""
+        return 1 << (_IDENTIFIER_BITS - self.mask.bit_count())
+
+
+def filters_for(identifiers: Iterable[int], most: int) -> list[Filter]:
+    """Return at most ``most`` filters that pass all of these identifiers of 11 bits.
+
+    From one exact filter for each, the two whose union passes the fewest others are joined until there are few enough,
+    and further while a union costs nothing.
+    """
+    filters = [Filter(identifier, (1 << _IDENTIFIER_BITS) - 1) for identifier in sorted(set(identifiers))]
+    while len(filters) > 1:
+        cost, one, other = min(_unions(filters))
+        if cost > 0 and len(filters) <= most:
+            break
+        union = one.joined(other)
+        filters = sorted([union] + [f for f in filters if f.joined(union) != union])
+    return filters
+
+
+def _unions(filters: list[Filter]) -> Iterator[tuple[int, Filter, Filter]]:
+    for one, other in combinations(filters, 2):
+        yield one.joined(other).width - one.width - other.width, one, other

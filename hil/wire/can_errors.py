@@ -1,6 +1,15 @@
-"""Error frames: what SocketCAN's classes mean (Linux, include/uapi/linux/can/error.h). Pure."""
+"""What a CAN bus tells of its errors: the causes in an error frame, and one sentence for each failure of an interface.
 
+Classes of error frames are those of SocketCAN (Linux, include/uapi/linux/can/error.h).
+"""
+
+import errno
+import re
 from collections.abc import Iterator
+
+from hil.core.errors import LinkError
+from hil.wire.serial_failures import LIST_PORTS, SHARED, is_gone, is_shared, opening_problem, words_of
+from hil.wire.url import CanUrl
 
 # Classes are bits of the identifier, details bits of data bytes.
 _CLASSES = {
@@ -43,3 +52,81 @@ def _causes(identifier: int, data: bytes) -> Iterator[str]:
     ):
         if identifier & bit:
             yield from (cause for mask, cause in details.items() if data[byte] & mask)
+
+
+_INSTEAD = "; on Linux most adapters need none with can:socketcan/can0"
+_LIBRARIES = {
+    "pcan": "PEAK's PCAN-Basic library (libpcanbasic on Linux, PCANBasic.dll on Windows)" + _INSTEAD,
+    "kvaser": "Kvaser's CANlib (linuxcan on Linux, the Kvaser drivers on Windows)" + _INSTEAD,
+    "vector": "Vector's XL Driver Library, which exists for Windows only" + _INSTEAD,
+    "ixxat": "IXXAT's VCI driver, which exists for Windows only" + _INSTEAD,
+    "nican": "National Instruments' NI-CAN driver, which exists for Windows only" + _INSTEAD,
+    "systec": "SYS TEC's USB-CANmodul driver, which exists for Windows only" + _INSTEAD,
+    "neovi": "Intrepid's library: pip install 'python-can[neovi]'" + _INSTEAD,
+    "gs_usb": "the gs_usb package: pip install 'python-can[gs-usb]'" + _INSTEAD,
+    "cantact": "the cantact package: pip install 'python-can[cantact]'" + _INSTEAD,
+    "canalystii": "the canalystii package: pip install 'python-can[canalystii]'",
+    "udp_multicast": "msgpack: pip install 'python-can[multicast]'",
+}
+# What the system and python-can number their errors with; their words follow, or stand before.
+_NUMBERS = re.compile(r"\[(Errno|Error Code) -?\d+\] ?")
+_SERIAL_INTERFACES = ("slcan", "serial", "robotell", "seeedstudio")
+
+
+def failure(url: CanUrl, error: Exception) -> LinkError:
+    """Return the sentence for a failure of python-can."""
+    where = f"CAN interface {url.interface!r}, channel {url.channel!r}"
+    number, text = _number(error), " ".join(_NUMBERS.sub("", str(error)).split())
+    if url.interface in _SERIAL_INTERFACES and "bitrate" not in text:
+        return _of_serial_adapter(where, url, error)
+    up = f"bring it up: ip link set {url.channel} up type can bitrate {url.bitrate}"
+    if number == errno.ENETDOWN or "Network is down" in text:
+        return LinkError(f"{where} is down; {up}")
+    if number in (errno.ENODEV, errno.ENXIO) or "No such device" in text:
+        return LinkError(f"{where} does not exist; see the interfaces with: ip -br link; then {up}")
+    if number == errno.EAFNOSUPPORT or "Address family not supported" in text:
+        return LinkError(f"{where}: this system's kernel has no CAN; load it with: modprobe can_raw")
+    if number == errno.ENOBUFS or "No buffer space" in text or "buffer full" in text.lower():
+        return LinkError(f"{where}: the transmit queue stays full; nobody acknowledges, check bit rate and cable")
+    if number == errno.ENETUNREACH:
+        return LinkError(
+            f"{where}: no network reaches the multicast group; add a route to it, such as: "
+            "ip route add 224.0.0.0/4 dev lo"
+        )
+    if _lacks_library(error, text):
+        needs = _LIBRARIES.get(url.interface, f"software of its maker, which python-can asks for: {text}")
+        return LinkError(f"{where} cannot be used: install {needs}")
+    if "bitrate" in text:
+        return LinkError(f"{where} cannot run at {url.bitrate} bit/s ({text}); set bitrate= to one of these")
+    if url.interface == "socketcand":
+        return LinkError(f"{where} failed ({text}); start socketcand on that host, with the channel in its list")
+    return LinkError(f"{where} failed ({text}); check that the adapter is plugged in and that nobody else uses it")
+
+
+def _of_serial_adapter(where: str, url: CanUrl, error: Exception) -> LinkError:
+    if "Write timeout" in str(error.__cause__):
+        return LinkError(f"{where} takes no bytes any more; plug the adapter out and in again")
+    if is_shared(url.channel.partition("@")[0], error):
+        return LinkError(f"{where} {SHARED}")
+    if is_gone(error):
+        return LinkError(f"{where} was lost (it is gone); plug the adapter in again, and check its cable")
+    if (problem := opening_problem(error)) is not None:
+        return LinkError(f"{where} {problem}")
+    return LinkError(f"{where} failed ({words_of(error)}); check that the adapter is plugged in and free; {LIST_PORTS}")
+
+
+def _number(error: BaseException) -> int | None:
+    """Return the system's error number, which python-can may have wrapped."""
+    cause: BaseException | None = error
+    while cause is not None:
+        number = getattr(cause, "error_code", None) or getattr(cause, "errno", None)
+        if isinstance(number, int):
+            return number
+        cause = cause.__cause__
+    return None
+
+
+def _lacks_library(error: Exception, text: str) -> bool:
+    if isinstance(error, ImportError | NameError | AttributeError | NotImplementedError):
+        return True
+    return any(words in text for words in ("library not found", "not installed", "msgpack", "could not be loaded"))

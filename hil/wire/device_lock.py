@@ -16,25 +16,7 @@ from platformdirs import site_data_path
 
 from hil.core.errors import LinkError
 from hil.core.process_lock import LockHeldError, ProcessLock
-from hil.wire.url import CanUrl, LinkUrl, MemoryUrl, SerialUrl, format_link
-
-
-def device_name(url: LinkUrl) -> str | None:
-    """Return the name of the device behind a link, the same for each spelling; None where the link makes its own.
-
-    A serial port goes by its real path, so ``/dev/serial/by-id/...`` is the same as ``/dev/ttyACM0``, and an adapter
-    that is used as a CAN interface (slcan) the same as its port.
-    """
-    match url:
-        case MemoryUrl():
-            return None
-        case SerialUrl():
-            return None if url.is_pty else _port(url.port)
-        case CanUrl():
-            if url.interface == "virtual":
-                return None
-            path = url.channel.partition("@")[0]
-            return _port(path) if Path(path).is_absolute() else f"{url.interface}/{url.channel}"
+from hil.wire.link import LinkUrl
 
 
 @contextlib.contextmanager
@@ -43,7 +25,7 @@ def device_held(url: LinkUrl, command: str) -> Iterator[None]:
 
     Raises LinkError, naming the process that holds it, when another one does.
     """
-    name = device_name(url)
+    name = url.device_name()
     if name is None:
         yield
         return
@@ -54,10 +36,10 @@ def device_held(url: LinkUrl, command: str) -> Iterator[None]:
         # Anybody may lock: in the temporary folder itself a file may be opened for writing by its owner only.
         claim = ProcessLock(folder, _file_name(name), record, mode=0o666)
     except LockHeldError as taken:
-        raise LinkError(_refusal(format_link(url), taken)) from None
+        raise LinkError(_refusal(str(url), taken)) from None
     except OSError as error:
         raise LinkError(
-            f"link {format_link(url)!r}: the lock that keeps a second process from the device cannot be taken "
+            f"link {str(url)!r}: the lock that keeps a second process from the device cannot be taken "
             f"({error.strerror}); see to it that {folder} may be written to"
         ) from error
     try:
@@ -76,14 +58,6 @@ def _refusal(link: str, taken: LockHeldError) -> str:
         f"link {link!r}: {holder['command']!r} (process {holder['pid']}) has had the device since {holder['since']}; "
         f"{remedy}"
     )
-
-
-def _port(port: str) -> str:
-    if "://" in port:
-        return port
-    if sys.platform == "win32":
-        return port.upper().removeprefix("\\\\.\\")
-    return os.path.realpath(port)
 
 
 def _file_name(device: str) -> str:

@@ -1,247 +1,231 @@
-"""Faults of whole frames: a link that loses, delays, doubles, swaps, mutes and repeats them, or is lost itself."""
+"""Faults of a link: the scenario's time, a row with its chance and its count, and what a CAN bus does to frames."""
 
-import heapq
-import itertools
-import time
-from collections import deque
+import random
 from collections.abc import Sequence
-from typing import NamedTuple
 
 from firmware_protocol.framing import Frame
+from hil.core.clock import TICK_NS
 from hil.core.errors import LinkError
-from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
-from hil.core.ports import Link, Received
-from hil.wire.fault_rows import LinkFault, ScenarioTime
+from hil.core.link_protocol import STANDARD_IDS, WHEEL_DBC, LinkProtocol
+from hil.core.ports import Clock, Link
+from hil.faults.kind import FaultRow, generators
+from hil.faults.kinds import DIRECTIONS, find
 
-TICK_NS = 1_000_000
+BYTE_KINDS = ("bit_errors", "truncation", "babble")
+"""The kinds that act on the bytes of a serial line (``line_faults``), or on a bus (``BusFaults``)."""
 
-
-class _Held(NamedTuple):
-    """A frame that waits for its time; ``number`` keeps the order of those that are due at once."""
-
-    due_ns: int
-    number: int
-    frame: Frame
-
-
-class _Way:
-    """One direction: what is held back, and what each row remembers of it."""
-
-    def __init__(self, direction: str, faults: Sequence[LinkFault]) -> None:
-        self.direction = direction
-        self.faults = [fault for fault in faults if fault.kind != "disconnect"]
-        self.held: list[_Held] = []
-        self._numbers = itertools.count()
-        self._bad: set[LinkFault] = set()  # burst_loss in its bad state
-        self._overtaken: dict[LinkFault, list[Frame]] = {}  # what reorder holds until the next frame
-        self._newest: dict[tuple[LinkFault, int], Frame] = {}  # what freeze repeats
-
-    def take(self, frame: Frame, t_ns: int) -> None:
-        """Take a frame that is not exempt; what becomes of it is in ``held``."""
-        self._pass([frame], 0, t_ns)
-
-    def _pass(self, frames: list[Frame], first: int, t_ns: int, delay_ns: int = 0) -> None:
-        """Let a frame and its copies pass the rows from the one numbered ``first`` on."""
-        for place, fault in enumerate(self.faults[first:], first):
-            if not frames:
-                return
-            if not fault.concerns(self.direction, frames[0].id):
-                continue
-            if fault.kind == "freeze" and t_ns < fault.row.start_ns:
-                self._newest[fault, frames[0].id] = frames[0]
-            if not fault.row.is_in_force(t_ns):
-                continue
-            if fault.kind in ("delay", "jitter"):
-                delay_ns += self._delay_ns(fault)
-            elif fault.kind == "reorder" and fault in self._overtaken:
-                fault.applied += 1
-                self._pass(frames, place + 1, t_ns, delay_ns)
-                self._pass(self._overtaken.pop(fault), place + 1, t_ns, delay_ns)
-                return
-            elif fault.kind == "reorder":
-                if fault.chance.random() < fault.row.value:
-                    self._overtaken[fault] = frames
-                    return
-            else:
-                frames = self._changed(fault, frames)
-        for one in frames:
-            self._hold(one, t_ns + delay_ns)
-
-    def _changed(self, fault: LinkFault, frames: list[Frame]) -> list[Frame]:
-        """Return what a row makes of a frame and its copies."""
-        match fault.kind:
-            case "drop":
-                return [] if fault.strikes() else frames
-            case "duplicate":
-                return frames * 2 if fault.strikes() else frames
-            case "burst_loss":
-                return [] if self._bursts(fault) else frames
-            case "mute":
-                fault.applied += 1
-                return []
-            case "freeze":
-                old = self._newest.get((fault, frames[0].id))
-                fault.applied += old is not None
-                return frames if old is None else [old] * len(frames)
-        return frames
-
-    def _bursts(self, fault: LinkFault) -> bool:
-        """Go on to the next state of the Gilbert-Elliott chain; tell whether it is the bad one."""
-        share, length = fault.row.value, fault.row.burst_frames
-        probability = 1.0 - 1.0 / length if fault in self._bad else share / (length * (1.0 - share))
-        if fault.chance.random() < probability:
-            self._bad.add(fault)
-            fault.applied += 1
-            return True
-        self._bad.discard(fault)
-        return False
-
-    @staticmethod
-    def _delay_ns(fault: LinkFault) -> int:
-        seconds = fault.row.value * (fault.chance.random() if fault.kind == "jitter" else 1.0)
-        ticks = -(-round(seconds * 1e9) // TICK_NS)  # robot time has no finer grain in lockstep
-        fault.applied += ticks > 0
-        return ticks * TICK_NS
-
-    def _hold(self, frame: Frame, due_ns: int) -> None:
-        """Let a frame wait; it does not overtake those that wait already."""
-        due_ns = max(due_ns, max((held.due_ns for held in self.held), default=due_ns))
-        heapq.heappush(self.held, _Held(due_ns, next(self._numbers), frame))
-
-    def forget(self) -> None:
-        """Lose what is held."""
-        self.held.clear()
-        self._overtaken.clear()
-
-    def next_due_ns(self) -> int | None:
-        """Return when the next frame that is held has to go on, or None when none is held."""
-        ends = [fault.row.end_ns for fault in self._overtaken]
-        if self.held:
-            ends.append(self.held[0].due_ns)
-        return min(ends, default=None)
-
-    def due(self, t_ns: int, *, everything: bool = False) -> list[Frame]:
-        """Return what has to go on, in order; with ``everything`` also what has time left."""
-        for place, fault in enumerate(self.faults):
-            if fault in self._overtaken and (everything or fault.row.end_ns <= t_ns):
-                self._pass(self._overtaken.pop(fault), place + 1, min(t_ns, fault.row.end_ns))
-        frames = []
-        while self.held and (everything or self.held[0].due_ns <= t_ns):
-            frames.append(heapq.heappop(self.held).frame)
-        return frames
+# Answers of diagnosis (ISO 15765-4): no motor controller that we know listens there. To its requests, from 7E0 to 7E7,
+# some do: 7E2 stops every ODrive on the bus.
+_STRANGERS = range(0x7E8, 0x7F0)
+# ISO 11898-1: bits of a classic frame with an 11-bit id, without stuff bits; and the transmit error counter.
+_BITS_OF_FRAME = 47
+_ERROR_COUNTS = 8
+_BUS_OFF = 256
+_MOST_DATA = 8
 
 
-class FaultLink:
-    """Applies faults to the frames of a link. Time is the scenario's, so nothing happens before that has begun.
+class ScenarioTime:
+    """The scenario's time [ns], counted on a clock from the first ACTIVE tick; there is none before ``begin``."""
 
-    ``service`` lets go what is due of what is held on its way out; ``next_due_ns`` says when it is to be called again.
-    Without faults it sends and receives as the link below, with no step between.
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._origin_ns: int | None = None
+
+    def begin(self, origin_ns: int) -> None:
+        """Set when, on the clock, the scenario's time began."""
+        self._origin_ns = origin_ns
+
+    def now_ns(self) -> int | None:
+        """Return the scenario's time, or None before it has begun."""
+        return None if self._origin_ns is None else self._clock.now_ns() - self._origin_ns
+
+    def on_clock_ns(self, t_ns: int) -> int:
+        """Return a time of the scenario as the clock has it."""
+        return t_ns + (self._origin_ns or 0)
+
+
+class LinkFault:
+    """A row that acts on a link, with its own chance.
+
+    Attributes:
+        applied: how often it did something.
     """
 
-    def __init__(
-        self, link: Link, time: ScenarioTime, faults: Sequence[LinkFault], protocol: LinkProtocol = WHEEL_DBC
-    ) -> None:
-        self._link = link
-        self._time = time
-        self._exempt_from = protocol.exempt_from
-        self.may_hold = bool(faults)
-        self._disconnects = [fault for fault in faults if fault.kind == "disconnect"]
-        self._out = _Way("command", faults)
-        self._in = _Way("feedback", faults)
-        self._ready: deque[Received] = deque()
-        self._cut: LinkFault | None = None  # that the link was lost by
-        self.send = self._send_through if faults else link.send
-        self.receive = self._receive_through if faults else link.receive
+    def __init__(self, row: FaultRow, chance: random.Random, protocol: LinkProtocol) -> None:
+        self._names = protocol.names
+        self.kind = row.kind
+        self.row = row
+        self.chance = chance
+        self.applied = 0
+        self._direction = row.target if row.target in DIRECTIONS else None
+        self._message = None if row.target in (*DIRECTIONS, "link") else row.target
+        self._bad: set[str] = set()  # the directions in which burst_loss is in its bad state
+        make = find(row.kind, row.target).on_frames
+        self._effect = None if make is None else make(row, chance)
+        self._newest: dict[tuple[str, int], Frame] = {}  # what freeze repeats, by direction and id
 
-    def _send_through(self, frame: Frame) -> None:
-        t_ns = self._time.now_ns()
-        if t_ns is None or frame.id >= self._exempt_from:
-            self._link.send(frame)
+    def concerns(self, direction: str, number: int | None) -> bool:
+        """Tell whether the row means frames of this direction and id; None, an unknown id, is of no message."""
+        if self._message is not None:
+            return number is not None and self._names.get(number) == self._message
+        return self._direction in (None, direction)
+
+    def strikes(self) -> bool:
+        """Tell, by chance, whether a frame is hit, and count it."""
+        if self.chance.random() >= self.row.value:
+            return False
+        self.applied += 1
+        return True
+
+    def notice(self, direction: str, frame: Frame, t_ns: int) -> None:
+        """Take a frame that passes outside the window: before it, ``freeze`` keeps the newest."""
+        if self.kind == "freeze" and t_ns < self.row.start_ns:
+            self._newest[direction, frame.id] = frame
+
+    def changed(self, direction: str, frames: list[Frame]) -> list[Frame]:
+        """Return what the row, in force, makes of a frame and its copies; in order, and none where it is lost."""
+        match self.kind:
+            case "drop":
+                return [] if self.strikes() else frames
+            case "duplicate":
+                return frames * 2 if self.strikes() else frames
+            case "burst_loss":
+                return [] if self._bursts(direction) else frames
+            case "mute":
+                self.applied += 1
+                return []
+            case "freeze":
+                old = self._newest.get((direction, frames[0].id))
+                self.applied += old is not None
+                return frames if old is None else [old] * len(frames)
+        if self._effect is None:
+            return frames
+        new = self._effect(direction, frames)
+        self.applied += new != frames
+        return new
+
+    def delay_ns(self) -> int:
+        """Return by how much the row, in force, delays a frame: whole ticks, as robot time in lockstep."""
+        if self.kind not in ("delay", "jitter"):
+            return 0
+        seconds = self.row.value * (self.chance.random() if self.kind == "jitter" else 1.0)
+        ticks = -(-round(seconds * 1e9) // TICK_NS)
+        self.applied += ticks > 0
+        return ticks * TICK_NS
+
+    def _bursts(self, direction: str) -> bool:
+        """Go on to the next state of the Gilbert-Elliott chain; tell whether it is the bad one."""
+        share, length = self.row.value, self.row.burst_frames
+        probability = 1.0 - 1.0 / length if direction in self._bad else share / (length * (1.0 - share))
+        if self.chance.random() < probability:
+            self._bad.add(direction)
+            self.applied += 1
+            return True
+        self._bad.discard(direction)
+        return False
+
+    def due(self, t_ns: int) -> int:
+        """Return how often a babble speaks now, to keep its rate since its window began; they are counted.
+
+        What it still owed at the end of the window is never said.
+        """
+        row = self.row
+        if not row.is_in_force(t_ns):
+            return 0
+        new = max(0, int((t_ns - row.start_ns) * 1e-9 * row.value) - self.applied)
+        self.applied += new
+        return new
+
+
+def link_faults(rows: Sequence[FaultRow], seed: int, protocol: LinkProtocol = WHEEL_DBC) -> list[LinkFault]:
+    """Return the rows with a chance and a count each."""
+    return [LinkFault(row, chance, protocol) for row, chance in zip(rows, generators(rows, seed), strict=True)]
+
+
+def foreign_id(fault: LinkFault, protocol: LinkProtocol) -> int:
+    """Return an id of 11 bits that is none of the protocol's."""
+    if protocol.senders is None:
+        return fault.chance.choice(_STRANGERS)
+    while (number := fault.chance.randrange(STANDARD_IDS + 1)) in protocol.senders:
+        pass
+    return number
+
+
+class BusFaults:
+    """Bit errors, truncation and babble on a CAN bus, as the controllers on it would see them.
+
+    A destroyed frame costs the time on the wire of itself and of the error frame, some 0.15 ms at 1 Mbit/s each time;
+    that time is not modelled. ``babbler`` is the node that babbles, None where no row wants one.
+
+    Attributes:
+        rejected: what was destroyed or cut, by the causes of ``Link.rejected``.
+    """
+
+    def __init__(self, faults: Sequence[LinkFault], babbler: Link | None, protocol: LinkProtocol = WHEEL_DBC) -> None:
+        self._faults = [fault for fault in faults if fault.kind != "babble"]
+        self._babbles = [fault for fault in faults if fault.kind == "babble"]
+        self._babbler = babbler
+        self._protocol = protocol
+        self._errors = dict.fromkeys(DIRECTIONS, 0)  # the transmit error counter of each end
+        self.rejected = {"error_bit": 0, "error_bus_off": 0, "length": 0}
+
+    def sent(self, frame: Frame, t_ns: int) -> Frame:
+        """Return a command as it gets over the bus. Raises LinkError when our controller went bus-off over it."""
+        passed = self._passed(frame, "command", t_ns)
+        if passed is None:
+            self.rejected["error_bus_off"] += 1
+            raise LinkError("the CAN controller is bus-off: the fault bit_errors destroyed too many frames in a row")
+        return passed
+
+    def arrives(self, frame: Frame, t_ns: int) -> bool:
+        """Tell whether a frame of the robot's comes through whole."""
+        passed = self._passed(frame, "feedback", t_ns)
+        is_short = passed is not None and len(passed.payload) < len(frame.payload)
+        self.rejected["length"] += is_short
+        return passed is not None and not is_short
+
+    def babble(self, t_ns: int | None) -> None:
+        """Let the babbling node say what its rate is due, in the scenario's time."""
+        if t_ns is None or self._babbler is None:
             return
-        self._refuse_if_cut(t_ns)
-        self._out.take(frame, t_ns)
-        self._let_go(t_ns)
-
-    def _receive_through(self, timeout_ns: int) -> Received | None:
-        deadline_ns = time.monotonic_ns() + timeout_ns if timeout_ns > 0 else 0
-        while True:
-            t_ns = self._time.now_ns()
-            if t_ns is not None:
-                self._take_due(t_ns)
-            if self._ready:
-                return self._ready.popleft()
-            received = self._link.receive(timeout_ns)
-            if received is None or t_ns is None:
-                return received
-            for frame in received.frames:
-                self._admit(frame, received.stamp_ns, t_ns)
-            if self._ready:
-                return self._ready.popleft()
-            timeout_ns = max(0, deadline_ns - time.monotonic_ns())
-
-    def _admit(self, frame: Frame, stamp_ns: int, t_ns: int) -> None:
-        """Take a frame of the robot's; what is to go on by now is ready."""
-        if frame.id >= self._exempt_from:
-            self._ready.append(Received((frame,), stamp_ns))
-        elif not self._is_cut(t_ns):
-            self._in.take(frame, t_ns)
-            self._take_due(t_ns)
-
-    def _take_due(self, t_ns: int) -> None:
-        self._ready.extend(Received((frame,), self._time.on_clock_ns(t_ns)) for frame in self._in.due(t_ns))
-
-    def next_due_ns(self) -> int | None:
-        """Return when, on the clock, the next held command is due, or None when none is held."""
-        due_ns = self._out.next_due_ns()
-        return None if due_ns is None else self._time.on_clock_ns(due_ns)
-
-    def service(self, *, everything: bool = False) -> None:
-        """Hand over the commands that are due, or with ``everything`` all that are held."""
-        t_ns = self._time.now_ns() if self.may_hold else None
-        if t_ns is not None:
-            self._let_go(t_ns, everything=everything)
-
-    def flush(self) -> None:
-        """Hand over everything that is held, in order: nobody will wait for it to be due."""
-        self.service(everything=True)
-
-    def discard(self) -> None:
-        """Forget what is held, in both directions."""
-        self._out.forget()
-        self._in.forget()
-        self._ready.clear()
+        for fault in self._babbles:
+            for _ in range(fault.due(t_ns)):
+                data = fault.chance.randbytes(fault.chance.randint(0, _MOST_DATA))
+                self._babbler.send(Frame(foreign_id(fault, self._protocol), data))
+        while self._babbler.receive(0) is not None:
+            pass  # it hears everybody, and does not listen
 
     def reopen(self) -> None:
-        """Open the link anew after a disconnect; what was on its way is forgotten. Raises LinkError while it lasts."""
-        t_ns = self._time.now_ns()
-        self._cut = None
-        if t_ns is not None:
-            self._refuse_if_cut(t_ns)
-        self.discard()
-        self._link.reopen()
-
-    def rejected(self) -> dict[str, int]:
-        return self._link.rejected()
-
-    def describe(self) -> str:
-        return self._link.describe()
+        """Open the babbling node's end of the bus anew."""
+        if self._babbler is not None:
+            self._babbler.reopen()
 
     def close(self) -> None:
-        self._link.close()
+        """Close the babbling node's end of the bus."""
+        if self._babbler is not None:
+            self._babbler.close()
 
-    def _let_go(self, t_ns: int, *, everything: bool = False) -> None:
-        if self._is_cut(t_ns):
-            self._out.forget()
-        for frame in self._out.due(t_ns, everything=everything):
-            self._link.send(frame)
+    def _passed(self, frame: Frame, direction: str, t_ns: int) -> Frame | None:
+        """Return the frame as it comes through, or None when its sender went bus-off over it."""
+        for fault in self._faults:
+            if not (fault.row.is_in_force(t_ns) and fault.concerns(direction, frame.id)):
+                continue
+            if fault.kind == "truncation":
+                if frame.payload and fault.strikes():
+                    frame = Frame(frame.id, frame.payload[: fault.chance.randrange(len(frame.payload))])
+            elif not self._comes_through(fault, direction, len(frame.payload)):
+                return None
+        return frame
 
-    def _is_cut(self, t_ns: int) -> bool:
-        """Tell whether the link is lost: a cable that was pulled has to be opened again, also when it is back."""
-        if self._disconnects and self._cut is None:
-            self._cut = next((fault for fault in self._disconnects if fault.row.is_in_force(t_ns)), None)
-        return self._cut is not None
-
-    def _refuse_if_cut(self, t_ns: int) -> None:
-        if self._is_cut(t_ns) and self._cut is not None:
-            self._cut.applied += 1
-            raise LinkError(f"the link was cut by the fault disconnect, seen at t = {t_ns * 1e-9:.3f} s")
+    def _comes_through(self, fault: LinkFault, direction: str, length: int) -> bool:
+        """Send a frame until it is whole, with an error frame for each time that it is not."""
+        whole = (1.0 - fault.row.value) ** (_BITS_OF_FRAME + 8 * length)
+        while fault.chance.random() >= whole:
+            fault.applied += 1
+            self.rejected["error_bit"] += 1
+            self._errors[direction] += _ERROR_COUNTS
+            if self._errors[direction] >= _BUS_OFF:
+                self._errors[direction] = 0  # it recovers, without the frame
+                return False
+        self._errors[direction] = max(0, self._errors[direction] - 1)
+        return True

@@ -6,17 +6,11 @@ from collections.abc import Iterator, Sequence
 from cobs import cobs
 
 from firmware_protocol.framing import crc16
-from hil.core.link_protocol import STANDARD_IDS, WHEEL_DBC, LinkProtocol
-from hil.wire.fault_rows import LinkFault, ScenarioTime
+from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
+from hil.wire.faults import LinkFault, ScenarioTime, foreign_id
 from hil.wire.streams import HostStream
 
-BYTE_KINDS = ("bit_errors", "truncation", "babble")
-"""The kinds that act on bytes here, and on the bus in ``bus_faults``."""
-
 _LONGEST_GARBAGE = 16
-# Answers of diagnosis (ISO 15765-4): no motor controller that we know listens there. To its requests, from 7E0 to 7E7,
-# some do: 7E2 stops every ODrive on the bus.
-_STRANGERS = range(0x7E8, 0x7F0)
 
 
 class FaultLine:
@@ -132,12 +126,3 @@ def _foreign(fault: LinkFault, number: int, protocol: LinkProtocol) -> bytes:
     body = foreign_id(fault, protocol).to_bytes(2, "little") + fault.chance.randbytes(fault.chance.randint(1, 9))
     encoded: bytes = cobs.encode(body + crc16(body).to_bytes(2, "little"))
     return encoded + b"\0"
-
-
-def foreign_id(fault: LinkFault, protocol: LinkProtocol) -> int:
-    """Return an id of 11 bits that is none of the protocol's."""
-    if protocol.senders is None:
-        return fault.chance.choice(_STRANGERS)
-    while (number := fault.chance.randrange(STANDARD_IDS + 1)) in protocol.senders:
-        pass
-    return number

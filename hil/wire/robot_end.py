@@ -8,7 +8,7 @@ from typing import Protocol
 from firmware_protocol.framing import Frame
 from hil.core.errors import LinkError
 from hil.core.ports import Link
-from hil.wire.back_off import BackOff
+from hil.wire.reopening import BackOff
 from hil.wire.streams import ByteStream
 
 

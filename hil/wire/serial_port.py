@@ -5,16 +5,18 @@ import contextlib
 import re
 import select
 import sys
-from typing import Any
+import threading
+from typing import Any, Protocol
 
 import serial
 
 from hil.core.errors import LinkError, nearest
-from hil.wire.opening_beside import OpeningBeside
-from hil.wire.reader import Reader
+from hil.wire.reopening import OpeningBeside
 from hil.wire.serial_failures import LIST_PORTS, PORT_ERRORS, SHARED, is_gone, is_shared, opening_problem, words_of
 
 _CHUNK = 65536
+_READ_S = 0.05  # how long one read of a Reader blocks, and so how long stopping it may take
+_LONGEST = 1 << 20  # bytes that wait for a host that does not read; older ones are no use to it
 _WRITE_TIMEOUT_S = 1.0  # a line that takes no byte for so long is lost
 _OUTPUT_SPEED = 10  # c_ospeed of Linux' struct termios2, in ints
 # re.error: hwgrep:// takes a pattern.
@@ -29,6 +31,71 @@ _LOSSES: tuple[type[Exception], ...] = (serial.SerialException, TypeError, *PORT
 _SERVERS = ("socket:", "rfc2217:")
 _CONNECTING_S = 0.1  # a server that is there has answered; no tick of a service waits longer
 _URL_HANDLERS = ("socket", "rfc2217", "loop", "spy", "hwgrep", "alt")
+
+
+class Port(Protocol):
+    """The part of a pyserial port that is needed."""
+
+    timeout: float | None
+
+    @property
+    def in_waiting(self) -> int: ...
+    def read(self, size: int = 1, /) -> bytes: ...
+
+
+class Reader:
+    """A thread that blocks in the port's own read, so that ``read`` can wait for any time.
+
+    The port's timeout is set once: for RFC 2217 each change of it is a negotiation over the network. ``unread_bytes``
+    counts those that were dropped because nobody read them.
+    """
+
+    def __init__(self, port: Port) -> None:
+        self._port = port
+        self._arrived = threading.Condition()
+        self._received = bytearray()
+        self._failure: Exception | None = None
+        self._stopping = False
+        self.unread_bytes = 0
+        port.timeout = _READ_S
+        self._thread = threading.Thread(target=self._run, name="serial reader", daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        try:
+            while not self._stopping:
+                # The first byte is waited for in the driver; in_waiting only says how many came with it.
+                data = self._port.read(1)
+                if data:
+                    data += self._port.read(self._port.in_waiting)
+                    with self._arrived:
+                        self._received += data
+                        self.unread_bytes += max(0, len(self._received) - _LONGEST)
+                        del self._received[:-_LONGEST]
+                        self._arrived.notify()
+        except Exception as error:  # noqa: BLE001 - read() raises it where it is seen
+            with self._arrived:
+                self._failure = error
+                self._arrived.notify()
+
+    def read(self, timeout_ns: int) -> bytes:
+        """Return what has arrived, waiting at most ``timeout_ns`` for it. Raises OSError when the port is lost."""
+        with self._arrived:
+            if not self._received and self._failure is None and timeout_ns > 0:
+                self._arrived.wait(timeout_ns * 1e-9)
+            data = bytes(self._received)
+            self._received.clear()
+        if not data and self._failure is not None:
+            raise OSError(str(self._failure)) from self._failure
+        return data
+
+    def stop(self) -> None:
+        """Ask the thread to end."""
+        self._stopping = True
+
+    def join(self) -> None:
+        """Wait for it, after the port was closed."""
+        self._thread.join()
 
 
 def _open_failure(port: str, baud: int, error: Exception) -> LinkError:

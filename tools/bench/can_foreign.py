@@ -18,8 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 from firmware_protocol.generated.messages import SENDERS, Tick
-from hil.wire.can_bus import CanLink
-from hil.wire.can_filters import Filter, filters_for
+from hil.wire.can_bus import CanLink, Filter, filters_for
 from hil.wire.url import CanUrl
 
 CHANNEL = "can_foreign"

@@ -31,7 +31,6 @@ from hil.runtime.provenance import versions
 from hil.runtime.robots import check_plant_start, needed_truth
 from hil.scenario import Scenario, format_value, set_texts, to_plain
 from hil.scenario.fields import is_path
-from hil.wire.opening import is_within_process
 from hil.wire.url import parse_link
 
 _ARROW = {str: pa.string(), int: pa.int64(), float: pa.float64(), bool: pa.bool_()}
@@ -315,7 +314,7 @@ def _of(run: str) -> Iterator[None]:
 
 def _check_link(scenario: Scenario, *, allow_motion: bool) -> None:
     """Raise BadInputError for a run behind a link that could not begin, whatever stands there."""
-    if is_within_process(parse_link(scenario.link.url)):
+    if parse_link(scenario.link.url).is_within_process:
         return
     where, is_makers = f"link.url = {scenario.link.url!r}", scenario.device.is_makers
     if (setting := needed_truth(scenario)) is not None:
@@ -354,4 +353,4 @@ def _found_from_anywhere(key: str, value: object, plan: Plan) -> object:
 
 def _needs_bench(scenario: Scenario) -> bool:
     is_fixed_from_outside = scenario.estimator.source == "fused" and scenario.estimator.fix != "simulated"
-    return is_fixed_from_outside or not is_within_process(parse_link(scenario.link.url))
+    return is_fixed_from_outside or not parse_link(scenario.link.url).is_within_process

@@ -16,7 +16,6 @@ from hil.cli.testing.overrides import Overrides
 from hil.core.errors import BadInputError, DeviceError
 from hil.core.subprocesses import away_from_terminal, child_environment, module_command
 from hil.scenario import Scenario
-from hil.wire.opening import open_host
 from hil.wire.url import parse_link
 
 Answer = TypeVar("Answer", bound=Message)
@@ -146,7 +145,7 @@ class RobotLink:
 
     def __init__(self, robot: RobotProcess) -> None:
         self.robot = robot
-        self._link = open_host(parse_link(robot.link))
+        self._link = parse_link(robot.link).open_host()
         self._waiting: deque[Frame] = deque()
 
     def send(self, what: Message | Frame) -> None:

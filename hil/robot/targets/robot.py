@@ -16,8 +16,8 @@ from hil.core.errors import BadInputError, nearest
 from hil.robot.robot_node import RobotNode
 from hil.robot.targets.qemu_board import QemuBoard
 from hil.robot.virtual import TruthSink, VirtualRobot, VirtualServer, VirtualStm32
+from hil.wire.link import LinkUrl
 from hil.wire.robot_end import Wire
-from hil.wire.url import CanUrl, LinkUrl
 
 TARGETS: Mapping[str, str] = {
     "host": "the firmware as a library of this machine",
@@ -112,7 +112,7 @@ def open_target(target: str, made_of: VirtualRobot, url: LinkUrl) -> VirtualStm3
         return VirtualStm32(made_of)
     if not made_of.lockstep:
         raise BadInputError(f"--target {target} has no real time: its robot time comes from STEP; add --mode lockstep")
-    link = "can" if isinstance(url, CanUrl) else "serial"
+    link = "can" if url.is_bus else "serial"
     if target == "qemu":
         if link == "can":
             raise BadInputError("--target qemu has no CAN controller; use --link serial:..., or --target unicorn")

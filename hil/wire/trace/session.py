@@ -1,18 +1,22 @@
 """The run's side of a trace: gives what is on the wire to a process that writes it, and takes its report."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 from firmware_protocol.framing import Frame
+from firmware_protocol.host_line import HostLine
+from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
 from hil.core.outputs import Existing, claim, release
-from hil.core.ports import EXTENDED, REMOTE
+from hil.core.ports import EXTENDED, REMOTE, Framing
 from hil.core.subprocesses import child_environment
 from hil.record.files import check_output_path
 from hil.record.ring_process import RingProcess
 from hil.record.ring_start import Started
-from hil.wire.trace import rows
+from hil.wire.robot_end import Node, Wire
+from hil.wire.trace import packing
 
 _CAPACITY = 16384
 
@@ -72,13 +76,13 @@ class Trace:
         check_output_path("trace", path, existing)
         self._path = path = claim("trace", path, existing)
         self._zero_unix_us = 0
-        self._flags = rows.FD * fd + rows.SWITCHED * (fd and switched)
+        self._flags = packing.FD * fd + packing.SWITCHED * (fd and switched)
         self._report: TraceReport | None = None
         try:
             self._process = RingProcess(
                 Started("hil.wire.trace.writer", child_environment()),
                 {"path": str(path.absolute())},
-                width=rows.WIDTH,
+                width=packing.WIDTH,
                 capacity=_CAPACITY,
                 blocking=blocking,
                 name="the writer of the trace",
@@ -100,25 +104,25 @@ class Trace:
     def frame(self, stamp_ns: int, frame: Frame, *, sent: bool) -> None:
         """Take one of our frames. What only a serial line carries is in the trace as CAN FD, in pieces of 64 bytes."""
         number, payload = frame
-        if len(payload) > rows.MOST_BYTES:
-            for at in range(0, len(payload), rows.MOST_BYTES):
-                self.frame(stamp_ns, Frame(number, payload[at : at + rows.MOST_BYTES]), sent=sent)
+        if len(payload) > packing.MOST_BYTES:
+            for at in range(0, len(payload), packing.MOST_BYTES):
+                self.frame(stamp_ns, Frame(number, payload[at : at + packing.MOST_BYTES]), sent=sent)
             return
-        flags = self._flags + rows.SENT * sent
-        if len(payload) > rows.MOST_CLASSIC_BYTES:
-            flags |= rows.FD  # of a frame without it Vector's formats keep the first eight bytes
+        flags = self._flags + packing.SENT * sent
+        if len(payload) > packing.MOST_CLASSIC_BYTES:
+            flags |= packing.FD  # of a frame without it Vector's formats keep the first eight bytes
         if number >= REMOTE:
-            flags += rows.EXTENDED * (number >= EXTENDED) + rows.REMOTE * bool(number & REMOTE)
+            flags += packing.EXTENDED * (number >= EXTENDED) + packing.REMOTE * bool(number & REMOTE)
             number &= ~(EXTENDED | REMOTE)
-        self._process.put(rows.pack(self._zero_unix_us + stamp_ns // 1000, flags, number, len(payload), payload))
+        self._process.put(packing.pack(self._zero_unix_us + stamp_ns // 1000, flags, number, len(payload), payload))
 
     def foreign(self, stamp_ns: int, message: Any) -> None:
         """Take a ``can.Message`` that is none of ours."""
-        self._process.put(rows.pack_message(self._zero_unix_us + stamp_ns // 1000, message))
+        self._process.put(packing.pack_message(self._zero_unix_us + stamp_ns // 1000, message))
 
     def rejected(self, stamp_ns: int, count: int) -> None:
         """Take note of so many frames that the framing could not read: each becomes an error frame."""
-        row = rows.pack(self._zero_unix_us + stamp_ns // 1000, rows.ERROR, 0, 0, b"")
+        row = packing.pack(self._zero_unix_us + stamp_ns // 1000, packing.ERROR, 0, 0, b"")
         for _ in range(count):
             self._process.put(row)
 
@@ -146,3 +150,80 @@ class Trace:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+class TracedWire:
+    """Shows a trace every frame between a transport and a firmware. ``now_ns`` is the robot's clock."""
+
+    def __init__(self, wire: Wire, trace: Trace, now_ns: Callable[[], int], protocol: LinkProtocol = WHEEL_DBC) -> None:
+        self._wire = wire
+        self._ear = _Ear(trace, now_ns, protocol)
+
+    def receive_into(self, node: Node, timeout_ns: int) -> bool:
+        return self._wire.receive_into(_Tapped(node, self._ear), timeout_ns)
+
+    def send_from(self, node: Node) -> None:
+        self._wire.send_from(_Tapped(node, self._ear))
+
+    def drop_from(self, node: Node) -> None:
+        self._wire.drop_from(node)
+
+    def close(self) -> None:
+        self._wire.close()
+
+
+class _Ear:
+    """Listens in: bytes of a serial line are read with a framing of its own, one for each direction."""
+
+    def __init__(self, trace: Trace, now_ns: Callable[[], int], protocol: LinkProtocol) -> None:
+        self._trace = trace
+        self._now_ns = now_ns
+        make_framing = protocol.make_framing or HostLine
+        self._received = make_framing()
+        self._sent = make_framing()
+
+    def hear_bytes(self, data: bytes, *, sent: bool) -> None:
+        framing = self._sent if sent else self._received
+        before = _noise(framing)
+        self.hear(framing.feed(data), sent=sent)
+        if noise := _noise(framing) - before:
+            self._trace.rejected(self._now_ns(), noise)
+
+    def hear(self, frames: Sequence[Frame], *, sent: bool) -> None:
+        now_ns = self._now_ns()
+        for frame in frames:
+            self._trace.frame(now_ns, frame, sent=sent)
+
+
+def _noise(framing: Framing) -> int:
+    return sum(count for cause, count in framing.rejected.items() if cause != "lost")
+
+
+class _Tapped:
+    """A firmware with an ear at its end of the wire. What comes is heard before the firmware acts on it."""
+
+    def __init__(self, node: Node, ear: _Ear) -> None:
+        self._node = node
+        self._ear = ear
+
+    def feed(self, data: bytes) -> None:
+        self._ear.hear_bytes(data, sent=False)
+        self._node.feed(data)
+
+    def receive(self, frame: Frame) -> None:
+        self._ear.hear([frame], sent=False)
+        self._node.receive(frame)
+
+    def take_bytes(self) -> bytes:
+        data = self._node.take_bytes()
+        if data:
+            self._ear.hear_bytes(data, sent=True)
+        return data
+
+    def take_frames(self) -> list[Frame]:
+        frames = self._node.take_frames()
+        self._ear.hear(frames, sent=True)
+        return frames
+
+    def count_unsent(self, frames: int) -> None:
+        self._node.count_unsent(frames)

@@ -12,7 +12,7 @@ import can
 from hil.record.files import why_not_written
 from hil.record.ring import RingReader
 from hil.record.ring_child import Record, RefusedError, run
-from hil.wire.trace import rows
+from hil.wire.trace import packing
 
 _BATCH = 1000
 
@@ -60,7 +60,7 @@ class TraceWriter:
 
     def _write(self, table: Any) -> None:
         for row in table:
-            self._file.on_message_received(can.Message(**rows.unpack(row)))
+            self._file.on_message_received(can.Message(**packing.unpack(row)))
         # So that the file is good up to here if the machine or this process dies. A BLF file is written by the block.
         self._file.file.flush()
 

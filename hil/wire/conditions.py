@@ -1,0 +1,321 @@
+"""The conditions of a link: latency and faults of frames, both ways, in one layer directly on the transport.
+
+A command passes the latency, then the rows of faults, then those of the bus. Feedback passes them the other way round.
+What has to wait does so in one queue for each direction. An observer sees what crosses the wire, below all conditions.
+"""
+
+import heapq
+import time
+from collections import deque
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple, Protocol
+
+from firmware_protocol.framing import Frame
+from hil.core.errors import LinkError
+from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
+from hil.core.ports import Clock, Link, Received
+from hil.wire.faults import BusFaults, LinkFault, ScenarioTime
+
+_LATENCY = -1
+
+
+class Observer(Protocol):
+    """Sees what crosses the wire."""
+
+    def sent(self, frame: Frame) -> None:
+        """Take a frame that was just sent."""
+
+    def received(self, received: Received | None) -> None:
+        """Take what one call of ``receive`` on the transport returned."""
+
+
+class _Waiting(NamedTuple):
+    """Frames in the queue of a direction, in the order in which they go on.
+
+    ``place`` says what they wait for: the latency before the rows, the row of that number (only ``reorder`` holds
+    frames), the delay of all rows, or the latency behind them. ``number`` counts what was queued.
+    """
+
+    due_ns: int
+    place: int
+    number: int
+    frames: Sequence[Frame]
+
+
+class _Way:
+    """One direction: its rows, and the queue of what waits, by the time of the clock."""
+
+    def __init__(self, direction: str, rows: Sequence[LinkFault], time: ScenarioTime) -> None:
+        self.direction = direction
+        self.rows = rows
+        self.behind_rows = len(rows)
+        self.latency_behind_rows = len(rows) + 1
+        self._time = time
+        self._queue: list[_Waiting] = []
+        self._count = 0
+
+    def hold(self, frames: Sequence[Frame], due_ns: int, place: int) -> None:
+        """Let frames wait until a time of the clock."""
+        self._count += 1
+        heapq.heappush(self._queue, _Waiting(due_ns, place, self._count, frames))
+
+    def pass_rows(self, frames: list[Frame], t_ns: int, first: int = 0, delay_ns: int = 0) -> None:
+        """Let a frame and its copies meet the rows from ``first`` on, at a time of the scenario; the rest is queued."""
+        for place, fault in enumerate(self.rows[first:], first):
+            if not frames:
+                return
+            if not fault.concerns(self.direction, frames[0].id):
+                continue
+            if not fault.row.is_in_force(t_ns):
+                fault.notice(self.direction, frames[0], t_ns)
+                continue
+            if fault.kind != "reorder":
+                delay_ns += fault.delay_ns()
+                frames = fault.changed(self.direction, frames)
+            elif (overtaken := self._take_overtaken(place)) is not None:
+                fault.applied += 1
+                self.pass_rows(frames, t_ns, place + 1, delay_ns)
+                self.pass_rows(overtaken, t_ns, place + 1, delay_ns)
+                return
+            elif fault.chance.random() < fault.row.value:
+                self.hold(frames, self._time.on_clock_ns(fault.row.end_ns), place)
+                return
+        # Nothing overtakes what waits behind the rows already.
+        waiting = (one.due_ns for one in self._queue if one.place == self.behind_rows)
+        due_ns = max([self._time.on_clock_ns(t_ns + delay_ns), *waiting])
+        for frame in frames:
+            self.hold((frame,), due_ns, self.behind_rows)
+
+    def _take_overtaken(self, place: int) -> list[Frame] | None:
+        """Return what the row of this number holds, and hold it no more."""
+        held = next((one for one in self._queue if one.place == place), None)
+        if held is None:
+            return None
+        self._queue.remove(held)
+        heapq.heapify(self._queue)
+        return list(held.frames)
+
+    def next_due_ns(self) -> int | None:
+        """Return the time of the clock at which the next of the queue goes on, or None when it is empty."""
+        return self._queue[0].due_ns if self._queue else None
+
+    def due(self, now_ns: int, t_ns: int | None, *, everything: bool = False) -> Iterator[_Waiting]:
+        """Take out of the queue and yield what goes on by now, in order; with ``everything`` also what is not due."""
+        while self._queue and (everything or self._queue[0].due_ns <= now_ns):
+            one = heapq.heappop(self._queue)
+            if t_ns is not None and 0 <= one.place < self.behind_rows:  # nothing overtook it in the row's window
+                end_ns = self.rows[one.place].row.end_ns
+                self.pass_rows(list(one.frames), min(t_ns, end_ns), one.place + 1)
+            else:
+                yield one
+
+    def forget(self, *, but_latency: bool = False) -> None:
+        """Lose what is queued; ``but_latency`` keeps what has not met the rows."""
+        self._queue = [one for one in self._queue if but_latency and one.place == _LATENCY]
+
+
+class ConditionedLink:
+    """A link with its conditions. Rows act in the scenario's time, so not before that has begun; latency always does.
+
+    Frames that carry lockstep (``LinkProtocol.exempt_from``) meet no condition. ``service`` lets go the commands that
+    are due, and ``next_due_ns`` says when it is to be called again. A direction without conditions and observer is that
+    of the transport itself, with no step between.
+
+    Attributes:
+        may_hold: whether commands ever wait; where not, nothing is ever due.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        clock: Clock,
+        *,
+        command_latency_ns: int = 0,
+        feedback_latency_ns: int = 0,
+        faults: Sequence[LinkFault] = (),
+        scenario_time: ScenarioTime | None = None,
+        bus: BusFaults | None = None,
+        observer: Observer | None = None,
+        protocol: LinkProtocol = WHEEL_DBC,
+    ) -> None:
+        self._link = link
+        self._clock = clock
+        self._time = scenario_time or ScenarioTime(clock)
+        self._command_latency_ns = command_latency_ns
+        self._feedback_latency_ns = feedback_latency_ns
+        self._bus = bus
+        self._observer = observer
+        self._exempt_from = protocol.exempt_from
+        self._disconnects = [fault for fault in faults if fault.kind == "disconnect"]
+        self._cut: LinkFault | None = None  # the row that the link was lost by
+        rows = [fault for fault in faults if fault.kind != "disconnect"]
+        self._has_rows = bool(faults)
+        self._out = _Way("command", rows, self._time)
+        self._in = _Way("feedback", rows, self._time)
+        self._ready: deque[Received] = deque()
+        self.may_hold = self._has_rows or command_latency_ns > 0
+        is_plain = observer is None and bus is None
+        self._put = link.send if is_plain else self._put_on_wire
+        self._take = link.receive if observer is None else self._take_from_wire
+        self.send = self._send if self.may_hold else self._put
+        self.receive = self._receive if self._has_rows or bus is not None or feedback_latency_ns else self._take
+
+    def _put_on_wire(self, frame: Frame) -> None:
+        if self._bus is not None:
+            t_ns = self._time.now_ns()
+            self._bus.babble(t_ns)
+            if t_ns is not None and frame.id < self._exempt_from:
+                frame = self._bus.sent(frame, t_ns)
+        self._link.send(frame)
+        if self._observer is not None:
+            self._observer.sent(frame)
+
+    def _take_from_wire(self, timeout_ns: int) -> Received | None:
+        received = self._link.receive(timeout_ns)
+        if self._observer is not None:
+            self._observer.received(received)
+        return received
+
+    # Commands
+
+    def _send(self, frame: Frame) -> None:
+        if frame.id >= self._exempt_from:
+            self._put(frame)
+        elif self._command_latency_ns:
+            self._out.hold((frame,), self._clock.now_ns() + self._command_latency_ns, _LATENCY)
+        else:
+            self._enter(frame)
+            self.service()
+
+    def _enter(self, frame: Frame) -> None:
+        """Let a command meet the rows. Raises LinkError while the link is cut."""
+        t_ns = self._time.now_ns() if self._has_rows else None
+        if t_ns is None:
+            self._put(frame)
+            return
+        self._refuse_if_cut(t_ns)
+        self._out.pass_rows([frame], t_ns)
+
+    def service(self, *, everything: bool = False) -> None:
+        """Hand over the commands that are due, or ``everything`` that waits."""
+        if not self.may_hold:
+            return
+        t_ns = self._time.now_ns()
+        if t_ns is not None and self._is_cut(t_ns):
+            self._out.forget(but_latency=True)
+        for one in self._out.due(self._clock.now_ns(), t_ns, everything=everything):
+            for frame in one.frames:
+                if one.place == _LATENCY:
+                    self._enter(frame)
+                else:
+                    self._put(frame)
+
+    def next_due_ns(self) -> int | None:
+        """Return when, on the clock, the next command is due, or None when none waits."""
+        return self._out.next_due_ns()
+
+    def hand_over_until(self, clock: Clock, t_ns: int) -> None:
+        """Let time pass on the clock as long as something becomes due before ``t_ns``, and hand that over."""
+        self.service()
+        while (due_ns := self.next_due_ns()) is not None and due_ns < t_ns:
+            clock.wait_until(due_ns)
+            self.service()
+
+    def flush(self) -> None:
+        """Hand over everything that waits, in order: nobody will wait for it to be due."""
+        self.service(everything=True)
+
+    # Feedback
+
+    def _receive(self, timeout_ns: int) -> Received | None:
+        deadline_ns = time.monotonic_ns() + timeout_ns if timeout_ns > 0 else 0
+        while True:
+            self._let_in()
+            if self._ready:
+                return self._ready.popleft()
+            received = self._take(timeout_ns)
+            if received is None:
+                return None
+            self._admit(received)
+            timeout_ns = max(0, deadline_ns - time.monotonic_ns())
+
+    def _admit(self, received: Received) -> None:
+        """Let what came from the wire meet the conditions."""
+        t_ns = self._time.now_ns()
+        frames, stamp_ns = received
+        if self._bus is not None:
+            self._bus.babble(t_ns)
+            if t_ns is not None:
+                frames = [one for one in frames if one.id >= self._exempt_from or self._bus.arrives(one, t_ns)]
+        if t_ns is not None and self._has_rows:
+            for frame in frames:
+                if frame.id >= self._exempt_from:
+                    self._ready.append(Received((frame,), stamp_ns))
+                elif not self._is_cut(t_ns):
+                    self._in.pass_rows([frame], t_ns)
+                    self._let_in()
+        elif not self._feedback_latency_ns:
+            if frames:
+                self._ready.append(Received(frames, stamp_ns))
+        else:
+            if late := [frame for frame in frames if frame.id < self._exempt_from]:
+                due_ns = self._clock.now_ns() + self._feedback_latency_ns
+                self._in.hold(late, due_ns, self._in.latency_behind_rows)
+            if at_once := [frame for frame in frames if frame.id >= self._exempt_from]:
+                self._ready.append(Received(at_once, stamp_ns))
+
+    def _let_in(self) -> None:
+        """Make ready what is due of the feedback; its stamp is the time at which it is due."""
+        now_ns, latency_ns = self._clock.now_ns(), self._feedback_latency_ns
+        for one in self._in.due(now_ns, self._time.now_ns()):
+            if one.place == self._in.latency_behind_rows:
+                self._ready.append(Received(one.frames, one.due_ns))
+            elif latency_ns:
+                self._in.hold(one.frames, now_ns + latency_ns, self._in.latency_behind_rows)
+            else:
+                self._ready.append(Received(one.frames, now_ns))
+
+    # The link itself
+
+    def _is_cut(self, t_ns: int) -> bool:
+        """Tell whether the link is lost: a cable that was pulled has to be opened again, also when it is back."""
+        if self._disconnects and self._cut is None:
+            self._cut = next((fault for fault in self._disconnects if fault.row.is_in_force(t_ns)), None)
+        return self._cut is not None
+
+    def _refuse_if_cut(self, t_ns: int) -> None:
+        if self._is_cut(t_ns) and self._cut is not None:
+            self._cut.applied += 1
+            raise LinkError(f"the link was cut by the fault disconnect, seen at t = {t_ns * 1e-9:.3f} s")
+
+    def discard(self) -> None:
+        """Forget what waits: the link was lost, and an old command must not follow a new arming."""
+        self._out.forget()
+        self._in.forget()
+        self._ready.clear()
+
+    def reopen(self) -> None:
+        """Open the link anew after it was lost; what was on its way is forgotten. Raises LinkError while it is cut."""
+        self.discard()
+        self._cut = None
+        if (t_ns := self._time.now_ns()) is not None:
+            self._refuse_if_cut(t_ns)
+        self._link.reopen()
+        if self._bus is not None:
+            self._bus.reopen()
+
+    def rejected(self) -> dict[str, int]:
+        """Return how many received frames were dropped so far, by cause."""
+        causes = self._link.rejected()
+        own = {} if self._bus is None else self._bus.rejected
+        return causes | {cause: causes.get(cause, 0) + count for cause, count in own.items()}
+
+    def describe(self) -> str:
+        """Return what the link is, in words for a person."""
+        return self._link.describe()
+
+    def close(self) -> None:
+        """Release the link. Closing twice is allowed."""
+        if self._bus is not None:
+            self._bus.close()
+        self._link.close()

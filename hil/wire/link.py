@@ -1,0 +1,198 @@
+"""What a kind of link is: the URL that names it, what it can do, and how its two ends are opened.
+
+A new kind is a frozen subclass of ``LinkUrl`` that says what differs from a serial line of bytes. A shipped one has a
+line in ``SHIPPED`` of ``hil.wire.url``; another package's is an entry point of the group ``hil.links``, named like the
+scheme of its URLs.
+"""
+
+import contextlib
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Self
+
+from hil.core.errors import BadInputError, nearest
+from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
+from hil.core.ports import Link
+
+if TYPE_CHECKING:
+    from hil.wire.meters import Meter
+    from hil.wire.robot_end import Wire
+    from hil.wire.streams import HostStream
+
+Line = Callable[["HostStream"], "HostStream"]
+"""What a link's byte stream goes through at the host's end: faults of the line, or nothing."""
+
+
+class Pair(NamedTuple):
+    """Both ends of a link in this process."""
+
+    link: Link
+    wire: "Wire"
+
+
+def unchanged(stream: "HostStream") -> "HostStream":
+    """Return a stream as it is: a line without faults."""
+    return stream
+
+
+class LinkUrl(ABC):
+    """A link of one kind, as its URL names it. Nothing is open; ``str`` of it is the shortest URL that names it.
+
+    ``open_host`` and ``open_robot`` are of links to another process, ``open_pair`` of those within this one. Opening
+    raises LinkError, or BadInputError where the URL asks for what there is not.
+
+    Attributes:
+        example: a URL, for messages.
+        forms: the URLs of this kind, each with what it is for.
+        settings: the names of what may follow the question mark.
+        wire: what carries the frames; None where that may be whatever a robot speaks.
+        is_switched: whether FD frames have a bit rate of their own for the data.
+        is_within_process: whether the robot is made inside this process.
+        is_direct: whether in lockstep host and robot may call each other in one thread, without a stream.
+        serial_port: name and speed [baud] of a port that a guardian process may open too, or None.
+    """
+
+    example: ClassVar[str]
+    forms: ClassVar[Mapping[str, str]] = {}
+    settings: ClassVar[tuple[str, ...]] = ()
+
+    @property
+    def wire(self) -> Literal["serial", "can", "can_fd"] | None:
+        return "serial"
+
+    @property
+    def is_switched(self) -> bool:
+        return False
+
+    @property
+    def is_within_process(self) -> bool:
+        return False
+
+    @property
+    def is_direct(self) -> bool:
+        return False
+
+    @property
+    def serial_port(self) -> tuple[str, int] | None:
+        return None
+
+    @property
+    def is_bus(self) -> bool:
+        """Whether it is a CAN bus, which carries frames and no bytes, and others than host and robot."""
+        return self.wire in ("can", "can_fd")
+
+    @classmethod
+    @abstractmethod
+    def read(cls, address: str, settings: Mapping[str, str], baud: int) -> Self:
+        """Return what a URL says; ``baud`` is the speed of a line of which it says nothing. Raises BadInputError."""
+
+    @abstractmethod
+    def __str__(self) -> str: ...
+
+    def device_name(self) -> str | None:
+        """Return the name of the device behind the link, the same for each spelling; None where it makes its own."""
+        return None if self.is_within_process else str(self)
+
+    def open_host(self, line: Line = unchanged, protocol: LinkProtocol = WHEEL_DBC) -> Link:
+        """Open the host's end of a link to a robot elsewhere."""
+        raise BadInputError(f"{self} has no other end outside this process; use serial:... or can:...")
+
+    def open_robot(
+        self, say: Callable[[str], None], *, lockstep: bool, protocol: LinkProtocol = WHEEL_DBC
+    ) -> tuple["Wire", str]:
+        """Open the robot's end of a link, and return it with the URL that a host uses to reach it.
+
+        When it is lost later it is opened anew, and ``say`` gets a sentence.
+        """
+        raise BadInputError(
+            f"{self} does not reach another process; use --link serial:pty, serial:PATH or can:INTERFACE/CHANNEL"
+        )
+
+    def open_pair(self, line: Line = unchanged, *, lockstep: bool, protocol: LinkProtocol = WHEEL_DBC) -> Pair:
+        """Open both ends of a link that stays within this process."""
+        raise BadInputError(f"{self} does not stay within this process")
+
+    def meter(self, link: Any) -> "Meter":
+        """Return what counts on a link that was opened from this URL."""
+        from hil.wire.meters import LineMeter
+
+        return LineMeter(link, None)
+
+
+@contextlib.contextmanager
+def closed_on_failure(end: Any) -> Iterator[None]:
+    """Close the one end of a link when the other cannot be opened."""
+    with contextlib.ExitStack() as resources:
+        resources.callback(end.close)
+        yield
+        resources.pop_all()
+
+
+# The text of URLs
+
+
+def number(settings: Mapping[str, str], key: str, default: int) -> int:
+    """Return a whole number of the settings. Raises BadInputError."""
+    if key not in settings:
+        return default
+    # int() would also take "1_000", " 5" and digits of other scripts.
+    if not re.fullmatch("[0-9]{1,9}", settings[key]):
+        raise BadInputError(f"{key} = {settings[key]!r}; expected a whole number of at most 9 digits")
+    return int(settings[key])
+
+
+def flag(settings: Mapping[str, str], key: str) -> bool:
+    """Return a yes or no of the settings, by default no. Raises BadInputError."""
+    value = settings.get(key, "0")
+    if value not in ("0", "1"):
+        raise BadInputError(f"{key} = {value!r}; expected 0 or 1")
+    return value == "1"
+
+
+def check_range(name: str, value: int, low: int, high: int) -> None:
+    """Raise BadInputError for a number out of its range."""
+    if not low <= value <= high:
+        raise BadInputError(f"{name} = {value}; expected {low} to {high}")
+
+
+def join(address: str, settings: Mapping[str, str | int | None]) -> str:
+    """Return a URL of an escaped address and the settings that are not None."""
+    given = [f"{key}={escape(str(value))}" for key, value in settings.items() if value is not None]
+    return f"{address}?{'&'.join(given)}" if given else address
+
+
+def split(text: str, kind: str, known: tuple[str, ...]) -> tuple[str, dict[str, str]]:
+    """Return the address, still escaped, and the settings of what follows the colon of a URL. Raises BadInputError."""
+    address, question_mark, query = text.partition("?")
+    settings: dict[str, str] = {}
+    for item in query.split("&") if question_mark else ():
+        key, equals, value = item.partition("=")
+        if not known:
+            raise BadInputError(f"{kind}: takes no settings; write {kind}:{address}")
+        if key not in known:
+            raise BadInputError(f"unknown setting {key!r}{nearest(key, known)}")
+        if not equals or not value:
+            raise BadInputError(f"the setting {key!r} has no value; write {key}=VALUE")
+        if key in settings:
+            raise BadInputError(f"the setting {key!r} is given twice; keep one of them")
+        settings[key] = unescape(value)
+    return address, settings
+
+
+def escape(text: str) -> str:
+    """Return a text as an address or a value has it: reserved characters as %XX."""
+
+    def percent(match: re.Match[str]) -> str:
+        return "".join(f"%{byte:02X}" for byte in match.group().encode("utf-8", "surrogateescape"))
+
+    return re.sub("[%?& \\udc80-\\udcff]", percent, text)
+
+
+def unescape(text: str) -> str:
+    """Decode %XX. Bytes that are not UTF-8 become surrogates, as Python keeps them in paths (PEP 383)."""
+    if bad := re.search("%(?![0-9A-Fa-f]{2}).{0,2}", text):
+        raise BadInputError(f"{bad.group()!r} is no escape; write a percent sign as %25")
+    data = text.encode("utf-8", "surrogateescape")
+    data = re.sub(rb"%(..)", lambda match: bytes.fromhex(match.group(1).decode("ascii")), data)
+    return data.decode("utf-8", "surrogateescape")

@@ -1,0 +1,198 @@
+"""What frames take on the wire: bytes, bits and time, of a line of bytes and of a CAN bus."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple, Protocol
+
+from firmware_protocol.framing import Frame
+from hil.core.ports import EXTENDED, REMOTE
+from hil.wire.can_frame import classic_bits, fd_bits
+
+_BITS_PER_BYTE = 10  # start, eight data bits, stop
+_REMOTE_LENGTH = 8  # a request asks for as much as its answer may have
+
+
+class Usage(NamedTuple):
+    """What something took on the wire. ``bytes`` of a CAN frame are those of its data field."""
+
+    bytes: int
+    bits: int
+    busy_ns: int
+
+
+class Count(NamedTuple):
+    """Frames, bytes and bits of one direction."""
+
+    frames: int = 0
+    bytes: int = 0
+    bits: int = 0
+
+    def and_one(self, usage: Usage) -> "Count":
+        """Return the count with a frame more."""
+        return Count(self.frames + 1, self.bytes + usage.bytes, self.bits + usage.bits)
+
+
+class Meter(Protocol):
+    """How a kind of link turns frames into bytes, bits and time on the wire.
+
+    Attributes:
+        duplex: whether the two directions have a line each, as serial has, or share one, as CAN does.
+        timed: whether the link has a bit rate. One without need not be shown what is sent and received.
+    """
+
+    duplex: bool
+    timed: bool
+
+    @property
+    def foreign(self) -> Count | None:
+        """Frames of others so far, or None where there are only two ends."""
+
+    @property
+    def counts_frames(self) -> bool:
+        """Whether the frames carry a count by which lost ones are noticed."""
+
+    def begin(self) -> None:
+        """Count from now on."""
+
+    def sent(self, frame: Frame) -> int:
+        """Take a frame that was just sent; return for how long it keeps the wire busy [ns]."""
+
+    def received(self, frames: Sequence[Frame]) -> int:
+        """Take what was received since the last call, these frames as the last of it; return how long that took."""
+
+    def overheard(self, message: Any) -> int:
+        """Take a ``can.Message`` of somebody else; return for how long it kept the bus busy [ns]."""
+
+    def counts(self) -> tuple[Count, Count]:
+        """Return what was sent and what was received since ``begin``."""
+
+    def byte_counts(self) -> tuple[int, int]:
+        """Return the bytes of both alone, which is done at every tick."""
+
+
+class CountingLink(Protocol):
+    """A link that counts by itself since it was opened; over a byte stream all bytes that came, whatever they were.
+
+    Attributes:
+        counts_frames: whether the frames carry a count by which lost ones are noticed.
+    """
+
+    @property
+    def counts_frames(self) -> bool: ...
+
+    sent_frames: int
+    sent_bytes: int
+    received_frames: int
+    received_bytes: int
+
+
+class LineMeter:
+    """A serial line, or its like without a bit rate (``baud`` None). It counts bytes of no frame too."""
+
+    duplex = True
+    foreign = None
+
+    def __init__(self, link: CountingLink, baud: int | None) -> None:
+        self._link = link
+        self._byte_ns = _BITS_PER_BYTE * 1_000_000_000 / baud if baud else 0.0
+        self.timed = baud is not None
+        self._sent_bytes, self._received_bytes = link.sent_bytes, link.received_bytes  # that were taken
+        self.begin()
+
+    def begin(self) -> None:
+        link = self._link
+        self._before = link.sent_frames, link.sent_bytes, link.received_frames, link.received_bytes
+
+    def sent(self, _frame: Frame) -> int:
+        before, self._sent_bytes = self._sent_bytes, self._link.sent_bytes
+        return round((self._sent_bytes - before) * self._byte_ns)
+
+    def received(self, _frames: Sequence[Frame]) -> int:
+        before, self._received_bytes = self._received_bytes, self._link.received_bytes
+        return round((self._received_bytes - before) * self._byte_ns)
+
+    def overheard(self, _message: Any) -> int:
+        raise NotImplementedError("a line between two has no third")
+
+    def counts(self) -> tuple[Count, Count]:
+        (sent, _, received, _), (sent_bytes, received_bytes) = self._before, self.byte_counts()
+        return (
+            Count(self._link.sent_frames - sent, sent_bytes, sent_bytes * _BITS_PER_BYTE),
+            Count(self._link.received_frames - received, received_bytes, received_bytes * _BITS_PER_BYTE),
+        )
+
+    def byte_counts(self) -> tuple[int, int]:
+        link, (_, sent, _, received) = self._link, self._before
+        return link.sent_bytes - sent, link.received_bytes - received
+
+    @property
+    def counts_frames(self) -> bool:
+        return self._link.counts_frames
+
+
+class BusMeter:
+    """A CAN bus with its bit rates [bit/s], classic or FD; ``data_bitrate`` is of FD's data phase where it has one."""
+
+    duplex = False
+    timed = True
+    counts_frames = False
+
+    def __init__(self, bitrate: int, *, fd: bool = False, data_bitrate: int | None = None) -> None:
+        self._is_fd = fd
+        self._is_switched = data_bitrate is not None
+        self._bit_ns = 1_000_000_000 / bitrate
+        self._data_bit_ns = 1_000_000_000 / (data_bitrate or bitrate)
+        self.begin()
+
+    def begin(self) -> None:
+        self._sent = self._received = self.foreign = Count()
+
+    def sent(self, frame: Frame) -> int:
+        usage = self._ours(frame)
+        self._sent = self._sent.and_one(usage)
+        return usage.busy_ns
+
+    def received(self, frames: Sequence[Frame]) -> int:
+        busy_ns = 0
+        for frame in frames:
+            usage = self._ours(frame)
+            self._received = self._received.and_one(usage)
+            busy_ns += usage.busy_ns
+        return busy_ns
+
+    def overheard(self, message: Any) -> int:
+        usage = self._others(message)
+        self.foreign = self.foreign.and_one(usage)
+        return usage.busy_ns
+
+    def counts(self) -> tuple[Count, Count]:
+        return self._sent, self._received
+
+    def byte_counts(self) -> tuple[int, int]:
+        return self._sent.bytes, self._received.bytes
+
+    def _ours(self, frame: Frame) -> Usage:
+        number, payload = frame
+        identifier, extended = number & ~(EXTENDED | REMOTE), number >= EXTENDED
+        if number & REMOTE:
+            return self._classic(identifier, b"", extended=extended, remote_length=_REMOTE_LENGTH)
+        if self._is_fd:
+            return self._fd(identifier, payload, extended=extended, switched=self._is_switched)
+        return self._classic(identifier, payload, extended=extended)
+
+    def _others(self, message: Any) -> Usage:
+        """Return what a ``can.Message`` of somebody else took; an error frame's bits cannot be known."""
+        number, payload, extended = message.arbitration_id, bytes(message.data), message.is_extended_id
+        if message.is_error_frame:
+            return Usage(0, 0, 0)
+        if message.is_fd:
+            return self._fd(number, payload, extended=extended, switched=message.bitrate_switch)
+        length = message.dlc if message.is_remote_frame else None
+        return self._classic(number, payload, extended=extended, remote_length=length)
+
+    def _classic(self, number: int, payload: bytes, *, extended: bool, remote_length: int | None = None) -> Usage:
+        bits = classic_bits(number, payload, extended=extended, remote_length=remote_length)
+        return Usage(len(payload), bits, round(bits * self._bit_ns))
+
+    def _fd(self, number: int, payload: bytes, *, extended: bool, switched: bool) -> Usage:
+        nominal, data = fd_bits(number, payload, extended=extended, switched=switched)
+        return Usage(len(payload), nominal + data, round(nominal * self._bit_ns + data * self._data_bit_ns))
