@@ -9,9 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.core.types import Acceleration, Pose, State, Twist, Wheels
-from hil.laws.ahead import TorquePrediction
 from hil.laws.observer import ExtendedStateObserver, observer_gains
-from hil.laws.prediction import CommandsOnTheirWay, acceleration_of
+from hil.laws.prediction import DelayPredictor, PendingCommands, acceleration_of
 from hil.references import Hold
 from tests.closed_loop import AT_REST, PAPER_ROBOT
 
@@ -84,7 +83,7 @@ def test_an_observer_without_a_bandwidth_or_a_limit_is_refused(value):
 @given(st.lists(accelerations, min_size=1, max_size=12), st.floats(0.0, 0.03), st.sampled_from([0.001, 0.005, 0.01]))
 def test_the_prediction_is_that_of_an_integrator_that_knows_when_each_command_acts(commands, latency_s, dt_s):
     """Since each tick, and over the latency ahead of the last one, for any latency in periods."""
-    on_their_way = CommandsOnTheirWay()
+    on_their_way = PendingCommands()
     position, rate = np.zeros(3), np.zeros(3)
 
     def move(moved, time_s):
@@ -102,21 +101,21 @@ def test_the_prediction_is_that_of_an_integrator_that_knows_when_each_command_ac
     for n, command in enumerate(commands):
         move(on_their_way.advance(command, latency_s, dt_s), dt_s)
         assert np.array([position, rate]) == pytest.approx(exact((n + 1) * dt_s), abs=1e-9)
-    move(on_their_way.ahead(latency_s), latency_s)
+    move(on_their_way.motion(latency_s), latency_s)
     assert np.array([position, rate]) == pytest.approx(exact(len(commands) * dt_s + latency_s), abs=1e-9)
 
 
 @pytest.mark.parametrize("from_observers", [True, False])
 def test_from_observers_a_prediction_needs_no_measured_speed(from_observers):
     """A push that no command explains moves a robot that is told to stand; its speed is measured as nothing."""
-    prediction = TorquePrediction(
+    prediction = DelayPredictor(
         PAPER_ROBOT, tuple(ExtendedStateObserver(60.0, 5.0) for _ in range(3)), from_observers=from_observers
     )
     goal, still, push_m_s2, latency_s = Hold().at(0.0), Twist(0.0, 0.0, 0.0), 2.0, 0.02
     prediction.reset(State(goal.pose, still))
     for n in range(61):
         state = State(Pose(push_m_s2 * (n * DT_S) ** 2 / 2, 0.0, 0.0), still)
-        ahead = prediction.ahead(goal, state, AT_REST._replace(latency_s=latency_s), DT_S)
+        ahead = prediction.predict(goal, state, AT_REST._replace(latency_s=latency_s), DT_S)
     end_s = 60 * DT_S + latency_s
     truth = push_m_s2 * end_s**2 / 2, push_m_s2 * end_s
     found = ahead.error[0], ahead.twist[0]
@@ -127,18 +126,18 @@ def test_from_observers_a_prediction_needs_no_measured_speed(from_observers):
 
 
 def test_a_command_that_a_later_one_overtakes_never_acts():
-    on_their_way = CommandsOnTheirWay()
+    on_their_way = PendingCommands()
     late, early = Acceleration(1.0, 0.0, 0.0), Acceleration(0.0, 2.0, 0.0)
     on_their_way.advance(late, 0.020, DT_S)
     on_their_way.advance(early, 0.005, DT_S)
-    assert on_their_way.ahead(0.1)[3:5] == pytest.approx((0.0, 0.2))
+    assert on_their_way.predict(0.1)[3:5] == pytest.approx((0.0, 0.2))
 
 
 def test_after_a_reset_nothing_is_on_its_way():
-    on_their_way = CommandsOnTheirWay()
+    on_their_way = PendingCommands()
     on_their_way.advance(Acceleration(1.0, 1.0, 1.0), 0.005, DT_S)
     on_their_way.reset()
-    assert on_their_way.ahead(1.0) == (0.0,) * 6
+    assert on_their_way.predict(1.0) == (0.0,) * 6
 
 
 @given(accelerations, twists, st.floats(-3.0, 3.0), twists, st.floats(-5.0, 5.0))

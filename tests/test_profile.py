@@ -12,8 +12,7 @@ from scipy.optimize import linprog
 import hil
 from hil.core.kinematics import body_wrench, to_body
 from hil.core.types import Acceleration, Applied, CommandMode, Pose, Reference, State, Twist, WheelCommand, Wheels
-from hil.laws.diagonals import allocate, directions
-from hil.laws.profile import Profile, profile
+from hil.laws.profile import Profile, allocate, directions, profile
 from tests.closed_loop import AT_REST, PAPER_ROBOT, after
 from tests.examples import share_of_examples
 
@@ -154,7 +153,7 @@ def test_what_became_of_a_command_on_its_way_is_no_disturbance(share):
         applied = Applied(WheelCommand(CommandMode.TORQUE, command.speed_rad_s, scaled), share < 1.0, 0.0)
         motion = after(robot, motion, scaled, 0.005)
         state = State(Pose(*motion[:3]), Twist(*motion[3:]))
-    seen = controller._prediction.disturbance
+    seen = controller._predictor.disturbance
     assert seen == pytest.approx([0.0, 0.0, 0.0], abs=1e-2)
     assert (abs(state.pose.x_m) > 0.05) == (share > 0.0)
 

@@ -14,7 +14,7 @@ from hil.laws.surface import DynamicSurface, tracking_error
 class Afdsc(FuzzyLaw):
     """Adaptive fuzzy dynamic surface control: DSC with fuzzy gains, by the paper's tables as printed.
 
-    A fuzzy block an axis sets the gains at every tick: K1 from 3 to 15 1/s and K2 from 10 to 40 1/s. In SPEED mode
+    One fuzzy block per axis sets the gains at every tick: K1 from 3 to 15 1/s and K2 from 10 to 40 1/s. In SPEED mode
     only K1 is in force.
     """
 
@@ -24,9 +24,10 @@ class Afdsc(FuzzyLaw):
     class Options(FuzzyRanges):
         """The ranges of the fuzzy inputs, and the filter's time constant ς [s].
 
-        None is in the paper's text. ς is DSC's. The defaults suit a start about 0.3 m and 0.8 rad away. With ς at its
-        default, the time to converge hardly depends on the ranges while the one of the rate is above about 2 1/s times
-        the one of the error. Below, K1 stays small for so long that the robot no longer overshoots, and the time jumps.
+        The paper's text gives none of them. ς is that of ``Dsc``. The defaults suit a start about 0.3 m and 0.8 rad
+        away. With the default ς the convergence time hardly depends on the ranges, as long as the range of the rate is
+        more than about 2 1/s times the range of the error. Below that K1 stays small for so long that the robot no
+        longer overshoots, and the convergence time jumps.
         """
 
         filter_s: float = 0.0675
@@ -42,11 +43,11 @@ class Afdsc(FuzzyLaw):
     def reset(self, state: State, reference: Reference) -> None:
         """Start the filter from this state and reference."""
         error = tracking_error(reference, state)
-        self._last = self._tuner.of(error)
+        self._last = self._tuner.at(error)
         self._surface.reset(reference, error, self._last)
 
     def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
-        """Return the command of this tick, not limited; ``applied`` has no part in the paper's law."""
+        """Return the command of this tick, not limited. The paper's law does not use ``applied``."""
         error = tracking_error(reference, state)
-        self._last = gains = self._tuner.of(error)
+        self._last = gains = self._tuner.at(error)
         return self._surface.command(reference, state, error, gains, dt_s)

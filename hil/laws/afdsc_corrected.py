@@ -1,4 +1,4 @@
-"""AFDSC with the paper's tables corrected, so that the two can be compared."""
+"""AFDSC with the paper's tables corrected, for comparison with the printed ones."""
 
 from typing import ClassVar
 
@@ -7,9 +7,9 @@ from hil.laws.fuzzy import Tables
 
 
 class AfdscCorrected(Afdsc):
-    """AFDSC with the corrected tables: where the print has VS and VB the other way round, at a big steady error.
+    """AFDSC with the paper's tables corrected: at a large steady error the print has VS and VB swapped.
 
-    All else is AFDSC's, the options too.
+    Everything else, options included, is as in ``Afdsc``.
     """
 
     tables: ClassVar[Tables] = "corrected"

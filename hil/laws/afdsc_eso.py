@@ -14,12 +14,12 @@ from hil.laws.surface import tracking_error
 class AfdscEso(FuzzyLaw):
     """AFDSC with feedforward bypass, extended state observer and latency compensation.
 
-    The gains are AFDSC's, by the error when the command takes effect. In SPEED mode only K1 is in force.
+    The gains are AFDSC's, at the error predicted for when the command takes effect. In SPEED mode only K1 is in force.
     """
 
     @dataclass(frozen=True, slots=True)
     class Options(FuzzyRanges):
-        """The ranges of the fuzzy inputs, which tables, the filter's time constant ς [s], and the observer's ωo."""
+        """Ranges of the fuzzy inputs, the tables, the filter's time constant ς [s] and the observer's ωo [rad/s]."""
 
         tables: Tables = "corrected"
         filter_s: float = 0.01
@@ -36,11 +36,11 @@ class AfdscEso(FuzzyLaw):
     def reset(self, state: State, reference: Reference) -> None:
         """Start filter and observer from this state and reference."""
         error = tracking_error(reference, state)
-        self._last = self._tuner.of(error)
+        self._last = self._tuner.at(error)
         self._surface.reset(state, error, self._last)
 
     def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
         """Return the command of this tick, not limited."""
-        ahead = self._surface.ahead(reference, state, applied, dt_s)
-        self._last = gains = self._tuner.of(ahead.error)
-        return self._surface.command(reference, ahead, gains, dt_s)
+        predicted = self._surface.predict(reference, state, applied, dt_s)
+        self._last = gains = self._tuner.at(predicted.error)
+        return self._surface.command(reference, predicted, gains, dt_s)

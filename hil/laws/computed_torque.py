@@ -1,4 +1,4 @@
-"""Computed torque: the model cancels what it knows of the robot, and a linear law drives what is left."""
+"""Computed torque: the model cancels the known dynamics, and a linear law controls the error that is left."""
 
 from dataclasses import dataclass
 
@@ -6,15 +6,15 @@ from hil.core.errors import BadInputError
 from hil.core.model import RobotModel
 from hil.core.options import require_positive
 from hil.core.types import NO_GAINS, Applied, CommandMode, Reference, State, WheelCommand
-from hil.laws.ahead import TorquePrediction
+from hil.laws.prediction import DelayPredictor
 
 
 class ComputedTorque:
-    """Computed torque with feedforward: u = q̈_d - 2 ζ ωn ė - ωn² e, worked out for when it takes effect.
+    """Computed torque with feedforward: u = q̈_d - 2 ζ ωn ė - ωn² e, with latency compensation.
 
     The error of each axis then decays as a second-order system (B. Siciliano et al., Robotics, 2009, section
-    8.5.2). Nothing in it removes a steady error: friction beyond the model's leaves one. Torques are what it
-    computes, so that it refuses SPEED mode with BadInputError.
+    8.5.2). It does not remove a steady error, such as that of unmodelled friction. It computes torques, so it
+    refuses SPEED mode with BadInputError.
     """
 
     @dataclass(frozen=True, slots=True)
@@ -37,17 +37,17 @@ class ComputedTorque:
             )
         self._to_error = options.frequency_rad_s**2
         self._to_rate = 2.0 * options.damping * options.frequency_rad_s
-        self._prediction = TorquePrediction(model)
+        self._predictor = DelayPredictor(model)
 
     def reset(self, state: State, reference: Reference) -> None:
-        """Forget the commands on their way."""
-        self._prediction.reset(state)
+        """Forget the commands that do not act yet."""
+        self._predictor.reset(state)
 
     def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
         """Return the command of this tick, not limited."""
-        ahead = self._prediction.ahead(reference, state, applied, dt_s)
-        x, y, heading, vx, vy, yaw_rate = ahead.error
+        predicted = self._predictor.predict(reference, state, applied, dt_s)
+        x, y, heading, vx, vy, yaw_rate = predicted.error
         ax, ay, ah = reference.acceleration
         kp, kd = self._to_error, self._to_rate
         asked = ax - kp * x - kd * vx, ay - kp * y - kd * vy, ah - kp * heading - kd * yaw_rate
-        return self._prediction.command(asked, ahead)
+        return self._predictor.command(asked, predicted)

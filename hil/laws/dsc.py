@@ -1,19 +1,18 @@
-"""DSC: dynamic surface control with constant gains, the baseline of Nguyen Minh et al. 2023."""
+"""DSC: dynamic surface control with constant gains, the baseline in Nguyen Minh et al. 2023."""
 
 from dataclasses import dataclass
 
 from hil.core.model import RobotModel
 from hil.core.options import require_positive
 from hil.core.types import Applied, CommandMode, Gains, Reference, State, WheelCommand
-from hil.laws.surface import DynamicSurface, tracking_error, without_inner
+from hil.laws.surface import DynamicSurface, tracking_error, without_k2
 
 
 class Dsc:
     """Dynamic surface control with constant gains.
 
-    In SPEED mode only ``k1_1_s`` is in force. Its default of 15 1/s is the paper's, for torque at 1 kHz; it
-    does not follow the mode. A scenario in SPEED mode gives the gain that its rate and latency allow: 8 1/s
-    at 200 Hz, 5 ms.
+    In SPEED mode only ``k1_1_s`` is in force. Its default of 15 1/s is the paper's, for torque at 1 kHz, in both
+    modes. A scenario in SPEED mode has to set the gain that its rate and latency allow: 8 1/s at 200 Hz and 5 ms.
     """
 
     @dataclass(frozen=True, slots=True)
@@ -34,13 +33,13 @@ class Dsc:
         k1, k2 = options.k1_1_s, options.k2_1_s
         self._surface = DynamicSurface(model, mode, options.filter_s)
         self._gains = Gains(k1, k1, k1, k2, k2, k2)
-        self.gains = self._gains if mode is CommandMode.TORQUE else without_inner(self._gains)
+        self.gains = self._gains if mode is CommandMode.TORQUE else without_k2(self._gains)
 
     def reset(self, state: State, reference: Reference) -> None:
         """Start the filter from this state and reference."""
         self._surface.reset(reference, tracking_error(reference, state), self._gains)
 
     def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
-        """Return the command of this tick, not limited; ``applied`` has no part in the paper's law."""
+        """Return the command of this tick, not limited. The paper's law does not use ``applied``."""
         error = tracking_error(reference, state)
         return self._surface.command(reference, state, error, self._gains, dt_s)

@@ -6,7 +6,7 @@ from hil.core.model import RobotModel
 from hil.core.options import require_positive
 from hil.core.types import Applied, CommandMode, Gains, Reference, State, WheelCommand
 from hil.laws.observed_surface import ObservedSurface
-from hil.laws.surface import tracking_error, without_inner
+from hil.laws.surface import tracking_error, without_k2
 
 
 class DscEso:
@@ -17,7 +17,7 @@ class DscEso:
 
     @dataclass(frozen=True, slots=True)
     class Options:
-        """Gains of all three axes [1/s], the filter's time constant ς [s], and the observer's ωo."""
+        """Gains of all three axes [1/s], the filter's time constant ς [s], and the observer's ωo [rad/s]."""
 
         k1_1_s: float = 8.0
         k2_1_s: float = 30.0
@@ -31,7 +31,7 @@ class DscEso:
         k1, k2 = options.k1_1_s, options.k2_1_s
         self._surface = ObservedSurface(model, mode, options.filter_s, options.observer_rad_s)
         self._gains = Gains(k1, k1, k1, k2, k2, k2)
-        self.gains = self._gains if mode is CommandMode.TORQUE else without_inner(self._gains)
+        self.gains = self._gains if mode is CommandMode.TORQUE else without_k2(self._gains)
 
     def reset(self, state: State, reference: Reference) -> None:
         """Start filter and observer from this state and reference."""
@@ -39,5 +39,5 @@ class DscEso:
 
     def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
         """Return the command of this tick, not limited."""
-        ahead = self._surface.ahead(reference, state, applied, dt_s)
-        return self._surface.command(reference, ahead, self._gains, dt_s)
+        predicted = self._surface.predict(reference, state, applied, dt_s)
+        return self._surface.command(reference, predicted, self._gains, dt_s)

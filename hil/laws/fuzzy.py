@@ -59,15 +59,15 @@ Cell = tuple[float, float, float, float, float, float, float, float]
 
 
 FIRING = ("error", "rate", "rule", "degree")
-"""What ``FuzzyBlock.firing`` returns."""
+"""Names of the four values that ``FuzzyBlock.firing`` returns."""
 
 
 @dataclass(frozen=True, slots=True)
 class FuzzyBlock:
     """The tuner of one axis.
 
-    ``error_range`` and ``rate_range`` (in the axis' own units, above zero) are where NB and PB peak; beyond
-    them the inputs saturate. The sets in between peak at half the range and at zero.
+    ``error_range`` and ``rate_range`` (in the units of the axis, greater than zero) are where NB and PB peak. Beyond
+    them the inputs saturate. The other sets peak at half the range and at zero.
     """
 
     error_range: float
@@ -99,7 +99,7 @@ class FuzzyBlock:
         """Return (K1, K2) [1/s] at an error and its rate. NaN counts as NB: the gains are always finite."""
         p = self._sets_an_error * error + 2.0
         q = self._sets_a_rate * rate + 2.0
-        # Between which two sets each is: by comparisons, which cost less than int(). PB belongs to the last two.
+        # The cell of the table, found by comparisons because they cost less than int(). PB belongs to the last cell.
         if p >= 3.0:
             cell = 3
             if p > 4.0:
@@ -126,31 +126,28 @@ class FuzzyBlock:
         return a + b * p + q * (c + d * p), e + f * p + q * (g + h * p)
 
     def firing(self, error: float, rate: float) -> tuple[float, float, float, float]:
-        """Return what fires at an error and its rate (``FIRING``). NaN counts as NB.
+        """Return the state of the inference at an error and its rate (``FIRING``). NaN counts as NB.
 
-        First the places of both among the sets, -2 for NB, 0 for Z, 2 for PB; what is in between belongs to its two
-        neighbours, to the nearer one more, so that all memberships follow. Then the strongest rule, 5 times the row
-        (rate) plus the column (error) of tables III and IV, 0 to 24, and its degree, the product of its two
-        memberships, 0.25 to 1.
+        The first two values locate error and rate among the sets: -2 is NB, 0 is Z, 2 is PB, and a value in between
+        belongs to both neighbours, more to the nearer one. The third is the strongest rule: 5 times the row (rate)
+        plus the column (error) of tables III and IV, 0 to 24. The fourth is that rule's degree, the product of its
+        two memberships, 0.25 to 1.
         """
         p = self._sets_an_error * error + 2.0
         q = self._sets_a_rate * rate + 2.0
         p = 4.0 if p >= 4.0 else p if p > 0.0 else 0.0
         q = 4.0 if q >= 4.0 else q if q > 0.0 else 0.0
-        # Whole floats: numbers of one kind cost less than half.
+        # Whole numbers as floats: mixing int and float costs twice as much.
         column, row = (p + 0.5) // 1.0, (q + 0.5) // 1.0
         return p - 2.0, q - 2.0, 5.0 * row + column, (1.0 - abs(p - column)) * (1.0 - abs(q - row))
 
     def gains_batch(
         self, error: "NDArray[np.float64]", rate: "NDArray[np.float64]"
     ) -> "tuple[NDArray[np.float64], NDArray[np.float64]]":
-        """Return (K1, K2) [1/s] for arrays that broadcast together: the surfaces, for plots and sweeps.
-
-        NaN counts as NB here too.
-        """
+        """Return (K1, K2) [1/s] for arrays that broadcast together, for plots and sweeps. NaN counts as NB."""
         import numpy as np
 
-        # fmax goes first: of NaN and -2 it returns -2.
+        # fmax comes first because it turns NaN into -2.
         p = np.fmin(np.fmax(self._sets_an_error * np.asarray(error), -2.0), 2.0) + 2.0
         q = np.fmin(np.fmax(self._sets_a_rate * np.asarray(rate), -2.0), 2.0) + 2.0
         i, j = np.minimum(p.astype(np.intp), 3), np.minimum(q.astype(np.intp), 3)
@@ -159,7 +156,7 @@ class FuzzyBlock:
 
 
 def _cells_of(k1_1_s: tuple[float, ...], k2_1_s: tuple[float, ...]) -> tuple[Cell, ...]:
-    """Return the 16 cells between the peaks, row by row: in each, K = a + b p + c q + d p q with p, q from 0 to 4."""
+    """Return the 16 cells between the peaks, row by row; in each K = a + b p + c q + d p q with p and q from 0 to 4."""
     return tuple((*_cell(k1_1_s, i, j), *_cell(k2_1_s, i, j)) for j in range(4) for i in range(4))
 
 

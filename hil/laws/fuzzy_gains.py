@@ -1,16 +1,16 @@
-"""Gains of all three axes by the fuzzy block: what AFDSC and its relatives have in common."""
+"""Fuzzy gains of all three axes, shared by AFDSC and its variants."""
 
 from dataclasses import dataclass
 
 from hil.core.options import require_positive
 from hil.core.types import NAN, NO_GAINS, CommandMode, Gains, Pairs, make_gains
 from hil.laws.fuzzy import FIRING, FuzzyBlock, Tables
-from hil.laws.surface import without_inner
+from hil.laws.surface import without_k2
 
 
 @dataclass(frozen=True, slots=True)
 class FuzzyRanges:
-    """The ranges of the fuzzy inputs: where the sets NB and PB peak. x and y share theirs, the heading has its own."""
+    """Ranges of the fuzzy inputs: where the sets NB and PB peak. x and y share one pair, the heading has its own."""
 
     error_range_m: float = 0.2
     error_rate_range_m_s: float = 0.7
@@ -28,7 +28,7 @@ class FuzzyRanges:
 
 
 class FuzzyGains:
-    """A fuzzy block an axis. It has ``OwnSignals``: what fires in each (``hil.laws.fuzzy.FuzzyBlock.firing``)."""
+    """One fuzzy block per axis. Its own signals are those of ``hil.laws.fuzzy.FuzzyBlock.firing`` for each axis."""
 
     __slots__ = ("_error", "_heading", "_planar")
 
@@ -41,14 +41,14 @@ class FuzzyGains:
 
     @property
     def telemetry(self) -> tuple[float, ...]:
-        """What fires at the error of the last gains."""
+        """Values of ``signals`` at the error of the last gains; NaN before the first."""
         if self._error is None:
             return (NAN,) * len(self.signals)
         x, y, heading, vx, vy, yaw_rate = self._error
         firing = self._planar.firing
         return firing(x, vx) + firing(y, vy) + self._heading.firing(heading, yaw_rate)
 
-    def of(self, error: Pairs) -> Pairs:
+    def at(self, error: Pairs) -> Pairs:
         """Return K1 and K2 [1/s] at this error and its rate."""
         self._error = error
         x, y, heading, vx, vy, yaw_rate = error
@@ -59,7 +59,7 @@ class FuzzyGains:
 
 
 class FuzzyLaw:
-    """A law whose gains a ``FuzzyGains`` sets at every tick, and what it tells of them."""
+    """Base of a law whose gains come from ``FuzzyGains`` at every tick; it offers them as signals."""
 
     signals = FuzzyGains.signals
 
@@ -70,11 +70,11 @@ class FuzzyLaw:
 
     @property
     def gains(self) -> Gains:
-        """Gains of the last update; in SPEED mode K2 is not in force."""
+        """Gains of the last update. In SPEED mode K2 is not in force and NaN."""
         gains = make_gains(self._last)
-        return gains if self._torque else without_inner(gains)
+        return gains if self._torque else without_k2(gains)
 
     @property
     def telemetry(self) -> tuple[float, ...]:
-        """What fires in the fuzzy block of each axis."""
+        """Values of ``signals``."""
         return self._tuner.telemetry

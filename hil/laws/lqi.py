@@ -1,28 +1,66 @@
 """LQI: linear-quadratic control with the integral of the error as a state, on the model's feedforward."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from hil.core.errors import BadInputError
 from hil.core.model import RobotModel
 from hil.core.options import require_positive
 from hil.core.types import NO_GAINS, Applied, Axes, CommandMode, Reference, State, WheelCommand
-from hil.laws.ahead import Ahead, TorquePrediction, carried_on
-from hil.laws.riccati import lqr_gain
+from hil.laws.prediction import DelayPredictor, Prediction, extrapolate
 from hil.laws.wheel_commands import speed_command
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+
+_DOUBLINGS = 60
+
+
+def lqr_gain(
+    a: "NDArray[np.float64]", b: "NDArray[np.float64]", q: "NDArray[np.float64]", r: "NDArray[np.float64]"
+) -> "NDArray[np.float64]":
+    """Return K of u = -K x, which minimises the sum of xᵀ Q x + uᵀ R u over all ticks of x⁺ = A x + B u.
+
+    ``a`` is n by n, ``b`` n by m, ``q`` n by n, ``r`` m by m and invertible; K is m by n. The Riccati equation is
+    solved by structured doubling, which squares the closed loop at every step (E. K.-W. Chu et al., "A structure
+    preserving doubling algorithm for periodic discrete-time algebraic Riccati equations", Int. J. Control 77,
+    2004). Raises ValueError where it does not converge: the pair (A, B) cannot be stabilised.
+    """
+    import numpy as np
+
+    identity = np.eye(len(a))
+    # Of k ticks: A the transition, G what the inputs reach, and H the cost, which tends to the solution.
+    transition, reached, cost = a, b @ np.linalg.solve(r, b.T), q
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(_DOUBLINGS):
+            shared = np.linalg.inv(identity + reached @ cost)
+            step = transition.T @ cost @ shared @ transition
+            transition, reached, cost = (
+                transition @ shared @ transition,
+                reached + transition @ shared @ reached @ transition.T,
+                cost + step,
+            )
+            if not np.isfinite(cost).all():
+                break
+            if np.abs(step).max() <= 1e-14 * np.abs(cost).max():
+                return np.asarray(np.linalg.solve(r + b.T @ cost @ b, b.T @ cost @ a), dtype=np.float64)
+    raise ValueError("the Riccati equation has no stabilising solution for these weights")
 
 
 class Lqi:
-    """LQI with feedforward, worked out for when the command takes effect.
+    """LQI with feedforward and latency compensation.
 
-    In TORQUE mode an axis is a double integrator of the acceleration asked for beyond the reference's, with the
-    states ∫e, e and ė; in SPEED mode an integrator of the speed beyond the reference's, with ∫e and e. The gains
-    are those of the discrete Riccati equation for the period of the first tick, and stay: a skipped tick changes
-    nothing. While the guard scales the wheels the integral stands still.
+    In TORQUE mode each axis is a double integrator with the states ∫e, e and ė; its input is the acceleration in
+    addition to the reference's. In SPEED mode it is an integrator with the states ∫e and e; its input is the speed in
+    addition to the reference's. The gains solve the discrete Riccati equation for the period of the first tick. They
+    stay constant, so a skipped tick changes nothing. The integral stops while the guard scales the command.
     """
 
     @dataclass(frozen=True, slots=True)
     class Options:
-        """Weights of ∫e², e² and ė² in the cost, beside 1 for the square of what is asked for; of all axes.
+        """Weights of ∫e², e² and ė² in the cost, beside 1 for the square of what is commanded for; of all axes.
 
         TORQUE asks for accelerations, SPEED for speeds: each mode has weights of its own.
         """
@@ -49,53 +87,55 @@ class Lqi:
         self._model = model
         self._options = options
         self._torque = mode is CommandMode.TORQUE
-        self._prediction = TorquePrediction(model)
+        self._predictor = DelayPredictor(model)
         self._feedback: tuple[float, ...] = ()
         self._integral: Axes = (0.0, 0.0, 0.0)
 
     def reset(self, state: State, reference: Reference) -> None:
-        """Empty the integral, and forget the commands on their way."""
+        """Empty the integral, and forget the commands that do not act yet."""
         self._integral = (0.0, 0.0, 0.0)
-        self._prediction.reset(state)
+        self._predictor.reset(state)
 
     def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
         """Return the command of this tick, not limited."""
         if not self._feedback:
             self._feedback = _feedback(self._options, self._torque, dt_s)
         if not self._torque:
-            return self._by_speed(reference, carried_on(reference, state, applied.latency_s), applied, dt_s)
-        ahead = self._prediction.ahead(reference, state, applied, dt_s)
-        ix, iy, ih = self._integrated(ahead, applied, dt_s)
-        x, y, heading, vx, vy, yaw_rate = ahead.error
+            return self._by_speed(reference, extrapolate(reference, state, applied.latency_s), applied, dt_s)
+        predicted = self._predictor.predict(reference, state, applied, dt_s)
+        ix, iy, ih = self._integrated(predicted, applied, dt_s)
+        x, y, heading, vx, vy, yaw_rate = predicted.error
         ax, ay, ah = reference.acceleration
         ki, kp, kd = self._feedback
-        asked = (
+        commanded = (
             ax - ki * ix - kp * x - kd * vx,
             ay - ki * iy - kp * y - kd * vy,
             ah - ki * ih - kp * heading - kd * yaw_rate,
         )
-        return self._prediction.command(asked, ahead)
+        return self._predictor.command(commanded, predicted)
 
-    def _by_speed(self, reference: Reference, ahead: Ahead, applied: Applied, dt_s: float) -> WheelCommand:
-        ix, iy, ih = self._integrated(ahead, applied, dt_s)
-        x, y, heading, _, _, _ = ahead.error
-        vx, vy, yaw_rate = ahead.moving
+    def _by_speed(self, reference: Reference, predicted: Prediction, applied: Applied, dt_s: float) -> WheelCommand:
+        ix, iy, ih = self._integrated(predicted, applied, dt_s)
+        x, y, heading, _, _, _ = predicted.error
+        vx, vy, yaw_rate = predicted.reference_twist
         ki, kp = self._feedback
-        wanted = vx - ki * ix - kp * x, vy - ki * iy - kp * y, yaw_rate - ki * ih - kp * heading
-        return speed_command(self._model, wanted, ahead.heading_rad, ahead.moving, reference.acceleration)
+        desired = vx - ki * ix - kp * x, vy - ki * iy - kp * y, yaw_rate - ki * ih - kp * heading
+        return speed_command(
+            self._model, desired, predicted.heading_rad, predicted.reference_twist, reference.acceleration
+        )
 
-    def _integrated(self, ahead: Ahead, applied: Applied, dt_s: float) -> Axes:
-        """Return the integral of the error until now, and go on unless the guard limits the command."""
+    def _integrated(self, predicted: Prediction, applied: Applied, dt_s: float) -> Axes:
+        """Return the integral of the error until now, and advance it unless the guard limits the command."""
         integral = self._integral
         if not applied.saturated:
             ix, iy, ih = integral
-            x, y, heading, _, _, _ = ahead.error
+            x, y, heading, _, _, _ = predicted.error
             self._integral = ix + dt_s * x, iy + dt_s * y, ih + dt_s * heading
         return integral
 
 
 def _feedback(options: Lqi.Options, torque: bool, dt_s: float) -> tuple[float, ...]:
-    """Return the gains of ∫e, e and, by torque, of ė for ticks of ``dt_s`` [s]: zero-order hold."""
+    """Return the gains of ∫e, e and, in TORQUE mode, ė for ticks of ``dt_s`` [s] with zero-order hold."""
     import numpy as np
 
     t = dt_s
@@ -111,6 +151,6 @@ def _feedback(options: Lqi.Options, torque: bool, dt_s: float) -> tuple[float, .
         return tuple(lqr_gain(a, b, np.diag(weights), np.eye(1))[0].tolist())
     except (ValueError, np.linalg.LinAlgError) as error:
         raise BadInputError(
-            f"controller.gains: of the weights {weights} no gains follow at {1.0 / t:g} Hz ({error}); take some "
-            "that are nearer to the defaults"
+            f"controller.gains: no gains exist for the weights {weights} at {1.0 / t:g} Hz ({error}); take "
+            "weights nearer to the defaults"
         ) from error

@@ -1,26 +1,25 @@
 """Extended state observer of one axis: position, rate, and the acceleration that no command explains.
 
 The axis is ẍ = u + d with a commanded acceleration u that is known and a disturbance d that changes slowly:
-friction, a wrong mass, a force from outside. The observer measures x alone, so it is as good with wheel speeds
-that are late or rough as with none. It moves on exactly for a piecewise constant u and a constant d, and then
-corrects itself by the innovation ε = x - x̂:
+friction, a wrong mass, a force from outside. The observer uses the measured x alone, so late or noisy
+wheel speeds do not disturb it. It predicts exactly for a piecewise constant u and a constant d, and then corrects its
+estimates by the innovation ε = x - x̂:
 
     x̂ += (1 - β³) ε,    v̂ += 3/2 (1 - β)² (1 + β) / T ε,    d̂ += (1 - β)³ / T² ε,    β = exp(-ωo T)
 
-which puts the three poles of its error at β, those of (s + ωo)³ (J. Han, "From PID to active disturbance
-rejection control", IEEE Trans. Ind. Electron. 56, 2009; the gains in discrete time: R. Miklosovic, A. Radke and
-Z. Gao, "Discrete implementation and generalization of the extended state observer", ACC 2006).
+This puts the three poles of its error at β, as (s + ωo)³ does in continuous time (J. Han, "From PID to active
+disturbance rejection control", IEEE Trans. Ind. Electron. 56, 2009; the gains in discrete time: R. Miklosovic,
+A. Radke and Z. Gao, "Discrete implementation and generalization of the extended state observer", ACC 2006).
 """
 
 import math
 
 
 class ExtendedStateObserver:
-    """Observes one axis; in units of it (m or rad), its rate and its acceleration.
+    """Observes one axis. Its unit is m or rad, and so are those of its rate (per s) and acceleration (per s²).
 
-    ``bandwidth_rad_s`` is ωo. The disturbance is kept within ``disturbance_limit``. Raises ValueError unless
-    both are finite and more than zero. ``position``, ``rate`` and ``disturbance`` are what is believed at the
-    last measurement.
+    ``bandwidth_rad_s`` is ωo. The disturbance is limited to ±``disturbance_limit``. Raises ValueError unless both are
+    finite and greater than zero. ``position``, ``rate`` and ``disturbance`` are the estimates at the last measurement.
     """
 
     __slots__ = ("_bandwidth_rad_s", "_dt_s", "_gains", "_limit", "disturbance", "position", "rate")
@@ -36,16 +35,16 @@ class ExtendedStateObserver:
         self.reset(0.0, 0.0)
 
     def reset(self, position: float, rate: float) -> None:
-        """Begin at this position and rate with no disturbance."""
+        """Start at this position and rate with zero disturbance."""
         self.position = position
         self.rate = rate
         self.disturbance = 0.0
 
     def update(self, measured: float, displacement: float, rate_change: float, dt_s: float) -> None:
-        """Move on by ``dt_s`` [s] to the present measurement of the position, and correct.
+        """Predict over ``dt_s`` [s], then correct by the position ``measured`` now.
 
-        ``displacement`` and ``rate_change`` are what the commanded acceleration alone did over that time, from
-        rest: ``hil.laws.prediction`` has them for commands that were late.
+        ``displacement`` and ``rate_change`` are the motion that the commanded acceleration alone causes over that
+        time from rest. ``hil.laws.prediction.PendingCommands`` computes them for delayed commands.
         """
         if dt_s != self._dt_s:
             self._dt_s = dt_s

@@ -1,25 +1,31 @@
-"""The commands on their way: what they did since the last tick, and what they will do until the next can act.
+"""Compensation of the latency: where robot and reference will be when a command takes effect.
 
-A command acts from ``latency_s`` after the sampling instant that it was worked out from (``Applied.latency_s``)
-until the next one does. A law that decides at t_n decides for t_n + latency on; by then the robot has moved, by
-commands that are known. Between two commands the acceleration is taken as constant in the world frame, so both
-motions are exact for a double integrator an axis, whatever the latency is in periods.
+A command takes effect ``Applied.latency_s`` after the sampling instant from which it was computed, and acts until the
+next command does. A law that compensates for this is evaluated at the predicted robot and the predicted reference. The
+reference is extrapolated by its own acceleration. The robot is extrapolated by the commands that were sent and do not
+act yet. Between two commands the acceleration is taken as constant in the world frame. Each axis is then a
+double integrator, whose motion is computed exactly for any latency.
 """
 
 import math
 import operator
 from collections import deque
+from typing import NamedTuple
 
 from hil.core.kinematics import body_wrench
 from hil.core.model import RobotModel
-from hil.core.types import Axes, Pairs, Wheels
+from hil.core.types import ZERO_WHEELS, Applied, Axes, Pairs, Reference, State, WheelCommand, Wheels
+from hil.laws.observer import ExtendedStateObserver
+from hil.laws.wheel_commands import torque_command
+
+_ZERO: Axes = (0.0, 0.0, 0.0)
 
 
-class CommandsOnTheirWay:
-    """The accelerations that were commanded of late, each with the time from which it acts.
+class PendingCommands:
+    """Queue of commanded accelerations, each with the time from which it acts.
 
-    Before the first one acts there is no acceleration. What they do is told as of a robot that begins at rest:
-    displacement [m, rad] and rate [m/s, rad/s].
+    Before the first one acts the acceleration is zero. The motion that they cause is given for a robot that starts
+    at rest: displacement [m, m, rad] and rate [m/s, m/s, rad/s].
     """
 
     __slots__ = ("_acting", "_now_s", "_waiting")
@@ -28,30 +34,30 @@ class CommandsOnTheirWay:
         self.reset()
 
     def reset(self) -> None:
-        """Begin with nothing commanded."""
+        """Empty the queue."""
         self._now_s = 0.0
-        self._acting: Axes = (0.0, 0.0, 0.0)
+        self._acting = _ZERO
         self._waiting: deque[tuple[float, Axes]] = deque()
 
     def advance(self, commanded: Axes, latency_s: float, dt_s: float) -> Pairs:
-        """Go on by ``dt_s`` [s] to the present tick, and return how the robot was moved since the last one.
+        """Advance by ``dt_s`` [s] to the present tick, and return the motion since the last tick.
 
-        ``commanded`` was decided at the last tick and acts from ``latency_s`` after it. One that was to act no
-        sooner than this one never does: it is overtaken.
+        ``commanded`` was computed at the last tick and acts from ``latency_s`` [s] after it. It replaces every queued
+        command that would have begun to act at the same time or later.
         """
         waiting = self._waiting
         acts_from_s = self._now_s + latency_s
         while waiting and waiting[-1][0] >= acts_from_s:
             waiting.pop()
         waiting.append((acts_from_s, commanded))
-        moved = self.ahead(dt_s)
+        moved = self.motion(dt_s)
         self._now_s += dt_s
         while waiting and waiting[0][0] <= self._now_s:
             self._acting = waiting.popleft()[1]
         return moved
 
-    def ahead(self, horizon_s: float) -> Pairs:
-        """Return how the robot is moved within the next ``horizon_s`` [s] by what was commanded until now."""
+    def motion(self, horizon_s: float) -> Pairs:
+        """Return the motion within the next ``horizon_s`` [s] that the commands in the queue cause."""
         dx = dy = dh = vx = vy = vh = 0.0
         ax, ay, ah = self._acting
         at_s = self._now_s
@@ -79,14 +85,16 @@ class CommandsOnTheirWay:
         )
 
 
-def acceleration_of(model: RobotModel, torque_n_m: Wheels, twist: Axes, heading_rad: float, moving: Axes) -> Axes:
-    """Return the world acceleration of these wheel torques: ``RobotModel.wheel_torques`` read backwards.
+def acceleration_of(
+    model: RobotModel, torque_n_m: Wheels, twist: Axes, heading_rad: float, reference_twist: Axes
+) -> Axes:
+    """Return the world acceleration that wheel torques cause: the inverse of ``RobotModel.wheel_torques``.
 
-    What a law wanted and what the guard let through differ; this turns the latter into what an observer needs.
-    Friction is taken as the law took it, so that both are the same where the guard did nothing. Of torques that work
-    against each other the share that moves the robot counts.
+    An observer needs it when the guard has changed the torques that the law computed. Friction is computed at the
+    reference's twist ``reference_twist``, as the law does, so both agree where the guard changed nothing. The part of
+    the torques that works against itself and moves nothing is ignored.
     """
-    friction_n_m = model.friction_torques(model.wheel_speeds(moving, heading_rad))
+    friction_n_m = model.friction_torques(model.wheel_speeds(reference_twist, heading_rad))
     fl, fr, rr, rl = map(operator.sub, torque_n_m, friction_n_m)
     forward_n, left_n, yaw_n_m = body_wrench((fl, fr, rr, rl), model.wheel_radius_m, model.lever_m)
     c, s = math.cos(heading_rad), math.sin(heading_rad)
@@ -97,4 +105,139 @@ def acceleration_of(model: RobotModel, torque_n_m: Wheels, twist: Axes, heading_
         (c * forward_n - s * left_n - coupling * vy) / mass,
         (s * forward_n + c * left_n + coupling * vx) / mass,
         yaw_n_m / model.effective_inertia_kg_m2,
+    )
+
+
+class Prediction(NamedTuple):
+    """The predicted robot and reference at the time when the command takes effect.
+
+    ``error`` is defined as in ``hil.laws.surface.tracking_error``. ``reference_twist`` and ``twist`` (the robot's)
+    are in the world frame.
+    """
+
+    error: Pairs
+    heading_rad: float
+    reference_twist: Axes
+    twist: Axes
+
+
+def extrapolate(reference: Reference, state: State, latency_s: float) -> Prediction:
+    """Return both ``latency_s`` [s] later, if the robot accelerates as the reference does. This needs no model."""
+    ax, ay, ah = reference.acceleration
+    vx, vy, vh = latency_s * ax, latency_s * ay, latency_s * ah
+    half_s = 0.5 * latency_s
+    return _at_latency(reference, state, latency_s, (half_s * vx, half_s * vy, half_s * vh, vx, vy, vh))
+
+
+class DelayPredictor:
+    """Predicts the robot from the torque commands that do not act yet, and observes the disturbance.
+
+    ``observers``, if given, are those of x, y and heading. The prediction then includes their ``disturbance``
+    (acceleration [m/s², m/s², rad/s²]), which is zero without them. It starts at the measured state or, with
+    ``from_observers``, at the observers' estimate, which uses the measured pose and not the measured twist.
+    """
+
+    __slots__ = (
+        "_commanded",
+        "_from_observers",
+        "_is_new",
+        "_latency_s",
+        "_model",
+        "_observers",
+        "_pending",
+        "_sent",
+        "disturbance",
+    )
+
+    def __init__(
+        self, model: RobotModel, observers: tuple[ExtendedStateObserver, ...] = (), *, from_observers: bool = False
+    ) -> None:
+        self._model = model
+        self._observers = observers
+        self._from_observers = from_observers
+        self._pending = PendingCommands()
+        self._commanded = _ZERO
+        self._sent = ZERO_WHEELS
+        self._latency_s = 0.0
+        self._is_new = True
+        self.disturbance = _ZERO
+
+    def reset(self, state: State) -> None:
+        """Start at this state, with no command sent and no disturbance."""
+        self._pending.reset()
+        self._commanded, self._sent, self._latency_s = _ZERO, ZERO_WHEELS, 0.0
+        self._is_new = True
+        self.disturbance = _ZERO
+        for observer, position, rate in zip(self._observers, *state, strict=False):
+            observer.reset(position, rate)
+
+    def predict(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> Prediction:
+        """Return the prediction for this tick's command; ``dt_s`` [s] is the time since the last tick."""
+        if self._is_new:
+            self._is_new = False
+        else:
+            self._advance(reference.twist, state, applied, dt_s)
+        self._latency_s = latency_s = applied.latency_s
+        moved = self._pending.motion(latency_s)
+        if not self._observers:
+            return _at_latency(reference, state, latency_s, moved)
+        dx, dy, dh, dvx, dvy, dvh = moved
+        zx, zy, zh = self.disturbance
+        vx, vy, vh = latency_s * zx, latency_s * zy, latency_s * zh
+        half_s = 0.5 * latency_s
+        moved = dx + half_s * vx, dy + half_s * vy, dh + half_s * vh, dvx + vx, dvy + vy, dvh + vh
+        if not self._from_observers:
+            return _at_latency(reference, state, latency_s, moved)
+        x, y, heading = self._observers
+        believed = (x.position, y.position, heading.position), (x.rate, y.rate, heading.rate)
+        return _at_latency(reference, believed, latency_s, moved)
+
+    def _advance(self, reference_twist: Axes, state: State, applied: Applied, dt_s: float) -> None:
+        """Advance the queue and the observers from the last tick to this one."""
+        commanded = self._commanded
+        pose, twist = state
+        torque = applied.command.torque_n_m
+        if torque != self._sent:
+            # The guard scaled the command, or another one was sent in its place.
+            commanded = acceleration_of(self._model, torque, twist, pose.heading_rad, reference_twist)
+        dx, dy, dh, dvx, dvy, dvh = self._pending.advance(commanded, self._latency_s, dt_s)
+        if self._observers:
+            x, y, heading = self._observers
+            x.update(pose.x_m, dx, dvx, dt_s)
+            y.update(pose.y_m, dy, dvy, dt_s)
+            # The pose wraps at π; the observer's heading does not.
+            turned = math.remainder(pose.heading_rad - heading.position, math.tau)
+            heading.update(heading.position + turned, dh, dvh, dt_s)
+            self.disturbance = x.disturbance, y.disturbance, heading.disturbance
+
+    def command(self, acceleration: Axes, predicted: Prediction) -> WheelCommand:
+        """Return the torques for a world acceleration at the predicted state, and remember them for later ticks."""
+        command = torque_command(
+            self._model, acceleration, predicted.heading_rad, predicted.twist, predicted.reference_twist
+        )
+        self.remember(command.torque_n_m, acceleration)
+        return command
+
+    def remember(self, torque_n_m: Wheels, acceleration: Axes) -> None:
+        """Remember the torques of this tick's command and the world acceleration that they cause."""
+        self._sent, self._commanded = torque_n_m, acceleration
+
+
+def _at_latency(reference: Reference, start: tuple[Axes, Axes], latency_s: float, moved: Pairs) -> Prediction:
+    """Return both after the latency. ``moved`` is the motion that accelerations add to the robot's pose and twist."""
+    (x, y, heading), (vx, vy, yaw_rate) = start
+    (x_d, y_d, heading_d), (vx_d, vy_d, yaw_rate_d), (ax, ay, ah) = reference
+    dx, dy, dh, dvx, dvy, dvh = moved
+    half_s = 0.5 * latency_s
+    x += latency_s * vx + dx - x_d - latency_s * (vx_d + half_s * ax)
+    y += latency_s * vy + dy - y_d - latency_s * (vy_d + half_s * ay)
+    turn = latency_s * yaw_rate + dh
+    heading_error = math.remainder(heading - heading_d, math.tau) + turn - latency_s * (yaw_rate_d + half_s * ah)
+    vx, vy, yaw_rate = vx + dvx, vy + dvy, yaw_rate + dvh
+    vx_d, vy_d, yaw_rate_d = vx_d + latency_s * ax, vy_d + latency_s * ay, yaw_rate_d + latency_s * ah
+    return Prediction(
+        (x, y, heading_error, vx - vx_d, vy - vy_d, yaw_rate - yaw_rate_d),
+        heading + turn,
+        (vx_d, vy_d, yaw_rate_d),
+        (vx, vy, yaw_rate),
     )

@@ -1,6 +1,17 @@
 """Time-optimal square-root profile with observer and delay prediction, one axis for each diagonal pair of wheels.
 
 Derivation, options and figures: PROFILE.md beside this file.
+
+The four wheels are two pairs on the diagonals of the body. Equal torques τ on FL and RR push the robot along the body's
+direction (1, -1) / √2, equal torques on FR and RL along (1, 1) / √2, each with the force 2 √2 τ / r and independently
+of the other pair. So the force and speed limits of the wheels form a square in these two directions. (In forward and
+left, and in any fixed direction ψ, they are a_max and v_max with p = |cos ψ| + |sin ψ|.) A difference within a pair
+turns the robot and pushes nothing:
+
+    τ_FL = τ_1 - a    τ_RR = τ_1 + a    τ_FR = τ_2 + b    τ_RL = τ_2 - b    yaw torque 2 L (a + b) / r
+
+Four wheels move three degrees of freedom, which leaves a - b free. Either pair alone can turn the robot, so the heading
+gets some torque as long as one pair has torque to spare.
 """
 
 import math
@@ -19,39 +30,77 @@ from hil.core.types import (
     Reference,
     State,
     WheelCommand,
+    Wheels,
 )
-from hil.laws.ahead import Ahead, TorquePrediction, carried_on
-from hil.laws.diagonals import SQRT2, allocate, directions, within
 from hil.laws.observer import ExtendedStateObserver
+from hil.laws.prediction import DelayPredictor, Prediction, extrapolate
 from hil.laws.wheel_commands import speed_command
 
-# Of the yaw acceleration and the yaw rate that wheels which only turn the robot would give. Pushing goes first: of the
-# torque little can be counted on, and of the speed little may be taken.
+SQRT2 = math.sqrt(2.0)
+
+
+def directions(heading_rad: float) -> tuple[float, float, float, float]:
+    """Return the unit vectors in the world frame along which the pairs FL, RR and FR, RL push: x1, y1, x2, y2."""
+    c, s = math.cos(heading_rad) / SQRT2, math.sin(heading_rad) / SQRT2
+    plus, minus = c + s, c - s
+    return plus, -minus, minus, plus
+
+
+def allocate(
+    push_1_n_m: float, push_2_n_m: float, turn_n_m: float, friction_n_m: FourWheels, limit_n_m: float
+) -> tuple[Wheels, float, float, float]:
+    """Return wheel torques within the limit, and the τ_1, τ_2 and (a + b) / 2 that they achieve.
+
+    Pushing has priority, for each pair by itself. Turning gets the torque that is left, from whichever pair has some.
+    ``friction_n_m`` is the loss of each wheel and is added. A loss that differs within a pair turns the robot, so the
+    part of it that cannot be compensated lowers the achieved turning torque. All are in N·m per wheel.
+    """
+    fl, fr, rr, rl = friction_n_m
+    loss_1, loss_2 = 0.5 * (fl + rr), 0.5 * (fr + rl)
+    uneven = 0.5 * (fl - rr - fr + rl)
+    push_1 = within(push_1_n_m + loss_1, limit_n_m)
+    push_2 = within(push_2_n_m + loss_2, limit_n_m)
+    room_1, room_2 = limit_n_m - abs(push_1), limit_n_m - abs(push_2)
+    desired = 2.0 * turn_n_m - uneven
+    turn_2 = within(desired - within(0.5 * desired, room_1), room_2)
+    turn_1 = within(desired - turn_2, room_1)
+    torque = Wheels(push_1 - turn_1, push_2 + turn_2, push_1 + turn_1, push_2 - turn_2)
+    return torque, push_1 - loss_1, push_2 - loss_2, 0.5 * (turn_1 + turn_2 + uneven)
+
+
+def within(value: float, limit: float) -> float:
+    """Return the value limited to ±``limit``. NaN stays NaN."""
+    return limit if value > limit else -limit if value < -limit else value
+
+
+# Share of the largest yaw acceleration and yaw rate that the profile plans with. Pushing has priority, so little torque
+# is certain to be left for turning, and turning may use little of the speed.
 _TURNING_SHARE = 0.3
-# How far in time the set points may be from the speeds. Further away the firmware's limit would have the wheels that
-# have most to gain drag the others backwards, which it takes for a fault (WRONG_DIRECTION).
+# How far set points may be from measured speeds, as time at full acceleration. Further away the torque limit would let
+# the fastest wheels drag the others backwards, which the firmware reports as the fault WRONG_DIRECTION.
 _STEP_S = 0.05
-# By so much less than the limits of torque and speed, that no rounding takes a wheel beyond them.
+# Margin below the limits of torque and speed, so that rounding does not take a wheel beyond them.
 _ROUNDING = 1e-12
 
 
 class Profile:
     """Time-optimal square-root profile: brakes as late as the torque allows, whatever the latency.
 
-    In TORQUE mode an observer an axis finds friction and a wrong mass, and the state is taken forward by the latency
-    from the commands on their way. In SPEED mode the profile gives the set points and the firmware's speed loop does
-    the rest; the gain is then ``speed_k1_1_s``, and the observer has no part in it.
+    In TORQUE mode an observer for each axis estimates unmodelled friction and mass, and the state is predicted over the
+    latency from the commands that do not act yet. In SPEED mode the profile computes the set points of the firmware's
+    speed loop. It then uses the gain ``speed_k1_1_s`` and no observer.
     """
 
     @dataclass(frozen=True, slots=True)
     class Options:
-        """Gains [1/s], the share of the torque to brake with, the observers' bandwidth [rad/s], a lag [s].
+        """Gains [1/s], braking share, bandwidth of the observers [rad/s] and lag of the speed estimate [s].
 
-        ``k1_1_s`` and ``k2_1_s`` are the two poles close to the reference in TORQUE mode, ``speed_k1_1_s`` is the one
-        in SPEED mode. ``braking_share`` is what a robot that is heavier than believed still has: 0.85 with 20 % more
-        mass. ``speed_lag_s`` is how late the firmware's estimate of a wheel's speed is, 2 / tracking_bandwidth_rad_s.
-        With ``keeps_speed_limit`` the profile stays within the robot's wheel speed limit in TORQUE mode too, where
-        nothing else keeps it and no other law does; in SPEED mode it always does.
+        ``k1_1_s`` and ``k2_1_s`` are the two poles near the reference in TORQUE mode; ``speed_k1_1_s`` is the pole in
+        SPEED mode. ``braking_share`` is the share of the torque that the profile plans to brake with: 0.85 suffices
+        for a robot with 20 % more mass than configured. ``speed_lag_s`` is the delay of the firmware's estimate of a
+        wheel's speed, 2 / tracking_bandwidth_rad_s. ``keeps_speed_limit`` applies to TORQUE mode, where no other law
+        and no other part limits the wheel speed: with it the profile stays within the robot's wheel speed limit. In
+        SPEED mode it always does.
         """
 
         k1_1_s: float = 20.0
@@ -91,38 +140,38 @@ class Profile:
         self._turn_rad_s = _TURNING_SHARE * self._rim_speed_m_s / model.lever_m
         limits = (push_m_s2, push_m_s2, turn_rad_s2)
         observers = tuple(ExtendedStateObserver(options.observer_rad_s, limit) for limit in limits)
-        self._prediction = TorquePrediction(model, observers, from_observers=True)
+        self._predictor = DelayPredictor(model, observers, from_observers=True)
 
     def reset(self, state: State, reference: Reference) -> None:
-        """Begin at this state, with nothing commanded and no disturbance."""
-        self._prediction.reset(state)
+        """Start at this state, with no command sent and no disturbance."""
+        self._predictor.reset(state)
 
     def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
         """Return the command that acts ``applied.latency_s`` from now, in TORQUE mode within the torque limit."""
         if self._torque:
-            ahead = self._prediction.ahead(reference, state, applied, dt_s)
-            return self._torque_command(reference.acceleration, ahead, dt_s)
+            predicted = self._predictor.predict(reference, state, applied, dt_s)
+            return self._torque_command(reference.acceleration, predicted, dt_s)
         return self._speed_command(reference, state, applied.latency_s, dt_s)
 
-    def _torque_command(self, acceleration: Acceleration, ahead: Ahead, dt_s: float) -> WheelCommand:
-        """Return τ for q̈ = q̈_d + ẇ(e) + K2 (w(e) - ė) - d, an axis each for the two pairs and the heading."""
+    def _torque_command(self, acceleration: Acceleration, predicted: Prediction, dt_s: float) -> WheelCommand:
+        """Return τ for q̈ = q̈_d + ẇ(e) + K2 (w(e) - ė) - d, with one axis for each pair and one for the heading."""
         model = self._model
-        (x, y, turned, vx_e, vy_e, now_turn), heading, (vx_d, vy_d, yaw_rate_d), (vx, vy, yaw_rate) = ahead
-        # The torque is held for a tick: where the wheels push to is taken at the middle of it.
+        (x, y, heading_error, vx_e, vy_e, now_turn), heading, (vx_d, vy_d, yaw_rate_d), (vx, vy, yaw_rate) = predicted
+        # The torque is held for a tick, so the directions are those at its middle.
         x1, y1, x2, y2 = directions(heading + 0.5 * dt_s * yaw_rate)
         along_1, along_2 = vx_d * x1 + vy_d * y1, vx_d * x2 + vy_d * y2
         now_1, now_2 = vx_e * x1 + vy_e * y1, vx_e * x2 + vy_e * y2
         k1, braking = self._k1, self._braking_m_s2
         limit = self._turn_rad_s
-        turn, turn_slope = profile(turned, now_turn, k1, self._turn_braking_rad_s2, -limit, limit)
+        turn, turn_slope = profile(heading_error, now_turn, k1, self._turn_braking_rad_s2, -limit, limit)
         limit = self._push_speed_m_s(yaw_rate)
         rate_1, slope_1 = profile(x * x1 + y * y1, now_1, k1, braking, -limit - along_1, limit - along_1)
         rate_2, slope_2 = profile(x * x2 + y * y2, now_2, k1, braking, -limit - along_2, limit - along_2)
-        # What brings ė to w within a tick as a pole at K2 does: exact for an acceleration that is held.
+        # The gain that moves ė towards w as a pole at K2 does, exact for an acceleration held over the tick.
         k2 = -math.expm1(-self._k2 * dt_s) / dt_s
         coupling = model.wheels_mass_kg / model.effective_mass_kg * yaw_rate
         ax, ay, yaw_acceleration = acceleration
-        zx, zy, zh = self._prediction.disturbance
+        zx, zy, zh = self._predictor.disturbance
         known_x = ax - zx + coupling * vy
         known_y = ay - zy - coupling * vx
         to_push, to_turn = self._push_n_m_per_m_s2, self._turn_n_m_per_rad_s2
@@ -135,50 +184,50 @@ class Profile:
         )
         push_1, push_2 = push_1 / to_push, push_2 / to_push
         pushed = push_1 * x1 + push_2 * x2 - coupling * vy, push_1 * y1 + push_2 * y2 + coupling * vx, turn / to_turn
-        self._prediction.remember(torque, pushed)
+        self._predictor.remember(torque, pushed)
         return WheelCommand(CommandMode.TORQUE, ZERO_WHEELS, torque)
 
     def _speed_command(self, reference: Reference, state: State, latency_s: float, dt_s: float) -> WheelCommand:
-        """Return ω for q̇ = q̇_d + w(e), and the torque that the reference and the profile's own slope take.
+        """Return ω for q̇ = q̇_d + w(e), with the feedforward torque for the reference and the slope of the profile.
 
-        The robot is ahead by its own speed, and by the reference's acceleration, which is in both.
+        Over the latency the robot is extrapolated by its own speed and the reference's acceleration.
         """
         model = self._model
-        (x, y, turned, vx, vy, yaw_rate), heading, moving, _ = carried_on(reference, state, latency_s)
-        vx_d, vy_d, yaw_rate_d = moving
+        (x, y, heading_error, vx, vy, yaw_rate), heading, reference_twist, _ = extrapolate(reference, state, latency_s)
+        vx_d, vy_d, yaw_rate_d = reference_twist
         ax, ay, yaw_acceleration = reference.acceleration
         x1, y1, x2, y2 = directions(heading)
         along_1, along_2 = vx_d * x1 + vy_d * y1, vx_d * x2 + vy_d * y2
         k1, braking = self._k1, self._braking_m_s2
         limit, step = self._turn_rad_s, self._turn_step_rad_s
         low, high = _range(-limit, limit, yaw_rate, step)
-        turn, turn_slope = profile(turned, yaw_rate, k1, self._turn_braking_rad_s2, low, high)
+        turn, turn_slope = profile(heading_error, yaw_rate, k1, self._turn_braking_rad_s2, low, high)
         limit, step = self._push_speed_m_s(yaw_rate_d + turn), self._push_step_m_s
         now_1, now_2 = vx * x1 + vy * y1, vx * x2 + vy * y2
         low, high = _range(-limit - along_1, limit - along_1, now_1, step)
         rate_1, slope_1 = profile(x * x1 + y * y1, now_1, k1, braking, low, high)
         low, high = _range(-limit - along_2, limit - along_2, now_2, step)
         rate_2, slope_2 = profile(x * x2 + y * y2, now_2, k1, braking, low, high)
-        # What the profile asks for on the way, no more than in step with it: its noise is not fed forward.
+        # The slope counts only as far as the robot follows the profile, so that measurement noise is not fed forward.
         slope_1, slope_2 = slope_1 * in_step(now_1, rate_1), slope_2 * in_step(now_2, rate_2)
         ax, ay = ax + slope_1 * x1 + slope_2 * x2, ay + slope_1 * y1 + slope_2 * y2
         yaw_acceleration += turn_slope * in_step(yaw_rate, turn)
-        # In the middle of the tick, and less by what the wheels run ahead of the speed that the firmware measures.
+        # Set points for the middle of the tick, minus the lag of the speed that the firmware measures.
         lead_s = 0.5 * dt_s - self._speed_lag_s
-        # The limit comes last: over the lead, the reference, and how far the set points may be from the speeds.
+        # The speed limit comes last: it overrides lead, reference and step.
         turn = within(yaw_rate_d + turn + lead_s * yaw_acceleration, self._rim_speed_m_s / model.lever_m)
         limit = self._push_speed_m_s(turn)
         push_1 = within(along_1 + rate_1 + lead_s * (ax * x1 + ay * y1), limit)
         push_2 = within(along_2 + rate_2 + lead_s * (ax * x2 + ay * y2), limit)
-        wanted = push_1 * x1 + push_2 * x2, push_1 * y1 + push_2 * y2, turn
-        return speed_command(model, wanted, heading, moving, (ax, ay, yaw_acceleration))
+        desired = push_1 * x1 + push_2 * x2, push_1 * y1 + push_2 * y2, turn
+        return speed_command(model, desired, heading, reference_twist, (ax, ay, yaw_acceleration))
 
     def _push_speed_m_s(self, yaw_rate_rad_s: float) -> float:
-        """Return the speed limit along a diagonal: a wheel's rim runs √2 as fast, and L times the yaw rate."""
+        """Return the speed limit [m/s] along a diagonal. A wheel's rim moves at √2 of it, plus L times the yaw rate."""
         return max(self._rim_speed_m_s - self._model.lever_m * abs(yaw_rate_rad_s), 0.0) / SQRT2
 
     def _friction(self, along_1_m_s: float, along_2_m_s: float, yaw_rate_rad_s: float) -> FourWheels:
-        """Return the friction torques at the speeds of the reference: no noise comes back through them."""
+        """Return the friction torques at the wheel speeds of the reference, which carry no measurement noise."""
         scale = 1.0 / self._model.wheel_radius_m
         push_1, push_2 = SQRT2 * scale * along_1_m_s, SQRT2 * scale * along_2_m_s
         turn = scale * self._model.lever_m * yaw_rate_rad_s
@@ -188,33 +237,30 @@ class Profile:
 def profile(error: float, rate: float, k1: float, braking: float, low: float, high: float) -> tuple[float, float]:
     """Return w(e) = -sign(e) min(K1 ρ, √(2 a (ρ - ρl/2))) with ρ = abs(e), ρl = a / K1², and ẇ = w'(e) ė.
 
-    Far away w is the rate from which ``braking`` a just leads to the linear part, which begins at ρl with the same
-    rate and the same slope. ``rate`` is ė. Where w would leave ``low`` to ``high`` it stands there.
+    ``rate`` is ė and ``braking`` is a. Far away, w is the rate from which braking with a ends in the linear part. That
+    part begins at ρl with the same rate and slope. w is limited to ``low`` ... ``high``, with slope 0 at a limit.
     """
     distance = abs(error)
     linear = braking / (k1 * k1)
     if distance <= linear:
-        wanted, slope = -k1 * error, -k1 * rate
+        desired, slope = -k1 * error, -k1 * rate
     else:
         fast = math.sqrt(2.0 * braking * (distance - 0.5 * linear))
-        wanted, slope = -math.copysign(fast, error), -braking / fast * rate
-    if wanted > high:
+        desired, slope = -math.copysign(fast, error), -braking / fast * rate
+    if desired > high:
         return high, 0.0
-    return (low, 0.0) if wanted < low else (wanted, slope)
+    return (low, 0.0) if desired < low else (desired, slope)
 
 
 def _range(low: float, high: float, now: float, step: float) -> tuple[float, float]:
-    """Return the range from ``low`` to ``high`` within ``step`` of ``now``, or where that is none, the nearest to it.
+    """Return the part of ``low`` to ``high`` within ``step`` of ``now``; where there is none, the nearest value twice.
 
-    A rate beyond a limit by more than a step comes back to it by a step at a time.
+    A rate that is beyond a limit by more than a step thus returns to it step by step.
     """
     least, most = now - step, now + step
     return min(max(low, least), most), max(min(high, most), least)
 
 
-def in_step(rate: float, wanted: float) -> float:
-    """Return how much of ``rate`` is on the way that ``wanted`` asks for: 1 for as fast or more slowly, less beyond.
-
-    None of a rate that is NaN.
-    """
-    return min(1.0, wanted / rate) if rate * wanted > 0.0 else 0.0
+def in_step(rate: float, desired: float) -> float:
+    """Return how far ``rate`` follows ``desired``: 1 up to its size, less beyond, 0 for the other sign or NaN."""
+    return min(1.0, desired / rate) if rate * desired > 0.0 else 0.0
