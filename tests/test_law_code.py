@@ -11,7 +11,7 @@ import hil
 from hil.cli.main import app
 from hil.laws import code
 from hil.laws.registry import SHIPPED, forget_law, law_sha256, load_law
-from hil.record.names import HASHES
+from hil.record.properties import HASHES
 from hil.review import Change, changes, read
 
 LAW = """

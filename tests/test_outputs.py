@@ -11,15 +11,14 @@ import pytest
 from typer.testing import CliRunner
 
 import hil
-import hil.record.runs_folder
+import hil.record.files
 from hil.batch.recording import RecordingHere
 from hil.cli.ctl import app as ctl
 from hil.cli.main import app
 from hil.core.errors import BadInputError
 from hil.core.outputs import claim, free_name, write_whole
 from hil.record import Recording
-from hil.record.files import check_output_path, part_path
-from hil.record.runs_folder import new_in_runs
+from hil.record.files import check_output_path, new_in_runs, part_path
 from hil.review import read
 from hil.wire.trace import Trace
 from tests.recorded_circle import circle_rows
@@ -164,7 +163,7 @@ def test_a_default_name_is_free_whatever_the_clock_says(tmp_path, monkeypatch) -
         def now(cls, tz: tzinfo | None = None) -> datetime:  # type: ignore[override]
             return datetime(2026, 1, 2, tzinfo=tz)
 
-    monkeypatch.setattr(hil.record.runs_folder, "datetime", Stopped)
+    monkeypatch.setattr(hil.record.files, "datetime", Stopped)
     names = []
     for _ in range(3):
         names.append(new_in_runs("circle", ".rrd", ""))

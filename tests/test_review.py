@@ -16,7 +16,7 @@ from hil.core.errors import BadInputError
 from hil.core.signals import SIGNAL_NAMES
 from hil.judge.figures import SHIPPED, signal_figures
 from hil.record import Recording
-from hil.record.names import SIGNALS_PATH
+from hil.record.properties import SIGNALS_PATH
 from hil.review import Event, RecordedRun, figures, read, review, to_frame
 from hil.review.contents import DamagedError
 from hil.review.decode import decode

@@ -12,9 +12,9 @@ import hil
 from hil.core.signals import SIGNAL_NAMES, unit_of
 from hil.judge.words import with_page
 from hil.laws.fuzzy import FIRING
-from hil.record.decimate import Decimator
+from hil.record.drawings import Decimator
 from hil.record.layout import layout
-from hil.record.page import page
+from hil.record.properties import page
 from hil.runtime.provenance import properties
 
 AXES = ("x", "y", "heading")
@@ -67,7 +67,7 @@ def test_thinning_keeps_the_first_row_of_each_period_however_it_is_cut(periods: 
 
 def test_the_run_s_side_imports_nothing_heavy() -> None:
     heavy = "{'rerun', 'pyarrow', 'pandas', 'fmpy'} & set(sys.modules)"
-    code = f"import hil.record, hil.record.view, hil.review, hil.judge.figures, sys; sys.exit(str({heavy} or 0))"
+    code = f"import hil.record, hil.record.viewer, hil.review, hil.judge.figures, sys; sys.exit(str({heavy} or 0))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.stderr.strip() == "0"
 

@@ -16,7 +16,7 @@ import pytest
 
 from hil.core.errors import BadInputError
 from hil.record import Recording
-from hil.record.view import free_port, has_display, live_address, live_hint, show_live, view, viewer_executable
+from hil.record.viewer import free_port, has_display, live_address, live_hint, show_live, view, viewer_executable
 from hil.review.contents import DamagedError
 from hil.review.decode import decode
 from tests.processes import wait_for
@@ -158,7 +158,7 @@ def test_what_is_no_recording_is_not_opened(tmp_path: Path) -> None:
 _VIEW_IN_A_BROWSER = """
 import sys
 from pathlib import Path
-from hil.record.view import view
+from hil.record.viewer import view
 view(Path(sys.argv[1]), web=True, say=lambda text: print(text, flush=True))
 """
 

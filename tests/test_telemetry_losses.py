@@ -18,12 +18,11 @@ from hil.core.signals import SIGNAL_NAMES
 from hil.judge.words import outcome_rows
 from hil.record import Recording, Rotation, check_output_path, ring_process
 from hil.record.files import has_end, part_path
-from hil.record.memory import SharedBlock
-from hil.record.parts import Parts
-from hil.record.patience import Patience
-from hil.record.ring import RingReader, RingWriter, ring_bytes
+from hil.record.ring import RingReader, RingWriter, SharedBlock, ring_bytes
 from hil.record.ring_child import RefusedError
-from hil.record.view import viewer_executable
+from hil.record.run_files import Parts
+from hil.record.started_process import StallTimeout
+from hil.record.viewer import viewer_executable
 from hil.review import RecordedRun, figures, read
 from hil.review.decode import decode
 from tests.processes import wait_for
@@ -55,7 +54,7 @@ class Memory:
 
     def __init__(self, path: Path) -> None:
         width = len(SIGNAL_NAMES)
-        self._block = SharedBlock.create(ring_bytes(512, width))
+        self._block = SharedBlock.reserve().allocate(ring_bytes(512, width))
         self.writer = RingWriter(self._block, 512, width)
         self.ring = RingReader(self._block)
         self._config: dict[str, Any] = {"path": str(path), "properties": {}, "signals": list(SIGNAL_NAMES)}
@@ -309,19 +308,19 @@ def test_a_restart_that_fails_ends_the_restarts_and_not_the_run(
 
 
 @posix_only
-def test_patience_with_a_recorder_that_hangs_is_what_it_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_recorder_that_hangs_is_waited_for_30_s(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each turn of waiting for its last word counts for all the time that it takes."""
     turns: list[bool] = []
 
-    class Counted(Patience):
+    class Counted(StallTimeout):
         def wait(self, progress: object) -> bool:
             turns.append(super().wait(progress))
             return turns[-1]
 
-    assert ring_process._PATIENCE_WAITS * 0.0005 == 30.0
+    assert ring_process._STALL_WAITS * 0.0005 == 30.0
     with Recording(tmp_path / "run.mcap", properties={}, blocking=True) as recording:
-        monkeypatch.setattr(ring_process, "_PATIENCE_WAITS", 220)
-        monkeypatch.setattr(ring_process, "Patience", Counted)
+        monkeypatch.setattr(ring_process, "_STALL_WAITS", 220)
+        monkeypatch.setattr(ring_process, "StallTimeout", Counted)
         os.kill(recording.pid, signal.SIGSTOP)
         report = recording.finish({})
     assert report.error is not None

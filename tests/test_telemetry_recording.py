@@ -17,7 +17,7 @@ from hil.core.signals import SIGNAL_NAMES
 from hil.record import Recording, RecordingReport, check_output_path, early_recorder, ring_process, rotation
 from hil.record.environment import rerun_environment
 from hil.record.files import part_path
-from hil.record.ring_start import Started
+from hil.record.started_process import StartedProcess
 from hil.review import Event, figures, read
 from hil.review.decode import decode
 from tests.processes import wait_for
@@ -85,10 +85,10 @@ def test_a_recorder_that_was_started_early_records_and_needs_no_tables(tmp_path:
 
 
 def test_a_recorder_started_for_nothing_is_ended_and_one_that_died_meanwhile_is_told(tmp_path: Path) -> None:
-    with Started("hil.record.recorder", rerun_environment()) as unused:
+    with StartedProcess("hil.record.recorder", rerun_environment()) as unused:
         assert unused.process.poll() is None
     assert unused.process.returncode is not None
-    with Started("hil.record.recorder", rerun_environment()) as started:
+    with StartedProcess("hil.record.recorder", rerun_environment()) as started:
         started.process.kill()
         with pytest.raises(DeviceError, match=r"^the recorder did not start: exit status .*; run without a recording"):
             Recording(tmp_path / "run.mcap", properties={}, blocking=True, started=started)

@@ -10,13 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.record.memory import SharedBlock
-from hil.record.ring import RingReader, RingWriter, ring_bytes
+from hil.record.ring import RingReader, RingWriter, SharedBlock, ring_bytes
 
 
 @contextmanager
 def ring(capacity: int, width: int) -> Iterator[tuple[RingWriter, RingReader]]:
-    block = SharedBlock.create(ring_bytes(capacity, width))
+    block = SharedBlock.reserve().allocate(ring_bytes(capacity, width))
     writer = RingWriter(block, capacity, width)
     reader = RingReader(block)
     yield writer, reader
@@ -88,7 +87,7 @@ def test_rows_that_are_not_in_the_ring_raise() -> None:
 
 
 def test_a_block_smaller_than_its_header_says_is_refused() -> None:
-    block = SharedBlock.create(ring_bytes(4, 3))
+    block = SharedBlock.reserve().allocate(ring_bytes(4, 3))
     writer = RingWriter(block, 400, 3)
     with pytest.raises(ValueError, match="does not fit"):
         RingReader(block)
@@ -98,7 +97,7 @@ def test_a_block_smaller_than_its_header_says_is_refused() -> None:
 
 @pytest.mark.parametrize(("capacity", "width"), [(0, 3), (3, 0)])
 def test_an_empty_ring_is_refused(capacity: int, width: int) -> None:
-    block = SharedBlock.create(ring_bytes(4, 3))
+    block = SharedBlock.reserve().allocate(ring_bytes(4, 3))
     with pytest.raises(ValueError, match="at least 1"):
         RingWriter(block, capacity, width)
     block.close()

@@ -19,9 +19,8 @@ from PIL import Image
 
 from hil.core.signals import SIGNAL_NAMES
 from hil.record import Recording
-from hil.record.follow import Window, follow
 from hil.record.layout import HEADING_COLOUR, REFERENCE_COLOUR, TRUTH_COLOUR, WHEEL_COLOURS, X_COLOUR, Y_COLOUR, Colour
-from hil.record.view import free_port
+from hil.record.viewer import Window, free_port, on_each_run
 from hil.runtime.provenance import properties
 from hil.scenario import load
 from tests.recorded_circle import circle_rows
@@ -113,14 +112,14 @@ def test_a_viewer_that_is_open_shows_a_run_that_begins_and_the_next_one_after_it
     before = {shown.store_id for shown in viewer.get_state().recordings}
     window = Window(int(viewer.url.split(":")[2].split("/")[0]))
     arguments = {"found": lambda: window.show(port), "going_on": lambda: not ended.is_set()}
-    follower = threading.Thread(target=follow, args=(port,), kwargs=arguments)
-    follower.start()
+    watcher = threading.Thread(target=on_each_run, args=(port,), kwargs=arguments)
+    watcher.start()
     try:
         first = _shown_run(viewer, port, other_than=before)
         assert _shown_run(viewer, port, other_than={*before, first}) != first
     finally:
         ended.set()
-        follower.join()
+        watcher.join()
 
 
 def _shown_run(viewer: Any, port: int, *, other_than: set[str]) -> str:

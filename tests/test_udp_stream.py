@@ -15,8 +15,7 @@ from hypothesis import strategies as st
 import hil
 from hil.core.errors import BadInputError
 from hil.core.signals import SIGNAL_NAMES
-from hil.record.datagrams import MOST_BYTES, DatagramWriter
-from hil.record.udp import Destination, UdpStream, parse_destination
+from hil.record.udp import MOST_BYTES, DatagramWriter, Destination, UdpStream, parse_destination
 from tests.examples import share_of_examples
 from tests.recorded_circle import circle_rows
 

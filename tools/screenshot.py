@@ -19,7 +19,7 @@ from PIL import Image
 from rerun.experimental import View, ViewerClient
 
 from hil.core.errors import HilError
-from hil.record.view import free_port, live_address, viewer_command, wait_until_listening
+from hil.record.viewer import free_port, live_address, viewer_command, wait_until_listening
 
 MOST_SHOTS = 100
 NOTICES_FADE_S = 6.0

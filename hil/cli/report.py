@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from hil.judge.results import RunResult
 from hil.judge.words import belief_rows, figure_rows, link_rows, outcome_rows, recorded_at
-from hil.record.runs_folder import new_in_runs
+from hil.record.files import new_in_runs
 
 if TYPE_CHECKING:
     from hil.runtime.assembly import Watch
@@ -77,7 +77,7 @@ def warn(sentence: str) -> None:
 
 def announce_live(port: int) -> None:
     """Say on stderr how a viewer reaches the run, and open one when a person watches and there is a display."""
-    from hil.record.view import live_hint, show_live
+    from hil.record.viewer import live_hint, show_live
 
     print(live_hint(port), file=sys.stderr)
     if sys.stderr.isatty():

@@ -13,7 +13,7 @@ def view(
     web: Annotated[bool, typer.Option("--web", help="in the browser, served on 127.0.0.1")] = False,
 ) -> None:
     """Open a recording in the rerun viewer."""
-    from hil.record.view import view as open_viewer
+    from hil.record.viewer import view as open_viewer
 
     open_viewer(recording, web=web)
 
@@ -25,7 +25,7 @@ def live(
     ] = LIVE_PORT,
 ) -> None:
     """Open the rerun viewer on a run or service under way, and on each one after it; start it before or after those."""
-    from hil.record.follow import live as show
+    from hil.record.viewer import live as show
 
     end_in_order()
     show(port, web=web, say=lambda sentence: print(sentence, flush=True))

@@ -5,7 +5,7 @@ To add a view: `blueprint.py`; a format: `parts.py`.
 """
 
 from hil.record.files import Rotation, check_is_recording, check_output_path, rotation
-from hil.record.session import Recording, RecordingReport, RunRecording, early_recorder
+from hil.record.recording import Recording, RecordingReport, RunRecording, early_recorder
 
 __all__ = [
     "Recording",

@@ -8,12 +8,11 @@ from collections.abc import Mapping, Sequence
 
 import rerun.blueprint as rrb
 
+from hil.record.drawings import BODY, FLOOR, PLAN, SCENE, TRAILS
 from hil.record.lanes import FAULT_LANES, ROBOT_LANE
 from hil.record.layout import MORE_PATH, NO_UNIT, SHADOW_GROUP, Entity
 from hil.record.limits import LIMITS_PATH, Limit
 from hil.record.robot_model import RobotShape
-from hil.record.scene import BODY, SCENE
-from hil.record.trails import FLOOR, PLAN, TRAILS
 
 LIVE_WINDOW_S = 10.0
 _CLOSE_M = 0.01

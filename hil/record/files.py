@@ -4,11 +4,12 @@ import errno
 import os
 import re
 import tempfile
+from datetime import datetime
 from pathlib import Path
 from typing import NamedTuple
 
 from hil.core.errors import BadInputError
-from hil.core.outputs import Existing, check_free
+from hil.core.outputs import Existing, check_free, free_name
 
 EXPECTED_FILE = "an .rrd or .mcap file made by 'hil run --record'"
 OUTPUTS = {
@@ -155,3 +156,18 @@ def rotation(text: str) -> Rotation:
     if found.get("size", _SMALLEST_BYTES) < _SMALLEST_BYTES or found.get("time", 1.0) < 1.0:
         raise BadInputError(f"rotate {text!r}: a part must have 1MB or 1s at least")
     return Rotation(round(found["size"]) if "size" in found else None, found.get("time"))
+
+
+def new_in_runs(name: str, suffix: str, remedy: str) -> Path:
+    """Return a path in ``runs/`` that is free; the folder is made.
+
+    Raises BadInputError, with ``remedy``, when it cannot be.
+    """
+    folder = Path("runs")
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise BadInputError(
+            f"recording folder {folder.absolute()}: it cannot be made ({error.strerror}); {remedy}"
+        ) from error
+    return free_name(folder / f"{name}-{datetime.now():%Y%m%d-%H%M%S-%f}{suffix}")  # noqa: DTZ005 - the user's own time

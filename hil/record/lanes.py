@@ -9,8 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.faults.kinds import KINDS
-from hil.record.known import table_rows
-from hil.record.names import state_names
+from hil.record.properties import state_names, table_rows
 
 ROBOT_LANE = "/robot/state"
 FAULT_LANES = "/fault"

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.core.types import WHEEL_NAMES
-from hil.record.known import table_rows
 from hil.record.layout import Entity
+from hil.record.properties import table_rows
 
 LIMITS_PATH = "/limits"
 """What the path of an entity follows where the limits of its signals lie."""

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
-from hil.record.names import (
+from hil.record.properties import (
     APPLICATION,
     PART_PROPERTY,
     RECORDER_PROPERTY,
@@ -55,7 +55,7 @@ class McapFile:
     Args:
         path: the file. zero_unix_ns: Unix time at the run's t = 0 [ns], for the stamps. signals: names of the columns
         of every row. properties: what the run was, as texts by name. part: which file of the run it is, see
-        ``hil.record.names``.
+        ``hil.record.properties``.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""The recorder process: ``python -m hil.record.recorder``, started by ``hil.record.session``.
+"""The recorder process: ``python -m hil.record.recorder``, started by ``hil.record.recording``.
 
 It reads rows from the ring and lines from its standard input, and writes them to a file at full rate and to
 live viewers at about 100 Hz.
@@ -11,12 +11,12 @@ import time
 from typing import TYPE_CHECKING
 
 from hil.record.environment import WITH_RERUN, refuse_pandas
-from hil.record.parts import BATCH_ROWS, Parts
 from hil.record.ring import RingReader
 from hil.record.ring_child import Record, RefusedError, run
+from hil.record.run_files import BATCH_ROWS, Parts
 
 if TYPE_CHECKING:
-    from hil.record.live import LiveServer
+    from hil.record.stream import LiveServer
 
 # With two polls and the write itself, a row is safe 150 ms after it was put.
 BATCH_AGE_S = 0.08
@@ -67,7 +67,7 @@ class Recorder:
         if self._parts is not None:
             self._parts.event(t_s, level, text)
         else:
-            self._ring.add_lines_taken(1)
+            self._ring.add_lines_saved(1)
         if self._live is not None:
             self._live.event(t_s, level, text)
 
@@ -125,7 +125,7 @@ def _import_rerun() -> None:
 def _open_live(config: Record) -> "LiveServer":
     port = config["live_port"]
     try:
-        from hil.record.live import LiveServer
+        from hil.record.stream import LiveServer
     except ImportError as error:
         raise RefusedError(f"live port {port}: {error}; install rerun-sdk==0.41.*, or run without --live") from error
     try:

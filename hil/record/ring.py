@@ -1,18 +1,23 @@
-"""Ring of float rows between one producer and one consumer, in memory that two processes share.
+"""Ring of float rows in memory that two processes share: one process puts rows, the other takes them.
 
-``head`` and ``tail`` count rows from the start and never wrap; only the producer writes ``head``, only the
-consumer writes ``tail``. Each is stored as one aligned 64-bit word, so that the other side sees the old or
-the new value. What the consumer counts lies there too, so that another can take the place of one that died: a row is
-saved by moving the tail past it, one word, and not by a count of its own that a kill could leave behind.
-Python has no memory barrier: a consumer on a processor with weak ordering must not read a row the moment
-``head`` covers it. The recorder reads up to the ``head`` of its previous poll, milliseconds old.
+``head`` and ``tail`` count rows from the start and never wrap. Only the producer writes ``head``, only the consumer
+writes ``tail``. Each is one aligned 64-bit word, so the other side sees the old or the new value, never a mixture.
+
+All counts of the consumer are in the shared memory too, so another process can take its place when it dies. A row is
+saved by moving the tail past it: one word, which a kill cannot leave half written.
+
+Python has no memory barrier: a consumer on a processor with weak ordering must not read a row the moment ``head``
+covers it. The recorder reads up to the ``head`` of its previous poll, which is milliseconds old.
 """
 
+import mmap
+import os
 import struct
+import sys
+import tempfile
+import uuid
 from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
-
-from hil.record.memory import SharedBlock
 
 if TYPE_CHECKING:
     import numpy as np
@@ -23,10 +28,78 @@ Rows: TypeAlias = "npt.NDArray[np.float64]"
 
 # Words of the header, 8 bytes each. What the two sides write lies in cache lines of its own.
 _CAPACITY, _WIDTH, _HEAD, _DROPPED, _TAIL, _LOST, _LINES, _LINES_LOST, _PART = 0, 1, 8, 9, 16, 17, 18, 19, 20
-_TABLE = 24  # after these, for each part, the rows and the lines that were kept when it was begun
+_TABLE = 24  # from here on, for each file: the rows and lines that were saved when it was begun
 MOST_PARTS = 16384
 _SKIPPED = -1
 _HEADER_BYTES = 8 * (_TABLE + 2 * MOST_PARTS)
+
+
+class SharedBlock:
+    """A block of zeroed memory that a child process maps too; it is gone with the last process that maps it.
+
+    It has no name in the file system: on POSIX the child inherits a descriptor, on Windows the kernel counts the
+    handles. (A block of ``multiprocessing.shared_memory`` has a name, outlives a SIGKILL, and is unlinked by the
+    resource tracker of whichever process ends first.)
+
+    Attributes:
+        buffer: the bytes, writable by both sides; none before they are allocated.
+        token: ``"fd:N"`` or ``"tag:NAME"``, which the child gives to ``attach``.
+        pass_fds: descriptors that ``subprocess.Popen`` has to hand on (empty on Windows).
+    """
+
+    def __init__(self, token: str, fd: int | None) -> None:
+        self._mapping: mmap.mmap | None = None
+        self._fd = fd
+        self.buffer = memoryview(b"")
+        self.token = token
+        self.pass_fds = () if fd is None else (fd,)
+
+    @classmethod
+    def reserve(cls) -> "SharedBlock":
+        """Make a block without bytes, which a child process can be told of before its size is known."""
+        if sys.platform == "win32":
+            return cls(f"tag:hil-{uuid.uuid4()}", None)
+        if sys.platform == "linux":
+            fd = os.memfd_create("hil-telemetry")  # never written back to a disk, unlike a temporary file
+        else:
+            fd, path = tempfile.mkstemp(prefix="hil-telemetry-")
+            os.unlink(path)  # noqa: PTH108 -- the descriptor keeps the file until it is closed
+        return cls(f"fd:{fd}", fd)
+
+    def allocate(self, size: int) -> "SharedBlock":
+        """Give the block ``size`` bytes, touch every page so that no later write takes a page fault, and return it."""
+        if self._fd is not None:
+            os.ftruncate(self._fd, size)
+        self._map(size)
+        self.buffer[:] = bytes(size)
+        return self
+
+    @classmethod
+    def attach(cls, token: str, size: int) -> "SharedBlock":
+        """Map the block that ``token`` names, in the child process, when the run has allocated it."""
+        kind, _, where = token.partition(":")
+        if sys.platform != "win32" and kind != "fd":
+            raise ValueError(f"shared block {token!r}: expected 'fd:N' on this system")
+        block = cls(token, None if sys.platform == "win32" else int(where))
+        block._map(size)
+        return block
+
+    def _map(self, size: int) -> None:
+        if sys.platform == "win32":
+            self._mapping = mmap.mmap(-1, size, tagname=self.token.partition(":")[2])
+        else:
+            assert self._fd is not None
+            self._mapping = mmap.mmap(self._fd, size)
+        self.buffer = memoryview(self._mapping)
+
+    def close(self) -> None:
+        """Unmap the block. Views of ``buffer`` must be released before; closing twice is allowed."""
+        self.buffer.release()
+        if self._mapping is not None:
+            self._mapping.close()
+        if self._fd is not None:
+            os.close(self._fd)
+            self._fd = None
 
 
 class Kept(NamedTuple):
@@ -42,7 +115,7 @@ def ring_bytes(capacity: int, width: int) -> int:
 
 
 class _Counts:
-    """What both sides read of the header."""
+    """The counts in the header, which both sides read."""
 
     _words: "memoryview[int]"
 
@@ -63,17 +136,17 @@ class _Counts:
 
     @property
     def saved(self) -> int:
-        """Rows that the consumer said are safe."""
+        """Rows that are safe in a file."""
         return self._words[_TAIL] - self._words[_LOST]
 
     @property
-    def lines_taken(self) -> int:
-        """Lines beside the ring that the consumer has written, and needs no more."""
+    def lines_saved(self) -> int:
+        """Lines of the event log, which do not pass the ring, that the consumer has written."""
         return self._words[_LINES]
 
     @property
     def lines_lost(self) -> int:
-        """Those of them that were in a file that is lost."""
+        """Of these, the lines in a file that is lost."""
         return self._words[_LINES_LOST]
 
     @property
@@ -85,25 +158,23 @@ class _Counts:
         """Return what is in each file by its number; the last of ``MOST_PARTS`` has what came in others after it."""
         begun = {number: self._begun(number) for number in range(1, min(self.part, MOST_PARTS) + 1)}
         numbers = [number for number, kept in begun.items() if kept.rows != _SKIPPED]
-        ends = [*(begun[number] for number in numbers[1:]), Kept(self.saved, self.lines_taken - self.lines_lost)]
+        ends = [*(begun[number] for number in numbers[1:]), Kept(self.saved, self.lines_saved - self.lines_lost)]
         return {
             number: Kept(end.rows - begun[number].rows, end.lines - begun[number].lines)
             for number, end in zip(numbers, ends, strict=False)
         }
 
     def _begun(self, number: int) -> Kept:
-        """Return what was kept when a part was begun."""
+        """Return what had been saved when a file was begun."""
         at = _TABLE + 2 * (number - 1)
         return Kept(self._words[at], self._words[at + 1])
 
 
 class RingWriter(_Counts):
-    """The producer's side.
-
-    Raises ValueError for a capacity or width below one.
+    """The producer's side. Raises ValueError for a capacity or width below one.
 
     Attributes:
-        try_put: stores one row; when the ring is full, it stores and counts nothing and returns what ``when_full``
+        try_put: stores one row. When the ring is full, it stores and counts nothing and returns what ``when_full``
             makes of the row. Raises struct.error when the row has another width or holds what is no number.
     """
 
@@ -114,8 +185,7 @@ class RingWriter(_Counts):
             raise ValueError(f"ring of {capacity} rows of {width} floats: both must be at least 1")
         self._words = block.buffer[:_HEADER_BYTES].cast("q")
         self._rows = block.buffer[_HEADER_BYTES : ring_bytes(capacity, width)]
-        self._words[_CAPACITY] = capacity
-        self._words[_WIDTH] = width
+        self._words[_CAPACITY], self._words[_WIDTH] = capacity, width
         self.try_put = _putter(self._words, self._rows, capacity, width, when_full)
         self._capacity = capacity
 
@@ -153,7 +223,7 @@ def _putter(
             if head - tail_seen >= capacity:
                 return when_full(row)
         begin = head % capacity * row_bytes
-        # With the row alone as its arguments a call takes it as it is; ``pack_into`` has it copied twice.
+        # Called with the row alone, ``pack`` takes the tuple as it is; ``pack_into`` has it copied twice.
         rows[begin : begin + row_bytes] = pack(*row)
         head += 1
         words[_HEAD] = head
@@ -169,19 +239,17 @@ class RingReader(_Counts):
         import numpy as np  # not above: a run starts its recorder first, and imports NumPy beside it
 
         self._words = block.buffer[:_HEADER_BYTES].cast("q")
-        self.capacity = self._words[_CAPACITY]
-        self.width = self._words[_WIDTH]
+        self.capacity, self.width = self._words[_CAPACITY], self._words[_WIDTH]
         if self.capacity < 1 or self.width < 1 or len(block.buffer) < ring_bytes(self.capacity, self.width):
             self._words.release()
             raise ValueError(f"ring of {self.capacity} rows of {self.width} floats does not fit its block")
-        self._rows = np.frombuffer(
-            block.buffer, dtype=np.float64, count=self.capacity * self.width, offset=_HEADER_BYTES
-        ).reshape(self.capacity, self.width)
+        floats = np.frombuffer(block.buffer, np.float64, self.capacity * self.width, _HEADER_BYTES)
+        self._rows = floats.reshape(self.capacity, self.width)
         self._order = np.arange(self.capacity)
         self._head_seen = self.tail
 
     def settled(self) -> int:
-        """Return how far rows may be read: to where the head was at the last call. Others may not have settled."""
+        """Return up to where rows may be read: the head at the last call."""
         settled, self._head_seen = self._head_seen, self.head
         return settled
 
@@ -195,25 +263,25 @@ class RingReader(_Counts):
         return self._rows[(self._order[: stop - start] + start) % self.capacity]
 
     def release(self, stop: int) -> None:
-        """Tell the producer that the rows before ``stop`` are safe, and give their room back."""
+        """Free the rows before ``stop``: they are safe in a file."""
         self._words[_TAIL] = stop
 
     def give_up(self, stop: int) -> None:
-        """Give the room of the rows before ``stop`` back, and count them as lost."""
+        """Free the rows before ``stop``, and count them as lost."""
         self._words[_LOST] += stop - self._words[_TAIL]
         self._words[_TAIL] = stop
 
-    def add_lines_taken(self, count: int) -> None:
-        """Tell the producer that so many more lines are safe."""
+    def add_lines_saved(self, count: int) -> None:
+        """Count so many more lines as safe in a file."""
         self._words[_LINES] += count
 
     def begin_part(self, number: int) -> None:
-        """Note that this file was opened, and those between it and the last were left out."""
+        """Note that the file of this number was opened, and that numbers after the last one were left out."""
         for skipped in range(self.part + 1, min(number, MOST_PARTS + 1)):
             self._words[_TABLE + 2 * (skipped - 1)] = _SKIPPED
         if number <= MOST_PARTS:
             at = _TABLE + 2 * (number - 1)
-            self._words[at], self._words[at + 1] = self.saved, self.lines_taken - self.lines_lost
+            self._words[at], self._words[at + 1] = self.saved, self.lines_saved - self.lines_lost
         self._words[_PART] = number
 
     def lose_part(self) -> None:

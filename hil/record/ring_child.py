@@ -13,8 +13,7 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 from hil.core.json_lines import LineReader, LineWriter
-from hil.record.memory import SharedBlock
-from hil.record.ring import RingReader
+from hil.record.ring import RingReader, SharedBlock
 
 POLL_S = 0.02
 LAST_LINES_S = 0.5

@@ -1,8 +1,8 @@
 """A process of its own that writes down what a run gives it: rows through a ring, lines through a pipe.
 
-Nothing that it does can delay a tick. When the run dies, it finishes its file by itself; when it dies, the run goes on,
-and where that is wanted another takes its place: rows that were not safe yet are still in the ring, and lines that were
-not are sent again. ``hil.record.ring_child`` is the other side.
+Nothing that it does can delay a tick. When the run dies, the process finishes its file by itself. When the process
+dies, the run goes on, and on request another takes its place: rows that were not safe yet are still in the ring, and
+lines that were not are sent again. ``hil.record.ring_child`` is the other side.
 """
 
 import os
@@ -15,38 +15,39 @@ from typing import Any, cast
 
 from hil.core.errors import BadInputError, DeviceError
 from hil.core.subprocesses import start_children_as_ordinary
-from hil.record.patience import Patience
 from hil.record.ring import Kept, RingWriter, Row, ring_bytes
-from hil.record.ring_start import Started
+from hil.record.started_process import StallTimeout, StartedProcess
 
-_PATIENCE_WAITS = 60_000  # of 0.5 ms, without any progress of the other process: about 30 s
+_STALL_WAITS = 60_000  # of 0.5 ms, without any progress of the other process: about 30 s
 _WAITS_A_TURN = 11  # of these in a turn that also waits 5 ms for a reply
 _FLUSH_PERIOD_S = 0.005
 _EXIT_TIMEOUT_S = 10.0
 _STARTS_IN_A_ROW = 6
 _FIRST_BACK_OFF_S = 0.1
-_LONG_LIFE_S = 60.0  # after which a death is not one of a row
+_LONG_LIFE_S = 60.0  # a process that lived longer begins a new row of starts
 
 
 class RingProcess:
-    """Gives a process that was ``started`` rows and lines, and takes its report.
+    """Gives a ``StartedProcess`` rows and lines, and takes its report. The constructor returns when it is ready.
 
-    The constructor returns when the process is ready. ``config`` is its own, as JSON has it; ``name`` is how messages
-    call it, ``remedy`` what they advise. With ``blocking`` a put waits for room in the ring, as lockstep may; else it
-    drops the row and counts. With ``restart`` a process that ends before it should is started again, six times in a
-    row at most, after 0.1 s and then twice as long each time; its config then has ``restarts`` above 0.
+    Args:
+        config: the process's own, as JSON has it.
+        blocking: a put waits for room in the ring, as lockstep may; else it drops the row and counts.
+        name: how messages call the process. remedy: what they advise.
+        restart: start a process that ends too early again, at most six times in a row, after 0.1 s and then twice as
+            long each time; its config then has ``restarts`` above 0.
 
     Raises BadInputError when the process refuses the config, DeviceError when it does not start.
 
     Attributes:
         put: takes one row; raises struct.error when its width is another.
-        restarts: how often it was started again.
+        restarts: how often the process was started again.
         troubles: how each of those before it ended, in words.
     """
 
     def __init__(
         self,
-        started: Started,
+        started: StartedProcess,
         config: Mapping[str, object],
         *,
         width: int,
@@ -78,11 +79,16 @@ class RingProcess:
         self.troubles: list[str] = []
         self._last_line: Mapping[str, object] | None = None
         self._ready = False
-        self._tell_config()
+        self._send_config()
         self._keeper = threading.Thread(target=self._keep, name="keeper", daemon=True)
         self._keeper.start()
         try:
-            self._await_ready(remedy)
+            reply = self._report()
+            self._ready = "ready" in reply
+            if "refused" in reply:
+                raise BadInputError(str(reply["refused"]))
+            if not self._ready:
+                raise DeviceError(f"{name} did not start: {self.troubles[-1]}; {remedy}")
         except BaseException:  # an interrupt too, or what follows it would find this memory in use
             self.close()
             raise
@@ -109,7 +115,7 @@ class RingProcess:
 
     @property
     def parts(self) -> dict[int, Kept]:
-        """What was put into each file by its number, from 1, without those that had to be given up."""
+        """What is in each file by its number, from 1, without files that had to be given up."""
         return self._ring.parts()
 
     @property
@@ -125,7 +131,7 @@ class RingProcess:
         self._send_waiting()
 
     def finish(self, record: Mapping[str, object]) -> dict[str, Any]:
-        """Have the rest written, and return the report: ``rows_written`` and ``error`` among it.
+        """Have the rest written, and return the report, ``rows_written`` and ``error`` among it.
 
         Never raises for a process that died: the report then says so.
         """
@@ -141,7 +147,7 @@ class RingProcess:
         self._closing.set()
         with self._swap:
             self._child.end_lines()
-        self._keeper.join(_EXIT_TIMEOUT_S)  # which waits for the end, and not by asking now and then as Popen does
+        self._keeper.join(_EXIT_TIMEOUT_S)  # it waits for the end of the process without polling, unlike Popen
         if self._keeper.is_alive():
             self._child.process.kill()
             self._keeper.join()
@@ -149,20 +155,12 @@ class RingProcess:
         self._ring.close()
         self._block.close()
 
-    def _await_ready(self, remedy: str) -> None:
-        reply = self._report()
-        self._ready = "ready" in reply
-        if "refused" in reply:
-            raise BadInputError(str(reply["refused"]))
-        if not self._ready:
-            raise DeviceError(f"{self._name} did not start: {self.troubles[-1]}; {remedy}")
-
-    def _tell_config(self) -> None:
+    def _send_config(self) -> None:
         self._child.lines.send({**self._config, "restarts": self.restarts}, always=True)
 
     def _report(self) -> dict[str, Any]:
         """Return the next reply; empty when the process ended without one for good, or makes no progress."""
-        patience = Patience(_PATIENCE_WAITS // _WAITS_A_TURN)
+        stall = StallTimeout(_STALL_WAITS // _WAITS_A_TURN)
         while True:
             ended = self._gone.is_set()
             try:
@@ -172,12 +170,12 @@ class RingProcess:
                     return {}
             with self._swap:
                 flushed = self._child.lines.flush()
-            if not patience.wait((flushed, self._ring.tail, self.restarts)):
+            if not stall.wait((flushed, self._ring.tail, self.restarts)):
                 self._restart = False
                 self._child.process.kill()
 
     def _keep(self) -> None:
-        """Take the replies, and see to it that there is a process; in a thread that else only waits."""
+        """Take replies, and start the process again when it ends too early; the body of the keeper thread."""
         start_children_as_ordinary()
         starts = 0
         finished = False
@@ -185,8 +183,8 @@ class RingProcess:
             reply = self._child.replies.read()
             if reply is not None:
                 if self.restarts and "ready" in reply:
-                    self._say_again()
-                    self._hand_over()
+                    self._send_again()
+                    self._flush_all()
                 else:
                     self._reports.put(reply)
                     finished = "ready" not in reply
@@ -200,11 +198,11 @@ class RingProcess:
                 break
             if self._closing.wait(_FIRST_BACK_OFF_S * 2 ** (starts - 1)) or not self._start_next():
                 break
-            self._hand_over()
+            self._flush_all()
         self._gone.set()
 
     def _start_next(self) -> bool:
-        """Start another process in the place of one that ended; False when there shall be none any more."""
+        """Start another process in the place of one that ended; False when that fails, or the run is over."""
         with self._swap:
             if self._closing.is_set():
                 return False
@@ -216,12 +214,12 @@ class RingProcess:
                 self.troubles.append(f"{self._name} could not be started again: {error}")
                 return False
             self.restarts += 1
-            self._tell_config()
+            self._send_config()
         self._send_waiting()
         return True
 
-    def _say_again(self) -> None:
-        """Send the lines that the process before had not saved to one that has just become ready."""
+    def _send_again(self) -> None:
+        """Send the lines that the last process had not saved to the new one, which has just become ready."""
         with self._swap:
             self._ready = True
             self._forget_saved_lines()
@@ -230,7 +228,7 @@ class RingProcess:
         self._send_waiting()
 
     def _send_waiting(self) -> None:
-        """Send what waits unless another thread has the process in hand, which then does this when it lets go."""
+        """Send what waits, unless another thread holds the process: that one then does this when it lets go."""
         while self._unsent and self._swap.acquire(blocking=False):
             try:
                 self._send_unsent()
@@ -246,8 +244,8 @@ class RingProcess:
             else:
                 self._lines_dropped += 1
 
-    def _hand_over(self) -> None:
-        """Write what a pipe did not take at once, a large config or many lines: who is to read it waits for it."""
+    def _flush_all(self) -> None:
+        """Write what the pipe did not take at once, such as a large config or many lines."""
         while True:
             with self._swap:
                 is_done = self._closing.is_set() or self._child.lines.flush()
@@ -257,15 +255,14 @@ class RingProcess:
             self._closing.wait(_FLUSH_PERIOD_S)
 
     def _forget_saved_lines(self) -> None:
-        saved = self._ring.lines_taken
-        while self._unsaved and self._lines_seen_saved < saved:
+        while self._unsaved and self._lines_seen_saved < self._ring.lines_saved:
             self._unsaved.popleft()
             self._lines_seen_saved += 1
 
     def _put_later(self, row: Row) -> bool:
-        """Wait for room, in lockstep; else, and when there is no hope of any, drop the row and count."""
-        patience = Patience(_PATIENCE_WAITS)
-        while self._waits and not self._gone.is_set() and patience.wait((self._ring.tail, self.restarts)):
+        """Wait for room in lockstep; otherwise, or when the process stalls, drop the row and count it."""
+        stall = StallTimeout(_STALL_WAITS)
+        while self._waits and not self._gone.is_set() and stall.wait((self._ring.tail, self.restarts)):
             if not self._ring.full:
                 return self._ring.try_put(row)
         self._waits = False

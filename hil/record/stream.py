@@ -6,18 +6,21 @@ and ``limits``; those and this module alone write with rerun.
 """
 
 import json
-from collections.abc import Mapping, Sequence
+import socket
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import rerun as rr
 
 from hil.record.blueprint import blueprint
 from hil.record.decimate import Decimator
-from hil.record.known import scenario_values
+from hil.record.drawings import RowTimes, Scene, Times, Trails, indexes, seconds_index
 from hil.record.lanes import Lane, lanes
 from hil.record.layout import ALARM_COLOUR, layout
 from hil.record.limits import LIMITS_PATH, limit_values, limits
-from hil.record.names import (
+from hil.record.properties import (
     APPLICATION,
     PART_PROPERTY,
     RECORDER_PROPERTY,
@@ -25,13 +28,12 @@ from hil.record.names import (
     SIGNALS_PATH,
     SIGNALS_PROPERTY,
     SUMMARY_PROPERTY,
+    page,
+    scenario_values,
 )
-from hil.record.page import page
 from hil.record.ring import Rows
 from hil.record.robot_model import RobotShape
-from hil.record.scene import Scene
-from hil.record.timeline import RowTimes, Times, indexes, seconds_index
-from hil.record.trails import Trails
+from hil.record.viewer import HOST
 
 DRAWN_PERIOD_S = 0.005
 _DRAWN_AT_ONCE = 2000
@@ -39,6 +41,10 @@ _LIMIT_PERIOD_S = 0.1
 _LIMIT_WIDTH_PX = 1.0
 _LEVELS = {"debug": "DEBUG", "info": "INFO", "warning": "WARN", "error": "ERROR"}
 _FLUSH_TIMEOUT_S = 10.0
+LIVE_PERIOD_S = 0.01
+_QUEUE_LENGTH = 500
+_MEMORY_LIMIT = "256MiB"
+_CLOSE_TIMEOUT_S = 2.0
 
 
 class Stream:
@@ -51,7 +57,7 @@ class Stream:
         properties: what the run was, as texts by name. Its ``scenario`` tells how large the robot is, and the limits
             and faults: what it does not tell is not drawn.
         live: chooses the views' time window, and that only what is drawn is served.
-        part: which file of the run it is (see ``hil.record.names``); None for a run in one file.
+        part: which file of the run it is (see ``hil.record.properties``); None for a run in one file.
     """
 
     def __init__(
@@ -217,3 +223,68 @@ class _LaneEnd:
 
     def __init__(self) -> None:
         self.state: str | None = None
+
+
+class LiveServer:
+    """A gRPC server on 127.0.0.1 with the run's rows at 100 Hz. Raises OSError for a port that is in use."""
+
+    def __init__(self, port: int, *, recording_id: str, signals: Sequence[str], properties: Mapping[str, str]) -> None:
+        rr.set_strict_mode(True)
+        _check_port(port)
+        self._stream = Stream(
+            rr.GrpcServerSink(HOST, port, server_memory_limit=_MEMORY_LIMIT),
+            recording_id=recording_id,
+            signals=signals,
+            properties=properties,
+            live=True,
+        )
+        self._t_column = list(signals).index("loop.t_s")
+        self._decimator = Decimator(LIVE_PERIOD_S)
+        self._queue: deque[Callable[[], None]] = deque(maxlen=_QUEUE_LENGTH)
+        self._wake = threading.Event()
+        self._closing = False
+        self.error: str | None = None
+        self._thread = threading.Thread(target=self._run, name="live", daemon=True)
+        self._thread.start()
+
+    def rows(self, rows: Rows) -> None:
+        """Queue rows of shape (n, signals); one each 10 ms of scenario time is served."""
+        kept = rows[self._decimator.keep(rows[:, self._t_column])]
+        if len(kept):
+            self._put(lambda: self._stream.draw(kept))
+
+    def event(self, t_s: float, level: str, text: str) -> None:
+        """Queue a line of the event log."""
+        self._put(lambda: self._stream.event(t_s, level, text))
+
+    def finish(self, summary: Mapping[str, object] | None, recorder: Mapping[str, int]) -> None:
+        """Queue the run's summary; what was queued stays served until ``close``."""
+        self._put(lambda: self._stream.finish(summary, recorder))
+
+    def close(self) -> None:
+        """Stop serving; gives up on what could not be handed over within two seconds."""
+        self._closing = True
+        self._wake.set()
+        self._thread.join(_CLOSE_TIMEOUT_S)
+
+    def _put(self, write: Callable[[], None]) -> None:
+        self._queue.append(write)
+        self._wake.set()
+
+    def _run(self) -> None:
+        try:
+            while not self._closing or self._queue:
+                self._wake.wait()
+                self._wake.clear()
+                while self._queue:
+                    self._queue.popleft()()
+            self._stream.close()
+        except RuntimeError as error:
+            self.error = str(error)
+
+
+def _check_port(port: int) -> None:
+    """rerun binds later, in a thread, and says so only in its log."""
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        probe.bind((HOST, port))

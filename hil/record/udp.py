@@ -1,15 +1,31 @@
-"""The run's side of a stream over UDP: gives rows to a process that sends them."""
+"""A run as JSON datagrams over UDP, as PlotJuggler's UDP server reads them (STREAMS.md).
 
-from collections.abc import Sequence
+``UdpStream`` is the run's side. It gives rows to a process of its own, ``python -m hil.record.udp``, which sends them.
+"""
+
+import json
+import math
+import socket
+import sys
+import time
+from collections.abc import Iterator, Sequence
 from types import TracebackType
 from typing import Any, NamedTuple, Self
 
 from hil.core.subprocesses import child_environment
 from hil.estimation.localisation.address import parse_address
+from hil.record.decimate import Decimator
+from hil.record.ring import RingReader
+from hil.record.ring_child import Record, RefusedError, run
 from hil.record.ring_process import RingProcess
-from hil.record.ring_start import Started
+from hil.record.started_process import StartedProcess
 
 _CAPACITY = 16384
+PERIOD_S = 0.01
+_BATCH = 1000
+_PAUSE_S = 0.0002  # between rows, so that a receiver's buffer outlasts a run in lockstep
+MOST_BYTES = 1400  # a row is more than a frame of Ethernet holds, and some servers take no more than 2048 bytes
+_LONGEST = -1.2345678901234567e-100  # as many characters as a float can have
 
 
 class Destination(NamedTuple):
@@ -40,7 +56,7 @@ class UdpStream:
         self._destination = destination
         self._figures: dict[str, Any] | None = None
         self._process = RingProcess(
-            Started("hil.record.udp_sender", child_environment()),
+            StartedProcess("hil.record.udp", child_environment()),
             {**destination._asdict(), "signals": list(signals)},
             width=len(signals),
             capacity=_CAPACITY,
@@ -85,3 +101,115 @@ class UdpStream:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.finish()
+
+
+class UdpSender:
+    """Sends a row each 10 ms of scenario time, and waits for nobody.
+
+    What the system does not take is lost, and counted, as is what it says that nobody listened to. Raises RefusedError
+    when there is no way to the address.
+    """
+
+    def __init__(self, config: Record, ring: RingReader) -> None:
+        self._ring = ring
+        self._time = config["signals"].index("loop.t_s")
+        self._writer = DatagramWriter(config["signals"])
+        self._decimator = Decimator(PERIOD_S)
+        self._sent = 0
+        self._lost = 0
+        self._why: str | None = None
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        try:
+            self._socket.connect((config["host"], config["port"]))
+        except OSError as error:
+            raise RefusedError(
+                f"--stream udp://{config['host']}:{config['port']}: {error.strerror}; name an address of this network"
+            ) from error
+
+    def poll(self) -> None:
+        """Send of the rows that have settled in the ring."""
+        self._take(self._ring.settled())
+
+    def line(self, _record: Record) -> None:
+        """There are no lines but the last."""
+
+    def finish(self, _record: Record | None) -> Record:
+        """Send the rest."""
+        self._take(self._ring.head)
+        if self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
+            self._count_unheard()
+        return {"sent": self._sent, "lost": self._lost, "why": self._why}
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+    def _take(self, stop: int) -> None:
+        while self._ring.tail < stop:
+            end = min(stop, self._ring.tail + _BATCH)
+            rows = self._ring.rows(self._ring.tail, end)
+            self._ring.release(end)
+            for row in rows[self._decimator.keep(rows[:, self._time])].tolist():
+                for datagram in self._writer.datagrams(row):
+                    self._send(datagram)
+                time.sleep(_PAUSE_S)
+
+    def _send(self, datagram: bytes) -> None:
+        try:
+            try:
+                self._socket.send(datagram)
+            except ConnectionError:  # of the datagram before: there was nobody; this one has not been tried
+                self._count_unheard()
+                self._socket.send(datagram)
+            self._sent += 1
+        except OSError as error:
+            self._lost += 1
+            self._why = self._why or f"the system did not take it ({error.strerror})"
+
+    def _count_unheard(self) -> None:
+        self._sent -= 1
+        self._lost += 1
+        self._why = self._why or "nobody listened there"
+
+
+class DatagramWriter:
+    """Cuts rows of these signals into datagrams of at most ``MOST_BYTES``; ``loop.t_s`` must be among the signals.
+
+    Each has ``timestamp``, the scenario's time [s], and ``sequence``, which counts datagrams from 0 so that a receiver
+    sees its losses. A signal without a value is null, which PlotJuggler skips.
+    """
+
+    def __init__(self, signals: Sequence[str]) -> None:
+        self._time = list(signals).index("loop.t_s")
+        self._pieces: list[list[tuple[int, tuple[str, ...]]]] = [[]]
+        self._sequence = 0
+        for index, signal in enumerate(signals):
+            place = (index, tuple(signal.split(".")))
+            if self._pieces[-1] and len(_encoded(1e9, 10**12, [*self._pieces[-1], place], None)) > MOST_BYTES:
+                self._pieces.append([])
+            self._pieces[-1].append(place)
+
+    def datagrams(self, row: Sequence[float]) -> Iterator[bytes]:
+        """Yield the pieces of one row."""
+        for piece in self._pieces:
+            yield _encoded(row[self._time], self._sequence, piece, row)
+            self._sequence += 1
+
+
+def _encoded(t_s: float, sequence: int, piece: list[tuple[int, tuple[str, ...]]], row: Sequence[float] | None) -> bytes:
+    """Return a datagram; without a row the longest that it can be."""
+    tree: dict[str, object] = {"timestamp": t_s, "sequence": sequence}
+    for index, (*groups, name) in piece:
+        table = tree
+        for group in groups:
+            below = table.setdefault(group, {})
+            assert isinstance(below, dict), f"{group} is a signal and a group"
+            table = below
+        value = _LONGEST if row is None else row[index]
+        table[name] = value if math.isfinite(value) else None
+    return json.dumps(tree, separators=(",", ":")).encode()
+
+
+if __name__ == "__main__":
+    sys.exit(run(UdpSender))

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hil.record.names import APPLICATION
+from hil.record.properties import APPLICATION
 
 Series = npt.NDArray[np.float64]
 Wanted = Collection[str] | None

@@ -14,7 +14,7 @@ from mcap.records import Channel, Chunk, Header, Message, Metadata
 from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk, get_chunk_data_stream
 
 from hil.record.mcap_file import CDR_HEADER, EVENTS_TOPIC, LEVELS, SIGNALS_TOPIC, ZERO_KEY
-from hil.record.names import SIGNALS_PROPERTY
+from hil.record.properties import SIGNALS_PROPERTY
 from hil.review.contents import Contents, DamagedError, Series, Wanted, json_property, why_nothing
 
 _LEVEL_NAMES = {number: {"warning": "WARN"}.get(name, name.upper()) for name, number in LEVELS.items()}

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.record.files import has_end
-from hil.record.names import OVERLAY_PROPERTY, SIGNALS_PATH, SIGNALS_PROPERTY
+from hil.record.properties import OVERLAY_PROPERTY, SIGNALS_PATH, SIGNALS_PROPERTY
 from hil.review.contents import Contents, DamagedError, Series, Wanted, json_property, why_nothing
 
 if TYPE_CHECKING:

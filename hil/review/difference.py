@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 from hil.judge.figures import figures, number
-from hil.record.names import HASHES, PROPERTY_WORDS, hash_text
+from hil.record.properties import HASHES, PROPERTY_WORDS, hash_text
 from hil.review.figures import scenario_of
 from hil.review.reader import RecordedRun
 

@@ -12,7 +12,7 @@ from hil.core.signals import SIGNAL_NAMES
 from hil.judge.expectations import outcomes_of
 from hil.judge.figures import cut_words, figure_signals, signal_figures
 from hil.judge.measure import CommandLimits, RunSetup
-from hil.record.known import table_rows
+from hil.record.properties import table_rows
 from hil.review.reader import RecordedRun, read
 
 _NO_SUMMARY = "the recording has no summary: the run did not come to its end"

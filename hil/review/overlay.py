@@ -24,7 +24,7 @@ from hil.core.types import WHEEL_NAMES
 from hil.record.environment import rerun_environment
 from hil.record.files import check_output_path
 from hil.record.layout import REFERENCE_COLOUR
-from hil.record.names import OVERLAY_PROPERTY
+from hil.record.properties import OVERLAY_PROPERTY
 from hil.review.difference import changes
 from hil.review.plots import Curve, colour_of, thinned
 from hil.review.reader import RecordedRun, read

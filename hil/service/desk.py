@@ -12,7 +12,7 @@ from hil.core.kinematics import BodyTwist
 from hil.core.outputs import existing_files
 from hil.core.types import Pose
 from hil.record import Recording
-from hil.record.runs_folder import new_in_runs
+from hil.record.files import new_in_runs
 from hil.references import ReferenceSource, make_reference
 from hil.runtime.provenance import law_ingredients
 from hil.scenario import Scenario

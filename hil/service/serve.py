@@ -14,7 +14,7 @@ from hil.core.tick_watch import TickWatch
 from hil.core.types import NAN
 from hil.plant.said import tell
 from hil.record import Recording
-from hil.record.view import live_hint
+from hil.record.viewer import live_hint
 from hil.runtime.bench import Bench
 from hil.runtime.parts import PartsOf
 from hil.runtime.provenance import ingredients

@@ -31,7 +31,7 @@ from hil.core.errors import BadInputError
 from hil.core.signals import SIGNAL_NAMES
 from hil.core.types import WHEEL_NAMES
 from hil.record import Recording
-from hil.record.view import free_port, live_address, viewer_executable
+from hil.record.viewer import free_port, live_address, viewer_executable
 from hil.review.contents import DamagedError
 from hil.review.decode import decode
 from hil.runtime.provenance import properties

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from hil.cli.checks.finding import Finding, note, ok, problem
 from hil.core.errors import DeviceError
-from hil.record.view import has_display, viewer_environment, viewer_executable
+from hil.record.viewer import has_display, viewer_environment, viewer_executable
 
 A_SECOND_BYTES = 700_000  # of a recording at 1 kHz, as telemetry_cost measures it, rounded up
 _LOW_S = 3600

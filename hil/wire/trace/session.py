@@ -14,7 +14,7 @@ from hil.core.ports import EXTENDED, REMOTE, Framing
 from hil.core.subprocesses import child_environment
 from hil.record.files import check_output_path
 from hil.record.ring_process import RingProcess
-from hil.record.ring_start import Started
+from hil.record.started_process import StartedProcess
 from hil.wire.robot_end import Node, Wire
 from hil.wire.trace import packing
 
@@ -80,7 +80,7 @@ class Trace:
         self._report: TraceReport | None = None
         try:
             self._process = RingProcess(
-                Started("hil.wire.trace.writer", child_environment()),
+                StartedProcess("hil.wire.trace.writer", child_environment()),
                 {"path": str(path.absolute())},
                 width=packing.WIDTH,
                 capacity=_CAPACITY,

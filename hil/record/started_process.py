@@ -1,36 +1,54 @@
-"""The start of a process behind ``hil.record.ring_process``, which may come before it is known what it shall do.
-
-To start Python and import a library such as rerun takes as long as all else before a run's first tick: the process does
-that beside whatever the run has to do meanwhile, and then waits for its config.
-"""
+"""A Python process of ours with its pipes, started before its task is known, and how long to wait for one."""
 
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Mapping
-from typing import Any, Self
+from typing import Self
 
 from hil.core.json_lines import LineReader, LineWriter
 from hil.core.subprocesses import away_from_terminal, module_command
-from hil.record.memory import SharedBlock
+from hil.record.ring import SharedBlock
 
 
-class Started:
+class StallTimeout:
+    """Ends a wait for another process that makes no progress.
+
+    It counts waits and not seconds: a program that was suspended must not take its own absence for a dead peer.
+    """
+
+    def __init__(self, waits: int, wait_s: float = 0.0005) -> None:
+        self._waits = self._left = waits
+        self._wait_s = wait_s
+        self._progress: object = None
+
+    def wait(self, progress: object) -> bool:
+        """Wait a little; False when ``progress`` has stayed the same for all the waits."""
+        if progress != self._progress:
+            self._progress = progress
+            self._left = self._waits
+        self._left -= 1
+        time.sleep(self._wait_s)
+        return self._left > 0
+
+
+class StartedProcess:
     """``python -m module`` with its pipes and the block that it shares; a context manager that leaves nothing behind.
 
-    Give it to one ``RingProcess``, which tells it what to do and ends it. One that was given to none does nothing, and
-    is ended with the context.
+    It may be started before its task is known: it imports its libraries meanwhile, which takes as long as everything
+    else before a run's first tick, and then waits for its config. Give it to one ``RingProcess``, which sends that and
+    ends it. Without one it does nothing, and ends with the context.
 
     Args:
-        arguments: what the module needs to know before its config, to prepare for it.
-        block: what it shares with the process before it, when it takes its place; by default one without bytes yet.
+        arguments: what the module needs to know before its config.
+        block: the block of the process whose place it takes; by default a new one without bytes yet.
 
     Raises OSError when the process cannot be started.
 
     Attributes:
         lines, replies: what is written to the process and read from it.
-        started_s: when that was, on the monotonic clock.
+        started_s: when it was started, on the monotonic clock.
     """
 
     def __init__(
@@ -44,7 +62,7 @@ class Started:
         options = away_from_terminal()
         if sys.platform != "win32":
             options["pass_fds"] = self.block.pass_fds
-        self.process = subprocess.Popen(
+        self.process: subprocess.Popen[bytes] = subprocess.Popen(
             module_command(module, *arguments),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -53,21 +71,23 @@ class Started:
             env=self._environment,
             **options,
         )
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
         self.started_s = time.monotonic()
-        self.lines = LineWriter(_descriptor(self.process.stdin))
-        self.replies = LineReader(_descriptor(self.process.stdout))
+        self.lines = LineWriter(self.process.stdin.fileno())
+        self.replies = LineReader(self.process.stdout.fileno())
 
-    def again(self) -> "Started":
+    def again(self) -> "StartedProcess":
         """Start another in its place, with the same block. Raises OSError when that fails."""
-        return Started(self._module, self._environment, *self._arguments, block=self.block)
+        return StartedProcess(self._module, self._environment, *self._arguments, block=self.block)
 
     def end_lines(self) -> None:
-        """Let the process see the end of its lines, at which it ends too."""
+        """Close the pipe of lines; the process ends at its end."""
         if self.process.stdin is not None:
             self.process.stdin.close()
 
     def trouble(self) -> str:
-        """Wait for its end, and say how it ended: its last words, or else its exit status."""
+        """Wait for its end and return how it ended: its last words, or else its exit status."""
         status = self.process.wait()
         self._stderr.seek(0)
         words = self._stderr.read().decode(errors="replace").strip().splitlines()
@@ -87,7 +107,3 @@ class Started:
     def __exit__(self, *_: object) -> None:
         self.close()
         self.block.close()
-
-
-def _descriptor(pipe: Any) -> int:
-    return int(pipe.fileno())

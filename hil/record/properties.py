@@ -1,6 +1,9 @@
 """Names that the writer and the reader of a recording share."""
 
 import json
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
 
 APPLICATION = "mecanum-hil"
 RUN_PROPERTY = "run"
@@ -65,3 +68,53 @@ def state_names() -> dict[int, str]:
     from firmware_protocol.generated.messages import State
 
     return {int(state): state.name for state in State}
+
+
+_ROW = r"{}\.(\d+)\.(\w+)"
+
+
+def scenario_values(properties: Mapping[str, str]) -> dict[str, Any]:
+    """Return the scenario's values by their dotted keys; none when the properties have no scenario."""
+    values: dict[str, Any] = json.loads(properties.get("scenario", "{}"))
+    return values
+
+
+def table_rows(values: Mapping[str, Any], table: str) -> list[dict[str, Any]]:
+    """Return the rows of an array of tables, such as ``expect``, in their order."""
+    rows: dict[int, dict[str, Any]] = {}
+    pattern = re.compile(_ROW.format(table))
+    for key, value in values.items():
+        if (named := pattern.fullmatch(key)) is not None:
+            rows.setdefault(int(named[1]), {})[named[2]] = value
+    return [rows[number] for number in sorted(rows)]
+
+
+_LEFT_OUT = frozenset({"scenario", "scenario_sources"})
+"""Of the properties, those that have hundreds of values; ``hil show`` and ``hil review --html`` list them."""
+
+
+def page(properties: Mapping[str, str], summary: Mapping[str, Any] | None) -> str:
+    """Return the page as Markdown: the rows that the summary has as ``page``, and what the run was."""
+    text = _table("run", _about(properties))
+    return text if not summary else _table("figure", summary.get("page", ())) + "\n" + text
+
+
+def _about(properties: Mapping[str, str]) -> Iterator[tuple[str, str]]:
+    for name, text in properties.items():
+        if name in _LEFT_OUT:
+            continue
+        label = PROPERTY_WORDS.get(name, name.replace("_", " "))
+        if name == "gains":
+            yield label, ", ".join(f"{key} = {value}" for key, value in json.loads(text).items()) or "none"
+        else:
+            yield label, hash_text(text) if name.endswith("_sha256") else text
+
+
+def _table(title: str, rows: Iterable[tuple[str, str]]) -> str:
+    lines = [f"| {_cell(label)} | {_cell(text)} |" for label, text in rows]
+    return "\n".join([f"| {title} | |", "|---|---|", *lines, ""])
+
+
+def _cell(text: str) -> str:
+    """Return a text that neither ends its cell nor its row."""
+    return text.replace("|", "\\|").replace("\n", " ")

@@ -1,19 +1,161 @@
-"""The robot in 3D: its URDF on the floor with turning wheels, the reference, the error, and the wheels' forces."""
+"""What the viewer draws of a run besides its signals: trails of the robot, and the robot itself in 3D.
+
+Trails are those of reference, estimate and truth, on the floor of the 3D scene and in the plan: a segment for each
+time, so a view shows as much of one as its range of time covers.
+"""
 
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import rerun as rr
 
 from hil.core.types import WHEEL_NAMES
 from hil.record.decimate import Decimator
-from hil.record.layout import ALARM_COLOUR, REFERENCE_COLOUR, WHEEL_COLOURS
-from hil.record.poses import drawn_pose, pose, turned
+from hil.record.layout import (
+    ALARM_COLOUR,
+    ESTIMATE_COLOUR,
+    REFERENCE_COLOUR,
+    TRUTH_COLOUR,
+    WHEEL_COLOURS,
+    X_COLOUR,
+    Y_COLOUR,
+    Colour,
+)
 from hil.record.ring import Rows
 from hil.record.robot_model import RobotShape, drive_directions
-from hil.record.timeline import Times, indexes
+
+Times = npt.NDArray[np.float64]
+"""Scenario time [s] and tick of each row, shape (n, 2)."""
+
+
+def seconds_index(t_s: npt.NDArray[np.float64]) -> rr.TimeColumn:
+    """Return the timeline ``t`` alone, for times of shape (n,)."""
+    return rr.TimeColumn("t", duration=np.rint(t_s * 1e9).astype("timedelta64[ns]"))
+
+
+def indexes(times: Times) -> list[rr.TimeColumn]:
+    """Return both timelines."""
+    return [seconds_index(times[:, 0]), rr.TimeColumn("tick", sequence=np.rint(times[:, 1]).astype(np.int64))]
+
+
+class RowTimes:
+    """Finds time and tick of rows; where one is not finite it is the last one that was, in an earlier call too."""
+
+    def __init__(self, column: Mapping[str, int]) -> None:
+        self._columns = [column["loop.t_s"], column["loop.tick"]]
+        self._last = np.zeros(2)
+
+    def __call__(self, rows: Rows) -> Times:
+        """Return the times of rows of shape (n, signals)."""
+        times = np.vstack([self._last, rows[:, self._columns]])
+        finite = np.isfinite(times)
+        newest = np.maximum.accumulate(np.where(finite, np.arange(len(times))[:, None], 0), axis=0)
+        times = np.take_along_axis(times, newest, axis=0)
+        self._last = times[-1]
+        return times[1:]
+
+
+def pose(rows: Rows, column: Mapping[str, int], group: str) -> Rows:
+    """Return a group's x [m], y [m] and heading [rad], shape (n, 3)."""
+    return rows[:, [column[f"{group}.{name}"] for name in ("x_m", "y_m", "heading_rad")]]
+
+
+def drawn_pose(rows: Rows, column: Mapping[str, int]) -> Rows:
+    """Return where the robot is drawn: at the truth, or at the estimate where there is no truth; shape (n, 3)."""
+    truth = pose(rows, column, "truth")
+    known = np.isfinite(truth).all(axis=1, keepdims=True)
+    return np.where(known, truth, pose(rows, column, "pose"))
+
+
+def turned(vectors: Rows, heading_rad: Rows) -> Rows:
+    """Turn vectors of shape (n, k, 2) from the body frame into the world frame, headings of shape (n,)."""
+    cosine, sine = np.cos(heading_rad)[:, None], np.sin(heading_rad)[:, None]
+    x, y = vectors[..., 0], vectors[..., 1]
+    return np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)
+
+
+TRAIL_PERIOD_S = 0.04
+PLAN = "/xy"
+FLOOR = "/world/trail"
+TRAILS: tuple[tuple[str, str, Colour, float], ...] = (
+    # name, group of signals, colour, line width [px]; drawn in this order, the reference widest and lowest
+    ("reference", "reference", REFERENCE_COLOUR, 6.0),
+    ("estimate", "pose", ESTIMATE_COLOUR, 3.5),
+    ("truth", "truth", TRUTH_COLOUR, 1.5),
+)
+# The robot's symbol in the body frame, its nose forward; not to scale with a particular robot.
+_BODY_M = np.array([(-0.1, -0.08), (0.04, -0.08), (0.17, 0.0), (0.04, 0.08), (-0.1, 0.08), (-0.1, -0.08)])
+_FLOOR_STEP_M = 0.001
+"""Height of a trail over the one before it, so that none hides another."""
+
+
+class Trails:
+    """Draws the trails and, in the plan, the robot's symbol."""
+
+    def __init__(self, recording: rr.RecordingStream, column: dict[str, int]) -> None:
+        self._rerun = recording
+        self._column = column
+        self._decimator = Decimator(TRAIL_PERIOD_S)
+        self._end: dict[str, Rows] = {}
+
+    def describe(self) -> None:
+        """Log what does not change: colours, widths and the axes."""
+        # A 2D view counts y downwards; the world's y points up. The data stay as they are.
+        self._rerun.log(PLAN, rr.Transform3D(scale=[1.0, -1.0, 1.0]), static=True)
+        for order, (name, _, colour, width_px) in enumerate(TRAILS):
+            # A negative radius is in pixels, whatever the zoom.
+            flat = rr.LineStrips2D.from_fields(colors=[colour], radii=[-width_px / 2], draw_order=30.0 + order)
+            self._rerun.log(f"{PLAN}/{name}", flat, static=True)
+            solid = rr.LineStrips3D.from_fields(colors=[colour], radii=[-width_px / 2])
+            self._rerun.log(f"{FLOOR}/{name}", solid, static=True)
+        body = rr.LineStrips2D.from_fields(colors=[TRUTH_COLOUR], radii=[-1.5], draw_order=40.0)
+        self._rerun.log(f"{PLAN}/robot", body, static=True)
+        axes = rr.LineStrips2D(
+            [[(0.0, 0.0), (0.5, 0.0)], [(0.0, 0.0), (0.0, 0.5)]],
+            colors=[X_COLOUR, Y_COLOUR],
+            labels=["x: 0.5 m", "y: 0.5 m"],
+            radii=-0.75,
+            draw_order=20.0,
+        )
+        self._rerun.log(f"{PLAN}/axes", axes, static=True)
+
+    def rows(self, rows: Rows, times: Times) -> None:
+        """Draw what rows of shape (n, signals) add."""
+        keep = self._decimator.keep(times[:, 0])
+        if not len(keep):
+            return
+        rows, times = rows[keep], times[keep]
+        for order, (name, group, _, _) in enumerate(TRAILS):
+            self._trail(name, rows[:, [self._column[f"{group}.x_m"], self._column[f"{group}.y_m"]]], times, order)
+        poses = drawn_pose(rows, self._column)
+        seen = np.isfinite(poses).all(axis=1)
+        if seen.any():
+            bodies = rr.LineStrips2D.columns(strips=list(_outlines(poses[seen])))
+            self._rerun.send_columns(f"{PLAN}/robot", indexes=indexes(times[seen]), columns=bodies)
+
+    def _trail(self, name: str, points: Rows, times: Times, order: int) -> None:
+        ends = np.vstack([self._end.get(name, points[0]), points])
+        self._end[name] = points[-1]
+        segments = np.stack([ends[:-1], ends[1:]], axis=1)
+        seen = np.isfinite(segments).all(axis=(1, 2))
+        if not seen.any():
+            return
+        segments, index = segments[seen], indexes(times[seen])
+        flat = rr.LineStrips2D.columns(strips=list(segments))
+        self._rerun.send_columns(f"{PLAN}/{name}", indexes=index, columns=flat)
+        height = np.full((*segments.shape[:2], 1), (order + 1) * _FLOOR_STEP_M)
+        solid = rr.LineStrips3D.columns(strips=list(np.concatenate([segments, height], axis=2)))
+        self._rerun.send_columns(f"{FLOOR}/{name}", indexes=index, columns=solid)
+
+
+def _outlines(poses: Rows) -> Rows:
+    """Outline of the robot's symbol at poses (n, 3) in the world frame, shape (n, 6, 2)."""
+    outlines = np.broadcast_to(_BODY_M, (len(poses), *_BODY_M.shape))
+    return poses[:, None, :2] + turned(outlines, poses[:, 2])
+
 
 SCENE = "/world"
 BODY = f"{SCENE}/robot/visual_geometries/base_link/body"

@@ -16,7 +16,7 @@ from hil.record.environment import WITH_RERUN, rerun_environment
 from hil.record.files import Rotation, check_output_path, part_path
 from hil.record.ring import Kept
 from hil.record.ring_process import RingProcess
-from hil.record.ring_start import Started
+from hil.record.started_process import StartedProcess
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,9 +77,9 @@ class RunRecording(Protocol):
     ) -> None: ...
 
 
-def _start_recorder(suffix: str | None, *, live: bool) -> Started:
+def _start_recorder(suffix: str | None, *, live: bool) -> StartedProcess:
     arguments = [WITH_RERUN] if live or suffix == ".rrd" else []
-    return Started("hil.record.recorder", rerun_environment(), *arguments)
+    return StartedProcess("hil.record.recorder", rerun_environment(), *arguments)
 
 
 @contextmanager
@@ -131,7 +131,7 @@ class Recording:
         signals: Sequence[str] = SIGNAL_NAMES,
         rotation: Rotation = Rotation(),  # noqa: B008 -- immutable
         existing: Existing = "refuse",
-        started: Started | None = None,
+        started: StartedProcess | None = None,
     ) -> None:
         if path is not None:
             check_output_path("recording", path, existing)
@@ -149,7 +149,7 @@ class Recording:
 
     def _begun(
         self,
-        started: Started | None,
+        started: StartedProcess | None,
         properties: Mapping[str, str],
         signals: Sequence[str],
         rotation: Rotation,

@@ -159,7 +159,7 @@ class Parts:
         except (RuntimeError, OSError) as error:
             self._give_up(error)
             return False
-        self._ring.add_lines_taken(len(self._events))
+        self._ring.add_lines_saved(len(self._events))
         self._events.clear()
         return True
 
@@ -188,7 +188,7 @@ class Parts:
             "recording_id": self._config["recording_id"],
             "number": number,
             "first_row": self._ring.tail,
-            "first_event": self._ring.lines_taken,
+            "first_event": self._ring.lines_saved,
         }
         # The first is the run's own already; of a later one another process may think so at the same time.
         if number > 1:

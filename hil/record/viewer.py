@@ -1,0 +1,292 @@
+"""Rerun's viewer: opened on a recording (``hil view``), or on the run under way and each one after it (``hil live``).
+
+A run serves its rows on a port of this machine while it lasts (``hil.record.stream``). Neither rerun's viewer nor its
+page reconnects by itself: ``hil live`` has it do so, each time that something begins to listen on the port.
+"""
+
+import contextlib
+import importlib.util
+import json
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from urllib.parse import quote
+
+from hil.core.errors import BadInputError, DeviceError
+from hil.record.files import check_is_recording
+
+HOST = "127.0.0.1"
+_START_TIMEOUT_S = 60.0
+_LOOK_S = 0.25
+_PAGE = Path(__file__).with_name("live_page.html")
+
+
+def view(path: Path, *, web: bool, say: Callable[[str], None] = print) -> None:
+    """Show a recording until the viewer is closed, or, in a browser, until Ctrl-C.
+
+    Raises:
+        BadInputError: the file is no recording, or there is no display for the native viewer.
+        DeviceError: the viewer was not found, did not start, or ended with an error.
+    """
+    check_is_recording(path)
+    remedy = f"; try 'hil view {path} --web'"
+    if web:
+        with contextlib.suppress(KeyboardInterrupt), _web_viewer(str(path)) as (viewer, data_port, page_port):
+            say(f"showing {path} at {_web_address(page_port, live_address(data_port))} until Ctrl-C")
+            viewer.wait()
+            _check_ended(viewer, remedy)
+    elif has_display():
+        viewer = _start("--port", "auto", str(path))
+        viewer.wait()
+        _check_ended(viewer, remedy)
+    else:
+        raise BadInputError(f"no display to show {path} on; use 'hil view {path} --web' and a browser")
+
+
+def live(port: int, *, web: bool, say: Callable[[str], None]) -> None:
+    """Show the run that is served on a port, and each one after it, until the viewer is closed or Ctrl-C.
+
+    Raises:
+        BadInputError: there is no display for the native viewer.
+        DeviceError: the viewer was not found, did not start, or ended with an error.
+    """
+    if not web and not has_display():
+        raise BadInputError("no display to open the viewer on; use 'hil live --web' and a browser")
+    with contextlib.suppress(KeyboardInterrupt):  # the way to end it
+        (_live_in_browser if web else _live_in_window)(port, say)
+
+
+def on_each_run(port: int, *, found: Callable[[], None], going_on: Callable[[], bool]) -> None:
+    """Call ``found`` whenever something begins to listen on the port, for as long as ``going_on``."""
+    listened = False
+    while going_on():
+        listens = _listens(port)
+        if listens and not listened:
+            found()
+        listened = listens
+        time.sleep(_LOOK_S)
+
+
+def live_address(port: int) -> str:
+    """Return the address at which a run serves live viewers on this machine."""
+    return f"rerun+http://{HOST}:{port}/proxy"
+
+
+def live_hint(port: int) -> str:
+    """Return a sentence that says how to look at a run under way."""
+    return f"live view: run 'hil live --port {port}' on this machine; with --web in a browser"
+
+
+def show_live(port: int) -> bool:
+    """Open a native viewer on a run under way; False when there is no display or no viewer to open.
+
+    The viewer outlives the run, with what it has received.
+    """
+    if not has_display():
+        return False
+    try:
+        command = viewer_command("--port", "auto", live_address(port))
+    except DeviceError:
+        return False
+    subprocess.Popen(
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        env=viewer_environment(),
+        start_new_session=sys.platform != "win32",
+    )
+    return True
+
+
+def has_display() -> bool:
+    """Whether a window can be opened."""
+    return sys.platform in ("win32", "darwin") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def viewer_executable() -> Path:
+    """Return the viewer that came with rerun-sdk, or else a ``rerun`` on the path.
+
+    Raises DeviceError when there is neither.
+    """
+    name = "rerun.exe" if sys.platform == "win32" else "rerun"
+    package = importlib.util.find_spec("rerun_cli")
+    for directory in (package.submodule_search_locations or []) if package else []:
+        bundled = Path(directory) / name
+        if bundled.is_file():
+            return bundled
+    found = shutil.which("rerun")
+    if found is None:
+        raise DeviceError("the rerun viewer was not found: install it with 'pip install rerun-sdk==0.41.*'")
+    return Path(found)
+
+
+def viewer_command(*options: str) -> list[str]:
+    """Return the command of a viewer that listens on this machine alone. Raises DeviceError when there is none."""
+    return [str(viewer_executable()), "--bind", HOST, *options]
+
+
+def viewer_environment() -> dict[str, str]:
+    """Return the environment of a viewer: ours, with a log of errors alone."""
+    return {**os.environ, "RUST_LOG": "error"}
+
+
+def free_port() -> int:
+    """Return a port of this machine that nothing listens on at the moment."""
+    with socket.socket() as probe:
+        probe.bind((HOST, 0))
+        return int(probe.getsockname()[1])
+
+
+def wait_until_listening(process: "subprocess.Popen[bytes]", port: int) -> None:
+    """Return once something listens on the port; raises DeviceError when the process ends or is too slow."""
+    deadline = time.monotonic() + _START_TIMEOUT_S
+    while time.monotonic() < deadline:
+        if _listens(port):
+            return
+        if process.poll() is not None:
+            raise DeviceError(f"the rerun viewer did not start: exit status {process.returncode}")
+        time.sleep(0.05)
+    raise DeviceError(f"the rerun viewer does not listen on port {port} after {_START_TIMEOUT_S:g} s")
+
+
+class Window:
+    """A native viewer, listening on ``port``, that can be told what to show."""
+
+    def __init__(self, port: int) -> None:
+        from rerun.experimental import ViewerClient
+
+        self._client = ViewerClient.connect(live_address(port))
+
+    def show(self, run_port: int) -> None:
+        """Show the run on this port, in place of the one that was there before. Raises DeviceError."""
+        address = live_address(run_port)
+        # The viewer would show the run again that it has from the same address, and not the new one.
+        with contextlib.suppress(RuntimeError, ConnectionError):
+            self._client.close(address)
+        try:
+            self._client.open(address)
+        except (RuntimeError, ConnectionError) as error:
+            raise DeviceError(f"the rerun viewer does not open {address}: {error}") from error
+
+
+def _start(*options: str) -> "subprocess.Popen[bytes]":
+    return subprocess.Popen(viewer_command(*options), env=viewer_environment())
+
+
+def _check_ended(viewer: "subprocess.Popen[bytes]", remedy: str) -> None:
+    """Raise DeviceError when a viewer that has ended did so with an error."""
+    if viewer.returncode != 0:
+        raise DeviceError(f"the rerun viewer ended with exit status {viewer.returncode}{remedy}")
+
+
+@contextlib.contextmanager
+def _web_viewer(*sources: str) -> Iterator[tuple["subprocess.Popen[bytes]", int, int]]:
+    """Serve rerun's page; gives the process, the port of the data and that of the page."""
+    data_port, page_port = free_port(), free_port()
+    viewer = _start("--serve-web", "--port", str(data_port), "--web-viewer-port", str(page_port), *sources)
+    try:
+        wait_until_listening(viewer, page_port)
+        yield viewer, data_port, page_port
+    finally:
+        viewer.terminate()
+        viewer.wait()
+
+
+def _web_address(port: int, source: str) -> str:
+    """Return where a browser finds rerun's page, served on this port, with what the source serves."""
+    return f"http://{HOST}:{port}/?url={quote(source, safe='')}"
+
+
+def _live_in_window(port: int, say: Callable[[str], None]) -> None:
+    viewer_port = free_port()
+    viewer = _start("--hide-welcome-screen", "--port", str(viewer_port))
+    try:
+        wait_until_listening(viewer, viewer_port)
+        window = Window(viewer_port)
+        say(_waiting(port))
+        on_each_run(port, found=lambda: window.show(port), going_on=lambda: viewer.poll() is None)
+        _check_ended(viewer, "; try 'hil live --web'")
+    finally:
+        viewer.terminate()
+        viewer.wait()
+
+
+def _live_in_browser(port: int, say: Callable[[str], None]) -> None:
+    with (
+        _web_viewer() as (viewer, _, page_port),
+        _Page(port, _web_address(page_port, live_address(port))) as page,
+    ):
+        say(f"{_waiting(port)}; open {page.address} until Ctrl-C")
+        on_each_run(port, found=page.next_run, going_on=lambda: viewer.poll() is None)
+        raise DeviceError(f"the rerun viewer ended with exit status {viewer.returncode}")
+
+
+class _Page:
+    """Serves a page that frames rerun's and loads it anew for each run; a context manager."""
+
+    def __init__(self, port: int, viewer_address: str) -> None:
+        self._runs = 0
+        state = {"address": viewer_address, "note": _waiting(port)}
+        page = self
+
+        class Handler(BaseHTTPRequestHandler):
+            def do_GET(self) -> None:
+                path = self.path.partition("?")[0]
+                if path == "/":
+                    self._answer("text/html; charset=utf-8", _PAGE.read_bytes())
+                elif path == "/run":
+                    self._answer("application/json", json.dumps({"number": page._runs, **state}).encode())
+                else:
+                    self.send_error(HTTPStatus.NOT_FOUND)
+
+            def _answer(self, kind: str, content: bytes) -> None:
+                self.send_response(HTTPStatus.OK)
+                self.send_header("Content-Type", kind)
+                self.send_header("Content-Length", str(len(content)))
+                self.end_headers()
+                self.wfile.write(content)
+
+            def log_message(self, *_: object) -> None:
+                """Say nothing of requests."""
+
+        self._server = ThreadingHTTPServer((HOST, 0), Handler)
+        self._thread = threading.Thread(target=self._server.serve_forever, name="page", daemon=True)
+
+    @property
+    def address(self) -> str:
+        """Where a browser finds the page."""
+        return f"http://{HOST}:{self._server.server_port}/"
+
+    def next_run(self) -> None:
+        """Have the page load the viewer anew."""
+        self._runs += 1
+
+    def __enter__(self) -> "_Page":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join()
+
+
+def _waiting(port: int) -> str:
+    return (
+        f"shows each run and service on port {port} of this machine, such as "
+        f"'hil run SCENARIO --live --live-port {port}' or 'hil serve CONFIG --live --live-port {port}'"
+    )
+
+
+def _listens(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex((HOST, port)) == 0
