@@ -3,15 +3,16 @@
 import json
 import math
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from hil.cli.commands import Group
 from hil.cli.options import Force, Json, ServicePort, ServiceUrl, TokenFile, end_in_order, print_json
 from hil.core.errors import BadInputError, RunInterruptedError
+from hil.service.messages import SUMMARIES, Action
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -21,28 +22,27 @@ if TYPE_CHECKING:
 app = typer.Typer(
     cls=Group, no_args_is_help=True, help="Drive the robot that hil serve runs; an order returns when accepted."
 )
-
-# So that -0.5 is a number and no option.
-_NUMBERS = {"ignore_unknown_options": True}
-
-
-class _Which(NamedTuple):
-    """Which service is meant; all None for the only one."""
-
-    url: str | None
-    port: int | None
-    token_file: Path | None
+_NUMBERS = {"ignore_unknown_options": True}  # -0.5 is a number and no option
 
 
 @app.callback()
-def which(
-    context: typer.Context,
-    url: ServiceUrl = None,
-    port: ServicePort = None,
-    token_file: TokenFile = None,
+def choose_service(
+    context: typer.Context, url: ServiceUrl = None, port: ServicePort = None, token_file: TokenFile = None
 ) -> None:
-    """Take what all commands have in common."""
-    context.obj = _Which(url, port, token_file)
+    """Keep the options that choose the service, for every command; all None for the only one that runs."""
+    context.obj = (url, port, token_file)
+
+
+def _client(context: typer.Context) -> "Client":
+    from hil.service.client import find
+
+    return find(*context.obj)
+
+
+def _order(context: typer.Context, action: Action, arguments: Mapping[str, Any] | None = None) -> None:
+    """Give an order, and print its result, if it has one."""
+    for name, value in _client(context).order(action, arguments).items():
+        print(f"{name}: {value}")
 
 
 @app.command()
@@ -52,47 +52,40 @@ def status(
     as_json: Json = False,
 ) -> None:
     """Show how the robot and the service are."""
+    from rich.console import Console
+    from rich.live import Live
+
     end_in_order()
     client = _client(context)
     if not watch:
-        _show(client.status(), as_json=as_json)
+        now = client.status()
+        print_json(now) if as_json else Console(highlight=False, soft_wrap=True).print(_table(now))
         return
     try:
         if as_json or not sys.stdout.isatty():
-            for one in client.watch():
-                _show(one, as_json=True)
+            for now in client.watch():
+                print_json(now)
                 sys.stdout.flush()
         else:
-            _watch(client)
+            with Live(auto_refresh=False, screen=True) as screen:
+                for now in client.watch():
+                    screen.update(_table(now), refresh=True)
     except KeyboardInterrupt:
         raise RunInterruptedError("interrupted; the service goes on") from None
 
 
-@app.command()
-def arm(context: typer.Context) -> None:
-    """Arm the robot: it may move from here on, and is held at rest."""
-    _order(context, "arm")
+def _without_arguments(action: Action) -> Callable[[typer.Context], None]:
+    def order(context: typer.Context) -> None:
+        _order(context, action)
+
+    return order
 
 
-@app.command()
-def disarm(context: typer.Context) -> None:
-    """Ramp down, and disarm."""
-    _order(context, "disarm")
+for _action in (Action.ARM, Action.DISARM, Action.ESTOP, Action.CLEAR, Action.STOP):
+    app.command(_action.value, help=SUMMARIES[_action])(_without_arguments(_action))
 
 
-@app.command()
-def estop(context: typer.Context) -> None:
-    """Stop the robot at once; `clear` leads out of it."""
-    _order(context, "estop")
-
-
-@app.command()
-def clear(context: typer.Context) -> None:
-    """Leave FAULT or ESTOP when the cause is gone; arms nothing."""
-    _order(context, "clear")
-
-
-@app.command()
+@app.command(help=SUMMARIES[Action.TRACK])
 def track(
     context: typer.Context,
     kind: Annotated[str | None, typer.Argument(metavar="[KIND]", help="by default the configuration's")] = None,
@@ -103,14 +96,13 @@ def track(
         bool, typer.Option("--here", help="begin where the robot stands; else it drives to the begin first")
     ] = False,
 ) -> None:
-    """Follow a path."""
     if kind is None and sets:
         raise BadInputError("--set is for a KIND of its own; name one of 'hil list references'")
     reference = None if kind is None else {"kind": kind} | _assignments(sets or [])
-    _order(context, "track", {"reference": reference, "here": here})
+    _order(context, Action.TRACK, {"reference": reference, "here": here})
 
 
-@app.command(context_settings=_NUMBERS)
+@app.command(context_settings=_NUMBERS, help=SUMMARIES[Action.GO])
 def go(
     context: typer.Context,
     x_m: Annotated[float, typer.Argument(metavar="X", help="[m]")],
@@ -118,9 +110,8 @@ def go(
     heading: Annotated[float, typer.Argument(metavar="HEADING", help="[degrees]")],
     radians: Annotated[bool, typer.Option("--rad", help="HEADING is in rad")] = False,
 ) -> None:
-    """Drive to a pose in the world frame, by the shorter turn."""
     heading_rad = heading if radians else math.radians(heading)
-    _order(context, "go", _finite({"x_m": x_m, "y_m": y_m, "heading_rad": heading_rad}))
+    _order(context, Action.GO, _finite({"x_m": x_m, "y_m": y_m, "heading_rad": heading_rad}))
 
 
 @app.command(context_settings=_NUMBERS)
@@ -137,67 +128,36 @@ def twist(
     """Drive by twist, in the body frame: once, in force until it times out, or repeated; Ctrl-C stops."""
     arguments = _finite({"vx_m_s": vx_m_s, "vy_m_s": vy_m_s, "yaw_rate_rad_s": yaw_rate_rad_s})
     if for_s is None:
-        _order(context, "twist", arguments)
-        return
-    end_in_order()
-    _client(context).twist(arguments, for_s)
+        _order(context, Action.TWIST, arguments)
+    else:
+        end_in_order()
+        _client(context).twist(arguments, for_s)
 
 
-@app.command()
-def stop(context: typer.Context) -> None:
-    """Ramp down to rest, and hold; the robot stays armed."""
-    _order(context, "stop")
-
-
-@app.command()
+@app.command(help=SUMMARIES[Action.GAINS])
 def gains(
     context: typer.Context,
     changes: Annotated[list[str] | None, typer.Argument(metavar="[NAME=VALUE]...")] = None,
 ) -> None:
-    """Change gains of the law; without any, read those of the configuration's file again."""
-    _order(context, "gains", {"gains": _assignments(changes) if changes else None})
+    _order(context, Action.GAINS, {"gains": _assignments(changes) if changes else None})
 
 
-@app.command()
+@app.command(help=SUMMARIES[Action.RECORD])
 def record(
     context: typer.Context,
     file: Annotated[Path | None, typer.Argument(metavar="[FILE]", help=".rrd or .mcap; by default runs/...")] = None,
     force: Force = False,
 ) -> None:
-    """Begin a recording."""
     if file is not None:
         from hil.core.outputs import check_free, existing_files
 
         check_free("recording", file, existing_files(force=force))
-    # The service runs in a folder of its own.
-    _order(context, "record", {"path": None if file is None else str(file.absolute()), "force": force})
+    # Absolute, because the service runs in a folder of its own.
+    _order(context, Action.RECORD, {"path": None if file is None else str(file.absolute()), "force": force})
 
 
-@app.command("stop-recording")
-def stop_recording(context: typer.Context) -> None:
-    """End the recording."""
-    _order(context, "stop_recording")
-
-
-@app.command()
-def shutdown(context: typer.Context) -> None:
-    """Ramp down, disarm, close the recording, and end the service."""
-    _order(context, "shutdown")
-
-
-def _client(context: typer.Context) -> "Client":
-    from hil.service.client import find
-
-    asked: _Which = context.obj
-    return find(asked.url, asked.port, asked.token_file)
-
-
-def _order(context: typer.Context, action: str, arguments: Mapping[str, Any] | None = None) -> None:
-    """Have an order taken, and print what the service says of it, if anything."""
-    from hil.service.messages import Action
-
-    for name, value in _client(context).order(Action(action), arguments).items():
-        print(f"{name}: {value}")
+for _action in (Action.STOP_RECORDING, Action.SHUTDOWN):
+    app.command(_action.value.replace("_", "-"), help=SUMMARIES[_action])(_without_arguments(_action))
 
 
 def _finite(arguments: dict[str, float]) -> dict[str, float]:
@@ -225,30 +185,59 @@ def _assignments(texts: list[str]) -> dict[str, Any]:
     return values
 
 
-def _show(status: Mapping[str, Any], *, as_json: bool) -> None:
-    if as_json:
-        print_json(status)
-        return
-    from rich.console import Console
-
-    Console(highlight=False, soft_wrap=True).print(_table(status))
-
-
-def _watch(client: "Client") -> None:
-    from rich.live import Live
-
-    with Live(auto_refresh=False, screen=True) as screen:
-        for one in client.watch():
-            screen.update(_table(one), refresh=True)
-
-
 def _table(status: Mapping[str, Any]) -> "Table":
     from rich.table import Table
     from rich.text import Text
 
-    from hil.service.status_words import status_rows
-
     table = Table(box=None, show_header=False)
-    for name, text in status_rows(status):
+    for name, text in _rows(status):
         table.add_row(name, Text(text))
     return table
+
+
+def _rows(status: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return the status as rows of a label and a text; unknown values are left out."""
+    task, robot, frames = status["task"], status["robot"], status["frames"]
+    if robot is not None and status["power_stage"] is not None:
+        robot += ", with motors" if status["power_stage"] else ", without motors"
+    rejected = ", ".join(f"{number} {cause}" for cause, number in frames.get("rejected", {}).items() if number)
+    dropped = f", {status['rows_dropped']} rows dropped" if status["rows_dropped"] else ""
+    lateness = [f"{name} {_number(value, '.0f', 'µs')}" for name, value in status["lateness_us"].items()]
+    rows = [
+        ("phase", status["phase"] if task is None else f"{status['phase']}, {task}"),
+        ("why", status["why"]),
+        ("serves", f"{status['scenario']}, {status['law']} in {status['command']} mode"),
+        ("link", status["link"]),
+        ("robot", robot),
+        ("pose", _pose(status["pose"])),
+        ("reference", _pose(status["reference"])),
+        ("twist", _format(status["twist"], "{:.3f} m/s, {:.3f} m/s, {:.3f} rad/s")),
+        ("wheels", _format(status["speed_rad_s"], "{:.2f}, {:.2f}, {:.2f}, {:.2f} rad/s")),
+        ("battery", _number(status["battery_v"], ".1f", "V")),
+        ("estimator", status["health"]),
+        ("gains", ", ".join(f"{name} {value:g}" for name, value in status["gains"].items())),
+        ("ticks", f"{status['ticks']}, {status['deadline_misses']} late by a period or more"),
+        ("lateness", ", ".join(lateness)),
+        ("feedback age", _number(status["feedback_age_ms"], ".2f", "ms")),
+        ("round trip", _number(status["round_trip_ms"], ".2f", "ms")),
+        (
+            "frames",
+            f"{frames.get('sent', 0)} sent, {frames.get('received', 0)} received, rejected: {rejected or 'none'}",
+        ),
+        ("recoveries", str(status["recoveries"])),
+        ("recording", None if status["recording"] is None else f"{status['recording']}{dropped}"),
+        *((name, sentence.removeprefix(f"{name}: ")) for name, sentence in status["realtime"].items()),
+    ]
+    return [(name, text) for name, text in rows if text]
+
+
+def _pose(pose: Any) -> str | None:
+    return None if pose is None or None in pose else f"{pose[0]:.3f} m, {pose[1]:.3f} m, {math.degrees(pose[2]):.1f}°"
+
+
+def _format(values: Any, form: str) -> str | None:
+    return None if values is None or None in values else form.format(*values)
+
+
+def _number(value: float | None, form: str, unit: str) -> str | None:
+    return None if value is None else f"{value:{form}} {unit}"

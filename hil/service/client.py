@@ -15,7 +15,7 @@ from websockets.sync.client import ClientConnection, connect
 from hil.core.errors import BadInputError, DeviceError, LinkError, RunInterruptedError
 from hil.service.api_config import HOST
 from hil.service.discovery import Service, read_token, running
-from hil.service.messages import LONG, Action
+from hil.service.messages import LONG, Action, route
 
 TWIST_PERIOD_S = 0.05
 STOP_UNANSWERED = "the service did not answer that it stops the robot; it does so when the twist times out"
@@ -24,7 +24,6 @@ STOP_UNANSWERED = "the service did not answer that it stops the robot; it does s
 _TIMEOUT_S = 5.0
 _LONG_TIMEOUT_S = 35.0
 _NONE_RUNS = "no service of yours runs on this machine; start one with 'hil serve CONFIG', or name one with --url"
-_PATHS = {Action.STOP_RECORDING: ("DELETE", "/v1/record")}
 
 
 def find(url: str | None = None, port: int | None = None, token_file: Path | None = None) -> "Client":
@@ -70,7 +69,7 @@ class Client:
 
     def order(self, action: Action, arguments: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Have an order carried out or begun, and return what the service says of it."""
-        method, path = _PATHS.get(action, ("POST", f"/v1/{action.value}"))
+        method, path = route(action)
         timeout_s = _LONG_TIMEOUT_S if action in LONG else _TIMEOUT_S
         result: dict[str, Any] = self._ask(method, path, arguments, timeout_s)["result"]
         return result

@@ -1,7 +1,7 @@
-"""What the two processes of a service tell each other, one JSON text a line: orders one way, answers and status back.
+"""Messages between the two processes of a service, one JSON text a line: orders one way, answers and status back.
 
-The API process checks the form of what comes from outside; whether an order makes sense now, only the control process
-knows, and it refuses with a sentence.
+The API process checks the form of an order. Only the control process knows whether it is possible now, and refuses it
+with a sentence if not.
 """
 
 from collections.abc import Mapping
@@ -11,7 +11,7 @@ from typing import Any
 
 
 class Phase(StrEnum):
-    """Where the robot is on its way, as the service sees it."""
+    """The state of the robot, as the service sees it."""
 
     AWAY = "away"
     """No link or no answer: it is being reconnected."""
@@ -28,7 +28,7 @@ class Phase(StrEnum):
 
 
 class Task(StrEnum):
-    """What an ACTIVE robot is doing."""
+    """The task of an ACTIVE robot."""
 
     HOLD = "hold"
     """At rest, where it is."""
@@ -38,48 +38,65 @@ class Task(StrEnum):
 
 
 class Action(StrEnum):
-    """What may be asked of the control process, and with which ``arguments``."""
+    """An order to the control process. ``SUMMARIES`` says what each does, and here is what ``arguments`` it has."""
 
     ARM = "arm"
     DISARM = "disarm"
-    """Ramp down, and to IDLE."""
     ESTOP = "estop"
     CLEAR = "clear"
-    """Leave FAULT or ESTOP; arms nothing."""
     TRACK = "track"
-    """``reference``: kind and options as in ``[reference]``, or None for the configuration's. ``here``: begin it where
-    the robot stands; else the robot drives to its begin first."""
+    """``reference``: kind and options as in ``[reference]``, or None for the configuration's. ``here``: whether the
+    path begins where the robot stands; else the robot drives to its begin first."""
     GO = "go"
     """``x_m``, ``y_m``, ``heading_rad``: a pose in the world frame, by the shorter turn."""
     TWIST = "twist"
     """``vx_m_s``, ``vy_m_s``, ``yaw_rate_rad_s``: in the body frame, in force for ``service.twist_timeout_s``."""
     STOP = "stop"
-    """Ramp down to rest, and hold; the robot stays armed."""
     GAINS = "gains"
-    """``gains``: the law's own numbers, over those of the configuration; None reads ``[controller]`` again from its
-    file."""
+    """``gains``: the law's gains, over those of the configuration; None reads ``[controller]`` again from its file."""
     RECORD = "record"
-    """``path``: an .rrd or .mcap file, None for a name by scenario and time."""
+    """``path``: an .rrd or .mcap file, None for a name by scenario and time. ``force``: whether to replace the file."""
     STOP_RECORDING = "stop_recording"
     SHUTDOWN = "shutdown"
-    """Ramp down, disarm, close the recording and end."""
+
+
+SUMMARIES = {
+    Action.ARM: "Arm the robot: it may move from here on, and is held at rest.",
+    Action.DISARM: "Ramp down, and disarm.",
+    Action.ESTOP: "Stop the robot at once, before any other order; `clear` leads out of it.",
+    Action.CLEAR: "Leave FAULT or ESTOP when the cause is gone; arms nothing.",
+    Action.TRACK: "Follow a path.",
+    Action.GO: "Drive to a pose in the world frame, by the shorter turn.",
+    Action.TWIST: "Drive by twist, in the body frame, until it times out.",
+    Action.STOP: "Ramp down to rest, and hold; the robot stays armed.",
+    Action.GAINS: "Change gains of the law; without any, read those of the configuration's file again.",
+    Action.RECORD: "Begin a recording.",
+    Action.STOP_RECORDING: "End the recording.",
+    Action.SHUTDOWN: "Ramp down, disarm, close the recording, and end the service.",
+}
+"""What each order does, for the help of ``hil ctl`` and the document of the API."""
+
+
+def route(action: Action) -> tuple[str, str]:
+    """Return the HTTP method and path of an order."""
+    return ("DELETE", "/v1/record") if action is Action.STOP_RECORDING else ("POST", f"/v1/{action.value}")
 
 
 LONG = frozenset({Action.RECORD, Action.STOP_RECORDING, Action.TRACK, Action.GAINS})
-"""What reads files, or starts or ends a recorder, and is answered when that is done; the ticks go on meanwhile."""
+"""Orders that read files or start or end a recorder. They are answered when that is done; the ticks go on meanwhile."""
 
 
 MOVING = frozenset({Action.ARM, Action.CLEAR, Action.TRACK, Action.GO, Action.TWIST, Action.GAINS})
-"""What can make the robot move, now or later: never done of an order that has waited through a stall."""
+"""Orders that can make the robot move, now or later. After a stall such an order is refused."""
 
 
 SILENT_S = 1.0
-"""An API process that gives no sign of life for so long, where one comes each 0.1 s, can stop nothing."""
+"""An API process that is silent for so long, where a sign of life comes each 0.1 s, counts as hung."""
 
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """Something asked of the control process. ``number`` is that of the answer."""
+    """An order to the control process. Its answer has the same ``number``."""
 
     number: int
     action: Action
@@ -88,69 +105,69 @@ class Order:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What became of an order: accepted, or ``refused`` with a sentence; ``result`` where there is more to say."""
+    """The outcome of an order: accepted, perhaps with a ``result``, or ``refused`` with a sentence."""
 
     number: int
     refused: str | None = None
     result: Mapping[str, Any] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Status:
-    """The service at one instant; what is not known is None. Sent 20 times a second, and at each change of phase.
+    """The service at one instant; an unknown value is None. Sent 20 times a second, and at each change of phase.
 
     Attributes:
-        time_unix_s: when it was taken. phase, task: see there; ``task`` only while ACTIVE. why: the last thing that
-            went wrong, as a sentence, or None since the last success.
+        time_unix_s: of this status. phase, task: see there; ``task`` only while ACTIVE. why: the last problem as a
+            sentence, or None since the last success.
         scenario, law, command: what is served. link, robot: in words. power_stage: whether the robot has motors; None
             before it has answered.
         pose: x [m], y [m], heading [rad]; twist: in the world frame [m/s, rad/s]; reference: pose, while ACTIVE.
         speed_rad_s: of the four wheels. battery_v. gains: of the law, by name. health: of the estimator.
         ticks: since the service began. deadline_misses. lateness_us: p50, p99 and p99.9 since the service began, by
             these names. feedback_age_ms, round_trip_ms.
-        frames: sent, received, and rejected by cause. recoveries: losses that were recovered from.
+        frames: sent, received, and rejected by cause. recoveries: how often a lost robot came back.
         recording: path of the file being written, or None. rows_dropped. twist_age_s: age of the twist in force.
-        realtime: what was asked of the operating system and what was granted, by name, as sentences.
+        realtime: sentences on what was asked of the operating system and what it granted, by name.
     """
 
-    time_unix_s: float
-    phase: Phase
-    task: Task | None
-    why: str | None
+    time_unix_s: float = 0.0
+    phase: Phase = Phase.AWAY
+    task: Task | None = None
+    why: str | None = None
     scenario: str
     law: str
     command: str
     link: str
-    robot: str | None
-    power_stage: bool | None
-    pose: tuple[float, float, float] | None
-    twist: tuple[float, float, float] | None
-    reference: tuple[float, float, float] | None
-    speed_rad_s: tuple[float, float, float, float] | None
-    battery_v: float | None
-    gains: Mapping[str, float]
-    health: str | None
-    ticks: int
-    deadline_misses: int
-    lateness_us: Mapping[str, float]
-    feedback_age_ms: float | None
-    round_trip_ms: float | None
-    frames: Mapping[str, Any]
-    recoveries: int
-    recording: str | None
-    rows_dropped: int
-    twist_age_s: float | None
-    realtime: Mapping[str, str]
+    robot: str | None = None
+    power_stage: bool | None = None
+    pose: tuple[float, float, float] | None = None
+    twist: tuple[float, float, float] | None = None
+    reference: tuple[float, float, float] | None = None
+    speed_rad_s: tuple[float, float, float, float] | None = None
+    battery_v: float | None = None
+    gains: Mapping[str, float] = field(default_factory=dict)
+    health: str | None = None
+    ticks: int = 0
+    deadline_misses: int = 0
+    lateness_us: Mapping[str, float] = field(default_factory=dict)
+    feedback_age_ms: float | None = None
+    round_trip_ms: float | None = None
+    frames: Mapping[str, Any] = field(default_factory=lambda: {"sent": 0, "received": 0, "rejected": {}})
+    recoveries: int = 0
+    recording: str | None = None
+    rows_dropped: int = 0
+    twist_age_s: float | None = None
+    realtime: Mapping[str, str] = field(default_factory=dict)
 
 
 def to_line(message: Order | Answer | Status) -> dict[str, Any]:
-    """Return a message as the record of one line, by its kind: ``{"order": {...}}`` and so on."""
-    # Not asdict, which copies deep: the control process does this in a tick.
+    """Return a message as the record of one line, such as ``{"order": {...}}``."""
+    # Not asdict, which copies deeply: the control process does this in a tick.
     return {type(message).__name__.lower(): {one.name: getattr(message, one.name) for one in fields(message)}}
 
 
 def from_line(record: Mapping[str, Any]) -> Order | Answer | Status:
-    """Return the message of a line. Raises ValueError for what is none."""
+    """Return the message of a line. Raises ValueError for any other record."""
     ((kind, values),) = record.items()
     if kind == "order":
         return Order(values["number"], Action(values["action"]), values["arguments"])

@@ -26,10 +26,10 @@ from hil.service.api_child import ApiChild
 from hil.service.api_config import ApiConfig, Limits, LogStyle
 from hil.service.desk import Desk
 from hil.service.messages import Action, Answer, Phase
-from hil.service.now import Counts, Now
 from hil.service.pilot import Pilot
 from hil.service.records import Records, finished, recording_of
 from hil.service.stand_ins import LastingTruth
+from hil.service.status import Counts, StatusMaker
 from hil.service.systemd import Notifier
 from hil.wire.device_lock import device_held
 from hil.wire.reopening import BackOff, OpeningBeside
@@ -157,7 +157,7 @@ class _Service:
         self._notifier = notifier
         self._ending = ending
         self._counts = Counts()
-        self._now = Now(scenario, records, self._counts)
+        self._statuses = StatusMaker(scenario, records, self._counts)
         self._t_s = 0.0
         self._estop_owed = False
         self._bench: Bench | None = None
@@ -223,7 +223,7 @@ class _Service:
                 self._api.send(Answer(order.number))
             else:
                 self._api.send(Answer(order.number, f"the robot is away: {why}"))
-        self._api.send(self._now.without_bench(why))
+        self._api.send(self._statuses.without_bench(why))
         self._notifier.beat(time.monotonic_ns())
         return not self._ending.asked
 
@@ -274,7 +274,7 @@ class _Service:
                 if pilot.phase is not told:
                     self._tell(pilot)
                     told = pilot.phase
-                self._api.send(self._now.status(pilot, bench, granted))
+                self._api.send(self._statuses.status(pilot, bench, granted))
                 if bench.said:
                     tell(bench.said.take(), t_s, self._records.note)
             self._notifier.beat(begin_ns)
