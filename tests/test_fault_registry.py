@@ -42,6 +42,38 @@ def test_a_kind_of_another_package_acts_on_a_signal(tmp_path: Path, monkeypatch:
     assert "The signal drifts away." in run_hil("list", "faults").stdout
 
 
+EVERY_THIRD = """
+    from hil.faults.kind import Kind
+
+    def every_third(row, chance):
+        count = 0
+
+        def effect(direction, frames):
+            nonlocal count
+            count += 1
+            return frames if count % 3 else []
+
+        return effect
+
+    KIND = Kind(
+        "every_third", "link", ("command", "feedback"), "`command` or `feedback`", "Every third frame is lost.",
+        "frames lost", {"target": "command"}, explains=True, on_frames=every_third,
+    )
+"""
+
+
+def test_a_kind_of_another_package_acts_on_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    install(tmp_path, monkeypatch, EVERY_THIRD, every_third="outside_package:KIND")
+    sound, faulty = (
+        hil.run("circle_speed", set={**SHORT, "fault": faults}).metrics
+        for faults in ([], [{"kind": "every_third", "target": "command"}])
+    )
+    assert faulty["failure"] is None
+    assert faulty["fault"][0]["applied"] > 20
+    sent, left = (one["link_statistics"]["sent"]["frames"] for one in (sound, faulty))
+    assert sent - left == pytest.approx(faulty["fault"][0]["applied"], abs=2)
+
+
 @pytest.mark.parametrize(
     ("change", "problem"),
     [

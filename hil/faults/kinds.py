@@ -4,15 +4,18 @@ Scenarios, the page and ``hil list`` use this table. Other packages add kinds th
 ``Kind``, registered as an entry point of the group ``hil.faults``.
 """
 
+import random
 import sys
+from collections.abc import Callable
 from functools import cache
 
+from firmware_protocol.framing import Frame
 from hil.core.errors import BadInputError, nearest
 from hil.core.extensions import Extensions, package_of
 from hil.core.link_protocol import WHEEL_DBC
 from hil.core.signals import SIGNAL_NAMES
 from hil.core.types import WHEEL_NAMES
-from hil.faults.kind import Kind, Quantity
+from hil.faults.kind import FaultRow, FrameEffect, Kind, Quantity
 
 DIRECTIONS = ("command", "feedback")
 MESSAGES = tuple(name for number, name in WHEEL_DBC.names.items() if number < WHEEL_DBC.exempt_from)
@@ -31,6 +34,31 @@ _SIGNAL_WORDS = "any signal of `hil list signals` but `loop.t_s`"
 _ANY = 1e9
 
 
+def _by_chance(change: Callable[[list[Frame]], list[Frame]]) -> Callable[[FaultRow, random.Random], FrameEffect]:
+    """Return what changes each frame with the probability ``value``."""
+
+    def make(row: FaultRow, chance: random.Random) -> FrameEffect:
+        return lambda _direction, frames: change(frames) if chance.random() < row.value else frames
+
+    return make
+
+
+def _bursts(row: FaultRow, chance: random.Random) -> FrameEffect:
+    """Lose each frame in the bad state of a Gilbert-Elliott chain, which each direction has for itself."""
+    bad: set[str] = set()
+
+    def effect(direction: str, frames: list[Frame]) -> list[Frame]:
+        share, length = row.value, row.burst_frames
+        probability = 1.0 - 1.0 / length if direction in bad else share / (length * (1.0 - share))
+        if chance.random() < probability:
+            bad.add(direction)
+            return []
+        bad.discard(direction)
+        return frames
+
+    return effect
+
+
 def _probability(of: str) -> Quantity:
     return Quantity("value", "", f"probability that a frame is {of}", 0.0, 1.0, 1.0, excludes_low=True)
 
@@ -43,6 +71,7 @@ KINDS: tuple[Kind, ...] = (
         {"target": "command", "start_s": 1.0, "end_s": 2.0, "value": 0.2},
         _probability("lost"),
         explains=True,
+        on_frames=_by_chance(lambda _frames: []),
     ),
     Kind(
         "burst_loss", "link", _FRAMES, _FRAMES_WORDS,
@@ -52,6 +81,7 @@ KINDS: tuple[Kind, ...] = (
         Quantity("value", "", "share of the frames that is lost in the long run", 0.0, 0.99, excludes_low=True),
         (Quantity("burst_frames", "frames", "mean length of a burst", 1.0, 10_000.0, 5.0),),
         explains=True,
+        on_frames=_bursts,
     ),
     Kind(
         "delay", "link", _FRAMES, _FRAMES_WORDS,
@@ -76,6 +106,7 @@ KINDS: tuple[Kind, ...] = (
         {"target": "command", "value": 0.5},
         _probability("doubled"),
         explains=True,
+        on_frames=_by_chance(lambda frames: frames * 2),
     ),
     Kind(
         "reorder", "link", _FRAMES, _FRAMES_WORDS,
@@ -121,6 +152,7 @@ KINDS: tuple[Kind, ...] = (
         "frames lost",
         {"target": "TICK", "start_s": 2.0, "end_s": 2.02},
         explains=True,
+        on_frames=lambda _row, _chance: lambda _direction, _frames: [],
     ),
     Kind(
         "freeze", "link", _FRAMES, _FRAMES_WORDS,

@@ -59,7 +59,8 @@ class LinkFault:
         self.applied = 0
         self._direction = row.target if row.target in DIRECTIONS else None
         self._message = None if row.target in (*DIRECTIONS, "link") else row.target
-        self._bad: set[str] = set()  # the directions in which burst_loss is in its bad state
+        make = find(row.kind, row.target).on_frames
+        self._effect = None if make is None else make(row, chance)
         make = find(row.kind, row.target).on_frames
         self._effect = None if make is None else make(row, chance)
         self._newest: dict[tuple[str, int], Frame] = {}  # what freeze repeats, by direction and id
@@ -84,25 +85,15 @@ class LinkFault:
 
     def changed(self, direction: str, frames: list[Frame]) -> list[Frame]:
         """Return what the row, in force, makes of a frame and its copies; in order, and none where it is lost."""
-        match self.kind:
-            case "drop":
-                return [] if self.strikes() else frames
-            case "duplicate":
-                return frames * 2 if self.strikes() else frames
-            case "burst_loss":
-                return [] if self._bursts(direction) else frames
-            case "mute":
-                self.applied += 1
-                return []
-            case "freeze":
-                old = self._newest.get((direction, frames[0].id))
-                self.applied += old is not None
-                return frames if old is None else [old] * len(frames)
+        if self.kind == "freeze":
+            old = self._newest.get((direction, frames[0].id))
+            self.applied += old is not None
+            return frames if old is None else [old] * len(frames)
         if self._effect is None:
             return frames
-        new = self._effect(direction, frames)
-        self.applied += new != frames
-        return new
+        changed = self._effect(direction, frames)
+        self.applied += changed != frames
+        return changed
 
     def delay_ns(self) -> int:
         """Return by how much the row, in force, delays a frame: whole ticks, as robot time in lockstep."""
@@ -112,17 +103,6 @@ class LinkFault:
         ticks = -(-round(seconds * 1e9) // TICK_NS)
         self.applied += ticks > 0
         return ticks * TICK_NS
-
-    def _bursts(self, direction: str) -> bool:
-        """Go on to the next state of the Gilbert-Elliott chain; tell whether it is the bad one."""
-        share, length = self.row.value, self.row.burst_frames
-        probability = 1.0 - 1.0 / length if direction in self._bad else share / (length * (1.0 - share))
-        if self.chance.random() < probability:
-            self._bad.add(direction)
-            self.applied += 1
-            return True
-        self._bad.discard(direction)
-        return False
 
     def due(self, t_ns: int) -> int:
         """Return how often a babble speaks now, to keep its rate since its window began; they are counted.
