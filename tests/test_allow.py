@@ -5,7 +5,10 @@ from pathlib import Path
 import pytest
 
 import hil
-from hil.batch.comparison.runs import Job, perform
+from hil.batch.comparison.conditions import Variation
+from hil.batch.comparison.result import Run
+from hil.batch.keys import make_job
+from hil.batch.run import run
 from hil.cli.review import review as command
 from hil.cli.testing.verdict import run_as_test
 from hil.core.errors import BadInputError
@@ -16,7 +19,7 @@ from hil.review.figures import figures, read_for_figures
 from hil.review.page import page
 from hil.runtime.sampling import Timing
 from hil.runtime.undriven import Undriven
-from hil.scenario import load, set_texts
+from hil.scenario import load
 from hil.scenario.allow import most
 
 MS = 1_000_000
@@ -78,10 +81,11 @@ def test_a_scenario_as_a_test_says_which_limit_was_passed(pytestconfig: pytest.C
 
 
 def test_a_comparison_has_no_figures_of_a_run_beyond_it_and_a_campaign_says_why_it_failed() -> None:
-    outcome = perform(Job("circle_speed", set_texts(BLIND), None, "lqi", {}, curves=False))
-    assert outcome.figures is None
-    assert str(outcome.failed).startswith("held_ticks: 100 of 100")
-    assert next(why_not_passed(hil.run("circle_speed", set=BLIND).metrics)) == outcome.failed
+    scenario = load("circle_speed", set={**BLIND, "controller.law": "lqi"})
+    of_comparison = Run(Variation(), run(make_job(scenario), scenario))
+    assert of_comparison.figures is None
+    assert str(of_comparison.failed).startswith("held_ticks: 100 of 100")
+    assert next(why_not_passed(hil.run("circle_speed", set=BLIND).metrics)) == of_comparison.failed
 
 
 def test_the_ticks_that_a_fault_explains_do_not_count() -> None:

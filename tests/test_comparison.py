@@ -12,12 +12,13 @@ import pytest
 from typer.testing import CliRunner
 
 import hil
-from hil.batch.comparison import Asked, compare
+from hil.batch.comparison import Request, compare
 from hil.batch.comparison.conditions import FRICTIONS, MASS_FACTORS, Condition, Variation, conditions, variations
-from hil.batch.comparison.entries import Entry, entries
-from hil.batch.comparison.result import Comparison, Row, Run
-from hil.batch.comparison.runs import FIGURES, Outcome
-from hil.batch.comparison.tables import terminal, write_markdown
+from hil.batch.comparison.page import terminal, write_markdown
+from hil.batch.comparison.plan import entries
+from hil.batch.comparison.result import Comparison, Entry, Row, Run
+from hil.batch.figures import shown_columns
+from hil.batch.job import PASSED, Outcome
 from hil.cli.main import app
 from hil.core.errors import BadInputError
 from hil.core.types import CommandMode
@@ -25,6 +26,7 @@ from tests.processes import HIL, environment
 from tests.processes import hil as command
 
 SHORT = "loop.duration_s=0.2"
+FIGURES = [column.name for column in shown_columns()]
 LAWS = """
 import os
 import socket
@@ -75,8 +77,8 @@ class Hangs(Rests):
 """
 
 
-def asked(*laws: str, sets: tuple[str, ...] = (SHORT,), **more: object) -> Asked:
-    base = Asked(laws, "circle_speed", sets, None, [5.0], ["ideal"], quick=True)
+def asked(*laws: str, sets: tuple[str, ...] = (SHORT,), **more: object) -> Request:
+    base = Request(laws, "circle_speed", sets, None, [5.0], ["ideal"], quick=True)
     return base._replace(**more)
 
 
@@ -94,7 +96,7 @@ def test_the_command_gives_and_writes_the_figures_of_the_runs_the_same_every_tim
     first = command("compare", *words, *written)
     assert first.returncode == 0, first.stderr
     rows = json.loads(first.stdout)["rows"]
-    again = compare(asked(*laws, sets=sets, torques_n_m=[3.0], drives=["motors", "ideal"]), jobs=1).plain()["rows"]
+    again = compare(asked(*laws, sets=sets, torques_n_m=[3.0], drives=["motors", "ideal"]), workers=1).plain()["rows"]
     assert [(row["condition"]["drive"], row["law"]) for row in again] == [
         (drive, law) for drive in ("motors", "ideal") for law in laws
     ]
@@ -122,7 +124,7 @@ def test_the_command_gives_and_writes_the_figures_of_the_runs_the_same_every_tim
 
 def test_a_law_that_refuses_fails_or_kills_its_process_is_a_row_with_its_reason(in_folder_of_laws) -> None:
     laws = [f"laws.py:{name}" for name in ("Rests", "SpeedOnly", "Raises", "NoNumber", "Dies")]
-    found = compare(asked(*laws, drives=["ideal", "motors"]), jobs=2)
+    found = compare(asked(*laws, drives=["ideal", "motors"]), workers=2)
     rests, refused, raises, no_number, dies, *motors = found.rows
     assert rests.nominal.figures is not None
     assert refused.nominal.refused == "SpeedOnly: it gives speeds; set controller.command = speed"
@@ -141,7 +143,7 @@ def test_the_robots_of_a_row_differ_as_they_say_and_the_worst_is_the_largest() -
     (row,) = compare(asked("dsc", quick=False)).rows
     assert [run.variation for run in row.runs] == variations(quick=False)
     assert len(row.runs) == (1 + len(MASS_FACTORS)) * (1 + len(FRICTIONS))
-    efforts_n_m_s = [run.outcome.figures["effort_n_m_s"] for run in row.runs]
+    efforts_n_m_s = [run.figures["effort_n_m_s"] for run in row.runs]
     assert len(set(efforts_n_m_s)) == len(efforts_n_m_s)
     assert row.worst("effort_n_m_s") == max(efforts_n_m_s)
     light = {"plant.start.mass_kg": 0.8 * 20.0, "plant.start.friction_coefficient": 0.08, "loop.duration_s": 0.2}
@@ -149,13 +151,13 @@ def test_the_robots_of_a_row_differ_as_they_say_and_the_worst_is_the_largest() -
     # circle_speed's gain of 8 1/s is for speed commands: in torque mode the law begins from its own defaults.
     metrics = hil.run("circle_speed", set=light | both | {"controller.gains.k1_1_s": 15.0}).metrics
     (run,) = [run for run in row.runs if run.variation == Variation(0.8, 0.08)]
-    assert run.outcome.figures == {name: metrics[name] for name in FIGURES}
+    assert run.figures == {name: metrics[name] for name in FIGURES}
 
 
 def test_a_figure_that_one_run_has_not_is_no_worst_figure() -> None:
     def run(variation: Variation, t10_s: float | None) -> Run:
         figures = dict.fromkeys(FIGURES, 1.0) | {"t10_s": t10_s}
-        return Run(variation, Outcome(figures, {} if t10_s else {"t10_s": "it never came"}, None, None, None))
+        return Run(variation, Outcome("", PASSED, None, figures, {"reasons": {"t10_s": "it never came"}}))
 
     entry = Entry("dsc", "dsc", {CommandMode.TORQUE: {}}, {CommandMode.TORQUE: {}})
     runs = [run(Variation(), 0.5), run(Variation(0.8, None), 0.7), run(Variation(0.8, 0.08), None)]
@@ -180,7 +182,7 @@ def test_gains_of_the_scenario_that_are_not_the_laws_defaults_are_in_the_tables(
     assert said.title(CommandMode.TORQUE) == "profile,keeps_speed_limit=false"
     assert same.title(CommandMode.TORQUE) == "dsc"
     condition = Condition(5.0, "ideal", None, None)
-    run = Run(Variation(), Outcome(dict.fromkeys(FIGURES, 1.0), {}, None, None, None))
+    run = Run(Variation(), Outcome("", PASSED, None, dict.fromkeys(FIGURES, 1.0)))
     found = Comparison("compare_circle", 1, 15.0, [Row(profile, condition, [run])])
     ((_, (_, (label, *_)), _),) = terminal(found)
     assert label == "profile (keeps_speed_limit = false)"
@@ -191,7 +193,7 @@ def test_gains_of_the_scenario_that_are_not_the_laws_defaults_are_in_the_tables(
 def test_nobody_is_first_in_the_last_second_of_a_run(tmp_path) -> None:
     entry = Entry("dsc", "dsc", {CommandMode.TORQUE: {}}, {CommandMode.TORQUE: {}})
     figures = dict.fromkeys(FIGURES, 1.0) | {"t10_s": 14.2}
-    row = Row(entry, Condition(5.0, "ideal", None, None), [Run(Variation(), Outcome(figures, {}, None, None, None))])
+    row = Row(entry, Condition(5.0, "ideal", None, None), [Run(Variation(), Outcome("", PASSED, None, figures))])
     for duration_s, (t10, notes) in {15.0: ("14.200", 1), 20.0: ("**14.200**", 0)}.items():
         found = Comparison("compare_circle", 1, duration_s, [row])
         write_markdown(found, tmp_path / "PAGE.md", "hil compare", existing="replace")
@@ -228,7 +230,7 @@ def test_nobody_is_first_in_the_last_second_of_a_run(tmp_path) -> None:
 )
 def test_what_does_not_exist_is_a_sentence_before_anything_runs(change, words, in_folder_of_laws) -> None:
     with pytest.raises(BadInputError) as caught:
-        compare(asked("dsc")._replace(**change), tell=lambda *_: pytest.fail("a run was made"))
+        compare(asked("dsc")._replace(**change), on_outcome=lambda *_: pytest.fail("a run was made"))
     assert words in str(caught.value)
 
 

@@ -48,15 +48,17 @@ def compare(
     as_json: Json = False,
 ) -> None:
     """Run laws under the same conditions and print one table for each; exit 1 when a run failed."""
-    from hil.batch.comparison import Asked
+    from hil.batch.comparison import Request
     from hil.batch.comparison import compare as run_comparison
     from hil.batch.comparison.conditions import DRIVES, TORQUES_N_M
+    from hil.batch.comparison.page import older
+    from hil.batch.output import check_older, make_folder
     from hil.cli.progress import runs_progress
     from hil.core.outputs import check_free, existing_files
 
     end_in_order()
     *laws, scenario = laws_and_scenario
-    asked = Asked(
+    request = Request(
         laws,
         scenario,
         sets or [],
@@ -70,12 +72,13 @@ def compare(
     )
     existing = existing_files(force=force)
     if out is not None:
-        _make_folder(out, existing)
+        make_folder(out)
+        check_older(out, older(out), "comparison", existing)
     if markdown is not None:
         check_free("page", markdown, existing)
-    tell = None if as_json or not sys.stderr.isatty() else runs_progress(lambda _: None)
+    progress = None if as_json or not sys.stderr.isatty() else runs_progress(lambda _: None)
     try:
-        comparison = run_comparison(asked, jobs=jobs, limit_s=limit_s, tell=tell)
+        comparison = run_comparison(request, workers=jobs, limit_s=limit_s, on_outcome=progress)
     except KeyboardInterrupt:
         raise RunInterruptedError("interrupted; the runs were ended") from None
     # First what was found, for it took long: a disk may be full.
@@ -88,54 +91,30 @@ def compare(
     raise typer.Exit(1 if comparison.has_failed else 0)
 
 
-def _make_folder(folder: Path, existing: "Existing") -> None:
-    """Make the folder. Raises BadInputError when it cannot be made, and when it has results that must stay."""
-    from hil.batch.comparison.tables import older
-
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        results = older(folder)
-    except OSError as error:
-        raise BadInputError(f"--out {folder}: it cannot be made ({error.strerror}); name a folder") from error
-    if results and existing == "refuse":
-        raise BadInputError(
-            f"--out {folder}: it has {results[0].name} of an earlier comparison; name another folder, or replace its "
-            "results with --force"
-        )
-
-
 def _write(comparison: "Comparison", out: Path | None, markdown: Path | None, existing: "Existing") -> None:
     """Write the files; one that cannot be written keeps none of the others back. Raises BadInputError for the first."""
+    from hil.batch.comparison.page import older, write_csv, write_markdown
+    from hil.batch.comparison.pictures import draw
+    from hil.batch.output import deferred, remove
+
     pictures: list[Path] = []
-    troubles: list[BadInputError] = []
+    errors: list[BadInputError] = []
     if out is not None:
-        from hil.batch.comparison.pictures import draw
-        from hil.batch.comparison.tables import remove_older, write_csv
-
-        try:
-            if existing == "replace":
-                remove_older(out)
+        with deferred(errors):
+            remove(older(out) if existing == "replace" else [])
             write_csv(comparison, out / "comparison.csv")
-        except BadInputError as error:
-            troubles.append(error)
-        try:
+        with deferred(errors):
             draw(comparison, out, pictures)
-        except BadInputError as error:
-            troubles.append(error)
     if markdown is not None:
-        from hil.batch.comparison.tables import write_markdown
-
-        try:
+        with deferred(errors):
             write_markdown(comparison, markdown, f"hil {shlex.join(sys.argv[1:])}", pictures, existing)
-        except BadInputError as error:
-            troubles.append(error)
-    if troubles:
-        raise troubles[0]
+    if errors:
+        raise errors[0]
 
 
 def _print_comparison(comparison: "Comparison") -> None:
     """Print a table for each condition, and below it why figures are missing."""
-    from hil.batch.comparison.tables import terminal
+    from hil.batch.comparison.page import terminal
     from hil.cli import report
 
     for number, (title, rows, notes) in enumerate(terminal(comparison)):

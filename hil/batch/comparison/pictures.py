@@ -4,12 +4,10 @@ import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
-
-from hil.batch.comparison.columns import COLUMNS
 from hil.batch.comparison.conditions import Condition
+from hil.batch.comparison.page import OVERVIEW, names
 from hil.batch.comparison.result import Comparison, Row
-from hil.batch.comparison.tables import OVERVIEW, names
+from hil.batch.figures import shown_columns
 from hil.core.types import WHEEL_NAMES
 from hil.review.plots import (
     Bar,
@@ -35,17 +33,18 @@ def draw(comparison: Comparison, folder: Path, files: list[Path]) -> None:
     """Draw into a folder that exists, and add each file to ``files``. Raises BadInputError."""
     files.append(_figures(comparison, folder / f"{OVERVIEW}.png"))
     for condition in comparison.conditions():
-        rows = [row for row in comparison.under(condition) if row.nominal.curves is not None]
+        rows = [row for row in comparison.under(condition) if row.curves is not None]
         if rows:
             files.extend(_condition(comparison, condition, rows, folder))
 
 
 def _figures(comparison: Comparison, file: Path) -> Path:
+    columns = shown_columns()
     tables = comparison.conditions()
     labels = list(dict.fromkeys(row.entry.label for row in comparison.rows))
     groups = [table.words.replace(", ", "\n") for table in tables]
-    with drawing(file, rows=len(COLUMNS) // 2, columns=2, size_in=(12.0, 2.0 * len(COLUMNS))) as axes:
-        for panel, column in zip(axes, COLUMNS, strict=True):
+    with drawing(file, rows=-(-len(columns) // 2), columns=2, size_in=(12.0, 2.0 * len(columns))) as axes:
+        for panel, column in zip(axes, columns, strict=False):
             bars = []
             for label in labels:
                 rows = [row for row in comparison.rows if row.entry.label == label]
@@ -65,7 +64,7 @@ def _scaled(value: float | None, scale: float) -> float | None:
 def _condition(comparison: Comparison, condition: Condition, rows: Sequence[Row], folder: Path) -> Iterator[Path]:
     # A law that has no curves here keeps its colour for the other pictures.
     numbers = {label: n for n, label in enumerate(dict.fromkeys(row.entry.label for row in comparison.rows))}
-    runs = [(row.entry.label, _curves(row)) for row in rows]
+    runs = [(row.entry.label, row.curves) for row in rows if row.curves is not None]
     reference = runs[0][1]
     error_file, torque_file = (folder / f"{name}.png" for name in names(condition))
     with drawing(error_file, columns=2, size_in=(12.0, 4.5)) as (path, error):
@@ -98,7 +97,3 @@ def _condition(comparison: Comparison, condition: Condition, rows: Sequence[Row]
 
 def _curve(numbers: Mapping[str, int], label: str, x: Series, y: Series) -> Curve:
     return Curve(label, x, y, colour_of(numbers[label]), dashed=is_dashed(numbers[label]))
-
-
-def _curves(row: Row) -> Mapping[str, Series]:
-    return {name: np.asarray(values, dtype=np.float64) for name, values in (row.nominal.curves or {}).items()}

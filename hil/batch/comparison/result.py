@@ -1,12 +1,37 @@
 """What a comparison found: a row for each law under each condition, nominal and worst."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from hil.batch.comparison.columns import COLUMNS
+import numpy as np
+import numpy.typing as npt
+
 from hil.batch.comparison.conditions import Condition, Variation
-from hil.batch.comparison.entries import Entry
-from hil.batch.comparison.runs import FIGURES, Outcome
+from hil.batch.figures import shown_columns
+from hil.batch.job import PASSED, REFUSED, Outcome
+from hil.core.types import CommandMode
+from hil.scenario import format_value
+
+Gains = dict[str, object]
+Curves = Mapping[str, npt.NDArray[np.float64]]
+"""Signals of a run by name, and ``torque.fl`` to ``torque.rl`` [N·m], each of shape (n,)."""
+
+
+class Entry(NamedTuple):
+    """A law with its gains in either mode; ``law`` is as a scenario would have it, ``label`` as the user wrote it.
+
+    ``hidden`` are those of the gains that are not the law's defaults and that the label does not name: the scenario's.
+    """
+
+    label: str
+    law: str
+    gains: Mapping[CommandMode, Gains]
+    hidden: Mapping[CommandMode, Gains]
+
+    def title(self, mode: CommandMode) -> str:
+        """Return its name in a table: the label, and in brackets the gains by which the law differs beyond it."""
+        hidden = ", ".join(f"{name} = {format_value(value)}" for name, value in self.hidden[mode].items())
+        return f"{self.label} ({hidden})" if hidden else self.label
 
 
 class Run(NamedTuple):
@@ -15,47 +40,75 @@ class Run(NamedTuple):
     variation: Variation
     outcome: Outcome
 
+    @property
+    def figures(self) -> Mapping[str, float | None] | None:
+        """The figures of the tables by name; None for a run that was refused or failed."""
+        if self.outcome.status != PASSED:
+            return None
+        return {column.name: self.outcome.figures[column.name] for column in shown_columns()}
+
+    @property
+    def reasons(self) -> Mapping[str, str]:
+        """For each figure that is None, one sentence."""
+        why = self.outcome.details.get("reasons", {})
+        return {name: why.get(name, "there is none") for name, value in (self.figures or {}).items() if value is None}
+
+    @property
+    def refused(self) -> str | None:
+        """Why the run could not begin: the law does not do this mode, for one."""
+        return self.outcome.reason if self.outcome.status == REFUSED else None
+
+    @property
+    def failed(self) -> str | None:
+        """What ended the run, or why its figures say nothing of the law."""
+        return None if self.outcome.status in (PASSED, REFUSED) else self.outcome.reason
+
+    def plain(self) -> dict[str, Any]:
+        """Return it as plain values, for JSON."""
+        why = {"reasons": self.reasons, "refused": self.refused, "failed": self.failed}
+        return self.variation._asdict() | {"figures": self.figures} | why
+
 
 class Row(NamedTuple):
-    """A law under a condition, with all its runs, the nominal one first."""
+    """A law under a condition with all its runs, the nominal one first, and that one's curves if they were wanted."""
 
     entry: Entry
     condition: Condition
     runs: Sequence[Run]
+    curves: Curves | None = None
 
     @property
-    def nominal(self) -> Outcome:
-        """What became of the nominal run."""
-        return self.runs[0].outcome
+    def nominal(self) -> Run:
+        """The nominal run."""
+        return self.runs[0]
 
     def worst(self, name: str) -> float | None:
         """Return a figure's worst over mass and friction; None when a run has none: that is worse than any."""
-        return _worst([run.outcome for run in self.runs], name)
+        return _worst(self.runs, name)
 
     def worst_over_mass(self, name: str) -> float | None:
         """Return a figure's worst over the mass alone, at the nominal friction."""
-        return _worst([run.outcome for run in self.runs if run.variation.friction is None], name)
+        return _worst([run for run in self.runs if run.variation.friction is None], name)
 
     def value(self, name: str) -> float | None:
         """Return a figure of the nominal run."""
         return _worst([self.nominal], name)
 
     def notes(self) -> Iterator[str]:
-        """Say why figures are missing: one sentence for a law that refuses, or for each thing that went wrong."""
+        """Yield why figures are missing: one sentence for a law that refuses, or for each thing that went wrong."""
         if self.nominal.refused is not None:
             yield f"refused: {self.nominal.refused}"
             return
-        said: set[str] = set()
+        troubles: dict[str, str] = {}
         for run in self.runs:
-            trouble = run.outcome.failed or run.outcome.refused
-            if trouble is not None and trouble not in said:
-                said.add(trouble)
-                yield f"failed ({run.variation.words}): {trouble}"
+            if (trouble := run.failed or run.refused) is not None:
+                troubles.setdefault(trouble, run.variation.words)
+        yield from (f"failed ({words}): {trouble}" for trouble, words in troubles.items())
         first: dict[str, tuple[list[str], list[Run]]] = {}  # by the reason of the first run that lacks a figure
-        for column in COLUMNS:
-            without = [run for run in self.runs if column.name in run.outcome.reasons]
+        for column in shown_columns():
+            without = [run for run in self.runs if column.name in run.reasons]
             if without:
-                first.setdefault(without[0].outcome.reasons[column.name], ([], without))[0].append(column.head)
+                first.setdefault(without[0].reasons[column.name], ([], without))[0].append(column.head)
         for reason, (heads, without) in first.items():
             yield f"no {', '.join(heads)}{self._among(without)}: {reason}"
 
@@ -68,8 +121,23 @@ class Row(NamedTuple):
 
     @property
     def has_failed(self) -> bool:
-        """Whether a run did not come to its end, for another reason than that the law refuses the mode."""
-        return any(run.outcome.failed is not None for run in self.runs)
+        """Whether a run failed, other than by the law refusing the mode."""
+        return any(run.failed is not None for run in self.runs)
+
+    def plain(self) -> dict[str, Any]:
+        """Return everything but the curves as plain values, for JSON."""
+        names = [column.name for column in shown_columns()]
+        return {
+            "law": self.entry.label,
+            "gains": self.entry.gains[self.condition.mode],
+            "condition": self.condition._asdict(),
+            "refused": self.nominal.refused,
+            "nominal": {name: self.value(name) for name in names},
+            "worst_over_mass": {name: self.worst_over_mass(name) for name in names},
+            "worst": {name: self.worst(name) for name in names},
+            "notes": list(self.notes()),
+            "runs": [run.plain() for run in self.runs],
+        }
 
 
 class Comparison(NamedTuple):
@@ -90,7 +158,7 @@ class Comparison(NamedTuple):
 
     @property
     def has_failed(self) -> bool:
-        """Whether a run did not come to its end."""
+        """Whether a run failed."""
         return any(row.has_failed for row in self.rows)
 
     def plain(self) -> dict[str, Any]:
@@ -99,28 +167,11 @@ class Comparison(NamedTuple):
             "scenario": self.scenario,
             "seed": self.seed,
             "passed": not self.has_failed,
-            "rows": [_plain(row) for row in self.rows],
+            "rows": [row.plain() for row in self.rows],
         }
 
 
-def _worst(outcomes: Sequence[Outcome], name: str) -> float | None:
-    values = [None if outcome.figures is None else outcome.figures[name] for outcome in outcomes]
-    there = [value for value in values if value is not None]
-    return max(there) if len(there) == len(values) else None
-
-
-def _plain(row: Row) -> dict[str, Any]:
-    return {
-        "law": row.entry.label,
-        "gains": row.entry.gains[row.condition.mode],
-        "condition": row.condition._asdict(),
-        "refused": row.nominal.refused,
-        "nominal": {name: row.value(name) for name in FIGURES},
-        "worst_over_mass": {name: row.worst_over_mass(name) for name in FIGURES},
-        "worst": {name: row.worst(name) for name in FIGURES},
-        "notes": list(row.notes()),
-        "runs": [
-            run.variation._asdict() | {name: value for name, value in run.outcome._asdict().items() if name != "curves"}
-            for run in row.runs
-        ],
-    }
+def _worst(runs: Sequence[Run], name: str) -> float | None:
+    values = [None if run.figures is None else run.figures[name] for run in runs]
+    known = [value for value in values if value is not None]
+    return max(known) if len(known) == len(values) else None

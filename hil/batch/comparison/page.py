@@ -1,4 +1,4 @@
-"""A comparison in words: cells for the terminal, a page in Markdown, and every run as CSV."""
+"""A comparison as text: tables for the terminal, a page in Markdown, and every run as CSV."""
 
 import csv
 import os
@@ -7,11 +7,9 @@ from collections.abc import Iterator, Sequence
 from io import StringIO
 from pathlib import Path
 
-from hil.batch.comparison.columns import COLUMNS, Column
 from hil.batch.comparison.conditions import DRIVES, FRICTIONS, MASS_FACTORS, Condition
 from hil.batch.comparison.result import Comparison, Row
-from hil.batch.comparison.runs import FIGURES
-from hil.core.errors import BadInputError
+from hil.batch.figures import Column, shown_columns
 from hil.core.outputs import Existing, write_whole
 
 OVERVIEW = "figures"
@@ -31,23 +29,13 @@ def older(folder: Path) -> list[Path]:
     return sorted(file for file in folder.iterdir() if own.fullmatch(file.name) and file.is_file())
 
 
-def remove_older(folder: Path) -> None:
-    """Remove the files that an earlier comparison wrote into a folder; nothing else. Raises BadInputError."""
-    for file in older(folder):
-        try:
-            file.unlink()
-        except OSError as error:
-            raise BadInputError(
-                f"file {file}: this older result cannot be removed ({error.strerror}); name another folder"
-            ) from error
-
-
 def terminal(comparison: Comparison) -> Iterator[tuple[str, list[tuple[str, ...]], list[str]]]:
     """Yield for each condition its title, its table with a head (nominal and worst in a cell), and its notes."""
+    columns = shown_columns()
     for condition in comparison.conditions():
         rows = comparison.under(condition)
-        head = ("law", *(f"{column.head} {column.unit}" for column in COLUMNS))
-        cells = [(row.entry.title(condition.mode), *(_pair(column, row) for column in COLUMNS)) for row in rows]
+        head = ("law", *(f"{column.head} {column.unit}" for column in columns))
+        cells = [(row.entry.title(condition.mode), *(_pair(column, row) for column in columns)) for row in rows]
         yield condition.words, [head, *cells], list(_notes(comparison, rows))
 
 
@@ -67,15 +55,16 @@ def write_markdown(
 
     Raises BadInputError when it cannot be written.
     """
+    columns = shown_columns()
     lines = [*_preface(comparison, command)]
     for condition in comparison.conditions():
         rows = comparison.under(condition)
         late = _late(comparison, rows)
         lines += ["", f"## {condition.words}", ""]
-        lines += ["| law | " + " | ".join(f"{column.head} [{column.unit}]" for column in COLUMNS) + " |"]
-        lines += ["|---" * (1 + len(COLUMNS)) + "|"]
+        lines += ["| law | " + " | ".join(f"{column.head} [{column.unit}]" for column in columns) + " |"]
+        lines += ["|---" * (1 + len(columns)) + "|"]
         for row in rows:
-            cells = (_triple(column, row, rows, is_late=column in late) for column in COLUMNS)
+            cells = (_triple(column, row, rows, is_late=column in late) for column in columns)
             label = row.entry.title(condition.mode).replace("|", "\\|")
             lines.append(f"| {label} | " + " | ".join(cells) + " |")
         if notes := list(_notes(comparison, rows)):
@@ -103,18 +92,15 @@ def _preface(comparison: Comparison, command: str) -> Iterator[str]:
         yield "Nominal runs alone. The lowest figure is bold. A dash says that a run has no such figure; the reason is"
         yield "below the table."
     yield ""
-    for column in COLUMNS:
+    for column in shown_columns():
         yield f"- {column.head} [{column.unit}]: {column.meaning}."
 
 
 def _late(comparison: Comparison, rows: Sequence[Row]) -> list[Column]:
     """Return the times of which even the least lies in a run's last second: how the run ends decides on them."""
-    late = []
-    for column in COLUMNS:
-        least = _least(column, rows)
-        if column.is_instant and least is not None and least > comparison.duration_s - _LAST_S:
-            late.append(column)
-    return late
+    last_s = comparison.duration_s - _LAST_S
+    instants = [column for column in shown_columns() if column.is_instant]
+    return [one for one in instants if (least := _least(one, rows)) is not None and least > last_s]
 
 
 def _least(column: Column, rows: Sequence[Row]) -> float | None:
@@ -156,10 +142,10 @@ def write_csv(comparison: Comparison, file: Path) -> None:
     writer = csv.writer(stream, lineterminator="\n")
     first = comparison.rows[0]
     head = (*first.condition._fields, *first.runs[0].variation._fields)
-    writer.writerow(["law", *head, *FIGURES, "refused", "failed"])
+    names = [column.name for column in shown_columns()]
+    writer.writerow(["law", *head, *names, "refused", "failed"])
     for row in comparison.rows:
-        for variation, outcome in row.runs:
-            figures = [None if outcome.figures is None else outcome.figures[name] for name in FIGURES]
-            places = (*row.condition, *variation)
-            writer.writerow([row.entry.label, *places, *figures, outcome.refused, outcome.failed])
+        for run in row.runs:
+            figures = [None if run.figures is None else run.figures[name] for name in names]
+            writer.writerow([row.entry.label, *row.condition, *run.variation, *figures, run.refused, run.failed])
     write_whole(file, stream.getvalue().encode("utf-8"))
