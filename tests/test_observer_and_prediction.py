@@ -130,14 +130,14 @@ def test_a_command_that_a_later_one_overtakes_never_acts():
     late, early = Acceleration(1.0, 0.0, 0.0), Acceleration(0.0, 2.0, 0.0)
     on_their_way.advance(late, 0.020, DT_S)
     on_their_way.advance(early, 0.005, DT_S)
-    assert on_their_way.predict(0.1)[3:5] == pytest.approx((0.0, 0.2))
+    assert on_their_way.motion(0.1)[3:5] == pytest.approx((0.0, 0.2))
 
 
 def test_after_a_reset_nothing_is_on_its_way():
     on_their_way = PendingCommands()
     on_their_way.advance(Acceleration(1.0, 1.0, 1.0), 0.005, DT_S)
     on_their_way.reset()
-    assert on_their_way.predict(1.0) == (0.0,) * 6
+    assert on_their_way.motion(1.0) == (0.0,) * 6
 
 
 @given(accelerations, twists, st.floats(-3.0, 3.0), twists, st.floats(-5.0, 5.0))
