@@ -1,7 +1,7 @@
-"""Pieces of a path by their arc length: lines and bends, and how the heading goes along them.
+"""Sections of a path by arc length: lines and bends, and the heading along them.
 
-A curve gives x, y and their first and second derivative with respect to its parameter s, a heading law the heading
-and its two. The parameter is the way in metres, or for a turn on the spot the angle in radians.
+A curve gives x, y and their first and second derivatives with respect to its parameter s. A heading law gives the
+heading and its derivatives. The parameter is the distance in metres, or the angle in radians for a turn on the spot.
 """
 
 import math
@@ -23,21 +23,21 @@ Angle = tuple[float, float, float]
 
 
 class Curve(Protocol):
-    """A way through the plane."""
+    """A path in the plane."""
 
     def plane(self, s: float) -> Plane:
-        """Return the place at ``s`` and its derivatives."""
+        """Return the position at ``s`` and its derivatives."""
 
 
 class HeadingLaw(Protocol):
-    """How the heading goes along a curve."""
+    """The heading along a curve."""
 
     def angle(self, s: float) -> Angle:
         """Return the heading at ``s`` and its derivatives."""
 
 
 class Line(NamedTuple):
-    """A straight line; with no direction (0, 0) a point, on which the robot only turns."""
+    """A straight line. With the direction (0, 0) it is a point, on which the robot turns."""
 
     x: float
     y: float
@@ -45,12 +45,12 @@ class Line(NamedTuple):
     y1: float
 
     def plane(self, s: float) -> Plane:
-        """Return the place at ``s`` and its derivatives."""
+        """Return the position at ``s`` and its derivatives."""
         return self.x + s * self.x1, self.y + s * self.y1, self.x1, self.y1, 0.0, 0.0
 
 
 class Linear(NamedTuple):
-    """A heading that changes evenly with s."""
+    """A heading that changes linearly with s."""
 
     heading: float
     slope: float = 0.0
@@ -65,7 +65,7 @@ EASED_PEAKS = (15.0 / 8.0, 10.0 / math.sqrt(3.0), 60.0)
 
 
 class Eased(NamedTuple):
-    """A heading that changes from one value to another over a length, with no slope and no bend at either end.
+    """A heading that changes smoothly over a length, with first and second derivative zero at both ends.
 
     It follows 10 u³ - 15 u⁴ + 6 u⁵ with u = (s + offset) / length.
     """
@@ -87,19 +87,19 @@ class Eased(NamedTuple):
 
 
 class Bend:
-    """A curve that turns by an angle, its curvature rising from zero and falling back as 1 - cos does.
+    """A curve that turns by an angle, with a curvature that rises from zero and falls back as 1 - cos does.
 
-    So a robot that drives through at constant speed has an acceleration, and along the path a yaw acceleration,
-    without jumps. The direction is exact, and so are the derivatives of the place; the place itself is a table of
-    quintic Hermite polynomials that match them, within 1e-11 of the length.
+    A robot that drives through it at constant speed has neither a jump of acceleration nor of yaw acceleration. The
+    direction and the derivatives of the position are exact. The position is interpolated by quintic Hermite
+    polynomials, with an error below 1e-11 of the length.
     """
 
     PIECES = 64
 
     def __init__(self, x: float, y: float, direction: float, turn: float, tangent_m: float) -> None:
-        """Begin at (x, y) in a direction [rad] and turn [rad], less than half a turn, to the left for a positive one.
+        """Start at (x, y) in a direction [rad] and turn by ``turn`` [rad], positive to the left, less than π in size.
 
-        ``tangent_m`` is how far before the corner it begins, and behind it ends.
+        The bend begins ``tangent_m`` [m] before the corner and ends as far behind it.
         """
         nodes = np.linspace(0.0, 1.0, self.PIECES + 1)
         abscissas, weights = np.polynomial.legendre.leggauss(6)
@@ -127,7 +127,7 @@ class Bend:
         return math.tau * abs(self.turn) / self.length**2
 
     def plane(self, s: float) -> Plane:
-        """Return the place at ``s`` and its derivatives."""
+        """Return the position at ``s`` and its derivatives."""
         direction, curvature, _ = self.angle(s)
         c, sine = math.cos(direction), math.sin(direction)
         place = s / self.length * self.PIECES

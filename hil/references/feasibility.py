@@ -1,4 +1,4 @@
-"""Whether a robot can follow a reference: the wheel speeds and torques that it asks for, against their limits."""
+"""Whether a robot can follow a reference: the wheel speeds and torques that it needs, compared with the limits."""
 
 import math
 from typing import Any, NamedTuple
@@ -11,17 +11,17 @@ FINEST_S = 0.01
 MOST_SAMPLES = 20_000
 
 
-class Demand(NamedTuple):
-    """What a reference asks of the wheels in one quantity, without its sign.
+class Requirement(NamedTuple):
+    """What a reference needs of the wheels in one quantity (its absolute value).
 
     Attributes:
-        unit: of the quantity.
-        limit: what a wheel can.
-        worst: the most that is asked, of ``worst_wheel`` at ``worst_s``.
-        worst_wheel: such as ``fl``.
+        unit: unit of the quantity.
+        limit: limit of a wheel.
+        worst: largest value needed, by ``worst_wheel`` at ``worst_s``.
+        worst_wheel: name of the wheel, such as ``fl``.
         worst_s: time of the scenario [s].
-        first: what is asked when it is first more than the limit, None where it never is; so are the next two.
-        first_wheel: the wheel of which it is.
+        first: first value beyond the limit; None, like the next two, where the limit is kept.
+        first_wheel: the wheel that needs it.
         first_s: time of the scenario [s].
     """
 
@@ -36,7 +36,7 @@ class Demand(NamedTuple):
 
     @property
     def sentence(self) -> str | None:
-        """What to tell the user; None where the limit is kept."""
+        """The warning for the user; None where the limit is kept."""
         if self.first is None:
             return None
         first, most = f"{self.first:.3g}", f"{self.worst:.3g}"
@@ -49,18 +49,18 @@ class Demand(NamedTuple):
 
 
 class Feasibility(NamedTuple):
-    """What a reference asks of the wheels within a run: speed [rad/s] and torque [N·m].
+    """What a reference needs of the wheels within a run: speed [rad/s] and torque [N·m].
 
-    ``ends_s`` is when the reference comes to its end [s], None where it has none; ``duration_s`` that of the run [s].
+    ``ends_s`` is the time [s] at which the reference ends, None where it has no end. ``duration_s`` is the run's [s].
     """
 
-    speed: Demand
-    torque: Demand
+    speed: Requirement
+    torque: Requirement
     ends_s: float | None
     duration_s: float
 
     def figures(self) -> dict[str, Any]:
-        """Return it by name, with the sentences as ``warnings``."""
+        """Return the values by name, for JSON."""
         return {
             "speed": self.speed._asdict(),
             "torque": self.torque._asdict(),
@@ -71,12 +71,14 @@ class Feasibility(NamedTuple):
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """What the robot cannot follow, in words; empty where it can follow all."""
-        return tuple(sentence for demand in (self.speed, self.torque) if (sentence := demand.sentence) is not None)
+        """Warnings about what the robot cannot follow; empty where it can follow the reference."""
+        return tuple(
+            sentence for requirement in (self.speed, self.torque) if (sentence := requirement.sentence) is not None
+        )
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is no fault but may not be meant: a reference that ends later than the run, or sooner."""
+        """Remarks on what may not be intended: a reference that ends later or earlier than the run."""
         if self.ends_s is None or abs(self.ends_s - self.duration_s) < FINEST_S:
             return ()
         lasts = f"the reference ends at t = {self.ends_s:.4g} s, the run at {self.duration_s:.4g} s"
@@ -86,26 +88,26 @@ class Feasibility(NamedTuple):
 
 
 def feasibility(source: ReferenceSource, model: RobotModel, duration_s: float, period_s: float) -> Feasibility:
-    """Return what a reference asks of the robot's wheels until ``duration_s``, by inverse kinematics and dynamics.
+    """Return what a reference needs of the wheels until ``duration_s`` [s], by inverse kinematics and dynamics.
 
-    It is sampled at the loop's period, but not finer than 10 ms, and in at most 20,000 instants of the time in which
-    it differs: of a periodic one that is its start and one period. A jump of the reference itself, such as a circle
-    without a ramp makes it at t = 0, is no demand: whatever starts away from the reference has to catch up.
+    It is sampled at the loop's period ``period_s`` [s], but at least every 10 ms and at most 20,000 times. A periodic
+    reference is sampled over its start and one period. A jump of the reference itself does not count, such as that of
+    a circle without a ramp at t = 0: a robot that starts away from the reference has to catch up anyway.
     """
     until_s = min(duration_s, source.span_s)
     step_s = max(period_s, FINEST_S, until_s / MOST_SAMPLES)
-    speed, torque = _Worst("rad/s", model.speed_limit_rad_s), _Worst("N·m", model.torque_limit_n_m)
+    speed, torque = _Extremes("rad/s", model.speed_limit_rad_s), _Extremes("N·m", model.torque_limit_n_m)
     for number in range(math.floor(until_s / step_s + 1e-9) + 1):
         t_s = number * step_s
         pose, twist, acceleration = source.at(t_s)
         speeds = model.wheel_speeds(twist, pose.heading_rad)
-        speed.take(t_s, speeds)
-        torque.take(t_s, model.wheel_torques(acceleration, twist, pose.heading_rad, twist))
-    return Feasibility(speed.demand(), torque.demand(), source.span_s if source.ends else None, duration_s)
+        speed.add(t_s, speeds)
+        torque.add(t_s, model.wheel_torques(acceleration, twist, pose.heading_rad, twist))
+    return Feasibility(speed.result(), torque.result(), source.span_s if source.ends else None, duration_s)
 
 
-class _Worst:
-    """Keeps the first and the worst demand of one quantity."""
+class _Extremes:
+    """Collects the first value beyond the limit and the largest value of one quantity."""
 
     def __init__(self, unit: str, limit: float) -> None:
         self._unit = unit
@@ -113,18 +115,18 @@ class _Worst:
         self._worst = (-1.0, WHEEL_NAMES[0], 0.0)
         self._first: tuple[float, str, float] | tuple[None, None, None] = (None, None, None)
 
-    def take(self, t_s: float, wheels: tuple[float, float, float, float]) -> None:
+    def add(self, t_s: float, wheels: tuple[float, float, float, float]) -> None:
         largest = max(max(wheels), -min(wheels))
         if largest > self._worst[0]:
             self._worst = (largest, _wheel(wheels), t_s)
         if largest > self._limit and self._first[0] is None:
             self._first = (largest, _wheel(wheels), t_s)
 
-    def demand(self) -> Demand:
-        return Demand(self._unit, self._limit, *self._worst, *self._first)
+    def result(self) -> Requirement:
+        return Requirement(self._unit, self._limit, *self._worst, *self._first)
 
 
 def _wheel(wheels: tuple[float, float, float, float]) -> str:
-    """Return the wheel of which most is asked."""
+    """Return the name of the wheel with the largest absolute value."""
     sizes = [abs(value) for value in wheels]
     return WHEEL_NAMES[sizes.index(max(sizes))]

@@ -16,7 +16,7 @@ from typing import ClassVar, Literal
 
 from hil.core.options import require_not_negative, require_positive
 from hil.core.types import Reference
-from hil.references.motion import Point, moving, ramped
+from hil.references.motion import Point, motion_through, ramped
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ class FigureEight:
             a * y2,
             direction2,
         )
-        return moving(point, rate, acceleration)
+        return motion_through(point, rate, acceleration)
 
 
 def _gerono(s: float, c: float) -> Point:

@@ -1,4 +1,4 @@
-"""A pose to reach and to keep."""
+"""The reference that stays at one pose."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -18,7 +18,7 @@ class Hold:
 
     @property
     def span_s(self) -> float:
-        """Nothing ever happens."""
+        """0: nothing changes."""
         return 0.0
 
     def at(self, t_s: float) -> Reference:

@@ -1,4 +1,4 @@
-"""What references are made of: a path of points, and how far along it the robot should be at a time."""
+"""Building blocks of references: points of a path, and the phase along it over time."""
 
 from typing import NamedTuple, Protocol
 
@@ -6,22 +6,22 @@ from hil.core.types import Reference, make_acceleration, make_pose, make_referen
 
 
 class ReferenceSource(Protocol):
-    """A motion that is known for every time from 0 on."""
+    """A motion that is defined for every time from 0 on."""
 
     @property
     def ends(self) -> bool:
-        """Whether it comes to rest after ``span_s``; False for what goes on for ever, and for what never moves."""
+        """Whether it moves and comes to rest after ``span_s``. False for one that repeats for ever or never moves."""
 
     @property
     def span_s(self) -> float:
-        """Time [s] from 0 within which all happens that ever will: the start and one period, or the way to the end."""
+        """Time [s] after which nothing new happens: start plus one period, or the time of the end."""
 
     def at(self, t_s: float) -> Reference:
         """Return pose, twist and acceleration in the world frame at this time of the scenario [s], at least 0."""
 
 
 Phase = tuple[float, float, float]
-"""How far along a path, and the first and second derivative of that with respect to time."""
+"""Path parameter, and its first and second derivative with respect to time."""
 
 
 class Point(NamedTuple):
@@ -38,7 +38,7 @@ class Point(NamedTuple):
     heading2: float
 
 
-def moving(point: Point, rate: float, acceleration: float) -> Reference:
+def motion_through(point: Point, rate: float, acceleration: float) -> Reference:
     """Return the motion through a point whose parameter changes with this rate and acceleration (chain rule)."""
     x, y, heading, x1, y1, heading1, x2, y2, heading2 = point
     square = rate * rate
@@ -52,10 +52,10 @@ def moving(point: Point, rate: float, acceleration: float) -> Reference:
 
 
 def ramped(t_s: float, rate: float, ramp_s: float) -> Phase:
-    """Return the phase of a motion that comes from rest to a constant rate within ``ramp_s``.
+    """Return the phase of a motion that accelerates from rest to a constant rate within ``ramp_s`` [s].
 
-    The rate follows 3 u² - 2 u³ with u = t / ramp, so that its derivative has no jump; after the ramp the phase is
-    rate (t - ramp / 2). Without a ramp the motion is at its rate from the beginning.
+    The rate follows 3 u² - 2 u³ with u = t / ramp, so its derivative has no jump. After the ramp the phase is
+    rate (t - ramp / 2). With ``ramp_s`` 0 the motion has its full rate from the beginning.
     """
     if t_s >= ramp_s or ramp_s == 0.0:
         return rate * (t_s - 0.5 * ramp_s), rate, 0.0

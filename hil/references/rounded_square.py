@@ -9,7 +9,7 @@ from typing import ClassVar, Literal
 from hil.core.options import require_not_negative, require_positive
 from hil.core.types import Reference
 from hil.references.curves import Bend, Line, Linear, Section
-from hil.references.motion import moving, ramped
+from hil.references.motion import motion_through, ramped
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,4 +77,4 @@ class RoundedSquare:
         turned = self.heading_rad
         if self.heading == "path":
             turned += math.tau * laps - (math.pi if self.clockwise else 0.0)
-        return moving(self._sections[number].point(way - self._starts[number], turned), rate, acceleration)
+        return motion_through(self._sections[number].point(way - self._starts[number], turned), rate, acceleration)

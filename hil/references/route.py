@@ -1,13 +1,14 @@
-"""From waypoints to a motion: the path with its corners, then the fastest speeds on it that keep the limits.
+"""Plans a motion along waypoints: first the path with its corners, then the fastest speeds within the limits.
 
 On lines the speed follows the double-S profile. A bend is driven at one speed, so that its acceleration is κ v² across
-and its jerk (κ² v³, κ' v³). The heading of a leg that begins and ends at rest changes evenly with the way; otherwise
-it is eased from the middle of one bend to the middle of the next, and the leg is slow enough for it:
+and its jerk (κ² v³, κ' v³). The heading of a leg that begins and ends at rest changes linearly with the distance.
+Otherwise it is eased from the middle of one bend to the middle of the next, and the speed of the leg is low enough for
+it:
 
     θ̇ = θ' v,   θ̈ = θ'' v² + θ' a,   jerk = θ''' v³ + 3 θ'' v a + θ' j
 
-each sum is kept by giving every term an equal share of the limit. Speeds at the bends are then lowered, forward and
-backward along the path, until each is reachable from the one before and after.
+Each sum stays within its limit because every term gets an equal share of it. Speeds at the bends are then lowered,
+forward and backward along the path, until each is reachable from the one before and after.
 """
 
 import bisect
@@ -20,14 +21,14 @@ from hil.core.kinematics import wrap_angle
 from hil.core.types import Acceleration, Pose, Reference, Twist
 from hil.references.curves import EASED_PEAKS, Bend, Eased, HeadingLaw, Line, Linear, Section
 from hil.references.double_s import Limits, Phase, after, profile, reachable_speed
-from hil.references.motion import moving
+from hil.references.motion import motion_through
 
 SHARPEST_RAD = math.radians(150.0)
-"""A corner that turns by more is no bend: the robot stops there."""
+"""At a corner that turns by more than this the robot stops."""
 
 
 class Waypoint(NamedTuple):
-    """A pose on the way; ``speed_m_s`` is the top speed on the way to it, infinite for none of its own."""
+    """A pose to pass; ``speed_m_s`` is the top speed on the way to it, infinite where it sets none."""
 
     x_m: float
     y_m: float
@@ -44,7 +45,7 @@ class Part(NamedTuple):
 
 
 class Route:
-    """A motion that was planned: at rest at its begin and at its end, where it stays."""
+    """A planned motion: at rest at its beginning and at its end, where it stays."""
 
     ends: ClassVar[bool] = True
 
@@ -65,11 +66,11 @@ class Route:
         number = max(bisect.bisect_right(self._starts_s, t_s) - 1, 0)
         section, phase = self._parts[number]
         way, speed, acceleration = after(phase, t_s - self._starts_s[number])
-        return moving(section.point(way), speed, acceleration)
+        return motion_through(section.point(way), speed, acceleration)
 
 
 class _Leg:
-    """The way from one waypoint to the next, without what the bends at its ends take."""
+    """The straight part between two waypoints, without the bends at its ends."""
 
     def __init__(self, first: Waypoint, last: Waypoint, limits: Limits, yaw: Limits) -> None:
         self.first, self.last = first, last
@@ -87,7 +88,7 @@ class _Leg:
         return max(self.length - sum(self.trims), 0.0)
 
     def limits(self) -> Limits:
-        """Return what keeps the limits of the plane and of the yaw, per metre, or per radian on the spot."""
+        """Return limits along the path [m], or of the angle [rad] on the spot, that keep those of plane and yaw."""
         plane, yaw = self._limits, self._yaw
         change = abs(self.change)
         if self.length == 0.0:
@@ -117,11 +118,11 @@ class _Leg:
         return Section(Line(x + self.trims[0] * c, y + self.trims[0] * s, c, s), self._law(before))
 
     def law_at_begin(self, bend: Bend) -> HeadingLaw:
-        """Return the heading in the bend from which this leg comes."""
+        """Return the heading law in the bend at the beginning of this leg."""
         return self._law(-bend.length / 2.0)
 
     def law_at_end(self) -> HeadingLaw:
-        """Return the heading in the bend to which this leg goes."""
+        """Return the heading law in the bend at the end of this leg."""
         before = self.begin.length / 2.0 if self.begin is not None else 0.0
         return self._law(before + self.way)
 
@@ -138,9 +139,10 @@ class _Leg:
 def plan(waypoints: Sequence[Waypoint], limits: Limits, yaw: Limits, blend_m: float) -> Route:
     """Return the motion along waypoints, of which no two in a row are the same pose.
 
-    ``limits`` are those of the robot's centre in m and s, ``yaw`` those of its heading in rad and s. ``blend_m`` is how
-    much of either leg a bend may take, at most half of it; 0 to stop at each corner. The robot stops at a waypoint with
-    a dwell time, before and after a turn on the spot, and at corners sharper than ``SHARPEST_RAD``.
+    ``limits`` are those of the robot's centre in m and s, ``yaw`` those of its heading in rad and s. ``blend_m`` is the
+    length that a bend may take of either leg, at most half of the leg; with 0 the robot stops at each corner. The robot
+    stops at a waypoint with a dwell time, before and after a turn on the spot, and at corners sharper than
+    ``SHARPEST_RAD``.
     """
     legs = [_Leg(first, last, limits, yaw) for first, last in pairwise(waypoints)]
     if blend_m > 0.0:
@@ -172,7 +174,7 @@ def plan(waypoints: Sequence[Waypoint], limits: Limits, yaw: Limits, blend_m: fl
 
 
 def _round_off(before: _Leg, behind: _Leg, blend_m: float) -> None:
-    """Put a bend between two legs, where there can be one."""
+    """Put a bend between two legs, unless the robot has to stop at their corner."""
     turn = wrap_angle(behind.direction - before.direction)
     corner = before.last
     tangent_m = min(blend_m, 0.5 * before.length, 0.5 * behind.length)

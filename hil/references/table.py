@@ -1,4 +1,4 @@
-"""Reading numbers from a CSV file that a user wrote: every complaint names the file and the line."""
+"""Reads numbers from a user's CSV file. Every error names the file and the line."""
 
 import csv
 import math
@@ -10,20 +10,20 @@ from hil.core.errors import BadInputError, nearest
 
 LARGEST_BYTES = 50_000_000
 LARGEST_NUMBER = 1e6
-"""Beyond it is a number in the wrong unit, or one of which squares say nothing any more."""
+"""A larger number is in the wrong unit, or its square loses too many digits."""
 
 
 class Row(NamedTuple):
-    """A row of a table: its line in the file, and a value for each column that was asked for."""
+    """A row of a table: its line number in the file, and one value for each column of the format."""
 
     line: int
     values: tuple[float, ...]
 
 
 class Format(NamedTuple):
-    """What a table must hold: columns, columns that may be left out or empty with their defaults, how many rows.
+    """What a table must have: its columns, optional columns with their defaults, and the number of rows.
 
-    ``others`` says whether there may be more columns, which are then not read.
+    ``others`` allows further columns, which are ignored.
     """
 
     columns: tuple[str, ...]
@@ -34,9 +34,9 @@ class Format(NamedTuple):
 
 
 def read_table(directory: Path, file: str, form: Format) -> list[Row]:
-    """Return the rows of a CSV file with a header line; empty lines and lines from ``#`` on do not count.
+    """Return the rows of a CSV file with a header line; empty lines and lines that begin with ``#`` are skipped.
 
-    Raises BadInputError, with one sentence, for all that can be wrong with such a file.
+    Raises BadInputError, with one sentence, for anything that is wrong with the file.
     """
     name = f"reference.file = {file!r}"
     path = directory / file
@@ -81,7 +81,7 @@ def _cells(text: str, where: str) -> list[str]:
 
 
 def _places(header: Sequence[str], form: Format, where: str) -> list[int | None]:
-    """Return at which place of a row each column is, None for an optional one that is not there."""
+    """Return the index of each column in a row, None for an optional column that is absent."""
     known = (*form.columns, *form.optional)
     for column in form.columns:
         if column not in header:

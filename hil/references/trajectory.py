@@ -10,7 +10,7 @@ from typing import ClassVar
 from hil.core.errors import BadInputError
 from hil.core.options import require_not_negative
 from hil.core.types import Acceleration, Reference, Twist
-from hil.references.motion import Phase, Point, ReferenceSource, moving, ramped
+from hil.references.motion import Phase, Point, ReferenceSource, motion_through, ramped
 from hil.references.smoothing import SmoothingSpline
 from hil.references.table import Format, read_table
 
@@ -91,7 +91,7 @@ class Played:
     def _moving(self, phase: Phase) -> Reference:
         spline_s, rate, acceleration = phase
         (x, x1, x2), (y, y1, y2), (heading, heading1, heading2) = self._spline.at(spline_s)
-        return moving(Point(x, y, heading, x1, y1, heading1, x2, y2, heading2), rate, acceleration)
+        return motion_through(Point(x, y, heading, x1, y1, heading1, x2, y2, heading2), rate, acceleration)
 
 
 def _unwrapped(headings: Sequence[float]) -> list[float]:
