@@ -32,7 +32,7 @@ from hil.cli.main import app
 from hil.core.errors import BadInputError, LinkError
 from hil.review import read
 from hil.robot.virtual import KeptRobot
-from hil.runtime.assembly import run_scenario
+from hil.runtime.assembly import RunOptions, run_scenario
 from hil.scenario import load
 from tests.campaigns import LIMIT_S, do, of_the_runs, rows_of, write_plan
 from tests.flawed_fmu import build_flawed
@@ -161,7 +161,9 @@ def test_a_foreign_fmu_is_opened_anew_for_each_run_for_its_reset_may_leave_somet
         "circle_speed", set={"plant.fmu": flawed, "loop.duration_s": 0.2, "loop.rate_hz": 200, "expect": []}
     )
     with contextlib.closing(KeptRobot()) as kept:
-        first, second = (run_scenario(scenario, make_robot=kept.robot, keep_signals=False) for _ in range(2))
+        first, second = (
+            run_scenario(scenario, RunOptions(make_robot=kept.robot, keep_signals=False)) for _ in range(2)
+        )
     assert first.metrics["wire_sha256"] == second.metrics["wire_sha256"]
 
 

@@ -31,7 +31,7 @@ from hil.batch.run import run
 from hil.batch.store import KEY, ROWS, Store, read_rows
 from hil.core.errors import BadInputError
 from hil.robot.virtual import KeptRobot
-from hil.runtime.assembly import run_scenario
+from hil.runtime.assembly import RunOptions, run_scenario
 from hil.scenario import from_plain, load, shipped, to_plain
 from tests.campaigns import write_plan
 
@@ -182,7 +182,10 @@ def test_a_robot_that_is_kept_is_in_each_run_as_if_it_were_new() -> None:
         for other in others:
             scenario = load("circle_speed", set=short | other)
             assert from_plain(json.loads(json.dumps(to_plain(scenario)))) == scenario
-            one, new = (run_scenario(scenario, keep_signals=False, **way) for way in ({"make_robot": kept.robot}, {}))
+            one, new = (
+                run_scenario(scenario, RunOptions(keep_signals=False, **way))
+                for way in ({"make_robot": kept.robot}, {})
+            )
             assert run_columns(one.metrics) | CLOCKED == run_columns(new.metrics) | CLOCKED
             assert one.metrics["fault"] == new.metrics["fault"]
             assert str(one.failure) == str(new.failure)

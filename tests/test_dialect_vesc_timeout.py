@@ -13,7 +13,7 @@ from hil.drivers.port import EXTENDED, Wire
 from hil.drivers.registry import dialect
 from hil.drivers.vesc.frames import SET_RPM, SerialFraming
 from hil.drivers.vesc.wires import Line
-from hil.runtime.assembly import run_scenario
+from hil.runtime.assembly import RunOptions, run_scenario
 from hil.scenario import load
 from tests.dialect_testbed import STILL, Rig, ramp_to
 from tests.test_dialect_vesc import FORWARD, ODD, WIRES, ready, rig_of
@@ -312,7 +312,7 @@ def test_a_configuration_is_whole_in_a_trace_in_pieces(tmp_path: Path, suffix: s
     changes = {"device.driver": "vesc", "loop.duration_s": 0.05, "loop.rate_hz": 200, "expect": []}
     scenario = load("circle_speed", mode="lockstep", link="memory:", set=changes)
     trace = tmp_path / f"line.{suffix}"
-    assert run_scenario(scenario, trace=trace).failure is None
+    assert run_scenario(scenario, RunOptions(trace=trace)).failure is None
     with can.LogReader(trace) as messages:
         told = [bytes(one.data) for one in messages if one.arbitration_id == 17 and one.is_rx]
     assert [len(piece) for piece in told] == [64, 64, 64, 64, 22] * 4

@@ -11,7 +11,7 @@ from firmware_protocol.host import HostNode
 from firmware_protocol.host_line import HostLine
 from hil.core.errors import LinkError
 from hil.robot.direct import DirectLink
-from hil.runtime.assembly import run_scenario
+from hil.runtime.assembly import RunOptions, run_scenario
 from hil.scenario import load
 from hil.wire.framed import StreamLink
 from hil.wire.streams import DirectStream
@@ -134,5 +134,5 @@ def test_the_library_sends_what_is_whole_and_stops_there(rest: bytes) -> None:
 def test_a_run_is_the_same_with_a_firmware_that_is_asked_for_bytes() -> None:
     scenario = load("paper_circle", mode="lockstep", link="memory:", set={"loop.duration_s": 1.0})
     of_this_machine = {"realtime_factor": None, "tick_us": None}
-    direct, by_bytes = run_scenario(scenario), run_scenario(scenario, make_node=ByBytes)
+    direct, by_bytes = run_scenario(scenario), run_scenario(scenario, RunOptions(make_node=ByBytes))
     assert {**direct.metrics, **of_this_machine} == {**by_bytes.metrics, **of_this_machine}

@@ -17,7 +17,7 @@ from hil.laws.fuzzy import FuzzyBlock
 from hil.laws.fuzzy_gains import FuzzyLaw
 from hil.laws.registry import SHIPPED, make_controller
 from hil.review import read
-from hil.runtime.assembly import run_scenario
+from hil.runtime.assembly import RunOptions, run_scenario
 from hil.scenario import load
 from tests.closed_loop import AT_REST, PAPER_CIRCLE, PAPER_ROBOT, PAPER_START
 from tests.test_fuzzy import memberships
@@ -116,7 +116,7 @@ def test_own_signals_are_asked_for_only_where_somebody_reads_them(tmp_path, monk
     def ticks_asked(record=None, *, keep_signals=False, **more):
         asked.clear()
         scenario = load("paper_circle", mode="lockstep", link="memory:", set=SHORT | more)
-        result = run_scenario(scenario, record=record, keep_signals=keep_signals)
+        result = run_scenario(scenario, RunOptions(record=record, keep_signals=keep_signals))
         assert result.failure is None
         return len(asked), result.metrics
 
@@ -137,7 +137,7 @@ def test_own_signals_are_asked_for_only_where_somebody_reads_them(tmp_path, monk
 def test_signals_of_somebody_elses_law_are_asked_for_in_every_run_as_they_may_fail(tmp_path):
     law = counting(tmp_path, telemetry="(1.0 / (5 - self.count),)")
     scenario = load("paper_circle", mode="lockstep", link="memory:", set=SHORT | {"controller.law": law})
-    result = run_scenario(scenario, keep_signals=False)
+    result = run_scenario(scenario, RunOptions(keep_signals=False))
     assert result.exit_code == 2
     assert "telemetry" in str(result.failure)
 

@@ -6,7 +6,7 @@ from contextlib import AbstractContextManager
 import pytest
 
 from hil.robot.virtual import MakeNode, VirtualRobot, VirtualStm32
-from hil.runtime.assembly import run_scenario
+from hil.runtime.assembly import RunOptions, run_scenario
 from hil.scenario import load
 from hil.service.messages import Phase
 from tests.pilot_bench import PilotBench
@@ -55,7 +55,7 @@ def test_a_run_says_what_is_new_when_they_come_back_before_it_arms_them() -> Non
 
     changes = {"device.driver": "vesc", "loop.rearm": True, "loop.duration_s": 3.0, "fault": [AWAY], "expect": []}
     scenario = load("circle_speed", mode="lockstep", link="memory:", set=changes)
-    assert run_scenario(scenario, make_robot=make, warn=warn).failure is None
+    assert run_scenario(scenario, RunOptions(make_robot=make, warn=warn)).failure is None
     first, second = of_the_timeout(said)
     assert first.startswith(LONG)
     assert second.startswith(ENDLESS)
@@ -67,7 +67,7 @@ def test_a_run_says_nothing_twice_nor_that_its_own_stops_were_somebodys_commands
     said: list[str] = []
     changes = {"device.driver": "vesc", "loop.rearm": True, "loop.duration_s": 3.0, "fault": [AWAY], "expect": []}
     scenario = load("circle_speed", mode="lockstep", link=link, set=changes)
-    result = run_scenario(scenario, warn=said.append)
+    result = run_scenario(scenario, RunOptions(warn=said.append))
     assert (result.failure, len(result.metrics["recoveries"])) == (None, 1)
     assert len(of_the_timeout(said)) == 1
     assert not any("commanded just now" in sentence for sentence in said)

@@ -19,7 +19,7 @@ from hil.core.types import NAN, MeasuredPose, Pose, PoseFix, Twist
 from hil.estimation.localisation import SimulatedFixes, SimulatedOptions, UdpFixes
 from hil.estimation.localisation.address import parse_address
 from hil.estimation.localisation.message import Refused, parse
-from hil.runtime.assembly import run_scenario
+from hil.runtime.assembly import RunOptions, run_scenario
 from hil.runtime.loop import Loop
 from hil.scenario import load
 from hil.scenario.tables import SimulatedFixTable
@@ -171,7 +171,7 @@ def test_what_waits_before_the_first_tick_is_refused_not_taken_for_new() -> None
         yield
 
     keys = {"estimator.source": "fused", "estimator.fix": f"udp://127.0.0.1:{port}", "loop.duration_s": 0.1}
-    result = run_scenario(load("circle_speed", mode="realtime", set={**keys, "expect": []}), watch=sending)
+    result = run_scenario(load("circle_speed", mode="realtime", set={**keys, "expect": []}), RunOptions(watch=sending))
     assert result.metrics["pose_fixes"]["refused"] == {"waited": 3}
 
 

@@ -14,7 +14,7 @@ import pytest
 
 import hil
 from hil.judge.words import figure_rows
-from hil.runtime.assembly import run_scenario
+from hil.runtime.assembly import RunOptions, run_scenario
 from hil.runtime.realtime import GC_THRESHOLD, Wanted, parse_cpus, real_time
 from hil.scenario import load
 from tests.processes import device, environment
@@ -151,7 +151,7 @@ def test_ticks_leave_nothing_for_the_garbage_collector() -> None:
         finally:
             gc.enable()
 
-    run_scenario(load("circle_speed", set={"loop.duration_s": 1.0, "expect": []}), watch=watch)
+    run_scenario(load("circle_speed", set={"loop.duration_s": 1.0, "expect": []}), RunOptions(watch=watch))
     assert found == [0]
 
 

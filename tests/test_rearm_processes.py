@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from hil.core.errors import LinkError
-from hil.runtime.assembly import run_scenario
+from hil.runtime.assembly import RunOptions, run_scenario
 from hil.runtime.loop import Loop
 from hil.scenario import load
 from tests.processes import HIL, ROOT, device, environment, wait_for
@@ -85,7 +85,7 @@ def test_a_link_that_falls_silent_and_is_then_unplugged_holds_no_tick_up(tmp_pat
             yield
             hand.join()
 
-        result = run_scenario(scenario, watch=watch)
+        result = run_scenario(scenario, RunOptions(watch=watch))
     assert isinstance(result.failure, LinkError)
     assert "it did not come back until the end" in str(result.failure)
     assert result.metrics["ticks"] + result.metrics["deadline_misses"] == 300

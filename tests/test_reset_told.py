@@ -10,7 +10,7 @@ from firmware_protocol.generated import messages as m
 from firmware_protocol.host import HostNode
 from hil.robot import parameters
 from hil.robot.reset_words import ProcessorFault, reset_warning, reset_words
-from hil.runtime.assembly import run_scenario
+from hil.runtime.assembly import RunOptions, run_scenario
 from hil.scenario import load
 from hil.service.messages import Phase
 from hil.wire.framed import StreamLink
@@ -26,7 +26,7 @@ FAULT = ProcessorFault(1 << 9 | 1 << 15, 1 << 30, 0x0800_1234, 0x0800_0101, 0, 0
 def test_a_run_warns_once_of_a_reset_that_came_of_trouble(cause: m.ResetCause) -> None:
     said: list[str] = []
     make_node = functools.partial(HostNode, reset_cause=cause)
-    run_scenario(load("circle_speed", set=SHORT), make_node=make_node, warn=said.append)
+    run_scenario(load("circle_speed", set=SHORT), RunOptions(make_node=make_node, warn=said.append))
     told = [sentence for sentence in said if "began anew" in sentence]
     assert len(told) == (cause.name in {"BROWN_OUT", "WATCHDOG", "LOW_POWER", "PROCESSOR_FAULT"})
     assert all(f"({cause.name}): {reset_words(cause)}" in sentence for sentence in told)

@@ -24,7 +24,7 @@ from hil.review.overlay import write_overlay
 from hil.review.page import page, page_signals, write_page
 from hil.review.plots import Curve, thinned
 from hil.review.spectrum import LEAST_SAMPLES, spectrum
-from hil.runtime.assembly import run_scenario
+from hil.runtime.assembly import RunOptions, run_scenario
 from hil.scenario import load
 from tests.examples import share_of_examples
 from tests.processes import hil
@@ -34,7 +34,7 @@ EXPECT = 'expect=[{signal="loop.t_s",below=9.0},{signal="error.planar_m",from_s=
 
 
 def recorded(path: Path, *sets: str) -> Path:
-    run_scenario(load("circle_speed", set=["loop.duration_s=0.5", *sets]), record=path)
+    run_scenario(load("circle_speed", set=["loop.duration_s=0.5", *sets]), RunOptions(record=path))
     return path
 
 

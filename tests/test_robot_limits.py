@@ -7,7 +7,7 @@ import pytest
 
 from hil.cli.jog import turn_wheel
 from hil.core.types import WHEEL_NAMES
-from hil.runtime.assembly import RunResult, run_scenario
+from hil.runtime.assembly import RunOptions, RunResult, run_scenario
 from hil.scenario import load
 from hil.service.messages import Phase
 from tests.pilot_bench import PilotBench
@@ -19,7 +19,7 @@ SAYS = "the robot takes wheel speeds of at most 4.391 rad/s, as 5.5 rad/s are a 
 
 
 def run(scenario: str, changes: dict[str, Any], said: list[str]) -> RunResult:
-    return run_scenario(load(scenario, set=changes), keep_signals=True, warn=said.append)
+    return run_scenario(load(scenario, set=changes), RunOptions(keep_signals=True, warn=said.append))
 
 
 def test_a_run_keeps_within_what_the_robot_takes_and_says_so_once():

@@ -7,7 +7,7 @@ import pytest
 from hil.batch.recording import RecordingHere
 from hil.judge.results import RunResult
 from hil.review import read
-from hil.runtime.assembly import run_scenario
+from hil.runtime.assembly import RunOptions, run_scenario
 from hil.scenario import load
 
 TICKS_A_S = 200
@@ -33,7 +33,7 @@ def told(path: Path, *changes: str) -> tuple[dict[str, tuple[int, float, str]], 
         return made[0]
 
     scenario = load("paper_circle", mode="lockstep", link="memory:", set=[*SHORT, *changes])
-    result = run_scenario(scenario, record=path, make_recording=make)
+    result = run_scenario(scenario, RunOptions(record=path, make_recording=make))
     assert [event.text for event in read(path).events if event.text not in made[0].told] == []
     return made[0].told, result
 

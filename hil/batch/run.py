@@ -14,7 +14,7 @@ from hil.judge.results import RunResult
 from hil.judge.words import why_not_passed
 from hil.laws.registry import forget_law
 from hil.robot.virtual import KeptRobot
-from hil.runtime.assembly import run_scenario
+from hil.runtime.assembly import RunOptions, run_scenario
 from hil.scenario import Scenario
 
 
@@ -53,7 +53,7 @@ def _run(job: Job, scenario: Scenario, *, record: bool) -> Outcome:
 
 
 def attempt(job: Job, scenario: Scenario, judge: Callable[[RunResult], Outcome], **options: Any) -> Outcome:
-    """Run a scenario with these options of ``run_scenario`` and return what ``judge`` says of it.
+    """Run a scenario with these ``RunOptions`` and return what ``judge`` says of it.
 
     A run that is refused or ends with one of our errors is an outcome too. Any other exception is raised: it is a
     defect of ours, or of a law that ends its process. Nothing that an earlier run left in a law's module is kept; the
@@ -62,7 +62,9 @@ def attempt(job: Job, scenario: Scenario, judge: Callable[[RunResult], Outcome],
     try:
         for law in (scenario.controller.law, *scenario.controller.shadow):
             forget_law(law, scenario.directory)
-        return judge(run_scenario(scenario, allow_motion=job.allow_motion, make_robot=_kept().robot, **options))
+        return judge(
+            run_scenario(scenario, RunOptions(allow_motion=job.allow_motion, make_robot=_kept().robot, **options))
+        )
     except BadInputError as error:
         return Outcome(job.key, REFUSED, str(error))
     except HilError as error:

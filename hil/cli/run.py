@@ -68,7 +68,7 @@ def run(
 
     from hil.cli import report
     from hil.core.outputs import existing_files
-    from hil.runtime.assembly import run_scenario
+    from hil.runtime.assembly import RunOptions, run_scenario
     from hil.scenario import load
 
     resolved = load(scenario, set=sets or [], robot=robot, mode=mode, link=link, seed=seed)
@@ -82,20 +82,22 @@ def run(
     try:
         result = run_scenario(
             resolved,
-            truth=truth,
-            record=path,
-            rotate=parts,
-            trace=trace,
-            existing="number" if record is None and not force else existing_files(force=force),
-            live_port=live_port if live else None,
-            stream=stream,
-            allow_motion=allow_motion,
-            watch=watch,
-            warn=report.warn,
-            linger=linger,
-            on_stuck=_print_stuck if as_json else None,
-            make_recording=make_recording,
-            keep_signals=False,
+            RunOptions(
+                truth=truth,
+                record=path,
+                rotate=parts,
+                trace=trace,
+                existing="number" if record is None and not force else existing_files(force=force),
+                live_port=live_port if live else None,
+                stream=stream,
+                allow_motion=allow_motion,
+                watch=watch,
+                warn=report.warn,
+                linger=linger,
+                on_stuck=_print_stuck if as_json else None,
+                make_recording=make_recording,
+                keep_signals=False,
+            ),
         )
     except KeyboardInterrupt:
         kept = f"; recorded until then: {path}" if path is not None and path.exists() else ""

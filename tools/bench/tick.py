@@ -25,7 +25,7 @@ from hil.core.types import PoseFix
 from hil.plant import archive
 from hil.plant.description import parameter_names
 from hil.robot.virtual import MakeNode, VirtualRobot, VirtualStm32, new_robot
-from hil.runtime.assembly import run_scenario
+from hil.runtime.assembly import RunOptions, run_scenario
 from hil.runtime.robots import plant_start
 from hil.scenario import Scenario, load
 from tools.bench.naive_loop import NaiveLoop
@@ -95,7 +95,7 @@ def ours(seconds: float, record: Path | None) -> Turn:
             yield robot
 
     result = run_scenario(
-        _scenario(seconds), record=record, existing="replace", make_robot=stamped_robot, keep_signals=False
+        _scenario(seconds), RunOptions(record=record, existing="replace", make_robot=stamped_robot, keep_signals=False)
     )
     if not result.passed:
         raise SystemExit(f"the run failed: {result.failure or result.metrics['expect'][0]['text']}")

@@ -17,7 +17,7 @@ from hil.faults.cases import DURATION_S, Outcome, Row
 from hil.record import Recording
 from hil.review.contents import DamagedError
 from hil.review.decode import decode
-from hil.runtime.assembly import RunResult, run_scenario
+from hil.runtime.assembly import RunOptions, RunResult, run_scenario
 from hil.runtime.robots import node_maker
 from hil.scenario import Scenario, format_value, load
 
@@ -170,10 +170,12 @@ def perform(job: Job) -> Verdict:
         robot: _Robot = _Motors(chosen) if chosen.device.is_makers else _Watched()
         result = run_scenario(
             chosen,
-            record=recording,
-            make_node=robot.power_on,
-            make_recording=RecordingHere if job.records_here else Recording,
-            linger=robot.left_alone,
+            RunOptions(
+                record=recording,
+                make_node=robot.power_on,
+                make_recording=RecordingHere if job.records_here else Recording,
+                linger=robot.left_alone,
+            ),
         )
     except HilError as error:
         return lost(job, f"refused: {error}", time.monotonic() - began)

@@ -15,7 +15,7 @@ from hil.core.types import WHEEL_NAMES
 from hil.judge.measure import Series
 from hil.judge.tracking import STEADY_WINDOW_S, TRACKED_RATIO
 from hil.record import Recording
-from hil.runtime.assembly import RunResult, run_scenario
+from hil.runtime.assembly import RunOptions, RunResult, run_scenario
 from hil.scenario import load
 
 _SERIES = (
@@ -67,8 +67,10 @@ def perform(job: Job) -> Outcome:
     try:
         result = run_scenario(
             load(job.scenario, set=job.sets),
-            record=Path(job.recording) if job.recording is not None else None,
-            make_recording=RecordingHere if job.recording is not None else Recording,
+            RunOptions(
+                record=Path(job.recording) if job.recording is not None else None,
+                make_recording=RecordingHere if job.recording is not None else Recording,
+            ),
         )
     except HilError as error:
         return lost(job, str(error), time.monotonic() - began)

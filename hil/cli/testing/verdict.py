@@ -101,7 +101,7 @@ def run_as_test(
 
     A law that is stuck where no exception reaches ends the session; its last sentence is not captured.
     """
-    from hil.runtime.assembly import run_scenario
+    from hil.runtime.assembly import RunOptions, run_scenario
 
     def uncapture(_sentence: str) -> None:
         if (capturing := config.pluginmanager.getplugin("capturemanager")) is not None:
@@ -109,7 +109,7 @@ def run_as_test(
 
     result, error = None, None
     try:
-        result = run_scenario(scenario, truth=truth, record=record, on_stuck=uncapture)
+        result = run_scenario(scenario, RunOptions(truth=truth, record=record, on_stuck=uncapture))
         error = result.failure
     except HilError as before_the_run:
         error = before_the_run

@@ -44,6 +44,11 @@ class TraceReport:
         """Whether everything that was on the wire is in the file."""
         return self.error is None and not (self.dropped or self.lost)
 
+    def figures(self) -> dict[str, Any]:
+        """Return it for the figures of a run."""
+        counts = {"frames": self.frames, "dropped": self.dropped, "lost": self.lost}
+        return {"path": str(self.path), **counts, "trouble": self.trouble()}
+
     def trouble(self) -> str | None:
         """Return in one sentence what is missing, or None."""
         if self.complete:

@@ -1,0 +1,127 @@
+"""The figures of a run that is over, and the end of its recording."""
+
+import math
+from typing import Any
+
+from hil.core.percentiles import Percentiles
+from hil.judge.allowed import allow_figures
+from hil.judge.figures import cut_words
+from hil.judge.results import MemorySink
+from hil.judge.words import applied_words, with_page
+from hil.record import RunRecording
+from hil.runtime.bench import Bench
+from hil.runtime.loop import Loop, Report
+from hil.scenario import Scenario
+
+_NO_VALUE = {
+    "load": "memory has no bit rate",
+    "foreign": "a line between two has no third",
+    "frames_to_host": "frames carry no count of their own here",
+    "frames_to_robot": "frames carry no count of their own here",
+    "feedback_age_ms": "the run has no ticks",
+    "round_trip_ms": "no feedback said that a command of the run was in force",
+    "clock": "the robot answered no TIME_SYNC_REQUEST",
+}
+
+
+def run_figures(
+    scenario: Scenario, bench: Bench, memory: MemorySink, loop: Loop, report: Report, outcomes: list[dict[str, Any]]
+) -> dict[str, Any]:
+    """Return the figures of a run by name; ``outcomes`` are those of its expectations."""
+    failure, duration_s = report.failure, scenario.loop.duration_s
+    figures, reasons = memory.figures(cut_words(loop.t_s, duration_s) if is_cut(scenario, loop, report) else None)
+    applied: list[dict[str, Any]] = [
+        {"kind": row.kind, "target": row.target, "text": row.words, "applied": count, "counts": row.counts}
+        | {"start_s": row.start_s, "end_s": row.end_s if math.isfinite(row.end_s) else None, "value": row.value}
+        for row, count in zip(scenario.fault, bench.faults.applied(), strict=True)
+    ]
+    allow = allow_figures(scenario.allow, report.counted, report.ticks)
+    # A fault that never happened proves nothing, nor does a run whose law gave no number, so that the robot was held.
+    judged = (*(row["passed"] for row in (*outcomes, *allow)), *(row["applied"] for row in applied))
+    if not report.ticks:
+        reasons["realtime_factor"] = "the run has no ticks"
+    pose_fixes = loop.pose_fixes()
+    if pose_fixes is None:
+        reasons["pose_fixes"] = f"{scenario.estimator.source!r} takes none"
+    device = bench.device
+    return {
+        "passed": failure is None and all(judged) and loop.commands_refused == 0,
+        "scenario": scenario.name,
+        "law": scenario.controller.law,
+        "mode": scenario.loop.mode,
+        "link": scenario.link.url,
+        "seed": scenario.loop.seed,
+        **figures,
+        "lateness_us": loop.lateness.figures(),
+        "deadline_misses": report.deadline_misses,  # the rows do not know of those after the last one
+        "realtime_factor": report.robot_s / report.wall_s if report.ticks else None,
+        "frames": {"sent": device.sent, "received": device.received, "rejected": device.rejected()},
+        "link_statistics": _link_statistics(bench, memory.feedback_age_ms()),
+        "pose_fixes": pose_fixes,
+        "wire_sha256": device.wire_sha256(),
+        "stopped": report.stopped,
+        "commands_refused": loop.commands_refused,
+        **{name: count.all for name, count in report.counted.items()},
+        "allow": allow,
+        "recoveries": [recovered._asdict() for recovered in report.recoveries],
+        "robot_slipped_ticks": bench.slipped_ticks,
+        "expect": outcomes,
+        "fault": applied,
+        "failure": str(failure) if failure is not None else None,
+        "recording": None,
+        "reasons": reasons | {"recording": "no recording was asked for"},
+    }
+
+
+def is_cut(scenario: Scenario, loop: Loop, report: Report) -> bool:
+    """Tell whether a run ended before it should have."""
+    return report.failure is not None and loop.t_s < scenario.loop.duration_s - 2.0 / scenario.loop.rate_hz
+
+
+def _link_statistics(bench: Bench, age_ms: Percentiles | None) -> dict[str, Any]:
+    """Return what became of the link (hil/wire/STATISTICS.md); for a figure that is None, ``reasons`` tells why."""
+    device, wire = bench.device, bench.wire
+    rejected = device.rejected()
+    counted = wire.counts_frames
+    lost = {
+        "snapshots": device.snapshots_lost,
+        "frames_to_host": rejected.pop("lost", 0) if counted else None,
+        "frames_to_robot": rejected.pop("robot_serial_lost", 0) if counted else None,
+    }
+    figures = {
+        **wire.figures(),
+        "lost": lost,
+        "rejected": rejected,
+        "feedback_age_ms": None if age_ms is None else age_ms._asdict(),
+        "round_trip_ms": device.round_trip.figures(),
+        "clock": device.clock_sync.figures(),
+    }
+    missing = [name for name, value in (figures | lost).items() if value is None]
+    return figures | {"reasons": {name: _NO_VALUE[name] for name in missing}}
+
+
+def close_recording(recording: RunRecording, t_s: float, metrics: dict[str, Any], *, keep_live: bool) -> None:
+    """Finish the recording at ``t_s`` with the figures in it, and say in them what became of it.
+
+    The event log gets what is only known now; what happened in the run has been told then.
+    """
+    for row in metrics["fault"]:
+        recording.event(t_s, "info" if row["applied"] else "error", f"fault: {applied_words(row)}")
+    if (trace := metrics.get("trace")) is not None and trace["trouble"] is not None:
+        recording.event(t_s, "warning", trace["trouble"])
+    if metrics["failure"] is not None:
+        recording.event(t_s, "error", metrics["failure"])
+    if recording.path is not None:
+        metrics["recording"] = str(recording.path)
+        del metrics["reasons"]["recording"]
+    report = recording.finish(with_page(metrics), keep_live=keep_live)
+    metrics["recorded"] = {
+        "rows": report.rows_written,
+        "dropped": report.rows_dropped,
+        "lost": report.rows_lost,
+        "events_lost": report.events_lost,
+        "error": report.error,
+        "restarts": report.restarts,
+        "troubles": list(report.troubles),
+        "parts": [str(path) for path in report.parts],
+    }
