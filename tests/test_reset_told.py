@@ -9,7 +9,7 @@ import pytest
 from firmware_protocol.generated import messages as m
 from firmware_protocol.host import HostNode
 from hil.robot import parameters
-from hil.robot.reset_words import ProcessorFault, reset_warning, reset_words
+from hil.robot.robot_report import ProcessorFault, reset_words
 from hil.runtime.assembly import RunOptions, run_scenario
 from hil.scenario import load
 from hil.service.messages import Phase
@@ -44,8 +44,7 @@ def test_a_service_tells_once_of_a_watchdog(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_a_fault_is_told_with_its_place_and_its_address() -> None:
-    said = reset_warning(m.ResetCause.PROCESSOR_FAULT, FAULT)
-    assert said is not None
+    said = reset_words(m.ResetCause.PROCESSOR_FAULT, FAULT)
     assert "bus fault on reading or writing at 0x08001234, called from 0x08000101 for address 0x60000000" in said
     assert "(CFSR 00008200, HFSR 40000000)" in said
     assert "without a cause" in ProcessorFault(hfsr=1).describe()

@@ -352,8 +352,8 @@ class MakersRobot:
             self._line.send(self._driver.ask())
 
     @property
-    def unread_ns(self) -> int:
-        return self._line.unread_ns
+    def poll_age_ns(self) -> int:
+        return self._line.poll_age_ns
 
     @property
     def feedback(self) -> Feedback | None:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from firmware_protocol.framing import Frame
 from hil.core.ports import Clock
 from hil.drivers.port import Driver
-from hil.robot.unread import Unread
+from hil.robot.link_times import PollAge
 from hil.robot.wire_hash import WireHash, pack_wide
 from hil.wire.conditions import ConditionedLink
 
@@ -25,7 +25,7 @@ class MotorLine:
         self._link = link
         self._driver = driver
         self._is_lockstep = is_lockstep
-        self._unread = Unread()
+        self._poll_age = PollAge()
         self._hash = WireHash(pack_wide, pack_wide)
         self.sent = 0
         self.received = 0
@@ -52,7 +52,7 @@ class MotorLine:
             taken += len(frames)
         self.received += taken
         if not self._is_lockstep:
-            self._unread.polled(clock.now_ns(), everything=taken < _MOST_A_POLL)
+            self._poll_age.record_poll(clock.now_ns(), everything=taken < _MOST_A_POLL)
         self._hash.keep_up()
 
     def wait_until(self, clock: Clock, t_ns: int) -> int:
@@ -66,7 +66,7 @@ class MotorLine:
 
     def discard(self) -> None:
         """Forget what is held, in both directions: the link was lost."""
-        self._unread.forget()
+        self._poll_age.restart()
         self._link.discard()
 
     def reopen(self) -> None:
@@ -74,9 +74,9 @@ class MotorLine:
         self._link.reopen()
 
     @property
-    def unread_ns(self) -> int:
+    def poll_age_ns(self) -> int:
         """How long what was taken last may have lain on the link; 0 in lockstep."""
-        return self._unread.ns
+        return self._poll_age.ns
 
     def describe(self) -> str:
         """Return what the link is, in words for a person."""

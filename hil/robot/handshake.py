@@ -9,7 +9,7 @@ from firmware_protocol.capabilities import Capability
 from firmware_protocol.generated import messages as m
 from hil.core.errors import BadInputError, DeviceError
 from hil.core.ports import Link
-from hil.robot.reset_words import NO_FAULT, ProcessorFault, reset_words
+from hil.robot.robot_report import NO_FAULT, ProcessorFault, reset_words
 
 SILENCE_NS = 2_000_000_000
 RETRY_NS = 200_000_000
@@ -23,6 +23,9 @@ _PAGES = (
     m.HelloFaultPlace,
     m.HelloFaultAddress,
 )
+
+
+_TROUBLE = (m.ResetCause.BROWN_OUT, m.ResetCause.WATCHDOG, m.ResetCause.LOW_POWER, m.ResetCause.PROCESSOR_FAULT)
 
 
 class RobotInfo(NamedTuple):
@@ -56,6 +59,24 @@ class RobotInfo(NamedTuple):
             f"±{self.geometry.half_width_m:.3f} m, speeds up to {self.limits.speed_limit_rad_s:.4g} rad/s"
             f"{self._last_reset()}"
         )
+
+    def warnings(self, told: m.ResetCause | None, ours_rad_s: float) -> tuple[str, ...]:
+        """Return a sentence about a last reset that came of trouble, and one where it takes less speed than is wanted.
+
+        ``told`` is the cause of the reset that a later STATUS tells; ``ours_rad_s`` the limit of the scenario.
+        """
+        sentences = []
+        cause = self.reset_cause if told is None else told
+        if cause in _TROUBLE:
+            words = reset_words(cause, self.processor_fault)
+            sentences.append(f"the robot began anew since its power came on ({cause.name}): {words}; find out why")
+        if self.limits.speed_limit_rad_s < ours_rad_s:
+            sentences.append(
+                f"the robot takes wheel speeds of at most {self.limits.speed_limit_rad_s:.4g} rad/s, as "
+                f"{self.limits.overspeed_rad_s:.4g} rad/s are a fault there; commands are scaled to that and not to "
+                f"robot.speed_limit_rad_s = {ours_rad_s:g}"
+            )
+        return tuple(sentences)
 
     def _last_reset(self) -> str:
         if self.processor_fault == NO_FAULT and self.reset_cause is None:

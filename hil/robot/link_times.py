@@ -201,6 +201,27 @@ class ClockSync:
         }
 
 
+class PollAge:
+    """Upper bound on the age of polled data: the time since the link was last read empty.
+
+    Call ``record_poll`` after each poll; ``ns`` then holds the bound for that poll.
+    """
+
+    def __init__(self) -> None:
+        self._emptied_ns: int | None = None
+        self.ns = 0
+
+    def record_poll(self, now_ns: int, *, everything: bool) -> None:
+        """Record a poll, and whether it took all that there was."""
+        before_ns = now_ns if self._emptied_ns is None else self._emptied_ns
+        self._emptied_ns = now_ns if everything else before_ns
+        self.ns = now_ns - before_ns
+
+    def restart(self) -> None:
+        """Begin anew: what the link held was discarded."""
+        self._emptied_ns = None
+
+
 def _percentiles(values: Reservoir) -> dict[str, float]:
     found = values.percentiles()
     assert found is not None

@@ -151,8 +151,8 @@ class Device(Protocol):
         """Take what has arrived; return the newest feedback so far. Once a tick: it keeps the session alive."""
 
     @property
-    def unread_ns(self) -> int:
-        """How long what the newest poll took may have lain on the link; 0 in lockstep."""
+    def poll_age_ns(self) -> int:
+        """Upper bound on the age of what the newest poll took: how long it may have lain on the link; 0 in lockstep."""
 
     @property
     def feedback(self) -> Feedback | None:

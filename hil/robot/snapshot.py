@@ -6,9 +6,8 @@ part up to that same part of a later snapshot cannot be told; the later one coun
 """
 
 import struct
-from collections.abc import Callable, Sequence
-from types import MethodType
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 from firmware_protocol.built import BuildError
 from firmware_protocol.generated.messages import State
@@ -38,9 +37,6 @@ class Feedback(NamedTuple):
     current_a: Wheels
     acceleration_m_s2: tuple[float, float, float]
     yaw_rate_rad_s: float
-
-
-_make_feedback: Callable[[tuple[Any, ...]], Feedback] = MethodType(tuple.__new__, Feedback)
 
 
 class SnapshotReader:
@@ -74,7 +70,7 @@ class SnapshotReader:
         self._take, self._restart = lib.wheel_reader_take, lib.wheel_reader_restart
         self._completed = self._slow = self._ticks = self._steps_done = 0
         self.sequences: Sequence[int] = ()
-        self._held: tuple[Wheels, tuple[float, ...], float] = (NAN_WHEELS, (NAN, NAN, NAN), NAN)
+        self._held: tuple[Wheels, tuple[float, float, float], float] = (NAN_WHEELS, (NAN, NAN, NAN), NAN)
         self.step_done: int | None = None
         self.feedback: Feedback | None = None
         self.frames = self.incomplete = self.lost = 0
@@ -102,19 +98,8 @@ class SnapshotReader:
                 at_a_lower_rate = _unpack_slow(self._slow_bytes)
                 self._held = make_wheels(at_a_lower_rate[:4]), at_a_lower_rate[4:7], at_a_lower_rate[7]
             state, sequence, age_ms = values[17:20]
-            current_a, acceleration_m_s2, yaw_rate_rad_s = self._held
-            self.feedback = _make_feedback(
-                (
-                    time_us * 1000,
-                    _STATES[state],
-                    sequence,
-                    age_ms,
-                    values[13:17],
-                    make_wheels(values[9:13]),
-                    current_a,
-                    acceleration_m_s2,
-                    yaw_rate_rad_s,
-                )
+            self.feedback = Feedback(
+                time_us * 1000, _STATES[state], sequence, age_ms, values[13:17], make_wheels(values[9:13]), *self._held
             )
         if steps_done != self._steps_done:
             self._steps_done = steps_done

@@ -61,9 +61,9 @@ class Freshness:
         feedback.
         """
         feedback = self._device.poll()
-        unread_ns = 0 if self._is_lockstep else self._device.unread_ns  # a property, and 0 there
+        poll_age_ns = 0 if self._is_lockstep else self._device.poll_age_ns  # a property, and 0 there
         stale_ns = self._stale_ns
-        is_old = unread_ns > stale_ns
+        is_old = poll_age_ns > stale_ns
         now_ns = self._clock.now_ns()
         if feedback is None:
             raise RobotStoppedError("the robot sends no feedback")
@@ -79,9 +79,9 @@ class Freshness:
             latched = feedback.state in (RobotState.FAULT, RobotState.ESTOP)
             raise (DeviceError if latched else RobotStoppedError)(self._why_stopped(feedback.state, t_s))
         if is_old:
-            if unread_ns > (_LOST_NS if active else _LEAP_NS):
+            if poll_age_ns > (_LOST_NS if active else _LEAP_NS):
                 raise LinkError(
-                    f"feedback lay unread for {unread_ns * 1e-6:.0f} ms at t = {t_s:.3f} s: this process stood still, "
+                    f"feedback lay unread for {poll_age_ns * 1e-6:.0f} ms at t = {t_s:.3f} s: this process stood still "
                     "or is slower than the robot; what the link holds is too old to be driven by"
                 )
         elif silent_ns > _LOST_NS:

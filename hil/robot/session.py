@@ -1,0 +1,177 @@
+"""The host's session with a robot of our firmware: its states, its rules, and what leads from one to another. Pure.
+
+The robot's own states are in PROTOCOL.md, "States". The host's state is what ``Session`` holds:
+
+    known      HELLO was answered since the link was opened, by the robot that the scenario describes
+    request    what each heartbeat asks for: IDLE, ARM or CLEAR
+    heartbeat  when the next one is due; none before the first request, so that a host that only looks disarms nobody
+    nonce      the number of this session; a robot refuses one that it has seen
+
+    event (``Stm32``)            known       request          heartbeat      nonce
+    HELLO answered               yes         -                -              -
+    link lost: leave             no          IDLE             none           -
+    back again: begin_again      no          IDLE             none           next
+    disarm, stop                 -           IDLE             every 0.1 s    -
+    estop                        -           IDLE             as before      -
+    clear                        -           CLEAR            every 0.1 s    next
+    armed: ARM, ARM_ANEW         -           IDLE, then ARM   every 0.1 s    next for ARM_ANEW
+
+``_TO_ACTIVE`` below has the rules by which the host arms: arming is an edge, so it announces IDLE first.
+"""
+
+from collections.abc import Callable, Iterator
+from enum import Enum
+
+from firmware_protocol.codec import Message
+from firmware_protocol.generated import messages as m
+from hil.core.errors import BadInputError
+from hil.core.types import CommandMode
+from hil.robot import handshake
+from hil.robot.handshake import RETRY_NS, Expected, Greeting, RobotInfo
+
+_HEARTBEAT_NS = 100_000_000
+_ANOTHER_NONCE_HELPS = (
+    m.ArmRefusal.NONCE_USED,
+    m.ArmRefusal.SESSION_USED,
+    m.ArmRefusal.NOT_IDLE,
+    m.ArmRefusal.NOT_ANNOUNCED,
+)
+
+
+class Step(Enum):
+    """What the host does at a tick on the way to ACTIVE."""
+
+    DONE = "the robot is ACTIVE in our session"
+    HOLD = "send zero commands: the first one makes the robot ACTIVE"
+    ARM = "announce IDLE, then ask to arm"
+    ARM_ANEW = "the same with the next nonce"
+    WAIT = "the robot has to do something first, or another host's session to end"
+    STRANGER = "give up: the robot has not said what it is since the link was lost"
+    REFUSED = "give up: it refuses to arm, and another nonce would not help"
+    LATCHED = "give up: FAULT or ESTOP is latched, and STATUS says why"
+
+
+class Session:
+    """The state of the host's session. ``nonces`` are tried in order.
+
+    Attributes:
+        nonce, request: as in the table above.
+        info: what the robot said of itself, None before it has.
+    """
+
+    def __init__(self, nonces: Iterator[int], mode: CommandMode, expected: Expected) -> None:
+        self._nonces = nonces
+        self._mode = m.Mode.TORQUE if mode is CommandMode.TORQUE else m.Mode.SPEED
+        self._expected = expected
+        self._is_known = False
+        self._greeting: Greeting | None = None
+        self._greet_again_ns = 0
+        self._heartbeat_ns: int | None = None
+        self.nonce = next(nonces)
+        self.request = m.Request.IDLE
+        self.info: RobotInfo | None = None
+
+    # Who the robot is
+
+    def accept(self, info: RobotInfo) -> None:
+        """Take what the robot said of itself. Raises BadInputError when it is not the robot of the scenario, or not
+        the one with which the run began."""
+        handshake.check(info, self._expected)
+        if self.info is not None and not self.info.is_same_robot(info):
+            raise BadInputError(
+                f"another robot answers on the link: {info.describe()}; the run began with {self.info.describe()}; "
+                "plug in the first one, or start a new run"
+            )
+        self.info = info  # it may have been reset
+        self._is_known = True
+
+    def leave(self) -> None:
+        """Ask for nothing any more: the link or the robot was lost."""
+        self.request, self._is_known, self._heartbeat_ns = m.Request.IDLE, False, None
+
+    def begin_again(self) -> None:
+        """Begin a new session with a robot that may be another one: HELLO has to be answered first."""
+        self.leave()
+        self.renew()
+        self._greeting, self._greet_again_ns = Greeting(), 0
+
+    @property
+    def is_greeted(self) -> bool:
+        """Whether HELLO was answered since ``begin_again``."""
+        return self._greeting is None
+
+    def hello(self, now_ns: int) -> Message | None:
+        """Return the request for HELLO when it is due."""
+        if self._greeting is None or now_ns < self._greet_again_ns:
+            return None
+        self._greet_again_ns = now_ns + RETRY_NS
+        return m.HelloRequest(m.PROTOCOL_VERSION)
+
+    def feed(self, message: Message) -> bool:
+        """Take a message; return whether it completed the answer to HELLO. Raises BadInputError as ``accept``."""
+        if self._greeting is None or (info := self._greeting.feed(message)) is None:
+            return False
+        self.accept(info)
+        self._greeting = None
+        return True
+
+    # What is asked of it
+
+    def renew(self) -> None:
+        """Take the next nonce."""
+        self.nonce = next(self._nonces)
+
+    def heartbeat(self, request: m.Request, now_ns: int | None) -> m.HostHeartbeat:
+        """Return the heartbeat with a request, which is in force from now on; ``now_ns`` is None without a clock."""
+        self.request = request
+        if now_ns is not None:
+            self._heartbeat_ns = now_ns + _HEARTBEAT_NS
+        check = self._expected.parameter_hash & 0xFF
+        return m.HostHeartbeat(self.nonce, m.SCHEMA_HASH, request, self._mode, check)
+
+    def is_heartbeat_due(self, now_ns: int) -> bool:
+        """Return whether the request has to be repeated now."""
+        return self._heartbeat_ns is not None and now_ns >= self._heartbeat_ns
+
+    # The way to ACTIVE
+
+    def next_step(self, state: m.State | None, status: m.Status | None) -> Step:
+        """Return what to do, by the robot's state (None without feedback) and its newest STATUS."""
+        fitting = (step for of, holds, step in _TO_ACTIVE if of is state and holds(self, status))
+        return next(fitting, Step.WAIT)
+
+    def is_ours(self, status: m.Status | None) -> bool:
+        """Return whether STATUS tells of our session: another host may have armed the robot meanwhile."""
+        return status is not None and status.nonce == self.nonce
+
+    def _is_stranger(self, _status: m.Status | None) -> bool:
+        return not self._is_known
+
+    def _has_not_asked(self, _status: m.Status | None) -> bool:
+        return self.request is m.Request.IDLE
+
+
+def _nonce_is_spent(_: Session, status: m.Status | None) -> bool:
+    return status is not None and status.arm_refusal in _ANOTHER_NONCE_HELPS
+
+
+def _is_refused(_: Session, status: m.Status | None) -> bool:
+    return status is not None and status.arm_refusal != m.ArmRefusal.NONE
+
+
+def _told(state: m.State) -> Callable[[Session, m.Status | None], bool]:
+    """Return whether STATUS tells of a state; feedback may tell of it before."""
+    return lambda _, status: status is not None and status.state == state
+
+
+# The robot's state, a condition, and what the host does; the first row that fits, else WAIT.
+_TO_ACTIVE: tuple[tuple[m.State, Callable[[Session, m.Status | None], bool], Step], ...] = (
+    (m.State.ACTIVE, Session.is_ours, Step.DONE),
+    (m.State.ARMED, Session.is_ours, Step.HOLD),
+    (m.State.IDLE, Session._is_stranger, Step.STRANGER),
+    (m.State.IDLE, Session._has_not_asked, Step.ARM),
+    (m.State.IDLE, _nonce_is_spent, Step.ARM_ANEW),
+    (m.State.IDLE, _is_refused, Step.REFUSED),
+    (m.State.FAULT, _told(m.State.FAULT), Step.LATCHED),
+    (m.State.ESTOP, _told(m.State.ESTOP), Step.LATCHED),
+)
