@@ -7,6 +7,7 @@ object, and exits with 1 when memory or files grew, when the service refused or 
 
 import argparse
 import json
+import math
 import os
 import statistics
 import subprocess
@@ -84,8 +85,9 @@ def drive(client: Client, recording: Path, track_s: float) -> None:
             raise TimeoutError(f"the robot left the circle: {status['phase']}, {status.get('why')}")
     client.twist({"vx_m_s": 0.2, "vy_m_s": 0.1, "yaw_rate_rad_s": 0.3}, 2.0)
     _until(lambda: client.status()["task"] == "hold", "the robot stands after its twist")
-    client.order(Action.GO, {"x_m": 0.5, "y_m": 0.0, "heading_rad": 0.0})
-    _until(lambda: client.status()["task"] == "hold", "the robot has come to its pose")
+    pose = (0.5, 0.0, 0.0)
+    client.order(Action.GO, dict(zip(("x_m", "y_m", "heading_rad"), pose, strict=True)))
+    _until(lambda: math.dist(client.status()["pose"], pose) < 0.01, "the robot has come to its pose")
     client.order(Action.STOP_RECORDING)
     client.order(Action.DISARM)
     for path in recording.parent.glob(f"{recording.stem}*"):

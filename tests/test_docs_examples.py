@@ -1,0 +1,99 @@
+"""The examples of docs/examples do what they say: each is run as it stands, for a shorter time where it takes one."""
+
+import math
+import re
+import runpy
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.plugin_suites import run
+from tests.processes import HIL, ROOT, environment, hil, wait_for
+
+EXAMPLES = ROOT / "docs" / "examples"
+
+
+def script(name: str, *arguments: str | Path) -> None:
+    """Run a script here, as ``python NAME ARGUMENTS`` does."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", [name, *map(str, arguments)])
+        runpy.run_path(str(EXAMPLES / name), run_name="__main__")
+
+
+def test_every_example_is_short_listed_and_run_here() -> None:
+    files = sorted(path.name for path in EXAMPLES.iterdir() if path.is_file() and path.name != "README.md")
+    page = (EXAMPLES / "README.md").read_text(encoding="utf-8")
+    assert re.findall(r"^\| \[`(\S+)`\]", page, re.MULTILINE) != []
+    assert sorted(re.findall(r"^\| \[`(\S+)`\]", page, re.MULTILINE)) == files
+    here = Path(__file__).read_text(encoding="utf-8")
+    for name in files:
+        assert f'"{name}"' in here
+        assert 20 <= len((EXAMPLES / name).read_text(encoding="utf-8").splitlines()) <= 60, name
+
+
+def test_a_run_from_python_prints_figures_and_signals(capsys) -> None:
+    script("run_a_scenario.py", "2")
+    shown = capsys.readouterr().out
+    assert re.search(r"on the path after 0\.\d+ s", shown)
+    assert "2000 ticks; the largest error of the last second is 0.00" in shown
+    assert "pose.x_m  pose.y_m  error.planar_m" in shown
+
+
+def test_a_law_of_ones_own_drives_as_well_as_ours(capsys) -> None:
+    script("my_law.py", "3")
+    own, mine = re.findall(r"^(?:dsc|mine) +to 10 mm after (\S+) s", capsys.readouterr().out, re.MULTILINE)
+    assert max(float(own), float(mine)) < 2.0
+
+
+def test_a_motion_of_ones_own_is_followed(tmp_path, capsys) -> None:
+    script("my_reference.py", tmp_path, "3")
+    assert (tmp_path / "flower.csv").read_text().splitlines()[0] == "t_s,x_m,y_m,heading_rad"
+    shown = capsys.readouterr().out
+    assert "passed: yes" in shown
+    assert "the robot can follow it" in shown
+
+
+def test_the_tests_and_the_scenario_pass_as_tests(suite) -> None:
+    for name in ("my_law.py", "test_my_law.py", "bad_day.hil.toml"):
+        shutil.copy(EXAMPLES / name, suite.path)
+    run(suite, "--hil-record", "none").assert_outcomes(passed=5)
+
+
+def test_a_recording_of_the_bad_day_is_read(tmp_path, capsys) -> None:
+    recording = tmp_path / "bad.rrd"
+    assert hil("run", EXAMPLES / "bad_day.hil.toml", "--record", recording).returncode == 0
+    script("read_a_recording.py", recording)
+    shown = capsys.readouterr().out
+    assert "over 8.00 s" in shown
+    assert "fault begins: push force_x_n" in shown
+    assert shown.endswith("passed: True\n")
+
+
+def test_the_campaign_passes_for_every_robot(tmp_path) -> None:
+    done = hil("campaign", EXAMPLES / "mass_and_friction.toml", "--out", tmp_path / "runs")
+    assert (done.returncode, "12 runs: 12 passed" in done.stdout) == (0, True), done.stderr
+
+
+@pytest.mark.alone
+@pytest.mark.skipif(sys.platform == "win32", reason="its state folder is Linux's")
+def test_a_robot_is_driven_over_http(tmp_path) -> None:
+    command = [*HIL, "serve", "circle_speed", "--set", "loop.rate_hz=100", "--set", "service.port=0"]
+    variables = environment() | {"XDG_STATE_HOME": str(tmp_path)}
+    log = tmp_path / "log"
+    with log.open("wb") as errors, subprocess.Popen(command, env=variables, cwd=tmp_path, stderr=errors) as service:
+        try:
+            wait_for(lambda: "the robot is disarmed" in log.read_text())
+            [token] = tmp_path.glob("mecanum-hil/services/*.token")
+            words = [sys.executable, str(EXAMPLES / "drive_over_http.py"), token.stem, str(token)]
+            driven = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+        finally:
+            service.terminate()
+    assert driven.returncode == 0, driven.stderr
+    x_m, y_m, heading_rad = map(float, re.findall(r"-?\d+\.\d+", driven.stdout))
+    assert heading_rad == pytest.approx(0.5, abs=0.1)
+    ahead_m = (x_m - 0.6) * math.cos(0.5) + (y_m - 0.1) * math.sin(0.5)
+    left_m = (y_m - 0.1) * math.cos(0.5) - (x_m - 0.6) * math.sin(0.5)
+    assert (abs(ahead_m) < 0.05, 0.1 < left_m < 0.4) == (True, True), "sideways is to the left of where it looks"
