@@ -1,7 +1,7 @@
 """Expectations: each claim against a naive oracle, and what fails because nothing was shown."""
 
 import math
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,16 +20,9 @@ LIMIT = st.integers(-3, 3).map(float)
 TOLERANCE = st.sampled_from([0.5, 1.0, 2.0])
 
 
-class Row(NamedTuple):
-    signal: str = "error.planar_m"
-    from_s: float = 0.0
-    to_s: float = math.inf
-    below: float | None = None
-    above: float | None = None
-    within: tuple[float, float] | None = None
-    equals: float | None = None
-    settles_to: float | None = None
-    tolerance: float | None = None
+def claim(**given: Any) -> ExpectTable:
+    """A row, unchecked: a range may be empty here."""
+    return ExpectTable.model_construct(signal="error.planar_m", **given)
 
 
 def signals(values: list[float]) -> dict[str, np.ndarray]:
@@ -46,22 +39,28 @@ def first_violation(values: list[float], from_s: float, to_s: float, holds) -> t
 
 
 CLAIMS = st.one_of(
-    LIMIT.map(lambda b: (Row(below=b), lambda v: v < b)),
-    LIMIT.map(lambda a: (Row(above=a), lambda v: v > a)),
-    st.tuples(LIMIT, LIMIT).map(lambda p: (Row(above=min(p), below=max(p)), lambda v: min(p) < v < max(p))),
-    st.tuples(LIMIT, LIMIT).map(lambda p: (Row(within=(min(p), max(p))), lambda v: min(p) <= v <= max(p))),
-    LIMIT.map(lambda e: (Row(equals=e), lambda v: v == e)),
-    st.tuples(LIMIT, TOLERANCE).map(lambda p: (Row(equals=p[0], tolerance=p[1]), lambda v: abs(v - p[0]) <= p[1])),
+    LIMIT.map(lambda b: (claim(below=b), lambda v: v < b)),
+    LIMIT.map(lambda a: (claim(above=a), lambda v: v > a)),
+    st.tuples(LIMIT, LIMIT).map(lambda p: (claim(above=min(p), below=max(p)), lambda v: min(p) < v < max(p))),
+    st.tuples(LIMIT, LIMIT).map(lambda p: (claim(within=(min(p), max(p))), lambda v: min(p) <= v <= max(p))),
+    LIMIT.map(lambda e: (claim(equals=e), lambda v: v == e)),
+    st.tuples(LIMIT, TOLERANCE).map(lambda p: (claim(equals=p[0], tolerance=p[1]), lambda v: abs(v - p[0]) <= p[1])),
 )
 
 
 @given(VALUES, CLAIMS, st.integers(0, 10), st.integers(0, 30))
-def test_a_claim_holds_when_it_holds_of_every_sample(values, claim, from_s, span) -> None:
-    row, holds = claim
+def test_a_claim_holds_when_it_holds_of_every_sample(values, claimed, from_s, span) -> None:
+    row, holds = claimed
     passed, at = first_violation(values, from_s, from_s + span, holds)
-    outcome = check_expectation(row._replace(from_s=float(from_s), to_s=float(from_s + span)), signals(values))
-    assert (outcome.passed, outcome.at_s) == (passed, at)
-    assert outcome.value is None if at is None else (outcome.value == values[at] or math.isnan(values[at]))
+    outcome = check_expectation(
+        row.model_copy(update={"from_s": float(from_s), "to_s": float(from_s + span)}), signals(values)
+    )
+    assert (outcome.passed, outcome.violation_s) == (passed, at)
+    assert (
+        outcome.violation_value is None
+        if at is None
+        else (outcome.violation_value == values[at] or math.isnan(values[at]))
+    )
 
 
 @given(VALUES, LIMIT, TOLERANCE, st.integers(0, 10), st.integers(0, 30))
@@ -69,36 +68,36 @@ def test_settling_is_the_earliest_time_from_which_it_stays_near(values, target, 
     samples = [(t, v) for t, v in enumerate(values) if from_s <= t <= from_s + span]
     near = [abs(v - target) <= tolerance for _, v in samples]
     settled = next((t for n, (t, _) in enumerate(samples) if all(near[n:])), None)
-    row = Row(settles_to=target, tolerance=tolerance, from_s=float(from_s), to_s=float(from_s + span))
+    row = claim(settles_to=target, tolerance=tolerance, from_s=float(from_s), to_s=float(from_s + span))
     outcome = check_expectation(row, signals(values))
     assert (outcome.passed, outcome.settled_s) == (settled is not None, settled)
-    assert outcome.at_s == (None if settled is not None or not samples else samples[-1][0])
+    assert outcome.violation_s == (None if settled is not None or not samples else samples[-1][0])
 
 
 def test_the_first_violation_is_told_in_words() -> None:
-    outcome = check_expectation(Row(below=0.5, to_s=2.0), signals([0.1, 0.7, 0.3]))
-    assert outcome.sentence == "error.planar_m below 0.5 from 0 s to 2 s: failed, 0.7 at t = 1 s"
+    outcome = check_expectation(claim(below=0.5, to_s=2.0), signals([0.1, 0.7, 0.3]))
+    assert outcome.text == "error.planar_m below 0.5 from 0 s to 2 s: failed, 0.7 at t = 1 s"
 
 
 def test_what_settles_says_when() -> None:
-    outcome = check_expectation(Row(settles_to=1.0, tolerance=0.1), signals([0.0, 1.05, 0.5, 0.95, 1.0]))
-    assert outcome.sentence == (
-        "error.planar_m settles to 1 ± 0.1 from 0 s to the end: settled at t = 3 s, over 2 samples"
-    )
+    outcome = check_expectation(claim(settles_to=1.0, tolerance=0.1), signals([0.0, 1.05, 0.5, 0.95, 1.0]))
+    assert outcome.text == ("error.planar_m settles to 1 ± 0.1 from 0 s to the end: settled at t = 3 s, over 2 samples")
 
 
 def test_nothing_to_hold_for_fails() -> None:
-    outcome = check_expectation(Row(from_s=10, to_s=15, below=1.0), signals([0.1, 0.1]))
+    outcome = check_expectation(claim(from_s=10, to_s=15, below=1.0), signals([0.1, 0.1]))
     assert not outcome.passed
-    assert "no samples" in outcome.sentence
+    assert "no samples" in outcome.text
 
 
-@pytest.mark.parametrize("row", [Row(below=math.inf), Row(above=-math.inf), Row(within=(-9, 9)), Row(equals=0.1)])
-def test_a_gap_fails_whatever_the_bounds(row: Row) -> None:
+@pytest.mark.parametrize(
+    "row", [claim(below=math.inf), claim(above=-math.inf), claim(within=(-9, 9)), claim(equals=0.1)]
+)
+def test_a_gap_fails_whatever_the_bounds(row: ExpectTable) -> None:
     outcome = check_expectation(row, signals([0.1, NAN, 0.1]))
     assert not outcome.passed
-    assert outcome.at_s == 1.0
-    assert "no value at t = 1 s" in outcome.sentence
+    assert outcome.violation_s == 1.0
+    assert "no value at t = 1 s" in outcome.text
 
 
 @pytest.mark.parametrize(
@@ -138,10 +137,10 @@ def test_all_claims_load(tmp_path) -> None:
 
 
 def test_a_failure_tells_its_first_and_its_worst_violation_and_how_long_it_was_in_all() -> None:
-    outcome = check_expectation(Row(below=5.0), signals([0.0, 5.5, 53.0, 6.0, 1.0, 7.0, 2.0]))
-    assert (outcome.at_s, outcome.value) == (1.0, 5.5)
+    outcome = check_expectation(claim(below=5.0), signals([0.0, 5.5, 53.0, 6.0, 1.0, 7.0, 2.0]))
+    assert (outcome.violation_s, outcome.violation_value) == (1.0, 5.5)
     assert (outcome.worst_s, outcome.worst_value, outcome.violated_s) == (2.0, 53.0, 4.0)
-    assert outcome.sentence.endswith(": failed, 5.5 at t = 1 s; worst 53 at t = 2 s; 4 s in all")
+    assert outcome.text.endswith(": failed, 5.5 at t = 1 s; worst 53 at t = 2 s; 4 s in all")
 
 
 @given(VALUES, LIMIT, LIMIT)
@@ -149,7 +148,7 @@ def test_the_worst_violation_is_the_farthest_from_what_was_claimed(
     values: list[float], low: float, high: float
 ) -> None:
     low, high = min(low, high), max(low, high)
-    outcome = check_expectation(Row(within=(low, high)), signals(values))
+    outcome = check_expectation(claim(within=(low, high)), signals(values))
     outside = [(max(low - v, v - high), -t) for t, v in enumerate(values) if not low <= v <= high and v == v]
     if outcome.worst_s is None or math.isnan(outcome.worst_value or 0.0):
         assert not outside
@@ -163,22 +162,24 @@ def test_the_worst_violation_is_the_farthest_from_what_was_claimed(
 @pytest.mark.parametrize(
     ("row", "passed", "told"),
     [
-        (Row(below=9.0, from_s=5.0), None, "the run ended at t = 3 s, before there was a sample of it"),
-        (Row(below=9.0), None, "the run ended at t = 3 s; held over 4 samples until then"),
-        (Row(below=9.0, to_s=2.0), True, "held over 3 samples"),
-        (Row(below=2.0), False, "failed, 2 at t = 2 s; worst 3 at t = 3 s; 1 s in all"),
-        (Row(settles_to=9.0, tolerance=1.0), None, "the run ended at t = 3 s, and it had not settled until then"),
-        (Row(settles_to=3.0, tolerance=0.5), None, "the run ended at t = 3 s; settled since t = 3 s over 1 samples"),
+        (claim(below=9.0, from_s=5.0), None, "the run ended at t = 3 s, before there was a sample of it"),
+        (claim(below=9.0), None, "the run ended at t = 3 s; held over 4 samples until then"),
+        (claim(below=9.0, to_s=2.0), True, "held over 3 samples"),
+        (claim(below=2.0), False, "failed, 2 at t = 2 s; worst 3 at t = 3 s; 1 s in all"),
+        (claim(settles_to=9.0, tolerance=1.0), None, "the run ended at t = 3 s, and it had not settled until then"),
+        (claim(settles_to=3.0, tolerance=0.5), None, "the run ended at t = 3 s; settled since t = 3 s over 1 samples"),
     ],
 )
-def test_what_a_run_that_ended_early_did_not_come_to_is_not_judged(row: Row, passed: bool | None, told: str) -> None:
+def test_what_a_run_that_ended_early_did_not_come_to_is_not_judged(
+    row: ExpectTable, passed: bool | None, told: str
+) -> None:
     outcome = check_expectation(row, signals([0.0, 1.0, 2.0, 3.0]), cut_s=3.0)
     assert outcome.passed is passed
-    assert told in outcome.sentence
-    assert ("not judged" in outcome.sentence) is (passed is None)
+    assert told in outcome.text
+    assert ("not judged" in outcome.text) is (passed is None)
 
 
 def test_failures_are_told_in_the_order_of_time() -> None:
-    rows = [Row(below=9.0), Row(below=3.0), Row(below=9.0, from_s=9.0), Row(below=1.0)]
+    rows = [claim(below=9.0), claim(below=3.0), claim(below=9.0, from_s=9.0), claim(below=1.0)]
     found = outcomes_of(rows, signals([0.0, 1.0, 2.0, 3.0, 9.5]), cut_s=4.0)
     assert [row["violation_s"] for row in in_order(found)] == [1.0, 3.0, 4.0, None]

@@ -18,9 +18,8 @@ from hil.judge.figures import SHIPPED, signal_figures
 from hil.record import Recording
 from hil.record.properties import SIGNALS_PATH
 from hil.review import Event, RecordedRun, figures, read, review, to_frame
-from hil.review.contents import DamagedError
+from hil.review.contents import DamagedError, check_plausible
 from hil.review.decode import decode
-from hil.review.plausibility import check_plausible
 from tests.recorded_circle import circle_table, column
 
 ROWS = 6000

@@ -1,99 +1,76 @@
-"""Expectations: what a row of ``[[expect]]`` claims of a signal, and what became of it.
+"""Expectations and allowances: what ``[[expect]]`` claims of signals, what ``[allow]`` permits, and the outcome.
 
-Pure: numbers in, plain numbers and sentences out. A run asks one sample after the other, in its ticks, so that it can
-tell of an expectation when it is decided; a review asks of a whole recording.
+Pure: numbers in, plain numbers and sentences out. A run adds sample by sample, so that it can say at once when an
+expectation has failed; a review checks a whole recording.
 """
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple, Protocol
-
-import numpy as np
-import numpy.typing as npt
+from typing import Any, NamedTuple
 
 from hil.core.errors import UnknownSignalError
-
-Series = npt.NDArray[np.float64]
-
-
-class Expect(Protocol):
-    """A row of ``[[expect]]``: one claim of a signal from one time to another, both included."""
-
-    @property
-    def signal(self) -> str: ...
-    @property
-    def from_s(self) -> float: ...
-    @property
-    def to_s(self) -> float: ...
-    @property
-    def below(self) -> float | None: ...
-    @property
-    def above(self) -> float | None: ...
-    @property
-    def within(self) -> tuple[float, float] | None: ...
-    @property
-    def equals(self) -> float | None: ...
-    @property
-    def settles_to(self) -> float | None: ...
-    @property
-    def tolerance(self) -> float | None: ...
+from hil.judge.measure import Series
+from hil.scenario.allow import AllowTable, most
+from hil.scenario.rows import ExpectTable
 
 
 class Outcome(NamedTuple):
     """What became of an expectation.
 
     Attributes:
-        passed: whether it held. False also when there was nothing to hold for; None when it is not judged, because the
-            run ended before its time and nothing until then was a violation.
-        at_s: time of the first violation, or None. Of one that did not settle: of the last sample, which was outside.
-        value: the signal's value there (NaN for a gap), or None.
+        passed: whether it held. False also when there was no sample to hold for; None when it is not judged, because
+            the run ended before its time and nothing until then was a violation.
+        violation_s: time of the first violation, or None. Of one that did not settle: of the last sample.
+        violation_value: the signal's value there (NaN for a gap), or None.
         worst_s: time of the worst violation, the value farthest from what was claimed, or None. One that did not
             settle has none, for to be outside at first is no violation.
         worst_value: the signal's value there.
         violated_s: how long it was violated in all [s]: each time from the first sample that violates it to the next
             one that does not, or to the last one of all. None where ``worst_s`` is.
         settled_s: of ``settles_to``: the first time from which it stayed within the tolerance.
-        sentence: the whole story for a person.
+        text: the whole story for a person.
     """
 
     passed: bool | None
-    at_s: float | None
-    value: float | None
-    worst_s: float | None
-    worst_value: float | None
-    violated_s: float | None
-    settled_s: float | None
-    sentence: str
+    text: str
+    violation_s: float | None = None
+    violation_value: float | None = None
+    worst_s: float | None = None
+    worst_value: float | None = None
+    violated_s: float | None = None
+    settled_s: float | None = None
 
 
-class _Violations:
-    """The violations of a claim so far: the first, the worst and the last, and how long they were."""
+class _Claim(NamedTuple):
+    """What is claimed of a value: ``holds`` is false of a NaN; ``distance`` is how far one that violates it is off."""
 
-    def __init__(self, t_s: float, value: float, distance: float) -> None:
-        self.first = self.worst = self.last = (t_s, value)
-        self.samples = 1
-        self._farthest = -math.inf if math.isnan(distance) else distance
-        self._since_s = t_s
-        self._over_s = 0.0
-        self._goes_on = True
+    holds: Callable[[float], bool]
+    distance: Callable[[float], float]
+    text: str
 
-    def add(self, t_s: float, value: float, distance: float) -> None:
-        """Take a further sample that violates the claim."""
-        if not self._goes_on:
-            self._since_s, self._goes_on = t_s, True
-        self.last = (t_s, value)
-        self.samples += 1
-        if distance > self._farthest:
-            self.worst, self._farthest = self.last, distance
 
-    def pause(self, t_s: float) -> None:
-        """Take the first sample that holds after one that does not."""
-        self._over_s += t_s - self._since_s
-        self._goes_on = False
-
-    def in_all_s(self) -> float:
-        """Return how long they were."""
-        return self._over_s + (self.last[0] - self._since_s if self._goes_on else 0.0)
+def _claim(expect: ExpectTable) -> _Claim:
+    if expect.within is not None:
+        low, high = expect.within
+        text = f"within {low:g} to {high:g}"
+        return _Claim(lambda value: low <= value <= high, lambda value: max(low - value, value - high), text)
+    target = expect.equals if expect.settles_to is None else expect.settles_to
+    if target is not None:
+        centre, tolerance = target, expect.tolerance or 0.0
+        word = "equals" if expect.settles_to is None else "settles to"
+        text = f"{word} {centre:g}" + (f" ± {tolerance:g}" if tolerance else "")
+        return _Claim(lambda value: abs(value - centre) <= tolerance, lambda value: abs(value - centre), text)
+    above, below = expect.above, expect.below
+    if below is None:
+        assert above is not None, "a scenario's expectation has one claim"
+        return _Claim(lambda value: value > above, lambda value: above - value, f"above {above:g}")
+    if above is None:
+        return _Claim(lambda value: value < below, lambda value: value - below, f"below {below:g}")
+    return _Claim(
+        lambda value: above < value < below,
+        lambda value: max(above - value, value - below),
+        f"above {above:g} and below {below:g}",
+    )
 
 
 class Watch:
@@ -102,87 +79,82 @@ class Watch:
     It fails when there are no samples in its time, or when one that counts is NaN: nothing was shown then.
     """
 
-    def __init__(self, expect: Expect) -> None:
+    def __init__(self, expect: ExpectTable) -> None:
         self.expect = expect
-        self._holds = _predicate(expect)
+        self._claim = _claim(expect)
         self._settles = expect.settles_to is not None
         self._samples = 0
-        self._held = 0  # the samples of the end that held without a break
+        self._held = 0  # samples at the end that hold without a break
         self._held_since_s = 0.0
-        self._violations: _Violations | None = None
+        self._first: tuple[float, float] | None = None  # violations, each with time and value
+        self._worst = self._last = (math.nan, math.nan)
+        self._worst_distance = -math.inf
+        self._violations = 0
+        self._since_s = 0.0  # the violation that goes on began then
+        self._violated_s = 0.0  # those that are over
 
-    def take(self, t_s: float, value: float) -> bool:
-        """Take a sample of the expectation's time; return whether it is the one by which the claim has failed."""
+    def add(self, t_s: float, value: float) -> bool:
+        """Add a sample of the expectation's time; return whether it is the one by which the claim has failed."""
         self._samples += 1
-        violations = self._violations
-        if self._holds(value):
+        if self._claim.holds(value):
             if not self._held:
                 self._held_since_s = t_s
-                if violations is not None:
-                    violations.pause(t_s)
+                if self._violations:
+                    self._violated_s += t_s - self._since_s
             self._held += 1
             return False
+        if self._held or not self._violations:
+            self._since_s = t_s
         self._held = 0
-        if violations is None:
-            self._violations = _Violations(t_s, value, _distance(self.expect, value))
-            return not self._settles
-        violations.add(t_s, value, _distance(self.expect, value))
-        return False
+        self._violations += 1
+        self._last = (t_s, value)
+        distance = self._claim.distance(value)
+        if self._first is None or distance > self._worst_distance:
+            self._worst, self._worst_distance = self._last, -math.inf if math.isnan(distance) else distance
+        is_first = self._first is None
+        self._first = self._first or self._last
+        return is_first and not self._settles
 
     def outcome(self, cut_s: float | None = None) -> Outcome:
         """Return what became of it with the samples so far.
 
         ``cut_s`` is the time at which the run ended before it should have; None for one that came to its end.
         """
-        claim = f"{self.expect.signal} {_claim(self.expect)} {_span(self.expect)}"
-        violations = self._violations
-        if violations is not None and not self._settles:
-            return _failed(claim, violations)
+        until = "to the end" if math.isinf(self.expect.to_s) else f"to {self.expect.to_s:g} s"
+        claim = f"{self.expect.signal} {self._claim.text} from {self.expect.from_s:g} s {until}"
+        if self._first is not None and not self._settles:
+            violated_s = self._violated_s + (0.0 if self._held else self._last[0] - self._since_s)
+            text = f"{claim}: failed, {_found(self._first)}"
+            if self._violations > 1:
+                text += f"; worst {_found(self._worst)}; {violated_s:.4g} s in all"
+            return Outcome(False, text, *self._first, *self._worst, violated_s)
         if cut_s is not None and self.expect.to_s > cut_s:
-            return _without_violation(None, f"{claim}: not judged, {self._until(cut_s)}")
+            return Outcome(None, f"{claim}: not judged, the run ended at t = {cut_s:.6g} s{self._until()}")
         if not self._samples:
-            return _without_violation(False, f"{claim}: failed, the run has no samples there")
+            return Outcome(False, f"{claim}: failed, the run has no samples there")
         if not self._held:
-            assert violations is not None, "a sample that did not hold"
-            at_s, value = violations.last
-            sentence = f"{claim}: failed at the end, {_found(value)} at t = {at_s:.6g} s"
-            return _without_violation(False, sentence)._replace(at_s=at_s, value=value)
+            return Outcome(False, f"{claim}: failed at the end, {_found(self._last)}", *self._last)
         if self._settles:
-            settled_s, count = self._held_since_s, self._held
-            sentence = f"{claim}: settled at t = {settled_s:.6g} s, over {count} samples"
-            return _without_violation(True, sentence)._replace(settled_s=settled_s)
-        return _without_violation(True, f"{claim}: held over {self._samples} samples")
+            text = f"{claim}: settled at t = {self._held_since_s:.6g} s, over {self._held} samples"
+            return Outcome(True, text, settled_s=self._held_since_s)
+        return Outcome(True, f"{claim}: held over {self._samples} samples")
 
-    def _until(self, cut_s: float) -> str:
+    def _until(self) -> str:
         """Return how it was when the run ended before its time."""
-        ended = f"the run ended at t = {cut_s:.6g} s"
         if not self._samples:
-            return f"{ended}, before there was a sample of it"
+            return ", before there was a sample of it"
         if not self._held:
-            return f"{ended}, and it had not settled until then"
+            return ", and it had not settled until then"
         verb = f"settled since t = {self._held_since_s:.6g} s" if self._settles else "held"
-        return f"{ended}; {verb} over {self._held} samples until then"
+        return f"; {verb} over {self._held} samples until then"
 
 
-def _without_violation(passed: bool | None, sentence: str) -> Outcome:
-    return Outcome(passed, None, None, None, None, None, None, sentence)
+def _found(sample: tuple[float, float]) -> str:
+    t_s, value = sample
+    return f"{'no value' if math.isnan(value) else f'{value:.6g}'} at t = {t_s:.6g} s"
 
 
-def _failed(claim: str, violations: _Violations) -> Outcome:
-    at_s, value = violations.first
-    worst_s, worst_value = violations.worst
-    violated_s = violations.in_all_s()
-    sentence = f"{claim}: failed, {_found(value)} at t = {at_s:.6g} s"
-    if violations.samples > 1:
-        sentence += f"; worst {_found(worst_value)} at t = {worst_s:.6g} s; {violated_s:.4g} s in all"
-    return Outcome(False, at_s, value, worst_s, worst_value, violated_s, None, sentence)
-
-
-def _found(value: float) -> str:
-    return "no value" if math.isnan(value) else f"{value:.6g}"
-
-
-def check_expectation(expect: Expect, signals: Mapping[str, Series], cut_s: float | None = None) -> Outcome:
+def check_expectation(expect: ExpectTable, signals: Mapping[str, Series], cut_s: float | None = None) -> Outcome:
     """Check one expectation against the signals of a run, ``loop.t_s`` among them.
 
     ``cut_s`` is the time at which the run ended before it should have, or None. Raises UnknownSignalError, with near
@@ -194,79 +166,45 @@ def check_expectation(expect: Expect, signals: Mapping[str, Series], cut_s: floa
     inside = (t_s >= expect.from_s) & (t_s <= expect.to_s)
     watch = Watch(expect)
     for at_s, value in zip(t_s[inside].tolist(), values[inside].tolist(), strict=True):
-        watch.take(at_s, value)
+        watch.add(at_s, value)
     return watch.outcome(cut_s)
 
 
-def outcome_figures(expect: Expect, outcome: Outcome) -> dict[str, Any]:
-    """Return an expectation with how it went, in words and numbers, as the figures of a run have it."""
-    return {
-        "signal": expect.signal,
-        "passed": outcome.passed,
-        "violation_s": outcome.at_s,
-        "violation_value": outcome.value,
-        "worst_s": outcome.worst_s,
-        "worst_value": outcome.worst_value,
-        "violated_s": outcome.violated_s,
-        "settled_s": outcome.settled_s,
-        "text": outcome.sentence,
-    }
+def outcome_figures(expect: ExpectTable, outcome: Outcome) -> dict[str, Any]:
+    """Return an expectation with how it went, in words and numbers, as the JSON of a run has it."""
+    fields = outcome._asdict()
+    text = fields.pop("text")
+    return {"signal": expect.signal, **fields, "text": text}
 
 
 def outcomes_of(
-    rows: Sequence[Expect], signals: Mapping[str, Series], cut_s: float | None = None
+    rows: Sequence[ExpectTable], signals: Mapping[str, Series], cut_s: float | None = None
 ) -> list[dict[str, Any]]:
     """Return the figures of each expectation, checked against the signals of a run; see ``check_expectation``."""
     return [outcome_figures(row, check_expectation(row, signals, cut_s)) for row in rows]
 
 
-def _predicate(expect: Expect) -> Callable[[float], bool]:
-    """Return what tells whether the claim holds of a value. A NaN compares false, and no claim holds of it."""
-    above, below = expect.above, expect.below
-    if expect.within is not None:
-        low, high = expect.within
-        return lambda value: low <= value <= high
-    target = expect.equals if expect.settles_to is None else expect.settles_to
-    if target is not None:
-        centre, tolerance = target, expect.tolerance or 0.0
-        return lambda value: abs(value - centre) <= tolerance
-    if below is None:
-        assert above is not None, "a scenario's expectation has one claim"
-        return lambda value: value > above
-    return (lambda value: value < below) if above is None else (lambda value: above < value < below)
+class TickCount(NamedTuple):
+    """How many ticks of a kind a run had, and how many of them no fault of the scenario explains."""
+
+    all: int
+    unexplained: int
 
 
-def _distance(expect: Expect, value: float) -> float:
-    """Return how far a value that violates the claim is from one that holds; NaN for one that is no number."""
-    if expect.within is not None:
-        low, high = expect.within
-        return max(low - value, value - high)
-    target = expect.equals if expect.settles_to is None else expect.settles_to
-    if target is not None:
-        return abs(value - target)
-    above, below = expect.above, expect.below
-    if above is None or (below is not None and value >= below):
-        assert below is not None, "a scenario's expectation has one claim"
-        return value - below
-    return above - value
+def allow_figures(allow: AllowTable, counts: Mapping[str, TickCount], ticks: int) -> list[dict[str, Any]]:
+    """Return what became of each limit of ``[allow]``, in its order, in words and numbers.
 
-
-def _claim(expect: Expect) -> str:
-    tolerance = f" ± {expect.tolerance:g}" if expect.tolerance else ""
-    words = []
-    if expect.above is not None:
-        words.append(f"above {expect.above:g}")
-    if expect.below is not None:
-        words.append(f"below {expect.below:g}")
-    if expect.within is not None:
-        words.append(f"within {expect.within[0]:g} to {expect.within[1]:g}")
-    if expect.equals is not None:
-        words.append(f"equals {expect.equals:g}{tolerance}")
-    if expect.settles_to is not None:
-        words.append(f"settles to {expect.settles_to:g}{tolerance}")
-    return " and ".join(words)
-
-
-def _span(expect: Expect) -> str:
-    stop = "to the end" if math.isinf(expect.to_s) else f"to {expect.to_s:g} s"
-    return f"from {expect.from_s:g} s {stop}"
+    ``counts`` has one for each key of the table; ``ticks`` is how many the run had.
+    """
+    figures = []
+    for name, field in AllowTable.model_fields.items():
+        limit, count = getattr(allow, name), counts[name]
+        allowed = most(limit, ticks)
+        passed = count.unexplained <= allowed
+        share = f"{allowed}, {limit}" if isinstance(limit, str) else f"{allowed}"
+        text = (
+            f"{name}: {count.unexplained} of {ticks} {field.description}; no fault of the scenario explains them, and "
+            f"allow.{name} permits {share}: {'as allowed' if passed else 'find the cause, or raise it'}"
+        )
+        figures.append({"name": name, "passed": passed, **count._asdict(), "limit": limit, "text": text})
+    return figures

@@ -9,9 +9,9 @@ rows = differences(figures, review(other)) # which of two runs is better, figure
 """
 
 from hil.review.difference import Change, Difference, changes, differences
+from hil.review.export import write_trajectory
 from hil.review.figures import figures, review
 from hil.review.reader import Event, RecordedRun, read, to_frame
-from hil.review.trajectory import write_trajectory
 
 __all__ = [
     "Change",

@@ -19,9 +19,8 @@ from hil.core.errors import BadInputError
 from hil.record.environment import refuse_pandas
 from hil.record.files import check_is_recording, later_parts
 from hil.record.properties import PART_PROPERTY, RECORDER_PROPERTY, RUN_PROPERTY, SIGNALS_PROPERTY, SUMMARY_PROPERTY
-from hil.review.contents import CUT_BEFORE_ROWS, Contents, DamagedError, Series, Wanted
+from hil.review.contents import CLOCK, CUT_BEFORE_ROWS, Contents, DamagedError, Series, Wanted, check_plausible
 from hil.review.decode_rrd import decode_rrd
-from hil.review.plausibility import CLOCK, check_plausible
 
 
 class Decoded(TypedDict):

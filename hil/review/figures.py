@@ -1,11 +1,12 @@
 """The figures of a recorded run: what the signals tell is computed again, the rest is what the run said at its end."""
 
+import contextlib
 import json
 from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import numpy as np
+from pydantic import ValidationError
 
 from hil.core.errors import BadInputError
 from hil.core.signals import SIGNAL_NAMES
@@ -14,6 +15,7 @@ from hil.judge.figures import cut_words, figure_signals, signal_figures
 from hil.judge.measure import CommandLimits, RunSetup
 from hil.record.properties import table_rows
 from hil.review.reader import RecordedRun, read
+from hil.scenario.rows import ExpectTable
 
 _NO_SUMMARY = "the recording has no summary: the run did not come to its end"
 _NO_END = "the recording has no summary, for it has no end: what became of the run is not known"
@@ -38,20 +40,6 @@ _OUTCOME = (
 _MADE = ("command", "started", "mecanum_hil", "commit", "python", "machine")
 _NAMED = 4
 _LATE_S = 1.0  # a run in real time may have missed its first ticks
-
-
-class _Expect(NamedTuple):
-    """A row of ``[[expect]]`` as a recording has it; see ``hil.judge.expectations.Expect``."""
-
-    signal: str
-    from_s: float = 0.0
-    to_s: float = np.inf
-    below: float | None = None
-    above: float | None = None
-    within: tuple[float, float] | None = None
-    equals: float | None = None
-    settles_to: float | None = None
-    tolerance: float | None = None
 
 
 def review(path: Path) -> dict[str, Any]:
@@ -156,10 +144,14 @@ def _limits(run: RecordedRun) -> CommandLimits | None:
     return CommandLimits(*numbers) if len(numbers) == len(limits) else None
 
 
-def expected(run: RecordedRun) -> list[_Expect]:
+def expected(run: RecordedRun) -> list[ExpectTable]:
     """Return the rows of ``[[expect]]`` of the run's scenario, those that this version understands."""
-    rows = table_rows(scenario_of(run), "expect")
-    return [_Expect(**row) for row in rows if "signal" in row and row.keys() <= set(_Expect._fields)]
+    rows = []
+    for row in table_rows(scenario_of(run), "expect"):
+        with contextlib.suppress(ValidationError):  # of a version that has other keys
+            given = {key: tuple(one) if isinstance(one, list) else one for key, one in row.items()}
+            rows.append(ExpectTable.model_validate(given))
+    return rows
 
 
 def _other_version(run: RecordedRun) -> list[str]:

@@ -51,7 +51,7 @@ class RunEvents:
         if self._said:
             tell(self._said.take(), t_s, self._note)
         for place, watch in self._open:
-            if watch.take(t_s, row[place]):
+            if watch.add(t_s, row[place]):
                 self._tell_of_failure(watch)
 
     def finish(self, t_s: float, *, is_cut: bool) -> list[dict[str, Any]]:
@@ -90,16 +90,16 @@ class RunEvents:
     def _tell_of_failure(self, watch: Watch) -> None:
         """Say at once that a claim has failed; how bad it became is said when its time is over."""
         outcome = watch.outcome()
-        assert outcome.at_s is not None, "it was violated"
-        self._told[id(watch)] = outcome.sentence
-        self._note(outcome.at_s, "error", outcome.sentence)
+        assert outcome.violation_s is not None, "it was violated"
+        self._told[id(watch)] = outcome.text
+        self._note(outcome.violation_s, "error", outcome.text)
 
     def _decide(self, watch: Watch, t_s: float, cut_s: float | None) -> None:
         self._open = tuple(one for one in self._open if one[1] is not watch)
         self._undecided.remove(watch)
         outcome = watch.outcome(cut_s)
         told = self._told.get(id(watch))
-        if outcome.sentence == told:
+        if outcome.text == told:
             return
-        at_s = t_s if outcome.at_s is None or told is not None else outcome.at_s
-        self._note(at_s, _LEVELS[outcome.passed], outcome.sentence)
+        at_s = t_s if outcome.violation_s is None or told is not None else outcome.violation_s
+        self._note(at_s, _LEVELS[outcome.passed], outcome.text)

@@ -10,7 +10,7 @@ from hil.core.signals import make_loop_signals
 from hil.core.tick_watch import TickOverdue, TickWatch
 from hil.core.types import NAN, CommandMode
 from hil.faults.kind import FaultRow
-from hil.judge.allowed import Counted
+from hil.judge.expectations import TickCount
 from hil.runtime.lateness import Lateness
 from hil.runtime.recovery import Recovered, Recovery, Warned
 from hil.runtime.sampling import Sampling, Timing
@@ -28,7 +28,7 @@ class Report(NamedTuple):
 
     ticks: int
     deadline_misses: int
-    counted: dict[str, Counted]
+    counted: dict[str, TickCount]
     robot_s: float
     wall_s: float
     stopped: bool

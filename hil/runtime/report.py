@@ -4,7 +4,7 @@ import math
 from typing import Any
 
 from hil.core.percentiles import Percentiles
-from hil.judge.allowed import allow_figures
+from hil.judge.expectations import allow_figures
 from hil.judge.figures import cut_words
 from hil.judge.results import MemorySink
 from hil.judge.words import applied_words, with_page

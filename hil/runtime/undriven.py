@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from hil.faults.kind import FaultRow
 from hil.faults.kinds import find
-from hil.judge.allowed import Counted
+from hil.judge.expectations import TickCount
 from hil.runtime.sampling import Timing
 from hil.runtime.signal_faults import can_hold
 
@@ -53,13 +53,13 @@ class Undriven:
             self._held += 1
             self._held_explained += self._is_explained
 
-    def counted(self, ticks: int) -> dict[str, Counted]:
+    def counted(self, ticks: int) -> dict[str, TickCount]:
         """Return all and the unexplained ticks of each kind, by its key in ``[allow]``; ``ticks`` is all of the run."""
         if self._stale + self._held == ticks:
-            return {"stale_ticks": Counted(self._stale, self._stale), "held_ticks": Counted(self._held, self._held)}
+            return {"stale_ticks": TickCount(self._stale, self._stale), "held_ticks": TickCount(self._held, self._held)}
         return {
-            "stale_ticks": Counted(self._stale, self._stale - self._stale_explained),
-            "held_ticks": Counted(self._held, self._held - self._held_explained),
+            "stale_ticks": TickCount(self._stale, self._stale - self._stale_explained),
+            "held_ticks": TickCount(self._held, self._held - self._held_explained),
         }
 
 
