@@ -1,8 +1,8 @@
 """How many examples a property is tried with.
 
-A profile says it for all: ``quick``, 100 of each, or ``thorough``, 1000 and others each time, with
-``HIL_EXAMPLES=thorough`` in the environment. A test whose examples cost more, or find more, than most says what share
-of them it is to have.
+A profile says it for all: ``quick``, 50 of each, or ``thorough``, 1000 and others each time, with
+``HIL_EXAMPLES=thorough`` in the environment, as make nightly has it. A test whose examples cost more, or find more,
+than most says what share of them it is to have.
 """
 
 import os
@@ -16,7 +16,7 @@ _IN_CI = os.environ.get("HIL_CI") == "1"
 def load_profile() -> None:
     """Use the profile of the environment. Raises SystemExit for a name that is none."""
     # No time limit an example: these machines are shared. In CI the quick ones are the same on every run.
-    settings.register_profile("quick", max_examples=100, deadline=None, derandomize=_IN_CI)
+    settings.register_profile("quick", max_examples=50, deadline=None, derandomize=_IN_CI)
     settings.register_profile("thorough", max_examples=1000, deadline=None, print_blob=True)
     name = os.environ.get("HIL_EXAMPLES", "quick")
     if name not in ("quick", "thorough"):

@@ -6,7 +6,7 @@ from hypothesis import settings
 from tests.examples import load_profile, share_of_examples
 
 
-@pytest.mark.parametrize(("profile", "whole"), [("quick", 100), ("thorough", 1000)])
+@pytest.mark.parametrize(("profile", "whole"), [("quick", 50), ("thorough", 1000)])
 def test_a_share_is_of_the_examples_that_the_profile_has(profile: str, whole: int, monkeypatch: pytest.MonkeyPatch):
     with monkeypatch.context() as patch:
         patch.setenv("HIL_EXAMPLES", profile)
