@@ -193,7 +193,7 @@ def test_a_worker_that_is_none_is_a_verdict_on_each_job_and_a_line_of_progress(
 ) -> None:
     monkeypatch.setattr("hil.batch.old_pool.module_command", lambda _module: words)
     jobs = alone(Asked("circle_speed", [], ["memory"], ["push", "mute"], tmp_path))
-    tell = counted(runs_progress(lambda verdict: verdict.fault), len(jobs))
+    tell = counted(lambda done, of, verdict: runs_progress(done, of, verdict.fault), len(jobs))
     verdicts = perform_all(WORK, jobs, 2, 60.0, tell)
     shown = capsys.readouterr().err.replace("\r", "\n").split("\n")
     counts = [line for line in shown if line.endswith(" runs")]

@@ -230,7 +230,7 @@ def test_nobody_is_first_in_the_last_second_of_a_run(tmp_path) -> None:
 )
 def test_what_does_not_exist_is_a_sentence_before_anything_runs(change, words, in_folder_of_laws) -> None:
     with pytest.raises(BadInputError) as caught:
-        compare(asked("dsc")._replace(**change), on_outcome=lambda *_: pytest.fail("a run was made"))
+        compare(asked("dsc")._replace(**change), on_progress=lambda *_: pytest.fail("a run was made"))
     assert words in str(caught.value)
 
 

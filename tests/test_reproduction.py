@@ -19,10 +19,8 @@ from typer.testing import CliRunner
 
 from hil import review
 from hil.batch.reproduction import page, published, reproduce, tables, verdicts
-from hil.batch.reproduction.margin import delay_margin
-from hil.batch.reproduction.oscillation import oscillation
-from hil.batch.reproduction.plan import EXPERIMENT, EXPERIMENT_PERIOD_S, Case, cases
-from hil.batch.reproduction.runs import Outcome
+from hil.batch.reproduction.analysis import delay_margin, oscillation
+from hil.batch.reproduction.plan import EXPERIMENT, EXPERIMENT_PERIOD_S, Case, Result, cases
 from hil.cli.main import app
 from hil.cli.reproduce import print_reproduction
 from hil.core.errors import BadInputError
@@ -146,9 +144,8 @@ CASE_FIGURES: dict[str, float | None] = {
 
 def made_up(change: dict[str, dict[str, float | None]]) -> dict[str, verdicts.Verdict]:
     """Return the verdicts by claim for runs that agree with the paper but for ``change``, by name of the case."""
-    planned = cases()
-    outcomes = []
-    for case in planned:
+    results = []
+    for case in cases():
         figures = dict(CASE_FIGURES)
         if str(case.row.get("law")) == "dsc":
             figures |= {"tracked_s": 1.1, "steady_rms_m": 0.00079}
@@ -156,8 +153,8 @@ def made_up(change: dict[str, dict[str, float | None]]) -> dict[str, verdicts.Ve
             figures["tracked_s"] = 0.9
         if case.row.get("latency_ms") == 70.0:
             figures["amplitude_m"] = 0.02
-        outcomes.append(Outcome(case.name, figures | change.get(case.name, {}), None, 1.0))
-    return {verdict.claim: verdict for verdict in verdicts.judge(verdicts.Results(planned, outcomes))}
+        results.append(Result(case, figures | change.get(case.name, {}), None))
+    return {verdict.claim: verdict for verdict in verdicts.judge(verdicts.Results(results))}
 
 
 def test_a_run_that_agrees_comes_out():
@@ -206,23 +203,20 @@ def test_each_verdict_turns_with_its_figure(case, figures, claim):
 
 @pytest.mark.parametrize(("name", "count"), [("dsc common together", 9), ("experiment", 4)])
 def test_a_run_that_failed_says_nothing_of_the_paper(name, count):
-    failed = [Outcome(case.name, {}, "hung" if case.name == name else None, 1.0) for case in cases()]
-    found = verdicts.judge(verdicts.Results(cases(), failed))
+    failed = [Result(case, {}, "hung" if case.name == name else None) for case in cases()]
+    found = verdicts.judge(verdicts.Results(failed))
     of_it = [verdict.verdict for verdict in found if f"{name}: hung" in verdict.why]
     assert of_it == [verdicts.NO_NUMBER] * count
 
 
 def test_a_variant_that_failed_feeds_no_verdict() -> None:
     """What it came to before it ended is not held against the paper, nor for it."""
-    planned = cases()
     names = ("constant common together", "dsc short each", "afdsc torque 70 ms", "from x = 0 m")
-    outcomes = [
-        Outcome(case.name, dict(CASE_FIGURES, tracked_s=0.12345, transition_s=0.12345), None, 1.0) for case in planned
-    ]
-    broken = [o._replace(failure="hung") if o.name in names else o for o in outcomes]
-    blank = [o._replace(failure="hung", figures={}) if o.name in names else o for o in outcomes]
-    assert verdicts.judge(verdicts.Results(planned, broken)) == verdicts.judge(verdicts.Results(planned, blank))
-    tuner = {verdict.claim: verdict for verdict in verdicts.judge(verdicts.Results(planned, broken))}[
+    results = [Result(case, dict(CASE_FIGURES, tracked_s=0.12345, transition_s=0.12345), None) for case in cases()]
+    broken = [one._replace(failure="hung") if one.case.name in names else one for one in results]
+    blank = [one._replace(failure="hung", figures={}) if one.case.name in names else one for one in results]
+    assert verdicts.judge(verdicts.Results(broken)) == verdicts.judge(verdicts.Results(blank))
+    tuner = {verdict.claim: verdict for verdict in verdicts.judge(verdicts.Results(broken))}[
         "the fuzzy tuner makes it sooner than its middle gains held constant, by"
     ]
     assert (tuner.verdict, tuner.why) == (verdicts.NO_NUMBER, "a run is missing, constant common together: hung")
@@ -231,11 +225,11 @@ def test_a_variant_that_failed_feeds_no_verdict() -> None:
 def test_the_command_fails_when_a_run_did(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A real worker is given one run that cannot begin."""
     row = {"law": "dsc", "filter": "common", "limit": "together"}
-    planned = [Case("dsc common together", "circle", row, "no_such_scenario", {})]
-    monkeypatch.setattr("hil.batch.reproduction.cases", lambda *, quick: planned)
+    planned = [Case("dsc common together", "circle", row, "paper_circle_dsc", {"plant.start.no_such": 1.0})]
+    monkeypatch.setattr("hil.batch.reproduction.runs.cases", lambda *, quick: planned)
     result = CliRunner().invoke(app, ["reproduce", "--json", "--out", str(tmp_path)])
     assert result.exit_code == 1, result.output
-    assert "no_such_scenario" in json.loads(result.stdout)["circle"][0]["failure"]
+    assert "plant.start.no_such" in json.loads(result.stdout)["circle"][0]["failure"]
 
 
 def test_without_the_calm_run_an_oscillation_cannot_be_compared():
@@ -244,9 +238,8 @@ def test_without_the_calm_run_an_oscillation_cannot_be_compared():
 
 
 def test_what_a_quick_reproduction_leaves_out_has_no_verdict():
-    planned = cases(quick=True)
-    outcomes = [Outcome(case.name, {"tracked_s": 0.6, "heading_rad": None}, None, 1.0) for case in planned]
-    found = {verdict.claim: verdict for verdict in verdicts.judge(verdicts.Results(planned, outcomes))}
+    results = [Result(case, {"tracked_s": 0.6, "heading_rad": None}, None) for case in cases(quick=True)]
+    found = {verdict.claim: verdict for verdict in verdicts.judge(verdicts.Results(results))}
     tuner = found["the fuzzy tuner makes it sooner than its middle gains held constant, by"]
     assert (tuner.verdict, tuner.ours) == (verdicts.NOT_RUN, None)
     assert "--quick" in tuner.why

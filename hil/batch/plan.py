@@ -9,8 +9,9 @@ from hil.batch.job import FOREIGN, Job, Outcome
 from hil.batch.pool import LocalPool, Pool, PoolStatus
 from hil.core.errors import LinkError
 
-OnOutcome = Callable[[int, int, Outcome], None]
-"""A progress callback: it is called with (done, total, newest outcome) after each outcome."""
+OnProgress = Callable[[int, int, str | None], None]
+"""A progress callback: it is called with (done, total, trouble) after each outcome; ``trouble`` is a sentence on the
+newest one, or None when there is nothing to say."""
 
 
 class Plan(Protocol):
@@ -82,16 +83,22 @@ def _collected(pool: Pool) -> list[Outcome]:
     return outcomes
 
 
-def run_jobs(jobs: Sequence[Job], workers: int | None = None, on_outcome: OnOutcome | None = None) -> list[Outcome]:
+def run_jobs(
+    jobs: Sequence[Job],
+    workers: int | None = None,
+    on_progress: OnProgress | None = None,
+    trouble: Callable[[Outcome], str | None] = lambda _: None,
+) -> list[Outcome]:
     """Do jobs in processes on this machine and return their outcomes in the order of the jobs.
 
-    Jobs with one key are done once. ``workers`` is how many processes, by default one a processor.
+    Jobs with one key are done once. ``workers`` is how many processes, by default one a processor;
+    ``trouble`` gives the sentence for the progress callback.
     """
     unique = {job.key: job for job in jobs}
     outcomes: dict[str, Outcome] = {}
     for new in run_plan(FixedPlan(unique.values()), LocalPool(workers)):
         for outcome in new:
             outcomes[outcome.key] = outcome
-            if on_outcome is not None:
-                on_outcome(len(outcomes), len(unique), outcome)
+            if on_progress is not None:
+                on_progress(len(outcomes), len(unique), trouble(outcome))
     return [outcomes[job.key] for job in jobs]

@@ -47,24 +47,27 @@ def _run(job: Job, scenario: Scenario, *, record: bool) -> Outcome:
         undriven = next((row["text"] for row in result.metrics["allow"] if not row["passed"]), None)
         return verdict(job, result, run_columns(result.metrics), reasons=result.metrics["reasons"], undriven=undriven)
 
-    outcome = attempt(job, scenario, judge, record=path, keep_signals=bool(job.signals_file))
+    options = RunOptions(
+        record=path,
+        allow_motion=job.allow_motion,
+        make_robot=_kept().robot,
+        keep_signals=bool(job.signals_file),
+    )
+    outcome = attempt(job, scenario, judge, options)
     is_kept = path is not None and path.exists() and (job.record == ALWAYS or outcome.status not in (PASSED, REFUSED))
     return outcome._replace(recording=job.recording) if is_kept else outcome
 
 
-def attempt(job: Job, scenario: Scenario, judge: Callable[[RunResult], Outcome], **options: Any) -> Outcome:
-    """Run a scenario with these ``RunOptions`` and return what ``judge`` says of it.
+def attempt(job: Job, scenario: Scenario, judge: Callable[[RunResult], Outcome], options: RunOptions) -> Outcome:
+    """Run a scenario with these options and return what ``judge`` says of it.
 
     A run that is refused or ends with one of our errors is an outcome too. Any other exception is raised: it is a
-    defect of ours, or of a law that ends its process. Nothing that an earlier run left in a law's module is kept; the
-    shipped FMU stays open.
+    defect of ours, or of a law that ends its process. Nothing that an earlier run left in a law's module is kept.
     """
     try:
         for law in (scenario.controller.law, *scenario.controller.shadow):
             forget_law(law, scenario.directory)
-        return judge(
-            run_scenario(scenario, RunOptions(allow_motion=job.allow_motion, make_robot=_kept().robot, **options))
-        )
+        return judge(run_scenario(scenario, options))
     except BadInputError as error:
         return Outcome(job.key, REFUSED, str(error))
     except HilError as error:

@@ -48,7 +48,11 @@ def catalogue(
     end_in_order()
     laws = [] if law is None else [f"controller.law={law}"]
     asked = Asked(scenario, [*laws, *(sets or [])], link or [], kind or [], report.catalogue_folder(), sample, seed)
-    tell = None if as_json or not sys.stderr.isatty() else runs_progress(_trouble)
+    tell = (
+        None
+        if as_json or not sys.stderr.isatty()
+        else (lambda done, of, newest: runs_progress(done, of, _trouble(newest)))
+    )
     try:
         verdicts = run_catalogue(asked, pairs=pairs, realtime=realtime, jobs=jobs, limit_s=limit_s, tell=tell)
     except KeyboardInterrupt:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.cli.options import Force, Json, Seed, Sets, end_in_order, print_json
-from hil.core.errors import BadInputError, RunInterruptedError
+from hil.cli.options import Force, Json, Seed, Sets, print_json
+from hil.core.errors import BadInputError
 
 if TYPE_CHECKING:
     from hil.batch.comparison import Comparison
@@ -53,10 +53,9 @@ def compare(
     from hil.batch.comparison.conditions import DRIVES, TORQUES_N_M
     from hil.batch.comparison.page import older
     from hil.batch.output import check_older, make_folder
-    from hil.cli.progress import runs_progress
+    from hil.cli.progress import batch
     from hil.core.outputs import check_free, existing_files
 
-    end_in_order()
     *laws, scenario = laws_and_scenario
     request = Request(
         laws,
@@ -76,11 +75,8 @@ def compare(
         check_older(out, older(out), "comparison", existing)
     if markdown is not None:
         check_free("page", markdown, existing)
-    progress = None if as_json or not sys.stderr.isatty() else runs_progress(lambda _: None)
-    try:
-        comparison = run_comparison(request, workers=jobs, limit_s=limit_s, on_outcome=progress)
-    except KeyboardInterrupt:
-        raise RunInterruptedError("interrupted; the runs were ended") from None
+    with batch(as_json=as_json) as progress:
+        comparison = run_comparison(request, workers=jobs, limit_s=limit_s, on_progress=progress)
     # First what was found, for it took long: a disk may be full.
     if as_json:
         print_json(comparison.plain())

@@ -1,25 +1,29 @@
 """How far many runs are, on stderr: one line that is written over."""
 
+import contextlib
 import sys
 import time
-from collections.abc import Callable
-from typing import TypeVar
+from collections.abc import Callable, Iterator
 
-A = TypeVar("A")
+from hil.cli.options import end_in_order
+from hil.core.errors import RunInterruptedError
 
 
-def runs_progress(trouble: Callable[[A], str | None]) -> Callable[[int, int, A], None]:
-    """Return what to call with how many runs are done, of how many, and what became of the newest.
+def runs_progress(done: int, total: int, trouble: str | None) -> None:
+    """Show how many runs are done; ``trouble``, a sentence on the newest one, stays to be read."""
+    if trouble is not None:
+        print(f"\r{trouble}", file=sys.stderr)
+    print(f"\r{done} of {total} runs", end="\n" if done == total else "", file=sys.stderr, flush=True)
 
-    ``trouble`` is a sentence about one that is not as it should be, which stays to be read; None for any other.
-    """
 
-    def tell(done: int, of: int, newest: A) -> None:
-        if (sentence := trouble(newest)) is not None:
-            print(f"\r{sentence}", file=sys.stderr)
-        print(f"\r{done} of {of} runs", end="\n" if done == of else "", file=sys.stderr, flush=True)
-
-    return tell
+@contextlib.contextmanager
+def batch(*, as_json: bool) -> Iterator[Callable[[int, int, str | None], None] | None]:
+    """Let runs be interrupted in order, and give what shows their progress: on a terminal, and not with ``--json``."""
+    end_in_order()
+    try:
+        yield None if as_json or not sys.stderr.isatty() else runs_progress
+    except KeyboardInterrupt:
+        raise RunInterruptedError("interrupted; the runs were ended") from None
 
 
 class RateProgress:

@@ -3,15 +3,11 @@
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from hil.cli.options import Force, Json, end_in_order, print_json
-from hil.core.errors import RunInterruptedError
-
-if TYPE_CHECKING:
-    from hil.batch.reproduction.runs import Outcome
+from hil.cli.options import Force, Json, print_json
 
 
 def reproduce(
@@ -32,18 +28,16 @@ def reproduce(
     from hil.batch.reproduction import NotWrittenError
     from hil.batch.reproduction import reproduce as run_reproduction
     from hil.batch.reproduction.summary import failures
-    from hil.cli.progress import runs_progress
+    from hil.cli.progress import batch
     from hil.core.outputs import existing_files
 
-    end_in_order()
     if out is None:
         out = Path("runs/reproduction-quick" if quick else "runs/reproduction")
     not_written: NotWrittenError | None = None
-    tell = None if as_json or not sys.stderr.isatty() else runs_progress(_trouble)
+    existing = existing_files(force=force)
     try:
-        summary = run_reproduction(out, quick=quick, jobs=jobs, tell=tell, existing=existing_files(force=force))
-    except KeyboardInterrupt:
-        raise RunInterruptedError("interrupted; the runs were ended") from None
+        with batch(as_json=as_json) as progress:
+            summary = run_reproduction(out, quick=quick, workers=jobs, on_progress=progress, existing=existing)
     except NotWrittenError as error:
         not_written, summary = error, error.summary
     if as_json:
@@ -54,10 +48,6 @@ def reproduce(
         sys.stdout.flush()
         raise not_written
     raise typer.Exit(1 if failures(summary) else 0)
-
-
-def _trouble(outcome: "Outcome") -> str | None:
-    return None if outcome.failure is None else f"{outcome.name}: {outcome.failure}"
 
 
 def print_reproduction(summary: Mapping[str, Any]) -> None:

@@ -22,7 +22,7 @@ from hil.batch.comparison.conditions import (
 from hil.batch.comparison.result import Comparison, Curves, Entry, Gains, Row, Run
 from hil.batch.job import Job
 from hil.batch.keys import make_job
-from hil.batch.plan import OnOutcome, run_jobs
+from hil.batch.plan import OnProgress, run_jobs
 from hil.core.errors import BadInputError, nearest
 from hil.core.options import build
 from hil.core.types import WHEEL_NAMES, CommandMode
@@ -63,13 +63,13 @@ def compare(
     *,
     workers: int | None = None,
     limit_s: float = 120.0,
-    on_outcome: OnOutcome | None = None,
+    on_progress: OnProgress | None = None,
 ) -> Comparison:
     """Run what is asked for and return what came of it.
 
     ``workers`` is the number of processes, by default one a processor; the figures do not depend on it. A run that
     takes more than ``limit_s`` of wall-clock time is ended and has failed, as has one whose process ends.
-    ``on_outcome`` is called as ``hil.batch.plan.run_jobs`` does.
+    ``on_progress`` is called as ``hil.batch.plan.run_jobs`` does.
 
     Raises BadInputError, before anything is run, for a law, a gain, a scenario or a condition that does not exist.
     """
@@ -89,7 +89,7 @@ def compare(
             for table, entry in rows
             for robot, scenario in zip(robots, scenarios[table], strict=True)
         ]
-        outcomes = zip(jobs, run_jobs(jobs, workers, on_outcome), strict=True)
+        outcomes = zip(jobs, run_jobs(jobs, workers, on_progress), strict=True)
         for table, entry in rows:
             some = list(itertools.islice(outcomes, len(robots)))
             runs = [Run(robot, outcome) for robot, (_, outcome) in zip(robots, some, strict=True)]

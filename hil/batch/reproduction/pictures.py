@@ -8,11 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.batch.reproduction import published
-from hil.batch.reproduction.margin import delay_margin
+from hil.batch.reproduction.analysis import delay_margin
 from hil.batch.reproduction.plan import DRIVEN, EXPERIMENT_PERIOD_S
 from hil.batch.reproduction.verdicts import Results
 from hil.core.types import WHEEL_NAMES
-from hil.review.plots import Curve, colour_of, draw_curves, draw_path, draw_wheels, drawing
+from hil.review.plots import Curve, colour_of, draw_curves, draw_path, draw_wheels, drawing, rgb
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -57,8 +57,7 @@ def _inset(axes: "Axes", curves: Sequence[Curve], unit: str) -> None:
     late = axes.inset_axes((0.42, 0.1, 0.54, 0.4))
     for number, curve in enumerate(curves):
         later = curve.x >= _STEADY_FROM_S
-        red, green, blue = colour_of(number)
-        late.plot(curve.x[later], curve.y[later], color=(red / 255, green / 255, blue / 255), linewidth=1.0)
+        late.plot(curve.x[later], curve.y[later], color=rgb(colour_of(number)), linewidth=1.0)
     late.set_title(f"from {_STEADY_FROM_S:g} s [{unit}]", fontsize=8)
     late.tick_params(labelsize=7)
 
@@ -76,8 +75,7 @@ def convergence(path: Path, runs: Sequence[tuple[str, Signals]]) -> None:
         draw_curves(axes, curves, title="Distance to the reference", y_label="planar error [mm]")
         axes.set_xlim(0.0, _CONVERGED_S)
         for printed, number in ((published.DSC_STEADY, 0), (published.AFDSC_STEADY, 1)):
-            red, green, blue = colour_of(number)
-            colour = (red / 255, green / 255, blue / 255)
+            colour = rgb(colour_of(number))
             axes.axhline(printed.value * 1e3, color=colour, linestyle=":", linewidth=1.0)
             text = f"the paper: {printed.law.upper()} {printed.value * 1e3:g} mm"
             axes.annotate(text, (0.05, printed.value * 1e3), color=colour, fontsize=8, va="bottom")
@@ -88,8 +86,8 @@ def path_in_plane(path: Path, run: Signals) -> None:
     with drawing(path, size_in=(5.6, 5.6)) as (axes,):
         reference = Curve("reference", run["reference.x_m"], run["reference.y_m"], _BLUE)
         draw_path(axes, reference, [Curve("robot", run["truth.x_m"], run["truth.y_m"], _RED)], title="Fig. 10, ours")
-        for (x_m, y_m), (red, green, blue) in (((_AXIS_M, 0.0), _RED), ((0.0, _AXIS_M), _GREEN)):
-            arrow = {"arrowstyle": "-|>", "color": (red / 255, green / 255, blue / 255), "linewidth": 2.0}
+        for (x_m, y_m), colour in (((_AXIS_M, 0.0), _RED), ((0.0, _AXIS_M), _GREEN)):
+            arrow = {"arrowstyle": "-|>", "color": rgb(colour), "linewidth": 2.0}
             axes.annotate("", (x_m, y_m), (0.0, 0.0), arrowprops=arrow)
 
 
@@ -134,8 +132,7 @@ def delay(path: Path, results: Results) -> None:
         left.set_ylim(top=1e3)
         for number, (k1_1_s, k2_1_s) in enumerate((published.FUZZY_CENTRE, published.DSC_GAINS)):
             margin = delay_margin(k1_1_s, k2_1_s, published.COMMON_FILTER_S, EXPERIMENT_PERIOD_S)
-            red, green, blue = colour_of(number)
-            colour = (red / 255, green / 255, blue / 255)
+            colour = rgb(colour_of(number))
             left.axvline(margin.latency_s * 1e3, color=colour, linestyle=":")
             text = f"unstable by the equations, K1 = {k1_1_s:g}"
             place = (margin.latency_s * 1e3, 0.98)

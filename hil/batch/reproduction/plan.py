@@ -29,6 +29,14 @@ class Case(NamedTuple):
     records: bool = False
 
 
+class Result(NamedTuple):
+    """What came of a case: its figures, and what ended the run early or kept it from beginning."""
+
+    case: Case
+    figures: Mapping[str, float | None]
+    failure: str | None
+
+
 class Choice(NamedTuple):
     """One of several ways to run the circle: words for the tables, and what it sets."""
 

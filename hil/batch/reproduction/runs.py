@@ -1,118 +1,228 @@
-"""One run of the reproduction: a case, what it came to, and the signals that the pictures need."""
+"""Doing section IV: the jobs of the cases, the figures that follow from their signals, and the files of the results."""
 
+import json
+import shutil
+import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from hil.batch.old_pool import Work
-from hil.batch.recording import RecordingHere
-from hil.batch.reproduction.oscillation import oscillation
-from hil.core.errors import HilError
+from hil.batch.job import ALWAYS, ENDED, LOST, NEVER, REFUSED, Job, Outcome
+from hil.batch.keys import make_job
+from hil.batch.output import check_older, deferred, make_folder, remove
+from hil.batch.plan import OnProgress, run_jobs
+from hil.batch.reproduction import pictures
+from hil.batch.reproduction.analysis import oscillation
+from hil.batch.reproduction.plan import FILTERS, LAWS, Case, Result, cases
+from hil.batch.reproduction.summary import summarise
+from hil.batch.reproduction.verdicts import Results, judge
+from hil.core.errors import BadInputError
+from hil.core.outputs import Existing, claim, write_whole
 from hil.core.types import WHEEL_NAMES
-from hil.judge.measure import Series
 from hil.judge.tracking import STEADY_WINDOW_S, TRACKED_RATIO
-from hil.record import Recording
-from hil.runtime.assembly import RunOptions, RunResult, run_scenario
-from hil.scenario import load
+from hil.scenario import from_plain, load
 
-_SERIES = (
+Signals = Mapping[str, npt.NDArray[np.float64]]
+
+_SUMMARY = "summary.json"
+_PICTURES = ("figure_8.png", "convergence.png", "figure_10.png", "figure_11.png", "delay.png")
+_SHOWN = {
+    "dsc": "dsc common together",
+    "afdsc": "afdsc common together",
+    "afdsc short": "afdsc short together",
+    "constant": "constant common together",
+    "experiment": "experiment",
+}
+"""The cases that are in the pictures, by their names there."""
+_SIGNALS = (
     "loop.t_s",
     *(f"reference.{axis}_m" for axis in "xy"),
     *(f"truth.{axis}_m" for axis in "xy"),
-    "error.x_m",
-    "error.y_m",
-    "error.heading_rad",
-    "error.planar_m",
+    *(f"error.{name}" for name in ("x_m", "y_m", "heading_rad", "planar_m")),
     *(f"wheel.{wheel}.torque_command_n_m" for wheel in WHEEL_NAMES),
 )
+_OF_METRICS = ("tracked_s", "t10_s", "steady_rms_m", "steady_max_m")
+_OF_SIGNALS = ("heading_rad", "driven_s", "from_m", "transition_s", "amplitude_m", "frequency_hz")
 
 
-class Job(NamedTuple):
-    """A case to run, and where to leave its signals (``.npz``) and its recording; None for nowhere.
+class NotWrittenError(BadInputError):
+    """The runs are done and a file could not be written; ``summary`` is what was found, of the files that are there."""
 
-    Plain values, for it goes to a worker as JSON.
+    def __init__(self, error: BadInputError, summary: dict[str, Any]) -> None:
+        super().__init__(str(error))
+        self.summary = summary
+
+
+def reproduce(
+    folder: Path,
+    *,
+    quick: bool = False,
+    workers: int | None = None,
+    limit_s: float = 120.0,
+    on_progress: OnProgress | None = None,
+    existing: Existing = "refuse",
+) -> dict[str, Any]:
+    """Run section IV and return the summary; it goes into ``folder`` as ``summary.json``, with pictures and recordings.
+
+    ``quick`` leaves out most variants and shortens the others. ``workers`` is the number of processes, by default one a
+    processor; a run that takes more than ``limit_s`` of wall-clock time is ended. ``on_progress`` is called as
+    ``hil.batch.plan.run_jobs`` does. Results of an earlier reproduction in the folder are removed when the runs are
+    done, or with ``existing="refuse"`` nothing begins.
+
+    Raises BadInputError when ``folder`` cannot be made or written to or has results that must stay, and
+    NotWrittenError, which has the summary, when it could be at first and a file then could not be written.
     """
-
-    name: str
-    scenario: str
-    sets: Mapping[str, object]
-    series: str | None
-    recording: str | None
-
-
-class Outcome(NamedTuple):
-    """What became of a case; ``failure`` tells what ended the run early or kept it from beginning."""
-
-    name: str
-    figures: Mapping[str, float | None]
-    failure: str | None
-    wall_s: float
-
-
-def lost(job: Job, failure: str, wall_s: float) -> Outcome:
-    """Return what becomes of a case that told nothing."""
-    return Outcome(job.name, {}, failure, wall_s)
-
-
-WORK = Work("hil.batch.reproduction.worker", Outcome, lost)
-"""What the pool is told of a run of the reproduction."""
-
-
-def perform(job: Job) -> Outcome:
-    """Do a run. Whatever is no HilError is raised: it is a defect of ours."""
     began = time.monotonic()
-    try:
-        result = run_scenario(
-            load(job.scenario, set=job.sets),
-            RunOptions(
-                record=Path(job.recording) if job.recording is not None else None,
-                make_recording=RecordingHere if job.recording is not None else Recording,
-            ),
-        )
-    except HilError as error:
-        return lost(job, str(error), time.monotonic() - began)
-    if job.series is not None:
-        held: dict[str, Any] = {name: result.signals[name] for name in _SERIES}
-        np.savez(job.series, **held)
-    # A robot that was not driven, and for no fault of the scenario, shows nothing of the law either.
-    beyond = next((str(row["text"]) for row in result.metrics["allow"] if not row["passed"]), None)
-    failure = str(result.failure) if result.failure is not None else beyond
-    return Outcome(job.name, figures(result), failure, time.monotonic() - began)
+    make_folder(folder)
+    planned = cases(quick=quick)
+    check_older(folder, _older(folder), "reproduction", existing)
+    errors: list[BadInputError] = []
+    drawn: list[str] = []
+    recordings: list[str] = []
+    with tempfile.TemporaryDirectory(prefix="hil-reproduce-") as scratch:
+        jobs = {case.name: _job(case, Path(scratch), limit_s) for case in planned}
+        names = {job.key: name for name, job in jobs.items()}
+
+        def trouble(outcome: Outcome) -> str | None:
+            failure = _failure(outcome)
+            return None if failure is None else f"{names[outcome.key]}: {failure}"
+
+        outcomes = run_jobs(list(jobs.values()), workers, on_progress, trouble)
+        found = [_result(case, jobs[case.name], outcome) for case, outcome in zip(planned, outcomes, strict=True)]
+        results = Results(found)
+        with deferred(errors):
+            remove(_older(folder) if existing == "replace" else [])
+            _draw(folder, results, {label: _signals(jobs.get(name)) for label, name in _SHOWN.items()}, drawn)
+        # Recordings are the largest, so pictures go first: a full disk then costs least.
+        with deferred(errors):
+            for outcome in outcomes:
+                if outcome.recording is not None:
+                    _move(Path(outcome.recording), folder)
+                    recordings.append(Path(outcome.recording).name)
+    summary = summarise(
+        found,
+        judge(results),
+        quick=quick,
+        folder=folder,
+        pictures=drawn,
+        recordings=recordings,
+        wall_s=time.monotonic() - began,
+    )
+    with deferred(errors):
+        text = json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False)
+        write_whole(folder / _SUMMARY, text.encode("utf-8"))
+    if errors:
+        raise NotWrittenError(errors[0], summary)
+    return summary
 
 
-def figures(result: RunResult) -> dict[str, float | None]:
-    """Return the figures of a run by name, with the unit in the name; None where one has no meaning.
+def _job(case: Case, scratch: Path, limit_s: float) -> Job:
+    job = make_job(load(case.scenario, set=case.sets), options={"signals": _SIGNALS}, limit_s=limit_s)
+    return job._replace(
+        signals_file=str(scratch / f"{job.key}.npz"),
+        record=ALWAYS if case.records else NEVER,
+        recording=str(scratch / _recording(case)),
+    )
 
-    Beside those of ``hil.judge.figures``: ``heading_rad`` is the largest heading error of the last 5 s, ``driven_s``
-    the first time from which the robot is commanded to the end, ``from_m`` how far it then is, ``transition_s`` how
-    long it takes until it stays within 2 % of that; ``amplitude_m`` and ``frequency_hz`` are those of ``oscillation``
-    over the last lap.
+
+def _recording(case: Case) -> str:
+    return f"{case.name.replace(' ', '_')}.rrd"
+
+
+def _failure(outcome: Outcome) -> str | None:
+    """Return what ended a run early, or that the robot was not driven for no fault of the scenario: that shows nothing
+    of the law either. What the scenario expects of itself is not asked here."""
+    if outcome.status in (ENDED, LOST, REFUSED):
+        return outcome.reason
+    undriven: str | None = outcome.details["undriven"]
+    return undriven
+
+
+def _result(case: Case, job: Job, outcome: Outcome) -> Result:
+    """Return the result of a case, with the figures of ``signal_figures`` beside those of the run itself."""
+    if not outcome.figures:
+        return Result(case, {}, _failure(outcome))
+    figures = {name: outcome.figures[name] for name in _OF_METRICS}
+    signals = _signals(job)
+    if outcome.status == ENDED or not len(signals["loop.t_s"]):
+        return Result(case, figures | dict.fromkeys(_OF_SIGNALS), _failure(outcome))
+    period_s = from_plain(job.scenario).reference.options["period_s"]
+    assert isinstance(period_s, float)
+    return Result(case, figures | signal_figures(signals, period_s), _failure(outcome))
+
+
+def signal_figures(signals: Signals, period_s: float) -> dict[str, float | None]:
+    """Return the figures that follow from the signals of a run on a circle of this period; None without a meaning.
+
+    ``heading_rad`` is the largest heading error of the last 5 s, ``driven_s`` the first time from which the robot is
+    commanded to the end, ``from_m`` how far it then is from the path, ``transition_s`` how long it takes until it stays
+    within 2 % of that; ``amplitude_m`` and ``frequency_hz`` are those of ``oscillation`` over the last lap.
     """
-    signals: Mapping[str, Series] = result.signals
-    metrics: Mapping[str, Any] = result.metrics
-    found = {name: metrics[name] for name in ("tracked_s", "t10_s", "steady_rms_m", "steady_max_m")}
+    found: dict[str, float | None] = dict.fromkeys(_OF_SIGNALS)
     t_s, planar_m = signals["loop.t_s"], signals["error.planar_m"]
-    nothing = dict.fromkeys(("heading_rad", "driven_s", "from_m", "transition_s", "amplitude_m", "frequency_hz"))
-    if result.failure is not None or not len(t_s):
-        return found | nothing
-    heading = np.abs(signals["error.heading_rad"][t_s > t_s[-1] - STEADY_WINDOW_S])
+    found["heading_rad"] = float(np.max(np.abs(signals["error.heading_rad"][t_s > t_s[-1] - STEADY_WINDOW_S])))
     silent = np.flatnonzero(np.isnan(signals["wheel.fl.torque_command_n_m"]))
     first = int(silent[-1]) + 1 if len(silent) else 0
-    found |= nothing | {"heading_rad": float(np.max(heading))}
     if first < len(t_s):
         found |= {"driven_s": float(t_s[first]), "from_m": float(planar_m[first])}
         outside = np.flatnonzero(planar_m[first:] >= TRACKED_RATIO * planar_m[first])
         last = first + int(outside[-1]) + 1 if len(outside) else first
         if last < len(t_s):
             found["transition_s"] = float(t_s[last] - t_s[first])
-    swing = oscillation(t_s, signals["error.x_m"], signals["error.y_m"], _period_s(result))
+    swing = oscillation(t_s, signals["error.x_m"], signals["error.y_m"], period_s)
     return found | ({} if swing is None else swing._asdict())
 
 
-def _period_s(result: RunResult) -> float:
-    period_s = result.scenario.reference.options["period_s"]
-    assert isinstance(period_s, float)
-    return period_s
+def _signals(job: Job | None) -> Signals:
+    """Return the signals that a job left; none where it was not done or did not get as far."""
+    if job is None or not Path(job.signals_file).exists():
+        return {}
+    with np.load(job.signals_file) as held:
+        return dict(held)
+
+
+def _older(folder: Path) -> list[Path]:
+    """Return the files that an earlier reproduction, quick or not, wrote into a folder."""
+    recordings = [_recording(case) for case in cases(quick=False) + cases(quick=True) if case.records]
+    names = dict.fromkeys([_SUMMARY, *_PICTURES, *recordings])
+    return [folder / name for name in names if (folder / name).exists()]
+
+
+def _move(recording: Path, folder: Path) -> None:
+    place = claim("recording", folder / recording.name)
+    try:
+        shutil.move(recording, place)
+    except OSError as error:
+        if place.is_file():
+            place.unlink()
+        raise BadInputError(
+            f"recording {place}: it cannot be written ({error.strerror}); name a folder with more room"
+        ) from error
+
+
+def _draw(folder: Path, results: Results, signals: Mapping[str, Signals], drawn: list[str]) -> None:
+    """Draw what there are runs for, and add the name of each picture to ``drawn``."""
+    shown = {label: one for label, one in signals.items() if one}
+    wanted: dict[str, Callable[[Path], None]] = {}
+    if "dsc" in shown and "afdsc" in shown:
+        wanted["figure_8.png"] = lambda path: pictures.circle(path, shown["dsc"], shown["afdsc"])
+        wanted["convergence.png"] = lambda path: pictures.convergence(path, _labelled(shown))
+    if "experiment" in shown:
+        wanted["figure_10.png"] = lambda path: pictures.path_in_plane(path, shown["experiment"])
+        wanted["figure_11.png"] = lambda path: pictures.control_signals(path, shown["experiment"])
+    if any(results.rows("delay")):
+        wanted["delay.png"] = lambda path: pictures.delay(path, results)
+    for name, draw in wanted.items():
+        draw(folder / name)
+        drawn.append(name)
+
+
+def _labelled(shown: Mapping[str, Signals]) -> Sequence[tuple[str, Signals]]:
+    """Return the runs on the circle with the words for them."""
+    words = {name: LAWS[name][1].words for name in ("dsc", "afdsc", "constant")}
+    words["afdsc short"] = f"AFDSC, filter {FILTERS['short'].words}"
+    return [(words[label], signals) for label, signals in shown.items() if label in words]

@@ -6,8 +6,7 @@ from typing import Any
 
 from hil.batch.reproduction import published
 from hil.batch.reproduction.assumptions import assumptions
-from hil.batch.reproduction.plan import Case
-from hil.batch.reproduction.runs import Outcome
+from hil.batch.reproduction.plan import Result
 from hil.batch.reproduction.verdicts import Verdict
 
 FORMAT = 1
@@ -28,8 +27,7 @@ _FIGURES = {
 
 
 def summarise(
-    cases: Sequence[Case],
-    outcomes: Sequence[Outcome],
+    results: Sequence[Result],
     verdicts: Sequence[Verdict],
     *,
     quick: bool,
@@ -51,7 +49,7 @@ def summarise(
         "paper": [printed._asdict() for printed in published.FIGURES],
         "filters_s": {"common": published.COMMON_FILTER_S, "short": published.SHORT_FILTER_S},
         "assumptions": [assumption._asdict() for assumption in assumptions()],
-        **{group: list(_rows(group, figures, cases, outcomes)) for group, figures in _FIGURES.items()},
+        **{group: list(_rows(group, figures, results)) for group, figures in _FIGURES.items()},
         "verdicts": [verdict._asdict() for verdict in verdicts],
         "folder": str(folder),
         "pictures": list(pictures),
@@ -66,10 +64,7 @@ def failures(summary: Mapping[str, Any]) -> list[str]:
     return [f"{row['name']}: {row['failure']}" for row in rows if row["failure"] is not None]
 
 
-def _rows(
-    group: str, figures: Sequence[str], cases: Sequence[Case], outcomes: Sequence[Outcome]
-) -> Iterator[Mapping[str, Any]]:
-    for case, outcome in zip(cases, outcomes, strict=True):
+def _rows(group: str, figures: Sequence[str], results: Sequence[Result]) -> Iterator[Mapping[str, Any]]:
+    for case, found, failure in results:
         if case.group == group:
-            found = {name: outcome.figures.get(name) for name in figures}
-            yield {"name": case.name, **case.row, **found, "failure": outcome.failure}
+            yield {"name": case.name, **case.row, **{name: found.get(name) for name in figures}, "failure": failure}

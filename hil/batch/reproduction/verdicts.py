@@ -1,17 +1,16 @@
 """Which of the paper's results come out, which do not, and why: worked out from the figures of the runs at hand.
 
-Pure: outcomes in, verdicts out. No sentence holds a number that was not computed here or printed in the paper.
+Pure: results in, verdicts out. No sentence holds a number that was not computed here or printed in the paper.
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 from hil.batch.reproduction import published
-from hil.batch.reproduction.margin import delay_margin
-from hil.batch.reproduction.plan import DRIVEN, EXPERIMENT_PERIOD_S, FILTERS, LIMITS, Case
+from hil.batch.reproduction.analysis import delay_margin
+from hil.batch.reproduction.plan import DRIVEN, EXPERIMENT_PERIOD_S, FILTERS, LIMITS, Result
 from hil.batch.reproduction.published import Printed
-from hil.batch.reproduction.runs import Outcome
 
 COMES_OUT = "comes out"
 FITTED = "fitted"
@@ -45,43 +44,39 @@ class Verdict(NamedTuple):
 
 
 class Results:
-    """The outcomes of the runs by what they are runs of; a figure that is not there is None.
+    """The results of the runs by case; a figure that is not there is None.
 
-    A run that ended early has none: what it got to by then says nothing of the paper.
+    A run that ended early has no figures: what it came to by then says nothing of the paper.
     """
 
-    def __init__(self, cases: list[Case], outcomes: list[Outcome]) -> None:
-        ended = (outcome if outcome.failure is None else outcome._replace(figures={}) for outcome in outcomes)
-        self._pairs = list(zip(cases, ended, strict=True))
+    def __init__(self, results: Sequence[Result]) -> None:
+        self._results = [one if one.failure is None else one._replace(figures={}) for one in results]
 
-    def rows(self, group: str) -> Iterator[tuple[Case, Outcome]]:
-        """Yield the cases of a table with their outcomes."""
-        return ((case, outcome) for case, outcome in self._pairs if case.group == group)
+    def rows(self, group: str) -> Iterator[Result]:
+        """Yield the results of a table."""
+        return (one for one in self._results if one.case.group == group)
 
     def failure(self, name: str) -> str | None:
         """Return what ended a run early, or that it was not made."""
-        return next((outcome.failure for case, outcome in self._pairs if case.name == name), "it was not run")
+        return next((one.failure for one in self._results if one.case.name == name), "it was not run")
 
     def is_planned(self, name: str) -> bool:
-        """Whether a run of this name was asked for: a quick reproduction leaves most of them out."""
-        return any(case.name == name for case, _ in self._pairs)
+        """Return whether a run of this name was asked for: a quick reproduction leaves most of them out."""
+        return any(one.case.name == name for one in self._results)
 
     def circle(self, law: str, filter_name: str, limit: str, figure: str) -> float | None:
         """Return a figure of section IV.A."""
         row = {"law": law, "filter": filter_name, "limit": limit}
-        return next((o.figures.get(figure) for c, o in self.rows("circle") if c.row == row), None)
+        return next((one.figures.get(figure) for one in self.rows("circle") if one.case.row == row), None)
 
     def experiment(self, figure: str) -> float | None:
         """Return a figure of the experiment as its scenario is shipped."""
-        return next((o.figures.get(figure) for _, o in self.rows("experiment")), None)
+        return next((one.figures.get(figure) for one in self.rows("experiment")), None)
 
     def delay(self, driven: str) -> dict[float, Mapping[str, float | None]]:
         """Return the figures of the experiment by latency [ms]; none where a run ended early."""
-        return {
-            float(case.row["latency_ms"]): outcome.figures
-            for case, outcome in self.rows("delay")
-            if case.row["driven"] == driven
-        }
+        rows = (one for one in self.rows("delay") if one.case.row["driven"] == driven)
+        return {float(one.case.row["latency_ms"]): one.figures for one in rows}
 
 
 def judge(results: Results) -> list[Verdict]:
@@ -250,8 +245,8 @@ def _transition(results: Results) -> Verdict:
     is_near = ours is not None and abs(ours - paper) <= tolerance
     others = [
         f"{case.name}, {DRIVEN[str(case.row['driven'])].words}: {value:.1f} s"
-        for case, outcome in results.rows("transition")
-        if (value := outcome.figures.get("transition_s")) is not None
+        for case, figures, _ in results.rows("transition")
+        if (value := figures.get("transition_s")) is not None
     ]
     from_m = results.experiment("from_m")
     distance = "" if from_m is None else f" from {from_m:.2f} m"
