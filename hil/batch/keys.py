@@ -15,8 +15,10 @@ from firmware_protocol.built import WHEEL_HOST
 from firmware_protocol.generated.messages import SCHEMA_HASH
 from hil.batch.job import Job
 from hil.core.errors import BadInputError
+from hil.laws.code import code_of_module
 from hil.laws.registry import law_sha256
 from hil.plant import archive
+from hil.references import reference_module
 from hil.scenario import Scenario, to_plain
 from hil.scenario.tables import Tables
 
@@ -95,6 +97,9 @@ def _files(scenario: Scenario) -> Iterator[tuple[str, str]]:
     for place, law in enumerate((scenario.controller.law, *scenario.controller.shadow)):
         if (digest := _law(law, scenario.directory)) is not None:
             yield f"law {place}", digest
+    module = reference_module(scenario.reference.kind)
+    if module is not None and (digest := code_of_module(module)) is not None:
+        yield "reference.kind", digest
     for name, table in (("reference.file", scenario.reference.options), ("device.motors.file", scenario.device.motors)):
         if isinstance(path := table.get("file"), str):
             yield name, _digest(scenario.directory / path)

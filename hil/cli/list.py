@@ -34,9 +34,9 @@ def listing(what: str) -> tuple[tuple[str, ...], Sequence[tuple[str, ...]]]:
 
         return ("law", "package", "meaning"), laws()
     if what == "references":
-        from hil.references import kinds
+        from hil.references import references
 
-        return ("reference", "meaning"), list(kinds().items())
+        return ("reference", "package", "meaning"), references()
     if what == "scenarios":
         from hil.scenario import shipped
 

@@ -8,7 +8,9 @@ Each kind has a group, such as ``hil.laws``. A package registers a name in it:
 A shipped thing keeps its name: another package cannot take it. Nothing is imported before it is asked for.
 """
 
-from collections.abc import Collection
+import traceback
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
@@ -85,3 +87,26 @@ class Extensions:
 def package_of(point: EntryPoint) -> str:
     """Return the name of the package that has registered an entry point."""
     return point.dist.name if point.dist is not None else "unknown"
+
+
+@contextmanager
+def failures_of(where: str, activity: str) -> Iterator[None]:
+    """Turn whatever another package's code raises into a BadInputError, as ``failure`` words it."""
+    try:
+        yield
+    except BadInputError:
+        raise
+    except (Exception, SystemExit) as error:  # someone else's code may raise anything
+        raise failure(where, activity, error) from error
+
+
+def failure(where: str, activity: str, error: BaseException) -> BadInputError:
+    """Return ``where: activity failed at FILE:LINE: ...`` for an error of another package's code."""
+    return BadInputError(f"{where}: {activity} failed at {_place(error)}: {type(error).__name__}: {error}")
+
+
+def _place(error: BaseException) -> str:
+    if isinstance(error, SyntaxError) and error.filename:
+        return f"{error.filename}:{error.lineno}"
+    frames = [f for f in traceback.extract_tb(error.__traceback__) if not f.filename.startswith("<frozen")]
+    return f"{frames[-1].filename}:{frames[-1].lineno}" if frames else "an unknown place"

@@ -4,15 +4,13 @@ import importlib
 import importlib.util
 import inspect
 import sys
-import traceback
 import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from hil.core.errors import BadInputError, nearest
+from hil.core.extensions import failure, failures_of
 from hil.core.types import NO_GAINS, Applied, CommandMode, Gains, Reference, State, WheelCommand, Wheels
 from hil.laws.own_signals import check_names
 
@@ -66,7 +64,7 @@ class UserLaw:
         self._named = named
         self._mode = mode
         arguments = _constructor_arguments(named, law, choices)
-        with _failures_of(named, "making it"):
+        with failures_of(named, "making it"):
             self._law: Any = law(*arguments)
         self._has_gains = inspect.getattr_static(self._law, "gains", None) is not None
         self.signals = self._own_names()
@@ -76,13 +74,13 @@ class UserLaw:
         """The law's gains, or NO_GAINS."""
         if not self._has_gains:
             return NO_GAINS
-        with _failures_of(self._named, "gains"):
+        with failures_of(self._named, "gains"):
             return Gains(*map(float, self._law.gains))
 
     @property
     def telemetry(self) -> tuple[float, ...]:
         """The values of the law's own signals."""
-        with _failures_of(self._named, "telemetry"):
+        with failures_of(self._named, "telemetry"):
             values = tuple(map(float, self._law.telemetry))
         if len(values) != len(self.signals):
             raise BadInputError(f"{self._named}: telemetry has {len(values)} values for {len(self.signals)} signals")
@@ -90,17 +88,17 @@ class UserLaw:
 
     def reset(self, state: State, reference: Reference) -> None:
         """Pass it on."""
-        with _failures_of(self._named, "reset"):
+        with failures_of(self._named, "reset"):
             self._law.reset(state, reference)
 
     def update(self, reference: Reference, state: State, applied: Applied, dt_s: float) -> WheelCommand:
         """Pass it on, and return the command if it is one."""
-        try:  # not _failures_of: a context manager costs as much as a law
+        try:  # not failures_of: a context manager costs as much as a law
             command = self._law.update(reference, state, applied, dt_s)
         except BadInputError:
             raise
         except (Exception, SystemExit) as error:
-            raise _failure(self._named, "update", error) from error
+            raise failure(self._named, "update", error) from error
         if not isinstance(command, WheelCommand):
             raise BadInputError(f"{self._named}: update returned {command!r}, expected a WheelCommand")
         if command.mode != self._mode:
@@ -123,7 +121,7 @@ class UserLaw:
             return ()
         if len(has) == 1:
             raise BadInputError(f"{self._named}: it has {has[0]} alone; signals of its own take signals and telemetry")
-        with _failures_of(self._named, "signals"):
+        with failures_of(self._named, "signals"):
             names = self._law.signals
         if not isinstance(names, list | tuple):
             raise BadInputError(f"{self._named}: signals is {names!r}, expected a tuple of names")
@@ -142,7 +140,7 @@ def _import_file(named: str, path: Path) -> ModuleType:
     # Dataclasses look their module up there while it is being imported.
     sys.modules[name] = module
     try:
-        with _failures_of(named, "importing it"):
+        with failures_of(named, "importing it"):
             description.loader.exec_module(module)
     except BadInputError:
         del sys.modules[name]
@@ -151,7 +149,7 @@ def _import_file(named: str, path: Path) -> ModuleType:
 
 
 def _import_module(named: str, name: str) -> ModuleType:
-    with _failures_of(named, "importing it"):
+    with failures_of(named, "importing it"):
         try:
             return importlib.import_module(name)
         except ModuleNotFoundError as error:
@@ -178,27 +176,6 @@ def _takes(function: Any, arguments: tuple[object, ...]) -> bool:
     except TypeError:
         return False
     return True
-
-
-@contextmanager
-def _failures_of(named: str, doing: str) -> Iterator[None]:
-    try:
-        yield
-    except BadInputError:
-        raise
-    except (Exception, SystemExit) as error:  # someone else's code may raise anything
-        raise _failure(named, doing, error) from error
-
-
-def _failure(named: str, doing: str, error: BaseException) -> BadInputError:
-    return BadInputError(f"{named}: {doing} failed at {_place(error)}: {type(error).__name__}: {error}")
-
-
-def _place(error: BaseException) -> str:
-    if isinstance(error, SyntaxError) and error.filename:
-        return f"{error.filename}:{error.lineno}"
-    frames = [f for f in traceback.extract_tb(error.__traceback__) if not f.filename.startswith("<frozen")]
-    return f"{frames[-1].filename}:{frames[-1].lineno}" if frames else "an unknown place"
 
 
 def _mode_name(mode: object) -> str:

@@ -1,7 +1,8 @@
 """Where the robot should be, as pure functions of the scenario's time (REFERENCES.md).
 
 May import: `core`.
-To add a kind of reference: one file here and a row in `registry.py`.
+To add a kind of reference: one file here and a row in `registry.py`; from another package an entry point of the group
+`hil.references`.
 """
 
 from hil.references.circle import Circle
@@ -9,14 +10,14 @@ from hil.references.feasibility import Feasibility, feasibility
 from hil.references.figure_eight import FigureEight
 from hil.references.hold import Hold
 from hil.references.motion import ReferenceSource
-from hil.references.registry import KINDS, kinds, make_reference
+from hil.references.registry import SHIPPED, make_reference, reference_module, references
 from hil.references.rounded_square import RoundedSquare
 from hil.references.spin import Spin
 from hil.references.trajectory import Trajectory
 from hil.references.waypoints import Waypoints
 
 __all__ = [
-    "KINDS",
+    "SHIPPED",
     "Circle",
     "Feasibility",
     "FigureEight",
@@ -27,6 +28,7 @@ __all__ = [
     "Trajectory",
     "Waypoints",
     "feasibility",
-    "kinds",
     "make_reference",
+    "reference_module",
+    "references",
 ]

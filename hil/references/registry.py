@@ -5,8 +5,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import BadInputError, nearest
+from hil.core.errors import BadInputError
+from hil.core.extensions import OUR_PACKAGE, Extensions, failures_of, package_of
 from hil.core.options import build
+from hil.core.types import Reference
 from hil.references.circle import Circle
 from hil.references.figure_eight import FigureEight
 from hil.references.hold import Hold
@@ -16,7 +18,7 @@ from hil.references.spin import Spin
 from hil.references.trajectory import Trajectory
 from hil.references.waypoints import Waypoints
 
-KINDS: dict[str, type[Any]] = {
+SHIPPED: dict[str, type[Any]] = {
     "circle": Circle,
     "hold": Hold,
     "figure_eight": FigureEight,
@@ -27,21 +29,63 @@ KINDS: dict[str, type[Any]] = {
 }
 """By the name in a scenario: a dataclass of options, which is the motion itself or reads it from a file."""
 
+_EXTENSIONS = Extensions("hil.references", SHIPPED)
+_EXPECTED = "expected ends, span_s and at(t_s), or read(directory) that returns an object with these (REFERENCES.md)"
 
-def kinds() -> dict[str, str]:
-    """Return the kinds, each with one line on what it is."""
-    return {name: (inspect.getdoc(kind) or "").splitlines()[0] for name, kind in KINDS.items()}
+
+def references() -> list[tuple[str, str, str]]:
+    """Return name, package and one line about each kind: the shipped ones, then those of other packages, not loaded."""
+    shipped = [(name, OUR_PACKAGE, (inspect.getdoc(kind) or "").splitlines()[0]) for name, kind in SHIPPED.items()]
+    return shipped + _EXTENSIONS.lines()
 
 
 def make_reference(kind: str, options: Mapping[str, object], directory: Path = Path()) -> ReferenceSource:
-    """Return the reference of a scenario's ``[reference]`` table, ``options`` being the table without its
-    kind.
+    """Return the reference of a scenario's ``[reference]`` table, ``options`` being the table without its kind.
 
-    ``directory`` is where the path of a file starts from. Raises BadInputError for an unknown kind or option (with
-    the nearest), a wrong type, a value out of range, and whatever is wrong with a file.
+    ``kind`` is a shipped name, or one that an installed package has registered in the group ``hil.references``.
+    ``directory`` is the folder from which the path of a file starts. Raises BadInputError for an unknown kind or option
+    (with the nearest), a wrong type, a value out of range, an unusable file, and for errors of another package's code.
     """
-    if kind not in KINDS:
-        raise BadInputError(f"reference.kind = {kind!r}: unknown{nearest(kind, KINDS)}")
-    made = build(KINDS[kind], options, "reference")
-    source: ReferenceSource = made.read(directory) if isinstance(made, Waypoints | Trajectory) else made
-    return source
+    if kind in SHIPPED:
+        made = build(SHIPPED[kind], options, "reference")
+        shipped: ReferenceSource = made.read(directory) if isinstance(made, Waypoints | Trajectory) else made
+        return shipped
+    where = f"reference.kind = {kind!r}"
+    found = _EXTENSIONS.load(kind, where)
+    where = f"{where}, of the package {package_of(_EXTENSIONS.find(kind, where))}"
+    if not isinstance(found, type):
+        raise BadInputError(f"{where}: {found!r} is no class; {_EXPECTED}")
+    with failures_of(where, "making it"):
+        source: Any = build(found, options, "reference")
+        if hasattr(source, "read"):
+            source = source.read(directory)
+    return OutsideReference(where, source)
+
+
+def reference_module(kind: str) -> str | None:
+    """Return the module in which another package has a kind of reference; None for a shipped or unknown one."""
+    value = _EXTENSIONS.value(kind)
+    return None if value is None else value.rpartition(":")[0]
+
+
+class OutsideReference:
+    """A reference of another package. Raises BadInputError, with file and line, for whatever its code raises."""
+
+    def __init__(self, where: str, source: Any) -> None:
+        """``where`` begins the messages. Raises BadInputError for a ``source`` that lacks a part of a reference."""
+        missing = [name for name in ("ends", "span_s", "at") if inspect.getattr_static(source, name, None) is None]
+        if missing:
+            raise BadInputError(f"{where}: {type(source).__name__} has no {missing[0]}; {_EXPECTED}")
+        self._where = where
+        self._source = source
+        with failures_of(where, "ends and span_s"):
+            self.ends = bool(source.ends)
+            self.span_s = float(source.span_s)
+
+    def at(self, t_s: float) -> Reference:
+        """Return the reference at ``t_s``."""
+        with failures_of(self._where, "at"):
+            reference = self._source.at(t_s)
+        if not isinstance(reference, Reference):
+            raise BadInputError(f"{self._where}: at returned {reference!r}, expected a hil.core.types.Reference")
+        return reference

@@ -21,7 +21,8 @@ def ingredients(scenario: "Scenario") -> dict[str, str]:
 
     To be asked when the parts of the run are made, for files may change before a recording begins. Beside what
     ``law_ingredients`` returns: ``map_sha256`` is of ``[plant.map]``, ``reference_file_sha256`` and
-    ``motors_file_sha256`` of files that the scenario names, ``fmu_sha256`` of the FMU where it is on this machine.
+    ``motors_file_sha256`` of files that the scenario names, ``reference_sha256`` of the code of another package's kind
+    of reference, ``fmu_sha256`` of the FMU where it is on this machine.
     ``wheel_host_sha256`` and ``cosim_sha256`` are of the native libraries that this process runs with, as they were
     loaded; ``wheel_host_sources_sha256`` and ``cosim_sources_sha256`` of the sources that these were built from, which
     are the same on every machine. What is not here is left out.
@@ -34,6 +35,7 @@ def ingredients(scenario: "Scenario") -> dict[str, str]:
     found = {
         "map_sha256": hashlib.sha256(json.dumps(mapped, sort_keys=True).encode()).hexdigest(),
         **{f"{name}_sha256": _sha256_of(table.get("file"), directory) for name, table in files.items()},
+        "reference_sha256": _reference_sha256(scenario.reference.kind),
         **_plant_and_libraries(scenario),
     }
     return law_ingredients(scenario) | {name: text for name, text in found.items() if text is not None}
@@ -106,6 +108,15 @@ def _plant_and_libraries(scenario: "Scenario") -> dict[str, str | None]:
     elif (fmu := archive.place(scenario.plant.fmu, scenario.directory)).is_file():
         found["fmu_sha256"] = archive.sha256(fmu)  # the robot is elsewhere, and needs it there alone
     return found
+
+
+def _reference_sha256(kind: str) -> str | None:
+    """Return the hash of the code of another package's kind of reference; None for a shipped one."""
+    from hil.laws.code import code_of_module
+    from hil.references import reference_module
+
+    module = reference_module(kind)
+    return None if module is None else code_of_module(module)
 
 
 def _sha256_of(file: object, directory: Path) -> str | None:
