@@ -12,6 +12,7 @@ from hil.batch.run import run
 from hil.cli.review import review as command
 from hil.cli.testing.verdict import run_as_test
 from hil.core.errors import BadInputError
+from hil.core.options import plain
 from hil.faults.kind import FaultRow
 from hil.judge.words import why_not_passed
 from hil.review import review
@@ -20,7 +21,7 @@ from hil.review.page import page
 from hil.runtime.sampling import Timing
 from hil.runtime.undriven import Undriven
 from hil.scenario import load
-from hil.scenario.allow import most
+from hil.scenario.trial import most
 
 MS = 1_000_000
 TIMING = Timing(5 * MS, 3 * MS, 2 * MS, 25 * MS)
@@ -157,9 +158,9 @@ def test_a_fault_that_is_only_recorded_does_not_switch_the_limits_off() -> None:
 def test_limits_are_ticks_or_shares_and_have_their_defaults_by_mode() -> None:
     assert [most(limit, 399) for limit in (0, 7, "5%", "12.5 %", "100%")] == [0, 7, 19, 49, 399]
     assert [most(f"{share}%", 100) for share in range(101)] == list(range(101))
-    assert dict(load("circle_speed").allow) == {"stale_ticks": 0, "held_ticks": 0}
+    assert plain(load("circle_speed").allow) == {"stale_ticks": 0, "held_ticks": 0}
     real = load("circle_speed", mode="realtime", set={"allow.stale_ticks": 3})
-    assert dict(real.allow) == {"stale_ticks": 3, "held_ticks": "5%"}
+    assert plain(real.allow) == {"stale_ticks": 3, "held_ticks": "5%"}
 
 
 @pytest.mark.parametrize("limit", [-1, 0.5, True, "5", "101%", "some"])

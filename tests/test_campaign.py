@@ -212,9 +212,9 @@ def test_what_is_wrong_with_a_plan_is_a_sentence_with_its_line_before_anything_r
         ("", axes.format('"robot.mass_kg" = { grid = [3, 3] }\n'), "plan.toml:9: axes.robot.mass_kg: grid: a value is"),
         ("", axes.format("a.b = { list = [1, 2] }\nc.d = { list = [1] }"), "but a.b has 2, c.d has 1"),
         ("", axes.format('"loop.seed" = { grid = [1, 2] }'), "axes loop.seed: give seeds instead"),
-        ("seeds = 0", "", "plan.toml:3: seeds: expected how many, from 1 to"),
+        ("seeds = 0", "", "plan.toml:3: seeds = 0; expected how many, from 1 to"),
         ("sceds = 3", "", "plan.toml:3: unknown key sceds; did you mean 'seeds'?"),
-        ('keep = "some"', "", 'plan.toml:3: keep; expected "none", "failures", "all" or'),
+        ('keep = "some"', "", 'plan.toml:3: keep = "some"; expected "none", "failures", "all" or'),
         ('keep = { worst = 3, by = "rms" }', "", "plan.toml:3: keep.by: unknown figure 'rms'"),
         ('laws = ["afdcs"]', "", "controller.law = 'afdcs': unknown; did you mean 'afdsc'?"),
         (
@@ -226,7 +226,7 @@ def test_what_is_wrong_with_a_plan_is_a_sentence_with_its_line_before_anything_r
         ("", axes.format("robt.mass_kg = { grid = [1] }"), "plan.toml:9: unknown key robt; did you mean 'robot'?"),
         ("", axes.format('"plant.start.mas_kg" = { grid = [1] }'), "has no such variable; did you mean 'mass_kg'?"),
         ("", axes.format('"plant.start.mass_kg" = { grid = ["a"] }'), "plant.start.mass_kg = 'a'; expected a finite"),
-        ('laws = [{ law = "dsc", gains = { k1 = 9.0 } }]', "", "controller.gains: unknown option 'k1'"),
+        ('laws = [{ law = "dsc", gains = { k1 = 9.0 } }]', "", "unknown key controller.gains.k1"),
         (
             'laws = ["./a/law.py:Law", "./b/law.py:Law"]',
             "",

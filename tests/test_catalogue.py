@@ -12,9 +12,10 @@ from hil.batch.catalogue.plan import Asked, alone, pairs
 from hil.batch.catalogue.runs import WORK, perform
 from hil.batch.old_pool import counted, perform_all
 from hil.cli.progress import runs_progress
+from hil.core.options import build
 from hil.faults.cases import CASES, DURATION_S, Outcome
 from hil.faults.kinds import KINDS, find
-from hil.scenario.rows import FaultTable
+from hil.scenario.trial import FaultTable
 from tests.processes import hil
 from tools.build.compiler import compile_shared
 
@@ -118,7 +119,7 @@ def test_every_kind_has_a_case_and_a_place_in_the_pairs() -> None:
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_a_case_is_over_before_its_run_is(case) -> None:
     for row in case.rows:
-        table = FaultTable.model_validate(row)
+        table = build(FaultTable, row)
         assert table.start_s < DURATION_S / 2
         assert case.kind == "reset" or table.end_s < DURATION_S / 2 + 1e-9
 

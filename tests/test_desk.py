@@ -181,7 +181,7 @@ def test_an_emergency_stop_that_waited_is_done() -> None:
     ("action", "arguments", "why"),
     [
         (Action.GAINS, {"gains": {"k1_1_s": 10**400}}, "expected a finite number"),
-        (Action.GAINS, {"gains": {"k3": 1.0}}, "unknown option 'k3'"),
+        (Action.GAINS, {"gains": {"k3": 1.0}}, "unknown key controller.gains.k3; known: "),
         (Action.TRACK, {"reference": {"kind": "rounded_square", "side_m": 1e308}}, "no pose at each time"),
         (Action.TRACK, {"reference": {"kind": "waypoints", "file": "none.csv"}}, "none.csv"),
     ],

@@ -290,9 +290,9 @@ def test_a_restart_forgets_all() -> None:
     [
         ({"ids": [1, 2, 3, 127]}, "expected four different ones, each 1 to 126"),
         ({"ids": [1, 2, 3, 3]}, "expected four different ones"),
-        ({"ids": 4}, "expected a list of whole numbers"),
+        ({"ids": 4}, "expected an array, each item a whole number"),
         ({"can_prefix": 8192}, "expected 0 to 8191"),
-        ({"gear_ratio": 0.0}, "more than zero"),
+        ({"gear_ratio": 0.0}, "greater than 0"),
     ],
 )
 def test_settings_that_cannot_be_are_refused(settings: dict[str, object], words: str) -> None:

@@ -245,7 +245,11 @@ def test_a_wiring_of_the_wheels_is_refused(wiring: tuple[Any, Any]) -> None:
 
 @pytest.mark.parametrize(
     ("options", "words"),
-    [({"battery_low_v": 14.0}, "less than battery_high_v"), ({"lever_m": -1.0}, "lever_m"), ({"car": "x1"}, "choices")],
+    [
+        ({"battery_low_v": 14.0}, "less than battery_high_v"),
+        ({"lever_m": -1.0}, "lever_m"),
+        ({"car": "x1"}, '"x3" or "x3_plus"'),
+    ],
 )
 def test_settings_that_cannot_be_are_refused(options: dict[str, object], words: str) -> None:
     with pytest.raises(BadInputError, match=words):

@@ -295,13 +295,13 @@ STRANGE = rig_of("can"), rig_of("serial")
     [
         ({"ids": [1, 2, 3, 255]}, "expected four different ones, each 0 to 254"),
         ({"ids": [1, 2, 3]}, "expected four different ones"),
-        ({"ids": [1, 2, 3, 4.0]}, "expected a list of whole numbers"),
-        ({"ids": "1234"}, "expected a list of whole numbers"),
+        ({"ids": [1, 2, 3, 4.0]}, "ids.3 = 4.0; expected a whole number"),
+        ({"ids": "1234"}, "expected an array, each item a whole number"),
         ({"host_id": 3}, "expected 0 to 254, and none of device.motors.ids"),
         ({"serial_id": 255}, "expected 0 to 254"),
         ({"pole_pairs": 0}, "expected 1 or more"),
-        ({"gear_ratio": -1.0}, "more than zero"),
-        ({"brake_current_a": -1.0}, "zero or more"),
+        ({"gear_ratio": -1.0}, "greater than 0"),
+        ({"brake_current_a": -1.0}, "at least 0"),
         ({"brake_current_a": 0.01}, "expected 0, or 0.05 and more, as a VESC does not brake with less"),
     ],
 )

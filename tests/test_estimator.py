@@ -11,6 +11,7 @@ import hil
 from hil.core.errors import BadInputError
 from hil.core.kinematics import BodyTwist, to_world, wheel_speeds
 from hil.core.model import RobotModel
+from hil.core.options import build
 from hil.core.types import NAN, NAN_POSE, ZERO_WHEELS, Pose, PoseFix, Twist, Wheels
 from hil.drivers.angles import Angles
 from hil.drivers.port import Sample
@@ -18,16 +19,13 @@ from hil.estimation import (
     Estimator,
     EstimatorOptions,
     FusedEstimator,
-    FusedOptions,
     OdometryEstimator,
     TruthEstimator,
     make_estimator,
 )
-from hil.scenario.tables import FilterTable
 
-ROBOT = RobotModel(20.0, 0.56, 0.075, 0.3, 0.3, 0.005, 0.0, 5.0, 60.0)
+ROBOT = RobotModel(20.0, 0.56, 0.075, 0.3, 0.3, 0.005, 0.0, torque_limit_n_m=5.0, speed_limit_rad_s=60.0)
 COUNTS = 4096
-OPTIONS = FusedOptions(**dict(FilterTable()))
 START = Pose(0.8, -0.2, 0.4)
 TICK_NS = 5_000_000
 
@@ -151,7 +149,7 @@ def test_a_fix_without_twist_takes_it_from_wheels_and_gyro():
 
 
 def by_name(source: str, twist: str = "source", counts: int = COUNTS) -> Estimator:
-    return make_estimator(EstimatorOptions(source, twist, 0.1, OPTIONS), ROBOT, START, counts)
+    return make_estimator(EstimatorOptions(source, twist), ROBOT, START, counts)
 
 
 def test_with_the_twist_of_the_wheels_only_the_pose_is_the_truths():
@@ -167,10 +165,9 @@ def test_sources_by_name():
     kinds = {"truth": TruthEstimator, "odometry": OdometryEstimator, "fused": FusedEstimator}
     for name, kind in kinds.items():
         assert isinstance(by_name(name), kind)
-    with pytest.raises(BadInputError, match=r"estimator.source = 'odometer': unknown; did you mean 'odometry'\?"):
-        by_name("odometer")
-    with pytest.raises(BadInputError, match=r"estimator\.twist = 'wheel': unknown; did you mean 'wheels'\?"):
-        by_name("truth", "wheel")
+    for key, expected in (("source", '"truth", "odometry" or "fused"'), ("twist", '"source" or "wheels"')):
+        with pytest.raises(BadInputError, match=f'estimator.{key} = "odometer"; expected {expected}'):
+            build(EstimatorOptions, {key: "odometer"}, "estimator")
     for name in ("odometry", "fused"):
         with pytest.raises(BadInputError, match=r"firmware\.counts_per_revolution = 0: expected"):
             by_name(name, counts=0)

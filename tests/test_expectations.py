@@ -1,6 +1,7 @@
 """Expectations: each claim against a naive oracle, and what fails because nothing was shown."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from hil.core.errors import BadInputError
 from hil.judge.expectations import check_expectation, outcomes_of
 from hil.judge.words import in_order
 from hil.scenario import load
-from hil.scenario.rows import ExpectTable
+from hil.scenario.trial import ExpectTable
 
 NAN = float("nan")
 VALUES = st.lists(st.one_of(st.integers(-3, 3).map(float), st.floats(-5, 5), st.just(NAN)), min_size=1, max_size=30)
@@ -21,8 +22,7 @@ TOLERANCE = st.sampled_from([0.5, 1.0, 2.0])
 
 
 def claim(**given: Any) -> ExpectTable:
-    """A row, unchecked: a range may be empty here."""
-    return ExpectTable.model_construct(signal="error.planar_m", **given)
+    return ExpectTable(signal="error.planar_m", **given)
 
 
 def signals(values: list[float]) -> dict[str, np.ndarray]:
@@ -41,7 +41,7 @@ def first_violation(values: list[float], from_s: float, to_s: float, holds) -> t
 CLAIMS = st.one_of(
     LIMIT.map(lambda b: (claim(below=b), lambda v: v < b)),
     LIMIT.map(lambda a: (claim(above=a), lambda v: v > a)),
-    st.tuples(LIMIT, LIMIT).map(lambda p: (claim(above=min(p), below=max(p)), lambda v: min(p) < v < max(p))),
+    st.tuples(LIMIT, TOLERANCE).map(lambda p: (claim(above=p[0], below=p[0] + p[1]), lambda v: p[0] < v < sum(p))),
     st.tuples(LIMIT, LIMIT).map(lambda p: (claim(within=(min(p), max(p))), lambda v: min(p) <= v <= max(p))),
     LIMIT.map(lambda e: (claim(equals=e), lambda v: v == e)),
     st.tuples(LIMIT, TOLERANCE).map(lambda p: (claim(equals=p[0], tolerance=p[1]), lambda v: abs(v - p[0]) <= p[1])),
@@ -52,9 +52,7 @@ CLAIMS = st.one_of(
 def test_a_claim_holds_when_it_holds_of_every_sample(values, claimed, from_s, span) -> None:
     row, holds = claimed
     passed, at = first_violation(values, from_s, from_s + span, holds)
-    outcome = check_expectation(
-        row.model_copy(update={"from_s": float(from_s), "to_s": float(from_s + span)}), signals(values)
-    )
+    outcome = check_expectation(replace(row, from_s=float(from_s), to_s=float(from_s + span)), signals(values))
     assert (outcome.passed, outcome.violation_s) == (passed, at)
     assert (
         outcome.violation_value is None

@@ -17,7 +17,17 @@ WHEELS = ("fl", "fr", "rr", "rl")
 
 
 def robot(speed_limit: float, torque_limit: float) -> RobotModel:
-    return RobotModel(MASS, INERTIA, RADIUS, 0.3, 0.25, WHEEL_INERTIA, FRICTION, torque_limit, speed_limit)
+    return RobotModel(
+        MASS,
+        INERTIA,
+        RADIUS,
+        0.3,
+        0.25,
+        WHEEL_INERTIA,
+        FRICTION,
+        torque_limit_n_m=torque_limit,
+        speed_limit_rad_s=speed_limit,
+    )
 
 
 def demanded(source, t_s: np.ndarray):

@@ -11,12 +11,11 @@ from hypothesis import strategies as st
 from hil.core.kinematics import BodyTwist, wheel_speeds
 from hil.core.model import RobotModel
 from hil.core.types import NAN, MeasuredPose, Pose, PoseCovariance, State, Wheels
-from hil.estimation import FusedEstimator, FusedOptions
+from hil.estimation import FilterOptions, FusedEstimator
 from hil.estimation.motion import Motion
 from hil.estimation.slip import SlipDetector
-from hil.scenario.tables import FilterTable
 
-ROBOT = RobotModel(20.0, 0.56, 0.075, 0.3, 0.3, 0.005, 0.0, 5.0, 60.0)
+ROBOT = RobotModel(20.0, 0.56, 0.075, 0.3, 0.3, 0.005, 0.0, torque_limit_n_m=5.0, speed_limit_rad_s=60.0)
 COUNTS = 4096
 START = Pose(0.8, -0.2, 0.4)
 TICK_NS = 5_000_000
@@ -38,7 +37,7 @@ class Drive:
     """A robot that moves with one body twist, and the estimator that watches it."""
 
     def __init__(self, body=AT_REST, *, bias=0.0, gyro=True, slip_m_s=0.1, **options) -> None:
-        self.estimator = FusedEstimator(ROBOT, START, COUNTS, slip_m_s, FusedOptions(**(dict(FilterTable()) | options)))
+        self.estimator = FusedEstimator(ROBOT, START, COUNTS, slip_m_s, FilterOptions(**options))
         self.speed = wheel_speeds(body, ROBOT.wheel_radius_m, ROBOT.lever_m)
         self.yaw_rate = body.yaw_rate_rad_s + bias if gyro else NAN
         self.tick, self.epoch_ns = -1, 0

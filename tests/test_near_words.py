@@ -1,17 +1,19 @@
 """Hints for misspelt names: the one that was meant, and none where nothing is near."""
 
 from collections.abc import Iterator
+from dataclasses import is_dataclass
 
 import pytest
 
 from hil.core.errors import near, nearest
+from hil.core.options import options_of
 from hil.core.signals import SIGNAL_NAMES
 from hil.faults.kinds import MESSAGES, names
 from hil.laws.registry import SHIPPED
-from hil.scenario.run import Scenario
+from hil.scenario.tables import Tables
 
 LINKS = ("can", "memory", "serial")
-KEYS = tuple(key for table in Scenario.model_fields.values() for key in getattr(table.annotation, "model_fields", ()))
+KEYS = tuple(key for table in options_of(Tables).values() if is_dataclass(table.type) for key in options_of(table.type))
 
 
 def typos(word: str) -> Iterator[str]:

@@ -3,6 +3,7 @@
 import contextlib
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 
@@ -286,7 +287,7 @@ def test_a_pose_that_leaps_does_not_make_a_held_robot_move() -> None:
 
 
 def test_a_robot_that_cannot_follow_is_held_instead_of_pushing_on() -> None:
-    options = OPTIONS.model_copy(update={"error_limit_m": 0.05})
+    options = replace(OPTIONS, error_limit_m=0.05)
     push = fault("push", 2.0, end_s=2.25, target="force_x_n", value=-150.0)  # more than all four wheels together
     with PilotBench(options=options, fault=[push]) as bench:
         bench.armed()

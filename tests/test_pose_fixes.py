@@ -22,7 +22,6 @@ from hil.estimation.localisation.message import Refused, parse
 from hil.runtime.assembly import RunOptions, run_scenario
 from hil.runtime.loop import Loop
 from hil.scenario import load
-from hil.scenario.tables import SimulatedFixTable
 from tools.pose_fix_client import datagram
 
 GOOD: dict[str, Any] = {
@@ -244,7 +243,7 @@ MS = 1_000_000
 
 
 def simulated(seed: int = 1, **changes: float) -> SimulatedFixes:
-    return SimulatedFixes(SimulatedOptions(**(dict(SimulatedFixTable()) | changes)), seed)
+    return SimulatedFixes(SimulatedOptions(**changes), seed)
 
 
 def truth_at(time_ns: int) -> PoseFix:
@@ -302,7 +301,7 @@ def test_a_gap_has_no_fixes() -> None:
 
 def test_after_a_reset_fixes_are_stamped_by_the_robots_new_clock() -> None:
     """The truth's clock goes on; what was on its way has stamps of the old one, and is lost."""
-    source = SimulatedFixes(SimulatedOptions(**dict(SimulatedFixTable())), 1, truth_age_ns=2 * MS)
+    source = SimulatedFixes(SimulatedOptions(), 1, truth_age_ns=2 * MS)
     source.poll(7_002 * MS, truth_at(7_000 * MS))
     source.restart()
     assert list(source.poll(7_102 * MS, None)) == []

@@ -15,20 +15,21 @@ import pytest
 import hil
 from hil.judge.words import figure_rows
 from hil.runtime.assembly import RunOptions, run_scenario
-from hil.runtime.realtime import GC_THRESHOLD, Wanted, parse_cpus, real_time
-from hil.scenario import load
+from hil.runtime.realtime import GC_THRESHOLD, parse_cpus, real_time
+from hil.scenario import RealtimeTable, load
 from tests.processes import device, environment
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="the scheduler asked is Linux's")
 
 _AS_NOBODY = """
 import json, os, resource, sys
-from hil.runtime.realtime import Wanted, real_time
+from hil.runtime.realtime import real_time
+from hil.scenario import RealtimeTable
 resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
 resource.setrlimit(resource.RLIMIT_MEMLOCK, (65536, 65536))
 if os.geteuid() == 0:
     os.setuid(65534)
-with real_time(Wanted(40, (4096,), True)) as granted:
+with real_time(RealtimeTable(40, (4096,), True)) as granted:
     print(json.dumps([granted.figures(), os.sched_getscheduler(0)]))
 """
 
@@ -45,7 +46,7 @@ def _state() -> tuple[object, ...]:
 def test_every_setting_is_taken_back() -> None:
     gc.collect()
     before = _state()
-    with real_time(Wanted(40, (min(os.sched_getaffinity(0)),), True)) as granted:
+    with real_time(RealtimeTable(40, (min(os.sched_getaffinity(0)),), True)) as granted:
         within = _state()
         assert gc.get_threshold()[0] == GC_THRESHOLD
         assert len(os.sched_getaffinity(0)) == 1
@@ -60,7 +61,7 @@ def test_every_setting_is_taken_back() -> None:
 @linux
 def test_what_is_not_wanted_is_not_asked_for() -> None:
     before = _state()[:3]
-    with real_time(Wanted(0, (), False)) as granted:
+    with real_time(RealtimeTable(0, (), False)) as granted:
         assert _state()[:3] == before
     assert not {"priority", "memory"} & {setting.name for setting in granted.settings}
 
@@ -89,7 +90,7 @@ def test_a_robot_in_another_process_says_what_it_was_refused() -> None:
 
 def test_where_it_is_not_linux_one_sentence_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.platform", "darwin")
-    with real_time(Wanted(40, (0,), True)) as granted:
+    with real_time(RealtimeTable(40, (0,), True)) as granted:
         assert gc.get_threshold()[0] == GC_THRESHOLD
     refused = "priority, processors and locked memory: only Linux is asked for these"
     assert granted.figures()["refused"] == {"priority": refused}
@@ -98,7 +99,7 @@ def test_where_it_is_not_linux_one_sentence_says_so(monkeypatch: pytest.MonkeyPa
 @linux
 def test_children_begin_as_ordinary() -> None:
     ask = [sys.executable, "-c", "import os; print(os.sched_getscheduler(0))"]
-    with real_time(Wanted(40, (), False)) as granted:
+    with real_time(RealtimeTable(40, (), False)) as granted:
         child = subprocess.run(ask, capture_output=True, text=True, check=True)
     if "priority" in granted.figures()["refused"]:
         pytest.skip("a real-time priority takes root or a limit")
@@ -111,7 +112,7 @@ def test_a_thread_that_has_ended_is_not_given_anything_back() -> None:
     thread = threading.Thread(target=done.wait)
     thread.start()
     assert thread.native_id is not None
-    with real_time(Wanted(1, (), False), [thread.native_id]):
+    with real_time(RealtimeTable(1, (), False), [thread.native_id]):
         done.set()
         thread.join()
     assert os.sched_getscheduler(0) == os.SCHED_OTHER

@@ -150,7 +150,7 @@ def test_a_trajectory_with_a_ramp_starts_and_ends_at_rest_and_lasts_so_much_long
         assert (pose.x_m, twist.vx_m_s) == pytest.approx((x, speed), abs=1e-9)
     with pytest.raises(BadInputError, match=r"ramp_s = 8: expected at most the 7 s of 'way\.csv'"):
         made(tmp_path, "trajectory", LINE, ramp_s=8.0)
-    with pytest.raises(BadInputError, match="smoothing_s = 2: expected at most 1"):
+    with pytest.raises(BadInputError, match=r"smoothing_s = 2\.0; expected a number from 0 to 1"):
         made(tmp_path, "trajectory", LINE, smoothing_s=2.0)
 
 

@@ -96,9 +96,9 @@ def test_a_key_that_is_unknown(text: str, sentence: str) -> None:
         ),
         (
             "[reference]\nradus_m = 3",
-            "my.toml:3: reference: unknown option 'radus_m'; did you mean 'radius_m'?",
+            "my.toml:3: unknown key reference.radus_m; did you mean 'radius_m'?",
         ),
-        ("[reference]\nradius_m = -3", "my.toml:3: reference: radius_m = -3.0"),
+        ("[reference]\nradius_m = -3", "my.toml:3: reference.radius_m = -3; expected a number greater than 0"),
         ("[loop]\nrate_hz = 300", "loop.rate_hz = 300; expected one of 20, 25,"),
         ("[loop]\nrate_hz = 1000.5", "loop.rate_hz = 1000.5; expected a whole number"),
         ("[loop]\nduration_s = 0", "loop.duration_s = 0; expected a number greater than 0"),
@@ -252,7 +252,7 @@ def test_a_base_that_cannot_be(extends: str, sentence: str) -> None:
         ("robot.mass_kg", "--set robot.mass_kg: expected key=value, such as robot.mass_kg=24"),
         ("=3", "--set =3: expected key=value"),
         ("robot..mass_kg=3", "expected a dotted key such as robot.mass_kg"),
-        ("reference.radus_m=3", "--set: reference: unknown option 'radus_m'"),
+        ("reference.radus_m=3", "--set: unknown key reference.radus_m; did you mean 'radius_m'?"),
         ("expect.1.below=3", "--set expect.1.below: expected expect.N.KEY with the row N from 0 to 0"),
         ("expect.first.below=3", "expected expect.N.KEY"),
         ("expect.0=3", "--set: expect.0 = 3; expected a table"),
@@ -291,6 +291,8 @@ def test_a_robots_file_that_is_not_there() -> None:
 def test_a_table_from_two_places_is_told_with_both() -> None:
     Path("my.toml").write_text('extends = "paper_circle"\n[device]\ndriver = "odrive"\nmotors = {gear_ratio = 8.0}\n')
     refused = message(set=["device.motors.firmware=0.5"])
-    assert refused == 'scenario my.toml:4 and --set: device.motors: firmware = 0.5: expected a text, in quotes: "0.5"'
+    assert refused == '--set: device.motors.firmware = 0.5; expected text in quotation marks: "0.5"'
+    contradiction = message(set=["device.motors.feedback_hz=2000"])
+    assert contradiction.startswith("scenario my.toml:4 and --set: device.motors: feedback_hz = 2000: expected 1000 at")
     alone = message("paper_circle", set=["device.driver=odrive", "device.motors.nod_ids=[1]"])
-    assert alone.startswith("--set: device.motors: unknown option 'nod_ids'")
+    assert alone.startswith("--set: unknown key device.motors.nod_ids; did you mean 'node_ids'?")

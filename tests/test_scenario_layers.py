@@ -7,8 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.core.errors import BadInputError
+from hil.core.options import format_value
 from hil.scenario.layers import Tree, assign, dotted, leaves, make_layer, merge, plain, stack
-from hil.scenario.toml_text import format_value, key_lines, parse_value
+from hil.scenario.toml_text import key_lines, parse_value
 
 names = st.sampled_from(["a", "b", "c", "d"])
 scalars = st.integers() | st.booleans() | st.text(max_size=3)

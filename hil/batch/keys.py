@@ -20,7 +20,7 @@ from hil.laws.registry import law_sha256
 from hil.plant import archive
 from hil.references import reference_module
 from hil.scenario import Scenario, to_plain
-from hil.scenario.tables import Tables
+from hil.scenario.run import tables_of
 
 KEY_FORMAT = 3
 """Counts changes of what the key covers."""
@@ -68,7 +68,7 @@ def key_of(
 
     Raises BadInputError when a file that the scenario names cannot be read.
     """
-    tables = scenario.model_dump(include=set(Tables.model_fields) - set(_NOT_OF_THE_RUN))
+    tables = {name: table for name, table in tables_of(scenario).items() if name not in _NOT_OF_THE_RUN}
     canonical = {"format": KEY_FORMAT, "versions": versions(), "files": dict(_files(scenario)), "scenario": tables}
     _without_paths(tables)
     tables["reference"] = _as_floats(tables["reference"])

@@ -21,7 +21,7 @@ from hil.record import check_output_path
 from hil.robot.targets.robot import open_server, open_target
 from hil.robot.truth_server import TruthServer
 from hil.robot.virtual import VirtualStm32
-from hil.runtime.realtime import Wanted, real_time
+from hil.runtime.realtime import real_time
 from hil.runtime.robots import link_of, no_lockstep, node_maker, open_trace, protocol_of, virtual_robot
 from hil.scenario import Scenario, load
 from hil.wire.robot_end import Wire
@@ -102,8 +102,7 @@ def serve(
         truth = TruthServer(scenario.hash, truth_port)
         resources.callback(truth.close)
         # Before robot time begins: to lock memory takes a tenth of a second.
-        wanted = Wanted(**dict(scenario.realtime))
-        granted = None if lockstep else resources.enter_context(real_time(wanted))
+        granted = None if lockstep else resources.enter_context(real_time(scenario.realtime))
         server = open_server(robot, wire, truth, lockstep=lockstep)
         truth.request_reset = server.request_reset
         truth.ask_faults = server.ask

@@ -1,6 +1,7 @@
 """``hil params``: the parameters that a robot's firmware holds."""
 
 import contextlib
+from dataclasses import MISSING
 from typing import Annotated
 
 import typer
@@ -8,6 +9,7 @@ import typer
 from hil.cli.options import Json, print_json
 from hil.cli.report import print_table
 from hil.core.errors import BadInputError
+from hil.core.options import options_of
 from hil.robot.parameters import ParameterClient, assignments
 from hil.scenario import FirmwareTable
 from hil.scenario.check import WATCHDOG_PERIODS
@@ -62,5 +64,5 @@ def _default_of(parameter: str) -> str:
     follows = {"watchdog_s": f"{WATCHDOG_PERIODS} command periods", "feedback_period_s": "1 command period"}
     if parameter in follows:
         return follows[parameter]
-    field = FirmwareTable.model_fields.get(parameter)
-    return "-" if field is None or field.is_required() else f"{field.default:.7g}"
+    option = options_of(FirmwareTable).get(parameter)
+    return "-" if option is None or option.default is MISSING else f"{option.default:.7g}"

@@ -10,37 +10,39 @@ wheels", ZAMM 99 (2019).
 """
 
 from dataclasses import dataclass, field
-from math import cos, isfinite, sin, tanh
+from math import cos, sin, tanh
+from typing import Annotated
 
-from hil.core.errors import BadInputError
 from hil.core.kinematics import body_twist, to_world, wheel_speeds
+from hil.core.options import Range, require_ranges
 from hil.core.types import Axes, FourWheels, Twist, Wheels, make_wheels
 
 GRAVITY_M_S2 = 9.81
 FRICTION_SPEED_RAD_S = 0.3
 """Wheel speed over which sign(ω) is smoothed to tanh, so that compensated friction does not chatter."""
 
-_MAY_BE_ZERO = ("wheel_inertia_kg_m2", "friction_coefficient")
-
 
 @dataclass(frozen=True, slots=True)
 class RobotModel:
-    """The robot in numbers (scenario table ``[robot]``), and what follows from them.
+    """``[robot]`` of a scenario: the robot in numbers, as the controller believes it, and what follows from them.
 
-    ``half_length_m`` and ``half_width_m`` are the paper's l1 and l2, from the centre to a wheel's centre;
-    ``wheel_inertia_kg_m2`` is Ib, of one wheel with its drive; ``friction_coefficient`` is μ. Raises
-    BadInputError for a number that is not finite, negative, or zero where that makes no robot.
+    Letters are those of the paper. The bounds of the two limits are what WHEEL_COMMAND and TORQUE_COMMAND can carry;
+    the others keep a value in the wrong unit out. Raises OptionsError for a number out of its range.
     """
 
-    mass_kg: float
-    inertia_kg_m2: float
-    wheel_radius_m: float
-    half_length_m: float
-    half_width_m: float
-    wheel_inertia_kg_m2: float
-    friction_coefficient: float
-    torque_limit_n_m: float
-    speed_limit_rad_s: float
+    mass_kg: Annotated[float, Range(gt=0, le=10_000), "mass with wheels"]
+    inertia_kg_m2: Annotated[float, Range(gt=0, le=100_000), "yaw inertia of the whole robot, I"]
+    wheel_radius_m: Annotated[float, Range(ge=0.001, le=1), "r"]
+    half_length_m: Annotated[float, Range(ge=0.001, le=3.9), "centre to axle, forward, l1"]
+    half_width_m: Annotated[float, Range(ge=0.001, le=3.9), "centre to wheel, sideways, l2"]
+    wheel_inertia_kg_m2: Annotated[float, Range(ge=0, le=100), "of one wheel and its motor about its axle, Ib"]
+    friction_coefficient: Annotated[float, Range(ge=0, le=2), "rolling friction, mu in xi"] = 0.0
+    torque_limit_n_m: Annotated[float, Range(gt=0, le=15.99609375), "of one wheel"] = field(kw_only=True)
+    speed_limit_rad_s: Annotated[
+        float,
+        Range(gt=0, le=63.984375),
+        "of one wheel; the robot's own limit counts where that is smaller",
+    ] = field(kw_only=True)
     lever_m: float = field(init=False, repr=False, compare=False)
     """L = l1 + l2 [m]."""
     wheels_mass_kg: float = field(init=False, repr=False, compare=False)
@@ -53,12 +55,7 @@ class RobotModel:
     """μ m g r / 4 [N·m]: friction torque of one wheel."""
 
     def __post_init__(self) -> None:
-        for name in (f.name for f in self.__dataclass_fields__.values() if f.init):
-            value = getattr(self, name)
-            allowed = isfinite(value) and (value >= 0.0 if name in _MAY_BE_ZERO else value > 0.0)
-            if not allowed:
-                bound = "zero or more" if name in _MAY_BE_ZERO else "more than zero"
-                raise BadInputError(f"robot.{name} = {value!r}: expected a finite number, {bound}")
+        require_ranges(self, "robot")
         lever = self.half_length_m + self.half_width_m
         k = 4.0 * self.wheel_inertia_kg_m2 / self.wheel_radius_m**2
         friction = self.friction_coefficient * self.mass_kg * GRAVITY_M_S2 * self.wheel_radius_m / 4.0

@@ -1,85 +1,352 @@
-"""Options of a law or a reference: a mapping from a scenario, checked against a dataclass.
+"""Options: a frozen dataclass is the one definition of a table of a scenario, or of a law's or reference's options.
 
-The dataclass is the only definition: its fields are the names, its annotations the types, its defaults the
-defaults, and its ``__post_init__`` raises ValueError for what is out of range.
+Its fields are the names, its annotations the types, its defaults the defaults. ``Annotated`` adds what a type cannot
+say, in any order: a ``Range``, a text that explains the option, ``Expected`` words for messages, and functions that
+return the value or raise ValueError with what was expected:
+
+    @dataclass(frozen=True)
+    class Options:
+        rate_hz: Annotated[float, Range(ge=0.1, le=1000), "fixes a second"] = 10.0
+
+``__post_init__`` may raise ValueError for options that contradict each other. ``build`` makes the dataclass from plain
+values. It knows float (for which an int is taken), int, bool, str, Literal, tuples, mappings, ``X | None`` and
+dataclasses; a value of another type is not checked here.
 """
 
+import functools
+import json
 import math
-from collections.abc import Mapping
-from dataclasses import MISSING, fields, is_dataclass
-from typing import Literal, TypeVar, get_args, get_origin, get_type_hints
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
 
 from hil.core.errors import BadInputError, nearest
 
 T = TypeVar("T")
+Path = tuple[str, ...]
+Scalar = float | int | bool | str
+OptionValue = Scalar | tuple[Scalar, ...]
+
+ABSENT = object()
+"""In place of the value of a problem that has none to show."""
+OTHERS = object()
+"""Marks, within ``Annotated``, the mapping that takes every key of the table which is not a field."""
 
 
-def build(kind: type[T], options: Mapping[str, object], where: str) -> T:
-    """Return ``kind(**options)``; ``where`` is the dotted scenario key of the table, for messages.
+@dataclass(frozen=True)
+class Range:
+    """Bounds of a number: greater than, from, up to. NaN is never within, infinity only where it is allowed."""
 
-    An int is taken for a float. Annotations other than float, int, bool, str, Literal and tuple[int, ...] are not
-    checked here. Raises BadInputError for an unknown or missing name, a wrong type, a number that is not finite, and
-    for a ValueError of the dataclass itself.
+    gt: float | None = None
+    ge: float | None = None
+    le: float | None = None
+    infinite: bool = False
+
+    def holds(self, value: float) -> bool:
+        """Return whether a number is within the bounds."""
+        return (
+            (self.gt is None or value > self.gt)
+            and (self.ge is None or value >= self.ge)
+            and (self.le is None or value <= self.le)
+            and not math.isnan(value)
+        )
+
+    def __str__(self) -> str:
+        """Return the bounds in words, to follow "a number"."""
+        if self.gt is not None:
+            return f" greater than {self.gt:.12g}" + ("" if self.le is None else f" and at most {self.le:.12g}")
+        if self.ge is not None:
+            return f" of at least {self.ge:.12g}" if self.le is None else f" from {self.ge:.12g} to {self.le:.12g}"
+        return ""
+
+
+class Expected(str):
+    """Words, within ``Annotated``, in place of those that follow from the type: "expected" and these."""
+
+    __slots__ = ()
+
+
+POSITIVE, NOT_NEGATIVE = Range(gt=0), Range(ge=0)
+
+
+class Option(NamedTuple):
+    """One field of a dataclass of options. ``default`` is MISSING for an option that has to be given."""
+
+    name: str
+    type: Any
+    range: Range
+    checks: tuple[Callable[[Any], Any], ...]
+    meaning: str
+    takes_others: bool
+    words: str
+    default: Any = MISSING
+
+    @property
+    def expected(self) -> str:
+        """What the option takes, as ``expected a number from 0 to 1``."""
+        return f"expected {self.words or _words(self)}"
+
+
+class Problem(NamedTuple):
+    """What is wrong with one value: its place in the table, and what was expected."""
+
+    path: Path
+    kind: Literal["unknown", "missing", "value"]
+    words: str
+    value: object = ABSENT
+
+    @property
+    def sentence(self) -> str:
+        """The problem as one sentence, with the value if it is a single one."""
+        key = ".".join(self.path)
+        if self.kind == "unknown":
+            return f"unknown key {key}{self.words}"
+        if self.kind == "missing":
+            return f"{key} is missing; {self.words}"
+        if self.value is ABSENT or isinstance(self.value, Mapping) or is_dataclass(self.value):
+            return f"{key}: {self.words}"
+        return f"{key} = {format_value(self.value)}; {self.words}"
+
+
+class OptionsError(BadInputError, ValueError):
+    """Options are wrong; ``problems`` has each. Raised in a ``__post_init__``, its paths start from that table."""
+
+    def __init__(self, problems: Sequence[Problem]) -> None:
+        self.problems = tuple(problems)
+        super().__init__("\n".join(problem.sentence for problem in self.problems))
+
+
+def build(kind: type[T], given: Mapping[str, object], where: str = "") -> T:
+    """Return the dataclass ``kind`` made of plain values; ``where`` is the dotted key of the table, for messages.
+
+    Raises OptionsError, with one line for each problem, for unknown and missing names (the latter only where no name is
+    unknown: they are most likely the same mistake), wrong types, numbers out of range, and what the dataclass refuses.
     """
     if not is_dataclass(kind):
         raise BadInputError(f"{where}: {kind.__qualname__} that holds its defaults must be a dataclass")
-    known = {f.name: f for f in fields(kind) if f.init}
-    hints = get_type_hints(kind)
-    values: dict[str, object] = {}
-    for name, value in options.items():
-        if name not in known:
-            hint = nearest(name, known) or "; it takes none"
-            raise BadInputError(f"{where}: unknown option {name!r}{hint}")
-        values[name] = _checked(value, hints[name], f"{where}.{name}")
-    for name, f in known.items():
-        if name not in values and f.default is MISSING and f.default_factory is MISSING:
-            raise BadInputError(f"{where}.{name} is missing: it has no default, give it a value")
+    problems: list[Problem] = []
+    made = _table(kind, given, tuple(where.split(".")) if where else (), problems)
+    if any(problem.kind == "unknown" for problem in problems):
+        problems = [problem for problem in problems if problem.kind != "missing"]
+    if problems:
+        raise OptionsError(problems)
+    return made  # type: ignore[no-any-return]
+
+
+def require_ranges(options: object, where: str) -> None:
+    """Raise OptionsError unless each option is as defined; for the ``__post_init__`` of what code makes directly."""
+    problems: list[Problem] = []
+    for name, option in _options(options).items():
+        _read(option, getattr(options, name), (where, name), problems)
+    if problems:
+        raise OptionsError(problems)
+
+
+@functools.cache
+def options_of(kind: Any) -> Mapping[str, Option]:
+    """Return the options of a dataclass, which is given as a class, by name."""
+    hints = get_type_hints(kind, include_extras=True)
+    return {
+        f.name: _parsed(hints[f.name], f.name)._replace(
+            default=f.default if f.default_factory is MISSING else f.default_factory()
+        )
+        for f in fields(kind)
+        if f.init
+    }
+
+
+def _options(made: Any) -> Mapping[str, Option]:
+    kind: Any = type(made)
+    return options_of(kind)
+
+
+def items(options: object) -> Iterator[tuple[str, Any]]:
+    """Yield name and value of each option of a dataclass, as a table has them."""
+    for name, option in _options(options).items():
+        value = getattr(options, name)
+        yield from value.items() if option.takes_others else [(name, value)]
+
+
+def plain(value: Any) -> Any:
+    """Return a dataclass of options as dictionaries, as far down as there are any; other values as they are."""
+    if is_dataclass(value):
+        return {name: plain(one) for name, one in items(value)}
+    if isinstance(value, Mapping):
+        return {name: plain(one) for name, one in value.items()}
+    return tuple(map(plain, value)) if isinstance(value, tuple) else value
+
+
+def format_value(value: object) -> str:
+    """Return a value as TOML writes it, and what TOML has no word for as Python does."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, float):
+        return repr(value) if math.isfinite(value) else str(value)
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(format_value, value))}]"
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{key} = {format_value(item)}' for key, item in value.items())}}}"
+    return str(value)
+
+
+def checked_text(value: str) -> str:
+    """Return a text of one line. Raises ValueError for another one."""
+    if not value or re.search(r"[\x00-\x1f\x7f]", value):
+        raise ValueError("expected text of one line, not empty")
+    return value
+
+
+def any_option(value: object) -> OptionValue:
+    """Accept what an option may be at all; its law or reference checks the names, types and ranges."""
+    if isinstance(value, list | tuple):
+        return tuple(map(_scalar, value))
+    return _scalar(value)
+
+
+def _scalar(value: object) -> Scalar:
+    if isinstance(value, str | int) or (isinstance(value, float) and math.isfinite(value)):
+        return value
+    raise ValueError("expected a finite number, text, true or false, or an array of these")
+
+
+Text = Annotated[str, checked_text]
+AnyOption = Annotated[Any, any_option]
+
+
+@functools.cache
+def _parsed(annotation: Any, name: str = "") -> Option:
+    kind, *extras = get_args(annotation) if get_origin(annotation) is Annotated else (annotation,)
+    return Option(
+        name,
+        kind,
+        next((one for one in extras if isinstance(one, Range)), Range()),
+        tuple(one for one in extras if callable(one)),
+        next((one for one in extras if type(one) is str), ""),
+        OTHERS in extras,
+        next((one for one in extras if isinstance(one, Expected)), ""),
+    )
+
+
+def _table(kind: type, given: Mapping[str, object], path: Path, problems: list[Problem]) -> Any:
+    """Return the dataclass, or None where that adds problems."""
+    before, options = len(problems), options_of(kind)
+    rest = next((option for option in options.values() if option.takes_others), None)
+    named = {name: value for name, value in given.items() if name in options and options[name] is not rest}
+    others = {name: value for name, value in given.items() if name not in named}
+    values = {name: _read(options[name], value, (*path, name), problems) for name, value in named.items()}
+    if rest is not None:
+        values[rest.name] = _read(rest, others, path, problems)
+    else:
+        known = {name: nearest(name, options) or "; it takes none" for name in others}
+        problems += [Problem((*path, name), "unknown", hint) for name, hint in known.items()]
+    for name, option in options.items():
+        if name not in values and option.default is MISSING:
+            problems.append(Problem((*path, name), "missing", option.expected))
+    if len(problems) > before:
+        return None
     try:
         return kind(**values)
+    except OptionsError as error:
+        problems += [problem._replace(path=path + problem.path) for problem in error.problems]
     except ValueError as error:
-        raise BadInputError(f"{where}: {error}") from error
+        problems.append(Problem(path, "value", str(error)))
+    return None
 
 
-def require_positive(options: object, *names: str) -> None:
-    """Raise ValueError unless each named attribute is more than zero; for a ``__post_init__``."""
-    for name in names:
-        value = getattr(options, name)
-        if not (math.isfinite(value) and value > 0.0):
-            raise ValueError(f"{name} = {value!r}: expected a finite number, more than zero")
-
-
-def require_not_negative(options: object, *names: str) -> None:
-    """Raise ValueError unless each named attribute is zero or more; for a ``__post_init__``."""
-    for name in names:
-        value = getattr(options, name)
-        if not (math.isfinite(value) and value >= 0.0):
-            raise ValueError(f"{name} = {value!r}: expected a finite number, zero or more")
-
-
-def _checked(value: object, hint: object, where: str) -> object:
-    if get_origin(hint) is Literal:
-        choice = get_args(hint)
-        if value not in choice:
-            if not isinstance(value, str) and str(value) in choice:
-                raise BadInputError(f'{where} = {value!r}: expected a text, in quotes: "{value}"')
-            raise BadInputError(f"{where} = {value!r}: not one of the choices{nearest(str(value), choice)}")
-        return value
-    if hint is float:
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise BadInputError(f"{where} = {value!r}: expected a number")
-        try:
-            number = float(value)
-        except OverflowError:  # a whole number with more than 308 digits
-            number = math.inf
-        if not math.isfinite(number):
-            raise BadInputError(f"{where} = {str(value)[:20]}: expected a finite number")
-        return number
-    if hint == tuple[int, ...]:
-        if not isinstance(value, list | tuple) or not all(type(item) is int for item in value):
-            raise BadInputError(f"{where} = {value!r}: expected a list of whole numbers")
-        return tuple(value)
-    expected = {int: "a whole number", bool: "true or false", str: "a string"}
-    for kind, name in expected.items():
-        if hint is kind and (not isinstance(value, kind) or (kind is int and isinstance(value, bool))):
-            raise BadInputError(f"{where} = {value!r}: expected {name}")
+def _read(option: Option, value: Any, path: Path, problems: list[Problem]) -> Any:
+    """Return a value as its option has it; None where that adds problems."""
+    before = len(problems)
+    try:
+        value = _typed(option, value, path, problems)
+        if len(problems) == before:
+            for check in option.checks:
+                value = check(value)
+    except OptionsError as error:
+        problems += [problem._replace(path=path + problem.path) for problem in error.problems]
+    except ValueError as error:
+        problems.append(Problem(path, "value", str(error), value))
     return value
+
+
+def _typed(option: Option, value: Any, path: Path, problems: list[Problem]) -> Any:
+    """Return a value as the option's type has it. Raises ValueError for one that has not this type or range."""
+    kind, origin, inner = option.type, get_origin(option.type), get_args(option.type)
+    if type(None) in inner:
+        return None if value is None else _read(option._replace(type=inner[0]), value, path, problems)
+    if is_dataclass(kind):
+        if isinstance(value, Mapping):
+            return _table(kind, value, path, problems)  # type: ignore[arg-type]
+        good = isinstance(value, kind)  # type: ignore[arg-type]
+    elif origin is Literal:
+        good = any(value == choice and type(value) is type(choice) for choice in inner)
+        if not good and not isinstance(value, str) and str(value) in inner:
+            raise ValueError(f"expected text in quotation marks: {format_value(str(value))}")
+    elif origin is tuple:
+        good = isinstance(value, list | tuple) and (inner[-1] is ... or len(value) == len(inner))
+        if good:
+            kinds = [inner[0]] * len(value) if inner[-1] is ... else inner
+            pairs = enumerate(zip(kinds, value, strict=True))
+            return tuple(_read(_parsed(one), item, (*path, str(i)), problems) for i, (one, item) in pairs)
+    elif origin is not None and issubclass(origin, Mapping):
+        good = isinstance(value, Mapping)
+        if good:
+            return _mapping(inner, value, path, problems)
+    elif kind is float:
+        return _float(option, value)
+    elif kind in (int, bool, str):
+        good = type(value) is kind and (kind is not int or option.range.holds(value))
+    else:
+        good = True
+    if not good:
+        raise ValueError(option.expected)
+    return value
+
+
+def _mapping(kinds: Sequence[Any], value: Mapping[Any, Any], path: Path, problems: list[Problem]) -> dict[Any, Any]:
+    key_kind, kind = map(_parsed, kinds)
+    read = {}
+    for key, one in value.items():
+        wrong: list[Problem] = []
+        _read(key_kind, key, (*path, str(key)), wrong)
+        problems += [problem._replace(value=ABSENT) for problem in wrong]
+        read[key] = None if wrong else _read(kind, one, (*path, str(key)), problems)
+    return read
+
+
+def _float(option: Option, value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError(option.expected)
+    try:
+        number = float(value)
+    except OverflowError:  # a whole number with more than 308 digits
+        number = math.inf
+    if not math.isfinite(number) and not option.range.infinite:
+        raise ValueError(option.expected.replace("a number", "a finite number"))
+    if not option.range.holds(number):
+        raise ValueError(option.expected)
+    return number
+
+
+def _words(option: Option) -> str:
+    kind, inner = option.type, get_args(option.type)
+    origin = get_origin(kind)
+    if type(None) in inner:
+        return _words(option._replace(type=inner[0]))
+    if origin is Literal:
+        *first, last = map(format_value, inner)
+        return f"{', '.join(first)} or {last}" if first else last
+    if origin is tuple:
+        if is_dataclass(inner[0]):
+            return "an array of tables: write [[...]], with two brackets"
+        if inner[-1] is not ...:
+            return "two numbers: [low, high]"
+        item = _parsed(inner[0])
+        example = ', as in ["first", "second"]' if item.type is str else ""
+        return f"an array, each item {_words(item)}{example}"
+    names = {str: "text in quotation marks", bool: "true or false", int: "a whole number", float: "a number"}
+    if kind in names:
+        return f"{names[kind]}{option.range}"
+    return "a table" if is_dataclass(kind) or origin is not None else "a value"

@@ -6,11 +6,9 @@ where the two differ.
 """
 
 import math
-from typing import Protocol
 
 from hil.core.errors import BadInputError
 from hil.core.kinematics import BodyTwist, body_twist, wheel_speeds
-from hil.core.options import require_not_negative
 from hil.core.types import WHEEL_NAMES, FourWheels
 from hil.drivers.port import RobotFacts
 
@@ -21,21 +19,6 @@ _LEAST_GAP_NS = 4_000_000  # the makers' control loops run at 100 Hz, and a fram
 _STILL_RAD_S = 0.5  # one encoder count in 10 ms, which is how the makers measure a speed
 _MILLI = 1000.0
 _INT16 = 0x7FFF
-
-
-class Geometry(Protocol):
-    """The settings that say with what a base's firmware computes; 0 for what is known of it otherwise."""
-
-    @property
-    def wheel_radius_m(self) -> float: ...
-
-    @property
-    def lever_m(self) -> float: ...
-
-
-def check_geometry(settings: Geometry) -> None:
-    """Raise ValueError unless both are zero or more; for a ``__post_init__``."""
-    require_not_negative(settings, "wheel_radius_m", "lever_m")
 
 
 class TwistBase:

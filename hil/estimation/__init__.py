@@ -5,7 +5,7 @@ To add an estimator: one file here and a row in `choice.py`.
 """
 
 from hil.estimation.choice import EstimatorOptions, make_estimator
-from hil.estimation.fused import FusedEstimator, FusedOptions
+from hil.estimation.fused import FilterOptions, FusedEstimator
 from hil.estimation.measurement import LOST, Estimator, Measurement
 from hil.estimation.odometry import OdometryEstimator
 from hil.estimation.truth import TruthEstimator
@@ -14,8 +14,8 @@ __all__ = [
     "LOST",
     "Estimator",
     "EstimatorOptions",
+    "FilterOptions",
     "FusedEstimator",
-    "FusedOptions",
     "Measurement",
     "OdometryEstimator",
     "TruthEstimator",

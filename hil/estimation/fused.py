@@ -2,10 +2,12 @@
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Annotated, Literal
 
 from hil.core.kinematics import to_world
 from hil.core.model import RobotModel
+from hil.core.options import Range
 from hil.core.signals import EstimatorSignals
 from hil.core.types import MeasuredPose, Pose, PoseFix, State
 from hil.estimation.belief import (
@@ -35,23 +37,28 @@ _UNSEEN_RAD = 0.2
 _SLIP_LASTS_S = 0.2
 
 
-class FusedOptions(NamedTuple):
-    """The filter's numbers: ``[estimator.filter]`` of a scenario, where each is explained and has its default."""
+@dataclass(frozen=True)
+class FilterOptions:
+    """``[estimator.filter]``: the filter of source "fused". Sigmas are standard deviations."""
 
-    begin: str
-    start_sigma_m: float
-    start_sigma_rad: float
-    wheels_sigma_m: float
-    wheels_sigma_rad: float
-    gyro_noise_rad_s: float
-    gyro_bias_sigma_rad_s: float
-    gyro_bias_walk_rad_s: float
-    gate_probability: float
-    restart_after: int
-    fix_timeout_s: float
-    lost_sigma_m: float
-    history_s: float
-    release_s: float
+    begin: Annotated[Literal["start", "fix"], "at the scenario's start pose, or unknown"] = "start"
+    start_sigma_m: Annotated[float, Range(ge=0, le=100), "of the start pose, each axis"] = 0.01
+    start_sigma_rad: Annotated[float, Range(ge=0, le=10), "of the start pose's heading"] = 0.01
+    wheels_sigma_m: Annotated[float, Range(gt=0, le=10), "of each axis after 1 m rolled"] = 0.01
+    wheels_sigma_rad: Annotated[float, Range(gt=0, le=10), "of the heading after 1 m, without gyro"] = 0.02
+    gyro_noise_rad_s: Annotated[float, Range(gt=0, le=10), "of one sample of the gyro"] = 0.01
+    gyro_bias_sigma_rad_s: Annotated[float, Range(ge=0, le=10), "of the gyro's bias at the start"] = 0.02
+    gyro_bias_walk_rad_s: Annotated[float, Range(ge=0, le=10), "of the bias's random walk in 1 s"] = 0.001
+    gate_probability: Annotated[float, Range(ge=0.5, le=0.999999), "of a right fix to be accepted"] = 0.999
+    restart_after: Annotated[int, Range(ge=2, le=1000), "rejected fixes in a row that agree, to be believed"] = 10
+    fix_timeout_s: Annotated[float, Range(gt=0, le=3600), "age of the newest fix that counts as degraded"] = 0.5
+    lost_sigma_m: Annotated[float, Range(gt=0, le=1000), "of the position, beyond which the robot is held at rest"] = (
+        0.25
+    )
+    history_s: Annotated[float, Range(ge=0.01, le=10), "how late a fix may come"] = 1.0
+    release_s: Annotated[
+        float, Range(ge=0, le=10), "time constant with which the pose follows a correction; 0: it jumps"
+    ] = 0.2
 
 
 class FusedEstimator:
@@ -72,7 +79,7 @@ class FusedEstimator:
         start_pose: Pose,
         counts_per_revolution: int,
         slip_threshold_m_s: float,
-        options: FusedOptions,
+        options: FilterOptions,
     ) -> None:
         self._model = model
         self._start_pose = start_pose

@@ -9,9 +9,9 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from hil.core.errors import UnknownSignalError
+from hil.core.options import options_of
 from hil.judge.measure import Series
-from hil.scenario.allow import AllowTable, most
-from hil.scenario.rows import ExpectTable
+from hil.scenario.trial import AllowTable, ExpectTable, most
 
 
 class Outcome(NamedTuple):
@@ -197,13 +197,13 @@ def allow_figures(allow: AllowTable, counts: Mapping[str, TickCount], ticks: int
     ``counts`` has one for each key of the table; ``ticks`` is how many the run had.
     """
     figures = []
-    for name, field in AllowTable.model_fields.items():
+    for name, option in options_of(AllowTable).items():
         limit, count = getattr(allow, name), counts[name]
         allowed = most(limit, ticks)
         passed = count.unexplained <= allowed
         share = f"{allowed}, {limit}" if isinstance(limit, str) else f"{allowed}"
         text = (
-            f"{name}: {count.unexplained} of {ticks} {field.description}; no fault of the scenario explains them, and "
+            f"{name}: {count.unexplained} of {ticks} {option.meaning}; no fault of the scenario explains them, and "
             f"allow.{name} permits {share}: {'as allowed' if passed else 'find the cause, or raise it'}"
         )
         figures.append({"name": name, "passed": passed, **count._asdict(), "limit": limit, "text": text})

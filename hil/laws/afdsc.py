@@ -1,10 +1,10 @@
 """AFDSC: dynamic surface control with fuzzy gains (Nguyen Minh et al. 2023, section III.B)."""
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 from hil.core.model import RobotModel
-from hil.core.options import require_positive
+from hil.core.options import POSITIVE
 from hil.core.types import Applied, CommandMode, Reference, State, WheelCommand
 from hil.laws.fuzzy import Tables
 from hil.laws.fuzzy_gains import FuzzyLaw, FuzzyRanges
@@ -30,11 +30,7 @@ class Afdsc(FuzzyLaw):
         longer overshoots, and the convergence time jumps.
         """
 
-        filter_s: float = 0.0675
-
-        def __post_init__(self) -> None:
-            FuzzyRanges.__post_init__(self)
-            require_positive(self, "filter_s")
+        filter_s: Annotated[float, POSITIVE] = 0.0675
 
     def __init__(self, model: RobotModel, mode: CommandMode, options: Options) -> None:
         super().__init__(mode, self.tables, options)

@@ -1,9 +1,10 @@
 """AFDSC with feedforward bypass and extended state observer."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from hil.core.model import RobotModel
-from hil.core.options import require_positive
+from hil.core.options import POSITIVE
 from hil.core.types import Applied, CommandMode, Reference, State, WheelCommand
 from hil.laws.fuzzy import Tables
 from hil.laws.fuzzy_gains import FuzzyLaw, FuzzyRanges
@@ -22,12 +23,8 @@ class AfdscEso(FuzzyLaw):
         """Ranges of the fuzzy inputs, the tables, the filter's time constant ς [s] and the observer's ωo [rad/s]."""
 
         tables: Tables = "corrected"
-        filter_s: float = 0.01
-        observer_rad_s: float = 60.0
-
-        def __post_init__(self) -> None:
-            FuzzyRanges.__post_init__(self)
-            require_positive(self, "filter_s", "observer_rad_s")
+        filter_s: Annotated[float, POSITIVE] = 0.01
+        observer_rad_s: Annotated[float, POSITIVE] = 60.0
 
     def __init__(self, model: RobotModel, mode: CommandMode, options: Options) -> None:
         super().__init__(mode, options.tables, options)

@@ -1,10 +1,11 @@
 """Computed torque: the model cancels the known dynamics, and a linear law controls the error that is left."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from hil.core.errors import BadInputError
 from hil.core.model import RobotModel
-from hil.core.options import require_positive
+from hil.core.options import POSITIVE
 from hil.core.types import NO_GAINS, Applied, CommandMode, Reference, State, WheelCommand
 from hil.laws.prediction import DelayPredictor
 
@@ -21,11 +22,8 @@ class ComputedTorque:
     class Options:
         """Natural frequency ωn [rad/s] and damping ratio ζ [1] of all three axes."""
 
-        frequency_rad_s: float = 14.0
-        damping: float = 1.0
-
-        def __post_init__(self) -> None:
-            require_positive(self, "frequency_rad_s", "damping")
+        frequency_rad_s: Annotated[float, POSITIVE] = 14.0
+        damping: Annotated[float, POSITIVE] = 1.0
 
     gains = NO_GAINS
 

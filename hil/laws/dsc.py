@@ -1,9 +1,10 @@
 """DSC: dynamic surface control with constant gains, the baseline in Nguyen Minh et al. 2023."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from hil.core.model import RobotModel
-from hil.core.options import require_positive
+from hil.core.options import POSITIVE
 from hil.core.types import Applied, CommandMode, Gains, Reference, State, WheelCommand
 from hil.laws.surface import DynamicSurface, tracking_error, without_k2
 
@@ -22,12 +23,9 @@ class Dsc:
         ς is not in the paper; 0.0675 s follows from its steady error of 0.79 mm.
         """
 
-        k1_1_s: float = 15.0
-        k2_1_s: float = 40.0
-        filter_s: float = 0.0675
-
-        def __post_init__(self) -> None:
-            require_positive(self, "k1_1_s", "k2_1_s", "filter_s")
+        k1_1_s: Annotated[float, POSITIVE] = 15.0
+        k2_1_s: Annotated[float, POSITIVE] = 40.0
+        filter_s: Annotated[float, POSITIVE] = 0.0675
 
     def __init__(self, model: RobotModel, mode: CommandMode, options: Options) -> None:
         k1, k2 = options.k1_1_s, options.k2_1_s

@@ -1,9 +1,10 @@
 """DSC with feedforward bypass and extended state observer."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from hil.core.model import RobotModel
-from hil.core.options import require_positive
+from hil.core.options import POSITIVE
 from hil.core.types import Applied, CommandMode, Gains, Reference, State, WheelCommand
 from hil.laws.observed_surface import ObservedSurface
 from hil.laws.surface import tracking_error, without_k2
@@ -19,13 +20,10 @@ class DscEso:
     class Options:
         """Gains of all three axes [1/s], the filter's time constant ς [s], and the observer's ωo [rad/s]."""
 
-        k1_1_s: float = 8.0
-        k2_1_s: float = 30.0
-        filter_s: float = 0.01
-        observer_rad_s: float = 60.0
-
-        def __post_init__(self) -> None:
-            require_positive(self, "k1_1_s", "k2_1_s", "filter_s", "observer_rad_s")
+        k1_1_s: Annotated[float, POSITIVE] = 8.0
+        k2_1_s: Annotated[float, POSITIVE] = 30.0
+        filter_s: Annotated[float, POSITIVE] = 0.01
+        observer_rad_s: Annotated[float, POSITIVE] = 60.0
 
     def __init__(self, model: RobotModel, mode: CommandMode, options: Options) -> None:
         k1, k2 = options.k1_1_s, options.k2_1_s

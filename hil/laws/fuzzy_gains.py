@@ -1,8 +1,9 @@
 """Fuzzy gains of all three axes, shared by AFDSC and its variants."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
-from hil.core.options import require_positive
+from hil.core.options import POSITIVE
 from hil.core.types import NAN, NO_GAINS, CommandMode, Gains, Pairs, make_gains
 from hil.laws.fuzzy import FIRING, FuzzyBlock, Tables
 from hil.laws.surface import without_k2
@@ -12,19 +13,10 @@ from hil.laws.surface import without_k2
 class FuzzyRanges:
     """Ranges of the fuzzy inputs: where the sets NB and PB peak. x and y share one pair, the heading has its own."""
 
-    error_range_m: float = 0.2
-    error_rate_range_m_s: float = 0.7
-    heading_error_range_rad: float = 0.8
-    heading_rate_range_rad_s: float = 4.0
-
-    def __post_init__(self) -> None:
-        require_positive(
-            self,
-            "error_range_m",
-            "error_rate_range_m_s",
-            "heading_error_range_rad",
-            "heading_rate_range_rad_s",
-        )
+    error_range_m: Annotated[float, POSITIVE] = 0.2
+    error_rate_range_m_s: Annotated[float, POSITIVE] = 0.7
+    heading_error_range_rad: Annotated[float, POSITIVE] = 0.8
+    heading_rate_range_rad_s: Annotated[float, POSITIVE] = 4.0
 
 
 class FuzzyGains:

@@ -1,11 +1,11 @@
 """LQI: linear-quadratic control with the integral of the error as a state, on the model's feedforward."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from hil.core.errors import BadInputError
 from hil.core.model import RobotModel
-from hil.core.options import require_positive
+from hil.core.options import POSITIVE
 from hil.core.types import NO_GAINS, Applied, Axes, CommandMode, Reference, State, WheelCommand
 from hil.laws.prediction import DelayPredictor, Prediction, extrapolate
 from hil.laws.wheel_commands import speed_command
@@ -65,21 +65,11 @@ class Lqi:
         TORQUE asks for accelerations, SPEED for speeds: each mode has weights of its own.
         """
 
-        torque_integral_1_s6: float = 2.0e5
-        torque_error_1_s4: float = 4.0e4
-        torque_rate_1_s2: float = 400.0
-        speed_integral_1_s4: float = 400.0
-        speed_error_1_s2: float = 64.0
-
-        def __post_init__(self) -> None:
-            require_positive(
-                self,
-                "torque_integral_1_s6",
-                "torque_error_1_s4",
-                "torque_rate_1_s2",
-                "speed_integral_1_s4",
-                "speed_error_1_s2",
-            )
+        torque_integral_1_s6: Annotated[float, POSITIVE] = 2.0e5
+        torque_error_1_s4: Annotated[float, POSITIVE] = 4.0e4
+        torque_rate_1_s2: Annotated[float, POSITIVE] = 400.0
+        speed_integral_1_s4: Annotated[float, POSITIVE] = 400.0
+        speed_error_1_s2: Annotated[float, POSITIVE] = 64.0
 
     gains = NO_GAINS
 

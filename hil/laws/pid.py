@@ -1,9 +1,10 @@
 """PID with kinematics: the usual law on such a robot. It needs the geometry and no other property of the robot."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from hil.core.model import RobotModel
-from hil.core.options import require_not_negative, require_positive
+from hil.core.options import NOT_NEGATIVE, POSITIVE
 from hil.core.types import NO_GAINS, ZERO_WHEELS, Applied, Axes, CommandMode, Reference, State, WheelCommand, Wheels
 from hil.laws.prediction import extrapolate
 from hil.laws.wheel_commands import speed_command
@@ -22,15 +23,11 @@ class Pid:
     class Options:
         """Gains of all three axes, Kp [1/s], Ki [1/s²] and Kd [1], and of each wheel's PI in TORQUE mode."""
 
-        kp_1_s: float = 8.0
-        ki_1_s2: float = 4.0
-        kd: float = 0.0
-        wheel_kp_n_m_s_rad: float = 1.1
-        wheel_ki_n_m_rad: float = 12.0
-
-        def __post_init__(self) -> None:
-            require_positive(self, "kp_1_s", "wheel_kp_n_m_s_rad")
-            require_not_negative(self, "ki_1_s2", "kd", "wheel_ki_n_m_rad")
+        kp_1_s: Annotated[float, POSITIVE] = 8.0
+        ki_1_s2: Annotated[float, NOT_NEGATIVE] = 4.0
+        kd: Annotated[float, NOT_NEGATIVE] = 0.0
+        wheel_kp_n_m_s_rad: Annotated[float, POSITIVE] = 1.1
+        wheel_ki_n_m_rad: Annotated[float, NOT_NEGATIVE] = 12.0
 
     gains = NO_GAINS
 

@@ -16,9 +16,10 @@ gets some torque as long as one pair has torque to spare.
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 from hil.core.model import RobotModel
-from hil.core.options import require_positive
+from hil.core.options import NOT_NEGATIVE, POSITIVE, Range
 from hil.core.types import (
     NAN,
     ZERO_WHEELS,
@@ -103,20 +104,13 @@ class Profile:
         SPEED mode it always does.
         """
 
-        k1_1_s: float = 20.0
-        k2_1_s: float = 50.0
-        braking_share: float = 0.85
-        observer_rad_s: float = 70.0
-        speed_k1_1_s: float = 12.0
-        speed_lag_s: float = 0.0133
+        k1_1_s: Annotated[float, POSITIVE] = 20.0
+        k2_1_s: Annotated[float, POSITIVE] = 50.0
+        braking_share: Annotated[float, Range(gt=0, le=1)] = 0.85
+        observer_rad_s: Annotated[float, POSITIVE] = 70.0
+        speed_k1_1_s: Annotated[float, POSITIVE] = 12.0
+        speed_lag_s: Annotated[float, NOT_NEGATIVE] = 0.0133
         keeps_speed_limit: bool = True
-
-        def __post_init__(self) -> None:
-            require_positive(self, "k1_1_s", "k2_1_s", "braking_share", "observer_rad_s", "speed_k1_1_s")
-            if self.braking_share > 1.0:
-                raise ValueError(f"braking_share = {self.braking_share!r}: expected at most 1, all the torque")
-            if self.speed_lag_s < 0.0:
-                raise ValueError(f"speed_lag_s = {self.speed_lag_s!r}: expected zero or more")
 
     def __init__(self, model: RobotModel, mode: CommandMode, options: Options) -> None:
         self._model = model

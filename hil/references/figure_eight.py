@@ -12,9 +12,9 @@ derivatives follow.
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
-from hil.core.options import require_not_negative, require_positive
+from hil.core.options import NOT_NEGATIVE, POSITIVE
 from hil.core.types import Reference
 from hil.references.motion import Point, motion_through, ramped
 
@@ -27,20 +27,16 @@ class FigureEight:
     ``heading = "path"`` the robot looks where it goes, ``heading_rad`` to the left of it.
     """
 
-    half_length_m: float = 1.0
-    period_s: float = 15.0
+    half_length_m: Annotated[float, POSITIVE] = 1.0
+    period_s: Annotated[float, POSITIVE] = 15.0
     shape: Literal["gerono", "bernoulli"] = "gerono"
     heading: Literal["fixed", "path"] = "fixed"
     heading_rad: float = 0.0
     centre_x_m: float = 0.0
     centre_y_m: float = 0.0
-    ramp_s: float = 0.0
+    ramp_s: Annotated[float, NOT_NEGATIVE] = 0.0
 
     ends: ClassVar[bool] = False
-
-    def __post_init__(self) -> None:
-        require_positive(self, "half_length_m", "period_s")
-        require_not_negative(self, "ramp_s")
 
     @property
     def span_s(self) -> float:

@@ -4,9 +4,9 @@ import bisect
 import math
 from dataclasses import dataclass, field
 from itertools import accumulate
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
-from hil.core.options import require_not_negative, require_positive
+from hil.core.options import NOT_NEGATIVE, POSITIVE
 from hil.core.types import Reference
 from hil.references.curves import Bend, Line, Linear, Section
 from hil.references.motion import motion_through, ramped
@@ -20,15 +20,15 @@ class RoundedSquare:
     ``heading_rad`` to the left of it.
     """
 
-    side_m: float = 2.0
-    corner_m: float = 0.4
-    period_s: float = 20.0
+    side_m: Annotated[float, POSITIVE] = 2.0
+    corner_m: Annotated[float, POSITIVE] = 0.4
+    period_s: Annotated[float, POSITIVE] = 20.0
     heading: Literal["fixed", "path"] = "fixed"
     heading_rad: float = 0.0
     centre_x_m: float = 0.0
     centre_y_m: float = 0.0
     clockwise: bool = False
-    ramp_s: float = 0.0
+    ramp_s: Annotated[float, NOT_NEGATIVE] = 0.0
     _sections: tuple[Section, ...] = field(init=False, repr=False, compare=False)
     _starts: tuple[float, ...] = field(init=False, repr=False, compare=False)
     """Way from the middle of the right side to where each section begins [m], and around."""
@@ -36,8 +36,6 @@ class RoundedSquare:
     ends: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        require_positive(self, "side_m", "corner_m", "period_s")
-        require_not_negative(self, "ramp_s")
         half, straight = 0.5 * self.side_m, 0.5 * self.side_m - self.corner_m
         if straight < 0.0:
             raise ValueError(f"corner_m = {self.corner_m:g}: expected at most half of side_m, {half:g}")

@@ -2,9 +2,9 @@
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
-from hil.core.options import require_not_negative, require_positive
+from hil.core.options import NOT_NEGATIVE, POSITIVE
 from hil.core.types import Acceleration, Pose, Reference, Twist
 from hil.references.motion import ramped
 
@@ -18,21 +18,17 @@ class Spin:
     """
 
     path: Literal["line", "circle"] = "line"
-    speed_m_s: float = 0.3
+    speed_m_s: Annotated[float, NOT_NEGATIVE] = 0.3
     direction_rad: float = 0.0
-    radius_m: float = 1.0
+    radius_m: Annotated[float, POSITIVE] = 1.0
     yaw_rate_rad_s: float = 0.8
     x_m: float = 0.0
     y_m: float = 0.0
     heading_rad: float = 0.0
-    ramp_s: float = 0.0
-    yaw_ramp_s: float = 0.0
+    ramp_s: Annotated[float, NOT_NEGATIVE] = 0.0
+    yaw_ramp_s: Annotated[float, NOT_NEGATIVE] = 0.0
 
     ends: ClassVar[bool] = False
-
-    def __post_init__(self) -> None:
-        require_positive(self, "radius_m")
-        require_not_negative(self, "speed_m_s", "ramp_s", "yaw_ramp_s")
 
     @property
     def span_s(self) -> float:

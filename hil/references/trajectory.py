@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 from hil.core.errors import BadInputError
-from hil.core.options import require_not_negative
+from hil.core.options import NOT_NEGATIVE, Range
 from hil.core.types import Acceleration, Reference, Twist
 from hil.references.motion import Phase, Point, ReferenceSource, motion_through, ramped
 from hil.references.smoothing import SmoothingSpline
@@ -21,7 +21,6 @@ FORMAT = Format(
     most_rows=200_000,
     others=True,
 )
-LONGEST_SMOOTHING_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,13 +33,8 @@ class Trajectory:
     """
 
     file: str
-    smoothing_s: float = 0.05
-    ramp_s: float = 0.0
-
-    def __post_init__(self) -> None:
-        require_not_negative(self, "smoothing_s", "ramp_s")
-        if self.smoothing_s > LONGEST_SMOOTHING_S:
-            raise ValueError(f"smoothing_s = {self.smoothing_s:g}: expected at most {LONGEST_SMOOTHING_S:g}")
+    smoothing_s: Annotated[float, Range(ge=0, le=1)] = 0.05
+    ramp_s: Annotated[float, NOT_NEGATIVE] = 0.0
 
     def read(self, directory: Path) -> ReferenceSource:
         """Return the motion of the file's rows; a relative path starts from ``directory``.

@@ -4,10 +4,10 @@ import math
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from hil.core.errors import BadInputError
-from hil.core.options import require_positive
+from hil.core.options import POSITIVE
 from hil.references.double_s import Limits
 from hil.references.motion import ReferenceSource
 from hil.references.route import Waypoint, plan
@@ -35,25 +35,13 @@ class Waypoints:
 
     file: str
     corners: Literal["stop", "blend"] = "stop"
-    blend_m: float = 0.2
-    max_speed_m_s: float = 0.5
-    max_acceleration_m_s2: float = 0.5
-    max_jerk_m_s3: float = 2.0
-    max_yaw_rate_rad_s: float = 1.0
-    max_yaw_acceleration_rad_s2: float = 2.0
-    max_yaw_jerk_rad_s3: float = 10.0
-
-    def __post_init__(self) -> None:
-        require_positive(
-            self,
-            "blend_m",
-            "max_speed_m_s",
-            "max_acceleration_m_s2",
-            "max_jerk_m_s3",
-            "max_yaw_rate_rad_s",
-            "max_yaw_acceleration_rad_s2",
-            "max_yaw_jerk_rad_s3",
-        )
+    blend_m: Annotated[float, POSITIVE] = 0.2
+    max_speed_m_s: Annotated[float, POSITIVE] = 0.5
+    max_acceleration_m_s2: Annotated[float, POSITIVE] = 0.5
+    max_jerk_m_s3: Annotated[float, POSITIVE] = 2.0
+    max_yaw_rate_rad_s: Annotated[float, POSITIVE] = 1.0
+    max_yaw_acceleration_rad_s2: Annotated[float, POSITIVE] = 2.0
+    max_yaw_jerk_rad_s3: Annotated[float, POSITIVE] = 10.0
 
     def read(self, directory: Path) -> ReferenceSource:
         """Return the motion along the file's waypoints; a relative path starts from ``directory``.

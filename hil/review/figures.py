@@ -6,16 +6,15 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
 from hil.core.errors import BadInputError
+from hil.core.options import OptionsError, build
 from hil.core.signals import SIGNAL_NAMES
 from hil.judge.expectations import outcomes_of
 from hil.judge.figures import cut_words, figure_signals, signal_figures
 from hil.judge.measure import CommandLimits, RunSetup
 from hil.record.properties import table_rows
 from hil.review.reader import RecordedRun, read
-from hil.scenario.rows import ExpectTable
+from hil.scenario.trial import ExpectTable
 
 _NO_SUMMARY = "the recording has no summary: the run did not come to its end"
 _NO_END = "the recording has no summary, for it has no end: what became of the run is not known"
@@ -148,9 +147,8 @@ def expected(run: RecordedRun) -> list[ExpectTable]:
     """Return the rows of ``[[expect]]`` of the run's scenario, those that this version understands."""
     rows = []
     for row in table_rows(scenario_of(run), "expect"):
-        with contextlib.suppress(ValidationError):  # of a version that has other keys
-            given = {key: tuple(one) if isinstance(one, list) else one for key, one in row.items()}
-            rows.append(ExpectTable.model_validate(given))
+        with contextlib.suppress(OptionsError):  # of a version that has other keys
+            rows.append(build(ExpectTable, row))
     return rows
 
 

@@ -24,7 +24,7 @@ from hil.runtime.events import RunEvents
 from hil.runtime.loop import Loop, Report
 from hil.runtime.parts import PartsOf
 from hil.runtime.provenance import ingredients, properties
-from hil.runtime.realtime import RealTime, Wanted, real_time
+from hil.runtime.realtime import RealTime, real_time
 from hil.runtime.report import close_recording, is_cut, run_figures
 from hil.runtime.robots import open_trace
 from hil.scenario import Scenario, load, set_texts
@@ -266,8 +266,7 @@ class _Run:
         """Arm the robot and run the loop; return how it went, and what was granted of real time."""
         scenario, bench = self._scenario, self._bench
         # Behind all other processes, which inherit the processors, and before the robot arms: locking takes its time.
-        wanted = Wanted(**dict(scenario.realtime))
-        taken = contextlib.nullcontext() if self._is_lockstep else real_time(wanted, bench.robot_threads)
+        taken = contextlib.nullcontext() if self._is_lockstep else real_time(scenario.realtime, bench.robot_threads)
         with taken as granted:
             origin_ns = self._reach(lambda: bench.device.start(bench.clock, scenario.loop.period_ns))
             bench.begin(origin_ns)

@@ -21,7 +21,7 @@ from hil.drivers.makers import MakersRobot, Terms
 from hil.drivers.motor_stop import StopTerms
 from hil.drivers.port import Driver
 from hil.drivers.registry import dialect
-from hil.estimation.localisation import SimulatedFixes, SimulatedOptions, UdpFixes
+from hil.estimation.localisation import SimulatedFixes, UdpFixes
 from hil.plant.said import Said
 from hil.robot.direct import DirectTruth, open_direct
 from hil.robot.faults import RobotFaults
@@ -213,8 +213,8 @@ class Bench:
         if estimator.source != "fused":
             return None
         if estimator.fix == "simulated":
-            options = SimulatedOptions(**dict(estimator.simulated_fix))
-            return SimulatedFixes(options, self._scenario.loop.seed, self._scenario.link.feedback_latency_ns)
+            latency_ns = self._scenario.link.feedback_latency_ns
+            return SimulatedFixes(estimator.simulated_fix, self._scenario.loop.seed, latency_ns)
         return UdpFixes(estimator.fix, estimator.filter.history_s)
 
     def connect(self) -> Identity:

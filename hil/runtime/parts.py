@@ -3,9 +3,8 @@
 from collections.abc import Sequence
 
 from hil.core.guard import Brake, Guard
-from hil.core.model import RobotModel
 from hil.core.ports import Note, Sink
-from hil.estimation import EstimatorOptions, FusedOptions, make_estimator
+from hil.estimation import make_estimator
 from hil.references import Feasibility, feasibility, make_reference
 from hil.runtime.bench import NS, Bench
 from hil.runtime.sampling import Timing
@@ -23,7 +22,7 @@ class PartsOf:
 
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
-        self.model = RobotModel(**dict(scenario.robot))
+        self.model = scenario.robot
         self.reference = make_reference(scenario.reference.kind, scenario.reference.options, scenario.directory)
         self.laws = make_laws(scenario, scenario.directory)
         self.timing = Timing(
@@ -31,10 +30,6 @@ class PartsOf:
             scenario.link.command_latency_ns,
             scenario.link.feedback_latency_ns,
             round(scenario.firmware.watchdog_s * NS),
-        )
-        believed = scenario.estimator
-        self._estimator = EstimatorOptions(
-            believed.source, believed.twist, believed.slip_threshold_m_s, FusedOptions(**dict(believed.filter))
         )
         self._guard = Guard(self.model.speed_limit_rad_s, self.model.torque_limit_n_m)
         self._brake = Brake(scenario.controller.mode, self._guard, scenario.firmware.speed_kp_n_m_s_rad)
@@ -54,7 +49,7 @@ class PartsOf:
             bench.wire,
             bench.truth,
             bench.fixes,
-            make_estimator(self._estimator, self.model, bench.start_pose(), counts),
+            make_estimator(self._scenario.estimator, self.model, bench.start_pose(), counts),
             self.reference,
             self.laws.controller,
             self._guard,

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hil.core.errors import BadInputError
+from hil.core.options import plain
 
 if TYPE_CHECKING:
     from hil.scenario import Scenario
@@ -30,10 +31,9 @@ def ingredients(scenario: "Scenario") -> dict[str, str]:
     Raises BadInputError as ``law_ingredients``, and for an FMU or a native library that cannot be used.
     """
     directory = scenario.directory
-    mapped = {signal: row.model_dump() for signal, row in scenario.plant.map.items()}
     files = {"reference_file": scenario.reference.options, "motors_file": scenario.device.motors}
     found = {
-        "map_sha256": hashlib.sha256(json.dumps(mapped, sort_keys=True).encode()).hexdigest(),
+        "map_sha256": hashlib.sha256(json.dumps(plain(scenario.plant.map), sort_keys=True).encode()).hexdigest(),
         **{f"{name}_sha256": _sha256_of(table.get("file"), directory) for name, table in files.items()},
         "reference_sha256": _reference_sha256(scenario.reference.kind),
         **_plant_and_libraries(scenario),

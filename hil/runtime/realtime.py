@@ -14,6 +14,8 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from hil.scenario.tables import RealtimeTable
+
 SWITCH_INTERVAL_S = 1e-4
 GC_THRESHOLD = 100_000
 ISOLATED = Path("/sys/devices/system/cpu/isolated")
@@ -25,20 +27,6 @@ _PR_SET_TIMERSLACK = 29
 _PR_GET_TIMERSLACK = 30
 _TIMER_SLACK_NS = 1
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
-
-
-class Wanted(NamedTuple):
-    """What a process asks for, as ``[realtime]`` has it.
-
-    Attributes:
-        priority: of SCHED_FIFO, 0 for none.
-        cpus: the processors to run on; empty for those that the kernel keeps free, where there are any.
-        lock_memory: whether memory must not leave RAM.
-    """
-
-    priority: int
-    cpus: tuple[int, ...]
-    lock_memory: bool
 
 
 class Setting(NamedTuple):
@@ -64,7 +52,7 @@ class RealTime:
 
 
 @contextlib.contextmanager
-def real_time(wanted: Wanted, threads: Sequence[int] = ()) -> Iterator[RealTime]:
+def real_time(wanted: RealtimeTable, threads: Sequence[int] = ()) -> Iterator[RealTime]:
     """Take what is wanted and granted, for the calling thread and others of this process; give it back at the end.
 
     ``threads`` are native ids. Processes and threads that these start meanwhile begin with ordinary priority.

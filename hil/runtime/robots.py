@@ -8,6 +8,7 @@ from firmware_protocol.built import BuildError
 from firmware_protocol.host import HostNode, parameters
 from hil.core.errors import BadInputError
 from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
+from hil.core.options import plain
 from hil.core.outputs import Existing
 from hil.core.types import Pose
 from hil.drivers.emulated_registry import emulated
@@ -33,7 +34,7 @@ def firmware_values(scenario: Scenario) -> dict[str, float]:
     """
     robot = scenario.robot
     size = {name: getattr(robot, name) for name in ("wheel_radius_m", "half_length_m", "half_width_m")}
-    given = dict(scenario.firmware) | size | {"feedback_period_s": scenario.loop.period_ns / _NS}
+    given = plain(scenario.firmware) | size | {"feedback_period_s": scenario.loop.period_ns / _NS}
     try:
         return {p.name: float(given[p.name]) for p in parameters()}
     except BuildError as error:

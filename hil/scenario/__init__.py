@@ -1,40 +1,35 @@
 """A run as data: a scenario in TOML, its layers stacked, validated and frozen. The shipped ones are in `shipped/`.
 
 May import: `drivers`, `wire`, `faults`, `estimation`, `references`, `laws`, `core`.
-To add a key: `tables.py`.
+To add a key: the frozen dataclass of its table, here (`tables.py`, `plant.py`, `trial.py`) or in the room that uses it
+(`hil.core.model`, `hil.estimation`); `hil.core.options` says how ranges and meanings are written.
 
 load("paper_circle", set=["robot.mass_kg=24"])    -> Scenario
 resolved(scenario)                                -> every value and where it came from
 shipped()                                         -> what can be loaded by name
 """
 
-from hil.scenario.allow import AllowTable
-from hil.scenario.fields import StartValue
+from hil.core.options import format_value
 from hil.scenario.load import Sources, load, read, set_texts, shipped
-from hil.scenario.plain import from_plain, to_plain
-from hil.scenario.process_tables import RealtimeTable, ServiceTable
-from hil.scenario.rows import ExpectTable, FaultTable
-from hil.scenario.run import Scenario, resolved
+from hil.scenario.plant import SHIPPED_FMUS, PlantTable, StartValue
+from hil.scenario.run import Scenario, from_plain, resolved, to_plain
 from hil.scenario.tables import (
-    SHIPPED_FMUS,
     ControllerTable,
     DeviceTable,
-    EstimatorTable,
     FirmwareTable,
     LinkTable,
     LoopTable,
-    PlantTable,
+    RealtimeTable,
     ReferenceTable,
-    RobotTable,
+    ServiceTable,
 )
-from hil.scenario.toml_text import format_value
+from hil.scenario.trial import AllowTable, ExpectTable, FaultTable
 
 __all__ = [
     "SHIPPED_FMUS",
     "AllowTable",
     "ControllerTable",
     "DeviceTable",
-    "EstimatorTable",
     "ExpectTable",
     "FaultTable",
     "FirmwareTable",
@@ -43,7 +38,6 @@ __all__ = [
     "PlantTable",
     "RealtimeTable",
     "ReferenceTable",
-    "RobotTable",
     "Scenario",
     "ServiceTable",
     "Sources",

@@ -1,20 +1,20 @@
 """Checking a stacked scenario: each table by itself, then the tables against each other."""
 
 import re
-from collections.abc import Iterator, Sequence
-from pathlib import Path
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import is_dataclass
+from pathlib import Path as FilePath
+from typing import Any, cast, get_args
 
-from pydantic import ValidationError
-
-from hil.core.errors import BadInputError, nearest
+from hil.core.errors import BadInputError, near, nearest
+from hil.core.options import OptionsError, Problem, build, options_of
 from hil.core.signals import INDEX
 from hil.references import make_reference
 from hil.scenario import layers, motors
-from hil.scenario.allow import REALTIME_ALLOW
 from hil.scenario.laws import make_laws
-from hil.scenario.layers import Given, Tree
-from hil.scenario.problems import complaint, describe, place
+from hil.scenario.layers import Given, Node, Path, Tree, leaves
 from hil.scenario.tables import RATES_HZ, Tables
+from hil.scenario.trial import REALTIME_ALLOW
 
 WATCHDOG_PERIODS = 5
 _WATCHDOG_RULE = f"default: {WATCHDOG_PERIODS} command periods, within 0.02 to 0.1 s"
@@ -33,7 +33,7 @@ def derived(tree: Tree) -> Tree:
     return found
 
 
-def check(tree: Tree, scenario: str, directory: Path) -> Tables:
+def check(tree: Tree, scenario: str, directory: FilePath) -> Tables:
     """Return the validated tables; ``scenario`` begins the messages about what was not given anywhere.
 
     ``directory`` is where relative paths start from.
@@ -41,54 +41,114 @@ def check(tree: Tree, scenario: str, directory: Path) -> Tables:
     Raises BadInputError with one line for each problem.
     """
     try:
-        tables = Tables.model_validate(layers.plain(tree))
-    except ValidationError as error:
-        raise BadInputError("\n".join(describe(error, tree, scenario))) from None
-    contradictions = [
-        complaint(tree, tuple(key.split(".")), value, expected, scenario)
-        for key, value, expected in _contradictions(tables)
-    ]
-    if contradictions:
-        raise BadInputError("\n".join(contradictions))
-    unknown = [
-        complaint(tree, path, name, f"expected the name of a signal{hint}", scenario)
-        for path, name, hint in _unknown_signals(tables, directory)
-    ]
-    if unknown:
-        raise BadInputError("\n".join(unknown))
-    try:
+        tables = build(Tables, cast("Mapping[str, object]", layers.plain(tree)))
+        for found in (_contradictions(tables), _unknown_signals(tables, directory)):
+            if problems := [Problem(tuple(key.split(".")), "value", words, value) for key, value, words in found]:
+                raise OptionsError(problems)
         make_reference(tables.reference.kind, tables.reference.options, directory)
-    except BadInputError as error:
-        raise BadInputError(f"{_place_of_reference(tree, str(error), scenario)}: {error}") from error
+    except OptionsError as error:
+        raise BadInputError("\n".join(describe(error.problems, tree, scenario))) from None
+    except BadInputError as error:  # of a reference's file: it begins with the key
+        named = re.match(r"reference(\.\w+)?", str(error))
+        path = tuple(named[0].split(".")) if named is not None else ("reference",)
+        raise BadInputError(f"{place(tree, path, scenario)}: {error}") from error
     return tables
 
 
-def _unknown_signals(tables: Tables, directory: Path) -> list[tuple[tuple[str, ...], str, str]]:
-    """Return path, name and hint of each row of a signal that the run does not have."""
-    named = [(("expect", str(index), "signal"), row.signal) for index, row in enumerate(tables.expect)]
+def describe(problems: Sequence[Problem], tree: Tree, scenario: str) -> list[str]:
+    """Return one sentence for each problem, with its place; ``scenario`` stands for the place of what nobody gave."""
+    sentences = []
+    for problem in problems:
+        path, told = problem.path, problem
+        if problem.kind == "missing":
+            # A table may be given in many files, but a row of an array is given in one place.
+            where = place(tree, path[:2], scenario) if len(path) > 2 and path[1].isdigit() else scenario
+            if path in _TABLES:
+                words = (
+                    f'the table [{layers.dotted(path)}] is missing; write it, or start with extends = "paper_circle"'
+                )
+                sentences.append(f"{where}: {words}")
+                continue
+        else:
+            where = place(tree, path, scenario)
+            if problem.kind == "unknown" and path[0] != "reference" and path[:2] != ("device", "motors"):
+                told = problem._replace(words=_did_you_mean(path))
+        sentences.append(f"{where}: {told.sentence}")
+    return sentences
+
+
+def place(tree: Tree, path: Path, scenario: str) -> str:
+    """Return where the value at a path, or the first one below it, was given, and whether another was on the line."""
+    node: Node | None = tree
+    for key in path:
+        if isinstance(node, Given):
+            break
+        if isinstance(node, dict):
+            node = node.get(key)
+        elif isinstance(node, list) and key.isdigit() and int(key) < len(node):
+            node = node[int(key)]
+        else:
+            node = None
+    places = [given.where for _, given in leaves(node)] if node is not None else []
+    if not places:
+        return scenario
+    where = places[0] if places[0].startswith("--") else f"scenario {places[0]}"
+    return f"{where} and --set" if "--set" in places and where != "--set" else where
+
+
+def _did_you_mean(path: Path) -> str:
+    """Return the hint for an unknown key: its name in another table, or the nearest one here or anywhere."""
+    table, name = tuple(part for part in _without_signal(path)[:-1] if not part.isdigit()), path[-1]
+    elsewhere = {
+        key: layers.dotted((*other, key))
+        for other, names in _TABLES.items()
+        if other not in ((), _MAP)
+        for key in names
+    }
+    here = _TABLES.get(table, ())
+    if name in elsewhere:
+        return f"; did you mean {elsewhere[name]!r}?"
+    if not near(name, here) and (found := near(name, elsewhere)):
+        return f"; did you mean {' or '.join(repr(elsewhere[one]) for one in found)}?"
+    return nearest(name, here)
+
+
+def _without_signal(path: Path) -> Path:
+    """Return the path without the key of a row of ``[plant.map]``: every row has the same keys."""
+    return (*_MAP, *path[3:]) if path[:2] == _MAP else path
+
+
+def _keys(kind: Any, path: Path = ()) -> Iterator[tuple[Path, tuple[str, ...]]]:
+    """Yield the path of each table below a kind of option with its keys; the root's keys are the tables."""
+    for one in (kind, *get_args(kind)):
+        if isinstance(one, type) and is_dataclass(one):
+            options = options_of(one)
+            yield path, tuple(name for name, option in options.items() if not option.takes_others)
+            for name, option in options.items():
+                yield from _keys(option.type, (*path, name))
+
+
+_MAP = ("plant", "map")
+_TABLES = dict(_keys(Tables))
+
+
+def _unknown_signals(tables: Tables, directory: FilePath) -> Iterator[tuple[str, object, str]]:
+    """Yield key, value and expectation of each row of a signal that the run does not have."""
+    named = [(f"expect.{index}.signal", row.signal) for index, row in enumerate(tables.expect)]
     named += [
-        (("fault", str(index), "target"), table.target)
+        (f"fault.{index}.target", table.target)
         for index, table in enumerate(tables.fault)
         if table.row.acts_on == "signal"
     ]
     if all(name in INDEX for _, name in named):
-        return []
+        return
     # Only now, because it runs the code of laws that are not ours.
     known = make_laws(tables, directory).signals
-    return [(path, name, _nearest_signal(name, known)) for path, name in named if name not in known]
-
-
-def _nearest_signal(name: str, known: Sequence[str]) -> str:
-    """Return the nearest signal; the whole vocabulary is too long for a sentence."""
-    hint = nearest(name, known)
-    return hint if "did you mean" in hint else "; `hil list signals` prints them all"
-
-
-def _place_of_reference(tree: Tree, message: str, scenario: str) -> str:
-    """Return where the key was given that a complaint about the reference names first."""
-    paths = [path for path, _ in layers.leaves(tree["reference"], ("reference",))]
-    named = [(m.start(), path) for path in paths for m in re.finditer(rf"\b{re.escape(path[-1])}\b", message)]
-    return place(tree, min(named)[1] if named else ("reference",), scenario)
+    for key, name in named:
+        if name not in known:
+            hint = nearest(name, known)  # the whole vocabulary is too long for a sentence
+            hint = hint if "did you mean" in hint else "; `hil list signals` prints them all"
+            yield key, name, f"expected the name of a signal{hint}"
 
 
 def _contradictions(tables: Tables) -> Iterator[tuple[str, object, str]]:

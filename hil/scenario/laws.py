@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import NamedTuple
 
-from hil.core.model import RobotModel
 from hil.core.ports import Controller, OwnSignals
 from hil.core.signals import SIGNAL_NAMES
 from hil.laws.own_signals import own_signals
@@ -38,7 +37,7 @@ class Laws(NamedTuple):
 def make_laws(tables: Tables, directory: Path) -> Laws:
     """Make the laws; ``directory`` is what relative paths start from. Raises BadInputError as ``make_controller``."""
     table = tables.controller
-    model = RobotModel(**dict(tables.robot))
+    model = tables.robot
     controller = make_controller(table.law, directory, model, table.mode, table.gains)
     if not table.shadow:
         return Laws(controller, None)

@@ -11,8 +11,9 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
 from hil.core.errors import BadInputError
+from hil.core.options import options_of
 from hil.drivers.registry import OUR_DRIVER
-from hil.scenario.tables import PLANT_SIGNALS, SHIPPED_FMUS, MapRow, PlantTable
+from hil.scenario.plant import PLANT_SIGNALS, SHIPPED_FMUS, MapRow, PlantTable
 from plant_fmu.shipped import variable_names
 
 Path = tuple[str, ...]
@@ -161,7 +162,7 @@ def _entries(table: Tree, path: Path = ()) -> Iterator[tuple[Path, Node]]:
 def _signal_and_key(path: Path) -> tuple[str, str]:
     """Split a path below ``[plant.map]``; a row that is no table is the variable's name."""
     ends = [end for end in range(1, len(path)) if dotted(path[:end]) in PLANT_SIGNALS]
-    if not ends and path[-1] in MapRow.model_fields:
+    if not ends and path[-1] in options_of(MapRow):
         ends = [len(path) - 1]
     return (dotted(path[: ends[0]]), dotted(path[ends[0] :])) if ends else (dotted(path), "name")
 

@@ -12,13 +12,14 @@ from typing import NamedTuple
 
 from hil.core import TEST_SUFFIX
 from hil.core.errors import BadInputError, nearest
+from hil.core.options import format_value
 from hil.laws.registry import give_law
 from hil.scenario import layers
 from hil.scenario.check import check, derived
-from hil.scenario.fields import is_path
 from hil.scenario.layers import Given, Tree
-from hil.scenario.run import Scenario, values
-from hil.scenario.toml_text import format_value, key_lines, parse, parse_value
+from hil.scenario.plant import is_path
+from hil.scenario.run import Scenario, scenario_of, values
+from hil.scenario.toml_text import key_lines, parse, parse_value
 
 SHIPPED_DIRECTORY = Path(__file__).parent / "shipped"
 ROBOT_TABLES = ("robot", "firmware", "device", "link", "realtime")
@@ -107,8 +108,8 @@ class Sources(NamedTuple):
         tree = layers.merge(derived(tree), _rebase(tree, folder or Path.cwd(), directory, only=_SET))
         tables = check(tree, f"scenario {self.file.display}", directory)
         where = {layers.dotted(path): given.where for path, given in layers.leaves(tree)}
-        return Scenario(
-            **dict(tables),
+        return scenario_of(
+            tables,
             name=self.file.path.name.removesuffix(TEST_SUFFIX).removesuffix(_SUFFIX),
             path=None if directory == SHIPPED_DIRECTORY else self.file.path,
             directory=directory,

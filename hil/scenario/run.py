@@ -1,27 +1,29 @@
 """The scenario itself: all tables validated and frozen, with its name, place, hash and provenance."""
 
-import dataclasses
 import hashlib
 import json
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, is_dataclass
 from pathlib import Path, PurePath
+from typing import Annotated, Any
 
-from pydantic import BaseModel, Field
-
-from hil.scenario.tables import SHIPPED_FMUS, Tables
+from hil.core.options import build, items, options_of, plain
+from hil.scenario.plant import SHIPPED_FMUS
+from hil.scenario.tables import Tables
 
 HASH_FORMAT = 3
 """Counts changes of what the hash covers, so that two versions of this package do not agree by chance."""
 _ARRAYS_OF_TABLES = ("fault", "expect")
 
 
+@dataclass(frozen=True, kw_only=True)
 class Scenario(Tables):
     """A run as data. Built by ``hil.scenario.load``, which raises BadInputError for whatever is wrong."""
 
     name: str
-    path: Path | None = Field(description="its file; None for a shipped one")
-    directory: Path = Field(description="what relative paths in it start from")
-    provenance: Mapping[str, str] = Field(description="where each dotted key was given, or 'default'")
+    path: Annotated[Path | None, "its file; None for a shipped one"]
+    directory: Annotated[Path, "the folder from which relative paths in it start"]
+    provenance: Annotated[Mapping[str, str], "where each dotted key was given, or 'default'"]
 
     @property
     def hash(self) -> str:
@@ -35,13 +37,13 @@ class Scenario(Tables):
         """
         shared = {
             "format": HASH_FORMAT,
-            "robot": dict(self.robot),
+            "robot": plain(self.robot),
             "plant": {
                 "fmu": self.fmu_sha256 or PurePath(self.plant.fmu).name,
-                "map": {signal: dict(row) for signal, row in self.plant.map.items()},
-                "start": dict(self.plant.start),
+                "map": plain(self.plant.map),
+                "start": self.plant.start,
             },
-            "firmware": dict(self.firmware),
+            "firmware": plain(self.firmware),
             "device": {"wheels": self.device.wheels, "reversed": sorted(self.device.reversed)} | self._motors(),
             "loop": {"rate_hz": self.loop.rate_hz, "seed": self.loop.seed},
         }
@@ -52,8 +54,7 @@ class Scenario(Tables):
         device = self.device
         if not device.is_makers:
             return {}
-        settings = device.settings
-        motors = {f.name: getattr(settings, f.name) for f in dataclasses.fields(settings) if f.init}
+        motors = dict(items(device.settings))
         if isinstance(motors.get("file"), str):
             motors["file"] = _sha256(Path(motors["file"])) or PurePath(motors["file"]).name
         return {"driver": device.driver, "motors": motors}
@@ -85,16 +86,55 @@ def resolved(scenario: Scenario) -> list[tuple[str, object, str]]:
 
 def values(tables: Tables) -> Iterator[tuple[str, object]]:
     """Yield every value that is there with its dotted key, in the order of the tables."""
-    for name in Tables.model_fields:
+    for name in options_of(Tables):
         yield from _walk(getattr(tables, name), name)
 
 
 def _walk(value: object, key: str) -> Iterator[tuple[str, object]]:
-    if isinstance(value, BaseModel | Mapping):
-        for name, child in dict(value).items():
+    if is_dataclass(value) or isinstance(value, Mapping):
+        for name, child in value.items() if isinstance(value, Mapping) else items(value):
             yield from _walk(child, f"{key}.{name}")
     elif isinstance(value, tuple) and key in _ARRAYS_OF_TABLES:
         for index, row in enumerate(value):
             yield from _walk(row, f"{key}.{index}")
     elif value is not None:
         yield key, value
+
+
+def tables_of(tables: Tables) -> dict[str, Any]:
+    """Return the values of all tables as dictionaries."""
+    return {name: plain(getattr(tables, name)) for name in options_of(Tables)}
+
+
+def to_plain(scenario: Scenario) -> dict[str, Any]:
+    """Return a scenario as JSON can have it, for a process that need not have its files.
+
+    Infinite times are among the values, as Python's ``json`` writes them.
+    """
+    return {
+        "tables": tables_of(scenario),
+        "name": scenario.name,
+        "path": None if scenario.path is None else str(scenario.path),
+        "directory": str(scenario.directory),
+        "provenance": dict(scenario.provenance),
+    }
+
+
+def from_plain(given: Mapping[str, Any]) -> Scenario:
+    """Return the scenario of which ``to_plain`` made these values."""
+    path = given["path"]
+    return scenario_of(
+        build(Tables, given["tables"]),
+        name=given["name"],
+        path=None if path is None else Path(path),
+        directory=Path(given["directory"]),
+        provenance=given["provenance"],
+    )
+
+
+def scenario_of(
+    tables: Tables, *, name: str, path: Path | None, directory: Path, provenance: Mapping[str, str]
+) -> Scenario:
+    """Return the scenario of these tables."""
+    shared = {key: getattr(tables, key) for key in options_of(Tables)}
+    return Scenario(**shared, name=name, path=path, directory=directory, provenance=provenance)

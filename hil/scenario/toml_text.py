@@ -1,9 +1,7 @@
-"""TOML as text: reading it with the line of every key, and writing one value."""
+"""TOML as text, read with the line of every key."""
 
-import json
-import math
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any
 
 from hil.core.errors import BadInputError
@@ -57,21 +55,6 @@ def key_lines(text: str) -> dict[Path, int]:
             lines.update({(*header, *path): first_line for path in _leaf_paths(parsed)})
         statement = ""
     return lines
-
-
-def format_value(value: object) -> str:
-    """Return a value as TOML writes it; what TOML has no word for as Python does."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
-    if isinstance(value, float):
-        return repr(value) if math.isfinite(value) else str(value)
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(format_value, value))}]"
-    if isinstance(value, Mapping):
-        return f"{{{', '.join(f'{key} = {format_value(item)}' for key, item in value.items())}}}"
-    return str(value)
 
 
 def _header(parsed: dict[str, Any], last_row: dict[Path, int]) -> Path:

@@ -4,6 +4,7 @@ import contextlib
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor, Future
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -176,7 +177,7 @@ class Desk:
         def make() -> Any:
             wanted, now = order.arguments["gains"], self._scenario.controller
             gains = self._reload_gains() if wanted is None else {**now.gains, **wanted}
-            tables = self._scenario.model_copy(update={"controller": now.model_copy(update={"gains": gains})})
+            tables = replace(self._scenario, controller=replace(now, gains=gains))
             return tables, make_laws(tables, tables.directory), law_ingredients(tables)
 
         def then(made: Any) -> Result:

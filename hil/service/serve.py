@@ -18,7 +18,7 @@ from hil.record.viewer import live_hint
 from hil.runtime.bench import Bench
 from hil.runtime.parts import PartsOf
 from hil.runtime.provenance import ingredients
-from hil.runtime.realtime import RealTime, Wanted, real_time
+from hil.runtime.realtime import RealTime, real_time
 from hil.runtime.sampling import Sampling
 from hil.scenario import Scenario
 from hil.service import logs
@@ -181,7 +181,7 @@ class _Service:
             if (said := bench.said) is not None:
                 resources.callback(lambda: tell(said.end(), self._t_s, self._records.note))
             watch = TickWatch(self._scenario.loop.tick_limit_s, lambda: self._t_s, self._last_words)
-            with real_time(Wanted(**dict(self._scenario.realtime)), bench.robot_threads) as granted, watch:
+            with real_time(self._scenario.realtime, bench.robot_threads) as granted, watch:
                 self._tick(bench, pilot, desk, granted, watch)
 
     def _open_bench(self, resources: contextlib.ExitStack) -> Bench | None:

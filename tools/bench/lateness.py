@@ -30,7 +30,7 @@ from rich.table import Table
 from firmware_protocol.generated.messages import Tick, TorqueCommand, WheelCommand
 from hil.cli.checks import realtime
 from hil.runtime.lateness import Lateness
-from hil.scenario.process_tables import PRIORITY
+from hil.scenario.tables import PRIORITY
 from tools import socketcan
 
 ROOT = Path(__file__).parents[2]

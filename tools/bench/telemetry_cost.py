@@ -35,9 +35,9 @@ from hil.record.viewer import free_port, live_address, viewer_executable
 from hil.review.contents import DamagedError
 from hil.review.decode import decode
 from hil.runtime.provenance import properties
-from hil.runtime.realtime import RealTime, Wanted, real_time
+from hil.runtime.realtime import RealTime, real_time
 from hil.scenario import load
-from hil.scenario.process_tables import PRIORITY
+from hil.scenario.tables import RealtimeTable
 
 PERIOD_NS = 1_000_000
 SCENARIO = "paper_circle"
@@ -126,7 +126,7 @@ class _Bench:
             "frozen viewer": lambda: self._recorded(rows, "frozen"),
         }
         turns: dict[str, list[Turn]] = {kind: [] for kind in kinds}
-        with real_time(Wanted(PRIORITY, (), lock_memory=True)) as settings:
+        with real_time(RealtimeTable()) as settings:
             _granted(settings)
             for _ in range(rounds):
                 for kind, take in kinds.items():

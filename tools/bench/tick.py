@@ -20,7 +20,6 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from hil.core.model import RobotModel
 from hil.core.types import PoseFix
 from hil.plant import archive
 from hil.plant.description import parameter_names
@@ -108,7 +107,7 @@ def naive(seconds: float, record: Path | None) -> Turn:
     scenario = _scenario(seconds)
     fmu = archive.locate(scenario.plant.fmu, scenario.directory)
     start = plant_start(scenario, parameter_names(fmu))
-    loop = NaiveLoop(RobotModel(**dict(scenario.robot)), start, record)
+    loop = NaiveLoop(scenario.robot, start, record)
     try:
         stamps_ns, error_m = loop.run(round(seconds * scenario.loop.rate_hz))
     finally:

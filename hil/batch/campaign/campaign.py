@@ -26,11 +26,12 @@ from hil.batch.plan import FixedPlan, run_plan
 from hil.batch.pool import PoolStatus, Runner, open_pool
 from hil.batch.store import KEY, ROWS, Row, Store, check_folder, read_rows, row_of
 from hil.core.errors import BadInputError
+from hil.core.options import plain
 from hil.runtime.parts import PartsOf
 from hil.runtime.provenance import versions
 from hil.runtime.robots import check_plant_start, needed_truth
 from hil.scenario import Scenario, format_value, set_texts, to_plain
-from hil.scenario.fields import is_path
+from hil.scenario.plant import is_path
 from hil.wire.url import parse_link
 
 _ARROW = {str: pa.string(), int: pa.int64(), float: pa.float64(), bool: pa.bool_()}
@@ -282,7 +283,7 @@ class Campaign:
     def about(self) -> dict[str, Any]:
         """Return what the report needs to know of it."""
         tables = self.plan.tables
-        keep = tables.keep.model_dump() if isinstance(tables.keep, KeepTable) else tables.keep
+        keep = plain(tables.keep) if isinstance(tables.keep, KeepTable) else tables.keep
         return {
             "name": self.plan.name,
             "scenario": tables.scenario,

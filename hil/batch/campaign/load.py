@@ -1,37 +1,18 @@
 """Loading a campaign: its file read and checked, its scenario found, every refusal a sentence with file and line."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pydantic import ValidationError
-
-from hil.batch.campaign.tables import AXIS_KINDS, AlternativeTable, AxisTable, KeepTable, LawTable, PlanTables
-from hil.core.errors import BadInputError, nearest
-from hil.scenario import Scenario, Sources, format_value, read
-from hil.scenario.fields import is_path
-from hil.scenario.plain import frozen
+from hil.batch.campaign.tables import AXIS_KINDS, PlanTables
+from hil.core.errors import BadInputError
+from hil.core.options import OptionsError, Problem, build
+from hil.scenario import Scenario, Sources, read
+from hil.scenario.plant import is_path
 from hil.scenario.toml_text import key_lines, parse
 
-_TABLES = {
-    (): PlanTables,
-    ("axes", "*"): AxisTable,
-    ("laws", "*"): LawTable,
-    ("fault", "*"): AlternativeTable,
-    ("keep",): KeepTable,
-}
 _SET = "--set"
-_EXPECTED = {
-    "tuple_type": "expected an array, in [ ]",
-    "mapping_type": "expected a table",
-    "dict_type": "expected a table",
-    "model_type": "expected a table, in { }",
-    "string_type": "expected text in quotation marks",
-    "int_type": "expected a whole number",
-    "float_type": "expected a number",
-}
-"""Kinds of TOML for kinds of Python, by pydantic's name of the problem."""
 
 
 class Plan(NamedTuple):
@@ -102,9 +83,9 @@ def load_plan(file: Path) -> Plan:
     document = _flat(parse(text, f"campaign {file}"))
     lines = key_lines(text)
     try:
-        tables = PlanTables.model_validate(frozen(document))
-    except ValidationError as error:
-        raise BadInputError("\n".join(_sentences(error, file, lines))) from None
+        tables = build(PlanTables, _frozen(document))
+    except OptionsError as error:
+        raise BadInputError("\n".join(_sentences(error.problems, file, lines))) from None
     name = tables.scenario
     try:
         sources = read(file.absolute().parent / name if is_path(name) else name)
@@ -155,39 +136,21 @@ def _place(file: Path, lines: Mapping[tuple[str, ...], int], path: tuple[str, ..
     return str(file)
 
 
-def _sentences(error: ValidationError, file: Path, lines: Mapping[tuple[str, ...], int]) -> list[str]:
-    """Return one sentence for each problem, an alternative of ``keep`` that does not fit only once."""
-    said: dict[str, None] = {}
-    for problem in error.errors(include_url=False):
-        path = tuple(str(part) for part in problem["loc"])
-        path = path[:1] if path[:1] == ("keep",) and problem["type"] != "extra_forbidden" else path
-        path = tuple(part for part in path if part != "[key]")
-        told = str(problem.get("ctx", {}).get("error", ""))
+def _sentences(problems: Sequence[Problem], file: Path, lines: Mapping[tuple[str, ...], int]) -> Iterator[str]:
+    """Yield one sentence for each problem."""
+    for problem in problems:
+        path, told = problem.path, problem.words
         about = path or next((one[:-1] for one in lines if one[0] == "axes" and ".".join(one[1:-1]) in told), ())
-        where = f"campaign {_place(file, lines, about)}"
-        key = ".".join(part for part in path if part not in ("KeepTable", "LawTable"))
-        if path == ("keep",):
-            said[f'{where}: keep; expected "none", "failures", "all" or {{ worst = 20, by = "steady_rms_m" }}'] = None
-        elif problem["type"] == "missing":
-            said[f"campaign {file}: {key} is missing; expected {_meaning(path)}"] = None
-        elif problem["type"] == "extra_forbidden":
-            known = _model(path[:-1]).model_fields
-            said[f"{where}: unknown key {key}{nearest(path[-1], known)}"] = None
-        elif problem["type"] == "value_error":
-            said[f"{where}: {f'{key}: ' if key else ''}{told}"] = None
-        else:
-            value = problem["input"]
-            given = "" if isinstance(value, Mapping) else f" = {format_value(value)}"
-            expected = _EXPECTED.get(problem["type"], problem["msg"].replace("Input should be", "expected"))
-            said[f"{where}: {key}{given}; {expected}"] = None
-    return list(said)
+        where = f"campaign {_place(file, lines, about) if problem.kind != 'missing' else file}"
+        yield f"{where}: {problem.sentence if path else told}"
 
 
-def _model(path: tuple[str, ...]) -> Any:
-    pattern = path[:1] if path[:1] == ("keep",) else tuple(part if n == 0 else "*" for n, part in enumerate(path[:2]))
-    return _TABLES.get(pattern, PlanTables)
+def _frozen(value: Any) -> Any:
+    """Return plain values with tuples for lists, and a law that is named alone as a table."""
+    if isinstance(value, Mapping):
+        return {key: _frozen(_laws(item) if key == "laws" else item) for key, item in value.items()}
+    return tuple(map(_frozen, value)) if isinstance(value, list | tuple) else value
 
 
-def _meaning(path: tuple[str, ...]) -> str:
-    field = _model(path[:-1]).model_fields.get(path[-1])
-    return str(field.description) if field is not None and field.description else "a value"
+def _laws(laws: object) -> object:
+    return [{"law": law} if isinstance(law, str) else law for law in laws] if isinstance(laws, list) else laws

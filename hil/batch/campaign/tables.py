@@ -1,27 +1,23 @@
 """The tables of a campaign's file: every key once, with its default and meaning."""
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator, model_validator
-
-from hil.scenario.fields import Option, Table, Text
+from hil.core.options import AnyOption, Expected, Range, Text, build
 
 AXIS_KINDS = ("grid", "list", "uniform", "log_uniform")
 _MOST_RUNS = 10_000_000
 
 
-class AxisTable(Table):
+@dataclass(frozen=True)
+class AxisTable:
     """A row of ``[axes]``: what one key of the scenario is in the runs. One of these."""
 
-    grid: tuple[Option, ...] | None = Field(default=None, description="values, each with each of the other axes")
-    list: tuple[Option, ...] | None = Field(
-        default=None, description="values that go together with other lists, in step"
-    )
-    uniform: tuple[float, float] | None = Field(default=None, description="[low, high] of a random number")
-    log_uniform: tuple[float, float] | None = Field(
-        default=None, description="[low, high] of one with uniform logarithm"
-    )
+    grid: Annotated[tuple[AnyOption, ...] | None, "values, each with each of the other axes"] = None
+    list: Annotated[tuple[AnyOption, ...] | None, "values that go together with other lists, in step"] = None
+    uniform: Annotated[tuple[float, float] | None, "[low, high] of a random number"] = None
+    log_uniform: Annotated[tuple[float, float] | None, "[low, high] of one with uniform logarithm"] = None
 
     @property
     def kind(self) -> str:
@@ -38,8 +34,7 @@ class AxisTable(Table):
         """The values, or low and high of a random axis."""
         return tuple(getattr(self, self.kind))
 
-    @model_validator(mode="after")
-    def _one(self) -> "AxisTable":
+    def __post_init__(self) -> None:
         given = [kind for kind in AXIS_KINDS if getattr(self, kind) is not None]
         if len(given) != 1:
             raise ValueError(f"expected one of {', '.join(AXIS_KINDS)}, as in {{ grid = [16, 20, 24] }}")
@@ -51,16 +46,16 @@ class AxisTable(Table):
             raise ValueError(f"log_uniform = {list(self.values)}; expected numbers greater than 0")
         if self.grid is not None and len({repr(value) for value in self.grid}) < len(self.grid):
             raise ValueError("grid: a value is named twice; name each once")
-        return self
 
 
-class LawTable(Table):
+@dataclass(frozen=True)
+class LawTable:
     """An item of ``laws``: a law under which all runs are done, by its name alone or with what differs."""
 
-    law: Text = Field(description="as controller.law")
-    name: Text | None = Field(default=None, description="what it is called; by default its law with its gains")
-    gains: Mapping[Text, Option] = Field(default_factory=dict, description="over those that the scenario has for it")
-    command: Literal["speed", "torque"] | None = Field(default=None, description="by default the scenario's")
+    law: Annotated[Text, "as controller.law"]
+    name: Annotated[Text | None, "what it is called; by default its law with its gains"] = None
+    gains: Annotated[Mapping[Text, AnyOption], "over those that the scenario has for it"] = field(default_factory=dict)
+    command: Annotated[Literal["speed", "torque"] | None, "by default the scenario's"] = None
 
     @property
     def keys_set(self) -> frozenset[str]:
@@ -69,60 +64,64 @@ class LawTable(Table):
         return frozenset((*command, *(f"controller.gains.{name}" for name in self.gains)))
 
 
-class AlternativeTable(Table):
+@dataclass(frozen=True)
+class AlternativeTable:
     """``[[fault]]``: rows of faults that a run has beside the scenario's own. Alternatives are done each with each."""
 
-    name: Text = Field(description="what it is called")
-    rows: tuple[Mapping[str, Any], ...] = Field(default=(), description="as [[fault]] of a scenario; none for no fault")
+    name: Annotated[Text, "what it is called"]
+    rows: Annotated[tuple[Mapping[str, Any], ...], "as [[fault]] of a scenario; none for no fault"] = ()
 
 
-class KeepTable(Table):
+@dataclass(frozen=True)
+class KeepTable:
     """``keep = { worst = N, by = "..." }``: recordings of the N runs in which a figure is greatest."""
 
-    worst: int = Field(ge=1, le=10_000, description="how many")
-    by: Text = Field(default="steady_rms_m", description="a figure of a run that is a number")
+    worst: Annotated[int, Range(ge=1, le=10000), "how many"]
+    by: Annotated[Text, "a figure of a run that is a number"] = "steady_rms_m"
 
 
-class PlanTables(Table):
+def _seeds(seeds: object) -> object:
+    """Return the seeds of a number, which is how many, or of an array."""
+    if type(seeds) is int and 1 <= seeds <= _MOST_RUNS:
+        return tuple(range(1, seeds + 1))
+    if not isinstance(seeds, tuple) or not all(type(seed) is int for seed in seeds):
+        raise ValueError(f"expected how many, from 1 to {_MOST_RUNS}, or an array of seeds")
+    if len(set(seeds)) < len(seeds):
+        raise ValueError("a seed is named twice; name each once")
+    if not all(0 <= seed < 2**32 for seed in seeds):
+        raise ValueError("expected seeds from 0 to 4294967295")
+    return seeds
+
+
+def _keep(keep: object) -> object:
+    if isinstance(keep, Mapping):
+        return build(KeepTable, keep)
+    if keep not in ("none", "failures", "all"):
+        raise ValueError('expected "none", "failures", "all" or { worst = 20, by = "steady_rms_m" }')
+    return keep
+
+
+@dataclass(frozen=True)
+class PlanTables:
     """A campaign's file."""
 
-    scenario: Text = Field(description="a shipped name, or a path relative to this file")
-    seeds: tuple[int, ...] = Field(default=(), description="loop.seed: how many from 1 on, or which")
-    laws: tuple[LawTable, ...] = Field(default=(), description="by default the scenario's own")
-    axes: Mapping[Text, AxisTable] = Field(default_factory=dict, description="by the scenario's dotted keys")
-    samples: int | None = Field(default=None, ge=1, le=_MOST_RUNS, description="draws of the random axes")
-    latin: bool = Field(default=False, description="draws fill a Latin hypercube")
-    seed: int = Field(default=1, ge=0, le=2**32 - 1, description="of the draws")
+    scenario: Annotated[
+        Text,
+        Expected("a shipped name, or a path relative to this file"),
+        "a shipped name, or a path relative to this file",
+    ]
+    seeds: Annotated[Any, _seeds, "loop.seed: how many from 1 on, or which"] = ()
+    laws: Annotated[tuple[LawTable, ...], "by default the scenario's own"] = ()
+    axes: Annotated[Mapping[Text, AxisTable], "by the scenario's dotted keys"] = field(default_factory=dict)
+    samples: Annotated[int | None, Range(ge=1, le=_MOST_RUNS), "draws of the random axes"] = None
+    latin: Annotated[bool, "draws fill a Latin hypercube"] = False
+    seed: Annotated[int, Range(ge=0, le=2**32 - 1), "of the draws"] = 1
     fault: tuple[AlternativeTable, ...] = ()
-    expect: tuple[Mapping[str, Any], ...] = Field(default=(), description="beside the scenario's own")
-    set: Mapping[Text, Any] = Field(default_factory=dict, description="keys of the scenario that all runs share")
-    keep: Literal["none", "failures", "all"] | KeepTable = Field(default="failures", description="recordings")
+    expect: Annotated[tuple[Mapping[str, Any], ...], "beside the scenario's own"] = ()
+    set: Annotated[Mapping[Text, Any], "keys of the scenario that all runs share"] = field(default_factory=dict)
+    keep: Annotated[Any, _keep, "recordings"] = "failures"
 
-    @field_validator("laws", mode="before")
-    @classmethod
-    def _named(cls, laws: object) -> object:
-        return tuple({"law": law} if isinstance(law, str) else law for law in laws) if isinstance(laws, tuple) else laws
-
-    @field_validator("seeds", mode="before")
-    @classmethod
-    def _numbered(cls, seeds: object) -> object:
-        if isinstance(seeds, int) and not isinstance(seeds, bool):
-            if not 1 <= seeds <= _MOST_RUNS:
-                raise ValueError(f"expected how many, from 1 to {_MOST_RUNS}, or an array of seeds")
-            return tuple(range(1, seeds + 1))
-        return seeds
-
-    @field_validator("seeds")
-    @classmethod
-    def _once(cls, seeds: tuple[int, ...]) -> tuple[int, ...]:
-        if len(set(seeds)) < len(seeds):
-            raise ValueError("a seed is named twice; name each once")
-        if not all(0 <= seed < 2**32 for seed in seeds):
-            raise ValueError("expected seeds from 0 to 4294967295")
-        return seeds
-
-    @model_validator(mode="after")
-    def _consistent(self) -> "PlanTables":
+    def __post_init__(self) -> None:
         random = [key for key, axis in self.axes.items() if axis.is_random]
         if random and self.samples is None:
             raise ValueError(f"axes {random[0]} is random; say with samples = N how often to draw")
@@ -146,4 +145,3 @@ class PlanTables(Table):
                 raise ValueError(f"{key} is in laws and in [axes], which would be what counts; give it once")
         if self.seeds and "loop.seed" in self.set:
             raise ValueError("loop.seed is in [set], and there are seeds, which would be what counts; give one of them")
-        return self

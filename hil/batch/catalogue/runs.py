@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -222,7 +223,7 @@ def _without_gains_of_another_law(scenario: Scenario) -> Scenario:
     if where["controller.law"] != _OPTION:
         return scenario
     gains = {name: value for name, value in table.gains.items() if where[f"controller.gains.{name}"] == _OPTION}
-    return scenario.model_copy(update={"controller": table.model_copy(update={"gains": gains})})
+    return replace(scenario, controller=replace(table, gains=gains))
 
 
 def outcome(result: RunResult) -> str:

@@ -4,6 +4,7 @@ import dataclasses
 import itertools
 import tempfile
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -103,8 +104,8 @@ def _job(scenario: Scenario, entry: Entry, table: Condition, limit_s: float, scr
 
     What the scenario expects of itself does not matter here: laws are judged by their figures alone.
     """
-    controller = scenario.controller.model_copy(update={"law": entry.law, "gains": dict(entry.gains[table.mode])})
-    changed = scenario.model_copy(update={"controller": controller, "expect": ()})
+    controller = replace(scenario.controller, law=entry.law, gains=dict(entry.gains[table.mode]))
+    changed = replace(scenario, controller=controller, expect=())
     if scratch is None:
         return make_job(changed, limit_s=limit_s)
     job = make_job(changed, options={"signals": [*_CURVES, *_CURRENTS]}, limit_s=limit_s)

@@ -17,14 +17,13 @@ from hil.runtime.realtime import (
     CAP_IPC_LOCK,
     CAP_SYS_NICE,
     DMA_LATENCY,
-    Wanted,
     has_capability,
     memory_limit_bytes,
     parse_cpus,
     priority_limit,
     real_time,
 )
-from hil.scenario.process_tables import PRIORITY
+from hil.scenario.tables import PRIORITY, RealtimeTable
 
 _FEW_PROCESSORS = 2
 _SLEEPS = 200
@@ -132,7 +131,7 @@ def _raise_limit(item: str, value: object) -> str:
 def check_clock(source: Path = _SOURCE, sleeps: int = _SLEEPS) -> Iterator[Finding]:
     """Yield resolution and source of the clock, and the measured lateness of ``sleeps`` sleeps of 1 ms."""
     yield _clock_source(source)
-    with real_time(Wanted(PRIORITY, (), lock_memory=False)) as granted:
+    with real_time(RealtimeTable(lock_memory=False)) as granted:
         late_us = _lateness(sleeps).percentiles_us()
     has_priority = "priority" in granted.figures()["granted"]
     sentence = (

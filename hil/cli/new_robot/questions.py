@@ -4,11 +4,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
-from pydantic import BaseModel, ValidationError
-from pydantic.fields import FieldInfo
-
-from hil.scenario.layers import assign
-from hil.scenario.problems import describe
+from hil.core.options import Option, OptionsError, build, options_of
 from hil.scenario.tables import Tables
 
 Value = float | int | str
@@ -36,11 +32,11 @@ class Question(NamedTuple):
     @property
     def description(self) -> str:
         """What the scenario's table says of it."""
-        return field_of(self.key).description or ""
+        return option_of(self.key).meaning
 
     def read(self, text: str) -> Value:
         """Return the value that a text is meant as: a number where the table has one. Raises ValueError."""
-        kind = field_of(self.key).annotation
+        kind = option_of(self.key).type
         if kind is int:
             return int(text)
         return float(text) if kind is float else text
@@ -95,22 +91,17 @@ QUESTIONS = (
 )
 
 
-def field_of(key: str) -> FieldInfo:
-    """Return the field of a dotted key of a scenario."""
+def option_of(key: str) -> Option:
+    """Return the option of a dotted key of a scenario."""
     table, _, name = key.partition(".")
-    model = Tables.model_fields[table].annotation
-    assert isinstance(model, type)
-    assert issubclass(model, BaseModel)
-    return model.model_fields[name]
+    return options_of(options_of(Tables)[table].type)[name]
 
 
 def problem_with(question: Question, value: Value) -> str | None:
     """Return what is wrong with an answer, as the scenario's own check says it; None where nothing is."""
     table, _, name = question.key.partition(".")
-    place = f"{question.flag}: "
     try:
-        Tables.model_validate({table: {name: value}})
-    except ValidationError as error:
-        said = describe(error, assign({}, question.key, value, question.flag), "")
-        return next((sentence.removeprefix(place) for sentence in said if sentence.startswith(place)), None)
+        build(options_of(Tables)[table].type, {name: value}, table)
+    except OptionsError as error:
+        return next((problem.sentence for problem in error.problems if problem.kind == "value"), None)
     return None

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence
 
-from hil.cli.new_robot.questions import Answers, Value, field_of
+from hil.cli.new_robot.questions import Answers, Value, option_of
 from hil.drivers.port import Found
 from hil.scenario import format_value
 
@@ -107,7 +107,7 @@ def _table(name: str, values: Mapping[str, Value | list[str]], notes: Sequence[s
 def _lines(table: str, rows: list[tuple[str, Value | list[str]]]) -> Iterator[str]:
     for name, value in rows:
         line = f"{name} = {format_value(value)}"
-        yield f"{line:<{_COMMENT_COLUMN - 1}} # {field_of(f'{table}.{name}').description}\n"
+        yield f"{line:<{_COMMENT_COLUMN - 1}} # {option_of(f'{table}.{name}').meaning}\n"
 
 
 def _inertia_at_a_wheel(answers: Answers) -> float:

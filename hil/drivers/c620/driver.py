@@ -11,10 +11,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from struct import Struct
-from typing import Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 from firmware_protocol.framing import Frame
-from hil.core.options import require_not_negative, require_positive
+from hil.core.options import NOT_NEGATIVE, POSITIVE
 from hil.core.types import WHEEL_NAMES, CommandMode, FourWheels
 from hil.drivers.channels import check_ids, chosen, oldest
 from hil.drivers.port import Capabilities, Dialect, Found, RobotFacts, Sample
@@ -52,15 +52,13 @@ class Settings:
 
     controller: Literal["c620", "c610"] = "c620"
     ids: tuple[int, ...] = (1, 2, 3, 4)
-    gear_ratio: float = 0.0
-    kp_n_m_s_rad: float = 0.6
-    ki_n_m_rad: float = 8.0
-    temperature_limit_degc: float = 100.0
+    gear_ratio: Annotated[float, NOT_NEGATIVE] = 0.0
+    kp_n_m_s_rad: Annotated[float, NOT_NEGATIVE] = 0.6
+    ki_n_m_rad: Annotated[float, NOT_NEGATIVE] = 8.0
+    temperature_limit_degc: Annotated[float, POSITIVE] = 100.0
 
     def __post_init__(self) -> None:
         check_ids("ids", self.ids, 1, 8)
-        require_not_negative(self, "gear_ratio", "kp_n_m_s_rad", "ki_n_m_rad")
-        require_positive(self, "temperature_limit_degc")
 
 
 class _Channel:

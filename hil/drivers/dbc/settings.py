@@ -2,10 +2,10 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 from hil.core.errors import nearest
-from hil.core.options import require_positive
+from hil.core.options import POSITIVE
 from hil.drivers.dbc import mapping
 from hil.drivers.dbc.file import Dbc, Message, Signal, load
 from hil.drivers.dbc.mapping import Condition, ErrorSignal, Quantity, Step, Table, Watchdog
@@ -88,7 +88,7 @@ class Settings:
     file: str
     command: Table
     feedback: Table
-    gear_ratio: float = 1.0
+    gear_ratio: Annotated[float, POSITIVE] = 1.0
     constants: Table = field(default_factory=dict)
     counters: tuple[str, ...] = ()
     ask: Table = field(default_factory=dict)
@@ -105,7 +105,6 @@ class Settings:
     plan: Plan = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        require_positive(self, "gear_ratio")
         dbc = load(self.file)
         plan = Plan(
             dbc,

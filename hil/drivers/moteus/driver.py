@@ -9,11 +9,11 @@ Source: mjbots moteus, docs/protocol/can.md, docs/protocol/registers.md, docs/gu
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 from firmware_protocol.framing import Frame
 from hil.core.errors import BadInputError
-from hil.core.options import require_positive
+from hil.core.options import POSITIVE
 from hil.core.types import NAN, WHEEL_NAMES, CommandMode, FourWheels
 from hil.drivers.channels import check_ids, chosen, oldest
 from hil.drivers.moteus import frames
@@ -46,13 +46,12 @@ class Settings:
 
     ids: tuple[int, ...] = (1, 2, 3, 4)
     can_prefix: int = 0
-    gear_ratio: float = 1.0
+    gear_ratio: Annotated[float, POSITIVE] = 1.0
 
     def __post_init__(self) -> None:
         check_ids("ids", self.ids, _ALL_IDS[0], _ALL_IDS[-1])
         if not 0 <= self.can_prefix <= 0x1FFF:
             raise ValueError(f"can_prefix = {self.can_prefix}: expected 0 to 8191")
-        require_positive(self, "gear_ratio")
 
 
 class _Channel:

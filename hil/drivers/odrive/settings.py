@@ -3,9 +3,9 @@
 import math
 import re
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
-from hil.core.options import require_not_negative, require_positive
+from hil.core.options import NOT_NEGATIVE, POSITIVE
 from hil.core.types import CommandMode
 from hil.drivers.channels import check_ids
 from hil.drivers.odrive import tables as can
@@ -25,8 +25,8 @@ class Settings:
     """
 
     node_ids: tuple[int, ...] = (0, 1, 2, 3)
-    gear_ratio: float = 1.0
-    feedback_hz: float = 100.0
+    gear_ratio: Annotated[float, POSITIVE] = 1.0
+    feedback_hz: Annotated[float, NOT_NEGATIVE] = 100.0
     firmware: Literal["any", "0.5", "0.6"] = "any"
     watchdog_endpoints: tuple[int, ...] = ()
     endpoints_firmware: str = ""
@@ -34,8 +34,6 @@ class Settings:
 
     def __post_init__(self) -> None:
         check_ids("node_ids", self.node_ids, 0, can.BROADCAST - 1)
-        require_positive(self, "gear_ratio")
-        require_not_negative(self, "feedback_hz")
         if self.feedback_hz > 1000.0:
             raise ValueError(f"feedback_hz = {self.feedback_hz:g}: expected 1000 at most, or 0 to ask for each")
         endpoints = self.watchdog_endpoints

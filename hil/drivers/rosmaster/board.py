@@ -3,12 +3,11 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 from firmware_protocol.framing import Frame
-from hil.core.options import require_not_negative, require_positive
+from hil.core.options import NOT_NEGATIVE, POSITIVE
 from hil.drivers.port import ANSWER_S, Found
-from hil.drivers.twist_base import check_geometry
 
 BAUD = 115_200
 CAR_TYPE, REQUEST, VERSION = 0x15, 0x50, 0x51
@@ -40,16 +39,13 @@ class Settings:
     """
 
     car: Literal["x3", "x3_plus"] = "x3"
-    wheel_radius_m: float = 0.0
-    lever_m: float = 0.0
-    counts_per_turn: float = 0.0
-    battery_low_v: float = 9.6
-    battery_high_v: float = 13.0
+    wheel_radius_m: Annotated[float, NOT_NEGATIVE] = 0.0
+    lever_m: Annotated[float, NOT_NEGATIVE] = 0.0
+    counts_per_turn: Annotated[float, NOT_NEGATIVE] = 0.0
+    battery_low_v: Annotated[float, NOT_NEGATIVE] = 9.6
+    battery_high_v: Annotated[float, POSITIVE] = 13.0
 
     def __post_init__(self) -> None:
-        check_geometry(self)
-        require_not_negative(self, "counts_per_turn", "battery_low_v")
-        require_positive(self, "battery_high_v")
         if self.battery_low_v >= self.battery_high_v:
             raise ValueError(
                 f"battery_low_v = {self.battery_low_v:g}: expected less than battery_high_v = {self.battery_high_v:g}"

@@ -10,10 +10,11 @@ Source: see hil/drivers/vesc/frames.py.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 from firmware_protocol.framing import Frame
 from hil.core.errors import BadInputError
-from hil.core.options import require_not_negative, require_positive
+from hil.core.options import NOT_NEGATIVE, POSITIVE
 from hil.core.types import WHEEL_NAMES, CommandMode, FourWheels
 from hil.drivers.channels import check_ids, chosen, oldest
 from hil.drivers.port import EXTENDED, Capabilities, Dialect, RobotFacts, Sample, torques_dropped
@@ -42,11 +43,11 @@ class Settings:
 
     ids: tuple[int, ...] = (1, 2, 3, 4)
     pole_pairs: int = 7
-    gear_ratio: float = 1.0
-    status_hz: float = 50.0
+    gear_ratio: Annotated[float, POSITIVE] = 1.0
+    status_hz: Annotated[float, POSITIVE] = 50.0
     serial_id: int = 1
     host_id: int = 253
-    brake_current_a: float = 0.0
+    brake_current_a: Annotated[float, NOT_NEGATIVE] = 0.0
 
     def __post_init__(self) -> None:
         most = frames.MOST_IDS
@@ -57,8 +58,6 @@ class Settings:
             raise ValueError(f"serial_id = {self.serial_id}: expected 0 to {most}")
         if self.pole_pairs < 1:
             raise ValueError(f"pole_pairs = {self.pole_pairs}: expected 1 or more")
-        require_positive(self, "gear_ratio", "status_hz")
-        require_not_negative(self, "brake_current_a")
         if 0.0 < self.brake_current_a < frames.LEAST_CURRENT_A:
             raise ValueError(
                 f"brake_current_a = {self.brake_current_a:g}: expected 0, or {frames.LEAST_CURRENT_A:g} and more, as a "

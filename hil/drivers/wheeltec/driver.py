@@ -14,12 +14,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from struct import Struct
+from typing import Annotated
 
 from firmware_protocol.framing import Frame
-from hil.core.options import require_not_negative, require_positive
+from hil.core.options import NOT_NEGATIVE, POSITIVE
 from hil.core.types import NAN, CommandMode, FourWheels
 from hil.drivers.port import Capabilities, Dialect, Found, RobotFacts, Sample, torques_dropped
-from hil.drivers.twist_base import LATE_NS, TwistBase, check_geometry, is_still
+from hil.drivers.twist_base import LATE_NS, TwistBase, is_still
 from hil.drivers.wheeltec.line import COMMAND, COMMAND_NUMBERS, HEAD, REPORTS, TAIL, WheeltecFraming, checksum
 
 _REPORT = Struct(">BB3h3h3hHBB")
@@ -37,16 +38,11 @@ class Settings:
     this board's firmware was seen to stop the wheels 1 s after the last command (WHEELTEC.md says how to try).
     """
 
-    wheel_radius_m: float = 0.0
-    lever_m: float = 0.0
-    speed_limit_m_s: float = 3.5
-    battery_low_v: float = 20.0
+    wheel_radius_m: Annotated[float, NOT_NEGATIVE] = 0.0
+    lever_m: Annotated[float, NOT_NEGATIVE] = 0.0
+    speed_limit_m_s: Annotated[float, POSITIVE] = 3.5
+    battery_low_v: Annotated[float, NOT_NEGATIVE] = 20.0
     stops_on_silence: bool = False
-
-    def __post_init__(self) -> None:
-        check_geometry(self)
-        require_positive(self, "speed_limit_m_s")
-        require_not_negative(self, "battery_low_v")
 
 
 class Report:

@@ -4,25 +4,28 @@ import math
 import random
 from collections import deque
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Annotated, Any
 
+from hil.core.options import Range
 from hil.core.types import MeasuredPose, Pose, PoseCovariance, PoseFix
 
 _NS = 1e9
 
 
-class SimulatedOptions(NamedTuple):
-    """``[estimator.simulated_fix]`` of a scenario, where each is explained and has its default."""
+@dataclass(frozen=True)
+class SimulatedOptions:
+    """``[estimator.simulated_fix]``: a lidar's SLAM, simulated from the truth in robot time."""
 
-    rate_hz: float
-    latency_s: float
-    sigma_m: float
-    sigma_rad: float
-    outlier_probability: float
-    outlier_m: float
-    dropout_probability: float
-    gap_start_s: float
-    gap_end_s: float
+    rate_hz: Annotated[float, Range(ge=0.1, le=1000), "fixes a second"] = 10.0
+    latency_s: Annotated[float, Range(ge=0, le=10), "from the scan to the fix"] = 0.1
+    sigma_m: Annotated[float, Range(ge=1e-5, le=100), "noise of each axis"] = 0.02
+    sigma_rad: Annotated[float, Range(ge=1e-5, le=10), "noise of the heading"] = 0.01
+    outlier_probability: Annotated[float, Range(ge=0, le=1), "of a fix to be wrong"] = 0.0
+    outlier_m: Annotated[float, Range(ge=0, le=1000), "how far off; turned by at most as many rad"] = 1.0
+    dropout_probability: Annotated[float, Range(ge=0, le=1), "of a fix to be missing"] = 0.0
+    gap_start_s: Annotated[float, Range(ge=0, le=86_400), "from here on, since t = 0, there are none"] = 0.0
+    gap_end_s: Annotated[float, Range(ge=0, le=86_400), "up to here"] = 0.0
 
 
 class SimulatedFixes:
