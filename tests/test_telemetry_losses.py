@@ -20,7 +20,7 @@ from hil.record import Recording, Rotation, check_output_path, ring_process
 from hil.record.files import has_end, part_path
 from hil.record.ring import RingReader, RingWriter, SharedBlock, ring_bytes
 from hil.record.ring_child import RefusedError
-from hil.record.run_files import Parts
+from hil.record.run_files import RunFiles
 from hil.record.started_process import StallTimeout
 from hil.record.viewer import viewer_executable
 from hil.review import RecordedRun, figures, read
@@ -60,8 +60,8 @@ class Memory:
         self._config: dict[str, Any] = {"path": str(path), "properties": {}, "signals": list(SIGNAL_NAMES)}
         self._config |= {"recording_id": "one", "zero_unix_ns": 0, "rotate": [None, None]}
 
-    def parts(self, restarts: int = 0) -> Parts:
-        return Parts({**self._config, "restarts": restarts}, self.ring)
+    def parts(self, restarts: int = 0) -> RunFiles:
+        return RunFiles({**self._config, "restarts": restarts}, self.ring)
 
     def copy(self) -> bytes:
         return bytes(self._block.buffer)
@@ -121,7 +121,7 @@ def test_what_a_killed_recorder_had_no_time_to_count_is_in_the_recording_once(me
     rows = list(circle_rows(30))
     first = memory.parts()
     first.event(0.0, "info", "counted")
-    first.look_after()
+    first.check()
     for row in rows[:20]:
         memory.writer.try_put(row)
     before = memory.copy()

@@ -1,7 +1,7 @@
 """Recordings: rows through shared memory to a process that writes .rrd or .mcap, live viewers, layout (RECORDING.md).
 
-May import: `faults`, `core`. `session` is the run's side.
-To add a view: `blueprint.py`; a format: `parts.py`.
+May import: `faults`, `estimation`, `core`. `recording.py` is the run's side, `recorder.py` the process.
+To add a view: `blueprint.py`; a format: a class as `RunFile` in `run_files.py` describes it.
 """
 
 from hil.record.files import Rotation, check_is_recording, check_output_path, rotation

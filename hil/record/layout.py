@@ -1,8 +1,7 @@
-"""Where each signal lies in a recording: few entities, each a vector of signals of one kind.
+"""Where each signal is in a recording: few entities, each a vector of signals of one kind.
 
-The number of entities, not of signals, drives a recording's size and cost. Which signals an entity holds is
-stored in the file, so that a reader needs no table of its own and an old file stays readable when the
-vocabulary grows.
+The number of entities, not of signals, drives a recording's size and cost. The file says which signals an entity holds,
+so a reader needs no table of its own, and an old file stays readable when the vocabulary grows.
 """
 
 import itertools
@@ -35,7 +34,7 @@ _AXIS_COLOURS = (X_COLOUR, Y_COLOUR, HEADING_COLOUR)
 
 
 class Series(NamedTuple):
-    """One signal as it is drawn: its name in the vocabulary, in the legend, and its colour."""
+    """One signal as it is drawn: its name, its label in the legend, and its colour."""
 
     signal: str
     label: str
@@ -50,17 +49,19 @@ class Entity(NamedTuple):
     width_px: float = 1.5
 
 
+def _entity(path: str, *series: tuple[str, str, Colour]) -> Entity:
+    return Entity(path, tuple(itertools.starmap(Series, series)))
+
+
 def _wheels(path: str, quantity: str) -> Entity:
-    series = (
-        Series(f"wheel.{wheel}.{quantity}", wheel.upper(), colour)
-        for wheel, colour in zip(WHEEL_NAMES, WHEEL_COLOURS, strict=True)
-    )
-    return Entity(path, tuple(series))
+    each = zip(WHEEL_NAMES, WHEEL_COLOURS, strict=True)
+    return _entity(path, *((f"wheel.{wheel}.{quantity}", wheel.upper(), colour) for wheel, colour in each))
 
 
 def _wide_wheels(path: str, quantity: str) -> Entity:
     """Wheels drawn wide and dim, so that the same wheels of another entity show on top of them."""
-    series = (one._replace(label=f"{one.label} cmd", colour=_dim(one.colour)) for one in _wheels(path, quantity).series)
+    entity = _wheels(path, quantity)
+    series = (Series(one.signal, f"{one.label} cmd", _dim(one.colour)) for one in entity.series)
     return Entity(path, tuple(series), width_px=5.0)
 
 
@@ -69,137 +70,86 @@ def _dim(colour: Colour) -> Colour:
     return red, green, blue
 
 
-def _axes(path: str, *signals: str) -> Entity:
-    """Three signals of x, y and heading."""
-    return Entity(path, tuple(Series(*one) for one in zip(signals, _AXES, _AXIS_COLOURS, strict=True)))
-
-
-def _pose(path: str, group: str) -> Entity:
-    return _axes(path, f"{group}.x_m", f"{group}.y_m", f"{group}.heading_rad")
-
-
-def _twist(path: str, group: str) -> Entity:
-    return _axes(path, f"{group}.vx_m_s", f"{group}.vy_m_s", f"{group}.yaw_rate_rad_s")
-
-
-def _gains(path: str, gain: str) -> Entity:
-    return _axes(path, f"gain.{gain}_x_1_s", f"gain.{gain}_y_1_s", f"gain.{gain}_heading_1_s")
+def _axes(path: str, pattern: str) -> Entity:
+    """Three signals of x, y and heading, by a name with ``{}`` in it or by the group of a pose or twist."""
+    names = {"pose": ("x_m", "y_m", "heading_rad"), "twist": ("vx_m_s", "vy_m_s", "yaw_rate_rad_s")}
+    names["acceleration"] = ("ax_m_s2", "ay_m_s2", "yaw_acceleration_rad_s2")
+    signals = [pattern.format(axis) for axis in _AXES]
+    if "{}" not in pattern:
+        signals = [f"{pattern}.{name}" for name in names[path.split("/")[2]]]
+    return _entity(path, *zip(signals, _AXES, _AXIS_COLOURS, strict=True))
 
 
 _ENTITIES = (
-    Entity("/loop/clock", (Series("loop.t_s", "t", PLAIN_COLOUR), Series("loop.tick", "tick", PLAIN_COLOUR))),
-    Entity(
-        "/loop/timing",
-        (
-            Series("loop.tick_us", "work of a tick", TRUTH_COLOUR),
-            Series("loop.lateness_us", "lateness", REFERENCE_COLOUR),
-        ),
+    _entity("/loop/clock", ("loop.t_s", "t", PLAIN_COLOUR), ("loop.tick", "tick", PLAIN_COLOUR)),
+    _entity(
+        "/loop/timing", ("loop.tick_us", "work of a tick", TRUTH_COLOUR),
+        ("loop.lateness_us", "lateness", REFERENCE_COLOUR),
     ),
-    Entity("/loop/deadline_misses", (Series("loop.deadline_misses", "deadline misses", ALARM_COLOUR),)),
-    _pose("/ctrl/pose/reference", "reference"),
-    _twist("/ctrl/twist/reference", "reference"),
-    _axes(
-        "/ctrl/acceleration/reference",
-        "reference.ax_m_s2",
-        "reference.ay_m_s2",
-        "reference.yaw_acceleration_rad_s2",
+    _entity("/loop/deadline_misses", ("loop.deadline_misses", "deadline misses", ALARM_COLOUR)),
+    _axes("/ctrl/pose/reference", "reference"),
+    _axes("/ctrl/twist/reference", "reference"),
+    _axes("/ctrl/acceleration/reference", "reference"),
+    _axes("/ctrl/pose/estimate", "pose"),
+    _axes("/ctrl/twist/estimate", "twist"),
+    _axes("/ctrl/pose/truth", "truth"),
+    _entity(
+        "/ctrl/error/position", ("error.x_m", "x", X_COLOUR), ("error.y_m", "y", Y_COLOUR),
+        ("error.planar_m", "planar", PLAIN_COLOUR),
     ),
-    _pose("/ctrl/pose/estimate", "pose"),
-    _twist("/ctrl/twist/estimate", "twist"),
-    _pose("/ctrl/pose/truth", "truth"),
-    Entity(
-        "/ctrl/error/position",
-        (
-            Series("error.x_m", "x", X_COLOUR),
-            Series("error.y_m", "y", Y_COLOUR),
-            Series("error.planar_m", "planar", PLAIN_COLOUR),
-        ),
-    ),
-    Entity("/ctrl/error/heading", (Series("error.heading_rad", "heading", HEADING_COLOUR),)),
-    _gains("/ctrl/gain/k1", "k1"),
-    _gains("/ctrl/gain/k2", "k2"),
+    _entity("/ctrl/error/heading", ("error.heading_rad", "heading", HEADING_COLOUR)),
+    _axes("/ctrl/gain/k1", "gain.k1_{}_1_s"),
+    _axes("/ctrl/gain/k2", "gain.k2_{}_1_s"),
     # "command" sorts before "speed": the viewer draws in the order of the paths.
     _wide_wheels("/ctrl/wheel/command/speed", "speed_command_rad_s"),
     _wheels("/ctrl/wheel/speed", "speed_rad_s"),
     _wheels("/ctrl/wheel/command/torque", "torque_command_n_m"),
     _wheels("/ctrl/wheel/current", "current_a"),
     _wheels("/ctrl/wheel/temperature", "temperature_degc"),
-    Entity(
-        "/ctrl/estimator/sigma",
-        (
-            Series("estimator.sigma_position_m", "position [m]", PLAIN_COLOUR),
-            Series("estimator.sigma_heading_rad", "heading [rad]", HEADING_COLOUR),
-        ),
+    _entity(
+        "/ctrl/estimator/sigma", ("estimator.sigma_position_m", "position [m]", PLAIN_COLOUR),
+        ("estimator.sigma_heading_rad", "heading [rad]", HEADING_COLOUR),
     ),
-    Entity("/ctrl/estimator/gyro_bias", (Series("estimator.gyro_bias_rad_s", "gyro bias", HEADING_COLOUR),)),
-    Entity(
-        "/ctrl/estimator/fixes",
-        (
-            Series("estimator.fixes_accepted", "accepted", ESTIMATE_COLOUR),
-            Series("estimator.fixes_rejected", "rejected", ALARM_COLOUR),
-        ),
+    _entity("/ctrl/estimator/gyro_bias", ("estimator.gyro_bias_rad_s", "gyro bias", HEADING_COLOUR)),
+    _entity(
+        "/ctrl/estimator/fixes", ("estimator.fixes_accepted", "accepted", ESTIMATE_COLOUR),
+        ("estimator.fixes_rejected", "rejected", ALARM_COLOUR),
     ),
-    Entity("/ctrl/estimator/fix_age", (Series("estimator.fix_age_ms", "fix age", PLAIN_COLOUR),)),
-    Entity(
-        "/ctrl/estimator/state",
-        (
-            Series("estimator.slip", "slip", REFERENCE_COLOUR),
-            Series("estimator.health", "health", ALARM_COLOUR),
-        ),
+    _entity("/ctrl/estimator/fix_age", ("estimator.fix_age_ms", "fix age", PLAIN_COLOUR)),
+    _entity(
+        "/ctrl/estimator/state", ("estimator.slip", "slip", REFERENCE_COLOUR),
+        ("estimator.health", "health", ALARM_COLOUR),
     ),
-    Entity(
-        "/ctrl/guard",
-        (Series("guard.saturated", "saturated", ALARM_COLOUR), Series("guard.held", "held", REFERENCE_COLOUR)),
+    _entity("/ctrl/guard", ("guard.saturated", "saturated", ALARM_COLOUR), ("guard.held", "held", REFERENCE_COLOUR)),
+    _entity("/robot/clock", ("robot.time_s", "robot time", PLAIN_COLOUR)),
+    _entity("/robot/state_code", ("robot.state", "state", PLAIN_COLOUR)),
+    _entity(
+        "/robot/acceleration", ("robot.acceleration_x_m_s2", "forward", X_COLOUR),
+        ("robot.acceleration_y_m_s2", "left", Y_COLOUR), ("robot.acceleration_z_m_s2", "up", PLAIN_COLOUR),
     ),
-    Entity("/robot/clock", (Series("robot.time_s", "robot time", PLAIN_COLOUR),)),
-    Entity("/robot/state_code", (Series("robot.state", "state", PLAIN_COLOUR),)),
-    Entity(
-        "/robot/acceleration",
-        (
-            Series("robot.acceleration_x_m_s2", "forward", X_COLOUR),
-            Series("robot.acceleration_y_m_s2", "left", Y_COLOUR),
-            Series("robot.acceleration_z_m_s2", "up", PLAIN_COLOUR),
-        ),
+    _entity(
+        "/robot/battery", ("battery.voltage_v", "voltage", TRUTH_COLOUR),
+        ("battery.current_a", "current", REFERENCE_COLOUR),
     ),
-    Entity(
-        "/robot/battery",
-        (
-            Series("battery.voltage_v", "voltage", TRUTH_COLOUR),
-            Series("battery.current_a", "current", REFERENCE_COLOUR),
-        ),
+    _entity("/robot/gyro", ("robot.yaw_rate_rad_s", "yaw rate", HEADING_COLOUR)),
+    _entity(
+        "/link/age", ("robot.command_age_ms", "command", REFERENCE_COLOUR),
+        ("link.feedback_age_ms", "feedback", TRUTH_COLOUR),
     ),
-    Entity("/robot/gyro", (Series("robot.yaw_rate_rad_s", "yaw rate", HEADING_COLOUR),)),
-    Entity(
-        "/link/age",
-        (
-            Series("robot.command_age_ms", "command", REFERENCE_COLOUR),
-            Series("link.feedback_age_ms", "feedback", TRUTH_COLOUR),
-        ),
+    _entity(
+        "/link/frames", ("link.sent", "sent", REFERENCE_COLOUR), ("link.received", "received", TRUTH_COLOUR),
+        ("link.rejected", "rejected", ALARM_COLOUR), ("link.lost", "snapshots lost", HEADING_COLOUR),
     ),
-    Entity(
-        "/link/frames",
-        (
-            Series("link.sent", "sent", REFERENCE_COLOUR),
-            Series("link.received", "received", TRUTH_COLOUR),
-            Series("link.rejected", "rejected", ALARM_COLOUR),
-            Series("link.lost", "snapshots lost", HEADING_COLOUR),
-        ),
+    _entity(
+        "/link/bytes", ("link.sent_bytes", "sent", REFERENCE_COLOUR), ("link.received_bytes", "received", TRUTH_COLOUR),
     ),
-    Entity(
-        "/link/bytes",
-        (
-            Series("link.sent_bytes", "sent", REFERENCE_COLOUR),
-            Series("link.received_bytes", "received", TRUTH_COLOUR),
-        ),
+    _entity("/link/load", ("link.load_percent", "load", PLAIN_COLOUR)),
+    _entity(
+        "/link/delay", ("link.rtt_ms", "round trip", PLAIN_COLOUR), ("link.latency_ms", "latency", REFERENCE_COLOUR),
     ),
-    Entity("/link/load", (Series("link.load_percent", "load", PLAIN_COLOUR),)),
-    Entity(
-        "/link/delay",
-        (Series("link.rtt_ms", "round trip", PLAIN_COLOUR), Series("link.latency_ms", "latency", REFERENCE_COLOUR)),
-    ),
-    Entity("/link/clock/offset", (Series("link.clock_offset_us", "offset", PLAIN_COLOUR),)),
-    Entity("/link/clock/drift", (Series("link.clock_drift_ppm", "drift", PLAIN_COLOUR),)),
-)
+    _entity("/link/clock/offset", ("link.clock_offset_us", "offset", PLAIN_COLOUR)),
+    _entity("/link/clock/drift", ("link.clock_drift_ppm", "drift", PLAIN_COLOUR)),
+)  # fmt: skip
 
 
 def layout(signals: Sequence[str]) -> tuple[Entity, ...]:

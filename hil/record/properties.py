@@ -1,4 +1,4 @@
-"""Names that the writer and the reader of a recording share."""
+"""What a recording says of its run: names that its writer and reader share, the scenario's values, and the page."""
 
 import json
 import re
@@ -11,14 +11,14 @@ SIGNALS_PROPERTY = "signals"
 SUMMARY_PROPERTY = "summary"
 RECORDER_PROPERTY = "recorder"
 OVERLAY_PROPERTY = "overlay"
-"""Of which two recordings a file is the overlay; such a file is for the viewer, and no recording of a run."""
+"""The two recordings that a file is the overlay of; such a file is for the viewer, and no recording of a run."""
 SIGNALS_PATH = "/signals"
 """The entity of an .rrd file that holds every signal of every row."""
 PART_PROPERTY = "part"
 """Which file of the run it is: the run's ``recording_id``, its ``number`` from 1, ``first_row`` and ``first_event``.
 
-The last two count the run's rows and events from 0: one that is in two parts, for a recorder was killed before it could
-say that it had written it, is taken from the later part.
+The last two count the run's rows and events from 0. A row may be in two files, where a recorder was killed before it
+could count it as written; a reader then takes it from the later file.
 """
 
 PROPERTY_WORDS = {
@@ -45,21 +45,20 @@ PROPERTY_WORDS = {
     "cosim_sha256": "native library cosim",
     "scenario_sha256": "scenario with all values",
 }
-"""What the properties of a recording are called for a reader (see ``hil.runtime.provenance``)."""
+"""Labels of a recording's properties (see ``hil.runtime.provenance``)."""
 HASHES = tuple(name for name in PROPERTY_WORDS if name.endswith("_sha256") and name != "scenario_sha256")
-"""Of these, the hashes of what the run was made of, in the order in which a reader wants them."""
-HASH_LETTERS = 12
-"""As much of a hash as tells one from another."""
+"""The hashes of what the run was made of, in the order in which they are shown."""
+_HASH_LETTERS = 12  # enough to tell one hash from another
 
 
 def hash_text(text: str) -> str:
-    """Return as much of a recorded hash as a reader wants; of a JSON object of hashes by name, that of each.
+    """Return a recorded hash, or a JSON object of hashes by name, shortened for a reader.
 
-    A law whose source is not there has none.
+    The hash of a law whose source was not there is null.
     """
     if not text.startswith("{"):
-        return text[:HASH_LETTERS]
-    hashes = {name: (digest or "not known")[:HASH_LETTERS] for name, digest in json.loads(text).items()}
+        return text[:_HASH_LETTERS]
+    hashes = {name: (digest or "not known")[:_HASH_LETTERS] for name, digest in json.loads(text).items()}
     return ", ".join(f"{name} {digest}" for name, digest in hashes.items())
 
 
@@ -68,9 +67,6 @@ def state_names() -> dict[int, str]:
     from firmware_protocol.generated.messages import State
 
     return {int(state): state.name for state in State}
-
-
-_ROW = r"{}\.(\d+)\.(\w+)"
 
 
 def scenario_values(properties: Mapping[str, str]) -> dict[str, Any]:
@@ -82,15 +78,11 @@ def scenario_values(properties: Mapping[str, str]) -> dict[str, Any]:
 def table_rows(values: Mapping[str, Any], table: str) -> list[dict[str, Any]]:
     """Return the rows of an array of tables, such as ``expect``, in their order."""
     rows: dict[int, dict[str, Any]] = {}
-    pattern = re.compile(_ROW.format(table))
+    pattern = re.compile(rf"{table}\.(\d+)\.(\w+)")
     for key, value in values.items():
         if (named := pattern.fullmatch(key)) is not None:
             rows.setdefault(int(named[1]), {})[named[2]] = value
     return [rows[number] for number in sorted(rows)]
-
-
-_LEFT_OUT = frozenset({"scenario", "scenario_sources"})
-"""Of the properties, those that have hundreds of values; ``hil show`` and ``hil review --html`` list them."""
 
 
 def page(properties: Mapping[str, str], summary: Mapping[str, Any] | None) -> str:
@@ -101,7 +93,7 @@ def page(properties: Mapping[str, str], summary: Mapping[str, Any] | None) -> st
 
 def _about(properties: Mapping[str, str]) -> Iterator[tuple[str, str]]:
     for name, text in properties.items():
-        if name in _LEFT_OUT:
+        if name in ("scenario", "scenario_sources"):  # hundreds of values: ``hil review --html`` lists them
             continue
         label = PROPERTY_WORDS.get(name, name.replace("_", " "))
         if name == "gains":

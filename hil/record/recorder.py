@@ -1,7 +1,7 @@
-"""The recorder process: ``python -m hil.record.recorder``, started by ``hil.record.recording``.
+"""The recorder process, ``python -m hil.record.recorder``, which ``hil.record.recording`` starts.
 
-It reads rows from the ring and lines from its standard input, and writes them to a file at full rate and to
-live viewers at about 100 Hz.
+It reads rows from the ring and lines from its standard input, and writes them to files at full rate and to live viewers
+at about 100 Hz.
 """
 
 import contextlib
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from hil.record.environment import WITH_RERUN, refuse_pandas
 from hil.record.ring import RingReader
 from hil.record.ring_child import Record, RefusedError, run
-from hil.record.run_files import BATCH_ROWS, Parts
+from hil.record.run_files import BATCH_ROWS, RunFiles
 
 if TYPE_CHECKING:
     from hil.record.stream import LiveServer
@@ -25,14 +25,14 @@ BATCH_AGE_S = 0.08
 class Recorder:
     """Moves rows from the ring to the files and the live server, and events to both.
 
-    One that takes the place of another (``restarts`` above 0) refuses nothing: the run is under way.
+    A recorder that takes the place of another (``restarts`` above 0) refuses nothing: the run is under way.
 
     Raises RefusedError when the file cannot be written or the port not be bound.
     """
 
     def __init__(self, config: Record, ring: RingReader) -> None:
         self._ring = ring
-        self._parts = None if config["path"] is None else Parts(config, ring)
+        self._files = None if config["path"] is None else RunFiles(config, ring)
         self._live: LiveServer | None = None
         self._live_error: str | None = None
         if config["live_port"] is not None:
@@ -42,7 +42,7 @@ class Recorder:
                 if not config["restarts"]:
                     raise
                 self._live_error = str(refusal)
-        # A run that waits for room must not wait for a batch that its ring cannot hold.
+        # A batch must fit the ring, or a run that waits for room would wait for ever.
         self._batch_rows = min(BATCH_ROWS, (ring.capacity + 1) // 2)
         self._passed_on = ring.tail
         self._batch_since = time.monotonic()
@@ -58,14 +58,14 @@ class Recorder:
         elif waiting >= self._batch_rows or now - self._batch_since >= BATCH_AGE_S:
             self._take(settled)
             self._batch_since = now
-        if self._parts is not None:
-            self._parts.look_after()
+        if self._files is not None:
+            self._files.check()
 
     def line(self, record: Record) -> None:
         """Pass a line of the event log on."""
         t_s, level, text = record["event"]
-        if self._parts is not None:
-            self._parts.event(t_s, level, text)
+        if self._files is not None:
+            self._files.event(t_s, level, text)
         else:
             self._ring.add_lines_saved(1)
         if self._live is not None:
@@ -75,8 +75,8 @@ class Recorder:
         """Drain the ring, close the file, and return the report; live viewers stay served."""
         end = self._ring.head
         self._pass_to_live(end)
-        if self._parts is not None:
-            self._parts.finish(summary)
+        if self._files is not None:
+            self._files.finish(summary)
         else:
             self._take(end)
         if self._live is not None:
@@ -84,8 +84,8 @@ class Recorder:
             self._live_error = self._live.error
         return {
             "rows_written": self._ring.saved,
-            "trouble": None if self._parts is None else self._parts.trouble,
-            "error": None if self._parts is None else self._parts.without_summary,
+            "trouble": None if self._files is None else self._files.trouble,
+            "error": None if self._files is None else self._files.summary_trouble,
             "live_error": self._live_error,
         }
 
@@ -100,8 +100,8 @@ class Recorder:
             self._passed_on = stop
 
     def _take(self, stop: int) -> None:
-        if self._parts is not None:
-            self._parts.take(stop)
+        if self._files is not None:
+            self._files.take(stop)
         else:
             self._ring.give_up(stop)
 
@@ -112,9 +112,9 @@ def main() -> int:
 
 
 def _import_rerun() -> None:
-    """Import what writes with rerun, while there is no config yet; one that is not there fails where it is needed."""
+    """Import what writes with rerun, before there is a config; without rerun it fails where it is needed."""
     refuse_pandas()
-    # What is imported stays: the collector would go through it some hundred times.
+    # What is imported stays, so the garbage collector need not go through it.
     gc.disable()
     with contextlib.suppress(ImportError):
         import hil.record.stream  # noqa: F401

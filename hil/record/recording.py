@@ -28,8 +28,7 @@ class RecordingReport:
         rows_put: rows that the run gave.
         rows_written: rows that are safe in the files.
         rows_dropped: rows that found the ring full and were given up.
-        rows_lost: rows that were taken, but are not known to be in a file: the recorder ended, or could
-            not write.
+        rows_lost: rows that were taken, but are not known to be in a file: the recorder ended, or could not write.
         events_lost: events that are not known to be in a file.
         error: why something is missing, a row, an event or the summary, or None.
         parts: the files that are there, in order; several when it was rotated, or went on elsewhere after a trouble.
@@ -84,10 +83,10 @@ def _start_recorder(suffix: str | None, *, live: bool) -> StartedProcess:
 
 @contextmanager
 def early_recorder(suffix: str | None, *, live: bool = False) -> Iterator[Callable[..., "Recording"]]:
-    """Start a recorder now, so that it imports what it needs while a run gets ready; return what makes its Recording.
+    """Start a recorder now, which imports its libraries while a run gets ready; gives what makes its Recording.
 
     ``suffix`` is that of the file, None for none; with neither a file nor live viewers nothing is started. A recorder
-    of which no recording was made is ended with the context. Raises OSError when it cannot be started.
+    that no recording was made of is ended with the context. Raises OSError when it cannot be started.
     """
     if suffix is None and not live:
         yield Recording
@@ -100,23 +99,26 @@ class Recording:
     """A sink that records in a process of its own; a context manager.
 
     The constructor returns when the recorder is ready, half a second later unless it was ``started`` before. When the
-    run dies, the recorder finishes the file by itself; when the recorder dies, the run goes on, and another takes its
-    place and writes the next part (``RUN-2.rrd``), with the rows that were not safe yet. See RECORDING.md.
+    run dies, the recorder finishes the file by itself. When the recorder dies, the run goes on, and another takes its
+    place and writes the next file (``RUN-2.rrd``), with the rows that were not safe yet. See RECORDING.md.
 
     Args:
-        path: the ``.rrd`` or ``.mcap`` file, or None for a live view alone. properties: what the run is, as texts by
-        name (see ``hil.runtime.provenance``). blocking: in lockstep, ``put`` waits for room in the ring; in real
-        time it drops the row and counts. live_port: serve live viewers on this port of 127.0.0.1. capacity:
-        rows that the ring holds. signals: the names of a row's values; ``loop.t_s``, ``loop.tick`` and what
-        is drawn must be among them. rotation: when the recording goes on in another file. existing: what is done
-        where the file is there already; ``path`` then has the name that was taken. started: a recorder
-        that was started for such a file (see ``early_recorder``); by default it is started now.
+        path: the ``.rrd`` or ``.mcap`` file, or None for a live view alone.
+        properties: what the run is, as texts by name (see ``hil.runtime.provenance``).
+        blocking: ``put`` waits for room in the ring, as in lockstep; else it drops the row and counts.
+        live_port: serve live viewers on this port of 127.0.0.1.
+        capacity: rows that the ring holds.
+        signals: the names of a row's values; ``loop.t_s``, ``loop.tick`` and what is drawn must be among them.
+        rotation: when the recording goes on in another file.
+        existing: what is done where the file is there already; ``path`` then has the name that was taken.
+        started: a recorder that was started for such a file (see ``early_recorder``); by default it is started now.
 
     Raises:
         BadInputError: the path cannot be written, or the port not be used.
         DeviceError: the recorder process did not start.
 
     Attributes:
+        path: the file, or None for a live view alone.
         put: takes one row in the order of the signals; raises struct.error when its length is another.
     """
 
@@ -136,53 +138,34 @@ class Recording:
         if path is not None:
             check_output_path("recording", path, existing)
             path = claim("recording", path, existing)
-        self._path = path
+        self.path = path
         self._live_port = live_port
         self._report: RecordingReport | None = None
+        config = {
+            "path": None if path is None else str(path.absolute()),
+            "live_port": live_port,
+            "properties": dict(properties),
+            "signals": list(signals),
+            "recording_id": str(uuid.uuid4()),
+            "zero_unix_ns": time.time_ns(),
+            "rotate": list(rotation),
+        }
         try:
-            self._process = self._begun(started, properties, signals, rotation, capacity, blocking=blocking)
+            self._process = RingProcess(
+                started or _start_recorder(None if path is None else path.suffix, live=live_port is not None),
+                config,
+                width=len(signals),
+                capacity=capacity,
+                blocking=blocking,
+                name="the recorder",
+                remedy="run without a recording to go on",
+                restart=True,
+            )
         except BaseException:
             if path is not None:
                 release(path, existing)
             raise
         self.put = self._process.put
-
-    def _begun(
-        self,
-        started: StartedProcess | None,
-        properties: Mapping[str, str],
-        signals: Sequence[str],
-        rotation: Rotation,
-        capacity: int,
-        *,
-        blocking: bool,
-    ) -> RingProcess:
-        path, live_port = self._path, self._live_port
-        if started is None:
-            started = _start_recorder(None if path is None else path.suffix, live=live_port is not None)
-        return RingProcess(
-            started,
-            {
-                "path": None if path is None else str(path.absolute()),
-                "live_port": live_port,
-                "properties": dict(properties),
-                "signals": list(signals),
-                "recording_id": str(uuid.uuid4()),
-                "zero_unix_ns": time.time_ns(),
-                "rotate": list(rotation),
-            },
-            width=len(signals),
-            capacity=capacity,
-            blocking=blocking,
-            name="the recorder",
-            remedy="run without a recording to go on",
-            restart=True,
-        )
-
-    @property
-    def path(self) -> Path | None:
-        """The file, or None for a live view alone."""
-        return self._path
 
     @property
     def pid(self) -> int:
@@ -234,12 +217,12 @@ class Recording:
 
     def _make_report(self, reply: Mapping[str, Any]) -> RecordingReport:
         process = self._process
-        kept = {} if self._path is None else process.parts
-        paths = {} if self._path is None else {number: part_path(self._path, number) for number in kept}
+        kept = {} if self.path is None else process.parts
+        paths = {} if self.path is None else {number: part_path(self.path, number) for number in kept}
         gone = [number for number, path in paths.items() if not path.exists()]
         rows_gone, events_gone = sum(kept[number].rows for number in gone), sum(kept[number].lines for number in gone)
         written = process.rows_saved - rows_gone
-        lost = 0 if self._path is None else process.rows_taken - written
+        lost = 0 if self.path is None else process.rows_taken - written
         events_lost = process.lines_lost + events_gone
         troubles = [f"the recorder ended: {trouble}" for trouble in process.troubles]
         if reply.get("trouble"):
@@ -250,7 +233,7 @@ class Recording:
         missing = lost or process.rows_dropped or events_lost
         why = "; ".join(dict.fromkeys(troubles)) if missing else None
         return RecordingReport(
-            path=self._path,
+            path=self.path,
             rows_put=process.rows_taken + process.rows_dropped,
             rows_written=written,
             rows_dropped=process.rows_dropped,
@@ -263,7 +246,7 @@ class Recording:
         )
 
     def _left_alone(self, kept: Mapping[int, Kept]) -> Iterator[str]:
-        """Say which files of other runs stand where one of this run would have been written."""
-        if self._path is not None and len(kept) < max(kept, default=0):
-            others = [part_path(self._path, number).name for number in range(1, max(kept)) if number not in kept]
+        """Name the files of other runs that are where a file of this run would have been written."""
+        if self.path is not None and len(kept) < max(kept, default=0):
+            others = [part_path(self.path, number).name for number in range(1, max(kept)) if number not in kept]
             yield f"it did not go on in {', '.join(others)}: there was such a file before, which was left alone"

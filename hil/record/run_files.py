@@ -1,7 +1,7 @@
-"""The files of a recording: one after another, when one is long enough, cannot be written any more, or is gone.
+"""The files of a recording: the next one begins when one is long enough, cannot be written any more, or is gone.
 
-Rows stay in the ring until they are safe in a file, so that the next file begins where the last one ended. While none
-can be written, the newest half of the ring is kept for when there is room again; what is older is lost, and counted.
+Rows stay in the ring until they are safe in a file, so the next file begins where the last one ended. While none can be
+written, the newest half of the ring is kept for later; what is older is lost, and counted.
 """
 
 import errno
@@ -44,19 +44,19 @@ class RunFile(Protocol):
         """Write the file's end."""
 
 
-class Parts:
+class RunFiles:
     """Writes what is in the ring, and events, to the file in ``config`` and to those after it.
 
     Raises RefusedError when the first of a run cannot be opened.
 
     Attributes:
         trouble: why a file could not be written, or None; the newest reason.
-        without_summary: why the run's summary is in none of the files, or None.
+        summary_trouble: why the run's summary is in none of the files, or None.
     """
 
     def __init__(self, config: Record, ring: RingReader) -> None:
         self.trouble: str | None = None
-        self.without_summary: str | None = None
+        self.summary_trouble: str | None = None
         self._config = config
         self._path = Path(config["path"])
         self._rotation = Rotation(*config["rotate"])
@@ -67,8 +67,8 @@ class Parts:
         self._part_path = self._path
         self._identity: tuple[int, int] | None = None
         self._begun_s: float | None = None
-        # A file whose disk is full is better never closed: rerun may wait for it for ever. One that was half made is
-        # held by rerun's error.
+        # Files that could not be written are kept and never closed: rerun may wait for ever to close one whose disk is
+        # full. A half made one is held by rerun's error.
         self._abandoned: list[object] = []
         self._next_try_s = self._back_off_s = 0.0
         try:
@@ -80,14 +80,12 @@ class Parts:
             self._give_up(error)
 
     def event(self, t_s: float, level: str, text: str) -> None:
-        """Take a line of the event log; it is written with the next rows, or when the file is looked after."""
+        """Take a line of the event log; it is written with the next rows, or by ``check``."""
         self._events.append((t_s, level, text))
 
-    def look_after(self) -> None:
-        """Write what events there are, and see whether the file is still there."""
-        if self._events:
-            self._write(lambda _file: None)
-        if self._file is not None and _identity(self._part_path) != self._identity:
+    def check(self) -> None:
+        """Write waiting events, and begin another file if this one is gone."""
+        if self._events or (self._file is not None and _identity(self._part_path) != self._identity):
             self._write(lambda _file: None)
 
     def take(self, stop: int) -> None:
@@ -107,27 +105,26 @@ class Parts:
         """Write all that is in the ring and close the file; what cannot be written now is lost."""
         self._next_try_s = 0.0
         self.take(self._ring.head)
-        if self._ring.tail < self._ring.head:  # the file went with the last rows: the ring may still reach another
+        if self._ring.tail < self._ring.head:  # the file failed at the last rows: another may take what is in the ring
             self._next_try_s = 0.0
             self.take(self._ring.head)
         if summary is None:
-            # The run may go on: what came meanwhile is for whoever takes this process's place.
+            # The run may go on: rows that came meanwhile are for the process that takes the place of this one.
             self._finish_file(None)
             return
         self._ring.give_up(self._ring.head)
-        # A file that goes now has another after it.
-        if not self._finish_file(summary) and not self._finish_file(summary):
-            self.without_summary = f"its summary could not be written: {self.trouble}"
+        if not self._finish_file(summary) and not self._finish_file(summary):  # the second try is another file
+            self.summary_trouble = f"its summary could not be written: {self.trouble}"
 
     def _finish_file(self, summary: Record | None, next_part: int | None = None) -> bool:
-        """Write the end of the file and close it; False when what belongs there could not be written."""
+        """Write the end of the file and close it; False when that could not be written."""
         self._next_try_s = 0.0
         if not self._write(lambda file: file.finish(summary, self._counts(next_part))):
             return False
         self._write(lambda file: file.close(), flush=False)
         if not has_end(self._part_path, self._part_path.suffix):
-            told = f"the index at the end of {self._part_path.name} could not be written"
-            self.trouble = told if self.trouble is None else f"{self.trouble}; {told}"
+            trouble = f"the index at the end of {self._part_path.name} could not be written"
+            self.trouble = trouble if self.trouble is None else f"{self.trouble}; {trouble}"
         return True
 
     def _counts(self, next_part: int | None) -> dict[str, int]:
@@ -144,7 +141,7 @@ class Parts:
         return counts if next_part is None else {**counts, "next_part": next_part}
 
     def _write(self, write: Callable[[RunFile], None], *, flush: bool = True) -> bool:
-        """Do something with the file, with the events that wait before it; False when that failed."""
+        """Write waiting events to the file, then call ``write`` with it; False when that failed."""
         if self._file is None and not self._opened():
             return False
         file = self._file
@@ -164,7 +161,7 @@ class Parts:
         return True
 
     def _opened(self) -> bool:
-        """Open the next file, unless the last try was a moment ago."""
+        """Open the next file, unless the last try was a moment ago; return whether it is open."""
         if time.monotonic() < self._next_try_s:
             return False
         try:
@@ -190,7 +187,7 @@ class Parts:
             "first_row": self._ring.tail,
             "first_event": self._ring.lines_saved,
         }
-        # The first is the run's own already; of a later one another process may think so at the same time.
+        # The first file was claimed by the run; two processes may want the same later one at the same time.
         if number > 1:
             path.open("xb").close()
         try:
@@ -203,14 +200,14 @@ class Parts:
         self._part_path = path
 
     def _next_number(self) -> int:
-        """Return the number of the next part: one whose file is not there, for that would be another run's."""
+        """Return the number of the next file: one that is not there, for that would be another run's."""
         number = self._ring.part + 1
         while number > 1 and part_path(self._path, number).exists():
             number += 1
         return number
 
     def _give_up(self, error: Exception) -> None:
-        """Leave the file as it is; the next try comes after a while, and then after twice as long."""
+        """Leave the file as it is, and try the next one after a while, then after twice as long."""
         self.trouble = why_not_written(part_path(self._path, max(1, self._ring.part)), error)
         if isinstance(error, RuntimeError):
             self._abandoned.append(error)
@@ -228,7 +225,7 @@ class Parts:
             raise FileNotFoundError(errno.ENOENT, f"{self._part_path.name} was removed")
 
     def _of_one_part(self, rows: Rows) -> Rows:
-        """Return those of the rows that belong into one part, by their time; ends the part that is over before them."""
+        """End the file if its time is over before these rows; return those of them that belong into one file."""
         duration_s = self._rotation.duration_s
         if duration_s is None:
             return rows
@@ -245,7 +242,7 @@ class Parts:
             self._end()
 
     def _end(self) -> None:
-        """Close the file, unless there may be no other; the next rows open it."""
+        """Close the file, unless there may be no other; the next rows open the next."""
         if self._ring.part < MOST_PARTS:
             self._finish_file(None, self._next_number())
             self._file = None
