@@ -4,6 +4,7 @@ import pytest
 
 from hil.cli.list import listing
 from hil.core.errors import BadInputError
+from hil.faults.cases import CASES, DURATION_S
 from hil.faults.kind import FaultRow, generators
 from hil.faults.kinds import KINDS
 from hil.faults.page import PAGE, page
@@ -19,7 +20,11 @@ def test_the_example_of_every_kind_loads(tmp_path, kind) -> None:
 
 
 def test_the_page_is_as_the_table_says() -> None:
-    assert PAGE.read_text(encoding="utf-8") == page()
+    text = PAGE.read_text(encoding="utf-8")
+    assert text == page()
+    assert all(f"### {kind.name}\n" in text for kind in KINDS)
+    assert all(f"| {case.name} |" in text for case in CASES)
+    assert f"{DURATION_S:g} s of a circle" in text
 
 
 def test_the_list_has_every_kind() -> None:

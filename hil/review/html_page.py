@@ -14,32 +14,7 @@ from hil.review.plots import drawing
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_STYLE = """
-:root { color-scheme: light; }
-body { font: 15px/1.45 system-ui, "Segoe UI", "DejaVu Sans", sans-serif; color: #222; margin: 2em auto; max-width: 62em;
-  padding: 0 1em; }
-h1 { font-size: 1.5em; margin: 0 0 .2em; }
-h2 { font-size: 1.15em; margin: 1.6em 0 .4em; border-bottom: 1px solid #ccc; }
-table { border-collapse: collapse; width: 100%; font-size: .87em; }
-th, td { text-align: left; vertical-align: top; padding: .2em .7em .2em 0; border-bottom: 1px solid #e6e6e6;
-  overflow-wrap: break-word; }
-td:last-child { overflow-wrap: anywhere; }
-th { font-weight: 600; } th.n { text-align: right; }
-td.n { text-align: right; white-space: nowrap; font-variant-numeric: tabular-nums; }
-figure { margin: 1em 0; } figure svg { width: 100%; height: auto; } figcaption { font-size: .87em; color: #555; }
-.passed, .better { color: #00704a; } .failed, .worse { color: #b3261e; } .verdict { font-weight: 700; }
-.note { color: #7a5200; } .about { color: #555; margin: .1em 0; }
-.columns { columns: 2; column-gap: 2em; }
-code { overflow-wrap: anywhere; }
-@media screen and (max-width: 45em) { table { display: block; overflow-x: auto; } td.t { min-width: 6em; }
-  .columns { columns: 1; } body { margin: 1em auto; } }
-@page { size: A4; margin: 15mm 14mm; }
-@media print {
-  body { font-size: 9.5pt; margin: 0; max-width: none; padding: 0; }
-  h2 { break-after: avoid; } figure, tr { break-inside: avoid; } thead { display: table-header-group; }
-  .passed, .failed, .better, .worse { print-color-adjust: exact; }
-}
-""".strip()
+_STYLE = Path(__file__).with_name("page.css")
 # A browser that would load something for this page must not.
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'"
 _WIDTH_IN = 7.2
@@ -82,7 +57,7 @@ def document(title: str, parts: Iterable[str]) -> str:
             '<html lang="en"><head><meta charset="utf-8">',
             f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">',
             '<meta name="viewport" content="width=device-width">',
-            f"<title>{escape(title)}</title><style>{_STYLE}</style></head><body>",
+            f"<title>{escape(title)}</title><style>{_STYLE.read_text(encoding='utf-8').strip()}</style></head><body>",
             f"<h1>{escape(title)}</h1>",
             *parts,
             "</body></html>\n",
