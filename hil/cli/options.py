@@ -1,7 +1,6 @@
 """Options that several commands have, and how they print JSON."""
 
 import json
-import math
 import os
 import signal
 import sys
@@ -10,6 +9,8 @@ from types import FrameType
 from typing import Annotated, Any
 
 import typer
+
+from hil.core.json_lines import json_safe
 
 ScenarioName = Annotated[str, typer.Argument(metavar="SCENARIO", help="a shipped name or a path to a .toml file")]
 Sets = Annotated[
@@ -45,7 +46,7 @@ Json = Annotated[bool, typer.Option("--json", help="print one JSON object and no
 
 def print_json(value: Any) -> None:
     """Print one JSON object on a line."""
-    print(json.dumps(_json_safe(value), allow_nan=False, default=str))
+    print(json.dumps(json_safe(value), allow_nan=False, default=str))
 
 
 def drop_output() -> None:
@@ -77,14 +78,3 @@ def end_in_order() -> None:
 
 def _interrupt(_number: int, _frame: FrameType | None) -> None:
     raise KeyboardInterrupt
-
-
-def _json_safe(value: Any) -> Any:
-    """JSON knows no NaN and no infinity: null stands for them."""
-    if isinstance(value, dict):
-        return {key: _json_safe(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_json_safe(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

@@ -1,12 +1,14 @@
 """One JSON text a line over a pipe: how processes of ours talk to each other."""
 
 import json
+import math
 import os
 import select
 import sys
 import threading
 from collections import deque
 from collections.abc import Mapping
+from typing import Any
 
 KEPT_BACK_BYTES = 256 * 1024
 
@@ -128,3 +130,12 @@ class LinePoll:
             self.ended = not data
             *lines, self._buffer = (self._buffer + data).split(b"\n")
             return [json.loads(line) for line in lines]
+
+
+def json_safe(value: Any) -> Any:
+    """Return a value for JSON, which has neither NaN nor infinity: null takes their place."""
+    if isinstance(value, dict):
+        return {key: json_safe(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [json_safe(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,1 +1,1 @@
-"""The API of a service: HTTP and WebSocket on this machine. Imported by its own process only, and by nothing else."""
+"""The API of a service: HTTP and WebSocket on this machine. Only the API's own process imports it."""

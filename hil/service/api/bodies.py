@@ -1,4 +1,5 @@
-"""What an order says, checked for form: names, types, finite numbers, ranges; not whether it makes sense now.
+"""The arguments of orders, checked for form: names, types, finite numbers, ranges. Only the
+control process knows whether an order is possible now.
 
 The same models check HTTP bodies and the arguments on the WebSocket, and make up the OpenAPI document.
 """
@@ -25,6 +26,10 @@ from hil.service.messages import Action
 Scalar = StrictBool | StrictInt | FiniteFloat | StrictStr
 Option = Scalar | list[Scalar]
 
+_MOST_HEADING_RAD = 1000.0
+_LONGEST_ECHO = 80
+_OF_OURS = "Value error, "  # pydantic's prefix of a ValueError's text
+
 
 class Body(BaseModel):
     """An order without arguments. Names that it does not know are refused, and so are numbers as strings."""
@@ -34,7 +39,7 @@ class Body(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _of_characters(cls, values: object) -> object:
-        """Refuse half a pair of surrogates, which JSON can write and no file, log or answer can."""
+        """Refuse half a pair of surrogates: JSON can carry it, but no file, log or answer can."""
         if not _is_text(values):
             raise ValueError("a text in it is no Unicode: it has half a pair of surrogates")
         return values
@@ -118,7 +123,7 @@ def _is_text(values: object) -> bool:
 
 
 def sentence(errors: Iterable[Mapping[str, Any]]) -> str:
-    """Return what pydantic found wrong, as a sentence."""
+    """Return pydantic's errors as a sentence."""
     return "; ".join(_part(error) for error in errors)
 
 
@@ -137,8 +142,3 @@ def _part(error: Mapping[str, Any]) -> str:
 
 def _short(text: str) -> str:
     return text if len(text) <= _LONGEST_ECHO else f"{text[:_LONGEST_ECHO]}…"
-
-
-_MOST_HEADING_RAD = 1000.0
-_LONGEST_ECHO = 80
-_OF_OURS = "Value error, "  # what pydantic puts in front of a ValueError's words

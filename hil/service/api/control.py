@@ -8,61 +8,62 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from hil.core.json_lines import LineReader, LineWriter
+from hil.core.json_lines import LineReader, LineWriter, json_safe
 from hil.service.messages import LONG, MOVING, SILENT_S, Action, Answer, Order, Status, from_line, to_line
 
 ANSWER_S = 1.0
-"""How long an order waits for its answer, and how old a status may be."""
+"""Timeout of an order's answer, and the greatest age of a status."""
 
 LONG_ANSWER_S = 30.0
-"""How long one of ``LONG`` does."""
+"""Timeout of the answer to an order of ``LONG``."""
 
 LIFE_PERIOD_S = 0.1
 _CATCHING_UP_S = 0.3
 
-# Orders that the control process has not answered. With so many short lines a pipe is never full, so that an emergency
-# stop, which does not count, is never kept waiting behind them.
+# Orders without an answer so far. So many short lines never fill the pipe, so that an emergency stop, which does not
+# count, never waits behind them.
 _MOST_OPEN = 64
 
 
 class NoAnswerError(Exception):
-    """The control process does not answer in time; the text is a sentence."""
+    """The control process does not answer in time."""
 
 
 class BusyError(Exception):
-    """The control process has not answered what it was asked before, or has gone; the text is a sentence."""
+    """The control process has too many orders to answer, or has ended."""
 
 
 class Control:
-    """Orders to the control process and what it tells, for the tasks of one event loop.
+    """Orders to the control process, its answers and statuses, for the tasks of one event loop.
 
     Attributes:
-        status: the newest, as JSON has it (no NaN: null), or None before the first; taken: the same as it was sent.
+        status: the newest, for JSON (null in place of NaN), or None before the first. received: the same as sent.
         gone: set when the control process has ended.
-        orders: how many orders were accepted, refused and unanswered, by action and outcome.
+        watchers: events that are set at each new status.
+        orders: number of orders by action and outcome (accepted, refused, unanswered).
     """
 
     def __init__(self, lines: LineReader, writer: LineWriter, twist_timeout_s: float) -> None:
         self._loop = asyncio.get_running_loop()
         self._writer = writer
-        # Not from 1: an answer that was meant for the process before this one must find nobody.
+        # Random, so that an answer meant for the API process before this one matches no order.
         self._number = secrets.randbits(48)
         self._open: dict[int, asyncio.Future[Answer]] = {}
-        self._watchers: set[asyncio.Event] = set()
+        self.watchers: set[asyncio.Event] = set()
         self._heard_s = time.monotonic()
-        self.taken: Status | None = None
+        self.received: Status | None = None
         self.status: dict[str, Any] | None = None
         self.gone = asyncio.Event()
-        self._turned_s = time.monotonic()  # when the event loop was last seen to turn
+        self._turned_s = time.monotonic()  # the last sign that the event loop turns
         self._twist_stall_s = min(SILENT_S, twist_timeout_s + LIFE_PERIOD_S)
         self._refuse_until_s = self._refuse_twists_until_s = -math.inf
         self.orders: dict[tuple[Action, str], int] = {}
-        # Any pipe can be read by a thread; only some can by an event loop, and on Windows none.
+        # A thread can read any pipe; an event loop cannot on Windows.
         threading.Thread(target=self._read, args=(lines,), name="lines", daemon=True).start()
 
     @property
     def status_age_s(self) -> float:
-        """Age of the newest status, and before the first one that of this object."""
+        """Age of the newest status; before the first one, the age of this object."""
         return time.monotonic() - self._heard_s
 
     def fresh_status(self) -> dict[str, Any]:
@@ -71,21 +72,8 @@ class Control:
             raise NoAnswerError(f"the control process has sent no status for {self.status_age_s:.1f} s")
         return self.status
 
-    def watch(self, event: asyncio.Event) -> None:
-        """Set an event at each new status, until ``unwatch``."""
-        self._watchers.add(event)
-
-    def unwatch(self, event: asyncio.Event) -> None:
-        """Set it no more."""
-        self._watchers.discard(event)
-
-    @property
-    def watchers(self) -> int:
-        """How many watch the status."""
-        return len(self._watchers)
-
     def submit(self, action: Action, arguments: Mapping[str, Any]) -> "asyncio.Future[Answer]":
-        """Send an order, and return what its answer will come to. Raises BusyError; never for an emergency stop."""
+        """Send an order and return the future of its answer. Raises BusyError, but not for an emergency stop."""
         if self.gone.is_set():
             raise BusyError("the service is ending")
         if action in MOVING and self._has_stalled(action):
@@ -102,35 +90,35 @@ class Control:
 
     async def answer(self, action: Action, sent: "asyncio.Future[Answer]") -> Answer:
         """Wait for the answer to an order. Raises NoAnswerError after its time, BusyError when the service ends."""
-        patience_s = LONG_ANSWER_S if action in LONG else ANSWER_S
+        timeout_s = LONG_ANSWER_S if action in LONG else ANSWER_S
         try:
             # The future stays open when the wait is over: the control process still has the order.
-            answer = await asyncio.wait_for(asyncio.shield(sent), patience_s)
+            answer = await asyncio.wait_for(asyncio.shield(sent), timeout_s)
         except TimeoutError:
             self._count(action, "unanswered")
-            raise NoAnswerError(
-                f"the control process has not answered {action.value} within {patience_s:g} s; "
-                "it may still carry it out"
-            ) from None
+            why = (
+                f"the control process has not answered {action.value} within {timeout_s:g} s; it may still carry it out"
+            )
+            raise NoAnswerError(why) from None
         self._count(action, "accepted" if answer.refused is None else "refused")
         return answer
 
     async def live(self) -> None:
-        """Tell the control process that this event loop turns, and notice when it has not, until cancelled."""
+        """Send signs of life to the control process, and notice stalls of this event loop, until cancelled."""
         while True:
             await asyncio.sleep(LIFE_PERIOD_S)
             self._notice_stall()
             self._writer.send({"alive": True})
 
     def _has_stalled(self, action: Action) -> bool:
-        """Whether an order of this kind may have waited too long: this process was stopped, or its event loop kept."""
+        """Whether an order of this kind may have waited too long because this process or its loop stood still."""
         return self._notice_stall() < (self._refuse_twists_until_s if action is Action.TWIST else self._refuse_until_s)
 
     def _notice_stall(self) -> float:
-        """See for how long the event loop has not turned; return the time."""
+        """Measure for how long the event loop has not turned; return the time."""
         now_s = time.monotonic()
         stood_s = now_s - self._turned_s
-        # What has waited comes within the next turns.
+        # Orders that have waited arrive within the next turns.
         if stood_s > self._twist_stall_s:
             self._refuse_twists_until_s = now_s + _CATCHING_UP_S
         if stood_s > SILENT_S:
@@ -158,9 +146,9 @@ class Control:
             if future is not None and not future.done():
                 future.set_result(message)
         elif isinstance(message, Status):
-            self.taken, self.status = message, _finite(record["status"])
+            self.received, self.status = message, json_safe(record["status"])
             self._heard_s = time.monotonic()
-            for event in self._watchers:
+            for event in self.watchers:
                 event.set()
 
     def _end(self) -> None:
@@ -168,14 +156,5 @@ class Control:
         for future in self._open.values():
             if not future.done():
                 future.set_exception(BusyError("the service has ended"))
-                future.exception()  # nobody may be waiting for it any more
+                future.exception()  # marks it as read, for nobody may wait for it any more
         self._open.clear()
-
-
-def _finite(value: Any) -> Any:
-    """Return a value as JSON has it, which knows neither NaN nor infinity: null stands for them."""
-    if isinstance(value, dict):
-        return {key: _finite(one) for key, one in value.items()}
-    if isinstance(value, list):
-        return [_finite(one) for one in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

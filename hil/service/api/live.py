@@ -1,4 +1,4 @@
-"""The WebSocket of the API: the status as it comes, and orders with their answers.
+"""The WebSocket of the API: statuses as they come, and orders with their answers.
 
 Messages are JSON objects, as on the pipe between the processes:
 
@@ -27,7 +27,7 @@ GOING_AWAY = 1001
 POLICY_VIOLATION = 1008
 """Close code: the client does not read its answers."""
 
-_MOST_UNREAD = 256
+_LONGEST_BACKLOG = 256
 
 
 class _Order(BaseModel):
@@ -59,32 +59,32 @@ class LiveClient:
     async def serve(self) -> None:
         """Serve the client until it or the control process goes."""
         await self._socket.accept()
-        self._control.watch(self._news)
+        self._control.watchers.add(self._news)
         self._news.set()
-        parts = [asyncio.create_task(part) for part in (self._listen(), self._tell(), self._control.gone.wait())]
+        tasks = [asyncio.create_task(one) for one in (self._listen(), self._send(), self._control.gone.wait())]
         try:
-            await asyncio.wait(parts, return_when=asyncio.FIRST_COMPLETED)
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
-            self._control.unwatch(self._news)
-            for task in (*parts, *self._pending):
+            self._control.watchers.discard(self._news)
+            for task in (*tasks, *self._pending):
                 task.cancel()
-            ends = await asyncio.gather(*parts, return_exceptions=True)
+            ends = await asyncio.gather(*tasks, return_exceptions=True)
         if self._control.gone.is_set():
             await self._close(GOING_AWAY, "the control process has ended")
         elif not self._reads:
-            await self._close(POLICY_VIOLATION, f"{_MOST_UNREAD} answers are unread")
+            await self._close(POLICY_VIOLATION, f"{_LONGEST_BACKLOG} answers are unread")
         for end in ends:
             if isinstance(end, Exception) and not isinstance(end, WebSocketDisconnect):
                 raise end
 
     async def _listen(self) -> None:
-        """Take orders, in their order, until the client goes."""
+        """Submit orders as they come, until the client goes."""
         while True:
             message = await self._socket.receive()
             if message["type"] == "websocket.disconnect":
                 return
             self._take(message.get("text") or "")
-            if len(self._answers) + len(self._pending) > _MOST_UNREAD:
+            if len(self._answers) + len(self._pending) > _LONGEST_BACKLOG:
                 logs.warning("live client is closed: it does not read its answers", unread=len(self._answers))
                 self._reads = False
                 return
@@ -93,7 +93,7 @@ class LiveClient:
         try:
             order = _Message.model_validate_json(text).order
         except ValidationError as error:
-            # Without a number there is no order that this could be the answer to.
+            # Without a number the answer belongs to no order.
             self._put(Answer(_NO_NUMBER, f"this is no order: {sentence(error.errors())}"))
             return
         try:
@@ -120,19 +120,19 @@ class LiveClient:
         self._answers.append(answer)
         self._news.set()
 
-    async def _tell(self) -> None:
-        """Send answers as they come, and the newest status."""
-        told: Mapping[str, Any] | None = None
+    async def _send(self) -> None:
+        """Send every answer, and the newest status."""
+        sent: Mapping[str, Any] | None = None
         while True:
             await self._news.wait()
             self._news.clear()
             while self._answers:
                 await self._socket.send_json(to_line(self._answers.popleft()))
-            if self._control.status is not told and (told := self._control.status) is not None:
-                await self._socket.send_json({"status": told})
+            if self._control.status is not sent and (sent := self._control.status) is not None:
+                await self._socket.send_json({"status": sent})
 
     async def _close(self, code: int, reason: str) -> None:
-        with contextlib.suppress(RuntimeError):  # the client was first
+        with contextlib.suppress(RuntimeError):  # the client has closed it already
             await self._socket.close(code, reason)
 
 

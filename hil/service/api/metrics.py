@@ -1,4 +1,4 @@
-"""The service in Prometheus' words: base units, ``_total`` for what only grows, one family a quantity."""
+"""Prometheus metrics of a service: base units, ``_total`` for counters, one family a quantity."""
 
 from collections.abc import Iterable, Iterator
 from typing import Any
@@ -35,24 +35,24 @@ class ServiceMetrics(Collector):
         return encode(self._registry), content_type
 
     def describe(self) -> Iterable[Metric]:
-        """Return nothing: the families are known when there is a status."""
+        """Return nothing, because the families depend on the status."""
         return []
 
     def collect(self) -> Iterator[Metric]:
-        """Yield one family after another."""
+        """Yield the families."""
         control = self._control
         yield GaugeMetricFamily(
             "hil_status_age_seconds",
-            "Age of the control process's last word; it speaks 20 times a second.",
+            "Age of the control process's last status; it sends 20 a second.",
             control.status_age_s,
         )
-        yield GaugeMetricFamily("hil_api_live_clients", "Clients on the WebSocket.", control.watchers)
+        yield GaugeMetricFamily("hil_api_live_clients", "Clients on the WebSocket.", len(control.watchers))
         orders = CounterMetricFamily("hil_api_orders", "Orders to the control process.", labels=("action", "outcome"))
         for (action, outcome), number in sorted(control.orders.items()):
             orders.add_metric((action.value, outcome), number)
         yield orders
-        if control.taken is not None:
-            yield from _of_status(control.taken)
+        if control.received is not None:
+            yield from _of_status(control.received)
 
 
 def _of_status(status: Status) -> Iterator[Metric]:
@@ -77,7 +77,7 @@ def _of_status(status: Status) -> Iterator[Metric]:
 
 
 def _lateness(status: Status) -> Metric:
-    """Return the quantiles as a summary. The library has no family for one that is computed elsewhere."""
+    """Return the quantiles as a summary, for which the library has no family when they are computed elsewhere."""
     lateness = Metric("hil_lateness_seconds", "Start of a tick after its deadline, since the service began.", "summary")
     for name, quantile in _QUANTILES.items():
         if name in status.lateness_us:
@@ -88,13 +88,21 @@ def _lateness(status: Status) -> Metric:
 
 
 def _gauges(status: Status) -> Iterator[Metric]:
-    """Yield what goes up and down; what is not known is left out, as Prometheus has it."""
+    """Yield the gauges; an unknown value is left out, as is usual for Prometheus."""
     for name, documentation, value in (
-        ("hil_feedback_age_seconds", "Age of the feedback that the last tick used.", _seconds(status.feedback_age_ms)),
-        ("hil_round_trip_seconds", "From a command to the feedback that shows it.", _seconds(status.round_trip_ms)),
+        (
+            "hil_feedback_age_seconds",
+            "Age of the feedback that the last tick used.",
+            _seconds(status.feedback_age_ms),
+        ),
+        (
+            "hil_round_trip_seconds",
+            "From a command to the feedback that shows it.",
+            _seconds(status.round_trip_ms),
+        ),
         ("hil_battery_volts", "Battery of the robot.", status.battery_v),
         ("hil_twist_age_seconds", "Age of the twist in force.", status.twist_age_s),
-        ("hil_power_stage", "1 when the robot has motors.", _flag(status.power_stage)),
+        ("hil_power_stage", "1 when the robot has motors.", status.power_stage),
         ("hil_recording", "1 while a recording is written.", float(status.recording is not None)),
     ):
         if value is not None:
@@ -119,7 +127,3 @@ def _frames(frames: Any) -> Iterator[Metric]:
 
 def _seconds(milliseconds: float | None) -> float | None:
     return None if milliseconds is None else milliseconds / 1e3
-
-
-def _flag(value: bool | None) -> float | None:
-    return None if value is None else float(value)
