@@ -114,7 +114,7 @@ def teleop(*, kitty: bool, command: Sequence[str] = (*HIL, "teleop")) -> Iterato
 def test_keys_that_repeat_drive_and_the_last_repeat_stops(robot: Robot) -> None:
     stops = robot.ordered(Action.STOP)
     with teleop(kitty=False) as window:
-        window.says("does not tell when a key is released")
+        window.says("does not report when a key is released")
         with window.repeating("i"):
             robot.drives(0.15)  # which is more than the share of a first press
         robot.rests()
@@ -128,7 +128,7 @@ def test_keys_that_repeat_drive_and_the_last_repeat_stops(robot: Robot) -> None:
 def test_a_key_that_is_told_to_be_released_stops_and_the_terminal_is_put_back(robot: Robot) -> None:
     with teleop(kitty=True) as window:
         assert window.flags == 11
-        window.says("tells when a key is released")
+        window.says("reports when a key is released")
         window.type(PRESS)
         robot.drives(0.2)
         window.type(RELEASE)

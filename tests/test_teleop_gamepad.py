@@ -6,8 +6,11 @@ import pytest
 
 sdl2 = pytest.importorskip("sdl2", reason="needs the extra 'teleop': pip install 'mecanum-hil[teleop]'")
 
-from hil.service.teleop.gamepad import Gamepads, Pad  # noqa: E402
-from hil.service.teleop.mapping import Sticks  # noqa: E402
+from hil.service.teleop.gamepad import (  # noqa: E402
+    Gamepads,
+    Pad,
+    Sticks,
+)
 from tests.virtual_pad import VirtualPad  # noqa: E402
 
 

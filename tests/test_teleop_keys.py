@@ -6,11 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.service.teleop.gamepad import Pad
+from hil.service.teleop.gamepad import Pad, Sticks
 from hil.service.teleop.held import DeadManButton, Heartbeat, RepeatedKeys, ToldKeys
 from hil.service.teleop.keys import Attributes, Change, Event, Flags, Focus, Key, KeyDecoder
-from hil.service.teleop.mapping import KEYS, Speeds, Sticks, of_keys, of_sticks, twist_of
-from hil.service.teleop.operator import Operator, Wish
+from hil.service.teleop.operator import KEYS, Operator, Speeds, Wish, of_keys, of_sticks, twist_of
 
 SPEEDS = Speeds(0.5, 1.0)
 KEY = st.sampled_from(sorted(KEYS))

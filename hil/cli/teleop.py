@@ -30,7 +30,7 @@ def teleop(
         raise BadInputError("teleop needs a terminal as Linux and macOS have it; on Windows, run it in WSL")
     from hil.service.client import find
     from hil.service.teleop.drive import teleop as drive
-    from hil.service.teleop.mapping import Speeds
+    from hil.service.teleop.operator import Speeds
 
     client = find(url, port, token_file)
     speeds = Speeds(speed_m_s, yaw_rate_rad_s)

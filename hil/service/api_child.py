@@ -1,7 +1,7 @@
-"""The control process's end of the API process: starts it, takes orders from it and answers, and never waits for it.
+"""The API process as the control process sees it: started, asked for orders and sent answers, without ever waiting.
 
-When the API process ends it is started again; no orders come meanwhile. One that gives no sign of life for ``_HUNG_S``
-is killed, for an emergency stop must find somebody who listens.
+When the API process ends it is started again; no orders come meanwhile. One that is silent for ``_HUNG_S`` is killed,
+because an emergency stop must reach a process that listens.
 """
 
 import contextlib
@@ -27,26 +27,26 @@ _EXIT_S = 5.0
 _HUNG_S = 5.0
 _FIRST_BACK_OFF_S = 0.1
 _LONGEST_BACK_OFF_S = 5.0
-_LONG_LIFE_S = 60.0  # after which an end is not one of a row
+_LONG_LIFE_S = 60.0  # after it the back-off begins anew
 _NONE: list[Order] = []
 
 
 class ApiChild:
-    """The API process of a service, from the constructor to ``close``; for one thread, that of the ticks.
+    """The API process of a service, from the constructor to ``close``; only the thread of the ticks uses it.
 
-    The constructor returns when the API listens, and the service can be found by ``hil ctl``. Raises BadInputError when
-    it cannot listen or the token file is not usable, and DeviceError when the process does not start.
+    The constructor returns when the API listens, and ``hil ctl`` can find the service. Raises BadInputError when it
+    cannot listen or the token file is not usable, and DeviceError when the process does not start.
 
     Attributes:
-        url: where it answers; the same after a restart.
-        token_file: the file with the token that its clients show.
-        restarts: how often it was started again.
+        url: of the API; the same after a restart.
+        token_file: the file with the clients' token.
+        restarts: number of restarts.
     """
 
     def __init__(self, config: ApiConfig) -> None:
         self._config = config
         self._own_token = config.token_file is None
-        # The ticks may be pinned to a core later on, which would pin the API to the same.
+        # The ticks may be pinned to a core later; the API is not to share it.
         self._cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else None
         self._closing = threading.Event()
         self._starter: threading.Thread | None = None
@@ -56,7 +56,7 @@ class ApiChild:
         self._back_off_s = _FIRST_BACK_OFF_S
         self._claim: ProcessLock | None = None
         self._writer: LineWriter
-        self._started_s = self._lived_s = self._looked_s = 0.0
+        self._started_s = self._alive_s = self._polled_s = 0.0
         self.url = ""
         self.token_file: Path | None = None
         self.restarts = 0
@@ -70,11 +70,8 @@ class ApiChild:
 
     @property
     def alive(self) -> bool:
-        """Whether there is an API process that listens and has given a sign of life within ``SILENT_S``.
-
-        By the last look at what it says: that nobody looked is no silence of its.
-        """
-        return self._ready and self._looked_s - self._lived_s < SILENT_S
+        """Whether an API process listens and has given a sign of life within ``SILENT_S`` before the last poll."""
+        return self._ready and self._polled_s - self._alive_s < SILENT_S
 
     @property
     def pid(self) -> int | None:
@@ -82,29 +79,28 @@ class ApiChild:
         return None if self._process is None else self._process.pid
 
     def orders(self) -> list[Order]:
-        """Return the orders that have come, emergency stops first; for each tick (0.8 µs when there are none)."""
+        """Return the orders that have come, emergency stops first. Called in each tick (0.8 µs without orders)."""
         lines = self._lines
-        self._looked_s = time.monotonic()
+        self._polled_s = time.monotonic()
         if lines is None:
             return _NONE
         records = lines.take()
         if not records and not lines.ended:
             return _NONE
-        orders = [order for record in records if (order := self._heard(record)) is not None]
+        orders = [order for record in records if (order := self._take(record)) is not None]
         if lines.ended:
-            self._lost()
-        orders.sort(key=_not_estop)
-        return orders
+            self._restart()
+        return sorted(orders, key=lambda order: order.action is not Action.ESTOP)
 
     def send(self, message: Answer | Status) -> None:
-        """Send an answer or the status. Never waits: a status without room is left out, as the next is as good."""
-        self._end_one_that_hangs()
+        """Send an answer or the status. Never waits: a status is left out when the pipe is full."""
+        self._kill_if_hung()
         if self._ready and (self._writer.flush() or isinstance(message, Answer)):
             self._writer.send(to_line(message), always=isinstance(message, Answer))
 
-    def _end_one_that_hangs(self) -> None:
-        """Kill a process that gives no sign of life, or does not come to listen; ``orders`` sees its pipe's end."""
-        silent_s = self._looked_s - (self._lived_s if self._ready else self._started_s)
+    def _kill_if_hung(self) -> None:
+        """Kill a process that is silent or does not get ready; ``orders`` then sees the end of its pipe."""
+        silent_s = self._polled_s - (self._alive_s if self._ready else self._started_s)
         process = self._process
         if process is not None and self._lines is not None and silent_s > (_HUNG_S if self._ready else _READY_S):
             logs.error("API process hangs and is killed", pid=process.pid, silent_s=round(silent_s, 1))
@@ -113,7 +109,7 @@ class ApiChild:
             process.kill()
 
     def close(self) -> None:
-        """End the API process, which tells its clients so, and be found no more. Twice is allowed."""
+        """End the API process, which informs its clients, and withdraw the announcement. Closing twice is allowed."""
         if self._claim is not None:
             self._claim.release()
         self._closing.set()
@@ -137,10 +133,10 @@ class ApiChild:
         )
         assert self._process.stdin is not None
         assert self._process.stdout is not None
-        self._started_s = self._lived_s = time.monotonic()
+        self._started_s = self._alive_s = time.monotonic()
         self._writer = LineWriter(self._process.stdin.fileno())
         self._writer.send({"config": self._config.to_record()}, always=True)
-        self._lines = LinePoll(self._process.stdout.fileno())  # last: from here on the ticks look at it
+        self._lines = LinePoll(self._process.stdout.fileno())  # last: from here on the ticks poll it
 
     def _wait_until_ready(self) -> None:
         """Wait for the first start. Raises BadInputError for a refusal, DeviceError for no answer."""
@@ -150,30 +146,30 @@ class ApiChild:
             for record in self._lines.take():
                 if "refused" in record:
                     raise BadInputError(str(record["refused"]))
-                self._heard(record)
+                self._take(record)
             if self._lines.ended:
                 break
             time.sleep(0.005)
         if not self._ready:
             raise DeviceError(
-                "the API process did not start; what it said is above, and 'pip install --force-reinstall fastapi "
+                "the API process did not start; its output is above, and 'pip install --force-reinstall fastapi "
                 "uvicorn' helps where a package of it is broken"
             )
 
-    def _heard(self, record: dict[str, Any]) -> Order | None:
-        """Return the order of a line, and see to those that are none."""
+    def _take(self, record: dict[str, Any]) -> Order | None:
+        """Return the order of a line, and handle lines of other kinds."""
         if "ready" in record:
             self.url = record["ready"]["url"]
             self.token_file = Path(record["ready"]["token_file"])
-            # Whoever has found the service finds it again after a restart.
+            # Clients find the service again after a restart.
             port = int(self.url.rpartition(":")[2])
             self._config = replace(self._config, port=port, token_file=str(self.token_file))
             self._ready = True
-            self._lived_s = time.monotonic()
+            self._alive_s = time.monotonic()
             logs.info("API listens", url=self.url, pid=self.pid)
             return None
         if "alive" in record:
-            self._lived_s = time.monotonic()
+            self._alive_s = time.monotonic()
             return None
         if "refused" in record:
             logs.error("API process cannot start again", why=record["refused"])
@@ -181,8 +177,8 @@ class ApiChild:
         message = from_line(record)
         return message if isinstance(message, Order) else None
 
-    def _lost(self) -> None:
-        """Take note that the process has ended, and have a thread start the next: that takes longer than a tick."""
+    def _restart(self) -> None:
+        """Start the next process in a thread, because that takes longer than a tick."""
         self._lines = None
         self._ready = False
         self.restarts += 1
@@ -190,7 +186,7 @@ class ApiChild:
         self._starter.start()
 
     def _start_next(self) -> None:
-        """Start processes until one starts, or this one closes."""
+        """Start a process; retry until it starts or ``close`` is called."""
         start_children_as_ordinary()
         if self._cores is not None:
             os.sched_setaffinity(0, self._cores)
@@ -220,7 +216,3 @@ class ApiChild:
         except subprocess.TimeoutExpired:
             process.kill()
             return process.wait()
-
-
-def _not_estop(order: Order) -> bool:
-    return order.action is not Action.ESTOP

@@ -1,4 +1,4 @@
-"""What the API process is told when it starts, as its first line."""
+"""The configuration of the API process, its first line of input."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -11,15 +11,15 @@ LogStyle = Literal["text", "json"]
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """The most that an order may ask for; beyond it the API refuses before the control process sees it."""
+    """Limits of what an order may ask for. The API refuses more before the control process sees it."""
 
     speed_m_s: float
-    """Of the robot, along each axis of its body."""
+    """Along each axis of the robot's body."""
     yaw_rate_rad_s: float
     distance_m: float
-    """Of a pose to go to from the origin of the world frame, along each axis."""
+    """From the origin of the world to a pose to go to, along each axis."""
     twist_timeout_s: float
-    """How long a twist is in force; one that has waited for longer is not taken."""
+    """How long a twist is in force; one that has waited for longer is refused."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,9 +28,9 @@ class ApiConfig:
 
     Attributes:
         title: what is served, such as the scenario's name. device: its link, in words.
-        limits: see there. host: address to listen on; port: 0 takes a free one.
-        token_file: a file of the user's with the token, made if there is none; None for one that is new at each start.
-        log: how lines on stderr look.
+        limits: see there. host: address to listen on. port: 0 takes a free one.
+        token_file: a user's file with the token, made if it does not exist; None for a new token at each start.
+        log: format of the lines on stderr.
     """
 
     title: str
@@ -42,10 +42,10 @@ class ApiConfig:
     log: LogStyle = "text"
 
     def to_record(self) -> dict[str, Any]:
-        """Return it as JSON has it."""
+        """Return the config as a JSON object."""
         return asdict(self)
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> "ApiConfig":
-        """Return what ``to_record`` said."""
+        """Return the config of ``to_record``."""
         return cls(**{**record, "limits": Limits(**record["limits"])})

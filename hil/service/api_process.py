@@ -1,7 +1,7 @@
-"""The process that answers HTTP for a service; ``hil.service.api_child`` starts it and is its only parent.
+"""The process that answers HTTP for a service; ``hil.service.api_child`` starts it.
 
-stdin brings the config and then answers and statuses, stdout takes orders, stderr the log. The end of stdin means that
-the control process has gone: clients are told so, and this process ends. It owns nothing that moves.
+It reads the config and then answers and statuses from stdin, and writes orders to stdout and the log to stderr. When
+stdin ends, the control process has ended: it informs its clients and ends too. It owns nothing that moves.
 """
 
 import asyncio
@@ -20,10 +20,10 @@ from hil.service.discovery import make_token, own_token_file, read_token
 
 
 def main() -> int:
-    """Serve until the control process goes; 0 then, 2 when the API cannot be served as it was asked for."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the control process's business
+    """Serve until the control process ends; return 0 then, and 2 when the API cannot be served as configured."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the control process handles it
     writer = LineWriter(os.dup(1))
-    os.dup2(2, 1)  # what a library prints must not get between the orders
+    os.dup2(2, 1)  # the prints of a library must not mix with the orders
     lines = LineReader(0)
     record = lines.read()
     if record is None:
@@ -38,7 +38,7 @@ def main() -> int:
     except BadInputError as error:
         writer.send({"refused": str(error)})
         return error.exit_code
-    # What is refused is refused at once: these packages take a second to import.
+    # Imported late, because it takes a second and a refusal is to be quick.
     from hil.service.api.server import serve
 
     ready = {"url": f"http://{config.host}:{port}", "token_file": str(path)}
@@ -50,19 +50,19 @@ def _listen(config: ApiConfig) -> socket.socket:
     try:
         listener = socket.create_server((config.host, config.port))
     except OSError as error:
-        why = os.strerror(error.errno or 0)  # Python's own sentence has the address again
+        why = os.strerror(error.errno or 0)  # without the address, which Python's sentence repeats
         raise BadInputError(
             f"the API cannot listen on {config.host}:{config.port} ({why}); end the program that does, or choose "
             "another port in service.port"
         ) from error
-    # Connections inherit it. Else an answer's body waits for the client to acknowledge its head, 40 ms later: asyncio
-    # sees to that only for sockets that it has made itself.
+    # Connections inherit it. Without it an answer's body waits 40 ms, until the client acknowledges its head; asyncio
+    # sets it only on sockets that it has made itself.
     listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     return listener
 
 
 def _token_file(config: ApiConfig, port: int) -> Path:
-    """Return the file with the token, which is made where there is none, or where it is to be a new one."""
+    """Return the file with the token; make it if it does not exist, or if each start has a new token."""
     if config.token_file is None:
         path = own_token_file(port)
         make_token(path)

@@ -1,4 +1,4 @@
-"""Takes the orders of a service: those of a moment are done at once, others by a thread beside the ticks."""
+"""Carries out the orders of a service: short ones at once, long ones by a thread beside the ticks."""
 
 import contextlib
 import math
@@ -10,7 +10,7 @@ from typing import Any
 
 from hil.core.errors import BadInputError, HilError
 from hil.core.kinematics import BodyTwist
-from hil.core.outputs import existing_files
+from hil.core.outputs import Existing, existing_files
 from hil.core.types import Pose
 from hil.record import Recording
 from hil.record.files import new_in_runs
@@ -25,14 +25,14 @@ from hil.service.records import Records, finished, recording_of
 
 Result = Mapping[str, Any]
 Then = Callable[[Any], Result]
-"""Ends an order in the ticks' own thread, with what the thread beside has made; returns the answer's result."""
+"""Ends a long order in the thread of the ticks, with what the other thread made; returns the answer's result."""
 
 
 class Desk:
-    """Has orders done, and answers each by ``answer``.
+    """Carries out orders, and calls ``answer`` for each.
 
-    ``made_of`` are the ``ingredients`` of the parts that are served, ``signals`` those of a row. ``reload`` loads the
-    configuration again; ``beside`` does one thing at a time, in order.
+    ``made_of`` are the ``ingredients`` of the served parts, ``signals`` those of a row. ``reload`` loads the
+    configuration again; ``beside`` is an executor with one thread.
 
     Attributes:
         shutdown: whether the service was asked to end.
@@ -76,17 +76,16 @@ class Desk:
         }
 
     def take(self, orders: Iterable[Order], t_s: float, *, stalled: bool = False) -> None:
-        """Have orders done, and answer those and earlier ones that have come to their end. Never waits.
+        """Carry out orders, and answer them and the long ones that have ended. Never waits.
 
-        ``t_s`` is the service's time [s] of the row that comes next.
-        Where the ticks were ``stalled`` for longer than a twist is in force, only what cannot make the robot move is
-        still done of the orders that waited, or were under way.
+        ``t_s`` is the service's time [s] of the next row. If the ticks were ``stalled`` for longer than a twist is in
+        force, orders that could make the robot move are refused, waiting ones and those under way.
         """
         self._t_s = t_s
         if stalled:
             orders = self._without_moving(orders)
         for order in orders:
-            if order.action is not Action.TWIST:  # of which there are many
+            if order.action is not Action.TWIST:  # there are many of those
                 logs.info("order", action=order.action.value, **order.arguments)
             self._try(order, lambda order=order: self._actions[order.action](order))  # type: ignore[misc]
         if self._under_way:
@@ -98,18 +97,16 @@ class Desk:
                     self._under_way.append((order, future, then))
 
     def _without_moving(self, orders: Iterable[Order]) -> list[Order]:
-        """Refuse what could make the robot move, of these orders and of those under way; return the others."""
+        """Refuse the orders that could make the robot move, of these and of those under way; return the others."""
         stale = [order for order, _, _ in self._under_way if order.action in MOVING]
         self._under_way = [one for one in self._under_way if one[0].action not in MOVING]
-        others: list[Order] = []
-        for order in orders:
-            (stale if order.action in MOVING else others).append(order)
-        for order in stale:
+        orders = list(orders)
+        for order in [*stale, *(order for order in orders if order.action in MOVING)]:
             self._refuse(order, "the service stood still while this order waited; give it again")
-        return others
+        return [order for order in orders if order.action not in MOVING]
 
     def end(self) -> None:
-        """Wait for the recording that is just being started, if one is, so that it is one that can be finished."""
+        """Wait for a recording that is being started, so that it can be finished."""
         for order, future, then in self._under_way:
             if order.action is Action.RECORD:
                 with contextlib.suppress(HilError):  # nobody listens any more
@@ -118,7 +115,7 @@ class Desk:
     def _try(self, order: Order, do: Callable[[], Result | None]) -> None:
         try:
             result = do()
-        except Exception as refusal:  # noqa: BLE001 - one order must not end the service, and with it the e-stop
+        except Exception as refusal:  # noqa: BLE001 - the e-stop must outlive any order that fails
             self._refuse(
                 order, str(refusal) if isinstance(refusal, HilError) else f"{type(refusal).__name__}: {refusal}"
             )
@@ -149,7 +146,7 @@ class Desk:
         return {}
 
     def _track(self, order: Order) -> None:
-        self._pilot.need_active()  # or a path would be read for nothing
+        self._pilot.need_active()  # before a path is read for nothing
         asked = self._pilot.motions_asked
         here, wanted = bool(order.arguments["here"]), order.arguments["reference"]
         table = self._scenario.reference
@@ -164,7 +161,7 @@ class Desk:
 
         def then(path: Any) -> Result:
             if self._pilot.motions_asked != asked:
-                raise BadInputError("another order, or what became of the robot, came before the path was read")
+                raise BadInputError("another order, or another phase of the robot, came before the path was read")
             self._pilot.active().track(path, here=here)
             return {"kind": kind}
 
@@ -207,11 +204,9 @@ class Desk:
         made_of = dict(self._made_of)
 
         def make() -> Recording:
-            if wanted is None:
-                path = new_in_runs(self._scenario.name, ".rrd", "name a file")
-                return recording_of(self._scenario, self._signals, path, existing="number", made_of=made_of)
-            existing = existing_files(force=force)
-            return recording_of(self._scenario, self._signals, Path(wanted), existing=existing, made_of=made_of)
+            path = new_in_runs(self._scenario.name, ".rrd", "name a file") if wanted is None else Path(wanted)
+            existing: Existing = "number" if wanted is None else existing_files(force=force)
+            return recording_of(self._scenario, self._signals, path, existing=existing, made_of=made_of)
 
         def then(recording: Any) -> Result:
             self._records.begin(recording)
@@ -225,14 +220,10 @@ class Desk:
             raise BadInputError("nothing is being recorded")
 
         def then(report: Any) -> Result:
-            return {
-                "path": str(report.path),
-                "rows": report.rows_written,
-                "complete": report.complete,
-                "error": report.error,
-            }
+            path, rows = str(report.path), report.rows_written
+            return {"path": path, "rows": rows, "complete": report.complete, "error": report.error}
 
-        self._later(order, lambda: finished(recording, {}), then)
+        self._later(order, lambda: finished(recording), then)
 
     @property
     def _are_records_busy(self) -> bool:
@@ -248,7 +239,7 @@ class Desk:
 
 
 def _try_out(path: ReferenceSource) -> None:
-    """Raise BadInputError for a path that is beyond what numbers can do."""
+    """Raise BadInputError for a path whose poses are not finite."""
     for share in (0.0, 0.1, 0.5, 1.0, 10.0):
         try:
             pose, twist, acceleration = path.at(share * path.span_s)

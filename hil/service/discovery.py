@@ -1,4 +1,4 @@
-"""How a client on this machine finds a service: a record and a token in the state folder of the user who runs it."""
+"""Discovery of services on this machine: a record and a token in the state folder of the user who runs them."""
 
 import dataclasses
 import secrets
@@ -14,7 +14,7 @@ from hil.core.process_lock import LockHeldError, ProcessLock, held, write_privat
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Service:
-    """A service that runs: where it answers, its control process, what it drives, and the file with its token."""
+    """A running service: its URL, its control process, what it drives, and the file with its token."""
 
     url: str
     pid: int
@@ -29,7 +29,7 @@ class Service:
 
 
 def state_folder() -> Path:
-    """Return the folder for what services of this user say of themselves, and make it, for this user only."""
+    """Make and return the folder for the records of this user's services; only this user can read it."""
     folder = user_state_path("mecanum-hil", appauthor=False) / "services"
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -39,7 +39,7 @@ def state_folder() -> Path:
 
 
 def announce(service: Service) -> ProcessLock:
-    """Say that a service runs, until the claim is released or this process ends. Raises BadInputError."""
+    """Announce a service until the claim is released or this process ends. Raises BadInputError."""
     try:
         return ProcessLock(state_folder(), str(service.port), dataclasses.asdict(service))
     except LockHeldError as taken:
@@ -49,12 +49,12 @@ def announce(service: Service) -> ProcessLock:
 
 
 def running() -> list[Service]:
-    """Return the services of this user that run, by port."""
+    """Return this user's running services, sorted by port."""
     return sorted((Service(**record) for record in held(state_folder())), key=lambda service: service.port)
 
 
 def own_token_file(port: int) -> Path:
-    """Return the file for the token of a service for which no other file was named."""
+    """Return the default token file of a service."""
     return state_folder() / f"{port}.token"
 
 

@@ -1,7 +1,7 @@
-"""What a service says of itself: lines on stderr, as text for a person or as one JSON object each for a collector.
+"""The log of a service: lines on stderr, as text for a person or as JSON objects for a collector.
 
-A line is never waited for. When stderr is a pipe or a journal that nobody reads, lines are dropped, and the next one
-that is written says how many: a control loop must not stand still for a full pipe.
+Logging never waits: a control loop must not stand still for a full pipe. When nobody reads stderr, lines are dropped,
+and the next line that is written has their number.
 """
 
 import json
@@ -14,13 +14,13 @@ from typing import Any
 
 from hil.service.api_config import LogStyle
 
-# What a pipe takes whole without waiting when it takes anything (POSIX: PIPE_BUF is at least 512, on Linux 4096).
+# A pipe takes so much as a whole, if it takes anything at once (POSIX: PIPE_BUF is at least 512, on Linux 4096).
 _LONGEST_LINE_BYTES = 4096 if sys.platform == "linux" else 512
 _LOGGER = logging.getLogger("hil.service")
 
 
 def configure(style: LogStyle, process: str, descriptor: int = 2) -> None:
-    """Have everything that is logged in this process written to stderr; ``process`` names it in each line."""
+    """Write the log of this process to stderr; ``process`` is its name in each line."""
     handler = _Handler(descriptor)
     handler.setFormatter(_JsonFormatter(process) if style == "json" else _TextFormatter(process))
     root = logging.getLogger()
@@ -30,17 +30,17 @@ def configure(style: LogStyle, process: str, descriptor: int = 2) -> None:
 
 
 def info(event: str, /, **fields: object) -> None:
-    """Log something that is as it should be. The event is a constant text; what varies goes into the fields."""
+    """Log a normal event. ``event`` is a constant text; varying values go into the fields."""
     _LOGGER.info(event, extra={"fields": fields})
 
 
 def warning(event: str, /, **fields: object) -> None:
-    """Log something that went wrong and was put right, or that somebody should look at."""
+    """Log a problem that was solved, or that somebody should look at."""
     _LOGGER.warning(event, extra={"fields": fields})
 
 
 def error(event: str, /, **fields: object) -> None:
-    """Log something that failed."""
+    """Log a failure."""
     _LOGGER.error(event, extra={"fields": fields})
 
 
@@ -65,11 +65,11 @@ class _Handler(logging.Handler):
             os.write(self._descriptor, line + b"\n")
             self._dropped = 0
         except OSError:
-            self._dropped += 1  # its reader has gone: there is nobody to tell
+            self._dropped += 1  # the reader has gone
 
     def _takes_a_line(self) -> bool:
         if sys.platform == "win32":
-            return True  # which cannot look into a pipe
+            return True  # which cannot poll a pipe
         poll = select.poll()
         poll.register(self._descriptor, select.POLLOUT)
         return bool(poll.poll(0))
@@ -101,16 +101,16 @@ class _JsonFormatter(_Formatter):
             "process": self._process,
             "event": event,
         }
-        # What a line says of itself cannot be overwritten by a field of the same name.
+        # A field cannot replace a key of the line itself.
         return json.dumps(fields | line, default=str)
 
 
 class _TextFormatter(_Formatter):
     def format(self, record: logging.LogRecord) -> str:
         time, event, fields = self.parts(record)
-        said = " ".join(f"{name}={_word(value)}" for name, value in fields.items())
+        text = " ".join([event, *(f"{name}={_word(value)}" for name, value in fields.items())])
         clock = time.astimezone().strftime("%H:%M:%S.%f")[:-3]
-        return f"{clock} {record.levelname.lower():7} {self._process}: {event}{said and ' '}{said}"
+        return f"{clock} {record.levelname.lower():7} {self._process}: {text}"
 
 
 def _word(value: object) -> str:

@@ -1,8 +1,7 @@
-"""Where a service's rows and events go: to a recording while there is one, and to live viewers all the time."""
+"""The sink of a service: a recording while there is one, and live viewers all the time."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from hil.core.outputs import Existing
 from hil.record import Recording, RecordingReport
@@ -12,9 +11,9 @@ from hil.service import logs
 
 
 class Records:
-    """A sink, and a ``Note``, whose recording comes and goes; for one thread, that of the ticks.
+    """A sink of rows and events whose recording begins and ends on orders; only the thread of the ticks uses it.
 
-    ``live`` serves viewers, None for none. ``dropped`` counts the rows that recordings which have ended dropped.
+    ``live`` serves viewers, or is None.
     """
 
     def __init__(self, live: Recording | None) -> None:
@@ -24,12 +23,12 @@ class Records:
 
     @property
     def path(self) -> Path | None:
-        """The file that is being written, None while there is none."""
+        """The file being written, or None."""
         return None if self._recording is None else self._recording.path
 
     @property
     def rows_dropped(self) -> int:
-        """Rows that recordings dropped since the service began."""
+        """Number of rows that recordings have dropped since the service began."""
         return self._dropped + (0 if self._recording is None else self._recording.rows_dropped)
 
     def begin(self, recording: Recording) -> None:
@@ -37,26 +36,31 @@ class Records:
         self._recording = recording
 
     def end(self) -> Recording | None:
-        """Record no more; return the recording, which has to be finished."""
+        """Stop recording; return the recording for ``finished``, or None."""
         recording, self._recording = self._recording, None
         if recording is not None:
             self._dropped += recording.rows_dropped
         return recording
 
+    def finish(self) -> None:
+        """Stop recording and finish the recording, if there is one; takes longer than a tick."""
+        if (recording := self.end()) is not None:
+            finished(recording)
+
     def put(self, row: tuple[float, ...]) -> None:
-        """Take one row in the order of the signals."""
+        """Write one row, in the order of the signals."""
         if self._recording is not None:
             self._recording.put(row)
         if self._live is not None:
             self._live.put(row)
 
     def note(self, t_s: float, level: str, text: str) -> None:
-        """Take a line of the event log, which goes into the service's own log too."""
+        """Write an event to the recording, the viewers and the service's log."""
         for recording in (self._recording, self._live):
             if recording is not None:
                 recording.event(t_s, level, text)
-        say: Mapping[str, Callable[..., None]] = {"warning": logs.warning, "error": logs.error}
-        say.get(level, logs.info)(text, t_s=round(t_s, 3))
+        log = {"warning": logs.warning, "error": logs.error}.get(level, logs.info)
+        log(text, t_s=round(t_s, 3))
 
 
 def recording_of(
@@ -68,11 +72,10 @@ def recording_of(
     *,
     made_of: Mapping[str, str],
 ) -> Recording:
-    """Start a recording of a service: to a file, or for live viewers alone; takes longer than a tick.
+    """Start a recording of a service, to a file or for live viewers alone; takes longer than a tick.
 
-    ``made_of`` are the ``ingredients`` of the service's parts, for files may have changed since these were made.
-    ``existing`` says what is done where the file is there already; that another name was taken is logged. Raises
-    BadInputError and DeviceError as ``Recording``.
+    ``made_of`` are the ``ingredients`` of the service's parts; their files may have changed since. ``existing`` says
+    what to do when the file exists; a changed name is logged. Raises BadInputError and DeviceError as ``Recording``.
     """
     recording = Recording(
         path,
@@ -89,11 +92,11 @@ def recording_of(
     return recording
 
 
-def finished(recording: Recording, summary: Mapping[str, Any]) -> RecordingReport:
-    """Finish a recording and log what became of it; takes longer than a tick."""
-    report = recording.finish(summary)
-    say = logs.info if report.complete else logs.error
-    say(
+def finished(recording: Recording) -> RecordingReport:
+    """Finish a recording and log the outcome; takes longer than a tick."""
+    report = recording.finish({})
+    log = logs.info if report.complete else logs.error
+    log(
         "recording finished" if report.complete else "recording is not complete",
         path=report.path,
         rows=report.rows_written,

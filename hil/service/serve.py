@@ -1,4 +1,4 @@
-"""``hil serve``: the control process. It ticks, owns link, robot and recording, and has the API process beside it."""
+"""``hil serve``: the control process. It ticks, owns link, robot and recording, and starts the API process."""
 
 import contextlib
 import signal
@@ -13,7 +13,6 @@ from hil.core.signals import LoopSignals
 from hil.core.tick_watch import TickWatch
 from hil.core.types import NAN
 from hil.plant.said import tell
-from hil.record import Recording
 from hil.record.viewer import live_hint
 from hil.runtime.bench import Bench
 from hil.runtime.parts import PartsOf
@@ -27,7 +26,7 @@ from hil.service.api_config import ApiConfig, Limits, LogStyle
 from hil.service.desk import Desk
 from hil.service.messages import Action, Answer, Phase
 from hil.service.pilot import Pilot
-from hil.service.records import Records, finished, recording_of
+from hil.service.records import Records, recording_of
 from hil.service.stand_ins import LastingTruth
 from hil.service.status import Counts, StatusMaker
 from hil.service.systemd import Notifier
@@ -36,18 +35,18 @@ from hil.wire.reopening import BackOff, OpeningBeside
 from hil.wire.url import parse_link
 
 _STATUS_HZ = 20
-_FARTHEST_M = 1000.0  # of a pose to go to; beyond it a float32 on the way would lose millimetres
+_FARTHEST_M = 1000.0  # of a pose to go to; beyond it a float32 loses millimetres
 _POLL_S = 0.02
-_ENDING_LIMIT_S = 7.0  # longer than a robot is waited for that is told to stop
+_ENDING_LIMIT_S = 7.0  # longer than the pilot waits for a robot to stop
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What ``hil serve`` takes besides the configuration.
+    """The options of ``hil serve`` besides the configuration.
 
-    ``record`` is a file to record to from the start, the next free number where it is there; ``live_port`` serves
-    viewers, ``token_file`` has the API's token, ``truth`` is the URL of a virtual robot's truth socket, ``log`` the
-    form of the log's lines.
+    ``record`` is a file to record to from the start, numbered where it exists; ``live_port`` serves viewers,
+    ``token_file`` has the API's token, ``truth`` is the URL of a virtual robot's truth socket, ``log`` the form of the
+    log's lines.
     """
 
     record: Path | None = None
@@ -59,26 +58,26 @@ class Options:
 
 
 class _Ending:
-    """Whether the service is to end: a first signal asks for it, a second one insists, unless it is a SIGHUP."""
+    """Counts the signals to end: the first asks for it, a second one insists, unless it is a SIGHUP."""
 
     def __init__(self) -> None:
         self.asked = 0
         numbers = [signal.SIGTERM, signal.SIGINT]
-        # The window is closed in which the service was started, unless nohup has it go on.
+        # SIGHUP: the window was closed in which the service was started. nohup ignores it.
         if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
             numbers.append(signal.SIGHUP)
         for number in numbers:
             signal.signal(number, self)
 
     def __call__(self, number: int, _frame: object) -> None:
-        # Both the kernel and a shell send SIGHUP when a window is closed, so that a second one is no other wish.
+        # Kernel and shell both send SIGHUP when a window is closed, so a second one does not insist.
         if not self.asked or number in (signal.SIGTERM, signal.SIGINT):
             self.asked += 1
         logs.info("told to end", signal=signal.Signals(number).name)
 
 
 def serve(scenario: Scenario, options: Options, reload: Callable[[], Scenario]) -> None:
-    """Serve a scenario's robot until a signal or an order to shut down: then it stops, disarms, and this returns.
+    """Serve a scenario's robot until a signal or an order to shut down; then stop it, disarm it and return.
 
     ``reload`` loads the configuration again. Raises BadInputError for what is wrong with it, LinkError when another
     process has the device, DeviceError when a robot in this process has failed.
@@ -92,38 +91,19 @@ def serve(scenario: Scenario, options: Options, reload: Callable[[], Scenario]) 
         notifier = Notifier()
         resources.callback(notifier.close)
         made_of = ingredients(scenario)
-        records = Records(_live(scenario, parts, options, resources, made_of))
+        signals, live = parts.laws.signals, None
+        if options.live_port is not None:
+            live = resources.enter_context(recording_of(scenario, signals, None, options.live_port, made_of=made_of))
+            logs.info(live_hint(options.live_port))
+        records = Records(live)
         if options.record is not None:
-            records.begin(
-                recording_of(scenario, parts.laws.signals, options.record, existing="number", made_of=made_of)
-            )
-        resources.callback(_finish, records)
+            records.begin(recording_of(scenario, signals, options.record, existing="number", made_of=made_of))
+        resources.callback(records.finish)
         api = ApiChild(_api_config(scenario, options))
         resources.callback(api.close)
-        service = _Service(scenario, made_of, options, parts, records, api, notifier, ending)
-        service.run(reload)
+        _Service(scenario, made_of, options, parts, records, api, notifier, ending).run(reload)
         notifier.stopping()
         logs.info("service ends")
-
-
-def _live(
-    scenario: Scenario,
-    parts: PartsOf,
-    options: Options,
-    resources: contextlib.ExitStack,
-    made_of: Mapping[str, str],
-) -> Recording | None:
-    if options.live_port is None:
-        return None
-    live = resources.enter_context(recording_of(scenario, parts.laws.signals, None, options.live_port, made_of=made_of))
-    logs.info(live_hint(options.live_port))
-    return live
-
-
-def _finish(records: Records) -> None:
-    recording = records.end()
-    if recording is not None:
-        finished(recording, {})
 
 
 def _api_config(scenario: Scenario, options: Options) -> ApiConfig:
@@ -134,30 +114,22 @@ def _api_config(scenario: Scenario, options: Options) -> ApiConfig:
     )
 
 
+@dataclass
 class _Service:
     """The control process between its start and its end."""
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        made_of: Mapping[str, str],
-        options: Options,
-        parts: PartsOf,
-        records: Records,
-        api: ApiChild,
-        notifier: Notifier,
-        ending: _Ending,
-    ) -> None:
-        self._scenario = scenario
-        self._made_of = made_of
-        self._options = options
-        self._parts = parts
-        self._records = records
-        self._api = api
-        self._notifier = notifier
-        self._ending = ending
+    scenario: Scenario
+    made_of: Mapping[str, str]
+    options: Options
+    parts: PartsOf
+    records: Records
+    api: ApiChild
+    notifier: Notifier
+    ending: _Ending
+
+    def __post_init__(self) -> None:
         self._counts = Counts()
-        self._statuses = StatusMaker(scenario, records, self._counts)
+        self._statuses = StatusMaker(self.scenario, self.records, self._counts)
         self._t_s = 0.0
         self._estop_owed = False
         self._bench: Bench | None = None
@@ -165,27 +137,27 @@ class _Service:
     def run(self, reload: Callable[[], Scenario]) -> None:
         """Serve until the end."""
         with contextlib.ExitStack() as resources:
-            self._notifier.ready()
+            self.notifier.ready()
             bench = self._open_bench(resources)
             if bench is None:
                 return
             beside = resources.enter_context(ThreadPoolExecutor(1, "beside"))
-            beside.submit(time.monotonic).result()  # its thread begins here, before this one has real-time priority
+            beside.submit(time.monotonic).result()  # starts the thread before this one gets real-time priority
             pilot = self._pilot(bench)
             if self._estop_owed:
                 pilot.estop()
-            signals = self._parts.laws.signals
-            desk = Desk(self._scenario, self._made_of, signals, pilot, self._records, self._api.send, reload, beside)
+            signals = self.parts.laws.signals
+            desk = Desk(self.scenario, self.made_of, signals, pilot, self.records, self.api.send, reload, beside)
             resources.callback(desk.end)
             resources.callback(bench.device.disarm)
             if (said := bench.said) is not None:
-                resources.callback(lambda: tell(said.end(), self._t_s, self._records.note))
-            watch = TickWatch(self._scenario.loop.tick_limit_s, lambda: self._t_s, self._last_words)
-            with real_time(self._scenario.realtime, bench.robot_threads) as granted, watch:
-                self._tick(bench, pilot, desk, granted, watch)
+                resources.callback(lambda: tell(said.end(), self._t_s, self.records.note))
+            watch = TickWatch(self.scenario.loop.tick_limit_s, lambda: self._t_s, self._last_words)
+            with real_time(self.scenario.realtime, bench.robot_threads) as granted, watch:
+                self._loop(bench, pilot, desk, granted, watch)
 
     def _open_bench(self, resources: contextlib.ExitStack) -> Bench | None:
-        """Open link and robot, again and again while that fails; None when the service is to end before."""
+        """Open link and robot, and retry while that fails; None when the service is to end before."""
         waits = BackOff()
         why = "its link is being opened"
         while True:
@@ -207,60 +179,60 @@ class _Service:
                 time.sleep(_POLL_S)
 
     def _opened(self) -> Bench:
-        options = self._options
-        signals = self._parts.laws.signals
-        self._bench = Bench(self._scenario, options.truth, allow_motion=options.allow_motion, signals=signals)
+        options = self.options
+        signals = self.parts.laws.signals
+        self._bench = Bench(self.scenario, options.truth, allow_motion=options.allow_motion, signals=signals)
         return self._bench
 
     def _attend(self, why: str) -> bool:
         """Answer the orders that have come for a robot that is away; False when the service is to end."""
-        for order in self._api.orders():
+        for order in self.api.orders():
             if order.action is Action.SHUTDOWN:
-                self._api.send(Answer(order.number))
+                self.api.send(Answer(order.number))
                 return False
             if order.action is Action.ESTOP:
                 self._estop_owed = True
-                self._api.send(Answer(order.number))
+                self.api.send(Answer(order.number))
             else:
-                self._api.send(Answer(order.number, f"the robot is away: {why}"))
-        self._api.send(self._statuses.without_bench(why))
-        self._notifier.beat(time.monotonic_ns())
-        return not self._ending.asked
+                self.api.send(Answer(order.number, f"the robot is away: {why}"))
+        self.api.send(self._statuses.without_bench(why))
+        self.notifier.beat(time.monotonic_ns())
+        return not self.ending.asked
 
     def _pilot(self, bench: Bench) -> Pilot:
-        made = self._parts.make(bench, [self._records], self._records.note)
+        made = self.parts.make(bench, [self.records], self.records.note)
         if made.truth is not None:
             lost = "; a state that rests on it is unknown from now on: restart the service to have it again"
             made = made._replace(
-                truth=LastingTruth(made.truth, lambda why: self._records.note(self._t_s, "error", why + lost))
+                truth=LastingTruth(made.truth, lambda why: self.records.note(self._t_s, "error", why + lost))
             )
-        return Pilot(made, self._scenario.controller.mode, self._parts.timing, self._scenario.service)
+        return Pilot(made, self.scenario.controller.mode, self.parts.timing, self.scenario.service)
 
-    def _tick(self, bench: Bench, pilot: Pilot, desk: Desk, granted: RealTime, watch: TickWatch) -> None:
-        timing, counts, clock = self._parts.timing, self._counts, bench.clock
+    def _loop(self, bench: Bench, pilot: Pilot, desk: Desk, granted: RealTime, watch: TickWatch) -> None:
+        timing, counts, clock = self.parts.timing, self._counts, bench.clock
         sampling = Sampling(clock, bench.device, pilot.parts.truth, timing)
         origin_ns = clock.now_ns()
         number = sampling.begin(origin_ns)
         bench.begin(origin_ns)
         every = max(1, round(1e9 / _STATUS_HZ / timing.period_ns))
-        stall_ns = self._scenario.service.twist_timeout_s * 1e9
-        told = pilot.phase
+        stall_ns = self.scenario.service.twist_timeout_s * 1e9
+        phase = pilot.phase
         tick_us = NAN
-        looked_ns = time.perf_counter_ns()
+        polled_ns = time.perf_counter_ns()
         for _ in self._until_stopped(pilot, desk):
             try:
                 late_ns = sampling.wait(number)
             except HilError as error:
                 pilot.lose(error)
-                continue  # waits for the same tick again, with nothing left on the link that could fail once more
+                continue  # waits for the same tick again; what failed has been taken from the link
             begin_ns = time.perf_counter_ns()
-            orders = self._api.orders()
-            # What waited while this process stood still, wherever in this loop it did, is no wish of this moment.
-            stalled = time.perf_counter_ns() - looked_ns > stall_ns
-            looked_ns = begin_ns
+            orders = self.api.orders()
+            # Orders that waited while this process stood still, wherever in this loop, are out of date.
+            stalled = time.perf_counter_ns() - polled_ns > stall_ns
+            polled_ns = begin_ns
             t_s = max(number, 0) * timing.period_ns * 1e-9
             desk.take(orders, t_s, stalled=stalled)
-            if not self._api.alive and pilot.phase in (Phase.ARMING, Phase.ACTIVE):
+            if not self.api.alive and pilot.phase in (Phase.ARMING, Phase.ACTIVE):
                 pilot.disarm("the API process ended or hangs, so that nobody could have stopped the robot")
             if number >= 0:
                 counts.ticks += 1
@@ -270,31 +242,31 @@ class _Service:
                 watch.turn += 1
                 pilot.tick(now, sampling.fix_of(number))
                 watch.turn += 1
-            if pilot.phase is not told or number % every == 0:
-                if pilot.phase is not told:
-                    self._tell(pilot)
-                    told = pilot.phase
-                self._api.send(self._statuses.status(pilot, bench, granted))
+            if pilot.phase is not phase or number % every == 0:
+                if pilot.phase is not phase:
+                    phase = pilot.phase
+                    self._note_phase(pilot)
+                self.api.send(self._statuses.status(pilot, bench, granted))
                 if bench.said:
-                    tell(bench.said.take(), t_s, self._records.note)
-            self._notifier.beat(begin_ns)
+                    tell(bench.said.take(), t_s, self.records.note)
+            self.notifier.beat(begin_ns)
             tick_us = (time.perf_counter_ns() - begin_ns) * 1e-3
             following = sampling.following(number)
             counts.deadline_misses += max(0, following - max(number, -1) - 1)
             number = following
 
     def _until_stopped(self, pilot: Pilot, desk: Desk) -> Iterator[None]:
-        """Yield until the service is to end and its robot is disarmed, or is not to be waited for any more."""
+        """Yield until the service is to end and its robot is disarmed, or the wait for that is over."""
         limit_s = None
         while True:
-            if limit_s is None and (self._ending.asked or desk.shutdown):
+            if limit_s is None and (self.ending.asked or desk.shutdown):
                 pilot.disarm()
                 limit_s = time.monotonic() + _ENDING_LIMIT_S
             if limit_s is not None:
                 owed = pilot.emergency.owed and pilot.phase is not Phase.AWAY
                 if pilot.phase not in (Phase.ARMING, Phase.ACTIVE, Phase.STOPPING) and not owed:
                     return
-                if self._ending.asked > 1:
+                if self.ending.asked > 1:
                     logs.warning("told to end a second time; the robot's watchdog stops it")
                     return
                 if time.monotonic() > limit_s:
@@ -303,16 +275,16 @@ class _Service:
             yield
 
     def _last_words(self, sentence: str) -> None:
-        """Do what cannot be left undone before a law that is stuck ends this process."""
+        """Close the robot's link and the recording before a stuck law ends this process."""
         assert self._bench is not None
         with contextlib.suppress(HilError):
             self._bench.device.close()
-        self._records.note(self._t_s, "error", sentence)
-        _finish(self._records)
+        self.records.note(self._t_s, "error", sentence)
+        self.records.finish()
 
-    def _tell(self, pilot: Pilot) -> None:
-        """Have the log, the recording and systemd know of another phase."""
-        why = f": {pilot.why}" if pilot.why is not None else ""
-        lost = pilot.phase in (Phase.AWAY, Phase.FAULT, Phase.ESTOP) or why
-        self._records.note(self._t_s, "warning" if lost else "info", f"the robot is {pilot.phase}{why}")
-        self._notifier.status(f"the robot is {pilot.phase}{why}")
+    def _note_phase(self, pilot: Pilot) -> None:
+        """Report a new phase to the log, the recording and systemd."""
+        is_bad = pilot.phase in (Phase.AWAY, Phase.FAULT, Phase.ESTOP) or pilot.why is not None
+        sentence = f"the robot is {pilot.phase}" + (f": {pilot.why}" if pilot.why is not None else "")
+        self.records.note(self._t_s, "warning" if is_bad else "info", sentence)
+        self.notifier.status(sentence)

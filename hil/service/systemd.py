@@ -1,4 +1,4 @@
-"""A service under systemd: its unit, and what it tells the manager (sd_notify(3)) over a datagram socket.
+"""A service under systemd: its unit, and its messages to the manager (sd_notify(3)) over a datagram socket.
 
 Without ``NOTIFY_SOCKET`` in the environment all this does nothing, so that the same program runs by hand.
 """
@@ -18,10 +18,10 @@ _UNIT = Path(__file__).with_name("hil-serve.service")
 
 
 class Notifier:
-    """Tells systemd that the service is ready, how it is, that it lives, and that it ends.
+    """Notifies systemd when the service is ready, of its status, that it is alive, and when it ends.
 
-    ``environment`` has ``NOTIFY_SOCKET``, and ``WATCHDOG_USEC`` where the unit has a watchdog. Nothing here waits: what
-    the manager's full socket does not take is lost, but for the beat, which is tried again at the next call.
+    ``environment`` has ``NOTIFY_SOCKET``, and ``WATCHDOG_USEC`` where the unit has a watchdog. Nothing here waits: a
+    message that the manager's full socket does not take is lost, except the beat, which is sent at the next call.
     """
 
     def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
@@ -45,26 +45,26 @@ class Notifier:
         self._status = ""
 
     def ready(self) -> None:
-        """The service does what it is for: units that come after it may start."""
+        """Report that the service has started: units that wait for it may start."""
         self._send("READY=1")
 
     def status(self, sentence: str) -> None:
-        """Have ``systemctl status`` show a sentence; the same one is not said twice."""
+        """Show a sentence in ``systemctl status``; an unchanged one is not sent again."""
         if sentence != self._status:
             self._status = sentence
             self._send("STATUS=" + sentence.replace("\n", " "))
 
     def beat(self, now_ns: int) -> None:
-        """Say that the loop turns; for each tick. ``now_ns`` is of any clock that goes on (0.1 µs when none is due)."""
+        """Feed the watchdog; called in each tick (0.1 µs when no beat is due). ``now_ns`` is of any monotonic clock."""
         if now_ns >= self._next_beat_ns and self._send("WATCHDOG=1"):
             self._next_beat_ns = now_ns + self._beat_ns
 
     def stopping(self) -> None:
-        """The service is on its way out: it is no failure that it answers no more."""
+        """Report that the service is ending, so that its silence is no failure."""
         self._send("STOPPING=1")
 
     def close(self) -> None:
-        """Say nothing any more."""
+        """Close the socket; nothing is sent any more."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None
@@ -103,6 +103,6 @@ def unit(config: str, options: Sequence[str] = ()) -> str:
 
 
 def _quoted(word: str) -> str:
-    """Return a word of a command line as a unit has it: ``%`` and ``$`` stand for themselves (systemd.service(5))."""
+    """Return a word of a command line quoted for a unit, with ``%`` and ``$`` escaped (systemd.service(5))."""
     escaped = word.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%").replace("$", "$$")
     return f'"{escaped}"' if escaped != word or " " in word or "'" in word else word

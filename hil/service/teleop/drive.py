@@ -1,7 +1,7 @@
 """Teleop: reads keys and the gamepad, sends twists 30 times a second while a dead-man switch is held, and stops else.
 
-The robot stops for any of two reasons: an order to stop is sent, when a key or the button is let go and at each end of
-this program; and twists cease, when it hangs, is stopped or killed, which ends the drive in the service.
+The robot stops in two ways. This program orders a stop when a key or the button is released, and whenever it ends. If
+it hangs or is killed, the twists cease, and the service stops the robot.
 """
 
 import os
@@ -16,14 +16,13 @@ from hil.service.messages import Action
 from hil.service.teleop.gamepad import Gamepads
 from hil.service.teleop.held import Heartbeat, RepeatedKeys, ToldKeys
 from hil.service.teleop.keys import Flags, Focus, Key
-from hil.service.teleop.mapping import Speeds
-from hil.service.teleop.operator import Operator, Wish
+from hil.service.teleop.operator import Operator, Speeds, Wish
 from hil.service.teleop.screen import View, lines
 from hil.service.teleop.terminal import LostTerminalError, Signals, Terminal
 
 PERIOD_S = 1.0 / 30.0
 _STANDSTILL_S = 0.25
-"""After so long without a look at the keys, what was typed meanwhile is too old to drive by; it may still stop."""
+"""After so long without reading keys, what was typed is too old to drive by; it may still stop the robot."""
 _STOPPED_S = 2.0
 _ORDERS = {
     Wish.STOP: Action.STOP,
@@ -35,10 +34,10 @@ _ORDERS = {
 
 
 def teleop(client: Client, speeds: Speeds, *, gamepad: bool, dead_zone: float, expo: float) -> str:
-    """Drive a served robot until the operator quits; return how that was left, as a sentence.
+    """Drive a served robot until the operator quits; return a sentence on its final state.
 
     Raises LostTerminalError, LinkError when the service is lost, RunInterruptedError for SIGINT and SIGTERM, and
-    BadInputError. Whatever it raises: the robot was told to stop if it could be, and the terminal is as it was.
+    BadInputError. In any case the robot was ordered to stop, if it could be reached, and the terminal is restored.
     """
     terminal = Terminal()
     gamepads = Gamepads() if gamepad else None
@@ -113,7 +112,7 @@ class _Session:
             self._signals.suspend()
             _end_for(self._signals.take())
             self._come_back()
-        elif signal.SIGCONT in came:  # after a SIGSTOP, which nobody could be prepared for
+        elif signal.SIGCONT in came:  # after a SIGSTOP, which cannot be handled
             self._terminal.leave()
             self._come_back()
 
@@ -128,7 +127,7 @@ class _Session:
             if isinstance(event, Flags):
                 self._heartbeat.answered()
             elif isinstance(event, Focus) and not event.gained:
-                self._let_go("the window has no focus, and would not hear of a release")
+                self._let_go("the window has lost the focus, and gets no releases")
             elif isinstance(event, Key):
                 self._do(self._operator.take_late(event) if late else self._operator.take(event, now_s))
         if self._operator.may_arm:
@@ -151,7 +150,7 @@ class _Session:
         if wish is Wish.QUIT:
             self._quits = True
         elif wish is Wish.SUSPEND:
-            os.kill(0, signal.SIGTSTP)  # as the terminal does it, for all that runs in front of it
+            os.kill(0, signal.SIGTSTP)  # as the terminal does it, for its whole foreground group
         else:
             self._order(_ORDERS[wish])
             self._message = f"{wish.value} was asked for"
@@ -159,13 +158,13 @@ class _Session:
                 self._asked = None
 
     def _check_terminal(self, now_s: float) -> None:
-        """Ask whether a terminal that tells of releases is still there, while it counts."""
+        """Query a terminal that reports releases while the robot drives."""
         if not self._terminal.tells_releases or self._asked is None:
             return
         if self._heartbeat.due(now_s):
             self._terminal.ask()
         if self._heartbeat.is_lost(now_s):
-            self._let_go("the terminal does not answer, and could not tell of a release; press again")
+            self._let_go("the terminal does not answer, and could not report a release; press again")
 
     def _let_go(self, why: str) -> None:
         self._operator.release()
@@ -188,31 +187,31 @@ class _Session:
         return number
 
     def _hear(self, now_s: float) -> None:
-        while (told := self._live.hear(0.0)) is not None:
-            self._take(told, now_s)
+        while (message := self._live.hear(0.0)) is not None:
+            self._take(message, now_s)
 
-    def _take(self, told: dict[str, Any], now_s: float) -> None:
-        if "status" in told:
-            self._status, self._heard_s = told["status"], now_s
+    def _take(self, message: dict[str, Any], now_s: float) -> None:
+        if "status" in message:
+            self._status, self._heard_s = message["status"], now_s
             return
-        answer = told["answer"]
+        answer = message["answer"]
         action = self._orders.pop(answer["number"], None)
         if answer["refused"] is not None:
-            # Not that the robot starts by itself when it is armed meanwhile.
+            # So that the robot does not start by itself when it is armed meanwhile.
             if action is Action.TWIST:
                 self._operator.release()
             self._message = f"refused: {answer['refused']}"
 
     def _stop(self) -> None:
-        """Have the robot stop, and wait until that is accepted; a robot that is not active refuses it."""
+        """Order a stop, and wait for the answer; a robot that is not active refuses it."""
         number = self._order(Action.STOP)
         self._asked = None
         end_s = time.monotonic() + _STOPPED_S
         while number in self._orders:
-            told = self._live.hear(max(end_s - time.monotonic(), 0.0))
-            if told is None:
+            message = self._live.hear(max(end_s - time.monotonic(), 0.0))
+            if message is None:
                 raise LinkError(STOP_UNANSWERED)
-            self._take(told, time.monotonic())
+            self._take(message, time.monotonic())
 
     def _show(self, now_s: float) -> None:
         view = View(

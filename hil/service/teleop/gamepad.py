@@ -1,4 +1,4 @@
-"""A gamepad, through SDL, which knows the layouts of hundreds: the left shoulder must be held.
+"""A gamepad, through SDL, which knows the layouts of hundreds. The left shoulder is the dead-man button.
 
 SDL is the extra ``teleop``: PySDL2 with its library.
 """
@@ -7,13 +7,20 @@ import warnings
 from typing import Any, NamedTuple
 
 from hil.core.errors import BadInputError
-from hil.service.teleop.mapping import Sticks
 
 _FULL = 32767.0
 
 
+class Sticks(NamedTuple):
+    """Axes of a gamepad, -1 to 1: the left stick forward and to the left, the right stick to the left."""
+
+    forward: float
+    left: float
+    turn: float
+
+
 class Pad(NamedTuple):
-    """How a gamepad is held: the left shoulder (dead-man), the east button (e-stop: B, or a circle) and the sticks."""
+    """State of a gamepad: the left shoulder (dead-man), the east button (e-stop: B, or a circle) and the sticks."""
 
     dead_man: bool
     estop: bool
@@ -21,26 +28,26 @@ class Pad(NamedTuple):
 
 
 class Gamepads:
-    """The first gamepad that is there; another when that has gone. Raises BadInputError where SDL is not installed."""
+    """The first gamepad found; another one when it has gone. Raises BadInputError where SDL is not installed."""
 
     def __init__(self) -> None:
         self._sdl = _sdl()
         self._pad: Any = None
 
     def close(self) -> None:
-        """Let go of it."""
+        """Release the gamepad and SDL."""
         self._sdl.SDL_Quit()
 
     @property
     def name(self) -> str | None:
-        """The gamepad's own name, None while there is none."""
+        """The gamepad's name, or None without one."""
         if not self._pad:
             return None
         name: bytes | None = self._sdl.SDL_GameControllerName(self._pad)
         return (name or b"a gamepad").decode(errors="replace")
 
     def poll(self) -> Pad | None:
-        """Return how it is held now; None when it has gone, or none has come."""
+        """Return the state of the gamepad; None without one."""
         sdl = self._sdl
         sdl.SDL_PumpEvents()
         sdl.SDL_FlushEvents(sdl.SDL_FIRSTEVENT, sdl.SDL_LASTEVENT)
@@ -81,13 +88,13 @@ def _sdl() -> Any:
     """Return SDL, ready for gamepads only."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # it says which library it has found
+            warnings.simplefilter("ignore")  # it names the library that it has found
             import sdl2
     except ImportError as error:
         raise BadInputError(
-            f"a gamepad needs SDL, and it is not there ({error}); pip install 'mecanum-hil[teleop]'"
+            f"a gamepad needs SDL, and it is not installed ({error}); pip install 'mecanum-hil[teleop]'"
         ) from error
-    # Signals are ours, and there is no window that could have the focus.
+    # We handle the signals, and no window can have the focus.
     sdl2.SDL_SetHint(sdl2.SDL_HINT_NO_SIGNAL_HANDLERS, b"1")
     sdl2.SDL_SetHint(sdl2.SDL_HINT_JOYSTICK_ALLOW_BACKGROUND_EVENTS, b"1")
     if sdl2.SDL_Init(sdl2.SDL_INIT_GAMECONTROLLER) != 0:

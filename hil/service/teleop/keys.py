@@ -1,4 +1,4 @@
-"""What a terminal sends, as keys: characters and escape sequences of old, and those of kitty's keyboard protocol. Pure.
+"""Decodes a terminal's input: characters, classic escape sequences, and those of kitty's keyboard protocol. Pure.
 
 Sources: ECMA-48, 5.4 (control sequences); https://sw.kovidgoyal.net/kitty/keyboard-protocol (press, repeat, release).
 """
@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 
 class Change(enum.Enum):
-    """What became of a key. A terminal without the protocol sends a press for every repeat, and no release."""
+    """An event of a key. A terminal without the protocol sends a press for each repeat, and no release."""
 
     PRESS = 1
     REPEAT = 2
@@ -17,7 +17,7 @@ class Change(enum.Enum):
 
 
 class Key(NamedTuple):
-    """A key by its name, a lower-case character or one of ``_NAMED``, with Ctrl, Alt or another such key or not."""
+    """A key by its name, a lower-case character or one of ``_NAMED``; ``other`` is Alt or another modifier."""
 
     name: str
     change: Change = Change.PRESS
@@ -26,17 +26,17 @@ class Key(NamedTuple):
 
 
 class Flags(NamedTuple):
-    """The terminal's answer to ``CSI ? u``: which of the protocol's enhancements are in force."""
+    """The terminal's answer to ``CSI ? u``: the protocol's enhancements in force."""
 
     flags: int
 
 
 class Attributes(NamedTuple):
-    """The terminal's answer to ``CSI c``, which every terminal gives, after those to earlier questions."""
+    """The terminal's answer to ``CSI c``. Every terminal gives it, after its answers to earlier queries."""
 
 
 class Focus(NamedTuple):
-    """The terminal's window gets what is typed from now on, or no more."""
+    """The terminal's window has gained or lost the focus."""
 
     gained: bool
 
@@ -53,14 +53,14 @@ _LONGEST_SEQUENCE = 64
 
 
 class KeyDecoder:
-    """Makes events of bytes, however they are cut. What is no key of ours gives no event."""
+    """Makes events of bytes, in chunks of any size. Keys that teleop does not use give no event."""
 
     def __init__(self) -> None:
         self._rest = b""
 
     @property
     def waits(self) -> bool:
-        """Whether there is the beginning of a sequence, which may be the Esc key alone: see ``settle``."""
+        """Whether a sequence has begun. It may be the Esc key alone: see ``settle``."""
         return bool(self._rest)
 
     def feed(self, data: bytes) -> list[Event]:
@@ -78,13 +78,13 @@ class KeyDecoder:
         return events
 
     def settle(self) -> list[Event]:
-        """Nothing more came for a while: what looked like the beginning of a sequence was the Esc key."""
+        """End the sequence that has begun, because nothing more came: it was the Esc key."""
         self._rest = b""
         return [Key("escape")]
 
 
 def _first(data: bytes) -> tuple[int, Event | None]:
-    """Return how many bytes the first event takes, 0 when it is not complete, and the event if it is one of ours."""
+    """Return the length of the first event, 0 when it is incomplete, and the event, None if teleop does not use it."""
     if data[0] != _ESC:
         return 1, _character(data[0])
     if len(data) == 1:
@@ -103,7 +103,7 @@ def _control_sequence(data: bytes) -> tuple[int, Event | None]:
     found = _CSI.match(data)
     if found is None:
         is_begun = re.fullmatch(rb"\x1b\[[0-?]*[ -/]*", data) is not None
-        # Line noise is no reason to swallow the Esc key.
+        # Line noise must not swallow the Esc key.
         return (0, None) if is_begun and len(data) < _LONGEST_SEQUENCE else (1, Key("escape"))
     if found[2] or found.end() > _LONGEST_SEQUENCE:
         return found.end(), None

@@ -1,19 +1,89 @@
-"""The one who drives: what keys and a gamepad ask for. Pure; time is the caller's own, in seconds."""
+"""From keys and a gamepad to wishes and twists. Pure; time is the caller's own, in seconds."""
 
 import enum
+import math
+from collections.abc import Set as AbstractSet
+from typing import NamedTuple
 
 from hil.core.kinematics import BodyTwist
-from hil.service.teleop.gamepad import Pad
-from hil.service.teleop.held import DeadManButton, HeldKeys
+from hil.service.teleop.gamepad import Pad, Sticks
+from hil.service.teleop.held import DeadManButton, RepeatedKeys, ToldKeys
 from hil.service.teleop.keys import Change, Key
-from hil.service.teleop.mapping import KEYS, REST, Direction, Speeds, of_keys, of_sticks, twist_of
 
 _FASTER = 1.25
 _LEAST_SHARE = 0.05
 
 
+class Speeds(NamedTuple):
+    """The speeds of full deflection, in the plane and in yaw."""
+
+    speed_m_s: float
+    yaw_rate_rad_s: float
+
+
+class Direction(NamedTuple):
+    """Shares of the full speeds: ``forward`` and ``left`` in the unit circle, ``turn`` to the left from -1 to 1."""
+
+    forward: float
+    left: float
+    turn: float
+
+
+REST = Direction(0.0, 0.0, 0.0)
+
+# A compass around k on every keyboard, and the arrows.
+KEYS = {
+    "up": Direction(1, 0, 0),
+    "down": Direction(-1, 0, 0),
+    "left": Direction(0, 1, 0),
+    "right": Direction(0, -1, 0),
+    "i": Direction(1, 0, 0),
+    ",": Direction(-1, 0, 0),
+    "j": Direction(0, 1, 0),
+    "l": Direction(0, -1, 0),
+    "u": Direction(1, 1, 0),
+    "o": Direction(1, -1, 0),
+    "m": Direction(-1, 1, 0),
+    ".": Direction(-1, -1, 0),
+    "s": Direction(0, 0, 1),
+    "f": Direction(0, 0, -1),
+}
+
+
+def of_keys(keys: AbstractSet[str]) -> Direction:
+    """Return the direction of the held keys; opposite keys cancel each other."""
+    forward, left, turn = (sum(KEYS[key][axis] for key in keys) for axis in range(3))
+    length = max(math.hypot(forward, left), 1.0)
+    return Direction(forward / length, left / length, min(max(turn, -1.0), 1.0))
+
+
+def of_sticks(sticks: Sticks, dead_zone: float, expo: float) -> Direction:
+    """Return the direction of the sticks.
+
+    Within ``dead_zone`` (0 to below 1) of its centre a stick is at rest, and from there its travel counts from 0.
+    ``expo`` (0 to 1) makes it finer near the centre: (1 - expo) r + expo r³. The left stick's angle is not changed.
+    """
+    length = math.hypot(sticks.forward, sticks.left)
+    share = _shaped(length, dead_zone, expo) / length if length else 0.0
+    turn = math.copysign(_shaped(abs(sticks.turn), dead_zone, expo), sticks.turn)
+    return Direction(sticks.forward * share, sticks.left * share, turn)
+
+
+def _shaped(length: float, dead_zone: float, expo: float) -> float:
+    way = min(max((length - dead_zone) / (1.0 - dead_zone), 0.0), 1.0)
+    return (1.0 - expo) * way + expo * way**3
+
+
+def twist_of(direction: Direction, speeds: Speeds, share: float) -> BodyTwist:
+    """Return the twist of a direction, at a share of the speeds."""
+    plane_m_s = share * speeds.speed_m_s
+    return BodyTwist(
+        direction.forward * plane_m_s, direction.left * plane_m_s, direction.turn * share * speeds.yaw_rate_rad_s
+    )
+
+
 class Wish(enum.Enum):
-    """What a key asks for, other than driving."""
+    """The meaning of a key, other than driving."""
 
     STOP = "stop"
     ESTOP = "estop"
@@ -38,12 +108,13 @@ _NEVER_TOO_LATE = (Wish.STOP, Wish.ESTOP, Wish.DISARM, Wish.QUIT)
 
 
 class Operator:
-    """Makes wishes and twists of keys and of a gamepad, which goes first while its dead-man button is held.
+    """Makes wishes and twists of keys and a gamepad. The gamepad has priority while its dead-man button is held.
 
-    ``share``: of ``speeds``, that + and - change. ``may_arm``: whether the next Enter arms, as after an a.
+    Attributes:
+        share: of the full speeds; + and - change it. may_arm: whether the next Enter arms, as after an a.
     """
 
-    def __init__(self, keys: HeldKeys, speeds: Speeds, dead_zone: float, expo: float) -> None:
+    def __init__(self, keys: ToldKeys | RepeatedKeys, speeds: Speeds, dead_zone: float, expo: float) -> None:
         self._keys = keys
         self._button = DeadManButton()
         self._sticks = REST
@@ -56,11 +127,11 @@ class Operator:
 
     @property
     def speeds(self) -> Speeds:
-        """What full deflection means now."""
+        """The present speeds of full deflection."""
         return Speeds(self._full.speed_m_s * self.share, self._full.yaw_rate_rad_s * self.share)
 
     def take(self, key: Key, now_s: float) -> Wish | None:
-        """Take note of a key; return what it asks for."""
+        """Process a key; return its wish."""
         if key.name in KEYS and (key.change is Change.RELEASE or not (key.ctrl or key.other)):
             self._keys.take(key, now_s)
         if key.change is not Change.PRESS:
@@ -81,13 +152,13 @@ class Operator:
         return wish
 
     def take_late(self, key: Key) -> Wish | None:
-        """Take note of a key that was pressed while nobody looked: it moves nothing, but what stops still does."""
+        """Process a key that was read too late: it moves nothing, but wishes that stop are returned."""
         self.release()
         wish = _wish_of(key) if key.change is Change.PRESS else None
         return wish if wish in _NEVER_TOO_LATE else None
 
     def take_pad(self, pad: Pad | None) -> Wish | None:
-        """Take note of how the gamepad is held, None when there is none; return what it asks for."""
+        """Process the state of the gamepad, None without one; return its wish."""
         if pad is None:
             self._button.release()
             self._is_on_sticks = self._estop_pressed = False
@@ -101,21 +172,18 @@ class Operator:
         return None
 
     def twist(self, now_s: float) -> BodyTwist | None:
-        """Return the twist that is asked for now; None when no dead-man switch is held."""
+        """Return the wanted twist; None when no dead-man switch is held."""
         if self._is_on_sticks:
-            return self._of(self._sticks, 1.0)
+            return twist_of(self._sticks, self.speeds, 1.0)
         keys, share = self._keys.held(now_s)
-        return self._of(of_keys(keys), share) if keys else None
+        return twist_of(of_keys(keys), self.speeds, share) if keys else None
 
     def release(self) -> None:
-        """Let go of everything: keys and button count again when they are pressed anew, and so does what arms."""
+        """Release everything: keys and button count again when they are pressed anew, and arming begins anew."""
         self.may_arm = False
         self._keys.release()
         self._button.release()
         self._is_on_sticks = False
-
-    def _of(self, direction: Direction, share: float) -> BodyTwist:
-        return twist_of(direction, self.speeds, share)
 
 
 def _wish_of(key: Key) -> Wish | None:

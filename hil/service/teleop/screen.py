@@ -1,4 +1,4 @@
-"""What teleop shows, as lines of text. Pure."""
+"""The screen of teleop, as lines of text. Pure."""
 
 import math
 from collections.abc import Mapping
@@ -7,13 +7,13 @@ from typing import Any, NamedTuple
 from hil.core.kinematics import BodyTwist, to_body
 from hil.core.types import Twist
 from hil.service.teleop.held import RepeatedKeys
-from hil.service.teleop.mapping import Speeds
+from hil.service.teleop.operator import Speeds
 
-_TELLS = "this terminal tells when a key is released: the robot is told to stop at once"
+_TELLS = "this terminal reports when a key is released: the robot is stopped at once"
 _REPEATS = (
-    f"this terminal does not tell when a key is released. A press drives for {RepeatedKeys.FIRST_S:g} s at "
+    f"this terminal does not report when a key is released. A press drives for {RepeatedKeys.FIRST_S:g} s at "
     f"{RepeatedKeys.FIRST_SHARE:.0%} of the speed,",
-    f"and on as long as the key repeats; the robot is told to stop {RepeatedKeys.REPEAT_S:g} s after the last repeat. "
+    f"and on as long as the key repeats; the robot is stopped {RepeatedKeys.REPEAT_S:g} s after the last repeat. "
     "One key at a time.",
 )
 _HELP = (
@@ -24,7 +24,7 @@ _HELP = (
 
 
 class View(NamedTuple):
-    """What is known now: ``asked`` is None when no dead-man switch is held, ``gamepad`` None when none was wanted."""
+    """Content of the screen. ``asked`` is None when no dead-man switch is held, ``gamepad`` None if not wanted."""
 
     status: Mapping[str, Any] | None
     status_age_s: float
@@ -36,7 +36,7 @@ class View(NamedTuple):
 
 
 def lines(view: View) -> list[str]:
-    """Return the screen, from its top."""
+    """Return the lines of the screen."""
     status = view.status
     shown = [
         "hil teleop: hold a key to run, let go to stop",
@@ -66,13 +66,13 @@ def _ms(time_s: float | None) -> float | None:
 
 
 def _got(status: Mapping[str, Any] | None) -> str:
-    """Return how the robot moves, in its own frame, as the twist that was asked for is."""
+    """Return the robot's twist in its own frame, like the wanted one."""
     if status is None or status["twist"] is None or status["pose"] is None:
         return "not known"
     return _twist(to_body(Twist(*status["twist"]), status["pose"][2]))
 
 
 def _twist(twist: BodyTwist) -> str:
-    # Not -0.000.
+    # To avoid -0.000.
     forward, left, yaw_rate = (value if abs(value) >= 0.0005 else math.fabs(value) for value in twist)
     return f"{forward:6.3f} m/s forward, {left:6.3f} m/s to the left, {yaw_rate:6.3f} rad/s"

@@ -1,4 +1,4 @@
-"""The terminal as teleop uses it: keys as they are pressed, a screen of its own, all put back in order. POSIX only."""
+"""The terminal of teleop: keys as they are pressed and a screen of its own, restored at the end. POSIX only."""
 
 import contextlib
 import os
@@ -17,19 +17,19 @@ from hil.service.teleop.keys import Attributes, Event, Flags, KeyDecoder
 _WANTED_FLAGS = 1 | 2 | 8
 _PUSH_FLAGS, _POP_FLAGS = b"\x1b[>11u", b"\x1b[<u"
 _ASK_FLAGS, _ASK_ATTRIBUTES = b"\x1b[?u", b"\x1b[c"
-# The other screen has keyboard flags of its own, so it comes first. 25: cursor; 1004: tell of the window's focus.
+# The alternate screen has keyboard flags of its own, so it comes first. 25: cursor; 1004: report the window's focus.
 _ENTER = b"\x1b[?1049h\x1b[?25l\x1b[?1004h"
 _LEAVE = b"\x1b[?1004l\x1b[?25h\x1b[?1049l"
 _Attributes = list[int | list[bytes | int]]
 _HOME, _REST_OF_LINE, _REST_OF_SCREEN = "\x1b[H", "\x1b[K", "\x1b[J"
 _ANSWER_S = 1.0
-"""For the slowest network; a terminal at hand answers at once."""
+"""Timeout for the slowest network; a local terminal answers at once."""
 _ESC_S = 0.05
-"""After which an ESC is the key and no beginning of a sequence."""
+"""After it an ESC is the key, and not the beginning of a sequence."""
 
 
 class LostTerminalError(LinkError):
-    """The terminal has gone, and with it whoever held a key."""
+    """The terminal has gone, and with it the operator."""
 
 
 class Terminal:
@@ -41,7 +41,7 @@ class Terminal:
     def __init__(self) -> None:
         if not (sys.stdin.isatty() and sys.stdout.isatty()):
             raise BadInputError("teleop needs a terminal for keys and screen; begin it in one, without pipes")
-        # Asked now: of a terminal that has gone, the answer is no.
+        # Asked now, because the answer is no after the terminal has gone.
         self._streams = [stream.fileno() for stream in (sys.stdin, sys.stdout, sys.stderr) if stream.isatty()]
         self._in, self._out = self._streams[:2]
         self._before: _Attributes | None = None
@@ -50,11 +50,11 @@ class Terminal:
         self.tells_releases = False
 
     def enter(self) -> None:
-        """Take keys as they are pressed, unseen, and the other screen."""
+        """Read keys as they are pressed, without echo, and switch to the alternate screen."""
         with _lost():
             before = termios.tcgetattr(self._in)
             changed = termios.tcgetattr(self._in)
-            # Ctrl-C and Ctrl-Z stay signals, so that they are heard whatever hangs here; Ctrl-S must not hang it.
+            # Ctrl-C and Ctrl-Z stay signals, so that they work even if this program hangs; Ctrl-S must not stop it.
             changed[0] &= ~(termios.IXON | termios.ICRNL)
             changed[3] &= ~(termios.ICANON | termios.ECHO)
             changed[6][termios.VMIN], changed[6][termios.VTIME] = 1, 0
@@ -69,7 +69,7 @@ class Terminal:
                 self.tells_releases = False
 
     def leave(self) -> None:
-        """Put the terminal back in order. Does what it can, twice no harm."""
+        """Restore the terminal as far as possible. Calling twice is allowed."""
         if self._before is None:
             return
         before, self._before = self._before, None
@@ -79,20 +79,20 @@ class Terminal:
             termios.tcsetattr(self._in, termios.TCSAFLUSH, before)
 
     def forget(self) -> None:
-        """The terminal has gone: let nothing that is still printed fail because of that."""
+        """Send the output to the null device after the terminal has gone, so that no print fails."""
         null = os.open(os.devnull, os.O_RDWR)
         for stream in self._streams:
             os.dup2(null, stream)
 
     def wait(self, until_s: float, other: int) -> bool:
-        """Wait for keys, for something on ``other``, or until then; return whether there is something on ``other``."""
+        """Wait for keys, for input on ``other``, or until ``until_s``; return whether ``other`` has input."""
         if self._decoder.waits:
             until_s = min(until_s, self._esc_s + _ESC_S)
         ready, _, _ = select.select([self._in, other], [], [], max(until_s - time.monotonic(), 0.0))
         return other in ready
 
     def read(self) -> list[Event]:
-        """Return what has come; does not wait."""
+        """Return the events that have come; does not wait."""
         now_s = time.monotonic()
         if not self._is_ready():
             return self._decoder.settle() if self._decoder.waits and now_s - self._esc_s >= _ESC_S else []
@@ -104,11 +104,11 @@ class Terminal:
         return self._decoder.feed(data)
 
     def ask(self) -> None:
-        """Have the terminal say that it is there; the answer is an event of type Flags."""
+        """Query the terminal; its answer is an event of type Flags."""
         self._write(_ASK_FLAGS)
 
     def show(self, lines: Sequence[str]) -> None:
-        """Show lines from the top, if the terminal takes them now."""
+        """Show lines from the top, if the terminal accepts output now."""
         try:
             size = os.get_terminal_size(self._out)
         except OSError:
@@ -118,7 +118,7 @@ class Terminal:
         self._write(f"{_HOME}{shown}{_REST_OF_LINE}{_REST_OF_SCREEN}".encode())
 
     def _ask_flags(self) -> int | None:
-        """Return the flags in force; None when the terminal does not know the protocol."""
+        """Return the flags in force; None when the terminal does not support the protocol."""
         self._write(_ASK_FLAGS + _ASK_ATTRIBUTES)
         end_s = time.monotonic() + _ANSWER_S
         flags = None
@@ -136,7 +136,7 @@ class Terminal:
         return bool(ready)
 
     def _write(self, data: bytes, within_s: float = 0.0) -> None:
-        """Write, unless the terminal takes nothing: then it must not keep us from stopping the robot."""
+        """Write, unless the terminal is blocked: that must not delay stopping the robot."""
         with _lost():
             _, ready, _ = select.select([], [self._out], [], within_s)
             if ready:
@@ -152,7 +152,7 @@ def _lost() -> Iterator[None]:
 
 
 class Signals:
-    """Signals that are waited for like keys: they are noted, and ``fd`` becomes readable."""
+    """Signals to wait for like keys: when one comes, ``fd`` becomes readable."""
 
     NOTED = (signal.SIGHUP, signal.SIGINT, signal.SIGTERM, signal.SIGTSTP, signal.SIGCONT)
 
@@ -172,18 +172,18 @@ class Signals:
         os.close(self._write_fd)
 
     def take(self) -> set[int]:
-        """Return the signals that have come since the last time."""
+        """Return the signals that have come since the last call."""
         try:
             return set(os.read(self.fd, 4096))
         except BlockingIOError:
             return set()
 
     def suspend(self) -> None:
-        """Be stopped as Ctrl-Z does it, and come back when continued."""
+        """Stop this process as Ctrl-Z does, and return when it is continued."""
         handler = signal.signal(signal.SIGTSTP, signal.SIG_DFL)
         os.kill(os.getpid(), signal.SIGTSTP)
         signal.signal(signal.SIGTSTP, handler)
 
 
 def _note(_number: int, _frame: FrameType | None) -> None:
-    """The number is in the pipe."""
+    """Do nothing: the wakeup pipe has the number."""
