@@ -15,7 +15,7 @@ from hil.batch.plan import run_jobs, run_plan
 from hil.batch.pool import LocalPool
 from hil.batch.store import KEY, Store, outcome_of, read_rows, row_of
 from hil.core.errors import BadInputError, LinkError
-from hil.plant.memory import IS_TOLD
+from hil.core.subprocesses import IS_TOLD
 from hil.scenario import Scenario, load
 
 SHORT = {"loop.duration_s": 0.2, "loop.rate_hz": 200, "expect": []}

@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 import plant_fmu
 from hil.core.errors import BadInputError
 from hil.plant import archive
+from hil.plant.description import info
 from hil.plant.fmu import FmuPlant
-from hil.plant.info import info
 from hil.plant.tools import check
 from plant_fmu import platforms
 from tests.broken_fmu import Change, pack

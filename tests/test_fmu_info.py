@@ -6,9 +6,8 @@ import pytest
 
 from hil.core.errors import BadInputError
 from hil.plant.archive import library_of
-from hil.plant.description import parameter_names
+from hil.plant.description import info, parameter_names
 from hil.plant.fmu import FmuPlant
-from hil.plant.info import info
 from tests.broken_fmu import pack
 from tests.plant_testbed import FMU
 

@@ -80,6 +80,6 @@ def test_an_fmu_of_another_exporter_is_the_plant(
     with RemotePlant(tmp_path / "Wheels.fmu", {}, mapping=MAP) as plant:
         with pytest.raises(DeviceError, match=r"stopped at 0\.15 s: .*the gearbox is on fire"):
             plant.step(torque, 200)
-        printed, logged = plant.said.end()
+        printed, logged = plant.output.end()
         assert printed == "it is getting hot"
         assert re.fullmatch(r"log \(fatal\): .*RuntimeError\('the gearbox is on fire'\)", logged)

@@ -15,12 +15,12 @@ import pytest
 
 from firmware_protocol.built import FLAGS
 from hil.core.errors import BadInputError, DeviceError
+from hil.core.subprocesses import IS_TOLD
 from hil.core.types import Wheels
 from hil.plant import shim
 from hil.plant.built import PLANT_PORT
 from hil.plant.fmu import FmuPlant
 from hil.plant.mapping import Row, SignalMap
-from hil.plant.memory import IS_TOLD
 from hil.plant.remote import RemotePlant
 from tests.flawed_fmu import build_flawed
 from tests.foreign_fmu import foreign_fmu, foreign_map
@@ -164,7 +164,7 @@ def test_an_fmu_that_takes_more_memory_than_it_may_is_ended(flawed: Path, monkey
 def test_where_memory_is_not_told_that_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("hil.plant.remote.IS_TOLD", False)
     with RemotePlant(FMU, {}) as plant:
-        assert plant.said.take() == ["nothing yet; its limit of 2000 MB is not watched on this system"]
+        assert plant.output.take() == ["nothing yet; its limit of 2000 MB is not watched on this system"]
 
 
 @pytest.mark.parametrize("kind", [FmuPlant, RemotePlant])

@@ -22,8 +22,7 @@ from hil.core.errors import DeviceError
 from hil.core.types import CommandMode
 from hil.robot.handshake import Expected
 from hil.robot.stm32 import Stm32
-from hil.robot.truth import TruthClient
-from hil.robot.truth_wire import TruthRecord
+from hil.robot.truth import TruthClient, TruthRecord
 from hil.runtime.robots import firmware_values, wheel_map
 from hil.scenario import load
 from hil.wire.conditions import ConditionedLink

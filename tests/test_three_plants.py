@@ -9,7 +9,9 @@ import pytest
 
 import hil
 import plant_fmu
-from hil.plant.experiments import (
+from hil.plant.fmu import FmuPlant
+from tests.mujoco_testbed import FMU as MUJOCO
+from tools.plant_experiments import (
     DIRECTIONS,
     Geometry,
     Start,
@@ -18,8 +20,6 @@ from hil.plant.experiments import (
     rolling_ratio,
     slip_onset_n_m,
 )
-from hil.plant.fmu import FmuPlant
-from tests.mujoco_testbed import FMU as MUJOCO
 
 M, R, L, J, YAW, GRIP = 20.0, 0.075, 0.6, 0.005, 0.56, 0.7
 K = 4 * J / R**2

@@ -11,8 +11,7 @@ import pytest
 from firmware_protocol.generated.messages import State
 from hil.core.errors import BadInputError, DeviceError
 from hil.review import read, review
-from hil.robot.truth import TruthClient
-from hil.robot.truth_wire import TruthRecord
+from hil.robot.truth import TruthClient, TruthRecord
 from hil.scenario import load
 from tests.processes import HIL, Device, device, environment, hil, hil_process, run_json, wait_for
 

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import hil
 import plant_fmu
-from hil.plant.experiments import (
+from hil.plant.fmu import FmuPlant
+from tools.plant_experiments import (
     DIRECTIONS,
     Geometry,
     Start,
@@ -20,7 +21,6 @@ from hil.plant.experiments import (
     rolling_ratio,
     slip_onset_n_m,
 )
-from hil.plant.fmu import FmuPlant
 
 PAGE = Path(plant_fmu.__file__).parent / "PLANTS.md"
 BEGIN, END = "<!-- plants: begin -->", "<!-- plants: end -->"

@@ -16,8 +16,7 @@ import time
 from typing import IO, NamedTuple, Protocol
 
 from hil.batch.job import LOST, Job, Outcome, plain
-from hil.core.subprocesses import away_from_terminal, module_command
-from hil.plant.memory import excess
+from hil.core.subprocesses import away_from_terminal, excess, module_command
 from hil.record.environment import rerun_environment
 
 READY = "ready\n"

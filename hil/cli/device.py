@@ -118,7 +118,7 @@ def serve(
         try:
             server.serve()
         finally:
-            for line in robot.said.end() if robot.said is not None else ():
+            for line in robot.output.end() if robot.output is not None else ():
                 say(f"the plant says: {line}")
             if server.slipped_ticks:
                 say(f"this machine stalled: the robot lost {server.slipped_ticks} ms of its time")

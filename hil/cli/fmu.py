@@ -11,10 +11,10 @@ from hil.cli.commands import Group
 from hil.cli.options import Json, print_json
 from hil.cli.report import print_table
 from hil.core.errors import BadInputError
-from hil.plant.words import one_line
+from hil.plant.child_output import one_line
 
 if TYPE_CHECKING:
-    from hil.plant.info import FmuInfo, VariableInfo
+    from hil.plant.description import FmuInfo, VariableInfo
     from hil.plant.tools import CheckResult
 
 app = typer.Typer(cls=Group, no_args_is_help=True, help="The plant: build, look at and check FMUs.")
@@ -64,7 +64,7 @@ def show_info(
 ) -> None:
     """Show what an FMU says of itself, and its variables with units. Runs nothing of it."""
     from hil.plant import archive
-    from hil.plant.info import info
+    from hil.plant.description import info
 
     about = info(archive.locate(fmu, Path()), names)
     if as_json:

@@ -1,15 +1,18 @@
-"""Reads an FMU's modelDescription.xml, without running anything of the FMU."""
+"""An FMU's modelDescription.xml, read without running anything of the FMU, and what ``hil fmu info`` shows of it."""
 
 import functools
 import shutil
 from collections.abc import Mapping
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
-from hil.core.errors import BadInputError
+from hil.core.errors import BadInputError, nearest
 from hil.plant import archive
+from hil.plant.child_output import one_line
 from hil.plant.start import Value, start_values
-from hil.plant.words import one_line
+from plant_fmu import SHIPPED
 
 
 def read_description(fmu: Path) -> Any:
@@ -62,3 +65,109 @@ def _variables(fmu: Path) -> dict[str, Any]:
 def _variables_in(fmu: Path, _state: tuple[int, int]) -> dict[str, Any]:
     """Return the variables as long as the file is as it was: a process that makes many robots reads it once."""
     return variables_of(read_description(fmu))
+
+
+@dataclass(frozen=True)
+class VariableInfo:
+    """A variable as modelDescription.xml gives it, start and range as text; None where it says nothing.
+
+    ``dimensions`` are those of an array at its start, none for a scalar; ``items`` are the names and numbers of an
+    enumeration.
+    """
+
+    name: str
+    causality: str
+    variability: str
+    type: str
+    dimensions: tuple[int, ...]
+    unit: str | None
+    start: str | None
+    min: str | None
+    max: str | None
+    items: tuple[tuple[str, str], ...]
+    description: str | None
+
+
+@dataclass(frozen=True)
+class FmuInfo:
+    """An FMU as it describes itself. ``shipped`` is its name when it is, byte for byte, one of this package.
+
+    ``about`` has description, author, version, license, copyright and tool, those that are given; ``experiment``
+    likewise start, stop, step and tolerance; ``interfaces`` has the model identifier of each, and ``capabilities``
+    what it claims; ``platforms`` are the folders with binaries.
+    """
+
+    path: Path
+    sha256: str
+    shipped: str | None
+    fmi_version: str
+    model_name: str
+    about: Mapping[str, str]
+    experiment: Mapping[str, str]
+    interfaces: Mapping[str, str]
+    capabilities: Mapping[str, tuple[str, ...]]
+    platforms: tuple[str, ...]
+    variables: tuple[VariableInfo, ...]
+
+
+def info(fmu: Path, names: str = "*") -> FmuInfo:
+    """Return what the FMU says of itself, with the variables whose name fits the pattern ``names``.
+
+    Raises BadInputError when the file is no readable FMU, and when no variable fits.
+    """
+    header = archive.read_header(fmu)
+    digest = archive.sha256(fmu)
+    description = read_description(fmu)
+    variables = description.modelVariables
+    fitting = [v for v in variables if fnmatchcase(v.name, names)]
+    if variables and not fitting:
+        hint = "" if any(sign in names for sign in "*?[") else nearest(names, [v.name for v in variables])
+        raise BadInputError(f"FMU {fmu}: no variable fits {names!r}{hint}")
+    experiment = description.defaultExperiment
+    shipped = (name for name, path in SHIPPED.items() if path.is_file() and archive.sha256(path) == digest)
+    return FmuInfo(
+        path=fmu,
+        sha256=digest,
+        shipped=next(shipped, None),
+        fmi_version=header.fmi_version,
+        model_name=description.modelName or "",
+        about=_given(description, "description", "author", "version", "license", "copyright", tool="generationTool"),
+        experiment=_given(experiment, "tolerance", start="startTime", stop="stopTime", step="stepSize"),
+        interfaces={name: attributes.get("modelIdentifier", "") for name, attributes in header.interfaces.items()},
+        capabilities={name: _capabilities(attributes) for name, attributes in header.interfaces.items()},
+        platforms=archive.platforms(fmu),
+        variables=tuple(_variable(v) for v in fitting),
+    )
+
+
+def _variable(v: Any) -> VariableInfo:
+    declared = v.declaredType
+    return VariableInfo(
+        name=v.name,
+        causality=v.causality,
+        variability=v.variability,
+        type=v.type,
+        dimensions=tuple(v.shape or ()),
+        unit=v.unit or getattr(declared, "unit", None),
+        start=v.start,
+        min=v.min or getattr(declared, "min", None),
+        max=v.max or getattr(declared, "max", None),
+        items=tuple((item.name, item.value) for item in declared.items) if declared is not None else (),
+        description=v.description or getattr(declared, "description", None),
+    )
+
+
+def _given(thing: object, *attributes: str, **renamed: str) -> dict[str, str]:
+    names = {attribute: attribute for attribute in attributes} | renamed
+    found = {name: getattr(thing, attribute, None) for name, attribute in names.items()}
+    return {name: str(value) for name, value in found.items() if value}
+
+
+def _capabilities(attributes: Mapping[str, str]) -> tuple[str, ...]:
+    """Return the claims of an interface that are not false or 0, with their value where it is not just true."""
+    claims = {name: value for name, value in attributes.items() if name != "modelIdentifier"}
+    return tuple(
+        name if value in ("true", "1") else f"{name}={value}"
+        for name, value in claims.items()
+        if value not in ("false", "0")
+    )

@@ -18,9 +18,8 @@ from hil.core.types import PoseFix, Wheels, make_fix, make_pose, make_twist
 from hil.plant import archive, shim
 from hil.plant.instance import Instance
 from hil.plant.mapping import SignalMap, resolve
-from hil.plant.settable import Settable, bounds, settable_variables
 from hil.plant.signals import OUTPUTS, SENSORS
-from hil.plant.start import Value, resize, start_values
+from hil.plant.start import Settable, Value, bounds, resize, settable_variables, start_values
 
 
 class FmuPlant:

@@ -14,11 +14,11 @@ from typing import Any
 from hil.core.errors import BadInputError, DeviceError, HilError
 from hil.plant import archive
 from hil.plant.archive import Library
+from hil.plant.child_output import one_line
 from hil.plant.description import read_description, variables_of
 from hil.plant.shim import load
 from hil.plant.solver import Solver
 from hil.plant.start import Start
-from hil.plant.words import one_line
 
 _LOADING = threading.Lock()  # FMPy changes the working directory while it loads
 _ALIVE: set[str] = set()  # GUIDs of those FMUs of which a process may hold but one instance

@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -10,12 +11,12 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import IO, Any, NoReturn, cast
 
 from hil.core.errors import DeviceError
-from hil.core.subprocesses import away_from_terminal, child_environment, module_command
-from hil.plant.memory import excess
-from hil.plant.said import Said
+from hil.core.subprocesses import away_from_terminal, child_environment, excess, module_command
+from hil.plant import shim
+from hil.plant.child_output import ChildOutput
 
 THERE_S = 60.0  # that Python and our own modules may take to be there
 _LAST_WORDS = 200  # characters of its last line in a sentence
@@ -70,13 +71,15 @@ class Watch:
 class ChildProcess:
     """One of our modules as a process, with pipes to its stdin and from its stdout; there a ``Parent`` is their end.
 
-    They begin with lines of JSON; what they carry then is the owner's affair. What it prints goes to ``said``. Ctrl-C
+    They begin with lines of JSON; what they carry then is the owner's affair. What it prints goes to ``output``. Ctrl-C
     in the terminal does not reach it. When this process goes away it ends too, and removes the folder ``scratch``. What
     it has started ends with it, on Linux also when it was killed. ``inherited`` are descriptors that it has under the
     same numbers; POSIX only. Raises DeviceError when no process can be started.
     """
 
-    def __init__(self, module: str, scratch: Path, inherited: Sequence[int] = (), said: Said | None = None) -> None:
+    def __init__(
+        self, module: str, scratch: Path, inherited: Sequence[int] = (), output: ChildOutput | None = None
+    ) -> None:
         try:
             self._process = subprocess.Popen(
                 module_command(module, str(scratch)),
@@ -91,7 +94,7 @@ class ChildProcess:
         except OSError as error:
             raise DeviceError(f"no process can be started for the plant ({error}); end others first") from error
         self._why_ended: str | None = None  # by us
-        self._said = Said() if said is None else said
+        self._output = ChildOutput() if output is None else output
         self._reader = threading.Thread(target=self._read_words, name="plant words", daemon=True)
         self._reader.start()
 
@@ -110,16 +113,16 @@ class ChildProcess:
         """Descriptor of what it is asked."""
         return _pipe(self._process.stdin).fileno()
 
-    def tell(self, record: Mapping[str, object]) -> None:
+    def send(self, record: Mapping[str, object]) -> None:
         """Send a line. Whether it arrived shows in the answer."""
         with contextlib.suppress(OSError):
             _pipe(self._process.stdin).write(json.dumps(record).encode() + b"\n")
 
-    def hear(self) -> dict[str, Any] | None:
+    def receive(self) -> dict[str, Any] | None:
         """Wait for a line; None when the process has ended instead."""
         return _record(_pipe(self._process.stdout).readline())
 
-    def hear_all(self) -> Iterator[dict[str, Any]]:
+    def receive_all(self) -> Iterator[dict[str, Any]]:
         """Yield every further line until the process has ended."""
         with open(self.read_end, "rb", closefd=False) as lines:  # with a buffer: there are many
             while (record := _record(lines.readline())) is not None:
@@ -163,7 +166,7 @@ class ChildProcess:
     def last_words(self) -> str:
         """Return the last line that it printed until its end, to end a sentence with; empty when it printed none."""
         self._reader.join(_END_S)
-        words = self._said.last()
+        words = self._output.last()
         return f"; its last words: {words[-_LAST_WORDS:]!r}" if words else ""
 
     def close(self, patience_s: float) -> None:
@@ -190,7 +193,7 @@ class ChildProcess:
         """Take in all that is printed, so that nobody who prints has to wait."""
         with _pipe(self._process.stderr) as words:
             while printed := words.read(65536):
-                self._said.feed(printed.replace(b"\0", b""))  # the child's question whether we are still here
+                self._output.feed(printed.replace(b"\0", b""))  # the child's question whether we are still here
 
 
 def handle(descriptor: int) -> int:
@@ -219,3 +222,59 @@ def _how(status: int) -> str:
         return f"was ended by {name} ({signal.strsignal(number)})"
     code = f"{status:#010X}" if status > 0xFFFF else status  # on Windows, an exception's code
     return f"exited with code {code}"
+
+
+_ASK_S = 1.0
+
+
+class Parent:
+    """The process that started this one as a ``ChildProcess``; made once, before any FMU is loaded.
+
+    ``requests`` and ``replies`` are the descriptors of its pipes. An FMU reads nothing from stdin, and what it prints
+    goes to stderr, line by line. When the parent has gone this process removes ``scratch``, the folder of its files,
+    and ends, also while an FMU hangs.
+    """
+
+    def __init__(self) -> None:
+        self.scratch = Path(sys.argv[1])
+        self.requests, self.replies = os.dup(0), os.dup(1)
+        nothing = os.open(os.devnull, os.O_RDONLY)
+        os.dup2(nothing, 0)
+        os.close(nothing)
+        os.dup2(2, 1)
+        shim.load()[1].remote_flush_lines()
+        sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]  # an FMU of Python code prints there
+        threading.Thread(target=self._end_with_it, args=(os.dup(2),), name="parent", daemon=True).start()
+        self.send(here=True)
+
+    def receive(self) -> dict[str, Any]:
+        """Return what the parent tells next; end when there will be nothing more."""
+        with open(self.requests, "rb", buffering=0, closefd=False) as lines:
+            line = lines.readline()
+        if not line.endswith(b"\n"):
+            self.end()
+        heard: dict[str, Any] = json.loads(line)
+        return heard
+
+    def send(self, **record: object) -> None:
+        """Answer with a line; end when nobody hears it."""
+        line = json.dumps(record).encode() + b"\n"
+        try:
+            while line:
+                line = line[os.write(self.replies, line) :]
+        except OSError:
+            self.end()
+
+    def end(self) -> NoReturn:
+        """End without what the FMU registered for the end of its process, which may hang; leave no file behind."""
+        shutil.rmtree(self.scratch, ignore_errors=True)
+        os._exit(0)
+
+    def _end_with_it(self, words: int) -> None:
+        """End when nobody reads any more what is printed here."""
+        while True:
+            time.sleep(_ASK_S)
+            try:
+                os.write(words, b"\0")
+            except OSError:
+                self.end()

@@ -8,15 +8,13 @@ from types import TracebackType
 from typing import Self
 
 from hil.core.errors import BadInputError, DeviceError
+from hil.core.subprocesses import DEFAULT_LIMIT_MB, IS_TOLD
 from hil.core.types import Pose, PoseFix, Twist, Wheels
 from hil.plant import shim
+from hil.plant.child_output import ChildOutput, one_line
 from hil.plant.mapping import SignalMap
-from hil.plant.memory import DEFAULT_LIMIT_MB, IS_TOLD
 from hil.plant.process import THERE_S, ChildProcess, Watch, handle
-from hil.plant.said import Said
-from hil.plant.settable import Settable
-from hil.plant.start import Value
-from hil.plant.words import one_line
+from hil.plant.start import Settable, Value
 
 _OPENING_STEPS = 10.0  # time limits of a step that loading, initialising and resetting may take
 _NO_ROWS = SignalMap()
@@ -28,7 +26,7 @@ class RemotePlant:
 
     ``timeout_s`` is how long a tick may take until the FMU counts as hung; opening it and going back to the start
     may take ten times as long. A process that takes more memory than ``memory_limit_mb`` is ended, where the system
-    tells how much it takes; where it does not, that is the first thing in ``said``, which has all that the FMU prints
+    tells how much it takes; where it does not, that is the first thing in ``output``, which has all that the FMU prints
     and logs. What ends the child is a failure of the plant: the exchange fails, and ``message`` says why. The child
     never outlives this process.
 
@@ -61,9 +59,11 @@ class RemotePlant:
         self._context = self._ffi.new("remote_plant *")
         self._wiring: tuple[Sequence[int], Sequence[int]] = ((0, 1, 2, 3), (1, 1, 1, 1))
         self._closed = False
-        self.said = Said()
+        self.output = ChildOutput()
         if not IS_TOLD:
-            self.said.feed(f"nothing yet; its limit of {memory_limit_mb:g} MB is not watched on this system\n".encode())
+            self.output.feed(
+                f"nothing yet; its limit of {memory_limit_mb:g} MB is not watched on this system\n".encode()
+            )
         self._open()
 
     def _open(self) -> None:
@@ -73,8 +73,8 @@ class RemotePlant:
             # Removed here, because a child that crashes cannot.
             scratch = tempfile.TemporaryDirectory(prefix="hil_plant_", ignore_cleanup_errors=True)
             resources.enter_context(scratch)
-            self.said.forget_newest()
-            self._child = child = ChildProcess("hil.plant.serve", Path(scratch.name), said=self.said)
+            self.output.forget_newest()
+            self._child = child = ChildProcess("hil.plant.serve", Path(scratch.name), output=self.output)
             resources.callback(child.close, self._timeout_s)
             ends = {"read_end": handle(child.read_end), "write_end": handle(child.write_end)}
             self._context[0] = self._ffi.new("remote_plant *", {"pipes": ends})[0]
@@ -92,11 +92,11 @@ class RemotePlant:
     def _have_it_opened(self) -> None:
         child = self._child
         with self._waiting(THERE_S):
-            answer = child.hear()
+            answer = child.receive()
         if answer is not None:
             with self._waiting(self._timeout_s * _OPENING_STEPS):
-                child.tell(self._config)
-                answer = child.hear()
+                child.send(self._config)
+                answer = child.receive()
         if answer is None or "failed" in answer:
             why = self._ending() if answer is None else self._with_last_words(str(answer["failed"]))
             raise DeviceError(f"the plant {self._fmu.name} could not be opened: {why}")
@@ -216,7 +216,7 @@ class RemotePlant:
     def _with_last_words(self, why: str) -> str:
         """Return a reason with the last line that the FMU printed, unless the reason says it already."""
         last_words = self._child.last_words()
-        logged = self.said.last().partition("): ")[2]
+        logged = self.output.last().partition("): ")[2]
         return why if logged and logged in why else f"{why}{last_words}"
 
     def _words(self) -> str:

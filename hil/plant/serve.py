@@ -13,24 +13,23 @@ from hil.core.errors import BadInputError, HilError
 from hil.plant import shim
 from hil.plant.fmu import FmuPlant
 from hil.plant.mapping import Row, SignalMap
-from hil.plant.parent import Parent
-from hil.plant.process import handle
+from hil.plant.process import Parent, handle
 
 
 def main() -> None:
     """Serve one FMU."""
     ffi, lib = shim.load()
     parent = Parent()
-    config = parent.hear()
+    config = parent.receive()
     tempfile.tempdir = str(parent.scratch)
     rows = {signal: Row(*row) for signal, row in config["rows"].items()}
     mapping = SignalMap(rows, config["counts_per_revolution"], config["torque_constant_n_m_a"])
     try:
         plant = FmuPlant(Path(config["fmu"]), config["start"], config["step_ns"], mapping, prints_log=True)
     except HilError as error:
-        parent.say(**{"refused" if isinstance(error, BadInputError) else "failed": str(error)})
+        parent.send(**{"refused" if isinstance(error, BadInputError) else "failed": str(error)})
         parent.end()
-    parent.say(open=True, lacks=sorted(plant.lacks), settable=plant.settable)
+    parent.send(open=True, lacks=sorted(plant.lacks), settable=plant.settable)
     pipes = ffi.new("remote_pipes *", {"read_end": handle(parent.requests), "write_end": handle(parent.replies)})
     request, reply = ffi.new("remote_request *"), ffi.new("remote_reply *")
     exchange = ffi.cast("wheel_plant_exchange", plant.exchange_address)

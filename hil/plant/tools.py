@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from hil.core.errors import BadInputError
+from hil.core.subprocesses import DEFAULT_LIMIT_MB
 from hil.plant import archive, shim
+from hil.plant.child_output import one_line
 from hil.plant.conformance.findings import Finding, Kind, advice, violation
 from hil.plant.description import read_description
-from hil.plant.memory import DEFAULT_LIMIT_MB
 from hil.plant.process import THERE_S, ChildProcess, Watch
-from hil.plant.words import one_line
 
 _LONGEST_CALL_S = 30.0
 _NOT_RUN = "not run, since {} failed"
@@ -123,7 +123,7 @@ def _run_child(job: _Job, todo: Sequence[str]) -> list[Part]:
         watch = Watch(lambda: heard, child.give_up, job.longest_s, lambda: child.limit_memory(DEFAULT_LIMIT_MB))
         resources.callback(watch.stop)
         watch.limit_s = THERE_S
-        child.tell(
+        child.send(
             {
                 "fmu": str(job.fmu.absolute()),
                 "library": str(job.folder / job.library.member),
@@ -131,7 +131,7 @@ def _run_child(job: _Job, todo: Sequence[str]) -> list[Part]:
                 "parts": todo,
             }
         )
-        for entry in child.hear_all():
+        for entry in child.receive_all():
             heard += 1
             progress.take(entry)
             watch.limit_s = job.longest_s if progress.parts else THERE_S

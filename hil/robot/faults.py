@@ -11,7 +11,7 @@ from hil.faults.kinds import BATTERY_VARIABLE, GRIP_VARIABLES, PUSHES
 from hil.plant import shim
 from hil.plant.fmu import FmuPlant
 from hil.plant.remote import RemotePlant
-from hil.plant.settable import Settable
+from hil.plant.start import Settable
 
 
 class Body(NamedTuple):

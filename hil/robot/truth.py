@@ -1,17 +1,46 @@
-"""The host's side of the truth: reads what ``truth_server`` publishes, and asks for faults of the robot."""
+"""Ground truth of a robot in another process, and the faults that are put into it: a TCP socket, never the wheel link.
+
+The client sends one JSON line ``{"scenario": HASH, "reset": BOOL}``; the server (``truth_server``) answers one JSON
+line, ``{"ok": true}`` or ``{"error": TEXT}``, and then sends records: robot time since power-on, pose, twist, set
+points, age of the newest command and state.
+
+Faults of the robot and its plant go the same way, each request in a connection of its own: with ``"faults"`` in its
+line, ``{"arm": ROWS}``, ``{"begin": TICK}`` or ``{"applied": true}``, the client gets its answer and no records.
+"""
 
 import json
 import socket
+import struct
 import time
 from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
 from urllib.parse import urlsplit
 
+from firmware_protocol.generated.messages import State
 from hil.core.errors import BadInputError, DeviceError
-from hil.core.types import PoseFix
+from hil.core.types import Pose, PoseFix, Twist, Wheels
 from hil.faults.kind import FaultRow
-from hil.robot.truth_wire import ANSWER_S, LONGEST_ANSWER, RECORD, TruthRecord, unpack
 
+RECORD = struct.Struct("<q6d4dIB")
+ANSWER_S = 2.0
+LONGEST_ANSWER = 65536
 _CHUNK = 65536
+
+
+class TruthRecord(NamedTuple):
+    """A fix with the firmware's set points, the age of its newest command and its state at that time."""
+
+    fix: PoseFix
+    set_point_rad_s: Wheels
+    command_age_ms: int
+    state: State
+
+
+def unpack(data: bytes | bytearray) -> TruthRecord:
+    """Return the record that these bytes are."""
+    time_ns, x, y, heading, vx, vy, yaw_rate, fl, fr, rr, rl, age_ms, state = RECORD.unpack(data)
+    fix = PoseFix(time_ns, Pose(x, y, heading), Twist(vx, vy, yaw_rate))
+    return TruthRecord(fix, Wheels(fl, fr, rr, rl), age_ms, State(state))
 
 
 class TruthClient:

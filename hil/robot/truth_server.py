@@ -12,7 +12,7 @@ from hil.core.errors import BadInputError, DeviceError, HilError
 from hil.core.types import PoseFix
 from hil.faults.kind import FaultRow
 from hil.robot.faults import RobotFaults
-from hil.robot.truth_wire import ANSWER_S, LONGEST_ANSWER, RECORD
+from hil.robot.truth import ANSWER_S, LONGEST_ANSWER, RECORD
 
 _HOST = "127.0.0.1"
 

@@ -20,10 +20,10 @@ from hil.core.clock import TICK_NS
 from hil.core.errors import BadInputError, DeviceError, HilError
 from hil.core.types import PoseFix
 from hil.plant import archive
+from hil.plant.child_output import ChildOutput
 from hil.plant.fmu import FmuPlant
 from hil.plant.mapping import SignalMap
 from hil.plant.remote import RemotePlant
-from hil.plant.said import Said
 from hil.robot.faults import Body, RobotFaults
 from hil.robot.robot_node import RobotNode
 from hil.robot.wheel_map import WheelMap
@@ -163,9 +163,9 @@ class VirtualStm32:
         return DeviceError(f"the plant {self._made_of.plant.fmu.name} failed at {at_s:g} s: {self.plant.message}")
 
     @property
-    def said(self) -> Said | None:
-        """What a plant in a process of its own prints and logs; None of one in this process."""
-        return self.plant.said if isinstance(self.plant, RemotePlant) else None
+    def output(self) -> ChildOutput | None:
+        """The output of a plant in a process of its own; None of one in this process."""
+        return self.plant.output if isinstance(self.plant, RemotePlant) else None
 
     def close(self) -> None:
         """Free the plant."""

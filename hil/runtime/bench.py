@@ -22,7 +22,7 @@ from hil.drivers.motor_stop import StopTerms
 from hil.drivers.port import Driver
 from hil.drivers.registry import dialect
 from hil.estimation.localisation import SimulatedFixes, UdpFixes
-from hil.plant.said import Said
+from hil.plant.child_output import ChildOutput
 from hil.robot.direct import DirectTruth, open_direct
 from hil.robot.faults import RobotFaults
 from hil.robot.handshake import Expected
@@ -246,9 +246,9 @@ class Bench:
         return self._robot.failure() if self._robot is not None else None
 
     @property
-    def said(self) -> Said | None:
+    def plant_output(self) -> ChildOutput | None:
         """What the plant of the robot in this process prints and logs, where it has a process of its own."""
-        return self._robot.said if self._robot is not None else None
+        return self._robot.output if self._robot is not None else None
 
     @property
     def robot_threads(self) -> tuple[int, ...]:

@@ -8,7 +8,7 @@ from typing import Any
 from hil.core.ports import Note
 from hil.faults.kinds import find
 from hil.judge.expectations import Watch, outcome_figures
-from hil.plant.said import Said, tell
+from hil.plant.child_output import ChildOutput, log_lines
 from hil.scenario import Scenario
 
 _LEVELS = {True: "info", None: "warning", False: "error"}
@@ -18,12 +18,12 @@ class RunEvents:
     """A sink that passes nothing on: it watches each row, and has something to say only when something happens.
 
     A tick pays two comparisons, and one more for each expectation that is open then. ``names`` are the signals of the
-    run, ``loop.t_s`` among them; ``said`` has what the plant says, where it is one of those that do.
+    run, ``loop.t_s`` among them; ``output`` is that of a plant in a process of its own.
     """
 
-    def __init__(self, scenario: Scenario, names: Sequence[str], note: Note, said: Said | None = None) -> None:
+    def __init__(self, scenario: Scenario, names: Sequence[str], note: Note, output: ChildOutput | None = None) -> None:
         self._note = note
-        self._said = Said() if said is None else said
+        self._output = ChildOutput() if output is None else output
         self._t_place = names.index("loop.t_s")
         self._watches = [(names.index(row.signal), Watch(row)) for row in scenario.expect]
         self._open: tuple[tuple[int, Watch], ...] = ()
@@ -48,8 +48,8 @@ class RunEvents:
         t_s = row[self._t_place]
         if t_s >= self._next_s:
             self._cross(t_s)
-        if self._said:
-            tell(self._said.take(), t_s, self._note)
+        if self._output:
+            log_lines(self._output.take(), t_s, self._note)
         for place, watch in self._open:
             if watch.add(t_s, row[place]):
                 self._tell_of_failure(watch)
@@ -59,7 +59,7 @@ class RunEvents:
 
         ``is_cut`` says that it ended before it should have.
         """
-        tell(self._said.end(), t_s, self._note)
+        log_lines(self._output.end(), t_s, self._note)
         for words in self._in_force:
             self._note(t_s, "info", f"fault ends with the run: {words}")
         cut_s = t_s if is_cut else None

@@ -12,7 +12,7 @@ from hil.core.errors import BadInputError, HilError, LinkError
 from hil.core.signals import LoopSignals
 from hil.core.tick_watch import TickWatch
 from hil.core.types import NAN
-from hil.plant.said import tell
+from hil.plant.child_output import log_lines
 from hil.record.viewer import live_hint
 from hil.runtime.bench import Bench
 from hil.runtime.parts import PartsOf
@@ -150,8 +150,8 @@ class _Service:
             desk = Desk(self.scenario, self.made_of, signals, pilot, self.records, self.api.send, reload, beside)
             resources.callback(desk.end)
             resources.callback(bench.device.disarm)
-            if (said := bench.said) is not None:
-                resources.callback(lambda: tell(said.end(), self._t_s, self.records.note))
+            if (output := bench.plant_output) is not None:
+                resources.callback(lambda: log_lines(output.end(), self._t_s, self.records.note))
             watch = TickWatch(self.scenario.loop.tick_limit_s, lambda: self._t_s, self._last_words)
             with real_time(self.scenario.realtime, bench.robot_threads) as granted, watch:
                 self._loop(bench, pilot, desk, granted, watch)
@@ -247,8 +247,8 @@ class _Service:
                     phase = pilot.phase
                     self._note_phase(pilot)
                 self.api.send(self._statuses.status(pilot, bench, granted))
-                if bench.said:
-                    tell(bench.said.take(), t_s, self.records.note)
+                if bench.plant_output:
+                    log_lines(bench.plant_output.take(), t_s, self.records.note)
             self.notifier.beat(begin_ns)
             tick_us = (time.perf_counter_ns() - begin_ns) * 1e-3
             following = sampling.following(number)

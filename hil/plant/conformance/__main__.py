@@ -10,11 +10,10 @@ from pathlib import Path
 from fmpy.fmi1 import FMICallException
 
 from hil.plant.conformance.findings import Kind
-from hil.plant.conformance.fmi2 import Slave2
-from hil.plant.conformance.fmi3 import Slave3
 from hil.plant.conformance.order import GATES, PARTS, title
 from hil.plant.conformance.slave import DISCARD, InstantiationError, Model, NotTestedError, Slave
-from hil.plant.parent import Parent
+from hil.plant.conformance.versions import Slave2, Slave3
+from hil.plant.process import Parent
 
 SLAVES: dict[str, type[Slave]] = {"2.0": Slave2, "3.0": Slave3}
 
@@ -22,34 +21,34 @@ SLAVES: dict[str, type[Slave]] = {"2.0": Slave2, "3.0": Slave3}
 def main() -> None:
     """Run the parts that were asked for, up to one that nothing can follow."""
     parent = Parent()
-    say = parent.say
-    asked = parent.hear()
+    report = parent.send
+    asked = parent.receive()
     library = Path(asked["library"])
     os.chdir(library.parent)  # some libraries look for others where they are
-    model = Model(Path(asked["fmu"]), parent.scratch, library, SLAVES[asked["version"]], say)
+    model = Model(Path(asked["fmu"]), parent.scratch, library, SLAVES[asked["version"]], report)
     for part in PARTS:
         if title(part) not in asked["parts"]:
             continue
-        say(part=title(part))
+        report(part=title(part))
         failed = False
         try:
             for finding in part(model):
                 failed = True
-                say(kind=finding.kind, found=finding.text)
+                report(kind=finding.kind, found=finding.text)
         except NotTestedError as reason:
-            say(skipped=str(reason))
+            report(skipped=str(reason))
         except FMICallException as error:
             failed = True
             # A call may be discarded: the FMU is as it was. But nobody here tries another one then.
             kind = Kind.NEED if error.status == DISCARD else Kind.VIOLATION
-            say(kind=kind, found=model.explain(error))
+            report(kind=kind, found=model.explain(error))
         except InstantiationError as error:
             failed = True
-            say(kind=Kind.VIOLATION, found=str(error))
-        say(done=True)
+            report(kind=Kind.VIOLATION, found=str(error))
+        report(done=True)
         if failed and part in GATES:
             break
-    say(trying="", doing="at its exit")  # for which the FMU may have registered something
+    report(trying="", doing="at its exit")  # for which the FMU may have registered something
 
 
 if __name__ == "__main__":

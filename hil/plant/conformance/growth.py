@@ -4,8 +4,8 @@ import gc
 import time
 from collections.abc import Callable
 
+from hil.core.subprocesses import IS_TOLD, resident_bytes
 from hil.plant.conformance.slave import NotTestedError
-from hil.plant.memory import IS_TOLD, resident_bytes
 
 _LONGEST_S = 0.25  # of one call: what takes longer cannot be done often enough
 _BLOCKS = 5

@@ -32,7 +32,7 @@ class Misuse(NamedTuple):
 def illegal_calls(model: Model) -> Iterator[Finding]:
     """What an importer must not call is refused with an error: FMI 3.0 section 2.2.3, FMI 2.0 section 4.2.4."""
     for misuse in _misuses(model):
-        model.say(trying=misuse.name)
+        model.report(trying=misuse.name)
         with model.instance(initialised=False) as slave:
             _bring_to(slave, misuse.state)
             try:
@@ -52,7 +52,7 @@ def values_out_of_range(model: Model) -> Iterator[Finding]:
         if variable.causality not in ("parameter", "input"):
             continue
         for value in _outside(variable):
-            model.say(trying=f"{variable.name} = {value!r}")
+            model.report(trying=f"{variable.name} = {value!r}")
             with model.instance(initialised=False) as slave:
                 try:
                     if variable.causality == "parameter":

@@ -19,7 +19,7 @@ _ROUNDING = 1e-9
 
 def functions(model: Model) -> Iterator[Finding]:
     """Every function of the interface is exported: FMI 2.0.5 section 2.3, FMI 3.0.1 section 2.2.1."""
-    model.say(doing="while its library is loaded")
+    model.report(doing="while its library is loaded")
     try:
         library = ctypes.CDLL(str(model.library_path))
     except OSError as error:
@@ -32,7 +32,7 @@ def functions(model: Model) -> Iterator[Finding]:
         return
     get_version = library[f"{prefix}GetVersion"]
     get_version.restype = ctypes.c_char_p
-    model.say(doing=f"in {prefix}GetVersion")
+    model.report(doing=f"in {prefix}GetVersion")
     version = (get_version() or b"").decode(errors="replace")
     if not version.startswith(model.slave.version):
         yield violation(f"{prefix}GetVersion gives {version!r}; expected {model.slave.version}")

@@ -13,9 +13,9 @@ from typing import Any, ClassVar, NamedTuple
 from fmpy.fmi1 import FMICallException
 from fmpy.model_description import ModelDescription, ModelVariable
 
+from hil.plant.child_output import one_line
 from hil.plant.conformance.findings import Finding
 from hil.plant.description import read_description
-from hil.plant.words import one_line
 
 Value = float | int | bool
 Outputs = list[Value]
@@ -35,7 +35,7 @@ class NotTestedError(Exception):
 
 
 class Step(NamedTuple):
-    """What came of a step that succeeded: the time that the FMU has reached, and what there is to say of it."""
+    """What came of a step that succeeded: the time that the FMU has reached, and a finding, if there is one."""
 
     reached_s: float
     finding: Finding | None = None
@@ -132,14 +132,14 @@ class Slave(abc.ABC):
 class Model:
     """An unpacked FMU: its description, its library, and instances of it.
 
-    ``say`` passes on what is tried, and what is called before it is: the FMU may not survive it.
+    ``report`` is told each attempt and each call before it is made: the FMU may not survive it.
     """
 
-    def __init__(self, fmu: Path, folder: Path, library: Path, slave: type[Slave], say: Callable[..., None]) -> None:
-        self.folder, self.library_path, self.slave, self.say = folder, library, slave, say
+    def __init__(self, fmu: Path, folder: Path, library: Path, slave: type[Slave], report: Callable[..., None]) -> None:
+        self.folder, self.library_path, self.slave, self.report = folder, library, slave, report
         self.description: ModelDescription = read_description(fmu)
         self.claims = self.description.coSimulation
-        self.said = ""  # the FMU's newest message
+        self.message = ""  # the FMU's newest message
         experiment = self.description.defaultExperiment
         wanted = None if experiment is None else experiment.stepSize
         begin = None if experiment is None else experiment.startTime
@@ -163,7 +163,7 @@ class Model:
         call = library._call  # by which FMPy calls every function, whatever the copy of the library
 
         def said_and_called(name: str, *arguments: Any) -> Any:
-            self.say(doing=f"in {name}")
+            self.report(doing=f"in {name}")
             return call(name, *arguments)
 
         library._call = said_and_called
@@ -172,7 +172,7 @@ class Model:
     @contextlib.contextmanager
     def instance(self, *, initialised: bool = True) -> Iterator[Slave]:
         """Give an instance, freed at the end."""
-        self.said = ""
+        self.message = ""
         slave = self.slave(self)
         slave.instantiate()
         try:
@@ -199,7 +199,7 @@ class Model:
 
     def words(self) -> str:
         """Return the FMU's newest message as the end of a sentence."""
-        return f" ({one_line(self.said)[:300]})" if self.said else ""
+        return f" ({one_line(self.message)[:300]})" if self.message else ""
 
 
 def count(variable: ModelVariable) -> int:

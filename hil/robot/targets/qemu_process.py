@@ -49,7 +49,7 @@ class QemuProcess:
             resources.callback(self._child.close, _END_S)
             for line in ours:
                 line.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
-            self._child.tell({"command": _command(program, elf, flash, numbers), "inherited": numbers})
+            self._child.send({"command": _command(program, elf, flash, numbers), "inherited": numbers})
             self._resources = resources.pop_all()
 
     def forget_file(self) -> None:

@@ -1,11 +1,10 @@
-"""What a process says, on stdout and stderr: taken in as fast as it comes, and kept as far as it is bounded."""
+"""The output of a child process: read as fast as it comes, kept in bounded memory, shown as plain text."""
 
 import threading
 from collections import deque
 from collections.abc import Iterable
 
 from hil.core.ports import Note
-from hil.plant.words import one_line
 
 _LOGGED_TROUBLE = tuple(f"log ({status})" for status in ("warning", "discard", "error", "fatal"))  # as cosim.c has it
 _FIRST_LINES = 100
@@ -14,11 +13,11 @@ _LONGEST_LINE = 300  # characters that are kept of a line
 _KEPT_BYTES = 8192  # of a line that has not ended, and of the newest lines
 
 
-class Said:
-    """The first lines and the newest ones of what was said, and how many there were between them.
+class ChildOutput:
+    """The first lines and the newest lines of a process's output, and the number of lines between them.
 
-    One thread feeds, another one takes. Whoever takes slowly keeps nobody from talking: a process that talks without
-    end costs a look for line ends, and no memory.
+    One thread calls ``feed``, another one ``take``; neither waits for the other. Memory is bounded, also for a process
+    that prints without end.
     """
 
     def __init__(self) -> None:
@@ -30,7 +29,7 @@ class Said:
         self._passed_on = 0
 
     def feed(self, printed: bytes) -> None:
-        """Take in some bytes."""
+        """Add bytes that the process has printed."""
         with self._lock:
             self._newest = (self._newest + printed)[-_KEPT_BYTES:]
             self._lines += printed.count(b"\n")
@@ -43,21 +42,21 @@ class Said:
                 self._waiting.append(_words(line))
 
     def __bool__(self) -> bool:
-        """Tell whether there is something to take."""
+        """Return whether ``take`` has lines to return."""
         return bool(self._waiting)
 
     def forget_newest(self) -> None:
-        """Forget the newest lines: what comes now is said by another process."""
+        """Forget the newest lines: what comes now is printed by another process."""
         with self._lock:
             self._newest = b""
 
     def take(self) -> list[str]:
-        """Return the lines that have come since the last time, as long as they are among the first ones."""
+        """Return the lines since the last call, as far as they are among the first ones."""
         lines = [self._waiting.popleft() for _ in range(len(self._waiting))]
         return [line for line in lines if line]
 
     def end(self) -> list[str]:
-        """Return what is left to be told at the end: how much is left out, and the newest lines."""
+        """Return what is left at the end: the number of lines that are left out, and the newest lines."""
         with self._lock:
             *whole, unfinished = self._newest.split(b"\n")
             rest = self._lines - self._passed_on
@@ -70,18 +69,27 @@ class Said:
             return self.take() + note + [line for line in lines if line]
 
     def last(self) -> str:
-        """Return the last line that says something; empty when there is none."""
+        """Return the last line that is not blank; empty when there is none."""
         with self._lock:
             newest = self._newest
         lines = (_words(line) for line in reversed(newest.split(b"\n")))
         return next((line for line in lines if line), "")
 
 
-def tell(lines: Iterable[str], t_s: float, note: Note) -> None:
-    """Put what a plant has said into the event log of a run."""
+def log_lines(lines: Iterable[str], t_s: float, note: Note) -> None:
+    """Write lines that a plant has printed into the event log of a run."""
     for line in lines:
         note(t_s, "warning" if line.startswith(_LOGGED_TROUBLE) else "info", f"the plant says: {line}")
 
 
 def _words(line: bytes) -> str:
     return one_line(line[: 4 * _LONGEST_LINE].decode(errors="replace"))[:_LONGEST_LINE]
+
+
+def one_line(text: str) -> str:
+    """Return the text in one line, without the control characters of a terminal.
+
+    >>> one_line("red: \\x1b[31m,\\nend")
+    'red: [31m, end'
+    """
+    return " ".join("".join(sign if sign.isprintable() else " " for sign in text).split())
