@@ -2,22 +2,11 @@
 
 import functools
 import shutil
-import tempfile
-from pathlib import Path
 
 import pytest
 
 from firmware_protocol.arm_build import Built, Target, build
-
-
-@functools.cache
-def _folder() -> tempfile.TemporaryDirectory:
-    return tempfile.TemporaryDirectory()
-
-
-@functools.cache
-def _build(target: Target) -> Built:
-    return build(target, Path(_folder().name))
+from tests import once
 
 
 def need_gcc() -> None:
@@ -29,4 +18,5 @@ def need_gcc() -> None:
 def firmware(variant: str, board: str, link: str) -> Built:
     """Return a firmware that gcc has built."""
     need_gcc()
-    return _build(Target(variant, board, link))
+    target = Target(variant, board, link)
+    return once.made(target.name, functools.partial(build, target))

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests import examples, socketcan_runner
+from tests import examples, once, socketcan_runner
 from tests.plugin_suites import suite
 
 if TYPE_CHECKING:
@@ -51,6 +51,13 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
 def _unwanted(reporter: pytest.TerminalReporter) -> list[str]:
     skipped = [report.nodeid for report in reporter.stats.get("skipped", [])]
     return [nodeid for nodeid in skipped if not nodeid.endswith(_MAY_SKIP or ("\0",))]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _made_once(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Let tests.once work; the folder of a worker of xdist is in that of the session."""
+    folder = tmp_path_factory.getbasetemp()
+    once.share(folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder)
 
 
 @pytest.fixture(scope="module")

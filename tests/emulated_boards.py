@@ -4,7 +4,6 @@ import functools
 import importlib.util
 import random
 import shutil
-import tempfile
 from pathlib import Path
 
 import pytest
@@ -16,6 +15,7 @@ from firmware_protocol.generated import messages as m
 from firmware_protocol.host import library, parameter_hash, stored_parameters
 from firmware_protocol.stm32_flash import HIL_BOARD
 from hil.wire.robot_end import Node
+from tests import once
 from tests.arm_programs import HAS_COMPILER, NEEDS_COMPILER
 from tests.wheel_rig import PARAMETERS, WheelRig
 
@@ -30,15 +30,12 @@ needs_unicorn = pytest.mark.skipif(
 needs_qemu = pytest.mark.skipif(
     shutil.which("qemu-system-arm") is None, reason="needs qemu-system-arm; install the package of this name"
 )
-_FOLDERS: list[tempfile.TemporaryDirectory[str]] = []  # they live as long as the process
 
 
-@functools.cache
 def firmware(link: str) -> Path:
     """Build the firmware of the emulated targets, once."""
-    _FOLDERS.append(tempfile.TemporaryDirectory(prefix="hil_firmware_"))
     target = next(t for t in TARGETS if t.variant == "hil-emulated" and t.link == link)
-    return build(target, Path(_FOLDERS[-1].name)).elf
+    return once.made(target.name, functools.partial(build, target)).elf
 
 
 def plant_of(rig: WheelRig) -> tuple[int, int]:
