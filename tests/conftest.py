@@ -8,6 +8,7 @@ import pytest
 
 from tests import examples, once, socketcan_runner
 from tests.plugin_suites import suite
+from tests.slow import is_slow
 
 if TYPE_CHECKING:
     from tests.service_testbed import ControlSide
@@ -27,6 +28,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.get_closest_marker(socketcan_runner.MARKER) is not None:
             item.add_marker(pytest.mark.alone)
+        if is_slow(item.path.name, item.name):
+            item.add_marker(pytest.mark.slow)
     if "PYTEST_XDIST_WORKER" in os.environ:
         items.sort(key=lambda item: item.path.name not in _LONGEST)
 

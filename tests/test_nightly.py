@@ -10,6 +10,7 @@ import sys
 import pytest
 
 from tests.processes import ROOT
+from tests.slow import SLOW
 from tools import nightly, soak
 
 needs_make = pytest.mark.skipif(shutil.which("make") is None, reason="make is not there; install it")
@@ -35,6 +36,13 @@ def test_all_tests_are_chosen_once_by_test_and_test_rest() -> None:
         if alone or not socketcan:  # tests/conftest.py marks every socketcan test as alone
             marks = {"slow": slow, "alone": alone, "socketcan": socketcan}
             assert sum(eval(words, marks) for words in chosen) == 1
+
+
+def test_every_slow_test_is_there() -> None:
+    for entry in SLOW:
+        file, _, name = entry.partition("::")
+        text = (ROOT / "tests" / file).read_text(encoding="utf-8")
+        assert f"def {name.partition('[')[0]}" in text, entry
 
 
 def test_each_step_leaves_a_file_that_names_commit_date_and_command(tmp_path, capfd) -> None:

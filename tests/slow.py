@@ -1,0 +1,59 @@
+"""The tests that `make test` leaves out: they take seconds of processor time, and others prove most of what they do.
+
+An entry is a file, a test of it, or a test with the beginning of its parameters. `make test-rest` runs them.
+"""
+
+SLOW = (
+    # C that is compiled for other machines, with other compilers, or with a flaw.
+    "test_arm_build.py",
+    "test_arm_drivers.py",
+    "test_arm_real_time.py",
+    "test_catalogue.py::test_an_unsafe_firmware_is_caught",
+    "test_fmi3_calls.py::test_a_life_passes_the_sanitizers",
+    "test_fmu_build.py",
+    "test_fmu_check.py::test_a_fault_is_found_by_its_part_and_is_of_its_kind[3-",
+    "test_fmu_check.py::test_a_part_of_many_short_calls_is_no_hang",
+    "test_fmu_check.py::test_a_check_that_is_ended_leaves_no_child_and_no_files",
+    "test_fmu_platforms.py",
+    "test_foreign_fmu.py::test_the_shim_passes_the_sanitizers_over_a_foreign_fmu",
+    "test_fuzz.py",
+    "test_install.py",
+    "test_mujoco_fmu.py",
+    # Emulators, browsers, other kernels.
+    "test_qemu.py",
+    "test_socketcan_inside.py",
+    "test_targets.py",
+    "test_telemetry_screenshot.py",
+    # Sessions of processes that are ended, killed or stopped.
+    "test_campaign.py",
+    "test_catalogue.py::test_a_pair_in_torque_mode_and_a_run_in_real_time_are_judged_too",
+    "test_catalogue.py::test_a_run_that_hangs_is_ended_and_one_that_crashes_is_told",
+    "test_foreign_plant_runs.py::test_a_foreign_fmu_takes_down_the_run_in_order",
+    "test_foreign_plant_runs.py::test_an_fmu_that_cannot_be_opened_ends_with_exit_code_3",
+    "test_foreign_plant_runs.py::test_in_two_processes_both_end_with_exit_code_3",
+    "test_foreign_plant_runs.py::test_odometry_of_a_robot_in_another_process_begins_there_too",
+    "test_foreign_plant_runs.py::test_ctrl_c_stops_the_robot_while_its_plant_goes_on",
+    "test_pytest_plugin_fixtures.py::test_a_robot_that_is_killed_in_mid_test_is_a_sentence",
+    "test_pytest_plugin_fixtures.py::test_ctrl_c_leaves_no_process_behind",
+    "test_pytest_plugin_fixtures.py::test_a_killed_session_leaves_no_process_behind",
+    "test_pytest_plugin_fixtures.py::test_xdist_runs_scenarios_and_robots_side_by_side",
+    "test_pytest_plugin_install.py",
+    "test_rearm_processes.py",
+    "test_remote_plant.py::test_what_the_fmu_does_is_said_and_undone_by_a_reset",
+    "test_tick_watch.py",
+    # Many runs, or long ones.
+    "test_comparison.py::test_the_command_gives_and_writes_the_figures_of_the_runs_the_same_every_time",
+    "test_fmu_calls.py::test_two_thousand_instances_leave_nothing_behind",
+    "test_makers_runs.py::test_the_papers_circle_is_tracked_through_each",
+    "test_reproduction.py::test_the_json_keeps_its_form",
+    "test_three_plants.py::test_a_controller_within_the_grip_tracks_the_circle_on_each_plant",
+    "test_two_processes.py::test_an_abandoned_lockstep_robot_is_put_back_to_its_start",
+)
+
+
+def is_slow(file: str, name: str) -> bool:
+    """Tell whether a test is in the list, by the name of its file and its own with its parameters."""
+    function = name.partition("[")[0]
+    return any(entry in (file, f"{file}::{function}") for entry in SLOW) or any(
+        "[" in entry and f"{file}::{name}".startswith(entry) for entry in SLOW
+    )
