@@ -8,15 +8,16 @@ from typing import Any
 import pytest
 
 from firmware_protocol.built import HERE, SOURCES
-from hil.batch.catalogue.plan import Asked, alone, pairs
-from hil.batch.catalogue.runs import WORK, perform
-from hil.batch.old_pool import counted, perform_all
+from hil.batch.catalogue.plan import Request, alone, pairs
+from hil.batch.catalogue.verdicts import run_trials
 from hil.cli.progress import runs_progress
+from hil.core.errors import BadInputError
 from hil.core.options import build
 from hil.faults.cases import CASES, DURATION_S, Outcome
 from hil.faults.kinds import KINDS, find
 from hil.scenario.trial import FaultTable
 from tests.processes import hil
+from tests.trials import done_here
 from tools.build.compiler import compile_shared
 
 # What is changed in the firmware's sources, and the faults that show it.
@@ -149,7 +150,7 @@ def test_a_pair_in_torque_mode_and_a_run_in_real_time_are_judged_too(tmp_path) -
 
 def test_a_sample_of_the_pairs_is_chosen_by_its_seed_and_all_seeds_together_take_all(tmp_path) -> None:
     def names(sample: int | None, seed: int = 0) -> list[str]:
-        return [job.fault for job in pairs(Asked("circle_speed", [], [], [], tmp_path, sample, seed))]
+        return [trial.fault for trial in pairs(Request("circle_speed", [], [], [], tmp_path, sample, seed))]
 
     everything = names(None)
     assert names(60, 3) == names(60, 3) != names(60, 4)
@@ -171,7 +172,8 @@ def test_an_unsafe_firmware_is_caught(flaw, tmp_path, monkeypatch) -> None:
     library = tmp_path / "libunsafe.so"
     compile_shared(sources, library, flags=("-w", "-O0", f"-I{HERE / 'firmware'}"))
     monkeypatch.setenv("WHEEL_HOST_LIBRARY", str(library))
-    verdicts = perform_all(WORK, alone(Asked("circle_speed", [], ["memory"], kinds, tmp_path)), 1, 60.0)
+    request = Request("circle_speed", [], ["memory"], kinds, tmp_path)
+    verdicts = run_trials(request, alone(request), 1, 60.0)
     assert any(verdict.verdict.startswith("unsafe") for verdict in verdicts), verdicts
 
 
@@ -192,27 +194,41 @@ def test_a_run_that_hangs_is_ended_and_one_that_crashes_is_told(tmp_path) -> Non
 def test_a_worker_that_is_none_is_a_verdict_on_each_job_and_a_line_of_progress(
     words, tmp_path, monkeypatch, capsys
 ) -> None:
-    monkeypatch.setattr("hil.batch.old_pool.module_command", lambda _module: words)
-    jobs = alone(Asked("circle_speed", [], ["memory"], ["push", "mute"], tmp_path))
-    tell = counted(lambda done, of, verdict: runs_progress(done, of, verdict.fault), len(jobs))
-    verdicts = perform_all(WORK, jobs, 2, 60.0, tell)
+    monkeypatch.setattr("hil.batch.pool.module_command", lambda *_: words)
+    request = Request("circle_speed", [], ["memory"], ["push", "mute"], tmp_path)
+    trials = alone(request)
+    verdicts = run_trials(request, trials, 2, 60.0, runs_progress)
     shown = capsys.readouterr().err.replace("\r", "\n").split("\n")
     counts = [line for line in shown if line.endswith(" runs")]
-    assert counts == [f"{done} of {len(jobs)} runs" for done in range(1, len(jobs) + 1)]
-    assert sorted(set(shown) - set(counts) - {""}) == sorted({verdict.fault for verdict in verdicts})
-    assert [verdict.fault for verdict in verdicts] == [job.fault for job in jobs]
+    assert counts == [f"{done} of {len(trials)} runs" for done in range(1, len(trials) + 1)]
+    said = [f"{verdict.fault} over memory:: {verdict.verdict}" for verdict in verdicts]
+    assert sorted(set(shown) - set(counts) - {""}) == sorted(set(said))
+    assert [verdict.fault for verdict in verdicts] == [trial.fault for trial in trials]
     assert all(verdict.verdict.startswith("crashed: ") for verdict in verdicts)
 
 
 def test_a_run_that_ends_otherwise_or_whose_fault_did_nothing_is_not_as_it_should_be(tmp_path) -> None:
-    (job,) = alone(Asked("circle_speed", [], ["memory"], ["stuck_encoder"], tmp_path))
-    assert perform(job).is_ok
-    job = job._replace(recording=str(tmp_path / "other.rrd"))
-    other = perform(job._replace(causes=["OVERSPEED"], causes_of_end=["OVERSPEED"]))
+    request = Request("circle_speed", [], ["memory"], ["stuck_encoder"], tmp_path)
+    (trial,) = alone(request)
+    assert done_here(request, trial).is_ok
+    trial = trial._replace(recording=str(tmp_path / "other.rrd"))
+    other = done_here(request, trial._replace(causes=["OVERSPEED"], causes_of_end=["OVERSPEED"]))
     assert "the robot was lost, but not for OVERSPEED" in other.verdict
     idle = {"kind": "mute", "target": "ESTOP", "start_s": 0.2}
-    job = job._replace(recording=str(tmp_path / "idle.rrd"))
-    assert "was never applied" in perform(job._replace(rows=[idle, *job.rows])).verdict
+    trial = trial._replace(recording=str(tmp_path / "idle.rrd"))
+    assert "was never applied" in done_here(request, trial._replace(rows=[idle, *trial.rows])).verdict
+
+
+def test_a_trial_that_the_scenario_cannot_have_is_refused_and_the_others_are_done(tmp_path) -> None:
+    request = Request("circle_speed", [], ["memory"], ["stuck_encoder"], tmp_path)
+    (trial,) = alone(request)
+    unknown = trial._replace(fault="no such", rows=[{"kind": "no_such", "target": "command"}])
+    good, refused = run_trials(request, [trial, unknown], 1, 60.0)
+    assert good.is_ok
+    assert refused.verdict.startswith("refused: ")
+    assert "no_such" in refused.verdict
+    with pytest.raises(BadInputError, match="no_such"):
+        run_trials(request, [unknown, trial], 1, 60.0)
 
 
 def test_a_wrong_outcome_is_a_row_of_the_table_and_its_recording_is_kept(tmp_path) -> None:

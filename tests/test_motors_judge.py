@@ -6,20 +6,22 @@ from typing import Any
 import pytest
 
 import hil.runtime.robots
-from hil.batch.catalogue.plan import Asked, alone
-from hil.batch.catalogue.runs import Verdict, perform
+from hil.batch.catalogue.plan import Request, alone
+from hil.batch.catalogue.verdicts import Verdict
 from hil.core.errors import BadInputError
 from hil.core.types import FourWheels
 from hil.drivers.moteus.emulated import EmulatedMoteus
+from tests.trials import done_here
 
 
-def asked(driver: str, folder: Path, *kinds: str) -> Asked:
-    return Asked("circle_speed", [f"device.driver={driver}", "loop.rate_hz=200"], [], list(kinds), folder)
+def asked(driver: str, folder: Path, *kinds: str) -> Request:
+    return Request("circle_speed", [f"device.driver={driver}", "loop.rate_hz=200"], [], list(kinds), folder)
 
 
 def verdict(folder: Path, name: str, driver: str = "moteus") -> Verdict:
-    [job] = [job for job in alone(asked(driver, folder)) if job.fault == name]
-    return perform(job)
+    request = asked(driver, folder)
+    [trial] = [trial for trial in alone(request) if trial.fault == name]
+    return done_here(request, trial)
 
 
 @pytest.mark.parametrize("name", ["no command", "disconnect link", "bit_errors command"])
@@ -72,9 +74,10 @@ def test_a_watchdog_that_does_nothing_is_noticed(
 ) -> None:
     """No command gets there from 0.2 s on, for longer than the host's own patience and a ramp."""
     monkeypatch.setattr(hil.runtime.robots, "emulated", lambda _name: kind)
-    [job] = [job for job in alone(asked("moteus", tmp_path)) if job.fault == "no command"]
+    request = asked("moteus", tmp_path)
+    [trial] = [trial for trial in alone(request) if trial.fault == "no command"]
     gone = {"kind": "drop", "target": "command", "start_s": 0.2, "end_s": 1.25, "value": 1.0}
-    assert sentence in perform(job._replace(rows=[gone])).verdict
+    assert sentence in done_here(request, trial._replace(rows=[gone])).verdict
 
 
 def test_motors_that_nothing_stops_are_refused(tmp_path: Path) -> None:

@@ -1,16 +1,14 @@
 """``hil catalogue``."""
 
-import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.cli.options import Json, Sets, end_in_order, print_json
-from hil.core.errors import RunInterruptedError
+from hil.cli.options import Json, Sets, print_json
 
 if TYPE_CHECKING:
-    from hil.batch.catalogue.runs import Verdict
+    from hil.batch.catalogue import Verdict
 
 
 def catalogue(
@@ -40,23 +38,18 @@ def catalogue(
     as_json: Json = False,
 ) -> None:
     """Run the fault catalogue and judge every run for safety; exit 1 when one is not as it should be."""
+    from hil.batch.catalogue import Request
     from hil.batch.catalogue import catalogue as run_catalogue
-    from hil.batch.catalogue.plan import Asked
     from hil.cli import report
-    from hil.cli.progress import runs_progress
+    from hil.cli.progress import batch
 
-    end_in_order()
     laws = [] if law is None else [f"controller.law={law}"]
-    asked = Asked(scenario, [*laws, *(sets or [])], link or [], kind or [], report.catalogue_folder(), sample, seed)
-    tell = (
-        None
-        if as_json or not sys.stderr.isatty()
-        else (lambda done, of, newest: runs_progress(done, of, _trouble(newest)))
-    )
-    try:
-        verdicts = run_catalogue(asked, pairs=pairs, realtime=realtime, jobs=jobs, limit_s=limit_s, tell=tell)
-    except KeyboardInterrupt:
-        raise RunInterruptedError("interrupted; the runs were ended") from None
+    sets = [*laws, *(sets or [])]
+    request = Request(scenario, sets, link or [], kind or [], report.catalogue_folder(), sample, seed)
+    with batch(as_json=as_json) as progress:
+        verdicts = run_catalogue(
+            request, pairs=pairs, realtime=realtime, workers=jobs, limit_s=limit_s, on_progress=progress
+        )
     passed = all(verdict.is_ok for verdict in verdicts)
     if as_json:
         print_json({"passed": passed, "runs": [verdict._asdict() for verdict in verdicts]})
@@ -93,7 +86,3 @@ def _catalogue_row(verdict: "Verdict") -> tuple[str, ...]:
         f"{verdict.wall_s:.1f}",
         "ok" if verdict.is_ok else verdict.verdict.partition(":")[0],
     )
-
-
-def _trouble(verdict: "Verdict") -> str | None:
-    return None if verdict.is_ok else f"{verdict.fault} over {verdict.link}: {verdict.verdict}"

@@ -1,25 +1,18 @@
-"""What the catalogue runs: every case alone over each link, all pairs, and the subset in real time."""
+"""What the catalogue runs: every case alone over each link, all pairs, and a part of them in real time."""
 
 import itertools
 import random
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-from hil.batch.catalogue.runs import Job
 from hil.core.errors import BadInputError, nearest
+from hil.core.types import CommandMode
 from hil.drivers.registry import dialect
-from hil.faults.cases import (
-    CASES,
-    MOTORS_CASES,
-    NO_FEEDBACK,
-    PAIRS,
-    SILENCE,
-    Case,
-    Outcome,
-    Pair,
-)
-from hil.scenario import Scenario, load
+from hil.faults.cases import CASES, DURATION_S, MOTORS_CASES, NO_FEEDBACK, PAIRS, SILENCE, Case, Pair, Row
+from hil.faults.cases import Outcome as Ending
+from hil.scenario import Scenario, format_value, load, read
 from hil.scenario.motors import make_driver
 
 LINKS = {"memory": "memory:", "serial": "serial:pty", "can": "can:virtual/catalogue"}
@@ -28,11 +21,17 @@ MOTORS_WIRES = {
     "can_fd": "can:virtual/catalogue?fd=1&data_bitrate=5000000",
     "serial": "memory:",
 }
-_ORDER = list(Outcome)
+_ENDINGS = list(Ending)
+_OPTION = "--set"
+# A case that names the speed command means the torque command where the law gives torques.
+_IN_TORQUE_MODE = {
+    "WHEEL_COMMAND": "TORQUE_COMMAND",
+    "wheel.fl.speed_command_rad_s": "wheel.fl.torque_command_n_m",
+}
 
 
-class Asked(NamedTuple):
-    """What a user asks the catalogue for: base scenario with changes, links and kinds, and where recordings go.
+class Request(NamedTuple):
+    """What a user wants of the catalogue: base scenario with changes, links and kinds, and where recordings go.
 
     ``sample`` is how many of the pairs, None for all; ``seed`` chooses them.
     """
@@ -46,69 +45,112 @@ class Asked(NamedTuple):
     seed: int = 0
 
 
-def check(asked: Asked) -> None:
-    """Raise BadInputError for a link or a kind that does not exist."""
+class Trial(NamedTuple):
+    """One run of the catalogue: its faults over a link, and how it may come out.
+
+    ``causes`` are words of which each sentence on why the robot was lost has one, ``causes_of_end`` those for what ends
+    the run. With ``records_here`` the process of the run writes the recording itself.
+    """
+
+    fault: str
+    link: str
+    mode: str
+    rows: Sequence[Row]
+    rearm: bool
+    allowed: Sequence[str]
+    causes: Sequence[str]
+    causes_of_end: Sequence[str]
+    recording: str
+    records_here: bool
+
+
+def check(request: Request, *, pairs: bool, realtime: bool) -> None:
+    """Raise BadInputError for a link or kind that does not exist, and for what makers' motors do not have."""
     for what, given, known in (
-        ("link", asked.links, list(LINKS)),
-        ("kind", asked.kinds, list(dict.fromkeys(case.kind for case in CASES))),
+        ("link", request.links, list(LINKS)),
+        ("kind", request.kinds, list(dict.fromkeys(case.kind for case in CASES))),
     ):
         for name in given:
             if name not in known:
                 raise BadInputError(f"--{what} {name}: the catalogue has no such {what}{nearest(name, known)}")
-
-
-def check_motors(asked: Asked, *, pairs: bool, realtime: bool) -> None:
-    """Raise BadInputError for what there is not with motors of other makers."""
-    if not load(asked.scenario, set=asked.sets).device.is_makers:
+    if not load(request.scenario, set=request.sets).device.is_makers:
         return
-    given = {"--link": bool(asked.links), "--pairs": pairs, "--realtime": realtime}
-    if wrong := [option for option, is_given in given.items() if is_given]:
+    given_options = {"--link": bool(request.links), "--pairs": pairs, "--realtime": realtime}
+    if wrong := [option for option, is_given in given_options.items() if is_given]:
         raise BadInputError(
             f"{', '.join(wrong)}: with motors of other makers the catalogue runs each fault alone, in lockstep, over "
             "the wire of their own; leave it out"
         )
 
 
-def alone(asked: Asked, mode: str = "lockstep") -> list[Job]:
+def scenarios(request: Request, trials: Sequence[Trial]) -> Iterator[Scenario | BadInputError]:
+    """Yield the scenario of each trial, or why it cannot be. Raises BadInputError when the base scenario cannot be."""
+    sources = read(request.scenario)
+    changes = [*request.sets, "expect=[]", f"loop.duration_s={DURATION_S}"]
+    base = sources.scenario(set=[*changes, "fault=[]"])
+    if base.plant.fmu == "mecanum":
+        # The faults of floor and battery need this of the shipped plant.
+        changes += ["plant.start.contact=slip", "plant.start.drive=current"]
+    for trial in trials:
+        rows: Sequence[Row] = trial.rows
+        if base.controller.mode is CommandMode.TORQUE:
+            rows = [{**row, "target": _IN_TORQUE_MODE.get(str(row["target"]), row["target"])} for row in rows]
+        sets = [*changes, f"loop.rearm={format_value(trial.rearm)}", f"fault={format_value(rows)}"]
+        try:
+            scenario = sources.scenario(set=sets, mode=trial.mode, link=trial.link)
+        except BadInputError as error:
+            yield error
+        else:
+            yield _without_gains_of_another_law(scenario)
+
+
+def _without_gains_of_another_law(scenario: Scenario) -> Scenario:
+    """Where an option gave the law, keep only the gains that options gave too: the file's are of the file's law."""
+    table, where = scenario.controller, scenario.provenance
+    if where["controller.law"] != _OPTION:
+        return scenario
+    gains = {name: value for name, value in table.gains.items() if where[f"controller.gains.{name}"] == _OPTION}
+    return replace(scenario, controller=replace(table, gains=gains))
+
+
+def alone(request: Request, mode: str = "lockstep") -> list[Trial]:
     """Return every case over each link; what re-arms, without loop.rearm too. In real time only the subset.
 
     A machine that stalls in real time may stop the robot by its watchdog in any of them, and it re-arms.
     """
-    base = load(asked.scenario, set=asked.sets)
+    base = load(request.scenario, set=request.sets)
     if base.device.is_makers:
-        return _of_motors(asked, base) if mode == "lockstep" else []
-    jobs = []
-    for case, link in itertools.product(_chosen(asked), asked.links or LINKS):
+        return _of_motors(request, base) if mode == "lockstep" else []
+    trials = []
+    for case, link in itertools.product(_chosen(request), request.links or LINKS):
         expected = case.expected(link)
         if mode == "realtime":
             if case.realtime:
-                jobs.append(_job(asked, (case,), link, mode, True, {expected, Outcome.REARMS}))
+                trials.append(_trial(request, (case,), link, mode, True, {expected, Ending.REARMS}))
             continue
-        jobs.append(_job(asked, (case,), link, mode, True, {expected}))
-        if expected is Outcome.REARMS:
-            jobs.append(_job(asked, (case,), link, mode, False, {Outcome.ENDS}))
-    return jobs
+        trials.append(_trial(request, (case,), link, mode, True, {expected}))
+        if expected is Ending.REARMS:
+            trials.append(_trial(request, (case,), link, mode, False, {Ending.ENDS}))
+    return trials
 
 
-def pairs(asked: Asked) -> list[Job]:
+def pairs(request: Request) -> list[Trial]:
     """Return all pairs of cases, of kinds that were asked for, or a sample; over memory where no link was.
 
     A pair comes out as the worse of its two does alone, but for those of ``PAIRS``.
     """
-    chosen = {case.name for case in _chosen(asked)}
-    jobs: list[Job] = []
-    if load(asked.scenario, set=asked.sets).device.is_makers:
-        return jobs
+    chosen = {case.name for case in _chosen(request)}
+    trials: list[Trial] = []
     for two in itertools.combinations([case for case in CASES if case.in_pairs], 2):
         if not chosen.isdisjoint(case.name for case in two):
-            jobs += [_pair(asked, two, link) for link in asked.links or ("memory",)]
-    if asked.sample is None or asked.sample >= len(jobs):
-        return jobs
-    chosen_jobs = random.Random(asked.seed).sample(range(len(jobs)), asked.sample)
-    return [jobs[number] for number in sorted(chosen_jobs)]
+            trials += [_pair(request, two, link) for link in request.links or ("memory",)]
+    if request.sample is None or request.sample >= len(trials):
+        return trials
+    numbers = random.Random(request.seed).sample(range(len(trials)), request.sample)
+    return [trials[number] for number in sorted(numbers)]
 
 
-def _of_motors(asked: Asked, base: Scenario) -> list[Job]:
+def _of_motors(request: Request, base: Scenario) -> list[Trial]:
     """Return every case that there is for motors of other makers, over the wire of their own, in this process."""
     can = make_driver(base).capabilities
     if can.is_twist or can.watchdog == "none":
@@ -119,55 +161,53 @@ def _of_motors(asked: Asked, base: Scenario) -> list[Job]:
     [wire, *_] = sorted(dialect(base.device.driver).wires)
     # A scenario with a fault of a gyro that is not there is refused.
     cases = [one for one in MOTORS_CASES if one.case.kind != "gyro_bias" or "gyro" in can.sensors]
-    for kind in asked.kinds:
+    for kind in request.kinds:
         if kind not in (one.case.kind for one in cases):
             driver = base.device.driver
             raise BadInputError(f"--kind {kind}: this never strikes {driver!r} as it is set up; leave it out")
-    jobs = []
+    trials = []
     for motors in cases:
-        if asked.kinds and motors.case.kind not in asked.kinds:
+        if request.kinds and motors.case.kind not in request.kinds:
             continue
         outcomes = set(motors.outcomes)
         if can.watchdog == "fixed":  # which may be longer than the window, and what is reset may obey at once
-            outcomes.add(Outcome.GOES_ON)
-        job = _job(asked, (motors.case,), MOTORS_WIRES[wire], "lockstep", True, outcomes)
-        jobs.append(job._replace(causes=list(motors.causes), causes_of_end=list(motors.causes)))
-    return jobs
+            outcomes.add(Ending.GOES_ON)
+        trial = _trial(request, (motors.case,), MOTORS_WIRES[wire], "lockstep", True, outcomes)
+        trials.append(trial._replace(causes=list(motors.causes), causes_of_end=list(motors.causes)))
+    return trials
 
 
-def _pair(asked: Asked, two: tuple[Case, Case], link: str) -> Job:
-    worst = _ORDER[max(_ORDER.index(case.expected(link)) for case in two)]
+def _pair(request: Request, two: tuple[Case, Case], link: str) -> Trial:
+    worst = _ENDINGS[max(_ENDINGS.index(case.expected(link)) for case in two)]
     known: Pair | None = PAIRS.get((two[0].name, two[1].name))
-    job = _job(asked, two, link, "lockstep", True, {worst if known is None else known.outcome})
+    trial = _trial(request, two, link, "lockstep", True, {worst if known is None else known.outcome})
     if known is None:
-        return job
+        return trial
     causes = [] if known.cause is None else [known.cause]
-    return job._replace(causes=sorted({*job.causes, *causes}), causes_of_end=causes)
+    return trial._replace(causes=sorted({*trial.causes, *causes}), causes_of_end=causes)
 
 
-def _chosen(asked: Asked) -> Iterator[Case]:
-    return (case for case in CASES if not asked.kinds or case.kind in asked.kinds)
+def _chosen(request: Request) -> Iterator[Case]:
+    return (case for case in CASES if not request.kinds or case.kind in request.kinds)
 
 
-def _job(asked: Asked, cases: Sequence[Case], link: str, mode: str, rearm: bool, allowed: set[Outcome]) -> Job:
+def _trial(request: Request, cases: Sequence[Case], link: str, mode: str, rearm: bool, allowed: set[Ending]) -> Trial:
     name = " + ".join(case.name for case in cases)
     causes = {case.cause for case in cases if case.cause is not None}
-    ends = {case.cause for case in cases if case.cause is not None and case.expected(link) is Outcome.ENDS}
+    ends = {case.cause for case in cases if case.cause is not None and case.expected(link) is Ending.ENDS}
     if mode == "realtime":
         causes |= {NO_FEEDBACK, SILENCE}
     file = "-".join([*name.replace("+", "").split(), link.partition(":")[0], mode, "rearm" if rearm else "end"])
-    return Job(
+    return Trial(
         fault=name,
         link=LINKS.get(link, link),
         mode=mode,
-        scenario=asked.scenario,
-        sets=list(asked.sets),
         rows=[row for case in cases for row in case.rows],
         rearm=rearm,
-        allowed=[outcome for outcome in Outcome if outcome in allowed],
+        allowed=[outcome for outcome in Ending if outcome in allowed],
         causes=sorted(causes),
         causes_of_end=sorted(ends or causes),
-        recording=str(asked.recordings / f"{file}.rrd"),
-        # A recorder of its own costs a second, and is the same whatever the link.
+        recording=str(request.recordings / f"{file}.rrd"),
+        # A recorder's process costs a second and is the same for each link, so one link alone has it.
         records_here=len(cases) > 1 or (mode == "lockstep" and link != "serial"),
     )
