@@ -7,7 +7,7 @@ from typing import Any, Self
 from hil.core.errors import HilError, RobotStoppedError
 from hil.core.signals import SIGNAL_NAMES, LoopSignals
 from hil.runtime.bench import Bench
-from hil.runtime.parts import PartsOf
+from hil.runtime.parts import RunParts
 from hil.runtime.sampling import Sampling
 from hil.scenario import ServiceTable, load
 from hil.service.messages import Phase
@@ -21,7 +21,7 @@ class PilotBench:
 
     def __init__(self, scenario: str = "circle_speed", options: ServiceTable = OPTIONS, **overrides: Any) -> None:
         loaded = load(scenario, set={"loop.mode": "lockstep", "loop.rate_hz": 100, **overrides})
-        self.made = PartsOf(loaded)
+        self.made = RunParts(loaded)
         self.rows: list[tuple[float, ...]] = []
         self.notes: list[str] = []
         self._resources = contextlib.ExitStack()

@@ -227,7 +227,7 @@ def test_a_pilot_arms_drives_stops_and_clears_an_estop() -> None:
         bench.run_until(Phase.ACTIVE)
         bench.pilot.disarm()
         bench.run_until(Phase.DISARMED)
-        assert not bench.bench._robot.node.is_driving  # type: ignore[union-attr, attr-defined]
+        assert not bench.bench.local.robot.node.is_driving  # type: ignore[union-attr, attr-defined]
 
 
 def test_a_device_and_a_host_must_speak_the_same() -> None:

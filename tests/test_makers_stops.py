@@ -24,7 +24,7 @@ from hil.drivers.rosmaster.driver import MOTION
 from hil.drivers.rosmaster.line import RosmasterFraming
 from hil.runtime.assembly import run_scenario
 from hil.runtime.bench import Bench
-from hil.runtime.parts import PartsOf
+from hil.runtime.parts import RunParts
 from hil.scenario import load
 from hil.service.messages import Phase
 from hil.service.records import Records
@@ -47,8 +47,8 @@ def robot_of(bench: Bench) -> MakersRobot:
 
 
 def node_of(bench: Bench) -> Any:
-    assert bench._robot is not None
-    return bench._robot.node
+    assert bench.local is not None
+    return bench.local.robot.node
 
 
 @contextlib.contextmanager
@@ -207,7 +207,7 @@ def test_a_stop_goes_out_however_often_ctrl_c_is_pressed(monkeypatch: pytest.Mon
 def test_a_service_that_a_stuck_law_ends_stops_the_motors_first() -> None:
     scenario = load("circle_speed", mode="realtime", set={"loop.rate_hz": 100} | ROSMASTER)
     unused: Any = None  # the API, systemd and the signals, which the end does not wait for
-    options, parts = Options(allow_motion=True), PartsOf(scenario)
+    options, parts = Options(allow_motion=True), RunParts(scenario)
     service = _Service(scenario, {}, options, parts, Records(None), unused, unused, unused)
     with service._opened() as bench:
         bench.connect()

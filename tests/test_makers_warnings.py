@@ -30,8 +30,8 @@ def test_a_service_says_what_they_have_told_and_what_is_new_when_they_come_back(
         bench.run_until(Phase.DISARMED)
         [said] = of_the_timeout(bench.notes)
         assert said.startswith(LONG)
-        assert bench.bench._robot is not None
-        set_endless(bench.bench._robot)
+        assert bench.bench.local is not None
+        set_endless(bench.bench.local.robot)
         bench.run_until(Phase.AWAY)
         before = len(bench.notes)
         bench.run_until(Phase.DISARMED)

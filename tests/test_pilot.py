@@ -14,7 +14,7 @@ from hil.core.errors import BadInputError, DeviceError, HilError, LinkError, Rob
 from hil.core.kinematics import BodyTwist
 from hil.core.types import Pose
 from hil.references import make_reference
-from hil.runtime.parts import PartsOf
+from hil.runtime.parts import RunParts
 from hil.scenario import load
 from hil.service.messages import Phase, Task
 from tests.pilot_bench import OPTIONS, PilotBench, armed_pilot
@@ -302,7 +302,7 @@ def test_other_gains_take_over_in_motion() -> None:
     with armed_pilot() as bench:
         bench.pilot.active().track(bench.made.reference, here=True)
         bench.run(3.0)
-        softer = PartsOf(load("circle_speed", set={"controller.gains.k1_1_s": 4.0})).laws
+        softer = RunParts(load("circle_speed", set={"controller.gains.k1_1_s": 4.0})).laws
         bench.pilot.use(softer)
         bench.run(2.0)
         assert bench.last("gain.k1_x_1_s") == 4.0

@@ -289,7 +289,7 @@ def test_an_e_stop_is_not_recovered_from(at_command):
 
 def test_another_robot_on_the_link_is_refused_and_left_alone(at_command, tmp_path):
     def exchange(bench: Bench) -> None:
-        robot = bench._robot
+        robot = bench.local.robot
         robot._made_of = robot._made_of._replace(firmware=robot._made_of.firmware | {"speed_kp_n_m_s_rad": 1.0})
         robot.power_cycle()
 

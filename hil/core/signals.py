@@ -91,7 +91,7 @@ class LinkSignals(NamedTuple):
 
 
 class Sample(NamedTuple):
-    """The groups of a row in their order; ``hil.runtime.rows`` writes it. NaN stands for what was not there."""
+    """The groups of a row in their order; ``hil.runtime.row`` writes it. NaN stands for what was not there."""
 
     loop: LoopSignals
     reference: ReferenceSignals

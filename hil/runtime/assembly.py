@@ -22,7 +22,7 @@ from hil.robot.virtual import MakeNode, MakeRobot, new_robot
 from hil.runtime.bench import NS, Bench
 from hil.runtime.events import RunEvents
 from hil.runtime.loop import Loop, Report
-from hil.runtime.parts import PartsOf
+from hil.runtime.parts import RunParts
 from hil.runtime.provenance import ingredients, properties
 from hil.runtime.realtime import RealTime, real_time
 from hil.runtime.report import close_recording, is_cut, run_figures
@@ -147,7 +147,7 @@ def check_scenario(scenario: Scenario) -> Feasibility:
 
     Raises BadInputError for what the law or the reference refuse.
     """
-    return PartsOf(scenario).demands()
+    return RunParts(scenario).demands()
 
 
 class _Run:
@@ -162,7 +162,7 @@ class _Run:
         if options.trace is not None:
             check_output_path("trace", options.trace, self._trace_existing)
         self._destination = parse_destination(options.stream) if options.stream is not None else None
-        self._parts = PartsOf(scenario)
+        self._parts = RunParts(scenario)
         self._ingredients = ingredients(scenario) if options.is_recorded else {}
         self._demands = self._parts.demands()
         self._is_lockstep = scenario.loop.mode == "lockstep"

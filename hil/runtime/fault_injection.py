@@ -1,14 +1,13 @@
 """The faults of one run: each row given to the part that applies it, and what they all did."""
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Protocol
 
 from hil.core.errors import BadInputError, HilError
 from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
 from hil.core.ports import Clock
 from hil.faults.kind import FaultRow
-from hil.robot.faults import RobotFaults
 from hil.runtime.signal_faults import SignalFaults
 from hil.wire.faults import BYTE_KINDS, BusFaults, LinkFault, ScenarioTime, link_faults
 from hil.wire.line_faults import FaultLine
@@ -27,23 +26,6 @@ class RobotWithFaults(Protocol):
 
     def applied(self) -> list[int]:
         """Return how often each row was applied so far. Raises DeviceError when the robot has gone."""
-
-
-class LocalFaults:
-    """The faults of a robot in this process; ``do`` has something done between two exchanges, and waits for it."""
-
-    def __init__(self, faults: RobotFaults, do: Callable[[Callable[[RobotFaults], None]], None]) -> None:
-        self._faults = faults
-        self._do = do
-
-    def arm(self, rows: Sequence[FaultRow]) -> None:
-        self._faults.arm(rows)
-
-    def begin(self, tick: int) -> None:
-        self._do(lambda faults: faults.begin(tick))
-
-    def applied(self) -> list[int]:
-        return self._faults.applied()
 
 
 class RunFaults:

@@ -1,4 +1,4 @@
-"""The newest feedback of the robot and the newest truth, how old they are, and whether they may drive anything."""
+"""The newest feedback of the robot and the newest truth: how old they are, and whether they may drive anything."""
 
 from math import isfinite
 
@@ -11,14 +11,13 @@ from hil.robot.snapshot import Feedback
 from hil.runtime.sampling import Timing
 from hil.runtime.signal_faults import SignalFaults
 
-_LOST_NS = 250_000_000  # silence that ends the run, and the longest that feedback may have lain unread while driving
+_LOST_NS = 250_000_000  # silence that ends the run, and the greatest age of feedback on the link while driving
 # How far a robot's clock may be from where it should be and still be the same: feedback on its way, and HSI's accuracy.
 _CLOCK_PERIODS = 4
 _CLOCKS_APART_NS = 50_000_000
 _CLOCK_SHARE = 50
 # No stall of this machine, or of a virtual robot's, is so long and leaves the link as it is.
 _LEAP_NS = 1_000_000_000
-_ACTIVE = RobotState.ACTIVE  # a member of an enumeration takes longer to look up than a global name
 
 
 class Freshness:
@@ -27,8 +26,8 @@ class Freshness:
     Attributes, as of the last ``poll``:
         silent_ns: how long the newest feedback has been the newest.
         truth_ns: time of the newest truth by the robot's clock; None before any.
-        is_stale: nothing is driven by what is older than the firmware's own patience with us. A truth is too old by
-            its stamp, and where no other has come so long.
+        is_stale: whether the feedback or the truth is older than the firmware's watchdog allows of us, so that nothing
+            may be driven by it. A truth is too old by its stamp, or where no other has come for so long.
     """
 
     def __init__(self, clock: Clock, device: Device, faults: SignalFaults | None, timing: Timing) -> None:
@@ -52,62 +51,67 @@ class Freshness:
 
         Raises RobotStoppedError or DeviceError for a robot that is not ACTIVE, LinkError after a long silence of the
         robot, or of this process. One that need not be ``active`` is only stopped when it was reset.
-
-        What was taken after this process stood still may be as old as that. It makes nothing newer, whatever came with
-        it, and neither the robot's clock is judged by it: what comes next is fresh.
-
-        A truth that is no number makes nothing newer. A reset of the robot leaves the truth's clock, which is the
-        plant's, as it is; the first sample after it, or after a truth that began anew, is taken to be as old as the
-        feedback.
         """
         feedback = self._device.poll()
-        poll_age_ns = 0 if self._is_lockstep else self._device.poll_age_ns  # a property, and 0 there
-        stale_ns = self._stale_ns
-        is_old = poll_age_ns > stale_ns
+        age_ns = 0 if self._is_lockstep else self._device.poll_age_ns
         now_ns = self._clock.now_ns()
         if feedback is None:
             raise RobotStoppedError("the robot sends no feedback")
         if self._faults is not None:
             feedback = self._faults.feedback(feedback)
-        robot_time_ns = feedback.robot_time_ns
-        if self._heard_ns is None or (robot_time_ns != self._newest_ns and not is_old):
+        robot_time_ns, stale_ns = feedback.robot_time_ns, self._stale_ns
+        # What was taken after this process stood still may be as old as that. It makes nothing newer, and the robot's
+        # clock is not judged by it: what comes next is fresh.
+        if self._heard_ns is None or (robot_time_ns != self._newest_ns and age_ns <= stale_ns):
             if not active and self._heard_ns is not None and self._began_anew(feedback, now_ns - self._heard_ns):
                 raise RobotStoppedError(f"the robot was reset at t = {t_s:.3f} s")
             self._newest_ns, self._heard_ns = robot_time_ns, now_ns
         self.silent_ns = silent_ns = now_ns - self._heard_ns
-        if active and feedback.state is not _ACTIVE:
-            latched = feedback.state in (RobotState.FAULT, RobotState.ESTOP)
-            raise (DeviceError if latched else RobotStoppedError)(self._why_stopped(feedback.state, t_s))
-        if is_old:
-            if poll_age_ns > (_LOST_NS if active else _LEAP_NS):
-                raise LinkError(
-                    f"feedback lay unread for {poll_age_ns * 1e-6:.0f} ms at t = {t_s:.3f} s: this process stood still "
-                    "or is slower than the robot; what the link holds is too old to be driven by"
-                )
-        elif silent_ns > _LOST_NS:
-            raise LinkError(
-                f"no feedback for {silent_ns * 1e-6:.0f} ms at t = {t_s:.3f} s: the link or the robot was lost"
-            )
+        if active and feedback.state is not RobotState.ACTIVE:
+            raise self._stop(feedback.state, t_s)
+        if age_ns > stale_ns or silent_ns > _LOST_NS:
+            self._check_not_lost(age_ns, _LOST_NS if active else _LEAP_NS, t_s)
         if truth is not None:
-            time_ns, (x, y, heading), _ = truth
-            if isfinite(x + y + heading):
-                stamp_ns = self._stamp_ns
-                if self._ahead_ns is None or (stamp_ns is not None and time_ns < stamp_ns - stale_ns):
-                    self._ahead_ns = robot_time_ns - time_ns
-                if time_ns != stamp_ns:
-                    self._stamp_ns, self._truth_heard_ns = time_ns, now_ns
-                self.truth_ns = time_ns + self._ahead_ns
+            self._take_truth(truth, robot_time_ns, now_ns)
         truth_ns = self.truth_ns
         self.is_stale = silent_ns > stale_ns or (
             truth_ns is not None and (robot_time_ns - truth_ns > stale_ns or now_ns - self._truth_heard_ns > stale_ns)
         )
         return feedback
 
+    def _check_not_lost(self, age_ns: int, longest_ns: int, t_s: float) -> None:
+        """Raise LinkError after a long silence: of this process, or of the robot."""
+        if age_ns > longest_ns:
+            raise LinkError(
+                f"feedback lay unread for {age_ns * 1e-6:.0f} ms at t = {t_s:.3f} s: this process stood still "
+                "or is slower than the robot; what the link holds is too old to be driven by"
+            )
+        if age_ns <= self._stale_ns:
+            raise LinkError(
+                f"no feedback for {self.silent_ns * 1e-6:.0f} ms at t = {t_s:.3f} s: the link or the robot was lost"
+            )
+
+    def _take_truth(self, truth: PoseFix, robot_time_ns: int, now_ns: int) -> None:
+        """Note when a truth was sampled and heard; one that is no number makes nothing newer.
+
+        A reset of the robot leaves the truth's clock, which is the plant's, as it is. The first sample after it, or
+        after a truth that began anew, is taken to be as old as the feedback.
+        """
+        time_ns, (x, y, heading), _ = truth
+        if not isfinite(x + y + heading):
+            return
+        stamp_ns = self._stamp_ns
+        if self._ahead_ns is None or (stamp_ns is not None and time_ns < stamp_ns - self._stale_ns):
+            self._ahead_ns = robot_time_ns - time_ns
+        if time_ns != stamp_ns:
+            self._stamp_ns, self._truth_heard_ns = time_ns, now_ns
+        self.truth_ns = time_ns + self._ahead_ns
+
     def robot_now_ns(self, feedback: Feedback) -> int:
         """Return the robot time of this instant: by the newest feedback, in real time by TIME_SYNC once it is known.
 
-        Feedback says it only to a tick, because nobody knows how long it has lain there. An offset that says something
-        quite different is that of the clock before a reset.
+        Feedback tells it only to a tick, because its age on the link is not known. A TIME_SYNC offset that differs by
+        50 ms or more is that of the clock before a reset.
         """
         now_ns = feedback.robot_time_ns + self._timing.feedback_latency_ns + self.silent_ns
         offset_us = self._device.clock_sync.offset_us
@@ -148,10 +152,13 @@ class Freshness:
         apart_ns = _CLOCK_PERIODS * self._timing.period_ns + passed_ns // _CLOCK_SHARE
         return robot_passed_ns < 0 or abs(robot_passed_ns - passed_ns) > apart_ns
 
-    def _why_stopped(self, state: RobotState, t_s: float) -> str:
+    def _stop(self, state: RobotState, t_s: float) -> DeviceError | RobotStoppedError:
+        """Return the error for a robot that is not ACTIVE; DeviceError where it latched that."""
         report = self._device.report
         # A robot that stopped by itself knows why, and passes through STOPPING, which tells it.
         was_reset = state in (RobotState.BOOT, RobotState.IDLE) and report.knows_no_reason
         reset = f"it was reset ({report.last_reset})" if report.last_reset else "it was reset"
         why = reset if was_reset else f"it is {state.name} because of {report.stop_reason()}"
-        return f"the robot left ACTIVE at t = {t_s:.3f} s: {why}"
+        sentence = f"the robot left ACTIVE at t = {t_s:.3f} s: {why}"
+        latched = state in (RobotState.FAULT, RobotState.ESTOP)
+        return DeviceError(sentence) if latched else RobotStoppedError(sentence)

@@ -14,7 +14,7 @@ from hil.judge.expectations import TickCount
 from hil.runtime.lateness import Lateness
 from hil.runtime.recovery import Recovered, Recovery, Warned
 from hil.runtime.sampling import Sampling, Timing
-from hil.runtime.tick import Parts, Tick
+from hil.runtime.tick import Tick, TickParts
 from hil.runtime.undriven import Undriven
 
 _STOP_LIMIT_NS = 5_000_000_000
@@ -51,7 +51,7 @@ class Loop:
 
     def __init__(
         self,
-        parts: Parts,
+        parts: TickParts,
         mode: CommandMode,
         timing: Timing,
         *,
@@ -67,7 +67,7 @@ class Loop:
         self._timing = timing
         self._period_ns = timing.period_ns
         self._rearm = rearm
-        self._doing = Tick(parts, mode, timing)
+        self._ticker = Tick(parts, mode, timing)
         self._sampling = Sampling(parts.clock, parts.device, parts.truth, timing)
         self._warn = warn
         self._warned = Warned(parts.device, self._tell_warning, said=tuple(parts.device.warnings))
@@ -113,7 +113,7 @@ class Loop:
                 failure = failure or (None if stopped else DeviceError("the robot did not come to rest within 5 s"))
         except HilError as error:
             failure = self._give_up(failure or error)
-        ticks = self._doing.count
+        ticks = self._ticker.count
         robot_s = self.t_s + self._timing.period_ns * 1e-9 if ticks else 0.0
         recoveries = tuple(self._recoveries)
         counted = self._undriven.counted(ticks)
@@ -126,7 +126,7 @@ class Loop:
 
     def pose_fixes(self) -> dict[str, Any] | None:
         """Return where pose fixes were lost, from the source to the filter; None where none are taken."""
-        return self._doing.pose_fixes()
+        return self._ticker.pose_fixes()
 
     def _stop(self) -> bool:
         return self._parts.device.stop(self._timing.period_ns, _STOP_LIMIT_NS)
@@ -145,7 +145,7 @@ class Loop:
         ticks = -(-duration_ns // timing.period_ns)
         number = self._sampling.begin(origin_ns)
         is_lockstep = self._parts.device.is_lockstep
-        self._doing.skip_fixes()
+        self._ticker.skip_fixes()
         in_vain: set[bool] = set()  # since time has passed: waits that ended with a lost link, and a stopped robot
         while number < ticks:
             try:
@@ -184,12 +184,12 @@ class Loop:
 
     def _keep_armed(self) -> None:
         """Command zeros until the first feedback is here; no tick of the run."""
-        self._doing.skip_fixes()
+        self._ticker.skip_fixes()
         if self._recovery is not None:
             self._come_back(self._recovery)
             return
         try:
-            self._doing.keep_armed()
+            self._ticker.keep_armed()
         except (LinkError, RobotStoppedError) as error:
             self._lose(error)
 
@@ -197,7 +197,7 @@ class Loop:
         """Do one tick of the run: drive, or come back, and tell."""
         begin_s = perf_counter()
         self._watch.turn += 1
-        doing, faults, t_ns = self._doing, self._faults, number * self._period_ns
+        ticker, faults, t_ns = self._ticker, self._faults, number * self._period_ns
         self.t_s = t_s = t_ns * 1e-9
         now = make_loop_signals((t_s, number, late_ns * 1e-3, self._tick_us, self._misses))
         self.lateness.add(late_ns)
@@ -206,19 +206,19 @@ class Loop:
             faults.at(t_ns)
             fix = faults.truth(fix)
         if self._recovery is None:
-            count = doing.count
+            count = ticker.count
             try:
-                doing.drive(now, fix, doing.sense(t_s, fix), self._reference_at(t_s))
+                ticker.drive(now, fix, ticker.sense(t_s, fix), self._reference_at(t_s))
             except (LinkError, RobotStoppedError) as error:
                 self._lose(error)
-                if doing.count == count:
-                    doing.tell_away(now, fix, self._reference_at(t_s))
+                if ticker.count == count:
+                    ticker.record_away(now, fix, self._reference_at(t_s))
         else:
-            doing.skip_fixes()
+            ticker.skip_fixes()
             self._come_back(self._recovery)
-            doing.tell_away(now, fix, self._reference_at(t_s))
-        if doing.is_held:
-            self._undriven.hold(t_ns, is_stale=doing.is_stale)
+            ticker.record_away(now, fix, self._reference_at(t_s))
+        if ticker.is_held:
+            self._undriven.hold(t_ns, is_stale=ticker.is_stale)
         else:
             self._undriven.drive()
         self._watch.turn += 1
@@ -226,7 +226,7 @@ class Loop:
 
     def _lose(self, error: HilError) -> Recovery:
         """Begin to bring the robot back, or begin that again; without ``rearm`` the run ends."""
-        self._doing.raise_robot_failure()
+        self._ticker.raise_robot_failure()
         if not self._rearm:
             raise type(error)(f"{error}; to reconnect and arm anew in such a case, set loop.rearm = true") from error
         if self._recovery is None:
@@ -242,11 +242,11 @@ class Loop:
             self._warn(sentence)
 
     def _come_back(self, recovery: Recovery) -> None:
-        self._doing.raise_robot_failure()
+        self._ticker.raise_robot_failure()
         if not recovery.advance():
             return
         self._recoveries.append(Recovered(recovery.lost_s, self.t_s, recovery.why))
         away_s = self.t_s - recovery.lost_s
         self._parts.note(self.t_s, "info", f"ACTIVE again after {away_s:.3f} s: {recovery.why}")
         self._recovery = None
-        self._doing.restart()
+        self._ticker.restart()

@@ -9,12 +9,12 @@ from hil.references import Feasibility, feasibility, make_reference
 from hil.runtime.bench import NS, Bench
 from hil.runtime.sampling import Timing
 from hil.runtime.signal_faults import SignalFaults
-from hil.runtime.tick import Parts
+from hil.runtime.tick import TickParts
 from hil.scenario import Scenario
 from hil.scenario.laws import make_laws
 
 
-class PartsOf:
+class RunParts:
     """The parts of a scenario: what it says alone is made here, so that bad input is found before anything is opened.
 
     Raises BadInputError for what the law or the reference refuse.
@@ -39,11 +39,11 @@ class PartsOf:
         loop = self._scenario.loop
         return feasibility(self.reference, self.model, loop.duration_s, loop.period_ns / NS)
 
-    def make(self, bench: Bench, sinks: Sequence[Sink], note: Note) -> Parts:
+    def make(self, bench: Bench, sinks: Sequence[Sink], note: Note) -> TickParts:
         """Return the parts of the ticks on a bench, once its robot can be asked where it starts."""
         counts = self._scenario.firmware.counts_per_revolution
         faults = bench.faults.signals
-        return Parts(
+        return TickParts(
             bench.clock,
             bench.device,
             bench.wire,

@@ -26,13 +26,13 @@ from hil.robot.link_times import CommandLatency
 from hil.robot.port import Device
 from hil.robot.snapshot import Feedback
 from hil.runtime.freshness import Freshness
-from hil.runtime.rows import Rows
+from hil.runtime.row import RowWriter
 from hil.runtime.sampling import Timing
 from hil.runtime.signal_faults import SignalFaults
 from hil.wire.statistics import LinkStatistics
 
 
-class Parts(NamedTuple):
+class TickParts(NamedTuple):
     """What a tick is made of.
 
     ``note`` is told of losses and of what follows. ``robot_failure`` tells what has ended a robot in this process, None
@@ -66,7 +66,7 @@ _Asked = tuple[State, float, bool]
 class Tick:
     """Does one tick after another of a robot that is driven, and tells of each in one row.
 
-    Either ``sense`` and then ``drive``, or, for a robot that is not to be driven or not there, ``tell_away``.
+    Either ``sense`` and then ``drive``, or, for a robot that is not to be driven or not there, ``record_away``.
 
     The law is told the latency: in lockstep that of the scenario's ``[link]``, so that a fault that delays
     frames is unknown to it there; in real time what the link is measured to have, faults and all.
@@ -78,7 +78,7 @@ class Tick:
             it, and it coasts.
     """
 
-    def __init__(self, parts: Parts, mode: CommandMode, timing: Timing) -> None:
+    def __init__(self, parts: TickParts, mode: CommandMode, timing: Timing) -> None:
         self._take(parts)
         self._timing = timing
         self._period_ns = timing.period_ns
@@ -142,10 +142,20 @@ class Tick:
             self._ask_shadows(self._shadows, now.t_s, reference, asked)
         self._applied = applied = make_applied((command, saturated, self._latency.s))
         silent_ns, is_held = self._freshness.silent_ns, asked is None
-        self._rows.tell(now, feedback, silent_ns, fix, state, reference, applied, status, is_held)
+        self._rows.write(
+            tick=now,
+            feedback=feedback,
+            silent_ns=silent_ns,
+            fix=fix,
+            state=state,
+            reference=reference,
+            applied=applied,
+            estimator=status,
+            is_held=is_held,
+        )
         self.count += 1
 
-    def tell_away(
+    def record_away(
         self, now: LoopSignals, fix: PoseFix | None, reference: Reference, state: State | None = None
     ) -> None:
         """Tell of a tick in which nothing is commanded: what is heard of the robot, which may be nothing."""
@@ -155,12 +165,22 @@ class Tick:
             parts.shadows.hold()
         applied = Applied(self._nothing, False, self._latency.s)
         status, silent_ns = parts.estimator.status, self._freshness.silent_ns
-        self._rows.tell(now, parts.device.feedback, silent_ns, fix, state, reference, applied, status, True)
+        self._rows.write(
+            tick=now,
+            feedback=parts.device.feedback,
+            silent_ns=silent_ns,
+            fix=fix,
+            state=state,
+            reference=reference,
+            applied=applied,
+            estimator=status,
+            is_held=True,
+        )
         self.count += 1
         self._before = None
 
     @property
-    def parts(self) -> Parts:
+    def parts(self) -> TickParts:
         """What the ticks are made of."""
         return self._parts
 
@@ -195,7 +215,7 @@ class Tick:
         if was_reset and self._fixes is not None:
             self._fixes.restart()
 
-    def use(self, parts: Parts) -> None:
+    def use(self, parts: TickParts) -> None:
         """Go on with other laws."""
         self._take(parts)
         self._rows = self._make_rows()
@@ -216,7 +236,7 @@ class Tick:
         fixes = self._parts.fixes
         return None if fixes is None else {**fixes.figures(), **self._parts.estimator.fix_figures()}
 
-    def _take(self, parts: Parts) -> None:
+    def _take(self, parts: TickParts) -> None:
         self._parts = parts
         # What every tick asks: an attribute takes less time than a field of a tuple.
         self._device, self._fixes, self._estimator = parts.device, parts.fixes, parts.estimator
@@ -232,10 +252,10 @@ class Tick:
         if self._shadows is not None:
             self._shadows.heed(limit_rad_s)
 
-    def _make_rows(self) -> Rows:
+    def _make_rows(self) -> RowWriter:
         parts = self._parts
         latency_ns = self._timing.feedback_latency_ns
-        return Rows(parts.device, parts.wire, parts.controller, parts.extra, parts.sinks, latency_ns)
+        return RowWriter(parts.device, parts.wire, parts.controller, parts.extra, parts.sinks, latency_ns)
 
     def _ask_shadows(self, shadows: Shadows, t_s: float, reference: Reference, asked: _Asked | None) -> None:
         """Compute the shadows: after the command has gone, from what the law in command was told."""

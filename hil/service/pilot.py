@@ -15,7 +15,7 @@ from hil.core.tick_watch import TickOverdue
 from hil.core.types import CommandMode, PoseFix, State
 from hil.runtime.recovery import Recovery, Warned
 from hil.runtime.sampling import Timing
-from hil.runtime.tick import Parts, Tick
+from hil.runtime.tick import Tick, TickParts
 from hil.scenario import ServiceTable
 from hil.scenario.laws import Laws
 from hil.service.conduct import NOWHERE, Conduct
@@ -42,7 +42,7 @@ class Pilot:
         recoveries: how often a lost robot came back.
     """
 
-    def __init__(self, parts: Parts, mode: CommandMode, timing: Timing, options: ServiceTable) -> None:
+    def __init__(self, parts: TickParts, mode: CommandMode, timing: Timing, options: ServiceTable) -> None:
         self._parts = parts
         self._tick = Tick(parts, mode, timing)
         self._t_s = 0.0
@@ -78,7 +78,7 @@ class Pilot:
         return "; ".join(dict.fromkeys(sentences)) or None
 
     @property
-    def parts(self) -> Parts:
+    def parts(self) -> TickParts:
         """The parts of the ticks, with the law in command."""
         return self._tick.parts
 
@@ -169,9 +169,9 @@ class Pilot:
         count = self._tick.count
         self._attempt(lambda: self._steps[self.phase](now, fix))
         if self._tick.count == count:  # only a driven tick has written its row
-            self._attempt(lambda: self._tick.tell_away(now, fix, NOWHERE, self.state))
+            self._attempt(lambda: self._tick.record_away(now, fix, NOWHERE, self.state))
         if self._tick.count == count:  # the law's own signals failed, and are left out from now on
-            self._tick.tell_away(now, fix, NOWHERE, self.state)
+            self._tick.record_away(now, fix, NOWHERE, self.state)
         self._note_trouble()
 
     def _attempt(self, part: Callable[[], None]) -> None:

@@ -15,7 +15,7 @@ from hil.core.types import NAN
 from hil.plant.child_output import log_lines
 from hil.record.viewer import live_hint
 from hil.runtime.bench import Bench
-from hil.runtime.parts import PartsOf
+from hil.runtime.parts import RunParts
 from hil.runtime.provenance import ingredients
 from hil.runtime.realtime import RealTime, real_time
 from hil.runtime.sampling import Sampling
@@ -84,7 +84,7 @@ def serve(scenario: Scenario, options: Options, reload: Callable[[], Scenario]) 
     """
     if scenario.loop.mode == "lockstep":
         raise BadInputError("a service runs in real time; leave loop.mode out, or set it to 'realtime'")
-    parts = PartsOf(scenario)
+    parts = RunParts(scenario)
     ending = _Ending()
     with contextlib.ExitStack() as resources:
         resources.enter_context(device_held(parse_link(scenario.link.url), f"hil serve {scenario.name}"))
@@ -121,7 +121,7 @@ class _Service:
     scenario: Scenario
     made_of: Mapping[str, str]
     options: Options
-    parts: PartsOf
+    parts: RunParts
     records: Records
     api: ApiChild
     notifier: Notifier

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from hil.core.errors import DeviceError
 from hil.core.ports import PoseSource
 from hil.core.types import NAN, NO_GAINS, Applied, PoseFix, Reference, State, WheelCommand
-from hil.runtime.tick import Parts
+from hil.runtime.tick import TickParts
 
 
 class LastingTruth:
@@ -56,7 +56,7 @@ class _NoSignals:
         self.telemetry = (NAN,) * len(signals)
 
 
-def without_law(parts: Parts) -> Parts:
+def without_law(parts: TickParts) -> TickParts:
     """Return the parts without their law and its shadows, for a robot that is not driven until it is armed again."""
     silent = tuple(_NoSignals(own.signals) for own in parts.extra)
     return parts._replace(controller=_NoLaw(), shadows=None, extra=silent)

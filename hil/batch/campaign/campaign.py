@@ -27,7 +27,7 @@ from hil.batch.pool import PoolStatus, Runner, open_pool
 from hil.batch.store import KEY, ROWS, Row, Store, check_folder, read_rows, row_of
 from hil.core.errors import BadInputError
 from hil.core.options import plain
-from hil.runtime.parts import PartsOf
+from hil.runtime.parts import RunParts
 from hil.runtime.provenance import versions
 from hil.runtime.robots import check_plant_start, needed_truth
 from hil.scenario import Scenario, format_value, set_texts, to_plain
@@ -124,7 +124,7 @@ class Campaign:
         choice = (controller.law, *controller.shadow, reference.kind, *map(repr, (*gains, reference.options)))
         if choice not in self._choices:
             self._choices.add(choice)
-            PartsOf(scenario)
+            RunParts(scenario)
 
     def job(self, run: Run, **how: Any) -> Job:
         """Return the job of a run, with these fields of Job."""
