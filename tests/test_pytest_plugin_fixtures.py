@@ -1,9 +1,11 @@
 """The plugin's fixtures as a user's tests have them, and what is left behind: nothing."""
 
+import contextlib
 import os
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -247,10 +249,11 @@ ENDLESS = """
 """
 
 
-def begun(suite: pytest.Pytester, *options: str) -> tuple[subprocess.Popen[str], int, list[int]]:
-    """Start a session that would last a day of robot time; return it, its robot's process id and all children's."""
+@contextlib.contextmanager
+def begun(suite: pytest.Pytester, *options: str) -> Iterator[tuple[subprocess.Popen[str], list[int]]]:
+    """Start a session that would last a day of robot time; give it, and its children's process ids."""
     suite.makepyfile(ENDLESS)
-    session = subprocess.Popen(
+    with subprocess.Popen(
         [sys.executable, "-m", "pytest", *PLUGIN, *options, "--basetemp", str(suite.path / "temp")],
         cwd=suite.path,
         env=environment(),
@@ -259,29 +262,32 @@ def begun(suite: pytest.Pytester, *options: str) -> tuple[subprocess.Popen[str],
         stdin=subprocess.DEVNULL,
         text=True,
         start_new_session=True,
-    )
-    wait_for(lambda: list((suite.path / "temp").rglob("paper_circle.rrd")), 60.0)
-    robot, worker = map(int, (suite.path / "pids").read_text().split())
-    shown = subprocess.run(["ps", "-eo", "pid=,ppid="], capture_output=True, text=True, check=True).stdout
-    children = [int(pid) for pid, parent in map(str.split, shown.splitlines()) if int(parent) == worker]
-    assert robot in children
-    assert len(children) >= 2, "the robot and the recorder"
-    return session, robot, children
+    ) as session:
+        try:
+            wait_for(lambda: list((suite.path / "temp").rglob("paper_circle.rrd")), 60.0)
+            robot, worker = map(int, (suite.path / "pids").read_text().split())
+            shown = subprocess.run(["ps", "-eo", "pid=,ppid="], capture_output=True, text=True, check=True).stdout
+            children = [int(pid) for pid, parent in map(str.split, shown.splitlines()) if int(parent) == worker]
+            assert robot in children
+            assert len(children) >= 2, "the robot and the recorder"
+            yield session, children
+        finally:
+            session.kill()
 
 
 @pytest.mark.parametrize("options", [(), ("-n", "2")], ids=["one process", "xdist"])
 def test_ctrl_c_leaves_no_process_behind(suite: pytest.Pytester, options: tuple[str, ...]):
-    session, _, children = begun(suite, *options)
-    os.killpg(session.pid, signal.SIGINT)
-    output, _ = session.communicate(timeout=60)
+    with begun(suite, *options) as (session, children):
+        os.killpg(session.pid, signal.SIGINT)
+        output, _ = session.communicate(timeout=60)
     assert session.returncode == pytest.ExitCode.INTERRUPTED, output
     wait_for(lambda: not any(map(is_running, children)))
 
 
 def test_a_killed_session_leaves_no_process_behind(suite: pytest.Pytester):
-    session, _, children = begun(suite)
-    session.kill()
-    session.communicate(timeout=60)
+    with begun(suite) as (session, children):
+        session.kill()
+        session.communicate(timeout=60)
     wait_for(lambda: not any(map(is_running, children)))
 
 

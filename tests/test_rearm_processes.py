@@ -43,7 +43,7 @@ def wait_until_driven(truth: str) -> None:
     subprocess.run([sys.executable, "-c", WAIT_UNTIL_DRIVEN, truth], env=environment(), timeout=60, check=True)
 
 
-@pytest.mark.parametrize(("mode", "duration_s"), [pytest.param(REAL_TIME, 20, marks=pytest.mark.alone), (LOCKSTEP, 40)])
+@pytest.mark.parametrize(("mode", "duration_s"), [pytest.param(REAL_TIME, 10, marks=pytest.mark.alone), (LOCKSTEP, 40)])
 def test_a_serial_robot_that_was_killed_and_started_again_is_armed_anew(mode, duration_s, tmp_path: Path):
     name = tmp_path / "robot"
     serial = ("--link", f"serial:pty?symlink={name}")
