@@ -32,17 +32,17 @@ Times = npt.NDArray[np.float64]
 
 
 def seconds_index(t_s: npt.NDArray[np.float64]) -> rr.TimeColumn:
-    """Return the timeline ``t`` alone, for times of shape (n,)."""
+    """Return rerun's timeline ``t`` [s since the first ACTIVE tick], for times of shape (n,)."""
     return rr.TimeColumn("t", duration=np.rint(t_s * 1e9).astype("timedelta64[ns]"))
 
 
 def indexes(times: Times) -> list[rr.TimeColumn]:
-    """Return both timelines."""
+    """Return both timelines: ``t``, and the number of the tick."""
     return [seconds_index(times[:, 0]), rr.TimeColumn("tick", sequence=np.rint(times[:, 1]).astype(np.int64))]
 
 
 class RowTimes:
-    """Finds time and tick of rows; where one is not finite it is the last one that was, in an earlier call too."""
+    """Returns time and tick of rows; the last finite one, also of earlier calls, replaces one that is not finite."""
 
     def __init__(self, column: Mapping[str, int]) -> None:
         self._columns = [column["loop.t_s"], column["loop.tick"]]
@@ -159,7 +159,7 @@ def _outlines(poses: Rows) -> Rows:
 
 SCENE = "/world"
 BODY = f"{SCENE}/robot/visual_geometries/base_link/body"
-"""What the eye follows."""
+"""The camera follows this entity."""
 
 SCENE_PERIOD_S = 0.02
 _ABOVE_WHEEL = 2.15
@@ -169,8 +169,8 @@ _ABOVE_WHEEL = 2.15
 class Scene:
     """Draws the robot at 50 Hz; wheel angles are the integral of the wheel speeds at full rate.
 
-    A wheel's force is what its motor current gives at the rollers on the floor, F = Hᵀ τ / r with τ of this wheel alone
-    (``hil.core.kinematics``): the four arrows add up to the force on the body.
+    The force of a wheel is F = Hᵀ τ / r (``hil.core.kinematics``), with τ of this wheel alone by its motor current: the
+    four arrows add up to the force on the body.
     """
 
     def __init__(
@@ -192,7 +192,7 @@ class Scene:
         self._joints: dict[str, rr.urdf.UrdfJoint] = {}
 
     def describe(self) -> None:
-        """Log the robot and what else does not change."""
+        """Log what does not change: the robot's shape, colours and sizes."""
         self._rerun.log(SCENE, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         with tempfile.TemporaryDirectory() as directory:
             path = self._shape.write(Path(directory))

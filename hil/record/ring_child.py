@@ -1,7 +1,7 @@
-"""The process behind ``hil.record.ring_process``: takes rows and lines until told to finish, or the run has gone.
+"""The child's side of ``hil.record.ring_process``: takes rows and lines until told to finish, or the run has gone.
 
-It ends at the end of the pipe, or when it has another parent. Either way its file is finished with all that was in the
-ring. SIGINT is the run's business and ignored here.
+It notices that at the end of the pipe, or when it has another parent. Either way its file is finished with all that was
+in the ring. SIGINT is ignored: the run handles it.
 """
 
 import os
@@ -27,7 +27,7 @@ class RefusedError(Exception):
 
 
 class RowWriter(Protocol):
-    """What such a process does with its rows."""
+    """What such a process does with rows and lines."""
 
     def poll(self) -> None:
         """Look for rows in the ring; called every ``POLL_S`` and after each line."""
@@ -43,17 +43,17 @@ class RowWriter(Protocol):
 
 
 def run(make: Callable[[Record, RingReader], RowWriter], prepare: Callable[[], None] | None = None) -> int:
-    """Make the writer from the run's config, and serve it to its end, which is that of the process.
+    """Make the writer from the run's config and serve it; ends the process when the writer is done.
 
-    ``prepare`` does what can be done before there is a config; ``make`` raises RefusedError for what the user must
-    change. Returns, with the exit code, only when nothing was to be written: 0 without a config, 2 for a refused one.
+    ``prepare`` does what needs no config; ``make`` raises RefusedError for what the user must change. Returns only
+    when nothing was to be written, with the exit code: 0 without a config, 2 for a refused one.
     """
     _step_back()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     inbox: _Inbox = queue.SimpleQueue()
     signal.signal(signal.SIGTERM, lambda _number, _frame: inbox.put(None))
     replies = LineWriter(os.dup(1))
-    os.dup2(2, 1)  # what a library prints must not get between the replies
+    os.dup2(2, 1)  # output of a library must not get between the replies
     if prepare is not None:
         prepare()
 
@@ -71,12 +71,12 @@ def run(make: Callable[[Record, RingReader], RowWriter], prepare: Callable[[], N
     threading.Thread(target=_read_lines, args=(lines, inbox), name="lines", daemon=True).start()
     _serve(writer, inbox, replies, config["parent_pid"])
     writer.close()
-    # All is in the file, and the run waits: to take the libraries apart one by one would take 0.1 s and more.
+    # All is in the file, and the run waits: an orderly exit of the libraries would take 0.1 s and more.
     os._exit(0)
 
 
 def _step_back() -> None:
-    """Take a lower priority than the run, whose loop may have a real-time one for us to inherit."""
+    """Take a lower priority than the run, whose real-time priority this process may have inherited."""
     if sys.platform == "linux":
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     if sys.platform != "win32":
@@ -106,8 +106,8 @@ def _next(inbox: _Inbox, parent_pid: int) -> Record | None:
     except queue.Empty:
         if sys.platform == "win32" or os.getppid() == parent_pid:
             return {}
-    # The run has ended. A process that it forked may hold the pipe open still, so its end is not waited for; but what
-    # the run wrote last may be in the pipe.
+    # The run has ended. A process that it forked may still hold the pipe open, so do not wait for the pipe's end; but
+    # the run's last lines may be in it.
     try:
         return inbox.get(timeout=LAST_LINES_S)
     except queue.Empty:

@@ -1,8 +1,7 @@
-"""One rerun stream: rows, events and properties become columns of a recording.
+"""Recordings and live views in rerun's format: rows, events and properties become columns of a stream.
 
 A stream has one sink: a file, or a server that live viewers pull from. (A file and a pushing sink in one stream stall
-each other when no viewer listens.) What is drawn besides the signals themselves is in ``trails``, ``scene``, ``lanes``
-and ``limits``; those and this module alone write with rerun.
+each other when no viewer listens.) This module and ``drawings`` alone write with rerun.
 """
 
 import json
@@ -54,9 +53,9 @@ class Stream:
         sink: ``rr.FileSink`` or ``rr.GrpcServerSink``.
         recording_id: the same for the file and the live stream of a run: viewers merge them.
         signals: names of the columns of every row.
-        properties: what the run was, as texts by name. Its ``scenario`` tells how large the robot is, and the limits
-            and faults: what it does not tell is not drawn.
-        live: chooses the views' time window, and that only what is drawn is served.
+        properties: what the run was, as texts by name. Its ``scenario`` has the robot's size, the limits and the
+            faults; what it lacks is not drawn.
+        live: for live viewers: they get only what is drawn, and views of the last seconds.
         part: which file of the run it is (see ``hil.record.properties``); None for a run in one file.
     """
 
@@ -78,7 +77,8 @@ class Stream:
         self._properties = dict(properties)
         values = scenario_values(properties)
         shape = RobotShape.of(values)
-        self._lanes = [(lane, _LaneEnd()) for lane in lanes(self._column, values)]
+        self._lanes = lanes(self._column, values)
+        self._lane_states: dict[str, str] = {}  # the newest, by the lane's path
         self._limits = limits(values, self._layout)
         self._limit_decimator = Decimator(_LIMIT_PERIOD_S)
         self._drawn_decimator = Decimator(DRAWN_PERIOD_S)
@@ -98,10 +98,10 @@ class Stream:
         self.flush()
 
     def rows(self, rows: Rows) -> None:
-        """Write rows of shape (n, signals) as they are, all in one entity: this is what is read back.
+        """Write rows of shape (n, signals) as they are, all in one entity, from which they are read back.
 
-        What is drawn of them follows up to ``_DRAWN_AT_ONCE`` rows later: few large pieces take less of the disk, and
-        the index of a long file less memory of who reads it, 2.8 kB a piece.
+        They are drawn up to ``_DRAWN_AT_ONCE`` rows later: few large pieces take less of the disk, and a reader's index
+        takes 2.8 kB for each piece.
         """
         index = indexes(self._times(rows))
         self._rerun.send_columns(SIGNALS_PATH, indexes=index, columns=rr.Scalars.columns(scalars=rows))
@@ -110,10 +110,10 @@ class Stream:
             self._draw_rest()
 
     def draw(self, rows: Rows) -> None:
-        """Write what is drawn of rows of shape (n, signals): signals at no more than one each ``DRAWN_PERIOD_S``."""
+        """Write what is drawn of rows of shape (n, signals): signals at most once each ``DRAWN_PERIOD_S``."""
         times = self._drawn_times(rows)
-        for lane, end in self._lanes:
-            self._state_changes(lane, end, rows, times)
+        for lane in self._lanes:
+            self._state_changes(lane, rows, times)
         drawn = self._drawn_decimator.keep(times[:, 0])
         if len(drawn):
             index, values = indexes(times[drawn]), rows[drawn]
@@ -132,12 +132,12 @@ class Stream:
         )
 
     def finish(self, summary: Mapping[str, object] | None, recorder: Mapping[str, int]) -> None:
-        """Write the run's summary, when there is one, also into the page, and last the recorder's counts."""
+        """Write the run's summary, when there is one, also on the page; last the recorder's counts."""
         self._draw_rest()
         if summary is not None:
             self._rerun.send_property(SUMMARY_PROPERTY, rr.AnyValues(json=json.dumps(summary)))
             self._page(summary)
-        # Where these are, all is: so a reader tells a file that was cut.
+        # A file with these is complete: by them a reader knows one that was cut.
         self._rerun.send_property(RECORDER_PROPERTY, rr.AnyValues(json=json.dumps(recorder)))
 
     def flush(self) -> None:
@@ -152,7 +152,7 @@ class Stream:
 
     def _describe(self, *, live: bool) -> None:
         drawn = {entity.path: [series.signal for series in entity.series] for entity in self._layout}
-        # Where a reader finds every signal: viewers get no more than what is drawn.
+        # This tells a reader where each signal is: live viewers get only what is drawn.
         held = drawn if live else {SIGNALS_PATH: list(self._column)}
         self._rerun.send_property(SIGNALS_PROPERTY, rr.AnyValues(json=json.dumps(held)))
         if self._properties:
@@ -174,8 +174,8 @@ class Stream:
                 widths=[_LIMIT_WIDTH_PX] * len(lines),
             )
             self._rerun.log(LIMITS_PATH + path, style, static=True)
-        for lane, _ in self._lanes:
-            # As an array: rerun would take three or four numbers for the parts of one colour.
+        for lane in self._lanes:
+            # As an array: rerun would take a list of three or four numbers for one colour.
             colours = np.array(lane.colours, dtype=np.uint32)
             style_of_states = rr.StateConfiguration(values=list(lane.names.values()), colors=colours)
             self._rerun.log(lane.path, style_of_states, static=True)
@@ -184,7 +184,7 @@ class Stream:
         self._page(None)
 
     def _page(self, summary: Mapping[str, object] | None) -> None:
-        """Log the page that says what the run was and, in the end, what came of it."""
+        """Log the page: what the run was and, in the end, its figures."""
         text = rr.TextDocument(page(self._properties, summary), media_type=rr.MediaType.MARKDOWN)
         self._rerun.log("/run", text, static=True)
 
@@ -195,19 +195,19 @@ class Stream:
             self._undrawn.clear()
             self.draw(rows)
 
-    def _state_changes(self, lane: Lane, end: "_LaneEnd", rows: Rows, times: Times) -> None:
+    def _state_changes(self, lane: Lane, rows: Rows, times: Times) -> None:
         codes = lane.codes(rows)
         for i in np.flatnonzero(np.append(True, codes[1:] != codes[:-1])):
             if not np.isfinite(codes[i]):
                 continue
             name = lane.names.get(int(codes[i]), f"UNKNOWN {codes[i]:g}")
-            if name != end.state:
-                end.state = name
+            if name != self._lane_states.get(lane.path):
+                self._lane_states[lane.path] = name
                 state = rr.StateChange.columns(state=[name])
                 self._rerun.send_columns(lane.path, indexes=indexes(times[i : i + 1]), columns=state)
 
     def _draw_limits(self, times: Times) -> None:
-        # At the pace of the run: a point ahead of it would take a live view with it.
+        # At the pace of the run: a live view follows the newest point.
         t_s = times[self._limit_decimator.keep(times[:, 0]), 0]
         if not len(t_s):
             return
@@ -218,15 +218,12 @@ class Stream:
                 self._rerun.send_columns(LIMITS_PATH + path, indexes=[seconds_index(t_s)], columns=scalars)
 
 
-class _LaneEnd:
-    """The state that a lane shows last."""
-
-    def __init__(self) -> None:
-        self.state: str | None = None
-
-
 class LiveServer:
-    """A gRPC server on 127.0.0.1 with the run's rows at 100 Hz. Raises OSError for a port that is in use."""
+    """A gRPC server on 127.0.0.1 with the run's rows at 100 Hz, in a thread of its own.
+
+    Viewers pull. The server's memory and the queue to the thread are bounded, and the oldest data go first: whatever a
+    viewer does, the file's recorder never waits for it. Raises OSError for a port that is in use.
+    """
 
     def __init__(self, port: int, *, recording_id: str, signals: Sequence[str], properties: Mapping[str, str]) -> None:
         rr.set_strict_mode(True)
@@ -258,7 +255,7 @@ class LiveServer:
         self._put(lambda: self._stream.event(t_s, level, text))
 
     def finish(self, summary: Mapping[str, object] | None, recorder: Mapping[str, int]) -> None:
-        """Queue the run's summary; what was queued stays served until ``close``."""
+        """Queue the run's summary; all is served until ``close``."""
         self._put(lambda: self._stream.finish(summary, recorder))
 
     def close(self) -> None:
@@ -284,7 +281,7 @@ class LiveServer:
 
 
 def _check_port(port: int) -> None:
-    """rerun binds later, in a thread, and says so only in its log."""
+    """Raise OSError for a port in use: rerun binds it later, in a thread, and reports that only in its log."""
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         probe.bind((HOST, port))

@@ -10,7 +10,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from types import TracebackType
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 from hil.core.subprocesses import child_environment
 from hil.estimation.localisation.address import parse_address
@@ -28,20 +28,13 @@ MOST_BYTES = 1400  # a row is more than a frame of Ethernet holds, and some serv
 _LONGEST = -1.2345678901234567e-100  # as many characters as a float can have
 
 
-class Destination(NamedTuple):
-    """Where a stream goes."""
-
-    host: str
-    port: int
-
-
-def parse_destination(url: str) -> Destination:
-    """Return where ``udp://127.0.0.1:9870`` leads; without a host it is 127.0.0.1.
+def parse_destination(url: str) -> tuple[str, int]:
+    """Return host and port of ``udp://127.0.0.1:9870``; the host is 127.0.0.1 by default.
 
     Raises BadInputError for anything else.
     """
     expected = "expected udp://127.0.0.1:PORT with a port from 1 to 65535, or the address of another machine in numbers"
-    return Destination(*parse_address(url, "--stream", expected))
+    return parse_address(url, "--stream", expected)
 
 
 class UdpStream:
@@ -52,12 +45,12 @@ class UdpStream:
     Raises BadInputError when there is no way to the address, DeviceError when the process does not start.
     """
 
-    def __init__(self, destination: Destination, *, signals: Sequence[str], blocking: bool) -> None:
+    def __init__(self, destination: tuple[str, int], *, signals: Sequence[str], blocking: bool) -> None:
         self._destination = destination
         self._figures: dict[str, Any] | None = None
         self._process = RingProcess(
             StartedProcess("hil.record.udp", child_environment()),
-            {**destination._asdict(), "signals": list(signals)},
+            {"host": destination[0], "port": destination[1], "signals": list(signals)},
             width=len(signals),
             capacity=_CAPACITY,
             blocking=blocking,
@@ -77,15 +70,15 @@ class UdpStream:
     def finish(self) -> dict[str, Any]:
         """Have the rest sent, end the process, and return what became of it; never raises for one that died.
 
-        ``sent`` counts the datagrams that the system took and ``lost`` those that it did not, or that nobody listened
-        to; None where the process died. ``rows_dropped`` counts rows for which the ring had no room. What a receiver
-        is too slow for, nobody here can know: it sees that in ``sequence``.
+        ``sent`` counts the datagrams that the system took, ``lost`` those that it did not or that nobody listened to;
+        None where the process died. ``rows_dropped`` counts rows for which the ring had no room. A receiver that is too
+        slow sees its own losses in ``sequence``.
         """
         if self._figures is None:
             process = self._process
             reply = process.finish({"finish": {}, "keep_live": False})
             self._figures = {
-                "url": f"udp://{self._destination.host}:{self._destination.port}",
+                "url": "udp://{}:{}".format(*self._destination),
                 "sent": reply.get("sent"),
                 "lost": reply.get("lost"),
                 "rows_dropped": process.rows_dropped,
@@ -104,10 +97,10 @@ class UdpStream:
 
 
 class UdpSender:
-    """Sends a row each 10 ms of scenario time, and waits for nobody.
+    """Sends a row for each 10 ms of scenario time, and waits for nobody.
 
-    What the system does not take is lost, and counted, as is what it says that nobody listened to. Raises RefusedError
-    when there is no way to the address.
+    A datagram that the system does not take, or that nobody listened to, is counted as lost. Raises RefusedError when
+    there is no route to the address.
     """
 
     def __init__(self, config: Record, ring: RingReader) -> None:
@@ -128,11 +121,11 @@ class UdpSender:
             ) from error
 
     def poll(self) -> None:
-        """Send of the rows that have settled in the ring."""
+        """Send rows that have settled in the ring."""
         self._take(self._ring.settled())
 
     def line(self, _record: Record) -> None:
-        """There are no lines but the last."""
+        """Ignore lines: there are none but the last."""
 
     def finish(self, _record: Record | None) -> Record:
         """Send the rest."""
@@ -159,7 +152,7 @@ class UdpSender:
         try:
             try:
                 self._socket.send(datagram)
-            except ConnectionError:  # of the datagram before: there was nobody; this one has not been tried
+            except ConnectionError:  # nobody listened to the last datagram; this one was not tried
                 self._count_unheard()
                 self._socket.send(datagram)
             self._sent += 1
@@ -174,10 +167,10 @@ class UdpSender:
 
 
 class DatagramWriter:
-    """Cuts rows of these signals into datagrams of at most ``MOST_BYTES``; ``loop.t_s`` must be among the signals.
+    """Cuts rows into datagrams of at most ``MOST_BYTES``; ``loop.t_s`` must be among the signals.
 
-    Each has ``timestamp``, the scenario's time [s], and ``sequence``, which counts datagrams from 0 so that a receiver
-    sees its losses. A signal without a value is null, which PlotJuggler skips.
+    A row is always cut at the same signals. Each datagram has ``timestamp``, the scenario's time [s], and ``sequence``,
+    which counts datagrams from 0 so that a receiver sees its losses. A missing value is null, which PlotJuggler skips.
     """
 
     def __init__(self, signals: Sequence[str]) -> None:

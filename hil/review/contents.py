@@ -1,4 +1,4 @@
-"""What the file of a recording holds, whatever its format."""
+"""What the file of a recording holds, whatever its format, and whether its rows can be what a run wrote."""
 
 import json
 from collections.abc import Collection
@@ -14,7 +14,6 @@ Series = npt.NDArray[np.float64]
 Wanted = Collection[str] | None
 """Names of the signals to read; None for all."""
 
-
 CUT_BEFORE_ROWS = "cut before its first rows"
 
 
@@ -23,11 +22,16 @@ class DamagedError(Exception):
 
 
 class Contents(NamedTuple):
-    """A file as it was read: signals by name, events, and the texts of each property.
+    """A file as it was read.
 
-    ``cut_bytes`` is None for a file that ends as its format does, else how many of its last bytes are a message or
-    record that was cut short, and was left out. ``damage`` has a sentence for each piece in the middle that could not
-    be read, and ``lost_rows`` is how many rows were in them, as far as that is known.
+    Attributes:
+        signals: by name, each of shape (rows,).
+        events: time [s], level and text of each.
+        properties: the texts of each property.
+        cut_bytes: None for a file that ends as its format does; else the size of what was left out at its end: a
+            message or record that was cut short.
+        damage: a sentence for each piece in the middle that could not be read.
+        lost_rows: how many rows were in these pieces, as far as that is known.
     """
 
     signals: dict[str, Series]
@@ -38,15 +42,12 @@ class Contents(NamedTuple):
     lost_rows: int = 0
 
     def json(self, name: str) -> dict[str, Any] | None:
-        """Return a property that holds a JSON object, or None when the recording does not have it.
-
-        Raises DamagedError when it has another.
-        """
+        """See ``json_property``."""
         return json_property(self.properties, name)
 
 
 def why_nothing(programs: Collection[str], cut_bytes: int | None) -> str:
-    """Say why a file has nothing of a run, by what it says made it, if it says, and whether it was cut."""
+    """Return why a file holds no run, by the programs that it says made it, and by whether it was cut."""
     if APPLICATION in programs:
         return "damaged: it does not say what its signals are" if cut_bytes is None else CUT_BEFORE_ROWS
     if programs or cut_bytes is None:
@@ -55,7 +56,7 @@ def why_nothing(programs: Collection[str], cut_bytes: int | None) -> str:
 
 
 def json_property(properties: dict[str, dict[str, str]], name: str) -> dict[str, Any] | None:
-    """See ``Contents.json``."""
+    """Return a property that holds a JSON object, None where the file lacks it. Raises DamagedError for any other."""
     texts = properties.get(name)
     if texts is None:
         return None
@@ -69,19 +70,19 @@ def json_property(properties: dict[str, dict[str, str]], name: str) -> dict[str,
 
 
 CLOCK = frozenset({"loop.t_s", "loop.tick"})
-"""The signals that every row is checked by."""
-# No quantity of the vocabulary comes near, not even a robot's clock in µs since 1970. The gains and a run's own signals
-# are whatever a law makes of them, which may diverge.
+"""The signals by which every row is checked."""
+# No measured quantity comes near, not even a robot's clock in µs since 1970. Gains and a run's own signals are not
+# checked by it: a law may diverge.
 _LARGEST = 1e18
 _MEASURED = frozenset(name for name in SIGNAL_NAMES if not name.startswith("gain."))
 _TOLERANCE = 0.01  # of a period; t_s is the tick times the period, but for rounding
 
 
 def check_plausible(signals: dict[str, Series]) -> None:
-    """Raise DamagedError, with the time, when the clock of the rows, each of shape (n,), or a value makes no sense.
+    """Raise DamagedError, with the time, when the clock of the rows or a value makes no sense.
 
-    Time goes on with the ticks by one period each, and no tick is before the one above it. Rows may be missing; in a
-    file merged of parts some may be there twice.
+    An .rrd file has no checksums, and damage decodes to numbers too. Signals have shape (n,). Each tick must take one
+    period, and ticks must ascend. Rows may be missing; in a file merged of several some may be there twice.
     """
     if not signals.keys() >= CLOCK or not len(signals["loop.t_s"]):
         return

@@ -1,8 +1,8 @@
-"""Decoding of a recording, in a process of its own: ``python -m hil.review.decode RUN.rrd [SIGNALS]``.
+"""Decodes a recording in a process of its own: ``python -m hil.review.decode RUN.rrd [SIGNALS]``.
 
 rerun's reader aborts its whole process on some damaged files; ``hil.review.reader`` starts this one and outlives it.
-The answer on standard output is one line of JSON (``Decoded``), then the values as float64, signal by signal; SIGNALS
-is a JSON list of those that are wanted.
+The answer on standard output is one line of JSON, then the values as float64, signal by signal. SIGNALS is a JSON list
+of the names to read.
 """
 
 import gc
@@ -11,7 +11,7 @@ import json
 import os
 import sys
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any
 
 import numpy as np
 
@@ -23,32 +23,20 @@ from hil.review.contents import CLOCK, CUT_BEFORE_ROWS, Contents, DamagedError, 
 from hil.review.decode_rrd import decode_rrd
 
 
-class Decoded(TypedDict):
-    """What the answer's first line holds; ``signals`` names the rows of the table after it, ``held`` all there are."""
+def decode(path: Path, wanted: Wanted = None) -> tuple[dict[str, Any], dict[str, Series]]:
+    """Return what a recording and its later files hold, and its signals by name. Raises DamagedError.
 
-    signals: list[str]
-    held: list[str]
-    rows: int
-    events: list[tuple[float, str, str]]
-    properties: dict[str, str]
-    summary: dict[str, Any] | None
-    rows_dropped: int | None
-    rows_missing: int
-    goes_on: bool
-    parts: list[str]
-    notes: list[str]
-
-
-def decode(path: Path, wanted: Wanted = None) -> tuple[Decoded, dict[str, Series]]:
-    """Return what a recording and its later parts hold, and its signals by name. Raises DamagedError."""
+    The first is the answer's first line: ``signals`` names those whose values follow, in rows of length ``rows``; the
+    rest are fields of ``RecordedRun``.
+    """
     parts, notes = _parts(path, wanted)
     first, last = parts[0][1], parts[-1][1]
-    told = [contents.json(PART_PROPERTY) or {} for _, contents in parts]
+    about = [contents.json(PART_PROPERTY) or {} for _, contents in parts]
     spans, missing = _spans(
-        [one.get("first_row") for one in told], [_length(contents) + contents.lost_rows for _, contents in parts]
+        [one.get("first_row") for one in about], [_length(contents) + contents.lost_rows for _, contents in parts]
     )
     event_spans, events_missing = _spans(
-        [one.get("first_event") for one in told], [len(contents.events) for _, contents in parts]
+        [one.get("first_event") for one in about], [len(contents.events) for _, contents in parts]
     )
     for count, what in ((missing, "rows"), (events_missing, "events")):
         if count:
@@ -71,7 +59,7 @@ def decode(path: Path, wanted: Wanted = None) -> tuple[Decoded, dict[str, Series
     next_part = (recorder or {}).get("next_part")
     if next_part is not None:
         notes.append(f"the run went on in part {next_part}, which is not read here")
-    decoded = Decoded(
+    decoded: dict[str, Any] = dict(  # noqa: C408 -- keys as of RecordedRun
         signals=list(signals),
         held=[name for names in (first.json(SIGNALS_PROPERTY) or {}).values() for name in names],
         rows=len(next(iter(signals.values()), ())),
@@ -88,7 +76,7 @@ def decode(path: Path, wanted: Wanted = None) -> tuple[Decoded, dict[str, Series
 
 
 def _cut(path: Path, contents: Contents, *, is_last: bool) -> str | None:
-    """Say what a file without its end has lost, as far as it tells; None when that is nothing, or is in the next."""
+    """Return what a file without its end has lost, as far as known; None when nothing, or when the next one has it."""
     why = "the recorder was killed or could not write it, or the file was cut"
     if contents.json(RECORDER_PROPERTY) is None:
         cut = f", with its last {contents.cut_bytes} bytes, which were cut short," if contents.cut_bytes else ""
@@ -100,7 +88,7 @@ def _cut(path: Path, contents: Contents, *, is_last: bool) -> str | None:
 
 
 def _parts(path: Path, wanted: Wanted) -> tuple[list[tuple[Path, Contents]], list[str]]:
-    """Read a file, and those after it that are of the same run; say which of these could not be read."""
+    """Return a file and the later ones of the same run, and sentences on those that could not be read."""
     first = _read(path, wanted)
     parts, notes = [(path, first)], []
     part = first.json(PART_PROPERTY)
@@ -124,23 +112,23 @@ def _parts(path: Path, wanted: Wanted) -> tuple[list[tuple[Path, Contents]], lis
 
 
 def _is_later_part(part: dict[str, Any], contents: Contents) -> bool:
-    """Whether a file is one of the later parts alone; parts that rerun has merged say what the last of them said."""
+    """Whether a file is one of the later files alone. In files that rerun has merged the properties are of the last."""
     in_part = (contents.json(RECORDER_PROPERTY) or {}).get("rows_in_part")
     return bool(part["number"] > 1 and (in_part is None or not contents.signals or _length(contents) <= in_part))
 
 
 def _alone(path: Path, part: dict[str, Any]) -> str:
-    """Say that a file is a part of a run, and where by its name the others are."""
+    """Return a sentence that names the part of the run that a file is, and where the other files should be."""
     number = part["number"]
-    told = f"{path.name} is part {number} of its run, from row {part['first_row']} on, and read alone"
+    alone = f"{path.name} is part {number} of its run, from row {part['first_row']} on, and read alone"
     stem = path.stem.removesuffix(f"-{number}")
     if stem == path.stem:
-        return f"{told}; the others are not known by its name"
+        return f"{alone}; the others are not known by its name"
     first = path.with_name(stem + path.suffix)
     if first.exists():
-        return f"{told}; review {first.name} for the whole run"
+        return f"{alone}; review {first.name} for the whole run"
     others = ", ".join(other.name for other in later_parts(first) if other.name != path.name)
-    return f"{told}; {first.name}, with which the run began, is not beside it{', but ' * bool(others)}{others}"
+    return f"{alone}; {first.name}, with which the run began, is not beside it{', but ' * bool(others)}{others}"
 
 
 def _length(contents: Contents) -> int:
@@ -148,18 +136,18 @@ def _length(contents: Contents) -> int:
 
 
 def _spans(starts: list[int | None], lengths: list[int]) -> tuple[list[int], int]:
-    """Return how many rows (or events) to take of each part, by the numbers that they begin with, and how many lack.
+    """Return how many rows (or events) to use of each file, and how many are missing between the files.
 
-    What a recorder had written that was killed before it could say so is in the next part too. Recordings of before do
-    not say with which event a part begins.
+    ``starts`` are the numbers that the files begin with; older recordings have none for events. What a recorder had
+    written before it was killed, and could not count any more, is in the next file too.
     """
-    taken = list(lengths)
+    used = list(lengths)
     missing = 0
     for i, (start, after) in enumerate(itertools.pairwise(starts)):
         if start is not None and after is not None:
             missing += max(0, after - start - lengths[i])
-            taken[i] = min(lengths[i], after - start)
-    return taken, missing
+            used[i] = min(lengths[i], after - start)
+    return used, missing
 
 
 def _read(path: Path, wanted: Wanted) -> Contents:
@@ -175,7 +163,7 @@ def _read(path: Path, wanted: Wanted) -> Contents:
 
 
 def main() -> int:
-    """Write the answer; 1, with the reason alone in it, when the file cannot be read."""
+    """Write the answer; when the file cannot be read, the reason alone, and return 1."""
     output = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints must not get into the answer
     refuse_pandas()
@@ -191,7 +179,7 @@ def main() -> int:
         output.write(json.dumps(decoded).encode() + b"\n")
         for name in decoded["signals"]:
             output.write(np.ascontiguousarray(signals[name]).data)
-    gc.freeze()  # else the interpreter's end goes through all modules once more, 0.08 s
+    gc.freeze()  # saves a last collection over all modules, 0.08 s
     return 0
 
 

@@ -1,4 +1,4 @@
-"""Decoding of a recording in MCAP, as ``hil.record.mcap_file`` writes it, also without its end."""
+"""Decodes a recording in MCAP, as ``hil.record.mcap_file`` writes it, also one without its end."""
 
 import json
 import os
@@ -20,16 +20,16 @@ from hil.review.contents import Contents, DamagedError, Series, Wanted, json_pro
 _LEVEL_NAMES = {number: {"warning": "WARN"}.get(name, name.upper()) for name, number in LEVELS.items()}
 _LONGEST_RECORD_BYTES = 256 << 20
 _UNREADABLE = (McapError, CRCValidationError, zstandard.ZstdError, struct.error, ValueError, KeyError)
-# Of lz4, and of lengths that make no sense.
+# Raised by lz4, and for lengths that make no sense.
 _SENSELESS = (RuntimeError, MemoryError, OverflowError)
 _MAGIC = b"\x89MCAP0\r\n"  # a file begins and ends with it; between are records of (opcode u8, length u64, content)
 _RECORD = struct.Struct("<BQ")
 
 
 def decode_mcap(path: Path, wanted: Wanted = None) -> Contents:
-    """Return what an MCAP file of ours holds; without its end, up to where it was cut.
+    """Return what an MCAP recording holds; of one without its end, what was before the cut.
 
-    A chunk that is damaged is left out, which ``damage`` says. Raises DamagedError for any other damage.
+    A damaged chunk is left out, and named in ``damage``. Raises DamagedError for any other damage.
     """
     reader = _Reader(wanted)
     with path.open("rb") as file:
@@ -39,14 +39,14 @@ def decode_mcap(path: Path, wanted: Wanted = None) -> Contents:
         try:
             records = stream.records
             while max(file.tell(), len(_MAGIC)) < end:
-                reader.take(next(records))
+                reader.add(next(records))
         except (*_UNREADABLE, *_SENSELESS) as error:
             raise DamagedError(f"damaged: {error or type(error).__name__}") from error
     return reader.contents(cut_bytes)
 
 
 def _end_of_records(file: BinaryIO) -> tuple[int, int | None]:
-    """Return where the last whole record ends, and how many bytes are after it; None when those are the file's end."""
+    """Return where the last whole record ends, and the number of bytes after it; None for a file with its end."""
     size = file.seek(0, os.SEEK_END)
     end, opcode = len(_MAGIC), None
     while opcode != Opcode.FOOTER:
@@ -75,8 +75,8 @@ class _Reader:
         self._damage: list[str] = []
         self._lost_rows = 0
 
-    def take(self, record: object) -> None:
-        """Take a record of the file."""
+    def add(self, record: object) -> None:
+        """Add a record of the file."""
         if isinstance(record, Metadata):
             self._properties[record.name] = record.metadata
             if record.name == SIGNALS_PROPERTY:
@@ -91,7 +91,7 @@ class _Reader:
             self._chunk(record)
 
     def contents(self, cut_bytes: int | None) -> Contents:
-        """Return what was taken. Raises DamagedError for a file that has nothing of a run."""
+        """Return what was added. Raises DamagedError for a file that holds no run."""
         if self._names is None:
             raise DamagedError(why_nothing(self._programs, cut_bytes))
         table = np.concatenate([np.empty((0, len(self._columns))), *self._pieces])
@@ -120,17 +120,17 @@ class _Reader:
         )
 
     def _chunk(self, chunk: Chunk) -> None:
-        """Take what is in a chunk, all of it or nothing."""
+        """Add what is in a chunk, all of it or nothing."""
         try:
             inside = [] if self._rows_alone(chunk) else breakup_chunk(chunk, validate_crc=True)
         except (*_UNREADABLE, *_SENSELESS) as error:
             self._leave_out(chunk, error)
             return
         for inner in inside:
-            self.take(inner)
+            self.add(inner)
 
     def _leave_out(self, chunk: Chunk, error: Exception) -> None:
-        """Note what is lost with a damaged chunk: what its head says, which has no CRC of its own."""
+        """Note what is lost with a damaged chunk, by its head, which has no CRC of its own."""
         begin_s, end_s = ((t_ns - self._zero_ns) / 1e9 for t_ns in (chunk.message_start_time, chunk.message_end_time))
         rows = chunk.uncompressed_size / self._row.itemsize if self._names is not None else 0.5
         are_rows = rows.is_integer() and chunk.uncompressed_size < _LONGEST_RECORD_BYTES
@@ -140,7 +140,7 @@ class _Reader:
         self._damage.append(f"{what} from t = {begin_s:.6g} s to {end_s:.6g} s cannot be read and are left out: {why}")
 
     def _rows_alone(self, chunk: Chunk) -> bool:
-        """Take a chunk at once, when there is nothing but rows in it."""
+        """Add a chunk at once when it holds nothing but rows; return whether it did."""
         if self._names is None:
             return False
         stream, length = get_chunk_data_stream(chunk, validate_crc=True)
@@ -151,7 +151,7 @@ class _Reader:
         if (rows["opcode"] != Opcode.MESSAGE).any() or (rows["length"] != expected).any():
             return False
         if {self._topics.get(int(number)) for number in np.unique(rows["channel"])} - {SIGNALS_TOPIC, None}:
-            return False  # None: the chunk that says which topic is which may be lost
+            return False  # None: the chunk that names this topic may be lost
         self._pieces.append(rows["values"][:, self._columns])
         return True
 

@@ -1,4 +1,4 @@
-"""Decoding of an .rrd recording, as ``hil.record.stream`` writes it, and rerun's own tools, also without its end."""
+"""Decodes an .rrd recording, as ``hil.record.stream`` or rerun's own tools write it, also one without its end."""
 
 import functools
 import operator
@@ -32,35 +32,35 @@ _PROPERTIES = "/__properties/"
 _ROW_ID = "rerun.controls.RowId"
 
 
-class _Part(NamedTuple):
-    """A piece of an entity: row ids (n, 2) in the order of writing, ticks (n,), values (n, signals)."""
+class _Piece(NamedTuple):
+    """Rows of an entity: row ids (n, 2), which ascend in the order of writing, ticks (n,), values (n, signals)."""
 
     row_ids: npt.NDArray[np.uint64]
     ticks: npt.NDArray[np.int64]
     values: Series
 
-    def select(self, rows: slice | npt.NDArray[Any]) -> "_Part":
+    def select(self, rows: slice | npt.NDArray[Any]) -> "_Piece":
         """Return some of its rows."""
-        return _Part(self.row_ids[rows], self.ticks[rows], self.values[rows])
+        return _Piece(self.row_ids[rows], self.ticks[rows], self.values[rows])
 
 
 class _Pieces:
-    """What was read of an entity so far, in arrays that grow: pieces put together later would be there twice."""
+    """The rows of an entity that were read so far, in arrays that grow: joining them later needs twice the room."""
 
     def __init__(self, width: int) -> None:
         self._grown = _nothing(width)
         self._rows = 0
 
     def append(self, row_ids: npt.NDArray[np.uint64], ticks: npt.NDArray[np.int64], values: Series) -> None:
-        """Take a copy of the next piece, as of ``_Part``."""
+        """Add a copy of the next piece, as of ``_Piece``."""
         start, self._rows = self._rows, self._rows + len(values)
         for grown, piece in zip(self._grown, (row_ids, ticks, values), strict=True):
             if self._rows > len(grown):
                 grown.resize((self._rows + _GROWN_ROWS, *grown.shape[1:]), refcheck=False)
             grown[start : self._rows] = piece
 
-    def in_order(self) -> _Part:
-        """Return all in the order of writing."""
+    def in_order(self) -> _Piece:
+        """Return all rows in the order of writing."""
         read = self._grown.select(slice(self._rows))
         upper, lower = read.row_ids.T
         if ((upper[1:] > upper[:-1]) | ((upper[1:] == upper[:-1]) & (lower[1:] > lower[:-1]))).all():
@@ -75,18 +75,18 @@ class _Entities:
         self.wanted = wanted
         self.pieces: dict[str, _Pieces] = {}
         self.properties: dict[str, dict[str, str]] = {}
-        self.told: dict[str, bytes] = {}  # the row id of each property's newest word
+        self.newest: dict[str, bytes] = {}  # the row id of each property's newest text
         self.events: list[tuple[bytes, tuple[float, str, str]]] = []  # with their row ids
 
     def held(self) -> dict[str, list[str]] | None:
-        """Which signals each entity holds, or None while that was not read."""
+        """Return which signals each entity holds, or None while that was not read."""
         return json_property(self.properties, SIGNALS_PROPERTY)
 
 
 def decode_rrd(path: Path, wanted: Wanted) -> Contents:
-    """Return what an .rrd file holds; without its end, up to where it was cut. Raises DamagedError.
+    """Return what an .rrd file holds; of one without its end, what was before the cut. Raises DamagedError.
 
-    A file whose index is damaged is read without it: every row is in the messages before.
+    A file whose index is damaged is read without it: every row is in the messages before it.
     """
     try:
         return _decoded(path, wanted, has_index=has_end(path, ".rrd"))
@@ -105,29 +105,29 @@ def _decoded(path: Path, wanted: Wanted, *, has_index: bool) -> Contents:
 
     entities = _Entities(wanted)
     with _whole_messages(path, has_index=has_index) as (readable, cut_bytes), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # "has no footer": so it is, after a kill
+        warnings.simplefilter("ignore")  # "has no footer": it has none after a kill
         try:
             stream = _indexed(rrc.RrdReader(readable))
             held: dict[str, list[str]] | None = None
-            early: list[pa.RecordBatch] = []  # rerun's own tools may put the rows before what says whose they are
+            early: list[pa.RecordBatch] = []  # rerun's own tools may put rows before the names of their signals
             for chunk in stream().filter(content=["/__properties/**", "/events", SIGNALS_PATH]):
                 held = held or entities.held()
                 if held is None and chunk.entity_path == SIGNALS_PATH:
                     early.append(chunk.to_record_batch())
                 else:
-                    _take(chunk.entity_path, chunk.to_record_batch(), entities, held)
+                    _add(chunk.entity_path, chunk.to_record_batch(), entities, held)
             held = entities.held()
             while early:
-                _take(SIGNALS_PATH, early.pop(0), entities, held)
+                _add(SIGNALS_PATH, early.pop(0), entities, held)
             if held is None:
                 if OVERLAY_PROPERTY in entities.properties:
                     raise DamagedError("an overlay of two runs")
                 raise DamagedError(why_nothing(_programs(readable), cut_bytes))
-            # What was received live, and files of before, have their signals where they are drawn.
+            # Recordings received live, and older files, have their signals in the entities that are drawn.
             drawn = [path for path, names in held.items() if path != SIGNALS_PATH and _columns(names, wanted)]
             if drawn:
                 for chunk in stream().filter(content=drawn):
-                    _take(chunk.entity_path, chunk.to_record_batch(), entities, held)
+                    _add(chunk.entity_path, chunk.to_record_batch(), entities, held)
         except (RuntimeError, ValueError, OSError) as error:
             if cut_bytes is not None and not _holds_recording(readable):
                 raise DamagedError(why_nothing(_programs(readable), cut_bytes)) from error
@@ -138,7 +138,7 @@ def _decoded(path: Path, wanted: Wanted, *, has_index: bool) -> Contents:
 
 
 def _indexed(reader: "RrdReader") -> "Callable[[], LazyChunkStream]":
-    """Return what streams chunks: by the file's index, so that only the wanted are read, or all of a file without."""
+    """Return what streams chunks: by the index, so that only those wanted are read, or all of a file without one."""
     try:
         return reader.store().stream
     except (RuntimeError, ValueError, OSError):
@@ -146,7 +146,7 @@ def _indexed(reader: "RrdReader") -> "Callable[[], LazyChunkStream]":
 
 
 def _holds_recording(path: Path) -> bool:
-    """Whether rerun finds a recording in a file, and not only the layout of its views, or nothing."""
+    """Whether rerun finds a recording in a file, and not only the layout of views, or nothing."""
     import rerun.chunk as rrc
 
     try:
@@ -156,7 +156,7 @@ def _holds_recording(path: Path) -> bool:
 
 
 def _programs(path: Path) -> set[str]:
-    """Return the names of the programs that made what is in a file, none when it does not come to say."""
+    """Return the names of the programs that made what is in a file; none when they cannot be read."""
     import rerun.chunk as rrc
 
     try:
@@ -170,14 +170,14 @@ def _columns(names: list[str], wanted: Wanted) -> list[int]:
     return [i for i, name in enumerate(names) if wanted is None or name in wanted]
 
 
-def _take(entity: str, batch: "pa.RecordBatch", entities: _Entities, held: dict[str, list[str]] | None) -> None:
+def _add(entity: str, batch: "pa.RecordBatch", entities: _Entities, held: dict[str, list[str]] | None) -> None:
     columns = {name: batch.column(name) for name in batch.schema.names}
     if entity.startswith(_PROPERTIES):
         row_id = columns[_ROW_ID][-1].as_py()
         texts = entities.properties.setdefault(entity.removeprefix(_PROPERTIES), {})
-        if row_id < entities.told.setdefault(entity, row_id):
+        if row_id < entities.newest.setdefault(entity, row_id):
             return
-        entities.told[entity] = row_id
+        entities.newest[entity] = row_id
         for name, column in columns.items():
             if str(column.type) == "list<item: string>" and (words := column[-1].as_py()):
                 texts[name] = words[0]
@@ -205,8 +205,8 @@ def _take(entity: str, batch: "pa.RecordBatch", entities: _Entities, held: dict[
 
 
 def _signals(held: dict[str, list[str]], entities: _Entities) -> dict[str, Series]:
-    """Put the entities' parts in order and side by side."""
-    joined: dict[str, tuple[list[str], _Part]] = {}
+    """Return the signals of all entities, their rows in order."""
+    joined: dict[str, tuple[list[str], _Piece]] = {}
     for path, names in held.items():
         kept = [names[i] for i in _columns(names, entities.wanted)]
         if kept:
@@ -214,24 +214,23 @@ def _signals(held: dict[str, list[str]], entities: _Entities) -> dict[str, Serie
             joined[path] = kept, _nothing(len(kept)) if pieces is None else pieces.in_order()
     ticks = [part.ticks for _, part in joined.values()]
     if not all(np.array_equal(one, ticks[0]) for one in ticks):
-        # After a kill the last rows may have reached some entities only; after a repair any may lack some.
+        # After a kill some entities may lack the last rows; after a repair any may lack some.
         common = functools.reduce(np.intersect1d, ticks)
         joined = {path: (names, part.select(np.isin(part.ticks, common))) for path, (names, part) in joined.items()}
     return {name: part.values[:, i] for names, part in joined.values() for i, name in enumerate(names)}
 
 
-def _nothing(width: int) -> _Part:
-    return _Part(np.empty((0, 2), np.uint64), np.empty(0, np.int64), np.empty((0, width)))
+def _nothing(width: int) -> _Piece:
+    return _Piece(np.empty((0, 2), np.uint64), np.empty(0, np.int64), np.empty((0, width)))
 
 
 @contextmanager
 def _whole_messages(path: Path, *, has_index: bool) -> Iterator[tuple[Path, int | None]]:
-    """Yield the file, or, if its last message was cut short, a temporary copy without that message.
+    """Give the file, or, if its last message was cut short, a temporary copy without that message.
 
-    With it comes how many bytes were left out, as of ``Contents``. Without ``has_index`` what follows the messages is
-    left out too.
-
-    ``hil.review.reader`` says where temporary files go, and takes the copy away when rerun aborts this process.
+    With it comes how many bytes were left out, as ``Contents.cut_bytes``. Without ``has_index`` what follows the
+    messages is left out too. ``hil.review.reader`` chooses the folder of temporary files, and removes the copy when
+    rerun aborts this process.
     """
     with path.open("rb") as file:
         size = file.seek(0, os.SEEK_END)

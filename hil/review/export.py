@@ -1,7 +1,7 @@
-"""A recording for other programs: every signal as CSV, Parquet or MCAP, by the names of ``hil list signals``.
+"""A recording for other programs: every signal as CSV, Parquet or MCAP, and its poses as a trajectory.
 
-The ending of a name is the signal's unit. A value that is not there is an empty cell in CSV, a null in Parquet, and NaN
-in MCAP.
+Columns have the names of ``hil list signals``, which end in the unit. A missing value is an empty cell in CSV, a null
+in Parquet, and NaN in MCAP.
 """
 
 import csv
@@ -28,7 +28,7 @@ _ROWS_AT_ONCE = 50_000
 
 
 def write_export(run: RecordedRun, file: Path, existing: Existing = "refuse") -> None:
-    """Write all signals of a run that was read whole; the file's name tells the format.
+    """Write all signals of a run that was read whole; the ending of the file's name is the format.
 
     ``existing`` says what is done where the file is there already. Raises BadInputError when the name tells none, and
     where the file cannot be written.
@@ -48,7 +48,7 @@ def write_export(run: RecordedRun, file: Path, existing: Existing = "refuse") ->
 def _write_csv(run: RecordedRun, file: Path) -> None:
     from pyarrow.csv import CSVWriter, WriteOptions
 
-    # The header without quotes, which not every program takes off.
+    # The header is written without quotes: not every program removes them.
     options = WriteOptions(include_header=False, quoting_style="none")
     with file.open("wb") as output, CSVWriter(output, _schema(run), write_options=options) as writer:
         output.write(",".join(run.signals).encode() + b"\n")
@@ -86,7 +86,7 @@ def _write_mcap(run: RecordedRun, file: Path) -> None:
 
 
 def _schema(run: RecordedRun) -> "pa.Schema":
-    """Return the columns with unit and meaning, and what the run was and said."""
+    """Return the columns with unit and meaning, and the run's properties, events and summary."""
     import pyarrow as pa
 
     meanings = {signal.name: signal.meaning for signal in SIGNALS}
@@ -116,7 +116,7 @@ def _column(values: npt.NDArray[np.float64]) -> "pa.Array":
 
 
 def _zero_unix_ns(run: RecordedRun) -> int:
-    """Return the Unix time of t = 0, as near as the recording tells it: 0 when it does not say when it was made."""
+    """Return the Unix time [ns] of t = 0, as near as the recording says; 0 where it does not."""
     try:
         return int(datetime.fromisoformat(run.properties["started"]).timestamp() * 1e9)
     except (KeyError, ValueError):

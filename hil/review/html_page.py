@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _STYLE = Path(__file__).with_name("page.css")
-# A browser that would load something for this page must not.
+# The page must not load anything from elsewhere.
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'"
 _WIDTH_IN = 7.2
 
@@ -44,7 +44,7 @@ def picture(
     svg = buffer.getvalue().decode()
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
-    # Names of groups: nothing refers to them, and those of two plots on a page would be the same.
+    # Nothing refers to the ids of groups, and two plots on a page would have the same.
     svg = re.sub(r'<g id="[^"]*"', "<g", svg)
     return Picture(title, caption, svg.replace("<svg ", f'<svg role="img" aria-label="{escape(title)}" ', 1))
 

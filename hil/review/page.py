@@ -15,7 +15,6 @@ from hil.review.pictures import SIGNALS, Shown, pictures
 from hil.review.reader import RecordedRun
 
 _VERDICTS = {True: "held", None: "not judged", False: "failed"}
-_LEVELS = {"ERROR": "failed", "WARN": "note"}
 
 
 def page_signals() -> frozenset[str]:
@@ -56,7 +55,7 @@ def page(runs: Sequence[RecordedRun], figures: Sequence[Mapping[str, Any]]) -> s
 
 
 def _labels(figures: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return what the runs are called: by their law, else by their file, else by their order."""
+    """Return labels of the runs: by their law, else by their file, else by their order."""
     for labels in ([str(one["law"]) for one in figures], [Path(one["recording"]).stem for one in figures]):
         if len(set(labels)) == len(figures) and labels != ["None"]:
             return labels
@@ -86,9 +85,8 @@ def _head(labels: Sequence[str], figures: Sequence[Mapping[str, Any]]) -> Iterat
 
 
 def _outcomes(figures: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the expectations as ``in_order``, then what went wrong with the run on its way."""
-    rows = in_order(figures["expect"] or ())
-    if rows:
+    """Yield the expectations as ``in_order``, the faults, then what else happened on the way."""
+    if rows := in_order(figures["expect"] or ()):
         yield "<h2>Expectations</h2>"
         cells = [(mark(_VERDICTS[row["passed"]], row["passed"] is not False), escape(row["text"])) for row in rows]
         yield from table(("", "expectation"), cells)
@@ -99,15 +97,15 @@ def _outcomes(figures: Mapping[str, Any]) -> Iterator[str]:
             for row in figures["fault"]
         ]
         yield from table(("", "fault"), cells)
-    others = [row for row in outcome_rows(figures) if row[0] not in ("expect", "fault")]
+    others = [tuple(map(escape, row)) for row in outcome_rows(figures) if row[0] not in ("expect", "fault")]
     if others:
         yield "<h2>What happened on the way</h2>"
-        yield from table(("", ""), [(escape(label), escape(text)) for label, text in others])
+        yield from table(("", ""), others)
 
 
 def _figures(figures: Mapping[str, Any]) -> Iterator[str]:
     rows = (*figure_rows(figures), *belief_rows(figures))
-    yield from table(("figure", "value"), [(escape(label), escape(text)) for label, text in rows])
+    yield from table(("figure", "value"), [tuple(map(escape, row)) for row in rows])
 
 
 def _differences(labels: Sequence[str], rows: Sequence[Difference]) -> Iterator[str]:
@@ -142,24 +140,20 @@ def _links(labels: Sequence[str], figures: Sequence[Mapping[str, Any]]) -> Itera
 
 def _events(labels: Sequence[str], figures: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     yield "<h2>Events</h2>"
-    rows = [
-        (
-            f"{event['t_s']:.3f}",
-            escape(label),
-            mark(event["level"], event["level"] not in ("ERROR", "WARN")),
-            event["text"],
-        )
+    events = [
+        (f"{event['t_s']:.3f}", label, event)
         for label, one in zip(labels, figures, strict=True)
         for event in one["events"]
     ]
     cells = [
-        (t_s, label, level, escape(text)) for t_s, label, level, text in sorted(rows, key=lambda row: float(row[0]))
+        (t_s, escape(label), mark(event["level"], event["level"] not in ("ERROR", "WARN")), escape(event["text"]))
+        for t_s, label, event in sorted(events, key=lambda row: float(row[0]))
     ]
     yield from table(("t [s]", "run", "level", "event"), cells, numbers=(0,)) if cells else ["<p>None.</p>"]
 
 
 def _scenario(labels: Sequence[str], runs: Sequence[RecordedRun]) -> Iterator[str]:
-    """Yield every value of the scenario with where it was given; of two runs, what differs comes first."""
+    """Yield every value of the scenario with its source; of two runs, first what differs."""
     if len(runs) > 1:
         yield "<h2>What is different</h2>"
         rows = [change.words() for change in changes(*runs)]
@@ -178,7 +172,3 @@ def _scenario(labels: Sequence[str], runs: Sequence[RecordedRun]) -> Iterator[st
 
 def _value(value: object) -> str:
     return "-" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _level(level: str) -> str:
-    return f'<span class="{_LEVELS.get(level, "")}">{escape(level)}</span>'

@@ -1,4 +1,4 @@
-"""The plots of a review's page, of one run or of two over the same axes, each as SVG."""
+"""The plots of a review's page as SVG, of one run or of two over the same axes."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
@@ -32,14 +32,26 @@ SIGNALS = (
     ),
     *("link.feedback_age_ms", "link.rtt_ms", "link.load_percent", "link.rejected", "link.lost"),
 )
-"""What the plots are made of."""
+"""The signals that the plots need."""
 
 _PATH_POINTS = 2000
 _BINS = 60
+_ERRORS = (
+    ("error.x_m", "x [mm]"),
+    ("error.y_m", "y [mm]"),
+    ("error.planar_m", "planar [mm]"),
+    ("error.heading_rad", "heading [mrad]"),
+)
+_LINK = (
+    ("link.feedback_age_ms", "feedback age [ms]"),
+    ("link.rtt_ms", "round trip [ms]"),
+    ("link.load_percent", "load [%]"),
+    ("link.rejected", "frames so far"),
+)
 
 
 class Shown(NamedTuple):
-    """A run on a page: what it is called there, and what was read of it."""
+    """A run on a page: its label there, and what was read of it."""
 
     label: str
     run: RecordedRun
@@ -51,9 +63,7 @@ class Shown(NamedTuple):
 
     def curve(self, name: str, label: str | None = None, scale: float = 1.0) -> Curve:
         """Return a signal over time, as many points as a plot can show."""
-        return thinned(
-            Curve(self.label if label is None else label, self.series("loop.t_s"), scale * self.series(name))
-        )
+        return thinned(Curve(label or self.label, self.series("loop.t_s"), scale * self.series(name)))
 
     def limit(self, key: str) -> float | None:
         """Return a limit of the run's scenario."""
@@ -70,9 +80,7 @@ def pictures(runs: Sequence[Shown], faults: Sequence[Mapping[str, Any]]) -> Iter
     if not any(len(shown.series("loop.t_s")) for shown in runs):
         return
     yield _picture("Path", "Broad and orange the reference; a dot marks where a robot began.", 3.6, 2, _path, runs)
-    caption = "Truth minus reference. The dotted line is at 10 mm." + (
-        " Shaded: a fault is in force." if faults else ""
-    )
+    caption = "Truth minus reference. The dotted line is at 10 mm." + " Shaded: a fault is in force." * bool(faults)
     yield _picture("Errors", caption, 5.6, 1, partial(_errors, faults=faults), runs, rows=4)
     caption = "Thin what the firmware measures, broad and pale what it was told; dotted the limit."
     yield _picture("Wheel speeds", caption, 4.3, 2, _speeds, runs, rows=2)
@@ -85,9 +93,9 @@ def pictures(runs: Sequence[Shown], faults: Sequence[Mapping[str, Any]]) -> Iter
     if any(_torque(shown, wheel) is not None for shown in runs for wheel in WHEEL_NAMES):
         caption = "Amplitude spectral density by Welch's method, Hann window, without the mean. " + _resolution(runs)
         yield _picture("Spectra of the wheel torques", caption, 4.3, 2, _spectra, runs, rows=2)
-    if any(np.any(shown.series("loop.lateness_us") > 0.0) for shown in runs):
-        caption = "How late ticks began, and how long their work took."
-    else:
+    is_late = any(np.any(shown.series("loop.lateness_us") > 0.0) for shown in runs)
+    caption = "How late ticks began, and how long their work took."
+    if not is_late:
         caption = "How long the work of a tick took. No tick was late: in lockstep none can be."
     yield _picture("Lateness", caption, 2.4, 2, _lateness, runs)
     yield _picture("Link", "As each tick found it; counters since the start.", 4.4, 2, _link, runs, rows=2)
@@ -107,30 +115,21 @@ def _picture(
 
 def _path(axes: "list[Axes]", runs: Sequence[Shown]) -> None:
     path, error = axes
-    curves = []
-    for number, shown in enumerate(runs):
-        group = "truth" if shown.has("truth.x_m") else "pose"
+
+    def trail(shown: Shown, label: str, group: str) -> Curve:
         x_m, y_m = shown.series(f"{group}.x_m"), shown.series(f"{group}.y_m")
         step = -(-len(x_m) // _PATH_POINTS) or 1
-        curves.append(Curve(shown.label, x_m[::step], y_m[::step], colour_of(number)))
-    x_m, y_m = runs[0].series("reference.x_m"), runs[0].series("reference.y_m")
-    step = -(-len(x_m) // _PATH_POINTS) or 1
-    draw_path(path, Curve("reference", x_m[::step], y_m[::step]), curves)
+        return Curve(label, x_m[::step], y_m[::step])
+
+    curves = [trail(shown, shown.label, "truth" if shown.has("truth.x_m") else "pose") for shown in runs]
+    coloured = [_coloured(curve, number) for number, curve in enumerate(curves)]
+    draw_path(path, trail(runs[0], "reference", "reference"), coloured)
     draw_error(error, [_coloured(shown.curve("error.planar_m"), number) for number, shown in enumerate(runs)])
 
 
 def _errors(axes: "list[Axes]", runs: Sequence[Shown], *, faults: Sequence[Mapping[str, Any]]) -> None:
-    for panel, (name, label, scale) in zip(
-        axes,
-        (
-            ("error.x_m", "x [mm]", 1e3),
-            ("error.y_m", "y [mm]", 1e3),
-            ("error.planar_m", "planar [mm]", 1e3),
-            ("error.heading_rad", "heading [mrad]", 1e3),
-        ),
-        strict=True,
-    ):
-        curves = [_coloured(shown.curve(name, scale=scale), number) for number, shown in enumerate(runs)]
+    for panel, (name, label) in zip(axes, _ERRORS, strict=True):
+        curves = [_coloured(shown.curve(name, scale=1e3), number) for number, shown in enumerate(runs)]
         draw_curves(panel, curves, y_label=label, x_label="t [s]" if name == "error.heading_rad" else "")
         if name == "error.planar_m":
             panel.axhline(10.0, color=rgb(ALARM_COLOUR), linewidth=0.8, linestyle=":")
@@ -143,7 +142,7 @@ def _errors(axes: "list[Axes]", runs: Sequence[Shown], *, faults: Sequence[Mappi
 def _speeds(axes: "list[Axes]", runs: Sequence[Shown]) -> None:
     for panel, wheel in zip(axes, WHEEL_NAMES, strict=True):
         for number, shown in enumerate(runs):
-            _told(panel, shown.curve(f"wheel.{wheel}.speed_command_rad_s"), number)
+            _draw_command(panel, shown.curve(f"wheel.{wheel}.speed_command_rad_s"), number)
             measured = _coloured(shown.curve(f"wheel.{wheel}.speed_rad_s"), number)
             draw_curves(panel, [measured], title=wheel.upper(), y_label="speed [rad/s]")
         _limits(panel, runs, "robot.speed_limit_rad_s")
@@ -152,7 +151,7 @@ def _speeds(axes: "list[Axes]", runs: Sequence[Shown]) -> None:
 def _torques(axes: "list[Axes]", runs: Sequence[Shown]) -> None:
     for panel, wheel in zip(axes, WHEEL_NAMES, strict=True):
         for number, shown in enumerate(runs):
-            _told(panel, shown.curve(f"wheel.{wheel}.torque_command_n_m"), number)
+            _draw_command(panel, shown.curve(f"wheel.{wheel}.torque_command_n_m"), number)
             torque_n_m = _torque(shown, wheel)
             if torque_n_m is not None:
                 curve = thinned(Curve(shown.label, shown.series("loop.t_s"), torque_n_m, colour_of(number)))
@@ -186,8 +185,7 @@ def _lateness(axes: "list[Axes]", runs: Sequence[Shown]) -> None:
     for panel, name, label in zip(
         axes, ("loop.lateness_us", "loop.tick_us"), ("lateness [µs]", "work of a tick [µs]"), strict=True
     ):
-        values = [shown.series(name) for shown in runs]
-        values = [one[np.isfinite(one) & (one > 0.0)] for one in values]
+        values = [one[one > 0.0] for one in (shown.series(name) for shown in runs)]
         there = np.concatenate(values)
         if len(there):
             bins = np.geomspace(there.min(), max(there.max(), there.min() * 1.01), _BINS).tolist()
@@ -202,16 +200,7 @@ def _lateness(axes: "list[Axes]", runs: Sequence[Shown]) -> None:
 
 
 def _link(axes: "list[Axes]", runs: Sequence[Shown]) -> None:
-    for panel, (name, label) in zip(
-        axes,
-        (
-            ("link.feedback_age_ms", "feedback age [ms]"),
-            ("link.rtt_ms", "round trip [ms]"),
-            ("link.load_percent", "load [%]"),
-            ("link.rejected", "frames so far"),
-        ),
-        strict=True,
-    ):
+    for panel, (name, label) in zip(axes, _LINK, strict=True):
         suffix = " rejected" if name == "link.rejected" else ""
         curves = [_coloured(shown.curve(name, shown.label + suffix), number) for number, shown in enumerate(runs)]
         if suffix:
@@ -226,8 +215,8 @@ def _coloured(curve: Curve, number: int) -> Curve:
     return curve._replace(colour=colour_of(number))
 
 
-def _told(axes: "Axes", curve: Curve, number: int) -> None:
-    """Draw a command, below what was made of it."""
+def _draw_command(axes: "Axes", curve: Curve, number: int) -> None:
+    """Draw a command broad and pale, below what was measured."""
     axes.plot(curve.x, curve.y, color=rgb(colour_of(number)), linewidth=4.0, alpha=0.3)
 
 
@@ -238,14 +227,14 @@ def _limits(axes: "Axes", runs: Sequence[Shown], key: str) -> None:
 
 
 def _torque(shown: Shown, wheel: str) -> Series | None:
-    """Return what a motor makes, by its current; None where nothing tells."""
+    """Return the torque of a motor by its current [N·m]; None where that is not known."""
     constant_n_m_a = torque_constant_n_m_a(shown.run)
     name = f"wheel.{wheel}.current_a"
     return None if constant_n_m_a is None or not shown.has(name) else constant_n_m_a * shown.series(name)
 
 
 def _resolution(runs: Sequence[Shown]) -> str:
-    """Say what the spectra's averages are made of."""
+    """Return a sentence that says how many stretches the spectra are averages of."""
     words = []
     for shown in runs:
         torque_n_m = _torque(shown, WHEEL_NAMES[0])

@@ -26,18 +26,11 @@ if TYPE_CHECKING:
 
 Series = npt.NDArray[np.float64]
 
-# Those of Okabe and Ito, which colour-blind readers can tell apart, without the yellow that white paper swallows.
+# The colours of Okabe and Ito, which colour-blind readers can tell apart, without the yellow that white paper swallows.
 _CYCLE: tuple[Colour, ...] = (
-    (0, 114, 178),
-    (213, 94, 0),
-    (0, 158, 115),
-    (204, 121, 167),
-    (86, 180, 233),
-    (230, 159, 0),
-    (90, 90, 90),
-    (120, 60, 160),
-    (120, 80, 40),
-)
+    (0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 121, 167), (86, 180, 233),
+    (230, 159, 0), (90, 90, 90), (120, 60, 160), (120, 80, 40),
+)  # fmt: skip
 _DASHES = ("-", (0, (5, 2)))
 _INK = "#333333"
 _STYLE: Any = {
@@ -66,14 +59,13 @@ _STYLE: Any = {
 }
 _LEAST_ERROR_MM = 0.01  # below the encoders' resolution a logarithmic scale shows noise alone
 _BAR_SHARE = 0.8
-_MOST_INSIDE = 5
-"""Names that a legend has within the axes."""
+_MOST_INSIDE = 5  # entries of a legend within the axes; a longer one is beside them
 
 
 class Curve(NamedTuple):
     """Points in the order in which they are joined; ``x`` and ``y`` of one shape (n,), NaN leaves a gap.
 
-    ``colour`` is the next of the house's cycle when None.
+    ``colour`` is the next of the cycle when None.
     """
 
     label: str
@@ -84,9 +76,9 @@ class Curve(NamedTuple):
 
 
 class Bar(NamedTuple):
-    """The bars of one name, one for each group: what is nominal in full colour, up to the worst lighter.
+    """The bars of one label, one for each group: the nominal value in full colour, the worst one lighter.
 
-    None stands for what has no number, and leaves a mark in place of the bar.
+    A mark takes the place of the bar where the nominal value is None.
     """
 
     label: str
@@ -105,9 +97,9 @@ def drawing(
 ) -> Iterator[list["Axes"]]:
     """Give the axes to draw on, row by row, and write them: as PNG to a path, as SVG to a buffer, for a page.
 
-    ``existing`` says what is done where the file is there already. ``size_in`` is the whole picture's. What matplotlib
-    makes inside has the house's style. Raises BadInputError when the file cannot be written; after an error of the
-    caller's nothing is written.
+    ``existing`` says what is done where the file is there already; ``size_in`` is the size of the whole picture [inch].
+    Everything drawn inside has the style of this module. Raises BadInputError when the file cannot be written; after an
+    error of the caller nothing is written.
     """
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -126,9 +118,9 @@ def drawing(
 
 
 def thinned(curve: Curve, points: int = 1200) -> Curve:
-    """Return a curve over time with about this many points that looks the same: least and greatest of each stretch.
+    """Return a curve over time with about this many points that looks the same: minimum and maximum of each stretch.
 
-    Gaps (NaN) stay where whole stretches are empty. A curve that has no more points is returned as it is.
+    Gaps (NaN) stay where a whole stretch is empty. A curve with no more points is returned as it is.
     """
     count = len(curve.x)
     if count <= points:
@@ -147,12 +139,12 @@ def thinned(curve: Curve, points: int = 1200) -> Curve:
 
 
 def colour_of(number: int) -> Colour:
-    """Return the colour of the law, or whatever is compared, of this number."""
+    """Return the colour of the law, or of whatever is compared, with this number."""
     return _CYCLE[number % len(_CYCLE)]
 
 
 def is_dashed(number: int) -> bool:
-    """Return whether what has this number is drawn dashed, because its colour is another one's already."""
+    """Return whether the curve of this number is dashed, because another one has its colour."""
     return number >= len(_CYCLE)
 
 
@@ -162,13 +154,8 @@ def draw_curves(
     """Draw curves with a legend; from the tenth on, where colours come again, they are dashed."""
     for number, curve in enumerate(curves):
         dashed = curve.dashed or (curve.colour is None and is_dashed(number))
-        axes.plot(
-            curve.x,
-            curve.y,
-            label=curve.label,
-            color=rgb(curve.colour or colour_of(number)),
-            linestyle=_DASHES[dashed],
-        )
+        colour = rgb(curve.colour or colour_of(number))
+        axes.plot(curve.x, curve.y, label=curve.label, color=colour, linestyle=_DASHES[dashed])
     axes.set(title=title, xlabel=x_label, ylabel=y_label)
     if any(curve.label for curve in curves):
         _legend(axes)
@@ -185,14 +172,8 @@ def _legend(axes: "Axes", **inside: Any) -> None:
 
 def draw_path(axes: "Axes", reference: Curve, curves: Sequence[Curve], *, title: str = "Path") -> None:
     """Draw where robots went, x and y in m on one scale, over the reference; a dot marks where each began."""
-    axes.plot(
-        reference.x,
-        reference.y,
-        label=reference.label,
-        color=rgb(reference.colour or REFERENCE_COLOUR),
-        linewidth=4.0,
-        alpha=0.5,
-    )
+    colour = rgb(reference.colour or REFERENCE_COLOUR)
+    axes.plot(reference.x, reference.y, label=reference.label, color=colour, linewidth=4.0, alpha=0.5)
     draw_curves(axes, curves, title=title, x_label="x [m]", y_label="y [m]")
     for number, curve in enumerate(curves):
         there = np.flatnonzero(np.isfinite(curve.x) & np.isfinite(curve.y))
@@ -228,10 +209,10 @@ def draw_wheels(axes: "Axes", t_s: Series, wheels: Mapping[str, Series], *, titl
 def draw_bars(
     axes: "Axes", groups: Sequence[str], bars: Sequence[Bar], *, title: str, y_label: str, log: bool = False
 ) -> None:
-    """Draw groups of bars, those of one name in one colour: nominal in full, the worst behind it lighter.
+    """Draw groups of bars, those of one label in one colour: nominal in full, the worst behind it lighter.
 
-    On a logarithmic scale, which has no foot for a bar to stand on, they are dots, joined by a line. Values that it
-    has no place for, of zero, make it a linear one.
+    A logarithmic scale has no zero for a bar to stand on: there the two values are dots, joined by a line. A value of
+    zero makes the scale a linear one.
 
     Raises ValueError when a bar has not one value for each group.
     """

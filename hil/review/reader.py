@@ -1,6 +1,6 @@
-"""Reading a recording back: every signal bit for bit, the events, what the run was, and its summary.
+"""Reading a recording back: every signal bit for bit, the events, the properties, and the summary.
 
-Works for a file without an end too: one whose recorder was killed.
+A file without an end, whose recorder was killed, is read too.
 """
 
 import json
@@ -29,7 +29,7 @@ _REPAIR = "'rerun rrd optimize --continue-on-error' may recover what is whole"
 
 
 class Event(NamedTuple):
-    """A line of the event log; level as rerun names it: DEBUG, INFO, WARN or ERROR."""
+    """A line of the event log; the level is DEBUG, INFO, WARN or ERROR, as rerun names it."""
 
     t_s: float
     level: str
@@ -37,7 +37,7 @@ class Event(NamedTuple):
 
     @property
     def severity(self) -> str:
-        """The level as a recording takes it: debug, info, warning or error."""
+        """The level as ``Recording.event`` takes it: debug, info, warning or error."""
         return "warning" if self.level == "WARN" else self.level.lower()
 
 
@@ -50,13 +50,13 @@ class RecordedRun:
         signals: float64 arrays of one length by the signal's name, in the order in which the rows were recorded.
         events: the event log.
         properties: what the run was, as texts by name.
-        summary: what the run said at its end; None when it never came to that.
-        rows_dropped: rows that the run had to drop; None when the recorder never came to say.
-        rows_missing: rows that are in none of its parts.
-        goes_on: whether the run went on in a part that was not read.
+        summary: the run's JSON; None when the run did not come to its end.
+        rows_dropped: rows that the run had to drop; None when the recorder did not come to its end.
+        rows_missing: rows that are in none of its files.
+        goes_on: whether the run went on in a file that was not read.
         parts: the files, in order.
         held: the names of all signals of the recording, read or not.
-        notes: what a reader should know of the files: what is missing, or could not be read.
+        notes: sentences on what is missing in the files, or could not be read.
     """
 
     path: Path
@@ -73,15 +73,15 @@ class RecordedRun:
 
 
 def read(path: Path, signals: Collection[str] | None = None) -> RecordedRun:
-    """Read a recording made by ``hil run``, with its later parts when it is the first of several.
+    """Read a recording made by ``hil run``, with its later files when it is the first of several.
 
-    ``signals`` names the ones to read, for a long run that would not fit memory; None reads all.
+    ``signals`` names the signals to read, for a long run that would not fit memory; None reads all.
 
     Raises BadInputError when the file is missing, empty, no recording, damaged, or one of another program.
     """
     check_is_recording(path)
     wanted = [] if signals is None else [json.dumps(sorted(signals))]
-    # A process of its own: the library aborts on some damaged files, and then leaves its temporary files behind.
+    # In a process of its own: rerun aborts its process on some damaged files, and leaves its temporary files behind.
     with (
         tempfile.TemporaryDirectory() as scratch,
         subprocess.Popen(
@@ -103,19 +103,12 @@ def read(path: Path, signals: Collection[str] | None = None) -> RecordedRun:
             raise BadInputError(f"{path}: {head['damage']}; expected {EXPECTED_FILE}{repair}")
         table = np.empty((len(head["signals"]), head["rows"]))
         _read_into(decoder.stdout, table)
-    return RecordedRun(
-        path=path,
-        signals=dict(zip(head["signals"], table, strict=True)),
-        events=tuple(Event(*event) for event in head["events"]),
-        properties=head["properties"],
-        summary=head["summary"],
-        rows_dropped=head["rows_dropped"],
-        rows_missing=head["rows_missing"],
-        goes_on=head["goes_on"],
-        parts=tuple(map(Path, head["parts"])),
-        held=tuple(head["held"]),
-        notes=tuple(head["notes"]),
-    )
+    head["held"], head["notes"] = tuple(head["held"]), tuple(head["notes"])
+    del head["rows"]
+    head["signals"] = dict(zip(head["signals"], table, strict=True))
+    head["events"] = tuple(Event(*event) for event in head["events"])
+    head["parts"] = tuple(map(Path, head["parts"]))
+    return RecordedRun(path=path, **head)
 
 
 def _read_into(stream: IO[bytes], table: npt.NDArray[np.float64]) -> None:

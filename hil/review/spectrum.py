@@ -17,9 +17,9 @@ _STRETCHES = 8
 
 
 class Spectrum(NamedTuple):
-    """One-sided power spectral density in the signal's unit squared a hertz, over frequency [Hz]; both shape (n,).
+    """One-sided power spectral density [signal's unit² / Hz] over frequency [Hz], both of shape (n,).
 
-    ``stretches`` is how many were averaged, each of ``stretch_s``.
+    It is the average of ``stretches`` periodograms, each of ``stretch_s``.
     """
 
     frequency_hz: Series
@@ -29,10 +29,9 @@ class Spectrum(NamedTuple):
 
 
 def spectrum(t_s: Series, values: Series) -> Spectrum | None:
-    """Return the spectrum of the longest part of a signal without a gap; None where that is too short for one.
+    """Return the spectrum of the longest stretch of a signal without a gap; None where that is too short for one.
 
-    A gap is a value that is not there, or a tick that is missing. The mean of each stretch is taken away, so what is
-    constant does not show.
+    A gap is a missing value or a missing tick. The mean of each periodogram's stretch is subtracted.
     """
     if len(t_s) < LEAST_SAMPLES:
         return None
@@ -53,7 +52,7 @@ def spectrum(t_s: Series, values: Series) -> Spectrum | None:
 
 
 def _longest_part(t_s: Series, values: Series, period_s: float) -> slice:
-    """Return the longest part in which each value is there and follows the one before in a period."""
+    """Return the longest run of values that are finite and one period apart."""
     broken = np.zeros(len(t_s) + 1, dtype=bool)
     broken[1:-1] = np.abs(np.diff(t_s) - period_s) > period_s / 2
     gaps = ~np.isfinite(values)
