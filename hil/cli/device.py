@@ -6,7 +6,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -14,8 +13,7 @@ import typer
 from hil.cli.options import Force, LinkUrl, Mode, RobotFile, ScenarioName, Seed, Sets, TraceFile
 from hil.core.clock import TICK_NS, WallClock
 from hil.core.errors import BadInputError
-from hil.core.link_protocol import LinkProtocol
-from hil.core.outputs import Existing, existing_files
+from hil.core.outputs import existing_files
 from hil.core.subprocesses import wait_for_end
 from hil.record import check_output_path
 from hil.robot.targets.robot import open_server, open_target
@@ -24,7 +22,6 @@ from hil.robot.virtual import VirtualStm32
 from hil.runtime.realtime import real_time
 from hil.runtime.robots import link_of, no_lockstep, node_maker, open_trace, protocol_of, virtual_robot
 from hil.scenario import Scenario, load
-from hil.wire.robot_end import Wire
 from hil.wire.trace import Trace, TracedWire
 
 
@@ -55,79 +52,68 @@ def device(
     """Be the scenario's virtual robot in a process of its own; print one line when ready."""
     changes = [*(sets or []), *([] if dialect is None else [f"device.driver={dialect}"])]
     resolved = load(scenario, set=changes, robot=robot, mode=mode, link=link, seed=seed)
-    lifeline = sys.stdin.fileno() if until_eof else None
-    serve(
-        resolved,
-        truth_port,
-        lambda line: print(line, flush=True),
-        target,
-        trace,
-        lifeline,
-        existing=existing_files(force=force),
-    )
-
-
-def serve(
-    scenario: Scenario,
-    truth_port: int,
-    say: Callable[[str], None],
-    target: str = "host",
-    trace: Path | None = None,
-    lifeline: int | None = None,
-    *,
-    existing: Existing = "refuse",
-) -> None:
-    """Serve the scenario's virtual robot until SIGTERM or SIGINT; ``target`` says what its firmware runs on.
-
-    ``trace`` is a file for what is on the wire, ``existing`` what is done where it is there already. With a
-    ``lifeline``, the descriptor of a pipe, it ends with that too: when whoever held the other end is gone.
-
-    ``say`` gets one line when the robot is ready: how to reach it; one for each part of ``[realtime]`` that was not
-    granted; and at the end what a foreign FMU has said, one if this machine's stalls cost robot time, and one if the
-    trace is incomplete. Raises BadInputError when a part cannot be made, LinkError when the link is lost, DeviceError
-    when the plant fails.
-    """
+    existing = existing_files(force=force)
     if trace is not None:
         check_output_path("trace", trace, existing)
     with contextlib.ExitStack() as resources:
-        url = link_of(scenario)
-        lockstep = scenario.loop.mode == "lockstep"
-        robot = _robot(scenario, target)
-        resources.callback(robot.close)
-        tracing = resources.enter_context(open_trace(scenario, trace, existing)) if trace is not None else None
-        wire, reach = url.open_robot(say, lockstep=lockstep, protocol=protocol_of(scenario))
-        resources.callback(wire.close)
-        if tracing is not None:
-            wire = _traced(wire, tracing, robot, protocol_of(scenario), lockstep=lockstep)
-        truth = TruthServer(scenario.hash, truth_port)
-        resources.callback(truth.close)
-        # Before robot time begins: to lock memory takes a tenth of a second.
-        granted = None if lockstep else resources.enter_context(real_time(scenario.realtime))
-        server = open_server(robot, wire, truth, lockstep=lockstep)
-        truth.request_reset = server.request_reset
-        truth.ask_faults = server.ask
-        for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, lambda *_: server.stop())
-        if lifeline is not None:
-            threading.Thread(
-                target=_stop_at_the_end, args=(lifeline, server.stop), name="lifeline", daemon=True
-            ).start()
-        say(f"ready link={reach} truth={truth.url} mode={scenario.loop.mode} scenario={scenario.name}")
-        for sentence in granted.figures()["refused"].values() if granted is not None else ():
-            say(f"not granted: {sentence}")
-        try:
-            server.serve()
-        finally:
-            for line in robot.output.end() if robot.output is not None else ():
-                say(f"the plant says: {line}")
-            if server.slipped_ticks:
-                say(f"this machine stalled: the robot lost {server.slipped_ticks} ms of its time")
-            if tracing is not None and (trouble := tracing.finish().trouble()) is not None:
-                say(trouble)
+        virtual = _robot(resolved, target)
+        resources.callback(virtual.close)
+        file = None if trace is None else resources.enter_context(open_trace(resolved, trace, existing))
+        _serve(resolved, virtual, truth_port, file, sys.stdin.fileno() if until_eof else None, resources)
+
+
+def _say(line: str) -> None:
+    print(line, flush=True)
+
+
+def _serve(
+    scenario: Scenario,
+    robot: VirtualStm32,
+    truth_port: int,
+    trace: Trace | None,
+    lifeline: int | None,
+    resources: contextlib.ExitStack,
+) -> None:
+    """Serve the robot until SIGTERM or SIGINT, or until ``lifeline``, the descriptor of a pipe, ends.
+
+    Prints one line when the robot is ready, with its link and truth, and one for each part of ``[realtime]`` that was
+    not granted; at the end the last output of a foreign FMU, and a line if robot time was lost or the trace is
+    incomplete. Raises LinkError when the link is lost, DeviceError when the plant fails.
+    """
+    lockstep, protocol = scenario.loop.mode == "lockstep", protocol_of(scenario)
+    wire, reach = link_of(scenario).open_robot(_say, lockstep=lockstep, protocol=protocol)
+    resources.callback(wire.close)
+    if trace is not None:
+        clock = _RobotTime(robot) if lockstep else WallClock()
+        trace.begin(time.time_ns() - clock.now_ns())
+        wire = TracedWire(wire, trace, clock.now_ns, protocol)
+    truth = TruthServer(scenario.hash, truth_port)
+    resources.callback(truth.close)
+    # Before robot time begins, because locking memory takes a tenth of a second.
+    granted = None if lockstep else resources.enter_context(real_time(scenario.realtime))
+    server = open_server(robot, wire, truth, lockstep=lockstep)
+    truth.request_reset = server.request_reset
+    truth.ask_faults = server.ask
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: server.stop())
+    if lifeline is not None:
+        threading.Thread(target=_stop_at_the_end, args=(lifeline, server.stop), name="lifeline", daemon=True).start()
+    _say(f"ready link={reach} truth={truth.url} mode={scenario.loop.mode} scenario={scenario.name}")
+    for sentence in granted.figures()["refused"].values() if granted is not None else ():
+        _say(f"not granted: {sentence}")
+    try:
+        server.serve()
+    finally:
+        for line in robot.output.end() if robot.output is not None else ():
+            _say(f"the plant says: {line}")
+        if server.slipped_ticks:
+            _say(f"this machine stalled: the robot lost {server.slipped_ticks} ms of its time")
+        if trace is not None and (trouble := trace.finish().trouble()) is not None:
+            _say(trouble)
 
 
 def _robot(scenario: Scenario, target: str) -> VirtualStm32:
-    """Make the scenario's robot. Raises BadInputError for what cannot be a process of its own."""
+    """Make the scenario's robot. Raises BadInputError when it cannot run in a process of its own."""
     made_of, driver = virtual_robot(scenario), scenario.device.driver
     if not scenario.device.is_makers:
         return open_target(target, made_of, link_of(scenario))
@@ -139,7 +125,7 @@ def _robot(scenario: Scenario, target: str) -> VirtualStm32:
 
 
 class _RobotTime:
-    """Robot time of a robot in lockstep; where a power cycle began it anew, it goes on from there."""
+    """The clock of a robot in lockstep; it goes on when a power cycle sets the robot's own time to 0."""
 
     def __init__(self, robot: VirtualStm32) -> None:
         self._robot = robot
@@ -152,12 +138,6 @@ class _RobotTime:
             self._base += self._last
         self._last = tick
         return (self._base + tick) * TICK_NS
-
-
-def _traced(wire: Wire, trace: Trace, robot: VirtualStm32, protocol: LinkProtocol, *, lockstep: bool) -> TracedWire:
-    clock = _RobotTime(robot) if lockstep else WallClock()
-    trace.begin(time.time_ns() - clock.now_ns())
-    return TracedWire(wire, trace, clock.now_ns, protocol)
 
 
 def _stop_at_the_end(lifeline: int, stop: Callable[[], None]) -> None:
