@@ -89,7 +89,7 @@ def test_where_strangers_speak_nobody_is_asked(bus: Bus) -> None:
     assert done.returncode == 1
     assert answer["found"] == []
     assert list(answer["strangers"]) == ["0x123"]
-    assert "nobody else was asked" in answer["not_asked"]
+    assert "no motor controller was queried" in answer["not_asked"]
     assert answer["elsewhere"] == "not looked for on this link: mjbots moteus; look for them in a link with fd=1"
     assert bus.heard() == []
 
@@ -181,7 +181,7 @@ def test_where_bytes_come_that_nobody_understands_nothing_is_sent() -> None:
         is_over.set()
         speaker.join()
     assert result.answers == []
-    assert "bytes came of nobody who is known here" in (result.not_asked or "")
+    assert "bytes came of unknown senders" in (result.not_asked or "")
     assert select.select([master], [], [], 0)[0] == []
     os.close(master)
     os.close(slave)
@@ -226,7 +226,7 @@ def test_a_wheel_is_turned_and_the_others_are_not() -> None:
 def test_a_verdict_says_how_the_wheel_followed(asked: float, turned: float, sentence: str) -> None:
     verdict = Jogged(asked, Wheels(-turned / 3, turned, turned / 3, 0.0)).verdict("fr")
     assert verdict.sentence.startswith(sentence)
-    assert verdict.is_as_told is ("followed" in sentence)
+    assert verdict.is_right is ("followed" in sentence)
 
 
 def test_a_wheel_that_does_not_turn_is_told_by_the_exit_code() -> None:
@@ -239,7 +239,7 @@ def test_a_wheel_that_does_not_turn_is_told_by_the_exit_code() -> None:
     ("wheel", "speed", "seconds", "sentence"),
     [
         ("fm", 1.0, 3.0, "expected one of fl, fr, rr, rl"),
-        ("fl", 9.0, 3.0, "expected one of at most 3 either way"),
+        ("fl", 9.0, 3.0, "expected at most 3 either way"),
         ("fl", 0.0, 3.0, "not zero"),
         ("fl", 1.0, 60.0, "expected more than 1, at most 10"),
     ],

@@ -1,4 +1,4 @@
-"""``hil decode``: a trace of the bus, in our terms."""
+"""``hil decode``: a trace of the bus, decoded by wheel.dbc."""
 
 import contextlib
 import math
@@ -53,7 +53,7 @@ def decode(
 
 @contextlib.contextmanager
 def _quiet_when_the_reader_leaves() -> Iterator[None]:
-    """End quietly where stdout was closed, as by head."""
+    """Exit quietly when the reader of stdout has left, as head does."""
     try:
         yield
     except BrokenPipeError:

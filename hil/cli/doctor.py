@@ -41,7 +41,7 @@ def examine(folder: Path) -> Iterator[Finding]:
 
 
 def print_findings(findings: Sequence[Finding]) -> None:
-    """Print what was found of this machine, the verdict first, and below it what to do."""
+    """Print the findings, the verdict first, and the remedy below."""
     for verdict, subject, sentence, remedy in findings:
         print(f"{verdict:<8} {subject:<15} {sentence}")
         if remedy:

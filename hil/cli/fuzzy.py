@@ -39,9 +39,9 @@ def fuzzy(
 
 
 def draw_gains(tables: Tables, path: Path, existing: Existing = "refuse") -> None:
-    """Write a PNG of K1 and K2 [1/s] over error and rate, both in units of their ranges, with the rules at the peaks.
+    """Write a PNG of K1 and K2 [1/s] over error and rate in units of their ranges, with the rules at the peaks.
 
-    ``existing`` says what is done where the file is there already. Raises BadInputError when it cannot be written.
+    ``existing`` says what to do when the file exists. Raises BadInputError when it cannot be written.
     """
     across = np.linspace(-_BEYOND, _BEYOND, _POINTS)
     error, rate = np.meshgrid(across, across)
@@ -57,7 +57,7 @@ def _draw(axes: "Axes", title: str, across: Series, surface: Series, rules: Rule
     from matplotlib.patheffects import withStroke
 
     outline = [withStroke(linewidth=2.0, foreground="#333333")]
-    # From the least level to the largest, which not every table reaches: two pictures have one scale.
+    # From the least to the largest level, so that the pictures of both tables have one scale.
     least, most = min(levels.values()), max(levels.values())
     shades = axes.pcolormesh(
         across, across, surface, cmap="viridis", shading="nearest", rasterized=True, vmin=least, vmax=most

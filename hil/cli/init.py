@@ -1,4 +1,4 @@
-"""``hil init``: the first two files of a user's own robot, by asking or by flags."""
+"""``hil init``: the first two files of a user's own robot, from answers or flags."""
 
 import sys
 from pathlib import Path
@@ -34,7 +34,7 @@ def init(
 ) -> None:
     """Write a robot file and a first scenario: asks for what no flag gives.
 
-    What each value means is said where it is asked for, and in the file that is written.
+    Each question, and the file, says what its value means.
     """
     given: dict[str, Value | None] = {
         "robot.mass_kg": mass_kg,
@@ -56,10 +56,7 @@ def init(
     asks = not defaults and sys.stdin.isatty()
     missing = [question.flag for question in QUESTIONS if given[question.key] is None]
     if missing and not defaults and not asks:
-        raise BadInputError(
-            f"nobody can be asked, for stdin is no terminal; give {', '.join(missing)}, or --defaults for what is "
-            "proposed"
-        )
+        raise BadInputError(f"stdin is no terminal; give {', '.join(missing)}, or --defaults for what is proposed")
     answers: dict[str, Value] = {}
     for question in QUESTIONS:
         value = given[question.key]
@@ -76,7 +73,7 @@ def init(
 
 
 def _ask(question: "Question", proposed: "Value") -> "Value":
-    """Ask until the answer is one that the scenario's table takes."""
+    """Ask until the answer is valid in the scenario's table."""
     from hil.cli.new_robot import problem_with
 
     while True:

@@ -1,4 +1,4 @@
-"""``hil jog``: turns one wheel slowly, to see that it is the right one and turns the right way."""
+"""``hil jog``: turns one wheel slowly, to check that it is the right one and turns the right way."""
 
 import sys
 from collections.abc import Callable
@@ -46,8 +46,7 @@ def jog(
     """
     end_in_order()
     changes = [*(sets or []), "controller.command=speed", "controller.law=pid", "fault=[]", "expect=[]"]
-    # Where the robot is nobody has to know.
-    changes.append("estimator.source=odometry")
+    changes.append("estimator.source=odometry")  # the pose does not matter
     resolved = load(scenario, set=changes, robot=robot, link=link)
     if not parse_link(resolved.link.url).is_within_process:
         resolved = load(scenario, set=changes, robot=robot, link=link, mode="realtime")
@@ -67,31 +66,31 @@ def jog(
             done = turn_wheel(resolved, wheel, speed_rad_s, seconds, warn)
     except KeyboardInterrupt:
         raise RunInterruptedError("interrupted; the wheel was told to stop") from None
-    is_as_told, sentence = done.verdict(wheel)
+    is_right, sentence = done.verdict(wheel)
     if as_json:
         print_json({"asked_rad": done.asked_rad, "turned_rad": done.turned_rad._asdict(), "verdict": sentence})
     else:
         angles = ", ".join(f"{name} {angle:+.2f}" for name, angle in done.turned_rad._asdict().items())
         print(f"asked {wheel} {done.asked_rad:+.2f} rad; the sensors saw {angles} rad")
         print(sentence)
-    raise typer.Exit(0 if is_as_told else 1)
+    raise typer.Exit(0 if is_right else 1)
 
 
 class Verdict(NamedTuple):
-    """Whether the sensor of the right wheel alone saw it turn the right way; in words, and what to change if not."""
+    """Whether the sensor of the right wheel alone saw it turn the right way, and a sentence on it."""
 
-    is_as_told: bool
+    is_right: bool
     sentence: str
 
 
 class Jogged(NamedTuple):
-    """How far each wheel turned by its own sensor [rad], and how far the chosen one was asked to."""
+    """Angle of the command to the chosen wheel, and angles by the wheels' own sensors [rad]."""
 
     asked_rad: float
     turned_rad: Wheels
 
     def verdict(self, wheel: str) -> Verdict:
-        """Judge by the sensors; whether the wheel that turned is the one that was named only a person can see."""
+        """Judge by the sensors. Only a person can see whether the wheel that turned is the named one."""
         turned = dict(zip(WHEEL_NAMES, self.turned_rad, strict=True))
         enough = min(_LEAST_SHARE * abs(self.asked_rad), _LEAST_RAD)
         least = max(enough, _MOST_SHARE * max(map(abs, self.turned_rad)))
@@ -99,13 +98,13 @@ class Jogged(NamedTuple):
         if moved == [wheel]:
             if turned[wheel] * self.asked_rad > 0.0:
                 short = self._short(turned[wheel])
-                seen = f"the sensor of {wheel} followed{short}; if you saw it turn the right way, its wiring is as told"
+                seen = f"the sensor of {wheel} followed{short}; if you saw it turn the right way, its wiring is right"
                 return Verdict(True, seen)
             what = f"the sensor of {wheel} counted the other way; put {wheel!r} into device.reversed, or take it out"
         elif not moved:
             what = f"no sensor saw a wheel turn; check the motor's power, and its encoder's cable, of {wheel}"
         else:
-            what = f"{wheel} was asked to turn, and the sensors of {', '.join(moved)} saw it; correct device.wheels"
+            what = f"{wheel} was to turn, and the sensors of {', '.join(moved)} saw it; correct device.wheels"
         return Verdict(False, what)
 
     def _short(self, turned_rad: float) -> str:
@@ -117,11 +116,11 @@ class Jogged(NamedTuple):
 def turn_wheel(
     scenario: Scenario, wheel: str, speed_rad_s: float, seconds: float, warn: Callable[[str], None] = lambda _: None
 ) -> Jogged:
-    """Turn a wheel at most so fast for so long, ramps of 0.5 s at both ends, and stop.
+    """Turn a wheel for ``seconds`` with ramps of 0.5 s at both ends, and stop.
 
-    ``warn`` gets what the driver warns of, before anything moves.
-    Raises BadInputError for a wheel or a number that is out of range and for a base that turns all of its wheels,
-    DeviceError and LinkError when the robot refuses, stops or is lost; it is told to stop in any case.
+    ``warn`` gets the warnings of the driver before anything moves. In any case the robot is told to stop. Raises
+    BadInputError for a wheel or a number out of range and for a base that turns all wheels itself, DeviceError and
+    LinkError when the robot refuses, stops or is lost.
     """
     check(scenario, wheel, speed_rad_s, seconds)
     period_ns = scenario.loop.period_ns
@@ -143,8 +142,8 @@ def turn_wheel(
                 share = max(0.0, min(t_s / _RAMP_S, 1.0, (seconds - t_s) / _RAMP_S))
                 if freshness.is_silent():
                     raise DeviceError(
-                        f"the feedback is {freshness.silent_ns * 1e-6:.0f} ms old; the wheel was told to stop, and "
-                        "nothing says that it did: see to it, and cut the motors' power if it turns"
+                        f"the feedback is {freshness.silent_ns * 1e-6:.0f} ms old; the wheel was told to stop, but "
+                        "nothing confirms it: cut the motors' power if it turns"
                     )
                 speed = Wheels(*(share * speed_rad_s if name == wheel else 0.0 for name in WHEEL_NAMES))
                 device.send(WheelCommand(CommandMode.SPEED, speed, ZERO_WHEELS))
@@ -157,13 +156,13 @@ def turn_wheel(
 
 
 def _limited(scenario: Scenario, robot_rad_s: float, speed_rad_s: float, warn: Callable[[str], None]) -> float:
-    """Return the speed as the guard lets it through."""
+    """Return the speed as limited by the guard."""
     guard = Guard(scenario.robot.speed_limit_rad_s, scenario.robot.torque_limit_n_m)
     guard.heed(robot_rad_s)
     asked = WheelCommand(CommandMode.SPEED, ZERO_WHEELS._replace(fl=speed_rad_s), ZERO_WHEELS)
     limited, is_scaled = guard.apply(asked)
     if is_scaled:
-        warn(f"the wheel is turned with {limited.speed_rad_s.fl:.4g} rad/s, the limit, and not with {speed_rad_s:g}")
+        warn(f"the wheel turns at {limited.speed_rad_s.fl:.4g} rad/s, the limit, and not at {speed_rad_s:g}")
     return limited.speed_rad_s.fl
 
 
@@ -172,7 +171,7 @@ def check(scenario: Scenario, wheel: str, speed_rad_s: float, seconds: float) ->
     if wheel not in WHEEL_NAMES:
         raise BadInputError(f"wheel {wheel!r}: expected one of {', '.join(WHEEL_NAMES)}")
     if not 0.0 < abs(speed_rad_s) <= MOST_RAD_S:
-        raise BadInputError(f"speed {speed_rad_s:g} rad/s: expected one of at most {MOST_RAD_S:g} either way, not zero")
+        raise BadInputError(f"speed {speed_rad_s:g} rad/s: expected at most {MOST_RAD_S:g} either way, and not zero")
     if not 2 * _RAMP_S < seconds <= MOST_S:
         raise BadInputError(f"{seconds:g} s: expected more than {2 * _RAMP_S:g}, at most {MOST_S:g}")
     if scenario.controller.mode is not CommandMode.SPEED:

@@ -19,7 +19,7 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
-    rich_markup_mode=None,  # to lay the help out in boxes takes longer to import than all else together
+    rich_markup_mode=None,  # rich's boxes take longer to import than all else together
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
@@ -30,11 +30,11 @@ def hil() -> None:
 
 
 _GC_THRESHOLD = 100_000
-"""New objects before the garbage collector looks: with Python's own 700 it goes through all modules while they load."""
+"""New objects before a garbage collection: with Python's own 700 it goes through all modules while they load."""
 
 
 def main() -> None:
-    """Entry point: an error that a user is meant to read is one sentence on stderr, and its exit code."""
+    """Entry point. An error for the user is one sentence on stderr, with its exit code."""
     gc.set_threshold(_GC_THRESHOLD)
     try:
         try:

@@ -1,4 +1,4 @@
-"""Options that several commands have, and how they print JSON."""
+"""Options and output that several commands share."""
 
 import json
 import os
@@ -18,7 +18,7 @@ Sets = Annotated[
     typer.Option("--set", metavar="KEY=VALUE", help="override any key, for example robot.mass_kg=24"),
 ]
 RobotFile = Annotated[Path | None, typer.Option("--robot", metavar="FILE", help="merge a robot's own file")]
-Mode = Annotated[str | None, typer.Option(metavar="lockstep|realtime", help="whose time passes")]
+Mode = Annotated[str | None, typer.Option(metavar="lockstep|realtime", help="as fast as possible, or by the clock")]
 LinkUrl = Annotated[
     str | None,
     typer.Option("--link", metavar="LINK", help="memory:, serial:PATH, serial:pty or can:INTERFACE/CHANNEL"),
@@ -50,9 +50,9 @@ def print_json(value: Any) -> None:
 
 
 def drop_output() -> None:
-    """Lose what is in the buffer of stdout, and what comes: it has no place to go.
+    """Send stdout to the null device, because its reader has gone or the disk is full.
 
-    Without this the interpreter would complain at its end.
+    Without this the interpreter would report an error at its end.
     """
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
@@ -66,9 +66,9 @@ def flush_output() -> None:
 
 
 def end_in_order() -> None:
-    """Have SIGTERM, and the end of the terminal, end a command as Ctrl-C does: robots stopped, files closed.
+    """Make SIGTERM and SIGHUP end a command as Ctrl-C does: robots are stopped, files closed.
 
-    A SIGHUP that is ignored, as under nohup, stays so.
+    An ignored SIGHUP, as under nohup, stays ignored.
     """
     for name in ("SIGTERM", "SIGHUP"):
         number = getattr(signal, name, None)  # Windows has no SIGHUP

@@ -1,8 +1,8 @@
-"""``hil probe``: which motor controllers are on a bus or a port. Nothing moves, and nothing is written.
+"""``hil probe``: finds the motor controllers on a bus or a port. Nothing moves, and no parameter is written.
 
-First it only listens: our own firmware and most controllers speak by themselves. Then those that were heard are asked
-what they are, our own first; where nobody was heard, each in turn. Where somebody speaks whom nobody here understands,
-nobody is asked: what reads in one protocol may be a command in another.
+First it only listens, because our own firmware and most controllers send by themselves. Then it queries those that were
+heard, our own first; on a silent line it queries each kind in turn. If there is traffic that no driver understands, it
+queries none: a query in one protocol may be a command in another.
 """
 
 import contextlib
@@ -48,54 +48,43 @@ def probe(
 
     Nothing moves and nothing is written: it listens, and asks for versions. Exit 1 when nobody was found.
     """
-    tell = (lambda _sentence: None) if as_json else (lambda sentence: print(f"# {sentence}", flush=True))
     with device_held(parse_link(link), f"hil probe {link}"):
-        result = find_motors(link, driver, tell)
+        result = find_motors(link, driver, (lambda _: None) if as_json else _say)
     if as_json:
-        print_json(
-            {
-                "found": [
-                    {
-                        "driver": answer.driver,
-                        "link": answer.link,
-                        "what": answer.found.sentences,
-                        "motors": answer.found.motors,
-                        "known": dict(answer.found.known),
-                        "unknown": answer.found.unknown,
-                    }
-                    for answer in result.answers
-                ],
-                "strangers": {f"{number:#x}": count for number, count in result.strangers.items()},
-                "not_asked": result.not_asked,
-                "elsewhere": result.elsewhere,
-            }
-        )
-        raise typer.Exit(0 if result.answers else 1)
+        print_json(result.record())
+    else:
+        _print(result)
+    raise typer.Exit(0 if result.answers else 1)
+
+
+def _say(sentence: str) -> None:
+    """Print a comment of the robot file."""
+    print(f"# {sentence}", flush=True)
+
+
+def _print(result: "Result") -> None:
     if result.not_asked is not None:
-        print(f"# {result.not_asked}")
+        _say(result.not_asked)
     for answer in result.answers:
         for sentence in answer.found.sentences:
-            print(f"# {sentence}")
+            _say(sentence)
         if answer.robot_file is None:
-            print(
-                f"# that is no whole robot with four motors; see DIALECTS.md for [device.motors] of {answer.driver!r}"
-            )
+            _say(f"this is no whole robot with four motors; see DIALECTS.md for [device.motors] of {answer.driver!r}")
         else:
-            print(f"# {answer.wiring}")
+            _say(answer.wiring)
             print(answer.robot_file)
     if result.strangers:
         ids = ", ".join(f"{number:#x}" for number in sorted(result.strangers))
-        print(f"# {sum(result.strangers.values())} frames came of others, with the ids {ids}")
+        _say(f"{sum(result.strangers.values())} frames are of unknown senders, with the ids {ids}")
     if not result.answers:
-        print("# nobody was found; check power, cable, and the link's bit rate or baud")
+        _say("no motor controllers were found; check power, cable, and the link's bit rate or baud")
         if result.elsewhere is not None:
-            print(f"# {result.elsewhere}")
-    raise typer.Exit(0 if result.answers else 1)
+            _say(result.elsewhere)
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What was found of one driver's, and the link that reaches it."""
+    """The controllers found of one driver, and the link that reaches them."""
 
     driver: str
     link: str
@@ -103,7 +92,7 @@ class Answer:
 
     @property
     def robot_file(self) -> str | None:
-        """A robot's file that drives what was found; None where that is no whole robot."""
+        """A robot file for the controllers; None when they are no whole robot."""
         if self.found.motors is None:
             return None
         answers: dict[str, Value] = {}
@@ -115,20 +104,25 @@ class Answer:
 
     @property
     def wiring(self) -> str:
-        """A sentence on which wheel is where, and who knows it."""
+        """A sentence on which motor turns which wheel."""
         scenario = load("circle_speed", set={"device.driver": self.driver})
         if scenario.device.is_makers and make_driver(scenario).capabilities.is_twist:
             return (
-                "Which wheel each motor turns it knows itself; put the wheels off the ground and drive it slowly, with "
-                "hil serve and hil teleop."
+                "The controller knows which wheel each motor turns; put the wheels off the ground and drive it slowly, "
+                "with hil serve and hil teleop."
             )
-        return "Which wheel each motor turns, and which way, nobody can tell from here: see hil jog."
+        return "Which wheel each motor turns, and which way, cannot be queried: see hil jog."
 
 
 @dataclass(slots=True)
 class Result:
-    """``strangers`` counts frames of a bus that are of nobody who was found, by id; ``not_asked`` says why makers were
-    left out, and ``elsewhere`` who could only be found on another kind of bus.
+    """The result of a probe.
+
+    Attributes:
+        answers: what was found.
+        strangers: number of frames of unknown senders on a bus, by id.
+        not_asked: why makers' controllers were not queried, or None.
+        elsewhere: which controllers can only be on another kind of bus, or None.
     """
 
     answers: list[Answer] = field(default_factory=list)
@@ -136,10 +130,26 @@ class Result:
     not_asked: str | None = None
     elsewhere: str | None = None
 
+    def record(self) -> dict[str, object]:
+        """Return the result for JSON."""
+        found = [
+            {
+                "driver": answer.driver,
+                "link": answer.link,
+                "what": answer.found.sentences,
+                "motors": answer.found.motors,
+                "known": dict(answer.found.known),
+                "unknown": answer.found.unknown,
+            }
+            for answer in self.answers
+        ]
+        strangers = {f"{number:#x}": count for number, count in self.strangers.items()}
+        return {"found": found, "strangers": strangers, "not_asked": self.not_asked, "elsewhere": self.elsewhere}
+
 
 @dataclass(frozen=True, slots=True)
 class _Candidate:
-    """One of those who may be there. ``claimed`` are the ids of frames that came and may be theirs."""
+    """A kind of controller to look for. ``claimed`` are the ids of received frames that may be of this kind."""
 
     driver: str
     title: str
@@ -150,7 +160,7 @@ class _Candidate:
 
 
 class _OurProbe:
-    """Asks for HELLO, of which every version of our firmware answers the first page."""
+    """Queries HELLO: every version of our firmware answers its first page."""
 
     def __init__(self) -> None:
         self._greeting = Greeting()
@@ -180,7 +190,7 @@ class _OurProbe:
             return None
         geometry = self._info.geometry
         known: dict[str, float] = {
-            f"robot.{name}": round(getattr(geometry, name), 4)  # its frame counts 0.12 mm
+            f"robot.{name}": round(getattr(geometry, name), 4)  # a frame's resolution is 0.12 mm
             for name in ("wheel_radius_m", "half_length_m", "half_width_m")
         }
         known["firmware.counts_per_revolution"] = geometry.counts_per_revolution
@@ -188,13 +198,13 @@ class _OurProbe:
 
 
 def find_motors(link: str, driver: str | None = None, say: Callable[[str], None] = lambda _sentence: None) -> Result:
-    """Return who is on a link; ``driver`` is the only one to look for. ``say`` is told what is being done.
+    """Return the controllers on a link, only those of ``driver`` if one is given. ``say`` gets progress sentences.
 
     Raises BadInputError for a link within the process, LinkError when it cannot be opened.
     """
     url = parse_link(link)
     if url.is_within_process:
-        raise BadInputError(f"link {link!r} reaches nobody outside this process; name a port or a bus")
+        raise BadInputError(f"link {link!r} reaches nothing outside this process; name a port or a bus")
     names = [driver] if driver is not None else [OUR_DRIVER, *DIALECTS]
     candidates = [one for name in names if (one := _candidate(name, link)) is not None]
     elsewhere = _elsewhere(url, names)
@@ -207,7 +217,7 @@ def find_motors(link: str, driver: str | None = None, say: Callable[[str], None]
 
 
 def _candidate(name: str, link: str) -> _Candidate | None:
-    """Return how to look for a driver's devices; None where they are not on such a link, or cannot be looked for."""
+    """Return a driver as a candidate; None when it is not on such a link, or has no probe."""
     if name == OUR_DRIVER:
         return _Candidate(name, "our own firmware", _OurProbe(), WHEEL_DBC.make_framing, parse_link(link))
     made = dialect(name)
@@ -220,7 +230,7 @@ def _candidate(name: str, link: str) -> _Candidate | None:
 
 
 def _elsewhere(url: LinkUrl, names: Iterable[str]) -> str | None:
-    """Return a sentence on those who are on a bus, but not of the kind that this link opens; None without any."""
+    """Return a sentence on the controllers that need the other kind of bus, CAN or CAN FD; None without any."""
     if not url.is_bus:
         return None
     own, other, change = ("can_fd", "can", "without") if url.wire == "can_fd" else ("can", "can_fd", "with")
@@ -238,7 +248,7 @@ def _probe_bus(candidates: Sequence[_Candidate], is_chosen: bool, result: Result
         for one in _whom_to_ask(candidates, is_silent=is_chosen or not heard):
             _ask(link, one, say)
             if one.driver == OUR_DRIVER and one.probe.found() is not None:
-                candidates = [one]  # whatever its frames look like to others
+                candidates = [one]  # its frames may look like those of others
                 break
     for one in candidates:
         if _add(result, one):
@@ -250,7 +260,7 @@ def _probe_bus(candidates: Sequence[_Candidate], is_chosen: bool, result: Result
 
 
 def _probe_port(candidates: Sequence[_Candidate], is_chosen: bool, result: Result, say: Callable[[str], None]) -> None:
-    """Listen in each one's framing and at its rate until one is understood, and send nothing before that is done."""
+    """Listen in each framing and at each baud rate until one is understood; send nothing before that."""
     came = 0
     for one in candidates:
         say(f"listening for {one.title} on {one.url}")
@@ -275,9 +285,10 @@ def _line(one: _Candidate) -> contextlib.closing[StreamLink]:
 
 
 def _whom_to_ask(candidates: Sequence[_Candidate], *, is_silent: bool) -> Sequence[_Candidate]:
-    """Return ours where it may be there, and those whom listening has found, or who may be there; else all or nobody.
+    """Return the candidates to query: our firmware if it may be there, and the makers that were heard.
 
-    Those who may be there are not asked where others are found: their ids are the same by chance.
+    If none was identified, those that may be there; if there are none of those either, all on a silent line. A maker
+    that only may be there is not queried where another was identified: its ids are equal by chance.
     """
     ours = [one for one in candidates if one.driver == OUR_DRIVER and one.claimed]
     makers = [one for one in candidates if one.driver != OUR_DRIVER]
@@ -287,13 +298,13 @@ def _whom_to_ask(candidates: Sequence[_Candidate], *, is_silent: bool) -> Sequen
 
 def _not_asked(what: str) -> str:
     return (
-        f"{what} came of nobody who is known here, so nobody else was asked: a question in one protocol may be a "
-        "command in another; name the only one to ask with --driver"
+        f"{what} came of unknown senders, so no motor controller was queried: a query in one protocol may be a command "
+        "in another; name the one to query with --driver"
     )
 
 
 def _ask(link: Link, one: _Candidate, say: Callable[[str], None]) -> None:
-    """Ask, and ask what follows from the answers."""
+    """Query a candidate, in rounds that follow from its answers."""
     say(f"asking for {one.title}")
     for _ in range(_ROUNDS):
         frames = one.probe.ask()
@@ -305,7 +316,7 @@ def _ask(link: Link, one: _Candidate, say: Callable[[str], None]) -> None:
 
 
 def _listen(link: Link, candidates: Iterable[_Candidate], patience_s: Callable[[], float]) -> Counter[int]:
-    """Show the candidates what comes, for as long as it is worth waiting; return how many frames of each id came."""
+    """Feed frames to the candidates until ``patience_s`` is over; return the number of frames by id."""
     candidates, heard = list(candidates), Counter[int]()
     begin_ns = time.monotonic_ns()
     while (left_ns := begin_ns + round(patience_s() * 1e9) - time.monotonic_ns()) > 0:

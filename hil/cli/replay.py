@@ -1,4 +1,4 @@
-"""``hil replay``."""
+"""``hil replay``: another law computed from a recording."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 def replay(
     recording: Annotated[Path, typer.Argument(metavar="RUN", help="recording of a run")],
-    law: Annotated[str, typer.Option(metavar="LAW[,GAIN=VALUE...]", help="which to compute from it")],
+    law: Annotated[str, typer.Option(metavar="LAW[,GAIN=VALUE...]", help="the law to compute")],
     record: Annotated[
         Path | None, typer.Option(metavar="FILE.rrd", help="record the run again with the replayed commands beside it")
     ] = None,
@@ -47,7 +47,7 @@ def _print(replayed: "Replay") -> None:
     gains = "".join(f", {name} = {value}" for name, value in replayed.gains.items())
     print(f"{replayed.law}{gains} on {replayed.path}, where {replayed.recorded_law} was in command")
     print(figures["label"])
-    print(f"{replayed.asked} of {replayed.ticks} ticks had a law asked\n")
+    print(f"{replayed.asked} of {replayed.ticks} ticks have a command of the law\n")
     head = ("open loop: replayed minus recorded", "rms", "max", "at t [s]", "recorded rms")
     rows = [
         (name, f"{one.rms:.4g}", f"{one.max:.4g}", f"{one.max_s:.3f}", f"{one.recorded_rms:.4g}")
@@ -55,6 +55,6 @@ def _print(replayed: "Replay") -> None:
     ]
     report.print_table([head, *rows])
     if replayed.commands_refused:
-        print(f"\n{replayed.commands_refused} commands were no numbers, and count as a stop")
+        print(f"\n{replayed.commands_refused} commands were not finite, and count as a stop")
     for note in replayed.notes:
         print(f"\nnote: {note}")

@@ -1,4 +1,4 @@
-"""What the commands print for a person."""
+"""Texts and tables that the commands print."""
 
 import contextlib
 import shutil
@@ -21,7 +21,7 @@ _REFRESH_S = 0.1
 
 
 def recording_path(name: str, asked: str | None) -> Path | None:
-    """Return where to record: ``none`` for nowhere, by default a new file in ``runs/``, which is made."""
+    """Return the file to record to: None for ``none``, by default a new one in ``runs/``, which is made."""
     if asked == "none":
         return None
     if asked is not None:
@@ -35,7 +35,7 @@ def catalogue_folder() -> Path:
 
 
 def progress(duration_s: float) -> "Watch":
-    """Return a watcher that shows a bar on stderr while a run goes on."""
+    """Return a watcher that shows a progress bar on stderr during a run."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -69,14 +69,14 @@ def progress(duration_s: float) -> "Watch":
 
 
 def warn(sentence: str) -> None:
-    """Say on stderr what a user should know before a run, or when its robot has come back."""
-    # Whoever read them may be gone, which is no reason to end a run; the recording has the sentence too.
+    """Print a warning on stderr."""
+    # A closed stderr must not end a run; the recording has the sentence too.
     with contextlib.suppress(OSError):
         print(f"hil: warning: {sentence}", file=sys.stderr)
 
 
 def announce_live(port: int) -> None:
-    """Say on stderr how a viewer reaches the run, and open one when a person watches and there is a display."""
+    """Print on stderr how to open a viewer, and open one when stderr is a terminal and there is a display."""
     from hil.record.viewer import live_hint, show_live
 
     print(live_hint(port), file=sys.stderr)
@@ -108,7 +108,7 @@ def print_result(result: RunResult) -> None:
 
 
 def _command() -> str:
-    """Return how this user reaches the command: by name, or by the path of a virtual environment not activated."""
+    """Return the command as this user can call it: its name, or its path in a virtual environment not activated."""
     called = Path(sys.argv[0])
     return "hil" if shutil.which("hil") or called.name != "hil" else str(called)
 
@@ -131,7 +131,7 @@ def print_figures(metrics: Mapping[str, Any]) -> None:
 
 
 def _streamed(stream: Mapping[str, Any]) -> str:
-    """Return what became of a stream."""
+    """Return the outcome of a stream."""
     if stream["sent"] is None:
         return f"to {stream['url']} incomplete: {stream['error']}"
     text = f"{stream['sent']} datagrams to {stream['url']}"
@@ -143,7 +143,7 @@ def _streamed(stream: Mapping[str, Any]) -> str:
 
 
 def print_rows(rows: Iterable[tuple[str, str]]) -> None:
-    """Print what is said of a run: a label and a text a line."""
+    """Print a label and a text a line."""
     for label, text in rows:
         print(f"  {label:<22} {text}".rstrip())
 

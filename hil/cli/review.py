@@ -78,9 +78,9 @@ def review(
 
 
 def _check(recordings: Sequence[Path], existing: "Existing", files: Mapping[str, Path | None]) -> None:
-    """Refuse what does not go together and what cannot be written, before anything long is done.
+    """Raise BadInputError for options that do not fit together and for files that cannot be written.
 
-    ``files`` are those to write, by what they are; None for those that nobody asked for.
+    ``files`` are the files to write by kind, None for those not wanted.
     """
     from hil.record.files import check_output_path
 
@@ -100,7 +100,7 @@ def _check(recordings: Sequence[Path], existing: "Existing", files: Mapping[str,
 
 
 def _print_run(found: Mapping[str, Any]) -> None:
-    """Print on one screen what the run was, why it failed, what happened to it, and its figures."""
+    """Print on one screen the run, why it failed, its events and its figures."""
     from hil.cli import report
     from hil.judge.words import belief_rows, figure_rows, link_rows, outcome_rows
 
@@ -135,10 +135,10 @@ def _about(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def _event_rows(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield the newest warnings and errors that nothing above says."""
+    """Yield the newest warnings and errors that are not printed above."""
     said = [found["failure"] or "", *(row["text"] for row in found["expect"] or ())]
     warned = [event for event in found["events"] if event["level"] in ("WARN", "ERROR")]
-    # An expectation tells of its first violation at once: the end of its time has the same words and more.
+    # The first violation of an expectation is an event at once; its final text begins with the same words.
     events = [event for event in warned if not any(text.startswith(event["text"]) for text in said)]
     if len(events) > _EVENTS_SHOWN:
         yield "events", f"the last {_EVENTS_SHOWN} of {len(events)}; --json and --html have them all"
@@ -147,7 +147,7 @@ def _event_rows(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def _print_two(found: Sequence[Mapping[str, Any]], rows: "Sequence[Difference]", changed: "Sequence[Change]") -> None:
-    """Print both runs, every figure of both, and what was different from the beginning."""
+    """Print both runs, every figure of both, and the differences of their scenarios."""
     from hil.cli import report
 
     for which, figures in zip(("first", "second"), found, strict=True):

@@ -63,7 +63,7 @@ def run(
 
     end_in_order()
     suffix = ".rrd" if record is None else None if record == "none" else Path(record).suffix
-    # First, for what it imports takes it as long as the rest takes us.
+    # First, because the recorder process imports for as long as this one.
     make_recording = context.with_resource(early_recorder(suffix, live=live))
 
     from hil.cli import report
@@ -116,6 +116,6 @@ def run(
 
 
 def _print_stuck(sentence: str) -> None:
-    """Print what ``--json`` gives of a run that a stuck law ends with the process."""
+    """Print the JSON of a run whose stuck law ends this process."""
     print_json({"passed": False, "failure": sentence})
     flush_output()

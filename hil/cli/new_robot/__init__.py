@@ -1,7 +1,6 @@
-"""The first files of a user's own robot: what is true of it, and a circle that it can drive.
+"""The first files of a user's own robot: its values, and a scenario with a circle that it can drive.
 
-The robot's file is what ``--robot`` takes, and the scenario extends it. What a value may be, and what it means, is
-asked of the scenario's own tables.
+``--robot`` takes the robot's file, and the scenario extends it. Ranges and meanings come from the scenario's options.
 """
 
 import tempfile
@@ -26,8 +25,8 @@ _TRIES = 40
 def begin(folder: Path, answers: Mapping[str, Value], existing: Existing = "refuse") -> tuple[Path, Path]:
     """Write both files and return them; the folder is made. ``answers`` has every question's key.
 
-    Raises BadInputError when a file is there already and is not to be replaced, when values contradict each other, or
-    when no circle is slow enough for the robot.
+    Raises BadInputError when a file exists and is not to be replaced, when values contradict each other, or when no
+    circle is slow enough for the robot.
     """
     robot, scenario = folder / ROBOT_FILE, folder / SCENARIO_FILE
     for path in (robot, scenario):
@@ -43,7 +42,7 @@ def begin(folder: Path, answers: Mapping[str, Value], existing: Existing = "refu
 
 
 def _feasible(answers: Mapping[str, Value]) -> str:
-    """Return a scenario whose circle the robot can follow: the fastest of those that are tried."""
+    """Return a scenario whose circle the robot can follow, the fastest of those tried."""
     slowness = 1.0
     with tempfile.TemporaryDirectory() as trial:
         Path(trial, ROBOT_FILE).write_text(robot_text(answers), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""What is asked of a robot, in this order, and what is proposed: the paper's robot, and what follows from answers."""
+"""The questions about a robot, in this order, with proposals from the paper's robot and from earlier answers."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -14,11 +14,11 @@ _GRAVITY_M_S2 = 9.81
 _GRIP = 0.7
 _SPEED_M_S = 1.5
 _WHEEL_SHARE = 0.09
-"""Of the robot's mass in one wheel with its rollers and motor, a disc."""
+"""Share of the robot's mass in one wheel with its rollers and motor, taken as a disc."""
 
 
 class Question(NamedTuple):
-    """A key of a robot's file, and what is proposed for it, from the answers before it."""
+    """A key of a robot's file, and its proposal, a function of the answers before it."""
 
     key: str
     proposed: Callable[[Answers], Value]
@@ -26,7 +26,7 @@ class Question(NamedTuple):
 
     @property
     def flag(self) -> str:
-        """How the command line has it."""
+        """The option of the command line."""
         return self.option or f"--{self.key.partition('.')[2].replace('_', '-')}"
 
     @property
@@ -35,7 +35,7 @@ class Question(NamedTuple):
         return option_of(self.key).meaning
 
     def read(self, text: str) -> Value:
-        """Return the value that a text is meant as: a number where the table has one. Raises ValueError."""
+        """Return the value of a text, a number where the option is one. Raises ValueError."""
         kind = option_of(self.key).type
         if kind is int:
             return int(text)
@@ -47,12 +47,12 @@ def _number(answers: Answers, name: str) -> float:
 
 
 def _rounded(value: float) -> float:
-    """Return a value with the three digits that a proposal deserves."""
+    """Return a value with three digits."""
     return float(f"{value:.3g}")
 
 
 def _box_inertia(answers: Answers) -> float:
-    """Return the yaw inertia of a plate as long and wide as the wheels stand, m (l1² + l2²) / 3."""
+    """Return the yaw inertia of a plate between the wheels, m (l1² + l2²) / 3."""
     length_m, width_m = _number(answers, "half_length_m"), _number(answers, "half_width_m")
     return _rounded(_number(answers, "mass_kg") * (length_m**2 + width_m**2) / 3)
 
@@ -62,7 +62,7 @@ def _wheel_inertia(answers: Answers) -> float:
 
 
 def _gripping_torque(answers: Answers) -> float:
-    """Return the torque at which rollers begin to slip on a floor of 0.7: mu m g / 4 r / sqrt(2)."""
+    """Return the torque at which the rollers begin to slip with a friction of 0.7: mu m g / 4 r / sqrt(2)."""
     weight_n = _number(answers, "mass_kg") * _GRAVITY_M_S2
     return min(15.0, _rounded(_GRIP * weight_n / 4 * _number(answers, "wheel_radius_m") / math.sqrt(2)))
 
@@ -72,7 +72,7 @@ def _walking_speed(answers: Answers) -> float:
 
 
 def _torque_constant(answers: Answers) -> float:
-    """Return a constant with which the torque limit is some 1.4 A."""
+    """Return a constant with which the torque limit takes about 1.4 A."""
     return max(0.001, _rounded(0.7 * _number(answers, "torque_limit_n_m")))
 
 
@@ -98,7 +98,7 @@ def option_of(key: str) -> Option:
 
 
 def problem_with(question: Question, value: Value) -> str | None:
-    """Return what is wrong with an answer, as the scenario's own check says it; None where nothing is."""
+    """Return the scenario's own sentence on a bad answer; None for a good one."""
     table, _, name = question.key.partition(".")
     try:
         build(options_of(Tables)[table].type, {name: value}, table)

@@ -1,4 +1,4 @@
-"""The two files as text: every value with what it means beside it."""
+"""The texts of the two files: every value with its meaning beside it."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,8 +22,8 @@ _COMMENT_COLUMN = 40
 def robot_text(answers: Answers, driver: str | None = None, found: Found | None = None) -> str:
     """Return the robot's file; ``answers`` has every question's key.
 
-    ``driver`` and ``found`` are those of motor controllers that were found: then nobody was asked, and the file says
-    what in it was told by nobody.
+    ``driver`` and ``found`` are of motor controllers that were found by a probe; then the file says which of its values
+    are not measured.
     """
     speed_kp = min(100.0, _three_digits(_LOOP_RAD_S * _inertia_at_a_wheel(answers)))
     more: dict[str, Value | list[str]] = {
@@ -46,7 +46,7 @@ def robot_text(answers: Answers, driver: str | None = None, found: Found | None 
 
 
 def scenario_text(answers: Answers, slowness: float) -> str:
-    """Return a first circle for the robot, so many times as slow as one that should well be within its limits."""
+    """Return a scenario with a circle; ``slowness`` 1 should be well within the robot's limits."""
     period_s = math.ceil(_period_s(answers) * slowness * 2) / 2
     return f"""\
 # A first circle: from {_OFF_M:g} m beside it, by the wheels and the gyro alone, as a real robot begins
@@ -69,13 +69,13 @@ period_s = {period_s:g}
 heading_rad = 0.0
 
 [estimator]
-source = "odometry"                     # "truth" where something tells it; "fused" with pose fixes
+source = "odometry"                     # "truth" where it is measured; "fused" with pose fixes
 
 [loop]
 rate_hz = 200
 duration_s = {period_s:g}
 
-[[expect]]                              # needs the truth, which the virtual robot tells
+[[expect]]                              # needs the truth, which the virtual robot has
 signal = "error.planar_m"
 from_s = {period_s / 2:g}
 below = 0.02
@@ -83,7 +83,7 @@ below = 0.02
 
 
 def _not_told(table: str, found: Found) -> Sequence[str]:
-    """Return sentences on what nobody told of a table, for the lines above it."""
+    """Return sentences on the values of a table that are not measured, for the lines above it."""
     known, unknown = (
         ", ".join(key.removeprefix(f"{table}.") for key in keys if key.rpartition(".")[0] == table)
         for keys in (found.known, found.unknown)
@@ -111,7 +111,7 @@ def _lines(table: str, rows: list[tuple[str, Value | list[str]]]) -> Iterator[st
 
 
 def _inertia_at_a_wheel(answers: Answers) -> float:
-    """Return what a wheel has to accelerate in straight motion [kg·m²]: a quarter of the robot, and itself."""
+    """Return the inertia at a wheel in straight motion [kg·m²]: a quarter of the robot, and the wheel."""
     mass_kg, radius_m, wheel_kg_m2 = (
         float(answers[f"robot.{name}"]) for name in ("mass_kg", "wheel_radius_m", "wheel_inertia_kg_m2")
     )
@@ -119,7 +119,7 @@ def _inertia_at_a_wheel(answers: Answers) -> float:
 
 
 def _period_s(answers: Answers) -> float:
-    """Return a period of the circle with which the wheels need a share of their limits in speed and in torque."""
+    """Return the period of a circle that needs a share of the wheels' limits in speed and in torque."""
     radius_m, speed_rad_s, torque_n_m = (
         float(answers[f"robot.{name}"]) for name in ("wheel_radius_m", "speed_limit_rad_s", "torque_limit_n_m")
     )
