@@ -17,8 +17,7 @@ from firmware_protocol.generated import messages as m
 from hil.core.errors import BadInputError, DeviceError
 from hil.plant.process import ChildProcess
 from hil.robot.targets import qemu_board
-from hil.robot.targets.qemu_board import QemuBoard
-from hil.robot.targets.qemu_process import QEMU
+from hil.robot.targets.qemu_board import QEMU, QemuBoard
 from tests.arm_programs import compile_program
 from tests.emulated_boards import Host, converse, firmware, needs_compiler, needs_qemu, plant_of, stored
 from tests.processes import environment, wait_for

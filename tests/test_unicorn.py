@@ -195,7 +195,7 @@ def test_what_arrives_while_the_chip_is_in_reset_is_counted_as_missed(link: str)
 
 
 def test_a_board_that_is_interrupted_while_it_boots_is_closed(monkeypatch: pytest.MonkeyPatch):
-    from hil.robot.targets.plant_line import PlantLine
+    from hil.robot.targets.emulated_board import PlantLine
 
     def interrupted(_line: PlantLine, _data: bytes) -> bytes:
         raise KeyboardInterrupt

@@ -10,8 +10,7 @@ import shutil
 import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from hil.core.errors import BadInputError, DeviceError
 from hil.core.types import PoseFix, Wheels, make_fix, make_pose, make_twist
@@ -22,25 +21,26 @@ from hil.plant.signals import OUTPUTS, SENSORS
 from hil.plant.start import Settable, Value, bounds, resize, settable_variables, start_values
 
 
-class FmuPlant:
+class FmuPlant(shim.PlantPort):
     """An instance of an FMU behind the plant port, at its start until it is stepped.
 
     ``start`` gives variables of the FMU by name, in the FMU's units; the others keep the FMU's defaults. ``mapping``
     says which variables carry the bridge's signals where they do not have the signals' own names. A tick lasts
-    ``step_ns``. ``exchange_address`` is a C function of the type ``wheel_plant_exchange``, ``context_address`` its
-    context; both hold only as long as this object lives, and fail after ``close``.
+    ``step_ns``.
 
     ``settable`` are the variables that may be set between two ticks, by name.
 
     With ``prints_log`` all that the FMU says to its logger is printed on stderr, a line for each message.
 
-    ``lacks`` names the sensors, keys of ``plant_signals.SENSORS``, that the FMU has not.
+    ``lacks`` names the sensors, keys of ``signals.SENSORS``, that the FMU has not.
 
     The FMU's code runs here: where it crashes or hangs, this process does.
 
     Raises BadInputError when the file is not an FMU that can run here, when a name is unknown or a value out of its
     range, and DeviceError when the FMU fails at its start.
     """
+
+    _functions = "cosim"
 
     def __init__(
         self,
@@ -86,29 +86,9 @@ class FmuPlant:
             self._resources = resources.pop_all()
 
     @property
-    def exchange(self) -> Any:
-        """The C function that exchanges one tick, as cffi sees it."""
-        return self._ffi.addressof(self._lib, "cosim_exchange")
-
-    @property
     def context(self) -> Any:
-        """The context of ``exchange``, as cffi sees it."""
+        """The context of the shim's functions, as cffi sees it."""
         return self._context
-
-    @property
-    def exchange_address(self) -> int:
-        """Address of the C function of the type ``wheel_plant_exchange``."""
-        return int(self._ffi.cast("uintptr_t", self.exchange))
-
-    @property
-    def context_address(self) -> int:
-        """Address of the context that belongs to ``exchange_address``."""
-        return int(self._ffi.cast("uintptr_t", self._context))
-
-    @property
-    def set_address(self) -> int:
-        """Address of a C function that sets a variable of ``settable`` by its place, with the same context."""
-        return int(self._ffi.cast("uintptr_t", self._ffi.addressof(self._lib, "cosim_set")))
 
     @property
     def pose_address(self) -> int:
@@ -179,14 +159,6 @@ class FmuPlant:
     def close(self) -> None:
         """Free the instance, unload the library and remove the unpacked files. Closing twice is allowed."""
         self._resources.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _connect(self, fmu: Path, mapping: SignalMap) -> list[object]:
         """Hand the FMU's addresses and variables to the shim; return what has to live as long as it."""

@@ -16,7 +16,7 @@ from hil.plant import archive
 from hil.plant.archive import Library
 from hil.plant.child_output import one_line
 from hil.plant.description import read_description, variables_of
-from hil.plant.shim import load
+from hil.plant.shim import address, load
 from hil.plant.solver import Solver
 from hil.plant.start import Start
 
@@ -235,9 +235,9 @@ class Instance:
         from fmpy import fmi2
 
         callbacks = fmi2.fmi2CallbackFunctions()
-        callbacks.logger = ctypes.cast(_shim_address("cosim_log2"), fmi2.fmi2CallbackLoggerTYPE)
-        callbacks.allocateMemory = ctypes.cast(_shim_address("cosim_allocate"), fmi2.fmi2CallbackAllocateMemoryTYPE)
-        callbacks.freeMemory = ctypes.cast(_shim_address("cosim_free"), fmi2.fmi2CallbackFreeMemoryTYPE)
+        callbacks.logger = ctypes.cast(address("cosim_log2"), fmi2.fmi2CallbackLoggerTYPE)
+        callbacks.allocateMemory = ctypes.cast(address("cosim_allocate"), fmi2.fmi2CallbackAllocateMemoryTYPE)
+        callbacks.freeMemory = ctypes.cast(address("cosim_free"), fmi2.fmi2CallbackFreeMemoryTYPE)
         callbacks.componentEnvironment = self._environment
         self.fmu.callbacks = callbacks  # must live as long as the instance
         self.fmu.component = self.fmu.fmi2Instantiate(
@@ -257,7 +257,7 @@ class Instance:
         # Section 2.3.1: with a separator at its end, and NULL where there is no such folder.
         path = (str(resources) + os.sep).encode() if resources.is_dir() else None
         named = (_NAME.encode(), self.description.guid.encode(), path, False, True)
-        logger = ctypes.cast(_shim_address("cosim_log3"), fmi3.fmi3LogMessageCallback)
+        logger = ctypes.cast(address("cosim_log3"), fmi3.fmi3LogMessageCallback)
         if self.is_model_exchange:
             self.fmu.component = self.fmu.fmi3InstantiateModelExchange(*named, self._environment, logger)
         else:
@@ -269,8 +269,3 @@ class Instance:
     @property
     def _environment(self) -> int:
         return int(load()[0].cast("uintptr_t", self._context))
-
-
-def _shim_address(name: str) -> int:
-    ffi, library = load()
-    return int(ffi.cast("uintptr_t", ffi.addressof(library, name)))

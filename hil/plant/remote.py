@@ -4,8 +4,6 @@ import contextlib
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from hil.core.errors import BadInputError, DeviceError
 from hil.core.subprocesses import DEFAULT_LIMIT_MB, IS_TOLD
@@ -21,7 +19,7 @@ _NO_ROWS = SignalMap()
 _NO_WHY = "did not say why"  # as cosim.c has it
 
 
-class RemotePlant:
+class RemotePlant(shim.PlantPort):
     """An instance of an FMU behind the plant port, like ``FmuPlant``, but loaded and stepped in a child process.
 
     ``timeout_s`` is how long a tick may take until the FMU counts as hung; opening it and going back to the start
@@ -32,6 +30,8 @@ class RemotePlant:
 
     Raises BadInputError as ``FmuPlant`` does, and DeviceError when the FMU fails, crashes or hangs while it is opened.
     """
+
+    _functions = "remote"
 
     def __init__(
         self,
@@ -111,21 +111,6 @@ class RemotePlant:
         return self._child.pid
 
     @property
-    def exchange_address(self) -> int:
-        """Address of a C function of the type ``wheel_plant_exchange``."""
-        return int(self._ffi.cast("uintptr_t", self._ffi.addressof(self._lib, "remote_exchange")))
-
-    @property
-    def context_address(self) -> int:
-        """Address of the context that belongs to ``exchange_address``."""
-        return int(self._ffi.cast("uintptr_t", self._context))
-
-    @property
-    def set_address(self) -> int:
-        """Address of a C function that sets a variable of ``settable`` by its place, with the same context."""
-        return int(self._ffi.cast("uintptr_t", self._ffi.addressof(self._lib, "remote_set")))
-
-    @property
     def pose_address(self) -> int:
         """Address of the newest pose: three doubles."""
         return int(self._ffi.cast("uintptr_t", self._context.newest.pose))
@@ -192,14 +177,6 @@ class RemotePlant:
             self._closed = True
             self._resources.close()
             self._text = "the FMU is closed"
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _ask(self, request: Mapping[str, object]) -> None:
         if self._lib.remote_ask(self._context, self._ffi.new("remote_request *", request)) != 0:

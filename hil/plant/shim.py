@@ -1,8 +1,9 @@
 """The C shim cosim.[ch] as cffi sees it, and how a wiring is laid out for it: one group of variables a type."""
 
 import functools
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import Any, ClassVar, Self
 
 from firmware_protocol.built import BuildError
 from firmware_protocol.host import Loaded, load_library
@@ -31,6 +32,48 @@ def loaded() -> Loaded:
     except BuildError as error:
         raise BadInputError(str(error)) from error
     return load_library(COSIM.path, HEADERS)
+
+
+def address(name: str) -> int:
+    """Return the address of a C function of the shim."""
+    ffi, library = load()
+    return int(ffi.cast("uintptr_t", ffi.addressof(library, name)))
+
+
+class PlantPort(ABC):
+    """What both plants offer to C: functions by their address, and the context that they are called with.
+
+    The addresses hold as long as the object lives; the functions fail after ``close``. A context manager.
+    """
+
+    _functions: ClassVar[str]
+    """With what the names of the shim's functions begin."""
+    _context: Any
+
+    @property
+    def exchange_address(self) -> int:
+        """Address of a C function of the type ``wheel_plant_exchange``, which exchanges one tick."""
+        return address(f"{self._functions}_exchange")
+
+    @property
+    def set_address(self) -> int:
+        """Address of a C function that sets a variable of ``settable`` by its place, with the same context."""
+        return address(f"{self._functions}_set")
+
+    @property
+    def context_address(self) -> int:
+        """Address of the context of both functions."""
+        return int(load()[0].cast("uintptr_t", self._context))
+
+    @abstractmethod
+    def close(self) -> None:
+        """Free the FMU. Closing twice is allowed."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
 
 def connect(context: Any, wiring: Wiring, access: Callable[[str, str], Any]) -> list[object]:

@@ -49,7 +49,7 @@ class RobotFaults:
     @property
     def exchange_address(self) -> int:
         """Address of the C function of the type ``wheel_plant_exchange``."""
-        return int(self._ffi.cast("uintptr_t", self._ffi.addressof(self._lib, "robot_faults_exchange")))
+        return shim.address("robot_faults_exchange")
 
     @property
     def context_address(self) -> int:

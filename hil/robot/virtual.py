@@ -3,42 +3,42 @@
 import contextlib
 import functools
 import operator
-import queue
-import threading
-import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import NamedTuple, Protocol, cast
+from typing import NamedTuple, Protocol
 
 from firmware_protocol.built import BuildError
 from firmware_protocol.capabilities import Capability
-from firmware_protocol.framing import Frame
-from firmware_protocol.generated.messages import State
 from firmware_protocol.host import HostNode, View
-from hil.core.clock import TICK_NS
-from hil.core.errors import BadInputError, DeviceError, HilError
-from hil.core.types import PoseFix
+from hil.core.errors import BadInputError, DeviceError
 from hil.plant import archive
 from hil.plant.child_output import ChildOutput
 from hil.plant.fmu import FmuPlant
 from hil.plant.mapping import SignalMap
 from hil.plant.remote import RemotePlant
 from hil.robot.faults import Body, RobotFaults
-from hil.robot.robot_node import RobotNode
 from hil.robot.wheel_map import WheelMap
-from hil.wire.robot_end import Wire
+from hil.wire.robot_end import Node
 
-# A stall of this machine is made up for in one burst up to here, as a robot would have moved on meanwhile. Beyond it
-# robot time slips, which is counted: a frozen machine is no robot any more.
-_CATCH_UP_TICKS = 50
-_POLL_NS = 20_000_000
-_ABANDONED_NS = 2_000_000_000
 _SENSORS = {
     "accelerometer": Capability.ACCELEROMETER,
     "battery": Capability.POWER,
     "temperatures": Capability.TEMPERATURES,
 }
+
+
+class RobotNode(Node, Protocol):
+    """What ``HostNode`` and the boards of ``hil.robot.targets`` have in common."""
+
+    def run(self, ticks: int) -> None:
+        """Let so many 1 ms ticks pass."""
+
+    def stored(self) -> bytes | None:
+        """Return what the robot keeps across a reset: the newest STORE, or None."""
+
+    def look(self) -> View:
+        """Return the firmware's inner state, as far as it is known."""
 
 
 class VirtualPlant(NamedTuple):
@@ -221,208 +221,3 @@ def _open(plant: VirtualPlant) -> FmuPlant | RemotePlant:
         timeout_s=plant.timeout_s,
         memory_limit_mb=plant.memory_limit_mb,
     )
-
-
-class WallClockNode:
-    """A firmware whose clock goes on by the wall between its ticks, as that of a board does."""
-
-    def __init__(self, node: RobotNode, start_ns: int) -> None:
-        self._node: ClockedNode = cast(ClockedNode, node)  # an emulated board has no real time, and gets none
-
-        self._start_ns = start_ns
-
-    def _set_clock(self) -> None:
-        self._node.set_clock((time.monotonic_ns() - self._start_ns) // 1000)
-
-    def feed(self, data: bytes) -> None:
-        self._set_clock()
-        self._node.feed(data)
-
-    def receive(self, frame: Frame) -> None:
-        self._set_clock()
-        self._node.receive(frame)
-
-    def take_bytes(self) -> bytes:
-        self._set_clock()
-        return self._node.take_bytes()
-
-    def take_frames(self) -> list[Frame]:
-        self._set_clock()
-        return self._node.take_frames()
-
-    def count_unsent(self, frames: int) -> None:
-        self._node.count_unsent(frames)
-
-
-class TruthSink(Protocol):
-    """Whoever wants the truth: the loop in this process, or the truth socket."""
-
-    def publish(self, fix: PoseFix, view: View | None) -> None:
-        """Take the newest truth; never blocks."""
-
-    @property
-    def wants_view(self) -> bool:
-        """Whether the firmware's inner state is wanted too."""
-
-
-class VirtualServer:
-    """Runs a virtual robot on its end of a link: by STEP in lockstep, by the wall clock in real time.
-
-    ``slipped_ticks`` counts robot time lost to stalls of this machine.
-    """
-
-    def __init__(self, robot: VirtualStm32, wire: Wire, truth: TruthSink, *, lockstep: bool) -> None:
-        self._robot = robot
-        self._wire = wire
-        self._truth = truth
-        self._lockstep = lockstep
-        self._stopping = threading.Event()
-        self._start_ns = time.monotonic_ns()
-        self._heard_ns = self._start_ns
-        self._ticks = 0
-        self._reset: Callable[[bool], None] | None = None
-        self._asked: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
-        self.slipped_ticks = 0
-        self._publish()
-
-    def request_reset(self, answer: Callable[[bool], None]) -> None:
-        """Ask for a power cycle before the next exchange; ``answer`` is called with whether it was done.
-
-        It is refused while the robot is armed or moves, unless in lockstep its host has been silent for 2 s.
-        """
-        self._reset = answer
-
-    def ask(self, work: Callable[[RobotFaults], None]) -> None:
-        """Have something done with the robot's faults before the next exchange, in the thread that serves."""
-        self._asked.put(lambda: work(self._robot.faults))
-
-    def serve(self) -> None:
-        """Serve until ``stop``. Raises LinkError when the link is lost, DeviceError when the plant fails."""
-        while not self._stopping.is_set():
-            self.service(_POLL_NS)
-
-    def stop(self) -> None:
-        """Make ``serve`` return; may be called from another thread or a signal handler."""
-        self._stopping.set()
-
-    def service(self, timeout_ns: int) -> None:
-        """Do what is due, waiting at most ``timeout_ns`` for something to come."""
-        if self._reset is not None or not self._asked.empty():
-            self._do_what_was_asked()
-        if self._lockstep:
-            if self._wire.receive_into(self._robot.node, timeout_ns):
-                self._heard_ns = time.monotonic_ns()
-                self._publish()
-                self._send()
-        else:
-            self._serve_real_time()
-
-    def advance(self, ticks: int) -> None:
-        """Lockstep with a robot whose protocol has no STEP: take what was sent, and let so many ticks pass."""
-        self._do_what_was_asked()
-        # All of it: the system hands over in parts what was written in parts, and gives no sign of the last.
-        while self._wire.receive_into(self._robot.node, 0):
-            pass
-        for _ in range(ticks):
-            self._robot.node.run(1)
-            self._send()
-        self._publish()
-
-    def _do_what_was_asked(self) -> None:
-        if self._reset is not None:
-            self._power_cycle()
-        while not self._asked.empty():
-            self._asked.get()()
-
-    def _send(self) -> None:
-        """Send what the robot has to send; where a reset switched it off, it is switched on again first."""
-        self._wire.send_from(self._robot.awake())
-
-    def _serve_real_time(self) -> None:
-        next_ns = self._start_ns + (self._ticks + 1) * TICK_NS
-        now_ns = time.monotonic_ns()
-        node = WallClockNode(self._robot.node, self._start_ns)
-        if now_ns < next_ns:
-            if self._wire.receive_into(node, next_ns - now_ns):
-                # An answer to TIME_SYNC that waited for the next tick would say nothing of the link.
-                self._wire.send_from(node)
-            return
-        while self._wire.receive_into(node, 0):
-            pass
-        due = (now_ns - self._start_ns) // TICK_NS - self._ticks
-        if due > _CATCH_UP_TICKS:
-            slipped = due - _CATCH_UP_TICKS
-            self._start_ns += slipped * TICK_NS
-            self.slipped_ticks += slipped
-            due = _CATCH_UP_TICKS
-        # With a slow clock the world goes on for more ticks than the firmware counts.
-        missed = self._robot.faults.extra_ticks
-        self._robot.node.run(due)
-        self._ticks += due + self._robot.faults.extra_ticks - missed
-        self._publish()
-        self._send()
-
-    def _publish(self) -> None:
-        view = self._robot.node.look() if self._truth.wants_view else None
-        self._truth.publish(self._robot.plant.truth(), view)
-        if view is not None and view.plant_failed and (failure := self._robot.failure()) is not None:
-            raise failure
-
-    def _power_cycle(self) -> None:
-        answer, self._reset = self._reset, None
-        at_rest = self._robot.node.look().state not in (State.ARMED, State.ACTIVE, State.STOPPING)
-        # In lockstep time stands still without a host, and the watchdog with it: one that has gone left the robot so.
-        abandoned = self._lockstep and time.monotonic_ns() - self._heard_ns > _ABANDONED_NS
-        at_rest = at_rest or abandoned
-        if at_rest:
-            self._robot.power_cycle()
-            self._start_ns = time.monotonic_ns()
-            self._ticks = 0
-            self._publish()
-        if answer is not None:
-            answer(at_rest)
-
-
-class LocalTruth:
-    """Ground truth within one process: the newest fix, by a direct call."""
-
-    wants_view = False
-
-    def __init__(self) -> None:
-        self._fix: PoseFix | None = None
-
-    def publish(self, fix: PoseFix, view: View | None) -> None:
-        self._fix = fix
-
-    def poll(self) -> PoseFix | None:
-        """Return the newest fix."""
-        return self._fix
-
-    def close(self) -> None:
-        """Nothing to release."""
-
-
-class ServerThread:
-    """A virtual robot that runs beside the controller in this process. ``failure`` holds what ended it early."""
-
-    def __init__(self, server: VirtualServer) -> None:
-        self._server = server
-        self.failure: HilError | None = None
-        self._thread = threading.Thread(target=self._run, name="virtual-stm32", daemon=True)
-        self._thread.start()
-
-    def _run(self) -> None:
-        try:
-            self._server.serve()
-        except HilError as error:
-            self.failure = error
-
-    @property
-    def native_id(self) -> int | None:
-        """Id of the thread as the operating system has it; None where it has ended already."""
-        return self._thread.native_id if self._thread.is_alive() else None
-
-    def close(self) -> None:
-        """Stop the robot and wait for its thread."""
-        self._server.stop()
-        self._thread.join()

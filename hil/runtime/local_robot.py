@@ -10,7 +10,8 @@ from hil.faults.kind import FaultRow
 from hil.plant.child_output import ChildOutput
 from hil.robot.direct import DirectTruth, open_direct
 from hil.robot.faults import RobotFaults
-from hil.robot.virtual import LocalTruth, MakeNode, MakeRobot, ServerThread, VirtualServer
+from hil.robot.virtual import MakeNode, MakeRobot
+from hil.robot.virtual_server import LocalTruth, ServerThread, VirtualServer
 from hil.runtime.fault_injection import RunFaults
 from hil.runtime.robots import link_of, node_maker, protocol_of, virtual_robot
 from hil.scenario import Scenario

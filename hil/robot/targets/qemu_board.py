@@ -1,20 +1,22 @@
 """The board in QEMU: the same calls as ``HostNode`` has, answered by a process beside this one."""
 
+import contextlib
 import select
+import shutil
 import socket
+import sys
+import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from firmware_protocol.framing import Deframer, Frame
 from firmware_protocol.generated import messages as m
-from firmware_protocol.host import View
-from firmware_protocol.stm32_flash import SECTOR_BYTES, flash_image
-from hil.core.errors import DeviceError
-from hil.robot.targets.onlooker import Onlooker
-from hil.robot.targets.plant_line import PlantLine, only_lockstep
-from hil.robot.targets.qemu_process import QemuProcess
+from firmware_protocol.stm32_flash import PARAMETER_ADDRESS, SECTOR_BYTES, flash_image
+from hil.core.errors import BadInputError, DeviceError
+from hil.plant.process import ChildProcess
+from hil.robot.targets.emulated_board import EmulatedBoard
 
 SILENCE_S = 2.0
 """How long a STEP may stay without any sign of life."""
@@ -27,7 +29,7 @@ _POLL_S = 0.05
 _CHUNK = 65536
 
 
-class QemuBoard:
+class QemuBoard(EmulatedBoard):
     """A ``hil-emulated`` firmware in QEMU, powered on.
 
     ``feed`` returns at once. When the firmware has sent something, ``on_output`` is called in a thread of this object,
@@ -39,8 +41,7 @@ class QemuBoard:
 
     def __init__(self, elf: Path, exchange_address: int, context_address: int, stored: bytes | None) -> None:
         self.on_output: Callable[[], None] = _nobody
-        self._plant = PlantLine(exchange_address, context_address)
-        self._onlooker = Onlooker()
+        super().__init__(exchange_address, context_address)
         self._asked, self._said = Deframer(), Deframer()
         self._step_is_open = False
         self._output = bytearray()
@@ -85,21 +86,9 @@ class QemuBoard:
         """Raise DeviceError: the machine has no CAN controller."""
         raise _no_can()
 
-    def count_unsent(self, frames: int) -> None:
-        """Take note of frames that nobody took; the firmware, like a board's, does not learn of it."""
-        self._onlooker.unsent += frames
-
-    def run(self, ticks: int) -> None:
-        """Raise DeviceError: robot time comes from STEP."""
-        raise only_lockstep()
-
     def stored(self) -> bytes | None:
         """Return None: QEMU's flash cannot be programmed, and a STORE fails."""
         return None
-
-    def look(self) -> View:
-        """Return what is known of the firmware's state."""
-        return self._onlooker.view(self._plant.drive, plant_failed=self._plant.has_failed)
 
     def check(self) -> None:
         """Raise what went wrong: DeviceError when QEMU ended or is stuck, or what ``on_output`` raised."""
@@ -153,7 +142,7 @@ class QemuBoard:
 
     def _hear(self, data: bytes) -> None:
         for frame in self._said.feed(data):
-            self._onlooker.hear(frame)
+            self._observer.take(frame)
             if frame.id == m.StepDone.ID:
                 self._step_is_open = False
         with self._lock:
@@ -179,3 +168,70 @@ def _nobody() -> None:
 
 def _no_can() -> DeviceError:
     return DeviceError("QEMU's netduinoplus2 has no CAN controller; use a serial link, or --target unicorn")
+
+
+QEMU = "qemu-system-arm"
+MACHINE = "netduinoplus2"
+
+_SEND_BUFFER = 1 << 14  # bytes: little, so that a line of which nothing is taken is noticed soon
+_END_S = 1.0
+
+
+class QemuProcess:
+    """An ELF file in QEMU, with ``parameters`` in the flash sectors that the firmware keeps for them.
+
+    ``host`` and ``plant`` are sockets to USART1 and USART2, which no other process can reach; they end when the process
+    does, which never outlives this one. Raises BadInputError when QEMU is not installed, DeviceError when no process
+    can be started. A file that QEMU refuses shows in its early end.
+    """
+
+    def __init__(self, elf: Path, parameters: bytes) -> None:
+        if sys.platform == "win32":
+            raise BadInputError("--target qemu needs a POSIX system; use --target unicorn")
+        program = shutil.which(QEMU)
+        if program is None:
+            raise BadInputError(
+                f"--target qemu needs {QEMU}, which is not installed; on Debian and Ubuntu: apt-get install {QEMU}"
+            )
+        with contextlib.ExitStack() as resources:
+            # The process has read the file when its machine runs, which is before the firmware says anything.
+            self._folder = tempfile.TemporaryDirectory(prefix="hil_qemu_", ignore_cleanup_errors=True)
+            resources.enter_context(self._folder)
+            flash = Path(self._folder.name) / "parameters.bin"
+            flash.write_bytes(parameters)
+            with contextlib.ExitStack() as theirs:
+                ours, lines = zip(*(socket.socketpair() for _ in range(2)), strict=True)
+                self.host, self.plant = (resources.enter_context(line) for line in ours)
+                numbers = [theirs.enter_context(line).fileno() for line in lines]
+                self._child = ChildProcess("hil.robot.targets.leash", Path(self._folder.name), numbers)
+            resources.callback(self._child.close, _END_S)
+            for line in ours:
+                line.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
+            self._child.send({"command": _command(program, elf, flash, numbers), "inherited": numbers})
+            self._resources = resources.pop_all()
+
+    def forget_file(self) -> None:
+        """Remove the file of parameters: call it once the firmware has said something."""
+        self._folder.cleanup()
+
+    def ending(self) -> str:
+        """Return how the process ended, in words; it is ended if it has not."""
+        return self._child.ending() + self._child.last_words()
+
+    def close(self) -> None:
+        """End the process, and close what led to it. Closing twice is allowed."""
+        self._resources.close()
+
+
+def _command(program: str, elf: Path, flash: Path, lines: Sequence[int]) -> list[str]:
+    serial = []
+    for name, descriptor in zip(("host", "plant"), lines, strict=True):
+        serial += ["-chardev", f"socket,id={name},fd={descriptor}", "-serial", f"chardev:{name}"]
+    loader = f"loader,file={_escaped(flash)},addr={PARAMETER_ADDRESS:#x},force-raw=on"
+    quiet = ["-display", "none", "-monitor", "none", "-nodefaults"]
+    return [program, "-M", MACHINE, *quiet, *serial, "-kernel", str(elf), "-device", loader]
+
+
+def _escaped(path: Path) -> str:
+    """Return a path as QEMU's options take it: a comma twice."""
+    return str(path).replace(",", ",,")

@@ -13,9 +13,9 @@ from firmware_protocol.built import BuildError
 from firmware_protocol.host import stored_parameters
 from firmware_protocol.stm32_flash import HIL_BOARD
 from hil.core.errors import BadInputError, nearest
-from hil.robot.robot_node import RobotNode
 from hil.robot.targets.qemu_board import QemuBoard
-from hil.robot.virtual import TruthSink, VirtualRobot, VirtualServer, VirtualStm32
+from hil.robot.virtual import RobotNode, VirtualRobot, VirtualStm32
+from hil.robot.virtual_server import TruthSink, VirtualServer
 from hil.wire.link import LinkUrl
 from hil.wire.robot_end import Wire
 

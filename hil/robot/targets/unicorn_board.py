@@ -1,25 +1,22 @@
 """The board in Unicorn: an STM32F405 of the package ``machine``, with its plant behind USART2."""
 
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from firmware_protocol.framing import Deframer, Frame
 from firmware_protocol.host import View, stored_size
 from firmware_protocol.stm32_flash import PARAMETER_ADDRESS, SECTOR_BYTES, flash_image, newest_stored
 from hil.core.errors import DeviceError
+from hil.robot.targets.emulated_board import EmulatedBoard
 from hil.robot.targets.machine.can import CanFrame
 from hil.robot.targets.machine.registers import MachineError
 from hil.robot.targets.machine.stm32f405 import CORE_HZ, Stm32f405
-from hil.robot.targets.onlooker import Onlooker
-from hil.robot.targets.plant_line import PlantLine, only_lockstep
 
 HOST_USART, PLANT_USART = 1, 2
 _TICK_CYCLES = CORE_HZ // 1000
 _BURST = 64  # bytes of the host's line at a time: less than what the firmware's buffer holds
 
 
-class UnicornBoard:
+class UnicornBoard(EmulatedBoard):
     """A ``hil-emulated`` firmware, powered on, in this thread; the same calls as ``HostNode`` has.
 
     Each call returns when the firmware waits for more. Robot time passes by STEP only; with each tick the chip's own
@@ -31,9 +28,8 @@ class UnicornBoard:
     def __init__(self, elf: Path, exchange_address: int, context_address: int, stored: bytes | None) -> None:
         kept = ((PARAMETER_ADDRESS, flash_image(stored)),) if stored is not None else ()
         self._elf = elf
-        self._plant = PlantLine(exchange_address, context_address)
+        super().__init__(exchange_address, context_address)
         self._ticks = 0  # that the chip's own clocks have seen
-        self._onlooker = Onlooker()
         self._deframer = Deframer()
         self._bytes = bytearray()
         self._frames: list[Frame] = []
@@ -67,14 +63,6 @@ class UnicornBoard:
         frames, self._frames = self._frames, []
         return frames
 
-    def count_unsent(self, frames: int) -> None:
-        """Take note of frames that nobody took; the firmware, like a board's, does not learn of it."""
-        self._onlooker.unsent += frames
-
-    def run(self, ticks: int) -> None:
-        """Raise DeviceError: robot time comes from STEP."""
-        raise only_lockstep()
-
     def stored(self) -> bytes | None:
         """Return what the board keeps across a reset: the newest record in its flash, or None."""
         return newest_stored(self.machine.flash.read(PARAMETER_ADDRESS, 2 * SECTOR_BYTES), stored_size())
@@ -84,21 +72,13 @@ class UnicornBoard:
 
         These are bytes and CAN frames that came while its receiver was off, as after a reset, or found its FIFO full.
         """
-        view = self._onlooker.view(self._plant.drive, plant_failed=self._plant.has_failed)
+        view = super().look()
         lines = (self.machine.can, self.machine.usart[HOST_USART], self.machine.usart[PLANT_USART])
         return view._replace(rejected=view.rejected | {"missed": sum(line.missed for line in lines)})
 
     def close(self) -> None:
         """Release the machine. Closing twice is allowed."""
         self.machine.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _settle(self) -> None:
         """Let the firmware run until neither host nor plant has anything for it."""
@@ -127,4 +107,4 @@ class UnicornBoard:
         self._bytes += data
         self._frames += frames
         for frame in (*self._deframer.feed(data), *frames):
-            self._onlooker.hear(frame)
+            self._observer.take(frame)

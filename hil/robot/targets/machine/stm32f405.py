@@ -1,5 +1,7 @@
 """The chip: which peripheral is where, and which interrupt line it has (RM0090, tables 1 and 62)."""
 
+import bisect
+import struct
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -13,7 +15,6 @@ from hil.robot.targets.machine.gpio import Gpio
 from hil.robot.targets.machine.nvic import Nvic
 from hil.robot.targets.machine.rcc import Rcc
 from hil.robot.targets.machine.registers import IrqLine, MachineError, Peripheral
-from hil.robot.targets.machine.symbols import Symbols
 from hil.robot.targets.machine.timer import Timer
 from hil.robot.targets.machine.usart import Usart
 from hil.robot.targets.machine.watchdog import Watchdog
@@ -201,3 +202,37 @@ class Stm32f405:
         stack_pointer, entry = (int.from_bytes(self.flash.read(flash.BASE + at, 4), "little") for at in (0, 4))
         self.nvic.vector_table = flash.BASE  # what address 0 is an alias of
         self._core.reset(stack_pointer, entry)
+
+
+_HEADER = struct.Struct("<16sHHIIIIIHHHHHH")
+_SECTION = struct.Struct("<10I")
+_SYMBOL = struct.Struct("<IIIBBH")
+_SYMBOL_TABLE, _FUNCTION = 2, 2
+
+
+class Symbols:
+    """The functions of a 32-bit little-endian ELF file; a stripped one has none."""
+
+    def __init__(self, path: Path) -> None:
+        elf = path.read_bytes()
+        head = _HEADER.unpack_from(elf)
+        sections = [_SECTION.unpack_from(elf, head[6] + i * _SECTION.size) for i in range(head[12])]
+        functions = []
+        for _, kind, _, _, offset, size, names, _, _, _ in sections:
+            if kind != _SYMBOL_TABLE:
+                continue
+            names_at = sections[names][4]
+            for name_at, value, _, info, _, _ in _SYMBOL.iter_unpack(elf[offset : offset + size]):
+                start = names_at + name_at
+                if info & 0xF == _FUNCTION:
+                    name = elf[start : elf.index(b"\0", start)].decode("ascii", "replace")
+                    functions.append((value & ~1, name))  # bit 0 says Thumb
+        self._functions = sorted(functions)
+
+    def where(self, address: int) -> str:
+        """Return an address with the function that it is in, as far as known: ``0x08000123 (main + 0x12)``."""
+        at = bisect.bisect_right(self._functions, address, key=lambda row: row[0]) - 1
+        if at < 0:
+            return f"{address:#010x}"
+        start, name = self._functions[at]
+        return f"{address:#010x} ({name} + {address - start:#x})"
