@@ -11,7 +11,7 @@ import pytest
 from firmware_protocol import codec
 from firmware_protocol.framing import Deframer, Frame, Framer
 from firmware_protocol.generated import messages as m
-from hil.wire.robot_end import LossySerialWire
+from hil.wire.robot_end import SerialWire
 from hil.wire.url import parse_link
 from tests.heard import the_next
 from tests.processes import device
@@ -106,7 +106,7 @@ def test_a_robot_is_given_no_more_than_a_line_of_its_bit_rate_carries():
 def test_the_firmware_tells_how_many_frames_nobody_took():
     rig, stream = WheelRig(), pty.PtyStream()
     with opened(stream) as port:
-        wire = LossySerialWire(stream)
+        wire = SerialWire(stream)
         while stream.lost_frames < 3:
             rig.node.run(100)
             wire.send_from(rig.node)

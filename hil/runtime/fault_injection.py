@@ -9,7 +9,7 @@ from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
 from hil.core.ports import Clock
 from hil.faults.kind import FaultRow
 from hil.runtime.signal_faults import SignalFaults
-from hil.wire.faults import BYTE_KINDS, BusFaults, LinkFault, ScenarioTime, link_faults
+from hil.wire.faults import BYTE_KINDS, BusFaults, ScenarioTime, link_faults
 from hil.wire.line_faults import FaultLine
 from hil.wire.link import LinkUrl
 from hil.wire.streams import HostStream
@@ -32,6 +32,11 @@ class RunFaults:
     """Gives every row to its part: link, signals of the tick, or the robot with its plant.
 
     ``names`` are the signals of the run.
+
+    Attributes:
+        time: the scenario's time.
+        of_frames: the rows that act on whole frames of the link.
+        signals: the rows that act on signals, or None.
     """
 
     def __init__(
@@ -46,19 +51,12 @@ class RunFaults:
         self._robot: RobotWithFaults | None = None
         self._of_robot = [row for row in rows if row.acts_on in ("device", "plant")]
         self._of_link = link_faults([row for row in rows if row.acts_on == "link"], seed, protocol)
+        self.of_frames = [fault for fault in self._of_link if fault.kind not in BYTE_KINDS]
+        self._of_bytes = [fault for fault in self._of_link if fault.kind in BYTE_KINDS]
         self._protocol = protocol
         of_signals = [row for row in rows if row.acts_on == "signal"]
         self.time = ScenarioTime(clock)
         self.signals = SignalFaults(of_signals, names, seed) if of_signals else None
-
-    @property
-    def of_frames(self) -> list[LinkFault]:
-        """What acts on whole frames."""
-        return [fault for fault in self._of_link if fault.kind not in BYTE_KINDS]
-
-    @property
-    def _of_bytes(self) -> list[LinkFault]:
-        return [fault for fault in self._of_link if fault.kind in BYTE_KINDS]
 
     def line(self, stream: HostStream) -> HostStream:
         """Return the host's end of a serial line with what acts on its bytes; as it is where nothing does."""

@@ -8,7 +8,6 @@ from hil.estimation import make_estimator
 from hil.references import Feasibility, feasibility, make_reference
 from hil.runtime.bench import NS, Bench
 from hil.runtime.sampling import Timing
-from hil.runtime.signal_faults import SignalFaults
 from hil.runtime.tick import TickParts
 from hil.scenario import Scenario
 from hil.scenario.laws import make_laws
@@ -42,7 +41,6 @@ class RunParts:
     def make(self, bench: Bench, sinks: Sequence[Sink], note: Note) -> TickParts:
         """Return the parts of the ticks on a bench, once its robot can be asked where it starts."""
         counts = self._scenario.firmware.counts_per_revolution
-        faults = bench.faults.signals
         return TickParts(
             bench.clock,
             bench.device,
@@ -54,23 +52,10 @@ class RunParts:
             self.laws.controller,
             self._guard,
             self._brake,
-            sinks if faults is None else [_Faulted(sinks, faults)],
+            sinks,
             note,
             bench.robot_failure,
-            faults,
+            bench.faults.signals,
             self.laws.shadows,
             self.laws.extra,
         )
-
-
-class _Faulted:
-    """A sink that tells others what faults make of the signals that nothing else reads."""
-
-    def __init__(self, sinks: Sequence[Sink], faults: SignalFaults) -> None:
-        self._sinks = sinks
-        self._faults = faults
-
-    def put(self, row: tuple[float, ...]) -> None:
-        recorded = self._faults.recorded(row)
-        for sink in self._sinks:
-            sink.put(recorded)

@@ -8,6 +8,7 @@ from hil.core.signals import EstimatorSignals, LoopSignals
 from hil.core.types import NAN, NAN_POSE, NAN_WHEELS, Applied, CommandMode, PoseFix, Reference, State, Twist
 from hil.robot.port import Device
 from hil.robot.snapshot import Feedback
+from hil.runtime.signal_faults import SignalFaults
 from hil.wire.statistics import LinkStatistics
 
 _NO_STATE = State(NAN_POSE, Twist(NAN, NAN, NAN))
@@ -26,6 +27,7 @@ class RowWriter:
         extra: Sequence[OwnSignals],
         sinks: Sequence[Sink],
         feedback_latency_ns: int,
+        faults: SignalFaults | None = None,
     ) -> None:
         self._device = device
         self._wire = wire
@@ -33,6 +35,7 @@ class RowWriter:
         self._extra = extra
         self._puts = tuple(sink.put for sink in sinks)
         self._feedback_latency_ns = feedback_latency_ns
+        self._faults = faults
         self._rejected = 0
 
     def write(
@@ -114,5 +117,7 @@ class RowWriter:
         for own in self._extra:
             row += own.telemetry
         written = tuple(row)
+        if self._faults is not None:
+            written = self._faults.recorded(written)
         for put in self._puts:
             put(written)

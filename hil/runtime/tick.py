@@ -255,7 +255,7 @@ class Tick:
     def _make_rows(self) -> RowWriter:
         parts = self._parts
         latency_ns = self._timing.feedback_latency_ns
-        return RowWriter(parts.device, parts.wire, parts.controller, parts.extra, parts.sinks, latency_ns)
+        return RowWriter(parts.device, parts.wire, parts.controller, parts.extra, parts.sinks, latency_ns, parts.faults)
 
     def _ask_shadows(self, shadows: Shadows, t_s: float, reference: Reference, asked: _Asked | None) -> None:
         """Compute the shadows: after the command has gone, from what the law in command was told."""

@@ -8,25 +8,16 @@ import heapq
 import time
 from collections import deque
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from firmware_protocol.framing import Frame
 from hil.core.errors import LinkError
 from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
 from hil.core.ports import Clock, Link, Received
 from hil.wire.faults import BusFaults, LinkFault, ScenarioTime
+from hil.wire.statistics import LinkStatistics
 
 _LATENCY = -1
-
-
-class Observer(Protocol):
-    """Sees what crosses the wire."""
-
-    def sent(self, frame: Frame) -> None:
-        """Take a frame that was just sent."""
-
-    def received(self, received: Received | None) -> None:
-        """Take what one call of ``receive`` on the transport returned."""
 
 
 class _Waiting(NamedTuple):
@@ -135,7 +126,7 @@ class ConditionedLink:
         faults: Sequence[LinkFault] = (),
         scenario_time: ScenarioTime | None = None,
         bus: BusFaults | None = None,
-        observer: Observer | None = None,
+        observer: LinkStatistics | None = None,
         protocol: LinkProtocol = WHEEL_DBC,
     ) -> None:
         self._link = link

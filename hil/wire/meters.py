@@ -1,11 +1,15 @@
 """What frames take on the wire: bytes, bits and time, of a line of bytes and of a CAN bus."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from firmware_protocol.framing import Frame
 from hil.core.ports import EXTENDED, REMOTE
 from hil.wire.can_frame import classic_bits, fd_bits
+
+if TYPE_CHECKING:
+    from hil.wire.framed import StreamLink
+    from hil.wire.streams import MemoryBus
 
 _BITS_PER_BYTE = 10  # start, eight data bits, stop
 _REMOTE_LENGTH = 8  # a request asks for as much as its answer may have
@@ -69,29 +73,13 @@ class Meter(Protocol):
         """Return the bytes of both alone, which is done at every tick."""
 
 
-class CountingLink(Protocol):
-    """A link that counts by itself since it was opened; over a byte stream all bytes that came, whatever they were.
-
-    Attributes:
-        counts_frames: whether the frames carry a count by which lost ones are noticed.
-    """
-
-    @property
-    def counts_frames(self) -> bool: ...
-
-    sent_frames: int
-    sent_bytes: int
-    received_frames: int
-    received_bytes: int
-
-
 class LineMeter:
-    """A serial line, or its like without a bit rate (``baud`` None). It counts bytes of no frame too."""
+    """A serial line, or its like without a bit rate (``baud`` None). All bytes count, also those of no frame."""
 
     duplex = True
     foreign = None
 
-    def __init__(self, link: CountingLink, baud: int | None) -> None:
+    def __init__(self, link: "StreamLink | MemoryBus", baud: int | None) -> None:
         self._link = link
         self._byte_ns = _BITS_PER_BYTE * 1_000_000_000 / baud if baud else 0.0
         self.timed = baud is not None

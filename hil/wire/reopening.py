@@ -2,48 +2,45 @@
 
 import threading
 from collections.abc import Callable
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 _FIRST_NS = 100_000_000
 _LONGEST_NS = 2_000_000_000
 
 
 class BackOff:
-    """0.1 s first, and twice as long each time, up to 2 s. ``wait_ns`` is the wait that comes next."""
+    """The waits between attempts: 0.1 s, and twice as long each time, up to 2 s. ``wait_ns`` is the next one."""
 
     def __init__(self) -> None:
         self.wait_ns = _FIRST_NS
 
     def take_ns(self) -> int:
-        """Return the wait that has come; the one after it is longer."""
+        """Return the next wait, and go on to the one after it."""
         wait_ns, self.wait_ns = self.wait_ns, min(2 * self.wait_ns, _LONGEST_NS)
         return wait_ns
 
 
-class Closable(Protocol):
-    """What can be opened, and closed."""
-
-    def close(self) -> None: ...
-
-
-T = TypeVar("T", bound=Closable)
+T = TypeVar("T")
 
 
 class OpeningBeside(Generic[T]):
-    """Calls ``opened`` in a thread, from the constructor on; either ``take`` its result or ``abandon`` it."""
+    """Calls ``opened`` in a thread of its own at once. Either ``take`` what it returns, or ``abandon`` it.
+
+    What it returns has a method ``close``.
+    """
 
     def __init__(self, opened: Callable[[], T]) -> None:
         self._opened = opened
         self._lock = threading.Lock()
         self._done = threading.Event()
-        self._result: T | None = None
+        self._result: Any = None
         self._failure: Exception | None = None
         self._abandoned = False
         threading.Thread(target=self._run, name="opening", daemon=True).start()
 
     def _run(self) -> None:
         try:
-            result = self._opened()
+            result: Any = self._opened()
         except Exception as error:  # noqa: BLE001 - take() raises it where it is seen
             self._failure = error
         else:
@@ -60,10 +57,11 @@ class OpeningBeside(Generic[T]):
             return None
         if self._failure is not None:
             raise self._failure
-        return self._result
+        result: T | None = self._result
+        return result
 
     def abandon(self) -> None:
-        """Have it closed, now or when it is open."""
+        """Close what was opened: now, or as soon as it is open."""
         with self._lock:
             self._abandoned = True
             result, self._result = self._result, None

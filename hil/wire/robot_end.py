@@ -48,10 +48,11 @@ class Wire(Protocol):
 
 
 class SerialWire:
-    """A byte stream; framing and its counters are the firmware's own."""
+    """A byte stream; framing and its counters are the firmware's own. It learns how many frames nobody read."""
 
     def __init__(self, stream: ByteStream) -> None:
         self._stream = stream
+        self._lost = 0  # frames that the firmware knows of
 
     def receive_into(self, node: Node, timeout_ns: int) -> bool:
         data = self._stream.read(timeout_ns)
@@ -62,33 +63,15 @@ class SerialWire:
     def send_from(self, node: Node) -> None:
         if data := node.take_bytes():
             self._stream.write(data)
+        if (lost := self._stream.lost_frames) > self._lost:
+            node.count_unsent(lost - self._lost)
+            self._lost = lost
 
     def drop_from(self, node: Node) -> None:
         node.take_bytes()
 
     def close(self) -> None:
         self._stream.close()
-
-
-class LossyStream(ByteStream, Protocol):
-    """A line that loses frames which nobody reads, and counts them."""
-
-    lost_frames: int
-
-
-class LossySerialWire(SerialWire):
-    """A byte stream that may lose what is sent; the firmware learns how many frames that were."""
-
-    def __init__(self, stream: LossyStream) -> None:
-        super().__init__(stream)
-        self._lossy = stream
-        self._told = 0
-
-    def send_from(self, node: Node) -> None:
-        super().send_from(node)
-        if (lost := self._lossy.lost_frames) > self._told:
-            node.count_unsent(lost - self._told)
-            self._told = lost
 
 
 class CanWire:

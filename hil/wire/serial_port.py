@@ -6,7 +6,7 @@ import re
 import select
 import sys
 import threading
-from typing import Any, Protocol
+from typing import Any
 
 import serial
 
@@ -33,16 +33,6 @@ _CONNECTING_S = 0.1  # a server that is there has answered; no tick of a service
 _URL_HANDLERS = ("socket", "rfc2217", "loop", "spy", "hwgrep", "alt")
 
 
-class Port(Protocol):
-    """The part of a pyserial port that is needed."""
-
-    timeout: float | None
-
-    @property
-    def in_waiting(self) -> int: ...
-    def read(self, size: int = 1, /) -> bytes: ...
-
-
 class Reader:
     """A thread that blocks in the port's own read, so that ``read`` can wait for any time.
 
@@ -50,7 +40,7 @@ class Reader:
     counts those that were dropped because nobody read them.
     """
 
-    def __init__(self, port: Port) -> None:
+    def __init__(self, port: Any) -> None:
         self._port = port
         self._arrived = threading.Condition()
         self._received = bytearray()
@@ -148,6 +138,8 @@ class SerialStream:
 
     Raises LinkError when the port does not exist, is busy, is forbidden, is no serial port or refuses the baud rate.
     """
+
+    lost_frames = 0  # what nobody reads is lost without a trace
 
     def __init__(self, port: str, baud: int) -> None:
         self._name = port

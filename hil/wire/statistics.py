@@ -4,7 +4,7 @@ It observes the transport itself, below latency and faults of frames. Only the f
 line are below it. Stamps are on the clock of the run. STATISTICS.md says what each figure means.
 """
 
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from firmware_protocol.framing import Frame
 from hil.core.ports import Clock, Link, Received
@@ -12,23 +12,13 @@ from hil.core.types import NAN
 from hil.wire.link import LinkUrl
 from hil.wire.meters import Meter
 
+if TYPE_CHECKING:
+    from hil.wire.trace import Trace
+
 _BUCKET_NS = 10_000_000
 _BUCKETS = 10
 WINDOW_NS = _BUCKET_NS * _BUCKETS
 _NO_NOISE = ("lost", "unread_bytes")
-
-
-class TraceSink(Protocol):
-    """Takes what was on the wire, in order; never delays a real-time tick."""
-
-    def frame(self, stamp_ns: int, frame: Frame, *, sent: bool) -> None:
-        """Take one of our frames."""
-
-    def foreign(self, stamp_ns: int, message: Any) -> None:
-        """Take a ``can.Message`` that is none of ours, an error frame among them."""
-
-    def rejected(self, stamp_ns: int, count: int) -> None:
-        """Take note of so many frames that the framing could not read."""
 
 
 class LoadWindow:
@@ -80,7 +70,7 @@ class LinkStatistics:
         is_needed: whether it has to be shown each frame; a link without a bit rate and a trace counts by itself.
     """
 
-    def __init__(self, link: Link, meter: Meter, clock: Clock, trace: TraceSink | None = None) -> None:
+    def __init__(self, link: Link, meter: Meter, clock: Clock, trace: "Trace | None" = None) -> None:
         self._link = link
         self._meter = meter
         self._clock = clock
@@ -132,7 +122,7 @@ class LinkStatistics:
             return 0
         return sum(count for cause, count in self._link.rejected().items() if cause not in _NO_NOISE)
 
-    def _trace_noise(self, trace: TraceSink) -> None:
+    def _trace_noise(self, trace: "Trace") -> None:
         count = self._noise()
         if count != self._noise_seen:
             trace.rejected(self._clock.now_ns(), count - self._noise_seen)
@@ -166,7 +156,7 @@ class LinkStatistics:
         }
 
 
-def observe(link: Any, url: LinkUrl, clock: Clock, trace: TraceSink | None = None) -> LinkStatistics:
+def observe(link: Any, url: LinkUrl, clock: Clock, trace: "Trace | None" = None) -> LinkStatistics:
     """Return the statistics of a transport that was opened from a URL; from now on it stamps by the run's clock."""
     statistics = LinkStatistics(link, url.meter(link), clock, trace)
     link.now_ns = clock.now_ns

@@ -1,9 +1,9 @@
-"""Byte streams, which are to the framing what a serial line is; and links in memory, which stay within a process."""
+"""Byte streams, which are to the framing what a serial line is; and the two ends of a link in memory."""
 
 import queue
 import time
 from collections.abc import Callable
-from typing import Protocol
+from typing import Generic, Protocol, Self, TypeVar
 
 from firmware_protocol.framing import Frame
 from hil.core.errors import LinkError
@@ -11,7 +11,13 @@ from hil.core.ports import Received
 
 
 class ByteStream(Protocol):
-    """A line of bytes with no boundaries."""
+    """A line of bytes with no boundaries.
+
+    Attributes:
+        lost_frames: frames that were lost so far because nobody read them; only a pseudo-terminal knows.
+    """
+
+    lost_frames: int
 
     def write(self, data: bytes) -> None:
         """Send bytes. Raises LinkError when the line is lost."""
@@ -23,11 +29,15 @@ class ByteStream(Protocol):
         """Release the line. Closing twice is allowed."""
 
 
-class HostStream(ByteStream, Protocol):
-    """The host's end of a line, which can be opened anew when it was lost."""
+class HostStream(Protocol):
+    """The host's end of a line, which can be opened anew after it was lost."""
+
+    def write(self, data: bytes) -> None: ...
+    def read(self, timeout_ns: int) -> bytes: ...
+    def close(self) -> None: ...
 
     def unread_bytes(self) -> int:
-        """Return how many bytes that had arrived were dropped because nobody read them; it goes on when reopened."""
+        """Return how many bytes were dropped because nobody read them; the count goes on when it is reopened."""
 
     def reopen(self) -> None:
         """Close the line and open it anew; bytes that had arrived are forgotten. Raises LinkError when that fails."""
@@ -37,14 +47,14 @@ class HostStream(ByteStream, Protocol):
 
 
 def closed() -> LinkError:
-    """Return the error of who sends by a link in memory that was closed."""
+    """Return the error of sending on a link in memory that was closed."""
     return LinkError("the memory link was closed; open a new one")
 
 
 class DirectStream:
     """The host's end of a line to a robot in the same thread, in lockstep: a read lets it answer what was written.
 
-    ``answer`` takes all that was written since, and returns all that the robot says to that.
+    ``answer`` takes all bytes written since the last read, and returns all that the robot sends then.
     """
 
     def __init__(self, answer: Callable[[bytes], bytes]) -> None:
@@ -64,7 +74,7 @@ class DirectStream:
         return self._answer(data)
 
     def reopen(self) -> None:
-        """Nothing to do: what the robot said was read."""
+        """Nothing to do: all that the robot sent was read."""
 
     def unread_bytes(self) -> int:
         return 0
@@ -76,41 +86,53 @@ class DirectStream:
         self._is_open = False
 
 
-class MemoryStream:
-    """One end of a line within this process; made in pairs by ``memory_pair``. Safe between two threads."""
+T = TypeVar("T", bytes, Frame)
+
+
+class _End(Generic[T]):
+    """One end of a link in memory. Safe between two threads, where one alone reads this end."""
 
     def __init__(self) -> None:
-        self._received: queue.SimpleQueue[bytes] = queue.SimpleQueue()
-        self._peer: MemoryStream | None = None
+        self._received: queue.SimpleQueue[T] = queue.SimpleQueue()
+        self._peer: Self | None = None
 
-    def connect(self, peer: "MemoryStream") -> None:
+    def connect(self, peer: Self) -> None:
         """Make ``peer`` the other end."""
         self._peer = peer
 
-    def write(self, data: bytes) -> None:
-        peer = self._peer
-        if peer is None:
+    def _put(self, item: T) -> None:
+        if self._peer is None:
             raise closed()
-        peer._received.put(data)
+        self._peer._received.put(item)
 
-    def read(self, timeout_ns: int) -> bytes:
+    def _take(self, timeout_ns: int) -> list[T]:
+        """Return all that has arrived, waiting at most ``timeout_ns`` for the first."""
         received = self._received
-        if received.empty():
-            return self._await(timeout_ns) if timeout_ns > 0 else b""
-        data = received.get()
-        while not received.empty():  # one thread alone reads this end
-            data += received.get()
-        return data
-
-    def _await(self, timeout_ns: int) -> bytes:
         try:
-            return self._received.get(timeout=timeout_ns * 1e-9)
+            items = [received.get(timeout_ns > 0, max(0, timeout_ns) * 1e-9)]
         except queue.Empty:
-            return b""
+            return []
+        while not received.empty():
+            items.append(received.get())
+        return items
 
     def reopen(self) -> None:
-        while not self._received.empty():
-            self._received.get()
+        self._take(0)
+
+    def close(self) -> None:
+        self._peer = None
+
+
+class MemoryStream(_End[bytes]):
+    """One end of a line in memory; made in pairs by ``memory_pair``."""
+
+    lost_frames = 0
+
+    def write(self, data: bytes) -> None:
+        self._put(data)
+
+    def read(self, timeout_ns: int) -> bytes:
+        return b"".join(self._take(timeout_ns))
 
     def unread_bytes(self) -> int:
         return 0
@@ -118,8 +140,40 @@ class MemoryStream:
     def describe(self) -> str:
         return "memory, both sides in one process"
 
-    def close(self) -> None:
-        self._peer = None
+
+class MemoryBus(_End[Frame]):
+    """One end of a bus of two in memory, with no bit rate; made in pairs by ``memory_bus``. Bytes are of payloads.
+
+    Attributes:
+        now_ns: the clock that stamps what is received.
+        sent_frames, sent_bytes, received_frames, received_bytes: so far.
+    """
+
+    counts_frames = False
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.now_ns: Callable[[], int] = time.monotonic_ns
+        self.sent_frames = self.sent_bytes = self.received_frames = self.received_bytes = 0
+
+    def send(self, frame: Frame) -> None:
+        self._put(frame)
+        self.sent_frames += 1
+        self.sent_bytes += len(frame.payload)
+
+    def receive(self, timeout_ns: int) -> Received | None:
+        frames = self._take(timeout_ns)
+        if not frames:
+            return None
+        self.received_frames += len(frames)
+        self.received_bytes += sum(len(frame.payload) for frame in frames)
+        return Received(frames, self.now_ns())
+
+    def rejected(self) -> dict[str, int]:
+        return {}
+
+    def describe(self) -> str:
+        return "a bus in memory, with no bit rate"
 
 
 def memory_pair() -> tuple[MemoryStream, MemoryStream]:
@@ -130,64 +184,8 @@ def memory_pair() -> tuple[MemoryStream, MemoryStream]:
     return one, other
 
 
-class MemoryBus:
-    """One end; made in pairs by ``memory_bus``. Safe between two threads. Bytes are those of the payloads.
-
-    Attributes:
-        now_ns: the clock that stamps what is received.
-        sent_frames, sent_bytes, received_frames, received_bytes: so far.
-    """
-
-    counts_frames = False
-
-    def __init__(self) -> None:
-        self._received: queue.SimpleQueue[Frame] = queue.SimpleQueue()
-        self._peer: MemoryBus | None = None
-        self.now_ns: Callable[[], int] = time.monotonic_ns
-        self.sent_frames = 0
-        self.sent_bytes = 0
-        self.received_frames = 0
-        self.received_bytes = 0
-
-    def connect(self, peer: "MemoryBus") -> None:
-        """Make ``peer`` the other end."""
-        self._peer = peer
-
-    def send(self, frame: Frame) -> None:
-        if self._peer is None:
-            raise closed()
-        self._peer._received.put(frame)
-        self.sent_frames += 1
-        self.sent_bytes += len(frame.payload)
-
-    def receive(self, timeout_ns: int) -> Received | None:
-        received = self._received
-        try:
-            frames = [received.get(timeout_ns > 0, max(0, timeout_ns) * 1e-9)]
-        except queue.Empty:
-            return None
-        while not received.empty():  # one thread alone reads this end
-            frames.append(received.get())
-        self.received_frames += len(frames)
-        self.received_bytes += sum(len(frame.payload) for frame in frames)
-        return Received(frames, self.now_ns())
-
-    def rejected(self) -> dict[str, int]:
-        return {}
-
-    def reopen(self) -> None:
-        while not self._received.empty():
-            self._received.get()
-
-    def describe(self) -> str:
-        return "a bus in memory, with no bit rate"
-
-    def close(self) -> None:
-        self._peer = None
-
-
 def memory_bus() -> tuple[MemoryBus, MemoryBus]:
-    """Return the two ends of a new bus."""
+    """Return the two ends of a bus within this process."""
     one, other = MemoryBus(), MemoryBus()
     one.connect(other)
     other.connect(one)

@@ -124,21 +124,21 @@ class SerialUrl(LinkUrl):
         return StreamLink(line(SerialStream(self.port, self.baud)), protocol)
 
     def open_pair(self, line: Line = unchanged, *, lockstep: bool, protocol: LinkProtocol = WHEEL_DBC) -> Pair:
-        from hil.wire.robot_end import LossySerialWire
+        from hil.wire.robot_end import SerialWire
 
         pty = self._open_pty(protocol, lockstep=lockstep)
         with closed_on_failure(pty):
-            return Pair(SerialUrl(pty.port, self.baud).open_host(line, protocol), LossySerialWire(pty))
+            return Pair(SerialUrl(pty.port, self.baud).open_host(line, protocol), SerialWire(pty))
 
     def open_robot(
         self, say: Callable[[str], None], *, lockstep: bool, protocol: LinkProtocol = WHEEL_DBC
     ) -> tuple["Wire", str]:
-        from hil.wire.robot_end import LossySerialWire, ReopeningWire, SerialWire
+        from hil.wire.robot_end import ReopeningWire, SerialWire
         from hil.wire.serial_port import SerialStream
 
         if self.is_within_process:
             pty = self._open_pty(protocol, lockstep=lockstep)
-            return LossySerialWire(pty), str(SerialUrl(self.symlink or pty.port, self.baud))
+            return SerialWire(pty), str(SerialUrl(self.symlink or pty.port, self.baud))
         stream = SerialStream(self.port, self.baud)
         return ReopeningWire(SerialWire(stream), stream.reopen, say), str(self)
 

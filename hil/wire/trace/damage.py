@@ -9,7 +9,7 @@ import re
 import zlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Protocol
+from typing import Any
 
 # A stamp and an event, of a bus (by number) or not (by name); or what stands around the events.
 _ASC_LINE = re.compile(
@@ -28,14 +28,6 @@ _FORMS = {".asc": _ASC_LINE, ".log": _LOG_LINE, ".trc": _TRC_LINE}
 
 class DamagedError(Exception):
     """The file cannot be trusted from here on; the words say why."""
-
-
-class _Framed(Protocol):
-    is_fd: bool
-    is_error_frame: bool
-    is_remote_frame: bool
-    dlc: int
-    data: bytes
 
 
 def sound_lines(file: Iterable[bytes], ending: str) -> Iterator[str]:
@@ -58,7 +50,7 @@ def sound_lines(file: Iterable[bytes], ending: str) -> Iterator[str]:
         raise DamagedError("it is cut, or was not finished: its last line is not End TriggerBlock")
 
 
-def check_length(message: _Framed) -> None:
+def check_length(message: Any) -> None:
     """Raise DamagedError where a line of text has less data than the length in it says."""
     most = 64 if message.is_fd else 8  # a classic frame may tell a length code of up to 15
     if message.is_error_frame or message.is_remote_frame:
