@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import pyarrow as pa
 
+from hil.batch.campaign.checks import check_run, needs_bench
 from hil.batch.campaign.load import Plan, load_plan
 from hil.batch.campaign.points import Point, points
 from hil.batch.campaign.tables import KeepTable
@@ -27,12 +28,9 @@ from hil.batch.pool import PoolStatus, Runner, open_pool
 from hil.batch.store import KEY, ROWS, Row, Store, check_folder, read_rows, row_of
 from hil.core.errors import BadInputError
 from hil.core.options import plain
-from hil.runtime.parts import RunParts
 from hil.runtime.provenance import versions
-from hil.runtime.robots import check_plant_start, needed_truth
-from hil.scenario import Scenario, format_value, set_texts, to_plain
+from hil.scenario import format_value, set_texts, to_plain
 from hil.scenario.plant import is_path
-from hil.wire.url import parse_link
 
 _ARROW = {str: pa.string(), int: pa.int64(), float: pa.float64(), bool: pa.bool_()}
 _TIMED = 3
@@ -85,20 +83,20 @@ class Campaign:
         if isinstance(keep, KeepTable):
             check_figure(keep.by, f"campaign {plan.place('keep')}: keep.by")
         runs: dict[str, Point] = {}
-        self._choices: set[tuple[str, ...]] = set()
+        made: set[tuple[str, ...]] = set()
         self.on_bench = self.in_real_time = False
         self.longest_s = 0.0
         for point in points(plan):
             scenario = plan.scenario(point.sets)
             with _of(f"campaign {file}: {point.words}: "):
                 key = key_of(scenario)
-                self._check(scenario, point)
+                check_run(scenario, made, allow_motion=allow_motion)
             if key in runs:
                 raise BadInputError(
                     f"campaign {file}: two runs are the same: {runs[key].words}; and {point.words}. Remove one of them"
                 )
             runs[key] = point
-            self.on_bench = self.on_bench or _needs_bench(scenario)
+            self.on_bench = self.on_bench or needs_bench(scenario)
             self.in_real_time = self.in_real_time or scenario.loop.mode == "realtime"
             self.longest_s = max(self.longest_s, scenario.loop.duration_s)
         self.runs = [Run(key, point) for key, point in runs.items()]
@@ -107,24 +105,6 @@ class Campaign:
                 f"campaign {plan.place('keep')}: keep.worst runs the worst once more to record them, and in real time "
                 'no run comes twice; give keep = "failures" or "all"'
             )
-
-    def _check(self, scenario: Scenario, point: Point) -> None:
-        """Raise BadInputError for a run that would only be refused."""
-        _check_link(scenario, allow_motion=self._allow_motion)
-        check_plant_start(scenario)
-        for row in scenario.expect:
-            if row.from_s >= scenario.loop.duration_s:
-                raise BadInputError(
-                    f"the expectation of {row.signal} begins at {row.from_s:g} s, and the run ends at "
-                    f"{scenario.loop.duration_s:g} s: it would always fail; give another, or expect = [] in [set] and "
-                    "[[expect]] rows of the campaign's own"
-                )
-        controller, reference = scenario.controller, scenario.reference
-        gains = (controller.gains, controller.shadow_gains)
-        choice = (controller.law, *controller.shadow, reference.kind, *map(repr, (*gains, reference.options)))
-        if choice not in self._choices:
-            self._choices.add(choice)
-            RunParts(scenario)
 
     def job(self, run: Run, **how: Any) -> Job:
         """Return the job of a run, with these fields of Job."""
@@ -313,26 +293,6 @@ def _of(run: str) -> Iterator[None]:
         raise BadInputError("\n".join(run + line for line in str(error).splitlines())) from error
 
 
-def _check_link(scenario: Scenario, *, allow_motion: bool) -> None:
-    """Raise BadInputError for a run behind a link that could not begin, whatever stands there."""
-    if parse_link(scenario.link.url).is_within_process:
-        return
-    where, is_makers = f"link.url = {scenario.link.url!r}", scenario.device.is_makers
-    if (setting := needed_truth(scenario)) is not None:
-        raise BadInputError(
-            f'{where}: {setting}, and of a robot behind a link no truth is known; give estimator.source = "odometry"'
-        )
-    if is_makers and scenario.loop.mode == "lockstep":
-        raise BadInputError(
-            f"{where}: the protocol of {scenario.device.driver!r} has no STEP, so that nobody can let its time pass "
-            'from outside; give loop.mode = "realtime", or link.url = "memory:"'
-        )
-    if is_makers and not allow_motion:
-        raise BadInputError(
-            f"{where}: the robot has motor controllers: real motors would move; add --allow-motion when it may move"
-        )
-
-
 def _type(values: Sequence[Any]) -> pa.DataType:
     """Return the type of a column: numbers where all are, truth values where all are, else text."""
     if all(isinstance(value, bool) for value in values):
@@ -350,8 +310,3 @@ def _found_from_anywhere(key: str, value: object, plan: Plan) -> object:
     if key in ("reference.file", "device.motors.file") and isinstance(value, str):
         return str(plan.folder / value)
     return value
-
-
-def _needs_bench(scenario: Scenario) -> bool:
-    is_fixed_from_outside = scenario.estimator.source == "fused" and scenario.estimator.fix != "simulated"
-    return is_fixed_from_outside or not parse_link(scenario.link.url).is_within_process

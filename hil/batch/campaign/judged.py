@@ -24,7 +24,7 @@ _WORST = 20
 
 
 class Rate(NamedTuple):
-    """How many of the runs of one value of an axis passed; ``units`` independent draws stand behind them."""
+    """The pass rate of the runs with one value of an axis, from so many independent draws (``units``)."""
 
     axis: str
     value: str
@@ -46,10 +46,10 @@ class Spread(NamedTuple):
 
 
 class Duel(NamedTuple):
-    """Two laws in the same runs: the mean of first minus second, and in what share of them the first was less.
+    """Two laws in the same runs: the mean of first minus second, and the share of pairs in which the first was less.
 
-    ``units`` is how many independent draws stand behind ``pairs``; ``left_out`` is how many more pairs there are, in
-    which one has no such figure.
+    ``units`` is the number of independent draws among the ``pairs``; ``left_out`` counts further pairs, of which one
+    run has no such figure.
     """
 
     first: str
@@ -63,7 +63,7 @@ class Duel(NamedTuple):
 
 
 class Effect(NamedTuple):
-    """How much of a figure's ranks one axis explains, from 0 to 1; None where there is nothing to explain."""
+    """The share of a figure's ranks that one axis explains, from 0 to 1; None where there is nothing to explain."""
 
     axis: str
     figure: str
@@ -71,7 +71,7 @@ class Effect(NamedTuple):
 
 
 class Judged:
-    """A campaign's results; ``rows`` are those of its plan that are done, each a mapping of columns."""
+    """A campaign's results: its plan and the rows of the runs that are done, each a mapping of columns."""
 
     def __init__(self, folder: Path, about: Mapping[str, Any], plan: Sequence[Row], rows: Sequence[Row]) -> None:
         self.folder = folder
@@ -81,7 +81,7 @@ class Judged:
 
     @cached_property
     def axes(self) -> dict[str, str]:
-        """What differs between the runs: each axis with its kind, then law, fault and seed."""
+        """What differs between the runs, with its kind: each axis, then law, fault and seed where there are several."""
         axes = {name: str(axis["kind"]) for name, axis in self.about["axes"].items()}
         own = {"law": self.about["laws"], "fault": self.about["faults"]}
         axes |= {name: "choice" for name, values in own.items() if len(values) > 1}
@@ -100,7 +100,7 @@ class Judged:
 
     @cached_property
     def rates(self) -> list[Rate]:
-        """Pass rates: of all, and of each value of what has few."""
+        """Pass rates: of all runs, and of each value of the axes that are not random."""
         rates = [self._rate("all", "", self.rows)] if self.rows else []
         for axis, kind in self.axes.items():
             if kind in ("uniform", "log_uniform") or axis == "seed":
@@ -117,15 +117,11 @@ class Judged:
 
     @property
     def _unit(self) -> str:
-        """What is drawn: samples come with all seeds; without random axes it is the seeds."""
+        """The column of what is drawn independently: the sample, or without random axes the seed."""
         return "sample" if self.about["samples"] > 1 else "seed"
 
-    @cached_property
-    def spreads(self) -> list[Spread]:
-        """The figures of each law."""
-        return list(self._spreads())
-
-    def _spreads(self) -> Iterator[Spread]:
+    def spreads(self) -> Iterator[Spread]:
+        """Yield how each figure is spread over the runs of each law."""
         for figure, law in itertools.product(COMPARED, self.about["laws"]):
             values = self.values(figure, law)
             if len(values):
@@ -139,7 +135,7 @@ class Judged:
 
     @cached_property
     def duels(self) -> list[Duel]:
-        """Each law against each, in runs that differ in the law alone."""
+        """Each law against each other, in runs that differ in the law alone."""
         return list(self._duels())
 
     def _duels(self) -> Iterator[Duel]:
@@ -167,7 +163,7 @@ class Judged:
 
     @cached_property
     def effects(self) -> list[Effect]:
-        """What each axis does to each figure, by what it explains."""
+        """The effect of each axis on each figure."""
         return [Effect(axis, figure, self._effect(axis, figure)) for figure in COMPARED for axis in self.axes]
 
     def _effect(self, axis: str, figure: str) -> float | None:
@@ -195,12 +191,9 @@ class Judged:
 
         return sorted(self.rows, key=badness, reverse=True)[:_WORST]
 
-    def repeat(self, key: str) -> str:
-        """Return the command that does a run once more."""
-        return self._repeats[key]
-
     @cached_property
-    def _repeats(self) -> dict[str, str]:
+    def repeats(self) -> dict[str, str]:
+        """The command that repeats each run, by the run's key."""
         return {row[KEY]: row["repeat"] for row in self.plan}
 
     def recording(self, key: str) -> Path | None:
@@ -214,11 +207,11 @@ class Judged:
         return sorted({row[MACHINE + "commit"] for row in self.rows if row.get(MACHINE + "commit")})
 
     def sentences(self) -> Iterator[str]:
-        """Yield what there is to say first."""
+        """Yield the sentences that head a report."""
         total = self.about["runs"]
         missing = f" ({total - len(self.rows)} of {total} are not done yet)" if len(self.rows) < total else ""
-        told = ", ".join(f"{count} {outcome}" for outcome, count in self.outcomes.items()) or "none"
-        yield f"{len(self.rows)} runs: {told}{missing}"
+        counts = ", ".join(f"{count} {outcome}" for outcome, count in self.outcomes.items()) or "none"
+        yield f"{len(self.rows)} runs: {counts}{missing}"
         if self.rows:
             yield f"pass rate {percent(self.rates[0])}"
         for duel in self.duels:
@@ -234,18 +227,17 @@ class Judged:
             "outcomes": self.outcomes,
             "reasons": [dict(zip(("outcome", "reason", "runs"), one, strict=True)) for one in self.reasons],
             "rates": [rate._asdict() | {"share": rate.share._asdict()} for rate in self.rates],
-            "figures": [spread._asdict() for spread in self.spreads],
+            "figures": [spread._asdict() for spread in self.spreads()],
             "duels": [duel._asdict() | {"difference": duel.difference._asdict()} for duel in self.duels],
             "effects": [effect._asdict() for effect in self.effects],
-            "worst": [
-                {
-                    name: row[name]
-                    for name in (KEY, "law", "fault", "seed", *self.about["axes"], "outcome", "reason", self.by)
-                }
-                | {"repeat": self.repeat(row[KEY]), "recording": _text(self.recording(row[KEY]))}
-                for row in self.worst
-            ],
+            "worst": [self._plain_row(row) for row in self.worst],
         }
+
+    def _plain_row(self, row: Row) -> dict[str, Any]:
+        names = (KEY, "law", "fault", "seed", *self.about["axes"], "outcome", "reason", self.by)
+        recording = self.recording(row[KEY])
+        path = None if recording is None else recording.as_posix()
+        return {name: row[name] for name in names} | {"repeat": self.repeats[row[KEY]], "recording": path}
 
 
 def judge(folder: Path) -> Judged:
@@ -279,9 +271,5 @@ def _draws(count: int) -> str:
 
 
 def word(value: object) -> str:
-    """Return a value of an axis as it is read."""
+    """Return a value of an axis as text."""
     return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _text(path: Path | None) -> str | None:
-    return None if path is None else path.as_posix()

@@ -1,7 +1,7 @@
 """Loading a campaign: its file read and checked, its scenario found, every refusal a sentence with file and line."""
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -31,12 +31,12 @@ class Plan(NamedTuple):
 
     @property
     def folder(self) -> Path:
-        """What relative paths in it start from."""
+        """The folder from which its relative paths start."""
         return self.file.absolute().parent
 
     @property
     def name(self) -> str:
-        """What it is called: its file's name without the suffix."""
+        """Its name: that of its file without the suffix."""
         return self.file.stem
 
     def scenario(self, sets: Mapping[str, object]) -> Scenario:
@@ -51,7 +51,7 @@ class Plan(NamedTuple):
         return _place(self.file, self.lines, path)
 
     def _placed(self, sentence: str, sets: Mapping[str, object]) -> str:
-        """Say of what the campaign gave where it stands there, not that it was ``--set``."""
+        """Name the campaign's file and line in a sentence about a value that it gives, in place of ``--set``."""
         if not sentence.startswith(_SET):
             return f"campaign {self.file}: {sentence}"
         words = sentence.removeprefix(_SET).lstrip(": ")
@@ -63,7 +63,7 @@ class Plan(NamedTuple):
 
 
 def _named(key: str, words: str) -> int:
-    """Return how many parts of a dotted key, from the first on, a sentence names."""
+    """Return how many leading parts of a dotted key a sentence names."""
     parts = key.split(".")
     for end in range(len(parts), 0, -1):
         if re.search(rf"(?<![\w.]){re.escape('.'.join(parts[:end]))}(?!\w)", words):
@@ -95,39 +95,31 @@ def load_plan(file: Path) -> Plan:
 
 
 def _flat(document: dict[str, Any]) -> dict[str, Any]:
-    """Make dotted keys of the tables below ``[set]`` and ``[axes]``, which TOML makes of dots without quotes."""
-
-    def leaves(table: Mapping[str, Any], path: tuple[str, ...] = ()) -> dict[str, Any]:
-        found: dict[str, Any] = {}
-        for key, value in table.items():
-            here = (*path, key)
-            is_axis = isinstance(value, Mapping) and any(kind in value for kind in AXIS_KINDS)
-            if (
-                isinstance(value, Mapping)
-                and value
-                and not is_axis
-                and any(isinstance(v, Mapping) for v in value.values())
-            ):
-                found |= leaves(value, here)
-            else:
-                found[".".join(here)] = value
-        return found
-
-    def deepest(table: Mapping[str, Any], path: tuple[str, ...] = ()) -> dict[str, Any]:
-        found: dict[str, Any] = {}
-        for key, value in table.items():
-            found |= deepest(value, (*path, key)) if isinstance(value, Mapping) else {".".join((*path, key)): value}
-        return found
-
+    """Make one dotted key of nested tables below ``[set]`` and ``[axes]``: TOML reads dots without quotes as tables."""
     flat = dict(document)
-    for name, walk in (("axes", leaves), ("set", deepest)):
+    for name, is_value in (("axes", _is_axis), ("set", lambda _: False)):
         if isinstance(flat.get(name), Mapping):
-            flat[name] = walk(flat[name])
+            flat[name] = _dotted(flat[name], is_value)
     return flat
 
 
+def _is_axis(table: Mapping[str, Any]) -> bool:
+    return any(kind in table for kind in AXIS_KINDS) or not any(isinstance(one, Mapping) for one in table.values())
+
+
+def _dotted(
+    table: Mapping[str, Any], is_value: Callable[[Mapping[str, Any]], bool], path: tuple[str, ...] = ()
+) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for key, value in table.items():
+        here = (*path, key)
+        is_table = isinstance(value, Mapping) and not is_value(value)
+        found |= _dotted(value, is_value, here) if is_table else {".".join(here): value}
+    return found
+
+
 def _place(file: Path, lines: Mapping[tuple[str, ...], int], path: tuple[str, ...]) -> str:
-    """Return ``file:line``; with dots or as tables, a key is one."""
+    """Return ``file:line`` of a key, whether it is written with dots or as tables."""
     dotted = {".".join(known) + ".": line for known, line in lines.items()}
     for end in range(len(path), 0, -1):
         wanted = ".".join(path[:end]) + "."
@@ -139,10 +131,10 @@ def _place(file: Path, lines: Mapping[tuple[str, ...], int], path: tuple[str, ..
 def _sentences(problems: Sequence[Problem], file: Path, lines: Mapping[tuple[str, ...], int]) -> Iterator[str]:
     """Yield one sentence for each problem."""
     for problem in problems:
-        path, told = problem.path, problem.words
-        about = path or next((one[:-1] for one in lines if one[0] == "axes" and ".".join(one[1:-1]) in told), ())
+        path, words = problem.path, problem.words
+        about = path or next((one[:-1] for one in lines if one[0] == "axes" and ".".join(one[1:-1]) in words), ())
         where = f"campaign {_place(file, lines, about) if problem.kind != 'missing' else file}"
-        yield f"{where}: {problem.sentence if path else told}"
+        yield f"{where}: {problem.sentence if path else words}"
 
 
 def _frozen(value: Any) -> Any:

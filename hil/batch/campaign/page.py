@@ -1,14 +1,14 @@
 """The page of a campaign: one HTML file with its verdicts, plots and worst runs, that needs nothing else."""
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from html import escape
 from pathlib import Path
 from typing import Any
 
 from hil.batch.campaign.judged import COMPARED, Judged, duel_words, percent, word
-from hil.batch.campaign.pictures import TITLES, draw_distributions, draw_duels, draw_effects, title_of
+from hil.batch.campaign.pictures import draw_distributions, draw_duels, draw_effects, title_of
 from hil.batch.campaign.statistics import Interval
 from hil.batch.job import PASSED
 from hil.batch.store import KEY
@@ -33,17 +33,10 @@ def write_page(path: Path, judged: Judged, existing: Existing = "refuse") -> Non
 
 def page(judged: Judged, folder: Path) -> str:
     """Return the page as HTML; ``folder`` is where it is to be, from which its links to recordings start."""
-    parts = [
-        *_head(judged),
-        *_reasons(judged),
-        *_rates(judged),
-        *_figures(judged),
-        *_duels(judged),
-        *_effects(judged),
-        *_pictures(judged),
-        *_worst(judged, folder),
-    ]
-    return document(f"{judged.about['name']}: {judged.about['runs']} runs of {judged.about['scenario']}", parts)
+    sections = (_head, _reasons, _rates, _figures, _duels, _effects, _pictures)
+    html = [line for section in sections for line in section(judged)]
+    title = f"{judged.about['name']}: {judged.about['runs']} runs of {judged.about['scenario']}"
+    return document(title, [*html, *_worst(judged, folder)])
 
 
 def _head(judged: Judged) -> Iterator[str]:
@@ -96,8 +89,8 @@ def _figures(judged: Judged) -> Iterator[str]:
         f"{escape(_MEANINGS)}</p>"
     )
     rows = []
-    for spread in judged.spreads:
-        name, unit, scale = TITLES[spread.figure]
+    for spread in judged.spreads():
+        name, unit, scale = title_of(spread.figure)
         numbers = (f"{scale * value:.4g}" for value in (spread.median, spread.p95, spread.worst))
         rows.append((escape(f"{name} [{unit}]"), escape(spread.law), str(spread.runs), *numbers))
     yield from table(("figure", "law", "runs", "median", "95th percentile", "worst"), rows, numbers=(2, 3, 4, 5))
@@ -115,12 +108,12 @@ def _duels(judged: Judged) -> Iterator[str]:
     )
     rows = []
     for duel in judged.duels:
-        name, unit, scale = TITLES[duel.figure]
+        name, unit, scale = title_of(duel.figure)
         value, *ends = duel.difference
         low, high = (None if end is None else scale * end for end in ends)
         scaled = duel._replace(difference=Interval(scale * value, low, high))
-        told = (escape(f"{name} [{unit}]"), escape(duel_words(scaled)))
-        rows.append((*told, f"{100 * duel.first_less:.3g} %", str(duel.pairs), str(duel.left_out), str(duel.units)))
+        words = (escape(f"{name} [{unit}]"), escape(duel_words(scaled)))
+        rows.append((*words, f"{100 * duel.first_less:.3g} %", str(duel.pairs), str(duel.left_out), str(duel.units)))
     yield from table(
         ("figure", "difference", "first less in", "pairs", "left out", "draws"), rows, numbers=(2, 3, 4, 5)
     )
@@ -128,9 +121,7 @@ def _duels(judged: Judged) -> Iterator[str]:
     pairs = len({(duel.first, duel.second) for duel in judged.duels})
     draw = partial(draw_duels, judged=judged, names=there)
     caption = "Mean differences of paired runs with their 95 % intervals; left of 0 the first law is less."
-    rows_of_panels = -(-len(there) // 2)
-    height_in = (0.9 + 0.22 * pairs) * rows_of_panels
-    yield from figure(picture("Differences", caption, draw, height_in=height_in, rows=rows_of_panels, columns=2))
+    yield from _panels("Differences", caption, draw, len(there), 0.9 + 0.22 * pairs)
 
 
 def _effects(judged: Judged) -> Iterator[str]:
@@ -148,25 +139,29 @@ def _effects(judged: Judged) -> Iterator[str]:
             judged.axes, key=lambda axis: -(shares[axis, judged.by] or 0.0) if (axis, judged.by) in shares else 0.0
         )
     ]
-    yield from table(("axis", *(TITLES[name][0] for name in COMPARED)), rows, numbers=range(1, len(COMPARED) + 1))
+    yield from table(("axis", *(title_of(name)[0] for name in COMPARED)), rows, numbers=range(1, len(COMPARED) + 1))
 
 
 def _pictures(judged: Judged) -> Iterator[str]:
     there = [name for name in COMPARED if len(judged.values(name))]
     if not there:
         return
-    height_in = 2.2 * -(-len(there) // 2)
     draw = partial(draw_distributions, judged=judged, names=there)
     caption = "The share of a law's runs in which a figure is at most this: further left is better."
-    yield from figure(picture("Distributions", caption, draw, height_in=height_in, rows=-(-len(there) // 2), columns=2))
+    yield from _panels("Distributions", caption, draw, len(there), 2.2)
     shown = judged.by if judged.by in there else there[0]
     axes = [axis for axis in judged.axes if axis not in ("law", "seed")]
     if axes:
-        rows = -(-len(axes) // 2)
         draw = partial(draw_effects, judged=judged, names=axes, shown=shown)
         title, unit, _ = title_of(shown)
         caption = f"{title} [{unit}] over each axis; dots are runs, the line joins medians."
-        yield from figure(picture("Effects", caption, draw, height_in=2.4 * rows, rows=rows, columns=2))
+        yield from _panels("Effects", caption, draw, len(axes), 2.4)
+
+
+def _panels(title: str, caption: str, draw: Callable[..., None], count: int, height_in: float) -> Iterator[str]:
+    """Yield a picture of so many panels, two side by side, each so high."""
+    rows = -(-count // 2)
+    yield from figure(picture(title, caption, draw, height_in=height_in * rows, rows=rows, columns=2))
 
 
 def _worst(judged: Judged, folder: Path) -> Iterator[str]:
@@ -174,11 +169,11 @@ def _worst(judged: Judged, folder: Path) -> Iterator[str]:
     yield "<h2>The worst runs</h2>"
     for row in judged.worst:
         value = "-" if row[judged.by] is None else f"{scale * row[judged.by]:.4g} {unit}"
-        told = mark(row["outcome"], row["outcome"] == PASSED)
-        yield f"<p>{told} {escape(f'{title} {value}; {_point(judged, row)}')}</p>"
+        outcome = mark(row["outcome"], row["outcome"] == PASSED)
+        yield f"<p>{outcome} {escape(f'{title} {value}; {_point(judged, row)}')}</p>"
         if row["reason"] is not None:
             yield f'<p class="failed">{escape(row["reason"])}</p>'
-        yield f'<p class="about"><code>{escape(judged.repeat(row[KEY]))}</code></p>'
+        yield f'<p class="about"><code>{escape(judged.repeats[row[KEY]])}</code></p>'
         if (recording := judged.recording(row[KEY])) is not None:
             link = Path(os.path.relpath(judged.folder / recording, folder)).as_posix()
             yield f'<p class="about">recorded: <a href="{escape(link)}">{escape(recording.as_posix())}</a></p>'

@@ -1,38 +1,40 @@
 """The plots of a campaign's page: distributions, effects of the axes, and differences between laws."""
 
 import itertools
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hil.batch.campaign.judged import Judged
+from hil.batch.figures import shown_columns
 from hil.review.plots import colour_of, rgb
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-TITLES = {
-    "steady_rms_m": ("steady rms", "mm", 1e3),
-    "steady_max_m": ("steady max", "mm", 1e3),
-    "t10_s": ("to 10 mm", "s", 1.0),
-    "overshoot_m": ("overshoot", "mm", 1e3),
-    "effort_n_m_s": ("effort", "N·m·s", 1.0),
-}
-"""Of figures of which a page shows more than a line: what they are called, the unit they are shown in, its scale."""
 _SCATTERED = 2000
 _MOST_VALUES = 12
 
 
 def title_of(name: str) -> tuple[str, str, float]:
-    """Return what a figure is called, its unit, and its scale."""
-    return TITLES.get(name, (name, "", 1.0))
+    """Return a figure's title, the unit it is shown in, and how many of that unit are one of its own."""
+    for column in shown_columns():
+        if column.name == name:
+            return column.title, column.unit, column.scale
+    return name, "", 1.0
+
+
+def _panels(axes: "list[Axes]", names: list[str]) -> "Iterator[tuple[Axes, str]]":
+    """Yield a panel for each name, and hide the others."""
+    for panel in axes[len(names) :]:
+        panel.set_visible(False)
+    yield from zip(axes, names, strict=False)
 
 
 def draw_distributions(axes: "list[Axes]", *, judged: Judged, names: list[str]) -> None:
     """Draw the share of each law's runs in which a figure is at most so much."""
-    for panel in axes[len(names) :]:
-        panel.set_visible(False)
-    for panel, name in zip(axes, names, strict=False):
+    for panel, name in _panels(axes, names):
         title, unit, scale = title_of(name)
         for number, law in enumerate(judged.about["laws"]):
             values = np.sort(scale * judged.values(name, law))
@@ -46,9 +48,7 @@ def draw_distributions(axes: "list[Axes]", *, judged: Judged, names: list[str]) 
 def draw_effects(axes: "list[Axes]", *, judged: Judged, names: list[str], shown: str) -> None:
     """Draw the figure ``shown`` over the axes of the campaign with these names."""
     title, unit, scale = title_of(shown)
-    for panel in axes[len(names) :]:
-        panel.set_visible(False)
-    for panel, name in zip(axes, names, strict=False):
+    for panel, name in _panels(axes, names):
         numeric = all(isinstance(row[name], float | int) for row in judged.rows)
         words = list(dict.fromkeys(str(row[name]) for row in judged.plan))
         for number, law in enumerate(judged.about["laws"]):
@@ -72,22 +72,20 @@ def draw_effects(axes: "list[Axes]", *, judged: Judged, names: list[str], shown:
 
 
 def _medians(x: Any, y: Any, *, is_random: bool) -> tuple[list[float], list[float]]:
-    """Return the medians over the values of an axis, or over parts of it where there are many."""
+    """Return the medians over the values of an axis, or over ranges of them where they are many."""
     places = np.unique(x)
     if is_random or len(places) > _MOST_VALUES:
         edges = np.quantile(x, np.linspace(0.0, 1.0, 1 + min(8, max(1, len(places) // 3))))
-        parts = [(x >= low) & (x <= high) for low, high in itertools.pairwise(edges)]
+        ranges = [(x >= low) & (x <= high) for low, high in itertools.pairwise(edges)]
     else:
-        parts = [x == place for place in places]
-    parts = [part for part in parts if part.any()]
-    return [float(np.median(x[part])) for part in parts], [float(np.median(y[part])) for part in parts]
+        ranges = [x == place for place in places]
+    ranges = [one for one in ranges if one.any()]
+    return [float(np.median(x[one])) for one in ranges], [float(np.median(y[one])) for one in ranges]
 
 
 def draw_duels(axes: "list[Axes]", *, judged: Judged, names: list[str]) -> None:
     """Draw the mean differences between laws in figures, each with its interval."""
-    for panel in axes[len(names) :]:
-        panel.set_visible(False)
-    for panel, name in zip(axes, names, strict=False):
+    for panel, name in _panels(axes, names):
         title, unit, scale = title_of(name)
         duels = [duel for duel in judged.duels if duel.figure == name]
         for place, duel in enumerate(duels):
