@@ -5,8 +5,11 @@ An entry is a file, a test of it, or a test with the beginning of its parameters
 
 SLOW = (
     # C that is compiled for other machines, with other compilers, or with a flaw.
+    "test_arm_boards.py",
     "test_arm_build.py",
+    "test_arm_can.py",
     "test_arm_drivers.py",
+    "test_arm_motors.py",
     "test_arm_real_time.py",
     "test_catalogue.py::test_an_unsafe_firmware_is_caught",
     "test_fmi3_calls.py::test_a_life_passes_the_sanitizers",
