@@ -206,8 +206,8 @@ def test_nobody_is_first_in_the_last_second_of_a_run(tmp_path) -> None:
     ("change", "words"),
     [
         ({"laws": ["dcs"]}, "'dcs': unknown; did you mean 'dsc'"),
-        ({"laws": ["dsc,k1_s=8"]}, "law dsc: unknown option 'k1_s'; did you mean"),
-        ({"laws": ["dsc,k1_1_s=abc"]}, "law dsc.k1_1_s = 'abc': expected a number"),
+        ({"laws": ["dsc,k1_s=8"]}, "unknown key dsc.k1_s; did you mean"),
+        ({"laws": ["dsc,k1_1_s=abc"]}, 'dsc.k1_1_s = "abc"; expected a number'),
         ({"torques_n_m": [0.0]}, "--torque 0: expected the limit of a wheel in N·m, more than 0"),
         ({"laws": ["dsc,k1_1_s=-8"]}, "k1_1_s = -8"),
         ({"laws": ["dsc,fast.k1_1_s=8"]}, "'fast.k1_1_s=8' is no gain; expected key=value, torque.key=value"),

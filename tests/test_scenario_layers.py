@@ -35,7 +35,7 @@ shaped_documents = st.recursive(
 
 
 def layer(document: dict[str, object], where: str) -> Tree:
-    return make_layer(document, lambda _: where)
+    return make_layer(document, where)
 
 
 def given_values(tree: Tree) -> dict[str, tuple[object, str]]:

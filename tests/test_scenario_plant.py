@@ -72,8 +72,8 @@ def test_a_row_that_names_a_variable_replaces_the_row_before() -> None:
 
 
 def test_every_spelling_of_a_row_is_the_same() -> None:
-    quoted = make_layer({"plant": {"map": {"wheel.fl.count": {"name": "n", "sign": -1}}}}, lambda _: "x")
-    nested = make_layer({"plant": {"map": {"wheel": {"fl": {"count": {"name": "n", "sign": -1}}}}}}, lambda _: "x")
+    quoted = make_layer({"plant": {"map": {"wheel.fl.count": {"name": "n", "sign": -1}}}}, "x")
+    nested = make_layer({"plant": {"map": {"wheel": {"fl": {"count": {"name": "n", "sign": -1}}}}}}, "x")
     one_by_one = assign(assign({}, "plant.map.wheel.fl.count", "n", "x"), "plant.map.wheel.fl.count.sign", -1, "x")
     assert quoted == nested == one_by_one
 
@@ -90,10 +90,10 @@ def test_the_shipped_fmus_share_their_variables() -> None:
 
 
 def test_start_values_without_a_named_fmu_are_the_shipped_ones() -> None:
-    below = make_layer({"plant": {"start": {"start_x_m": 1.0}}}, lambda _: "below")
+    below = make_layer({"plant": {"start": {"start_x_m": 1.0}}}, "below")
     shipped, foreign = ({"plant": {"fmu": fmu}} for fmu in ("mecanum", "x.fmu"))
-    assert plain(stack(below, make_layer(shipped, lambda _: "above")))["plant"]["start"] == {"start_x_m": 1.0}
-    assert "start" not in plain(stack(below, make_layer(foreign, lambda _: "above")))["plant"]
+    assert plain(stack(below, make_layer(shipped, "above")))["plant"]["start"] == {"start_x_m": 1.0}
+    assert "start" not in plain(stack(below, make_layer(foreign, "above")))["plant"]
 
 
 @pytest.mark.parametrize(

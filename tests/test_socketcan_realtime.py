@@ -250,7 +250,7 @@ def test_a_second_controller_is_turned_away_and_the_first_drives_on(robot: Devic
             expected = Expected(
                 parameter_hash(firmware_values(SCENARIO)), lockstep=False, allow_motion=False, speed_limit_rad_s=20.0
             )
-            second = Stm32(link, CommandMode.TORQUE, expected, iter((1, 2, 3)), wheel_map(SCENARIO))
+            second = Stm32(link, CommandMode.TORQUE, expected, iter((1, 2, 3)), wheel_map(SCENARIO.device))
             second.connect()
             refusal = "none"
             try:

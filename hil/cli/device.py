@@ -80,7 +80,7 @@ def _serve(
     not granted; at the end the last output of a foreign FMU, and a line if robot time was lost or the trace is
     incomplete. Raises LinkError when the link is lost, DeviceError when the plant fails.
     """
-    lockstep, protocol = scenario.loop.mode == "lockstep", protocol_of(scenario)
+    lockstep, protocol = scenario.loop.mode == "lockstep", protocol_of(scenario.device)
     wire, reach = link_of(scenario).open_robot(_say, lockstep=lockstep, protocol=protocol)
     resources.callback(wire.close)
     if trace is not None:
@@ -120,8 +120,8 @@ def _robot(scenario: Scenario, target: str) -> VirtualStm32:
     if target != "host":
         raise BadInputError(f"--target {target} runs our own firmware, and the scenario has {driver!r}; leave it out")
     if made_of.lockstep:
-        raise no_lockstep(scenario)
-    return VirtualStm32(made_of, node_maker(scenario))
+        raise no_lockstep(scenario.device.driver)
+    return VirtualStm32(made_of, node_maker(scenario.device))
 
 
 class _RobotTime:

@@ -10,6 +10,7 @@ from hil.cli.options import Json, LinkUrl, RobotFile, ScenarioName, Sets, end_in
 from hil.cli.report import warn
 from hil.core.errors import BadInputError, DeviceError, RunInterruptedError
 from hil.core.guard import Guard
+from hil.core.model import RobotModel
 from hil.core.types import WHEEL_NAMES, ZERO_WHEELS, CommandMode, WheelCommand, Wheels
 from hil.runtime.bench import Bench
 from hil.runtime.freshness import Freshness
@@ -130,7 +131,7 @@ def turn_wheel(
         bench.connect()
         for sentence in device.warnings:
             warn(sentence)
-        speed_rad_s = _limited(scenario, device.speed_limit_rad_s, speed_rad_s, warn)
+        speed_rad_s = _limited(scenario.robot, device.speed_limit_rad_s, speed_rad_s, warn)
         begin_ns = device.start(bench.clock, period_ns)
         freshness = Freshness(bench.clock, device, None, Timing(period_ns, 0, 0, stale_ns))
         turned = [0.0] * 4
@@ -155,9 +156,9 @@ def turn_wheel(
     return Jogged(speed_rad_s * (seconds - _RAMP_S), Wheels(*turned))
 
 
-def _limited(scenario: Scenario, robot_rad_s: float, speed_rad_s: float, warn: Callable[[str], None]) -> float:
+def _limited(model: RobotModel, robot_rad_s: float, speed_rad_s: float, warn: Callable[[str], None]) -> float:
     """Return the speed as limited by the guard."""
-    guard = Guard(scenario.robot.speed_limit_rad_s, scenario.robot.torque_limit_n_m)
+    guard = Guard(model.speed_limit_rad_s, model.torque_limit_n_m)
     guard.heed(robot_rad_s)
     asked = WheelCommand(CommandMode.SPEED, ZERO_WHEELS._replace(fl=speed_rad_s), ZERO_WHEELS)
     limited, is_scaled = guard.apply(asked)

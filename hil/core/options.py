@@ -16,7 +16,6 @@ dataclasses; a value of another type is not checked here.
 import functools
 import json
 import math
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
@@ -25,8 +24,6 @@ from hil.core.errors import BadInputError, nearest
 
 T = TypeVar("T")
 Path = tuple[str, ...]
-Scalar = float | int | bool | str
-OptionValue = Scalar | tuple[Scalar, ...]
 
 ABSENT = object()
 """In place of the value of a problem that has none to show."""
@@ -190,30 +187,6 @@ def format_value(value: object) -> str:
     if isinstance(value, Mapping):
         return f"{{{', '.join(f'{key} = {format_value(item)}' for key, item in value.items())}}}"
     return str(value)
-
-
-def checked_text(value: str) -> str:
-    """Return a text of one line. Raises ValueError for another one."""
-    if not value or re.search(r"[\x00-\x1f\x7f]", value):
-        raise ValueError("expected text of one line, not empty")
-    return value
-
-
-def any_option(value: object) -> OptionValue:
-    """Accept what an option may be at all; its law or reference checks the names, types and ranges."""
-    if isinstance(value, list | tuple):
-        return tuple(map(_scalar, value))
-    return _scalar(value)
-
-
-def _scalar(value: object) -> Scalar:
-    if isinstance(value, str | int) or (isinstance(value, float) and math.isfinite(value)):
-        return value
-    raise ValueError("expected a finite number, text, true or false, or an array of these")
-
-
-Text = Annotated[str, checked_text]
-AnyOption = Annotated[Any, any_option]
 
 
 @functools.cache

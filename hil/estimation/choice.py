@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from hil.core.errors import BadInputError
 from hil.core.model import RobotModel
-from hil.core.options import Range, Text
+from hil.core.options import Range
 from hil.core.types import Pose
 from hil.estimation.fused import FilterOptions, FusedEstimator
 from hil.estimation.localisation.address import parse_address
@@ -37,7 +37,7 @@ class EstimatorOptions:
     slip_threshold_m_s: Annotated[
         float, Range(gt=0, le=100), "contradiction of wheels, gyro and accelerometer that is slip"
     ] = 0.1
-    fix: Annotated[Text, _reachable, 'pose fixes of "fused": simulated, or udp://127.0.0.1:PORT'] = "simulated"
+    fix: Annotated[str, _reachable, 'pose fixes of "fused": simulated, or udp://127.0.0.1:PORT'] = "simulated"
     filter: FilterOptions = field(default_factory=FilterOptions)
     simulated_fix: SimulatedOptions = field(default_factory=SimulatedOptions)
 

@@ -223,7 +223,7 @@ class _Run:
         figures = RunFigures(RunSetup(scenario.firmware.torque_constant_n_m_a, limits), names)
         self._memory = MemorySink(names, figures, keep=self._options.keep_signals)
         note = self._recording.event if self._recording is not None else _ignore
-        self._events = RunEvents(scenario, names, note, self._bench.plant_output)
+        self._events = RunEvents(scenario.expect, scenario.fault, names, note, self._bench.plant_output)
         sinks: list[Sink | None] = [self._memory, self._recording, self._stream, self._events]
         parts = self._parts.make(self._bench, [sink for sink in sinks if sink is not None], note)
         return Loop(

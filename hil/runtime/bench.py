@@ -74,7 +74,7 @@ class Bench:
     ) -> None:
         self._scenario = scenario
         self._is_lockstep = scenario.loop.mode == "lockstep"
-        self._protocol = protocol_of(scenario)
+        self._protocol = protocol_of(scenario.device)
         self.local: LocalRobot | None = None
         self.truth: PoseSource | None = None
         self.device: Device
@@ -115,13 +115,13 @@ class Bench:
         """Open the truth socket of a robot elsewhere, if it is given, and give the robot its faults."""
         scenario = self._scenario
         if self._is_lockstep and scenario.device.is_makers:
-            raise no_lockstep(scenario)
+            raise no_lockstep(scenario.device.driver)
         client: TruthClient | None = None
         if truth is not None:
             not_before = (lambda: self.device.tick * TICK_NS) if self._is_lockstep else None
             client = TruthClient(truth, scenario.hash, reset=True, not_before=not_before)
             resources.callback(client.close)
-        elif (setting := needed_truth(scenario)) is not None:
+        elif (setting := needed_truth(scenario.estimator)) is not None:
             raise BadInputError(
                 f"{setting}, but the robot is elsewhere and no truth was given; add --truth URL as hil device "
                 "prints it, or --set estimator.source=odometry"
@@ -168,7 +168,7 @@ class Bench:
             local.advance if local is not None else None,
             watch,
         )
-        return MakersRobot(link, self.clock, driver, wheel_map(scenario), terms)
+        return MakersRobot(link, self.clock, driver, wheel_map(scenario.device), terms)
 
     def _stm32(self, link: ConditionedLink, *, allow_motion: bool) -> Stm32:
         """Return the session with our own firmware."""
@@ -180,7 +180,7 @@ class Bench:
             scenario.robot.speed_limit_rad_s,
         )
         nonces = _nonces(scenario.loop.seed if self._is_lockstep else None)
-        return Stm32(link, scenario.controller.mode, expected, nonces, wheel_map(scenario))
+        return Stm32(link, scenario.controller.mode, expected, nonces, wheel_map(scenario.device))
 
     def begin(self, origin_ns: int) -> None:
         """Let the scenario's time begin at this time of the clock, the first ACTIVE tick."""

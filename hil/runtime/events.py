@@ -9,7 +9,7 @@ from hil.core.ports import Note
 from hil.faults.kinds import find
 from hil.judge.expectations import Watch, outcome_figures
 from hil.plant.child_output import ChildOutput, log_lines
-from hil.scenario import Scenario
+from hil.scenario import ExpectTable, FaultTable
 
 _LEVELS = {True: "info", None: "warning", False: "error"}
 
@@ -21,25 +21,32 @@ class RunEvents:
     run, ``loop.t_s`` among them; ``output`` is that of a plant in a process of its own.
     """
 
-    def __init__(self, scenario: Scenario, names: Sequence[str], note: Note, output: ChildOutput | None = None) -> None:
+    def __init__(
+        self,
+        expect: Sequence[ExpectTable],
+        faults: Sequence[FaultTable],
+        names: Sequence[str],
+        note: Note,
+        output: ChildOutput | None = None,
+    ) -> None:
         self._note = note
         self._output = ChildOutput() if output is None else output
         self._t_place = names.index("loop.t_s")
-        self._watches = [(names.index(row.signal), Watch(row)) for row in scenario.expect]
+        self._watches = [(names.index(row.signal), Watch(row)) for row in expect]
         self._open: tuple[tuple[int, Watch], ...] = ()
         self._undecided = [watch for _, watch in self._watches]
         self._told: dict[int, str] = {}  # what was said of a watch when it failed
         self._in_force: list[str] = []
         edges: list[tuple[float, Callable[[], None]]] = []
-        for fault in scenario.fault:
+        for fault in faults:
             edges.append((fault.start_s, partial(self._begin, fault.start_s, fault.words)))
             if not find(fault.kind, fault.target).is_instant:
                 edges.append((fault.end_s, partial(self._end, fault.end_s, fault.words)))
         for place, watch in self._watches:
-            expect = watch.expect
-            edges.append((expect.from_s, partial(self._watch, place, watch)))
+            row = watch.expect
+            edges.append((row.from_s, partial(self._watch, place, watch)))
             # A sample at to_s counts still.
-            edges.append((math.nextafter(expect.to_s, math.inf), partial(self._close, watch)))
+            edges.append((math.nextafter(row.to_s, math.inf), partial(self._close, watch)))
         self._edges = sorted(edges, key=lambda edge: edge[0], reverse=True)
         self._next_s = self._edges[-1][0] if edges else math.inf
 

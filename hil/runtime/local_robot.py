@@ -42,7 +42,7 @@ class LocalRobot:
         make_robot: MakeRobot,
         resources: contextlib.ExitStack,
     ) -> None:
-        made = make_robot(virtual_robot(scenario), make_node or node_maker(scenario))
+        made = make_robot(virtual_robot(scenario), make_node or node_maker(scenario.device))
         self.robot = robot = resources.enter_context(made)
         self._server: VirtualServer | None = None
         self._thread: ServerThread | None = None
@@ -55,7 +55,7 @@ class LocalRobot:
             resources.callback(self.link.close)
             return
         self.truth = truth = LocalTruth()
-        self.link, wire = url.open_pair(faults.line, lockstep=lockstep, protocol=protocol_of(scenario))
+        self.link, wire = url.open_pair(faults.line, lockstep=lockstep, protocol=protocol_of(scenario.device))
         resources.callback(wire.close)
         resources.callback(self.link.close)
         self._server = VirtualServer(robot, wire, truth, lockstep=lockstep)

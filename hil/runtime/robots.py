@@ -13,13 +13,14 @@ from hil.core.outputs import Existing
 from hil.core.types import Pose
 from hil.drivers.emulated_registry import emulated
 from hil.drivers.registry import dialect
+from hil.estimation import EstimatorOptions
 from hil.plant import archive
 from hil.plant.description import check_start, parameter_names
 from hil.plant.mapping import Row, SignalMap
 from hil.robot.faults import Body
 from hil.robot.virtual import MakeNode, VirtualPlant, VirtualRobot
 from hil.robot.wheel_map import WheelMap
-from hil.scenario import SHIPPED_FMUS, Scenario, StartValue
+from hil.scenario import SHIPPED_FMUS, DeviceTable, Scenario, StartValue
 from hil.wire.link import LinkUrl
 from hil.wire.trace import Trace
 from hil.wire.url import DEFAULT_BAUD, parse_link
@@ -103,7 +104,7 @@ def virtual_robot(scenario: Scenario) -> VirtualRobot:
         VirtualPlant(fmu, start, signal_map(scenario), scenario.plant.timeout_s, scenario.plant.memory_limit_mb),
         firmware_values(scenario),
         scenario.loop.mode == "lockstep",
-        wheel_map(scenario),
+        wheel_map(scenario.device),
         _body(scenario, start, known),
     )
 
@@ -114,26 +115,22 @@ def _body(scenario: Scenario, start: Mapping[str, StartValue], known: Collection
     given = (start.get("half_length_m", robot.half_length_m), start.get("half_width_m", robot.half_width_m))
     half_length_m, half_width_m = (float(length) for length in given)
     is_rigid = "contact" in known and start.get("contact", "rigid") in ("rigid", 1.0)
-    return Body(wheel_map(scenario).wheel_of_channel, half_length_m, half_width_m, is_rigid)
+    return Body(wheel_map(scenario.device).wheel_of_channel, half_length_m, half_width_m, is_rigid)
 
 
-def wheel_map(scenario: Scenario) -> WheelMap:
-    """Return how the scenario's robot is wired."""
-    return WheelMap(scenario.device.wheels, scenario.device.reversed)
+def wheel_map(device: DeviceTable) -> WheelMap:
+    """Return how the robot is wired."""
+    return WheelMap(device.wheels, device.reversed)
 
 
-def protocol_of(scenario: Scenario) -> LinkProtocol:
-    """Return what is spoken on the scenario's link."""
-    if not scenario.device.is_makers:
-        return WHEEL_DBC
-    return LinkProtocol(dialect(scenario.device.driver).make_framing)
+def protocol_of(device: DeviceTable) -> LinkProtocol:
+    """Return what is spoken on the robot's link."""
+    return LinkProtocol(dialect(device.driver).make_framing) if device.is_makers else WHEEL_DBC
 
 
-def node_maker(scenario: Scenario) -> MakeNode:
-    """Return what makes the firmware of the scenario's virtual robot, or its motor controllers."""
-    if not scenario.device.is_makers:
-        return HostNode
-    return functools.partial(emulated(scenario.device.driver), scenario.device.settings)
+def node_maker(device: DeviceTable) -> MakeNode:
+    """Return what makes the firmware of a virtual robot, or its motor controllers."""
+    return functools.partial(emulated(device.driver), device.settings) if device.is_makers else HostNode
 
 
 def link_of(scenario: Scenario) -> LinkUrl:
@@ -142,18 +139,17 @@ def link_of(scenario: Scenario) -> LinkUrl:
     return parse_link(scenario.link.url, baud=baud or DEFAULT_BAUD)
 
 
-def needed_truth(scenario: Scenario) -> str | None:
-    """Return the setting of a scenario that needs the true pose; None where it is not needed."""
-    estimator = scenario.estimator
+def needed_truth(estimator: EstimatorOptions) -> str | None:
+    """Return the setting that needs the true pose; None where it is not needed."""
     if estimator.source == "fused" and estimator.fix == "simulated":
         return 'estimator.fix = "simulated"'
     return 'estimator.source = "truth"' if estimator.source == "truth" else None
 
 
-def no_lockstep(scenario: Scenario) -> BadInputError:
+def no_lockstep(driver: str) -> BadInputError:
     """Return the refusal of lockstep with makers' motors in another process."""
     return BadInputError(
-        f"the protocol of {scenario.device.driver!r} has no STEP, so that nobody can let its time pass from outside; "
+        f"the protocol of {driver!r} has no STEP, so that nobody can let its time pass from outside; "
         "add --mode realtime, or run it within one process with --link memory:"
     )
 

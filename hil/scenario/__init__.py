@@ -11,7 +11,7 @@ shipped()                                         -> what can be loaded by name
 
 from hil.core.options import format_value
 from hil.scenario.load import Sources, load, read, set_texts, shipped
-from hil.scenario.plant import SHIPPED_FMUS, PlantTable, StartValue
+from hil.scenario.plant import SHIPPED_FMUS, PlantTable
 from hil.scenario.run import Scenario, from_plain, resolved, to_plain
 from hil.scenario.tables import (
     ControllerTable,
@@ -24,6 +24,7 @@ from hil.scenario.tables import (
     ServiceTable,
 )
 from hil.scenario.trial import AllowTable, ExpectTable, FaultTable
+from hil.scenario.values import StartValue
 
 __all__ = [
     "SHIPPED_FMUS",

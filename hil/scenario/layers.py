@@ -7,7 +7,8 @@ shipped ones one takes over from another the start values that it knows. A row o
 replaces the row before.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 from hil.core.errors import BadInputError
@@ -30,6 +31,7 @@ class Given(NamedTuple):
 Node = dict[str, "Node"] | list["Node"] | Given
 Tree = dict[str, Node]
 
+_NO_LINES: Mapping[Path, int] = MappingProxyType({})
 # table, the key that chooses, and the keys that do not belong to the choice
 _CHOICES = (
     ("controller", "law", ("command", "shadow", "shadow_gains")),
@@ -45,9 +47,9 @@ def dotted(path: Path) -> str:
     return ".".join(path)
 
 
-def make_layer(raw: Mapping[str, object], where: Callable[[Path], str]) -> Tree:
-    """Return the layer for a parsed document; ``where`` tells where the value at a path was given."""
-    tree = {str(key): _annotate(value, where, (str(key),)) for key, value in raw.items()}
+def make_layer(raw: Mapping[str, object], source: str, lines: Mapping[Path, int] = _NO_LINES) -> Tree:
+    """Return the layer for the values of a ``source``, a file or an option; ``lines`` has the line of each key."""
+    tree = {str(key): _annotate(value, source, lines, (str(key),)) for key, value in raw.items()}
     _flatten_plant(tree)
     return tree
 
@@ -90,7 +92,7 @@ def assign(tree: Tree, key: str, value: object, where: str) -> Tree:
     rows = tree.get(path[0])
     numbered = len(path) > 1 and path[1].isdecimal()
     if len(path) == 1 or not (numbered or isinstance(rows, list)):
-        return stack(tree, make_layer(_nested(path, value), lambda _: where))
+        return stack(tree, make_layer(_nested(path, value), where))
     if not isinstance(rows, list):
         rows = []
     if not numbered or int(path[1]) >= len(rows):
@@ -99,7 +101,7 @@ def assign(tree: Tree, key: str, value: object, where: str) -> Tree:
         raise BadInputError(f"{where} {key}: expected {path[0]}.N.KEY with the row N from 0 to {len(rows) - 1}")
     index = int(path[1])
     row = rows[index]
-    above = make_layer(_nested(path[2:], value), lambda _: where) if len(path) > 2 else None
+    above = make_layer(_nested(path[2:], value), where) if len(path) > 2 else None
     changed: Node = Given(value, where)
     if above is not None:
         changed = merge(row, above) if isinstance(row, dict) else above
@@ -125,12 +127,20 @@ def plain(node: Node) -> object:
     return tuple(plain(child) for child in node)
 
 
-def _annotate(value: object, where: Callable[[Path], str], path: Path) -> Node:
+def place_in(source: str, lines: Mapping[Path, int], path: Path) -> str:
+    """Return ``source:line`` of the value at a path; a value in an inline table has its table's line."""
+    for end in range(len(path), 0, -1):
+        if path[:end] in lines:
+            return f"{source}:{lines[path[:end]]}"
+    return source
+
+
+def _annotate(value: object, source: str, lines: Mapping[Path, int], path: Path) -> Node:
     if isinstance(value, Mapping):
-        return {str(key): _annotate(child, where, (*path, str(key))) for key, child in value.items()}
+        return {str(key): _annotate(child, source, lines, (*path, str(key))) for key, child in value.items()}
     if isinstance(value, list | tuple) and value and all(isinstance(row, Mapping) for row in value):
-        return [_annotate(row, where, (*path, str(i))) for i, row in enumerate(value)]
-    return Given(value, where(path))
+        return [_annotate(row, source, lines, (*path, str(i))) for i, row in enumerate(value)]
+    return Given(value, place_in(source, lines, path))
 
 
 def _flatten_plant(tree: Tree) -> None:

@@ -17,9 +17,9 @@ from hil.laws.registry import give_law
 from hil.scenario import layers
 from hil.scenario.check import check, derived
 from hil.scenario.layers import Given, Tree
-from hil.scenario.plant import is_path
 from hil.scenario.run import Scenario, scenario_of, values
 from hil.scenario.toml_text import key_lines, parse, parse_value
+from hil.scenario.values import is_path
 
 SHIPPED_DIRECTORY = Path(__file__).parent / "shipped"
 ROBOT_TABLES = ("robot", "firmware", "device", "link", "realtime")
@@ -42,14 +42,7 @@ class _File(NamedTuple):
     def layer(self) -> Tree:
         """Return the file's tables as a layer; every value knows its file and line."""
         tables = {key: value for key, value in self.document.items() if key != "extends"}
-        return layers.make_layer(tables, self.where)
-
-    def where(self, path: layers.Path) -> str:
-        """Return ``file:line`` for the value at a path; a value in an inline table has its table's line."""
-        for end in range(len(path), 0, -1):
-            if path[:end] in self.lines:
-                return f"{self.display}:{self.lines[path[:end]]}"
-        return self.display
+        return layers.make_layer(tables, self.display, self.lines)
 
 
 def shipped() -> dict[str, str]:
@@ -151,7 +144,8 @@ def _open_scenario(name: str | Path, extended_by: _File | None) -> _File:
 
 
 def _extends(file: _File, name: object) -> str:
-    return f"scenario {file.where(('extends',))}: extends = {name!r}"
+    where = layers.place_in(file.display, file.lines, ("extends",))
+    return f"scenario {where}: extends = {name!r}"
 
 
 def _chain(scenario: _File) -> list[_File]:

@@ -1,36 +1,18 @@
 """``[plant]``: the FMU behind the wire, its variables, and where the truth differs from [robot]."""
 
-import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import PurePath
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from hil.core.errors import nearest
-from hil.core.options import Range, Text
+from hil.core.options import Range
 from hil.plant.signals import INPUTS, OUTPUTS
+from hil.scenario.values import Start, Text, is_path
 from plant_fmu import SHIPPED
 
 SHIPPED_FMUS = tuple(SHIPPED)
 PLANT_SIGNALS = (*INPUTS, *OUTPUTS)
-StartValue = float | bool | str
-
-
-def is_path(name: str) -> bool:
-    """Return whether a name is a path to a file, and not the name of something shipped."""
-    return "/" in name or "\\" in name or PurePath(name).suffix != ""
-
-
-def _start(value: object) -> StartValue:
-    """Accept what a variable of an FMU may start with; the FMU's description tells the type and range."""
-    if isinstance(value, bool | str):
-        return value
-    if isinstance(value, int) and -(2**63) <= value < 2**64:
-        return float(value) if abs(value) <= 2**53 else value  # 24 and 24.0 are one scenario
-    if isinstance(value, float) and math.isfinite(value):
-        return value
-    raise ValueError("expected a finite number, a whole one within 64 bits, true or false, or text")
 
 
 def _signal_of_plant(name: str) -> str:
@@ -72,7 +54,7 @@ class PlantTable:
         "the FMU's variables of the signals that it does not have by their own names",
     ] = field(default_factory=dict)
     start: Annotated[
-        Mapping[Text, Annotated[Any, _start]],
+        Mapping[Text, Start],
         "FMU variables where the truth differs from [robot], or that only the plant has",
     ] = field(default_factory=dict)
 

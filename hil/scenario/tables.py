@@ -11,13 +11,14 @@ from typing import Annotated, Any, Literal
 
 from hil.core.errors import BadInputError, nearest
 from hil.core.model import RobotModel
-from hil.core.options import OTHERS, AnyOption, OptionsError, Problem, Range, Text, any_option, build, checked_text
+from hil.core.options import OTHERS, OptionsError, Problem, Range, build
 from hil.core.types import WHEEL_NAMES, CommandMode
 from hil.drivers.registry import OUR_DRIVER, dialect, driver_names
 from hil.estimation import EstimatorOptions
 from hil.laws.own_signals import short_name
 from hil.scenario.plant import PlantTable
 from hil.scenario.trial import AllowTable, ExpectTable, FaultTable
+from hil.scenario.values import AnyOption, Milliseconds, Setting, Text
 from hil.wire.url import parse_link
 
 TICKS_PER_SECOND = 1000  # the firmware loop
@@ -28,12 +29,6 @@ PRIORITY = 40
 """Of SCHED_FIFO, by default. A real-time kernel's threads for interrupts, the serial port's among them, have 50."""
 
 Wheel = Literal["fl", "fr", "rr", "rl"]
-
-
-def _milliseconds(value: float) -> float:
-    if abs(value * 1000.0 - round(value * 1000.0)) > 1e-6:
-        raise ValueError("expected a whole number of milliseconds, such as 0.025")
-    return value
 
 
 def _driver(driver: str) -> str:
@@ -52,13 +47,6 @@ def _at_most_once(wheels: tuple[Wheel, ...]) -> tuple[Wheel, ...]:
     if len(set(wheels)) != len(wheels):
         raise ValueError("expected each wheel at most once")
     return wheels
-
-
-def _setting(value: object) -> object:
-    """Accept what a setting of a driver may be at all: an option, or a table of them."""
-    if isinstance(value, Mapping):
-        return {checked_text(str(key)): _setting(item) for key, item in value.items()}
-    return any_option(value)
 
 
 def _link(url: str) -> str:
@@ -85,9 +73,6 @@ def _processors(cpus: tuple[int, ...]) -> tuple[int, ...]:
     if min(cpus, default=0) < 0 or len(set(cpus)) != len(cpus):
         raise ValueError("expected the numbers of processors, from 0 and each once")
     return cpus
-
-
-Milliseconds = Annotated[float, _milliseconds]
 
 
 @dataclass(frozen=True)
@@ -140,7 +125,7 @@ class DeviceTable:
         "silence of the host after which another process stops motors that drive on (GUARDIAN.md)",
     ] = 0.3
     motors: Annotated[
-        Mapping[Text, Annotated[Any, _setting]],
+        Mapping[Text, Setting],
         "what the driver has to know of another maker's controllers (DIALECTS.md)",
     ] = field(default_factory=dict)
     settings: Any = field(init=False, default=None, repr=False, compare=False)

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Annotated, Any
 
-from hil.core.options import Expected, OptionsError, Problem, Range, Text
+from hil.core.options import Expected, OptionsError, Problem, Range
 from hil.faults.kind import NEVER_NS, NS_PER_S, FaultRow
 from hil.faults.kinds import find, names
+from hil.scenario.values import Text
 
 _NUMBERS = ("value", "burst_frames", "x_m", "y_m", "radius_m")
 _SHARE = re.compile(r"(\d+(?:\.\d+)?) ?%")

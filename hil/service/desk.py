@@ -15,7 +15,7 @@ from hil.core.types import Pose
 from hil.record import Recording
 from hil.record.files import new_in_runs
 from hil.references import ReferenceSource, make_reference
-from hil.runtime.provenance import law_ingredients
+from hil.runtime.provenance import law_ingredients, properties
 from hil.scenario import Scenario
 from hil.scenario.laws import make_laws
 from hil.service import logs
@@ -206,7 +206,7 @@ class Desk:
         def make() -> Recording:
             path = new_in_runs(self._scenario.name, ".rrd", "name a file") if wanted is None else Path(wanted)
             existing: Existing = "number" if wanted is None else existing_files(force=force)
-            return recording_of(self._scenario, self._signals, path, existing=existing, made_of=made_of)
+            return recording_of(properties(self._scenario, made_of), self._signals, path, existing=existing)
 
         def then(recording: Any) -> Result:
             self._records.begin(recording)

@@ -5,8 +5,6 @@ from pathlib import Path
 
 from hil.core.outputs import Existing
 from hil.record import Recording, RecordingReport
-from hil.runtime.provenance import properties
-from hil.scenario import Scenario
 from hil.service import logs
 
 
@@ -64,22 +62,20 @@ class Records:
 
 
 def recording_of(
-    scenario: Scenario,
+    about: Mapping[str, str],
     signals: Sequence[str],
     path: Path | None,
     live_port: int | None = None,
     existing: Existing = "refuse",
-    *,
-    made_of: Mapping[str, str],
 ) -> Recording:
     """Start a recording of a service, to a file or for live viewers alone; takes longer than a tick.
 
-    ``made_of`` are the ``ingredients`` of the service's parts; their files may have changed since. ``existing`` says
-    what to do when the file exists; a changed name is logged. Raises BadInputError and DeviceError as ``Recording``.
+    ``about`` are the recording's properties, of the parts that the service was made of. ``existing`` says what to do
+    when the file exists; a changed name is logged. Raises BadInputError and DeviceError as ``Recording``.
     """
     recording = Recording(
         path,
-        properties=properties(scenario, made_of),
+        properties=about,
         blocking=False,
         live_port=live_port,
         signals=signals,

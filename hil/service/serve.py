@@ -16,7 +16,7 @@ from hil.plant.child_output import log_lines
 from hil.record.viewer import live_hint
 from hil.runtime.bench import Bench
 from hil.runtime.parts import RunParts
-from hil.runtime.provenance import ingredients
+from hil.runtime.provenance import ingredients, properties
 from hil.runtime.realtime import RealTime, real_time
 from hil.runtime.sampling import Sampling
 from hil.scenario import Scenario
@@ -24,7 +24,7 @@ from hil.service import logs
 from hil.service.api_child import ApiChild
 from hil.service.api_config import ApiConfig, Limits, LogStyle
 from hil.service.desk import Desk
-from hil.service.messages import Action, Answer, Phase
+from hil.service.messages import Action, Answer, Phase, Status
 from hil.service.pilot import Pilot
 from hil.service.records import Records, recording_of
 from hil.service.stand_ins import LastingTruth
@@ -91,13 +91,14 @@ def serve(scenario: Scenario, options: Options, reload: Callable[[], Scenario]) 
         notifier = Notifier()
         resources.callback(notifier.close)
         made_of = ingredients(scenario)
+        about = properties(scenario, made_of)
         signals, live = parts.laws.signals, None
         if options.live_port is not None:
-            live = resources.enter_context(recording_of(scenario, signals, None, options.live_port, made_of=made_of))
+            live = resources.enter_context(recording_of(about, signals, None, options.live_port))
             logs.info(live_hint(options.live_port))
         records = Records(live)
         if options.record is not None:
-            records.begin(recording_of(scenario, signals, options.record, existing="number", made_of=made_of))
+            records.begin(recording_of(about, signals, options.record, existing="number"))
         resources.callback(records.finish)
         api = ApiChild(_api_config(scenario, options))
         resources.callback(api.close)
@@ -129,7 +130,9 @@ class _Service:
 
     def __post_init__(self) -> None:
         self._counts = Counts()
-        self._statuses = StatusMaker(self.scenario, self.records, self._counts)
+        law, link = self.scenario.controller, self.scenario.link
+        constant = Status(scenario=self.scenario.name, law=law.law, command=law.command, link=link.url)
+        self._statuses = StatusMaker(constant, self.records, self._counts)
         self._t_s = 0.0
         self._estop_owed = False
         self._bench: Bench | None = None

@@ -10,7 +10,6 @@ from hil.robot.port import Identity
 from hil.runtime.bench import Bench
 from hil.runtime.lateness import Lateness
 from hil.runtime.realtime import RealTime
-from hil.scenario import Scenario
 from hil.service.messages import Status
 from hil.service.pilot import Pilot
 from hil.service.records import Records
@@ -30,13 +29,12 @@ class Counts:
 class StatusMaker:
     """Makes statuses in a tick, so the constant part is made once; ``without_bench`` while the link is not open."""
 
-    def __init__(self, scenario: Scenario, records: Records, counts: Counts) -> None:
+    def __init__(self, constant: Status, records: Records, counts: Counts) -> None:
         self._records = records
         self._counts = counts
         self._info: Identity | None = None
         self._granted: RealTime | None = None
-        law, command = scenario.controller.law, scenario.controller.command
-        self._constant = Status(scenario=scenario.name, law=law, command=command, link=scenario.link.url)
+        self._constant = constant
 
     def without_bench(self, why: str | None) -> Status:
         """Return the status of a service whose link cannot be opened."""

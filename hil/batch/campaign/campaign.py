@@ -30,7 +30,7 @@ from hil.core.errors import BadInputError
 from hil.core.options import plain
 from hil.runtime.provenance import versions
 from hil.scenario import format_value, set_texts, to_plain
-from hil.scenario.plant import is_path
+from hil.scenario.values import is_path
 
 _ARROW = {str: pa.string(), int: pa.int64(), float: pa.float64(), bool: pa.bool_()}
 _TIMED = 3

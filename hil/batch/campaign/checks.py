@@ -34,7 +34,7 @@ def _check_link(scenario: Scenario, *, allow_motion: bool) -> None:
     if parse_link(scenario.link.url).is_within_process:
         return
     where, is_makers = f"link.url = {scenario.link.url!r}", scenario.device.is_makers
-    if (setting := needed_truth(scenario)) is not None:
+    if (setting := needed_truth(scenario.estimator)) is not None:
         raise BadInputError(
             f'{where}: {setting}, and of a robot behind a link no truth is known; give estimator.source = "odometry"'
         )

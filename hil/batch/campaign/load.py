@@ -9,8 +9,8 @@ from hil.batch.campaign.tables import AXIS_KINDS, PlanTables
 from hil.core.errors import BadInputError
 from hil.core.options import OptionsError, Problem, build
 from hil.scenario import Scenario, Sources, read
-from hil.scenario.plant import is_path
 from hil.scenario.toml_text import key_lines, parse
+from hil.scenario.values import is_path
 
 _SET = "--set"
 

@@ -4,7 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
-from hil.core.options import AnyOption, Expected, Range, Text, build
+from hil.core.options import Expected, Range, build
+from hil.scenario.values import AnyOption, Text
 
 AXIS_KINDS = ("grid", "list", "uniform", "log_uniform")
 _MOST_RUNS = 10_000_000

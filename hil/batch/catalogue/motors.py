@@ -19,7 +19,7 @@ import numpy as np
 
 from hil.core.types import WHEEL_NAMES, CommandMode, FourWheels
 from hil.drivers.emulated_motors import EmulatedMotors
-from hil.scenario import Scenario
+from hil.scenario import FirmwareTable
 
 _BEYOND_RAD_S = 1.0
 _BEYOND_PART = 0.1
@@ -41,8 +41,9 @@ class _Tick(NamedTuple):
 class MotorsJudge:
     """Notes what the emulated controllers do, and judges it when the run's rows are there."""
 
-    def __init__(self, scenario: Scenario) -> None:
-        self._scenario = scenario
+    def __init__(self, firmware: FirmwareTable, mode: CommandMode) -> None:
+        self._firmware = firmware
+        self._mode = mode
         self._ticks: list[_Tick] = []
 
     @property
@@ -52,7 +53,7 @@ class MotorsJudge:
 
     @property
     def _patience_s(self) -> float:
-        return self._scenario.firmware.watchdog_s + self._scenario.firmware.ramp_s
+        return self._firmware.watchdog_s + self._firmware.ramp_s
 
     def hold(self, node: EmulatedMotors) -> None:
         """Take note of a tick; to be called as it passes."""
@@ -67,12 +68,12 @@ class MotorsJudge:
             return ["the drives were given a torque that is no number"]
         begin, end, low, high = self._asked(signals, len(torque))
         found = []
-        limit = self._scenario.firmware.torque_limit_n_m
+        limit = self._firmware.torque_limit_n_m
         found += _first(np.abs(torque).max(axis=1) > limit * (1.0 + _ROUNDING), f"the torque is beyond {limit:g} N·m")
         driven = _DRIVEN_PART * limit
         too_fast = (speed > high + _BEYOND_RAD_S + _BEYOND_PART * np.abs(high)) & (torque > driven)
         too_slow = (speed < low - _BEYOND_RAD_S - _BEYOND_PART * np.abs(low)) & (torque < -driven)
-        if self._scenario.controller.mode is CommandMode.TORQUE:
+        if self._mode is CommandMode.TORQUE:
             too_fast[:end] = too_slow[:end] = False
         for place, wheel in enumerate(WHEEL_NAMES):
             for away in (too_fast[:, place], too_slow[:, place]):

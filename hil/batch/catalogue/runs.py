@@ -58,8 +58,8 @@ class _Motors:
     """Motor controllers of another maker, with their judge at the plant port."""
 
     def __init__(self, scenario: Scenario) -> None:
-        self._make = node_maker(scenario)
-        self._judge = MotorsJudge(scenario)
+        self._make = node_maker(scenario.device)
+        self._judge = MotorsJudge(scenario.firmware, scenario.controller.mode)
         self._node: EmulatedMotors | None = None
 
     def power_on(self, *arguments: Any, **options: Any) -> EmulatedMotors:

@@ -214,7 +214,7 @@ def _entry(text: str, scenario: str, sets: Sequence[str]) -> Entry:
     gains = {mode: own[mode] | given[mode] for mode in CommandMode}
     for mode in CommandMode:
         if kind is not None:
-            build(kind, gains[mode], f"law {law}")
+            build(kind, gains[mode], law)
         elif gains[mode]:
             raise BadInputError(f"law {text}: it has no dataclass Options, so it takes no gains; leave them out")
     defaults = {field.name: field.default for field in dataclasses.fields(kind)} if kind is not None else {}

@@ -2,7 +2,7 @@
 
 import math
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -51,7 +51,7 @@ class Verdict:
         if self.result is not None:
             metrics = self.result.metrics
             rows += [("expectation", row["text"]) for row in metrics["expect"]]
-            rows += [("fault", _fault(*pair)) for pair in _faults(scenario, metrics)]
+            rows += [("fault", _fault(*pair)) for pair in _faults(scenario.fault, metrics)]
         rows += self._recorded()
         rows.append(("repeat it", self.repeat))
         return "\n".join([*self._problems(), "", *(f"  {label:<12} {line}" for label, line in rows)])
@@ -78,7 +78,7 @@ class Verdict:
         failed = [row for row in in_order(metrics["expect"]) if row["passed"] is False]
         yield from (f"expectation: {row['text']}" for row in failed)
         yield from (f"allow: {row['text']}" for row in metrics["allow"] if not row["passed"])
-        for row, counted in _faults(self.scenario, metrics):
+        for row, counted in _faults(self.scenario.fault, metrics):
             if not counted["applied"]:
                 yield f"fault: {_fault(row, counted)}"
 
@@ -117,8 +117,8 @@ def run_as_test(
     return Verdict(scenario, result, error, recording, repeat)
 
 
-def _faults(scenario: Scenario, metrics: Mapping[str, Any]) -> Iterator[tuple[FaultTable, Mapping[str, Any]]]:
-    return zip(scenario.fault, metrics["fault"], strict=True)
+def _faults(rows: Sequence[FaultTable], metrics: Mapping[str, Any]) -> Iterator[tuple[FaultTable, Mapping[str, Any]]]:
+    return zip(rows, metrics["fault"], strict=True)
 
 
 def _link_figures(metrics: Mapping[str, Any]) -> Iterator[tuple[str, float | None]]:
