@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 import hil
 import hil.record.files
-from hil.batch.recording import RecordingHere
+from hil.batch.catalogue.recording import RecordingHere
 from hil.cli.ctl import app as ctl
 from hil.cli.main import app
 from hil.core.errors import BadInputError

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.batch.recording import RecordingHere
+from hil.batch.catalogue.recording import RecordingHere
 from hil.judge.results import RunResult
 from hil.review import read
 from hil.runtime.assembly import RunOptions, run_scenario

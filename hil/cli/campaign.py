@@ -176,8 +176,8 @@ def _perform(
     if as_json:
         print_json({"passed": passed, "folder": str(folder), "runs": len(campaign.runs), "outcomes": dict(outcomes)})
     else:
-        told = ", ".join(f"{count} {outcome}" for outcome, count in outcomes.most_common())
-        print(f"{len(campaign.runs)} runs: {told}\nhil campaign report {folder}")
+        counts = ", ".join(f"{count} {outcome}" for outcome, count in outcomes.most_common())
+        print(f"{len(campaign.runs)} runs: {counts}\nhil campaign report {folder}")
     raise typer.Exit(0 if passed else 1)
 
 

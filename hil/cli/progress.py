@@ -1,4 +1,4 @@
-"""How far many runs are, on stderr: one line that is written over."""
+"""The progress of many runs on stderr, in one line that is overwritten."""
 
 import contextlib
 import sys
@@ -27,9 +27,9 @@ def batch(*, as_json: bool) -> Iterator[Callable[[int, int, str | None], None] |
 
 
 class RateProgress:
-    """How far many runs are, on stderr: how many of how many, how fast, how many failed, how long it will take.
+    """The progress of many runs, on stderr: runs done, failed and left, their rate, and the time left.
 
-    ``before`` were done earlier. Troubles are said once, each on a line that stays.
+    ``before`` were done earlier. A trouble is shown once, on a line that stays.
     """
 
     def __init__(self, of: int, before: int) -> None:
@@ -41,13 +41,13 @@ class RateProgress:
         self._shown = 0
 
     def count(self, done: int, failed: int) -> None:
-        """Count so many more runs."""
+        """Add runs that are done, with how many of them failed."""
         self._done += done
         self._failed += failed
         self._show()
 
     def say(self, trouble: str | None) -> None:
-        """Say what is waited for, when it is something else than before."""
+        """Show what is waited for, when it has changed."""
         if trouble != self._trouble and trouble is not None:
             print(f"\r{trouble:<{self._shown}}", file=sys.stderr)
         self._trouble = trouble
@@ -63,12 +63,12 @@ class RateProgress:
         self._shown = len(line)
 
     def _line(self) -> str:
-        told = f"{self._done} of {self._of} runs, {self._failed} failed"
+        counts = f"{self._done} of {self._of} runs, {self._failed} failed"
         new, since_s = self._done - self._before, time.monotonic() - self._began_s
         if not new or not since_s:
-            return told
+            return counts
         left = duration_words((self._of - self._done) * since_s / new)
-        return f"{told}, {new / since_s:.3g} runs/s, {left} left"
+        return f"{counts}, {new / since_s:.3g} runs/s, {left} left"
 
 
 def duration_words(seconds: float) -> str:

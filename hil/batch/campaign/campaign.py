@@ -286,7 +286,7 @@ def _badness(row: Row, by: str) -> tuple[bool, float]:
 
 @contextlib.contextmanager
 def _of(run: str) -> Iterator[None]:
-    """Say of which run it is that something is refused."""
+    """Begin the lines of a BadInputError with the run that it is about."""
     try:
         yield
     except BadInputError as error:

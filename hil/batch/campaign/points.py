@@ -80,9 +80,9 @@ def points(plan: Plan) -> Iterator[Point]:
 
 def _law(table: LawTable, base: Scenario) -> tuple[str, dict[str, object]]:
     """Return what a law is called, and the keys of the scenario that choose it."""
-    told = [f"{name}={format_value(value)}" for name, value in table.gains.items()]
-    told += [table.command] if table.command is not None else []
-    label = table.name or ",".join((short_name(table.law), *told))
+    options = [f"{name}={format_value(value)}" for name, value in table.gains.items()]
+    options += [table.command] if table.command is not None else []
+    label = table.name or ",".join((short_name(table.law), *options))
     command = {} if table.command is None else {"controller.command": table.command}
     gains = {f"controller.gains.{name}": value for name, value in table.gains.items()}
     return label, {"controller.law": table.law, **command, **gains}

@@ -1,4 +1,4 @@
-"""What may be said from so many runs: intervals for shares and differences, and how much each axis explains.
+"""Statistics of a campaign: intervals of shares and differences, and how much each axis explains.
 
 Pure: NumPy arrays in, plain numbers out.
 """
@@ -23,7 +23,7 @@ _LEAST_IN_A_BIN = 5
 
 
 class Interval(NamedTuple):
-    """A figure with the ends of its 95 % interval; None where nothing can be said of them."""
+    """A figure with the ends of its 95 % interval; None where there is none."""
 
     value: float
     low: float | None

@@ -130,16 +130,16 @@ class PlanTables:
             raise ValueError("samples and latin belong to random axes, and there is none; remove them")
         lengths = {key: len(axis.values) for key, axis in self.axes.items() if axis.kind == "list"}
         if len(set(lengths.values())) > 1:
-            told = ", ".join(f"{key} has {count}" for key, count in lengths.items())
-            raise ValueError(f"lists go together in step and need one length, but {told}; give grid for each with each")
+            have = ", ".join(f"{key} has {count}" for key, count in lengths.items())
+            raise ValueError(f"lists go together in step and need one length, but {have}; give grid for each with each")
         for what, names in (("law", [law.name for law in self.laws]), ("fault", [row.name for row in self.fault])):
             named = [name for name in names if name is not None]
             if len(set(named)) < len(named):
                 raise ValueError(f"two of {what} have one name; name each otherwise")
-        taken = {"controller.law": "laws", "loop.seed": "seeds", "fault": "[[fault]]", "expect": "[[expect]]"}
+        instead = {"controller.law": "laws", "loop.seed": "seeds", "fault": "[[fault]]", "expect": "[[expect]]"}
         for key in self.axes:
-            if key in taken:
-                raise ValueError(f"axes {key}: give {taken[key]} instead")
+            if key in instead:
+                raise ValueError(f"axes {key}: give {instead[key]} instead")
             if key in self.set:
                 raise ValueError(f"{key} is in [set] and in [axes]; give it once")
             if any(key in law.keys_set for law in self.laws):

@@ -1,28 +1,26 @@
-"""The safety judge: laws that a robot's drives must keep, whatever its link and its firmware do.
+"""The safety judge: rules that a robot's drives must keep, whatever its link and its firmware do.
 
-It stands at the robot's end of the link, sees every frame that the firmware is given, decodes it by itself, and sees
-what crosses the plant port in every tick of 1 ms: what the drives are given, the encoders' counts and the motors'
-currents. It keeps its own account of what was asked and allowed. Of the firmware's own state it is told one thing, the
-set points of the speed loops, which laws 1 and 2 bound to the last digit; laws 3 to 6 need nothing of it. Times are
-the robot's own ticks.
+It stands at the robot's end of the link. It decodes every frame that the firmware receives, and sees what crosses the
+plant port in each tick of 1 ms: the drives' commands, the encoders' counts and the motors' currents. It keeps its own
+record of what was commanded and allowed. Of the firmware's own state it reads only the set points of the speed loops,
+which rules 1 and 2 bound exactly; rules 3 to 6 do not need them. Times are the robot's own ticks.
 
-1. Drives are on, or a set point is not zero, only on a command that was valid (CRC, length, range), fresh (its
-   sequence 1 to 20 ahead of the last valid one's) and of the session in force. No wheel's set point is beyond what the
-   newest such command asks, nor against it. In torque mode this is said of the torques.
-2. Without such a command for the time of the watchdog, or once told to stop, the set points go to zero at least as fast
-   as the line that ends after the time of the ramp, and stay there; at ESTOP they are zero at once. Drives that are
-   still on then hold the wheels for at most 1 s.
-3. While the drives are on, no wheel is driven away from what is allowed: a wheel that turns faster than the newest such
-   command asks, or in a stop than the line down from it, or against it, gets no torque that drives it further. A speed
-   loop may overshoot, so this is said of wheels that are beyond by more than 1 rad/s and a tenth, driven by more than a
-   twentieth of the torque limit, for longer than 20 ms. It is said of the torques that are asked and of those that
-   the measured currents make, for duties do not tell; in torque mode, of the stop only. What the wheels do is what the
-   encoders tell, for no firmware can know better.
+1. Drives are on, or a set point is not zero, only after a valid command (CRC, length, range) that is fresh (its
+   sequence is 1 to 20 ahead of the last valid one) and of the session in force. No wheel's set point exceeds the newest
+   such command or has the opposite sign. In torque mode the rule applies to the torques.
+2. Without such a command for the watchdog's time, or after a stop request, the set points fall to zero at least as fast
+   as a straight line over the ramp's time, and stay there; at ESTOP they are zero at once. Drives that are still on
+   then hold the wheels for at most 1 s.
+3. While the drives are on, no wheel is driven away from what is allowed: a wheel that turns faster than the newest
+   command (in a stop, than the line down from it), or against it, gets no torque that drives it further. A speed loop
+   may overshoot, so a wheel counts only when it is off by more than 1 rad/s and a tenth, is driven by more than a
+   twentieth of the torque limit, and that for longer than 20 ms. The rule applies to the commanded torques and to those
+   of the measured currents, in torque mode only during a stop. A duty says nothing of the torque, so it does not count.
+   A wheel's speed is that of its encoder, for no firmware can know better.
 4. Drives that are off get no torque and no duty.
-5. What has stopped begins again only after an ARM with a nonce that an IDLE announced and that is not the last
-   session's, and a first command of zero. Drives that went off do not come on again without it. A firmware that was
-   reset has no session.
-6. Every number that the drives get is finite, and no duty is beyond -1 to 1.
+5. After a stop, driving starts again only after an ARM whose nonce an IDLE announced and the last session did not have,
+   and a first command of zero. Drives that went off stay off until then. A firmware that was reset has no session.
+6. Every number that the drives get is finite, and every duty is within -1 to 1.
 """
 
 import math
@@ -58,10 +56,10 @@ Four = tuple[float, ...]
 
 
 class Tick(NamedTuple):
-    """What the firmware tells its drives for one tick, and how the wheels turn and are driven when that begins.
+    """The commands to the drives for one tick, and how the wheels turn and are driven at its start.
 
-    ``set_point_rad_s`` is that of its speed loop, ``speed_rad_s`` what the encoders tell and ``motor_n_m`` the torque
-    that the measured currents make.
+    ``set_point_rad_s`` is that of the speed loop, ``speed_rad_s`` is by the encoders, ``motor_n_m`` the torque of the
+    measured currents.
     """
 
     enabled: bool
@@ -73,7 +71,7 @@ class Tick(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """What the judge has to know of a firmware's parameters."""
+    """The parameters of a firmware that the judge needs."""
 
     watchdog_ticks: int
     ramp_ticks: int
@@ -81,7 +79,7 @@ class Limits(NamedTuple):
 
 
 class _Session:
-    """One session as the judge counts it, from its first command on."""
+    """The judge's record of one session, from its first command on."""
 
     def __init__(self, nonce: int, mode: int, sequence: int, limits: Limits) -> None:
         self.nonce = nonce
@@ -91,10 +89,10 @@ class _Session:
         self._ramp = limits.ramp_ticks
         self._driven_n_m = _DRIVEN_PART * limits.torque_n_m
         self._target: Four = (0.0,) * 4
-        self._from: Four = (0.0,) * 4  # the set points when it was told to stop
+        self._from: Four = (0.0,) * 4  # the set points when the stop began
         self._age = 0  # ticks since the newest valid command
         self._stopped: int | None = None  # ticks since it has to stop
-        self._turning: Four = (0.0,) * 4  # what the wheels were asked for then; in torque mode, what they did
+        self._turning: Four = (0.0,) * 4  # the commands then; in torque mode, the speeds
         self._driven_away: tuple[int, ...] = (0,) * 4  # ticks in a row
         self._hold = limits.ramp_ticks + _HOLD_TICKS
         self._was_on = False
@@ -102,6 +100,7 @@ class _Session:
 
     @property
     def is_live(self) -> bool:
+        """Whether it has not begun to stop."""
         return self._stopped is None
 
     @property
@@ -109,7 +108,7 @@ class _Session:
         """Whether all set points must be zero by now."""
         return self._stopped is not None and self._stopped >= self._ramp
 
-    def take(self, mode: int, command: WheelCommand | TorqueCommand) -> None:
+    def add(self, mode: int, command: WheelCommand | TorqueCommand) -> None:
         fresh = 1 <= (command.sequence - self._sequence) & 0xFF <= _WINDOW
         if mode == self._mode and command.session == self.nonce & 0xF and fresh:
             self._sequence = command.sequence
@@ -124,7 +123,7 @@ class _Session:
             self._hold = self._stopped + _HOLD_TICKS
 
     def complaint(self, tick: Tick) -> str | None:
-        """Return what is wrong with a tick, if this session is what it is to be explained by."""
+        """Return which rule a tick breaks if this session is the reason for it, or None."""
         if tick.enabled and self._went_off:
             return "the drives, which had gone off, are on again without a new ARM"
         for name, ticks, speed in zip(WHEEL_NAMES, self._away(tick), tick.speed_rad_s, strict=True):
@@ -143,13 +142,13 @@ class _Session:
 
     @property
     def _left(self) -> float:
-        """What the ramp leaves of what was."""
+        """The share of the first set points that the ramp still allows."""
         if self._stopped is None:
             return 1.0
         return max(0, self._ramp - self._stopped) / self._ramp if self._ramp else 0.0
 
     def _away(self, tick: Tick) -> tuple[int, ...]:
-        """Return for how long each wheel has been driven away from what is allowed, with this tick."""
+        """Return for how many ticks in a row, this one included, each wheel was driven away from what is allowed."""
         if not tick.enabled or (self._stopped is None and self._mode == Mode.TORQUE):
             return (0,) * 4
         allowed = self._target if self._stopped is None else tuple(self._left * value for value in self._turning)
@@ -162,12 +161,12 @@ class _Session:
         )
 
     def _is_away(self, speed_rad_s: float, bound_rad_s: float, torque_n_m: float) -> bool:
-        """Tell whether a wheel is too fast in the positive sense, and driven further."""
+        """Return whether a wheel is too fast in the positive direction and driven further."""
         most_rad_s = max(0.0, bound_rad_s) + _BEYOND_RAD_S + _BEYOND_PART * abs(bound_rad_s)
         return speed_rad_s > most_rad_s and torque_n_m > self._driven_n_m
 
-    def pass_tick(self, tick: Tick) -> None:
-        """Let a tick pass."""
+    def record(self, tick: Tick) -> None:
+        """Record a tick."""
         self._driven_away = self._away(tick)
         self._went_off = self._went_off or (self._was_on and not tick.enabled)
         self._was_on = tick.enabled
@@ -182,10 +181,10 @@ class _Session:
 
 
 class SafetyJudge:
-    """Judges one run. A new life of the firmware begins with ``power_on``; ``violations`` has the first ten.
+    """Judges one run. ``power_on`` starts a new life of the firmware; ``violations`` has the first ten.
 
-    ``silent_ticks`` counts ticks, after the first session, in which every set point had to be zero, and
-    ``silent_rad_s`` is the greatest that was seen in them; ``driven_ticks`` those with a set point.
+    ``silent_ticks`` counts the ticks after the first session in which every set point has to be zero, ``silent_rad_s``
+    is the greatest set point in them, ``driven_ticks`` counts the ticks with a set point.
     """
 
     def __init__(self) -> None:
@@ -199,7 +198,7 @@ class SafetyJudge:
         self.power_on(Limits(0, 0, 0.0))
 
     def power_on(self, limits: Limits) -> None:
-        """Say that a firmware begins, with these parameters: it has no session."""
+        """Start a firmware with these parameters; it has no session."""
         self._limits = limits
         self._life_ticks = 0
         self._announced: int | None = None
@@ -210,10 +209,10 @@ class SafetyJudge:
         self._ending: _Session | None = None  # the one before, whose stop may still go on
 
     def hear(self, frame: Frame) -> None:
-        """Take note of a frame that the firmware is given now, between two ticks."""
+        """Record a frame that the firmware gets now, between two ticks."""
         match decode(frame):
             case HostHeartbeat() as heartbeat:
-                self._wish(heartbeat)
+                self._request(heartbeat)
             case Estop():
                 self._end(at_once=True)
             case WheelCommand() as command:
@@ -222,7 +221,7 @@ class SafetyJudge:
                 self._command(Mode.TORQUE, command)
 
     def hold(self, tick: Tick) -> None:
-        """Judge what the drives are told for the tick that passes now."""
+        """Judge the commands to the drives in the current tick."""
         self._judge(tick)
         self._count(tick)
         self.ticks += 1
@@ -232,11 +231,11 @@ class SafetyJudge:
             self._armed = None
         for session in (self._session, self._ending):
             if session is not None:
-                session.pass_tick(tick)
+                session.record(tick)
         if not tick.enabled:
             self._ending = None
 
-    def _wish(self, heartbeat: HostHeartbeat) -> None:
+    def _request(self, heartbeat: HostHeartbeat) -> None:
         if heartbeat.request == Request.IDLE:
             self._end(at_once=False)
             self._announced = heartbeat.nonce
@@ -255,7 +254,7 @@ class SafetyJudge:
 
     def _command(self, mode: int, command: WheelCommand | TorqueCommand) -> None:
         if self._session is not None and self._session.is_live:
-            self._session.take(mode, command)
+            self._session.add(mode, command)
         elif self._armed is not None:
             nonce, armed_mode = self._armed
             if mode == armed_mode and command.session == nonce & 0xF and not any(command[:4]):
@@ -291,7 +290,7 @@ class SafetyJudge:
 
 
 def _beyond(given: Four, allowed: Four, what: str, unit: str, by: str) -> str | None:
-    """Tell of the first wheel whose value is not between zero and what is allowed."""
+    """Return a sentence on the first wheel whose value is not between zero and what is allowed, or None."""
     for name, value, bound in zip(WHEEL_NAMES, given, allowed, strict=True):
         if value * bound < 0.0 or abs(value) > abs(bound) * (1.0 + _ROUNDING):
             return f"the {what} of {name} is {value:.6g} {unit}; {by} {bound:.6g}"
@@ -299,7 +298,7 @@ def _beyond(given: Four, allowed: Four, what: str, unit: str, by: str) -> str | 
 
 
 def _unasked(tick: Tick) -> str | None:
-    """Judge a tick before any session."""
+    """Return what is wrong with a tick before any session, or None."""
     if tick.enabled or any(tick.set_point_rad_s):
         return f"nothing was asked, but the drives are {'on' if tick.enabled else 'given set points'}"
     return None

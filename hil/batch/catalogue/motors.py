@@ -1,15 +1,15 @@
-"""The safety judge of robots with motors of other makers: at their plant port, and by what the host asked for.
+"""The safety judge of robots with motors of other makers, at their plant port and by the host's commands.
 
-Their protocols have neither sessions nor sequences, so that what may happen follows from the commands of the run alone:
+Their protocols have neither sessions nor sequences, so what is allowed follows from the commands of the run alone:
 
-1. No wheel is driven away from what was asked of late: one that turns faster than any command of the last
-   ``watchdog + ramp``, or against all of them, gets no torque that drives it further. A speed loop may overshoot, so
-   this is said of wheels that are beyond by more than 1 rad/s and a tenth, driven by more than a twentieth of the
-   torque limit, for longer than 50 ms. Before the first command and once the host is gone, zero is all that was asked.
-2. A second after that the drives give no torque but what holds a wheel at rest: a twentieth of the limit.
+1. No wheel is driven away from its recent commands: one that turns faster than every command of the last
+   ``watchdog + ramp``, or against all of them, gets no torque that drives it further. A speed loop may overshoot, so a
+   wheel counts only when it is off by more than 1 rad/s and a tenth, is driven by more than a twentieth of the torque
+   limit, and that for longer than 50 ms. Before the first command and once the host is gone, the command is zero.
+2. From a second after that on, the drives give no torque but what holds a wheel at rest: a twentieth of the limit.
 3. Every torque is finite, and within the limit.
 
-In torque mode 1 is said of the time after the host has gone.
+In torque mode rule 1 applies only to the time after the host has gone.
 """
 
 from collections.abc import Mapping, Sequence
@@ -39,7 +39,7 @@ class _Tick(NamedTuple):
 
 
 class MotorsJudge:
-    """Notes what the emulated controllers do, and judges it when the run's rows are there."""
+    """Records what the emulated controllers do, and judges it once the run's signals are there."""
 
     def __init__(self, firmware: FirmwareTable, mode: CommandMode) -> None:
         self._firmware = firmware
@@ -48,7 +48,7 @@ class MotorsJudge:
 
     @property
     def left_alone_ticks(self) -> int:
-        """How long a robot has to be left alone for law 2 to be seen."""
+        """How many ticks a robot has to be left alone for rule 2 to show."""
         return round((self._patience_s + 2 * _HOLD_S) * 1000)
 
     @property
@@ -56,17 +56,17 @@ class MotorsJudge:
         return self._firmware.watchdog_s + self._firmware.ramp_s
 
     def hold(self, node: EmulatedMotors) -> None:
-        """Take note of a tick; to be called as it passes."""
+        """Record a tick; to be called in each."""
         fl, fr, rr, rl = (shaft.speed_rad_s for shaft in node.shafts)
         self._ticks.append(_Tick(node.torque_n_m, (fl, fr, rr, rl)))
 
     def complaints(self, signals: Signals) -> Sequence[str]:
-        """Return what was unsafe: for each law the first tick, and in how many; empty for nothing."""
+        """Return a sentence for each rule that was broken: the first tick and how many; empty when none was."""
         torque = np.array([tick.torque_n_m for tick in self._ticks])
         speed = np.array([tick.speed_rad_s for tick in self._ticks])
         if not np.isfinite(torque).all():
             return ["the drives were given a torque that is no number"]
-        begin, end, low, high = self._asked(signals, len(torque))
+        begin, end, low, high = self._commanded(signals, len(torque))
         found = []
         limit = self._firmware.torque_limit_n_m
         found += _first(np.abs(torque).max(axis=1) > limit * (1.0 + _ROUNDING), f"the torque is beyond {limit:g} N·m")
@@ -86,16 +86,16 @@ class MotorsJudge:
             found.append("the robot was never driven or never left alone, so nothing is shown")
         return found
 
-    def _asked(self, signals: Signals, ticks: int) -> tuple[int, int, np.ndarray, np.ndarray]:
-        """Return the first tick of the run, the one by which its last command has lost its force, and for each tick and
-        wheel the range of what was asked of late."""
+    def _commanded(self, signals: Signals, ticks: int) -> tuple[int, int, np.ndarray, np.ndarray]:
+        """Return the first tick of the run, the one at which its last command expires, and the range of the recent
+        commands for each tick and wheel, of shape (ticks, 4)."""
         origin_s = float(np.nanmedian(signals["robot.time_s"] - signals["loop.t_s"])) if len(signals["loop.t_s"]) else 0
         at = np.rint((signals["loop.t_s"] + origin_s) * 1000).astype(int)
         patience = round(self._patience_s * 1000)
         low, high = np.zeros((ticks, 4)), np.zeros((ticks, 4))
         for place, wheel in enumerate(WHEEL_NAMES):
-            asked = np.nan_to_num(signals[f"wheel.{wheel}.speed_command_rad_s"])
-            for tick, value in zip(at, asked, strict=True):
+            commands = np.nan_to_num(signals[f"wheel.{wheel}.speed_command_rad_s"])
+            for tick, value in zip(at, commands, strict=True):
                 window = slice(max(tick, 0), tick + patience + _period(at))
                 np.maximum(high[window, place], value, out=high[window, place])
                 np.minimum(low[window, place], value, out=low[window, place])
@@ -108,7 +108,7 @@ def _period(at: np.ndarray) -> int:
 
 
 def _lasting(away: np.ndarray) -> np.ndarray:
-    """Return where something has been so for more ticks in a row than it may."""
+    """Return the ticks in which something has lasted for more ticks in a row than it may."""
     count, marks = 0, np.zeros(len(away), dtype=bool)
     for place, is_away in enumerate(away):
         count = count + 1 if is_away else 0

@@ -114,9 +114,9 @@ def _without_gains_of_another_law(scenario: Scenario) -> Scenario:
 
 
 def alone(request: Request, mode: str = "lockstep") -> list[Trial]:
-    """Return every case over each link; what re-arms, without loop.rearm too. In real time only the subset.
+    """Return every case over each link, twice if it re-arms: with and without loop.rearm. In real time a part of them.
 
-    A machine that stalls in real time may stop the robot by its watchdog in any of them, and it re-arms.
+    In real time a stall of the machine may trip the robot's watchdog in any of them, after which it re-arms.
     """
     base = load(request.scenario, set=request.sets)
     if base.device.is_makers:
@@ -135,9 +135,9 @@ def alone(request: Request, mode: str = "lockstep") -> list[Trial]:
 
 
 def pairs(request: Request) -> list[Trial]:
-    """Return all pairs of cases, of kinds that were asked for, or a sample; over memory where no link was.
+    """Return all pairs of cases with one of the wanted kinds, or a sample of them; by default over memory.
 
-    A pair comes out as the worse of its two does alone, but for those of ``PAIRS``.
+    A pair comes out as the worse of its two does alone, except for those in ``PAIRS``.
     """
     chosen = {case.name for case in _chosen(request)}
     trials: list[Trial] = []
@@ -151,7 +151,7 @@ def pairs(request: Request) -> list[Trial]:
 
 
 def _of_motors(request: Request, base: Scenario) -> list[Trial]:
-    """Return every case that there is for motors of other makers, over the wire of their own, in this process."""
+    """Return every case for motors of other makers, over their own wire."""
     can = make_driver(base).capabilities
     if can.is_twist or can.watchdog == "none":
         raise BadInputError(

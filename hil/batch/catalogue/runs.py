@@ -7,9 +7,9 @@ from typing import Any
 
 from hil.batch.catalogue.judge import SafetyJudge
 from hil.batch.catalogue.motors import MotorsJudge
+from hil.batch.catalogue.recording import RecordingHere
 from hil.batch.catalogue.watched import WatchedNode
 from hil.batch.job import FAILED, PASSED, Job, Outcome
-from hil.batch.recording import RecordingHere
 from hil.batch.run import attempt
 from hil.drivers.emulated_motors import EmulatedMotors
 from hil.faults.cases import Outcome as Ending
@@ -55,7 +55,7 @@ def run(job: Job, scenario: Scenario) -> Outcome:
 
 
 class _Motors:
-    """Motor controllers of another maker, with their judge at the plant port."""
+    """Motor controllers of another maker, with their judge at the plant port; as ``_Watched``."""
 
     def __init__(self, scenario: Scenario) -> None:
         self._make = node_maker(scenario.device)
@@ -81,7 +81,7 @@ class _Motors:
 
 
 class _Watched:
-    """The robot of a run, with the judge around each of its lives."""
+    """The robot of a run, with the judge around each of its firmware's lives."""
 
     def __init__(self) -> None:
         self.judge = SafetyJudge()
@@ -95,11 +95,12 @@ class _Watched:
         return self._node
 
     def left_alone(self) -> None:
-        """Let the robot's time go on without a host, in which all has to come to rest by itself."""
+        """Let the robot's time go on without a host; by itself it has to come to rest."""
         assert self._node is not None
         self._node.run(self._ticks)
 
     def unsafe(self, _result: RunResult) -> Iterator[str]:
+        """Yield what the judge found."""
         judge = self.judge
         if judge.violations:
             yield f"unsafe in {judge.violation_ticks} ticks: {judge.violations[0]}"
@@ -107,6 +108,7 @@ class _Watched:
             yield "the robot was never driven or never left alone, so nothing is shown"
 
     def silence(self) -> tuple[float, int]:
+        """Return the greatest set point where it has to be zero, and in how many ticks it had to be."""
         return self.judge.silent_rad_s, self.judge.silent_ticks
 
 
@@ -118,7 +120,7 @@ def _ending(result: RunResult) -> str:
 
 
 def _wrong(trial: Mapping[str, Any], result: RunResult) -> Iterator[str]:
-    """Say what is wrong with how the run came out and with what it says."""
+    """Yield what is wrong with how the run came out and with the reasons that it gives."""
     found, metrics, failure = _ending(result), result.metrics, result.failure
     if found not in trial["allowed"]:
         yield f"expected {' or '.join(trial['allowed'])}, but it {found}"
@@ -148,13 +150,13 @@ def _last_s(result: RunResult) -> float:
 
 
 def _unexplained(why: str, causes: Sequence[str]) -> Iterator[str]:
-    """Say when a sentence that tells why the robot was lost names none of the causes."""
+    """Yield a sentence when the reason why the robot was lost names none of the causes."""
     if not any(cause in why for cause in causes):
         yield f"the robot was lost, but not for {' or '.join(causes) or 'any fault'}: {why}"
 
 
 def _unrecorded(result: RunResult, recording: Path) -> Iterator[str]:
-    """Say what is missing in the recording, read back from the file."""
+    """Yield what is missing in the recording, as it is read back from the file."""
     try:
         held, _ = decode(recording)
     except (DamagedError, OSError) as error:

@@ -18,7 +18,7 @@ _OF_OPTIONS = ("rearm", "allowed", "causes", "causes_of_end", "records_here")
 
 class Verdict(NamedTuple):
     """What came of a trial. ``verdict`` is "ok" or what is wrong; ``silent_rad_s`` is the greatest set point seen in
-    the ``silent_ticks`` ticks in which it has to be zero. What a lost run did not tell is None.
+    the ``silent_ticks`` ticks in which it has to be zero. A lost run has None for the rest.
     """
 
     fault: str

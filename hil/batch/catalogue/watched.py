@@ -9,15 +9,15 @@ from firmware_protocol.framing import Deframer, Frame
 from firmware_protocol.host import HostNode, library
 from hil.batch.catalogue.judge import Limits, SafetyJudge, Tick
 
-# Long enough for counts to tell a speed: of 4096 a turn, one in 10 ms is 0.15 rad/s.
+# Long enough to measure a speed by counts: with 4096 a turn, one in 10 ms is 0.15 rad/s.
 _SPEED_TICKS = 10
 
 
 class WatchedNode(HostNode):
-    """``HostNode`` for one life of the firmware, from power on to power off. Takes and raises what that does.
+    """A ``HostNode`` for one life of the firmware, from power on to power off, with the same arguments and errors.
 
-    Bytes are passed on frame by frame, so that the judge knows each before the ticks that a STEP behind it brings;
-    the firmware gets the same bytes.
+    Bytes are passed on frame by frame: the judge has each frame before the ticks that a STEP behind it starts. The
+    firmware gets the same bytes.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class WatchedNode(HostNode):
         return failed
 
     def _speeds_rad_s(self) -> tuple[float, ...]:
-        """Return the mean speeds over the newest ticks, by the encoders' counts, which wrap at 16 bits."""
+        """Return the mean speeds over the newest ticks from the encoders' counts, which wrap at 16 bits."""
         if len(self._counts) < 2:
             return (0.0,) * 4
         factor = self._rad_s_a_count / (len(self._counts) - 1)
@@ -92,7 +92,7 @@ class WatchedNode(HostNode):
         return tuple(((new - old + 0x8000 & 0xFFFF) - 0x8000) * factor for old, new in pairs)
 
     def _fail(self, _kind: type[BaseException], error: BaseException, _trace: object) -> None:
-        """Keep what went wrong where C cannot raise it."""
+        """Keep an error of the callback, which C cannot raise."""
         self._error = error
 
     def _check(self) -> None:

@@ -1,4 +1,5 @@
-"""Under what laws are compared, as data: limits of torque, drives, estimators, floors, robots other than believed."""
+"""The conditions of a comparison as data: torque limits, drives, estimators, floors, and robots that differ from the
+law's model."""
 
 import itertools
 from collections.abc import Mapping, Sequence
@@ -62,20 +63,20 @@ class Condition(NamedTuple):
 
     @property
     def words(self) -> str:
-        """What the table is headed with."""
+        """The heading of its table."""
         more = [] if self.estimator is None else [f"state from {self.estimator}"]
         more += [] if self.contact is None else [f"{self.contact} contact"]
         return ", ".join([f"{self.torque_n_m:g} N·m", DRIVES[self.drive].words, *more])
 
     @property
     def slug(self) -> str:
-        """What names a file."""
-        parts = (f"{self.torque_n_m:g}nm", self.drive, self.estimator, self.contact)
-        return "-".join(part for part in parts if part is not None)
+        """The name of its files."""
+        names = (f"{self.torque_n_m:g}nm", self.drive, self.estimator, self.contact)
+        return "-".join(name for name in names if name is not None)
 
     @property
     def mode(self) -> CommandMode:
-        """What the wheels are told."""
+        """Whether the wheels get speed or torque commands."""
         return DRIVES[self.drive].mode
 
     def sets(self) -> Sets:
@@ -91,14 +92,14 @@ class Condition(NamedTuple):
 
 
 class Variation(NamedTuple):
-    """A robot other than believed: its mass over the nominal one, its friction, the nominal one when None."""
+    """A robot that differs from the law's model: its mass over the nominal one, its friction (None: nominal)."""
 
     mass_factor: float = 1.0
     friction: float | None = None
 
     @property
     def words(self) -> str:
-        """What differs, for a note."""
+        """What differs, in words."""
         mass = [] if self.mass_factor == 1.0 else [f"mass x {self.mass_factor:g}"]
         friction = [] if self.friction is None else [f"friction {self.friction:g}"]
         return ", ".join(mass + friction) or "nominal"

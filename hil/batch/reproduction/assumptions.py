@@ -1,4 +1,4 @@
-"""What the paper leaves out, and what stands for it here: the value is read from what is run, the reason is written."""
+"""What the paper leaves out and what we assume instead: values come from the scenarios, reasons are written here."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict

@@ -1,8 +1,7 @@
 """The page PAPER.md: ``python -m hil.batch.reproduction.page SUMMARY.json`` writes the results of a run between its
 marks.
 
-What of the summary is on the page is kept beside it, so that ``--check`` can tell, without a run, whether the page is
-still what it was made to be.
+The part of the summary that the page shows is kept beside it, so that ``--check`` can compare them without a run.
 """
 
 import json
@@ -22,14 +21,14 @@ _BEGIN, _END = "<!-- results begin -->\n", "<!-- results end -->\n"
 
 def results(summary: Mapping[str, Any]) -> str:
     """Return the part of the page that follows from a summary."""
-    parts = (
+    sections = (
         ("Verdicts", tables.verdicts(summary)),
         ("Section IV.A: the circle", tables.circle(summary)),
         ("Section IV.B: oscillation over latency", tables.delay(summary)),
         ("Section IV.B: the transition", tables.transition(summary)),
         ("What the paper leaves out", tables.assumptions(summary)),
     )
-    return "\n".join(f"### {title}\n\n{tables.markdown(table)}" for title, table in parts)
+    return "\n".join(f"### {title}\n\n{tables.markdown(table)}" for title, table in sections)
 
 
 def with_results(page: str, summary: Mapping[str, Any]) -> str:

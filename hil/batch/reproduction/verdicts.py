@@ -299,7 +299,7 @@ def _delay(results: Results) -> Verdict:
 
 
 def _why_not_closer(results: Results) -> str:
-    """Say what AFDSC's steady error would need."""
+    """Return what AFDSC's steady error would need."""
     needed = published.gain_for(published.AFDSC_STEADY.value, published.COMMON_FILTER_S)
     lag_m = published.steady_error_m(published.COMMON_FILTER_S, published.FUZZY_CENTRE[0])
     return (

@@ -1,4 +1,4 @@
-"""Recordings of runs of which one process makes hundreds: by the recorder's own writer, without its process."""
+"""Recordings without a recorder process, by the recorder's own writer, for a process that does hundreds of runs."""
 
 import array
 import uuid
@@ -17,9 +17,9 @@ from hil.record.stream import Stream
 
 
 class RecordingHere:
-    """A ``RunRecording`` that is written in this process, when the run is over; for lockstep, which waits for nobody.
+    """A ``RunRecording`` that is written in this process when the run is over; for lockstep, where nobody waits.
 
-    A process of its own takes half a second and more to begin, most of it for importing rerun. The file is the same.
+    A recorder process takes half a second and more to start, mostly to import rerun. The file is the same.
     """
 
     def __init__(
@@ -79,4 +79,4 @@ class RecordingHere:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Nothing to release: what was not finished is no recording."""
+        """Release nothing: a recording that was not finished is none."""
