@@ -1,4 +1,4 @@
-"""What happens in a run, told when it happens: faults that begin and end, and expectations when they are decided."""
+"""The event log of a run: faults that begin and end, and expectations when they are decided."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -15,9 +15,9 @@ _LEVELS = {True: "info", None: "warning", False: "error"}
 
 
 class RunEvents:
-    """A sink that passes nothing on: it watches each row, and has something to say only when something happens.
+    """A sink that watches each row and writes a line of the log when something happens.
 
-    A tick pays two comparisons, and one more for each expectation that is open then. ``names`` are the signals of the
+    A tick costs two comparisons, and one more for each expectation that is open then. ``names`` are the signals of the
     run, ``loop.t_s`` among them; ``output`` is that of a plant in a process of its own.
     """
 
@@ -35,7 +35,7 @@ class RunEvents:
         self._watches = [(names.index(row.signal), Watch(row)) for row in expect]
         self._open: tuple[tuple[int, Watch], ...] = ()
         self._undecided = [watch for _, watch in self._watches]
-        self._told: dict[int, str] = {}  # what was said of a watch when it failed
+        self._noted: dict[int, str] = {}  # the sentence of an expectation when it failed
         self._in_force: list[str] = []
         edges: list[tuple[float, Callable[[], None]]] = []
         for fault in faults:
@@ -45,7 +45,7 @@ class RunEvents:
         for place, watch in self._watches:
             row = watch.expect
             edges.append((row.from_s, partial(self._watch, place, watch)))
-            # A sample at to_s counts still.
+            # A sample at to_s still counts.
             edges.append((math.nextafter(row.to_s, math.inf), partial(self._close, watch)))
         self._edges = sorted(edges, key=lambda edge: edge[0], reverse=True)
         self._next_s = self._edges[-1][0] if edges else math.inf
@@ -59,7 +59,7 @@ class RunEvents:
             log_lines(self._output.take(), t_s, self._note)
         for place, watch in self._open:
             if watch.add(t_s, row[place]):
-                self._tell_of_failure(watch)
+                self._note_failure(watch)
 
     def finish(self, t_s: float, *, is_cut: bool) -> list[dict[str, Any]]:
         """Say that the run has ended, with its last tick at ``t_s``; return the figures of all expectations.
@@ -75,7 +75,7 @@ class RunEvents:
         return [outcome_figures(watch.expect, watch.outcome(cut_s)) for _, watch in self._watches]
 
     def _cross(self, t_s: float) -> None:
-        """Do what is due at a tick: edges at infinity never are."""
+        """Do what is due at a tick. Edges at infinity never are."""
         while self._edges and self._edges[-1][0] <= t_s:
             self._edges.pop()[1]()
         self._next_s = self._edges[-1][0] if self._edges else math.inf
@@ -94,19 +94,19 @@ class RunEvents:
     def _close(self, watch: Watch) -> None:
         self._decide(watch, watch.expect.to_s, None)
 
-    def _tell_of_failure(self, watch: Watch) -> None:
-        """Say at once that a claim has failed; how bad it became is said when its time is over."""
+    def _note_failure(self, watch: Watch) -> None:
+        """Log at once that an expectation has failed. How bad it became is logged when its time is over."""
         outcome = watch.outcome()
         assert outcome.violation_s is not None, "it was violated"
-        self._told[id(watch)] = outcome.text
+        self._noted[id(watch)] = outcome.text
         self._note(outcome.violation_s, "error", outcome.text)
 
     def _decide(self, watch: Watch, t_s: float, cut_s: float | None) -> None:
         self._open = tuple(one for one in self._open if one[1] is not watch)
         self._undecided.remove(watch)
         outcome = watch.outcome(cut_s)
-        told = self._told.get(id(watch))
-        if outcome.text == told:
+        noted = self._noted.get(id(watch))
+        if outcome.text == noted:
             return
-        at_s = t_s if outcome.violation_s is None or told is not None else outcome.violation_s
+        at_s = t_s if outcome.violation_s is None or noted is not None else outcome.violation_s
         self._note(at_s, _LEVELS[outcome.passed], outcome.text)

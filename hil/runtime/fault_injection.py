@@ -1,4 +1,4 @@
-"""The faults of one run: each row given to the part that applies it, and what they all did."""
+"""The faults of one run: each row is given to the part that applies it, and how often it was applied is collected."""
 
 import contextlib
 from collections.abc import Sequence
@@ -105,12 +105,12 @@ class RunFaults:
         """
         of_robot: Sequence[int | None] = [None] * len(self._of_robot)
         with contextlib.suppress(HilError):
-            told = self._robot.applied() if self._robot is not None else []
-            if len(told) == len(self._of_robot):
-                of_robot = told
-        counts = {
+            counts = self._robot.applied() if self._robot is not None else []
+            if len(counts) == len(self._of_robot):
+                of_robot = counts
+        by_part = {
             "link": iter([fault.applied for fault in self._of_link]),
             "robot": iter(of_robot),
             "signal": iter(self.signals.applied() if self.signals is not None else ()),
         }
-        return [next(counts[row.acts_on if row.acts_on in counts else "robot"]) for row in self._rows]
+        return [next(by_part[row.acts_on if row.acts_on in by_part else "robot"]) for row in self._rows]

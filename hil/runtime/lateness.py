@@ -1,4 +1,4 @@
-"""How late ticks began, as a histogram: fixed logarithmic buckets, so that a run may last for ever."""
+"""How late ticks began, as a histogram with fixed logarithmic buckets: its size does not grow with the run."""
 
 import math
 from bisect import bisect_right
@@ -30,10 +30,7 @@ class Lateness:
             self.worst_ns = late_ns
 
     def percentiles_us(self) -> dict[str, float]:
-        """Return p50, p99 and p99.9 [µs] by these names, from the buckets; each is right within a bucket's width.
-
-        Empty where nothing was counted.
-        """
+        """Return p50, p99 and p99.9 [µs] by these names, exact to a bucket's width; empty where nothing was counted."""
         total = sum(self.counts)
         return {name: self._below_which(share * total) * 1e-3 for name, share in SHARES.items()} if total else {}
 
@@ -46,7 +43,7 @@ class Lateness:
         return {**percentiles, "max": self.worst_ns * 1e-3, "edges": edges, "counts": list(self.counts)}
 
     def _below_which(self, wanted: float) -> float:
-        """Return the lateness [ns] of so many ticks from the least late one, by interpolation in its bucket."""
+        """Return the lateness [ns] that so many ticks do not exceed, interpolated in its bucket."""
         passed = 0.0
         for low_ns, high_ns, count in self._buckets():
             if count and passed + count >= wanted:

@@ -1,4 +1,4 @@
-"""The schedule of a run: when a tick is due, the same in lockstep and in real time, and a lost robot brought back."""
+"""The schedule of a run: when a tick is due, in lockstep and in real time, and how a lost robot is brought back."""
 
 import contextlib
 from collections.abc import Callable, Sequence
@@ -21,9 +21,14 @@ _STOP_LIMIT_NS = 5_000_000_000
 
 
 class Report(NamedTuple):
-    """How the loop went. ``failure`` is what ended it, ``recoveries`` are the losses that were recovered from.
+    """How the loop went.
 
-    ``counted`` has by the names of ``[allow]`` how many ticks were not driven.
+    Attributes:
+        counted: how many ticks were not driven, by the keys of ``[allow]``.
+        robot_s, wall_s: the robot time and the wall-clock time that it took.
+        stopped: whether the robot came to rest.
+        failure: what ended the loop early, or None.
+        recoveries: the losses that it recovered from.
     """
 
     ticks: int
@@ -39,13 +44,13 @@ class Report(NamedTuple):
 class Loop:
     """Runs the tick at a fixed period for a given time.
 
-    ``t`` = 0 is the first ACTIVE tick, and a tick's ``t`` is its sampling instant: with a feedback latency it is
-    worked out so much later, when what was sampled then has arrived. A tick that would begin after the next one is
-    due is skipped and counted, never made up in a burst.
+    ``t`` = 0 is the first ACTIVE tick. A tick's ``t`` is its sampling instant; it is computed a feedback latency
+    later, when what was sampled then has arrived. A tick that would begin after the next one is due is skipped and
+    counted, never made up in a burst.
 
-    With ``rearm`` a lost link or a stopped robot does not end the run: it is brought back while the ticks go on, with
-    nothing commanded, and the law begins anew at the reference of the present ``t``. ``warn`` is called with what its
-    device warns of then and did not before. ``faults`` are the scenario's, which explain ticks that are not driven.
+    With ``rearm`` a lost link or a stopped robot does not end the run. The robot is brought back while the ticks go on
+    with nothing commanded, and the law begins anew at the reference of the present ``t``. ``warn`` is called with the
+    warnings of its device that are new then. ``faults`` are the scenario's, which explain ticks that are not driven.
     A tick that takes longer than ``tick_limit_s`` of wall-clock time ends the run (``TickWatch``; 0 for no limit).
     """
 
@@ -70,7 +75,7 @@ class Loop:
         self._ticker = Tick(parts, mode, timing)
         self._sampling = Sampling(parts.clock, parts.device, parts.truth, timing)
         self._warn = warn
-        self._warned = Warned(parts.device, self._tell_warning, said=tuple(parts.device.warnings))
+        self._warned = Warned(parts.device, self._on_warning, said=tuple(parts.device.warnings))
         self._undriven = Undriven(faults, timing)
         self._recovery: Recovery | None = None
         self._recoveries: list[Recovered] = []
@@ -83,12 +88,12 @@ class Loop:
     def run(self, origin_ns: int, duration_ns: int) -> Report:
         """Run from the first ACTIVE tick at ``origin_ns`` on the clock, then stop the robot.
 
-        What ends the run early is reported: a lost link or device, or a law that fails or does not return. Whatever it
-        is, the robot is told to stop while it can be reached.
+        What ends the run early is in the report: a lost link or device, or a law that fails or does not return. In
+        each case the robot is commanded to stop while it can be reached.
         """
         begin = perf_counter()
         failure: HilError | None = None
-        self._warned()  # since it was armed the robot has told more
+        self._warned()  # since it was armed the robot has sent more
         try:
             with self._watch:
                 self._run(origin_ns, duration_ns)
@@ -105,7 +110,7 @@ class Loop:
         wall_s = perf_counter() - begin
         stopped = False
         try:
-            # One that has not come back is not waited for, and may be somebody else's.
+            # A robot that has not come back is not waited for: it may be somebody else's by now.
             if isinstance(failure, DeviceError | LinkError) or self._recovery is not None:
                 failure = self._give_up(failure)
             else:
@@ -121,18 +126,18 @@ class Loop:
 
     @property
     def commands_refused(self) -> int:
-        """Commands of the law that were no numbers, each replaced by a stop."""
+        """How many commands of the law were no numbers; each was replaced by a stop."""
         return self._parts.guard.refused
 
     def pose_fixes(self) -> dict[str, Any] | None:
-        """Return where pose fixes were lost, from the source to the filter; None where none are taken."""
+        """Return the counts of pose fixes, from the source to the filter; None where the estimator takes none."""
         return self._ticker.pose_fixes()
 
     def _stop(self) -> bool:
         return self._parts.device.stop(self._timing.period_ns, _STOP_LIMIT_NS)
 
     def _give_up(self, failure: HilError | None) -> HilError | None:
-        """Stop what may still be driven; return the failure, with what a person has to know where that did not work."""
+        """Stop what may still be driven; return the failure, with the device's trouble where that did not work."""
         device = self._parts.device
         device.close()
         trouble = device.report.trouble
@@ -146,7 +151,8 @@ class Loop:
         number = self._sampling.begin(origin_ns)
         is_lockstep = self._parts.device.is_lockstep
         self._ticker.skip_fixes()
-        in_vain: set[bool] = set()  # since time has passed: waits that ended with a lost link, and a stopped robot
+        # The ways in which waits failed since time last passed: False for a lost link, True for a stopped robot.
+        in_vain: set[bool] = set()
         while number < ticks:
             try:
                 late_ns = self._sampling.wait(number)
@@ -163,27 +169,27 @@ class Loop:
                 continue
             following = self._sampling.following(number)
             if following != number + 1:
-                # Those of the run alone, also where none comes after them to be recorded.
+                # Only ticks of the run count, also where no later one records them.
                 self._misses += max(0, min(following, ticks) - max(number, -1) - 1)
             number = following
         if self._recovery is not None:
             raise LinkError(f"{self._recovery.why}; it did not come back until the end: {self._recovery.problem}")
 
     def _wait_again(self, error: HilError, in_vain: set[bool]) -> None:
-        """Make another wait for the same tick possible after one that failed."""
+        """Prepare another wait for the same tick after one that failed."""
         recovery = self._lose(error)
         is_stopped = isinstance(error, RobotStoppedError)
         if self._parts.device.is_lockstep:
             if is_stopped in in_vain:
-                # No held command can be the cause any more, so it is STEP: time stands still without the robot.
+                # No command in the queue can be the cause any more, so it is STEP: without the robot time stands still.
                 recovery.revive()
             elif is_stopped:
-                # A robot that was reset counts its ticks from 0, and is asked for them first.
+                # A robot that was reset counts its ticks from 0, and has to be asked for the present one.
                 recovery.begin_now()
         in_vain.add(is_stopped)
 
     def _keep_armed(self) -> None:
-        """Command zeros until the first feedback is here; no tick of the run."""
+        """Command zeros until the first feedback is here. These ticks are none of the run."""
         self._ticker.skip_fixes()
         if self._recovery is not None:
             self._come_back(self._recovery)
@@ -194,7 +200,7 @@ class Loop:
             self._lose(error)
 
     def _tick(self, number: int, late_ns: int) -> None:
-        """Do one tick of the run: drive, or come back, and tell."""
+        """Do one tick of the run: drive the robot, or bring it back, and write the row."""
         begin_s = perf_counter()
         self._watch.turn += 1
         ticker, faults, t_ns = self._ticker, self._faults, number * self._period_ns
@@ -225,7 +231,7 @@ class Loop:
         self._tick_us = (perf_counter() - begin_s) * 1e6
 
     def _lose(self, error: HilError) -> Recovery:
-        """Begin to bring the robot back, or begin that again; without ``rearm`` the run ends."""
+        """Begin to bring the robot back, or begin again; without ``rearm`` end the run."""
         self._ticker.raise_robot_failure()
         if not self._rearm:
             raise type(error)(f"{error}; to reconnect and arm anew in such a case, set loop.rearm = true") from error
@@ -236,7 +242,7 @@ class Loop:
             self._recovery.fail(error)
         return self._recovery
 
-    def _tell_warning(self, sentence: str) -> None:
+    def _on_warning(self, sentence: str) -> None:
         self._parts.note(self.t_s, "warning", sentence)
         if self._warn is not None:
             self._warn(sentence)

@@ -1,4 +1,4 @@
-"""From a scenario to what its ticks are made of; what stands at the ends of the link is the bench's."""
+"""From a scenario to the parts of its ticks. The robot and the link to it are the bench's (``bench.py``)."""
 
 from collections.abc import Sequence
 
@@ -14,7 +14,7 @@ from hil.scenario.laws import make_laws
 
 
 class RunParts:
-    """The parts of a scenario: what it says alone is made here, so that bad input is found before anything is opened.
+    """The parts that follow from a scenario alone, made before anything is opened, so that bad input is found first.
 
     Raises BadInputError for what the law or the reference refuse.
     """

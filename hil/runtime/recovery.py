@@ -24,9 +24,9 @@ class Recovered(NamedTuple):
 
 
 class Warned:
-    """Says what a device warns of as soon as it is known who it is, and once it has come back what is new then.
+    """Passes on the warnings of a device: each once, and what is new after it came back.
 
-    ``said`` has been said already.
+    Warnings in ``said`` were passed on before.
     """
 
     def __init__(self, device: Device, say: Callable[[str], None], said: Sequence[str] = ()) -> None:
@@ -35,7 +35,7 @@ class Warned:
         self._said = said
 
     def __call__(self) -> None:
-        """Say what has not been said, of a device that has just answered."""
+        """Pass on what is new, after the device has answered."""
         warnings = tuple(self._device.warnings)
         for sentence in warnings:
             if sentence not in self._said:
@@ -44,15 +44,14 @@ class Warned:
 
 
 class Recovery:
-    """The way back to ACTIVE, for a loop whose time goes on meanwhile. Nothing is commanded on it.
+    """The steps back to ACTIVE, one a tick, for a loop whose time goes on meanwhile. Nothing is commanded.
 
     A lost link is closed and opened, after 0.1 s first and twice as long each time up to 2 s, by the loop's clock. The
-    handshake is repeated, the parameters are compared again, and the robot is armed with a new nonce. What fails on
-    the way begins it again from the link.
+    handshake is repeated, the parameters are compared again, and the robot is armed with a new nonce. When a step
+    fails, it all begins again from the link.
 
     ``why`` is what was lost at ``lost_s`` of the scenario's time. ``warned`` is called after each handshake, before
-    anything is armed, and at the end of the way. Where it is not to arm, the way ends with the first feedback after the
-    handshake.
+    the robot is armed, and at the end. Without ``arm`` the first feedback after the handshake is the end.
     """
 
     def __init__(
@@ -88,9 +87,9 @@ class Recovery:
             return False
 
     def begin_now(self) -> None:
-        """Lockstep: shake hands at once, whatever was waited for: until the robot's tick is known no time passes.
+        """Lockstep: shake hands at once. No time passes until the robot's tick is known.
 
-        Also where the link was lost before: what carries STEP is still there, or it would have failed itself.
+        That is so after a lost link too: what carries STEP is still there, or it would have failed itself.
         """
         self._step = self._begin
         self.advance()
@@ -102,7 +101,7 @@ class Recovery:
         self._back_off()
 
     def revive(self) -> None:
-        """Lockstep: bring back a robot without which time stands still, by the wall clock.
+        """Lockstep: bring back, by the wall clock, a robot without which time stands still.
 
         Raises LinkError when that takes more than 60 s.
         """
@@ -146,7 +145,7 @@ class Recovery:
 
     def _arm(self) -> bool:
         if self._device.armed():
-            self._warned()  # by now it has told why it was reset
+            self._warned()  # by now the cause of its reset is known
             return True
         if self._clock.now_ns() > self._due_ns:
             raise RobotStoppedError(self._device.why_not_active())

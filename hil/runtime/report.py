@@ -103,7 +103,7 @@ def _link_statistics(bench: Bench, age_ms: Percentiles | None) -> dict[str, Any]
 def close_recording(recording: RunRecording, t_s: float, metrics: dict[str, Any], *, keep_live: bool) -> None:
     """Finish the recording at ``t_s`` with the figures in it, and say in them what became of it.
 
-    The event log gets what is only known now; what happened in the run has been told then.
+    The event log gets what is only known now; what happened during the run is in it already.
     """
     for row in metrics["fault"]:
         recording.event(t_s, "info" if row["applied"] else "error", f"fault: {applied_words(row)}")

@@ -1,4 +1,4 @@
-"""When a tick samples, and when what it sampled has arrived: the loop's times, and the truth at each instant."""
+"""The loop's times: when a tick samples, when what it sampled has arrived, and the truth at each sampling instant."""
 
 from collections import deque
 from typing import NamedTuple
@@ -9,9 +9,9 @@ from hil.robot.port import Device
 
 
 class Timing(NamedTuple):
-    """The loop's times [ns]. Latencies are those that the scenario gives the link, per direction.
+    """The loop's times [ns]. The latencies are those of the scenario's ``[link]``.
 
-    What is older than ``stale_ns`` drives nothing.
+    ``stale_ns`` is the greatest age of feedback or truth by which the robot is driven.
     """
 
     period_ns: int
@@ -21,14 +21,14 @@ class Timing(NamedTuple):
 
     @property
     def latency_s(self) -> float:
-        """From the sampling instant to the first firmware tick that uses the command, but for the link's own."""
+        """From the sampling instant to the first firmware tick that uses the command [s], but for the line's own."""
         return (self.command_latency_ns + self.feedback_latency_ns) * 1e-9
 
 
 class Sampling:
     """Waits for the ticks of a run, and keeps the truth of each sampling instant until its tick.
 
-    Tick ``number`` samples at ``number`` periods after ``begin``, and is worked out a feedback latency later.
+    Tick ``number`` samples ``number`` periods after ``begin``, and is computed a feedback latency later.
     """
 
     def __init__(self, clock: Clock, device: Device, truth: PoseSource | None, timing: Timing) -> None:
@@ -37,14 +37,14 @@ class Sampling:
         self._truth = truth
         self._period_ns = timing.period_ns
         self._latency_ns = timing.feedback_latency_ns
-        # From a sampling instant, in whole periods and the rest, until what the link brings of it is here.
+        # The feedback latency in whole periods, and the rest of it.
         self._late_periods, self._late_rest_ns = divmod(self._latency_ns, self._period_ns)
         self._origin_ns = 0
         self._fixes: deque[tuple[int, PoseFix | None]] = deque()
         self._fix: PoseFix | None = None
 
     def begin(self, origin_ns: int) -> int:
-        """Count the ticks from this instant on the clock; return the first, before which nothing has arrived."""
+        """Set the instant of tick 0 on the clock; return the first tick to wait for, negative with a latency."""
         self._origin_ns = origin_ns
         return -self._late_periods
 

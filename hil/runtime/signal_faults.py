@@ -29,7 +29,7 @@ _NS = 1e9
 
 
 class _Fault:
-    """A row with its account."""
+    """A row, its effect, and how often it was applied."""
 
     def __init__(self, row: FaultRow, chance: random.Random) -> None:
         self.row = row
@@ -39,7 +39,7 @@ class _Fault:
         self.is_over = False  # a reset has ended it
 
     def changed(self, value: float, t_ns: int) -> float:
-        """Return what becomes of a value while the row is in force."""
+        """Return what a value becomes while the row is in force."""
         assert self._effect is not None, "a kind of signal that happens in a window"
         new = self._effect(value, t_ns)
         self.applied += new != value and not (new != new and value != value)
@@ -47,7 +47,7 @@ class _Fault:
 
 
 def _place(signal: str, names: Sequence[str]) -> tuple[str, int]:
-    """Return where a signal of the run is: the group that passes through at once, and the place in it."""
+    """Return the group of signals that a signal of the run is faulted with, and its place in the group."""
     group, *wheel, name = signal.split(".")
     if wheel and name in _PER_WHEEL:
         return _PER_WHEEL[name], WHEEL_NAMES.index(wheel[0])
@@ -129,7 +129,7 @@ class SignalFaults:
         )
 
     def truth(self, fix: PoseFix | None) -> PoseFix | None:
-        """Return the true pose as it is told."""
+        """Return the truth with what acts on it."""
         if fix is None or "truth" not in self._groups:
             return fix
         return fix._replace(pose=self._passed("truth", fix.pose, Pose._make))

@@ -1,4 +1,4 @@
-"""One tick: sense, estimate, refer, control, guard, command, tell. When it is due, its caller knows."""
+"""One tick: sense, estimate, control, guard, command, and write the row. Its caller decides when it is due."""
 
 from collections.abc import Callable, Sequence
 from math import dist, isfinite
@@ -35,8 +35,10 @@ from hil.wire.statistics import LinkStatistics
 class TickParts(NamedTuple):
     """What a tick is made of.
 
-    ``note`` is told of losses and of what follows. ``robot_failure`` tells what has ended a robot in this process, None
-    for any other. ``extra`` has the signals that are recorded behind those of the vocabulary.
+    Attributes:
+        note: takes lines of the event log, such as losses.
+        robot_failure: returns what ended the robot in this process, or None.
+        extra: who has signals that are recorded behind those of ``hil.core.signals``.
     """
 
     clock: Clock
@@ -58,23 +60,23 @@ class TickParts(NamedTuple):
 
 
 Sensed = tuple[Feedback, State | None]
-"""What a tick knows of the robot; the state is None where nothing sure is known."""
+"""The newest feedback, and the state of the robot; None where the estimator has none."""
 _Asked = tuple[State, float, bool]
-"""With what a law is asked: the state, dt [s], and whether it was reset for this tick."""
+"""The arguments of a law: the state, dt [s], and whether it was reset for this tick."""
 
 
 class Tick:
-    """Does one tick after another of a robot that is driven, and tells of each in one row.
+    """Does one tick after another, and writes a row for each.
 
-    Either ``sense`` and then ``drive``, or, for a robot that is not to be driven or not there, ``record_away``.
+    A tick is ``sense`` and then ``drive``, or ``record_away`` for a robot that is not to be driven or not there.
 
-    The law is told the latency: in lockstep that of the scenario's ``[link]``, so that a fault that delays
-    frames is unknown to it there; in real time what the link is measured to have, faults and all.
+    The law is given the latency: in lockstep that of the scenario's ``[link]``, without that of faults; in real time
+    the measured one, which includes faults.
 
     Attributes:
-        count: ticks that were told of.
-        is_stale: whether the last tick held the robot at rest because its feedback was too old, or a truth on which
-            the state rests. In TORQUE mode it is braked by its wheel speeds; while they too are old, no torque holds
+        count: ticks that have a row.
+        is_stale: whether the last tick held the robot at rest because its feedback was too old, or the truth that the
+            state is made of. In TORQUE mode it is braked by its wheel speeds. While these are old too, no torque holds
             it, and it coasts.
     """
 
@@ -89,15 +91,15 @@ class Tick:
         self._nothing = WheelCommand(mode, NAN_WHEELS, NAN_WHEELS)
         self._latency = CommandLatency(timing.latency_s, timing.stale_ns)
         self._applied = Applied(self._rest, False, timing.latency_s)
-        self._before: int | None = None  # the tick before, of this session of the law; None where it has not begun
+        self._before: int | None = None  # the law's last tick; None before it begins, or begins anew
         self.count = 0
         self.is_stale = False
 
     def sense(self, t_s: float, fix: PoseFix | None, active: bool = True) -> Sensed:
         """Take what has arrived and estimate; ``fix`` is the truth of the sampling instant.
 
-        Raises RobotStoppedError or DeviceError for a robot that is not ACTIVE, LinkError for one that is lost. One that
-        need not be ``active`` is only stopped when it was reset.
+        Raises RobotStoppedError or DeviceError for a robot that is not ACTIVE, LinkError for one that is lost. Without
+        ``active`` it may be in any state, and RobotStoppedError means that it was reset.
         """
         fixes = self._fixes
         feedback = self._freshness.poll(t_s, fix if self._uses_truth else None, active)
@@ -105,7 +107,7 @@ class Tick:
         return feedback, self._estimator.update(feedback, fix, measured)
 
     def drive(self, now: LoopSignals, fix: PoseFix | None, sensed: Sensed, reference: Reference) -> None:
-        """Control, guard, command, tell. Raises LinkError when the link is lost."""
+        """Ask the law, guard and send its command, and write the row. Raises LinkError when the link is lost."""
         feedback, state = sensed
         faults, status, tick = self._faults, self._estimator.status, now.tick
         if faults is not None:
@@ -113,17 +115,17 @@ class Tick:
         if state is not None:
             pose, twist = state
             if not isfinite(dist(pose, twist)):  # one call for all six: a distance between what is no number is none
-                state = None  # no law is asked with it: what it integrates would be no number for ever
+                state = None  # a law that integrates it would give no number for ever
         self.is_stale = is_stale = self._freshness.is_stale or (not self._is_lockstep and self._freshness.has_aged())
         if state is None or status.health == LOST or is_stale:
             asked = None
             measured = None if self._freshness.is_silent() else feedback.speed_rad_s
             command, saturated = self._parts.brake.command(measured)
-            self._before = None  # after a hold the law begins anew: what it has integrated and awaits is of before it
+            self._before = None  # after a hold the law begins anew: what it has integrated is out of date
         else:
             before = self._before
             if before is not None and (tick - before) * self._period_ns > self._timing.stale_ns:
-                before = None  # nothing was commanded for so long, and no law integrates over it
+                before = None  # nothing was commanded for so long: the law must not integrate over it
             begins = before is None
             if before is None:
                 self._controller.reset(state, reference)
@@ -158,7 +160,7 @@ class Tick:
     def record_away(
         self, now: LoopSignals, fix: PoseFix | None, reference: Reference, state: State | None = None
     ) -> None:
-        """Tell of a tick in which nothing is commanded: what is heard of the robot, which may be nothing."""
+        """Write the row of a tick in which nothing is commanded, with what is heard of the robot, if anything."""
         parts = self._parts
         self.is_stale = False
         if parts.shadows is not None:
@@ -186,21 +188,21 @@ class Tick:
 
     @property
     def is_held(self) -> bool:
-        """Whether the last tick held the robot at rest, or was told of without driving it."""
+        """Whether the last tick held the robot at rest, or only recorded it."""
         return self._before is None
 
     @property
     def feedback_age_ms(self) -> float:
-        """How long the newest feedback had been the newest at the last tick, and on its way before."""
+        """Age of the newest feedback at the last tick: since it arrived, and the link's latency."""
         return (self._freshness.silent_ns + self._timing.feedback_latency_ns) * 1e-6
 
     def keep_armed(self) -> None:
-        """Command zeros until the first feedback is here; no tick that is told of. Raises as ``sense``."""
+        """Command zeros while no feedback is here yet; no row is written. Raises as ``sense``."""
         self._parts.device.poll()
         self._parts.device.send(self._rest)
 
     def begin(self) -> None:
-        """Let the law begin anew, with a robot that has just become ACTIVE."""
+        """Let the law begin anew with a robot that has just become ACTIVE."""
         self._before = None
         self._heed_limits()
         self._latency.restart()
@@ -227,7 +229,7 @@ class Tick:
             raise failure
 
     def skip_fixes(self) -> None:
-        """Let go of pose fixes that nothing can be made of, without a robot."""
+        """Drop the pose fixes of this tick, which are of no use without the robot."""
         if self._parts.fixes is not None:
             self._parts.fixes.skip()
 
@@ -238,7 +240,6 @@ class Tick:
 
     def _take(self, parts: TickParts) -> None:
         self._parts = parts
-        # What every tick asks: an attribute takes less time than a field of a tuple.
         self._device, self._fixes, self._estimator = parts.device, parts.fixes, parts.estimator
         self._controller, self._guard = parts.controller, parts.guard
         self._faults, self._shadows = parts.faults, parts.shadows
@@ -246,7 +247,7 @@ class Tick:
         self._heed_limits()
 
     def _heed_limits(self) -> None:
-        """Limit commands to what the robot, which may have just answered, says that it takes."""
+        """Limit commands to the wheel speed that the robot accepts; it may be another one than before."""
         limit_rad_s = self._device.speed_limit_rad_s
         self._guard.heed(limit_rad_s)
         if self._shadows is not None:
@@ -258,7 +259,7 @@ class Tick:
         return RowWriter(parts.device, parts.wire, parts.controller, parts.extra, parts.sinks, latency_ns, parts.faults)
 
     def _ask_shadows(self, shadows: Shadows, t_s: float, reference: Reference, asked: _Asked | None) -> None:
-        """Compute the shadows: after the command has gone, from what the law in command was told."""
+        """Compute the shadow laws from the same arguments, after the command was sent."""
         if asked is None:
             shadows.hold()
         else:
@@ -267,9 +268,9 @@ class Tick:
                 self._parts.note(t_s, "warning", sentence)
 
     def _measure_latency(self, sequence: int, feedback: Feedback) -> None:
-        """Real time: note on what the command rests, and how late the one acted that the robot says is in force.
+        """Real time: note the age of the state behind this command, and when the command now in force took effect.
 
-        A state that rests on the truth is as old as that, else as the feedback.
+        A state that is made of the truth is as old as that, any other as the feedback.
         """
         truth_ns = self._freshness.truth_ns
         self._latency.acted(feedback.command_sequence, feedback.robot_time_ns, feedback.command_age_ms)
