@@ -58,7 +58,7 @@ def test_a_command_is_an_order(side: ControlSide, command: str, action: Action, 
         ("twist 9 0 0", "vx_m_s = 9.0: it should be less than or equal to 2"),
         ("twist 9 0 0 --for 1", "vx_m_s = 9.0: it should be less than or equal to 2"),
         ("record a.txt", "it should match pattern"),
-        ("--url http://127.0.0.1:1 status", "service http://127.0.0.1:1: it is none of yours; name the file"),
+        ("--url http://127.0.0.1:1 status", "service http://127.0.0.1:1: it is none of yours; give the file"),
     ],
 )
 def test_bad_input_is_a_sentence(side: ControlSide, command: str, sentence: str) -> None:
@@ -169,7 +169,7 @@ def test_the_service_is_found_or_it_is_said_why_not(tmp_path: Path, side: Contro
         token.write_text("another-token-of-enough-length")
         token.chmod(0o600)
         for ask in (Client.status, lambda client: next(client.watch())):
-            with pytest.raises(BadInputError, match=f"does not take the token in {token}"):
+            with pytest.raises(BadInputError, match=f"does not accept the token in {token}"):
                 ask(find(mine.url, token_file=token))
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]

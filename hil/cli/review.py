@@ -136,10 +136,10 @@ def _about(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 def _event_rows(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield the newest warnings and errors that are not printed above."""
-    said = [found["failure"] or "", *(row["text"] for row in found["expect"] or ())]
+    printed = [found["failure"] or "", *(row["text"] for row in found["expect"] or ())]
     warned = [event for event in found["events"] if event["level"] in ("WARN", "ERROR")]
     # The first violation of an expectation is an event at once; its final text begins with the same words.
-    events = [event for event in warned if not any(text.startswith(event["text"]) for text in said)]
+    events = [event for event in warned if not any(text.startswith(event["text"]) for text in printed)]
     if len(events) > _EVENTS_SHOWN:
         yield "events", f"the last {_EVENTS_SHOWN} of {len(events)}; --json and --html have them all"
     for event in events[-_EVENTS_SHOWN:]:

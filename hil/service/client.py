@@ -1,4 +1,4 @@
-"""A client of a service's API: finds the service, shows the token, and turns refusals into errors with a sentence."""
+"""A client of a service's API: it finds the service, sends the token, and raises refusals as errors."""
 
 import contextlib
 import itertools
@@ -20,7 +20,7 @@ from hil.service.messages import LONG, Action, route
 TWIST_PERIOD_S = 0.05
 STOP_UNANSWERED = "the service did not answer that it stops the robot; it does so when the twist times out"
 
-# More than the API gives the control process, for orders that take their time too.
+# More than the timeouts of the API process, for short and for long orders.
 _TIMEOUT_S = 5.0
 _LONG_TIMEOUT_S = 35.0
 _NONE_RUNS = "no service of yours runs on this machine; start one with 'hil serve CONFIG', or name one with --url"
@@ -38,7 +38,7 @@ def find(url: str | None = None, port: int | None = None, token_file: Path | Non
     if url is not None:
         found = [service for service in services if service.url == url]
         if not found:
-            raise BadInputError(f"service {url}: it is none of yours; name the file with its token with --token-file")
+            raise BadInputError(f"service {url}: it is none of yours; give the file with its token by --token-file")
     else:
         found = [service for service in services if port in (None, service.port)]
     if not found:
@@ -54,7 +54,7 @@ def _listed(services: list[Service]) -> str:
 
 
 class Client:
-    """Speaks to one service. Every method raises the errors of ``_checked``."""
+    """A client of one service. Every method raises the errors of ``_checked``."""
 
     def __init__(self, url: str, token_file: Path) -> None:
         if not url.startswith("http://") or not url.rpartition(":")[2].isdecimal():
@@ -68,7 +68,7 @@ class Client:
         return self._ask("GET", "/v1/status", None)
 
     def order(self, action: Action, arguments: Mapping[str, Any] | None = None) -> dict[str, Any]:
-        """Have an order carried out or begun, and return what the service says of it."""
+        """Give an order, and return its result when it is done or begun."""
         method, path = route(action)
         timeout_s = _LONG_TIMEOUT_S if action in LONG else _TIMEOUT_S
         result: dict[str, Any] = self._ask(method, path, arguments, timeout_s)["result"]
@@ -78,14 +78,14 @@ class Client:
         """Yield the status as it comes. Raises LinkError when the service ends."""
         with self.live() as live:
             while True:
-                told = live.hear(None) or {}
-                if "status" in told:
-                    yield told["status"]
+                message = live.hear(None) or {}
+                if "status" in message:
+                    yield message["status"]
 
     def twist(self, arguments: Mapping[str, float], for_s: float) -> None:
-        """Drive by twist for a time, and then stop. Ctrl-C stops at once, and raises RunInterruptedError."""
+        """Drive by twist for ``for_s``, then stop. Ctrl-C stops at once, and raises RunInterruptedError."""
         end_s = time.monotonic() + for_s
-        self.order(Action.TWIST, arguments)  # which tells wrong arguments from a refusal
+        self.order(Action.TWIST, arguments)  # over HTTP, which tells wrong arguments from a refusal
         with self.live() as live:
             try:
                 while (now_s := time.monotonic()) < end_s:
@@ -100,32 +100,30 @@ class Client:
         self, method: str, path: str, body: Mapping[str, Any] | None, timeout_s: float = _TIMEOUT_S
     ) -> dict[str, Any]:
         try:
-            # A proxy of the environment has no business here, and without TLS no certificates need be loaded (0.1 s).
+            # No proxy of the environment on this machine, and without TLS no certificates to load (0.1 s).
             with httpx.Client(trust_env=False, verify=False, timeout=timeout_s) as http:
                 response = http.request(method, self._url + path, headers=self._headers, json=body)
         except httpx.TimeoutException:
-            raise LinkError(f"service {self._url}: no answer within {timeout_s:g} s; see what it logs") from None
+            raise LinkError(f"service {self._url}: no answer within {timeout_s:g} s; see its log") from None
         except httpx.HTTPError as error:
             raise LinkError(f"service {self._url}: {error}; it may be starting again, or has ended") from None
         return self._checked(response.status_code, response.content)
 
     def _checked(self, status: int, content: bytes | bytearray) -> dict[str, Any]:
-        """Return what a response says.
+        """Return the content of a response.
 
         Raises BadInputError for a wrong token or wrong arguments, DeviceError when the service refuses, LinkError when
         it cannot be reached or its control process does not answer.
         """
         try:
-            said = json.loads(content)
-            sentence = said["detail"] if status != 200 else ""
+            body = json.loads(content)
+            sentence = body["detail"] if status != 200 else ""
         except (ValueError, KeyError, TypeError):
-            raise LinkError(
-                f"service {self._url}: status {status} without words of ours; it is another program"
-            ) from None
+            raise LinkError(f"service {self._url}: unknown answer, status {status}; it is another program") from None
         if status == 401:
             raise BadInputError(
-                f"service {self._url}: it does not take the token in {self._token_file}; each start makes a new one, "
-                "so name the file of this start with --token-file"
+                f"service {self._url}: it does not accept the token in {self._token_file}; each start makes a new one, "
+                "so give the file of this start with --token-file"
             )
         if status == 409:
             raise DeviceError(f"refused: {sentence}")
@@ -133,11 +131,11 @@ class Client:
             raise BadInputError(sentence)
         if status != 200:
             raise LinkError(f"service {self._url}: {sentence}")
-        return dict(said)
+        return dict(body)
 
     @contextlib.contextmanager
     def live(self) -> Iterator["Live"]:
-        """Return a WebSocket to the service. What is done with it raises LinkError when the service ends."""
+        """Yield a WebSocket to the service. Its use raises LinkError when the service ends."""
         address = "ws" + self._url.removeprefix("http") + "/v1/live"
         try:
             with connect(address, additional_headers=self._headers, proxy=None, open_timeout=_TIMEOUT_S) as socket:
@@ -152,7 +150,7 @@ class Client:
 
 
 class Live:
-    """Orders to a service, and its answers and statuses as they come; made by ``Client.live``."""
+    """A WebSocket to a service: orders, and answers and statuses as they come. ``Client.live`` makes it."""
 
     def __init__(self, socket: ClientConnection) -> None:
         self._socket = socket
@@ -165,13 +163,13 @@ class Live:
         self._socket.send(json.dumps({"order": order}))
         return number
 
-    def hear(self, within_s: float | None) -> dict[str, Any] | None:
-        """Return the next ``{"status": ...}`` or ``{"answer": ...}``; None when none comes in time, None for ever."""
+    def hear(self, timeout_s: float | None) -> dict[str, Any] | None:
+        """Return the next ``{"status": ...}`` or ``{"answer": ...}``, or None at the timeout. None waits for ever."""
         try:
-            told: dict[str, Any] = json.loads(self._socket.recv(timeout=within_s))
+            message: dict[str, Any] = json.loads(self._socket.recv(timeout=timeout_s))
         except TimeoutError:
             return None
-        return told
+        return message
 
 
 def _stop(live: Live) -> None:
@@ -181,8 +179,8 @@ def _stop(live: Live) -> None:
 
 def _hear(live: Live, until_s: float, number: int | None = None) -> bool:
     """Read what comes until then, or until the answer to ``number``. Raises DeviceError when an order was refused."""
-    while (left_s := until_s - time.monotonic()) > 0.0 and (told := live.hear(left_s)) is not None:
-        answer = told.get("answer")
+    while (left_s := until_s - time.monotonic()) > 0.0 and (message := live.hear(left_s)) is not None:
+        answer = message.get("answer")
         if answer is not None and answer["refused"] is not None:
             raise DeviceError(f"refused: {answer['refused']}")
         if answer is not None and answer["number"] == number:

@@ -1,4 +1,4 @@
-"""An emergency stop, from the one who asks for it to the robot that confirms it. Pure."""
+"""An emergency stop, from the order to the robot's confirmation. Pure."""
 
 import math
 
@@ -6,9 +6,9 @@ from firmware_protocol.generated.messages import State as RobotState
 
 
 class EmergencyStop:
-    """Owed to the robot from ``ask`` until its feedback confirms it; only then may it be cleared.
+    """An e-stop is owed from ``ask`` until the robot's feedback confirms it; only then may it be cleared.
 
-    ``repeat_s`` is for how long it is sent at least: feedback on its way may tell of an ESTOP before this one.
+    It is sent for at least ``repeat_s``, because feedback under way may show an earlier ESTOP.
 
     Attributes:
         owed: whether the robot has not confirmed it yet.
@@ -21,25 +21,25 @@ class EmergencyStop:
         self.owed = False
 
     def ask(self, t_s: float) -> None:
-        """Be owed from here on; what was to be cleared before is not."""
+        """Begin to owe an e-stop; a clear that was asked for before is dropped."""
         self.owed, self._asked_s, self._clear_next = True, t_s, False
 
     def may_clear(self) -> bool:
-        """Whether it may be cleared now; where it may not yet, ``take_clear`` tells when."""
+        """Return whether it may be cleared now. If not, the clear is kept, and ``take_clear`` returns it later."""
         self._clear_next = self.owed
         return not self.owed
 
     def keep(self) -> None:
-        """Do not clear it, whatever was asked for."""
+        """Drop a clear that was asked for."""
         self._clear_next = False
 
     def is_sent(self, robot: RobotState, t_s: float) -> bool:
-        """Whether it is still to be sent to a robot that says to be in this state."""
+        """Return whether to send it still, to a robot whose feedback has this state."""
         if self.owed and robot is RobotState.ESTOP and t_s >= self._asked_s + self._repeat_s:
             self.owed = False
         return self.owed
 
     def take_clear(self) -> bool:
-        """Whether it is to be cleared now, as was asked for while it was owed; says so once."""
+        """Return once whether to clear it now, because that was asked for while it was owed."""
         clear, self._clear_next = self._clear_next and not self.owed, False
         return clear

@@ -73,7 +73,7 @@ class _Ending:
         # Kernel and shell both send SIGHUP when a window is closed, so a second one does not insist.
         if not self.asked or number in (signal.SIGTERM, signal.SIGINT):
             self.asked += 1
-        logs.info("told to end", signal=signal.Signals(number).name)
+        logs.info("signal to end", signal=signal.Signals(number).name)
 
 
 def serve(scenario: Scenario, options: Options, reload: Callable[[], Scenario]) -> None:
@@ -270,7 +270,7 @@ class _Service:
                 if pilot.phase not in (Phase.ARMING, Phase.ACTIVE, Phase.STOPPING) and not owed:
                     return
                 if self.ending.asked > 1:
-                    logs.warning("told to end a second time; the robot's watchdog stops it")
+                    logs.warning("second signal to end; the robot's watchdog stops it")
                     return
                 if time.monotonic() > limit_s:
                     logs.error("robot did not come to rest in time; its watchdog stops it")
