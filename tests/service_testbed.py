@@ -15,8 +15,7 @@ import pytest
 from websockets.sync.client import ClientConnection, connect
 
 from hil.service.api_child import ApiChild
-from hil.service.api_config import ApiConfig, Limits
-from hil.service.messages import SILENT_S, Action, Answer, Order, Phase, Status, Task
+from hil.service.messages import SILENT_S, Action, Answer, ApiConfig, Limits, Order, Phase, Status, Task
 from tests.processes import wait_for
 
 # With a timeout as short as a robot's, an API process that waits for a processor refuses twists, as it should.

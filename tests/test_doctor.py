@@ -8,8 +8,7 @@ import pytest
 from packaging.requirements import Requirement
 
 from firmware_protocol.built import WHEEL_HOST
-from hil.cli.checks import install, ports, realtime, recording
-from hil.cli.checks.finding import Finding, Verdict
+from hil.cli.checks import Finding, Verdict, install, ports, realtime, recording
 from hil.cli.doctor import print_findings
 from tests.processes import hil
 

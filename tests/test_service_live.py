@@ -18,8 +18,7 @@ from websockets.sync.client import ClientConnection
 from hil.core.errors import BadInputError
 from hil.core.subprocesses import module_command
 from hil.service.api_child import ApiChild
-from hil.service.api_config import ApiConfig
-from hil.service.messages import Action, Answer, Phase
+from hil.service.messages import Action, Answer, ApiConfig, Phase
 from tests.processes import environment, is_running, wait_for
 from tests.service_testbed import LIMITS, STATUS, ControlSide, own_state, served
 
@@ -233,7 +232,7 @@ def test_an_api_process_is_not_killed_because_nobody_looked_at_it(
 def test_the_api_process_ends_when_its_control_process_is_killed(tmp_path: Path) -> None:
     script = (
         "import sys, time\nfrom hil.service.api_child import ApiChild\n"
-        "from hil.service.api_config import ApiConfig, Limits\n"
+        "from hil.service.messages import ApiConfig, Limits\n"
         "child = ApiChild(ApiConfig(title='t', device='d', limits=Limits(1, 1, 1, 1), port=0))\n"
         "print(child.pid, flush=True)\ntime.sleep(600)\n"
     )

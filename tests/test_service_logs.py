@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from hil.service import logs
-from hil.service.api_config import LogStyle
+from hil.service.messages import LogStyle
 
 Read = Callable[[], str]
 

@@ -6,8 +6,7 @@ from typing import Annotated
 
 import typer
 
-from hil.cli.checks import install, ports, realtime, recording
-from hil.cli.checks.finding import Finding, Verdict
+from hil.cli.checks import Finding, Verdict, install, ports, realtime, recording
 from hil.cli.options import Json, print_json
 
 

@@ -1,16 +1,25 @@
 """``hil init``: the first two files of a user's own robot, from answers or flags."""
 
 import sys
+import tempfile
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from hil.cli.new_robot.questions import QUESTIONS, Question, Value, problem_with
+from hil.cli.new_robot.texts import robot_text, scenario_text
 from hil.cli.options import Force
+from hil.core.errors import BadInputError
+from hil.core.outputs import Existing, check_free, existing_files, write_whole
+from hil.runtime.assembly import check_scenario
+from hil.scenario import load
 
-if TYPE_CHECKING:
-    from hil.cli.new_robot import Question, Value
-
+ROBOT_FILE = "robot.toml"
+SCENARIO_FILE = "first_circle.toml"
+_SLOWER = 1.25
+_TRIES = 40
 _Number = float | None
 _Metre = Annotated[_Number, typer.Option(metavar="METRE")]
 _Inertia = Annotated[_Number, typer.Option(metavar="KG·M²")]
@@ -49,10 +58,6 @@ def init(
         "firmware.torque_constant_n_m_a": torque_constant_n_m_a,
         "link.url": link,
     }
-    from hil.cli.new_robot import QUESTIONS, begin, problem_with
-    from hil.core.errors import BadInputError
-    from hil.core.outputs import existing_files
-
     asks = not defaults and sys.stdin.isatty()
     missing = [question.flag for question in QUESTIONS if given[question.key] is None]
     if missing and not defaults and not asks:
@@ -72,10 +77,8 @@ def init(
     print(f"Next: hil run {scenario}{elsewhere}    # on the virtual robot")
 
 
-def _ask(question: "Question", proposed: "Value") -> "Value":
+def _ask(question: Question, proposed: Value) -> Value:
     """Ask until the answer is valid in the scenario's table."""
-    from hil.cli.new_robot import problem_with
-
     while True:
         text = typer.prompt(f"{question.key}: {question.description}", default=str(proposed))
         try:
@@ -87,3 +90,40 @@ def _ask(question: "Question", proposed: "Value") -> "Value":
         if problem is None:
             return value
         print(problem)
+
+
+def begin(folder: Path, answers: Mapping[str, Value], existing: Existing = "refuse") -> tuple[Path, Path]:
+    """Write both files and return them; the folder is made. ``answers`` has every question's key.
+
+    Raises BadInputError when a file exists and is not to be replaced, when values contradict each other, or when no
+    circle is slow enough for the robot.
+    """
+    robot, scenario = folder / ROBOT_FILE, folder / SCENARIO_FILE
+    for path in (robot, scenario):
+        check_free("file", path, existing)
+    texts = robot_text(answers), _feasible(answers)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInputError(f"folder {folder}: it cannot be made ({error.strerror}); name another") from error
+    for path, text in zip((robot, scenario), texts, strict=True):
+        write_whole(path, text.encode(), "file", existing)
+    return robot, scenario
+
+
+def _feasible(answers: Mapping[str, Value]) -> str:
+    """Return a scenario whose circle the robot can follow, the fastest of those tried."""
+    slowness = 1.0
+    with tempfile.TemporaryDirectory() as trial:
+        Path(trial, ROBOT_FILE).write_text(robot_text(answers), encoding="utf-8")
+        for _ in range(_TRIES):
+            text = scenario_text(answers, slowness)
+            path = Path(trial, SCENARIO_FILE)
+            path.write_text(text, encoding="utf-8")
+            if not check_scenario(load(path)).sentences:
+                return text
+            slowness *= _SLOWER
+    raise BadInputError(
+        f"no circle is slow enough for a torque limit of {answers['robot.torque_limit_n_m']} N·m and a speed limit of "
+        f"{answers['robot.speed_limit_rad_s']} rad/s; check these and the mass"
+    )

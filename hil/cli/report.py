@@ -5,7 +5,7 @@ import shutil
 import sys
 import threading
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from hil.runtime.assembly import Watch
     from hil.runtime.loop import Loop
 
-_REFRESH_S = 0.1
+_REFRESH_HZ = 10
 
 
 def recording_path(name: str, asked: str | None) -> Path | None:
@@ -37,35 +37,23 @@ def catalogue_folder() -> Path:
 def progress(duration_s: float) -> "Watch":
     """Return a watcher that shows a progress bar on stderr during a run."""
     from rich.console import Console
+    from rich.live import Live
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     @contextmanager
     def watch(loop: "Loop") -> Iterator[None]:
-        columns = (
-            TextColumn("{task.completed:6.2f} s of {task.total:g} s"),
-            BarColumn(),
-            TimeRemainingColumn(),
-        )
-        done = threading.Event()
-        with Progress(*columns, console=Console(stderr=True), transient=True, auto_refresh=False) as bar:
-            task = bar.add_task("run", total=duration_s)
+        text = TextColumn("{task.completed:6.2f} s of {task.total:g} s")
+        bar = Progress(text, BarColumn(), TimeRemainingColumn(), auto_refresh=False)
+        task = bar.add_task("run", total=duration_s)
 
-            def follow() -> None:
-                while not done.wait(_REFRESH_S):
-                    bar.update(task, completed=loop.t_s, refresh=True)
+        def updated() -> Progress:
+            bar.update(task, completed=loop.t_s)
+            return bar
 
-            follower = threading.Thread(target=follow, name="progress", daemon=True)
-            follower.start()
-            try:
-                yield
-            finally:
-                done.set()
-                follower.join()
+        with Live(get_renderable=updated, console=Console(stderr=True), transient=True, refresh_per_second=_REFRESH_HZ):
+            yield
 
-    def make(loop: "Loop") -> AbstractContextManager[object]:
-        return watch(loop)
-
-    return make
+    return watch
 
 
 def warn(sentence: str) -> None:

@@ -18,9 +18,8 @@ from hil.core.json_lines import LinePoll, LineWriter
 from hil.core.process_lock import ProcessLock
 from hil.core.subprocesses import away_from_terminal, child_environment, module_command, start_children_as_ordinary
 from hil.service import logs
-from hil.service.api_config import ApiConfig
 from hil.service.discovery import Service, announce
-from hil.service.messages import SILENT_S, Action, Answer, Order, Status, from_line, to_line
+from hil.service.messages import SILENT_S, Action, Answer, ApiConfig, Order, Status, from_line, to_line
 
 _READY_S = 60.0
 _EXIT_S = 5.0

@@ -15,8 +15,8 @@ from typing import Any, cast
 from hil.core.errors import BadInputError
 from hil.core.json_lines import LineReader, LineWriter
 from hil.service import logs
-from hil.service.api_config import ApiConfig
 from hil.service.discovery import make_token, own_token_file, read_token
+from hil.service.messages import ApiConfig
 
 
 def main() -> int:

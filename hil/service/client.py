@@ -13,9 +13,8 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus, WebSocketExce
 from websockets.sync.client import ClientConnection, connect
 
 from hil.core.errors import BadInputError, DeviceError, LinkError, RunInterruptedError
-from hil.service.api_config import HOST
 from hil.service.discovery import Service, read_token, running
-from hil.service.messages import LONG, Action, route
+from hil.service.messages import HOST, LONG, Action, route
 
 TWIST_PERIOD_S = 0.05
 STOP_UNANSWERED = "the service did not answer that it stops the robot; it does so when the twist times out"

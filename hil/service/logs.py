@@ -12,7 +12,7 @@ import sys
 from datetime import UTC, datetime
 from typing import Any
 
-from hil.service.api_config import LogStyle
+from hil.service.messages import LogStyle
 
 # A pipe takes so much as a whole, if it takes anything at once (POSIX: PIPE_BUF is at least 512, on Linux 4096).
 _LONGEST_LINE_BYTES = 4096 if sys.platform == "linux" else 512

@@ -22,9 +22,8 @@ from hil.runtime.sampling import Sampling
 from hil.scenario import Scenario
 from hil.service import logs
 from hil.service.api_child import ApiChild
-from hil.service.api_config import ApiConfig, Limits, LogStyle
 from hil.service.desk import Desk
-from hil.service.messages import Action, Answer, Phase, Status
+from hil.service.messages import Action, Answer, ApiConfig, Limits, LogStyle, Phase, Status
 from hil.service.pilot import Pilot
 from hil.service.records import Records, recording_of
 from hil.service.stand_ins import LastingTruth

@@ -2,3 +2,49 @@
 
 A check that does not apply to the operating system yields nothing. To add one: a function here, a line in `doctor.py`.
 """
+
+from enum import StrEnum
+from pathlib import Path
+from typing import NamedTuple
+
+
+class Verdict(StrEnum):
+    """How good it is."""
+
+    OK = "ok"
+    NOTE = "note"
+    """It works and could be better, or not everyone needs it."""
+    PROBLEM = "problem"
+    """Something that runs need does not work."""
+
+
+class Finding(NamedTuple):
+    """One sentence on one subject, and the remedy unless it is ``ok``."""
+
+    verdict: Verdict
+    subject: str
+    sentence: str
+    remedy: str = ""
+
+
+def ok(subject: str, sentence: str) -> Finding:
+    """Return a finding that something is as it should be."""
+    return Finding(Verdict.OK, subject, sentence)
+
+
+def note(subject: str, sentence: str, remedy: str) -> Finding:
+    """Return a finding that something could be better."""
+    return Finding(Verdict.NOTE, subject, sentence, remedy)
+
+
+def problem(subject: str, sentence: str, remedy: str) -> Finding:
+    """Return a finding that something does not work."""
+    return Finding(Verdict.PROBLEM, subject, sentence, remedy)
+
+
+def text_of(path: Path) -> str | None:
+    """Return the stripped text of a file such as those in /sys, None where it cannot be read."""
+    try:
+        return path.read_text("utf-8").strip()
+    except OSError:
+        return None

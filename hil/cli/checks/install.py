@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from packaging.requirements import Requirement
 
 from firmware_protocol.built import WHEEL_HOST, is_checkout, run_script
-from hil.cli.checks.finding import Finding, note, ok, problem
+from hil.cli.checks import Finding, note, ok, problem
 from hil.core.errors import BadInputError
 from hil.core.extensions import OUR_PACKAGE
 from hil.plant import archive

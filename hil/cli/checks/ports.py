@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from hil.cli.checks.finding import Finding, note, ok, problem, text_of
+from hil.cli.checks import Finding, note, ok, problem, text_of
 
 _USB_SERIAL = Path("/sys/bus/usb-serial/devices")
 _SHORT_MS = 1

@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from hil.cli.checks.finding import Finding, note, ok, text_of
+from hil.cli.checks import Finding, note, ok, text_of
 from hil.core.clock import TICK_NS, WallClock
 from hil.runtime.lateness import Lateness
 from hil.runtime.realtime import (

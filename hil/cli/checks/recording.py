@@ -11,7 +11,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from hil.cli.checks.finding import Finding, note, ok, problem
+from hil.cli.checks import Finding, note, ok, problem
 from hil.core.errors import DeviceError
 from hil.record.viewer import has_display, viewer_environment, viewer_executable
 

@@ -20,8 +20,7 @@ from pydantic import (
     model_validator,
 )
 
-from hil.service.api_config import Limits
-from hil.service.messages import Action
+from hil.service.messages import Action, Limits
 
 Scalar = StrictBool | StrictInt | FiniteFloat | StrictStr
 Option = Scalar | list[Scalar]

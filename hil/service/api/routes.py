@@ -13,8 +13,7 @@ from hil.service.api.bodies import Body, bodies, sentence
 from hil.service.api.control import BusyError, Control, NoAnswerError
 from hil.service.api.live import LiveClient
 from hil.service.api.metrics import ServiceMetrics
-from hil.service.api_config import ApiConfig
-from hil.service.messages import SUMMARIES, Action, Status, route
+from hil.service.messages import SUMMARIES, Action, ApiConfig, Status, route
 
 
 class Refusal(BaseModel):

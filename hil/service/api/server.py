@@ -17,7 +17,7 @@ from hil.core.json_lines import LineReader, LineWriter
 from hil.service import logs
 from hil.service.api.control import Control
 from hil.service.api.routes import make_app
-from hil.service.api_config import ApiConfig
+from hil.service.messages import ApiConfig
 
 _PING_S = 5.0
 _LONGEST_BYTES = 64 * 1024  # of a body and of a message
