@@ -49,6 +49,12 @@ SLOW = (
     "test_fmu_calls.py::test_two_thousand_instances_leave_nothing_behind",
     "test_makers_runs.py::test_the_papers_circle_is_tracked_through_each",
     "test_reproduction.py::test_the_json_keeps_its_form",
+    "test_reproduction.py::test_the_pictures_open",
+    "test_reproduction.py::test_nothing_is_commanded_until_the_host_comes",
+    "test_reproduction.py::test_the_main_runs_are_recorded",
+    "test_reproduction.py::test_what_is_printed_has_every_verdict",
+    "test_reproduction.py::test_the_page_has_the_figures_of_a_run",
+    "test_reproduction.py::test_results_are_written_between_the_marks",
     "test_three_plants.py::test_a_controller_within_the_grip_tracks_the_circle_on_each_plant",
     "test_two_processes.py::test_an_abandoned_lockstep_robot_is_put_back_to_its_start",
 )
