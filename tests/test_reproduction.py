@@ -380,3 +380,11 @@ def test_results_are_written_between_the_marks(summary: dict[str, Any]) -> None:
     once = page.with_results(text, summary)
     assert page.with_results(once, summary) == once
     assert once.startswith(text.partition("<!-- results begin")[0])
+
+
+def test_the_verdicts_of_the_page_follow_from_its_figures() -> None:
+    summary = page.kept()
+    rows = {row["name"]: row for group in ("circle", "experiment", "delay", "transition") for row in summary[group]}
+    results = [Result(case, rows[case.name], rows[case.name]["failure"]) for case in cases()]
+    again = [verdict._asdict() for verdict in verdicts.judge(verdicts.Results(results))]
+    assert json.loads(json.dumps(again)) == summary["verdicts"]

@@ -38,6 +38,7 @@ _LOCK = "lock"
 _OURS = (ROWS, RECORDINGS, _LOCK, PLAN, ABOUT, "report.html")
 _ABOUT = {"name", "scenario", "laws", "faults", "seeds", "samples", "axes", "keep", "by", "runs"}
 _ANEW = "give hil campaign with its plan once more, which writes it anew"
+_REDO = "remove it, and the same command does its runs again"
 _ATTEMPTS = 10
 _NO_ROWS = pa.schema([(KEY, pa.string())]).empty_table()
 Row = Mapping[str, Any]
@@ -257,13 +258,13 @@ def _schema(file: Path) -> pa.Schema:
         return pq.read_schema(file)
 
 
-def _read(file: Path, remedy: str = "remove it, and the same command does its runs again") -> pa.Table:
+def _read(file: Path, remedy: str = _REDO) -> pa.Table:
     with _sound(file, remedy):
         return pq.read_table(file, page_checksum_verification=True)
 
 
 @contextlib.contextmanager
-def _sound(file: Path, remedy: str = "remove it, and the same command does its runs again") -> Iterator[None]:
+def _sound(file: Path, remedy: str = _REDO) -> Iterator[None]:
     """Raise BadInputError, with the remedy, for a file that is not what was written."""
     try:
         yield

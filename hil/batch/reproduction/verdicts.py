@@ -106,10 +106,9 @@ def _as_far_as_run(results: Results, found: list[Verdict], needed: tuple[str, ..
 
 
 def _printed(results: Results, printed: Printed) -> Verdict:
-    """Hold one of the four figures to what both laws give with one filter constant."""
+    """Compare one of the four printed figures with ours, where both laws have one filter constant."""
     ours = results.circle(printed.law, "common", "together", printed.figure)
-    is_near = ours is not None and _is_near(ours, printed)
-    fitted = is_near and printed is not published.AFDSC_STEADY
+    fitted = _is_near(ours, printed) and printed is not published.AFDSC_STEADY
     if printed is published.AFDSC_STEADY:
         why = _why_not_closer(results)
     elif printed is published.DSC_STEADY and fitted:
@@ -139,9 +138,8 @@ def _own_filter(results: Results) -> Verdict:
         why += f"; AFDSC then tracks after {tracked:.2f} s"
     if dsc is not None:
         why += f"; DSC with that filter too leaves {_millimetres(dsc)}"
-    is_near = ours is not None and _is_near(ours, printed)
     claim = "AFDSC steady error, with a filter of its own"
-    return _judged("IV.A, Fig. 8", claim, printed, ours, FITTED if is_near else None, why)
+    return _judged("IV.A, Fig. 8", claim, printed, ours, FITTED if _is_near(ours, printed) else None, why)
 
 
 def _sooner(results: Results) -> Verdict:
@@ -176,94 +174,79 @@ def _closer(results: Results) -> Verdict:
         f"any rule against {dsc_stiffness:g}: no cause that both laws share makes AFDSC the more exact"
     )
     paper = round(published.DSC_STEADY.value - published.AFDSC_STEADY.value, 8)
-    is_so = less is not None and less > 0.0
     claim = "AFDSC's steady error is smaller than DSC's, by"
-    return Verdict("IV.A", claim, "m", paper, less, None, COMES_OUT if is_so else DOES_NOT, why)
+    return Verdict("IV.A", claim, "m", paper, less, None, _so(less is not None and less > 0.0), why)
 
 
 def _by_the_tuner(results: Results) -> Verdict:
     """Adapting is what makes AFDSC sooner: held against the constant gains that the tables have in the middle."""
+    run, tolerance = "constant common together", published.AFDSC_TRACKED.digit
+    row = ("IV.A", "the fuzzy tuner makes it sooner than its middle gains held constant, by", "s", None)
+    if not results.is_planned(run):
+        why = "--quick leaves out the run with its middle gains held constant"
+        return Verdict(*row, None, tolerance, NOT_RUN, why)
     gains = {limit: _lead(results, "common", limit, "constant") for limit in LIMITS}
-    gain, tolerance = gains["together"], published.AFDSC_TRACKED.digit
-    is_so = gain is not None and gain > tolerance
+    gain = gains.pop("together")
     tracked = (
         f"{_LAW_WORDS[law]} {value:.2f} s"
         for law in ("constant", "afdsc", "corrected")
         if (value := results.circle(law, "common", "together", "tracked_s")) is not None
     )
-    others = [
-        f"{LIMITS[limit].words} {value:+.2f} s"
-        for limit, value in gains.items()
-        if limit != "together" and value is not None
-    ]
     why = f"tracked: {', '.join(tracked)}"
+    others = [f"{LIMITS[limit].words} {value:+.2f} s" for limit, value in gains.items() if value is not None]
     if others:
         why += f"; the same figure with {', with '.join(others)}"
-    claim = "the fuzzy tuner makes it sooner than its middle gains held constant, by"
-    if not results.is_planned(run := "constant common together"):
-        why = "--quick leaves out the run with its middle gains held constant"
-        return Verdict("IV.A", claim, "s", None, None, tolerance, NOT_RUN, why)
     if gain is None:
         failure = results.failure(run)
         why = f"one of the two did not track; {why}" if failure is None else f"a run is missing, {run}: {failure}"
-        return Verdict("IV.A", claim, "s", None, None, tolerance, NO_NUMBER, why)
-    return Verdict("IV.A", claim, "s", None, gain, tolerance, COMES_OUT if is_so else DOES_NOT, why)
+        return Verdict(*row, None, tolerance, NO_NUMBER, why)
+    return Verdict(*row, gain, tolerance, _so(gain > tolerance), why)
 
 
 def _heading(results: Results) -> Verdict:
     """Fig. 8 (d): the heading converges with both laws."""
     found = [results.circle(law, "common", "together", "heading_rad") for law in ("dsc", "afdsc")]
-    there = [value for value in found if value is not None]
-    ours = max(there) if len(there) == len(found) else None
-    is_so = ours is not None and ours < _HEADING_RAD
+    known = [value for value in found if value is not None]
+    row = ("IV.A, Fig. 8 (d)", "the heading converges with both laws", "rad", None)
+    if len(known) < len(found):
+        return Verdict(*row, None, _HEADING_RAD, NO_NUMBER, "a run has no such figure")
     why = "the largest heading error of the last 5 s of either law; the paper gives no number"
-    claim = "the heading converges with both laws"
-    if ours is None:
-        return Verdict(
-            "IV.A, Fig. 8 (d)", claim, "rad", None, None, _HEADING_RAD, NO_NUMBER, "a run has no such figure"
-        )
-    return Verdict("IV.A, Fig. 8 (d)", claim, "rad", None, ours, _HEADING_RAD, COMES_OUT if is_so else DOES_NOT, why)
+    return Verdict(*row, max(known), _HEADING_RAD, _so(max(known) < _HEADING_RAD), why)
 
 
 def _silence(results: Results) -> Verdict:
     """Fig. 11: there is no control signal before the host comes."""
     paper = published.SILENT_TO_S - published.SILENT_FROM_S
     ours = results.experiment("driven_s")
+    row = ("IV.B, Fig. 11", "no control signal for", "s", paper, ours, 1.0)
     if ours is None:
-        why = "the robot was not commanded at the end of the run"
-        return Verdict("IV.B, Fig. 11", "no control signal for", "s", paper, None, 1.0, NO_NUMBER, why)
-    is_near = abs(ours - paper) <= 1.0
+        return Verdict(*row, NO_NUMBER, "the robot was not commanded at the end of the run")
     why = "imposed: nobody is on the line until then, and the host that comes connects and arms before it commands"
-    claim = "no control signal for"
-    return Verdict("IV.B, Fig. 11", claim, "s", paper, ours, 1.0, FITTED if is_near else DOES_NOT, why)
+    return Verdict(*row, FITTED if abs(ours - paper) <= 1.0 else DOES_NOT, why)
 
 
 def _transition(results: Results) -> Verdict:
     """Section IV.B: about 4 s until the robot is on the reference."""
     paper, tolerance = published.TRANSITION_S, published.TRANSITION_DIGIT_S
-    ours = results.experiment("transition_s")
-    is_near = ours is not None and abs(ours - paper) <= tolerance
-    others = [
+    ours, from_m = results.experiment("transition_s"), results.experiment("from_m")
+    distance = "" if from_m is None else f" from {from_m:.2f} m"
+    why = [f"ours is{distance}, until within 2 % of that; the paper gives neither pose nor top speed"]
+    why += [
         f"{case.name}, {DRIVEN[str(case.row['driven'])].words}: {value:.1f} s"
         for case, figures, _ in results.rows("transition")
         if (value := figures.get("transition_s")) is not None
     ]
-    from_m = results.experiment("from_m")
-    distance = "" if from_m is None else f" from {from_m:.2f} m"
-    why = f"ours is{distance}, until within 2 % of that; the paper gives neither pose nor top speed"
-    if others:
-        why += f"; {'; '.join(others)}"
+    found = _so(ours is not None and abs(ours - paper) <= tolerance)
     claim = "the transition takes about"
-    return Verdict("IV.B, Fig. 10", claim, "s", paper, ours, tolerance, COMES_OUT if is_near else DOES_NOT, why)
+    return Verdict("IV.B, Fig. 10", claim, "s", paper, ours, tolerance, found, "; ".join(why))
 
 
 def _converged(results: Results) -> Verdict:
     """Section IV.B: after the transition the robot moves on the reference."""
     ours = results.experiment("steady_max_m")
-    is_so = ours is not None and ours < _ON_PATH_M
+    found = _so(ours is not None and ours < _ON_PATH_M)
     why = "the largest error of the last 5 s, with slip, motors and friction; the paper gives no number"
-    claim = "then it stays on the reference"
-    return Verdict("IV.B, Fig. 10", claim, "m", None, ours, _ON_PATH_M, COMES_OUT if is_so else DOES_NOT, why)
+    return Verdict("IV.B, Fig. 10", "then it stays on the reference", "m", None, ours, _ON_PATH_M, found, why)
 
 
 def _delay(results: Results) -> Verdict:
@@ -309,14 +292,17 @@ def _why_not_closer(results: Results) -> str:
 
 
 def _judged(place: str, claim: str, printed: Printed, ours: float | None, verdict: str | None, why: str) -> Verdict:
-    is_near = ours is not None and _is_near(ours, printed)
     unit = "s" if printed.figure == "tracked_s" else "m"
-    found = verdict or (COMES_OUT if is_near else DOES_NOT)
+    found = verdict or _so(_is_near(ours, printed))
     return Verdict(place, claim, unit, printed.value, ours, printed.digit, found, why)
 
 
-def _is_near(ours: float, printed: Printed) -> bool:
-    return abs(ours - printed.value) <= printed.digit
+def _is_near(ours: float | None, printed: Printed) -> bool:
+    return ours is not None and abs(ours - printed.value) <= printed.digit
+
+
+def _so(is_so: bool) -> str:
+    return COMES_OUT if is_so else DOES_NOT
 
 
 def _lead(results: Results, filter_name: str, limit: str, law: str = "dsc") -> float | None:
