@@ -16,6 +16,7 @@ GENERATED = HERE / "generated"
 DEFINITION = HERE / "variables.toml"
 SOURCE_FILES = (
     "fmi2.c",
+    "fmi2_unclaimed.c",
     "fmi3.c",
     "fmi3_unclaimed.c",
     "instance.c",
@@ -60,7 +61,7 @@ def sources_of(archive: Path) -> str | None:
 
 MUJOCO = HERE / "mujoco"
 MUJOCO_SOURCES = (
-    *(HERE / name for name in ("fmi2.c", "instance.c", "saved_state.c", "counter.c")),
+    *(HERE / name for name in ("fmi2.c", "fmi2_unclaimed.c", "instance.c", "saved_state.c", "counter.c")),
     MUJOCO / "physics.c",
     MUJOCO / "robot.c",
 )

@@ -66,7 +66,12 @@ def test_nothing_but_the_functions_of_the_two_standards_is_exported() -> None:
 
 @pytest.mark.parametrize(
     ("source", "header"),
-    [("fmi2.c", "fmi2Functions.h"), ("fmi3.c", "fmi3Functions.h"), ("fmi3_unclaimed.c", "fmi3Functions.h")],
+    [
+        ("fmi2.c", "fmi2Functions.h"),
+        ("fmi2_unclaimed.c", "fmi2Functions.h"),
+        ("fmi3.c", "fmi3Functions.h"),
+        ("fmi3_unclaimed.c", "fmi3Functions.h"),
+    ],
 )
 def test_types_and_functions_are_those_of_the_headers_that_fmpy_ships(source: str, header: str) -> None:
     """The sources compile against the standard's headers in place of ours: all that they declare agrees."""

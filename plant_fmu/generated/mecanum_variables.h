@@ -6,7 +6,7 @@
 #include <stdint.h>
 
 #define MECANUM_MODEL_NAME "mecanum"
-#define MECANUM_GUID "{20755358-c50b-98e0-5daf-4c144f6d7b40}"
+#define MECANUM_GUID "{4d0bd311-5f89-fefc-ab08-f49d1647f6a1}"
 #define MECANUM_WHEELS 4
 #define MECANUM_VARIABLE_COUNT 120
 
