@@ -53,7 +53,7 @@ def show(
 
 
 def _print_demands(demands: "Feasibility") -> None:
-    """Print what a reference asks of the wheels, and what of it they cannot."""
+    """Print the speed and torque that a reference needs, and why it is not feasible, if so."""
     for label, demand in (("wheel speed", demands.speed), ("wheel torque", demands.torque)):
         most = f"at most {demand.worst:.3g} {demand.unit}, of wheel {demand.worst_wheel} at t = {demand.worst_s:.3g} s"
         print(f"  {label:<22} {most}; the limit is {demand.limit:g} {demand.unit}")

@@ -23,11 +23,11 @@ SHIPPED = {
     "show": ("hil.cli.check:show", "Print every value of a scenario and where it came from."),
     "list": (
         "hil.cli.list:list_",
-        "Print the vocabulary of signals, the laws, references, scenarios, forms of links, kinds of faults or drivers.",
+        "Print the signals, laws, references, scenarios, forms of links, kinds of faults or drivers.",
     ),
     "review": (
         "hil.cli.review:review",
-        "Say from its recording alone how a run went and why; with two runs, what became better and what worse.",
+        "Report from its recording alone how a run went and why; with two runs, which figures became better or worse.",
     ),
     "view": ("hil.cli.view:view", "Open a recording in the rerun viewer."),
     "live": (
@@ -56,14 +56,14 @@ SHIPPED = {
         "hil.cli.reproduce:reproduce",
         "Run section IV of the paper and say which of its figures come out, which do not, and why.",
     ),
-    "init": ("hil.cli.init:init", "Write a robot file and a first scenario: asks for what no flag gives."),
+    "init": ("hil.cli.init:init", "Write a robot file and a first scenario; ask for the values that no flag gives."),
     "doctor": (
         "hil.cli.doctor:doctor",
-        "Check this machine and say what to do: exit 1 when there is a problem.",
+        "Check this machine and print remedies; exit 1 when there is a problem.",
     ),
     "probe": (
         "hil.cli.probe:probe",
-        "Find out what motor controllers are on a bus or a port, and print a robot file for them.",
+        "Find the motor controllers on a bus or a port, and print a robot file for them.",
     ),
     "jog": (
         "hil.cli.jog:jog",
@@ -75,7 +75,7 @@ SHIPPED = {
     ),
     "device": (
         "hil.cli.device:device",
-        "Be the scenario's virtual robot in a process of its own; print one line when ready.",
+        "Run the scenario's virtual robot in a process of its own; print one line when ready.",
     ),
     "serve": (
         "hil.cli.serve:serve",

@@ -49,7 +49,7 @@ def device(
         bool, typer.Option("--until-eof", help="end when stdin does, as when the program that started this one is gone")
     ] = False,
 ) -> None:
-    """Be the scenario's virtual robot in a process of its own; print one line when ready."""
+    """Run the scenario's virtual robot in a process of its own; print one line when ready."""
     changes = [*(sets or []), *([] if dialect is None else [f"device.driver={dialect}"])]
     resolved = load(scenario, set=changes, robot=robot, mode=mode, link=link, seed=seed)
     existing = existing_files(force=force)

@@ -14,7 +14,7 @@ def doctor(
     folder: Annotated[Path, typer.Option(metavar="FOLDER", help="where recordings are to be written")] = Path("runs"),
     as_json: Json = False,
 ) -> None:
-    """Check this machine and say what to do: exit 1 when there is a problem.
+    """Check this machine and print remedies; exit 1 when there is a problem.
 
     Kernel, permissions, clock, ports, CAN, disk, viewer, compiler and versions are looked at; nothing is changed.
     """

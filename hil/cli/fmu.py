@@ -62,7 +62,7 @@ def show_info(
     ] = "*",
     as_json: Json = False,
 ) -> None:
-    """Show what an FMU says of itself, and its variables with units. Runs nothing of it."""
+    """Show an FMU's description of itself, and its variables with units. Runs none of its code."""
     from hil.plant import archive
     from hil.plant.description import info
 
@@ -109,7 +109,7 @@ def _print_fmu(info: "FmuInfo") -> None:
 
 
 def _print_check(fmu: Path, result: "CheckResult") -> None:
-    """Print the parts of a check as a table, then what was found, violations of the standard first."""
+    """Print the parts of a check as a table, then its findings, violations of the standard first."""
     from hil.plant.conformance.findings import Kind
 
     rows = []

@@ -41,7 +41,7 @@ def init(
     defaults: Annotated[bool, typer.Option("--defaults", help="take what is proposed where no flag says more")] = False,
     force: Force = False,
 ) -> None:
-    """Write a robot file and a first scenario: asks for what no flag gives.
+    """Write a robot file and a first scenario; ask for the values that no flag gives.
 
     Each question, and the file, says what its value means.
     """

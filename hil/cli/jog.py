@@ -168,7 +168,7 @@ def _limited(model: RobotModel, robot_rad_s: float, speed_rad_s: float, warn: Ca
 
 
 def check(scenario: Scenario, wheel: str, speed_rad_s: float, seconds: float) -> None:
-    """Raise BadInputError for what ``turn_wheel`` would refuse before it opens anything."""
+    """Raise BadInputError for arguments that ``turn_wheel`` refuses, before anything is opened."""
     if wheel not in WHEEL_NAMES:
         raise BadInputError(f"wheel {wheel!r}: expected one of {', '.join(WHEEL_NAMES)}")
     if not 0.0 < abs(speed_rad_s) <= MOST_RAD_S:

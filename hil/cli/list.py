@@ -13,7 +13,7 @@ def list_(
     what: Annotated[str, typer.Argument(metavar="signals|laws|references|scenarios|links|faults|drivers")],
     as_json: Json = False,
 ) -> None:
-    """Print the vocabulary of signals, the laws, references, scenarios, forms of links, kinds of faults or drivers."""
+    """Print the signals, laws, references, scenarios, forms of links, kinds of faults or drivers."""
     from hil.cli import report
 
     header, rows = listing(what)

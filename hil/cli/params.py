@@ -60,7 +60,7 @@ def params(
 
 
 def _default_of(parameter: str) -> str:
-    """Return what a scenario takes for a parameter that it does not give; "-" where it has to give it."""
+    """Return the default of a parameter in a scenario; "-" where the scenario must give it."""
     follows = {"watchdog_s": f"{WATCHDOG_PERIODS} command periods", "feedback_period_s": "1 command period"}
     if parameter in follows:
         return follows[parameter]

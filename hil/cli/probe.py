@@ -44,7 +44,7 @@ def probe(
     driver: Annotated[str | None, typer.Option(metavar="NAME", help="look for this one only")] = None,
     as_json: Json = False,
 ) -> None:
-    """Find out what motor controllers are on a bus or a port, and print a robot file for them.
+    """Find the motor controllers on a bus or a port, and print a robot file for them.
 
     Nothing moves and nothing is written: it listens, and asks for versions. Exit 1 when nobody was found.
     """

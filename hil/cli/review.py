@@ -36,7 +36,7 @@ def review(
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Say from its recording alone how a run went and why; with two runs, what became better and what worse.
+    """Report from its recording alone how a run went and why; with two runs, which figures became better or worse.
 
     The exit code is 0 whenever the recordings could be read, also where a run failed: it judges the review and not the
     run. What the run came to is "passed" in the output of --json.

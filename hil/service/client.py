@@ -177,7 +177,10 @@ def _stop(live: Live) -> None:
 
 
 def _hear(live: Live, until_s: float, number: int | None = None) -> bool:
-    """Read what comes until then, or until the answer to ``number``. Raises DeviceError when an order was refused."""
+    """Read messages until ``until_s``, or until the answer to ``number``; return whether that came.
+
+    Raises DeviceError when an order was refused.
+    """
     while (left_s := until_s - time.monotonic()) > 0.0 and (message := live.hear(left_s)) is not None:
         answer = message.get("answer")
         if answer is not None and answer["refused"] is not None:

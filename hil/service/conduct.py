@@ -63,7 +63,7 @@ class Conduct:
         self.task = Task.HOLD
 
     def twist(self, twist: BodyTwist) -> BodyTwist:
-        """Drive by this for ``twist_timeout_s``; return what the limits leave of it."""
+        """Drive by a twist for ``twist_timeout_s``; return it as scaled to the limits."""
         drive = self._motion if self.task is Task.TWIST and isinstance(self._motion, Drive) else self._rest()
         self.task = Task.TWIST
         self._twist_until_s = self._t_s + self._options.twist_timeout_s

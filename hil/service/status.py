@@ -76,7 +76,7 @@ class StatusMaker:
         return {"time_unix_s": time.time(), "recording": recording, "rows_dropped": self._records.rows_dropped}
 
     def _describe(self, info: Identity | None, granted: RealTime) -> None:
-        """Keep what the robot has said of itself, and what the operating system granted."""
+        """Keep the robot's identity and the settings that the operating system granted."""
         self._info, self._granted = info, granted
         self._constant = replace(
             self._constant,

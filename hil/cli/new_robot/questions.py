@@ -31,7 +31,7 @@ class Question(NamedTuple):
 
     @property
     def description(self) -> str:
-        """What the scenario's table says of it."""
+        """The meaning in the scenario's table."""
         return option_of(self.key).meaning
 
     def read(self, text: str) -> Value:

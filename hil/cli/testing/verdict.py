@@ -66,7 +66,7 @@ class Verdict:
         return [(name, str(value)) for name, value in kept if value is not None]
 
     def _problems(self) -> Iterator[str]:
-        """Yield a line for each thing that is wrong, the cause before what follows from it."""
+        """Yield a line for each problem, a cause before its consequences."""
         if self.error is not None:
             kind = next((words for cause, words in _BROKEN.items() if isinstance(self.error, cause)), None)
             yield str(self.error) if kind is None else f"{kind}: {self.error}"
