@@ -57,14 +57,8 @@ SHIPPED = {
         "Run section IV of the paper and say which of its figures come out, which do not, and why.",
     ),
     "init": ("hil.cli.init:init", "Write a robot file and a first scenario; ask for the values that no flag gives."),
-    "doctor": (
-        "hil.cli.doctor:doctor",
-        "Check this machine and print remedies; exit 1 when there is a problem.",
-    ),
-    "probe": (
-        "hil.cli.probe:probe",
-        "Find the motor controllers on a bus or a port, and print a robot file for them.",
-    ),
+    "doctor": ("hil.cli.doctor:doctor", "Check this machine and print remedies; exit 1 when there is a problem."),
+    "probe": ("hil.cli.probe:probe", "Find the motor controllers on a bus or a port, and print a robot file for them."),
     "jog": (
         "hil.cli.jog:jog",
         "Turn one wheel slowly, with its name typed first, to check order and direction of the motors.",

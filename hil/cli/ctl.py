@@ -136,8 +136,7 @@ def twist(
 
 @app.command(help=SUMMARIES[Action.GAINS])
 def gains(
-    context: typer.Context,
-    changes: Annotated[list[str] | None, typer.Argument(metavar="[NAME=VALUE]...")] = None,
+    context: typer.Context, changes: Annotated[list[str] | None, typer.Argument(metavar="[NAME=VALUE]...")] = None
 ) -> None:
     _order(context, Action.GAINS, {"gains": _assignments(changes) if changes else None})
 

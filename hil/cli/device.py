@@ -38,8 +38,7 @@ def device(
         typer.Option(metavar="host|qemu|unicorn", help="what the firmware runs on: this machine, or an emulated STM32"),
     ] = "host",
     dialect: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="what its motor controllers speak; as --set device.driver=NAME"),
+        str | None, typer.Option(metavar="NAME", help="what its motor controllers speak; as --set device.driver=NAME")
     ] = None,
     seed: Seed = None,
     sets: Sets = None,

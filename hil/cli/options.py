@@ -14,14 +14,12 @@ from hil.core.json_lines import json_safe
 
 ScenarioName = Annotated[str, typer.Argument(metavar="SCENARIO", help="a shipped name or a path to a .toml file")]
 Sets = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="override any key, for example robot.mass_kg=24"),
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="override any key, for example robot.mass_kg=24")
 ]
 RobotFile = Annotated[Path | None, typer.Option("--robot", metavar="FILE", help="merge a robot's own file")]
 Mode = Annotated[str | None, typer.Option(metavar="lockstep|realtime", help="as fast as possible, or by the clock")]
 LinkUrl = Annotated[
-    str | None,
-    typer.Option("--link", metavar="LINK", help="memory:, serial:PATH, serial:pty or can:INTERFACE/CHANNEL"),
+    str | None, typer.Option("--link", metavar="LINK", help="memory:, serial:PATH, serial:pty or can:INTERFACE/CHANNEL")
 ]
 Seed = Annotated[int | None, typer.Option(metavar="N", help="of everything random in the run")]
 TraceFile = Annotated[

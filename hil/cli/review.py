@@ -30,8 +30,7 @@ def review(
         Path | None, typer.Option(metavar="FILE.csv|.parquet|.mcap", help="every signal, for other programs")
     ] = None,
     trajectory: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.csv", help="write the robot's poses, for reference.kind = 'trajectory'"),
+        Path | None, typer.Option(metavar="FILE.csv", help="write the robot's poses, for reference.kind = 'trajectory'")
     ] = None,
     force: Force = False,
     as_json: Json = False,

@@ -35,8 +35,7 @@ def run(
     truth: TruthUrl = None,
     robot: RobotFile = None,
     record: Annotated[
-        str | None,
-        typer.Option(metavar="FILE|none", help="recording (.rrd, .mcap); by default runs/SCENARIO-TIME.rrd"),
+        str | None, typer.Option(metavar="FILE|none", help="recording (.rrd, .mcap); by default runs/SCENARIO-TIME.rrd")
     ] = None,
     rotate: Annotated[
         str | None, typer.Option(metavar="SIZE|TIME", help="record on in another file, as in 1GB, 10min or '1GB|10min'")

@@ -74,12 +74,7 @@ def recording_of(
     when the file exists; a changed name is logged. Raises BadInputError and DeviceError as ``Recording``.
     """
     recording = Recording(
-        path,
-        properties=about,
-        blocking=False,
-        live_port=live_port,
-        signals=signals,
-        existing=existing,
+        path, properties=about, blocking=False, live_port=live_port, signals=signals, existing=existing
     )
     if recording.path != path:
         logs.warning(

@@ -90,16 +90,8 @@ def _lateness(status: Status) -> Metric:
 def _gauges(status: Status) -> Iterator[Metric]:
     """Yield the gauges; an unknown value is left out, as is usual for Prometheus."""
     for name, documentation, value in (
-        (
-            "hil_feedback_age_seconds",
-            "Age of the feedback that the last tick used.",
-            _seconds(status.feedback_age_ms),
-        ),
-        (
-            "hil_round_trip_seconds",
-            "From a command to the feedback that shows it.",
-            _seconds(status.round_trip_ms),
-        ),
+        ("hil_feedback_age_seconds", "Age of the feedback that the last tick used.", _seconds(status.feedback_age_ms)),
+        ("hil_round_trip_seconds", "From a command to the feedback that shows it.", _seconds(status.round_trip_ms)),
         ("hil_battery_volts", "Battery of the robot.", status.battery_v),
         ("hil_twist_age_seconds", "Age of the twist in force.", status.twist_age_s),
         ("hil_power_stage", "1 when the robot has motors.", status.power_stage),

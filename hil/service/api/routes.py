@@ -54,13 +54,7 @@ def make_app(config: ApiConfig, control: Control) -> FastAPI:
     checked = bodies(config.limits)
     metrics = ServiceMetrics(control)
 
-    @app.get(
-        "/v1/status",
-        response_model=Status,
-        responses=_some(401, 504),
-        summary="The status",
-        tags=["status"],
-    )
+    @app.get("/v1/status", response_model=Status, responses=_some(401, 504), summary="The status", tags=["status"])
     async def status() -> Response:
         return JSONResponse(control.fresh_status())
 

@@ -92,12 +92,7 @@ class _Server(uvicorn.Server):
 
 
 async def serve(
-    config: ApiConfig,
-    listener: socket.socket,
-    token: str,
-    lines: LineReader,
-    writer: LineWriter,
-    ready: dict[str, str],
+    config: ApiConfig, listener: socket.socket, token: str, lines: LineReader, writer: LineWriter, ready: dict[str, str]
 ) -> None:
     """Serve the API on a listening socket, until the control process has ended or this process gets a signal.
 
