@@ -13,6 +13,7 @@ PYTEST := $(BIN)/python -m pytest
 BESIDE := --numprocesses auto --maxprocesses 8 --dist worksteal
 # Tests of real time mostly wait: two at once disturb each other little.
 PAIRWISE := --numprocesses 2 --dist worksteal
+SOCKETCAN_TESTS := tests/test_socketcan_*.py
 
 .PHONY: help demo test test-rest test-all test-socketcan catalogue check proof bench nightly picture format native fmu clean setup
 
@@ -34,7 +35,7 @@ test: setup .venv/tools
 test-rest: setup .venv/tools
 	$(PYTEST) $(BESIDE) -m 'slow and not alone' $(ARGS)
 	$(PYTEST) $(PAIRWISE) -m 'alone and not socketcan' $(ARGS)
-	$(PYTEST) -m socketcan $(ARGS)
+	$(PYTEST) -m socketcan $(SOCKETCAN_TESTS) $(ARGS)
 
 ## run all tests, each once
 test-all: test test-rest
@@ -43,7 +44,7 @@ test-all: test test-rest
 ## run only the tests over real SocketCAN, which test-rest runs too
 test-socketcan: setup .venv/tools
 	$(BIN)/python -m tools.socketcan true
-	$(BIN)/python -m pytest -m socketcan -rs tests/test_socketcan_*.py $(ARGS)
+	$(PYTEST) -m socketcan -rs $(SOCKETCAN_TESTS) $(ARGS)
 
 # Every fault alone over each link, PAIRS of them together, and a part in real time, then over motors of two other makers;
 # ARGS goes to hil catalogue. make nightly takes all pairs.

@@ -27,6 +27,8 @@ _MAY_SKIP = tuple(filter(None, os.environ.get("HIL_CI_MAY_SKIP", "").split()))
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.get_closest_marker(socketcan_runner.MARKER) is not None:
+            if not item.path.name.startswith("test_socketcan_"):
+                raise pytest.UsageError(f"{item.nodeid}: make runs socketcan tests in tests/test_socketcan_*.py alone")
             item.add_marker(pytest.mark.alone)
         if is_slow(item.path.name, item.name):
             item.add_marker(pytest.mark.slow)
