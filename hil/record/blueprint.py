@@ -35,12 +35,12 @@ def blueprint(
     """
     views = _Views([entity.path for entity in entities], limits, live=live)
     tabs = [
-        _robot(views, shape),
+        views.robot(shape),
         _column_pair("Wheels", views.wheels()),
         _column_pair("Law", views.law()),
         _column_pair("Link and loop", views.link()),
         _column_pair("Estimator and sensors", views.sensors()),
-        rrb.Horizontal(views.page(), views.events(), name="Run"),
+        rrb.Horizontal(rrb.TextDocumentView(origin="/run", name="Figures and properties"), views.events(), name="Run"),
     ]
     return rrb.Blueprint(
         rrb.Tabs(*_there(*tabs), active_tab=0),
@@ -48,22 +48,6 @@ def blueprint(
         rrb.SelectionPanel(state=rrb.PanelState.Collapsed),
         rrb.TimePanel(state=rrb.PanelState.Collapsed, timeline="t", play_state="Following"),
         auto_views=False,
-    )
-
-
-def _robot(views: "_Views", shape: RobotShape | None) -> Part:
-    """The tab that tells most: the robot, where it is and was, its errors, its wheels and its states."""
-    spaces = [views.plan()] if shape is None else [views.scene(shape), views.plan()]
-    return rrb.Vertical(
-        rrb.Horizontal(
-            rrb.Vertical(*spaces, row_shares=[1.25, 1.0][-len(spaces) :]),
-            rrb.Vertical(*_there(views.position_error(), views.position_error_close(), views.heading_error())),
-            rrb.Vertical(*_there(views.speeds(), views.plot("Wheel torque command [N·m]", _TORQUE))),
-            column_shares=[1.1, 1.0, 1.0],
-        ),
-        rrb.Horizontal(views.states(), views.events(), column_shares=[1.6, 1.0]),
-        row_shares=[4.2, 1.0],
-        name="Robot",
     )
 
 
@@ -85,13 +69,13 @@ class _Views:
         self._paths = paths
         self._limits = limits
         self._window = _window(live=live)
-        # Where it hides the least: what is new when live, what happened first in review.
+        # The corner where a legend hides least: the oldest data when live, the newest in review.
         self._corner = rrb.Corner2D.LeftTop if live else rrb.Corner2D.RightTop
 
     def plot(
-        self, name: str, *paths: str, limits: bool = False, y_range: tuple[float, float] | None = None
+        self, name: str, *paths: str, limits: bool = True, y_range: tuple[float, float] | None = None
     ) -> rrb.TimeSeriesView | None:
-        """Return a plot of the entities that the run has of these, on request with their limits; None for none."""
+        """Return a plot of the entities that the run has of these, with their limits or without; None for none."""
         shown = [path for path in paths if path in self._paths]
         if not shown:
             return None
@@ -104,65 +88,79 @@ class _Views:
             plot_legend=rrb.PlotLegend(corner=self._corner),
         )
 
-    def position_error(self) -> Part | None:
-        return self.plot("Position error: truth minus reference [m]", _POSITION_ERROR)
+    def robot(self, shape: RobotShape | None) -> Part:
+        """The tab that says most: the robot, its path, its errors, its wheels and its states."""
+        spaces = [self.plan()] if shape is None else [self.scene(shape), self.plan()]
+        errors = (
+            self.plot("Position error: truth minus reference [m]", _POSITION_ERROR, limits=False),
+            self.position_error_close(),
+            self.plot("Heading error: truth minus reference, and its bounds [rad]", "/ctrl/error/heading"),
+        )
+        wheels = (
+            self.plot("Wheel speed: command (wide) and estimate [rad/s]", *_SPEED, limits=False),
+            self.plot("Wheel torque command [N·m]", _TORQUE, limits=False),
+        )
+        return rrb.Vertical(
+            rrb.Horizontal(
+                rrb.Vertical(*spaces, row_shares=[1.25, 1.0][-len(spaces) :]),
+                rrb.Vertical(*_there(*errors)),
+                rrb.Vertical(*_there(*wheels)),
+                column_shares=[1.1, 1.0, 1.0],
+            ),
+            rrb.Horizontal(self.states(), self.events(), column_shares=[1.6, 1.0]),
+            row_shares=[4.2, 1.0],
+            name="Robot",
+        )
 
     def position_error_close(self) -> Part | None:
+        """The position error near zero, with its bounds."""
         bounds = [abs(limit.value) for limit in self._limits.get(_POSITION_ERROR, ()) if limit.value]
         half_m = _CLOSE_BOUNDS * min(bounds) if bounds else _CLOSE_M
         name = f"Position error within {half_m * 1e3:g} mm, and its bounds [m]"
-        return self.plot(name, _POSITION_ERROR, limits=True, y_range=(-half_m, half_m))
-
-    def heading_error(self) -> Part | None:
-        return self.plot(
-            "Heading error: truth minus reference, and its bounds [rad]", "/ctrl/error/heading", limits=True
-        )
-
-    def speeds(self) -> Part | None:
-        return self.plot("Wheel speed: command (wide) and estimate [rad/s]", *_SPEED)
+        return self.plot(name, _POSITION_ERROR, y_range=(-half_m, half_m))
 
     def wheels(self) -> list[Part | None]:
         return [
-            self.plot("Wheel speed: command (wide) and estimate, and bounds [rad/s]", *_SPEED, limits=True),
-            self.plot("Torque command and limits [N·m]", _TORQUE, limits=True),
-            self.plot("Motor current and limits [A]", "/ctrl/wheel/current", limits=True),
-            self.plot("Winding temperature [°C]", "/ctrl/wheel/temperature", limits=True),
-            self.plot("Command scaled at a limit: 1 for yes", "/ctrl/guard"),
-            self.plot("Battery [V] and [A]", "/robot/battery", limits=True),
+            self.plot("Wheel speed: command (wide) and estimate, and bounds [rad/s]", *_SPEED),
+            self.plot("Torque command and limits [N·m]", _TORQUE),
+            self.plot("Motor current and limits [A]", "/ctrl/wheel/current"),
+            self.plot("Winding temperature [°C]", "/ctrl/wheel/temperature"),
+            self.plot("Command scaled at a limit: 1 for yes", "/ctrl/guard", limits=False),
+            self.plot("Battery [V] and [A]", "/robot/battery"),
         ]
 
     def law(self) -> list[Part | None]:
         shadows = [path for path in self._paths if path.startswith(f"{MORE_PATH}/{SHADOW_GROUP}/")]
         others = [path for path in self._paths if path.startswith(f"{MORE_PATH}/") and path not in shadows]
         return [
-            self.plot("Gain K1 [1/s]", "/ctrl/gain/k1", limits=True),
-            self.plot("Gain K2 [1/s]", "/ctrl/gain/k2", limits=True),
+            self.plot("Gain K1 [1/s]", "/ctrl/gain/k1"),
+            self.plot("Gain K2 [1/s]", "/ctrl/gain/k2"),
             self.position_error_close(),
-            self.plot("Torque command [N·m]", _TORQUE),
-            *(self.plot(f"Shadow {_words(path)}", path) for path in shadows),
-            *(self.plot(_words(path), path) for path in others),
+            self.plot("Torque command [N·m]", _TORQUE, limits=False),
+            *(self.plot(f"Shadow {_words(path)}", path, limits=False) for path in shadows),
+            *(self.plot(_words(path), path, limits=False) for path in others),
         ]
 
     def link(self) -> list[Part | None]:
         return [
-            self.plot("Lateness and work of a tick [µs]", "/loop/timing", limits=True),
-            self.plot("Round trip and latency [ms]", "/link/delay", limits=True),
-            self.plot("Deadline misses so far", "/loop/deadline_misses", limits=True),
-            self.plot("Age of command and feedback [ms]", "/link/age", limits=True),
-            self.plot("Frames so far", "/link/frames", limits=True),
-            self.plot("Load of the wire [%]", "/link/load", limits=True),
-            self.plot("Robot's clock ahead [µs]", "/link/clock/offset"),
-            self.plot("Robot's clock faster [ppm]", "/link/clock/drift"),
+            self.plot("Lateness and work of a tick [µs]", "/loop/timing"),
+            self.plot("Round trip and latency [ms]", "/link/delay"),
+            self.plot("Deadline misses so far", "/loop/deadline_misses"),
+            self.plot("Age of command and feedback [ms]", "/link/age"),
+            self.plot("Frames so far", "/link/frames"),
+            self.plot("Load of the wire [%]", "/link/load"),
+            self.plot("Robot's clock ahead [µs]", "/link/clock/offset", limits=False),
+            self.plot("Robot's clock faster [ppm]", "/link/clock/drift", limits=False),
         ]
 
     def sensors(self) -> list[Part | None]:
         return [
-            self.plot("Standard deviation of the estimate [m] and [rad]", "/ctrl/estimator/sigma", limits=True),
-            self.plot("Pose fixes so far", "/ctrl/estimator/fixes", limits=True),
-            self.plot("Gyro and its bias [rad/s]", "/robot/gyro", "/ctrl/estimator/gyro_bias"),
-            self.plot("Age of the newest fix [ms]", "/ctrl/estimator/fix_age", limits=True),
-            self.plot("Acceleration [m/s²]", "/robot/acceleration"),
-            self.plot("Slip: 1 for yes; health: 0 good, 2 lost", "/ctrl/estimator/state"),
+            self.plot("Standard deviation of the estimate [m] and [rad]", "/ctrl/estimator/sigma"),
+            self.plot("Pose fixes so far", "/ctrl/estimator/fixes"),
+            self.plot("Gyro and its bias [rad/s]", "/robot/gyro", "/ctrl/estimator/gyro_bias", limits=False),
+            self.plot("Age of the newest fix [ms]", "/ctrl/estimator/fix_age"),
+            self.plot("Acceleration [m/s²]", "/robot/acceleration", limits=False),
+            self.plot("Slip: 1 for yes; health: 0 good, 2 lost", "/ctrl/estimator/state", limits=False),
         ]
 
     def states(self) -> Part:
@@ -174,11 +172,8 @@ class _Views:
     def events(self) -> Part:
         return rrb.TextLogView(origin="/events", name="Events: faults, expectations, warnings")
 
-    def page(self) -> Part:
-        return rrb.TextDocumentView(origin="/run", name="Figures and properties")
-
     def scene(self, shape: RobotShape) -> Part:
-        """The robot from behind and above; the eye goes with it."""
+        """The robot from behind and above; the camera follows it."""
         far = 1.3 * (shape.half_length_m + shape.half_width_m)
         scale = f"{1e3 * shape.force_scale_m_n:g} mm/N"
         return rrb.Spatial3DView(
@@ -212,10 +207,6 @@ def _words(path: str) -> str:
 
 
 def _window(*, live: bool) -> rrb.VisibleTimeRange:
-    if live:
-        return rrb.VisibleTimeRange(
-            "t",
-            start=rrb.TimeRangeBoundary.cursor_relative(seconds=-LIVE_WINDOW_S),
-            end=rrb.TimeRangeBoundary.cursor_relative(),
-        )
-    return rrb.VisibleTimeRange("t", start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.infinite())
+    infinite, cursor = rrb.TimeRangeBoundary.infinite, rrb.TimeRangeBoundary.cursor_relative
+    start, end = (cursor(seconds=-LIVE_WINDOW_S), cursor()) if live else (infinite(), infinite())
+    return rrb.VisibleTimeRange("t", start=start, end=end)
