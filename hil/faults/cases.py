@@ -1,6 +1,6 @@
-"""The catalogue's cases: every kind of fault with typical numbers, and how a run with it has to come out.
+"""The catalogue's cases: every kind of fault with typical numbers, and the outcome that a run with it must have.
 
-Disturbances begin at 0.15 s and what stops the robot later, so that in a pair both happen. Windows end early
+Disturbances begin at 0.15 s, and faults that stop the robot later, so that in a pair both happen. Windows end early
 enough for a robot to be back before the end of a run of ``DURATION_S``.
 """
 
@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 DURATION_S = 1.3
 
-# What the sentences say that a host without an answer, and a robot without a command, give as the reason.
+# The reasons in the sentences of a host without feedback and of a robot without commands.
 NO_FEEDBACK = "no feedback"
 SILENCE = "COMMAND_TIMEOUT"
 
@@ -18,7 +18,7 @@ Row = Mapping[str, str | float]
 
 
 class Outcome(StrEnum):
-    """How a run came out, the better first."""
+    """The outcome of a run, the best first."""
 
     GOES_ON = "goes on"
     REARMS = "re-arms"  # it stops, and with loop.rearm it is back; without, the run ends with a sentence
@@ -26,10 +26,10 @@ class Outcome(StrEnum):
 
 
 class Case(NamedTuple):
-    """A fault as the catalogue runs it: the rows of ``[[fault]]``, of which the last gives the case its kind.
+    """A fault as the catalogue runs it: rows of ``[[fault]]``, of which the last gives the case its kind.
 
-    ``on_can`` is the outcome where a CAN bus makes another one of it. ``cause`` is in the sentence that tells why the
-    robot was lost, where it is. ``realtime``: in the subset in real time.
+    ``on_can`` is the outcome over CAN where it differs. ``cause`` is part of the sentence that says why the robot was
+    lost, where it is lost. ``realtime``: the case is in the subset for real time.
     """
 
     name: str
@@ -46,7 +46,7 @@ class Case(NamedTuple):
         return str(self.rows[-1]["kind"])
 
     def expected(self, link: str) -> Outcome:
-        """Return how a run over this link has to come out."""
+        """Return the outcome that a run over this link must have."""
         return self.on_can if self.on_can is not None and link == "can" else self.outcome
 
 
@@ -121,8 +121,8 @@ CASES: tuple[Case, ...] = (
 class MotorsCase(NamedTuple):
     """A case for a robot with motor controllers of another maker.
 
-    Which of ``outcomes`` it has is the maker's: some latch what others recover from. One of ``causes`` is in the
-    sentence that tells why the robot was lost, where it is.
+    Its outcome is one of ``outcomes``: some makers latch what others recover from. One of ``causes`` is part of the
+    sentence that says why the robot was lost, where it is lost.
     """
 
     case: Case
@@ -133,7 +133,7 @@ class MotorsCase(NamedTuple):
 _LOST = ("no feedback", "left closed loop", "reported", "the fault disconnect", "bus-off")
 _ALL = 1.0
 _OF_OUR_MESSAGES = ("mute",)
-# Others have no sequence to tell an old command by, or latch what we recover from.
+# Other makers cannot recognise an old command by a sequence, or latch what our firmware recovers from.
 _OTHERWISE = {
     "freeze command": {_GOES_ON, _REARMS, _ENDS},
     "freeze feedback": {_GOES_ON, _REARMS},
@@ -154,11 +154,11 @@ MOTORS_CASES: tuple[MotorsCase, ...] = tuple(
         _case("drop", "feedback", _REARMS, window=_LATER, value=_ALL)._replace(name="no feedback"),
     )
 )
-"""What the catalogue runs for motors of other makers."""
+"""The catalogue's cases for motors of other makers."""
 
 
 class Pair(NamedTuple):
-    """Two cases of which one keeps the other from coming out as it does alone: how they do, for what cause, and why."""
+    """Two cases that together have another outcome than the worse of the two: the outcome, the cause, and why."""
 
     outcome: Outcome
     cause: str | None
@@ -176,4 +176,4 @@ PAIRS: Mapping[tuple[str, str], Pair] = {
     ("mute WHEEL_COMMAND", "stuck_encoder fl"): Pair(_REARMS, SILENCE, _EXPECTS_NOTHING),
     ("freeze command", "stuck_encoder fl"): Pair(_REARMS, SILENCE, _EXPECTS_NOTHING),
 }
-"""The pairs that do not come out as the worse of their two, by the names of their cases in the order of ``CASES``."""
+"""The pairs whose outcome is not the worse of their two, by the names of their cases in the order of ``CASES``."""

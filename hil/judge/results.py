@@ -1,4 +1,4 @@
-"""What a run leaves behind: signals as arrays, figures, and what they mean for the exit code."""
+"""The result of a run: signals as arrays, figures, and the exit code that follows from them."""
 
 import struct
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,10 +22,10 @@ _PRINTED = ("tracked_s", "steady_rms_m", "steady_max_m", "ticks")
 
 
 class MemorySink:
-    """Makes the figures of a run from its rows, and keeps the rows only for who wants the signals.
+    """Computes the figures of a run from its rows, and keeps the rows on request.
 
-    A block of rows is worked on in small steps, one a tick, so that no tick pays for all of it. ``names`` are the
-    signals of the run; with ``keep`` every row stays in memory: 0.8 MB a second at 1 kHz.
+    A block of rows is worked on in small steps, one in each tick, so that no tick pays for all of it. ``names`` are the
+    run's signals; with ``keep`` every row stays in memory: 0.8 MB a second at 1 kHz.
     """
 
     def __init__(self, names: Sequence[str], figures: RunFigures, *, keep: bool) -> None:
@@ -42,7 +42,7 @@ class MemorySink:
         self._new_block()
 
     def _new_block(self) -> None:
-        # Its pages are touched one by one as rows come: no tick pays for all of them.
+        # Not zeroed: its pages are touched one by one as rows come, and no tick pays for all of them.
         self._block: Series = np.empty((BLOCK_ROWS, len(self._names)))
         self._bytes = self._block.data.cast("B")
         self._filled = 0  # bytes
@@ -51,7 +51,7 @@ class MemorySink:
         """Take one row in the order of the signals."""
         begin = self._filled
         end = begin + self._row_bytes
-        # With the row alone as its arguments a call takes it as it is; ``pack_into`` has it copied twice.
+        # Called with the row alone, ``pack`` takes the tuple as it is; ``pack_into`` has it copied twice.
         self._bytes[begin:end] = self._pack(*row)
         self._filled = end
         if end >= self._block_bytes:
@@ -66,7 +66,7 @@ class MemorySink:
         return self._figures.figures(cut)
 
     def feedback_age_ms(self) -> Percentiles | None:
-        """Return the percentiles of ``link.feedback_age_ms`` over the rows that ``figures`` has taken."""
+        """Return the percentiles of ``link.feedback_age_ms`` over the rows that ``figures`` covered."""
         return self._age_ms.percentiles()
 
     def signals(self) -> dict[str, Series]:
@@ -82,7 +82,7 @@ class MemorySink:
         return self._block[: self._filled // self._row_bytes]
 
     def _begin_block(self) -> None:
-        """Begin with the work on the rows since the last block."""
+        """Begin the work on the rows since the last block."""
         self._finish_block()
         rows = self._rest()
         self._new_block()
@@ -125,12 +125,12 @@ class Signals(Mapping[str, Series]):
 
 @dataclass(frozen=True, repr=False)
 class RunResult:
-    """A finished run; printed, it says in a few lines how it went.
+    """A finished run; printed, it sums the run up in a few lines.
 
     Attributes:
         scenario: what was run.
-        metrics: the figures, as ``hil run --json`` prints them; a figure without a meaning is None, with the reason
-            under ``reasons``.
+        metrics: the figures, as ``hil run --json`` prints them; one without a meaning is None, with a sentence in
+            ``reasons``.
         signals: every signal of the run by name, each of shape (ticks,): those of ``hil list signals``, then the extra
             ones. Empty when the run was told to keep none.
         failure: what ended the run early, or None.

@@ -53,7 +53,7 @@ def figure_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def link_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
-    """Yield what became of the link (hil/wire/STATISTICS.md), as far as there is something to say."""
+    """Yield the statistics of the link (hil/wire/STATISTICS.md), as far as there are some."""
     link = metrics.get("link_statistics")
     if link is None:
         return
@@ -79,17 +79,17 @@ def link_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def belief_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
-    """Yield what the robot knew of itself: the estimate's error, the pose fixes, and the ticks that it was held for."""
+    """Yield the estimate's error, the pose fixes, and the ticks in which the robot was held."""
     error = metrics.get("estimation_error")
     if error is not None and error["rms_m"] > 0.0:
         yield "estimate's error", f"{error['rms_m'] * 1e3:.3g} mm rms, {error['max_m'] * 1e3:.3g} mm max"
     if (fixes := metrics.get("pose_fixes")) is not None:
-        told = [
+        counts = [
             f"{name}: {_by_cause(count)}" if isinstance(count, Mapping) else f"{count} {name.replace('_', ' ')}"
             for name, count in fixes.items()
             if count
         ]
-        yield "pose fixes", ", ".join(told) or "none came"
+        yield "pose fixes", ", ".join(counts) or "none came"
     if refused := metrics.get("commands_refused"):
         yield "law", f"it gave no number {refused} times, and the robot was held still"
     if stale := metrics.get("stale_ticks"):
@@ -101,7 +101,7 @@ def belief_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def outcome_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
-    """Yield faults, recoveries, expectations as ``in_order``, and what is missing in the recording."""
+    """Yield faults, recoveries, expectations as ``in_order``, broken allowances, and what the recording lacks."""
     for row in metrics.get("fault") or ():
         yield "fault", applied_words(row)
     for row in metrics.get("recoveries") or ():
@@ -115,12 +115,12 @@ def outcome_rows(metrics: Mapping[str, Any]) -> Iterator[Row]:
         if row["dropped"] is not None:
             yield "shadow", row["dropped"]
     recorded = metrics.get("recorded")
-    if recorded is not None and (text := _what_became_of(recorded, metrics["recording"])):
+    if recorded is not None and (text := _recording_words(recorded, metrics["recording"])):
         yield "recording", text
 
 
 def why_not_passed(metrics: Mapping[str, Any]) -> Iterator[str]:
-    """Yield a sentence for each reason why a run did not pass, the cause before what follows from it."""
+    """Yield a sentence for each reason why a run did not pass, causes before their consequences."""
     if metrics["failure"] is not None:
         yield metrics["failure"]
     yield from (row["text"] for row in in_order(metrics["expect"]) if row["passed"] is False)
@@ -131,7 +131,7 @@ def why_not_passed(metrics: Mapping[str, Any]) -> Iterator[str]:
 
 
 def in_order(expect: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Return the rows of expectations: those that failed in the order of time, those not judged, those that held."""
+    """Return the rows of expectations: the failed ones by time, then those not judged, then those that held."""
 
     def place(row: Mapping[str, Any]) -> tuple[int, float]:
         passed, at_s = row["passed"], row["violation_s"]
@@ -141,14 +141,14 @@ def in_order(expect: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
 
 
 def applied_words(fault: Mapping[str, Any]) -> str:
-    """Return in words what a fault of a run did, from its entry in the figures."""
+    """Return a sentence on what a fault of a run did, from its entry in the run's JSON."""
     if fault["applied"] is None:
         return f"{fault['text']}: the robot that knew how often it was applied has gone"
     return f"{fault['text']}: applied {fault['applied']} times ({fault['counts']})"
 
 
-def _what_became_of(recorded: Mapping[str, Any], path: str | None) -> str:
-    """Return what a recording lacks, why, and where the rest is; empty when all of it is in one file."""
+def _recording_words(recorded: Mapping[str, Any], path: str | None) -> str:
+    """Return what a recording lacks, why, and where the rest is; empty when all is in one file."""
     parts = f" in {len(recorded['parts'])} parts" if len(recorded["parts"]) > 1 else ""
     if (why := why_incomplete(recorded)) is not None:
         path = recorded_at(recorded, path)
@@ -162,14 +162,14 @@ def _what_became_of(recorded: Mapping[str, Any], path: str | None) -> str:
 
 
 def why_incomplete(recorded: Mapping[str, Any]) -> str | None:
-    """Return why something is missing in a recording, or None where nothing is."""
+    """Return why a recording is incomplete, or None for a complete one."""
     if recorded["error"] or recorded["dropped"] or recorded["lost"] or recorded["events_lost"]:
         return recorded["error"] or "the recorder was too slow"
     return None
 
 
 def recorded_at(recorded: Mapping[str, Any], path: str | None) -> str | None:
-    """Return the first file of a recording that is still there; ``path`` is the one that was begun with."""
+    """Return the first file of a recording that is still there; ``path`` is its first file."""
     return path if path in recorded["parts"] else next(iter(recorded["parts"]), None)
 
 

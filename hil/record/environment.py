@@ -1,15 +1,15 @@
-"""Starting a Python process of ours that uses rerun."""
+"""The environment of a Python process of ours that uses rerun."""
 
 import sys
 
 from hil.core.subprocesses import child_environment
 
 WITH_RERUN = "rerun"
-"""The recorder's argument with which it imports rerun before it has its config, which will need it."""
+"""An argument of the recorder: import rerun before there is a config."""
 
 
 def rerun_environment() -> dict[str, str]:
-    """Return the environment for it: our packages are found, and the user's settings for rerun do not apply.
+    """Return an environment that finds our packages and lacks the user's settings for rerun.
 
     RERUN=0, for one, would leave a recording empty.
     """
@@ -25,8 +25,8 @@ class _WithoutPandas:
 
 
 def refuse_pandas() -> None:
-    """Have this process, which is to be one of ours alone, import no pandas, which takes 0.2 s.
+    """Keep this process, which must be one of our own, from importing pandas, which takes 0.2 s.
 
-    pyarrow imports it, where there is one, only to ask of what it is given whether it is a table.
+    pyarrow imports it where it is installed, only to check whether its arguments are tables.
     """
     sys.meta_path.insert(0, _WithoutPandas)

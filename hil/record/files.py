@@ -1,4 +1,4 @@
-"""Files that a run writes: what their names must be, and whether they can be written, before anything is started."""
+"""Files that a run writes: their names, and whether they can be written, checked before anything is started."""
 
 import errno
 import os
@@ -20,9 +20,9 @@ OUTPUTS = {
     "export": (".csv", ".parquet", ".mcap"),
     "trajectory": (".csv",),
 }
-"""What a run or its review writes, and how its name may end.
+"""The files of a run or its review, and the endings of their names.
 
-A trace is in Vector's binary or text form, or in that of ``candump -L``.
+A trace has Vector's binary or text format, or that of ``candump -L``.
 """
 _MAGICS = {".rrd": b"RRF2", ".mcap": b"\x89MCAP0\r\n"}
 _ENDS = {".rrd": (b"RRF2FOOT", 4), ".mcap": (b"\x89MCAP0\r\n", 0)}  # and how many bytes follow
@@ -59,7 +59,7 @@ def check_output_path(what: str, path: Path, existing: Existing = "refuse") -> N
 
 
 def _first_part(path: Path) -> Path | None:
-    """Return the recording of which a file that is there is a later part by its name, and must not be written anew."""
+    """Return the recording of which an existing file is a later part by its name, and so must not be replaced."""
     name = re.fullmatch(r"(.+)-([1-9]\d*)", path.stem)
     if name is None or int(name[2]) < 2 or path.suffix not in _MAGICS or not path.exists():
         return None
@@ -76,13 +76,13 @@ def check_writable(folder: Path, size_bytes: int = _BEGINNING_BYTES) -> None:
 def why_not_written(path: Path, error: Exception) -> str:
     """Return why a file that was begun could not be written any more.
 
-    rerun tells of its own threads and not what the system said, so this writes to the same folder, and takes it back.
+    rerun's errors do not have the system's reason, so this tries to write to the same folder.
     """
     if not isinstance(error, OSError):
         try:
             check_writable(path.parent, _PROBE_BYTES)
-        except OSError as told:
-            error = told
+        except OSError as reason:
+            error = reason
     if not isinstance(error, OSError):
         return str(error)
     what = "the disk is full" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "it could not be written any more"
@@ -114,7 +114,7 @@ def part_path(path: Path, number: int) -> Path:
 
 
 def has_end(path: Path, kind: str) -> bool:
-    """Whether a recording, ``.rrd`` or ``.mcap``, has the index with which a file of its format ends."""
+    """Whether a recording ends with the index of its format, ``.rrd`` or ``.mcap``."""
     end, following = _ENDS[kind]
     try:
         with path.open("rb") as file:
@@ -133,7 +133,7 @@ def later_parts(path: Path) -> list[Path]:
 
 
 class Rotation(NamedTuple):
-    """When a recording goes on in another file: at a size, after a time of the run, or at whatever comes first."""
+    """When a recording goes on in another file: at a size, after a time of the run, or whichever comes first."""
 
     size_bytes: int | None = None
     duration_s: float | None = None

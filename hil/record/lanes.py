@@ -38,13 +38,13 @@ _ROBOT_COLOURS = {
 _GOOD, _LOSSY, _STALE, _SILENT = range(4)
 _LINK_STATES = {_GOOD: "GOOD", _LOSSY: "LOSSY", _STALE: "STALE", _SILENT: "SILENT"}
 _LOSSY_S = 0.1
-"""For so long after a frame was lost or rejected the link counts as lossy."""
+"""The link counts as lossy for so long after a frame was lost or rejected."""
 _STALE_MS = 100.0
-"""Feedback older than this is stale, where the scenario does not tell the firmware's watchdog."""
+"""Feedback older than this is stale, where the scenario lacks the firmware's watchdog."""
 
 
 class Lane(NamedTuple):
-    """A lane: its path, the names and colours of its states by code, and what finds the codes.
+    """A lane: its path, the names and colours of its states by code, and the function that finds the codes.
 
     ``codes`` takes rows of shape (n, signals) and returns (n,); NaN stands for no state.
     """
@@ -56,7 +56,7 @@ class Lane(NamedTuple):
 
 
 def lanes(column: Columns, values: Mapping[str, Any]) -> list[Lane]:
-    """Return the lanes of a run; ``column`` tells where a row has a signal, ``values`` are the scenario's."""
+    """Return the lanes of a run; ``column`` is each signal's place in a row, ``values`` are the scenario's."""
     robot = state_names()
     found = [
         Lane(
@@ -82,7 +82,7 @@ def _one(column: Columns, signal: str) -> Callable[[npt.NDArray[np.float64]], Co
 
 
 class _Link:
-    """Finds the link's state, row by row: what was lost or rejected lately, or how old the feedback is."""
+    """Finds the link's state, row by row, by recent losses and by the age of feedback."""
 
     def __init__(self, column: Columns, stale_ms: float) -> None:
         self._t = column["loop.t_s"]

@@ -1,4 +1,4 @@
-"""Limits that are drawn beside signals: those of expectations while they are claimed, and of torque and current."""
+"""Limits that are drawn beside signals: of expectations while they are claimed, and of torque and current."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -12,7 +12,7 @@ from hil.record.layout import Entity
 from hil.record.properties import table_rows
 
 LIMITS_PATH = "/limits"
-"""What the path of an entity follows where the limits of its signals lie."""
+"""The limits of an entity's signals are at this path, followed by the entity's."""
 
 _OF_WHEELS = (("torque_command_n_m", "robot.torque_limit_n_m"), ("current_a", "firmware.current_limit_a"))
 
@@ -43,7 +43,7 @@ def limits(values: Mapping[str, Any], entities: Sequence[Entity]) -> dict[str, t
                 of_signal.setdefault(f"wheel.{wheel}.{quantity}", []).extend(both)
     found = {}
     for entity in entities:
-        # Those of four wheels are the same line.
+        # Four wheels have the same limit: one line.
         lines = dict.fromkeys(limit for series in entity.series for limit in of_signal.get(series.signal, ()))
         if lines:
             found[entity.path] = tuple(lines)

@@ -2,7 +2,7 @@
 
 Each row is one message on ``/hil``, of a ROS 2 message definition that holds the signals by their names, as in
 ``/hil.wheel.fl.speed_rad_s``, encoded as CDR: floats of 64 bits one after the other. Events are ``foxglove.Log`` on
-``/events``. What the run was and said is in metadata records of the names that an .rrd file's properties have. A chunk
+``/events``. The properties and the summary are metadata records with the names of an .rrd file's properties. A chunk
 is closed whenever the recorder flushes, so that a file without its end has everything that was flushed.
 """
 
@@ -53,9 +53,11 @@ class McapFile:
     """An MCAP file that grows by chunks. Raises OSError when it cannot be opened or written.
 
     Args:
-        path: the file. zero_unix_ns: Unix time at the run's t = 0 [ns], for the stamps. signals: names of the columns
-        of every row. properties: what the run was, as texts by name. part: which file of the run it is, see
-        ``hil.record.properties``.
+        path: the file.
+        zero_unix_ns: Unix time at the run's t = 0 [ns], for the stamps.
+        signals: names of the columns of every row.
+        properties: what the run was, as texts by name.
+        part: which file of the run it is, see ``hil.record.properties``.
     """
 
     def __init__(
@@ -97,7 +99,7 @@ class McapFile:
 
     def event(self, t_s: float, level: str, text: str) -> None:
         """Write a line of the event log at scenario time ``t_s``."""
-        # A chunk of its own: those with rows alone are read back at once.
+        # In a chunk of its own: chunks of rows alone are read back faster.
         self._writer.flush()
         stamp_ns = self._stamp_ns(t_s)
         sec, nsec = divmod(stamp_ns, 1_000_000_000)
@@ -107,7 +109,7 @@ class McapFile:
         self._writer.flush()
 
     def finish(self, summary: Mapping[str, object] | None, recorder: Mapping[str, int]) -> None:
-        """Write the run's summary, when there is one, and last the recorder's counts: where they are, all is."""
+        """Write the run's summary, when there is one, and last the recorder's counts: a file with these is complete."""
         self._writer.flush()
         if summary is not None:
             self._writer.add_metadata(SUMMARY_PROPERTY, {"json": json.dumps(summary)})
@@ -123,7 +125,7 @@ class McapFile:
         self._file.close()
 
     def _stamp_ns(self, t_s: float) -> int:
-        """Unix time of a time of the run; a row that has none gets the last one's."""
+        """Return the Unix time [ns] of a time of the run; a row without a time gets that of the last one."""
         return self._zero_unix_ns + round(t_s * 1e9) if np.isfinite(t_s) else self._last_ns
 
 

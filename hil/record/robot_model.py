@@ -40,22 +40,22 @@ class RobotShape:
 
     @classmethod
     def of(cls, scenario: Mapping[str, object]) -> "RobotShape | None":
-        """Return the shape by a scenario's values (by dotted key), or None when they do not tell it."""
+        """Return the shape by a scenario's values (by dotted key), or None when they lack a size."""
         values = [scenario.get(f"robot.{name}") for name in cls.__slots__]
         numbers = [float(value) for value in values if isinstance(value, int | float)]
         return cls(*numbers) if len(numbers) == len(values) else None
 
     @property
     def centres_m(self) -> Points:
-        """Where the wheels stand, in the body frame: shape (4, 2), in the order of ``WHEEL_NAMES``."""
+        """Positions of the wheels in the body frame, shape (4, 2), in the order of ``WHEEL_NAMES``."""
         x, y = self.half_length_m, self.half_width_m
         return np.array([(x, y), (x, -y), (-x, -y), (-x, y)])
 
     @property
     def force_scale_m_n(self) -> float:
-        """Length of a force arrow [m/N]: what gives the robot 0.5 m/s² is half as long as the robot.
+        """Length of a force arrow [m/N], rounded down to 1, 2 or 5 times a power of ten.
 
-        Rounded down to 1, 2 or 5 times a power of ten.
+        The arrow of a force that gives the robot 0.5 m/s² is half as long as the robot.
         """
         exact = self.half_length_m / (_PLAIN_ACCELERATION_M_S2 * self.mass_kg)
         power = 10.0 ** math.floor(math.log10(exact))
@@ -107,7 +107,7 @@ class RobotShape:
 
 
 def drive_directions() -> Points:
-    """Return along what the rollers on the floor push for a torque of 1 N·m at r = 1 m: shape (4, 2), body frame.
+    """Return the force of the rollers on the floor for a torque of 1 N·m at r = 1 m, shape (4, 2), body frame.
 
     Row i is the derivative of the body's force by the torque of wheel i, F = Hᵀ τ / r (``hil.core.kinematics``).
     """
@@ -116,7 +116,7 @@ def drive_directions() -> Points:
 
 
 SIDEWAYS = Wheels(*drive_directions()[:, 1])
-"""Which way a wheel that drives forward pushes the robot besides: 1 to the left, -1 to the right."""
+"""The side to which a wheel that drives forward also pushes the robot: 1 for left, -1 for right."""
 _SIDES = {1.0: "left", -1.0: "right"}
 
 

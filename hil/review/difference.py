@@ -1,4 +1,4 @@
-"""Two runs side by side: the difference of every figure, which of the two is better, and what was different before."""
+"""Two runs side by side: the difference of every figure, which is better, and what differed before they began."""
 
 import json
 import math
@@ -14,10 +14,10 @@ _SAME = 1e-9
 
 
 class Difference(NamedTuple):
-    """A figure of both runs: ``difference`` is the second less the first, in the figure's own unit.
+    """A figure of both runs; ``difference`` is second minus first, in the unit in which the figure is stored.
 
-    ``verdict`` tells of the second run: better, worse or same; None where that has no meaning, where a run did not come
-    to its end, for to stop early is no merit, or where one lacks the figure for a reason which ``notes`` says.
+    ``verdict`` is of the second run: better, worse or same. It is None where neither is better, where a run did not
+    come to its end (to stop early is no merit), and where one lacks the figure, for a reason in ``notes``.
     """
 
     label: str
@@ -32,16 +32,16 @@ class Difference(NamedTuple):
 
 
 class Change(NamedTuple):
-    """A value of the scenario, or of what the program was, that is not the same in both; None where it is not there."""
+    """A value of the scenario, or a property of the run, that differs; None where a run lacks it."""
 
     key: str
     first: object
     second: object
 
     def words(self) -> tuple[str, str, str]:
-        """Return the key and both values for a reader: what a hash is of, and as much of it as tells one from another.
+        """Return the key and both values for a reader; hashes are shortened, and named by what they are of.
 
-        An older recording has not every hash: of such it is not known whether the code was another.
+        An older recording lacks some hashes: whether that code differed is not known.
         """
         if self.key not in HASHES:
             return self.key, _text(self.first, "-"), _text(self.second, "-")
@@ -61,7 +61,7 @@ def differences(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[Dif
 
 
 def changes(first: RecordedRun, second: RecordedRun) -> list[Change]:
-    """Return what the two runs do not share.
+    """Return what differs between the two runs.
 
     First come code, FMU, map and native libraries by their hashes, then the scenario with all options of the law, and
     last seed, versions, commit and machine.
@@ -75,7 +75,7 @@ def changes(first: RecordedRun, second: RecordedRun) -> list[Change]:
 
 
 def _gains_of(run: RecordedRun) -> dict[str, object]:
-    """Return every option of a run's law, those left to their defaults too, by the scenario's keys."""
+    """Return every option of a run's law by the scenario's keys, with those left to their defaults."""
     try:
         gains = json.loads(run.properties.get("gains", "{}"))
     except ValueError:

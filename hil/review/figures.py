@@ -1,4 +1,4 @@
-"""The figures of a recorded run: what the signals tell is computed again, the rest is what the run said at its end."""
+"""The figures of a recorded run: computed from its signals again, or, where they need more, from the run's summary."""
 
 import contextlib
 import json
@@ -22,7 +22,7 @@ _NOT_HERE = "the recording has no summary: it is in a later part, which was not 
 _UNSAID = "the run's summary does not say"
 _WHAT_IT_WAS = {"scenario": "scenario_name", "law": "law", "mode": "mode", "link": "link", "seed": "seed"}
 _FROM_SUMMARY = ("passed", "realtime_factor", "lateness_us", "frames", "link_statistics", "pose_fixes", "wire_sha256")
-# What may well have nothing to say, so that no reason is given where it does not.
+# No reason is given where one of these is None.
 _OUTCOME = (
     "failure",
     "stopped",
@@ -42,7 +42,7 @@ _LATE_S = 1.0  # a run in real time may have missed its first ticks
 
 
 def review(path: Path) -> dict[str, Any]:
-    """Return the figures that ``hil run --json`` gives, with ``reasons`` for those that are None.
+    """Return the figures of a recording, as ``hil run --json`` has them, with ``reasons`` for those that are None.
 
     Only the signals that they need are read. Raises BadInputError when the file is no recording of a run (see
     ``hil.review.reader.read``).
@@ -62,8 +62,8 @@ def read_for_figures(path: Path, more: Collection[str] = ()) -> RecordedRun:
 def figures(run: RecordedRun) -> dict[str, Any]:
     """Return the figures of a recording that was read; see ``review``.
 
-    ``made`` says when and by what it was made, ``notes`` what was wrong with the file, and ``events`` what happened.
-    Expectations of a run that did not come to its end are checked over what there is of it.
+    ``made`` holds when and by what it was made, ``notes`` what was wrong with the file, and ``events`` the event log.
+    Expectations of a run that did not come to its end are checked over the rows that there are.
     """
     if "loop.t_s" not in run.signals:
         raise BadInputError(f"{run.path}: it has no signal 'loop.t_s'; no recording of a run")
@@ -110,7 +110,7 @@ def sources_of(run: RecordedRun) -> dict[str, Any]:
 
 
 def torque_constant_n_m_a(run: RecordedRun) -> float | None:
-    """Return what the run's scenario says of the motors [N·m/A at the wheel]; None where it says nothing."""
+    """Return the torque constant of the run's scenario [N·m/A at the wheel]; None where it has none."""
     return _number(run, "firmware.torque_constant_n_m_a")
 
 
@@ -121,9 +121,9 @@ def _number(run: RecordedRun, key: str) -> float | None:
 
 
 def _cut_s(run: RecordedRun) -> float | None:
-    """Return the time of the last row where there should have been more; None for a run that came to its end.
+    """Return the time of the last row of a run that was cut short; None for one that came to its end.
 
-    A run with a summary came to its end unless something ended it early. One without may have been at its end.
+    A run with a summary came to its end unless it has a failure. One without may have been at its end all the same.
     """
     if run.summary is not None and run.summary.get("failure") is None:
         return None
@@ -136,7 +136,7 @@ def _cut_s(run: RecordedRun) -> float | None:
 
 
 def _limits(run: RecordedRun) -> CommandLimits | None:
-    """Return what the run's scenario allows a wheel to be told; None where it says nothing."""
+    """Return the limits of a wheel's command in the run's scenario; None where it has none."""
     scenario = scenario_of(run)
     limits = [scenario.get(f"robot.{name}") for name in ("speed_limit_rad_s", "torque_limit_n_m")]
     numbers = [float(limit) for limit in limits if isinstance(limit, int | float)]
@@ -153,7 +153,7 @@ def expected(run: RecordedRun) -> list[ExpectTable]:
 
 
 def _other_version(run: RecordedRun) -> list[str]:
-    """Say which signals of today the recording does not have."""
+    """Return a note on the signals of this version that the recording lacks."""
     missing = [name for name in SIGNAL_NAMES if name not in run.held]
     if not missing:
         return []
@@ -164,7 +164,7 @@ def _other_version(run: RecordedRun) -> list[str]:
 
 
 def _late_begin(run: RecordedRun) -> list[str]:
-    """Say so where a recording begins later than its run or service, on whose clock its rows are."""
+    """Return a note where a recording begins later than its run or service, whose clock its rows have."""
     t_s = run.signals["loop.t_s"]
     if not len(t_s) or t_s[0] < _LATE_S:
         return []

@@ -1,9 +1,8 @@
 """An overlay of two runs as a recording for the viewer: each signal of both over the scenario's time.
 
-Both begin at t = 0, their first ACTIVE tick, whatever their rates are.
-
-It is written in a process of its own, ``python -m hil.review.overlay FIRST SECOND FILE``, as every recording is: a
-user's settings for rerun do not apply there. ``hil view`` opens it; its blueprint is in it.
+Both begin at t = 0, their first ACTIVE tick, whatever their rates are. ``hil view`` opens the file, which has its own
+layout of views. A process of its own, ``python -m hil.review.overlay FIRST SECOND FILE``, writes it: a user's settings
+for rerun do not apply there.
 """
 
 import json
@@ -62,7 +61,7 @@ def write_overlay(first: Path, second: Path, file: Path, existing: Existing = "r
 
 
 def main() -> int:
-    """Write the overlay; 1, with the reason on standard output, when that fails."""
+    """Write the overlay; return 1, with the reason on standard output, when that fails."""
     first, second, file = map(Path, sys.argv[1:])
     try:
         _write([read(first), read(second)], file)
@@ -121,7 +120,7 @@ def _trail(
     width_px: float,
     draw_order: float,
 ) -> None:
-    """Draw where a run went: by the first of these groups of signals that has a value anywhere."""
+    """Draw the path of a run by the first of these groups of signals that has a value anywhere."""
     import rerun as rr
 
     for group in groups:
@@ -142,7 +141,7 @@ def _times(t_s: Series) -> "rr.TimeColumn":
 
 
 def _about(labels: Sequence[str], runs: Sequence[RecordedRun]) -> str:
-    """Return a page that says which runs these are, and what was different from the beginning."""
+    """Return a page that names the runs and what differed before they began."""
     lines = [f"- **{label}**: {run.path}" for label, run in zip(labels, runs, strict=True)]
     table = [f"| {key} | {one:.24} | {other:.24} |" for key, one, other in (row.words() for row in changes(*runs))]
     return "\n".join([*lines, "", "| different | first | second |", "|---|---|---|", *table, ""])

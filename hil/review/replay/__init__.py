@@ -1,8 +1,8 @@
-"""Replay: another law computed afterwards from what a run recorded. Open loop: none of it ever drove the robot.
+"""Replay: another law computed afterwards from a recording. Open loop: its commands never drove the robot.
 
-The law hears what the law in command heard, tick by tick: the reference, the state, what was applied at the tick before
-and how late that took effect. It is asked and reset where that one was. What it says is limited by the guard and set
-against the commands that were recorded. The law that made the run says again what it said then.
+The law gets the inputs of the law in command, tick by tick: the reference, the state, the command that was applied at
+the last tick and its latency. It is called and reset where that one was. The guard limits its commands, and they are
+compared with the recorded ones. The law that made the run gives its own commands again.
 """
 
 import array
@@ -37,9 +37,9 @@ _LABEL = "open loop: computed afterwards from the recorded states; it never drov
 
 
 class Difference(NamedTuple):
-    """Replayed minus recorded set points of a wheel, over the ticks in which the law was asked.
+    """Replayed minus recorded set points of a wheel, over the ticks in which the law was called.
 
-    ``max`` is the largest absolute one, at ``max_s`` of the run; ``recorded_rms`` tells how large the commands are.
+    ``max`` is the largest absolute difference, at ``max_s`` of the run; ``recorded_rms`` is the size of the commands.
     """
 
     rms: float
@@ -50,20 +50,20 @@ class Difference(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """What a law would have said at each tick of a run.
+    """The commands that a law would have given at each tick of a run.
 
     Attributes:
         path: the recording.
         law: as it was given, without its gains.
-        recorded_law: the one that was in command.
+        recorded_law: the law that was in command.
         mode: of the recording; the law has no other choice.
         gains: with which the law was made, where they are not its defaults.
-        ticks: of the recording.
-        asked: of these, those in which a law was asked.
+        ticks: ticks of the recording.
+        asked: of these, those in which the law was called.
         commands_refused: replayed commands that were no numbers.
-        commands: by the name of the recorded signal, NaN where the law was not asked, each of shape (ticks,).
+        commands: by the name of the recorded signal, NaN where the law was not called, each of shape (ticks,).
         differences: by the name of the recorded signal.
-        notes: sentences on why the law did not hear all that the one in command heard.
+        notes: sentences on inputs of the law in command that this one did not get.
     """
 
     path: Path
@@ -100,9 +100,9 @@ def replay(run: RecordedRun, text: str) -> Replay:
     """Feed a recording to the law of ``text``: LAW or LAW,KEY=VALUE,..., as in ``dsc,k1_1_s=8``.
 
     The robot's model is the recording's. So are the gains where the law is the one in command, or one of its shadows;
-    over these come those of the text. Raises BadInputError for a recording that does not hold what a law hears, for a
-    law or gains as ``make_controller`` does, and with what a law that is not ours raises; OverdueError for one that
-    does not return within the recording's ``loop.tick_limit_s``. One that is stuck ends the process, as in ``hil.run``.
+    gains of the text replace them. Raises BadInputError for a recording that lacks an input of a law, for a law or
+    gains as ``make_controller`` does, and for what a law that is not ours raises; OverdueError for a law that does not
+    return within the recording's ``loop.tick_limit_s``. One that is stuck ends the process, as in ``hil.run``.
     """
     check_signals(run)
     scenario = scenario_of(run)
@@ -113,18 +113,18 @@ def replay(run: RecordedRun, text: str) -> Replay:
     law = make_controller(spec, Path.cwd(), model, mode, gains, law_key="--law", gains_key=f"--law {spec}")
     guard = Guard(model.speed_limit_rad_s, model.torque_limit_n_m)
     names = _compared(mode)
-    said = array.array("d")
+    values = array.array("d")
     t_s = run.signals["loop.t_s"]
     watch = TickWatch(
-        float(scenario.get("loop.tick_limit_s", 0.0)), lambda: float(t_s[len(said) // len(names)]), lambda _: None
+        float(scenario.get("loop.tick_limit_s", 0.0)), lambda: float(t_s[len(values) // len(names)]), lambda _: None
     )
     try:
         with watch:
             for command in _commands(run, law, guard, mode, scenario, watch):
-                said.extend(_flat(command, mode))
+                values.extend(_flat(command, mode))
     except TickOverdue as overdue:
         raise OverdueError(str(overdue)) from None
-    table = np.frombuffer(said, dtype=np.float64).reshape(-1, len(names))
+    table = np.frombuffer(values, dtype=np.float64).reshape(-1, len(names))
     asked = np.isfinite(table[:, 0])
     if not asked.any():
         raise BadInputError(f"{run.path}: there is no tick in which the law was asked; nothing can be replayed")
@@ -159,12 +159,12 @@ def write_replay(run: RecordedRun, replayed: Replay, path: Path, existing: Exist
     for name, series in replayed.commands.items():
         signals[f"{prefix}.{name}"] = series
         signals[f"{prefix}.{name.replace('_command_', '_difference_')}"] = series - run.signals[name]
-    told = f"{replayed.law}, {_LABEL}; it replays {run.path.name}"
-    properties = dict(run.properties) | {"replay": told}
+    about = f"{replayed.law}, {_LABEL}; it replays {run.path.name}"
+    properties = dict(run.properties) | {"replay": about}
     with Recording(path, properties=properties, blocking=True, signals=tuple(signals), existing=existing) as recording:
         for event in run.events:
             recording.event(event.t_s, event.severity, event.text)
-        for sentence in (told, *replayed.notes):
+        for sentence in (about, *replayed.notes):
             recording.event(float(run.signals["loop.t_s"][0]), "warning", sentence)
         for row in tuples(list(signals.values())):
             recording.put(row)
@@ -187,13 +187,13 @@ def _given(text: str, assignments: Sequence[str]) -> dict[str, object]:
 def _commands(
     run: RecordedRun, law: Controller, guard: Guard, mode: CommandMode, scenario: Mapping[str, Any], watch: TickWatch
 ) -> Iterator[WheelCommand | None]:
-    """Yield what the law says at each tick, after the guard; None where the law in command was not asked."""
+    """Yield the law's command at each tick, after the guard; None where the law in command was not called."""
     period_ns = 1_000_000_000 // int(scenario["loop.rate_hz"])
     stale_ns = round(1e9 * float(scenario["firmware.watchdog_s"]))
     rest = WheelCommand(mode, ZERO_WHEELS, ZERO_WHEELS)
     latency_s = sum(float(scenario.get(f"link.{way}_latency_s", 0.0)) for way in ("command", "feedback"))
     applied = Applied(rest, False, latency_s)
-    before: int | None = None  # the tick before, as hil.runtime.loop counts it
+    before: int | None = None  # number of the last tick in which the law was called
     for row in rows(run, mode):
         if row.is_away:
             yield None

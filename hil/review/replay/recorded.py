@@ -1,4 +1,4 @@
-"""What a recording holds of what a law hears: the scenario's values, and the inputs of every tick."""
+"""The inputs of a law in a recording: the scenario's values, and those of every tick."""
 
 import json
 import math
@@ -48,12 +48,10 @@ _INPUTS = (
 
 
 def check_signals(run: RecordedRun) -> None:
-    """Raise BadInputError for a recording that lacks a signal which a law has to be told."""
+    """Raise BadInputError for a recording that lacks a signal which a law needs."""
     missing = [name for name in _INPUTS if name not in run.signals]
     if missing:
-        raise BadInputError(
-            f"{run.path}: it has no signal {missing[0]!r}, which a law has to be told; record the run again"
-        )
+        raise BadInputError(f"{run.path}: it has no signal {missing[0]!r}, which a law needs; record the run again")
 
 
 def scenario_of(run: RecordedRun) -> dict[str, Any]:
@@ -79,7 +77,7 @@ def _below(scenario: Mapping[str, Any], table: str) -> dict[str, Any]:
 
 
 def model_of(run: RecordedRun, scenario: Mapping[str, Any]) -> RobotModel:
-    """Return what the law in command believed of the robot. Raises BadInputError for one of another version."""
+    """Return the robot model of the law in command. Raises BadInputError for one of another version."""
     try:
         return RobotModel(**_below(scenario, "robot"))
     except (TypeError, ValueError) as error:
@@ -103,7 +101,7 @@ def _is_same(spec: str, other: str) -> bool:
 
 
 class Row(NamedTuple):
-    """A tick as it was recorded. ``is_away``: the robot was away, and nothing was commanded."""
+    """A tick as it was recorded; ``is_away`` where the robot was away, and nothing was commanded."""
 
     tick: int
     is_away: bool
@@ -145,6 +143,6 @@ def rows(run: RecordedRun, mode: CommandMode) -> Iterator[Row]:
 
 
 def tuples(columns: Sequence[Series]) -> Iterator[tuple[float, ...]]:
-    """Yield the rows of some columns; by the block, because Python's floats take four times the room of an array's."""
+    """Yield the rows of some columns, converted by blocks: Python's floats take four times the room of an array's."""
     for start in range(0, len(columns[0]), _BLOCK):
         yield from zip(*(column[start : start + _BLOCK].tolist() for column in columns), strict=True)
