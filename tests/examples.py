@@ -1,8 +1,8 @@
 """How many examples a property is tried with.
 
-A profile says it for all: ``quick``, 50 of each, or ``thorough``, 1000 and others each time, with
-``HIL_EXAMPLES=thorough`` in the environment, as make nightly has it. A test whose examples cost more, or find more,
-than most says what share of them it is to have.
+A profile says it for all, by ``HIL_EXAMPLES`` in the environment. ``quick`` (50 each) is the default; ``usual`` (100)
+is what ``tools.mutate`` tries mutants with; ``thorough``, 1000 and others each time, is that of make nightly. A test
+whose examples cost more, or find more, than most says what share of them it is to have.
 """
 
 import os
@@ -17,10 +17,11 @@ def load_profile() -> None:
     """Use the profile of the environment. Raises SystemExit for a name that is none."""
     # No time limit an example: these machines are shared. In CI the quick ones are the same on every run.
     settings.register_profile("quick", max_examples=50, deadline=None, derandomize=_IN_CI)
+    settings.register_profile("usual", max_examples=100, deadline=None, derandomize=_IN_CI)
     settings.register_profile("thorough", max_examples=1000, deadline=None, print_blob=True)
     name = os.environ.get("HIL_EXAMPLES", "quick")
-    if name not in ("quick", "thorough"):
-        raise SystemExit(f"HIL_EXAMPLES={name}: unknown; expected quick or thorough")
+    if name not in ("quick", "usual", "thorough"):
+        raise SystemExit(f"HIL_EXAMPLES={name}: unknown; expected quick, usual or thorough")
     settings.load_profile(name)
 
 

@@ -6,7 +6,7 @@ from hypothesis import settings
 from tests.examples import load_profile, share_of_examples
 
 
-@pytest.mark.parametrize(("profile", "whole"), [("quick", 50), ("thorough", 1000)])
+@pytest.mark.parametrize(("profile", "whole"), [("quick", 50), ("usual", 100), ("thorough", 1000)])
 def test_a_share_is_of_the_examples_that_the_profile_has(profile: str, whole: int, monkeypatch: pytest.MonkeyPatch):
     with monkeypatch.context() as patch:
         patch.setenv("HIL_EXAMPLES", profile)
@@ -18,5 +18,5 @@ def test_a_share_is_of_the_examples_that_the_profile_has(profile: str, whole: in
 
 def test_a_profile_that_is_none_is_refused_with_the_names_of_those_that_are(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("HIL_EXAMPLES", "slow")
-    with pytest.raises(SystemExit, match="HIL_EXAMPLES=slow: unknown; expected quick or thorough"):
+    with pytest.raises(SystemExit, match="HIL_EXAMPLES=slow: unknown; expected quick, usual or thorough"):
         load_profile()

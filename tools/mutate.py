@@ -161,7 +161,7 @@ class Bench:
         library = folder / "libmutant.so"
         objects = (self._objects | changed).values()
         subprocess.run([*compiler(), "-shared", "-o", str(library), *map(str, objects)], check=True)
-        environment = os.environ | {"WHEEL_HOST_LIBRARY": str(library), "HIL_CI": "1"}
+        environment = os.environ | {"WHEEL_HOST_LIBRARY": str(library), "HIL_CI": "1", "HIL_EXAMPLES": "usual"}
         command = [sys.executable, "-m", "pytest", "-x", "--tb=no", "-p", "no:cacheprovider"]
         command += ["-p", "tools.first_failure", *TESTS]
         try:
