@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import hil
-from hil.core.signals import make_loop_signals
+from hil.core.signals import LoopSignals
 from hil.core.types import WHEEL_NAMES, Pose, PoseFix, State
 from hil.estimation.truth import TruthEstimator
 from hil.laws.registry import SHIPPED
@@ -143,11 +143,10 @@ def test_after_a_hold_the_law_and_its_shadows_begin_anew(counting, monkeypatch):
 def test_after_a_stall_longer_than_the_firmwares_patience_the_law_begins_anew(counting, monkeypatch, skipped, resets):
     """As when the whole machine stood still, robot and all: no law integrates over it."""
 
-    def told(values):
-        t_s, tick, *rest = values
-        return make_loop_signals((t_s, tick if tick < 60 else tick + skipped, *rest))
+    def later(t_s, tick, *rest):
+        return LoopSignals(t_s, tick if tick < 60 else tick + skipped, *rest)
 
-    monkeypatch.setattr("hil.runtime.loop.make_loop_signals", told)
+    monkeypatch.setattr("hil.runtime.loop.LoopSignals", later)
     result = run(**counting)
     assert set(result.signals["counting.resets"]) == set(range(1, resets + 1))
     assert not result.signals["guard.held"].any()

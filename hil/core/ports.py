@@ -1,7 +1,6 @@
 """The ports of the house: what the tick needs, and nothing of how it is provided."""
 
-from collections.abc import Callable, Mapping, Sequence
-from types import MethodType
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 from firmware_protocol.framing import Frame
@@ -16,10 +15,6 @@ class Received(NamedTuple):
 
     frames: Sequence[Frame]
     stamp_ns: int
-
-
-make_received: Callable[[tuple[Sequence[Frame], int]], Received] = MethodType(tuple.__new__, Received)
-"""Return what ``Received`` does of a pair, in half the time."""
 
 
 EXTENDED, REMOTE = 0x8000_0000, 0x4000_0000

@@ -5,8 +5,6 @@ groups below, so that a signal is defined once; the unit is the end of its name.
 (``hil.core.ports.OwnSignals``), with the unit at the end of the name too.
 """
 
-from collections.abc import Callable
-from types import MethodType
 from typing import NamedTuple
 
 from hil.core.types import WHEEL_NAMES, Gains, Pose, Twist, Wheels
@@ -18,11 +16,6 @@ class LoopSignals(NamedTuple):
     lateness_us: float
     tick_us: float
     deadline_misses: float
-
-
-make_loop_signals: Callable[[tuple[float, int, float, float, float]], LoopSignals] = MethodType(
-    tuple.__new__, LoopSignals
-)
 
 
 class ReferenceSignals(NamedTuple):

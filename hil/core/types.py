@@ -151,7 +151,6 @@ make_acceleration: Callable[[Axes], Acceleration] = MethodType(tuple.__new__, Ac
 make_state: Callable[[tuple[Pose, Twist]], State] = MethodType(tuple.__new__, State)
 make_reference: Callable[[tuple[Pose, Twist, Acceleration]], Reference] = MethodType(tuple.__new__, Reference)
 make_command: Callable[[tuple[CommandMode, Wheels, Wheels]], WheelCommand] = MethodType(tuple.__new__, WheelCommand)
-make_applied: Callable[[tuple[WheelCommand, bool, float]], Applied] = MethodType(tuple.__new__, Applied)
 make_gains: Callable[[Pairs], Gains] = MethodType(tuple.__new__, Gains)
 make_fix: Callable[[tuple[int, Pose, Twist]], PoseFix] = MethodType(tuple.__new__, PoseFix)
 

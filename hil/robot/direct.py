@@ -6,7 +6,7 @@ from firmware_protocol.framing import FRAME_OVERHEAD, PACKED_HEADERS, Frame, uns
 from firmware_protocol.generated.messages import Estop
 from firmware_protocol.host import HostNode
 from firmware_protocol.host_line import HostLine
-from hil.core.ports import Link, Received, make_received
+from hil.core.ports import Link, Received
 from hil.robot.virtual import VirtualStm32
 from hil.wire.framed import StreamLink
 from hil.wire.link import Line
@@ -77,7 +77,7 @@ class DirectLink(StreamLink):
             return None
         self.received_frames += len(frames)
         self.received_bytes += size
-        return make_received((frames, self.now_ns()))
+        return Received(frames, self.now_ns())
 
     def close(self) -> None:
         self._is_open = False

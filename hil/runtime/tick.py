@@ -17,7 +17,6 @@ from hil.core.types import (
     Reference,
     State,
     WheelCommand,
-    make_applied,
 )
 from hil.estimation import LOST, Estimator
 from hil.laws.shadows import Shadows
@@ -142,7 +141,7 @@ class Tick:
             self._measure_latency(sequence, feedback)
         if self._shadows is not None:
             self._ask_shadows(self._shadows, now.t_s, reference, asked)
-        self._applied = applied = make_applied((command, saturated, self._latency.s))
+        self._applied = applied = Applied(command, saturated, self._latency.s)
         silent_ns, is_held = self._freshness.silent_ns, asked is None
         self._rows.write(
             tick=now,

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 from firmware_protocol.framing import Frame
 from hil.core.link_protocol import WHEEL_DBC, LinkProtocol
-from hil.core.ports import Received, make_received
+from hil.core.ports import Received
 from hil.wire.streams import HostStream
 
 _MOST_AT_ONCE = 50
@@ -58,7 +58,7 @@ class StreamLink:
                     if count > _MOST_AT_ONCE:
                         return self._part_of(frames, stamp_ns)
                     self.received_frames += count
-                    return make_received((frames, stamp_ns))
+                    return Received(frames, stamp_ns)
                 # Bytes came that completed no frame: the rest of one may be there too, or come in what is left of the
                 # time. A line full of noise must not keep a tick.
                 of_no_frame += len(data)
